@@ -1,0 +1,103 @@
+//! The one error type of the library.
+
+use std::path::{Path, PathBuf};
+
+/// What went wrong, told so that the reader can mend it: which file, which field, what was expected and what was found.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A file or folder could not be opened, read, created or written.
+    #[error("{}: {action}: {source}", path.display())]
+    Io {
+        /// The file or folder.
+        path: PathBuf,
+        /// What was being done, as in "cannot read".
+        action: &'static str,
+        /// The operating system's reason.
+        source: std::io::Error,
+    },
+    /// Data that was read, or a value that was given, does not mean what it must.
+    #[error("{origin}: {field}: expected {expected}, found {found}")]
+    Invalid {
+        /// The file that holds the data, or the option that gave it.
+        origin: String,
+        /// The field, tensor or line inside `origin`.
+        field: String,
+        /// What would have been accepted.
+        expected: String,
+        /// What is there.
+        found: String,
+    },
+    /// A name that is not known, with the nearest ones that are.
+    #[error("{origin}: unknown {kind} '{name}'{}", suggest(nearest))]
+    Unknown {
+        /// The file or option that gave the name.
+        origin: String,
+        /// What kind of thing it names, as in "motion".
+        kind: &'static str,
+        /// The name.
+        name: String,
+        /// The nearest known names, best first.
+        nearest: Vec<String>,
+    },
+    /// No device can do the work: no adapter, or one whose limits are too small.
+    #[error("device: {0}")]
+    Device(String),
+    /// The simulation left the finite numbers.
+    #[error("frame {frame}: cloth {cloth} became non-finite")]
+    NonFinite {
+        /// Index of the first frame that is not finite, counted from the start state as 0.
+        frame: usize,
+        /// Index of the cloth in its batch.
+        cloth: usize,
+    },
+}
+
+/// `Result` with the library's [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+impl Error {
+    /// An [`Error::Io`]; `action` completes "PATH: ...", as in "cannot read".
+    pub fn io(path: impl AsRef<Path>, action: &'static str, source: std::io::Error) -> Self {
+        Error::Io { path: path.as_ref().to_owned(), action, source }
+    }
+
+    /// An [`Error::Invalid`].
+    pub fn invalid(
+        origin: impl Into<String>,
+        field: impl Into<String>,
+        expected: impl Into<String>,
+        found: impl ToString,
+    ) -> Self {
+        Error::Invalid {
+            origin: origin.into(),
+            field: field.into(),
+            expected: expected.into(),
+            found: found.to_string(),
+        }
+    }
+
+    /// An [`Error::Unknown`] that suggests up to three of `known`, by edit distance.
+    pub fn unknown<'a>(
+        origin: impl Into<String>,
+        kind: &'static str,
+        name: &str,
+        known: impl IntoIterator<Item = &'a str>,
+    ) -> Self {
+        let mut ranked: Vec<(usize, &str)> =
+            known.into_iter().map(|k| (strsim::damerau_levenshtein(name, k), k)).collect();
+        ranked.sort();
+        let near = ranked.first().map_or(0, |r| r.0).max(2) + 1;
+        let nearest =
+            ranked.into_iter().filter(|r| r.0 <= near).take(3).map(|r| r.1.to_owned()).collect();
+        Error::Unknown { origin: origin.into(), kind, name: name.to_owned(), nearest }
+    }
+}
+
+fn suggest(nearest: &[String]) -> String {
+    if nearest.is_empty() {
+        String::new()
+    } else {
+        format!(" (did you mean {}?)", nearest.join(", "))
+    }
+}

@@ -1,0 +1,7 @@
+//! Neural cloth on the GPU.
+
+mod error;
+pub mod network;
+pub mod sim;
+
+pub use error::{Error, Result};

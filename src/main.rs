@@ -1,0 +1,2 @@
+//! The `fnopt` command.
+fn main() {}

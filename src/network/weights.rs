@@ -1,0 +1,78 @@
+//! Sizes and weights of the Fourier neural operator (paper section 4).
+
+/// Sizes of the network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Config {
+    /// Fields per sample before the positional ones: gradient, last gradient, last step.
+    pub fields: usize,
+    /// Hidden channels of the lifting (256).
+    pub lifting: usize,
+    /// Channels of the Fourier blocks (64).
+    pub channels: usize,
+    /// Hidden channels of the projection (64).
+    pub projection: usize,
+    /// Number of Fourier blocks (4).
+    pub layers: usize,
+    /// Kept modes: rows `k_h = -modes_h/2 ..= (modes_h-1)/2` (8 of them).
+    pub modes_h: usize,
+    /// Kept modes: columns `k_w = 0 .. modes_w` (5 of them).
+    pub modes_w: usize,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self { fields: 3, lifting: 256, channels: 64, projection: 64, layers: 4, modes_h: 8, modes_w: 5 }
+    }
+}
+
+impl Config {
+    /// Input channels: the fields and two positional channels.
+    pub fn inputs(&self) -> usize {
+        self.fields + 2
+    }
+
+    /// Kept modes per channel.
+    pub fn modes(&self) -> usize {
+        self.modes_h * self.modes_w
+    }
+
+    /// Index of the block whose output feeds the scalar head: the one before the last (0 if there is one block only).
+    pub fn scalar_block(&self) -> usize {
+        self.layers.saturating_sub(2)
+    }
+}
+
+/// A pointwise layer: `y = weight x + bias`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Dense {
+    /// Weight, shape [out, in].
+    pub weight: Vec<f32>,
+    /// Bias, shape [out].
+    pub bias: Vec<f32>,
+}
+
+/// A Fourier block: `y = K(x) + S x + bias`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Block {
+    /// Complex weight of the spectral product, shape [in, out, modes_h, modes_w, 2].
+    pub spectral: Vec<f32>,
+    /// Bias, shape [channels].
+    pub bias: Vec<f32>,
+    /// Weight of the skip `S`, shape [out, in] (a soft gate is stored as its diagonal matrix).
+    pub skip: Vec<f32>,
+}
+
+/// All weights of the network, single precision.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Weights {
+    /// Sizes.
+    pub config: Config,
+    /// The two layers of the lifting, `inputs -> lifting -> channels`.
+    pub lifting: [Dense; 2],
+    /// The Fourier blocks.
+    pub blocks: Vec<Block>,
+    /// The two layers of the field head, `channels -> projection -> 1`.
+    pub projection: [Dense; 2],
+    /// The scalar head, `channels -> 1`.
+    pub scalar: Dense,
+}

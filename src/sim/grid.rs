@@ -1,0 +1,77 @@
+//! The grid of particles that a cloth is made of.
+
+use crate::{Error, Result};
+
+/// A grid of `h * w` particles: `i` runs along the height, `j` along the width; particle `(i, j)` has number `i * w + j`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Grid {
+    /// Particles along the height (H).
+    pub h: usize,
+    /// Particles along the width (W).
+    pub w: usize,
+}
+
+/// The smallest height and width that carry the network's 8 x 5 Fourier modes (section 4).
+pub const MIN_GRID: usize = 8;
+/// The largest height and width: particle numbers stay well inside 32 bits.
+pub const MAX_GRID: usize = 4096;
+
+impl Grid {
+    /// A grid that a cloth can be simulated on; `origin` names where the sizes come from in the error.
+    pub fn new(h: usize, w: usize, origin: &str) -> Result<Self> {
+        for (name, n) in [("grid height", h), ("grid width", w)] {
+            if !(MIN_GRID..=MAX_GRID).contains(&n) {
+                let expected = format!("{MIN_GRID} to {MAX_GRID} particles");
+                return Err(Error::invalid(origin, name, expected, n));
+            }
+        }
+        Ok(Self { h, w })
+    }
+
+    /// Number of particles, `H W`.
+    pub fn particles(&self) -> usize {
+        self.h * self.w
+    }
+
+    /// Mass of particle `(i, j)` in grid units: 1 inside, 1/2 on the border, 1/4 in the corners.
+    /// Over the grid they add up to `(H - 1)(W - 1)`, the number of cells.
+    pub fn mass(&self, i: usize, j: usize) -> f64 {
+        let edge = |k: usize, n: usize| if k == 0 || k + 1 == n { 0.5 } else { 1.0 };
+        edge(i, self.h) * edge(j, self.w)
+    }
+
+    /// Triangles as particle numbers, two per cell, cut along the diagonal (i, j) - (i+1, j+1).
+    pub fn faces(&self) -> Vec<[u32; 3]> {
+        let at = |i: usize, j: usize| (i * self.w + j) as u32;
+        let cell = |i: usize, j: usize| {
+            let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));
+            [[a, b, c], [a, c, d]]
+        };
+        (0..self.h - 1).flat_map(|i| (0..self.w - 1).flat_map(move |j| cell(i, j))).collect()
+    }
+}
+
+impl std::fmt::Display for Grid {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.h, self.w)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masses_add_up_to_the_cells() {
+        let g = Grid { h: 9, w: 12 };
+        let total: f64 = (0..g.h).flat_map(|i| (0..g.w).map(move |j| g.mass(i, j))).sum();
+        assert_eq!(total, 88.0);
+        assert_eq!((g.mass(0, 0), g.mass(0, 5), g.mass(4, 5)), (0.25, 0.5, 1.0));
+    }
+
+    #[test]
+    fn faces_cut_each_cell_once() {
+        let faces = Grid { h: 3, w: 2 }.faces();
+        assert_eq!(faces, [[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]]);
+    }
+}

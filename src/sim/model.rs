@@ -1,0 +1,123 @@
+//! What stays fixed during a run, what changes, and what a frame is driven by. Grid units throughout, z up.
+
+use super::Grid;
+
+/// Energy coefficients in grid units (section 3 of the specification; the paper's material parameters).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Stretch coefficient `k_stretch`.
+    pub stretch: f64,
+    /// Shear coefficient `k_shear`.
+    pub shear: f64,
+    /// Bend coefficient `k_bend`.
+    pub bend: f64,
+}
+
+impl Default for Material {
+    /// The typical material of the paper: (1000, 8, 0.5).
+    fn default() -> Self {
+        Self { stretch: 1000.0, shear: 8.0, bend: 0.5 }
+    }
+}
+
+/// The air around a cloth, in grid units: the coefficients already contain the mass of one cell of the sheet, so that
+/// `density * area * |v_n| v_n n + drag * area * v_tangential`, divided by a particle's grid mass, is an acceleration.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Air {
+    /// Pressure coefficient of the normal part: `air density * spacing / areal mass`.
+    pub density: f64,
+    /// Friction coefficient of the tangential part: `drag * frame time / areal mass`.
+    pub drag: f64,
+}
+
+/// One cloth of a batch: what stays fixed during a run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cloth {
+    /// Energy coefficients.
+    pub material: Material,
+    /// Gravity as an acceleration [edges / frame^2].
+    pub gravity: [f64; 3],
+    /// The air it moves in; zero for none.
+    pub air: Air,
+    /// Particle numbers of the handles, all different.
+    pub handles: Vec<usize>,
+}
+
+/// A batch of independent cloths on one grid.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Model {
+    /// The grid that all cloths share.
+    pub grid: Grid,
+    /// The cloths, B of them.
+    pub cloths: Vec<Cloth>,
+}
+
+impl Model {
+    /// Number of cloths (B).
+    pub fn batch(&self) -> usize {
+        self.cloths.len()
+    }
+
+    /// Number of handles of all cloths together.
+    pub fn handles(&self) -> usize {
+        self.cloths.iter().map(|c| c.handles.len()).sum()
+    }
+
+    /// Handle slot of every particle, shape [B, H, W]: 0 for a free particle, else 1 + the index of its position in
+    /// [`Control::handles`].
+    pub fn handle_slots(&self) -> Vec<u32> {
+        let n = self.grid.particles();
+        let mut slots = vec![0; self.batch() * n];
+        let mut next = 1;
+        for (b, cloth) in self.cloths.iter().enumerate() {
+            for &p in &cloth.handles {
+                slots[b * n + p] = next;
+                next += 1;
+            }
+        }
+        slots
+    }
+}
+
+/// Positions [edges] and velocities [edges / frame] of a batch, each of shape [B, 3, H, W].
+#[derive(Clone, Debug, PartialEq)]
+pub struct State<T> {
+    /// Positions, shape [B, 3, H, W].
+    pub x: Vec<T>,
+    /// Velocities, shape [B, 3, H, W].
+    pub v: Vec<T>,
+}
+
+impl<T: num_traits::Float> State<T> {
+    /// The rest state of `batch` cloths: particle (i, j) at `(j, i - (H-1)/2, 0)`, velocity 0.
+    pub fn rest(grid: Grid, batch: usize) -> Self {
+        let n = grid.particles();
+        let cast = |v: f64| T::from(v).expect("a grid coordinate is representable");
+        let mut x = vec![T::zero(); batch * 3 * n];
+        for cloth in x.chunks_mut(3 * n) {
+            for p in 0..n {
+                cloth[p] = cast((p % grid.w) as f64);
+                cloth[n + p] = cast((p / grid.w) as f64 - (grid.h - 1) as f64 / 2.0);
+            }
+        }
+        let v = vec![T::zero(); x.len()];
+        Self { x, v }
+    }
+
+    /// The same state in another precision.
+    pub fn cast<U: num_traits::Float>(&self) -> State<U> {
+        let cast = |s: &[T]| s.iter().map(|&a| U::from(a).expect("a float casts to a float")).collect();
+        State { x: cast(&self.x), v: cast(&self.v) }
+    }
+}
+
+/// What drives one frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Control<T> {
+    /// Handle positions at the end of the frame [edges], all handles of cloth 0, then of cloth 1, and so on.
+    pub handles: Vec<[T; 3]>,
+    /// Wind velocity of each cloth [edges / frame], shape [B]; empty for still air.
+    pub wind: Vec<[T; 3]>,
+    /// External acceleration of each particle beside gravity and air [edges / frame^2], shape [B, 3, H, W]; empty for none.
+    pub forces: Vec<T>,
+}
