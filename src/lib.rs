@@ -1,6 +1,8 @@
 //! Neural cloth on the GPU.
 
 mod error;
+pub mod gpu;
+pub mod kernels;
 pub mod network;
 pub mod sim;
 

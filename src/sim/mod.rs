@@ -2,6 +2,12 @@
 
 mod grid;
 mod model;
+mod optimizer;
+mod solver;
+mod stats;
 
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub use model::{Air, Cloth, Control, Material, Model, State};
+pub use optimizer::Optimizer;
+pub use solver::{INITIAL_SCALE, Solver, SolverOptions};
+pub use stats::{EnergyTerms, FrameStats};

@@ -1,0 +1,113 @@
+// Energy terms and stretch of a cloth, summed over part of its particles (specification sections 3 and 8).
+//
+// Each particle owns the edges, corner angles and bends that start at it. Every part holds eight sums:
+// stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of ||edge| - 1|, unused.
+// cloths: [B]; external, a, trial: [B, 3, H, W]; parts: [B, groups, 8].
+// One invocation: one particle; a workgroup adds up in a fixed order. Workgroups: (n / 64, B).
+// Adjoint: `gradient`.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+    groups: u32,
+    pad: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
+@group(0) @binding(2) var<storage, read> external_acceleration: array<f32>;
+@group(0) @binding(3) var<storage, read> a: array<f32>;
+@group(0) @binding(4) var<storage, read> trial: array<f32>;
+@group(0) @binding(5) var<storage, read_write> parts: array<vec4f>;
+
+const RIGHT_ANGLE: f32 = 1.5707963267948966;
+
+var<workgroup> terms: array<vec4f, 64>; // stretch, shear, bend, inertia
+var<workgroup> others: array<vec4f, 64>; // external, largest stretch, sum of |stretch|, unused
+
+fn position(b: u32, i: u32, j: u32) -> vec3f {
+    let n = params.rows * params.columns;
+    let at = b * 3u * n + i * params.columns + j;
+    return vec3f(trial[at], trial[at + n], trial[at + 2u * n]);
+}
+
+fn squared_angle(u: vec3f, w: vec3f, rest: f32) -> f32 {
+    let off = angle(length(cross(u, w)), dot(u, w)) - rest;
+    return off * off;
+}
+
+@compute @workgroup_size(64)
+fn energy(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(global_invocation_id) id: vec3u,
+) {
+    let n = params.rows * params.columns;
+    let b = group.y;
+    var term = vec4f();
+    var other = vec4f(0.0, -1.0, 0.0, 0.0);
+    if id.x < n {
+        let i = id.x / params.columns;
+        let j = id.x % params.columns;
+        let rows = f32(params.rows);
+        let columns = f32(params.columns);
+        let has_down = i + 1u < params.rows;
+        let has_across = j + 1u < params.columns;
+        let p = position(b, i, j);
+        var down = vec3f();
+        var across = vec3f();
+        if has_down {
+            down = position(b, i + 1u, j) - p;
+            let off = length(down) - 1.0;
+            term.x += off * off / ((rows - 1.0) * columns);
+            other.y = max(other.y, off);
+            other.z += abs(off);
+            if i + 2u < params.rows {
+                term.z += squared_angle(down, position(b, i + 2u, j) - position(b, i + 1u, j), 0.0);
+            }
+        }
+        if has_across {
+            across = position(b, i, j + 1u) - p;
+            let off = length(across) - 1.0;
+            term.x += off * off / (rows * (columns - 1.0));
+            other.y = max(other.y, off);
+            other.z += abs(off);
+            if j + 2u < params.columns {
+                term.z += squared_angle(across, position(b, i, j + 2u) - position(b, i, j + 1u), 0.0);
+            }
+        }
+        if has_down && has_across {
+            let corner = position(b, i + 1u, j + 1u);
+            let far_v = corner - (p + across);
+            let far_h = corner - (p + down);
+            term.y += squared_angle(down, across, RIGHT_ANGLE) + squared_angle(down, far_h, RIGHT_ANGLE)
+                + squared_angle(far_v, across, RIGHT_ANGLE) + squared_angle(far_v, far_h, RIGHT_ANGLE);
+        }
+        let at = b * 3u * n + id.x;
+        let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
+        let f = vec3f(external_acceleration[at], external_acceleration[at + n], external_acceleration[at + 2u * n]);
+        let m = mass(i, j, params.rows, params.columns);
+        term.w = 0.5 * m * dot(acceleration, acceleration);
+        other.x = -m * dot(acceleration, f);
+        let count = rows * columns;
+        let material = cloths[b].material;
+        term *= vec4f(material.x, material.y / count, material.z / count, 1.0 / count);
+        other.x /= count;
+    }
+    terms[lane] = term;
+    others[lane] = other;
+    for (var half = 32u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if lane < half {
+            terms[lane] += terms[lane + half];
+            let more = others[lane + half];
+            let less = others[lane];
+            others[lane] = vec4f(less.x + more.x, max(less.y, more.y), less.z + more.z, 0.0);
+        }
+    }
+    if lane == 0u {
+        let out = 2u * (b * params.groups + group.x);
+        parts[out] = terms[0];
+        parts[out + 1u] = others[0];
+    }
+}

@@ -1,0 +1,38 @@
+// Start of a frame: a = 0, base = x + v, or the prescribed position at a handle; the trial positions start there.
+//
+// x, v, base, a, trial: [B, 3, n]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3].
+// One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// Adjoint: none, the state is a constant of the training step.
+
+struct Params {
+    particles: u32, // n
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> x: array<f32>;
+@group(0) @binding(2) var<storage, read> v: array<f32>;
+@group(0) @binding(3) var<storage, read> slots: array<u32>;
+@group(0) @binding(4) var<storage, read> targets: array<f32>;
+@group(0) @binding(5) var<storage, read_write> base: array<f32>;
+@group(0) @binding(6) var<storage, read_write> a: array<f32>;
+@group(0) @binding(7) var<storage, read_write> trial: array<f32>;
+
+@compute @workgroup_size(64)
+fn predict(@builtin(global_invocation_id) id: vec3u) {
+    let p = id.x;
+    if p >= params.particles {
+        return;
+    }
+    let at = id.y * params.particles + p;
+    let slot = slots[id.y / 3u * params.particles + p];
+    var position = x[at] + v[at];
+    if slot != 0u {
+        position = targets[3u * (slot - 1u) + id.y % 3u];
+    }
+    base[at] = position;
+    a[at] = 0.0;
+    trial[at] = position;
+}

@@ -1,0 +1,46 @@
+
+// atan2(sine, cosine) for sine >= 0, in [0, pi]. WGSL allows atan2 an error of 4096 ulp, too much for small bends.
+// Odd polynomial of degree 17 on [0, 1], largest error 6e-9 before rounding.
+fn angle(sine: f32, cosine: f32) -> f32 {
+    let c = abs(cosine);
+    let t = min(sine, c) / max(max(sine, c), 1e-38);
+    let u = t * t;
+    var p = 2.456718155e-3 * u - 1.440133176e-2;
+    p = p * u + 3.978117984e-2;
+    p = p * u - 7.234853497e-2;
+    p = p * u + 1.049894413e-1;
+    p = p * u - 1.416122864e-1;
+    p = p * u + 1.998590668e-1;
+    p = p * u - 3.333259702e-1;
+    // The leading coefficient is 1 - 1.136e-7; kept apart so that rounding does not eat it.
+    var theta = t + t * (p * u - 1.136e-7);
+    if sine > c {
+        theta = 1.5707963267948966 - theta;
+    }
+    if cosine < 0.0 {
+        theta = 3.141592653589793 - theta;
+    }
+    return theta;
+}
+
+// The gradients of (angle(u, w) - rest)^2 with respect to u and w. At angles of 0 and pi, where the direction of
+// steepest ascent is not defined, the limit for a straight edge: angle / sine -> 1 / cosine, else 0.
+struct AnglePair {
+    u: vec3f,
+    w: vec3f,
+}
+
+fn angle_gradient(u: vec3f, w: vec3f, rest: f32) -> AnglePair {
+    let c = cross(u, w);
+    let sine = length(c);
+    let cosine = dot(u, w);
+    var factor = 0.0; // 2 (angle - rest) / sine
+    if sine > 1e-30 {
+        factor = 2.0 * (angle(sine, cosine) - rest) / sine;
+    } else if cosine > 0.0 && rest == 0.0 {
+        factor = 2.0 / cosine;
+    }
+    let uu = max(dot(u, u), 1e-30);
+    let ww = max(dot(w, w), 1e-30);
+    return AnglePair(cross(u, c) * (factor / uu), cross(c, w) * (factor / ww));
+}

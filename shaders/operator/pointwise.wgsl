@@ -1,0 +1,52 @@
+// A pointwise layer: y[s, o, p] = act(sum_i weight[o, i] x[s, i, p] + bias[o]).
+//
+// x: [S, I, H, Q] quads of 4 columns; weight: [O / tile, I, tile]; bias: [O]; y: [S, O, H, Q] quads.
+// One invocation: one quad and a tile of output channels, held in named registers; the weights' addresses are the
+// same for a whole workgroup. Workgroups: (quads, O / tile, S).
+// Adjoint: `pointwise_adj` (x) and `pointwise_weight_adj` (weight, bias).
+
+struct Params {
+    inputs: u32, // I
+    quads: u32, // H Q, quads of one plane
+    outputs: u32, // O
+    x_first: u32, // first sample of x
+    y_first: u32, // first sample of y
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> weight: array<vec4f>;
+@group(0) @binding(2) var<storage, read> bias: array<vec4f>;
+@group(0) @binding(3) var<storage, read> x: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> y: array<vec4f>;
+
+override GELU: bool = true;
+override WORKGROUP: u32 = 64;
+
+@compute @workgroup_size(WORKGROUP)
+fn pointwise(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
+    let p = id.x;
+    if p >= params.quads {
+        return;
+    }
+    let tile = group.y;
+    let first = (params.x_first + group.z) * params.inputs * params.quads + p;
+    var at = tile * params.inputs * $m;
+    var y$c = vec4f();
+    for (var i = 0u; i < params.inputs; i++) {
+        let v = x[first + i * params.quads];
+        let w$q = weight[at + $q];
+        y$c += w$q.$e * v;
+        at += $m;
+    }
+    let out = ((params.y_first + group.z) * params.outputs + tile * $n) * params.quads + p;
+    let b$q = bias[tile * $m + $q];
+    y$c += b$q.$e;
+    if GELU {
+        y[out + $c * params.quads] = gelu(y$c);
+    } else {
+        y[out + $c * params.quads] = y$c;
+    }
+}

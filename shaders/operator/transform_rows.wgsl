@@ -1,0 +1,37 @@
+// Rows of the truncated real Fourier transform: r[s, i, k, c] = sum_j x[s, c, i, j] table[j, k].
+//
+// k counts the real and imaginary parts of the kept columns, Re 0, Im 0, Re 1, ...: table[j, 2 m] = cos(2 pi m j / W) / (H W)
+// and table[j, 2 m + 1] = -sin(2 pi m j / W) / (H W), zero in the padding, so that padded columns do not count.
+// x: [S, C, H, Q] quads; table: [Q, tile] quads; r: [S, H, tile, C]. The tile is 2 modes_w.
+// One invocation: one row of one channel. Workgroups: (C / 64, H, S).
+// Adjoint: `inverse_rows` of the block, with this table.
+
+struct Params {
+    channels: u32, // C
+    rows: u32, // H
+    row_quads: u32, // Q
+    pad: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> table: array<vec4f>;
+@group(0) @binding(2) var<storage, read> x: array<vec4f>;
+@group(0) @binding(3) var<storage, read_write> r: array<f32>;
+
+@compute @workgroup_size(64)
+fn transform_rows(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
+    let channel = id.x;
+    if channel >= params.channels {
+        return;
+    }
+    let row = group.y;
+    let sample = group.z;
+    let first = ((sample * params.channels + channel) * params.rows + row) * params.row_quads;
+    var r$c = 0.0;
+    for (var q = 0u; q < params.row_quads; q++) {
+        let v = x[first + q];
+        r$c += dot(v, table[q * $n + $c]);
+    }
+    let out = (sample * params.rows + row) * $n * params.channels + channel;
+    r[out + $c * params.channels] = r$c;
+}

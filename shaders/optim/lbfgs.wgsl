@@ -1,0 +1,149 @@
+// Limited-memory BFGS (two-loop recursion), then the trial positions (see `update`).
+//
+// With pairs s = a_k - a_(k-1), y = g_k - g_(k-1), kept when y.s > CURVATURE: q = H g, a -= q, where H starts from
+// gamma = s.y / y.y of the newest pair (1 without one). The history is cleared in the first iteration of a frame.
+// grad, base, a, trial: [B, 3 n]; slots: [B, n]; history: [B, HISTORY, 2, 3 n] = (s, y); last: [B, 2, 3 n], the last
+// gradient and the last step; pairs: [B, HISTORY + 2], the number of pairs, the place of the newest and each pair's 1 / y.s.
+// One workgroup: one cloth; its invocations take elements in turn and add up in a fixed order. Workgroups: (B).
+// Adjoint: none, it is not trained.
+
+struct Params {
+    particles: u32, // n
+    first: u32, // 1 in the first iteration
+    pad0: u32,
+    pad1: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> grad: array<f32>;
+@group(0) @binding(2) var<storage, read> base: array<f32>;
+@group(0) @binding(3) var<storage, read> slots: array<u32>;
+@group(0) @binding(4) var<storage, read_write> history: array<f32>;
+@group(0) @binding(5) var<storage, read_write> last: array<f32>;
+@group(0) @binding(6) var<storage, read_write> pairs: array<f32>;
+@group(0) @binding(7) var<storage, read_write> a: array<f32>;
+@group(0) @binding(8) var<storage, read_write> trial: array<f32>;
+
+const LANES: u32 = 256u;
+override HISTORY: u32 = 5;
+override CURVATURE: f32 = 1e-12;
+
+var<workgroup> partial: array<vec2f, 256>;
+
+// Sums over the workgroup, the same in every invocation.
+fn total(lane: u32, value: vec2f) -> vec2f {
+    workgroupBarrier();
+    partial[lane] = value;
+    for (var half = LANES / 2u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if lane < half {
+            partial[lane] += partial[lane + half];
+        }
+    }
+    workgroupBarrier();
+    return partial[0];
+}
+
+@compute @workgroup_size(256)
+fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
+    let n = 3u * params.particles;
+    let first = group.x * n;
+    let book = group.x * (HISTORY + 2u);
+    let previous_grad = 2u * first;
+    let q = 2u * first + n; // the last step, then the direction
+    let ring = 2u * first * HISTORY;
+    var count = 0u;
+    var newest = HISTORY - 1u;
+    var gamma = 1.0;
+
+    if params.first == 0u {
+        count = u32(pairs[book]);
+        newest = u32(pairs[book + 1u]);
+    }
+    // The pair of the last step; in the first iteration there is none and nothing of it is kept.
+    var sums = vec2f();
+    if params.first == 0u {
+        for (var e = lane; e < n; e += LANES) {
+            let y = grad[first + e] - last[previous_grad + e];
+            sums += y * vec2f(last[q + e], y);
+        }
+    }
+    sums = total(lane, sums);
+    let keep = params.first == 0u && sums.x > CURVATURE;
+    if keep {
+        newest = (newest + 1u) % HISTORY;
+        count = min(count + 1u, HISTORY);
+        if lane == 0u {
+            pairs[book + 2u + newest] = 1.0 / sums.x;
+        }
+    }
+    let pair = ring + newest * 2u * n;
+    for (var e = lane; e < n; e += LANES) {
+        let g = grad[first + e];
+        if keep {
+            history[pair + e] = last[q + e];
+            history[pair + n + e] = g - last[previous_grad + e];
+        }
+        last[previous_grad + e] = g;
+        last[q + e] = g;
+    }
+    storageBarrier();
+
+    var alpha: array<f32, 32>;
+    for (var k = 0u; k < HISTORY; k++) {
+        let slot = (newest + HISTORY - k) % HISTORY;
+        let s = ring + slot * 2u * n;
+        var sum = vec2f();
+        if k < count {
+            for (var e = lane; e < n; e += LANES) {
+                let y = history[s + n + e];
+                sum += vec2f(history[s + e] * last[q + e], y * y);
+            }
+        }
+        sum = total(lane, sum);
+        if k < count {
+            let rho = pairs[book + 2u + slot];
+            alpha[k] = rho * sum.x;
+            if k == 0u {
+                gamma = 1.0 / (rho * sum.y);
+            }
+            for (var e = lane; e < n; e += LANES) {
+                last[q + e] -= alpha[k] * history[s + n + e];
+            }
+        }
+    }
+    for (var e = lane; e < n; e += LANES) {
+        last[q + e] *= gamma;
+    }
+    for (var j = 0u; j < HISTORY; j++) {
+        let k = HISTORY - 1u - j; // oldest first
+        let slot = (newest + HISTORY - k) % HISTORY;
+        let s = ring + slot * 2u * n;
+        var sum = vec2f();
+        if k < count {
+            for (var e = lane; e < n; e += LANES) {
+                sum.x += history[s + n + e] * last[q + e];
+            }
+        }
+        sum = total(lane, sum);
+        if k < count {
+            let beta = pairs[book + 2u + slot] * sum.x;
+            for (var e = lane; e < n; e += LANES) {
+                last[q + e] += (alpha[k] - beta) * history[s + e];
+            }
+        }
+    }
+
+    for (var e = lane; e < n; e += LANES) {
+        let step = -last[q + e];
+        last[q + e] = step;
+        let next = a[first + e] + step;
+        a[first + e] = next;
+        let particle = group.x * params.particles + e % params.particles;
+        trial[first + e] = base[first + e] + select(next, 0.0, slots[particle] != 0u);
+    }
+    if lane == 0u {
+        pairs[book] = f32(count);
+        pairs[book + 1u] = f32(newest);
+    }
+}

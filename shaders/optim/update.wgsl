@@ -1,0 +1,42 @@
+// The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
+//
+// Then the trial positions: x(a) = base + a, or base alone at a handle, where base is its prescribed position.
+// field: [S, H, Q] quads; scale: [S]; grad, base, a, trial: [S, H, W] = [B, 3, H, W]; slots: [B, H, W];
+// hidden: [2, S, H, W], last gradient and last step.
+// One invocation: one particle's component. Workgroups: (n / 64, S).
+// Adjoint: `update_adj`.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+    row_quads: u32, // Q
+    samples: u32, // S
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> field: array<f32>;
+@group(0) @binding(2) var<storage, read> scale: array<f32>;
+@group(0) @binding(3) var<storage, read> grad: array<f32>;
+@group(0) @binding(4) var<storage, read> base: array<f32>;
+@group(0) @binding(5) var<storage, read> slots: array<u32>;
+@group(0) @binding(6) var<storage, read_write> hidden: array<f32>;
+@group(0) @binding(7) var<storage, read_write> a: array<f32>;
+@group(0) @binding(8) var<storage, read_write> trial: array<f32>;
+
+@compute @workgroup_size(64)
+fn update(@builtin(global_invocation_id) id: vec3u) {
+    let n = params.rows * params.columns;
+    let p = id.x;
+    let sample = id.y;
+    if p >= n {
+        return;
+    }
+    let at = sample * n + p;
+    let padded = (sample * params.rows + p / params.columns) * 4u * params.row_quads + p % params.columns;
+    let step = scale[sample] * tanh(clamp(field[padded], -20.0, 20.0));
+    hidden[at] = grad[at];
+    hidden[params.samples * n + at] = step;
+    let next = a[at] + step;
+    a[at] = next;
+    trial[at] = base[at] + select(next, 0.0, slots[sample / 3u * n + p] != 0u);
+}

@@ -1,0 +1,232 @@
+//! A device and its queue, the caller's or a headless one of our own.
+
+use crate::{Error, Result};
+
+/// What kind of adapter a device runs on; tile sizes of the kernels follow it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum AdapterKind {
+    /// A graphics processor, discrete, integrated or virtual.
+    Hardware,
+    /// A driver that runs shaders on the host's processor, such as llvmpipe, lavapipe or WARP.
+    Software,
+}
+
+/// Which adapter to open.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum AdapterChoice {
+    /// The best hardware adapter, or else a software one.
+    #[default]
+    Best,
+    /// The best hardware adapter only.
+    Hardware,
+    /// The adapter at this place in the list of [`adapters`].
+    Index(usize),
+    /// The first adapter whose name, driver or backend contains this text, ignoring case.
+    Name(String),
+}
+
+impl AdapterChoice {
+    /// Reads a command line's `NAME|INDEX`.
+    pub fn parse(text: &str) -> Self {
+        text.parse().map_or_else(|_| Self::Name(text.to_owned()), Self::Index)
+    }
+}
+
+/// One adapter of this machine and whether fnopt can run on it.
+#[derive(Clone, Debug)]
+pub struct AdapterSummary {
+    /// Name, driver, backend and type, as wgpu tells them.
+    pub info: wgpu::AdapterInfo,
+    /// Optional features.
+    pub features: wgpu::Features,
+    /// Limits.
+    pub limits: wgpu::Limits,
+    /// Why fnopt cannot run there, if it cannot.
+    pub unusable: Option<String>,
+}
+
+impl AdapterSummary {
+    fn new(adapter: &wgpu::Adapter) -> Self {
+        let (info, limits) = (adapter.get_info(), adapter.limits());
+        let unusable = missing_limit(&limits);
+        Self { info, features: adapter.features(), limits, unusable }
+    }
+
+    /// Hardware or software.
+    pub fn kind(&self) -> AdapterKind {
+        kind(&self.info)
+    }
+}
+
+/// A wgpu device and queue with what the kernels must know of them.
+///
+/// Cheap to clone: wgpu's handles are reference-counted.
+#[derive(Clone, Debug)]
+pub struct Context {
+    /// The device.
+    pub device: wgpu::Device,
+    /// Its queue.
+    pub queue: wgpu::Queue,
+    kind: AdapterKind,
+    name: String,
+}
+
+/// Storage buffers that a kernel may bind.
+const STORAGE_BUFFERS: u32 = 8;
+/// Largest workgroup that a kernel uses.
+const WORKGROUP_INVOCATIONS: u32 = 256;
+
+impl Context {
+    /// Wraps the caller's device and queue; fails if the device's limits are too small for the kernels.
+    ///
+    /// Ask for the adapter's own limits when making the device: WebGPU's defaults allow the kernels to run, but bind
+    /// at most 128 MiB at once.
+    pub fn new(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
+        let info = device.adapter_info();
+        if let Some(missing) = missing_limit(&device.limits()) {
+            return Err(Error::Device(format!("{}: {missing}", info.name)));
+        }
+        Ok(Self { device, queue, kind: kind(&info), name: describe(&info) })
+    }
+
+    /// Opens a device of its own, without a window.
+    pub fn headless(choice: &AdapterChoice) -> Result<Self> {
+        pollster::block_on(Self::headless_async(choice))
+    }
+
+    /// [`Context::headless`] for callers that already run an executor.
+    pub async fn headless_async(choice: &AdapterChoice) -> Result<Self> {
+        let adapter = choose(all_adapters().await, choice)?;
+        let optional = wgpu::Features::TIMESTAMP_QUERY;
+        let descriptor = wgpu::DeviceDescriptor {
+            label: Some("fnopt"),
+            required_features: adapter.features() & optional,
+            required_limits: adapter.limits(),
+            memory_hints: wgpu::MemoryHints::Performance,
+            ..Default::default()
+        };
+        let (device, queue) = adapter
+            .request_device(&descriptor)
+            .await
+            .map_err(|e| Error::Device(format!("{}: cannot open: {e}", adapter.get_info().name)))?;
+        Self::new(device, queue)
+    }
+
+    /// Hardware or software.
+    pub fn kind(&self) -> AdapterKind {
+        self.kind
+    }
+
+    /// Name, driver and backend in one line.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Whether dispatches can be timed on this device.
+    pub fn has_timestamps(&self) -> bool {
+        self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY)
+    }
+
+    /// Runs `build` and turns what the device then reports (invalid objects, no memory left) into an error.
+    pub fn checked<T>(&self, build: impl FnOnce() -> Result<T>) -> Result<T> {
+        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
+        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        let built = build();
+        let errors = [pollster::block_on(validation.pop()), pollster::block_on(memory.pop())];
+        match errors.into_iter().flatten().next() {
+            Some(e) => Err(Error::Device(format!("{}: {e}", self.name))),
+            None => built,
+        }
+    }
+
+    /// Submits what `record` puts into a fresh encoder.
+    pub fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder)) -> wgpu::SubmissionIndex {
+        let mut encoder = self.device.create_command_encoder(&Default::default());
+        record(&mut encoder);
+        self.queue.submit([encoder.finish()])
+    }
+
+    /// Waits until everything submitted so far is done.
+    pub fn wait(&self) -> Result<()> {
+        match self.device.poll(wgpu::PollType::wait_indefinitely()) {
+            Ok(_) => Ok(()),
+            Err(e) => Err(Error::Device(format!("{}: lost while waiting: {e}", self.name))),
+        }
+    }
+}
+
+/// The adapters of this machine, hardware first, in the order that [`AdapterChoice::Index`] counts.
+pub fn adapters() -> Vec<AdapterSummary> {
+    pollster::block_on(all_adapters()).iter().map(AdapterSummary::new).collect()
+}
+
+async fn all_adapters() -> Vec<wgpu::Adapter> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+    let mut found = instance.enumerate_adapters(wgpu::Backends::all()).await;
+    found.sort_by_key(|a| match a.get_info().device_type {
+        wgpu::DeviceType::DiscreteGpu => 0,
+        wgpu::DeviceType::IntegratedGpu => 1,
+        wgpu::DeviceType::VirtualGpu => 2,
+        wgpu::DeviceType::Other => 3,
+        wgpu::DeviceType::Cpu => 4,
+    });
+    found
+}
+
+fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu::Adapter> {
+    let names: Vec<String> = found.iter().map(|a| describe(&a.get_info())).collect();
+    let usable = |a: &wgpu::Adapter| missing_limit(&a.limits()).is_none();
+    let at = match choice {
+        AdapterChoice::Best => found.iter().position(usable),
+        AdapterChoice::Hardware => {
+            found.iter().position(|a| usable(a) && kind(&a.get_info()) == AdapterKind::Hardware)
+        }
+        AdapterChoice::Index(i) => (*i < found.len()).then_some(*i),
+        AdapterChoice::Name(name) => {
+            let name = name.to_lowercase();
+            names.iter().position(|n| n.to_lowercase().contains(&name))
+        }
+    };
+    let Some(at) = at else {
+        let wanted = match choice {
+            AdapterChoice::Best => "no usable adapter".to_owned(),
+            AdapterChoice::Hardware => "no usable hardware adapter".to_owned(),
+            AdapterChoice::Index(i) => format!("no adapter number {i}"),
+            AdapterChoice::Name(name) => format!("no adapter named '{name}'"),
+        };
+        let there = if names.is_empty() {
+            "this machine shows none (a software one: Debian's package mesa-vulkan-drivers)".to_owned()
+        } else {
+            format!("this machine has: {}", names.join("; "))
+        };
+        return Err(Error::Device(format!("{wanted}; {there}")));
+    };
+    Ok(found.swap_remove(at))
+}
+
+fn kind(info: &wgpu::AdapterInfo) -> AdapterKind {
+    match info.device_type {
+        wgpu::DeviceType::Cpu => AdapterKind::Software,
+        _ => AdapterKind::Hardware,
+    }
+}
+
+fn describe(info: &wgpu::AdapterInfo) -> String {
+    let driver = [info.driver.as_str(), info.driver_info.as_str()].join(" ");
+    match driver.trim() {
+        "" => format!("{} [{}]", info.name, info.backend),
+        driver => format!("{} [{}, {driver}]", info.name, info.backend),
+    }
+}
+
+fn missing_limit(limits: &wgpu::Limits) -> Option<String> {
+    let needs = [
+        ("storage buffers per stage", limits.max_storage_buffers_per_shader_stage, STORAGE_BUFFERS),
+        ("invocations per workgroup", limits.max_compute_invocations_per_workgroup, WORKGROUP_INVOCATIONS),
+        ("workgroup size along x", limits.max_compute_workgroup_size_x, WORKGROUP_INVOCATIONS),
+        ("bytes of workgroup memory", limits.max_compute_workgroup_storage_size, 16 << 10),
+        ("workgroups per dimension", limits.max_compute_workgroups_per_dimension, 65535),
+    ];
+    let short = needs.into_iter().find(|(_, has, need)| has < need);
+    short.map(|(what, has, need)| format!("expected at least {need} {what}, found {has}"))
+}

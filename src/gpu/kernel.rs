@@ -1,0 +1,159 @@
+//! Compiled WGSL entry points.
+
+use super::Context;
+use crate::{Error, Result};
+
+/// The WGSL text of one kernel: the file itself, then the shared functions it calls.
+///
+/// Shared text is appended, so that line numbers in messages are those of the kernel's file.
+#[derive(Clone, Copy, Debug)]
+pub struct Source {
+    /// Stem of the file and name of the entry point.
+    pub name: &'static str,
+    /// Text of the file.
+    pub wgsl: &'static str,
+    /// Texts of files that hold only functions and constants.
+    pub common: &'static [&'static str],
+}
+
+/// A resource of group 0, read off the WGSL.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Binding {
+    /// Name of the variable.
+    pub name: String,
+    /// Uniform, read-only or read-write storage.
+    pub ty: wgpu::BufferBindingType,
+    /// Size in bytes of a uniform; 0 for storage, whose arrays are sized at run time.
+    pub size: u32,
+}
+
+impl Source {
+    /// The whole text with the tile unrolled: a line with `$c` is written once for each of `tile` channels, with
+    /// `$q` for the quad of channels it belongs to and `$e` for its element there; a line with `$q` alone once a quad.
+    /// `$n` stands for the size of the tile and `$m` for its number of quads.
+    ///
+    /// Accumulators then are named registers: neither naga nor software drivers reliably turn a private array into
+    /// registers.
+    pub fn unrolled(&self, tile: usize) -> String {
+        let mut text = String::with_capacity(2 * self.wgsl.len());
+        for line in self.wgsl.lines() {
+            // The kernel's first copy stays on the line it has in the file; the others share that line.
+            let copies: Vec<String> = if line.contains("$c") {
+                (0..tile)
+                    .map(|c| {
+                        line.replace("$c", &c.to_string())
+                            .replace("$q", &(c / 4).to_string())
+                            .replace("$e", ["x", "y", "z", "w"][c % 4])
+                    })
+                    .collect()
+            } else if line.contains("$q") {
+                (0..tile / 4).map(|q| line.replace("$q", &q.to_string())).collect()
+            } else {
+                vec![line.to_owned()]
+            };
+            let line = copies.join(" ");
+            text.push_str(&line.replace("$n", &format!("{tile}u")).replace("$m", &format!("{}u", tile / 4)));
+            text.push('\n');
+        }
+        for part in self.common {
+            text.push_str(part);
+        }
+        text
+    }
+
+    /// The bindings of group 0 in order, by parsing `text` with naga.
+    pub fn bindings(&self, text: &str) -> Result<Vec<Binding>> {
+        let module = naga::front::wgsl::parse_str(text)
+            .map_err(|e| Error::Device(format!("{}.wgsl: {}", self.name, e.emit_to_string(text))))?;
+        let mut found: Vec<(u32, Binding)> = Vec::new();
+        for (_, variable) in module.global_variables.iter() {
+            let Some(place) = variable.binding else { continue };
+            let (ty, size) = match variable.space {
+                naga::AddressSpace::Uniform => {
+                    let size = module.types[variable.ty].inner.size(module.to_ctx());
+                    (wgpu::BufferBindingType::Uniform, size.next_multiple_of(16))
+                }
+                naga::AddressSpace::Storage { access } => {
+                    let read_only = !access.contains(naga::StorageAccess::STORE);
+                    (wgpu::BufferBindingType::Storage { read_only }, 0)
+                }
+                other => unreachable!("{}.wgsl binds a variable in {other:?}", self.name),
+            };
+            let name = variable.name.clone().unwrap_or_default();
+            found.push((place.binding, Binding { name, ty, size }));
+        }
+        found.sort_by_key(|f| f.0);
+        Ok(found.into_iter().map(|f| f.1).collect())
+    }
+}
+
+/// A compute pipeline with its explicit layout; make it once, push it onto schedules as often as needed.
+#[derive(Clone, Debug)]
+pub struct Kernel {
+    pub(super) name: &'static str,
+    pub(super) pipeline: wgpu::ComputePipeline,
+    pub(super) layout: wgpu::BindGroupLayout,
+    pub(super) bindings: Vec<Binding>,
+}
+
+impl Kernel {
+    /// Compiles `source` with `constants` for its overrides and `tile` for its unrolled lines.
+    pub fn new(context: &Context, source: &Source, tile: usize, constants: &[(&str, f64)]) -> Result<Self> {
+        let text = source.unrolled(tile);
+        let bindings = source.bindings(&text)?;
+        let device = &context.device;
+        let entries: Vec<_> = bindings
+            .iter()
+            .enumerate()
+            .map(|(i, b)| wgpu::BindGroupLayoutEntry {
+                binding: i as u32,
+                visibility: wgpu::ShaderStages::COMPUTE,
+                ty: wgpu::BindingType::Buffer { ty: b.ty, has_dynamic_offset: false, min_binding_size: None },
+                count: None,
+            })
+            .collect();
+        let label = Some(source.name);
+        let layout =
+            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
+        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+            label,
+            bind_group_layouts: &[Some(&layout)],
+            immediate_size: 0,
+        });
+        let module = trusted_module(device, source.name, text);
+        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+            label,
+            layout: Some(&pipeline_layout),
+            module: &module,
+            entry_point: Some(source.name),
+            compilation_options: wgpu::PipelineCompilationOptions {
+                constants,
+                // Kernels write workgroup memory before they read it.
+                zero_initialize_workgroup_memory: false,
+            },
+            cache: None,
+        });
+        Ok(Self { name: source.name, pipeline, layout, bindings })
+    }
+
+    /// Name of the entry point.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// Bindings of group 0, in order.
+    pub fn bindings(&self) -> &[Binding] {
+        &self.bindings
+    }
+}
+
+/// A shader module without naga's index clamps and loop counters, which cost up to ten times in the inner loops.
+#[allow(unsafe_code, reason = "the one exception; see SAFETY")]
+fn trusted_module(device: &wgpu::Device, name: &str, text: String) -> wgpu::ShaderModule {
+    let descriptor =
+        wgpu::ShaderModuleDescriptor { label: Some(name), source: wgpu::ShaderSource::Wgsl(text.into()) };
+    // SAFETY: the text is a file of `shaders/`, compiled into this program; no caller can bring their own. Every loop
+    // there counts to a finite bound, and every index is bounded by the sizes in the parameters, which the host side
+    // of each kernel (`crate::kernels`) asserts against the shapes of the tensors it binds.
+    unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
+}

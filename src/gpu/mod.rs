@@ -1,0 +1,19 @@
+//! The GPU runtime, and the only module that knows wgpu. It knows no cloth.
+//!
+//! [`Context`] wraps the caller's device and queue (or makes its own), [`Tensor`] is a typed storage buffer, [`Kernel`]
+//! is a compiled WGSL entry point, [`Schedule`] is a list of dispatches with everything bound, [`Readback`] brings
+//! results to the host without stalling the queue, [`Profile`] measures dispatches where the adapter has timestamps.
+
+mod context;
+mod kernel;
+mod profile;
+mod readback;
+mod schedule;
+mod tensor;
+
+pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters};
+pub use kernel::{Binding, Kernel, Source};
+pub use profile::Profile;
+pub use readback::Readback;
+pub use schedule::Schedule;
+pub use tensor::Tensor;

@@ -1,0 +1,89 @@
+//! From the device to the host, without stalling the queue.
+
+use super::{Context, Tensor};
+use crate::{Error, Result};
+use std::collections::VecDeque;
+use std::sync::mpsc::{Receiver, channel};
+
+type Mapped = Receiver<Result<(), wgpu::BufferAsyncError>>;
+
+/// A ring of host-visible buffers, each of which takes a copy of the same tensors.
+///
+/// A frame is recorded with [`Readback::record`] into the encoder that computes it; after the submission
+/// [`Readback::submitted`] starts the mapping, and [`Readback::next`] hands out the results in order. With two slots
+/// or more the device computes a frame while the host reads the one before it.
+#[derive(Debug)]
+pub struct Readback {
+    sources: Vec<Tensor>,
+    free: Vec<wgpu::Buffer>,
+    recorded: Vec<wgpu::Buffer>,
+    under_way: VecDeque<(wgpu::Buffer, Mapped, wgpu::SubmissionIndex)>,
+    bytes: u64,
+}
+
+impl Readback {
+    /// A ring of `depth` slots for the concatenated contents of `sources`.
+    pub fn new(context: &Context, sources: &[&Tensor], depth: usize) -> Self {
+        let bytes: u64 = sources.iter().map(|t| t.bytes()).sum();
+        let slot = || {
+            context.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("readback"),
+                size: bytes.max(4),
+                usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+                mapped_at_creation: false,
+            })
+        };
+        let free = (0..depth).map(|_| slot()).collect();
+        let sources = sources.iter().map(|&t| t.clone()).collect();
+        Self { sources, free, recorded: Vec::new(), under_way: VecDeque::new(), bytes }
+    }
+
+    /// Records the copies into a free slot; `None` when all slots are under way (call [`Readback::next`] first).
+    pub fn record(&mut self, encoder: &mut wgpu::CommandEncoder) -> Option<()> {
+        let slot = self.free.pop()?;
+        let mut offset = 0;
+        for source in &self.sources {
+            encoder.copy_buffer_to_buffer(source.buffer(), 0, &slot, offset, source.bytes());
+            offset += source.bytes();
+        }
+        self.recorded.push(slot);
+        Some(())
+    }
+
+    /// Starts mapping what was recorded; call it after the encoder was submitted, with what the queue returned.
+    pub fn submitted(&mut self, submission: &wgpu::SubmissionIndex) {
+        for slot in self.recorded.drain(..) {
+            let (done, mapped) = channel();
+            // A receiver that is gone means that the ring was dropped: nothing is left to tell.
+            slot.map_async(wgpu::MapMode::Read, .., move |r| drop(done.send(r)));
+            self.under_way.push_back((slot, mapped, submission.clone()));
+        }
+    }
+
+    /// Whether every slot is under way.
+    pub fn is_full(&self) -> bool {
+        self.free.is_empty()
+    }
+
+    /// Number of results that were submitted and not yet taken.
+    pub fn pending(&self) -> usize {
+        self.under_way.len()
+    }
+
+    /// The oldest result, waiting for it if need be; `None` when nothing is under way.
+    pub fn next(&mut self, context: &Context) -> Result<Option<Vec<u8>>> {
+        let lost = |e: String| Error::Device(format!("{}: cannot read back: {e}", context.name()));
+        let Some((slot, mapped, submission)) = self.under_way.pop_front() else { return Ok(None) };
+        // Wait for this submission and no longer: later ones may still be computing.
+        let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
+        context.device.poll(poll).map_err(|e| lost(e.to_string()))?;
+        let outcome = mapped.recv().map_err(|e| lost(e.to_string()))?;
+        outcome.map_err(|e| lost(e.to_string()))?;
+        let view = slot.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;
+        let data = view[..self.bytes as usize].to_vec();
+        drop(view);
+        slot.unmap();
+        self.free.push(slot);
+        Ok(Some(data))
+    }
+}

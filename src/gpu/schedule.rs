@@ -1,0 +1,140 @@
+//! Lists of dispatches with everything bound, recorded into a caller's encoder as often as needed.
+
+use super::{Context, Kernel, Profile, Tensor};
+
+/// Dispatches and copies in order. Built once; recording it allocates nothing on our side.
+#[derive(Clone, Debug)]
+pub struct Schedule {
+    context: Context,
+    steps: Vec<Step>,
+}
+
+#[derive(Clone, Debug)]
+enum Step {
+    Dispatch {
+        name: &'static str,
+        pipeline: wgpu::ComputePipeline,
+        bind_group: wgpu::BindGroup,
+        groups: [u32; 3],
+    },
+    Copy {
+        from: wgpu::Buffer,
+        to: wgpu::Buffer,
+        to_offset: u64,
+        bytes: u64,
+    },
+}
+
+impl Schedule {
+    /// An empty schedule for the device of `context`.
+    pub fn new(context: &Context) -> Self {
+        Self { context: context.clone(), steps: Vec::new() }
+    }
+
+    /// Appends a dispatch: `params` becomes binding 0, `tensors` the bindings after it, in the WGSL's order.
+    ///
+    /// Panics when the number of tensors or the size of the parameters is not the kernel's: that is a defect of the
+    /// host side, not bad input.
+    pub fn dispatch<P: bytemuck::Pod>(
+        &mut self,
+        kernel: &Kernel,
+        params: &P,
+        tensors: &[&Tensor],
+        groups: [u32; 3],
+    ) {
+        let bytes = bytemuck::bytes_of(params);
+        let expected = &kernel.bindings;
+        assert_eq!(expected.len(), 1 + tensors.len(), "bindings of {}: {expected:?}", kernel.name);
+        assert_eq!(expected[0].size as usize, bytes.len(), "size of the parameters of {}", kernel.name);
+        let context = &self.context;
+        let most = context.device.limits().max_compute_workgroups_per_dimension;
+        assert!(groups.iter().all(|&g| g <= most), "{}: {groups:?} workgroups", kernel.name);
+        if groups.contains(&0) {
+            return;
+        }
+        let uniform = context.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(kernel.name),
+            size: bytes.len() as u64,
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        context.queue.write_buffer(&uniform, 0, bytes);
+        let buffers = std::iter::once(&uniform).chain(tensors.iter().map(|t| t.buffer()));
+        let entries: Vec<_> = buffers
+            .enumerate()
+            .map(|(i, b)| wgpu::BindGroupEntry { binding: i as u32, resource: b.as_entire_binding() })
+            .collect();
+        let bind_group = context.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some(kernel.name),
+            layout: &kernel.layout,
+            entries: &entries,
+        });
+        let pipeline = kernel.pipeline.clone();
+        self.steps.push(Step::Dispatch { name: kernel.name, pipeline, bind_group, groups });
+    }
+
+    /// Appends a copy of the whole of `from` to `to`, starting at element `to_offset` there.
+    pub fn copy(&mut self, from: &Tensor, to: &Tensor, to_offset: usize) {
+        assert!(to_offset + from.len() <= to.len(), "copy of '{}' to '{}'", from.label(), to.label());
+        self.steps.push(Step::Copy {
+            from: from.buffer().clone(),
+            to: to.buffer().clone(),
+            to_offset: 4 * to_offset as u64,
+            bytes: from.bytes(),
+        });
+    }
+
+    /// Appends the steps of another schedule; they share its bind groups.
+    pub fn append(&mut self, other: &Schedule) {
+        self.steps.extend(other.steps.iter().cloned());
+    }
+
+    /// Number of dispatches.
+    pub fn dispatches(&self) -> usize {
+        self.steps.iter().filter(|s| matches!(s, Step::Dispatch { .. })).count()
+    }
+
+    /// Records everything into the caller's encoder, dispatches that follow each other in one compute pass.
+    pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
+        let mut steps = self.steps.iter().peekable();
+        while let Some(step) = steps.peek() {
+            if let Step::Copy { from, to, to_offset, bytes } = step {
+                encoder.copy_buffer_to_buffer(from, 0, to, *to_offset, *bytes);
+                steps.next();
+                continue;
+            }
+            let mut pass = encoder.begin_compute_pass(&Default::default());
+            while let Some(Step::Dispatch { pipeline, bind_group, groups, .. }) =
+                steps.next_if(|s| matches!(s, Step::Dispatch { .. }))
+            {
+                pass.set_pipeline(pipeline);
+                pass.set_bind_group(0, bind_group, &[]);
+                pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
+            }
+        }
+    }
+
+    /// Records everything with each dispatch in a pass of its own, timed by `profile`.
+    ///
+    /// The passes keep dispatches from overlapping, so the sum is an upper bound of an untimed run's time.
+    pub fn record_timed(&self, encoder: &mut wgpu::CommandEncoder, profile: &mut Profile) {
+        for step in &self.steps {
+            match step {
+                Step::Copy { from, to, to_offset, bytes } => {
+                    encoder.copy_buffer_to_buffer(from, 0, to, *to_offset, *bytes);
+                }
+                Step::Dispatch { name, pipeline, bind_group, groups } => {
+                    let timestamp_writes = profile.next(name);
+                    let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                        label: Some(name),
+                        timestamp_writes,
+                    });
+                    pass.set_pipeline(pipeline);
+                    pass.set_bind_group(0, bind_group, &[]);
+                    pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
+                }
+            }
+        }
+        profile.resolve(encoder);
+    }
+}

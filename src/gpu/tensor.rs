@@ -1,0 +1,102 @@
+//! Arrays in device memory.
+
+use super::Context;
+use crate::{Error, Result};
+
+/// A storage buffer of 32-bit elements with a shape.
+///
+/// Every tensor is a buffer of its own: wgpu refuses one buffer bound both for reading and for writing, even where
+/// the ranges do not meet.
+#[derive(Clone, Debug)]
+pub struct Tensor {
+    buffer: wgpu::Buffer,
+    shape: Vec<usize>,
+    label: &'static str,
+}
+
+impl Tensor {
+    /// A tensor of zeros; fails when it exceeds what the device can bind at once.
+    pub fn zeros(context: &Context, label: &'static str, shape: &[usize]) -> Result<Self> {
+        let bytes = 4 * shape.iter().product::<usize>().max(1) as u64;
+        let limits = context.device.limits();
+        let most = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
+        if bytes > most {
+            return Err(Error::Device(format!(
+                "{}: tensor '{label}' of shape {shape:?} needs {bytes} bytes, the device binds at most {most}",
+                context.name()
+            )));
+        }
+        let buffer = context.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some(label),
+            // A multiple of 16 bytes, so that any tensor can be read as an array of vec4.
+            size: bytes.next_multiple_of(16),
+            usage: wgpu::BufferUsages::STORAGE
+                | wgpu::BufferUsages::COPY_SRC
+                | wgpu::BufferUsages::COPY_DST
+                | wgpu::BufferUsages::VERTEX,
+            mapped_at_creation: false,
+        });
+        Ok(Self { buffer, shape: shape.to_vec(), label })
+    }
+
+    /// A tensor that holds `data`, whose length must be that of `shape`.
+    pub fn from_slice<T: bytemuck::Pod>(
+        context: &Context,
+        label: &'static str,
+        shape: &[usize],
+        data: &[T],
+    ) -> Result<Self> {
+        let tensor = Self::zeros(context, label, shape)?;
+        tensor.write(context, data);
+        Ok(tensor)
+    }
+
+    /// Replaces the whole content, ahead of whatever is submitted next.
+    pub fn write<T: bytemuck::Pod>(&self, context: &Context, data: &[T]) {
+        let bytes: &[u8] = bytemuck::cast_slice(data);
+        assert_eq!(bytes.len() as u64, self.bytes(), "tensor '{}' has shape {:?}", self.label, self.shape);
+        if !bytes.is_empty() {
+            context.queue.write_buffer(&self.buffer, 0, bytes);
+        }
+    }
+
+    /// Reads the whole content, waiting for everything submitted so far: for tests, start and end, not for frames.
+    pub fn read<T: bytemuck::Pod>(&self, context: &Context) -> Result<Vec<T>> {
+        let mut readback = super::Readback::new(context, &[self], 1);
+        let submission =
+            context.submit(|encoder| readback.record(encoder).expect("a fresh ring has a free slot"));
+        readback.submitted(&submission);
+        let bytes = readback.next(context)?.expect("one read is under way");
+        Ok(bytemuck::pod_collect_to_vec(&bytes))
+    }
+
+    /// The buffer, usable as storage, as a vertex buffer and for copies.
+    pub fn buffer(&self) -> &wgpu::Buffer {
+        &self.buffer
+    }
+
+    /// Number of elements along each axis.
+    pub fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    /// Number of elements.
+    pub fn len(&self) -> usize {
+        self.shape.iter().product()
+    }
+
+    /// Whether it has no element.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Size of the content in bytes.
+    pub fn bytes(&self) -> u64 {
+        4 * self.len() as u64
+    }
+
+    /// The name given at creation.
+    pub fn label(&self) -> &'static str {
+        self.label
+    }
+}

@@ -1,0 +1,58 @@
+//! Host side of `shaders/cloth/energy.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::optim::Iterate;
+use crate::kernels::{common, groups, size};
+use crate::sim::Grid;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "energy",
+    wgsl: include_str!("../../../shaders/cloth/energy.wgsl"),
+    common: &[common::CLOTH, common::ANGLE],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    groups: u32,
+    pad: u32,
+}
+
+/// Energy terms, summed over workgroups.
+#[derive(Clone, Debug)]
+pub struct Energy {
+    kernel: Kernel,
+}
+
+/// Number of parts that the energy of one cloth is summed in.
+pub fn parts(grid: Grid) -> usize {
+    grid.particles().div_ceil(64)
+}
+
+impl Energy {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `parts` [B, parts, 8] at `iterate.a`; `physics` as for the gradient.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        physics: (&Tensor, &Tensor),
+        (iterate, parts): (&Iterate, &Tensor),
+    ) {
+        let (cloths, external) = physics;
+        let batch = super::batch_of(grid, &iterate.a);
+        let count = groups(grid.particles(), 64);
+        assert_eq!(parts.shape(), [batch, count as usize, 8]);
+        let params = Params { rows: size(grid.h), columns: size(grid.w), groups: count, pad: 0 };
+        let tensors = [cloths, external, &iterate.a, &iterate.trial, parts];
+        schedule.dispatch(&self.kernel, &params, &tensors, [count, size(batch), 1]);
+    }
+}

@@ -1,0 +1,57 @@
+//! Host side of `shaders/cloth/external.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{common, groups, size};
+use crate::sim::Grid;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "external",
+    wgsl: include_str!("../../../shaders/cloth/external.wgsl"),
+    common: &[common::CLOTH],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    pad: [u32; 2],
+}
+
+/// External acceleration: gravity, forces and air.
+#[derive(Clone, Debug)]
+pub struct External {
+    kernel: Kernel,
+}
+
+/// What external forces depend on.
+#[derive(Clone, Copy, Debug)]
+pub struct ExternalTensors<'a> {
+    /// Constants of the cloths, see [`super::ClothParams`].
+    pub cloths: &'a Tensor,
+    /// Positions, shape [B, 3, H, W].
+    pub x: &'a Tensor,
+    /// Velocities, shape [B, 3, H, W].
+    pub v: &'a Tensor,
+    /// The caller's accelerations, shape [B, 3, H, W].
+    pub forces: &'a Tensor,
+}
+
+impl External {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `external` [B, 3, H, W] from `tensors`.
+    pub fn push(&self, schedule: &mut Schedule, grid: Grid, tensors: ExternalTensors<'_>, external: &Tensor) {
+        let ExternalTensors { cloths, x, v, forces } = tensors;
+        let batch = super::batch_of(grid, external);
+        assert_eq!((x.len(), v.len(), forces.len()), (external.len(), external.len(), external.len()));
+        let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
+        let count = [groups(grid.w, 8), groups(grid.h, 8), size(batch)];
+        schedule.dispatch(&self.kernel, &params, &[cloths, x, v, forces, external], count);
+    }
+}

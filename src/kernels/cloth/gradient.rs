@@ -1,0 +1,46 @@
+//! Host side of `shaders/cloth/gradient.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::optim::Iterate;
+use crate::kernels::{common, groups, size};
+use crate::sim::Grid;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "gradient",
+    wgsl: include_str!("../../../shaders/cloth/gradient.wgsl"),
+    common: &[common::CLOTH, common::ANGLE],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    pad: [u32; 2],
+}
+
+/// Gradient of the energy with respect to the acceleration.
+#[derive(Clone, Debug)]
+pub struct Gradient {
+    kernel: Kernel,
+}
+
+impl Gradient {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Sets `iterate.grad` at `iterate.a`; `cloths` see [`super::ClothParams`], `external` [B, 3, H, W].
+    pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: (&Tensor, &Tensor), iterate: &Iterate) {
+        let (cloths, external) = physics;
+        let batch = super::batch_of(grid, &iterate.grad);
+        assert_eq!(external.len(), iterate.grad.len());
+        let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
+        let tensors = [cloths, &iterate.slots, external, &iterate.a, &iterate.trial, &iterate.grad];
+        let count = [groups(grid.w, 8), groups(grid.h, 8), size(batch)];
+        schedule.dispatch(&self.kernel, &params, &tensors, count);
+    }
+}

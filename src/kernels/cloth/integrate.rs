@@ -1,0 +1,39 @@
+//! Host side of `shaders/cloth/integrate.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::optim::Iterate;
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "integrate", wgsl: include_str!("../../../shaders/cloth/integrate.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    particles: u32,
+    pad: [u32; 3],
+}
+
+/// End of a frame.
+#[derive(Clone, Debug)]
+pub struct Integrate {
+    kernel: Kernel,
+}
+
+impl Integrate {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Advances `x` and `v` [B, 3, n] to the end of the frame.
+    pub fn push(&self, schedule: &mut Schedule, iterate: &Iterate, x: &Tensor, v: &Tensor) {
+        let (samples, n) = iterate.samples_and_particles();
+        assert_eq!((x.len(), v.len()), (samples * n, samples * n));
+        let params = Params { particles: size(n), pad: [0; 3] };
+        let tensors = [&iterate.slots, &iterate.a, &iterate.trial, x, v];
+        schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
+    }
+}

@@ -1,0 +1,49 @@
+//! The cloth: forces, energies, their gradient and the time step (paper sections 3.2 and 3.3).
+
+pub mod energy;
+pub mod energy_sum;
+pub mod external;
+pub mod gradient;
+pub mod integrate;
+pub mod predict;
+
+pub use energy::Energy;
+pub use energy_sum::EnergySum;
+pub use external::{External, ExternalTensors};
+pub use gradient::Gradient;
+pub use integrate::Integrate;
+pub use predict::{Predict, PredictTensors};
+
+use crate::gpu::Tensor;
+use crate::sim::{Cloth, Grid};
+
+/// One element of the WGSL's `array<Cloth>`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct ClothParams {
+    material: [f32; 4],
+    gravity: [f32; 4],
+    air: [f32; 4],
+    wind: [f32; 4],
+}
+
+impl ClothParams {
+    /// The constants of `cloth` in a wind [edges / frame].
+    pub fn new(cloth: &Cloth, wind: [f32; 3]) -> Self {
+        let m = cloth.material;
+        let [gx, gy, gz] = cloth.gravity.map(|g| g as f32);
+        Self {
+            material: [m.stretch as f32, m.shear as f32, m.bend as f32, 0.0],
+            gravity: [gx, gy, gz, 0.0],
+            air: [cloth.air.density as f32, cloth.air.drag as f32, 0.0, 0.0],
+            wind: [wind[0], wind[1], wind[2], 0.0],
+        }
+    }
+}
+
+/// Number of cloths in a tensor [B, 3, n] of `grid`.
+fn batch_of(grid: Grid, tensor: &Tensor) -> usize {
+    let batch = tensor.len() / (3 * grid.particles());
+    assert_eq!(tensor.len(), batch * 3 * grid.particles(), "{grid} and {:?}", tensor.shape());
+    batch
+}

@@ -1,0 +1,87 @@
+//! Host side of every WGSL file, in the tree of `shaders/`: the parameters, the shape checks and the dispatch.
+//!
+//! A kernel is made once for a device and pushed onto [`crate::gpu::Schedule`]s. Tensors carry their shapes, so a push
+//! takes tensors and little else, and asserts that they fit. No algorithm lives here.
+
+pub mod cloth;
+pub mod operator;
+pub mod optim;
+
+use crate::gpu::{AdapterKind, Context, Source};
+
+/// Texts that hold only functions and constants, appended to the kernels that call them.
+pub(crate) mod common {
+    pub const ANGLE: &str = include_str!("../../shaders/common/angle.wgsl");
+    pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
+    pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
+}
+
+/// Every kernel, with a tile it is unrolled to somewhere (0 where it has none).
+pub const ALL: &[(&Source, usize)] = &[
+    (&cloth::external::SOURCE, 0),
+    (&cloth::predict::SOURCE, 0),
+    (&cloth::gradient::SOURCE, 0),
+    (&cloth::energy::SOURCE, 0),
+    (&cloth::energy_sum::SOURCE, 0),
+    (&cloth::integrate::SOURCE, 0),
+    (&optim::norms::SOURCE, 0),
+    (&optim::features::SOURCE, 0),
+    (&optim::rescale::SOURCE, 0),
+    (&optim::update::SOURCE, 0),
+    (&optim::gradient_descent::SOURCE, 0),
+    (&optim::adam::SOURCE, 0),
+    (&optim::lbfgs::SOURCE, 0),
+    (&operator::pointwise::SOURCE, 16),
+    (&operator::transform_rows::SOURCE, 10),
+    (&operator::transform_columns::SOURCE, 8),
+    (&operator::spectral::SOURCE, 3),
+    (&operator::inverse_columns::SOURCE, 8),
+    (&operator::block::SOURCE, 16),
+    (&operator::pool_rows::SOURCE, 0),
+    (&operator::scalar_head::SOURCE, 0),
+    (&operator::project::SOURCE, 0),
+];
+
+/// Sizes of tiles and workgroups that suit a kind of adapter. Results do not depend on them beyond rounding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tuning {
+    /// Output channels per invocation of the matrix products, a divisor of [`CHANNEL_MULTIPLE`] and a multiple of 4.
+    pub channels: usize,
+    /// Invocations per workgroup of the pointwise layers.
+    pub pointwise_group: u32,
+    /// Largest number of invocations of a block's workgroup along a row.
+    pub block_wide: u32,
+    /// Rows per workgroup of a block.
+    pub block_high: u32,
+}
+
+/// Channel counts are padded to a multiple of this, the largest tile.
+pub const CHANNEL_MULTIPLE: usize = 16;
+
+impl Tuning {
+    /// What was measured to be good: wide tiles, one row to a workgroup and uniform addresses where lanes gather one
+    /// by one (llvmpipe), smaller tiles and more invocations where there are thousands of lanes to fill.
+    pub fn new(context: &Context) -> Self {
+        match context.kind() {
+            AdapterKind::Software => {
+                Self { channels: 16, pointwise_group: 64, block_wide: 64, block_high: 1 }
+            }
+            AdapterKind::Hardware => Self { channels: 8, pointwise_group: 64, block_wide: 8, block_high: 8 },
+        }
+    }
+}
+
+/// Number of columns of a network tensor's row: the grid's, rounded up to quads.
+pub fn padded(columns: usize) -> usize {
+    columns.next_multiple_of(4)
+}
+
+/// Sizes as the kernels take them.
+pub(crate) fn size(n: usize) -> u32 {
+    u32::try_from(n).expect("sizes are checked against the device's limits, which fit 32 bits")
+}
+
+/// Number of workgroups of `group` invocations that cover `n`.
+pub(crate) fn groups(n: usize, group: u32) -> u32 {
+    size(n).div_ceil(group)
+}

@@ -1,0 +1,50 @@
+//! Host side of `shaders/operator/inverse_columns.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "inverse_columns",
+    wgsl: include_str!("../../../shaders/operator/inverse_columns.wgsl"),
+    common: &[],
+};
+
+/// Rows per invocation: few enough to fill a device, enough to read a column's modes seldom.
+const STRIP: usize = 8;
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    channels: u32,
+    rows: u32,
+    modes_w: u32,
+    strip: u32,
+}
+
+/// Columns of the inverse truncated transform.
+#[derive(Clone, Debug)]
+pub struct InverseColumns {
+    kernel: Kernel,
+    modes_h: usize,
+}
+
+impl InverseColumns {
+    /// Compiles it for `modes_h` kept rows.
+    pub fn new(context: &Context, modes_h: usize) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, modes_h, &[])?, modes_h })
+    }
+
+    /// `table` [H, modes_h, 2], `spectrum` [S, modes_h, modes_w, C, 2], `r` [S, H, 2 modes_w, C].
+    pub fn push(&self, schedule: &mut Schedule, table: &Tensor, spectrum: &Tensor, r: &Tensor) {
+        let &[samples, h, columns, channels] = r.shape() else { panic!("inverse_columns: {:?}", r.shape()) };
+        let modes_w = columns / 2;
+        assert_eq!(table.shape(), [h, self.modes_h, 2]);
+        assert_eq!(spectrum.shape(), [samples, self.modes_h, modes_w, channels, 2]);
+        let params =
+            Params { channels: size(channels), rows: size(h), modes_w: size(modes_w), strip: size(STRIP) };
+        let count = [groups(channels, 64), size(modes_w * h.div_ceil(STRIP)), size(samples)];
+        schedule.dispatch(&self.kernel, &params, &[table, spectrum, r], count);
+    }
+}

@@ -1,0 +1,46 @@
+//! Host side of `shaders/operator/pool_rows.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, padded, size};
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "pool_rows", wgsl: include_str!("../../../shaders/operator/pool_rows.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    channels: u32,
+    rows: u32,
+    row_quads: u32,
+    columns: u32,
+}
+
+/// Largest value of each row.
+#[derive(Clone, Debug)]
+pub struct PoolRows {
+    kernel: Kernel,
+}
+
+impl PoolRows {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `x` [S, C, H, W'] of which `columns` count, `rows_max` [S, H, C].
+    pub fn push(&self, schedule: &mut Schedule, columns: usize, x: &Tensor, rows_max: &Tensor) {
+        let &[samples, channels, h, w] = x.shape() else { panic!("pool_rows: {:?}", x.shape()) };
+        assert_eq!(rows_max.shape(), [samples, h, channels]);
+        assert_eq!(padded(columns), w);
+        let params = Params {
+            channels: size(channels),
+            rows: size(h),
+            row_quads: size(w / 4),
+            columns: size(columns),
+        };
+        let count = [groups(channels, 64), size(h), size(samples)];
+        schedule.dispatch(&self.kernel, &params, &[x, rows_max], count);
+    }
+}

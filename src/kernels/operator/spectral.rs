@@ -1,0 +1,63 @@
+//! Host side of `shaders/operator/spectral.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "spectral", wgsl: include_str!("../../../shaders/operator/spectral.wgsl"), common: &[] };
+
+/// Samples that share one reading of the weights: the three components of a cloth.
+const TILE: usize = 3;
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    inputs: u32,
+    outputs: u32,
+    modes: u32,
+    pad: u32,
+}
+
+/// Channel product of each kept mode.
+#[derive(Clone, Debug)]
+pub struct Spectral {
+    tiled: Kernel,
+    single: Kernel,
+}
+
+impl Spectral {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        let tiled = Kernel::new(context, &SOURCE, TILE, &[])?;
+        Ok(Self { tiled, single: Kernel::new(context, &SOURCE, 1, &[])? })
+    }
+
+    /// `weight` [modes, I, O, 2] (see [`by_mode`]), `x` and `y` [S, modes_h, modes_w, C, 2].
+    pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, x: &Tensor, y: &Tensor) {
+        let (&[samples, mh, mw, inputs, 2], &[_, _, _, outputs, 2]) = (x.shape(), y.shape()) else {
+            panic!("spectral: {:?} to {:?}", x.shape(), y.shape());
+        };
+        assert_eq!(y.shape(), [samples, mh, mw, outputs, 2]);
+        assert_eq!(weight.shape(), [mh * mw, inputs, outputs, 2]);
+        let modes = mh * mw;
+        let params = Params { inputs: size(inputs), outputs: size(outputs), modes: size(modes), pad: 0 };
+        let (kernel, tile) = if samples % TILE == 0 { (&self.tiled, TILE) } else { (&self.single, 1) };
+        let count = [groups(outputs, 64), size(modes), size(samples / tile)];
+        schedule.dispatch(kernel, &params, &[weight, x, y], count);
+    }
+}
+
+/// A checkpoint's spectral weight [I, O, modes, 2] in the order of the kernel, [modes, I, O, 2].
+pub fn by_mode(weight: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
+    let modes = weight.len() / (2 * inputs * outputs);
+    let mut ordered = Vec::with_capacity(weight.len());
+    for m in 0..modes {
+        for io in 0..inputs * outputs {
+            let at = 2 * (io * modes + m);
+            ordered.extend_from_slice(&weight[at..at + 2]);
+        }
+    }
+    ordered
+}

@@ -1,0 +1,46 @@
+//! Host side of `shaders/operator/transform_rows.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "transform_rows",
+    wgsl: include_str!("../../../shaders/operator/transform_rows.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    channels: u32,
+    rows: u32,
+    row_quads: u32,
+    pad: u32,
+}
+
+/// Rows of the truncated transform.
+#[derive(Clone, Debug)]
+pub struct TransformRows {
+    kernel: Kernel,
+    columns: usize,
+}
+
+impl TransformRows {
+    /// Compiles it for `modes_w` kept columns.
+    pub fn new(context: &Context, modes_w: usize) -> Result<Self> {
+        let columns = 2 * modes_w;
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, columns, &[])?, columns })
+    }
+
+    /// `table` [W' / 4, 2 modes_w, 4], `x` [S, C, H, W'], `r` [S, H, 2 modes_w, C].
+    pub fn push(&self, schedule: &mut Schedule, table: &Tensor, x: &Tensor, r: &Tensor) {
+        let &[samples, channels, h, w] = x.shape() else { panic!("transform_rows: {:?}", x.shape()) };
+        assert_eq!(table.shape(), [w / 4, self.columns, 4]);
+        assert_eq!(r.shape(), [samples, h, self.columns, channels]);
+        let params = Params { channels: size(channels), rows: size(h), row_quads: size(w / 4), pad: 0 };
+        let count = [groups(channels, 64), size(h), size(samples)];
+        schedule.dispatch(&self.kernel, &params, &[table, x, r], count);
+    }
+}

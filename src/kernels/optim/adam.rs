@@ -1,0 +1,77 @@
+//! Host side of `shaders/optim/adam.wgsl`.
+
+use super::Iterate;
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "adam", wgsl: include_str!("../../../shaders/optim/adam.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    particles: u32,
+    first: u32,
+    rate: f32,
+    beta1: f32,
+    beta2: f32,
+    epsilon: f32,
+    correction1: f32,
+    correction2: f32,
+}
+
+/// Adam.
+#[derive(Clone, Debug)]
+pub struct Adam {
+    kernel: Kernel,
+}
+
+/// Constants of Adam.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamSettings {
+    /// Learning rate.
+    pub rate: f64,
+    /// Decay of the mean gradient.
+    pub beta1: f64,
+    /// Decay of the mean squared gradient.
+    pub beta2: f64,
+    /// Added to the denominator.
+    pub epsilon: f64,
+}
+
+impl Adam {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Moves `iterate` by the step of `iteration`, counted from 0; `moments` [S, n, 2].
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        settings: AdamSettings,
+        iteration: usize,
+        tensors: (&Iterate, &Tensor),
+    ) {
+        let (iterate, moments) = tensors;
+        let (samples, n) = iterate.samples_and_particles();
+        assert_eq!(moments.len(), 2 * samples * n);
+        let AdamSettings { rate, beta1, beta2, epsilon } = settings;
+        let t = iteration as i32 + 1;
+        let params = Params {
+            particles: size(n),
+            first: u32::from(iteration == 0),
+            rate: rate as f32,
+            beta1: beta1 as f32,
+            beta2: beta2 as f32,
+            epsilon: epsilon as f32,
+            correction1: (1.0 / (1.0 - beta1.powi(t))) as f32,
+            correction2: (1.0 / (1.0 - beta2.powi(t))) as f32,
+        };
+        let Iterate { grad, base, slots, a, trial } = iterate;
+        let tensors = [grad, base, slots, moments, a, trial];
+        schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
+    }
+}

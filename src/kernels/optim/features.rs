@@ -1,0 +1,66 @@
+//! Host side of `shaders/optim/features.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, padded, size};
+use crate::sim::Grid;
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "features", wgsl: include_str!("../../../shaders/optim/features.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    row_quads: u32,
+    parts: u32,
+    samples: u32,
+    pad: [u32; 3],
+}
+
+/// Input of the network from gradient and hidden state.
+#[derive(Clone, Debug)]
+pub struct Features {
+    kernel: Kernel,
+}
+
+/// What the features are made of.
+#[derive(Clone, Copy, Debug)]
+pub struct FeatureTensors<'a> {
+    /// Gradient, shape [S, n].
+    pub grad: &'a Tensor,
+    /// Last gradient and last step, shape [2, S, n].
+    pub hidden: &'a Tensor,
+    /// Partial sums of squares, shape [S, parts, 2].
+    pub partial: &'a Tensor,
+}
+
+impl Features {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `embedded` [S, 5, H, W'].
+    pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: FeatureTensors<'_>, embedded: &Tensor) {
+        let &[samples, parts, 2] = from.partial.shape() else {
+            panic!("features: {:?}", from.partial.shape())
+        };
+        let w = padded(grid.w);
+        assert_eq!(embedded.shape(), [samples, 5, grid.h, w]);
+        assert_eq!((from.grad.len(), from.hidden.len()), (samples * grid.particles(), 2 * from.grad.len()));
+        let params = Params {
+            rows: size(grid.h),
+            columns: size(grid.w),
+            row_quads: size(w / 4),
+            parts: size(parts),
+            samples: size(samples),
+            pad: [0; 3],
+        };
+        let tensors = [from.grad, from.hidden, from.partial, embedded];
+        let count = [groups(w / 4, 8), groups(grid.h, 8), size(samples)];
+        schedule.dispatch(&self.kernel, &params, &tensors, count);
+    }
+}

@@ -1,0 +1,43 @@
+//! Host side of `shaders/optim/gradient_descent.wgsl`.
+
+use super::Iterate;
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "gradient_descent",
+    wgsl: include_str!("../../../shaders/optim/gradient_descent.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    particles: u32,
+    rate: f32,
+    pad: [u32; 2],
+}
+
+/// Gradient descent.
+#[derive(Clone, Debug)]
+pub struct GradientDescent {
+    kernel: Kernel,
+}
+
+impl GradientDescent {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Moves `iterate` by one step.
+    pub fn push(&self, schedule: &mut Schedule, rate: f64, iterate: &Iterate) {
+        let (samples, n) = iterate.samples_and_particles();
+        let params = Params { particles: size(n), rate: rate as f32, pad: [0; 2] };
+        let Iterate { grad, base, slots, a, trial } = iterate;
+        let count = [groups(n, 64), size(samples), 1];
+        schedule.dispatch(&self.kernel, &params, &[grad, base, slots, a, trial], count);
+    }
+}

@@ -1,0 +1,87 @@
+//! Host side of `shaders/optim/lbfgs.wgsl`.
+
+use super::Iterate;
+use crate::Error;
+use crate::Result;
+use crate::gpu::AdapterKind;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::size;
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "lbfgs", wgsl: include_str!("../../../shaders/optim/lbfgs.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    particles: u32,
+    first: u32,
+    pad: [u32; 2],
+}
+
+/// Limited-memory BFGS.
+#[derive(Clone, Debug)]
+pub struct Lbfgs {
+    kernel: Kernel,
+    history: usize,
+}
+
+/// What L-BFGS remembers within a frame.
+#[derive(Clone, Debug)]
+pub struct LbfgsMemory {
+    /// Pairs, shape [B, history, 2, 3 n].
+    pub history: Tensor,
+    /// Last gradient and last step, shape [B, 2, 3 n].
+    pub last: Tensor,
+    /// Number of pairs, place of the newest, curvatures, shape [B, history + 2].
+    pub pairs: Tensor,
+}
+
+impl LbfgsMemory {
+    /// Memory for `batch` cloths of `particles`.
+    pub fn new(context: &Context, batch: usize, particles: usize, history: usize) -> Result<Self> {
+        let n = 3 * particles;
+        Ok(Self {
+            history: Tensor::zeros(context, "lbfgs.history", &[batch, history, 2, n])?,
+            last: Tensor::zeros(context, "lbfgs.last", &[batch, 2, n])?,
+            pairs: Tensor::zeros(context, "lbfgs.pairs", &[batch, history + 2])?,
+        })
+    }
+}
+
+/// The longest history that the kernel holds.
+pub const MAX_HISTORY: usize = 32;
+
+impl Lbfgs {
+    /// Compiles it for a history of up to [`MAX_HISTORY`] pairs, kept when `y.s > curvature`.
+    pub fn new(context: &Context, history: usize, curvature: f64) -> Result<Self> {
+        assert!((1..=MAX_HISTORY).contains(&history), "a history of 1 to {MAX_HISTORY} pairs, not {history}");
+        let constants = [("HISTORY", history as f64), ("CURVATURE", curvature)];
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, history })
+    }
+
+    /// Fails where llvmpipe would stop the loops of one invocation silently, after 65,535 iterations.
+    pub fn check_size(&self, context: &Context, particles: usize) -> Result<()> {
+        let iterations = (3 * particles).div_ceil(256) * (4 * self.history + 4) + 16 * self.history;
+        if context.kind() == AdapterKind::Software && iterations > 65_000 {
+            return Err(Error::Device(format!(
+                "{}: L-BFGS with history {} on {particles} particles exceeds the loop limit of software adapters; use --device cpu",
+                context.name(),
+                self.history
+            )));
+        }
+        Ok(())
+    }
+
+    /// Moves `iterate` by the step of `iteration`, counted from 0.
+    pub fn push(&self, schedule: &mut Schedule, iteration: usize, iterate: &Iterate, memory: &LbfgsMemory) {
+        let (samples, n) = iterate.samples_and_particles();
+        let batch = samples / 3;
+        assert_eq!(memory.history.shape(), [batch, self.history, 2, 3 * n]);
+        let params = Params { particles: size(n), first: u32::from(iteration == 0), pad: [0; 2] };
+        let Iterate { grad, base, slots, a, trial } = iterate;
+        let LbfgsMemory { history, last, pairs } = memory;
+        let tensors = [grad, base, slots, history, last, pairs, a, trial];
+        schedule.dispatch(&self.kernel, &params, &tensors, [size(batch), 1, 1]);
+    }
+}

@@ -1,0 +1,55 @@
+//! What moves the acceleration: the learned update rule and the classical optimizers (paper sections 3.3 and 4.3).
+
+pub mod adam;
+pub mod features;
+pub mod gradient_descent;
+pub mod lbfgs;
+pub mod norms;
+pub mod rescale;
+pub mod update;
+
+pub use adam::{Adam, AdamSettings};
+pub use features::{FeatureTensors, Features};
+pub use gradient_descent::GradientDescent;
+pub use lbfgs::{Lbfgs, LbfgsMemory};
+pub use norms::Norms;
+pub use rescale::Rescale;
+pub use update::{Update, UpdateTensors};
+
+use crate::Result;
+use crate::gpu::{Context, Tensor};
+
+/// The unknown of a frame and what follows from it.
+#[derive(Clone, Debug)]
+pub struct Iterate {
+    /// Gradient of the energy with respect to `a`, shape [B, 3, n].
+    pub grad: Tensor,
+    /// Position for `a = 0`, or the prescribed one at a handle, shape [B, 3, n].
+    pub base: Tensor,
+    /// 0 for a free particle, else 1 + the place of its handle, shape [B, n].
+    pub slots: Tensor,
+    /// Acceleration, shape [B, 3, n].
+    pub a: Tensor,
+    /// Positions x(a), shape [B, 3, n].
+    pub trial: Tensor,
+}
+
+impl Iterate {
+    /// Tensors for the cloths whose handle slots are `slots` [B, n].
+    pub fn new(context: &Context, batch: usize, slots: &[u32]) -> Result<Self> {
+        let n = slots.len() / batch;
+        let field = |label| Tensor::zeros(context, label, &[batch, 3, n]);
+        Ok(Self {
+            grad: field("grad")?,
+            base: field("base")?,
+            slots: Tensor::from_slice(context, "slots", &[batch, n], slots)?,
+            a: field("a")?,
+            trial: field("trial")?,
+        })
+    }
+
+    /// Number of samples, three to a cloth, and of particles.
+    pub fn samples_and_particles(&self) -> (usize, usize) {
+        (3 * self.a.shape()[0], self.a.shape()[2])
+    }
+}

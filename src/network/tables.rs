@@ -1,0 +1,58 @@
+//! Trigonometric tables of the truncated transforms, computed in double precision.
+//!
+//! Devices disagree on sines and cosines by up to 2e-4, so no shader evaluates them.
+
+use super::Config;
+use std::f64::consts::TAU;
+
+/// `2 pi k n / size` with the product reduced first, so that large ones lose nothing.
+fn angle(k: i64, n: usize, size: usize) -> f64 {
+    let reduced = (k * n as i64).rem_euclid(size as i64);
+    TAU * reduced as f64 / size as f64
+}
+
+/// Row transform: shape [W' / 4, 2 modes_w, 4]; cos and -sin, divided by `h w`, zero beyond column `w`.
+pub fn forward_rows(config: &Config, h: usize, w: usize) -> Vec<f32> {
+    let scale = 1.0 / (h * w) as f64;
+    let value = |j: usize, k: usize| {
+        let theta = angle((k / 2) as i64, j, w);
+        let trig = if k.is_multiple_of(2) { theta.cos() } else { -theta.sin() };
+        if j < w { (scale * trig) as f32 } else { 0.0 }
+    };
+    let columns = 2 * config.modes_w;
+    (0..w.div_ceil(4))
+        .flat_map(|q| (0..columns).flat_map(move |k| (0..4).map(move |e| (4 * q + e, k))))
+        .map(|(j, k)| value(j, k))
+        .collect()
+}
+
+/// Column transform: shape [H, modes_h, 2]; exp(-2 pi i k_h i / H), or its conjugate for the inverse.
+pub fn columns(config: &Config, h: usize, inverse: bool) -> Vec<f32> {
+    let first = -(config.modes_h as i64 / 2);
+    let sign = if inverse { 1.0 } else { -1.0 };
+    let mut table = Vec::with_capacity(2 * h * config.modes_h);
+    for i in 0..h {
+        for m in 0..config.modes_h as i64 {
+            let theta = angle(first + m, i, h);
+            table.extend([theta.cos() as f32, (sign * theta.sin()) as f32]);
+        }
+    }
+    table
+}
+
+/// Inverse row transform: shape [2 modes_w, W']; f cos and -f sin, where f counts the conjugate column unless a column
+/// is its own (column 0, and the Nyquist column of an even width).
+pub fn inverse_rows(config: &Config, w: usize) -> Vec<f32> {
+    let padded = w.next_multiple_of(4);
+    let mut table = Vec::with_capacity(2 * config.modes_w * padded);
+    for k in 0..2 * config.modes_w {
+        let mode = k / 2;
+        let f = if mode == 0 || 2 * mode == w { 1.0 } else { 2.0 };
+        for j in 0..padded {
+            let theta = angle(mode as i64, j, w);
+            let trig = if k.is_multiple_of(2) { theta.cos() } else { -theta.sin() };
+            table.push(if j < w { (f * trig) as f32 } else { 0.0 });
+        }
+    }
+    table
+}

@@ -1,0 +1,76 @@
+//! What minimises the energy of a frame.
+
+use crate::network::Weights;
+use crate::{Error, Result};
+use std::sync::Arc;
+
+/// An optimizer of the frame's energy; all of them start from `a = 0` and see nothing but its gradient.
+#[derive(Clone, Debug)]
+pub enum Optimizer {
+    /// The learned optimizer (paper sections 3.3 and 4).
+    Learned(Arc<Weights>),
+    /// Gradient descent, `a -= rate g`.
+    GradientDescent {
+        /// Learning rate.
+        rate: f64,
+    },
+    /// Adam with bias correction.
+    Adam {
+        /// Learning rate.
+        rate: f64,
+        /// Decay of the mean gradient.
+        beta1: f64,
+        /// Decay of the mean squared gradient.
+        beta2: f64,
+        /// Added to the denominator.
+        epsilon: f64,
+    },
+    /// L-BFGS, two-loop recursion with step 1, its history cleared every frame.
+    Lbfgs {
+        /// Number of pairs remembered.
+        history: usize,
+        /// A pair is kept when `y.s` exceeds this.
+        curvature: f64,
+    },
+}
+
+impl Optimizer {
+    /// Names of the optimizers on command lines and in reports.
+    pub const NAMES: [&str; 4] = ["fnopt", "gd", "adam", "lbfgs"];
+
+    /// Gradient descent as the paper compares with (section 4.3): rate 0.01.
+    pub fn gradient_descent() -> Self {
+        Self::GradientDescent { rate: 0.01 }
+    }
+
+    /// Adam as the paper compares with: rate 0.1, decays 0.9 and 0.999.
+    pub fn adam() -> Self {
+        Self::Adam { rate: 0.1, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 }
+    }
+
+    /// L-BFGS as the paper compares with: history 5, step 1, pairs with `y.s > 1e-12`.
+    pub fn lbfgs() -> Self {
+        Self::Lbfgs { history: 5, curvature: 1e-12 }
+    }
+
+    /// The classical optimizer of that name with the paper's settings, or the learned one made by `weights`.
+    pub fn named(name: &str, weights: impl FnOnce() -> Result<Weights>) -> Result<Self> {
+        match name {
+            "fnopt" => Ok(Self::Learned(Arc::new(weights()?))),
+            "gd" => Ok(Self::gradient_descent()),
+            "adam" => Ok(Self::adam()),
+            "lbfgs" => Ok(Self::lbfgs()),
+            other => Err(Error::unknown("--solver", "solver", other, Self::NAMES)),
+        }
+    }
+
+    /// The optimizer's name, one of [`Optimizer::NAMES`].
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Learned(_) => "fnopt",
+            Self::GradientDescent { .. } => "gd",
+            Self::Adam { .. } => "adam",
+            Self::Lbfgs { .. } => "lbfgs",
+        }
+    }
+}

@@ -1,0 +1,339 @@
+//! One frame of a batch of cloths on a device, recorded into the caller's encoder.
+
+use super::{Control, EnergyTerms, FrameStats, Grid, Model, Optimizer, State};
+use crate::Result;
+use crate::gpu::{Context, Schedule, Tensor};
+use crate::kernels::Tuning;
+use crate::kernels::cloth::{
+    ClothParams, Energy, EnergySum, External, ExternalTensors, Gradient, Integrate, Predict, PredictTensors,
+    energy,
+};
+use crate::kernels::optim::{
+    Adam, AdamSettings, FeatureTensors, Features, GradientDescent, Iterate, Lbfgs, LbfgsMemory, Norms,
+    Rescale, Update, UpdateTensors, norms,
+};
+use crate::network::{Forward, Keep, Weights};
+
+/// Scale of a fresh hidden state (section 5 of the specification).
+pub const INITIAL_SCALE: f32 = 0.05;
+
+/// How a frame is solved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SolverOptions {
+    /// Iterations per frame (N), at least 1.
+    pub iterations: usize,
+    /// Tile sizes; what suits the adapter when not given.
+    pub tuning: Option<Tuning>,
+}
+
+impl Default for SolverOptions {
+    fn default() -> Self {
+        Self { iterations: 10, tuning: None }
+    }
+}
+
+/// A solver on the caller's device: buffers, kernels and the recorded dispatches of a frame.
+///
+/// [`Solver::record`] puts one frame into an encoder that the caller owns; nothing here submits, polls or maps, and
+/// nothing is allocated or bound while a frame is recorded. The positions stay in a buffer that can be bound as a
+/// vertex buffer ([`Solver::positions`]).
+#[derive(Debug)]
+pub struct Solver {
+    context: Context,
+    model: Model,
+    iterations: usize,
+    x: Tensor,
+    v: Tensor,
+    cloths: Tensor,
+    targets: Tensor,
+    forces: Tensor,
+    external: Tensor,
+    iterate: Iterate,
+    rule: Rule,
+    /// Partial sums of squares of the gradient in each iteration, shape [N, S, parts, 2].
+    norms: Tensor,
+    /// Energy terms and stretch, shape [B, 8].
+    terms: Tensor,
+    /// Scale of each sample after each iteration, shape [N, S]; empty without the learned optimizer.
+    scales: Tensor,
+    frame: Schedule,
+}
+
+/// What an optimizer keeps on the device.
+#[derive(Debug)]
+enum Rule {
+    Learned { forward: Box<Forward>, hidden: Tensor, scale: Tensor },
+    GradientDescent { rate: f64 },
+    Adam { settings: AdamSettings, moments: Tensor },
+    Lbfgs { history: usize, curvature: f64, memory: LbfgsMemory },
+}
+
+impl Solver {
+    /// Makes buffers and kernels and builds the schedule of a frame. The cloths start at rest ([`State::rest`]).
+    pub fn new(
+        context: &Context,
+        model: &Model,
+        optimizer: &Optimizer,
+        options: &SolverOptions,
+    ) -> Result<Self> {
+        context.checked(|| Self::build(context, model, optimizer, options))
+    }
+
+    fn build(
+        context: &Context,
+        model: &Model,
+        optimizer: &Optimizer,
+        options: &SolverOptions,
+    ) -> Result<Self> {
+        assert!(options.iterations > 0 && model.batch() > 0, "a frame needs a cloth and an iteration");
+        let tuning = options.tuning.unwrap_or_else(|| Tuning::new(context));
+        let (grid, batch, n) = (model.grid, model.batch(), model.grid.particles());
+        let samples = 3 * batch;
+        let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
+        let field = |label| zeros(label, &[batch, 3, n]);
+        let cloths: Vec<ClothParams> = model.cloths.iter().map(|c| ClothParams::new(c, [0.0; 3])).collect();
+        let rule = match *optimizer {
+            Optimizer::Learned(ref weights) => Rule::learned(context, weights, &tuning, (grid, samples))?,
+            Optimizer::GradientDescent { rate } => Rule::GradientDescent { rate },
+            Optimizer::Adam { rate, beta1, beta2, epsilon } => Rule::Adam {
+                settings: AdamSettings { rate, beta1, beta2, epsilon },
+                moments: zeros("adam.moments", &[samples, n, 2])?,
+            },
+            Optimizer::Lbfgs { history, curvature } => {
+                Rule::Lbfgs { history, curvature, memory: LbfgsMemory::new(context, batch, n, history)? }
+            }
+        };
+        let learned = matches!(rule, Rule::Learned { .. });
+        let mut solver = Self {
+            context: context.clone(),
+            model: model.clone(),
+            iterations: options.iterations,
+            x: field("positions")?,
+            v: field("velocities")?,
+            cloths: Tensor::from_slice(context, "cloths", &[batch, 16], &cloths)?,
+            targets: zeros("handle targets", &[model.handles(), 3])?,
+            forces: field("forces")?,
+            external: field("external")?,
+            iterate: Iterate::new(context, batch, &model.handle_slots())?,
+            norms: zeros("norms", &[options.iterations, samples, norms::parts(n), 2])?,
+            terms: zeros("energy terms", &[batch, 8])?,
+            scales: zeros("scales", &[if learned { options.iterations } else { 0 }, samples])?,
+            rule,
+            frame: Schedule::new(context),
+        };
+        solver.frame = solver.schedule()?;
+        let rest = State::rest(grid, batch);
+        solver.set_state(&rest);
+        solver.set_control(&Control { handles: solver.handles_of(&rest), ..Default::default() });
+        Ok(solver)
+    }
+
+    /// The dispatches of one frame, in the order of section 2 of the specification.
+    fn schedule(&self) -> Result<Schedule> {
+        let (context, grid) = (&self.context, self.model.grid);
+        let mut frame = Schedule::new(context);
+        let Self { x, v, cloths, targets, forces, external, iterate, .. } = self;
+        let batch = self.model.batch();
+
+        Predict::new(context)?.push(&mut frame, PredictTensors { x, v, targets }, iterate);
+        External::new(context)?.push(&mut frame, grid, ExternalTensors { cloths, x, v, forces }, external);
+
+        let gradient = Gradient::new(context)?;
+        let mut step = self.rule.kernels(context, self)?;
+        for iteration in 0..self.iterations {
+            gradient.push(&mut frame, grid, (cloths, external), iterate);
+            step(&mut frame, iteration);
+        }
+
+        let parts = Tensor::zeros(context, "energy parts", &[batch, energy::parts(grid), 8])?;
+        Energy::new(context)?.push(&mut frame, grid, (cloths, external), (iterate, &parts));
+        EnergySum::new(context)?.push(&mut frame, &parts, &self.terms);
+        Integrate::new(context)?.push(&mut frame, iterate, x, v);
+        Ok(frame)
+    }
+
+    /// Records one frame: from the state and control as they are when the encoder runs to the next state.
+    pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
+        self.frame.record(encoder);
+    }
+
+    /// The dispatches of one frame.
+    pub fn frame(&self) -> &Schedule {
+        &self.frame
+    }
+
+    /// The cloths.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Iterations per frame (N).
+    pub fn iterations(&self) -> usize {
+        self.iterations
+    }
+
+    /// Positions [edges], shape [B, 3, H W]; its buffer can be bound for storage and as a vertex buffer.
+    pub fn positions(&self) -> &Tensor {
+        &self.x
+    }
+
+    /// Velocities [edges / frame], shape [B, 3, H W].
+    pub fn velocities(&self) -> &Tensor {
+        &self.v
+    }
+
+    /// Accelerations of the last frame [edges / frame^2], shape [B, 3, H W].
+    pub fn accelerations(&self) -> &Tensor {
+        &self.iterate.a
+    }
+
+    /// Replaces the state and forgets what the optimizer remembers, ahead of whatever is submitted next.
+    pub fn set_state(&self, state: &State<f32>) {
+        self.x.write(&self.context, &state.x);
+        self.v.write(&self.context, &state.v);
+        self.reset_memory();
+    }
+
+    /// Forgets what the optimizer remembers from frame to frame: the hidden state of the learned one.
+    pub fn reset_memory(&self) {
+        if let Rule::Learned { hidden, scale, .. } = &self.rule {
+            hidden.write(&self.context, &vec![0f32; hidden.len()]);
+            scale.write(&self.context, &vec![INITIAL_SCALE; scale.len()]);
+        }
+    }
+
+    /// Sets what drives the next frame, ahead of whatever is submitted next.
+    ///
+    /// Panics when a length is not the model's.
+    pub fn set_control(&self, control: &Control<f32>) {
+        self.targets.write(&self.context, &control.handles);
+        if !control.wind.is_empty() {
+            assert_eq!(control.wind.len(), self.model.batch(), "one wind velocity for each cloth");
+            let cloths = self.model.cloths.iter().zip(&control.wind);
+            let params: Vec<ClothParams> = cloths.map(|(c, &w)| ClothParams::new(c, w)).collect();
+            self.cloths.write(&self.context, &params);
+        }
+        if !control.forces.is_empty() {
+            self.forces.write(&self.context, &control.forces);
+        }
+    }
+
+    /// The tensors that [`Solver::statistics`] reads, in the order it wants their bytes.
+    pub fn statistics_tensors(&self) -> [&Tensor; 2] {
+        [&self.terms, &self.norms]
+    }
+
+    /// Statistics of the last frame, one for each cloth, from the contents of [`Solver::statistics_tensors`].
+    pub fn statistics(&self, terms: &[f32], norms: &[f32]) -> Vec<FrameStats> {
+        let Grid { h, w } = self.model.grid;
+        let edges = ((h - 1) * w + h * (w - 1)) as f64;
+        let gradients = self.gradient_norms(norms);
+        let cloth_norm = |iteration: usize, b: usize| {
+            gradients[iteration][3 * b..3 * b + 3].iter().map(|g| g * g).sum::<f64>().sqrt()
+        };
+        let stats = |(b, t): (usize, &[f32])| FrameStats {
+            energy: EnergyTerms {
+                stretch: t[0].into(),
+                shear: t[1].into(),
+                bend: t[2].into(),
+                inertia: t[3].into(),
+                external: t[4].into(),
+            },
+            gradient_first: cloth_norm(0, b),
+            gradient_last: cloth_norm(self.iterations - 1, b),
+            stretch_largest: t[5].into(),
+            stretch_mean: f64::from(t[6]) / edges,
+        };
+        terms.chunks_exact(8).enumerate().map(stats).collect()
+    }
+
+    /// Norm of the gradient of each sample in each iteration of the last frame, shape [N][S], from the second of
+    /// [`Solver::statistics_tensors`].
+    pub fn gradient_norms(&self, norms: &[f32]) -> Vec<Vec<f64>> {
+        let per_sample = 2 * norms::parts(self.model.grid.particles());
+        let norm = |parts: &[f32]| parts.iter().step_by(2).map(|&s| f64::from(s)).sum::<f64>().sqrt();
+        norms
+            .chunks_exact(3 * self.model.batch() * per_sample)
+            .map(|iteration| iteration.chunks_exact(per_sample).map(norm).collect())
+            .collect()
+    }
+
+    /// Scale of each sample after each iteration of the last frame, shape [N, S]; empty without the learned optimizer.
+    pub fn scales(&self) -> &Tensor {
+        &self.scales
+    }
+
+    /// Handle positions in `state` [B, 3, n], in the order of [`Control::handles`].
+    pub fn handles_of(&self, state: &State<f32>) -> Vec<[f32; 3]> {
+        let n = self.model.grid.particles();
+        let at = |b: usize, p: usize| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p]);
+        let cloths = self.model.cloths.iter().enumerate();
+        cloths.flat_map(|(b, c)| c.handles.iter().map(move |&p| at(b, p))).collect()
+    }
+}
+
+/// Appends what turns the gradient of an iteration into the next iterate.
+type Step<'a> = Box<dyn FnMut(&mut Schedule, usize) + 'a>;
+
+impl Rule {
+    fn learned(context: &Context, weights: &Weights, tuning: &Tuning, shape: (Grid, usize)) -> Result<Self> {
+        let (grid, samples) = shape;
+        Ok(Self::Learned {
+            forward: Box::new(Forward::new(context, weights, tuning, shape, Keep::Nothing)?),
+            hidden: Tensor::zeros(context, "hidden state", &[2, samples, grid.particles()])?,
+            scale: Tensor::zeros(context, "scale", &[samples])?,
+        })
+    }
+
+    fn kernels<'a>(&'a self, context: &Context, solver: &'a Solver) -> Result<Step<'a>> {
+        let (iterate, grid) = (&solver.iterate, solver.model.grid);
+        let norms_shape = &solver.norms.shape()[1..];
+        let partial = Tensor::zeros(context, "norm parts", norms_shape)?;
+        let per_iteration = partial.len();
+        let norms = Norms::new(context, matches!(self, Self::Learned { .. }))?;
+        // The partial sums of each iteration are kept for the statistics.
+        let mut sum = move |frame: &mut Schedule, iteration: usize, hidden: &Tensor| {
+            norms.push(frame, &iterate.grad, hidden, &partial);
+            frame.copy(&partial, &solver.norms, iteration * per_iteration);
+            partial.clone()
+        };
+        Ok(match self {
+            Self::Learned { forward, hidden, scale } => {
+                let features = Features::new(context)?;
+                let (rescale, update) = (Rescale::new(context)?, Update::new(context)?);
+                Box::new(move |frame, iteration| {
+                    let partial = &sum(frame, iteration, hidden);
+                    let from = FeatureTensors { grad: &iterate.grad, hidden, partial };
+                    features.push(frame, grid, from, &forward.embedded);
+                    forward.push(frame);
+                    rescale.push(frame, &forward.scalar, scale);
+                    let from = UpdateTensors { field: &forward.field, scale, hidden };
+                    update.push(frame, grid, from, iterate);
+                    frame.copy(scale, &solver.scales, iteration * scale.len());
+                })
+            }
+            Self::GradientDescent { rate } => {
+                let kernel = GradientDescent::new(context)?;
+                Box::new(move |frame, iteration| {
+                    sum(frame, iteration, &iterate.a);
+                    kernel.push(frame, *rate, iterate);
+                })
+            }
+            Self::Adam { settings, moments } => {
+                let kernel = Adam::new(context)?;
+                Box::new(move |frame, iteration| {
+                    sum(frame, iteration, &iterate.a);
+                    kernel.push(frame, *settings, iteration, (iterate, moments));
+                })
+            }
+            Self::Lbfgs { history, curvature, memory } => {
+                let kernel = Lbfgs::new(context, *history, *curvature)?;
+                kernel.check_size(context, grid.particles())?;
+                Box::new(move |frame, iteration| {
+                    sum(frame, iteration, &iterate.a);
+                    kernel.push(frame, iteration, iterate, memory);
+                })
+            }
+        })
+    }
+}
