@@ -2,6 +2,7 @@
 
 mod error;
 pub mod network;
+pub mod scene;
 pub mod sim;
 
 pub use error::{Error, Result};
