@@ -43,7 +43,7 @@ pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
     let mut sizes = pair(node, "mesh_size", Node::number)?.unwrap_or([1.0; 2]);
     // Their code takes mesh_resolution_w for the rows. Where the faces of the mesh say otherwise, they are right.
     let mesh = Mesh::read(&path)?;
-    if grid != turned && !mesh.fits(grid) && mesh.fits(turned) {
+    if !mesh.fits(grid) && mesh.fits(turned) {
         grid = turned;
         sizes.reverse();
     }
@@ -83,7 +83,8 @@ fn find(node: &Node, folder: &Path, file: &str) -> Result<PathBuf> {
     Ok(other.filter(|path| !beside.exists() && path.exists()).unwrap_or(beside))
 }
 
-/// A value per side, [of `_h`, of `_w`]: `NAME` as one number or two, or `NAME_h` and `NAME_w`.
+/// A value per side, [of `_h`, of `_w`], the rows being those of `_w`: `NAME_h` and `NAME_w`, or `NAME` as one number or
+/// as two [H, W].
 fn pair<'a, T: Copy>(
     node: &Node<'a>,
     name: &str,
@@ -95,7 +96,11 @@ fn pair<'a, T: Copy>(
         (_, Some(one), None) | (_, None, Some(one)) => {
             Err(one.invalid(format!("both {name}_h and {name}_w, or neither")))
         }
-        (Some(both), ..) if both.value.is_array() => Ok(Some(both.array("one number or [h, w]", read)?)),
+        (Some(both), ..) if both.value.is_array() => {
+            // Not a form of theirs, so it is taken as everywhere here: the rows first.
+            let [rows, columns] = both.array("one number, or two [H, W]", read)?;
+            Ok(Some([columns, rows]))
+        }
         (Some(one), ..) => read(&one).map(|v| Some([v, v])),
         (None, ..) => Ok(None),
     }

@@ -65,8 +65,9 @@ impl<'a> Node<'a> {
         expected: &str,
         read: impl Fn(&Node<'a>) -> Result<T>,
     ) -> Result<[T; N]> {
-        let items = self.value.as_array().filter(|a| a.len() == N).ok_or_else(|| self.invalid(expected))?;
-        debug_assert_eq!(items.len(), N);
+        if self.value.as_array().is_none_or(|items| items.len() != N) {
+            return Err(self.invalid(expected));
+        }
         let read: Vec<T> = self.items()?.iter().map(read).collect::<Result<_>>()?;
         Ok(read.try_into().unwrap_or_else(|_| unreachable!("the length was checked")))
     }

@@ -1,4 +1,85 @@
 //! Scenes: what is simulated, in SI units, and how it becomes a [`Setup`] in grid units.
+//!
+//! A [`Scene`] is read from a file ([`Scene::load`]) or filled in by hand; its fields may be changed freely afterwards, since
+//! [`Scene::setup`] checks everything once more, reads the files that the scene names and turns it into grid units, z up.
+//!
+//! ```
+//! use fnopt::scene::{Motion, Scene};
+//! use fnopt::sim::Grid;
+//! use std::path::Path;
+//!
+//! let mut scene = Scene::default();
+//! scene.regrid(Grid::new(48, 40, "example")?)?;
+//! scene.motion = Motion::parse("rot_h0", "example", Path::new(""))?;
+//! let setup = scene.setup()?;
+//! assert_eq!(setup.frames(), 391);
+//! let metres = setup.vertices_m(&setup.start.x);
+//! assert_eq!(metres.len(), 48 * 40);
+//! # Ok::<(), fnopt::Error>(())
+//! ```
+//!
+//! # The format
+//!
+//! A scene file is a JSON object. Every field may be left out, or be null, and has then the value of the default scene:
+//! `{}` is [`Scene::default`]. A field that is not listed here is an error, here and in the objects inside. Vectors and the
+//! positions in files are in the scene's axes; a path is relative to the scene file.
+//!
+//! | field | value | unit | default |
+//! |---|---|---|---|
+//! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each | | `[32, 32]` |
+//! | `side_m` | side along the height, the width following from square cells; or `[height, width]`, which must make cells square to 0.1 % | m | `1` |
+//! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, or by area; above 0 | kg or kg/m^2 | areal, `0.187` |
+//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three | 1; or N/m, N/m, N m | `{"stretch": 1000, "shear": 8, "bend": 0.5}` |
+//! | `gravity` | vector, or its size, downwards | m/s^2 | 9.8 downwards |
+//! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
+//! | `frame_time_s` | time of a frame | s | `1/60` |
+//! | `frames` | number of frames, the start included | | as many as the motion takes; 391 without a motion |
+//! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj` or `.npy`, or `{"file", "grid", "transform"}` | m | `"settled"` |
+//! | `handles` | a placement, pairs `[[i, j], ..]`, or vertex numbers `[k, ..]` with `k = i W + j` | | `"corners"` |
+//! | `motion` | a built-in name, `"none"`, or the path of a `.npy` | m | `"xy_v2"` |
+//! | `speed` | how many times faster the motion is played | | `1` |
+//! | `up` | `"y"` or `"z"`, the axis that points up | | `"y"` |
+//!
+//! **Grid and material.** One rest length l serves both directions: `l = side / (H - 1)`. Grid coefficients are used as they
+//! are, so that a finer grid is a softer cloth. Moduli are the same cloth on every grid: with areal mass rho and frame time T,
+//! `k_stretch = Y T^2 / (2 rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`, `k_bend = D T^2 / (2 rho l^4)`.
+//!
+//! **Start.** `settled` hangs from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side with y up. `flat` has
+//! particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up. `hanging` is a vertical plane whose upper edge, j = 0, is
+//! `(0, 0.5, z)` times the side. An OBJ has vertex `i W + j` for particle (i, j), and its faces, if it has any, cover each
+//! cell by two triangles or one quadrilateral. A `.npy` (`f4` or `f8`) has shape [H, W, 3] or [H W, 3].
+//! `grid` is the file's own grid where it is not the scene's: the sheet is then resampled. `transform` is applied to the
+//! file's positions: a 4x4 or 3x4 matrix in rows, a translation `[x, y, z]`, or
+//! `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}` in this order. Velocities are zero.
+//!
+//! **Handles.** Placements, h0 first: `corners` (H-1, 0), (0, 0); `diagonal` (H-1, W-1), (0, 0); `mid-edge` (H-1, W/2),
+//! (0, W/2); `corner-center` (H-1, 0), (H/2, W/2); `single-mid-edge` (H/2, 0); `single-center` (H/2, W/2);
+//! `single-corner` (H-1, 0). An empty list is a free cloth, for which the motion must be `"none"`.
+//!
+//! **Motion.** Built-in motions rest 0.5 s, move there, back and there again over 1 m with `s(t) = (1 - cos(pi t)) / 2`, 1 s
+//! each, and rest 3 s; they start from where the handles are. Translations, y up: `fwd` (1,0,0), `side` (0,0,1),
+//! `updown` (0,1,0), `xy` (1,0,1), `yz` (0,1,1), `xz` (1,1,0), `xyz` (1,1,1), `xy_v2` (1,0,-1), `yz_v2` (0,1,-1),
+//! `xz_v2` (1,-1,0), `xyz_v2` (1,1,-1), `xyz_v3` (1,-1,1), `xyz_v4` (-1,1,1). Rotations `rot_h0`, `rot_h1`: the first or
+//! second handle stays, the others circle about the vertical axis through it, the farthest over an arc of 1 m; a single
+//! handle stays. Each has an opposite, as in `xy_v2_opp`. A `.npy` has shape [frames, handles, 3], a row for each frame
+//! time; row 0 is where the handles are at the start. Frame f is taken at `f * speed` frame times: exactly in a built-in
+//! motion, linearly between the rows of a recorded one. Past its end a motion keeps its last position.
+//!
+//! # The authors' scene files
+//!
+//! A document with a field `mesh_..` or `handle_ind_list` is read as a scene of the method's authors: z up, frame time
+//! 1/50 s, gravity 9.76 m/s^2 where it is not given, no motion; all else as in the default scene.
+//!
+//! | field | value |
+//! |---|---|
+//! | `mesh_file` | OBJ beside the scene file, or in its `dataset_dir`; required |
+//! | `mesh_resolution`, or `mesh_resolution_h` and `mesh_resolution_w` | particles per side, required: one number, `[H, W]`, or a field per side. In the authors' code H is `_w` and W is `_h`; where only the other order fits the faces of the mesh, that one is taken |
+//! | `mesh_size`, or `mesh_size_h` and `mesh_size_w` | sides [m], in the same order; default 1. The side along the height gives the scale, the other is not used |
+//! | `transform` | as above; the authors write `{"rotate": [degrees, x, y, z], "translate": [x, y, z]}` |
+//! | `gravity` | vector, or its size, downwards, whatever its sign [m/s^2] |
+//! | `handle_ind_list` | vertex numbers, from the last handle to h0: `[0, 992]` means h0 = 992; default `corners` |
+//!
+//! Other fields (cameras, pictures, results) are passed over, except those that are nearly one of these.
 
 mod array;
 mod authors;

@@ -51,6 +51,9 @@ pub struct BuiltIn {
 }
 
 impl BuiltIn {
+    /// Length of every built-in motion from the start to the end of the last rest [s].
+    pub const DURATION_S: f64 = REST_BEFORE_S + MOVES + REST_AFTER_S;
+
     /// The built-in motion of a name, as in `xy_v2` or `rot_h0_opp`.
     pub fn named(name: &str) -> Option<Self> {
         let (base, opposite) = name.strip_suffix("_opp").map_or((name, false), |base| (base, true));
@@ -68,9 +71,6 @@ impl BuiltIn {
     pub fn name(&self) -> String {
         format!("{}{}", self.name, if self.opposite { "_opp" } else { "" })
     }
-
-    /// Its length from the start to the end of the last rest [s].
-    pub const DURATION_S: f64 = REST_BEFORE_S + MOVES + REST_AFTER_S;
 
     /// Where the handles that began at `start` are at time `t` [s]; y up [m]. Before 0 and past the end they rest.
     pub fn at(&self, t: f64, start: &[[f64; 3]]) -> Vec<[f64; 3]> {

@@ -39,11 +39,11 @@ pub struct Batch {
     /// Handle positions [edges] for each frame, all handles of cloth 0, then of cloth 1, and so on. As many frames as
     /// the longest cloth has; the handles of the others stay at their last positions.
     pub handles: Vec<Vec<[f64; 3]>>,
-    /// Wind velocity of each cloth [edges / frame], shape [B].
+    /// Wind velocity of each cloth [edges / frame], shape `[B]`.
     pub wind: Vec<[f64; 3]>,
-    /// Units of each cloth, shape [B].
+    /// Units of each cloth, shape `[B]`.
     pub units: Vec<Units>,
-    /// The axis that points up at the surface of each cloth, shape [B].
+    /// The axis that points up at the surface of each cloth, shape `[B]`.
     pub up: Vec<UpAxis>,
 }
 
@@ -84,12 +84,12 @@ impl Setup {
         control(&self.handles, &[self.wind], frame)
     }
 
-    /// Positions [edges], z up, shape [3, H, W], as vertices [m] in the scene's axes, shape [H W].
+    /// Positions [edges], z up, shape [3, H, W], as vertices [m] in the scene's axes, shape `[H W]`.
     pub fn vertices_m<T: Float>(&self, x: &[T]) -> Vec<[f64; 3]> {
         each_point(x, |p| self.up.from_z_up(self.units.position_m(p)))
     }
 
-    /// Velocities [edges / frame], z up, shape [3, H, W], as velocities [m/s] in the scene's axes, shape [H W].
+    /// Velocities [edges / frame], z up, shape [3, H, W], as velocities [m/s] in the scene's axes, shape `[H W]`.
     pub fn velocities_m_s<T: Float>(&self, v: &[T]) -> Vec<[f64; 3]> {
         each_point(v, |p| self.up.from_z_up(self.units.velocity_m_s(p)))
     }
@@ -149,6 +149,13 @@ impl Scene {
         let handles = self.trajectory(&units, &at_start)?;
         // A recording's first row is where the handles are at the start; for a built-in motion this changes nothing.
         for (&p, &at) in particles.iter().zip(&handles[0]) {
+            let gap = (0..3).map(|c| (points[p][c] - at[c]).powi(2)).sum::<f64>().sqrt();
+            if gap > 1.0 {
+                tracing::warn!(
+                    "{}: motion: handle {p} begins {gap:.1} edges from where the start state has it",
+                    self.origin
+                );
+            }
             points[p] = at;
         }
         let cloth = Cloth {

@@ -131,7 +131,7 @@ impl Units {
         }
     }
 
-    /// What a scene's energy (`L` of section 2, a mean over the particles) of a cloth of `particles` is worth [J].
+    /// An energy in grid units (a term of `L`, section 2, which is a mean over the `particles` of a cloth) in joules.
     pub fn energy_j(&self, energy: f64, particles: usize) -> f64 {
         // The inertia term 1/2 mean(M |a|^2) is 1/2 sum(m |a|^2) T^2 with m = M rho l^2 and a in l / T^2.
         let Units { length_m: l, frame_time_s: t, areal_mass_kg_m2: rho } = *self;
