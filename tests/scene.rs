@@ -455,6 +455,10 @@ fn wrong_scenes_are_refused_with_the_place_and_what_was_expected() {
         (r#"{"mesh_resolution": 12}"#, &["mesh_file"]),
         (r#"{"mesh_file": "a.obj", "mesh_resoluton": 12}"#, &["unknown field", "mesh_resolution"]),
         (r#"{"mesh_file": "absent.obj", "mesh_resolution": 12}"#, &["absent.obj", "cannot read"]),
+        (
+            r#"{"mesh_file": "../starts/tent_12x9.obj", "mesh_resolution": [12, 9], "handle_ind_list": [0, 108]}"#,
+            &["handle_ind_list[1]", "below 108 (12x9)", "found 108"],
+        ),
         (r#"{"mesh_file": "../starts/tent_12x9.obj", "mesh_resolution": 12}"#, &["vertices", "144", "108"]),
     ] {
         expect_refusal(text, parts);

@@ -1,6 +1,6 @@
 //! Scene files of the method's authors.
 
-use super::file::{read_gravity, read_handles};
+use super::file::read_gravity;
 use super::json::Node;
 use super::obj::Mesh;
 use super::start::read_transform;
@@ -24,7 +24,7 @@ const FIELDS: [&str; 11] = [
     "handle_ind_list",
     "dataset_dir",
 ];
-/// Gravity [m/s^2] and frame time [s] of the authors.
+/// Gravity [m/s^2] and frame time \[s\] of the authors.
 const GRAVITY_M_S2: f64 = 9.76;
 const FRAME_TIME_S: f64 = 1.0 / 50.0;
 
@@ -57,7 +57,7 @@ pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
         gravity: node.get_or("gravity", up.down(GRAVITY_M_S2), |n| read_gravity(n, up))?,
         frame_time_s: FRAME_TIME_S,
         start: Start::File(StartFile { path, grid: None, transform }),
-        handles: handles(node, default.handles.clone())?,
+        handles: handles(node, grid)?,
         motion: Motion::Still,
         up,
         origin: node.origin.to_owned(),
@@ -114,9 +114,14 @@ fn resolution(node: &Node) -> Result<(Grid, Grid)> {
 }
 
 /// Their code goes through the handles from the last to the first: with [0, 992], h0 is 992.
-fn handles(node: &Node, default: Handles) -> Result<Handles> {
-    match node.get_or("handle_ind_list", default, read_handles)? {
-        Handles::Vertices(vertices) => Ok(Handles::Vertices(vertices.into_iter().rev().collect())),
-        other => Ok(other),
-    }
+fn handles(node: &Node, grid: Grid) -> Result<Handles> {
+    let Some(list) = node.get("handle_ind_list") else {
+        return Ok(Scene::default().handles);
+    };
+    let vertex = |item: &Node| {
+        let inside = item.count().ok().filter(|&v| v < grid.particles());
+        inside.ok_or_else(|| item.invalid(format!("a vertex below {} ({grid})", grid.particles())))
+    };
+    let vertices = list.items()?.iter().rev().map(vertex).collect::<Result<_>>()?;
+    Ok(Handles::Vertices(vertices))
 }

@@ -150,7 +150,7 @@ fn read_up(node: &Node) -> Result<UpAxis> {
     }
 }
 
-pub(super) fn read_grid(node: &Node) -> Result<Grid> {
+fn read_grid(node: &Node) -> Result<Grid> {
     let [h, w] = node.array("two sizes [H, W]", Node::count)?;
     Grid::new(h, w, node.origin)
 }
@@ -230,7 +230,7 @@ fn read_start(node: &Node, folder: &Path) -> Result<Start> {
     }
 }
 
-pub(super) fn read_handles(node: &Node) -> Result<Handles> {
+fn read_handles(node: &Node) -> Result<Handles> {
     if node.value.is_string() {
         return Placement::named(node.text()?, node.origin).map(Handles::Placement);
     }

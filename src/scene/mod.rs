@@ -74,7 +74,7 @@
 //! |---|---|
 //! | `mesh_file` | OBJ beside the scene file, or in its `dataset_dir`; required |
 //! | `mesh_resolution`, or `mesh_resolution_h` and `mesh_resolution_w` | particles per side, required: one number, `[H, W]`, or a field per side. In the authors' code H is `_w` and W is `_h`; where only the other order fits the faces of the mesh, that one is taken |
-//! | `mesh_size`, or `mesh_size_h` and `mesh_size_w` | sides [m], in the same order; default 1. The side along the height gives the scale, the other is not used |
+//! | `mesh_size`, or `mesh_size_h` and `mesh_size_w` | sides \[m\], in the same order; default 1. The side along the height gives the scale, the other is not used |
 //! | `transform` | as above; the authors write `{"rotate": [degrees, x, y, z], "translate": [x, y, z]}` |
 //! | `gravity` | vector, or its size, downwards, whatever its sign [m/s^2] |
 //! | `handle_ind_list` | vertex numbers, from the last handle to h0: `[0, 992]` means h0 = 992; default `corners` |
@@ -107,7 +107,7 @@ const GRAVITY_M_S2: f64 = 9.8;
 /// How far the sides may be from square cells: more than rounding, less than one edge in any grid below 1000.
 const SQUARE: f64 = 1e-3;
 
-/// Lengths of the sheet's sides [m]. One rest length serves both directions, so cells are square.
+/// Lengths of the sheet's sides \[m\]. One rest length serves both directions, so cells are square.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Side {
     /// The side along the height; the width follows from the grid.
@@ -117,7 +117,7 @@ pub enum Side {
 }
 
 impl Side {
-    /// The side along the height [m].
+    /// The side along the height \[m\].
     pub fn height(self) -> f64 {
         match self {
             Side::Height(height) | Side::Both([height, _]) => height,
@@ -128,7 +128,7 @@ impl Side {
 /// Mass of the sheet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mass {
-    /// Of the whole sheet [kg].
+    /// Of the whole sheet \[kg\].
     Total(f64),
     /// By area [kg/m^2].
     Areal(f64),
@@ -197,7 +197,7 @@ impl Default for Wind {
 pub struct Scene {
     /// Particles along the height and the width.
     pub grid: Grid,
-    /// Side lengths [m].
+    /// Side lengths \[m\].
     pub side_m: Side,
     /// Mass of the sheet.
     pub mass: Mass,
@@ -207,7 +207,7 @@ pub struct Scene {
     pub gravity: [f64; 3],
     /// The air.
     pub wind: Wind,
-    /// Time of a frame [s].
+    /// Time of a frame \[s\].
     pub frame_time_s: f64,
     /// Number of frames, the start included; none for as many as the motion takes.
     pub frames: Option<usize>,

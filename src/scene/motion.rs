@@ -51,7 +51,7 @@ pub struct BuiltIn {
 }
 
 impl BuiltIn {
-    /// Length of every built-in motion from the start to the end of the last rest [s].
+    /// Length of every built-in motion from the start to the end of the last rest \[s\].
     pub const DURATION_S: f64 = REST_BEFORE_S + MOVES + REST_AFTER_S;
 
     /// The built-in motion of a name, as in `xy_v2` or `rot_h0_opp`.
@@ -72,7 +72,7 @@ impl BuiltIn {
         format!("{}{}", self.name, if self.opposite { "_opp" } else { "" })
     }
 
-    /// Where the handles that began at `start` are at time `t` [s]; y up [m]. Before 0 and past the end they rest.
+    /// Where the handles that began at `start` are at time `t` \[s\]; y up \[m\]. Before 0 and past the end they rest.
     pub fn at(&self, t: f64, start: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let sign = if self.opposite { -1.0 } else { 1.0 };
         let done = sign * progress(t);
@@ -90,7 +90,7 @@ impl BuiltIn {
     }
 }
 
-/// How far along the metre a motion is at time `t` [s]: 0 to 1.
+/// How far along the metre a motion is at time `t` \[s\]: 0 to 1.
 fn progress(t: f64) -> f64 {
     let moving = (t - REST_BEFORE_S).clamp(0.0, MOVES);
     // There, back and there again: cos(pi t) runs through all three without a seam.
@@ -98,7 +98,7 @@ fn progress(t: f64) -> f64 {
 }
 
 /// The points turned about the vertical axis through `centre`, in the negative sense about +y, until the farthest of
-/// them has gone `arc` [m].
+/// them has gone `arc` \[m\].
 fn rotate(centre: [f64; 3], arc: f64, points: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let radius = |p: &[f64; 3]| (p[0] - centre[0]).hypot(p[2] - centre[2]);
     let farthest = points.iter().map(radius).fold(0.0, f64::max);
@@ -152,7 +152,7 @@ impl std::fmt::Display for Motion {
     }
 }
 
-/// Recorded handle positions [m], in the axes of their file.
+/// Recorded handle positions \[m\], in the axes of their file.
 #[derive(Clone, Debug)]
 pub(super) struct Recording {
     points: Vec<[f64; 3]>,

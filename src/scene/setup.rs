@@ -19,7 +19,7 @@ pub struct Setup {
     pub model: Model,
     /// The start state, frame 0.
     pub start: State<f64>,
-    /// Handle positions [edges] for each frame, the start included, shape [frames][handles].
+    /// Handle positions \[edges\] for each frame, the start included, shape `[frames][handles]`.
     pub handles: Vec<Vec<[f64; 3]>>,
     /// Wind velocity [edges / frame].
     pub wind: [f64; 3],
@@ -36,7 +36,7 @@ pub struct Batch {
     pub model: Model,
     /// The start states, frame 0.
     pub start: State<f64>,
-    /// Handle positions [edges] for each frame, all handles of cloth 0, then of cloth 1, and so on. As many frames as
+    /// Handle positions \[edges\] for each frame, all handles of cloth 0, then of cloth 1, and so on. As many frames as
     /// the longest cloth has; the handles of the others stay at their last positions.
     pub handles: Vec<Vec<[f64; 3]>>,
     /// Wind velocity of each cloth [edges / frame], shape `[B]`.
@@ -84,7 +84,7 @@ impl Setup {
         control(&self.handles, &[self.wind], frame)
     }
 
-    /// Positions [edges], z up, shape [3, H, W], as vertices [m] in the scene's axes, shape `[H W]`.
+    /// Positions \[edges\], z up, shape [3, H, W], as vertices \[m\] in the scene's axes, shape `[H W]`.
     pub fn vertices_m<T: Float>(&self, x: &[T]) -> Vec<[f64; 3]> {
         each_point(x, |p| self.up.from_z_up(self.units.position_m(p)))
     }
@@ -177,7 +177,7 @@ impl Scene {
         Ok(setup)
     }
 
-    /// Handle positions [edges], z up, for each frame, from the handles' places at the start.
+    /// Handle positions \[edges\], z up, for each frame, from the handles' places at the start.
     fn trajectory(&self, units: &Units, at_start: &[[f64; 3]]) -> Result<Vec<Vec<[f64; 3]>>> {
         let many = at_start.len();
         if many == 0 && self.motion != Motion::Still {

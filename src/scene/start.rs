@@ -8,13 +8,13 @@ use crate::sim::Grid;
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 
-/// An affine map of positions in a scene's axes [m]: three rows, the last column is the translation.
+/// An affine map of positions in a scene's axes \[m\]: three rows, the last column is the translation.
 pub type Transform = [[f64; 4]; 3];
 
 /// Positions of all particles in a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartFile {
-    /// An OBJ file, vertex `i W + j` being particle (i, j), or a `.npy` of shape [H, W, 3] or [H W, 3]; the scene's axes [m].
+    /// An OBJ file, vertex `i W + j` being particle (i, j), or a `.npy` of shape [H, W, 3] or [H W, 3]; the scene's axes \[m\].
     pub path: PathBuf,
     /// The grid of the file; none for the scene's. Where they differ the sheet is resampled.
     pub grid: Option<Grid>,

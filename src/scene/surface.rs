@@ -28,7 +28,7 @@ fn norm(v: [f64; 3]) -> f64 {
 }
 
 impl Surface {
-    /// The settled drape on `grid` for a sheet of height 1 m, y up [m].
+    /// The settled drape on `grid` for a sheet of height 1 m, y up \[m\].
     pub fn settled(grid: Grid) -> Result<Self> {
         // The nearer of the two in size; in between (48 x 48) the finer one, which loses less.
         let fine = grid.particles() >= 48 * 48;

@@ -52,9 +52,9 @@ pub struct Moduli {
 /// What one unit of the grid is worth in SI units: an edge, a frame, and the mass of a cell's area.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Units {
-    /// Rest length l of a grid edge [m].
+    /// Rest length l of a grid edge \[m\].
     pub length_m: f64,
-    /// Time T of a frame [s].
+    /// Time T of a frame \[s\].
     pub frame_time_s: f64,
     /// Mass of the sheet by area rho [kg/m^2].
     pub areal_mass_kg_m2: f64,
@@ -65,12 +65,12 @@ fn scale(v: [f64; 3], by: f64) -> [f64; 3] {
 }
 
 impl Units {
-    /// Position [m] to [edges].
+    /// Position \[m\] to \[edges\].
     pub fn position(&self, m: [f64; 3]) -> [f64; 3] {
         scale(m, 1.0 / self.length_m)
     }
 
-    /// Position [edges] to [m].
+    /// Position \[edges\] to \[m\].
     pub fn position_m(&self, edges: [f64; 3]) -> [f64; 3] {
         scale(edges, self.length_m)
     }
