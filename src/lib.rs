@@ -4,6 +4,7 @@ mod error;
 pub mod gpu;
 pub mod kernels;
 pub mod network;
+pub mod scene;
 pub mod sim;
 
 pub use error::{Error, Result};

@@ -1,0 +1,245 @@
+//! Scene files: between JSON and [`Scene`].
+
+use super::json::{self, Node};
+use super::start::read_transform;
+use super::{
+    Handles, Mass, Moduli, Motion, Placement, Scene, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
+};
+use crate::sim::{Grid, Material};
+use crate::{Error, Result};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// The fields of a scene file.
+const FIELDS: [&str; 14] = [
+    "grid",
+    "side_m",
+    "mass_kg",
+    "areal_mass_kg_m2",
+    "material",
+    "gravity",
+    "wind",
+    "frame_time_s",
+    "frames",
+    "start",
+    "handles",
+    "motion",
+    "speed",
+    "up",
+];
+
+impl Scene {
+    /// Reads a scene file, ours or the authors', and checks its numbers. Files that it names are read by [`Scene::setup`].
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        let path = path.as_ref();
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot read", e))?;
+        let origin = path.display().to_string();
+        let text = std::str::from_utf8(&bytes)
+            .map_err(|e| Error::invalid(&origin, "text", "UTF-8", format!("byte {}", e.valid_up_to())))?;
+        // An absolute folder keeps the paths of the scene valid when it is saved elsewhere.
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let folder =
+            std::path::absolute(folder.join(".")).map_err(|e| Error::io(folder, "cannot find", e))?;
+        Self::parse(text, &origin, &folder)
+    }
+
+    /// The scene in a JSON text; relative paths in it are taken from `folder`, and `origin` names it in errors.
+    pub fn parse(text: &str, origin: &str, folder: &Path) -> Result<Self> {
+        let document = json::parse(origin, text)?;
+        let node = Node::root(origin, &document);
+        let scene =
+            if authors::recognise(&document) { authors::read(&node, folder)? } else { read(&node, folder)? };
+        scene.check()?;
+        scene.handles.on(scene.grid, origin)?;
+        Ok(scene)
+    }
+
+    /// The scene as a document that [`Scene::parse`] reads back to the same scene.
+    pub fn to_json(&self) -> Value {
+        let (mass_field, mass) = match self.mass {
+            Mass::Total(kg) => ("mass_kg", kg),
+            Mass::Areal(kg_m2) => ("areal_mass_kg_m2", kg_m2),
+        };
+        let mut document = json!({
+            "grid": [self.grid.h, self.grid.w],
+            "side_m": match self.side_m {
+                Side::Height(h) => json!(h),
+                Side::Both(sides) => json!(sides),
+            },
+            "material": match self.stiffness {
+                Stiffness::Grid(m) => json!({ "stretch": m.stretch, "shear": m.shear, "bend": m.bend }),
+                Stiffness::Moduli(m) => json!({
+                    "stretch_modulus": m.stretch_modulus,
+                    "shear_modulus": m.shear_modulus,
+                    "bending_stiffness": m.bending_stiffness,
+                }),
+            },
+            "gravity": self.gravity,
+            "wind": {
+                "velocity": self.wind.velocity,
+                "density": self.wind.density,
+                "drag": self.wind.drag,
+            },
+            "frame_time_s": self.frame_time_s,
+            "frames": self.frames,
+            "start": match &self.start {
+                Start::File(file) => json!({
+                    "file": file.path.to_string_lossy(),
+                    "grid": file.grid.map(|g| [g.h, g.w]),
+                    "transform": file.transform,
+                }),
+                named => json!(named.name()),
+            },
+            "handles": match &self.handles {
+                Handles::Placement(placement) => json!(placement.name()),
+                Handles::Cells(cells) => json!(cells),
+                Handles::Vertices(vertices) => json!(vertices),
+            },
+            "motion": self.motion.to_string(),
+            "speed": self.speed,
+            "up": match self.up {
+                UpAxis::Y => "y",
+                UpAxis::Z => "z",
+            },
+        });
+        document[mass_field] = json!(mass);
+        document
+    }
+
+    /// Writes the scene to a file that [`Scene::load`] reads back. It appears whole or not at all.
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
+        let path = path.as_ref();
+        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let fail = |e| Error::io(path, "cannot write", e);
+        let file = tempfile::NamedTempFile::new_in(folder).map_err(fail)?;
+        let text = format!("{:#}\n", self.to_json());
+        std::fs::write(file.path(), text).map_err(fail)?;
+        file.persist(path).map_err(|e| fail(e.error))?;
+        Ok(())
+    }
+}
+
+/// Reads our own format; see the documentation of [`super`].
+fn read(node: &Node, folder: &Path) -> Result<Scene> {
+    node.only(&FIELDS)?;
+    let fallback = Scene::default();
+    let up = node.get_or("up", UpAxis::Y, read_up)?;
+    Ok(Scene {
+        grid: node.get_or("grid", fallback.grid, read_grid)?,
+        side_m: node.get_or("side_m", fallback.side_m, read_side)?,
+        mass: read_mass(node)?,
+        stiffness: node.get_or("material", fallback.stiffness, read_stiffness)?,
+        gravity: node.get_or("gravity", up.down(super::GRAVITY_M_S2), |n| read_gravity(n, up))?,
+        wind: node.get_or("wind", fallback.wind, read_wind)?,
+        frame_time_s: node.get_or("frame_time_s", fallback.frame_time_s, Node::number)?,
+        frames: node.get_or("frames", None, |n| n.count().map(Some))?,
+        start: node.get_or("start", fallback.start, |n| read_start(n, folder))?,
+        handles: node.get_or("handles", fallback.handles, read_handles)?,
+        motion: node.get_or("motion", fallback.motion, |n| Motion::parse(n.text()?, n.origin, folder))?,
+        speed: node.get_or("speed", fallback.speed, Node::number)?,
+        up,
+        origin: node.origin.to_owned(),
+    })
+}
+
+fn read_up(node: &Node) -> Result<UpAxis> {
+    match node.text()? {
+        "y" => Ok(UpAxis::Y),
+        "z" => Ok(UpAxis::Z),
+        _ => Err(node.invalid("\"y\" or \"z\"")),
+    }
+}
+
+fn read_grid(node: &Node) -> Result<Grid> {
+    let [h, w] = node.array("two sizes [H, W]", Node::count)?;
+    Grid::new(h, w, node.origin)
+}
+
+fn read_side(node: &Node) -> Result<Side> {
+    if node.value.is_number() {
+        return Ok(Side::Height(node.number()?));
+    }
+    Ok(Side::Both(node.array("the side along the height, or [height, width]", Node::number)?))
+}
+
+fn read_mass(node: &Node) -> Result<Mass> {
+    match (node.get("mass_kg"), node.get("areal_mass_kg_m2")) {
+        (None, None) => Ok(Mass::default()),
+        (Some(total), None) => Ok(Mass::Total(total.number()?)),
+        (None, Some(areal)) => Ok(Mass::Areal(areal.number()?)),
+        (Some(total), Some(_)) => Err(total.invalid("either mass_kg or areal_mass_kg_m2, not both")),
+    }
+}
+
+fn read_stiffness(node: &Node) -> Result<Stiffness> {
+    const MODULI: [&str; 3] = ["stretch_modulus", "shear_modulus", "bending_stiffness"];
+    const GRID: [&str; 3] = ["stretch", "shear", "bend"];
+    let known: Vec<&str> = GRID.into_iter().chain(MODULI).collect();
+    node.only(&known)?;
+    if MODULI.iter().all(|key| node.get(key).is_none()) {
+        let typical = Material::default();
+        return Ok(Stiffness::Grid(Material {
+            stretch: node.get_or(GRID[0], typical.stretch, Node::number)?,
+            shear: node.get_or(GRID[1], typical.shear, Node::number)?,
+            bend: node.get_or(GRID[2], typical.bend, Node::number)?,
+        }));
+    }
+    if let Some(mixed) = GRID.iter().find_map(|key| node.get(key)) {
+        return Err(mixed.invalid("either grid coefficients or SI moduli, not both"));
+    }
+    let expected = format!("all three of {}", MODULI.join(", "));
+    let modulus = |key| node.get(key).ok_or_else(|| node.invalid(expected.clone()))?.number();
+    Ok(Stiffness::Moduli(Moduli {
+        stretch_modulus: modulus(MODULI[0])?,
+        shear_modulus: modulus(MODULI[1])?,
+        bending_stiffness: modulus(MODULI[2])?,
+    }))
+}
+
+/// Gravity as a vector, or as a size that points down whatever its sign.
+pub(super) fn read_gravity(node: &Node, up: UpAxis) -> Result<[f64; 3]> {
+    if node.value.is_number() {
+        return Ok(up.down(node.number()?.abs()));
+    }
+    node.array("three numbers [x, y, z], or one that points down", Node::number)
+}
+
+fn read_wind(node: &Node) -> Result<Wind> {
+    node.only(&["velocity", "density", "drag"])?;
+    let fallback = Wind::default();
+    Ok(Wind {
+        velocity: node.get_or("velocity", fallback.velocity, Node::vector)?,
+        density: node.get_or("density", fallback.density, Node::number)?,
+        drag: node.get_or("drag", fallback.drag, Node::number)?,
+    })
+}
+
+fn read_start(node: &Node, folder: &Path) -> Result<Start> {
+    if node.value.is_string() {
+        return Start::parse(node.text()?, node.origin, folder);
+    }
+    node.only(&["file", "grid", "transform"])?;
+    let file = node.get("file").ok_or_else(|| node.invalid("a name, a path or {\"file\": path, ..}"))?;
+    match Start::parse(file.text()?, node.origin, folder)? {
+        Start::File(StartFile { path, .. }) => Ok(Start::File(StartFile {
+            path,
+            grid: node.get_or("grid", None, |n| read_grid(n).map(Some))?,
+            transform: node.get_or("transform", None, |n| read_transform(n).map(Some))?,
+        })),
+        _ => Err(file.invalid("the path of an .obj or .npy file")),
+    }
+}
+
+fn read_handles(node: &Node) -> Result<Handles> {
+    if node.value.is_string() {
+        return Placement::named(node.text()?, node.origin).map(Handles::Placement);
+    }
+    let Some(items) = node.value.as_array() else {
+        return Err(node.invalid("the name of a placement, pairs [i, j] or vertex numbers"));
+    };
+    if items.first().is_some_and(Value::is_array) {
+        let pair = |n: &Node| n.array("a pair [i, j]", Node::count);
+        return Ok(Handles::Cells(node.items()?.iter().map(pair).collect::<Result<_>>()?));
+    }
+    Ok(Handles::Vertices(node.items()?.iter().map(Node::count).collect::<Result<_>>()?))
+}

@@ -1,0 +1,132 @@
+//! Which particles are handles.
+
+use crate::sim::Grid;
+use crate::{Error, Result};
+
+/// Named places of one or two handles. `h0` and `h1` are the first and the second handle, as rotations name them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Placement {
+    /// `corners`: the corners of the edge j = 0; h0 = (H-1, 0), h1 = (0, 0).
+    Corners,
+    /// `diagonal`: opposite corners; h0 = (H-1, W-1), h1 = (0, 0).
+    Diagonal,
+    /// `mid-edge`: the middles of the two edges along the width; h0 = (H-1, W/2), h1 = (0, W/2).
+    MidEdge,
+    /// `corner-center`: h0 = (H-1, 0), h1 = (H/2, W/2).
+    CornerCenter,
+    /// `single-mid-edge`: the middle of the edge j = 0, (H/2, 0).
+    SingleMidEdge,
+    /// `single-center`: (H/2, W/2).
+    SingleCenter,
+    /// `single-corner`: (H-1, 0).
+    SingleCorner,
+}
+
+impl Placement {
+    /// All placements.
+    pub const ALL: [Placement; 7] = [
+        Placement::Corners,
+        Placement::Diagonal,
+        Placement::MidEdge,
+        Placement::CornerCenter,
+        Placement::SingleMidEdge,
+        Placement::SingleCenter,
+        Placement::SingleCorner,
+    ];
+
+    /// Its name in a scene file.
+    pub fn name(self) -> &'static str {
+        match self {
+            Placement::Corners => "corners",
+            Placement::Diagonal => "diagonal",
+            Placement::MidEdge => "mid-edge",
+            Placement::CornerCenter => "corner-center",
+            Placement::SingleMidEdge => "single-mid-edge",
+            Placement::SingleCenter => "single-center",
+            Placement::SingleCorner => "single-corner",
+        }
+    }
+
+    /// The placement of a name; `origin` is the file or option that gave it.
+    pub fn named(name: &str, origin: &str) -> Result<Self> {
+        let found = Self::ALL.into_iter().find(|p| p.name() == name);
+        let known = Self::ALL.map(Self::name);
+        found.ok_or_else(|| Error::unknown(origin, "handle placement", name, known))
+    }
+
+    /// The handles on a grid, in their order.
+    fn cells(self, grid: Grid) -> Vec<[usize; 2]> {
+        let (top, right) = (grid.h - 1, grid.w - 1);
+        let (i, j) = (grid.h / 2, grid.w / 2);
+        match self {
+            Placement::Corners => vec![[top, 0], [0, 0]],
+            Placement::Diagonal => vec![[top, right], [0, 0]],
+            Placement::MidEdge => vec![[top, j], [0, j]],
+            Placement::CornerCenter => vec![[top, 0], [i, j]],
+            Placement::SingleMidEdge => vec![[i, 0]],
+            Placement::SingleCenter => vec![[i, j]],
+            Placement::SingleCorner => vec![[top, 0]],
+        }
+    }
+}
+
+/// The handles of a scene, in the order in which motions and recordings take them.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Handles {
+    /// A named placement.
+    Placement(Placement),
+    /// Particles by their place (i, j).
+    Cells(Vec<[usize; 2]>),
+    /// Particles by their number `i W + j`.
+    Vertices(Vec<usize>),
+}
+
+impl Handles {
+    /// The particle numbers of the handles on `grid`: all inside it, all different.
+    pub fn on(&self, grid: Grid, origin: &str) -> Result<Vec<usize>> {
+        let at = |[i, j]: [usize; 2]| i * grid.w + j;
+        let particles: Vec<usize> = match self {
+            Handles::Placement(placement) => placement.cells(grid).into_iter().map(at).collect(),
+            Handles::Cells(cells) => {
+                if let Some(k) = cells.iter().position(|c| c[0] >= grid.h || c[1] >= grid.w) {
+                    let expected = format!("i below {} and j below {}", grid.h, grid.w);
+                    let found = format!("[{}, {}]", cells[k][0], cells[k][1]);
+                    return Err(Error::invalid(origin, format!("handles[{k}]"), expected, found));
+                }
+                cells.iter().copied().map(at).collect()
+            }
+            Handles::Vertices(vertices) => vertices.clone(),
+        };
+        let mut seen = vec![false; grid.particles()];
+        for (k, &p) in particles.iter().enumerate() {
+            let field = || format!("handles[{k}]");
+            match seen.get_mut(p) {
+                None => {
+                    let expected = format!("a vertex below {} ({grid})", grid.particles());
+                    return Err(Error::invalid(origin, field(), expected, p));
+                }
+                Some(true) => {
+                    let found = format!("({}, {}) again", p / grid.w, p % grid.w);
+                    return Err(Error::invalid(origin, field(), "a handle that is not yet listed", found));
+                }
+                Some(first) => *first = true,
+            }
+        }
+        Ok(particles)
+    }
+
+    /// The same places of the sheet on another grid: each listed handle moves to the nearest particle.
+    pub(super) fn regrid(&self, from: Grid, to: Grid) -> Self {
+        // Exact in whole numbers: round(k (n' - 1) / (n - 1)).
+        let move_to = |k: usize, n: usize, m: usize| (2 * k.min(n) * (m - 1) + n - 1) / (2 * (n - 1));
+        let cell = |[i, j]: [usize; 2]| [move_to(i, from.h, to.h), move_to(j, from.w, to.w)];
+        match self {
+            Handles::Placement(placement) => Handles::Placement(*placement),
+            Handles::Cells(cells) => Handles::Cells(cells.iter().copied().map(cell).collect()),
+            Handles::Vertices(vertices) => {
+                let moved = vertices.iter().map(|p| cell([p / from.w, p % from.w]));
+                Handles::Vertices(moved.map(|[i, j]| i * to.w + j).collect())
+            }
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Reading JSON value by value, so that every error names the file, the path of the field, what was expected and what is there.
+
+use crate::{Error, Result};
+use serde_json::Value;
+
+/// A value of a JSON document together with where it stands.
+pub(super) struct Node<'a> {
+    /// The file, for errors.
+    pub origin: &'a str,
+    /// Where the value stands, as in `wind.velocity[1]`; empty for the document.
+    pub path: String,
+    /// The value.
+    pub value: &'a Value,
+}
+
+impl<'a> Node<'a> {
+    /// The document itself.
+    pub fn root(origin: &'a str, value: &'a Value) -> Self {
+        Self { origin, path: String::new(), value }
+    }
+
+    /// The error that this value is not `expected`.
+    pub fn invalid(&self, expected: impl Into<String>) -> Error {
+        let field = if self.path.is_empty() { "document" } else { &self.path };
+        Error::invalid(self.origin, field, expected, brief(self.value))
+    }
+
+    /// Fails unless this is an object whose keys are all among `known`.
+    pub fn only(&self, known: &[&str]) -> Result<()> {
+        let object = self.value.as_object().ok_or_else(|| self.invalid("an object { .. }"))?;
+        match object.keys().find(|key| !known.contains(&key.as_str())) {
+            None => Ok(()),
+            Some(key) if self.path.is_empty() => {
+                Err(Error::unknown(self.origin, "field", key, known.iter().copied()))
+            }
+            Some(key) => {
+                let origin = format!("{}: {}", self.origin, self.path);
+                Err(Error::unknown(origin, "field", key, known.iter().copied()))
+            }
+        }
+    }
+
+    /// The member `key` of an object; a null counts as absent, so that it means the default.
+    pub fn get(&self, key: &str) -> Option<Node<'a>> {
+        let value = self.value.get(key).filter(|v| !v.is_null())?;
+        let path = if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) };
+        Some(Node { origin: self.origin, path, value })
+    }
+
+    /// What `read` makes of the member `key`, or `default` where it is absent.
+    pub fn get_or<T>(&self, key: &str, default: T, read: impl Fn(&Node<'a>) -> Result<T>) -> Result<T> {
+        self.get(key).map_or(Ok(default), |node| read(&node))
+    }
+
+    /// The elements of an array.
+    pub fn items(&self) -> Result<Vec<Node<'a>>> {
+        let items = self.value.as_array().ok_or_else(|| self.invalid("an array [ .. ]"))?;
+        let node = |(k, value)| Node { origin: self.origin, path: format!("{}[{k}]", self.path), value };
+        Ok(items.iter().enumerate().map(node).collect())
+    }
+
+    /// An array of exactly `N` elements, read with `read`; `expected` says what the array is.
+    pub fn array<T, const N: usize>(
+        &self,
+        expected: &str,
+        read: impl Fn(&Node<'a>) -> Result<T>,
+    ) -> Result<[T; N]> {
+        if self.value.as_array().is_none_or(|items| items.len() != N) {
+            return Err(self.invalid(expected));
+        }
+        let read: Vec<T> = self.items()?.iter().map(read).collect::<Result<_>>()?;
+        Ok(read.try_into().unwrap_or_else(|_| unreachable!("the length was checked")))
+    }
+
+    /// A number.
+    pub fn number(&self) -> Result<f64> {
+        self.value.as_f64().filter(|v| v.is_finite()).ok_or_else(|| self.invalid("a number"))
+    }
+
+    /// A number that is not negative and fits a count.
+    pub fn count(&self) -> Result<usize> {
+        let count = self.value.as_u64().and_then(|v| usize::try_from(v).ok());
+        count.ok_or_else(|| self.invalid("a whole number, 0 or more"))
+    }
+
+    /// Three numbers.
+    pub fn vector(&self) -> Result<[f64; 3]> {
+        self.array("three numbers [x, y, z]", Node::number)
+    }
+
+    /// A text.
+    pub fn text(&self) -> Result<&'a str> {
+        self.value.as_str().ok_or_else(|| self.invalid("a text"))
+    }
+}
+
+/// A JSON value, short enough for one line.
+fn brief(value: &Value) -> String {
+    let text = value.to_string();
+    match text.char_indices().nth(60) {
+        Some((end, _)) => format!("{}...", &text[..end]),
+        None => text,
+    }
+}
+
+/// Parses a JSON document; the error tells line and column.
+pub(super) fn parse(origin: &str, text: &str) -> Result<Value> {
+    serde_json::from_str(text).map_err(|e| {
+        let place = format!("line {}, column {}", e.line(), e.column());
+        let message = e.to_string();
+        let found = message.split(" at line").next().unwrap_or_default();
+        Error::invalid(origin, place, "JSON", found)
+    })
+}

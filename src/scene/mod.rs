@@ -1,0 +1,313 @@
+//! Scenes: what is simulated, in SI units, and how it becomes a [`Setup`] in grid units.
+//!
+//! A [`Scene`] is read from a file ([`Scene::load`]) or filled in by hand; its fields may be changed freely afterwards, since
+//! [`Scene::setup`] checks everything once more, reads the files that the scene names and turns it into grid units, z up.
+//!
+//! ```
+//! use fnopt::scene::{Motion, Scene};
+//! use fnopt::sim::Grid;
+//! use std::path::Path;
+//!
+//! let mut scene = Scene::default();
+//! scene.regrid(Grid::new(48, 40, "example")?)?;
+//! scene.motion = Motion::parse("rot_h0", "example", Path::new(""))?;
+//! let setup = scene.setup()?;
+//! assert_eq!(setup.frames(), 391);
+//! let metres = setup.vertices_m(&setup.start.x);
+//! assert_eq!(metres.len(), 48 * 40);
+//! # Ok::<(), fnopt::Error>(())
+//! ```
+//!
+//! # The format
+//!
+//! A scene file is a JSON object. Every field may be left out, or be null, and has then the value of the default scene:
+//! `{}` is [`Scene::default`]. A field that is not listed here is an error, here and in the objects inside. Vectors and the
+//! positions in files are in the scene's axes; a path is relative to the scene file.
+//!
+//! | field | value | unit | default |
+//! |---|---|---|---|
+//! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each | | `[32, 32]` |
+//! | `side_m` | side along the height, the width following from square cells; or `[height, width]`, which must make cells square to 0.1 % | m | `1` |
+//! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, or by area; above 0 | kg or kg/m^2 | areal, `0.187` |
+//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three | 1; or N/m, N/m, N m | `{"stretch": 1000, "shear": 8, "bend": 0.5}` |
+//! | `gravity` | vector, or its size, downwards | m/s^2 | 9.8 downwards |
+//! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
+//! | `frame_time_s` | time of a frame | s | `1/60` |
+//! | `frames` | number of frames, the start included | | as many as the motion takes; 391 without a motion |
+//! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj` or `.npy`, or `{"file", "grid", "transform"}` | m | `"settled"` |
+//! | `handles` | a placement, pairs `[[i, j], ..]`, or vertex numbers `[k, ..]` with `k = i W + j` | | `"corners"` |
+//! | `motion` | a built-in name, `"none"`, or the path of a `.npy` | m | `"xy_v2"` |
+//! | `speed` | how many times faster the motion is played | | `1` |
+//! | `up` | `"y"` or `"z"`, the axis that points up | | `"y"` |
+//!
+//! **Grid and material.** One rest length l serves both directions: `l = side / (H - 1)`. Grid coefficients are used as they
+//! are, so that a finer grid is a softer cloth. Moduli are the same cloth on every grid: with areal mass rho and frame time T,
+//! `k_stretch = Y T^2 / (2 rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`, `k_bend = D T^2 / (2 rho l^4)`.
+//!
+//! **Start.** `settled` hangs from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side with y up. `flat` has
+//! particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up. `hanging` is a vertical plane whose upper edge, j = 0, is
+//! `(0, 0.5, z)` times the side. An OBJ has vertex `i W + j` for particle (i, j), and its faces, if it has any, cover each
+//! cell by two triangles or one quadrilateral. A `.npy` (`f4` or `f8`) has shape [H, W, 3] or [H W, 3].
+//! `grid` is the file's own grid where it is not the scene's: the sheet is then resampled. `transform` is applied to the
+//! file's positions: a 4x4 or 3x4 matrix in rows, a translation `[x, y, z]`, or
+//! `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}` in this order. Velocities are zero.
+//!
+//! **Handles.** Placements, h0 first: `corners` (H-1, 0), (0, 0); `diagonal` (H-1, W-1), (0, 0); `mid-edge` (H-1, W/2),
+//! (0, W/2); `corner-center` (H-1, 0), (H/2, W/2); `single-mid-edge` (H/2, 0); `single-center` (H/2, W/2);
+//! `single-corner` (H-1, 0). An empty list is a free cloth, for which the motion must be `"none"`.
+//!
+//! **Motion.** Built-in motions rest 0.5 s, move there, back and there again over 1 m with `s(t) = (1 - cos(pi t)) / 2`, 1 s
+//! each, and rest 3 s; they start from where the handles are. Translations, y up: `fwd` (1,0,0), `side` (0,0,1),
+//! `updown` (0,1,0), `xy` (1,0,1), `yz` (0,1,1), `xz` (1,1,0), `xyz` (1,1,1), `xy_v2` (1,0,-1), `yz_v2` (0,1,-1),
+//! `xz_v2` (1,-1,0), `xyz_v2` (1,1,-1), `xyz_v3` (1,-1,1), `xyz_v4` (-1,1,1). Rotations `rot_h0`, `rot_h1`: the first or
+//! second handle stays, the others circle about the vertical axis through it, the farthest over an arc of 1 m; a single
+//! handle stays. Each has an opposite, as in `xy_v2_opp`. A `.npy` has shape [frames, handles, 3], a row for each frame
+//! time; row 0 is where the handles are at the start. Frame f is taken at `f * speed` frame times: exactly in a built-in
+//! motion, linearly between the rows of a recorded one. Past its end a motion keeps its last position.
+//!
+//! # The authors' scene files
+//!
+//! A document with a field `mesh_..` or `handle_ind_list` is read as a scene of the method's authors: z up, frame time
+//! 1/50 s, gravity 9.76 m/s^2 where it is not given, no motion; all else as in the default scene.
+//!
+//! | field | value |
+//! |---|---|
+//! | `mesh_file` | OBJ beside the scene file, or in its `dataset_dir`; required |
+//! | `mesh_resolution`, or `mesh_resolution_h` and `mesh_resolution_w` | particles per side, required: one number, `[H, W]`, or a field per side. In the authors' code H is `_w` and W is `_h`; where only the other order fits the faces of the mesh, that one is taken |
+//! | `mesh_size`, or `mesh_size_h` and `mesh_size_w` | sides \[m\], in the same order; default 1. The side along the height gives the scale, the other is not used |
+//! | `transform` | as above; the authors write `{"rotate": [degrees, x, y, z], "translate": [x, y, z]}` |
+//! | `gravity` | vector, or its size, downwards, whatever its sign [m/s^2] |
+//! | `handle_ind_list` | vertex numbers, from the last handle to h0: `[0, 992]` means h0 = 992; default `corners` |
+//!
+//! Other fields (cameras, pictures, results) are passed over, except those that are nearly one of these.
+
+mod array;
+mod authors;
+mod file;
+mod handles;
+mod json;
+mod motion;
+mod obj;
+mod setup;
+mod start;
+mod surface;
+mod units;
+
+pub use handles::{Handles, Placement};
+pub use motion::{BuiltIn, Motion};
+pub use setup::{Batch, Setup};
+pub use start::{Start, StartFile, Transform};
+pub use units::{Moduli, Units, UpAxis};
+
+use crate::sim::{Grid, Material};
+use crate::{Error, Result};
+
+/// Gravity of a scene that does not say [m/s^2].
+const GRAVITY_M_S2: f64 = 9.8;
+/// How far the sides may be from square cells: more than rounding, less than one edge in any grid below 1000.
+const SQUARE: f64 = 1e-3;
+
+/// Lengths of the sheet's sides \[m\]. One rest length serves both directions, so cells are square.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Side {
+    /// The side along the height; the width follows from the grid.
+    Height(f64),
+    /// The sides along the height and the width, which must make cells square to 0.1 %.
+    Both([f64; 2]),
+}
+
+impl Side {
+    /// The side along the height \[m\].
+    pub fn height(self) -> f64 {
+        match self {
+            Side::Height(height) | Side::Both([height, _]) => height,
+        }
+    }
+}
+
+/// Mass of the sheet.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Mass {
+    /// Of the whole sheet \[kg\].
+    Total(f64),
+    /// By area [kg/m^2].
+    Areal(f64),
+}
+
+impl Default for Mass {
+    fn default() -> Self {
+        Mass::Areal(0.187)
+    }
+}
+
+impl Mass {
+    /// Keeps the mass by area when the area becomes `ratio` times as large.
+    fn scale_area(&mut self, ratio: f64) {
+        if let Mass::Total(kg) = self {
+            *kg *= ratio;
+        }
+    }
+}
+
+/// How stiff the sheet is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stiffness {
+    /// Coefficients of the energy in grid units, used as they are: a finer grid is then a softer cloth.
+    Grid(Material),
+    /// Moduli in SI units: the same cloth on every grid.
+    Moduli(Moduli),
+}
+
+impl Default for Stiffness {
+    fn default() -> Self {
+        Stiffness::Grid(Material::default())
+    }
+}
+
+impl Stiffness {
+    /// The coefficients of the energy.
+    fn in_grid_units(self, units: &Units) -> Material {
+        match self {
+            Stiffness::Grid(material) => material,
+            Stiffness::Moduli(moduli) => units.material(moduli),
+        }
+    }
+}
+
+/// The air and how it moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wind {
+    /// Velocity [m/s] in the scene's axes.
+    pub velocity: [f64; 3],
+    /// Density [kg/m^3]: resistance to motion across the sheet. 0 for a vacuum.
+    pub density: f64,
+    /// Drag [N s/m^3]: resistance to motion along the sheet.
+    pub drag: f64,
+}
+
+impl Default for Wind {
+    /// Still air of density 1 without drag, as in the reference data.
+    fn default() -> Self {
+        Self { velocity: [0.0; 3], density: 1.0, drag: 0.0 }
+    }
+}
+
+/// A cloth, what acts on it and how its handles move, in SI units and the scene's axes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// Particles along the height and the width.
+    pub grid: Grid,
+    /// Side lengths \[m\].
+    pub side_m: Side,
+    /// Mass of the sheet.
+    pub mass: Mass,
+    /// Stiffness of the sheet.
+    pub stiffness: Stiffness,
+    /// Gravity [m/s^2].
+    pub gravity: [f64; 3],
+    /// The air.
+    pub wind: Wind,
+    /// Time of a frame \[s\].
+    pub frame_time_s: f64,
+    /// Number of frames, the start included; none for as many as the motion takes.
+    pub frames: Option<usize>,
+    /// Where the cloth starts, at rest.
+    pub start: Start,
+    /// The particles whose positions are given.
+    pub handles: Handles,
+    /// How the handles move.
+    pub motion: Motion,
+    /// How many times faster than recorded the motion is played; linear in time, so 2 takes half the frames.
+    pub speed: f64,
+    /// The axis that points up in this scene's vectors and files.
+    pub up: UpAxis,
+    /// Where the scene comes from, for errors.
+    pub origin: String,
+}
+
+impl Default for Scene {
+    /// The scene that the command runs: a square of 1 m on a 32x32 grid swings through `xy_v2` from its settled drape.
+    fn default() -> Self {
+        let up = UpAxis::Y;
+        Self {
+            grid: Grid { h: 32, w: 32 },
+            side_m: Side::Height(1.0),
+            mass: Mass::default(),
+            stiffness: Stiffness::default(),
+            gravity: up.down(GRAVITY_M_S2),
+            wind: Wind::default(),
+            frame_time_s: 1.0 / 60.0,
+            frames: None,
+            start: Start::default(),
+            handles: Handles::Placement(Placement::Corners),
+            motion: BuiltIn::named("xy_v2").map_or(Motion::Still, Motion::BuiltIn),
+            speed: 1.0,
+            up,
+            origin: "scene".to_owned(),
+        }
+    }
+}
+
+impl Scene {
+    /// Checks all numbers that need no file, and gives the units that follow from them.
+    fn check(&self) -> Result<Units> {
+        let grid = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
+        let height = self.side_m.height();
+        self.positive("side_m", height)?;
+        let length_m = height / (grid.h - 1) as f64;
+        let width = length_m * (grid.w - 1) as f64;
+        if let Side::Both([_, given]) = self.side_m {
+            self.positive("side_m", given)?;
+            if (given - width).abs() > SQUARE * width {
+                let expected =
+                    format!("a width of {width:.6} m: square cells on a {grid} grid {height} m high");
+                return Err(Error::invalid(&self.origin, "side_m", expected, format!("{given} m")));
+            }
+        }
+        let areal_mass_kg_m2 = match self.mass {
+            Mass::Total(kg) => self.positive("mass_kg", kg)? / (height * width),
+            Mass::Areal(kg_m2) => kg_m2,
+        };
+        self.positive("areal_mass_kg_m2", areal_mass_kg_m2)?;
+        self.positive("frame_time_s", self.frame_time_s)?;
+        self.positive("speed", self.speed)?;
+        self.check_stiffness()?;
+        self.not_negative("wind.density", self.wind.density)?;
+        self.not_negative("wind.drag", self.wind.drag)?;
+        for (field, vector) in [("gravity", self.gravity), ("wind.velocity", self.wind.velocity)] {
+            if vector.iter().any(|c| !c.is_finite()) {
+                return Err(Error::invalid(&self.origin, field, "finite numbers", format!("{vector:?}")));
+            }
+        }
+        if self.frames == Some(0) {
+            return Err(Error::invalid(&self.origin, "frames", "1 or more", 0));
+        }
+        Ok(Units { length_m, frame_time_s: self.frame_time_s, areal_mass_kg_m2 })
+    }
+
+    fn check_stiffness(&self) -> Result<()> {
+        let fields = match self.stiffness {
+            Stiffness::Grid(m) => [("stretch", m.stretch), ("shear", m.shear), ("bend", m.bend)],
+            Stiffness::Moduli(m) => [
+                ("stretch_modulus", m.stretch_modulus),
+                ("shear_modulus", m.shear_modulus),
+                ("bending_stiffness", m.bending_stiffness),
+            ],
+        };
+        fields.iter().try_for_each(|(name, value)| self.not_negative(&format!("material.{name}"), *value))
+    }
+
+    fn positive(&self, field: &str, value: f64) -> Result<f64> {
+        if value.is_finite() && value > 0.0 {
+            return Ok(value);
+        }
+        Err(Error::invalid(&self.origin, field, "a finite number above 0", value))
+    }
+
+    fn not_negative(&self, field: &str, value: f64) -> Result<()> {
+        if value.is_finite() && value >= 0.0 {
+            return Ok(());
+        }
+        Err(Error::invalid(&self.origin, field, "a finite number, 0 or more", value))
+    }
+}

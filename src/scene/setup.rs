@@ -1,0 +1,262 @@
+//! What a simulation needs of a scene: everything in grid units, z up.
+
+use super::motion::Recording;
+use super::{Handles, Motion, Scene, Units, UpAxis};
+use crate::sim::{Cloth, Control, Grid, Model, State};
+use crate::{Error, Result};
+use num_traits::Float;
+
+/// The longest run, and the most handle positions, that a scene may ask for: far above any use, well inside memory.
+const MAX_FRAMES: usize = 1_000_000;
+const MAX_HANDLE_POSITIONS: usize = 50_000_000;
+/// Frames of a scene whose handles stay, where it does not say how many: as many as the built-in motions have.
+const STILL_FRAMES: usize = 391;
+
+/// A scene made ready: one cloth in grid units, z up, and the way back to SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Setup {
+    /// What stays fixed; one cloth.
+    pub model: Model,
+    /// The start state, frame 0.
+    pub start: State<f64>,
+    /// Handle positions \[edges\] for each frame, the start included, shape `[frames][handles]`.
+    pub handles: Vec<Vec<[f64; 3]>>,
+    /// Wind velocity [edges / frame].
+    pub wind: [f64; 3],
+    /// What an edge, a frame and a cell weigh in SI units.
+    pub units: Units,
+    /// The axis that points up at the surface.
+    pub up: UpAxis,
+}
+
+/// Several cloths on one grid, ready to advance together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Batch {
+    /// What stays fixed; B cloths.
+    pub model: Model,
+    /// The start states, frame 0.
+    pub start: State<f64>,
+    /// Handle positions \[edges\] for each frame, all handles of cloth 0, then of cloth 1, and so on. As many frames as
+    /// the longest cloth has; the handles of the others stay at their last positions.
+    pub handles: Vec<Vec<[f64; 3]>>,
+    /// Wind velocity of each cloth [edges / frame], shape `[B]`.
+    pub wind: Vec<[f64; 3]>,
+    /// Units of each cloth, shape `[B]`.
+    pub units: Vec<Units>,
+    /// The axis that points up at the surface of each cloth, shape `[B]`.
+    pub up: Vec<UpAxis>,
+}
+
+fn cast<T: Float>(v: [f64; 3]) -> [T; 3] {
+    v.map(|c| T::from(c).expect("a float casts to a float"))
+}
+
+/// Positions, velocities or the like, shape [3, H, W], point by point through `f`.
+fn each_point<T: Float>(field: &[T], f: impl Fn([f64; 3]) -> [f64; 3]) -> Vec<[f64; 3]> {
+    let n = field.len() / 3;
+    let value = |k: usize| field[k].to_f64().expect("a float casts to a float");
+    (0..n).map(|p| f([value(p), value(n + p), value(2 * n + p)])).collect()
+}
+
+/// Points in the order of their numbers as a field of shape [3, H, W].
+fn field(points: &[[f64; 3]]) -> Vec<f64> {
+    (0..3).flat_map(|c| points.iter().map(move |p| p[c])).collect()
+}
+
+/// The control of a frame; the handles of a frame past the end stay at their last positions.
+fn control<T: Float>(handles: &[Vec<[f64; 3]>], wind: &[[f64; 3]], frame: usize) -> Control<T> {
+    let row = handles.get(frame).or(handles.last()).map_or(&[][..], Vec::as_slice);
+    Control {
+        handles: row.iter().map(|&p| cast(p)).collect(),
+        wind: wind.iter().map(|&w| cast(w)).collect(),
+        forces: Vec::new(),
+    }
+}
+
+impl Setup {
+    /// Number of frames, the start included.
+    pub fn frames(&self) -> usize {
+        self.handles.len()
+    }
+
+    /// What drives the step that ends at `frame`, counted from the start as 0; past the end the handles stay.
+    pub fn control<T: Float>(&self, frame: usize) -> Control<T> {
+        control(&self.handles, &[self.wind], frame)
+    }
+
+    /// Positions \[edges\], z up, shape [3, H, W], as vertices \[m\] in the scene's axes, shape `[H W]`.
+    pub fn vertices_m<T: Float>(&self, x: &[T]) -> Vec<[f64; 3]> {
+        each_point(x, |p| self.up.from_z_up(self.units.position_m(p)))
+    }
+
+    /// Velocities [edges / frame], z up, shape [3, H, W], as velocities [m/s] in the scene's axes, shape `[H W]`.
+    pub fn velocities_m_s<T: Float>(&self, v: &[T]) -> Vec<[f64; 3]> {
+        each_point(v, |p| self.up.from_z_up(self.units.velocity_m_s(p)))
+    }
+
+    /// Makes one batch of several scenes on one grid with one frame time.
+    pub fn batch(setups: &[Setup]) -> Result<Batch> {
+        let Some(first) = setups.first() else {
+            return Err(Error::invalid("batch", "cloths", "at least one", 0));
+        };
+        let (grid, frame_time) = (first.model.grid, first.units.frame_time_s);
+        for (k, setup) in setups.iter().enumerate() {
+            let name = format!("cloth {k}");
+            if setup.model.grid != grid {
+                return Err(Error::invalid("batch", name, format!("a {grid} grid"), setup.model.grid));
+            }
+            if setup.units.frame_time_s != frame_time {
+                let expected = format!("a frame time of {frame_time} s");
+                return Err(Error::invalid("batch", name, expected, setup.units.frame_time_s));
+            }
+        }
+        let frames = setups.iter().map(Setup::frames).max().unwrap_or(0);
+        let row = |f: usize| setups.iter().flat_map(|s| s.handles[f.min(s.frames() - 1)].clone()).collect();
+        Ok(Batch {
+            model: Model { grid, cloths: setups.iter().flat_map(|s| s.model.cloths.clone()).collect() },
+            start: State {
+                x: setups.iter().flat_map(|s| s.start.x.iter().copied()).collect(),
+                v: setups.iter().flat_map(|s| s.start.v.iter().copied()).collect(),
+            },
+            handles: (0..frames).map(row).collect(),
+            wind: setups.iter().map(|s| s.wind).collect(),
+            units: setups.iter().map(|s| s.units).collect(),
+            up: setups.iter().map(|s| s.up).collect(),
+        })
+    }
+}
+
+impl Batch {
+    /// Number of frames, the start included.
+    pub fn frames(&self) -> usize {
+        self.handles.len()
+    }
+
+    /// What drives the step that ends at `frame`, counted from the start as 0; past the end the handles stay.
+    pub fn control<T: Float>(&self, frame: usize) -> Control<T> {
+        control(&self.handles, &self.wind, frame)
+    }
+}
+
+impl Scene {
+    /// Checks the scene, reads its files and turns it into grid units, z up.
+    pub fn setup(&self) -> Result<Setup> {
+        let units = self.check()?;
+        let grid = self.grid;
+        let particles = self.handles.on(grid, &self.origin)?;
+        let mut points = self.start.on(grid, &units, self.up)?;
+        let at_start: Vec<[f64; 3]> = particles.iter().map(|&p| points[p]).collect();
+        let handles = self.trajectory(&units, &at_start)?;
+        // A recording's first row is where the handles are at the start; for a built-in motion this changes nothing.
+        for (&p, &at) in particles.iter().zip(&handles[0]) {
+            let gap = (0..3).map(|c| (points[p][c] - at[c]).powi(2)).sum::<f64>().sqrt();
+            if gap > 1.0 {
+                tracing::warn!(
+                    "{}: motion: handle {p} begins {gap:.1} edges from where the start state has it",
+                    self.origin
+                );
+            }
+            points[p] = at;
+        }
+        let cloth = Cloth {
+            material: self.stiffness.in_grid_units(&units),
+            gravity: units.acceleration(self.up.to_z_up(self.gravity)),
+            air: units.air(self.wind.density, self.wind.drag),
+            handles: particles,
+        };
+        let x = field(&points);
+        let setup = Setup {
+            start: State { v: vec![0.0; x.len()], x },
+            model: Model { grid, cloths: vec![cloth] },
+            handles,
+            wind: units.velocity(self.up.to_z_up(self.wind.velocity)),
+            units,
+            up: self.up,
+        };
+        self.check_finite(&setup)?;
+        Ok(setup)
+    }
+
+    /// Handle positions \[edges\], z up, for each frame, from the handles' places at the start.
+    fn trajectory(&self, units: &Units, at_start: &[[f64; 3]]) -> Result<Vec<Vec<[f64; 3]>>> {
+        let many = at_start.len();
+        if many == 0 && self.motion != Motion::Still {
+            let expected = format!("a handle for the motion '{}' (or the motion 'none')", self.motion);
+            return Err(Error::invalid(&self.origin, "handles", expected, "none"));
+        }
+        match &self.motion {
+            Motion::Still => {
+                let frames = self.frame_count(STILL_FRAMES as f64 - 1.0, many)?;
+                Ok(vec![at_start.to_vec(); frames])
+            }
+            Motion::BuiltIn(motion) => {
+                let step = units.frame_time_s * self.speed;
+                let frames = self.frame_count(super::BuiltIn::DURATION_S / step, many)?;
+                let axes = UpAxis::Y;
+                let start: Vec<_> = at_start.iter().map(|&p| axes.from_z_up(units.position_m(p))).collect();
+                let inside = |p| units.position(axes.to_z_up(p));
+                let row = |f: usize| motion.at(f as f64 * step, &start).into_iter().map(inside).collect();
+                Ok((0..frames).map(row).collect())
+            }
+            Motion::File(path) => {
+                let recording = Recording::read(path, many)?;
+                let frames = self.frame_count((recording.frames() - 1) as f64 / self.speed, many)?;
+                let inside = |p| units.position(self.up.to_z_up(p));
+                let row = |f: usize| recording.at(f as f64 * self.speed).into_iter().map(inside).collect();
+                Ok((0..frames).map(row).collect())
+            }
+        }
+    }
+
+    /// The frames that the scene asks for, or those that it takes to the end of its motion, `steps` after the start.
+    fn frame_count(&self, steps: f64, handles: usize) -> Result<usize> {
+        // A hair less, lest 390.00000000000006 become 391 steps.
+        let frames = self.frames.unwrap_or((steps - 1e-6).ceil().max(0.0) as usize + 1);
+        let most = MAX_FRAMES.min(MAX_HANDLE_POSITIONS / handles.max(1));
+        if (1..=most).contains(&frames) {
+            Ok(frames)
+        } else {
+            let expected = format!("1 to {most} frames with {handles} handles");
+            Err(Error::invalid(&self.origin, "frames", expected, frames))
+        }
+    }
+
+    /// Numbers that are finite in SI units may not be so in grid units.
+    fn check_finite(&self, setup: &Setup) -> Result<()> {
+        let cloth = &setup.model.cloths[0];
+        let material = [cloth.material.stretch, cloth.material.shear, cloth.material.bend];
+        let wind = [cloth.air.density, cloth.air.drag].into_iter().chain(setup.wind);
+        let fields: [(&str, bool); 5] = [
+            ("material", material.iter().all(|v| v.is_finite())),
+            ("gravity", cloth.gravity.iter().all(|v| v.is_finite())),
+            ("wind", wind.into_iter().all(f64::is_finite)),
+            ("start", setup.start.x.iter().all(|v| v.is_finite())),
+            ("motion", setup.handles.iter().flatten().flatten().all(|v| v.is_finite())),
+        ];
+        match fields.iter().find(|(_, finite)| !finite) {
+            None => Ok(()),
+            Some((name, _)) => Err(Error::invalid(
+                &self.origin,
+                *name,
+                "values that stay finite in grid units",
+                "an overflow",
+            )),
+        }
+    }
+
+    /// The same scene on another grid: the side along the height stays and cells are square, so the width follows, and
+    /// so does the total mass; grid coefficients stay as they are, moduli stay the sheet's; listed handles move to the
+    /// nearest particle, and a start state from a file is resampled.
+    pub fn regrid(&mut self, grid: Grid) -> Result<()> {
+        let old = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
+        let aspect = |g: Grid| (g.w - 1) as f64 / (g.h - 1) as f64;
+        self.mass.scale_area(aspect(grid) / aspect(old));
+        self.side_m = super::Side::Height(self.side_m.height());
+        self.handles = Handles::regrid(&self.handles, old, grid);
+        if let super::Start::File(file) = &mut self.start {
+            file.grid.get_or_insert(old);
+        }
+        self.grid = grid;
+        Ok(())
+    }
+}

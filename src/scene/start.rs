@@ -1,0 +1,172 @@
+//! Where the cloth is at frame 0, at rest.
+
+use super::obj::Mesh;
+use super::surface::Surface;
+use super::units::{Units, UpAxis};
+use super::{array, json::Node};
+use crate::sim::Grid;
+use crate::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// An affine map of positions in a scene's axes \[m\]: three rows, the last column is the translation.
+pub type Transform = [[f64; 4]; 3];
+
+/// Positions of all particles in a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StartFile {
+    /// An OBJ file, vertex `i W + j` being particle (i, j), or a `.npy` of shape [H, W, 3] or [H W, 3]; the scene's axes \[m\].
+    pub path: PathBuf,
+    /// The grid of the file; none for the scene's. Where they differ the sheet is resampled.
+    pub grid: Option<Grid>,
+    /// What is applied to the file's positions.
+    pub transform: Option<Transform>,
+}
+
+/// The start state of a scene. Velocities are zero.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Start {
+    /// `settled`: a drape that hangs from its corners (H-1, 0) and (0, 0), which are 0.9 of the side apart.
+    #[default]
+    Settled,
+    /// `flat`: horizontal, particle (i, j) at (j, i - (H-1)/2, 0) edges, z up.
+    Flat,
+    /// `hanging`: a vertical plane that hangs from its edge j = 0.
+    Hanging,
+    /// Positions from a file.
+    File(StartFile),
+}
+
+/// Names of the start states that need no file.
+const NAMES: [&str; 3] = ["settled", "flat", "hanging"];
+
+fn is_file(text: &str) -> bool {
+    let text = text.to_ascii_lowercase();
+    text.ends_with(".obj") || text.ends_with(".npy")
+}
+
+impl Start {
+    /// The start state that a text names: a built-in one, or the path of an `.obj` or `.npy` file, taken relative to
+    /// `folder`. `origin` is the file or option that gave the text.
+    pub fn parse(text: &str, origin: &str, folder: &Path) -> Result<Self> {
+        match text {
+            "settled" => Ok(Start::Settled),
+            "flat" => Ok(Start::Flat),
+            "hanging" => Ok(Start::Hanging),
+            _ if is_file(text) => {
+                Ok(Start::File(StartFile { path: folder.join(text), grid: None, transform: None }))
+            }
+            _ => {
+                let known = NAMES.iter().copied().chain(["FILE.obj", "FILE.npy"]);
+                Err(Error::unknown(origin, "start state", text, known))
+            }
+        }
+    }
+
+    /// Its name, where it needs no file.
+    pub(super) fn name(&self) -> Option<&'static str> {
+        match self {
+            Start::Settled => Some(NAMES[0]),
+            Start::Flat => Some(NAMES[1]),
+            Start::Hanging => Some(NAMES[2]),
+            Start::File(_) => None,
+        }
+    }
+
+    /// Positions of the particles of `grid`, in the order of their numbers; grid units, z up.
+    pub(super) fn on(&self, grid: Grid, units: &Units, up: UpAxis) -> Result<Vec<[f64; 3]>> {
+        let half = (grid.h - 1) as f64 / 2.0;
+        let plane = |place: &dyn Fn(f64, f64) -> [f64; 3]| {
+            (0..grid.particles()).map(|p| place((p / grid.w) as f64, (p % grid.w) as f64)).collect()
+        };
+        match self {
+            Start::Settled => {
+                // Stored for a height of 1 m, which is H - 1 edges.
+                let edges = |p: [f64; 3]| UpAxis::Y.to_z_up(p).map(|c| c * (grid.h - 1) as f64);
+                Ok(Surface::settled(grid)?.points.into_iter().map(edges).collect())
+            }
+            Start::Flat => Ok(plane(&|i, j| [j, i - half, 0.0])),
+            // In the axes of the drape: with y up, i runs along +z and the upper edge is half a side above the origin.
+            Start::Hanging => Ok(plane(&|i, j| [0.0, half - i, half - j])),
+            Start::File(file) => {
+                let inside = |p: [f64; 3]| units.position(up.to_z_up(file.transformed(p)));
+                Ok(file.read(grid)?.regrid(grid).points.into_iter().map(inside).collect())
+            }
+        }
+    }
+}
+
+impl StartFile {
+    /// The sheet in the file, on its own grid, before the transform.
+    fn read(&self, scene_grid: Grid) -> Result<Surface> {
+        let grid = self.grid.unwrap_or(scene_grid);
+        let origin = self.path.display().to_string();
+        let points = match self.path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase) {
+            Some(e) if e == "obj" => {
+                let mesh = Mesh::read(&self.path)?;
+                mesh.check(grid)?;
+                mesh.points
+            }
+            Some(e) if e == "npy" => {
+                let array = array::read_npy(&self.path)?;
+                let shape = array.shape();
+                if shape != [grid.h, grid.w, 3] && shape != [grid.particles(), 3] {
+                    let expected = format!("[{}, {}, 3] or [{}, 3]", grid.h, grid.w, grid.particles());
+                    return Err(Error::invalid(origin, "shape", expected, format!("{shape:?}")));
+                }
+                array::points(&origin, &array)?
+            }
+            _ => return Err(Error::invalid(origin, "start", "an .obj or .npy file", "another ending")),
+        };
+        Ok(Surface { grid, points })
+    }
+
+    fn transformed(&self, p: [f64; 3]) -> [f64; 3] {
+        let row = |r: [f64; 4]| r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + r[3];
+        self.transform.map_or(p, |t| t.map(row))
+    }
+}
+
+/// Reads a transform: a matrix of 4x4 or 3x4 numbers, a translation [x, y, z], or
+/// `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}`, applied in this order.
+pub(super) fn read_transform(node: &Node) -> Result<Transform> {
+    if node.value.is_object() {
+        node.only(&["rotate", "scale", "translate"])?;
+        let rotate = |n: &Node| n.array("[degrees, x, y, z]", Node::number).and_then(|r| rotation(n, r));
+        let turn = node.get_or("rotate", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], rotate)?;
+        let scale = node.get_or("scale", 1.0, Node::number)?;
+        let shift = node.get_or("translate", [0.0; 3], Node::vector)?;
+        let entry = |r: usize, c: usize| if c < 3 { scale * turn[r][c] } else { shift[r] };
+        return Ok(std::array::from_fn(|r| std::array::from_fn(|c| entry(r, c))));
+    }
+    let expected = "a 4x4 or 3x4 matrix, a translation [x, y, z] or {rotate, scale, translate}";
+    let rows = node.value.as_array().ok_or_else(|| node.invalid(expected))?;
+    if rows.len() == 3 && rows.iter().all(serde_json::Value::is_number) {
+        let [x, y, z] = node.vector()?;
+        return Ok([[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z]]);
+    }
+    if rows.len() != 3 && rows.len() != 4 {
+        return Err(node.invalid(expected));
+    }
+    let rows: Vec<[f64; 4]> =
+        node.items()?.iter().map(|row| row.array("four numbers", Node::number)).collect::<Result<_>>()?;
+    if rows.get(3).is_some_and(|last| *last != [0.0, 0.0, 0.0, 1.0]) {
+        return Err(node.invalid("a matrix whose last row is [0, 0, 0, 1]"));
+    }
+    Ok([rows[0], rows[1], rows[2]])
+}
+
+/// The matrix of a turn about an axis (Rodrigues).
+fn rotation(node: &Node, [degrees, x, y, z]: [f64; 4]) -> Result<[[f64; 3]; 3]> {
+    let length = (x * x + y * y + z * z).sqrt();
+    if length == 0.0 || !length.is_finite() {
+        return Err(node.invalid("an axis that is not zero"));
+    }
+    let axis = [x / length, y / length, z / length];
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    let cross = [[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]];
+    let entry = |r: usize, c: usize| {
+        let identity = if r == c { cos } else { 0.0 };
+        identity + (1.0 - cos) * axis[r] * axis[c] + sin * cross[r][c]
+    };
+    Ok(std::array::from_fn(|r| std::array::from_fn(|c| entry(r, c))))
+}

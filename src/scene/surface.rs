@@ -1,0 +1,128 @@
+//! Sampled sheets: the stored drapes, and carrying a sheet from one grid to another.
+
+use super::array;
+use crate::Result;
+use crate::sim::Grid;
+
+/// A drape that hangs at rest from its two upper corners, drawn together to 0.9 of the side; side 1 m, y up.
+const SETTLED: [&[u8]; 2] = [
+    include_bytes!("../../assets/starts/settled_32.npy"),
+    include_bytes!("../../assets/starts/settled_64.npy"),
+];
+
+/// Positions of the particles of a grid, in the order of their numbers.
+#[derive(Clone, Debug)]
+pub(super) struct Surface {
+    /// The grid.
+    pub grid: Grid,
+    /// The position of each particle.
+    pub points: Vec<[f64; 3]>,
+}
+
+fn zip(a: [f64; 3], b: [f64; 3], f: impl Fn(f64, f64) -> f64) -> [f64; 3] {
+    std::array::from_fn(|c| f(a[c], b[c]))
+}
+
+fn norm(v: [f64; 3]) -> f64 {
+    v.iter().map(|c| c * c).sum::<f64>().sqrt()
+}
+
+impl Surface {
+    /// The settled drape on `grid` for a sheet of height 1 m, y up \[m\].
+    pub fn settled(grid: Grid) -> Result<Self> {
+        // The nearer of the two in size; in between (48 x 48) the finer one, which loses less.
+        let fine = grid.particles() >= 48 * 48;
+        let stored = array::parse_npy("the stored drape", SETTLED[usize::from(fine)])?;
+        let grid_of = Grid { h: stored.shape()[0], w: stored.shape()[1] };
+        Ok(Self { grid: grid_of, points: array::points("the stored drape", &stored)? }.regrid(grid))
+    }
+
+    /// The sheet on another grid of square cells, its height kept. Where the ratio of the sides changes, the sheet
+    /// becomes longer or shorter along its width so that the edges keep about their length.
+    pub fn regrid(&self, grid: Grid) -> Self {
+        let aspect = |g: Grid| (g.w - 1) as f64 / (g.h - 1) as f64;
+        let ratio = aspect(grid) / aspect(self.grid);
+        let mut sheet = if grid == self.grid { self.clone() } else { self.resample(grid) };
+        if ratio < 1.0 - 1e-9 {
+            sheet.shorten(ratio);
+        } else if ratio > 1.0 + 1e-9 {
+            sheet.lengthen(ratio);
+        }
+        sheet
+    }
+
+    /// Samples the sheet at the particles of another grid, corners on corners, through Catmull-Rom splines: linear
+    /// pieces would put all the bending of a finer grid into creases along the lines of the coarser one.
+    fn resample(&self, grid: Grid) -> Self {
+        let place = |k: usize, n: usize, m: usize| (k * (n - 1)) as f64 / (m - 1) as f64;
+        let mut points = Vec::with_capacity(grid.particles());
+        // Along the height first, for the columns of the source, then along the width.
+        let mut row = vec![[0.0; 3]; self.grid.w];
+        for i in 0..grid.h {
+            let at = place(i, self.grid.h, grid.h);
+            for (j, point) in row.iter_mut().enumerate() {
+                *point = spline(self.grid.h, at, |k| self.points[k * self.grid.w + j]);
+            }
+            points.extend((0..grid.w).map(|j| spline(row.len(), place(j, row.len(), grid.w), |k| row[k])));
+        }
+        Self { grid, points }
+    }
+
+    /// Draws every row of particles towards its end at j = 0: edges along the width shrink by exactly `ratio`, and those
+    /// along the height stay mixtures of two of the sheet's own.
+    fn shorten(&mut self, ratio: f64) {
+        for row in self.points.chunks_mut(self.grid.w) {
+            let end = row[0];
+            row.iter_mut().for_each(|p| *p = zip(end, *p, |e, p| e + ratio * (p - e)));
+        }
+    }
+
+    /// Moves every column as a whole, along its mean direction from the one before, until the edges between the two are
+    /// on average `ratio` times as long. Edges along the height do not change: stretching each row on its own, as
+    /// [`Surface::shorten`] does, would tear neighbouring rows of a fold apart.
+    fn lengthen(&mut self, ratio: f64) {
+        let Grid { h, w } = self.grid;
+        let before = self.points.clone();
+        let mut moved = [0.0; 3];
+        for j in 1..w {
+            let edges: Vec<[f64; 3]> =
+                (0..h).map(|i| zip(before[i * w + j], before[i * w + j - 1], |b, a| b - a)).collect();
+            let mean = edges.iter().fold([0.0; 3], |sum, e| zip(sum, *e, |a, b| a + b / h as f64));
+            let direction = match norm(mean) {
+                0.0 => [1.0, 0.0, 0.0],
+                length => mean.map(|c| c / length),
+            };
+            let length = |by: f64| {
+                edges.iter().map(|e| norm(zip(*e, direction, |e, d| e + by * d))).sum::<f64>() / h as f64
+            };
+            // The mean length grows with the shift, and at (ratio + 1) times the length it is past its aim.
+            let aim = ratio * length(0.0);
+            let (mut low, mut high) = (0.0, aim + length(0.0));
+            for _ in 0..24 {
+                let middle = 0.5 * (low + high);
+                if length(middle) < aim { low = middle } else { high = middle }
+            }
+            moved = zip(moved, direction, |m, d| m + high * d);
+            for i in 0..h {
+                let point = &mut self.points[i * w + j];
+                *point = zip(*point, moved, |p, m| p + m);
+            }
+        }
+    }
+}
+
+/// The Catmull-Rom spline through `n` points at parameter `at`, 0 to n - 1; beyond its ends the points go on in a line.
+fn spline(n: usize, at: f64, point: impl Fn(usize) -> [f64; 3]) -> [f64; 3] {
+    let k = (at as usize).min(n - 2);
+    let t = at - k as f64;
+    let (b, c) = (point(k), point(k + 1));
+    let a = if k > 0 { point(k - 1) } else { zip(b, c, |b, c| 2.0 * b - c) };
+    let d = if k + 2 < n { point(k + 2) } else { zip(c, b, |c, b| 2.0 * c - b) };
+    std::array::from_fn(|x| {
+        let slope_b = 0.5 * (c[x] - a[x]);
+        let slope_c = 0.5 * (d[x] - b[x]);
+        let rise = c[x] - b[x];
+        let (quadratic, cubic) = (3.0 * rise - 2.0 * slope_b - slope_c, slope_b + slope_c - 2.0 * rise);
+        b[x] + t * (slope_b + t * (quadratic + t * cubic))
+    })
+}
