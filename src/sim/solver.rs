@@ -292,7 +292,7 @@ impl Rule {
         let per_iteration = partial.len();
         let norms = Norms::new(context, matches!(self, Self::Learned { .. }))?;
         // The partial sums of each iteration are kept for the statistics.
-        let mut sum = move |frame: &mut Schedule, iteration: usize, hidden: &Tensor| {
+        let sum = move |frame: &mut Schedule, iteration: usize, hidden: &Tensor| {
             norms.push(frame, &iterate.grad, hidden, &partial);
             frame.copy(&partial, &solver.norms, iteration * per_iteration);
             partial.clone()
