@@ -1,5 +1,6 @@
 //! Neural cloth on the GPU.
 
+pub mod cpu;
 mod error;
 pub mod gpu;
 pub mod kernels;

@@ -1,7 +1,8 @@
 //! Sizes and weights of the Fourier neural operator (paper section 4).
 
 /// Sizes of the network.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Config {
     /// Fields per sample before the positional ones: gradient, last gradient, last step.
     pub fields: usize,

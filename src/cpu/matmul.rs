@@ -1,0 +1,201 @@
+//! The one matrix product of the CPU path: small panels of row-major matrices, held in vector registers.
+//!
+//! Every linear stage of the operator is brought to the form `out = start + sum over terms of A B`, in which the channels
+//! run along the registers, so that a few thousand elements of activations stay in the first-level cache from one stage
+//! to the next. The products of a general library pack both operands first, which costs as much as such a small product.
+
+use super::real::Real;
+use pulp::{Simd, WithSimd};
+
+/// Channel counts are padded to a multiple of this, the widest register in use.
+pub(crate) const LANES: usize = 16;
+/// Rows of `out` that one block of registers holds.
+const BLOCK_ROWS: usize = 6;
+
+/// One product `A B` of a sum: A of shape [M, K] with `a_stride` between rows, B of shape [K, N] with `b_stride`.
+pub(crate) struct Term<'a, T> {
+    pub a: &'a [T],
+    pub a_stride: usize,
+    pub b: &'a [T],
+    pub b_stride: usize,
+    /// K, the length of the sum.
+    pub depth: usize,
+}
+
+/// Where a product goes: M rows of N numbers with `stride` between rows; N is a multiple of [`LANES`].
+pub(crate) struct Target<'a, T> {
+    pub out: &'a mut [T],
+    pub stride: usize,
+    pub rows: usize,
+    pub columns: usize,
+    /// What each row starts from, shape [N], such as a bias; zero if there is none.
+    pub start: Option<&'a [T]>,
+}
+
+/// `out[m, n] = start[n] + sum over terms and k of a[m, k] b[k, n]`, summed in this order whatever the threads do.
+pub(crate) fn product<T: Real>(target: Target<'_, T>, terms: &[Term<'_, T>]) {
+    assert!(target.columns.is_multiple_of(LANES), "columns come in multiples of the register width");
+    pulp::Arch::new().dispatch(Product { target, terms });
+}
+
+/// `out[m] = start + sum over k of a[m, k] weight[k]` for rows of `weight.len()` numbers, a multiple of [`LANES`].
+pub(crate) fn weighted_rows<T: Real>(out: &mut [T], start: T, a: &[T], weight: &[T]) {
+    pulp::Arch::new().dispatch(WeightedRows { out, start, a, weight });
+}
+
+/// `largest[n] = max(largest[n], rows[m, n])` over all rows, each of `largest.len()` numbers.
+pub(crate) fn largest_rows<T: Real>(largest: &mut [T], rows: &[T]) {
+    pulp::Arch::new().dispatch(LargestRows { largest, rows });
+}
+
+struct Product<'a, 'b, T> {
+    target: Target<'a, T>,
+    terms: &'b [Term<'b, T>],
+}
+
+impl<T: Real> WithSimd for Product<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        let width = LANES / T::lanes::<S>(&[T::zero(); LANES]).len();
+        let mut column = 0;
+        // Blocks of 6 x 4 registers fill a file of 32, blocks of 6 x 2 one of 16.
+        let wide = if S::REGISTER_COUNT >= 32 { 4 } else { 2 };
+        while column < self.target.columns {
+            let left = (self.target.columns - column) / width;
+            if wide == 4 && left >= 4 {
+                panel::<T, S, 4>(simd, &mut self, column);
+                column += 4 * width;
+            } else if left >= 2 {
+                panel::<T, S, 2>(simd, &mut self, column);
+                column += 2 * width;
+            } else {
+                panel::<T, S, 1>(simd, &mut self, column);
+                column += width;
+            }
+        }
+    }
+}
+
+/// `V` registers of columns from `column` on, all rows, in blocks of nearly equal height.
+#[inline(always)]
+fn panel<T: Real, S: Simd, const V: usize>(simd: S, p: &mut Product<'_, '_, T>, column: usize) {
+    let rows = p.target.rows;
+    let blocks = rows.div_ceil(BLOCK_ROWS);
+    for index in 0..blocks {
+        let (row, end) = (index * rows / blocks, (index + 1) * rows / blocks);
+        match end - row {
+            1 => block::<T, S, 1, V>(simd, p, row, column),
+            2 => block::<T, S, 2, V>(simd, p, row, column),
+            3 => block::<T, S, 3, V>(simd, p, row, column),
+            4 => block::<T, S, 4, V>(simd, p, row, column),
+            5 => block::<T, S, 5, V>(simd, p, row, column),
+            _ => block::<T, S, BLOCK_ROWS, V>(simd, p, row, column),
+        }
+    }
+}
+
+#[inline(always)]
+fn block<T: Real, S: Simd, const M: usize, const V: usize>(
+    simd: S,
+    p: &mut Product<'_, '_, T>,
+    row: usize,
+    column: usize,
+) {
+    let target = &mut p.target;
+    let mut sum = [[T::splat(simd, T::zero()); V]; M];
+    if let Some(start) = target.start {
+        let start = T::lanes::<S>(&start[column..]);
+        for sum in &mut sum {
+            sum.copy_from_slice(&start[..V]);
+        }
+    }
+    for term in p.terms {
+        let depth = term.depth;
+        let a: [&[T]; M] = std::array::from_fn(|m| &term.a[(row + m) * term.a_stride..][..depth]);
+        for (k, b) in term.b[column..].chunks(term.b_stride).take(depth).enumerate() {
+            let b = &T::lanes::<S>(b)[..V];
+            for m in 0..M {
+                let a = T::splat(simd, a[m][k]);
+                for v in 0..V {
+                    sum[m][v] = T::fma(simd, a, b[v], sum[m][v]);
+                }
+            }
+        }
+    }
+    for (m, sum) in sum.iter().enumerate() {
+        let out = &mut target.out[(row + m) * target.stride + column..];
+        T::lanes_mut::<S>(out)[..V].copy_from_slice(sum);
+    }
+}
+
+struct WeightedRows<'a, T> {
+    out: &'a mut [T],
+    start: T,
+    a: &'a [T],
+    weight: &'a [T],
+}
+
+impl<T: Real> WithSimd for WeightedRows<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let weight = T::lanes::<S>(self.weight);
+        for (out, a) in self.out.iter_mut().zip(self.a.chunks_exact(self.weight.len())) {
+            let mut sum = T::splat(simd, T::zero());
+            for (&a, &w) in T::lanes::<S>(a).iter().zip(weight) {
+                sum = T::fma(simd, a, w, sum);
+            }
+            *out = self.start + T::across(simd, sum);
+        }
+    }
+}
+
+struct LargestRows<'a, T> {
+    largest: &'a mut [T],
+    rows: &'a [T],
+}
+
+impl<T: Real> WithSimd for LargestRows<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let columns = self.largest.len();
+        let largest = T::lanes_mut::<S>(self.largest);
+        for row in self.rows.chunks_exact(columns) {
+            for (largest, &x) in largest.iter_mut().zip(T::lanes::<S>(row)) {
+                *largest = T::larger(simd, *largest, x);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_of_products_match_plain_loops() {
+        for (rows, columns, depth) in [(1, 16, 1), (7, 48, 5), (13, 64, 33), (24, 272, 10)] {
+            let value = |n: usize, seed: usize| ((n * 7919 + seed) % 101) as f64 / 50.0 - 1.0;
+            let a: Vec<f64> = (0..rows * (depth + 2)).map(|n| value(n, 1)).collect();
+            let b: Vec<f64> = (0..depth * (columns + 3)).map(|n| value(n, 2)).collect();
+            let start: Vec<f64> = (0..columns).map(|n| value(n, 3)).collect();
+            let term = || Term { a: &a, a_stride: depth + 2, b: &b, b_stride: columns + 3, depth };
+            let stride = columns + 1;
+            let mut out = vec![f64::NAN; rows * stride];
+            let target = Target { out: &mut out, stride, rows, columns, start: Some(&start) };
+            product(target, &[term(), term()]);
+            for m in 0..rows {
+                for n in 0..columns {
+                    let ab: f64 = (0..depth).map(|k| a[m * (depth + 2) + k] * b[k * (columns + 3) + n]).sum();
+                    assert!((out[m * stride + n] - start[n] - 2.0 * ab).abs() < 1e-12);
+                }
+                assert!(out[m * stride + columns].is_nan(), "wrote beyond the columns");
+            }
+        }
+    }
+}

@@ -1,0 +1,10 @@
+//! The CPU path: the stages of a frame in plain Rust, generic over [`Real`].
+//!
+//! In f64 it is the definition of correct against which every shader is tested; in f32, threaded and vectorised, it is
+//! what runs where there is no GPU adapter.
+
+mod matmul;
+pub mod operator;
+mod real;
+
+pub use real::Real;

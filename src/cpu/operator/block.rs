@@ -1,0 +1,37 @@
+//! The position-wise half of a Fourier block: `y = K(x) + S x + bias` with the inverse transform fused in.
+
+use super::padded;
+use super::pointwise::transposed;
+use super::transform::Transform;
+use crate::cpu::matmul::{Target, Term, product};
+use crate::cpu::real::Real;
+use crate::network::{self, Config};
+
+/// Skip and bias of a Fourier block.
+pub(super) struct Skip<T> {
+    /// Transposed weight of `S`, shape [C, C].
+    weight: Vec<T>,
+    bias: Vec<T>,
+}
+
+impl<T: Real> Skip<T> {
+    pub fn new(config: &Config, block: &network::Block) -> Self {
+        let (n, c) = (config.channels, padded(config.channels));
+        let mut bias = vec![T::zero(); c];
+        for (to, &from) in bias.iter_mut().zip(&block.bias) {
+            *to = T::of(from as f64);
+        }
+        Self { weight: transposed(&block.skip, n, n, c), bias }
+    }
+
+    /// One row of the grid: `out` [W, C] from `x` [W, C] and the row spectrum `z` [modes_w, 2, C] that the inverse
+    /// transform along the columns has left. The GELU is left to the caller.
+    pub fn row(&self, out: &mut [T], x: &[T], z: &[T], transform: &Transform<T>) {
+        let c = self.bias.len();
+        let skip = Term { a: x, a_stride: c, b: &self.weight, b_stride: c, depth: c };
+        product(
+            Target { rows: out.len() / c, out, stride: c, columns: c, start: Some(&self.bias) },
+            &[skip, transform.row_inverse(z)],
+        );
+    }
+}

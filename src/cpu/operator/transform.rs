@@ -1,0 +1,150 @@
+//! The truncated two-dimensional real Fourier transform and its inverse, as products with trigonometric tables.
+//!
+//! Of the spectrum only `modes_h` rows `k_h = -modes_h/2 ..` and `modes_w` columns `k_w = 0 ..` are kept, so each direction
+//! is one product along the rows of the grid and one along its columns. A row spectrum `R` keeps, for one grid row, the
+//! columns k_w as (re, im) pairs: shape [modes_w, 2, C]. The forward transform carries the factor 1/(HW), the inverse none.
+
+use crate::cpu::matmul::{Target, Term, product};
+use crate::cpu::real::Real;
+use crate::network::Config;
+use crate::sim::Grid;
+use crate::{Error, Result};
+use std::f64::consts::TAU;
+
+/// The tables of one grid for `channels` channels as they lie in memory.
+pub struct Transform<T> {
+    grid: Grid,
+    channels: usize,
+    modes_h: usize,
+    modes_w: usize,
+    /// `cos`, `-sin` of `2 pi k_w j / W`, over HW, shape [modes_w * 2, W].
+    row_forward: Vec<T>,
+    /// `cos`, `-sin` of `2 pi k_w j / W`, doubled where a column stands for its conjugate too, shape [W, modes_w * 2].
+    row_inverse: Vec<T>,
+    /// `cos`, then `sin`, of `2 pi k_h i / H`, shape [2 * modes_h, H].
+    column_forward: Vec<T>,
+    /// The transpose of `column_forward`, shape [H, 2 * modes_h].
+    column_inverse: Vec<T>,
+}
+
+impl<T: Real> Transform<T> {
+    /// Tables for a grid; an error if the grid is too small for the kept modes.
+    pub fn new(config: &Config, grid: Grid, channels: usize) -> Result<Self> {
+        let Grid { h, w } = grid;
+        let (modes_h, modes_w) = (config.modes_h, config.modes_w);
+        if modes_h > h || modes_w > w / 2 + 1 {
+            let expected = format!("at least {modes_h}x{} for {modes_h}x{modes_w} modes", 2 * modes_w - 2);
+            return Err(Error::invalid("network", "grid", expected, grid));
+        }
+        // Reducing the argument exactly keeps the tables good to the last bit for long rows.
+        let angle = |k: usize, j: usize, n: usize| TAU * ((k * j) % n) as f64 / n as f64;
+        let mut row_forward = vec![T::zero(); modes_w * 2 * w];
+        let mut row_inverse = vec![T::zero(); modes_w * 2 * w];
+        for k in 0..modes_w {
+            // The columns 0 and W/2 are their own conjugates; the inverse reads the real part of their sum only.
+            let copies = if k == 0 || 2 * k == w { 1.0 } else { 2.0 };
+            for j in 0..w {
+                let (sin, cos) = angle(k, j, w).sin_cos();
+                for (part, value) in [cos, -sin].into_iter().enumerate() {
+                    row_forward[(2 * k + part) * w + j] = T::of(value / (h * w) as f64);
+                    row_inverse[j * 2 * modes_w + 2 * k + part] = T::of(value * copies);
+                }
+            }
+        }
+        let mut column_forward = vec![T::zero(); 2 * modes_h * h];
+        let mut column_inverse = vec![T::zero(); 2 * modes_h * h];
+        for m in 0..modes_h {
+            let k = (m + h - modes_h / 2) % h;
+            for i in 0..h {
+                let (sin, cos) = angle(k, i, h).sin_cos();
+                for (row, value) in [(m, cos), (modes_h + m, sin)] {
+                    column_forward[row * h + i] = T::of(value);
+                    column_inverse[i * 2 * modes_h + row] = T::of(value);
+                }
+            }
+        }
+        Ok(Self {
+            grid,
+            channels,
+            modes_h,
+            modes_w,
+            row_forward,
+            row_inverse,
+            column_forward,
+            column_inverse,
+        })
+    }
+
+    /// Numbers in the row spectrum of one grid row, shape [modes_w, 2, C].
+    pub fn row_len(&self) -> usize {
+        self.modes_w * 2 * self.channels
+    }
+
+    /// Numbers in the column sums of one sample, shape [modes_w, 2 modes_h, 2, C].
+    pub fn column_len(&self) -> usize {
+        2 * self.modes_h * self.row_len()
+    }
+
+    /// Forward along a row: `out` [modes_w, 2, C] from `x` [W, C].
+    pub fn row_forward(&self, out: &mut [T], x: &[T]) {
+        let (w, c) = (self.grid.w, self.channels);
+        product(
+            Target { out, stride: c, rows: 2 * self.modes_w, columns: c, start: None },
+            &[Term { a: &self.row_forward, a_stride: w, b: x, b_stride: c, depth: w }],
+        );
+    }
+
+    /// The term that adds the inverse along a row, [W, C], of a row spectrum `z` [modes_w, 2, C].
+    pub(super) fn row_inverse<'a>(&'a self, z: &'a [T]) -> Term<'a, T> {
+        let depth = 2 * self.modes_w;
+        Term { a: &self.row_inverse, a_stride: depth, b: z, b_stride: self.channels, depth }
+    }
+
+    /// Forward along the columns, of column `k_w` of a sample: `out` [2 modes_h, 2, C], the sums with the cosines and then
+    /// those with the sines, from the row spectra `rows` [H, modes_w, 2, C]. [`Transform::mode`] joins them.
+    pub fn column_forward(&self, out: &mut [T], rows: &[T], k_w: usize) {
+        let (h, columns) = (self.grid.h, 2 * self.channels);
+        let b = &rows[k_w * columns..];
+        product(
+            Target { out, stride: columns, rows: 2 * self.modes_h, columns, start: None },
+            &[Term { a: &self.column_forward, a_stride: h, b, b_stride: self.row_len(), depth: h }],
+        );
+    }
+
+    /// Real and imaginary part of mode (m_h, k_w), channel c, from the column sums [2 modes_h, 2, C] of that k_w.
+    pub fn mode(&self, sums: &[T], m_h: usize, c: usize) -> (T, T) {
+        let at = |row: usize, part: usize| sums[(row * 2 + part) * self.channels + c];
+        let (cos, sin) = (m_h, self.modes_h + m_h);
+        (at(cos, 0) + at(sin, 1), at(cos, 1) - at(sin, 0))
+    }
+
+    /// Inverse along the columns, for grid rows from `i` on: `out` [rows, modes_w, 2, C] from the modes of a sample.
+    /// These are the parts of `modes` [modes_h, modes_w, 2, S, 2, C] that begin at `offset`: first the modes (re, im),
+    /// then the same turned by a quarter (-im, re).
+    pub(super) fn column_inverse(&self, out: &mut [T], i: usize, modes: ModeParts<'_, T>) {
+        let columns = 2 * self.channels;
+        let rows = out.len() / self.row_len();
+        for k_w in 0..self.modes_w {
+            let part = |turned: usize| Term {
+                a: &self.column_inverse[i * 2 * self.modes_h + turned * self.modes_h..],
+                a_stride: 2 * self.modes_h,
+                b: &modes.values[(k_w * 2 + turned) * modes.samples * columns + modes.sample * columns..],
+                b_stride: self.modes_w * 2 * modes.samples * columns,
+                depth: self.modes_h,
+            };
+            let out = &mut out[k_w * columns..];
+            product(Target { out, stride: self.row_len(), rows, columns, start: None }, &[part(0), part(1)]);
+        }
+    }
+}
+
+/// The modes of one sample among those of all, see [`Transform::column_inverse`].
+#[derive(Clone, Copy)]
+pub(super) struct ModeParts<'a, T> {
+    /// Modes of all samples, shape [modes_h, modes_w, 2, S, 2, C].
+    pub values: &'a [T],
+    /// S.
+    pub samples: usize,
+    /// Which of them.
+    pub sample: usize,
+}

@@ -1,0 +1,379 @@
+//! Checkpoints: safetensors files with the weights under the names of the authors' state dict.
+//!
+//! Each name may carry the prefix `nn.` or not. Complex tensors are pairs of reals on a last axis of 2, or complex
+//! numbers. The configuration comes from the metadata (key `config`, JSON) if it is there, else from the shapes.
+
+use super::weights::{Block, Config, Dense, Weights};
+use crate::{Error, Result};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use std::collections::{BTreeMap, HashMap};
+use std::fmt;
+use std::io::Write;
+use std::path::Path;
+
+/// More blocks than any sensible network has; a bound so that damaged metadata fails early.
+const MAX_LAYERS: usize = 64;
+
+/// A checkpoint file in memory: its tensors in single precision, whatever precision the file holds.
+#[derive(Clone, Debug)]
+pub struct Checkpoint {
+    origin: String,
+    tensors: BTreeMap<String, Tensor>,
+    metadata: BTreeMap<String, String>,
+}
+
+#[derive(Clone, Debug)]
+struct Tensor {
+    dtype: Dtype,
+    /// Shape with complex numbers as a last axis of 2.
+    shape: Vec<usize>,
+    values: Vec<f32>,
+}
+
+impl Checkpoint {
+    /// Reads a file; any safetensors file of floating-point tensors will do.
+    pub fn open(path: &Path) -> Result<Self> {
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot read", e))?;
+        Self::from_bytes(&bytes, &path.display().to_string())
+    }
+
+    /// Reads a file that is in memory; `origin` names it in errors.
+    pub fn from_bytes(bytes: &[u8], origin: &str) -> Result<Self> {
+        let broken = |e: safetensors::SafeTensorError| {
+            let found = format!("{e} ({} bytes)", bytes.len());
+            Error::invalid(origin, "header", "a whole safetensors file", found)
+        };
+        let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
+        let file = SafeTensors::deserialize(bytes).map_err(broken)?;
+        let mut tensors = BTreeMap::new();
+        for (name, view) in file.iter() {
+            tensors.insert(name.to_owned(), Tensor::read(&view, origin, name)?);
+        }
+        let metadata = header.metadata().clone().unwrap_or_default().into_iter().collect();
+        Ok(Self { origin: origin.to_owned(), tensors, metadata })
+    }
+
+    /// The weights of the network; an error if a tensor is missing, surplus, of another shape or not finite.
+    pub fn weights(&self) -> Result<Weights> {
+        let config = match self.metadata.get("config") {
+            Some(json) => self.config_from_json(json)?,
+            None => self.config_from_shapes()?,
+        };
+        let Config { channels: c, layers, modes_h, modes_w, .. } = config;
+        let mut reader = Reader { checkpoint: self, used: Vec::new() };
+        let mut dense = |stem: &str, outputs: usize, inputs: usize| {
+            Ok::<_, Error>(Dense {
+                weight: reader.take(&format!("{stem}.weight"), &[outputs, inputs])?,
+                bias: reader.take(&format!("{stem}.bias"), &[outputs])?,
+            })
+        };
+        let lifting = [
+            dense("lifting.fcs.0", config.lifting, config.inputs())?,
+            dense("lifting.fcs.1", c, config.lifting)?,
+        ];
+        let projection = [
+            dense("projection.fcs.0", config.projection, c)?,
+            dense("projection.fcs.1", 1, config.projection)?,
+        ];
+        let scalar = dense("out_scalar", 1, c)?;
+        let biases = reader.take("fno_blocks.convs.bias", &[layers, c])?;
+        let mut blocks = Vec::new();
+        for (n, bias) in biases.chunks_exact(c).enumerate() {
+            let spectral = reader.take(&spectral_name(n), &[c, c, modes_h, modes_w, 2])?;
+            let gate = format!("fno_blocks.fno_skips.{n}.weight");
+            let skip = if self.find(&gate).is_some() {
+                diagonal(&reader.take(&gate, &[1, c])?)
+            } else {
+                reader.take(&format!("fno_blocks.fno_skips.{n}.conv.weight"), &[c, c])?
+            };
+            blocks.push(Block { spectral, bias: bias.to_vec(), skip });
+        }
+        reader.finish()?;
+        Ok(Weights { config, lifting, blocks, projection, scalar })
+    }
+
+    /// What the file holds, for people.
+    pub fn describe(&self) -> Description {
+        let tensors = self.tensors.iter().map(|(name, t)| t.summary(name)).collect();
+        Description { metadata: self.metadata.clone(), tensors }
+    }
+
+    fn find(&self, name: &str) -> Option<(&String, &Tensor)> {
+        self.tensors.get_key_value(name).or_else(|| self.tensors.get_key_value(&format!("nn.{name}")))
+    }
+
+    fn config_from_json(&self, json: &str) -> Result<Config> {
+        let config: Config = serde_json::from_str(json)
+            .map_err(|e| Error::invalid(&self.origin, "metadata 'config'", "a network configuration", e))?;
+        self.checked(config, "metadata 'config'")
+    }
+
+    fn config_from_shapes(&self) -> Result<Config> {
+        let sizes = |name: &str, rank: usize, expected: &str| {
+            let (name, tensor) = self.require(name)?;
+            if tensor.shape.len() < rank {
+                let found = format!("{:?}", tensor.shape);
+                return Err(Error::invalid(&self.origin, name, format!("shape {expected}"), found));
+            }
+            Ok(&tensor.shape)
+        };
+        let lifting = sizes("lifting.fcs.0.weight", 2, "[hidden, inputs, 1]")?;
+        let projection = sizes("projection.fcs.0.weight", 2, "[hidden, channels, 1]")?;
+        let spectral = sizes(&spectral_name(0), 4, "[channels, channels, modes_h, modes_w, 2]")?;
+        let layers = (0..=MAX_LAYERS).take_while(|&n| self.find(&spectral_name(n)).is_some()).count();
+        let config = Config {
+            fields: lifting[1].saturating_sub(2),
+            lifting: lifting[0],
+            channels: spectral[0],
+            projection: projection[0],
+            layers,
+            modes_h: spectral[2],
+            modes_w: spectral[3],
+        };
+        self.checked(config, "tensor shapes")
+    }
+
+    fn checked(&self, config: Config, field: &str) -> Result<Config> {
+        let Config { fields, lifting, channels, projection, layers, modes_h, modes_w } = config;
+        let sizes = [fields, lifting, channels, projection, layers, modes_h, modes_w];
+        let possible = sizes.iter().all(|n| (1..=1 << 20).contains(n)) && layers <= MAX_LAYERS;
+        if !possible {
+            let expected = format!("positive sizes and at most {MAX_LAYERS} layers");
+            return Err(Error::invalid(&self.origin, field, expected, format!("{config:?}")));
+        }
+        Ok(config)
+    }
+
+    fn require(&self, name: &str) -> Result<(&String, &Tensor)> {
+        self.find(name).ok_or_else(|| {
+            let found = format!("{} other tensors", self.tensors.len());
+            Error::invalid(&self.origin, format!("tensor '{name}'"), "a tensor of this name", found)
+        })
+    }
+}
+
+/// Takes tensors out of a checkpoint by name and keeps account of what was used.
+struct Reader<'a> {
+    checkpoint: &'a Checkpoint,
+    used: Vec<&'a str>,
+}
+
+impl Reader<'_> {
+    fn take(&mut self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
+        let origin = &self.checkpoint.origin;
+        let (name, tensor) = self.checkpoint.require(name)?;
+        if significant(&tensor.shape) != significant(shape) {
+            let (expected, found) = (format!("shape {shape:?}"), format!("{:?}", tensor.shape));
+            return Err(Error::invalid(origin, format!("tensor '{name}'"), expected, found));
+        }
+        if let Some(at) = tensor.values.iter().position(|v| !v.is_finite()) {
+            let found = format!("{} at element {at}", tensor.values[at]);
+            return Err(Error::invalid(origin, format!("tensor '{name}'"), "finite numbers", found));
+        }
+        self.used.push(name);
+        Ok(tensor.values.clone())
+    }
+
+    /// An error if a tensor was not used.
+    fn finish(self) -> Result<()> {
+        match self.checkpoint.tensors.keys().find(|name| !self.used.contains(&name.as_str())) {
+            Some(name) => {
+                Err(Error::unknown(&self.checkpoint.origin, "tensor", name, self.used.iter().copied()))
+            }
+            None => Ok(()),
+        }
+    }
+}
+
+/// A shape without its trailing axes of length 1, which the authors' convolutions carry.
+fn significant(shape: &[usize]) -> &[usize] {
+    &shape[..shape.iter().rposition(|&n| n != 1).map_or(0, |last| last + 1)]
+}
+
+fn spectral_name(block: usize) -> String {
+    format!("fno_blocks.convs.weight.{block}.tensor")
+}
+
+fn diagonal(gate: &[f32]) -> Vec<f32> {
+    let n = gate.len();
+    let mut matrix = vec![0.0; n * n];
+    for (i, &g) in gate.iter().enumerate() {
+        matrix[i * n + i] = g;
+    }
+    matrix
+}
+
+impl Tensor {
+    fn read(view: &TensorView<'_>, origin: &str, name: &str) -> Result<Self> {
+        fn convert<const N: usize>(bytes: &[u8], f: impl Fn([u8; N]) -> f32) -> Vec<f32> {
+            bytes.chunks_exact(N).map(|b| f(b.try_into().expect("a chunk has its size"))).collect()
+        }
+        let bytes = view.data();
+        let values = match view.dtype() {
+            Dtype::F32 | Dtype::C64 => convert(bytes, f32::from_le_bytes),
+            Dtype::F64 => convert(bytes, |b| f64::from_le_bytes(b) as f32),
+            Dtype::F16 => convert(bytes, |b| half::f16::from_le_bytes(b).to_f32()),
+            Dtype::BF16 => convert(bytes, |b| half::bf16::from_le_bytes(b).to_f32()),
+            other => {
+                let field = format!("tensor '{name}'");
+                return Err(Error::invalid(
+                    origin,
+                    field,
+                    "dtype F64, F32, F16, BF16 or C64",
+                    format!("{other:?}"),
+                ));
+            }
+        };
+        let mut shape = view.shape().to_vec();
+        if view.dtype() == Dtype::C64 {
+            shape.push(2);
+        }
+        Ok(Self { dtype: view.dtype(), shape, values })
+    }
+
+    fn summary(&self, name: &str) -> TensorSummary {
+        let values = self.values.iter().map(|&v| v as f64);
+        TensorSummary {
+            name: name.to_owned(),
+            shape: self.shape.clone(),
+            dtype: format!("{:?}", self.dtype),
+            norm: values.clone().map(|v| v * v).sum::<f64>().sqrt(),
+            min: values.clone().fold(f64::INFINITY, f64::min),
+            max: values.clone().fold(f64::NEG_INFINITY, f64::max),
+            non_finite: values.filter(|v| !v.is_finite()).count(),
+        }
+    }
+}
+
+/// What a checkpoint holds, tensor by tensor. Displayed as a table.
+#[derive(Clone, Debug)]
+pub struct Description {
+    /// The metadata of the file, such as `config` and `format`.
+    pub metadata: BTreeMap<String, String>,
+    /// The tensors in the order of their names.
+    pub tensors: Vec<TensorSummary>,
+}
+
+/// One tensor of a [`Description`].
+#[derive(Clone, Debug)]
+pub struct TensorSummary {
+    /// Name in the file.
+    pub name: String,
+    /// Shape, complex numbers as a last axis of 2.
+    pub shape: Vec<usize>,
+    /// Number type in the file.
+    pub dtype: String,
+    /// Euclidean norm.
+    pub norm: f64,
+    /// Smallest element.
+    pub min: f64,
+    /// Largest element.
+    pub max: f64,
+    /// Number of elements that are NaN or infinite.
+    pub non_finite: usize,
+}
+
+impl Description {
+    /// Number of real parameters in all tensors.
+    pub fn parameter_count(&self) -> usize {
+        self.tensors.iter().map(|t| t.shape.iter().product::<usize>()).sum()
+    }
+}
+
+impl fmt::Display for Description {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (key, value) in &self.metadata {
+            writeln!(f, "{key}: {value}")?;
+        }
+        let width = self.tensors.iter().map(|t| t.name.len()).max().unwrap_or(0);
+        for t in &self.tensors {
+            let shape = format!("{:?}", t.shape);
+            write!(f, "{:width$}  {:5} {shape:20}", t.name, t.dtype)?;
+            write!(f, " norm {:<11.4e} min {:<11.4e} max {:<11.4e}", t.norm, t.min, t.max)?;
+            match t.non_finite {
+                0 => writeln!(f)?,
+                n => writeln!(f, " {n} NOT FINITE")?,
+            }
+        }
+        write!(f, "{} tensors, {} real parameters", self.tensors.len(), self.parameter_count())
+    }
+}
+
+impl Weights {
+    /// Reads the weights of a checkpoint file.
+    pub fn load(path: &Path) -> Result<Self> {
+        Checkpoint::open(path)?.weights()
+    }
+
+    /// Reads the weights of a checkpoint that is in memory; `origin` names it in errors.
+    pub fn from_bytes(bytes: &[u8], origin: &str) -> Result<Self> {
+        Checkpoint::from_bytes(bytes, origin)?.weights()
+    }
+
+    /// Writes a checkpoint file with the configuration in its metadata. The file appears whole or not at all.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let failed = |e: std::io::Error| Error::io(path, "cannot write", e);
+        let folder = match path.parent() {
+            Some(folder) if !folder.as_os_str().is_empty() => folder,
+            _ => Path::new("."),
+        };
+        let mut builder = tempfile::Builder::new();
+        // The permissions of an ordinary new file rather than those of a private temporary one.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let mut file = builder.tempfile_in(folder).map_err(failed)?;
+        file.write_all(&self.to_bytes()).map_err(failed)?;
+        file.as_file().sync_all().map_err(failed)?;
+        file.persist(path).map_err(|e| failed(e.error))?;
+        Ok(())
+    }
+
+    /// The checkpoint file that [`Weights::save`] writes.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let tensors: Vec<_> = self
+            .named_tensors()
+            .into_iter()
+            .map(|(name, shape, values)| {
+                let bytes: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+                (name, shape, bytes)
+            })
+            .collect();
+        let views = tensors.iter().map(|(name, shape, bytes)| {
+            let view = TensorView::new(Dtype::F32, shape.clone(), bytes);
+            (name, view.expect("a tensor has the number of elements of its shape"))
+        });
+        let config = serde_json::to_string(&self.config).expect("a configuration is plain data");
+        let metadata = HashMap::from([("config".to_owned(), config), ("format".to_owned(), "pt".to_owned())]);
+        safetensors::serialize(views, Some(metadata)).expect("the weights fit the format")
+    }
+
+    /// Number of real parameters; a complex one counts twice.
+    pub fn parameter_count(&self) -> usize {
+        self.named_tensors().iter().map(|(_, _, values)| values.len()).sum()
+    }
+
+    /// Every tensor under the authors' name, with the authors' shape.
+    pub fn named_tensors(&self) -> Vec<(String, Vec<usize>, Vec<f32>)> {
+        let Config { channels: c, layers, modes_h, modes_w, .. } = self.config;
+        let mut tensors = Vec::new();
+        let mut push = |name: &str, shape: &[usize], values: &[f32]| {
+            tensors.push((format!("nn.{name}"), shape.to_vec(), values.to_vec()));
+        };
+        for (head, layers) in [("lifting", &self.lifting), ("projection", &self.projection)] {
+            for (n, Dense { weight, bias }) in layers.iter().enumerate() {
+                let inputs = weight.len() / bias.len();
+                push(&format!("{head}.fcs.{n}.weight"), &[bias.len(), inputs, 1], weight);
+                push(&format!("{head}.fcs.{n}.bias"), &[bias.len()], bias);
+            }
+        }
+        push("out_scalar.weight", &[1, c], &self.scalar.weight);
+        push("out_scalar.bias", &[1], &self.scalar.bias);
+        let biases: Vec<f32> = self.blocks.iter().flat_map(|b| b.bias.iter().copied()).collect();
+        push("fno_blocks.convs.bias", &[layers, c, 1, 1], &biases);
+        for (n, block) in self.blocks.iter().enumerate() {
+            push(&spectral_name(n), &[c, c, modes_h, modes_w, 2], &block.spectral);
+            push(&format!("fno_blocks.fno_skips.{n}.conv.weight"), &[c, c, 1], &block.skip);
+        }
+        tensors
+    }
+}
