@@ -7,5 +7,6 @@ pub mod kernels;
 pub mod network;
 pub mod scene;
 pub mod sim;
+pub mod verify;
 
 pub use error::{Error, Result};

@@ -5,8 +5,8 @@ use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
-    ClothParams, Energy, EnergySum, External, ExternalTensors, Gradient, Integrate, Predict, PredictTensors,
-    energy,
+    ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate, Predict,
+    PredictTensors, energy,
 };
 use crate::kernels::optim::{
     Adam, AdamSettings, FeatureTensors, Features, GradientDescent, Iterate, Lbfgs, LbfgsMemory, Norms,
@@ -136,7 +136,12 @@ impl Solver {
         let batch = self.model.batch();
 
         Predict::new(context)?.push(&mut frame, PredictTensors { x, v, targets }, iterate);
-        External::new(context)?.push(&mut frame, grid, ExternalTensors { cloths, x, v, forces }, external);
+        ExternalForce::new(context)?.push(
+            &mut frame,
+            grid,
+            ExternalForceTensors { cloths, x, v, forces },
+            external,
+        );
 
         let gradient = Gradient::new(context)?;
         let mut step = self.rule.kernels(context, self)?;
