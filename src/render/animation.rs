@@ -78,25 +78,36 @@ pub fn write_gif(
 }
 
 /// An animation being written; frames hold only what has changed.
-struct Film<W: Write> {
+struct Film<'a, W: Write> {
     encoder: Encoder<W>,
     size: u16,
+    palette: &'a Palette,
     last: Option<Vec<u8>>,
 }
 
-impl<W: Write> Film<W> {
-    fn new(writer: W, size: u16, palette: &Palette) -> io::Result<Self> {
+impl<'a, W: Write> Film<'a, W> {
+    fn new(writer: W, size: u16, palette: &'a Palette) -> io::Result<Self> {
         let mut colours = palette.colours.clone();
         // The number of SAME needs a place in the palette.
         colours.resize(usize::from(SAME) + 1, [0; 3]);
         let mut encoder =
             Encoder::new(writer, size, size, colours.as_flattened()).map_err(io::Error::other)?;
         encoder.set_repeat(Repeat::Infinite).map_err(io::Error::other)?;
-        Ok(Self { encoder, size, last: None })
+        Ok(Self { encoder, size, palette, last: None })
     }
 
     /// Appends pictures, given as numbers of colours; `delay` tells how long each is shown [1/100 s].
     fn append(&mut self, mut pictures: Vec<Vec<u8>>, delay: impl Fn(usize) -> u16 + Sync) -> io::Result<()> {
+        // Changes too small to be seen are left out; what is shown is compared, so that they cannot add up.
+        for k in 0..pictures.len() {
+            let (shown, rest) = pictures.split_at_mut(k);
+            let Some(before) = shown.last().or(self.last.as_ref()) else { continue };
+            for (now, &before) in rest[0].iter_mut().zip(before) {
+                if *now != before && self.palette.alike(*now, before) {
+                    *now = before;
+                }
+            }
+        }
         let size = self.size;
         let encode = |k: usize| {
             let before = if k == 0 { self.last.as_ref() } else { Some(&pictures[k - 1]) };

@@ -7,8 +7,8 @@ use glam::{Mat3, Vec3, vec3};
 pub struct View {
     /// The upward direction; need not have length 1.
     pub up: [f32; 3],
-    /// Angle of the eye about the upward axis [degrees]; None to see the cloth of the first frame at an angle to its face
-    /// and its movement from the side.
+    /// Angle of the eye about the upward axis [degrees]; None to see the cloth of the first frame at an angle to its face,
+    /// on the side from which the whole movement looks narrowest and so the cloth largest.
     pub azimuth: Option<f32>,
     /// Angle of the eye above the horizon [degrees], in (-90, 90).
     pub elevation: f32,
@@ -106,7 +106,7 @@ impl View {
             high - low
         };
         // Equal widths, as of a cloth that only moves up and down, must not be told apart by rounding.
-        if width(&candidates[1]) > 1.01 * width(&candidates[0]) { candidates[1] } else { candidates[0] }
+        if width(&candidates[1]) < 0.99 * width(&candidates[0]) { candidates[1] } else { candidates[0] }
     }
 
     /// Two directions that span the horizon.

@@ -9,7 +9,9 @@ const LEVELS: usize = 1 << BITS;
 /// Rounds in which the colours settle among the pixels that they stand for.
 const ROUNDS: usize = 6;
 /// Height of the dither [levels of 256].
-const DITHER: f32 = 5.0;
+const DITHER: f32 = 4.0;
+/// A [`distance`] that is not seen in motion: some four levels of 256 in each channel.
+const ALIKE: f32 = 130.0;
 
 /// Up to 255 colours and the nearest of them to every colour.
 pub(super) struct Palette {
@@ -70,6 +72,12 @@ impl Palette {
             nearest: nearest.collect(),
             colours: colours.iter().map(|c| c.map(|x| x.round() as u8)).collect(),
         }
+    }
+
+    /// Whether two colours, told by their numbers, are so near that one may stay where the next picture has the other.
+    pub fn alike(&self, a: u8, b: u8) -> bool {
+        let colour = |k: u8| self.colours[usize::from(k)].map(f32::from);
+        distance(colour(a), colour(b)) < ALIKE
     }
 
     /// The number of a colour for each pixel. The dither is a fixed pattern, so that what does not change between two

@@ -4,7 +4,7 @@ use glam::{Vec2, Vec3, vec3};
 use std::sync::LazyLock;
 
 /// The front of the cloth: petrol blue.
-const FRONT: Vec3 = vec3(0.045, 0.20, 0.33);
+const FRONT: Vec3 = vec3(0.065, 0.32, 0.48);
 /// The back of the cloth: warm sand.
 const BACK: Vec3 = vec3(0.66, 0.47, 0.25);
 /// Handles: orange.
@@ -36,10 +36,12 @@ pub(super) struct Sample {
 }
 
 impl Lights {
-    /// A key light from the upper left and a fill light from the right; `up` is along the camera's axes.
-    pub fn new(up: Vec3) -> Self {
-        let light = |x: f32, y: f32, z: f32| (vec3(x, 0.0, z) + up * y).normalize();
-        Self { key: light(-0.75, 0.62, 0.62), fill: light(0.9, 0.1, 0.5), up }
+    /// Lights for a cloth that faces along `facing`; both directions are along the camera's axes. The key light comes from
+    /// above and from the side that the cloth turns away from, as light that grazes a cloth shows its folds.
+    pub fn new(up: Vec3, facing: Vec3) -> Self {
+        let side = if facing.x < 0.0 { 1.0 } else { -1.0 };
+        let light = |x: f32, y: f32, z: f32| (vec3(side * x, 0.0, z) + up * y).normalize();
+        Self { key: light(0.55, 0.62, 0.70), fill: light(-0.9, 0.1, 0.5), up }
     }
 
     /// The light that the cloth sends to the eye.
@@ -50,9 +52,9 @@ impl Lights {
         let fill = n.dot(self.fill).max(0.0);
         let sky = 0.5 + 0.5 * n.dot(self.up);
         let open = (1.0 - 2.2 * s.valley).clamp(0.45, 1.25);
-        let light = vec3(1.0, 0.96, 0.90) * (1.05 * key)
-            + vec3(0.75, 0.85, 1.0) * (0.16 * fill)
-            + vec3(0.80, 0.88, 1.0) * (0.24 * open * (0.55 + 0.45 * sky));
+        let light = vec3(1.0, 0.96, 0.90) * (1.3 * key)
+            + vec3(0.75, 0.85, 1.0) * (0.13 * fill)
+            + vec3(0.80, 0.88, 1.0) * (0.20 * open * (0.55 + 0.45 * sky));
         let albedo = if s.front { FRONT } else { BACK } * checker(s.field);
         let facing = n.dot(s.eye).clamp(0.0, 1.0);
         let rim = (1.0 - facing).powi(4) * (0.3 + 0.7 * sky);
@@ -71,9 +73,9 @@ impl Lights {
 /// A checker of two close tones with a darker thread between the fields.
 fn checker(field: Vec2) -> f32 {
     let cell = field.floor();
-    let tone = if (cell.x + cell.y).rem_euclid(2.0) < 1.0 { 1.08 } else { 0.92 };
+    let tone = if (cell.x + cell.y).rem_euclid(2.0) < 1.0 { 1.05 } else { 0.95 };
     let edge = (field - cell - 0.5).abs().max_element();
-    if edge > 0.46 { tone * 0.80 } else { tone }
+    if edge > 0.46 { tone * 0.86 } else { tone }
 }
 
 /// Fields of the checker in a cloth of `cells` by `cells` edges, as fields per edge.

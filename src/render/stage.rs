@@ -82,7 +82,8 @@ impl Stage {
             }
         };
         let camera = Camera::fit(rotation, &points, size.map(|n| n * samples));
-        let lights = Lights::new(rotation * up);
+        let facing: Vec3 = first.iter().map(|&n| Vec3::from(n)).sum();
+        let lights = Lights::new(rotation * up, rotation * facing);
         Self { size, samples, grid, faces, handles: handles.to_vec(), camera, lights, up, floor }
     }
 

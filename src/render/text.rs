@@ -68,7 +68,7 @@ fn strokes(character: char) -> &'static [&'static [(f32, f32)]] {
             (1., 6.),
             (0.4, 5.6),
         ]],
-        '.' => &[&[(2., 5.9), (2., 6.)]],
+        '.' => &[&[(0.3, 5.9), (0.3, 6.)]],
         's' => &[&[
             (3.2, 2.7),
             (2.6, 2.2),
@@ -99,7 +99,7 @@ pub(super) fn write(image: &mut Image, text: &str, [x, y]: [f32; 2], height: f32
             .map(|p| (corner + unit * vec2(p[0].0, p[0].1), corner + unit * vec2(p[1].0, p[1].1)))
             .collect();
         draw(image, &lines, corner, unit);
-        left += unit * if character == '.' { 0.6 * ADVANCE } else { ADVANCE };
+        left += unit * if matches!(character, '.' | ' ') { 0.4 * ADVANCE } else { ADVANCE };
     }
 }
 
