@@ -10,8 +10,8 @@ const LEVELS: usize = 1 << BITS;
 const ROUNDS: usize = 6;
 /// Height of the dither [levels of 256].
 const DITHER: f32 = 4.0;
-/// A [`distance`] that is not seen in motion: some four levels of 256 in each channel.
-const ALIKE: f32 = 130.0;
+/// A [`distance`] that is not seen: some two levels of 256 in each channel.
+const ALIKE: f32 = 35.0;
 
 /// Up to 255 colours and the nearest of them to every colour.
 pub(super) struct Palette {
@@ -46,11 +46,21 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
 impl Palette {
     /// A palette for pictures like `images`.
     pub fn of(images: &[Image]) -> Self {
-        let mut counts = vec![0u32; LEVELS.pow(3)];
-        images.iter().flat_map(|i| &i.pixels).for_each(|&p| counts[cell(p)] += 1);
+        let mut sums = vec![[0u64; 4]; LEVELS.pow(3)];
+        for pixel in images.iter().flat_map(|i| &i.pixels) {
+            let sum = &mut sums[cell(*pixel)];
+            (0..3).for_each(|k| sum[k] += u64::from(pixel[k]));
+            sum[3] += 1;
+        }
+        // A cell stands for the mean of the pixels in it: with its centre instead, greys would take on a tint.
+        let mean = |(k, &[r, g, b, n]): (usize, &[u64; 4])| match n {
+            0 => cell_colour(k),
+            _ => [r, g, b].map(|c| c as f32 / n as f32),
+        };
+        let cells: Vec<[f32; 3]> = sums.iter().enumerate().map(mean).collect();
         // The root keeps the large background from taking most of the colours.
-        let tone = |(k, &n): (usize, &u32)| Tone { colour: cell_colour(k), weight: (n as f32).sqrt() };
-        let tones: Vec<Tone> = counts.iter().enumerate().filter(|(_, n)| **n > 0).map(tone).collect();
+        let tone = |(sum, &colour): (&[u64; 4], _)| Tone { colour, weight: (sum[3] as f32).sqrt() };
+        let tones: Vec<Tone> = sums.iter().zip(&cells).map(tone).filter(|t| t.weight > 0.0).collect();
         let mut colours = median_cut(tones.clone(), 255);
         for _ in 0..ROUNDS {
             let owners: Vec<usize> = tones.par_iter().map(|t| nearest(&colours, t.colour)).collect();
@@ -67,7 +77,7 @@ impl Palette {
                 }
             }
         }
-        let nearest = (0..LEVELS.pow(3)).into_par_iter().map(|k| nearest(&colours, cell_colour(k)) as u8);
+        let nearest = cells.par_iter().map(|&colour| nearest(&colours, colour) as u8);
         Self {
             nearest: nearest.collect(),
             colours: colours.iter().map(|c| c.map(|x| x.round() as u8)).collect(),
