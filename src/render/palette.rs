@@ -97,7 +97,7 @@ impl Palette {
             [[0., 8., 2., 10.], [12., 4., 14., 6.], [3., 11., 1., 9.], [15., 7., 13., 5.]];
         let index = |(k, pixel): (usize, &[u8; 3])| {
             let shift = DITHER * ((BAYER[k / image.width % 4][k % image.width % 4] + 0.5) / 16.0 - 0.5);
-            self.nearest[cell(pixel.map(|c| (f32::from(c) + shift).round() as u8))]
+            self.nearest[cell(pixel.map(|c| (f32::from(c) + shift + 0.5) as u8))]
         };
         image.pixels.iter().enumerate().map(index).collect()
     }

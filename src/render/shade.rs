@@ -1,6 +1,6 @@
 //! Colours and light. Colours are linear until [`to_srgb`].
 
-use glam::{Vec2, Vec3, vec3};
+use glam::{Vec2, Vec3, vec2, vec3};
 use std::sync::LazyLock;
 
 /// The front of the cloth: petrol blue.
@@ -72,9 +72,10 @@ impl Lights {
 
 /// A checker of two close tones with a darker thread between the fields.
 fn checker(field: Vec2) -> f32 {
-    let cell = field.floor();
-    let tone = if (cell.x + cell.y).rem_euclid(2.0) < 1.0 { 1.05 } else { 0.95 };
-    let edge = (field - cell - 0.5).abs().max_element();
+    // Casts, as coordinates are not negative and rounding functions are calls on many processors.
+    let (column, row) = (field.x as u32, field.y as u32);
+    let tone = if (column + row).is_multiple_of(2) { 1.05 } else { 0.95 };
+    let edge = (field - vec2(column as f32, row as f32) - 0.5).abs().max_element();
     if edge > 0.46 { tone * 0.86 } else { tone }
 }
 
@@ -91,20 +92,20 @@ pub(super) fn background(height: f32) -> Vec3 {
 
 /// An 8-bit sRGB colour.
 pub(super) fn to_srgb(colour: Vec3) -> [u8; 3] {
-    static TABLE: LazyLock<Vec<u8>> = LazyLock::new(|| (0..=TONES).map(encode).collect());
-    // Bright highlights roll off instead of clipping.
-    let channel = |x: f32| {
-        let x = if x > 0.8 { 0.8 + 0.2 * (1.0 - (-(x - 0.8) / 0.2).exp()) } else { x };
-        TABLE[(x.clamp(0.0, 1.0) * TONES as f32 + 0.5) as usize]
-    };
-    colour.to_array().map(channel)
+    static TABLE: LazyLock<Vec<u8>> = LazyLock::new(|| (0..=BRIGHTEST * TONES).map(encode).collect());
+    let tone = |x: f32| TABLE[(x.clamp(0.0, BRIGHTEST as f32) * TONES as f32 + 0.5) as usize];
+    [tone(colour.x), tone(colour.y), tone(colour.z)]
 }
 
-/// Steps of the table of tones: fine enough for each 8-bit tone to have one.
+/// Steps of the table of tones up to 1: fine enough for each 8-bit tone to have one.
 const TONES: usize = 1 << 13;
+/// Where the table ends.
+const BRIGHTEST: usize = 2;
 
 fn encode(tone: usize) -> u8 {
     let x = tone as f32 / TONES as f32;
+    // Bright highlights roll off instead of clipping.
+    let x = if x > 0.8 { 0.8 + 0.2 * (1.0 - (-(x - 0.8) / 0.2).exp()) } else { x };
     let y = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
     (255.0 * y + 0.5) as u8
 }

@@ -38,7 +38,8 @@ impl Shadow {
     pub fn at(&self, x: usize, y: usize) -> f32 {
         let place = |p: usize, n: usize| {
             let s = ((p as f32 + 0.5) / PIXELS as f32 - 0.5).clamp(0.0, (n - 1) as f32);
-            (s as usize, (s as usize + 1).min(n - 1), s.fract())
+            let whole = s as usize;
+            (whole, (whole + 1).min(n - 1), s - whole as f32)
         };
         let ((x0, x1, tx), (y0, y1, ty)) = (place(x, self.width), place(y, self.height));
         let row = |y: usize| {

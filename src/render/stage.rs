@@ -116,15 +116,19 @@ impl Stage {
         let look = Look::new(self, positions, projected, radius);
         let mut image = Image::new(width, height);
         for (y, row) in image.pixels.chunks_mut(width).enumerate() {
-            let behind = shade::background((y as f32 + 0.5) / height as f32);
+            let wall = shade::background((y as f32 + 0.5) / height as f32);
             for (x, pixel) in row.iter_mut().enumerate() {
-                let behind = behind * (1.0 - SHADOW * shadow.at(x, y));
-                let mut sum = Vec3::ZERO;
+                let (mut sum, mut bare) = (Vec3::ZERO, 0);
                 for sy in y * n..(y + 1) * n {
                     for sx in x * n..(x + 1) * n {
-                        let seen = surface.seen[sy * surface.width + sx];
-                        sum += if seen == NOTHING { behind } else { look.at(seen, sx, sy) };
+                        match surface.seen[sy * surface.width + sx] {
+                            NOTHING => bare += 1,
+                            seen => sum += look.at(seen, sx, sy),
+                        }
                     }
+                }
+                if bare > 0 {
+                    sum += wall * (bare as f32 * (1.0 - SHADOW * shadow.at(x, y)));
                 }
                 *pixel = shade::to_srgb(sum / (n * n) as f32);
             }
