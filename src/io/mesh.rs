@@ -6,7 +6,7 @@ use glam::Vec3;
 /// A triangle mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Mesh {
-    /// Vertex positions [m], shape [V, 3], in the order of the file.
+    /// Vertex positions \[m\], shape [V, 3], in the order of the file.
     pub positions: Vec<[f32; 3]>,
     /// Triangles as vertex numbers from 0, shape [T, 3]; all of them are below V.
     pub faces: Vec<[u32; 3]>,

@@ -59,7 +59,7 @@ impl Trajectory {
         self.velocities.reserve_exact(frames * self.grid.particles());
     }
 
-    /// Appends a frame: positions [m] and velocities [m/s], shape [V, 3] each.
+    /// Appends a frame: positions \[m\] and velocities [m/s], shape [V, 3] each.
     pub fn push(&mut self, positions: &[[f32; 3]], velocities: &[[f32; 3]]) {
         let vertices = self.grid.particles();
         assert!(
@@ -85,13 +85,13 @@ impl Trajectory {
         self.positions.len() / self.grid.particles()
     }
 
-    /// Positions of one frame [m], shape [V, 3].
+    /// Positions of one frame \[m\], shape [V, 3].
     pub fn frame(&self, frame: usize) -> &[[f32; 3]] {
         let vertices = self.grid.particles();
         &self.positions[frame * vertices..][..vertices]
     }
 
-    /// Positions [m], shape [F, V, 3].
+    /// Positions \[m\], shape [F, V, 3].
     pub fn positions(&self) -> ArrayView3<'_, f32> {
         self.view(&self.positions)
     }

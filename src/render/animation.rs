@@ -20,7 +20,7 @@ use std::{
 /// How an animation is drawn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GifOptions {
-    /// Width and height [px].
+    /// Width and height \[px\].
     pub size: usize,
     /// The most frames per second [1/s]; frames are left out to keep below, and time stays real.
     pub max_fps: f64,

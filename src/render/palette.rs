@@ -123,9 +123,9 @@ fn median_cut(tones: Vec<Tone>, count: usize) -> Vec<[f32; 3]> {
             axis.expect("three axes")
         };
         let widest = boxes.iter().map(spread).enumerate().max_by(|a, b| a.1.0.total_cmp(&b.1.0));
-        let Some((at, (spread, axis))) = widest.filter(|w| w.1.0 > 0.0) else { break };
+        // A box of one tone has no spread: when all have none, there is nothing left to split.
+        let Some((at, (_, axis))) = widest.filter(|w| w.1.0 > 0.0) else { break };
         let mut tones = boxes.swap_remove(at);
-        debug_assert!(spread > 0.0);
         tones.sort_by(|a, b| a.colour[axis].total_cmp(&b.colour[axis]));
         let half = tones.iter().map(|t| t.weight).sum::<f32>() / 2.0;
         let mut sum = 0.0;

@@ -34,7 +34,7 @@ pub(super) struct Stage {
     pub camera: Camera,
     pub lights: Lights,
     up: Vec3,
-    /// Height of the floor [m].
+    /// Height of the floor \[m\].
     floor: f32,
 }
 
@@ -92,7 +92,7 @@ impl Stage {
         self.draw(&vec![[f32::NAN; 3]; self.grid.particles()])
     }
 
-    /// Draws the positions of a frame [m], shape [V, 3].
+    /// Draws the positions of a frame \[m\], shape [V, 3].
     pub fn draw(&self, positions: &[[f32; 3]]) -> Image {
         let [width, height] = self.size;
         let n = self.samples;
@@ -163,7 +163,7 @@ mod tests {
     fn stage(positions: &[[f32; 3]], grid: Grid, azimuth: f32) -> Stage {
         let mut trajectory = Trajectory::new(grid, 60.0);
         trajectory.push(positions, positions);
-        let view = View { azimuth: Some(azimuth), elevation: 0.0, ..View::default() };
+        let view = View { azimuth: Some(azimuth), elevation: Some(0.0), ..View::default() };
         Stage::new(&trajectory, &[0, 5], &view, Size::Fixed(200, 160), 2)
     }
 

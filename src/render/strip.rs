@@ -13,7 +13,7 @@ use rayon::prelude::*;
 pub struct StripOptions {
     /// Number of frames; fewer if the trajectory has fewer.
     pub panels: usize,
-    /// Height [px]; the width of a panel follows from the shape of the trajectory.
+    /// Height \[px\]; the width of a panel follows from the shape of the trajectory.
     pub height: usize,
     /// The direction of view.
     pub view: View,

@@ -87,7 +87,7 @@ fn strokes(character: char) -> &'static [&'static [(f32, f32)]] {
     }
 }
 
-/// Writes `text` (digits, '.', 's' and spaces) with its top left corner at `(x, y)` [px], `height` pixels tall.
+/// Writes `text` (digits, '.', 's' and spaces) with its top left corner at `(x, y)` \[px\], `height` pixels tall.
 pub(super) fn write(image: &mut Image, text: &str, [x, y]: [f32; 2], height: f32) {
     let unit = height / TALL;
     let mut left = x;
