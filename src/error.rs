@@ -88,11 +88,16 @@ impl Error {
             known.into_iter().map(|k| (strsim::damerau_levenshtein(name, k), k)).collect();
         ranked.sort();
         let near = ranked.first().map_or(0, |r| r.0).max(2) + 1;
-        let nearest = ranked.into_iter().filter(|r| r.0 <= near).take(3).map(|r| r.1.to_owned()).collect();
+        let nearest =
+            ranked.into_iter().filter(|r| r.0 <= near).take(3).map(|r| r.1.to_owned()).collect();
         Error::Unknown { origin: origin.into(), kind, name: name.to_owned(), nearest }
     }
 }
 
 fn suggest(nearest: &[String]) -> String {
-    if nearest.is_empty() { String::new() } else { format!(" (did you mean {}?)", nearest.join(", ")) }
+    if nearest.is_empty() {
+        String::new()
+    } else {
+        format!(" (did you mean {}?)", nearest.join(", "))
+    }
 }
