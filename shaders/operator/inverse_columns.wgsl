@@ -27,8 +27,8 @@ fn inverse_columns(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_
     let column = group.y % params.modes_w;
     let first = group.y / params.modes_w * params.strip;
     let sample = group.z;
-    let from = (sample * $n * params.modes_w + column) * params.channels + channel;
-    let z$c = spectrum[from + $c * params.modes_w * params.channels];
+    let first_mode = (sample * $n * params.modes_w + column) * params.channels + channel;
+    let z$c = spectrum[first_mode + $c * params.modes_w * params.channels];
     let end = min(first + params.strip, params.rows);
     for (var i = first; i < end; i++) {
         var re = 0.0;

@@ -18,7 +18,7 @@ pub(crate) mod common {
 
 /// Every kernel, with a tile it is unrolled to somewhere (0 where it has none).
 pub const ALL: &[(&Source, usize)] = &[
-    (&cloth::external::SOURCE, 0),
+    (&cloth::external_force::SOURCE, 0),
     (&cloth::predict::SOURCE, 0),
     (&cloth::gradient::SOURCE, 0),
     (&cloth::energy::SOURCE, 0),

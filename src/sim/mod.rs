@@ -10,4 +10,4 @@ pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub use model::{Air, Cloth, Control, Material, Model, State};
 pub use optimizer::Optimizer;
 pub use solver::{INITIAL_SCALE, Solver, SolverOptions};
-pub use stats::{EnergyTerms, FrameStats};
+pub use stats::{EnergyTerms, FrameStats, Iterations};

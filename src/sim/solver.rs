@@ -1,12 +1,12 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
-use super::{Control, EnergyTerms, FrameStats, Grid, Model, Optimizer, State};
+use super::{Control, EnergyTerms, FrameStats, Grid, Iterations, Model, Optimizer, State};
 use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
-    ClothParams, Energy, EnergySum, External, ExternalTensors, Gradient, Integrate, Predict, PredictTensors,
-    energy,
+    ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate, Predict,
+    PredictTensors, energy,
 };
 use crate::kernels::optim::{
     Adam, AdamSettings, FeatureTensors, Features, GradientDescent, Iterate, Lbfgs, LbfgsMemory, Norms,
@@ -136,7 +136,12 @@ impl Solver {
         let batch = self.model.batch();
 
         Predict::new(context)?.push(&mut frame, PredictTensors { x, v, targets }, iterate);
-        External::new(context)?.push(&mut frame, grid, ExternalTensors { cloths, x, v, forces }, external);
+        ExternalForce::new(context)?.push(
+            &mut frame,
+            grid,
+            ExternalForceTensors { cloths, x, v, forces },
+            external,
+        );
 
         let gradient = Gradient::new(context)?;
         let mut step = self.rule.kernels(context, self)?;
@@ -223,44 +228,45 @@ impl Solver {
         [&self.terms, &self.norms]
     }
 
-    /// Statistics of the last frame, one for each cloth, from the contents of [`Solver::statistics_tensors`].
-    pub fn statistics(&self, terms: &[f32], norms: &[f32]) -> Vec<FrameStats> {
+    /// Statistics of the last frame, one for each cloth, from the contents of [`Solver::statistics_tensors`], one after the other.
+    pub fn statistics(&self, contents: &[f32]) -> Vec<FrameStats> {
         let Grid { h, w } = self.model.grid;
         let edges = ((h - 1) * w + h * (w - 1)) as f64;
+        let (terms, norms) = contents.split_at(self.terms.len());
+        let samples = 3 * self.model.batch();
         let gradients = self.gradient_norms(norms);
-        let cloth_norm = |iteration: usize, b: usize| {
-            gradients[iteration][3 * b..3 * b + 3].iter().map(|g| g * g).sum::<f64>().sqrt()
+        let of_cloth = |iteration: usize, b: usize| {
+            let components = &gradients[iteration * samples + 3 * b..][..3];
+            components.iter().map(|g| g * g).sum::<f64>().sqrt()
         };
-        let stats = |(b, t): (usize, &[f32])| FrameStats {
-            energy: EnergyTerms {
-                stretch: t[0].into(),
-                shear: t[1].into(),
-                bend: t[2].into(),
-                inertia: t[3].into(),
-                external: t[4].into(),
-            },
-            gradient_first: cloth_norm(0, b),
-            gradient_last: cloth_norm(self.iterations - 1, b),
-            stretch_largest: t[5].into(),
-            stretch_mean: f64::from(t[6]) / edges,
+        let stats = |(b, t): (usize, &[f32])| {
+            let [stretch, shear, bend, inertia, external, largest, sum] =
+                [0, 1, 2, 3, 4, 5, 6].map(|k| f64::from(t[k]));
+            FrameStats {
+                energy: EnergyTerms { stretch, shear, bend, inertia, external },
+                gradient_first: of_cloth(0, b),
+                gradient_last: of_cloth(self.iterations - 1, b),
+                stretch_largest: largest,
+                stretch_mean: sum / edges,
+            }
         };
         terms.chunks_exact(8).enumerate().map(stats).collect()
     }
 
-    /// Norm of the gradient of each sample in each iteration of the last frame, shape [N][S], from the second of
-    /// [`Solver::statistics_tensors`].
-    pub fn gradient_norms(&self, norms: &[f32]) -> Vec<Vec<f64>> {
+    /// Norms of the gradient in every iteration, from their partial sums of squares; shape [N, S].
+    fn gradient_norms(&self, norms: &[f32]) -> Vec<f64> {
         let per_sample = 2 * norms::parts(self.model.grid.particles());
         let norm = |parts: &[f32]| parts.iter().step_by(2).map(|&s| f64::from(s)).sum::<f64>().sqrt();
-        norms
-            .chunks_exact(3 * self.model.batch() * per_sample)
-            .map(|iteration| iteration.chunks_exact(per_sample).map(norm).collect())
-            .collect()
+        norms.chunks_exact(per_sample).map(norm).collect()
     }
 
-    /// Scale of each sample after each iteration of the last frame, shape [N, S]; empty without the learned optimizer.
-    pub fn scales(&self) -> &Tensor {
-        &self.scales
+    /// What the optimizer did in the last frame; waits for the device, so it is for checks and not for frames.
+    pub fn iterations_log(&self) -> Result<Iterations> {
+        let scales: Vec<f32> = self.scales.read(&self.context)?;
+        Ok(Iterations {
+            gradient_norms: self.gradient_norms(&self.norms.read(&self.context)?),
+            scales: scales.into_iter().map(f64::from).collect(),
+        })
     }
 
     /// Handle positions in `state` [B, 3, n], in the order of [`Control::handles`].

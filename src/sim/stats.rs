@@ -48,3 +48,12 @@ impl FrameStats {
             .all(|v| v.is_finite())
     }
 }
+
+/// What the optimizer did in the iterations of one frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Iterations {
+    /// `|dL/da|` of each component of each cloth, shape [N, S] with S = 3 B.
+    pub gradient_norms: Vec<f64>,
+    /// Scale of the learned optimizer after each iteration, shape [N, S]; empty for the others.
+    pub scales: Vec<f64>,
+}

@@ -2,14 +2,14 @@
 
 pub mod energy;
 pub mod energy_sum;
-pub mod external;
+pub mod external_force;
 pub mod gradient;
 pub mod integrate;
 pub mod predict;
 
 pub use energy::Energy;
 pub use energy_sum::EnergySum;
-pub use external::{External, ExternalTensors};
+pub use external_force::{ExternalForce, ExternalForceTensors};
 pub use gradient::Gradient;
 pub use integrate::Integrate;
 pub use predict::{Predict, PredictTensors};

@@ -62,7 +62,7 @@ fn upper(b: u32, i: i32, j: i32) -> vec3f {
 }
 
 @compute @workgroup_size(8, 8)
-fn external(@builtin(global_invocation_id) id: vec3u) {
+fn external_force(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.columns || id.y >= params.rows {
         return;
     }

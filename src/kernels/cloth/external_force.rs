@@ -1,4 +1,4 @@
-//! Host side of `shaders/cloth/external.wgsl`.
+//! Host side of `shaders/cloth/external_force.wgsl`.
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
@@ -7,8 +7,8 @@ use crate::sim::Grid;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
-    name: "external",
-    wgsl: include_str!("../../../shaders/cloth/external.wgsl"),
+    name: "external_force",
+    wgsl: include_str!("../../../shaders/cloth/external_force.wgsl"),
     common: &[common::CLOTH],
 };
 
@@ -20,15 +20,15 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// External acceleration: gravity, forces and air.
+/// ExternalForce acceleration: gravity, forces and air.
 #[derive(Clone, Debug)]
-pub struct External {
+pub struct ExternalForce {
     kernel: Kernel,
 }
 
 /// What external forces depend on.
 #[derive(Clone, Copy, Debug)]
-pub struct ExternalTensors<'a> {
+pub struct ExternalForceTensors<'a> {
     /// Constants of the cloths, see [`super::ClothParams`].
     pub cloths: &'a Tensor,
     /// Positions, shape [B, 3, H, W].
@@ -39,15 +39,21 @@ pub struct ExternalTensors<'a> {
     pub forces: &'a Tensor,
 }
 
-impl External {
+impl ExternalForce {
     /// Compiles it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
     /// `external` [B, 3, H, W] from `tensors`.
-    pub fn push(&self, schedule: &mut Schedule, grid: Grid, tensors: ExternalTensors<'_>, external: &Tensor) {
-        let ExternalTensors { cloths, x, v, forces } = tensors;
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        tensors: ExternalForceTensors<'_>,
+        external: &Tensor,
+    ) {
+        let ExternalForceTensors { cloths, x, v, forces } = tensors;
         let batch = super::batch_of(grid, external);
         assert_eq!((x.len(), v.len(), forces.len()), (external.len(), external.len(), external.len()));
         let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };

@@ -1,0 +1,84 @@
+//! Files that appear complete or not at all.
+
+use crate::{Error, Result};
+use std::{
+    fs::File,
+    io::{self, BufWriter, Write},
+    path::Path,
+};
+
+/// Writes a file through `fill`, so that `path` holds either what it held before or all of the new content.
+///
+/// The bytes go to a temporary file in the same folder, which takes the name `path` when `fill` has succeeded and is
+/// removed when it has not. The folder is created if it does not exist.
+pub fn write_atomic(
+    path: impl AsRef<Path>,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
+    let path = path.as_ref();
+    let dir = match path.parent() {
+        Some(p) if !p.as_os_str().is_empty() => p,
+        _ => Path::new("."),
+    };
+    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot create the folder", e))?;
+
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".writing-");
+    // Temporary files are private by default; the finished file is to be as readable as any other the user makes.
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    let (file, temporary) =
+        builder.tempfile_in(dir).map_err(|e| Error::io(dir, "cannot write into the folder", e))?.into_parts();
+
+    let written = (|| {
+        let mut writer = BufWriter::with_capacity(1 << 16, file);
+        fill(&mut writer)?;
+        writer.flush()
+    })();
+    written
+        .and_then(|()| temporary.persist(path).map_err(|e| e.error))
+        .map_err(|e| Error::io(path, "cannot write", e))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(dir: &Path) -> Vec<String> {
+        let entry = |e: io::Result<std::fs::DirEntry>| e.unwrap().file_name().into_string().unwrap();
+        std::fs::read_dir(dir).unwrap().map(entry).collect()
+    }
+
+    #[test]
+    fn a_failed_write_keeps_the_old_file_and_leaves_nothing_else() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a/b.txt");
+        write_atomic(&path, |w| w.write_all(b"first")).unwrap();
+        let failed = write_atomic(&path, |w| {
+            w.write_all(b"half of the seco")?;
+            Err(io::Error::other("disk full"))
+        });
+        assert!(failed.unwrap_err().to_string().contains("b.txt: cannot write: disk full"));
+        assert_eq!(std::fs::read(&path).unwrap(), b"first");
+        assert_eq!(names(path.parent().unwrap()), ["b.txt"]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn the_file_is_as_readable_as_an_ordinary_one() {
+        use std::os::unix::fs::PermissionsExt;
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("plain"), "").unwrap();
+        write_atomic(dir.path().join("atomic"), |_| Ok(())).unwrap();
+        let mode = |n: &str| std::fs::metadata(dir.path().join(n)).unwrap().permissions().mode();
+        assert_eq!(mode("atomic"), mode("plain"));
+    }
+
+    #[test]
+    fn a_folder_that_cannot_be_made_is_named() {
+        let dir = tempfile::tempdir().unwrap();
+        std::fs::write(dir.path().join("file"), "").unwrap();
+        let error = write_atomic(dir.path().join("file/x"), |_| Ok(())).unwrap_err().to_string();
+        assert!(error.contains("file: cannot"), "{error}");
+    }
+}

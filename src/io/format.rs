@@ -1,0 +1,64 @@
+//! The formats that a trajectory can be written in.
+
+use crate::{Error, Result};
+use std::{fmt, str::FromStr};
+
+/// A file format for a trajectory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Format {
+    /// NumPy archive: `vertices_seq` and `velocities_seq [F, V, 3]`, `faces [T, 3]`, `vertices_uv [V, 2]`, `fps`.
+    Npz,
+    /// NumPy array of positions, `[F, V, 3]`.
+    Npy,
+    /// A folder with a Wavefront OBJ file per frame, with texture coordinates.
+    Obj,
+    /// A folder with a binary little-endian PLY file per frame, with normals.
+    Ply,
+    /// PointCache2, the vertex cache of Blender's Mesh Cache modifier and of 3ds Max.
+    Pc2,
+}
+
+impl Format {
+    /// Every format.
+    pub const ALL: [Format; 5] = [Self::Npz, Self::Npy, Self::Obj, Self::Ply, Self::Pc2];
+
+    /// Its name, which is also the extension of its files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Npz => "npz",
+            Self::Npy => "npy",
+            Self::Obj => "obj",
+            Self::Ply => "ply",
+            Self::Pc2 => "pc2",
+        }
+    }
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Format {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        let known = Self::ALL.into_iter().find(|f| f.name().eq_ignore_ascii_case(name.trim()));
+        known.ok_or_else(|| Error::unknown("--format", "format", name, Self::ALL.map(Self::name)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_round_trip_and_misspellings_get_a_suggestion() {
+        for format in Format::ALL {
+            assert_eq!(format.to_string().parse::<Format>().unwrap(), format);
+        }
+        let error = "npzz".parse::<Format>().unwrap_err().to_string();
+        assert!(error.contains("unknown format 'npzz' (did you mean npz"), "{error}");
+    }
+}

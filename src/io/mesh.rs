@@ -1,0 +1,77 @@
+//! Triangle meshes.
+
+use crate::sim::Grid;
+use glam::Vec3;
+
+/// A triangle mesh.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Vertex positions \[m\], shape [V, 3], in the order of the file.
+    pub positions: Vec<[f32; 3]>,
+    /// Triangles as vertex numbers from 0, shape [T, 3]; all of them are below V.
+    pub faces: Vec<[u32; 3]>,
+}
+
+/// Smooth unit normals, shape [V, 3]: the normals of the adjacent triangles, weighted by area.
+/// Triangles with a non-finite corner count for nothing; a vertex without a usable triangle gets (0, 0, 0).
+pub fn vertex_normals(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<[f32; 3]> {
+    let mut sums = vec![Vec3::ZERO; positions.len()];
+    for face in faces {
+        let [a, b, c] = face.map(|k| Vec3::from(positions[k as usize]));
+        let normal = (b - a).cross(c - a);
+        if normal.is_finite() {
+            face.iter().for_each(|&k| sums[k as usize] += normal);
+        }
+    }
+    sums.into_iter().map(|n| n.normalize_or_zero().to_array()).collect()
+}
+
+/// The grid whose `vertices`, numbered row by row, these triangles connect; None if they do not look like one.
+///
+/// With H W vertices and 2 (H-1)(W-1) triangles, H and W are the two roots of a quadratic; which is which shows in the
+/// first triangle, whose sides join neighbours in a row (difference 1) and in a column (difference W).
+pub(super) fn grid_of(vertices: usize, faces: &[[u32; 3]]) -> Option<Grid> {
+    let [a, b, c] = faces.first()?.map(i64::from);
+    let sides = [(a - b).abs(), (b - c).abs(), (c - a).abs()];
+    let grid = |w: usize| Grid { h: vertices / w.max(1), w };
+    let fits = |g: &Grid| {
+        g.h > 1 && g.w > 1 && g.particles() == vertices && 2 * (g.h - 1) * (g.w - 1) == faces.len()
+    };
+    sides.into_iter().map(|w| grid(w as usize)).find(fits)
+}
+
+/// Texture coordinates of a grid, shape [V, 2]: `u = j / (W - 1)`, `v = i / (H - 1)`.
+pub(super) fn texture_coordinates(grid: Grid) -> Vec<[f32; 2]> {
+    let part = |k: usize, n: usize| k as f32 / (n.max(2) - 1) as f32;
+    (0..grid.particles()).map(|p| [part(p % grid.w, grid.w), part(p / grid.w, grid.h)]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn normals_of_a_flat_sheet_point_along_z() {
+        let grid = Grid { h: 3, w: 4 };
+        let mut positions: Vec<[f32; 3]> = (0..12).map(|p| [(p % 4) as f32, (p / 4) as f32, 0.0]).collect();
+        let normals = vertex_normals(&positions, &grid.faces());
+        assert!(normals.iter().all(|n| n.map(f32::abs) == [0.0, 0.0, 1.0]));
+        positions[0] = [f32::NAN; 3];
+        let normals = vertex_normals(&positions, &grid.faces());
+        assert_eq!(normals[0], [0.0; 3]);
+        assert_eq!(normals[5].map(f32::abs), [0.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn the_grid_follows_from_the_triangles() {
+        for (h, w) in [(8, 8), (8, 13), (13, 8), (31, 33)] {
+            let grid = Grid { h, w };
+            assert_eq!(grid_of(h * w, &grid.faces()), Some(grid));
+            // The other diagonal, as other programs cut.
+            let other: Vec<_> = grid.faces().iter().map(|f| f.map(|k| (h * w) as u32 - 1 - k)).collect();
+            assert_eq!(grid_of(h * w, &other), Some(grid));
+            assert_eq!(grid_of(h * w + 1, &grid.faces()), None);
+        }
+        assert_eq!(grid_of(0, &[]), None);
+    }
+}

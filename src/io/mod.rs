@@ -1,0 +1,37 @@
+//! Readers and writers of trajectories, meshes and arrays.
+//!
+//! A run collects its frames in a [`Trajectory`] and writes it in any [`Format`]. Readers are strict: a file that is
+//! truncated, too long or inconsistent is refused with its name and field, and a header's claims are checked against the
+//! length of the file before anything is allocated for them.
+
+mod atomic;
+mod format;
+mod mesh;
+mod npy;
+mod npz;
+mod obj;
+mod pc2;
+mod ply;
+mod trajectory;
+mod zip;
+
+pub use atomic::write_atomic;
+pub use format::Format;
+pub use mesh::{Mesh, vertex_normals};
+pub use npy::read_npy;
+pub use obj::read_obj;
+pub use trajectory::{ReadOptions, Trajectory};
+
+use crate::{Error, Result};
+use std::{fs::File, path::Path};
+
+/// Opens a file for reading and tells its length in bytes.
+fn open(path: &Path) -> Result<(File, u64)> {
+    let fail = |e| Error::io(path, "cannot read", e);
+    let file = File::open(path).map_err(fail)?;
+    let meta = file.metadata().map_err(fail)?;
+    if meta.is_dir() {
+        return Err(Error::invalid(path.display().to_string(), "type", "a file", "a folder"));
+    }
+    Ok((file, meta.len()))
+}

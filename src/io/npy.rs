@@ -1,0 +1,275 @@
+//! NumPy arrays (`.npy`).
+
+use super::open;
+use crate::{Error, Result};
+use ndarray::{ArrayD, IxDyn, ShapeBuilder};
+use std::{
+    io::{BufReader, Read},
+    path::Path,
+};
+
+/// Types of elements that are read, all little-endian.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Element {
+    F32,
+    F64,
+    I32,
+    I64,
+}
+
+impl Element {
+    fn bytes(self) -> usize {
+        match self {
+            Self::F32 | Self::I32 => 4,
+            Self::F64 | Self::I64 => 8,
+        }
+    }
+}
+
+/// An array in a file, its header read and checked, its elements not yet.
+pub(super) struct Array<R> {
+    reader: R,
+    origin: String,
+    element: Element,
+    fortran: bool,
+    /// Lengths of its axes.
+    pub shape: Vec<usize>,
+    len: usize,
+}
+
+/// The most axes that NumPy allows.
+const MAX_AXES: usize = 32;
+
+impl<R: Read> Array<R> {
+    /// Reads the header of an array that takes all `size` bytes of `reader`; `origin` names it in errors.
+    pub fn open(mut reader: R, size: u64, origin: String) -> Result<Self> {
+        let bad = |field: &str, expected: &str, found: &dyn std::fmt::Display| {
+            Error::invalid(&origin, field, expected, found)
+        };
+        let cut = |_| bad("header", "a NumPy array", &"the end of the data");
+        let mut start = [0; 10];
+        reader.read_exact(&mut start).map_err(cut)?;
+        if &start[..6] != b"\x93NUMPY" {
+            return Err(bad("header", "a NumPy array", &"another kind of file"));
+        }
+        let (header_len, start_len) = match start[6] {
+            1 => (u64::from(u16::from_le_bytes([start[8], start[9]])), 10),
+            2 | 3 => {
+                let mut high = [0; 2];
+                reader.read_exact(&mut high).map_err(cut)?;
+                (u64::from(u32::from_le_bytes([start[8], start[9], high[0], high[1]])), 12)
+            }
+            version => return Err(bad("header", "format version 1 to 3", &version)),
+        };
+        // The header of a plain array is some 100 bytes long; the limit keeps a false length from being believed.
+        if header_len > size.min(1 << 16) {
+            return Err(bad("header", "at most 65536 bytes", &header_len));
+        }
+        let mut header = vec![0; header_len as usize];
+        reader.read_exact(&mut header).map_err(cut)?;
+        let (descr, fortran, shape) = parse_header(&header)
+            .ok_or_else(|| bad("header", "descr, fortran_order and shape", &"other text"))?;
+        let element = match descr {
+            "<f4" => Element::F32,
+            "<f8" => Element::F64,
+            "<i4" => Element::I32,
+            "<i8" => Element::I64,
+            _ => return Err(bad("element type", "<f4, <f8, <i4 or <i8", &descr)),
+        };
+        let bytes = shape.iter().try_fold(element.bytes(), |n, &axis| n.checked_mul(axis));
+        let there = size.saturating_sub(start_len + header_len);
+        let fits = bytes.filter(|&b| b as u64 == there);
+        let Some(bytes) = fits else {
+            let expected = format!("the elements of shape {shape:?} and nothing else");
+            return Err(bad("length", &expected, &format!("{there} bytes")));
+        };
+        let len = bytes / element.bytes();
+        Ok(Self { reader, element, fortran, shape, len, origin })
+    }
+
+    /// Whether the elements are floating-point numbers.
+    pub fn is_float(&self) -> bool {
+        matches!(self.element, Element::F32 | Element::F64)
+    }
+
+    /// An error about this array.
+    pub fn invalid(&self, field: &str, expected: &str, found: impl ToString) -> Error {
+        Error::invalid(&self.origin, field, expected, found)
+    }
+
+    /// Hands the elements to `sink` in the order of the file.
+    fn elements(&mut self, mut sink: impl FnMut(f64)) -> Result<()> {
+        let mut buffer = [0; 1 << 14];
+        let mut left = self.len * self.element.bytes();
+        while left > 0 {
+            let chunk = &mut buffer[..left.min(1 << 14)];
+            left -= chunk.len();
+            self.reader
+                .read_exact(chunk)
+                .map_err(|e| Error::invalid(&self.origin, "data", "all its elements", e))?;
+            match self.element {
+                Element::F32 => words(chunk).for_each(|b| sink(f32::from_le_bytes(b).into())),
+                Element::F64 => words(chunk).for_each(|b| sink(f64::from_le_bytes(b))),
+                Element::I32 => words(chunk).for_each(|b| sink(i32::from_le_bytes(b).into())),
+                Element::I64 => words(chunk).for_each(|b| sink(i64::from_le_bytes(b) as f64)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the whole array, each element through `cast`.
+    pub fn read<T>(&mut self, cast: impl Fn(f64) -> T) -> Result<ArrayD<T>> {
+        let mut data = Vec::with_capacity(self.len);
+        self.elements(|x| data.push(cast(x)))?;
+        let shape = IxDyn(&self.shape).set_f(self.fortran);
+        ArrayD::from_shape_vec(shape, data).map_err(|e| self.invalid("shape", "a usable shape", e))
+    }
+
+    /// Reads an array of shape [.., 3] as its triples, in C order, each element through `cast`.
+    pub fn triples<T: Copy + Default>(&mut self, cast: impl Fn(f64) -> T) -> Result<Vec<[T; 3]>> {
+        if self.shape.last() != Some(&3) {
+            return Err(self.invalid("shape", "a last axis of 3", format!("{:?}", self.shape)));
+        }
+        let mut out = Vec::with_capacity(self.len / 3);
+        let mut triple = [T::default(); 3];
+        let mut axis = 0;
+        let mut push = |x: T| {
+            triple[axis] = x;
+            axis = (axis + 1) % 3;
+            if axis == 0 {
+                out.push(triple);
+            }
+        };
+        if self.fortran {
+            self.read(cast)?.iter().for_each(|&x| push(x));
+        } else {
+            self.elements(|x| push(cast(x)))?;
+        }
+        Ok(out)
+    }
+}
+
+fn words<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> + '_ {
+    bytes.as_chunks::<N>().0.iter().copied()
+}
+
+/// The three entries of a header such as `{'descr': '<f4', 'fortran_order': False, 'shape': (391, 1024, 3), }`, in any
+/// order; None if it is anything else.
+fn parse_header(header: &[u8]) -> Option<(&str, bool, Vec<usize>)> {
+    let text = str::from_utf8(header).ok()?.trim();
+    let mut rest = text.strip_prefix('{')?.strip_suffix('}')?.trim();
+    let (mut descr, mut fortran, mut shape) = (None, None, None);
+    while !rest.is_empty() {
+        let (key, after) = quoted(rest)?;
+        let after = after.trim_start().strip_prefix(':')?.trim_start();
+        let unread = match key {
+            "descr" if descr.is_none() => {
+                let (value, after) = quoted(after)?;
+                descr = Some(value);
+                after
+            }
+            "fortran_order" if fortran.is_none() => {
+                let (value, after) = match after.strip_prefix("True") {
+                    Some(after) => (true, after),
+                    None => (false, after.strip_prefix("False")?),
+                };
+                fortran = Some(value);
+                after
+            }
+            "shape" if shape.is_none() => {
+                let (axes, after) = after.strip_prefix('(')?.split_once(')')?;
+                shape = Some(parse_axes(axes)?);
+                after
+            }
+            _ => return None,
+        };
+        let unread = unread.trim_start();
+        rest = match unread.strip_prefix(',') {
+            Some(after) => after.trim_start(),
+            None if unread.is_empty() => unread,
+            None => return None,
+        };
+    }
+    Some((descr?, fortran?, shape?))
+}
+
+fn quoted(text: &str) -> Option<(&str, &str)> {
+    let quote = text.chars().next().filter(|c| matches!(c, '\'' | '"'))?;
+    text[1..].split_once(quote)
+}
+
+/// The inside of a tuple: "", "5," or "391, 1024, 3".
+fn parse_axes(text: &str) -> Option<Vec<usize>> {
+    let text = text.trim();
+    let text = text.strip_suffix(',').unwrap_or(text);
+    if text.is_empty() {
+        return Some(Vec::new());
+    }
+    let axes: Option<Vec<usize>> = text.split(',').map(|axis| axis.trim().parse().ok()).collect();
+    axes.filter(|a| a.len() <= MAX_AXES)
+}
+
+/// Reads an array of `f4` or `f8` in C or Fortran order.
+pub fn read_npy(path: impl AsRef<Path>) -> Result<ArrayD<f64>> {
+    let mut array = open_npy(path.as_ref())?;
+    if !array.is_float() {
+        return Err(array.invalid("element type", "<f4 or <f8", "whole numbers"));
+    }
+    array.read(|x| x)
+}
+
+/// Opens the array that is a file's only content.
+pub(super) fn open_npy(path: &Path) -> Result<Array<BufReader<std::fs::File>>> {
+    let (file, size) = open(path)?;
+    Array::open(BufReader::new(file), size, path.display().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(header: &str, data: &[u8]) -> Result<ArrayD<f64>> {
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.as_bytes());
+        bytes.extend(data);
+        let size = bytes.len() as u64;
+        Array::open(&bytes[..], size, "test.npy".into())?.read(|x| x)
+    }
+
+    #[test]
+    fn both_orders_and_widths() {
+        let f4: Vec<u8> = (0..6).flat_map(|k| (k as f32).to_le_bytes()).collect();
+        let f8: Vec<u8> = (0..6).flat_map(|k| (k as f64).to_le_bytes()).collect();
+        let c = read("{'descr': '<f4', 'fortran_order': False, 'shape': (2, 3), }\n", &f4).unwrap();
+        let f = read("{'shape': (2, 3), 'fortran_order': True, 'descr': '<f8'}", &f8).unwrap();
+        assert_eq!(c[[1, 0]], 3.0);
+        assert_eq!(f[[1, 0]], 1.0);
+        let scalar = read("{'descr': '<f4', 'fortran_order': False, 'shape': (), }", &f4[4..8]).unwrap();
+        assert_eq!((scalar.ndim(), scalar.sum()), (0, 1.0));
+    }
+
+    #[test]
+    fn claims_are_checked_against_the_length() {
+        let huge = "{'descr': '<f4', 'fortran_order': False, 'shape': (4000000000, 4000000000, 3), }";
+        let error = read(huge, &[0; 12]).unwrap_err().to_string();
+        assert!(error.contains("test.npy: length") && error.contains("12 bytes"), "{error}");
+        let longer = "{'descr': '<f4', 'fortran_order': False, 'shape': (2,), }";
+        assert!(read(longer, &[0; 9]).is_err() && read(longer, &[0; 7]).is_err());
+    }
+
+    #[test]
+    fn foreign_headers_are_refused() {
+        for header in [
+            "",
+            "{}",
+            "{'descr': '<f4', 'fortran_order': False}",
+            "{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': ()}",
+            "{'descr': '<f4', 'fortran_order': False, 'shape': (-1,)}",
+            "{'descr': '>f4', 'fortran_order': False, 'shape': ()}",
+            "{'descr': '<f4', 'fortran_order': False, 'shape': () 'x': 1}",
+        ] {
+            assert!(read(header, &[0; 4]).is_err(), "{header}");
+        }
+    }
+}

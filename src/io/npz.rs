@@ -1,0 +1,82 @@
+//! Trajectories as NumPy archives (`.npz`).
+
+use super::{Trajectory, mesh, npy::Array, open, trajectory::Parts, zip::Archive};
+use crate::{Error, Result};
+use ndarray::{Array2, aview0};
+use ndarray_npy::NpzWriter;
+use std::{
+    io::{self, BufReader, Seek, Write},
+    path::Path,
+};
+
+const POSITIONS: &str = "vertices_seq";
+const VELOCITIES: &str = "velocities_seq";
+const FACES: &str = "faces";
+const COORDINATES: &str = "vertices_uv";
+const RATE: &str = "fps";
+
+/// Writes all of a trajectory, array by array, without a second copy of the large ones.
+pub(super) fn write(trajectory: &Trajectory, writer: impl Write + Seek) -> io::Result<()> {
+    let faces: Vec<[i32; 3]> = trajectory.grid().faces().iter().map(|f| f.map(|k| k as i32)).collect();
+    let coordinates = mesh::texture_coordinates(trajectory.grid());
+    let mut npz = NpzWriter::new(writer);
+    let written = (|| {
+        npz.add_array(POSITIONS, &trajectory.positions())?;
+        npz.add_array(VELOCITIES, &trajectory.velocities())?;
+        npz.add_array(FACES, &Array2::from(faces))?;
+        npz.add_array(COORDINATES, &Array2::from(coordinates))?;
+        npz.add_array(RATE, &aview0(&trajectory.fps()))?;
+        npz.finish()
+    })();
+    written.map(drop).map_err(io::Error::other)
+}
+
+/// Reads an archive; only the positions must be there.
+pub(super) fn read(path: &Path) -> Result<Parts> {
+    let (file, size) = open(path)?;
+    let mut archive = Archive::open(BufReader::new(file), size, path.display().to_string())?;
+    let mut parts = Parts::default();
+    {
+        let mut array = array(&mut archive, path, POSITIONS)?;
+        parts.shape = array.shape.clone();
+        parts.positions = array.triples(|x| x as f32)?;
+    }
+    let has =
+        |archive: &Archive<_>, name: &str| archive.entries.iter().any(|e| e.name == format!("{name}.npy"));
+    if has(&archive, VELOCITIES) {
+        let mut array = array(&mut archive, path, VELOCITIES)?;
+        if array.shape != parts.shape {
+            let expected = format!("the shape of {POSITIONS}, {:?}", parts.shape);
+            return Err(array.invalid("shape", &expected, format!("{:?}", array.shape)));
+        }
+        parts.velocities = Some(array.triples(|x| x as f32)?);
+    }
+    if has(&archive, FACES) {
+        let mut array = array(&mut archive, path, FACES)?;
+        let vertices = *parts.shape.get(1).unwrap_or(&0) as f64;
+        // A number that is no vertex becomes one past the last, which the test below finds.
+        let number = |x: f64| if x >= 0.0 && x < vertices && x.fract() == 0.0 { x as u32 } else { u32::MAX };
+        let faces = array.triples(number)?;
+        if faces.as_flattened().contains(&u32::MAX) {
+            return Err(array.invalid("elements", &format!("vertex numbers below {vertices}"), "others"));
+        }
+        parts.faces = faces;
+    }
+    if has(&archive, RATE) {
+        let mut array = array(&mut archive, path, RATE)?;
+        let values = array.read(|x| x)?;
+        let rate = values.first().copied().filter(|x| values.len() == 1 && x.is_finite() && *x > 0.0);
+        parts.fps = Some(rate.ok_or_else(|| array.invalid("value", "one number above 0 [1/s]", &values))?);
+    }
+    Ok(parts)
+}
+
+/// One array of an archive.
+fn array<'a, R: io::Read + Seek>(
+    archive: &'a mut Archive<R>,
+    path: &Path,
+    name: &str,
+) -> Result<Array<impl io::Read + 'a>, Error> {
+    let (reader, size) = archive.entry(&format!("{name}.npy"))?;
+    Array::open(reader, size, format!("{}: {name}", path.display()))
+}

@@ -1,0 +1,254 @@
+//! The frames of a run.
+
+use super::{Format, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
+use crate::{Error, Result, sim::Grid};
+use ndarray::ArrayView3;
+use ndarray_npy::WriteNpyExt;
+use rayon::prelude::*;
+use std::{
+    io,
+    path::{Path, PathBuf},
+};
+
+/// The frames of one cloth: positions and velocities at equal steps of time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trajectory {
+    grid: Grid,
+    fps: f64,
+    positions: Vec<[f32; 3]>,
+    velocities: Vec<[f32; 3]>,
+}
+
+/// What a file may not tell about a trajectory.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReadOptions {
+    /// The grid. Without it, it follows from the faces in the file, or else the cloth must be square.
+    pub grid: Option<Grid>,
+    /// Frames per second [1/s] where the file does not say.
+    pub fps: f64,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        Self { grid: None, fps: 60.0 }
+    }
+}
+
+/// What a reader found in a file.
+#[derive(Default)]
+pub(super) struct Parts {
+    /// Shape of the positions as the file gives it.
+    pub shape: Vec<usize>,
+    pub positions: Vec<[f32; 3]>,
+    pub velocities: Option<Vec<[f32; 3]>>,
+    pub faces: Vec<[u32; 3]>,
+    pub fps: Option<f64>,
+}
+
+impl Trajectory {
+    /// A trajectory without frames; `fps` is the number of frames per second [1/s].
+    pub fn new(grid: Grid, fps: f64) -> Self {
+        assert!(grid.particles() > 0, "a trajectory has particles");
+        assert!(fps.is_finite() && fps > 0.0, "frames per second are above 0");
+        Self { grid, fps, positions: Vec::new(), velocities: Vec::new() }
+    }
+
+    /// Makes room for `frames` more frames, so that pushing them moves nothing.
+    pub fn reserve(&mut self, frames: usize) {
+        self.positions.reserve_exact(frames * self.grid.particles());
+        self.velocities.reserve_exact(frames * self.grid.particles());
+    }
+
+    /// Appends a frame: positions \[m\] and velocities [m/s], shape [V, 3] each.
+    pub fn push(&mut self, positions: &[[f32; 3]], velocities: &[[f32; 3]]) {
+        let vertices = self.grid.particles();
+        assert!(
+            positions.len() == vertices && velocities.len() == vertices,
+            "a frame has a position and a velocity for each particle"
+        );
+        self.positions.extend_from_slice(positions);
+        self.velocities.extend_from_slice(velocities);
+    }
+
+    /// The grid of particles.
+    pub fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    /// Frames per second [1/s].
+    pub fn fps(&self) -> f64 {
+        self.fps
+    }
+
+    /// Number of frames (F).
+    pub fn frames(&self) -> usize {
+        self.positions.len() / self.grid.particles()
+    }
+
+    /// Positions of one frame \[m\], shape [V, 3].
+    pub fn frame(&self, frame: usize) -> &[[f32; 3]] {
+        let vertices = self.grid.particles();
+        &self.positions[frame * vertices..][..vertices]
+    }
+
+    /// Positions \[m\], shape [F, V, 3].
+    pub fn positions(&self) -> ArrayView3<'_, f32> {
+        self.view(&self.positions)
+    }
+
+    /// Velocities [m/s], shape [F, V, 3].
+    pub fn velocities(&self) -> ArrayView3<'_, f32> {
+        self.view(&self.velocities)
+    }
+
+    fn view<'a>(&self, data: &'a [[f32; 3]]) -> ArrayView3<'a, f32> {
+        let shape = (self.frames(), self.grid.particles(), 3);
+        ArrayView3::from_shape(shape, data.as_flattened()).expect("whole frames were pushed")
+    }
+
+    /// Writes the trajectory into the folder `dir` and tells where: the file `NAME.EXT`, or for OBJ and PLY the folder
+    /// `NAME_EXT` with a file `00000.EXT` per frame. Each file appears when it is complete; files of frames that a longer
+    /// run left in such a folder are removed.
+    pub fn write(&self, dir: impl AsRef<Path>, name: &str, format: Format) -> Result<PathBuf> {
+        let file = dir.as_ref().join(format!("{name}.{format}"));
+        let folder = dir.as_ref().join(format!("{name}_{format}"));
+        match format {
+            Format::Npz => {
+                let bytes = size_of_val(self.positions.as_slice()) as u64;
+                if bytes >= u64::from(u32::MAX) - 256 {
+                    let (field, expected) = ("vertices_seq", "less than 4 GiB for npz (npy has no limit)");
+                    return Err(Error::invalid(file.display().to_string(), field, expected, bytes));
+                }
+                write_atomic(&file, |w| npz::write(self, w)).map(|()| file)
+            }
+            Format::Npy => {
+                let npy = |w: &mut _| self.positions().write_npy(w).map_err(io::Error::other);
+                write_atomic(&file, npy).map(|()| file)
+            }
+            Format::Pc2 => write_atomic(&file, |w| pc2::write(self, w)).map(|()| file),
+            Format::Obj | Format::Ply => self.write_frames(folder, format),
+        }
+    }
+
+    fn write_frames(&self, folder: PathBuf, format: Format) -> Result<PathBuf> {
+        (0..self.frames()).into_par_iter().try_for_each(|f| {
+            write_atomic(folder.join(format!("{f:05}.{format}")), |w| match format {
+                Format::Ply => ply::write(self.grid, self.frame(f), w),
+                _ => obj::write(self.grid, self.frame(f), w),
+            })
+        })?;
+        for (_, path) in frame_files(&folder, format)?.into_iter().filter(|(f, _)| *f >= self.frames()) {
+            std::fs::remove_file(&path).map_err(|e| Error::io(&path, "cannot remove", e))?;
+        }
+        Ok(folder)
+    }
+
+    /// Reads a trajectory from an npz, npy or pc2 file or a folder of OBJ files. Positions must be finite. Where the file
+    /// has no velocities, they are the differences of positions over the frame time, and 0 in the first frame.
+    pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Self> {
+        let path = path.as_ref();
+        let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+        let parts = match extension.to_str() {
+            _ if path.is_dir() => read_folder(path)?,
+            Some("npz") => npz::read(path)?,
+            Some("pc2") => pc2::read(path)?,
+            Some("npy") => {
+                let mut array = npy::open_npy(path)?;
+                if !array.is_float() {
+                    return Err(array.invalid("element type", "<f4 or <f8", "whole numbers"));
+                }
+                let shape = array.shape.clone();
+                Parts { shape, positions: array.triples(|x| x as f32)?, ..Parts::default() }
+            }
+            _ => {
+                let expected = "an npz, npy or pc2 file or a folder of OBJ files";
+                return Err(Error::invalid(path.display().to_string(), "type", expected, "another one"));
+            }
+        };
+        Self::from_parts(parts, options, &path.display().to_string())
+    }
+
+    fn from_parts(parts: Parts, options: &ReadOptions, origin: &str) -> Result<Self> {
+        let &[frames, vertices, 3] = &parts.shape[..] else {
+            return Err(Error::invalid(
+                origin,
+                "shape",
+                "[frames, vertices, 3]",
+                format!("{:?}", parts.shape),
+            ));
+        };
+        if frames == 0 || vertices == 0 {
+            let found = format!("{frames} frames of {vertices}");
+            return Err(Error::invalid(origin, "shape", "at least one frame and vertex", found));
+        }
+        let side = vertices.isqrt();
+        let square = (side * side == vertices).then_some(Grid { h: side, w: side });
+        let grid = options.grid.or_else(|| mesh::grid_of(vertices, &parts.faces)).or(square);
+        let Some(grid) = grid.filter(|g| g.particles() == vertices) else {
+            let expected = options.grid.map_or("those of a square grid".into(), |g| format!("those of {g}"));
+            return Err(Error::invalid(origin, "vertices", expected, vertices));
+        };
+        for values in [Some(&parts.positions), parts.velocities.as_ref()].into_iter().flatten() {
+            if let Some(at) = values.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+                let field = format!("frame {}, vertex {}", at / vertices, at % vertices);
+                return Err(Error::invalid(origin, field, "finite numbers", format!("{:?}", values[at])));
+            }
+        }
+        let mut trajectory = Self::new(grid, parts.fps.unwrap_or(options.fps));
+        let fps = trajectory.fps as f32;
+        let velocities = parts.velocities.unwrap_or_else(|| {
+            let moved = parts.positions.iter().zip(&parts.positions[vertices..]);
+            let velocities = moved.map(|(a, b)| std::array::from_fn(|k| (b[k] - a[k]) * fps));
+            std::iter::repeat_n([0.0; 3], vertices).chain(velocities).collect()
+        });
+        (trajectory.positions, trajectory.velocities) = (parts.positions, velocities);
+        Ok(trajectory)
+    }
+}
+
+/// The numbered files of a folder of frames, in order.
+fn frame_files(folder: &Path, format: Format) -> Result<Vec<(usize, PathBuf)>> {
+    let fail = |e| Error::io(folder, "cannot read the folder", e);
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(fail)? {
+        let path = entry.map_err(fail)?.path();
+        let of_format = path.extension().is_some_and(|e| e == format.name());
+        let stem =
+            path.file_stem().and_then(|s| s.to_str()).filter(|s| s.bytes().all(|b| b.is_ascii_digit()));
+        if let Some(number) = stem.and_then(|s| s.parse().ok()).filter(|_| of_format) {
+            files.push((number, path));
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+fn read_folder(folder: &Path) -> Result<Parts> {
+    let files = frame_files(folder, Format::Obj)?;
+    let mut parts = Parts::default();
+    for (number, (frame, path)) in files.iter().enumerate() {
+        let bad = |field: &str, expected: String, found: String| {
+            Err(Error::invalid(path.display().to_string(), field, expected, found))
+        };
+        if *frame != number {
+            return bad("number", format!("{number:05}.obj"), "a gap before this file".into());
+        }
+        let mesh = read_obj(path)?;
+        if number == 0 {
+            parts.shape = vec![files.len(), mesh.positions.len(), 3];
+            parts.faces = mesh.faces;
+        } else if mesh.positions.len() != parts.shape[1] {
+            return bad(
+                "vertices",
+                format!("{} as in the first file", parts.shape[1]),
+                mesh.positions.len().to_string(),
+            );
+        }
+        parts.positions.extend(mesh.positions);
+    }
+    if files.is_empty() {
+        let expected = "numbered OBJ files such as 00000.obj";
+        return Err(Error::invalid(folder.display().to_string(), "content", expected, "none"));
+    }
+    Ok(parts)
+}

@@ -1,0 +1,205 @@
+//! The container of NumPy archives: a zip file whose entries are stored, not compressed.
+//!
+//! Written by hand because the library reader believes what the headers inside claim and allocates accordingly.
+
+use crate::{Error, Result};
+use std::io::{self, Read, Seek, SeekFrom};
+
+/// A file inside an archive.
+pub(super) struct Entry {
+    /// Its name.
+    pub name: String,
+    /// Its length in bytes.
+    pub size: u64,
+    compressed: bool,
+    crc: u32,
+    header: u64,
+}
+
+/// A file of stored entries; all sizes and places are known to lie inside it.
+pub(super) struct Archive<R> {
+    reader: R,
+    len: u64,
+    origin: String,
+    /// What it holds.
+    pub entries: Vec<Entry>,
+}
+
+const END: u32 = 0x0605_4b50;
+const END64: u32 = 0x0606_4b50;
+const END64_LOCATOR: u32 = 0x0706_4b50;
+const CENTRAL: u32 = 0x0201_4b50;
+const LOCAL: u32 = 0x0403_4b50;
+/// Lengths of the fixed parts of the records.
+const END_LEN: usize = 22;
+const CENTRAL_LEN: usize = 46;
+const LOCAL_LEN: u64 = 30;
+
+/// Little-endian fields of a record; None past its end.
+fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
+    Some(u16::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
+}
+fn u32_at(bytes: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
+}
+fn u64_at(bytes: &[u8], at: usize) -> Option<u64> {
+    Some(u64::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
+}
+
+impl<R: Read + Seek> Archive<R> {
+    /// Reads the directory of an archive of `len` bytes; `origin` names it in errors.
+    pub fn open(reader: R, len: u64, origin: String) -> Result<Self> {
+        let mut archive = Self { reader, len, origin, entries: Vec::new() };
+        let entries =
+            archive.directory().transpose().unwrap_or_else(|| Err(io::Error::other("a damaged one")));
+        archive.entries =
+            entries.map_err(|e| Error::invalid(&archive.origin, "archive", "a directory of entries", e))?;
+        Ok(archive)
+    }
+
+    /// The directory; Ok(None) if it is damaged.
+    fn directory(&mut self) -> io::Result<Option<Vec<Entry>>> {
+        let tail_len = self.len.min((END_LEN + usize::from(u16::MAX)) as u64);
+        let tail = self.bytes(self.len - tail_len, tail_len)?;
+        let is_end = |&at: &usize| {
+            u32_at(&tail, at) == Some(END)
+                && u16_at(&tail, at + 20)
+                    .is_some_and(|comment| at + END_LEN + usize::from(comment) == tail.len())
+        };
+        let Some(at) = (0..tail.len()).rev().find(is_end) else { return Ok(None) };
+        let (Some(size), Some(start)) = (u32_at(&tail, at + 12), u32_at(&tail, at + 16)) else {
+            return Ok(None);
+        };
+        let (mut size, mut start) = (u64::from(size), u64::from(start));
+        if let Some(locator) = at.checked_sub(20).filter(|&l| u32_at(&tail, l) == Some(END64_LOCATOR)) {
+            let Some(place) =
+                u64_at(&tail, locator + 8).filter(|p| p.checked_add(56).is_some_and(|e| e <= self.len))
+            else {
+                return Ok(None);
+            };
+            let end = self.bytes(place, 56)?;
+            match (u32_at(&end, 0), u64_at(&end, 40), u64_at(&end, 48)) {
+                (Some(END64), Some(s), Some(o)) => (size, start) = (s, o),
+                _ => return Ok(None),
+            }
+        }
+        if start.checked_add(size).is_none_or(|end| end > self.len) {
+            return Ok(None);
+        }
+        let bytes = self.bytes(start, size)?;
+        let mut entries = Vec::new();
+        let mut rest = &bytes[..];
+        while !rest.is_empty() {
+            let Some((entry, used)) = central_entry(rest) else { return Ok(None) };
+            entries.push(entry);
+            rest = &rest[used..];
+        }
+        Ok(Some(entries))
+    }
+
+    /// `len` bytes from `at`, which the caller has checked to lie in the file.
+    fn bytes(&mut self, at: u64, len: u64) -> io::Result<Vec<u8>> {
+        let mut out = vec![0; len as usize];
+        self.reader.seek(SeekFrom::Start(at))?;
+        self.reader.read_exact(&mut out)?;
+        Ok(out)
+    }
+
+    /// The entry `name` as a reader of its `size` bytes that fails at the end if they do not match their checksum.
+    pub fn entry(&mut self, name: &str) -> Result<(Checked<'_, R>, u64)> {
+        let bad = |expected: &str, found: &dyn std::fmt::Display| {
+            Error::invalid(&self.origin, name, expected, found)
+        };
+        let found = self.entries.iter().find(|e| e.name == name);
+        let entry = found.ok_or_else(|| bad("an array of this name", &"none"))?;
+        if entry.compressed {
+            return Err(bad("a stored array, as numpy.savez writes it", &"a compressed one"));
+        }
+        let (header, size, crc) = (entry.header, entry.size, entry.crc);
+        let inside = |from: u64, len: u64| from.checked_add(len).filter(|&end| end <= self.len);
+        inside(header, LOCAL_LEN).ok_or_else(|| bad("a place inside the archive", &header))?;
+        let local = self.bytes(header, LOCAL_LEN).map_err(|e| Error::io(&self.origin, "cannot read", e))?;
+        let start = match (u32_at(&local, 0), u16_at(&local, 26), u16_at(&local, 28)) {
+            (Some(LOCAL), Some(name), Some(extra)) => header + LOCAL_LEN + u64::from(name) + u64::from(extra),
+            _ => return Err(Error::invalid(&self.origin, name, "an entry at its place", "something else")),
+        };
+        if start.checked_add(size).is_none_or(|end| end > self.len) {
+            return Err(Error::invalid(&self.origin, name, format!("{size} bytes"), "the end of the file"));
+        }
+        self.reader.seek(SeekFrom::Start(start)).map_err(|e| Error::io(&self.origin, "cannot read", e))?;
+        Ok((Checked { reader: &mut self.reader, left: size, state: !0, crc }, size))
+    }
+}
+
+/// One record of the central directory and its length.
+fn central_entry(bytes: &[u8]) -> Option<(Entry, usize)> {
+    if u32_at(bytes, 0)? != CENTRAL {
+        return None;
+    }
+    let method = u16_at(bytes, 10)?;
+    let mut sizes = [u32_at(bytes, 24)?, u32_at(bytes, 20)?, u32_at(bytes, 42)?].map(u64::from);
+    let [name, extra, comment] =
+        [u16_at(bytes, 28)?, u16_at(bytes, 30)?, u16_at(bytes, 32)?].map(usize::from);
+    let mut fields = bytes.get(CENTRAL_LEN + name..CENTRAL_LEN + name + extra)?;
+    while let (Some(tag), Some(len)) = (u16_at(fields, 0), u16_at(fields, 2)) {
+        let body = fields.get(4..4 + usize::from(len))?;
+        if tag == 1 {
+            // The fields that did not fit into 32 bits, in this order.
+            let marked = sizes.iter_mut().filter(|s| **s == u64::from(u32::MAX));
+            for (k, size) in marked.enumerate() {
+                *size = u64_at(body, 8 * k)?;
+            }
+        }
+        fields = &fields[4 + usize::from(len)..];
+    }
+    let [size, packed, header] = sizes;
+    let used = CENTRAL_LEN + name + extra + comment;
+    let entry = Entry {
+        name: String::from_utf8_lossy(bytes.get(CENTRAL_LEN..CENTRAL_LEN + name)?).into_owned(),
+        size,
+        compressed: method != 0 || packed != size,
+        crc: u32_at(bytes, 16)?,
+        header,
+    };
+    (used <= bytes.len()).then_some((entry, used))
+}
+
+/// A reader that compares what it has read with a checksum.
+pub(super) struct Checked<'a, R> {
+    reader: &'a mut R,
+    left: u64,
+    state: u32,
+    crc: u32,
+}
+
+impl<R: Read> Read for Checked<'_, R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = self.left.min(buffer.len() as u64) as usize;
+        let n = self.reader.read(&mut buffer[..n])?;
+        self.left -= n as u64;
+        for &byte in &buffer[..n] {
+            self.state = CRC_TABLE[usize::from(self.state as u8 ^ byte)] ^ (self.state >> 8);
+        }
+        if self.left == 0 && n > 0 && !self.state != self.crc {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "bytes that do not match their checksum"));
+        }
+        Ok(n)
+    }
+}
+
+/// CRC-32 (polynomial 0xEDB88320, reflected) of each byte.
+const CRC_TABLE: [u32; 256] = {
+    let mut table = [0; 256];
+    let mut k = 0;
+    while k < 256 {
+        let mut c = k as u32;
+        let mut bit = 0;
+        while bit < 8 {
+            c = if c & 1 == 1 { 0xEDB8_8320 ^ (c >> 1) } else { c >> 1 };
+            bit += 1;
+        }
+        table[k] = c;
+        k += 1;
+    }
+    table
+};

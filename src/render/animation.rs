@@ -1,0 +1,156 @@
+//! Animated GIFs.
+
+use super::{
+    Image, View,
+    palette::Palette,
+    stage::{Size, Stage},
+};
+use crate::{
+    Result,
+    io::{Trajectory, write_atomic},
+};
+use ::gif::{DisposalMethod, Encoder, Frame, Repeat};
+use rayon::prelude::*;
+use std::{
+    borrow::Cow,
+    io::{self, Write},
+    path::Path,
+};
+
+/// How an animation is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GifOptions {
+    /// Width and height \[px\].
+    pub size: usize,
+    /// The most frames per second [1/s]; frames are left out to keep below, and time stays real.
+    pub max_fps: f64,
+    /// The direction of view.
+    pub view: View,
+}
+
+impl Default for GifOptions {
+    fn default() -> Self {
+        Self { size: 320, max_fps: 30.0, view: View::default() }
+    }
+}
+
+/// Frames drawn at a time, which bounds the memory for long trajectories.
+const CHUNK: usize = 64;
+/// Frames that the palette is made from.
+const SWATCHES: usize = 12;
+/// A pixel that stays as it is.
+const SAME: u8 = 255;
+
+/// Writes the trajectory as an endless animation in real time; `handles` are the vertices to mark.
+/// An empty trajectory gives a picture of the background.
+pub fn write_gif(
+    path: impl AsRef<Path>,
+    trajectory: &Trajectory,
+    handles: &[usize],
+    options: &GifOptions,
+) -> Result<()> {
+    assert!((1..=4096).contains(&options.size), "an animation is 1 to 4096 pixels wide");
+    assert!(options.max_fps > 0.0, "an animation has frames");
+    let stage = Stage::new(trajectory, handles, &options.view, Size::Fixed(options.size, options.size), 2);
+    let every = (trajectory.fps() / options.max_fps).ceil().max(1.0) as usize;
+    let shown: Vec<usize> = (0..trajectory.frames()).step_by(every).collect();
+    let draw = |&frame: &usize| stage.draw(trajectory.frame(frame));
+    let swatches: Vec<Image> = match shown.len().div_ceil(SWATCHES) {
+        0 => vec![stage.draw_empty()],
+        step => shown.par_iter().step_by(step).map(draw).collect(),
+    };
+    let palette = Palette::of(&swatches);
+    // Hundredths of a second, rounded so that errors do not add up.
+    let tick = |k: usize| (100.0 * (k * every) as f64 / trajectory.fps()).round();
+    let delay = |k: usize| (tick(k + 1) - tick(k)).clamp(2.0, 65535.0) as u16;
+
+    write_atomic(path, |w| {
+        let mut film = Film::new(w, options.size as u16, &palette)?;
+        for (chunk, frames) in shown.chunks(CHUNK).enumerate() {
+            let pictures = frames.par_iter().map(|f| palette.index(&draw(f))).collect();
+            film.append(pictures, |k| delay(chunk * CHUNK + k))?;
+        }
+        if shown.is_empty() {
+            film.append(vec![palette.index(&swatches[0])], |_| 10)?;
+        }
+        film.finish()
+    })
+}
+
+/// An animation being written; frames hold only what has changed.
+struct Film<'a, W: Write> {
+    encoder: Encoder<W>,
+    size: u16,
+    palette: &'a Palette,
+    last: Option<Vec<u8>>,
+}
+
+impl<'a, W: Write> Film<'a, W> {
+    fn new(writer: W, size: u16, palette: &'a Palette) -> io::Result<Self> {
+        let mut colours = palette.colours.clone();
+        // The number of SAME needs a place in the palette.
+        colours.resize(usize::from(SAME) + 1, [0; 3]);
+        let mut encoder =
+            Encoder::new(writer, size, size, colours.as_flattened()).map_err(io::Error::other)?;
+        encoder.set_repeat(Repeat::Infinite).map_err(io::Error::other)?;
+        Ok(Self { encoder, size, palette, last: None })
+    }
+
+    /// Appends pictures, given as numbers of colours; `delay` tells how long each is shown [1/100 s].
+    fn append(&mut self, mut pictures: Vec<Vec<u8>>, delay: impl Fn(usize) -> u16 + Sync) -> io::Result<()> {
+        // Changes too small to be seen are left out; what is shown is compared, so that they cannot add up.
+        for k in 0..pictures.len() {
+            let (shown, rest) = pictures.split_at_mut(k);
+            let Some(before) = shown.last().or(self.last.as_ref()) else { continue };
+            for (now, &before) in rest[0].iter_mut().zip(before) {
+                if *now != before && self.palette.alike(*now, before) {
+                    *now = before;
+                }
+            }
+        }
+        let size = self.size;
+        let encode = |k: usize| {
+            let before = if k == 0 { self.last.as_ref() } else { Some(&pictures[k - 1]) };
+            let mut frame = change(before.map(Vec::as_slice), &pictures[k], size);
+            frame.delay = delay(k);
+            frame.make_lzw_pre_encoded();
+            frame
+        };
+        let frames: Vec<Frame<'static>> = (0..pictures.len()).into_par_iter().map(encode).collect();
+        for frame in &frames {
+            self.encoder.write_lzw_pre_encoded_frame(frame).map_err(io::Error::other)?;
+        }
+        self.last = pictures.pop();
+        Ok(())
+    }
+
+    fn finish(self) -> io::Result<()> {
+        self.encoder.into_inner().map(drop).map_err(io::Error::other)
+    }
+}
+
+/// The smallest rectangle that turns one picture into the next, with [`SAME`] where nothing changes.
+fn change(before: Option<&[u8]>, now: &[u8], size: u16) -> Frame<'static> {
+    let n = usize::from(size);
+    let changed = |k: usize| before.is_none_or(|b| b[k] != now[k]);
+    let rows = (0..n).filter(|y| (0..n).any(|x| changed(y * n + x)));
+    let columns = (0..n).filter(|x| (0..n).any(|y| changed(y * n + x)));
+    // A frame has at least one pixel, even if nothing moves.
+    let range = |mut places: Box<dyn Iterator<Item = usize> + '_>| {
+        let first = places.next().unwrap_or(0);
+        (first, places.last().unwrap_or(first) + 1)
+    };
+    let ((top, bottom), (left, right)) = (range(Box::new(rows)), range(Box::new(columns)));
+    let pixels = (top..bottom).flat_map(|y| (left..right).map(move |x| y * n + x));
+    let buffer: Vec<u8> = pixels.map(|k| if changed(k) { now[k] } else { SAME }).collect();
+    Frame {
+        dispose: DisposalMethod::Keep,
+        transparent: Some(SAME),
+        top: top as u16,
+        left: left as u16,
+        width: (right - left) as u16,
+        height: (bottom - top) as u16,
+        buffer: Cow::Owned(buffer),
+        ..Frame::default()
+    }
+}

@@ -1,0 +1,48 @@
+//! Images in memory and as PNG files.
+
+use crate::{Result, io::write_atomic};
+use std::{io, path::Path};
+
+/// An image of 8-bit sRGB pixels, opaque.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Pixels row by row from the top left, `width * height` of them.
+    pub pixels: Vec<[u8; 3]>,
+}
+
+impl Image {
+    /// A black image.
+    pub fn new(width: usize, height: usize) -> Self {
+        Self { width, height, pixels: vec![[0; 3]; width * height] }
+    }
+
+    /// The pixel in column `x` of row `y`.
+    pub fn at(&self, x: usize, y: usize) -> [u8; 3] {
+        self.pixels[y * self.width + x]
+    }
+
+    /// Copies `other` into this image with its top left corner at column `x` of the first row.
+    pub(super) fn paste(&mut self, other: &Image, x: usize) {
+        for (row, source) in self.pixels.chunks_mut(self.width).zip(other.pixels.chunks(other.width)) {
+            row[x..x + other.width].copy_from_slice(source);
+        }
+    }
+}
+
+/// Writes an image as a PNG file, which appears when it is complete.
+pub fn write_png(path: impl AsRef<Path>, image: &Image) -> Result<()> {
+    let (width, height) = (image.width as u32, image.height as u32);
+    write_atomic(path, |w| {
+        let mut encoder = png::Encoder::new(w, width, height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+        let mut writer = encoder.write_header().map_err(io::Error::other)?;
+        writer.write_image_data(image.pixels.as_flattened()).map_err(io::Error::other)?;
+        writer.finish().map_err(io::Error::other)
+    })
+}

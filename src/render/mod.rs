@@ -1,0 +1,22 @@
+//! Pictures of a cloth: a small software rasteriser, so that every run can show what it did on any machine.
+//!
+//! [`strip`] draws frames side by side, [`write_gif`] an animation. Both see the whole trajectory with one fixed
+//! [`View`]. The cloth is petrol blue in front and sand at the back, handles are orange spheres, and a soft shadow lies
+//! on the floor below. Vertices that are not finite are left out, with their triangles.
+
+mod animation;
+mod camera;
+mod image;
+mod look;
+mod palette;
+mod shade;
+mod shadow;
+mod stage;
+mod strip;
+mod surface;
+mod text;
+
+pub use animation::{GifOptions, write_gif};
+pub use camera::View;
+pub use image::{Image, write_png};
+pub use strip::{StripOptions, strip};

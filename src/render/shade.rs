@@ -1,0 +1,111 @@
+//! Colours and light. Colours are linear until [`to_srgb`].
+
+use glam::{Vec2, Vec3, vec2, vec3};
+use std::sync::LazyLock;
+
+/// The front of the cloth: petrol blue.
+const FRONT: Vec3 = vec3(0.065, 0.32, 0.48);
+/// The back of the cloth: warm sand.
+const BACK: Vec3 = vec3(0.66, 0.47, 0.25);
+/// Handles: orange.
+pub(super) const HANDLE: Vec3 = vec3(0.95, 0.16, 0.02);
+/// Top and bottom of the background.
+const BACKGROUND: [Vec3; 2] = [vec3(0.86, 0.88, 0.90), vec3(0.60, 0.61, 0.62)];
+/// Fields of the checker along the longer side of the cloth.
+const FIELDS: f32 = 16.0;
+
+/// The lights of a stage, as directions along the camera's axes.
+pub(super) struct Lights {
+    key: Vec3,
+    fill: Vec3,
+    up: Vec3,
+}
+
+/// What is known of the cloth at a sample.
+pub(super) struct Sample {
+    /// Normal of the seen side, along the camera's axes.
+    pub normal: Vec3,
+    /// Direction to the eye, along the camera's axes.
+    pub eye: Vec3,
+    /// Depth of the valley that the sample lies in: positive in one, negative on a ridge.
+    pub valley: f32,
+    /// Place in the checker [fields].
+    pub field: Vec2,
+    /// Whether the front of the cloth is seen.
+    pub front: bool,
+}
+
+impl Lights {
+    /// Lights for a cloth that faces along `facing`; both directions are along the camera's axes. The key light comes from
+    /// above and from the side that the cloth turns away from, as light that grazes a cloth shows its folds.
+    pub fn new(up: Vec3, facing: Vec3) -> Self {
+        let side = if facing.x < 0.0 { 1.0 } else { -1.0 };
+        let light = |x: f32, y: f32, z: f32| (vec3(side * x, 0.0, z) + up * y).normalize();
+        Self { key: light(0.55, 0.62, 0.70), fill: light(-0.9, 0.1, 0.5), up }
+    }
+
+    /// The light that the cloth sends to the eye.
+    pub fn cloth(&self, s: &Sample) -> Vec3 {
+        let n = s.normal;
+        // A fabric lets some light through and scatters it: shading runs on a little beyond the terminator.
+        let key = ((n.dot(self.key) + 0.18) / 1.18).max(0.0);
+        let fill = n.dot(self.fill).max(0.0);
+        let sky = 0.5 + 0.5 * n.dot(self.up);
+        let open = (1.0 - 2.2 * s.valley).clamp(0.45, 1.25);
+        let light = vec3(1.0, 0.96, 0.90) * (1.3 * key)
+            + vec3(0.75, 0.85, 1.0) * (0.13 * fill)
+            + vec3(0.80, 0.88, 1.0) * (0.20 * open * (0.55 + 0.45 * sky));
+        let albedo = if s.front { FRONT } else { BACK } * checker(s.field);
+        let facing = n.dot(s.eye).clamp(0.0, 1.0);
+        let rim = (1.0 - facing).powi(4) * (0.3 + 0.7 * sky);
+        let shine = n.dot((self.key + s.eye).normalize()).max(0.0).powi(24);
+        albedo * light * (0.35 + 0.65 * open) + vec3(0.9, 0.95, 1.0) * (0.16 * rim + 0.045 * shine)
+    }
+
+    /// The light from a marker with the normal `n` along the camera's axes.
+    pub fn marker(&self, n: Vec3) -> Vec3 {
+        let key = (0.5 + 0.5 * n.dot(self.key)).powi(2);
+        let shine = n.dot((self.key + Vec3::Z).normalize()).max(0.0).powi(40);
+        HANDLE * (0.42 + 0.75 * key) + Vec3::splat(0.45 * shine)
+    }
+}
+
+/// A checker of two close tones with a darker thread between the fields.
+fn checker(field: Vec2) -> f32 {
+    // Casts, as coordinates are not negative and rounding functions are calls on many processors.
+    let (column, row) = (field.x as u32, field.y as u32);
+    let tone = if (column + row).is_multiple_of(2) { 1.05 } else { 0.95 };
+    let edge = (field - vec2(column as f32, row as f32) - 0.5).abs().max_element();
+    if edge > 0.46 { tone * 0.86 } else { tone }
+}
+
+/// Fields of the checker in a cloth of `cells` by `cells` edges, as fields per edge.
+pub(super) fn fields_per_edge(cells: usize) -> f32 {
+    FIELDS / cells.max(1) as f32
+}
+
+/// The background at a height of the picture, from 0 at the top to 1 at the bottom.
+pub(super) fn background(height: f32) -> Vec3 {
+    let t = height * height * (3.0 - 2.0 * height);
+    BACKGROUND[0].lerp(BACKGROUND[1], t)
+}
+
+/// An 8-bit sRGB colour.
+pub(super) fn to_srgb(colour: Vec3) -> [u8; 3] {
+    static TABLE: LazyLock<Vec<u8>> = LazyLock::new(|| (0..=BRIGHTEST * TONES).map(encode).collect());
+    let tone = |x: f32| TABLE[(x.clamp(0.0, BRIGHTEST as f32) * TONES as f32 + 0.5) as usize];
+    [tone(colour.x), tone(colour.y), tone(colour.z)]
+}
+
+/// Steps of the table of tones up to 1: fine enough for each 8-bit tone to have one.
+const TONES: usize = 1 << 13;
+/// Where the table ends.
+const BRIGHTEST: usize = 2;
+
+fn encode(tone: usize) -> u8 {
+    let x = tone as f32 / TONES as f32;
+    // Bright highlights roll off instead of clipping.
+    let x = if x > 0.8 { 0.8 + 0.2 * (1.0 - (-(x - 0.8) / 0.2).exp()) } else { x };
+    let y = if x <= 0.003_130_8 { 12.92 * x } else { 1.055 * x.powf(1.0 / 2.4) - 0.055 };
+    (255.0 * y + 0.5) as u8
+}

@@ -1,0 +1,217 @@
+//! A trajectory set up for drawing: camera, lights and everything else that its frames share.
+
+use super::{
+    Image, View,
+    camera::{Camera, usable},
+    look::Look,
+    shade::{self, Lights},
+    shadow::{self, Shadow},
+    surface::{NOTHING, Surface},
+};
+use crate::{
+    io::{Trajectory, vertex_normals},
+    sim::Grid,
+};
+use glam::{Vec3, vec3};
+
+/// Radius of a handle's marker as a part of the picture's height.
+const MARKER: f32 = 0.0135;
+/// The floor lies this part of the trajectory's height below it.
+const FLOOR: f32 = 0.10;
+/// Darkness of the shadow on the floor.
+const SHADOW: f32 = 0.34;
+
+/// Number of vertices, over all frames, that are enough to place the camera.
+const ENOUGH: usize = 100_000;
+
+/// What the frames of a picture have in common.
+pub(super) struct Stage {
+    pub size: [usize; 2],
+    samples: usize,
+    pub grid: Grid,
+    pub faces: Vec<[u32; 3]>,
+    pub handles: Vec<usize>,
+    pub camera: Camera,
+    pub lights: Lights,
+    up: Vec3,
+    /// Height of the floor \[m\].
+    floor: f32,
+}
+
+/// Size of a picture in pixels.
+pub(super) enum Size {
+    /// Width and height.
+    Fixed(usize, usize),
+    /// Height; the width follows from the shape of the trajectory.
+    Height(usize),
+}
+
+impl Stage {
+    /// Prepares pictures with `samples * samples` samples per pixel.
+    pub fn new(trajectory: &Trajectory, handles: &[usize], view: &View, size: Size, samples: usize) -> Self {
+        let grid = trajectory.grid();
+        assert!(handles.iter().all(|&h| h < grid.particles()), "handles are particles of the grid");
+        let faces = grid.faces();
+        let up = view.up();
+        let frames = (0..trajectory.frames()).map(|f| trajectory.frame(f));
+        let all = frames.clone().flatten().filter(|p| usable(p));
+        let (mut low, mut high) = (f32::MAX, f32::MIN);
+        for p in all.clone() {
+            let height = up.dot(Vec3::from(*p));
+            (low, high) = (low.min(height), high.max(height));
+        }
+        let floor = low - FLOOR * (high - low);
+        let on_floor = |p: Vec3| p + up * (floor - up.dot(p));
+        // Of a long or fine trajectory a part will do: what is left out lies within the margin of what is not.
+        let stride = (trajectory.frames() * grid.particles() / ENOUGH) | 1;
+        let points: Vec<Vec3> =
+            all.step_by(stride).map(|&p| Vec3::from(p)).flat_map(|p| [p, on_floor(p)]).collect();
+
+        let first = frames.into_iter().next().map_or(Vec::new(), |f| vertex_normals(f, &faces));
+        let rotation = view.rotation(&first, &points);
+        let size = match size {
+            Size::Fixed(width, height) => [width, height],
+            Size::Height(height) => {
+                let extent = |axis: usize| {
+                    let x = points.iter().map(|&p| rotation.row(axis).dot(p));
+                    let (low, high) = x.fold((f32::MAX, f32::MIN), |(l, h), x| (l.min(x), h.max(x)));
+                    (high - low).max(1e-3)
+                };
+                let shape = if points.is_empty() { 1.0 } else { (extent(0) / extent(1)).clamp(0.55, 1.3) };
+                [(height as f32 * shape).round() as usize, height]
+            }
+        };
+        let camera = Camera::fit(rotation, &points, size.map(|n| n * samples));
+        let facing: Vec3 = first.iter().map(|&n| Vec3::from(n)).sum();
+        let lights = Lights::new(rotation * up, rotation * facing);
+        Self { size, samples, grid, faces, handles: handles.to_vec(), camera, lights, up, floor }
+    }
+
+    /// Draws the stage without a cloth.
+    pub fn draw_empty(&self) -> Image {
+        self.draw(&vec![[f32::NAN; 3]; self.grid.particles()])
+    }
+
+    /// Draws the positions of a frame \[m\], shape [V, 3].
+    pub fn draw(&self, positions: &[[f32; 3]]) -> Image {
+        let [width, height] = self.size;
+        let n = self.samples;
+        let project = |p: &[f32; 3]| {
+            if usable(p) { self.camera.project(Vec3::from(*p)) } else { Vec3::NAN }
+        };
+        let projected: Vec<Vec3> = positions.iter().map(project).collect();
+        let mut surface = Surface::new(width * n, height * n);
+        for (k, face) in self.faces.iter().enumerate() {
+            surface.triangle(k as u32, face.map(|v| projected[v as usize]));
+        }
+        let radius = MARKER * surface.height as f32;
+        for (k, &handle) in self.handles.iter().enumerate() {
+            // A marker is a sphere about its vertex: its front is nearer than the cloth around it.
+            let centre = projected[handle];
+            let front = vec3(centre.x, centre.y, centre.z * (1.0 - 1.5 * radius / self.camera.focal));
+            surface.disc((self.faces.len() + k) as u32, front, radius);
+        }
+
+        let shadow = self.shadow(positions);
+        let look = Look::new(self, positions, projected, radius);
+        let mut image = Image::new(width, height);
+        for (y, row) in image.pixels.chunks_mut(width).enumerate() {
+            let wall = shade::background((y as f32 + 0.5) / height as f32);
+            for (x, pixel) in row.iter_mut().enumerate() {
+                let (mut sum, mut bare) = (Vec3::ZERO, 0);
+                for sy in y * n..(y + 1) * n {
+                    for sx in x * n..(x + 1) * n {
+                        match surface.seen[sy * surface.width + sx] {
+                            NOTHING => bare += 1,
+                            seen => sum += look.at(seen, sx, sy),
+                        }
+                    }
+                }
+                if bare > 0 {
+                    sum += wall * (bare as f32 * (1.0 - SHADOW * shadow.at(x, y)));
+                }
+                *pixel = shade::to_srgb(sum / (n * n) as f32);
+            }
+        }
+        image
+    }
+
+    /// The soft shadow of a frame on the floor, as if light came from straight above.
+    fn shadow(&self, positions: &[[f32; 3]]) -> Shadow {
+        let scale = 1.0 / (self.samples * shadow::PIXELS) as f32;
+        let project = |p: &[f32; 3]| {
+            let p = if usable(p) { Vec3::from(*p) } else { Vec3::NAN };
+            let q = self.camera.project(p + self.up * (self.floor - self.up.dot(p)));
+            vec3(q.x * scale, q.y * scale, q.z)
+        };
+        let corners: Vec<Vec3> = positions.iter().map(project).collect();
+        let triangles = self.faces.iter().map(|face| face.map(|v| corners[v as usize]));
+        Shadow::new(self.size, triangles)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sheet of 1 m by 1 m that faces the positive x axis, with y up.
+    fn sheet(grid: Grid) -> Vec<[f32; 3]> {
+        let at = |k: usize, n: usize| k as f32 / (n - 1) as f32 - 0.5;
+        (0..grid.particles()).map(|p| [0.0, at(p / grid.w, grid.h), at(p % grid.w, grid.w)]).collect()
+    }
+
+    fn stage(positions: &[[f32; 3]], grid: Grid, azimuth: f32) -> Stage {
+        let mut trajectory = Trajectory::new(grid, 60.0);
+        trajectory.push(positions, positions);
+        let view = View { azimuth: Some(azimuth), elevation: Some(0.0), ..View::default() };
+        Stage::new(&trajectory, &[0, 5], &view, Size::Fixed(200, 160), 2)
+    }
+
+    #[test]
+    fn a_sheet_that_faces_the_eye_is_a_square_of_the_right_size_with_marked_handles() {
+        let grid = Grid { h: 12, w: 9 };
+        let positions = sheet(grid);
+        for azimuth in [0.0, 180.0] {
+            let stage = stage(&positions, grid, azimuth);
+            let image = stage.draw(&positions);
+            let blue = |p: &[u8; 3]| p[2] > p[0].saturating_add(25);
+            let sand = |p: &[u8; 3]| p[0] > p[2].saturating_add(25);
+            let corner = |k: usize| stage.camera.project(Vec3::from(positions[k])) / stage.samples as f32;
+            let (a, b) = (corner(0), corner(grid.particles() - 1));
+            let expected = ((a.x - b.x) * (a.y - b.y)).abs();
+            let found = image.pixels.iter().filter(|p| blue(p) || sand(p)).count() as f32;
+            assert!((found / expected - 1.0).abs() < 0.03, "{found} of {expected}");
+            for handle in [0, 5] {
+                let at = corner(handle);
+                let [r, g, b] = image.at(at.x as usize, at.y as usize);
+                assert!(r > 200 && g < 170 && b < 130, "orange, not {:?}", [r, g, b]);
+            }
+            let background = shade::to_srgb(shade::background(0.5 / 160.0));
+            assert_eq!([image.at(0, 0), image.at(199, 0)], [background; 2]);
+        }
+    }
+
+    #[test]
+    fn the_two_sides_differ() {
+        let grid = Grid { h: 12, w: 9 };
+        let positions = sheet(grid);
+        let middle = |azimuth: f32| stage(&positions, grid, azimuth).draw(&positions).at(100, 70);
+        let (one, other) = (middle(0.0), middle(180.0));
+        assert!((one[2] > one[0]) != (other[2] > other[0]), "{one:?} and {other:?}");
+    }
+
+    #[test]
+    fn a_cloth_that_is_not_finite_leaves_a_hole() {
+        let grid = Grid { h: 12, w: 9 };
+        let mut positions = sheet(grid);
+        let stage = stage(&positions, grid, 0.0);
+        let whole = stage.draw(&positions);
+        for (k, bad) in [f32::NAN, f32::INFINITY, 1e38, -1e38].into_iter().enumerate() {
+            positions[20 * k + 2][k % 3] = bad;
+        }
+        assert_ne!(stage.draw(&positions), whole);
+        positions.fill([f32::NAN; 3]);
+        let empty = stage.draw(&positions);
+        assert!(empty.pixels.chunks(200).all(|row| row.iter().all(|p| p == &row[0])));
+    }
+}

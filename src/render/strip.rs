@@ -1,0 +1,53 @@
+//! Frames side by side.
+
+use super::{
+    Image, View,
+    stage::{Size, Stage},
+    text,
+};
+use crate::io::Trajectory;
+use rayon::prelude::*;
+
+/// How a strip is drawn.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StripOptions {
+    /// Number of frames; fewer if the trajectory has fewer.
+    pub panels: usize,
+    /// Height \[px\]; the width of a panel follows from the shape of the trajectory.
+    pub height: usize,
+    /// The direction of view.
+    pub view: View,
+}
+
+impl Default for StripOptions {
+    fn default() -> Self {
+        Self { panels: 8, height: 420, view: View::default() }
+    }
+}
+
+/// Draws frames from the first to the last, evenly spread over the trajectory, side by side with their times in seconds.
+/// `handles` are the vertices to mark. An empty trajectory gives an empty panel.
+pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions) -> Image {
+    assert!(options.panels > 0 && options.height > 0, "a strip has panels and a height");
+    let stage = Stage::new(trajectory, handles, &options.view, Size::Height(options.height), 3);
+    let count = options.panels.min(trajectory.frames()).max(1);
+    let draw = |panel: usize| {
+        let last = trajectory.frames().saturating_sub(1);
+        let frame = (panel * last + (count - 1) / 2).checked_div(count - 1).unwrap_or(0);
+        if frame >= trajectory.frames() {
+            return stage.draw_empty();
+        }
+        let mut image = stage.draw(trajectory.frame(frame));
+        let height = (options.height as f32 / 32.0).max(8.0);
+        let caption = format!("{:.2} s", frame as f64 / trajectory.fps());
+        text::write(&mut image, &caption, [1.1 * height, options.height as f32 - 2.1 * height], height);
+        image
+    };
+    let panels: Vec<Image> = (0..count).into_par_iter().map(draw).collect();
+    let width = panels[0].width;
+    let mut image = Image::new(width * count, options.height);
+    for (k, panel) in panels.iter().enumerate() {
+        image.paste(panel, k * width);
+    }
+    image
+}

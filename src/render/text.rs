@@ -1,0 +1,150 @@
+//! Small captions: digits drawn as smooth strokes.
+
+use super::Image;
+use glam::{Vec2, vec2};
+
+/// Height of a digit in units of its strokes; a digit is 4 wide.
+const TALL: f32 = 6.0;
+/// From one digit to the next.
+const ADVANCE: f32 = 5.6;
+/// Half the width of a stroke.
+const HALF_STROKE: f32 = 0.36;
+/// Colour of captions.
+const INK: [f32; 3] = [70.0, 74.0, 80.0];
+
+/// The strokes of a character, as lines through points (x right, y down, from the top left).
+fn strokes(character: char) -> &'static [&'static [(f32, f32)]] {
+    match character {
+        '0' => &[&[(1., 0.), (3., 0.), (4., 1.), (4., 5.), (3., 6.), (1., 6.), (0., 5.), (0., 1.), (1., 0.)]],
+        '1' => &[&[(0.6, 1.2), (2., 0.), (2., 6.)], &[(0.6, 6.), (3.4, 6.)]],
+        '2' => &[&[(0., 1.), (1., 0.), (3., 0.), (4., 1.), (4., 2.2), (0., 6.), (4., 6.)]],
+        '3' => &[
+            &[(0., 0.8), (1., 0.), (3., 0.), (4., 1.), (4., 2.), (3., 2.9), (1.5, 2.9)],
+            &[(3., 2.9), (4., 3.9), (4., 5.), (3., 6.), (1., 6.), (0., 5.2)],
+        ],
+        '4' => &[&[(3., 6.), (3., 0.), (0., 4.2), (4., 4.2)]],
+        '5' => &[&[
+            (4., 0.),
+            (0.5, 0.),
+            (0.2, 2.8),
+            (1., 2.3),
+            (3., 2.3),
+            (4., 3.3),
+            (4., 5.),
+            (3., 6.),
+            (1., 6.),
+            (0., 5.2),
+        ]],
+        '6' => &[&[
+            (3.6, 0.4),
+            (3., 0.),
+            (1., 0.),
+            (0., 1.),
+            (0., 5.),
+            (1., 6.),
+            (3., 6.),
+            (4., 5.),
+            (4., 3.7),
+            (3., 2.7),
+            (1., 2.7),
+            (0., 3.7),
+        ]],
+        '7' => &[&[(0., 0.), (4., 0.), (1.4, 6.)]],
+        '8' => &[
+            &[(1., 0.), (3., 0.), (4., 0.9), (4., 2.), (3., 2.9), (1., 2.9), (0., 2.), (0., 0.9), (1., 0.)],
+            &[(1., 2.9), (0., 3.9), (0., 5.), (1., 6.), (3., 6.), (4., 5.), (4., 3.9), (3., 2.9)],
+        ],
+        '9' => &[&[
+            (4., 2.3),
+            (3., 3.3),
+            (1., 3.3),
+            (0., 2.3),
+            (0., 1.),
+            (1., 0.),
+            (3., 0.),
+            (4., 1.),
+            (4., 5.),
+            (3., 6.),
+            (1., 6.),
+            (0.4, 5.6),
+        ]],
+        '.' => &[&[(0.3, 5.9), (0.3, 6.)]],
+        's' => &[&[
+            (3.2, 2.7),
+            (2.6, 2.2),
+            (0.9, 2.2),
+            (0.2, 2.9),
+            (0.2, 3.3),
+            (0.9, 3.9),
+            (2.5, 4.2),
+            (3.3, 4.8),
+            (3.3, 5.3),
+            (2.6, 6.),
+            (0.8, 6.),
+            (0.1, 5.5),
+        ]],
+        _ => &[],
+    }
+}
+
+/// Writes `text` (digits, '.', 's' and spaces) with its top left corner at `(x, y)` \[px\], `height` pixels tall.
+pub(super) fn write(image: &mut Image, text: &str, [x, y]: [f32; 2], height: f32) {
+    let unit = height / TALL;
+    let mut left = x;
+    for character in text.chars() {
+        let corner = vec2(left, y);
+        let lines: Vec<(Vec2, Vec2)> = strokes(character)
+            .iter()
+            .flat_map(|line| line.windows(2))
+            .map(|p| (corner + unit * vec2(p[0].0, p[0].1), corner + unit * vec2(p[1].0, p[1].1)))
+            .collect();
+        draw(image, &lines, corner, unit);
+        left += unit * if matches!(character, '.' | ' ') { 0.4 * ADVANCE } else { ADVANCE };
+    }
+}
+
+fn draw(image: &mut Image, lines: &[(Vec2, Vec2)], corner: Vec2, unit: f32) {
+    let span = |from: f32, length: f32, n: usize| {
+        (from - unit).max(0.0) as usize..((from + length * unit + unit).ceil().max(0.0) as usize).min(n)
+    };
+    for py in span(corner.y, TALL, image.height) {
+        for px in span(corner.x, 4.0, image.width) {
+            let at = vec2(px as f32 + 0.5, py as f32 + 0.5);
+            let distance = lines.iter().map(|&(a, b)| distance(at, a, b)).fold(f32::MAX, f32::min);
+            let cover = (HALF_STROKE * unit + 0.5 - distance).clamp(0.0, 1.0);
+            let pixel = &mut image.pixels[py * image.width + px];
+            for (channel, ink) in pixel.iter_mut().zip(INK) {
+                *channel = (f32::from(*channel) * (1.0 - cover) + ink * cover).round() as u8;
+            }
+        }
+    }
+}
+
+/// The distance from a point to a line between two others.
+fn distance(p: Vec2, a: Vec2, b: Vec2) -> f32 {
+    let along = (b - a).length_squared().max(1e-12);
+    let t = ((p - a).dot(b - a) / along).clamp(0.0, 1.0);
+    p.distance(a + t * (b - a))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_digit_has_its_own_picture_and_text_may_leave_the_image() {
+        let picture = |text: &str| {
+            let mut image = Image::new(14, 16);
+            image.pixels.fill([255; 3]);
+            write(&mut image, text, [2.0, 2.0], 12.0);
+            image.pixels
+        };
+        let mut pictures: Vec<_> = "0123456789.s ".chars().map(|c| picture(&c.to_string())).collect();
+        let count = pictures.len();
+        pictures.sort();
+        pictures.dedup();
+        assert_eq!(pictures.len(), count);
+        let mut image = Image::new(5, 5);
+        write(&mut image, "8.88 s", [-3.0, -2.0], 30.0);
+    }
+}

@@ -1,0 +1,298 @@
+//! Which file checks what, and to which tolerance.
+
+use super::golden::Golden;
+use super::{Check, EnergyCase, NetworkOutput, Outcome, Precision, RolloutCase, Stages, UpdateCase};
+use crate::network::Weights;
+use crate::sim::{Cloth, Grid, Material};
+use crate::{Error, Result};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Network stages against the array's largest magnitude: the vectors themselves are in single precision.
+const NETWORK: f64 = 2e-5;
+/// Energies in double precision, relative.
+const ENERGY_DOUBLE: f64 = 1e-9;
+/// Energies in single precision, relative.
+const ENERGY_SINGLE: f64 = 1e-5;
+/// Gradients in single precision, in norm.
+const GRADIENT_SINGLE: f64 = 1e-4;
+/// The same where edges are far from their rest length and angles near 0 and pi.
+const GRADIENT_CRUMPLED: f64 = 1e-3;
+/// First frame of a rollout, absolute in grid units; single-precision runs drift apart by [`DRIFT`] a frame.
+const ROLLOUT_FIRST: f64 = 1e-4;
+/// From 1e-4 in the first frame to 1e-2 in the tenth.
+const DRIFT: f64 = 1.668_100_537_200_059;
+
+/// Checks every golden file of `folder` on `stages`, telling `report` of each array; an error only if the folder cannot
+/// be read or holds no golden file. Damaged files are failed checks.
+pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn FnMut(Check)) -> Result<()> {
+    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "cannot read", e))?;
+    let mut files: Vec<PathBuf> = Vec::new();
+    for entry in entries {
+        let path = entry.map_err(|e| Error::io(folder, "cannot read", e))?.path();
+        if path.extension().is_some_and(|e| e == "safetensors") {
+            files.push(path);
+        }
+    }
+    files.sort();
+    if files.is_empty() {
+        let origin = folder.display().to_string();
+        return Err(Error::invalid(origin, "folder", "golden files (*.safetensors)", "none"));
+    }
+    for path in files {
+        let file = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        let mut checker = Checker { file: &file, folder, stages, report };
+        if let Err(error) = checker.file(&path) {
+            checker.verdict(&error.to_string(), Outcome::Failed);
+        }
+    }
+    Ok(())
+}
+
+struct Checker<'a> {
+    file: &'a str,
+    folder: &'a Path,
+    stages: &'a mut dyn Stages,
+    report: &'a mut dyn FnMut(Check),
+}
+
+impl Checker<'_> {
+    fn file(&mut self, path: &Path) -> Result<()> {
+        let name = self.file;
+        let starts = |prefix: &str| name.starts_with(prefix);
+        if starts("network_forward") {
+            self.network(&Golden::open(path)?)
+        } else if starts("update_rule") {
+            self.update(&Golden::open(path)?)
+        } else if starts("energy_") {
+            self.energy(&Golden::open(path)?)
+        } else if starts("rollout_") {
+            self.rollout(&Golden::open(path)?)
+        } else if starts("network_weights") || starts("checkpoint_") {
+            let weights = Weights::load(path)?;
+            self.verdict(&format!("{} parameters", weights.parameter_count()), Outcome::Passed);
+            Ok(())
+        } else {
+            let known = ["training_step", "adamw", "repulsion_"].iter().any(|p| starts(p));
+            let why = if known { "stage not implemented yet" } else { "not a golden file's name" };
+            self.verdict(why, Outcome::Skipped);
+            Ok(())
+        }
+    }
+
+    fn network(&mut self, golden: &Golden) -> Result<()> {
+        let [samples, fields, h, w] = golden.shape("input")?;
+        let weights = self.weights("network_weights")?;
+        if fields != weights.config.fields {
+            let expected = format!("{} fields", weights.config.fields);
+            return Err(Error::invalid(self.file, "input", expected, fields));
+        }
+        let grid = Grid { h, w };
+        let input = golden.shaped("input", &[samples, fields, h, w])?;
+        let NetworkOutput { embedded, lifted, blocks, field, scalar } =
+            self.stages.network(&weights, grid, input)?;
+        let channels = [samples, weights.config.channels, h, w];
+        self.optional(golden, "embedded", &[samples, fields + 2, h, w], &embedded)?;
+        self.optional(golden, "lifted", &channels, &lifted)?;
+        for (i, block) in blocks.iter().enumerate() {
+            self.optional(golden, &format!("block{i}"), &channels, block)?;
+        }
+        self.magnitude("field", golden.shaped("field", &[samples, 1, h, w])?, &field, NETWORK);
+        self.magnitude("scalar", golden.shaped("scalar", &[samples, 1])?, &scalar, NETWORK);
+        Ok(())
+    }
+
+    fn update(&mut self, golden: &Golden) -> Result<()> {
+        let [samples, one, h, w] = golden.shape("grads")?;
+        let shape = [samples, one, h, w];
+        let per_sample = [samples, 1, 1, 1];
+        let weights = self.weights("network_weights")?;
+        let mut case = UpdateCase {
+            grid: Grid { h, w },
+            grad: golden.shaped("grads", &shape)?.to_vec(),
+            last_grad: golden.shaped("last_grads", &shape)?.to_vec(),
+            last_step: golden.shaped("last_steps", &shape)?.to_vec(),
+            scale: golden.shaped("scales", &per_sample)?.to_vec(),
+        };
+        let (step, scales) = self.stages.update(&weights, &case)?;
+        self.magnitude("step", golden.shaped("step", &shape)?, &step, NETWORK);
+        self.magnitude("new_scales", golden.shaped("new_scales", &per_sample)?, &scales, NETWORK);
+        case.last_grad.fill(0.0);
+        case.last_step.fill(0.0);
+        case.scale.fill(crate::sim::INITIAL_SCALE.into());
+        let (step, scales) = self.stages.update(&weights, &case)?;
+        let name = "step_from_fresh_state";
+        self.magnitude(name, golden.shaped(name, &shape)?, &step, NETWORK);
+        let name = "new_scales_from_fresh_state";
+        self.magnitude(name, golden.shaped(name, &per_sample)?, &scales, NETWORK);
+        Ok(())
+    }
+
+    fn energy(&mut self, golden: &Golden) -> Result<()> {
+        let [batch, three, h, w] = golden.shape("positions")?;
+        let shape = [batch, three, h, w];
+        let field = |name: &str| golden.shaped(name, &shape);
+        let mask = golden.shaped("handle_mask", &[batch, 1, h, w])?;
+        let [x, v, a, held] = ["positions", "velocities", "accelerations", "handle_positions"].map(field);
+        let (x, v, a, held) = (x?, v?, a?, held?);
+        let n = h * w;
+        let is_handle = |k: usize| mask[k / (3 * n) * n + k % n] != 0.0;
+        let trial = (0..x.len()).map(|k| if is_handle(k) { held[k] } else { x[k] + v[k] + a[k] }).collect();
+        let coefficient = |name: &str| golden.shaped(name, &[batch]);
+        let (stretch, shear, bend) =
+            (coefficient("stretching")?, coefficient("shearing")?, coefficient("bending")?);
+        let cloths = (0..batch).map(|b| Cloth {
+            material: Material { stretch: stretch[b], shear: shear[b], bend: bend[b] },
+            handles: (0..n).filter(|p| mask[b * n + p] != 0.0).collect(),
+            ..Cloth::default()
+        });
+        let case = EnergyCase {
+            grid: Grid { h, w },
+            cloths: cloths.collect(),
+            trial,
+            a: a.to_vec(),
+            external: field("external_accelerations")?.to_vec(),
+        };
+        let (terms, grad) = self.stages.energy(&case)?;
+        let precision = self.stages.precision();
+        let tolerance = match precision {
+            Precision::Double => ENERGY_DOUBLE,
+            Precision::Single => ENERGY_SINGLE,
+        };
+        let named = [
+            ("stretching_energy", terms.iter().map(|t| t.stretch).collect::<Vec<_>>()),
+            ("shearing_energy", terms.iter().map(|t| t.shear).collect()),
+            ("bending_energy", terms.iter().map(|t| t.bend).collect()),
+            ("inertia", terms.iter().map(|t| t.inertia).collect()),
+            ("external", terms.iter().map(|t| t.external).collect()),
+            ("total", terms.iter().map(|t| t.total()).collect()),
+        ];
+        for (name, found) in named {
+            self.magnitude(name, golden.shaped(name, &[batch])?, &found, tolerance);
+        }
+        let tolerance = match precision {
+            Precision::Double => ENERGY_DOUBLE,
+            Precision::Single if self.file.contains("crumpled") => GRADIENT_CRUMPLED,
+            Precision::Single => GRADIENT_SINGLE,
+        };
+        self.in_norm("gradient", field("gradient")?, &grad, tolerance);
+        Ok(())
+    }
+
+    fn rollout(&mut self, golden: &Golden) -> Result<()> {
+        let [frames, three, h, w] = golden.shape("positions")?;
+        let [_, handles, _] = golden.shape("handle_targets")?;
+        let [rows, _] = golden.shape("gradient_norms")?;
+        let shape = [frames, three, h, w];
+        // "rollout_starter_32x32" belongs to "checkpoint_starter".
+        let checkpoint = self.file.trim_start_matches("rollout_").rsplit_once('_').map_or("", |n| n.0);
+        let weights = Arc::new(self.weights(&format!("checkpoint_{checkpoint}"))?);
+        let material = golden.shaped("material", &[3])?;
+        let gravity = golden.shaped("external_acceleration", &[3])?;
+        let targets = golden.shaped("handle_targets", &[frames, handles, 3])?;
+        let case = RolloutCase {
+            grid: Grid { h, w },
+            cloth: Cloth {
+                material: Material { stretch: material[0], shear: material[1], bend: material[2] },
+                gravity: [gravity[0], gravity[1], gravity[2]],
+                handles: [0, (h - 1) * w].into_iter().take(handles).collect(),
+                ..Cloth::default()
+            },
+            iterations: rows / frames,
+            start: golden.shaped("start", &[3, h, w])?.to_vec(),
+            targets: targets
+                .chunks_exact(3 * handles)
+                .map(|f| f.chunks_exact(3).map(|p| [p[0], p[1], p[2]]).collect())
+                .collect(),
+        };
+        let found = self.stages.rollout(&weights, &case)?;
+        type Part = fn(&super::RolloutFrame) -> &[f64];
+        let arrays: [(&str, Vec<usize>, Part); 5] = [
+            ("positions", shape.to_vec(), |f| &f.x),
+            ("velocities", shape.to_vec(), |f| &f.v),
+            ("accelerations", shape.to_vec(), |f| &f.a),
+            ("scales", vec![rows, 3], |f| &f.scales),
+            ("gradient_norms", vec![rows, 3], |f| &f.gradient_norms),
+        ];
+        for (name, shape, part) in arrays {
+            let expected = golden.shaped(name, &shape)?;
+            for (k, (expected, frame)) in
+                expected.chunks_exact(expected.len() / frames).zip(&found).enumerate()
+            {
+                let tolerance = ROLLOUT_FIRST * DRIFT.powi(k as i32);
+                self.absolute(&format!("{name}, frame {}", k + 1), expected, part(frame), tolerance);
+            }
+        }
+        Ok(())
+    }
+
+    fn weights(&self, name: &str) -> Result<Weights> {
+        Weights::load(&self.folder.join(name).with_extension("safetensors"))
+    }
+
+    /// Compares an array that only some files hold.
+    fn optional(&mut self, golden: &Golden, name: &str, shape: &[usize], found: &[f64]) -> Result<()> {
+        if golden.has(name) {
+            self.magnitude(name, golden.shaped(name, shape)?, found, NETWORK);
+        }
+        Ok(())
+    }
+
+    /// Largest error against the array's largest magnitude.
+    fn magnitude(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
+        let scale = expected.iter().fold(0.0, |m: f64, e| m.max(e.abs()));
+        let absolute = largest_error(expected, found);
+        self.compared(array, (absolute, ratio(absolute, scale)), tolerance);
+    }
+
+    /// Norm of the error against the norm of the array.
+    fn in_norm(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
+        let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+        let error = norm(&mut expected.iter().zip(found).map(|(e, f)| f - e));
+        let relative = ratio(error, norm(&mut expected.iter().copied()));
+        self.compared(array, (largest_error(expected, found), relative), tolerance);
+    }
+
+    /// Largest error as it is, in grid units.
+    fn absolute(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
+        let error = largest_error(expected, found);
+        self.compared(array, (error, error), tolerance);
+    }
+
+    fn compared(&mut self, array: &str, (absolute, relative): (f64, f64), tolerance: f64) {
+        // A NaN is no pass: the comparison is false for it.
+        let outcome = if relative <= tolerance { Outcome::Passed } else { Outcome::Failed };
+        self.tell(array, (absolute, relative, tolerance), outcome);
+    }
+
+    fn verdict(&mut self, what: &str, outcome: Outcome) {
+        self.tell(what, (0.0, 0.0, 0.0), outcome);
+    }
+
+    fn tell(&mut self, array: &str, numbers: (f64, f64, f64), outcome: Outcome) {
+        (self.report)(Check {
+            file: self.file.to_owned(),
+            array: array.to_owned(),
+            device: self.stages.name(),
+            absolute: numbers.0,
+            relative: numbers.1,
+            tolerance: numbers.2,
+            outcome,
+        });
+    }
+}
+
+/// Largest difference; infinite where a length or a number is wrong.
+fn largest_error(expected: &[f64], found: &[f64]) -> f64 {
+    if expected.len() != found.len() {
+        return f64::INFINITY;
+    }
+    expected.iter().zip(found).fold(0.0, |m: f64, (e, f)| {
+        let d = (e - f).abs();
+        if d.is_nan() { f64::INFINITY } else { m.max(d) }
+    })
+}
+
+fn ratio(error: f64, scale: f64) -> f64 {
+    if error == 0.0 { 0.0 } else { error / scale }
+}

@@ -1,0 +1,76 @@
+//! Arrays of a golden file.
+
+use crate::{Error, Result};
+use safetensors::tensor::{Dtype, SafeTensors};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A safetensors file of real arrays, in double precision.
+pub struct Golden {
+    origin: String,
+    arrays: BTreeMap<String, (Vec<usize>, Vec<f64>)>,
+}
+
+impl Golden {
+    /// Reads a file.
+    pub fn open(path: &Path) -> Result<Self> {
+        let origin = path.display().to_string();
+        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot read", e))?;
+        let file = SafeTensors::deserialize(&bytes)
+            .map_err(|e| Error::invalid(&origin, "header", "a whole safetensors file", e))?;
+        let mut arrays = BTreeMap::new();
+        for (name, view) in file.iter() {
+            let values: Vec<f64> = match view.dtype() {
+                Dtype::F32 => view.data().chunks_exact(4).map(|b| f32_at(b).into()).collect(),
+                Dtype::F64 => view.data().chunks_exact(8).map(f64_at).collect(),
+                other => return Err(Error::invalid(&origin, name, "dtype F32 or F64", format!("{other:?}"))),
+            };
+            arrays.insert(name.to_owned(), (view.shape().to_vec(), values));
+        }
+        Ok(Self { origin, arrays })
+    }
+
+    /// Whether there is an array of that name.
+    pub fn has(&self, name: &str) -> bool {
+        self.arrays.contains_key(name)
+    }
+
+    /// Shape and values of an array.
+    pub fn array(&self, name: &str) -> Result<(&[usize], &[f64])> {
+        match self.arrays.get(name) {
+            Some((shape, values)) => Ok((shape, values)),
+            None => {
+                let there: Vec<&str> = self.arrays.keys().map(String::as_str).collect();
+                Err(Error::invalid(&self.origin, name, "an array of that name", there.join(", ")))
+            }
+        }
+    }
+
+    /// Values of an array that must have `shape`.
+    pub fn shaped(&self, name: &str, shape: &[usize]) -> Result<&[f64]> {
+        let (found, values) = self.array(name)?;
+        if found != shape {
+            return Err(Error::invalid(&self.origin, name, format!("shape {shape:?}"), format!("{found:?}")));
+        }
+        Ok(values)
+    }
+
+    /// Shape of an array that must have N axes, none of them empty.
+    pub fn shape<const N: usize>(&self, name: &str) -> Result<[usize; N]> {
+        let (found, _) = self.array(name)?;
+        match <[usize; N]>::try_from(found) {
+            Ok(shape) if !shape.contains(&0) => Ok(shape),
+            _ => {
+                Err(Error::invalid(&self.origin, name, format!("{N} axes, none empty"), format!("{found:?}")))
+            }
+        }
+    }
+}
+
+fn f32_at(bytes: &[u8]) -> f32 {
+    f32::from_le_bytes(bytes.try_into().expect("a chunk of four bytes"))
+}
+
+fn f64_at(bytes: &[u8]) -> f64 {
+    f64::from_le_bytes(bytes.try_into().expect("a chunk of eight bytes"))
+}

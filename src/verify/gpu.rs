@@ -1,0 +1,194 @@
+//! The stages on a GPU, one at a time and waited for.
+
+use super::{EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, UpdateCase};
+use crate::Result;
+use crate::gpu::{Context, Schedule, Tensor};
+use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, energy};
+use crate::kernels::optim::{
+    FeatureTensors, Features, Iterate, Norms, Rescale, Update, UpdateTensors, norms,
+};
+use crate::kernels::{Tuning, padded};
+use crate::network::{Forward, Keep, Weights};
+use crate::sim::{Control, EnergyTerms, Grid, Model, Optimizer, Solver, SolverOptions, State};
+use std::sync::Arc;
+
+/// Stages on the device of a context.
+#[derive(Debug)]
+pub struct GpuStages {
+    context: Context,
+    tuning: Tuning,
+}
+
+impl GpuStages {
+    /// Stages on that device, with the tiles that suit it.
+    pub fn new(context: &Context) -> Self {
+        Self { context: context.clone(), tuning: Tuning::new(context) }
+    }
+
+    /// The same with other tiles.
+    pub fn with_tuning(context: &Context, tuning: Tuning) -> Self {
+        Self { context: context.clone(), tuning }
+    }
+
+    fn upload(&self, label: &'static str, shape: &[usize], data: &[f64]) -> Result<Tensor> {
+        Tensor::from_slice(&self.context, label, shape, &single(data))
+    }
+
+    fn run(&self, schedule: &Schedule) {
+        self.context.submit(|encoder| schedule.record(encoder));
+    }
+
+    fn read(&self, tensor: &Tensor) -> Result<Vec<f64>> {
+        Ok(tensor.read::<f32>(&self.context)?.into_iter().map(f64::from).collect())
+    }
+
+    /// A network tensor [.., H, W'] without its padding.
+    fn read_unpadded(&self, tensor: &Tensor, grid: Grid) -> Result<Vec<f64>> {
+        let rows = self.read(tensor)?;
+        Ok(rows.chunks_exact(padded(grid.w)).flat_map(|r| &r[..grid.w]).copied().collect())
+    }
+}
+
+impl Stages for GpuStages {
+    fn name(&self) -> String {
+        "gpu f32".to_owned()
+    }
+
+    fn precision(&self) -> Precision {
+        Precision::Single
+    }
+
+    fn network(&mut self, weights: &Weights, grid: Grid, input: &[f64]) -> Result<NetworkOutput> {
+        let context = &self.context;
+        let samples = input.len() / (weights.config.fields * grid.particles());
+        let forward = context
+            .checked(|| Forward::new(context, weights, &self.tuning, (grid, samples), Keep::Blocks))?;
+        forward.embedded.write(context, &embed(&single(input), weights.config.fields, grid));
+        let mut schedule = Schedule::new(context);
+        forward.push(&mut schedule);
+        self.run(&schedule);
+        // Channels that were added to fill a tile come last in each sample.
+        let channels = |i: usize| -> Result<Vec<f64>> {
+            let tensor = forward.activation(i);
+            let all = self.read_unpadded(tensor, grid)?;
+            let (has, wants) = (tensor.shape()[1], weights.config.channels);
+            let plane = grid.particles();
+            Ok(all.chunks_exact(has * plane).flat_map(|s| &s[..wants * plane]).copied().collect())
+        };
+        Ok(NetworkOutput {
+            embedded: self.read_unpadded(&forward.embedded, grid)?,
+            lifted: channels(0)?,
+            blocks: (1..=weights.config.layers).map(channels).collect::<Result<_>>()?,
+            field: self.read_unpadded(&forward.field, grid)?,
+            scalar: self.read(&forward.scalar)?,
+        })
+    }
+
+    fn energy(&mut self, case: &EnergyCase) -> Result<(Vec<EnergyTerms>, Vec<f64>)> {
+        let (context, grid) = (&self.context, case.grid);
+        let model = Model { grid, cloths: case.cloths.clone() };
+        let (batch, n) = (model.batch(), grid.particles());
+        let iterate = Iterate::new(context, batch, &model.handle_slots())?;
+        iterate.a.write(context, &single(&case.a));
+        iterate.trial.write(context, &single(&case.trial));
+        let params: Vec<_> = model.cloths.iter().map(|c| ClothParams::new(c, [0.0; 3])).collect();
+        let cloths = Tensor::from_slice(context, "cloths", &[batch, 16], &params)?;
+        let external = self.upload("external", &[batch, 3, n], &case.external)?;
+        let parts = Tensor::zeros(context, "parts", &[batch, energy::parts(grid), 8])?;
+        let terms = Tensor::zeros(context, "terms", &[batch, 8])?;
+        let mut schedule = Schedule::new(context);
+        context.checked(|| {
+            Gradient::new(context)?.push(&mut schedule, grid, (&cloths, &external), &iterate);
+            Energy::new(context)?.push(&mut schedule, grid, (&cloths, &external), (&iterate, &parts));
+            EnergySum::new(context)?.push(&mut schedule, &parts, &terms);
+            Ok(())
+        })?;
+        self.run(&schedule);
+        let of =
+            |t: &[f64]| EnergyTerms { stretch: t[0], shear: t[1], bend: t[2], inertia: t[3], external: t[4] };
+        let terms = self.read(&terms)?.chunks_exact(8).map(of).collect();
+        Ok((terms, self.read(&iterate.grad)?))
+    }
+
+    fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)> {
+        let (context, grid) = (&self.context, case.grid);
+        let (n, wanted) = (grid.particles(), case.scale.len());
+        // A cloth has three samples; the last ones may be filled up with copies of the first.
+        let batch = wanted.div_ceil(3);
+        let samples = 3 * batch;
+        let filled = |values: &[f64], per: usize| -> Vec<f32> {
+            single(values).into_iter().cycle().take(samples * per).collect()
+        };
+        let iterate = Iterate::new(context, batch, &vec![0; batch * n])?;
+        iterate.grad.write(context, &filled(&case.grad, n));
+        let hidden = [filled(&case.last_grad, n), filled(&case.last_step, n)].concat();
+        let hidden = Tensor::from_slice(context, "hidden", &[2, samples, n], &hidden)?;
+        let scale = Tensor::from_slice(context, "scale", &[samples], &filled(&case.scale, 1))?;
+        let partial = Tensor::zeros(context, "partial", &[samples, norms::parts(n), 2])?;
+        let mut schedule = Schedule::new(context);
+        context.checked(|| {
+            let forward = Forward::new(context, weights, &self.tuning, (grid, samples), Keep::Nothing)?;
+            Norms::new(context, true)?.push(&mut schedule, &iterate.grad, &hidden, &partial);
+            let from = FeatureTensors { grad: &iterate.grad, hidden: &hidden, partial: &partial };
+            Features::new(context)?.push(&mut schedule, grid, from, &forward.embedded);
+            forward.push(&mut schedule);
+            Rescale::new(context)?.push(&mut schedule, &forward.scalar, &scale);
+            let from = UpdateTensors { field: &forward.field, scale: &scale, hidden: &hidden };
+            Update::new(context)?.push(&mut schedule, grid, from, &iterate);
+            Ok(())
+        })?;
+        self.run(&schedule);
+        // From a = 0 the step is the acceleration.
+        let step = self.read(&iterate.a)?[..wanted * n].to_vec();
+        Ok((step, self.read(&scale)?[..wanted].to_vec()))
+    }
+
+    fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>> {
+        let context = &self.context;
+        let model = Model { grid: case.grid, cloths: vec![case.cloth.clone()] };
+        let options = SolverOptions { iterations: case.iterations, tuning: Some(self.tuning) };
+        let solver = Solver::new(context, &model, &Optimizer::Learned(weights.clone()), &options)?;
+        let x = single(&case.start);
+        solver.set_state(&State { v: vec![0.0; x.len()], x });
+        let mut frames = Vec::with_capacity(case.targets.len());
+        for targets in &case.targets {
+            let handles = targets.iter().map(|p| p.map(|c| c as f32)).collect();
+            solver.set_control(&Control { handles, ..Default::default() });
+            context.submit(|encoder| solver.record(encoder));
+            let log = solver.iterations_log()?;
+            frames.push(RolloutFrame {
+                x: self.read(solver.positions())?,
+                v: self.read(solver.velocities())?,
+                a: self.read(solver.accelerations())?,
+                scales: log.scales,
+                gradient_norms: log.gradient_norms,
+            });
+        }
+        Ok(frames)
+    }
+}
+
+fn single(values: &[f64]) -> Vec<f32> {
+    values.iter().map(|&v| v as f32).collect()
+}
+
+/// Input channels [S, fields + 2, H, W'] from the fields [S, fields, H, W].
+fn embed(fields: &[f32], count: usize, grid: Grid) -> Vec<f32> {
+    let (h, w) = (grid.h, padded(grid.w));
+    let samples = fields.len() / (count * grid.particles());
+    let value = |s: usize, c: usize, i: usize, j: usize| match c {
+        _ if j >= grid.w => 0.0,
+        c if c < count => fields[((s * count + c) * h + i) * grid.w + j],
+        c if c == count => i as f32 / (h - 1) as f32,
+        _ => j as f32 / (grid.w - 1) as f32,
+    };
+    let mut out = Vec::with_capacity(samples * (count + 2) * h * w);
+    for s in 0..samples {
+        for c in 0..count + 2 {
+            for i in 0..h {
+                out.extend((0..w).map(|j| value(s, c, i, j)));
+            }
+        }
+    }
+    out
+}

@@ -1,0 +1,171 @@
+//! Checks of every stage against golden files: vectors computed with the method's original implementation.
+//!
+//! A file's name says what it holds: `network_weights`, `network_forward_*`, `update_rule_*`, `energy_*`,
+//! `checkpoint_NAME`, `rollout_NAME_*`. Sizes are read from the arrays, so files of other grids and seeds check as well.
+//! Every array is compared on its own, so that an error points at one stage.
+
+mod cpu;
+mod files;
+mod golden;
+mod gpu;
+
+pub use cpu::CpuStages;
+pub use files::verify_folder;
+pub use gpu::GpuStages;
+
+use crate::Result;
+use crate::network::Weights;
+use crate::sim::{Cloth, EnergyTerms, Grid};
+use std::sync::Arc;
+
+/// Rounding that a device computes with, which sets what it is held to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// 64-bit floating point.
+    Double,
+    /// 32-bit floating point.
+    Single,
+}
+
+/// The stages of a frame on some device; every array is in double precision here, whatever the device computes with.
+pub trait Stages {
+    /// Name of the device and its precision.
+    fn name(&self) -> String;
+
+    /// What it computes with.
+    fn precision(&self) -> Precision;
+
+    /// The network on `input` [S, fields, H, W].
+    fn network(&mut self, weights: &Weights, grid: Grid, input: &[f64]) -> Result<NetworkOutput>;
+
+    /// Energy terms of each cloth and the gradient dL/da [B, 3, H, W].
+    fn energy(&mut self, case: &EnergyCase) -> Result<(Vec<EnergyTerms>, Vec<f64>)>;
+
+    /// One application of the update rule: step [S, H, W] and new scales [S].
+    fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)>;
+
+    /// Frames from a start at rest with a fresh hidden state.
+    fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>>;
+}
+
+/// What the network computes on the way and at the end.
+#[derive(Clone, Debug, Default)]
+pub struct NetworkOutput {
+    /// Fields with the positional channels, shape [S, fields + 2, H, W].
+    pub embedded: Vec<f64>,
+    /// Output of the lifting, shape [S, C, H, W].
+    pub lifted: Vec<f64>,
+    /// Output of each block, shape [S, C, H, W].
+    pub blocks: Vec<Vec<f64>>,
+    /// Field head, shape [S, H, W].
+    pub field: Vec<f64>,
+    /// Scalar head, shape [S].
+    pub scalar: Vec<f64>,
+}
+
+/// Cloths at a trial acceleration.
+#[derive(Clone, Debug)]
+pub struct EnergyCase {
+    /// The grid.
+    pub grid: Grid,
+    /// The cloths, B of them; their gravity and air do not count.
+    pub cloths: Vec<Cloth>,
+    /// Trial positions x(a), shape [B, 3, H, W].
+    pub trial: Vec<f64>,
+    /// Accelerations, shape [B, 3, H, W].
+    pub a: Vec<f64>,
+    /// External accelerations, shape [B, 3, H, W].
+    pub external: Vec<f64>,
+}
+
+/// Input of the update rule.
+#[derive(Clone, Debug)]
+pub struct UpdateCase {
+    /// The grid.
+    pub grid: Grid,
+    /// Gradients, shape [S, H, W].
+    pub grad: Vec<f64>,
+    /// Last gradients, shape [S, H, W].
+    pub last_grad: Vec<f64>,
+    /// Last steps, shape [S, H, W].
+    pub last_step: Vec<f64>,
+    /// Scales, shape [S].
+    pub scale: Vec<f64>,
+}
+
+/// A rollout of one cloth.
+#[derive(Clone, Debug)]
+pub struct RolloutCase {
+    /// The grid.
+    pub grid: Grid,
+    /// The cloth; still air.
+    pub cloth: Cloth,
+    /// Iterations per frame.
+    pub iterations: usize,
+    /// Positions at the start, shape [3, H, W].
+    pub start: Vec<f64>,
+    /// Handle positions of each frame.
+    pub targets: Vec<Vec<[f64; 3]>>,
+}
+
+/// One frame of a rollout.
+#[derive(Clone, Debug)]
+pub struct RolloutFrame {
+    /// Positions, shape [3, H, W].
+    pub x: Vec<f64>,
+    /// Velocities, shape [3, H, W].
+    pub v: Vec<f64>,
+    /// Accelerations, shape [3, H, W].
+    pub a: Vec<f64>,
+    /// Scale after each iteration, shape [N, 3].
+    pub scales: Vec<f64>,
+    /// Gradient norm in each iteration, shape [N, 3].
+    pub gradient_norms: Vec<f64>,
+}
+
+/// What came of one array, or of a file that could not be checked.
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Check {
+    /// Name of the file.
+    pub file: String,
+    /// Name of the array, or what kept the file from being checked.
+    pub array: String,
+    /// Device and precision.
+    pub device: String,
+    /// Largest absolute error.
+    pub absolute: f64,
+    /// Error relative to what the tolerance refers to.
+    pub relative: f64,
+    /// Largest relative error that passes.
+    pub tolerance: f64,
+    /// Verdict.
+    pub outcome: Outcome,
+}
+
+/// Verdict of a [`Check`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Outcome {
+    /// Within the tolerance.
+    Passed,
+    /// Not within it, or damaged.
+    Failed,
+    /// A stage that does not exist yet.
+    Skipped,
+}
+
+impl std::fmt::Display for Check {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let verdict = match self.outcome {
+            Outcome::Passed => "pass",
+            Outcome::Failed => "FAIL",
+            Outcome::Skipped => "skip",
+        };
+        write!(f, "{verdict}  {:30} {:34} {:9}", self.file, self.array, self.device)?;
+        if self.outcome == Outcome::Skipped || self.tolerance == 0.0 {
+            return Ok(());
+        }
+        write!(f, " abs {:.2e}  rel {:.2e}  tol {:.0e}", self.absolute, self.relative, self.tolerance)
+    }
+}

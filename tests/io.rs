@@ -1,0 +1,335 @@
+//! Files and pictures: what is written is read back, and no file makes a reader panic.
+
+use fnopt::{
+    Error,
+    io::{Format, ReadOptions, Trajectory, read_npy, read_obj},
+    render::{GifOptions, Image, StripOptions, View, strip, write_gif, write_png},
+    sim::Grid,
+};
+use ndarray::{ArrayD, array};
+use ndarray_npy::NpzReader;
+use proptest::prelude::*;
+use std::{fs, path::Path};
+
+const GRID: Grid = Grid { h: 9, w: 12 };
+
+/// A sheet that waves and moves sideways, y up.
+fn waving(grid: Grid, frames: usize) -> Trajectory {
+    let mut trajectory = Trajectory::new(grid, 60.0);
+    trajectory.reserve(frames);
+    for f in 0..frames {
+        let time = f as f32 / 60.0;
+        let at = |p: usize| {
+            let (u, v) = ((p % grid.w) as f32 / grid.w as f32, (p / grid.w) as f32 / grid.h as f32);
+            [u + 0.3 * time, -v, 0.1 * (7.0 * u + 9.0 * time).sin() * v]
+        };
+        let positions: Vec<_> = (0..grid.particles()).map(at).collect();
+        let velocities: Vec<_> = (0..grid.particles()).map(|p| [0.3, 0.0, p as f32 / 7.0]).collect();
+        trajectory.push(&positions, &velocities);
+    }
+    trajectory
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn positions_come_back_bit_for_bit_from_every_format_that_is_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let written = waving(GRID, 5);
+    for format in [Format::Npz, Format::Npy, Format::Pc2, Format::Obj] {
+        let path = written.write(dir.path().join("new/folder"), "cloth", format).unwrap();
+        let grid = (!matches!(format, Format::Npz | Format::Obj)).then_some(GRID);
+        let read = Trajectory::read(&path, &ReadOptions { grid, ..ReadOptions::default() }).unwrap();
+        assert_eq!((read.grid(), read.frames(), read.fps()), (GRID, 5, 60.0), "{format}");
+        assert_eq!(read.positions(), written.positions(), "{format}");
+        match format {
+            Format::Npz => assert_eq!(read, written),
+            // Differences of positions: 0.3 m/s across.
+            _ => assert!((read.velocities()[[3, 7, 0]] - 0.3).abs() < 1e-4),
+        }
+    }
+    // Nothing temporary is left.
+    assert_eq!(names(&dir.path().join("new/folder")), ["cloth.npy", "cloth.npz", "cloth.pc2", "cloth_obj"]);
+}
+
+#[test]
+fn an_archive_holds_what_is_documented() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = waving(GRID, 3).write(dir.path(), "cloth", Format::Npz).unwrap();
+    let mut npz = NpzReader::new(fs::File::open(path).unwrap()).unwrap();
+    assert_eq!(npz.names().unwrap(), ["vertices_seq", "velocities_seq", "faces", "vertices_uv", "fps"]);
+    let faces: ArrayD<i32> = npz.by_name("faces").unwrap();
+    assert_eq!(faces.shape(), [2 * 8 * 11, 3]);
+    let uv: ArrayD<f32> = npz.by_name("vertices_uv").unwrap();
+    assert_eq!((uv[[11, 0]], uv[[11, 1]], uv[[12, 0]], uv[[107, 1]]), (1.0, 0.0, 0.0, 1.0));
+    let fps: ArrayD<f64> = npz.by_name("fps").unwrap();
+    assert_eq!((fps.ndim(), fps.sum()), (0, 60.0));
+}
+
+#[test]
+fn a_ply_file_has_its_header_and_length() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = waving(GRID, 2).write(dir.path(), "cloth", Format::Ply).unwrap();
+    let bytes = fs::read(folder.join("00001.ply")).unwrap();
+    let end = bytes.windows(11).position(|w| w == b"end_header\n").unwrap() + 11;
+    let header = str::from_utf8(&bytes[..end]).unwrap();
+    assert!(header.starts_with("ply\nformat binary_little_endian 1.0\nelement vertex 108\n"));
+    assert_eq!(bytes.len() - end, 108 * 24 + 176 * 13);
+    let normal = [12, 16, 20].map(|k| f32::from_le_bytes(bytes[end + k..][..4].try_into().unwrap()));
+    assert!((normal.map(|x| x * x).iter().sum::<f32>() - 1.0).abs() < 1e-5);
+}
+
+#[test]
+fn a_shorter_run_leaves_no_frames_of_a_longer_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let folder = waving(GRID, 4).write(dir.path(), "cloth", Format::Obj).unwrap();
+    fs::write(folder.join("notes.txt"), "mine").unwrap();
+    waving(GRID, 2).write(dir.path(), "cloth", Format::Obj).unwrap();
+    assert_eq!(names(&folder), ["00000.obj", "00001.obj", "notes.txt"]);
+    fs::remove_file(folder.join("00000.obj")).unwrap();
+    let error = Trajectory::read(&folder, &ReadOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("00001.obj: number: expected 00000.obj"), "{error}");
+}
+
+#[test]
+fn an_output_folder_that_is_a_file_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = dir.path().join("taken");
+    fs::write(&file, "").unwrap();
+    for format in Format::ALL {
+        let error = waving(GRID, 1).write(&file, "cloth", format).unwrap_err();
+        assert!(matches!(&error, Error::Io { path, .. } if path.starts_with(&file)), "{error}");
+    }
+}
+
+#[test]
+fn arrays_in_both_orders_are_read_as_f64() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.npy");
+    let a = array![[1.5f32, 2.0, 3.0], [4.0, 5.0, 6.0]];
+    ndarray_npy::write_npy(&path, &a).unwrap();
+    assert_eq!(read_npy(&path).unwrap(), a.mapv(f64::from).into_dyn());
+    ndarray_npy::write_npy(&path, &a.mapv(f64::from).t()).unwrap();
+    assert_eq!(read_npy(&path).unwrap(), a.t().mapv(f64::from).into_dyn());
+    ndarray_npy::write_npy(&path, &array![1i32, 2]).unwrap();
+    assert!(read_npy(&path).unwrap_err().to_string().contains("element type: expected <f4 or <f8"));
+}
+
+#[test]
+fn readers_name_what_is_missing_or_wrong() {
+    let dir = tempfile::tempdir().unwrap();
+    let options = ReadOptions::default();
+    let missing = Trajectory::read(dir.path().join("none.npz"), &options).unwrap_err();
+    assert!(matches!(missing, Error::Io { .. }));
+
+    let path = waving(GRID, 3).write(dir.path(), "cloth", Format::Npy).unwrap();
+    let error = Trajectory::read(&path, &options).unwrap_err().to_string();
+    assert!(error.contains("vertices: expected those of a square grid, found 108"), "{error}");
+    let bytes = fs::read(&path).unwrap();
+    fs::write(&path, &bytes[..bytes.len() - 1]).unwrap();
+    assert!(Trajectory::read(&path, &options).unwrap_err().to_string().contains("cloth.npy: length"));
+
+    let mut broken = Trajectory::new(GRID, 60.0);
+    let mut positions = vec![[0.0; 3]; 108];
+    positions[30][1] = f32::NAN;
+    broken.push(&positions, &positions);
+    let path = broken.write(dir.path(), "nan", Format::Npz).unwrap();
+    let error = Trajectory::read(&path, &options).unwrap_err().to_string();
+    assert!(error.contains("frame 0, vertex 30: expected finite numbers"), "{error}");
+}
+
+#[test]
+fn a_damaged_archive_is_noticed() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = waving(GRID, 3).write(dir.path(), "cloth", Format::Npz).unwrap();
+    let mut bytes = fs::read(&path).unwrap();
+    bytes[400] ^= 1;
+    fs::write(&path, bytes).unwrap();
+    let error = Trajectory::read(&path, &ReadOptions::default()).unwrap_err().to_string();
+    assert!(error.contains("vertices_seq") && error.contains("checksum"), "{error}");
+}
+
+/// Lets every reader try `bytes`; they may refuse, but not panic.
+fn read_all(bytes: &[u8]) {
+    let dir = tempfile::tempdir().unwrap();
+    for extension in ["npz", "npy", "pc2"] {
+        let path = dir.path().join(format!("x.{extension}"));
+        fs::write(&path, bytes).unwrap();
+        let _ = Trajectory::read(&path, &ReadOptions::default());
+        let _ = read_npy(&path);
+        let _ = read_obj(&path);
+    }
+}
+
+/// A small file of each kind.
+fn samples() -> Vec<Vec<u8>> {
+    let dir = tempfile::tempdir().unwrap();
+    let trajectory = waving(Grid { h: 3, w: 3 }, 2);
+    let path = |format| trajectory.write(dir.path(), "s", format).unwrap();
+    let obj = path(Format::Obj).join("00000.obj");
+    let others = [Format::Npz, Format::Npy, Format::Pc2].map(path);
+    std::iter::once(obj).chain(others).map(|p| fs::read(p).unwrap()).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(300))]
+
+    #[test]
+    fn arbitrary_bytes_never_panic(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
+        read_all(&bytes);
+    }
+
+    #[test]
+    fn arbitrary_headers_never_panic(text in "[{}()'<>f48i:, a-z0-9]{0,80}", version in 0u8..4) {
+        let mut bytes = b"\x93NUMPY".to_vec();
+        bytes.extend([version, 0]);
+        bytes.extend((text.len() as u16).to_le_bytes());
+        bytes.extend(text.bytes());
+        read_all(&bytes);
+    }
+
+    #[test]
+    fn mutated_files_never_panic(
+        kind in 0usize..4,
+        changes in proptest::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..8),
+        from_end in any::<bool>(),
+        length in any::<prop::sample::Index>(),
+        cut in any::<bool>(),
+    ) {
+        thread_local!(static SAMPLES: Vec<Vec<u8>> = samples());
+        let mut bytes = SAMPLES.with(|s| s[kind].clone());
+        for (at, value) in changes {
+            // Headers lie at the start and, in archives, at the end.
+            let at = at.index(bytes.len().min(if from_end { 300 } else { 2000 }));
+            let at = if from_end { bytes.len() - 1 - at } else { at };
+            bytes[at] = value;
+        }
+        if cut {
+            bytes.truncate(length.index(bytes.len()));
+        }
+        read_all(&bytes);
+    }
+}
+
+#[test]
+fn a_strip_has_a_panel_per_frame_and_repeats_byte_for_byte() {
+    let trajectory = waving(GRID, 20);
+    let options = StripOptions { height: 160, ..StripOptions::default() };
+    let image = strip(&trajectory, &[0, 11], &options);
+    assert_eq!(image, strip(&trajectory, &[0, 11], &options));
+    assert_eq!((image.height, image.width % 8), (160, 0));
+    let panel = image.width / 8;
+    for k in 0..8 {
+        // Every panel holds cloth, two markers and its time, and nothing touches its edges.
+        let pixels = || (0..160).flat_map(|y| (k * panel..(k + 1) * panel).map(move |x| (x, y)));
+        let count = |wanted: fn([u8; 3]) -> bool| pixels().filter(|&(x, y)| wanted(image.at(x, y))).count();
+        assert!(count(|[r, _, b]| b.abs_diff(r) > 40) > 800, "panel {k}: cloth");
+        assert!(count(|[r, g, b]| r > 200 && g < 160 && b < 120) > 8, "panel {k}: handles");
+        let ink = |p: [u8; 3]| p.iter().all(|&c| c < 130) && p[0].abs_diff(p[2]) < 16;
+        assert!(
+            (130..160)
+                .flat_map(|y| (0..panel).map(move |x| (x, y)))
+                .any(|(x, y)| ink(image.at(k * panel + x, y)))
+        );
+        for y in 0..160 {
+            for x in [k * panel, (k + 1) * panel - 1] {
+                let [r, _, b] = image.at(x, y);
+                assert!(r.abs_diff(b) < 12, "panel {k}: cloth at the edge");
+            }
+        }
+    }
+    assert_eq!(strip(&waving(GRID, 3), &[], &options).width % 3, 0);
+}
+
+#[test]
+fn a_png_file_holds_the_pixels() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("p.png");
+    let image = strip(&waving(GRID, 2), &[0], &StripOptions { panels: 2, height: 40, ..Default::default() });
+    write_png(&path, &image).unwrap();
+    let mut reader =
+        png::Decoder::new(std::io::BufReader::new(fs::File::open(path).unwrap())).read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    reader.next_frame(&mut pixels).unwrap();
+    assert_eq!(pixels, image.pixels.as_flattened());
+}
+
+/// The frames of an animation as shown, and its length in seconds.
+fn play(path: &Path) -> (Vec<Image>, f64) {
+    let mut options = gif::DecodeOptions::new();
+    options.set_color_output(gif::ColorOutput::Indexed);
+    let mut decoder = options.read_info(fs::File::open(path).unwrap()).unwrap();
+    let palette: Vec<[u8; 3]> = decoder.global_palette().unwrap().as_chunks().0.to_vec();
+    let (width, height) = (usize::from(decoder.width()), usize::from(decoder.height()));
+    let (mut canvas, mut frames, mut time) = (Image::new(width, height), Vec::new(), 0);
+    while let Some(frame) = decoder.read_next_frame().unwrap() {
+        let columns = usize::from(frame.width);
+        for (k, &colour) in frame.buffer.iter().enumerate() {
+            if Some(colour) != frame.transparent {
+                let (x, y) = (usize::from(frame.left) + k % columns, usize::from(frame.top) + k / columns);
+                canvas.pixels[y * width + x] = palette[usize::from(colour)];
+            }
+        }
+        frames.push(canvas.clone());
+        time += usize::from(frame.delay);
+    }
+    (frames, time as f64 / 100.0)
+}
+
+#[test]
+fn an_animation_runs_in_real_time_and_shows_what_a_picture_shows() {
+    let dir = tempfile::tempdir().unwrap();
+    let (a, b) = (dir.path().join("a.gif"), dir.path().join("b.gif"));
+    // More frames than are drawn at a time.
+    let trajectory = waving(GRID, 150);
+    let options = GifOptions { size: 96, ..GifOptions::default() };
+    write_gif(&a, &trajectory, &[0, 11], &options).unwrap();
+    write_gif(&b, &trajectory, &[0, 11], &options).unwrap();
+    assert_eq!(fs::read(&a).unwrap(), fs::read(&b).unwrap());
+    let (frames, seconds) = play(&a);
+    assert_eq!(frames.len(), 75);
+    assert!((seconds - 2.5).abs() < 0.02, "{seconds} s");
+
+    // Differences between frames add up to the frame itself: the last one alone looks the same.
+    let view = View { azimuth: Some(70.0), ..View::default() };
+    let options = GifOptions { view, ..options };
+    write_gif(&a, &trajectory, &[0, 11], &options).unwrap();
+    let (frames, _) = play(&a);
+    let middle = &frames[37];
+    let all = GifOptions { max_fps: 60.0, ..options };
+    write_gif(&b, &trajectory, &[0, 11], &all).unwrap();
+    let (dense, _) = play(&b);
+    let error = |x: &Image, y: &Image| {
+        let pairs = x.pixels.as_flattened().iter().zip(y.pixels.as_flattened());
+        pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum::<f64>() / (3 * 96 * 96) as f64
+    };
+    assert!(error(middle, &dense[74]) < 1.5, "{}", error(middle, &dense[74]));
+    assert!(error(middle, &frames[0]) > 3.0);
+}
+
+#[test]
+fn cloths_that_cannot_be_drawn_do_not_stop_a_run() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.gif");
+    let gif = GifOptions { size: 48, ..GifOptions::default() };
+    let options = StripOptions { height: 48, ..StripOptions::default() };
+    let mut bad = waving(GRID, 3);
+    for value in [f32::NAN, f32::INFINITY, f32::MAX, 1e5, 0.0] {
+        bad.push(&[[value; 3]; 108], &[[0.0; 3]; 108]);
+    }
+    let mut point = Trajectory::new(GRID, 60.0);
+    point.push(&[[1.0; 3]; 108], &[[0.0; 3]; 108]);
+    for trajectory in [&bad, &point, &Trajectory::new(GRID, 60.0)] {
+        for up in [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]] {
+            let view = View { up, ..View::default() };
+            strip(trajectory, &[0, 107], &StripOptions { view, ..options });
+            write_gif(&path, trajectory, &[0, 107], &GifOptions { view, ..gif }).unwrap();
+        }
+    }
+    assert_eq!(play(&path).0.len(), 1);
+}
