@@ -5,7 +5,7 @@ use pulp::{Simd, WithSimd};
 use realfft::FftNum;
 
 /// A real number the CPU path computes with: f64 is the definition of correct, f32 is the fast one.
-pub trait Real: Float + FftNum + std::iter::Sum {
+pub trait Real: Float + FftNum + Default + std::iter::Sum {
     /// A vector register full of numbers.
     type Lanes<S: Simd>: Copy;
 
