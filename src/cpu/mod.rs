@@ -12,4 +12,4 @@ mod real;
 mod solver;
 
 pub use real::Real;
-pub use solver::{Iterations, Solver};
+pub use solver::Solver;

@@ -6,7 +6,7 @@ use super::cloth::{
 };
 use super::optim::{Minimizer, minimizer, norm};
 use crate::Result;
-use crate::sim::{Control, FrameStats, Model, Optimizer, State};
+use crate::sim::{Control, FrameStats, Iterations, Model, Optimizer, State};
 
 /// Advances a batch of cloths frame by frame.
 pub struct Solver<T: Real> {
@@ -20,15 +20,6 @@ pub struct Solver<T: Real> {
     grad: Vec<T>,
     /// Norm of each component of the gradient, shape [B, 3].
     norms: Vec<f64>,
-}
-
-/// What the optimizer did in the iterations of one frame.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Iterations {
-    /// `|dL/da|` of each component of each cloth, shape [N, S] with S = 3 B.
-    pub gradient_norms: Vec<f64>,
-    /// Scale of the learned optimizer after each iteration, shape [N, S]; empty for the others.
-    pub scales: Vec<f64>,
 }
 
 /// All cloths at a trial acceleration.

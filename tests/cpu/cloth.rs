@@ -57,7 +57,7 @@ impl Sheet {
     }
 
     fn energy(&self) -> EnergyTerms {
-        self.with_trial(|trial| energy(trial))
+        self.with_trial(energy)
     }
 
     fn gradient(&self) -> Vec<f64> {
@@ -124,7 +124,7 @@ fn gradient_is_the_slope_of_the_energy() {
     let mut sheet = crumpled(Grid { h: 8, w: 11 });
     let grad = sheet.gradient();
     let scale = grad.iter().fold(0.0, |m: f64, g| m.max(g.abs()));
-    for k in 0..sheet.a.len() {
+    for (k, &grad) in grad.iter().enumerate() {
         let a = sheet.a[k];
         let mut total_at = |offset: f64| {
             sheet.a[k] = a + offset;
@@ -135,7 +135,7 @@ fn gradient_is_the_slope_of_the_energy() {
         let slope =
             (8.0 * (total_at(near) - total_at(-near)) - (total_at(far) - total_at(-far))) / (12.0 * near);
         sheet.a[k] = a;
-        assert!((slope - grad[k]).abs() < 1e-9 * scale, "dL/da[{k}] is {slope}, not {}", grad[k]);
+        assert!((slope - grad).abs() < 1e-9 * scale, "dL/da[{k}] is {slope}, not {grad}");
     }
 }
 

@@ -63,8 +63,7 @@ fn follow<T: Real>() {
     for frame in 0..10 {
         rollout.step();
         let double = |values: &[T]| values.iter().map(|v| v.f64()).collect::<Vec<_>>();
-        let found = [&rollout.state.x[..], &rollout.state.v, rollout.solver.accelerations()]
-            .map(|values| double(values));
+        let found = [&rollout.state.x[..], &rollout.state.v, rollout.solver.accelerations()].map(double);
         let tolerance = [1e-4, 1e-2, 1e-2, 1e-2, 1e-2, 1e-1, 1e-1, 1e-1, 1e-1, 1e-1][frame];
         for (found, expected) in found.iter().zip(&expected) {
             let difference = largest_difference(found, &expected[frame * found.len()..][..found.len()]);

@@ -83,7 +83,7 @@ impl<T: Real> History<T> {
         let product: f64 = (self.last_step.iter().zip(grad).zip(&self.last_grad))
             .map(|((&s, &g), &last)| s.f64() * (g - last).f64())
             .sum();
-        if !(product > curvature) || self.ring.is_empty() {
+        if product.is_nan() || product <= curvature || self.ring.is_empty() {
             return;
         }
         if self.pairs == self.ring.len() {
