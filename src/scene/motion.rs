@@ -4,7 +4,7 @@
 //! `s(t) = (1 - cos(pi t)) / 2`, then 3 s of rest. Axes are y up, metres.
 
 use super::array;
-use crate::{Error, Result};
+use crate::{Error, Result, io};
 use ndarray::{ArrayD, Ix3};
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
@@ -163,7 +163,7 @@ impl Recording {
     /// Reads a `.npy` of shape [frames, `handles`, 3].
     pub fn read(path: &Path, handles: usize) -> Result<Self> {
         let origin = path.display().to_string();
-        let array: ArrayD<f64> = array::read_npy(path)?;
+        let array: ArrayD<f64> = io::read_npy(path)?;
         let found = format!("{:?}", array.shape());
         let fits = array.view().into_dimensionality::<Ix3>().is_ok_and(|a| {
             let (f, h, c) = a.dim();

@@ -5,7 +5,7 @@ use super::surface::Surface;
 use super::units::{Units, UpAxis};
 use super::{array, json::Node};
 use crate::sim::Grid;
-use crate::{Error, Result};
+use crate::{Error, Result, io};
 use std::path::{Path, PathBuf};
 
 /// An affine map of positions in a scene's axes \[m\]: three rows, the last column is the translation.
@@ -104,10 +104,10 @@ impl StartFile {
             Some(e) if e == "obj" => {
                 let mesh = Mesh::read(&self.path)?;
                 mesh.check(grid)?;
-                mesh.points
+                mesh.into_points()
             }
             Some(e) if e == "npy" => {
-                let array = array::read_npy(&self.path)?;
+                let array = io::read_npy(&self.path)?;
                 let shape = array.shape();
                 if shape != [grid.h, grid.w, 3] && shape != [grid.particles(), 3] {
                     let expected = format!("[{}, {}, 3] or [{}, 3]", grid.h, grid.w, grid.particles());

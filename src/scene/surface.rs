@@ -1,8 +1,8 @@
 //! Sampled sheets: the stored drapes, and carrying a sheet from one grid to another.
 
 use super::array;
-use crate::Result;
 use crate::sim::Grid;
+use crate::{Result, io};
 
 /// A drape that hangs at rest from its two upper corners, drawn together to 0.9 of the side; side 1 m, y up.
 const SETTLED: [&[u8]; 2] = [
@@ -32,7 +32,7 @@ impl Surface {
     pub fn settled(grid: Grid) -> Result<Self> {
         // The nearer of the two in size; in between (48 x 48) the finer one, which loses less.
         let fine = grid.particles() >= 48 * 48;
-        let stored = array::parse_npy("the stored drape", SETTLED[usize::from(fine)])?;
+        let stored = io::parse_npy("the stored drape", SETTLED[usize::from(fine)])?;
         let grid_of = Grid { h: stored.shape()[0], w: stored.shape()[1] };
         Ok(Self { grid: grid_of, points: array::points("the stored drape", &stored)? }.regrid(grid))
     }
