@@ -33,7 +33,9 @@ pub fn write_atomic(
     let written = (|| {
         let mut writer = BufWriter::with_capacity(1 << 16, file);
         fill(&mut writer)?;
-        writer.flush()
+        writer.flush()?;
+        // Else a crash of the machine could leave the new name with none of the new content.
+        writer.get_ref().sync_all()
     })();
     written
         .and_then(|()| temporary.persist(path).map_err(|e| e.error))
