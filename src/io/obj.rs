@@ -12,45 +12,9 @@ use std::{
     str::FromStr,
 };
 
-/// The statements that say nothing about positions and faces, which are passed over: all others that the format has.
-const IGNORED: [&str; 36] = [
-    "vt",
-    "vn",
-    "vp",
-    "o",
-    "g",
-    "s",
-    "mg",
-    "l",
-    "p",
-    "usemtl",
-    "mtllib",
-    "usemap",
-    "maplib",
-    "deg",
-    "bmat",
-    "step",
-    "cstype",
-    "curv",
-    "curv2",
-    "surf",
-    "parm",
-    "trim",
-    "hole",
-    "scrv",
-    "sp",
-    "end",
-    "con",
-    "call",
-    "bevel",
-    "c_interp",
-    "d_interp",
-    "lod",
-    "shadow_obj",
-    "trace_obj",
-    "ctech",
-    "stech",
-];
+/// The statements that say nothing about positions and faces and are passed over: all others that the format has.
+const IGNORED: &str = "vt vn vp o g s mg l p usemtl mtllib usemap maplib deg bmat step cstype curv curv2 surf parm \
+    trim hole scrv sp end con call bevel c_interp d_interp lod shadow_obj trace_obj ctech stech";
 
 /// The vertices and faces of an OBJ file as they stand in it.
 #[derive(Clone, Debug)]
@@ -91,7 +55,7 @@ impl<T: Float + FromStr> Polygons<T> {
                     Some(face) => Ok(found.faces.push((face, k + 1))),
                     None => Err("'f' with three or more vertices that exist, defined above it"),
                 },
-                Some(word) if IGNORED.contains(&word) => Ok(()),
+                Some(word) if IGNORED.split(' ').any(|known| known == word) => Ok(()),
                 Some(_) => Err("an OBJ statement such as 'v' or 'f'"),
             };
             if let Err(expected) = understood {
