@@ -79,7 +79,7 @@ impl Model {
     }
 }
 
-/// Positions [edges] and velocities [edges / frame] of a batch, each of shape [B, 3, H, W].
+/// Positions \[edges\] and velocities [edges / frame] of a batch, each of shape [B, 3, H, W].
 #[derive(Clone, Debug, PartialEq)]
 pub struct State<T> {
     /// Positions, shape [B, 3, H, W].
@@ -114,9 +114,9 @@ impl<T: num_traits::Float> State<T> {
 /// What drives one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Control<T> {
-    /// Handle positions at the end of the frame [edges], all handles of cloth 0, then of cloth 1, and so on.
+    /// Handle positions at the end of the frame \[edges\], all handles of cloth 0, then of cloth 1, and so on.
     pub handles: Vec<[T; 3]>,
-    /// Wind velocity of each cloth [edges / frame], shape [B]; empty for still air.
+    /// Wind velocity of each cloth [edges / frame], shape `[B]`; empty for still air.
     pub wind: Vec<[T; 3]>,
     /// External acceleration of each particle beside gravity and air [edges / frame^2], shape [B, 3, H, W]; empty for none.
     pub forces: Vec<T>,
