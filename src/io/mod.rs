@@ -15,6 +15,7 @@ mod ply;
 mod trajectory;
 mod zip;
 
+pub(crate) use atomic::replace;
 pub use atomic::write_atomic;
 pub use format::Format;
 pub use mesh::{Mesh, vertex_normals};

@@ -312,7 +312,7 @@ impl Weights {
 
     /// Writes a checkpoint file with the configuration in its metadata. The file appears whole or not at all.
     pub fn save(&self, path: &Path) -> Result<()> {
-        io::write_atomic(path, |w| w.write_all(&self.to_bytes()))
+        io::replace(path, |w| w.write_all(&self.to_bytes()))
     }
 
     /// The checkpoint file that [`Weights::save`] writes.

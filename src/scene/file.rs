@@ -109,7 +109,7 @@ impl Scene {
 
     /// Writes the scene to a file that [`Scene::load`] reads back. It appears whole or not at all.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
-        io::write_atomic(path, |w| writeln!(w, "{:#}", self.to_json()))
+        io::replace(path, |w| writeln!(w, "{:#}", self.to_json()))
     }
 }
 
