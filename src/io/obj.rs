@@ -45,20 +45,22 @@ impl<T: Float + FromStr> Polygons<T> {
             let line = String::from_utf8_lossy(line);
             let line = line.split('#').next().unwrap_or_default();
             let mut words = line.split_ascii_whitespace();
-            let understood = match words.next() {
-                None => Ok(()),
-                Some("v") => match position(words) {
-                    Some(position) => Ok(found.positions.push(position)),
-                    None => Err("'v X Y Z', finite numbers"),
-                },
-                Some("f") => match face(words, found.positions.len()) {
-                    Some(face) => Ok(found.faces.push((face, k + 1))),
-                    None => Err("'f' with three or more vertices that exist, defined above it"),
-                },
-                Some(word) if IGNORED.split(' ').any(|known| known == word) => Ok(()),
-                Some(_) => Err("an OBJ statement such as 'v' or 'f'"),
+            let (understood, expected) = match words.next() {
+                None => continue,
+                Some("v") => (
+                    position(words).map(|position| found.positions.push(position)),
+                    "'v X Y Z', finite numbers",
+                ),
+                Some("f") => (
+                    face(words, found.positions.len()).map(|face| found.faces.push((face, k + 1))),
+                    "'f' with three or more vertices that exist, defined above it",
+                ),
+                Some(word) => (
+                    IGNORED.split(' ').find(|known| *known == word).map(drop),
+                    "an OBJ statement such as 'v' or 'f'",
+                ),
             };
-            if let Err(expected) = understood {
+            if understood.is_none() {
                 let shown: String = line.trim().chars().take(60).collect();
                 return Err(Error::invalid(
                     origin,
