@@ -164,6 +164,10 @@ fn read_all(bytes: &[u8]) {
         let _ = read_npy(&path);
         let _ = read_obj(&path);
     }
+    let frames = dir.path().join("frames");
+    fs::create_dir(&frames).unwrap();
+    fs::write(frames.join("00000.obj"), bytes).unwrap();
+    let _ = Trajectory::read(&frames, &ReadOptions::default());
 }
 
 /// A small file of each kind.
@@ -191,6 +195,11 @@ proptest! {
         bytes.extend((text.len() as u16).to_le_bytes());
         bytes.extend(text.bytes());
         read_all(&bytes);
+    }
+
+    #[test]
+    fn arbitrary_meshes_never_panic(text in "(v( -?[0-9]{1,2}){2,4}\n|f( -?[0-9]{1,2}(/[0-9]?)?){0,5}\n|[a-z0-9# ]{0,9}\n){0,30}") {
+        read_all(text.as_bytes());
     }
 
     #[test]
