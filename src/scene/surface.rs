@@ -1,6 +1,6 @@
 //! Sampled sheets: the stored drapes, and carrying a sheet from one grid to another.
 
-use super::array;
+use super::points::{self, norm, zip};
 use crate::sim::Grid;
 use crate::{Result, io};
 
@@ -19,14 +19,6 @@ pub(super) struct Surface {
     pub points: Vec<[f64; 3]>,
 }
 
-fn zip(a: [f64; 3], b: [f64; 3], f: impl Fn(f64, f64) -> f64) -> [f64; 3] {
-    std::array::from_fn(|c| f(a[c], b[c]))
-}
-
-fn norm(v: [f64; 3]) -> f64 {
-    v.iter().map(|c| c * c).sum::<f64>().sqrt()
-}
-
 impl Surface {
     /// The settled drape on `grid` for a sheet of height 1 m, y up \[m\].
     pub fn settled(grid: Grid) -> Result<Self> {
@@ -34,14 +26,13 @@ impl Surface {
         let fine = grid.particles() >= 48 * 48;
         let stored = io::parse_npy("the stored drape", SETTLED[usize::from(fine)])?;
         let grid_of = Grid { h: stored.shape()[0], w: stored.shape()[1] };
-        Ok(Self { grid: grid_of, points: array::points("the stored drape", &stored)? }.regrid(grid))
+        Ok(Self { grid: grid_of, points: points::from_array("the stored drape", &stored)? }.regrid(grid))
     }
 
     /// The sheet on another grid of square cells, its height kept. Where the ratio of the sides changes, the sheet
     /// becomes longer or shorter along its width so that the edges keep about their length.
     pub fn regrid(&self, grid: Grid) -> Self {
-        let aspect = |g: Grid| (g.w - 1) as f64 / (g.h - 1) as f64;
-        let ratio = aspect(grid) / aspect(self.grid);
+        let ratio = grid.aspect() / self.grid.aspect();
         let mut sheet = if grid == self.grid { self.clone() } else { self.resample(grid) };
         if ratio < 1.0 - 1e-9 {
             sheet.shorten(ratio);
