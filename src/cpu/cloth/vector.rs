@@ -9,6 +9,11 @@ pub(super) fn at<T: Real>(x: &[T], n: usize, p: usize) -> [T; 3] {
 }
 
 #[inline(always)]
+pub(super) fn add<T: Real>(u: [T; 3], w: [T; 3]) -> [T; 3] {
+    [u[0] + w[0], u[1] + w[1], u[2] + w[2]]
+}
+
+#[inline(always)]
 pub(super) fn sub<T: Real>(u: [T; 3], w: [T; 3]) -> [T; 3] {
     [u[0] - w[0], u[1] - w[1], u[2] - w[2]]
 }
