@@ -7,7 +7,7 @@ use crate::cpu::Real;
 pub struct Frame<'a, T> {
     /// Handle slots, shape [H, W], see [`crate::sim::Model::handle_slots`].
     pub slots: &'a [u32],
-    /// Handle positions at the end of the frame [edges], of all cloths.
+    /// Handle positions at the end of the frame \[edges\], of all cloths.
     pub handles: &'a [[T; 3]],
     /// Trial accelerations [edges / frame^2], shape [3, H, W].
     pub a: &'a [T],

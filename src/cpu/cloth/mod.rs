@@ -24,7 +24,7 @@ pub struct Trial<'a, T> {
     pub grid: Grid,
     /// Energy coefficients.
     pub material: Material,
-    /// Trial positions [edges], shape [3, H, W].
+    /// Trial positions \[edges\], shape [3, H, W].
     pub x: &'a [T],
     /// Trial accelerations [edges / frame^2], shape [3, H, W].
     pub a: &'a [T],
