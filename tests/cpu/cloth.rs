@@ -151,6 +151,13 @@ fn gradient_of_straight_and_degenerate_edges_is_finite() {
     assert!(straight.gradient().iter().all(|g| g.abs() < 1e-12), "a sheet at rest feels no force");
     let point = Sheet::shaped(grid, Material::default(), |_, _| [1.0, 2.0, 3.0]);
     let folded = Sheet::shaped(grid, Material::default(), |j, i| [j % 2.0, i, 0.0]);
+    for exponent in 0..=323 {
+        let mut shrunk = crumpled(grid);
+        let factor = 10f64.powi(-exponent);
+        (shrunk.x.iter_mut().chain(&mut shrunk.v).chain(&mut shrunk.a)).for_each(|x| *x *= factor);
+        shrunk.slots.fill(0);
+        assert!(shrunk.gradient().iter().all(|g| g.is_finite()), "edges of length {factor}");
+    }
     for sheet in [point, folded] {
         assert!(sheet.gradient().iter().all(|g| g.is_finite()));
     }
