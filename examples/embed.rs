@@ -1,0 +1,68 @@
+//! A cloth inside an engine: the engine (`host/mod.rs`) owns device, queue, encoder and pipeline; fnopt records its frame
+//! into that encoder, and the sheet is drawn from the buffer that it was computed in. Nothing is copied or waited for.
+
+mod host;
+
+use fnopt::gpu::Context;
+use fnopt::network::Weights;
+use fnopt::scene::Scene;
+use fnopt::sim::{Optimizer, Solver, SolverOptions};
+use fnopt::wgpu;
+use host::Host;
+
+const FRAMES: usize = 30;
+const WEIGHTS: &[u8] = include_bytes!("../assets/weights/starter.safetensors");
+/// Looks along the x axis, z up; positions are in edges, of which the sheet has 31 along a side.
+const SHADER: &str = "
+@vertex fn corner(@location(0) x: f32, @location(1) y: f32, @location(2) z: f32) -> @builtin(position) vec4f {
+    return vec4f(y / 40.0, z / 40.0, 0.5 + x / 400.0, 1.0);
+}
+@fragment fn colour() -> @location(0) vec4f { return vec4f(0.0, 0.4, 0.6, 1.0); }";
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let host = Host::open(SHADER)?;
+
+    // The cloth on the host's device.
+    let context = Context::new(host.device.clone(), host.queue.clone())?;
+    let setup = Scene::default().setup()?;
+    let optimizer = Optimizer::learned(Weights::from_bytes(WEIGHTS, "starter weights")?);
+    let solver = Solver::new(&context, &setup.model, &optimizer, &SolverOptions::default())?;
+    solver.set_state(&setup.start.cast());
+
+    // Positions have shape [B, 3, H, W]: all x of the first cloth, then all y, then all z; so each axis is a vertex buffer.
+    let (grid, handle) = (setup.model.grid, setup.model.cloths[0].handles[0]);
+    let plane = 4 * grid.particles() as u64;
+    let faces = grid.faces().concat();
+    let indices = host.index_buffer(&faces);
+
+    let mut control = setup.control::<f32>(0);
+    for _ in 0..FRAMES {
+        control.handles[0][2] += 0.1; // a tenth of an edge upwards
+        solver.set_control(&control);
+
+        let mut encoder = host.device.create_command_encoder(&Default::default());
+        solver.record(&mut encoder);
+        let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+            color_attachments: &[Some(host.attachment())],
+            ..Default::default()
+        });
+        pass.set_pipeline(&host.pipeline);
+        for axis in 0..3 {
+            let from = u64::from(axis) * plane;
+            pass.set_vertex_buffer(axis, solver.positions().buffer().slice(from..from + plane));
+        }
+        pass.set_index_buffer(indices.slice(..), wgpu::IndexFormat::Uint32);
+        pass.draw_indexed(0..faces.len() as u32, 0, 0..1);
+        drop(pass);
+        host.queue.submit([encoder.finish()]);
+    }
+
+    let x: Vec<f32> = solver.positions().read(&context)?;
+    let at = [0, 1, 2].map(|axis| x[axis * grid.particles() + handle]);
+    let drawn = host.pixels(&context)?.iter().filter(|&&pixel| pixel != 0).count();
+    println!("{FRAMES} frames on {}: handle at {at:.2?} edges, {drawn} pixels drawn", context.name());
+    assert!(x.iter().all(|v| v.is_finite()), "every particle is somewhere");
+    assert!(at.iter().zip(control.handles[0]).all(|(a, b)| (a - b).abs() < 1e-4), "{:?}", control.handles[0]);
+    assert!((4_000..20_000).contains(&drawn), "the sheet covers a part of the picture, {drawn} pixels");
+    Ok(())
+}

@@ -1,0 +1,97 @@
+//! What an engine brings along: a device, a queue, a pipeline and a target to draw on (here a texture, for want of a
+//! window).
+
+use fnopt::gpu::{Context, Tensor};
+use fnopt::wgpu::{self, util::DeviceExt};
+
+/// The engine.
+pub struct Host {
+    pub device: wgpu::Device,
+    pub queue: wgpu::Queue,
+    pub pipeline: wgpu::RenderPipeline,
+    target: wgpu::Texture,
+    view: wgpu::TextureView,
+}
+
+const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
+const SIZE: u32 = 256;
+
+impl Host {
+    /// Opens a device with all that its adapter allows: the default limits bind 128 MiB at most.
+    pub fn open(shader: &str) -> Result<Self, Box<dyn std::error::Error>> {
+        let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+        let adapter = pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default()))?;
+        let descriptor = wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..Default::default() };
+        let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))?;
+        let pipeline = pipeline(&device, shader);
+        let target = device.create_texture(&wgpu::TextureDescriptor {
+            label: None,
+            size: wgpu::Extent3d { width: SIZE, height: SIZE, depth_or_array_layers: 1 },
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: FORMAT,
+            usage: wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::COPY_SRC,
+            view_formats: &[],
+        });
+        let view = target.create_view(&Default::default());
+        Ok(Self { device, queue, pipeline, target, view })
+    }
+
+    /// A buffer of vertex numbers.
+    pub fn index_buffer(&self, vertices: &[u32]) -> wgpu::Buffer {
+        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: None,
+            contents: bytemuck::cast_slice(vertices),
+            usage: wgpu::BufferUsages::INDEX,
+        })
+    }
+
+    /// The target, cleared to transparent black.
+    pub fn attachment(&self) -> wgpu::RenderPassColorAttachment<'_> {
+        let ops = wgpu::Operations::default();
+        wgpu::RenderPassColorAttachment { view: &self.view, depth_slice: None, resolve_target: None, ops }
+    }
+
+    /// The pixels of the target, four bytes each.
+    pub fn pixels(&self, context: &Context) -> fnopt::Result<Vec<u32>> {
+        let picture = Tensor::zeros(context, "picture", &[SIZE as usize, SIZE as usize])?;
+        let layout =
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * SIZE), rows_per_image: None };
+        let to = wgpu::TexelCopyBufferInfo { buffer: picture.buffer(), layout };
+        context.submit(|e| e.copy_texture_to_buffer(self.target.as_image_copy(), to, self.target.size()));
+        picture.read(context)
+    }
+}
+
+/// Triangles from three vertex buffers, one for each coordinate.
+fn pipeline(device: &wgpu::Device, shader: &str) -> wgpu::RenderPipeline {
+    let source = wgpu::ShaderSource::Wgsl(shader.into());
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source });
+    let attributes = [0, 1, 2].map(|axis| wgpu::vertex_attr_array![axis => Float32]);
+    let step_mode = wgpu::VertexStepMode::Vertex;
+    let buffers = attributes
+        .each_ref()
+        .map(|attributes| Some(wgpu::VertexBufferLayout { array_stride: 4, step_mode, attributes }));
+    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: None,
+        layout: None,
+        vertex: wgpu::VertexState {
+            module: &module,
+            entry_point: None,
+            compilation_options: Default::default(),
+            buffers: &buffers,
+        },
+        primitive: Default::default(),
+        depth_stencil: None,
+        multisample: Default::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &module,
+            entry_point: None,
+            compilation_options: Default::default(),
+            targets: &[Some(FORMAT.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    })
+}
