@@ -4,6 +4,7 @@
 //! takes tensors and little else, and asserts that they fit. No algorithm lives here.
 
 pub mod cloth;
+pub mod fft;
 pub mod operator;
 pub mod optim;
 
@@ -40,6 +41,12 @@ pub const ALL: &[(&Source, usize)] = &[
     (&operator::pool_rows::SOURCE, 0),
     (&operator::scalar_head::SOURCE, 0),
     (&operator::project::SOURCE, 0),
+    (&fft::pack_pairs::SOURCE, 0),
+    (&fft::unpack_pairs::SOURCE, 0),
+    (&fft::split_spectra::SOURCE, 0),
+    (&fft::join_spectra::SOURCE, 0),
+    (&fft::radix4::SOURCE, 0),
+    (&fft::radix_prime::SOURCE, 0),
 ];
 
 /// Sizes of tiles and workgroups that suit a kind of adapter. Results do not depend on them beyond rounding.
