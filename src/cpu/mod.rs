@@ -3,8 +3,13 @@
 //! In f64 it is the definition of correct against which every shader is tested; in f32, threaded and vectorised, it is
 //! what runs where there is no GPU adapter.
 
+pub mod cloth;
+pub mod fft;
 mod matmul;
 pub mod operator;
+pub mod optim;
 mod real;
+mod solver;
 
 pub use real::Real;
+pub use solver::Solver;

@@ -5,7 +5,7 @@ use pulp::{Simd, WithSimd};
 use realfft::FftNum;
 
 /// A real number the CPU path computes with: f64 is the definition of correct, f32 is the fast one.
-pub trait Real: Float + FftNum + std::iter::Sum {
+pub trait Real: Float + FftNum + Default + std::iter::Sum {
     /// A vector register full of numbers.
     type Lanes<S: Simd>: Copy;
 
@@ -137,7 +137,7 @@ const GELU_TAIL: [f32; 9] = [
 /// `tanh x` is nearly `x p(x^2) / q(x^2)` for |x| <= 9, clamped to -1..1: minimax in the relative error by the same
 /// method, 1.3e-9; with rounding 3e-7.
 const TANH_P: [f32; 6] =
-    [1.0, 1.368_085_7e-1, 3.869_508_4e-3, 2.803_131_9e-5, 3.064_254_8e-8, -1.224_626_1e-11];
+    [1.0, 1.368_085_7e-1, 3.869_508_4e-3, 2.803_132e-5, 3.064_254_8e-8, -1.224_626_1e-11];
 const TANH_Q: [f32; 5] = [1.0, 4.701_419e-1, 2.725_015_8e-2, 3.940_714e-4, 1.289_035_7e-6];
 const TANH_LIMIT: f32 = 9.0;
 

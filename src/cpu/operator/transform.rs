@@ -118,6 +118,28 @@ impl<T: Real> Transform<T> {
         (at(cos, 0) + at(sin, 1), at(cos, 1) - at(sin, 0))
     }
 
+    /// The whole inverse: the field, shape [H, W, C], of `modes` [modes_h, modes_w, C, 2].
+    pub fn inverse(&self, modes: &[T]) -> Vec<T> {
+        let (c, row_len) = (self.channels, self.row_len());
+        let mut parts = vec![T::zero(); 2 * modes.len()];
+        for (parts, modes) in parts.chunks_exact_mut(4 * c).zip(modes.chunks_exact(2 * c)) {
+            for i in 0..c {
+                let (re, im) = (modes[2 * i], modes[2 * i + 1]);
+                (parts[i], parts[c + i], parts[2 * c + i], parts[3 * c + i]) = (re, im, -im, re);
+            }
+        }
+        let mut spectra = vec![T::zero(); self.grid.h * row_len];
+        self.column_inverse(&mut spectra, 0, ModeParts { values: &parts, samples: 1, sample: 0 });
+        let mut field = vec![T::zero(); self.grid.particles() * c];
+        for (out, z) in field.chunks_exact_mut(self.grid.w * c).zip(spectra.chunks_exact(row_len)) {
+            product(
+                Target { out, stride: c, rows: self.grid.w, columns: c, start: None },
+                &[self.row_inverse(z)],
+            );
+        }
+        field
+    }
+
     /// Inverse along the columns, for grid rows from `i` on: `out` [rows, modes_w, 2, C] from the modes of a sample.
     /// These are the parts of `modes` [modes_h, modes_w, 2, S, 2, C] that begin at `offset`: first the modes (re, im),
     /// then the same turned by a quarter (-im, re).

@@ -1,0 +1,27 @@
+//! Gradient descent with a fixed rate.
+
+use super::Minimizer;
+use crate::cpu::Real;
+
+/// `a <- a - rate g`.
+pub struct GradientDescent {
+    rate: f64,
+}
+
+impl GradientDescent {
+    /// Gradient descent with this rate.
+    pub fn new(rate: f64) -> Self {
+        Self { rate }
+    }
+}
+
+impl<T: Real> Minimizer<T> for GradientDescent {
+    fn step(&mut self, grad: &[T], _norms: &[f64], a: &mut [T]) {
+        let rate = T::of(self.rate);
+        for (a, &g) in a.iter_mut().zip(grad) {
+            *a = *a - rate * g;
+        }
+    }
+
+    fn reset(&mut self) {}
+}

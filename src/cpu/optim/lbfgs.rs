@@ -1,0 +1,132 @@
+//! Limited-memory BFGS by the two-loop recursion, with step 1 and a history that is cleared every frame.
+
+use super::Minimizer;
+use crate::cpu::Real;
+use rayon::prelude::*;
+
+/// L-BFGS for a batch of cloths, each with its own history.
+pub struct Lbfgs<T> {
+    cloths: Vec<History<T>>,
+    curvature: f64,
+    /// Unknowns of one cloth.
+    len: usize,
+}
+
+/// What L-BFGS remembers of one cloth.
+struct History<T> {
+    /// Pairs of step s and gradient difference y with `1 / (s . y)`; only `pairs` of them, the oldest first, count.
+    ring: Vec<Pair<T>>,
+    pairs: usize,
+    last_grad: Vec<T>,
+    last_step: Vec<T>,
+    /// Whether `last_grad` and `last_step` are those of this frame.
+    started: bool,
+    direction: Vec<T>,
+}
+
+struct Pair<T> {
+    s: Vec<T>,
+    y: Vec<T>,
+    inverse: f64,
+}
+
+impl<T: Real> Lbfgs<T> {
+    /// L-BFGS for `batch` cloths of `len` unknowns each, with at most `history` pairs of `s . y > curvature`.
+    pub fn new(history: usize, curvature: f64, len: usize, batch: usize) -> Self {
+        let zeros = || vec![T::zero(); len];
+        let pair = |_| Pair { s: zeros(), y: zeros(), inverse: 0.0 };
+        let cloth = |_| History {
+            ring: (0..history).map(pair).collect(),
+            pairs: 0,
+            last_grad: zeros(),
+            last_step: zeros(),
+            started: false,
+            direction: zeros(),
+        };
+        Self { cloths: (0..batch).map(cloth).collect(), curvature, len }
+    }
+}
+
+impl<T: Real> Minimizer<T> for Lbfgs<T> {
+    fn begin_frame(&mut self) {
+        self.reset();
+    }
+
+    fn step(&mut self, grad: &[T], _norms: &[f64], a: &mut [T]) {
+        let curvature = self.curvature;
+        let batch = grad.par_chunks(self.len).zip(a.par_chunks_mut(self.len));
+        self.cloths.par_iter_mut().zip(batch).for_each(|(history, (grad, a))| {
+            if history.started {
+                history.remember(grad, curvature);
+            }
+            history.turn(grad);
+            for ((a, step), &d) in a.iter_mut().zip(&mut history.last_step).zip(&history.direction) {
+                *step = -d;
+                *a = *a - d;
+            }
+            history.last_grad.copy_from_slice(grad);
+            history.started = true;
+        });
+    }
+
+    fn reset(&mut self) {
+        for history in &mut self.cloths {
+            history.pairs = 0;
+            history.started = false;
+        }
+    }
+}
+
+impl<T: Real> History<T> {
+    /// Keeps the pair of the last step if its curvature suffices, in place of the oldest if the ring is full.
+    fn remember(&mut self, grad: &[T], curvature: f64) {
+        let product: f64 = (self.last_step.iter().zip(grad).zip(&self.last_grad))
+            .map(|((&s, &g), &last)| s.f64() * (g - last).f64())
+            .sum();
+        if product.is_nan() || product <= curvature || self.ring.is_empty() {
+            return;
+        }
+        if self.pairs == self.ring.len() {
+            self.ring.rotate_left(1);
+        } else {
+            self.pairs += 1;
+        }
+        let pair = &mut self.ring[self.pairs - 1];
+        pair.inverse = product.recip();
+        pair.s.copy_from_slice(&self.last_step);
+        for ((y, &g), &last) in pair.y.iter_mut().zip(grad).zip(&self.last_grad) {
+            *y = g - last;
+        }
+    }
+
+    /// Sets `direction` to the inverse Hessian of the history times `grad`; without history to `grad`.
+    fn turn(&mut self, grad: &[T]) {
+        let pairs = &self.ring[..self.pairs];
+        let direction = &mut self.direction;
+        direction.copy_from_slice(grad);
+        let mut weights = vec![0.0; pairs.len()];
+        for (pair, weight) in pairs.iter().zip(&mut weights).rev() {
+            *weight = pair.inverse * dot(&pair.s, direction);
+            add_scaled(direction, &pair.y, -*weight);
+        }
+        if let Some(newest) = pairs.last() {
+            let gamma = T::of((newest.inverse * dot(&newest.y, &newest.y)).recip());
+            direction.iter_mut().for_each(|d| *d = *d * gamma);
+        }
+        for (pair, weight) in pairs.iter().zip(&weights) {
+            let correction = pair.inverse * dot(&pair.y, direction);
+            add_scaled(direction, &pair.s, weight - correction);
+        }
+    }
+}
+
+fn dot<T: Real>(u: &[T], w: &[T]) -> f64 {
+    u.iter().zip(w).map(|(&u, &w)| u.f64() * w.f64()).sum()
+}
+
+fn add_scaled<T: Real>(to: &mut [T], u: &[T], factor: f64) {
+    let factor = T::of(factor);
+    for (to, &u) in to.iter_mut().zip(u) {
+        *to = *to + factor * u;
+    }
+}

@@ -1,0 +1,44 @@
+//! The optimizers on the CPU: from the gradient of a frame's energy to a step of the accelerations.
+
+mod adam;
+mod gd;
+mod lbfgs;
+mod update;
+
+pub use adam::Adam;
+pub use gd::GradientDescent;
+pub use lbfgs::Lbfgs;
+pub(super) use update::norm;
+pub use update::{Hidden, Update};
+
+use super::Real;
+use crate::Result;
+use crate::sim::{Grid, Optimizer};
+
+/// One optimizer at work on a batch of cloths.
+pub trait Minimizer<T>: Send {
+    /// Starts a frame, at a = 0.
+    fn begin_frame(&mut self) {}
+    /// Adds a step to the accelerations `a`, given `grad` = dL/da at `a` and its norm `norms` for each component of each
+    /// cloth; shapes [B, 3, H, W] and [S] with S = 3 B.
+    fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]);
+    /// Forgets everything, as when the scene is reset.
+    fn reset(&mut self);
+    /// The scale of each sample, shape [S], if the optimizer has one.
+    fn scales(&self) -> &[T] {
+        &[]
+    }
+}
+
+/// The optimizer for `batch` cloths on `grid`; an error if the grid does not suit the network.
+pub fn minimizer<T: Real>(optimizer: &Optimizer, grid: Grid, batch: usize) -> Result<Box<dyn Minimizer<T>>> {
+    let cloth = 3 * grid.particles();
+    Ok(match *optimizer {
+        Optimizer::Learned(ref weights) => Box::new(Update::new(weights, grid, 3 * batch)?),
+        Optimizer::GradientDescent { rate } => Box::new(GradientDescent::new(rate)),
+        Optimizer::Adam { rate, beta1, beta2, epsilon } => {
+            Box::new(Adam::new([rate, beta1, beta2, epsilon], batch * cloth))
+        }
+        Optimizer::Lbfgs { history, curvature } => Box::new(Lbfgs::new(history, curvature, cloth, batch)),
+    })
+}

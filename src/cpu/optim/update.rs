@@ -1,0 +1,109 @@
+//! The learned update rule (paper section 4): gradients in, a step out, with a memory of the step before.
+
+use super::Minimizer;
+use crate::Result;
+use crate::cpu::Real;
+use crate::cpu::operator::Network;
+use crate::network::Weights;
+use crate::sim::{Grid, INITIAL_SCALE};
+use rayon::prelude::*;
+
+/// Amplitude that the normalised fields are squashed to, `10 tanh(. / 10)`.
+const SQUASH: f64 = 10.0;
+/// Floor of a norm; below the smallest normal f32, hence used in double precision only.
+const NORM_FLOOR: f64 = 1e-40;
+
+/// What the update rule remembers from one iteration to the next, across frames.
+#[derive(Clone, Debug)]
+pub struct Hidden<T> {
+    /// The last gradient, shape [S, H, W].
+    pub last_grad: Vec<T>,
+    /// The last step, shape [S, H, W].
+    pub last_step: Vec<T>,
+    /// The scale of the steps, shape [S].
+    pub scale: Vec<T>,
+}
+
+/// The update rule for a number of samples on one grid; a sample is one component of one cloth.
+pub struct Update<T: Real> {
+    network: Network<T>,
+    hidden: Hidden<T>,
+    /// Normalised gradient, last gradient and last step, shape [S, 3, H, W].
+    input: Vec<T>,
+}
+
+impl<T: Real> Update<T> {
+    /// A fresh update rule; an error if the grid is too small for the kept modes.
+    pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
+        let len = samples * grid.particles();
+        let zeros = |n| vec![T::zero(); n];
+        let scale = vec![T::of(INITIAL_SCALE.into()); samples];
+        let hidden = Hidden { last_grad: zeros(len), last_step: zeros(len), scale };
+        Ok(Self { network: Network::new(weights, grid, samples)?, hidden, input: zeros(3 * len) })
+    }
+
+    /// What it remembers.
+    pub fn hidden(&self) -> &Hidden<T> {
+        &self.hidden
+    }
+
+    /// What it remembers, to set it.
+    pub fn hidden_mut(&mut self) -> &mut Hidden<T> {
+        &mut self.hidden
+    }
+
+    /// Writes the network's input for the gradient `grad`: each field over the gradient's, or the last step's, root mean
+    /// square, squashed.
+    fn normalise(&mut self, grad: &[T], norms: &[f64]) {
+        let samples = norms.len();
+        let n = grad.len() / samples;
+        // Where all is zero the factor stays finite, so that 0 times it is 0 and not NaN.
+        let factor = |norm: f64| {
+            let scale = norm.max(NORM_FLOOR) / (n as f64).sqrt();
+            T::of((SQUASH * scale).recip()).min(T::max_value())
+        };
+        let Hidden { last_grad, last_step, .. } = &self.hidden;
+        self.input.par_chunks_mut(n).enumerate().for_each(|(index, input)| {
+            let (sample, field) = (index / 3, index % 3);
+            let source = [grad, last_grad, last_step][field];
+            let source = &source[sample * n..][..n];
+            let norm = if field == 2 { norm(source) } else { norms[sample] };
+            input.copy_from_slice(source);
+            T::squash(input, factor(norm), T::of(SQUASH));
+        });
+    }
+}
+
+impl<T: Real> Minimizer<T> for Update<T> {
+    fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]) {
+        self.normalise(grad, norms);
+        self.network.forward(&self.input);
+        let Hidden { last_grad, last_step, scale } = &mut self.hidden;
+        for (scale, scalar) in scale.iter_mut().zip(self.network.scalar()) {
+            *scale = *scale * T::of((2.0 * (scalar.f64() / 2.0).tanh() - 1.0).exp());
+        }
+        last_step.copy_from_slice(self.network.field());
+        for (step, &scale) in last_step.chunks_exact_mut(grad.len() / norms.len()).zip(&*scale) {
+            T::squash(step, T::one(), scale);
+        }
+        for (a, &step) in a.iter_mut().zip(&*last_step) {
+            *a = *a + step;
+        }
+        last_grad.copy_from_slice(grad);
+    }
+
+    fn reset(&mut self) {
+        self.hidden.last_grad.fill(T::zero());
+        self.hidden.last_step.fill(T::zero());
+        self.hidden.scale.fill(T::of(INITIAL_SCALE.into()));
+    }
+
+    fn scales(&self) -> &[T] {
+        &self.hidden.scale
+    }
+}
+
+/// The Euclidean norm, in double precision, where the square of no single-precision number vanishes.
+pub(in crate::cpu) fn norm<T: Real>(values: &[T]) -> f64 {
+    values.iter().map(|v| v.f64() * v.f64()).sum::<f64>().sqrt()
+}

@@ -1,0 +1,10 @@
+//! Tests of the CPU path; they need no adapter.
+
+mod checkpoint;
+mod cloth;
+mod fft;
+mod golden;
+mod network;
+mod rollout;
+mod update_rule;
+mod wind;

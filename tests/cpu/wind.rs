@@ -1,0 +1,49 @@
+//! Wind on a flat plate, whose drag is known.
+
+use fnopt::cpu::cloth::add_wind;
+use fnopt::sim::{Air, Grid, State};
+
+const GRID: Grid = Grid { h: 9, w: 12 };
+
+/// Sum of mass times acceleration, the force on the whole sheet.
+fn force(f: &[f64]) -> [f64; 3] {
+    let n = GRID.particles();
+    [0, 1, 2].map(|c| (0..n).map(|p| GRID.mass(p / GRID.w, p % GRID.w) * f[c * n + p]).sum())
+}
+
+#[test]
+fn drag_of_a_flat_plate() {
+    let mut state = State::<f64>::rest(GRID, 1);
+    let n = GRID.particles();
+    // The plate moves with (0.1, 0.2, 0.5) in a wind of (0.4, 0, -1): 0.3, -0.2 along it and -1.5 across.
+    for (v, speed) in state.v.chunks_mut(n).zip([0.1, 0.2, 0.5]) {
+        v.fill(speed);
+    }
+    let mut f = vec![0.0; 3 * n];
+    let air = Air { density: 0.7, drag: 0.3 };
+    add_wind(GRID, air, [0.4, 0.0, -1.0], (&state.x, &state.v), &mut f);
+    let area = 8.0 * 11.0;
+    let expected = [0.3 * area * 0.3, -0.3 * area * 0.2, -0.7 * area * 1.5 * 1.5];
+    for (found, expected) in force(&f).into_iter().zip(expected) {
+        assert!((found - expected).abs() < 1e-10, "{found} is not {expected}");
+    }
+    // A sheet of particles of the right mass moves like a plate.
+    let inside = 4 * GRID.w + 5;
+    assert!((f[2 * n + inside] + 0.7 * 1.5 * 1.5).abs() < 1e-12);
+}
+
+#[test]
+fn still_air_without_density_does_nothing() {
+    let state = State::<f64>::rest(GRID, 1);
+    let mut f = vec![1.0; 3 * GRID.particles()];
+    add_wind(GRID, Air::default(), [3.0, 2.0, 1.0], (&state.x, &state.v), &mut f);
+    assert!(f.iter().all(|&f| f == 1.0));
+}
+
+#[test]
+fn a_sheet_without_area_feels_no_wind() {
+    let x = vec![2.0; 3 * GRID.particles()];
+    let mut f = vec![0.0; x.len()];
+    add_wind(GRID, Air { density: 1.0, drag: 1.0 }, [3.0, 2.0, 1.0], (&x, &vec![0.0; x.len()]), &mut f);
+    assert!(f.iter().all(|&f| f == 0.0));
+}
