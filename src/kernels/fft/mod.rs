@@ -15,7 +15,7 @@ pub use join_spectra::JoinSpectra;
 pub use pack_pairs::PackPairs;
 pub use radix_prime::RadixPrime;
 pub use radix4::Radix4;
-pub use real_fft2::{MAX_LENGTH, Norm, RealFft2};
+pub use real_fft2::{MAX_LENGTH, RealFft2};
 pub use split_spectra::SplitSpectra;
 pub use unpack_pairs::UnpackPairs;
 

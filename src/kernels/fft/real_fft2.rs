@@ -1,21 +1,10 @@
 //! The plan of a two-dimensional real transform: which passes run in which order over which tensors.
 
 use super::{Fields, JoinSpectra, PackPairs, Pass, Radix4, RadixPrime, SplitSpectra, UnpackPairs};
+use crate::cpu::fft::Norm;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::{Error, Result};
 use std::f64::consts::TAU;
-
-/// Which direction carries the factor 1/(HW).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Norm {
-    /// The forward transform, as in the operator; the inverse restores the fields.
-    #[default]
-    Forward,
-    /// The inverse transform, which restores the fields.
-    Backward,
-    /// Neither; a round trip multiplies the fields by HW.
-    Nothing,
-}
 
 /// The longest side. Direct sums over a prime of this size still stay below the 65,535 loop iterations that some
 /// software drivers run before they stop silently.
