@@ -3,11 +3,13 @@
 mod grid;
 mod model;
 mod optimizer;
+mod simulator;
 mod solver;
 mod stats;
 
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub use model::{Air, Cloth, Control, Material, Model, State};
 pub use optimizer::Optimizer;
+pub use simulator::{Device, Frame, Simulator};
 pub use solver::{INITIAL_SCALE, Solver, SolverOptions};
 pub use stats::{EnergyTerms, FrameStats, Iterations};

@@ -1,2 +1,116 @@
-//! stub
-pub struct CpuStages;
+//! The stages on the CPU, in either precision.
+
+use super::{EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, UpdateCase};
+use crate::Result;
+use crate::cpu::cloth::{GradientRows, Trial, energy, gradient};
+use crate::cpu::operator::{Network, Stage};
+use crate::cpu::optim::{Minimizer, Update};
+use crate::cpu::{Real, Solver};
+use crate::network::Weights;
+use crate::sim::{Control, EnergyTerms, Grid, Model, Optimizer, State};
+use std::marker::PhantomData;
+use std::sync::Arc;
+
+/// Stages in the precision of `T`.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct CpuStages<T>(PhantomData<T>);
+
+impl<T> CpuStages<T> {
+    /// Stages in the precision of `T`.
+    pub fn new() -> Self {
+        Self(PhantomData)
+    }
+}
+
+impl<T: Real> Stages for CpuStages<T> {
+    fn name(&self) -> String {
+        format!("cpu f{}", 8 * size_of::<T>())
+    }
+
+    fn precision(&self) -> Precision {
+        if size_of::<T>() == 8 { Precision::Double } else { Precision::Single }
+    }
+
+    fn network(&mut self, weights: &Weights, grid: Grid, input: &[f64]) -> Result<NetworkOutput> {
+        let samples = input.len() / (weights.config.fields * grid.particles());
+        let mut network = Network::<T>::new(weights, grid, samples)?;
+        let mut output = NetworkOutput::default();
+        network.forward_observed(&cast(input), &mut |stage, values| match stage {
+            Stage::Embedded => output.embedded = double(values),
+            Stage::Lifted => output.lifted = double(values),
+            Stage::Block(_) => output.blocks.push(double(values)),
+        });
+        output.field = double(network.field());
+        output.scalar = double(network.scalar());
+        Ok(output)
+    }
+
+    fn energy(&mut self, case: &EnergyCase) -> Result<(Vec<EnergyTerms>, Vec<f64>)> {
+        let model = Model { grid: case.grid, cloths: case.cloths.clone() };
+        let n = case.grid.particles();
+        let slots = model.handle_slots();
+        let [x, a, f] = [&case.trial, &case.a, &case.external].map(|v| cast::<T>(v));
+        let mut rows = GradientRows::new(case.grid);
+        let (mut terms, mut gradients) = (Vec::new(), Vec::new());
+        for (b, cloth) in model.cloths.iter().enumerate() {
+            let at = 3 * n * b..3 * n * (b + 1);
+            let trial = Trial {
+                grid: case.grid,
+                material: cloth.material,
+                x: &x[at.clone()],
+                a: &a[at.clone()],
+                f: &f[at],
+                slots: &slots[n * b..n * (b + 1)],
+            };
+            terms.push(energy(&trial));
+            let mut grad = vec![T::zero(); 3 * n];
+            gradient(&trial, &mut rows, &mut grad);
+            gradients.extend(double(&grad));
+        }
+        Ok((terms, gradients))
+    }
+
+    fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)> {
+        let (samples, n) = (case.scale.len(), case.grid.particles());
+        let mut update = Update::<T>::new(weights, case.grid, samples)?;
+        let hidden = update.hidden_mut();
+        hidden.last_grad = cast(&case.last_grad);
+        hidden.last_step = cast(&case.last_step);
+        hidden.scale = cast(&case.scale);
+        let norm = |g: &[f64]| g.iter().map(|g| g * g).sum::<f64>().sqrt();
+        let norms: Vec<f64> = case.grad.chunks_exact(n).map(norm).collect();
+        // From a = 0 the step is the acceleration.
+        let mut step = vec![T::zero(); samples * n];
+        update.step(&cast(&case.grad), &norms, &mut step);
+        Ok((double(&step), double(&update.hidden().scale)))
+    }
+
+    fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>> {
+        let model = Model { grid: case.grid, cloths: vec![case.cloth.clone()] };
+        let mut solver = Solver::<T>::new(&model, &Optimizer::Learned(weights.clone()), case.iterations)?;
+        let x = cast::<T>(&case.start);
+        let mut state = State { v: vec![T::zero(); x.len()], x };
+        let mut frames = Vec::with_capacity(case.targets.len());
+        for targets in &case.targets {
+            let handles = targets.iter().map(|p| p.map(T::of)).collect();
+            solver.step(&mut state, &Control { handles, ..Default::default() });
+            let log = solver.iterations();
+            frames.push(RolloutFrame {
+                x: double(&state.x),
+                v: double(&state.v),
+                a: double(solver.accelerations()),
+                scales: log.scales.clone(),
+                gradient_norms: log.gradient_norms.clone(),
+            });
+        }
+        Ok(frames)
+    }
+}
+
+fn cast<T: Real>(values: &[f64]) -> Vec<T> {
+    values.iter().map(|&v| T::of(v)).collect()
+}
+
+fn double<T: Real>(values: &[T]) -> Vec<f64> {
+    values.iter().map(|v| v.f64()).collect()
+}

@@ -1,5 +1,6 @@
 //! Which file checks what, and to which tolerance.
 
+use super::cpu::CpuStages;
 use super::golden::Golden;
 use super::{Check, EnergyCase, NetworkOutput, Outcome, Precision, RolloutCase, Stages, UpdateCase};
 use crate::network::Weights;
@@ -18,10 +19,14 @@ const ENERGY_SINGLE: f64 = 1e-5;
 const GRADIENT_SINGLE: f64 = 1e-4;
 /// The same where edges are far from their rest length and angles near 0 and pi.
 const GRADIENT_CRUMPLED: f64 = 1e-3;
-/// First frame of a rollout, absolute in grid units; single-precision runs drift apart by [`DRIFT`] a frame.
+/// First frame of a rollout, absolute in grid units.
 const ROLLOUT_FIRST: f64 = 1e-4;
 /// From 1e-4 in the first frame to 1e-2 in the tenth.
 const DRIFT: f64 = 1.668_100_537_200_059;
+/// A recorded rollout is itself in single precision, and the motion is chaotic: rounding alone takes it away from the
+/// exact one, in some scenes further than [`DRIFT`]. How far is measured for each array: a rollout may be off by this
+/// many times what single precision moves it on the CPU.
+const ROUNDING: f64 = 4.0;
 
 /// Checks every golden file of `folder` on `stages`, telling `report` of each array; an error only if the folder cannot
 /// be read or holds no golden file. Damaged files are failed checks.
@@ -206,6 +211,8 @@ impl Checker<'_> {
                 .collect(),
         };
         let found = self.stages.rollout(&weights, &case)?;
+        let exact = CpuStages::<f64>::new().rollout(&weights, &case)?;
+        let rounded = CpuStages::<f32>::new().rollout(&weights, &case)?;
         type Part = fn(&super::RolloutFrame) -> &[f64];
         let arrays: [(&str, Vec<usize>, Part); 5] = [
             ("positions", shape.to_vec(), |f| &f.x),
@@ -216,12 +223,18 @@ impl Checker<'_> {
         ];
         for (name, shape, part) in arrays {
             let expected = golden.shaped(name, &shape)?;
-            for (k, (expected, frame)) in
-                expected.chunks_exact(expected.len() / frames).zip(&found).enumerate()
-            {
-                let tolerance = ROLLOUT_FIRST * DRIFT.powi(k as i32);
-                self.absolute(&format!("{name}, frame {}", k + 1), expected, part(frame), tolerance);
-            }
+            // Rounding is random: the largest effect so far is what a frame may be off by.
+            let mut rounding = 0.0_f64;
+            let frame = |(k, expected): (usize, &[f64])| {
+                rounding = rounding.max(largest_error(part(&exact[k]), part(&rounded[k])));
+                let tolerance = (ROLLOUT_FIRST * DRIFT.powi(k as i32)).max(ROUNDING * rounding);
+                (k + 1, largest_error(expected, part(&found[k])), tolerance)
+            };
+            // One line for the array: the frame that comes closest to its tolerance.
+            let chunks = expected.chunks_exact(expected.len() / frames).enumerate();
+            let closest = chunks.map(frame).max_by(|a, b| (a.1 / a.2).total_cmp(&(b.1 / b.2)));
+            let (k, error, tolerance) = closest.expect("a rollout has frames");
+            self.compared(&format!("{name} (frame {k})"), (error, error), tolerance);
         }
         Ok(())
     }
@@ -251,12 +264,6 @@ impl Checker<'_> {
         let error = norm(&mut expected.iter().zip(found).map(|(e, f)| f - e));
         let relative = ratio(error, norm(&mut expected.iter().copied()));
         self.compared(array, (largest_error(expected, found), relative), tolerance);
-    }
-
-    /// Largest error as it is, in grid units.
-    fn absolute(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
-        let error = largest_error(expected, found);
-        self.compared(array, (error, error), tolerance);
     }
 
     fn compared(&mut self, array: &str, (absolute, relative): (f64, f64), tolerance: f64) {

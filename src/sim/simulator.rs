@@ -1,0 +1,189 @@
+//! Frames on any device, submitted and read back.
+
+use super::{Control, FrameStats, Model, Optimizer, Solver, SolverOptions, State};
+use crate::gpu::{Context, Readback};
+use crate::{Error, Result, cpu};
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
+
+/// Where a simulation runs.
+#[derive(Clone, Debug)]
+pub enum Device {
+    /// On the host's processor, in single precision, on all threads of the current rayon pool.
+    Cpu,
+    /// On a wgpu device.
+    Gpu(Context),
+}
+
+impl Device {
+    /// Name of the device.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Cpu => format!("cpu, {} threads", rayon::current_num_threads()),
+            Self::Gpu(context) => context.name().to_owned(),
+        }
+    }
+}
+
+/// A batch of cloths that advances frame by frame: the convenience on top of [`Solver`] and [`cpu::Solver`].
+///
+/// ```
+/// use fnopt::scene::Scene;
+/// use fnopt::sim::{Device, Optimizer, Simulator};
+///
+/// let setup = Scene::default().setup()?;
+/// let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::lbfgs(), 5)?;
+/// simulator.set_state(&setup.start.cast());
+/// let frame = simulator.step(&setup.control(1))?;
+/// assert!(frame.stats[0].gradient_last < frame.stats[0].gradient_first);
+/// # Ok::<(), fnopt::Error>(())
+/// ```
+pub struct Simulator {
+    backend: Backend,
+    frame: usize,
+}
+
+enum Backend {
+    Cpu { solver: Box<cpu::Solver<f32>>, state: State<f32> },
+    Gpu { context: Context, solver: Box<Solver>, readback: Readback },
+}
+
+/// One frame of a batch.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Number of the frame; the start state is 0.
+    pub index: usize,
+    /// State at its end.
+    pub state: State<f32>,
+    /// Statistics of each cloth.
+    pub stats: Vec<FrameStats>,
+    /// Wall time since the frame before it was there, or since this one was begun.
+    pub wall: Duration,
+}
+
+/// Frames under way on a GPU at once: one computes while the one before it is read.
+const IN_FLIGHT: usize = 2;
+
+impl Simulator {
+    /// Makes a solver with `iterations` per frame; the cloths start at rest.
+    pub fn new(device: &Device, model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
+        let backend = match device {
+            Device::Cpu => Backend::Cpu {
+                solver: Box::new(cpu::Solver::new(model, optimizer, iterations)?),
+                state: State::rest(model.grid, model.batch()),
+            },
+            Device::Gpu(context) => {
+                let options = SolverOptions { iterations, ..Default::default() };
+                let solver = Solver::new(context, model, optimizer, &options)?;
+                let [terms, norms] = solver.statistics_tensors();
+                let sources = [solver.positions(), solver.velocities(), terms, norms];
+                let readback = context.checked(|| Ok(Readback::new(context, &sources, IN_FLIGHT)))?;
+                Backend::Gpu { context: context.clone(), solver: Box::new(solver), readback }
+            }
+        };
+        Ok(Self { backend, frame: 0 })
+    }
+
+    /// Replaces the state, forgets what the optimizer remembers and counts frames from 0 again.
+    pub fn set_state(&mut self, start: &State<f32>) {
+        self.frame = 0;
+        match &mut self.backend {
+            Backend::Cpu { solver, state } => {
+                solver.reset();
+                state.clone_from(start);
+            }
+            Backend::Gpu { solver, .. } => solver.set_state(start),
+        }
+    }
+
+    /// Computes one frame and waits for it; fails with [`Error::NonFinite`] when it is not finite.
+    pub fn step(&mut self, control: &Control<f32>) -> Result<Frame> {
+        let mut result = None;
+        self.rollout(std::iter::once(control.clone()), |frame| {
+            result = Some(frame);
+            ControlFlow::Continue(())
+        })?;
+        Ok(result.expect("a control makes a frame"))
+    }
+
+    /// Computes a frame for each control and hands it to `take`, which may end the rollout.
+    ///
+    /// On a GPU the next frame is computed while `take` looks at this one. Fails with [`Error::NonFinite`] at the first
+    /// frame that is not finite; the frames before it were handed out.
+    pub fn rollout(
+        &mut self,
+        controls: impl IntoIterator<Item = Control<f32>>,
+        mut take: impl FnMut(Frame) -> ControlFlow<()>,
+    ) -> Result<()> {
+        let mut controls = controls.into_iter();
+        let mut begun = Instant::now();
+        loop {
+            let Some((state, stats)) = self.backend.next(&mut controls)? else { return Ok(()) };
+            let now = Instant::now();
+            self.frame += 1;
+            let frame = Frame { index: self.frame, state, stats, wall: now - begun };
+            begun = now;
+            if let Some(cloth) = frame.first_broken() {
+                self.backend.drain()?;
+                return Err(Error::NonFinite { frame: frame.index, cloth });
+            }
+            if take(frame).is_break() {
+                return self.backend.drain();
+            }
+        }
+    }
+}
+
+impl Frame {
+    /// The first cloth that is not finite.
+    fn first_broken(&self) -> Option<usize> {
+        let per_cloth = self.state.x.len() / self.stats.len();
+        let finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
+        (0..self.stats.len()).find(|&b| {
+            let at = b * per_cloth..(b + 1) * per_cloth;
+            !(self.stats[b].is_finite() && finite(&self.state.x[at.clone()]) && finite(&self.state.v[at]))
+        })
+    }
+}
+
+impl Backend {
+    /// The next frame, `None` when there is no control left for it.
+    fn next(
+        &mut self,
+        controls: &mut impl Iterator<Item = Control<f32>>,
+    ) -> Result<Option<(State<f32>, Vec<FrameStats>)>> {
+        match self {
+            Self::Cpu { solver, state } => {
+                let Some(control) = controls.next() else { return Ok(None) };
+                let stats = solver.step(state, &control);
+                Ok(Some((state.clone(), stats)))
+            }
+            Self::Gpu { context, solver, readback } => {
+                while !readback.is_full() {
+                    let Some(control) = controls.next() else { break };
+                    solver.set_control(&control);
+                    let submission = context.submit(|encoder| {
+                        solver.record(encoder);
+                        readback.record(encoder).expect("a slot is free");
+                    });
+                    readback.submitted(&submission);
+                }
+                let Some(bytes) = readback.next(context)? else { return Ok(None) };
+                let mut values: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
+                let (x, v) = (solver.positions().len(), solver.velocities().len());
+                let stats = solver.statistics(&values[x + v..]);
+                values.truncate(x + v);
+                let v = values.split_off(x);
+                Ok(Some((State { x: values, v }, stats)))
+            }
+        }
+    }
+
+    /// Lets frames that were begun ahead finish, so that the next rollout finds none of them.
+    fn drain(&mut self) -> Result<()> {
+        if let Self::Gpu { context, readback, .. } = self {
+            while readback.next(context)?.is_some() {}
+        }
+        Ok(())
+    }
+}
