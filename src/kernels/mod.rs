@@ -60,6 +60,8 @@ pub struct Tuning {
     pub block_wide: u32,
     /// Rows per workgroup of a block.
     pub block_high: u32,
+    /// Largest size of the lifting's hidden layer [bytes]; more samples than fit are lifted in turn.
+    pub hidden_bytes: usize,
 }
 
 /// Channel counts are padded to a multiple of this, the largest tile.
@@ -69,12 +71,11 @@ impl Tuning {
     /// What was measured to be good: wide tiles, one row to a workgroup and uniform addresses where lanes gather one
     /// by one (llvmpipe), smaller tiles and more invocations where there are thousands of lanes to fill.
     pub fn new(context: &Context) -> Self {
-        match context.kind() {
-            AdapterKind::Software => {
-                Self { channels: 16, pointwise_group: 64, block_wide: 64, block_high: 1 }
-            }
-            AdapterKind::Hardware => Self { channels: 8, pointwise_group: 64, block_wide: 8, block_high: 8 },
-        }
+        let (channels, block_wide, block_high) = match context.kind() {
+            AdapterKind::Software => (16, 64, 1),
+            AdapterKind::Hardware => (8, 8, 8),
+        };
+        Self { channels, pointwise_group: 64, block_wide, block_high, hidden_bytes: 256 << 20 }
     }
 }
 

@@ -10,9 +10,6 @@ use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
 use crate::sim::Grid;
 use crate::{Error, Result};
 
-/// Largest size of the lifting's hidden layer; more samples than fit are lifted in turn.
-const HIDDEN_BYTES: usize = 256 << 20;
-
 /// The network on a device, for `samples` samples of one grid: [`Forward::embedded`] in, [`Forward::field`] and
 /// [`Forward::scalar`] out.
 ///
@@ -95,7 +92,7 @@ impl Forward {
         check_modes(&config, grid)?;
         let (h, w) = (grid.h, padded(grid.w));
         let plane = h * w;
-        let lifted_at_once = (HIDDEN_BYTES / (4 * config.lifting * plane)).clamp(1, samples.max(1));
+        let lifted_at_once = (tuning.hidden_bytes / (4 * config.lifting * plane)).clamp(1, samples.max(1));
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let activation = |label| zeros(label, &[samples, config.channels, h, w]);
         let count = match keep {

@@ -10,8 +10,8 @@ pub const GRIDS: [Grid; 4] =
     [Grid { h: 8, w: 8 }, Grid { h: 31, w: 33 }, Grid { h: 48, w: 32 }, Grid { h: 100, w: 100 }];
 /// Batches of the parity tests.
 pub const BATCHES: [usize; 2] = [1, 3];
-/// Half the distance from 1 to the next f32: the largest relative error of one rounding.
-pub const ROUNDING: f64 = 6e-8;
+/// The distance from 1 to the next f32: the largest relative error of a product and a sum, one rounding each.
+pub const ROUNDING: f64 = f32::EPSILON as f64;
 
 /// Every grid with every batch.
 pub fn cases() -> impl Iterator<Item = (Grid, usize)> {
