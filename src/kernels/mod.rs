@@ -15,6 +15,7 @@ pub(crate) mod common {
     pub const ANGLE: &str = include_str!("../../shaders/common/angle.wgsl");
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
+    pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");
 }
 
 /// Every kernel, with a tile it is unrolled to somewhere (0 where it has none).

@@ -38,7 +38,7 @@ fn learned_steps_match() {
         let what = format!("update {batch} x {grid}");
         let hidden = read(&hidden);
         assert_eq!(hidden[..samples * n], grad, "the last gradient");
-        assert_close(&what, &hidden[samples * n..], &step, (1e-9, 8.0 * ROUNDING));
+        assert_close(&what, &hidden[samples * n..], &step, (1e-36, 8.0 * ROUNDING));
         assert_close(&what, &read(&iterate.a), &next, (8.0 * ROUNDING, ROUNDING));
         assert_close(&what, &read(&iterate.trial), &trial, (8.0 * ROUNDING, ROUNDING));
     }
