@@ -15,29 +15,38 @@ pub fn write_atomic(
     path: impl AsRef<Path>,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
-    let path = path.as_ref();
-    let dir = match path.parent() {
-        Some(p) if !p.as_os_str().is_empty() => p,
-        _ => Path::new("."),
-    };
+    let dir = folder_of(path.as_ref());
     std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot create the folder", e))?;
+    replace(path, fill)
+}
 
-    let mut builder = tempfile::Builder::new();
-    builder.prefix(".writing-");
-    // Temporary files are private by default; the finished file is to be as readable as any other the user makes.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let (file, temporary) =
-        builder.tempfile_in(dir).map_err(|e| Error::io(dir, "cannot write into the folder", e))?.into_parts();
-
+/// [`write_atomic`] into a folder that exists: for files of the user's own naming, where a folder that is missing is
+/// more likely misspelt.
+pub(crate) fn replace(
+    path: impl AsRef<Path>,
+    fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
+) -> Result<()> {
+    let path = path.as_ref();
     let written = (|| {
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".writing-");
+        // Temporary files are private by default; the finished file is to be as readable as any other the user makes.
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+        let (file, temporary) = builder.tempfile_in(folder_of(path))?.into_parts();
         let mut writer = BufWriter::with_capacity(1 << 16, file);
         fill(&mut writer)?;
-        writer.flush()
+        writer.flush()?;
+        // Else a crash of the machine could leave the new name with none of the new content.
+        writer.get_ref().sync_all()?;
+        drop(writer);
+        temporary.persist(path).map_err(|e| e.error)
     })();
-    written
-        .and_then(|()| temporary.persist(path).map_err(|e| e.error))
-        .map_err(|e| Error::io(path, "cannot write", e))
+    written.map_err(|e| Error::io(path, "cannot write", e))
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]

@@ -15,15 +15,17 @@ mod ply;
 mod trajectory;
 mod zip;
 
+pub(crate) use atomic::replace;
 pub use atomic::write_atomic;
 pub use format::Format;
 pub use mesh::{Mesh, vertex_normals};
-pub use npy::read_npy;
+pub use npy::{parse_npy, read_npy};
+pub(crate) use obj::Polygons;
 pub use obj::read_obj;
 pub use trajectory::{ReadOptions, Trajectory};
 
 use crate::{Error, Result};
-use std::{fs::File, path::Path};
+use std::{fs::File, io::Read, path::Path};
 
 /// Opens a file for reading and tells its length in bytes.
 fn open(path: &Path) -> Result<(File, u64)> {
@@ -34,4 +36,11 @@ fn open(path: &Path) -> Result<(File, u64)> {
         return Err(Error::invalid(path.display().to_string(), "type", "a file", "a folder"));
     }
     Ok((file, meta.len()))
+}
+
+/// All bytes of a file.
+pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    open(path)?.0.read_to_end(&mut bytes).map_err(|e| Error::io(path, "cannot read", e))?;
+    Ok(bytes)
 }

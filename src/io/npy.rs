@@ -24,6 +24,16 @@ impl Element {
             Self::F64 | Self::I64 => 8,
         }
     }
+
+    /// Its name in a header.
+    fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "<f4",
+            Self::F64 => "<f8",
+            Self::I32 => "<i4",
+            Self::I64 => "<i8",
+        }
+    }
 }
 
 /// An array in a file, its header read and checked, its elements not yet.
@@ -39,6 +49,8 @@ pub(super) struct Array<R> {
 
 /// The most axes that NumPy allows.
 const MAX_AXES: usize = 32;
+/// A longer header is not one of a plain array: that takes some 100 bytes. Keeps a false length from being believed.
+const MAX_HEADER: u64 = 4096;
 
 impl<R: Read> Array<R> {
     /// Reads the header of an array that takes all `size` bytes of `reader`; `origin` names it in errors.
@@ -46,11 +58,11 @@ impl<R: Read> Array<R> {
         let bad = |field: &str, expected: &str, found: &dyn std::fmt::Display| {
             Error::invalid(&origin, field, expected, found)
         };
-        let cut = |_| bad("header", "a NumPy array", &"the end of the data");
+        let cut = |_| bad("header", "a NumPy .npy array", &"the end of the data");
         let mut start = [0; 10];
         reader.read_exact(&mut start).map_err(cut)?;
         if &start[..6] != b"\x93NUMPY" {
-            return Err(bad("header", "a NumPy array", &"another kind of file"));
+            return Err(bad("header", "a NumPy .npy array", &"another kind of file"));
         }
         let (header_len, start_len) = match start[6] {
             1 => (u64::from(u16::from_le_bytes([start[8], start[9]])), 10),
@@ -61,9 +73,9 @@ impl<R: Read> Array<R> {
             }
             version => return Err(bad("header", "format version 1 to 3", &version)),
         };
-        // The header of a plain array is some 100 bytes long; the limit keeps a false length from being believed.
-        if header_len > size.min(1 << 16) {
-            return Err(bad("header", "at most 65536 bytes", &header_len));
+        if header_len > size.saturating_sub(start_len).min(MAX_HEADER) {
+            let expected = format!("at most {MAX_HEADER} bytes, inside the file");
+            return Err(bad("header", &expected, &format!("a length of {header_len}")));
         }
         let mut header = vec![0; header_len as usize];
         reader.read_exact(&mut header).map_err(cut)?;
@@ -74,22 +86,26 @@ impl<R: Read> Array<R> {
             "<f8" => Element::F64,
             "<i4" => Element::I32,
             "<i8" => Element::I64,
-            _ => return Err(bad("element type", "<f4, <f8, <i4 or <i8", &descr)),
+            _ => return Err(bad("dtype", "'<f4', '<f8', '<i4' or '<i8'", &format!("'{descr}'"))),
         };
         let bytes = shape.iter().try_fold(element.bytes(), |n, &axis| n.checked_mul(axis));
         let there = size.saturating_sub(start_len + header_len);
         let fits = bytes.filter(|&b| b as u64 == there);
         let Some(bytes) = fits else {
-            let expected = format!("the elements of shape {shape:?} and nothing else");
+            let each = element.bytes();
+            let expected = format!("the data of shape {shape:?}, {each} bytes each, and nothing else");
             return Err(bad("length", &expected, &format!("{there} bytes")));
         };
         let len = bytes / element.bytes();
         Ok(Self { reader, element, fortran, shape, len, origin })
     }
 
-    /// Whether the elements are floating-point numbers.
-    pub fn is_float(&self) -> bool {
-        matches!(self.element, Element::F32 | Element::F64)
+    /// This array if its elements are floating-point numbers, else an error.
+    pub fn of_floats(self) -> Result<Self> {
+        match self.element {
+            Element::F32 | Element::F64 => Ok(self),
+            whole => Err(self.invalid("dtype", "'<f4' or '<f8'", format!("'{}'", whole.name()))),
+        }
     }
 
     /// An error about this array.
@@ -211,11 +227,12 @@ fn parse_axes(text: &str) -> Option<Vec<usize>> {
 
 /// Reads an array of `f4` or `f8` in C or Fortran order.
 pub fn read_npy(path: impl AsRef<Path>) -> Result<ArrayD<f64>> {
-    let mut array = open_npy(path.as_ref())?;
-    if !array.is_float() {
-        return Err(array.invalid("element type", "<f4 or <f8", "whole numbers"));
-    }
-    array.read(|x| x)
+    open_npy(path.as_ref())?.of_floats()?.read(|x| x)
+}
+
+/// The array in the bytes of a `.npy` file, as [`read_npy`] reads it; `origin` names it in errors.
+pub fn parse_npy(origin: &str, bytes: &[u8]) -> Result<ArrayD<f64>> {
+    Array::open(bytes, bytes.len() as u64, origin.to_owned())?.of_floats()?.read(|x| x)
 }
 
 /// Opens the array that is a file's only content.

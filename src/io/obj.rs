@@ -3,71 +3,111 @@
 //! Read by hand: the usual crate renumbers the vertices in the order in which faces use them, and here a vertex number
 //! is a place in the grid.
 
-use super::{Mesh, mesh, open};
+use super::{Mesh, mesh, read_bytes};
 use crate::{Error, Result, sim::Grid};
+use num_traits::Float;
 use std::{
-    io::{self, Read, Write},
+    io::{self, Write},
     path::Path,
+    str::FromStr,
 };
 
-/// Statements that say nothing about positions and faces.
-const IGNORED: [&str; 12] = ["vt", "vn", "vp", "o", "g", "s", "l", "p", "usemtl", "mtllib", "cstype", "end"];
+/// The statements that say nothing about positions and faces and are passed over: all others that the format has.
+const IGNORED: &str = "vt vn vp o g s mg l p usemtl mtllib usemap maplib deg bmat step cstype curv curv2 surf parm \
+    trim hole scrv sp end con call bevel c_interp d_interp lod shadow_obj trace_obj ctech stech";
+
+/// The vertices and faces of an OBJ file as they stand in it.
+#[derive(Clone, Debug)]
+pub(crate) struct Polygons<T> {
+    /// The file, for errors.
+    pub origin: String,
+    /// Vertex positions, in the order of the file; all of them are finite.
+    pub positions: Vec<[T; 3]>,
+    /// Vertex numbers of each face, from 0 and at least three, and the line of the file that it stands in, from 1.
+    pub faces: Vec<(Vec<usize>, usize)>,
+}
 
 /// Reads the positions and faces of an OBJ file; polygons are cut into triangles, vertices keep the order of the file.
 pub fn read_obj(path: impl AsRef<Path>) -> Result<Mesh> {
-    let path = path.as_ref();
-    let (mut file, size) = open(path)?;
-    let mut bytes = Vec::with_capacity(size as usize);
-    file.read_to_end(&mut bytes).map_err(|e| Error::io(path, "cannot read", e))?;
-    parse(&bytes, &path.display().to_string())
+    Polygons::read(path.as_ref())?.into_mesh()
 }
 
-fn parse(bytes: &[u8], origin: &str) -> Result<Mesh> {
-    let mut found = Mesh::default();
-    for (k, line) in bytes.split(|&b| b == b'\n').enumerate() {
-        let line = String::from_utf8_lossy(line);
-        let line = line.split('#').next().unwrap_or_default();
-        let mut words = line.split_ascii_whitespace();
-        let understood = match words.next() {
-            None => Some(()),
-            Some("v") => position(words).map(|p| found.positions.push(p)),
-            Some("f") => face(words, &mut found),
-            Some(word) => IGNORED.contains(&word).then_some(()),
-        };
-        if understood.is_none() {
-            let shown: String = line.trim().chars().take(60).collect();
-            let expected = "'v' with three finite numbers, 'f' with three or more vertices defined above it, or another OBJ statement";
-            return Err(Error::invalid(origin, format!("line {}", k + 1), expected, format!("'{shown}'")));
+impl<T: Float + FromStr> Polygons<T> {
+    /// Reads a file.
+    pub fn read(path: &Path) -> Result<Self> {
+        Self::parse(&read_bytes(path)?, &path.display().to_string())
+    }
+
+    fn parse(bytes: &[u8], origin: &str) -> Result<Self> {
+        let mut found = Self { origin: origin.to_owned(), positions: Vec::new(), faces: Vec::new() };
+        for (k, line) in bytes.split(|&b| b == b'\n').enumerate() {
+            // Comments and the names of materials may be in any encoding; all else is ASCII.
+            let line = String::from_utf8_lossy(line);
+            let line = line.split('#').next().unwrap_or_default();
+            let mut words = line.split_ascii_whitespace();
+            let (understood, expected) = match words.next() {
+                None => continue,
+                Some("v") => (
+                    position(words).map(|position| found.positions.push(position)),
+                    "'v X Y Z', finite numbers",
+                ),
+                Some("f") => (
+                    face(words, found.positions.len()).map(|face| found.faces.push((face, k + 1))),
+                    "'f' with three or more vertices that exist, defined above it",
+                ),
+                Some(word) => (
+                    IGNORED.split(' ').find(|known| *known == word).map(drop),
+                    "an OBJ statement such as 'v' or 'f'",
+                ),
+            };
+            if understood.is_none() {
+                let shown: String = line.trim().chars().take(60).collect();
+                return Err(Error::invalid(
+                    origin,
+                    format!("line {}", k + 1),
+                    expected,
+                    format!("'{shown}'"),
+                ));
+            }
         }
+        Ok(found)
     }
-    if found.positions.is_empty() {
-        return Err(Error::invalid(origin, "vertices", "at least one 'v' line", "none"));
+}
+
+impl Polygons<f32> {
+    /// The polygons cut into triangles, each of them from its first corner.
+    fn into_mesh(self) -> Result<Mesh> {
+        if self.positions.is_empty() {
+            return Err(Error::invalid(self.origin, "vertices", "at least one 'v' line", "none"));
+        }
+        let mut faces = Vec::with_capacity(self.faces.len());
+        for (corners, _) in &self.faces {
+            for k in 2..corners.len() {
+                faces.push([corners[0], corners[k - 1], corners[k]].map(|v| v as u32));
+            }
+        }
+        Ok(Mesh { positions: self.positions, faces })
     }
-    Ok(found)
 }
 
 /// `x y z`, perhaps with a weight or colours after them.
-fn position<'a>(mut words: impl Iterator<Item = &'a str>) -> Option<[f32; 3]> {
-    let mut out = [0.0; 3];
+fn position<'a, T: Float + FromStr>(mut words: impl Iterator<Item = &'a str>) -> Option<[T; 3]> {
+    let mut out = [T::zero(); 3];
     for x in &mut out {
-        *x = words.next()?.parse().ok().filter(|x: &f32| x.is_finite())?;
+        *x = words.next()?.parse().ok().filter(|x: &T| x.is_finite())?;
     }
-    words.all(|w| w.parse::<f32>().is_ok()).then_some(out)
+    words.all(|w| w.parse::<T>().is_ok()).then_some(out)
 }
 
-/// `a b c ..`, each `v`, `v/vt`, `v//vn` or `v/vt/vn`, with negative numbers counted back from the last vertex.
-fn face<'a>(words: impl Iterator<Item = &'a str>, mesh: &mut Mesh) -> Option<()> {
-    let vertices = mesh.positions.len();
+/// `a b c ..`, each `v`, `v/vt`, `v//vn` or `v/vt/vn`, with negative numbers counted back from the last of `vertices`.
+fn face<'a>(words: impl Iterator<Item = &'a str>, vertices: usize) -> Option<Vec<usize>> {
     let number = |word: &'a str| {
         let number: i64 = word.split('/').next()?.parse().ok()?;
         let from_zero = if number < 0 { number.checked_add(vertices as i64)? } else { number - 1 };
-        u32::try_from(from_zero).ok().filter(|&k| (k as usize) < vertices)
+        usize::try_from(from_zero).ok().filter(|&k| k < vertices)
     };
-    let corners = words.map(number).collect::<Option<Vec<u32>>>()?;
-    for pair in corners.get(1..)?.windows(2) {
-        mesh.faces.push([corners[0], pair[0], pair[1]]);
-    }
-    (corners.len() >= 3).then_some(())
+    let corners = words.map(number).collect::<Option<Vec<usize>>>()?;
+    (corners.len() >= 3).then_some(corners)
 }
 
 /// Writes a frame of a grid with its texture coordinates.
@@ -87,6 +127,10 @@ pub(super) fn write(grid: Grid, positions: &[[f32; 3]], mut writer: impl Write) 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn parse(text: &[u8], origin: &str) -> Result<Mesh> {
+        Polygons::parse(text, origin)?.into_mesh()
+    }
 
     #[test]
     fn faces_in_every_spelling() {

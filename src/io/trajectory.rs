@@ -153,10 +153,7 @@ impl Trajectory {
             Some("npz") => npz::read(path)?,
             Some("pc2") => pc2::read(path)?,
             Some("npy") => {
-                let mut array = npy::open_npy(path)?;
-                if !array.is_float() {
-                    return Err(array.invalid("element type", "<f4 or <f8", "whole numbers"));
-                }
+                let mut array = npy::open_npy(path)?.of_floats()?;
                 let shape = array.shape.clone();
                 Parts { shape, positions: array.triples(|x| x as f32)?, ..Parts::default() }
             }

@@ -4,7 +4,7 @@
 //! numbers. The configuration comes from the metadata (key `config`, JSON) if it is there, else from the shapes.
 
 use super::weights::{Block, Config, Dense, Weights};
-use crate::{Error, Result};
+use crate::{Error, Result, io};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
@@ -33,7 +33,7 @@ struct Tensor {
 impl Checkpoint {
     /// Reads a file; any safetensors file of floating-point tensors will do.
     pub fn open(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot read", e))?;
+        let bytes = io::read_bytes(path)?;
         Self::from_bytes(&bytes, &path.display().to_string())
     }
 
@@ -312,20 +312,7 @@ impl Weights {
 
     /// Writes a checkpoint file with the configuration in its metadata. The file appears whole or not at all.
     pub fn save(&self, path: &Path) -> Result<()> {
-        let failed = |e: std::io::Error| Error::io(path, "cannot write", e);
-        let folder = match path.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() => folder,
-            _ => Path::new("."),
-        };
-        let mut builder = tempfile::Builder::new();
-        // The permissions of an ordinary new file rather than those of a private temporary one.
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let mut file = builder.tempfile_in(folder).map_err(failed)?;
-        file.write_all(&self.to_bytes()).map_err(failed)?;
-        file.as_file().sync_all().map_err(failed)?;
-        file.persist(path).map_err(|e| failed(e.error))?;
-        Ok(())
+        io::replace(path, |w| w.write_all(&self.to_bytes()))
     }
 
     /// The checkpoint file that [`Weights::save`] writes.

@@ -22,7 +22,7 @@ pub struct Forward {
     pub embedded: Tensor,
     /// Output of the field head, shape [S, H, W'].
     pub field: Tensor,
-    /// Output of the scalar head, shape [S].
+    /// Output of the scalar head, shape `[S]`.
     pub scalar: Tensor,
     hidden: Tensor,
     activations: Vec<Tensor>,

@@ -11,13 +11,17 @@ fn angle(k: i64, n: usize, size: usize) -> f64 {
     TAU * reduced as f64 / size as f64
 }
 
+/// Column `k` of a transform of rows of width `w` at place `j`: the cosine of mode `k / 2`, or minus its sine.
+fn row_wave(k: usize, j: usize, w: usize) -> f64 {
+    let theta = angle((k / 2) as i64, j, w);
+    if k.is_multiple_of(2) { theta.cos() } else { -theta.sin() }
+}
+
 /// Row transform: shape [W' / 4, 2 modes_w, 4]; cos and -sin, divided by `h w`, zero beyond column `w`.
 pub fn forward_rows(config: &Config, h: usize, w: usize) -> Vec<f32> {
     let scale = 1.0 / (h * w) as f64;
     let value = |j: usize, k: usize| {
-        let theta = angle((k / 2) as i64, j, w);
-        let trig = if k.is_multiple_of(2) { theta.cos() } else { -theta.sin() };
-        if j < w { (scale * trig) as f32 } else { 0.0 }
+        if j < w { (scale * row_wave(k, j, w)) as f32 } else { 0.0 }
     };
     let columns = 2 * config.modes_w;
     (0..w.div_ceil(4))
@@ -49,9 +53,7 @@ pub fn inverse_rows(config: &Config, w: usize) -> Vec<f32> {
         let mode = k / 2;
         let f = if mode == 0 || 2 * mode == w { 1.0 } else { 2.0 };
         for j in 0..padded {
-            let theta = angle(mode as i64, j, w);
-            let trig = if k.is_multiple_of(2) { theta.cos() } else { -theta.sin() };
-            table.push(if j < w { (f * trig) as f32 } else { 0.0 });
+            table.push(if j < w { (f * row_wave(k, j, w)) as f32 } else { 0.0 });
         }
     }
     table

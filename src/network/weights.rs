@@ -48,7 +48,7 @@ impl Config {
 pub struct Dense {
     /// Weight, shape [out, in].
     pub weight: Vec<f32>,
-    /// Bias, shape [out].
+    /// Bias, shape `[out]`.
     pub bias: Vec<f32>,
 }
 
@@ -57,7 +57,7 @@ pub struct Dense {
 pub struct Block {
     /// Complex weight of the spectral product, shape [in, out, modes_h, modes_w, 2].
     pub spectral: Vec<f32>,
-    /// Bias, shape [channels].
+    /// Bias, shape `[channels]`.
     pub bias: Vec<f32>,
     /// Weight of the skip `S`, shape [out, in] (a soft gate is stored as its diagonal matrix).
     pub skip: Vec<f32>,

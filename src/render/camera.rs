@@ -37,6 +37,16 @@ pub(super) fn usable(p: &[f32; 3]) -> bool {
     p.iter().all(|x| x.abs() < FAR)
 }
 
+/// Where a vertex is; NaN if it cannot be drawn.
+pub(super) fn place(p: &[f32; 3]) -> Vec3 {
+    if usable(p) { Vec3::from(*p) } else { Vec3::NAN }
+}
+
+/// The smallest and the largest of some numbers; the wrong way round if there are none.
+pub(super) fn range(values: impl Iterator<Item = f32>) -> (f32, f32) {
+    values.fold((f32::MAX, f32::MIN), |(low, high), x| (low.min(x), high.max(x)))
+}
+
 /// A perspective camera, in coordinates of its own: x right, y up, z towards the eye.
 #[derive(Clone, Debug)]
 pub(super) struct Camera {
@@ -108,8 +118,7 @@ impl View {
         let facing = facing(normals.iter().map(|&n| (Vec3::from(n).dot(east), Vec3::from(n).dot(north))));
         let candidates = [axes(facing + OBLIQUE), axes(facing - OBLIQUE)];
         let width = |axes: &Mat3| {
-            let across = points.iter().map(|&p| axes.row(0).dot(p));
-            let (low, high) = across.fold((f32::MAX, f32::MIN), |(l, h), x| (l.min(x), h.max(x)));
+            let (low, high) = range(points.iter().map(|&p| axes.row(0).dot(p)));
             high - low
         };
         // Equal widths, as of a cloth that only moves up and down, must not be told apart by rounding.

@@ -24,7 +24,7 @@ pub(super) struct Look<'a> {
     valleys: Vec<f32>,
     /// Fields of the checker per edge.
     fields: f32,
-    /// Radius of a marker [samples].
+    /// Radius of a marker \[samples\].
     radius: f32,
 }
 

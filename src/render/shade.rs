@@ -29,7 +29,7 @@ pub(super) struct Sample {
     pub eye: Vec3,
     /// Depth of the valley that the sample lies in: positive in one, negative on a ridge.
     pub valley: f32,
-    /// Place in the checker [fields].
+    /// Place in the checker \[fields\].
     pub field: Vec2,
     /// Whether the front of the cloth is seen.
     pub front: bool,

@@ -2,7 +2,7 @@
 
 use super::{
     Image, View,
-    camera::{Camera, usable},
+    camera::{Camera, place, range, usable},
     look::Look,
     shade::{self, Lights},
     shadow::{self, Shadow},
@@ -55,11 +55,7 @@ impl Stage {
         let up = view.up();
         let frames = (0..trajectory.frames()).map(|f| trajectory.frame(f));
         let all = frames.clone().flatten().filter(|p| usable(p));
-        let (mut low, mut high) = (f32::MAX, f32::MIN);
-        for p in all.clone() {
-            let height = up.dot(Vec3::from(*p));
-            (low, high) = (low.min(height), high.max(height));
-        }
+        let (low, high) = range(all.clone().map(|&p| up.dot(Vec3::from(p))));
         let floor = low - FLOOR * (high - low);
         let on_floor = |p: Vec3| p + up * (floor - up.dot(p));
         // Of a long or fine trajectory a part will do: what is left out lies within the margin of what is not.
@@ -73,8 +69,7 @@ impl Stage {
             Size::Fixed(width, height) => [width, height],
             Size::Height(height) => {
                 let extent = |axis: usize| {
-                    let x = points.iter().map(|&p| rotation.row(axis).dot(p));
-                    let (low, high) = x.fold((f32::MAX, f32::MIN), |(l, h), x| (l.min(x), h.max(x)));
+                    let (low, high) = range(points.iter().map(|&p| rotation.row(axis).dot(p)));
                     (high - low).max(1e-3)
                 };
                 let shape = if points.is_empty() { 1.0 } else { (extent(0) / extent(1)).clamp(0.55, 1.3) };
@@ -96,10 +91,7 @@ impl Stage {
     pub fn draw(&self, positions: &[[f32; 3]]) -> Image {
         let [width, height] = self.size;
         let n = self.samples;
-        let project = |p: &[f32; 3]| {
-            if usable(p) { self.camera.project(Vec3::from(*p)) } else { Vec3::NAN }
-        };
-        let projected: Vec<Vec3> = positions.iter().map(project).collect();
+        let projected: Vec<Vec3> = positions.iter().map(|p| self.camera.project(place(p))).collect();
         let mut surface = Surface::new(width * n, height * n);
         for (k, face) in self.faces.iter().enumerate() {
             surface.triangle(k as u32, face.map(|v| projected[v as usize]));
@@ -140,7 +132,7 @@ impl Stage {
     fn shadow(&self, positions: &[[f32; 3]]) -> Shadow {
         let scale = 1.0 / (self.samples * shadow::PIXELS) as f32;
         let project = |p: &[f32; 3]| {
-            let p = if usable(p) { Vec3::from(*p) } else { Vec3::NAN };
+            let p = place(p);
             let q = self.camera.project(p + self.up * (self.floor - self.up.dot(p)));
             vec3(q.x * scale, q.y * scale, q.z)
         };

@@ -6,8 +6,9 @@ use super::{
     Handles, Mass, Moduli, Motion, Placement, Scene, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
 };
 use crate::sim::{Grid, Material};
-use crate::{Error, Result};
+use crate::{Error, Result, io};
 use serde_json::{Value, json};
+use std::io::Write;
 use std::path::Path;
 
 /// The fields of a scene file.
@@ -32,7 +33,7 @@ impl Scene {
     /// Reads a scene file, ours or the authors', and checks its numbers. Files that it names are read by [`Scene::setup`].
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot read", e))?;
+        let bytes = io::read_bytes(path)?;
         let origin = path.display().to_string();
         let text = std::str::from_utf8(&bytes)
             .map_err(|e| Error::invalid(&origin, "text", "UTF-8", format!("byte {}", e.valid_up_to())))?;
@@ -108,14 +109,7 @@ impl Scene {
 
     /// Writes the scene to a file that [`Scene::load`] reads back. It appears whole or not at all.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
-        let path = path.as_ref();
-        let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        let fail = |e| Error::io(path, "cannot write", e);
-        let file = tempfile::NamedTempFile::new_in(folder).map_err(fail)?;
-        let text = format!("{:#}\n", self.to_json());
-        std::fs::write(file.path(), text).map_err(fail)?;
-        file.persist(path).map_err(|e| fail(e.error))?;
-        Ok(())
+        io::replace(path, |w| writeln!(w, "{:#}", self.to_json()))
     }
 }
 

@@ -81,13 +81,13 @@
 //!
 //! Other fields (cameras, pictures, results) are passed over, except those that are nearly one of these.
 
-mod array;
 mod authors;
 mod file;
 mod handles;
 mod json;
 mod motion;
 mod obj;
+mod points;
 mod setup;
 mod start;
 mod surface;

@@ -3,8 +3,8 @@
 //! Every built-in motion keeps one timing: 0.5 s of rest, three moves of 1 s there, back and there again over 1 m with
 //! `s(t) = (1 - cos(pi t)) / 2`, then 3 s of rest. Axes are y up, metres.
 
-use super::array;
-use crate::{Error, Result};
+use super::points;
+use crate::{Error, Result, io};
 use ndarray::{ArrayD, Ix3};
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
@@ -78,9 +78,9 @@ impl BuiltIn {
         let done = sign * progress(t);
         match self.course {
             Course::Along(direction) => {
-                let length = direction.iter().map(|c| c * c).sum::<f64>().sqrt();
+                let length = points::norm(direction);
                 let step = direction.map(|c| c / length * done);
-                start.iter().map(|p| [p[0] + step[0], p[1] + step[1], p[2] + step[2]]).collect()
+                start.iter().map(|&p| points::zip(p, step, |p, s| p + s)).collect()
             }
             Course::About(named) => match start.get(named) {
                 Some(&centre) => rotate(centre, done, start),
@@ -163,7 +163,7 @@ impl Recording {
     /// Reads a `.npy` of shape [frames, `handles`, 3].
     pub fn read(path: &Path, handles: usize) -> Result<Self> {
         let origin = path.display().to_string();
-        let array: ArrayD<f64> = array::read_npy(path)?;
+        let array: ArrayD<f64> = io::read_npy(path)?;
         let found = format!("{:?}", array.shape());
         let fits = array.view().into_dimensionality::<Ix3>().is_ok_and(|a| {
             let (f, h, c) = a.dim();
@@ -173,7 +173,7 @@ impl Recording {
             let expected = format!("[frames, {handles}, 3], {handles} being the number of handles");
             return Err(Error::invalid(origin, "shape", expected, found));
         }
-        Ok(Self { points: array::points(&origin, &array)?, handles })
+        Ok(Self { points: points::from_array(&origin, &array)?, handles })
     }
 
     /// Number of recorded frames, at least one.

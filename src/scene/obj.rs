@@ -1,87 +1,45 @@
-//! Wavefront OBJ files whose vertices are the particles of a grid, in their order.
-//!
-//! Vertices are read here rather than by a mesh library because those renumber them by their faces, and here the number
-//! of a vertex is its place in the grid.
+//! OBJ files whose vertices are the particles of a grid, in their order.
 
 use crate::sim::Grid;
-use crate::{Error, Result};
+use crate::{Error, Result, io::Polygons};
 use std::path::Path;
 
-/// Vertices and polygons of an OBJ file.
+/// The vertices and polygons of an OBJ file.
 #[derive(Clone, Debug)]
-pub(super) struct Mesh {
-    /// The file, for errors.
-    origin: String,
-    /// Positions, in the order of the file.
-    pub points: Vec<[f64; 3]>,
-    /// Vertex numbers of each face, from 0, and the line of the file that it stands in.
-    faces: Vec<(Vec<usize>, usize)>,
-}
+pub(super) struct Mesh(Polygons<f64>);
 
 impl Mesh {
-    /// Reads the `v` and `f` lines of a file.
+    /// Reads a file.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot read", e))?;
-        // Comments and material names may be in any encoding; numbers are ASCII.
-        Self::parse(&path.display().to_string(), &String::from_utf8_lossy(&bytes))
+        Polygons::read(path).map(Self)
     }
 
-    fn parse(origin: &str, text: &str) -> Result<Self> {
-        let mut mesh = Self { origin: origin.to_owned(), points: Vec::new(), faces: Vec::new() };
-        for (k, line) in text.lines().enumerate() {
-            let mut words = line.split_whitespace();
-            match words.next() {
-                Some("v") => {
-                    let numbers: Vec<f64> = words.take(3).map_while(|w| w.parse().ok()).collect();
-                    let point: [f64; 3] =
-                        numbers.try_into().map_err(|_| mesh.invalid(k, "v X Y Z", line.trim()))?;
-                    if point.iter().any(|c| !c.is_finite()) {
-                        return Err(mesh.invalid(k, "finite numbers", line.trim()));
-                    }
-                    mesh.points.push(point);
-                }
-                Some("f") => {
-                    let face: Option<Vec<usize>> = words.map(|w| mesh.vertex(w)).collect();
-                    let face = face.ok_or_else(|| mesh.invalid(k, "vertices that exist", line.trim()))?;
-                    mesh.faces.push((face, k + 1));
-                }
-                _ => {}
-            }
-        }
-        Ok(mesh)
-    }
-
-    /// The vertex of a word of a face, as in `7`, `7/2/3` or `-1`, which counts back from the last one.
-    fn vertex(&self, word: &str) -> Option<usize> {
-        let number: i64 = word.split('/').next()?.parse().ok()?;
-        let index = if number < 0 { self.points.len() as i64 + number } else { number - 1 };
-        usize::try_from(index).ok().filter(|&v| v < self.points.len())
-    }
-
-    fn invalid(&self, line: usize, expected: &str, found: &str) -> Error {
-        Error::invalid(&self.origin, format!("line {}", line + 1), expected, found)
+    /// Positions, in the order of the file.
+    pub fn into_points(self) -> Vec<[f64; 3]> {
+        self.0.positions
     }
 
     /// Checks that the vertices are those of `grid` and that the faces, if there are any, cover each of its cells once
     /// by a quadrilateral or by two triangles.
     pub fn check(&self, grid: Grid) -> Result<()> {
-        if self.points.len() != grid.particles() {
+        let Polygons { origin, positions, faces } = &self.0;
+        if positions.len() != grid.particles() {
             let expected = format!("{} for the {grid} grid", grid.particles());
-            return Err(Error::invalid(&self.origin, "vertices", expected, self.points.len()));
+            return Err(Error::invalid(origin, "vertices", expected, positions.len()));
         }
-        if self.faces.is_empty() {
+        if faces.is_empty() {
             return Ok(());
         }
         // For each cell: how many triangles cover it, and which of its corners they leave out.
         let mut cells = vec![(0u32, 0u8); grid.particles()];
-        for (face, line) in &self.faces {
+        for (face, line) in faces {
             let (cell, triangles, left_out) = place(grid, face).ok_or_else(|| {
                 let expected = format!(
                     "the corners of one cell of the {grid} grid, vertex (i, j) being i*{} + j",
                     grid.w
                 );
                 let found = format!("vertices {face:?} (from 0){}", self.hint(grid));
-                Error::invalid(&self.origin, format!("line {line}"), expected, found)
+                Error::invalid(origin, format!("line {line}"), expected, found)
             })?;
             cells[cell].0 += triangles;
             cells[cell].1 |= left_out;
@@ -93,7 +51,7 @@ impl Mesh {
                 if triangles != 2 || !matches!(left_out, 0 | 0b0101 | 0b1010) {
                     let field = format!("faces of cell ({i}, {j})");
                     let found = format!("{triangles} triangles that do not");
-                    return Err(Error::invalid(&self.origin, field, "two triangles that cover it", found));
+                    return Err(Error::invalid(origin, field, "two triangles that cover it", found));
                 }
             }
         }
@@ -108,7 +66,7 @@ impl Mesh {
     /// A remark for faces that do not fit: most often the sides are exchanged.
     fn hint(&self, grid: Grid) -> String {
         let turned = Grid { h: grid.w, w: grid.h };
-        let fits = |grid| self.faces.iter().all(|(face, _)| place(grid, face).is_some());
+        let fits = |grid| self.0.faces.iter().all(|(face, _)| place(grid, face).is_some());
         if grid.h != grid.w && fits(turned) { format!("; they fit {turned}") } else { String::new() }
     }
 }

@@ -1,8 +1,9 @@
 //! What a simulation needs of a scene: everything in grid units, z up.
 
 use super::motion::Recording;
+use super::points::{norm, zip};
 use super::{Handles, Motion, Scene, Units, UpAxis};
-use crate::sim::{Cloth, Control, Grid, Model, State};
+use crate::sim::{Cloth, Control, Grid, Model, State, cast};
 use crate::{Error, Result};
 use num_traits::Float;
 
@@ -47,15 +48,10 @@ pub struct Batch {
     pub up: Vec<UpAxis>,
 }
 
-fn cast<T: Float>(v: [f64; 3]) -> [T; 3] {
-    v.map(|c| T::from(c).expect("a float casts to a float"))
-}
-
 /// Positions, velocities or the like, shape [3, H, W], point by point through `f`.
 fn each_point<T: Float>(field: &[T], f: impl Fn([f64; 3]) -> [f64; 3]) -> Vec<[f64; 3]> {
     let n = field.len() / 3;
-    let value = |k: usize| field[k].to_f64().expect("a float casts to a float");
-    (0..n).map(|p| f([value(p), value(n + p), value(2 * n + p)])).collect()
+    (0..n).map(|p| f([p, n + p, 2 * n + p].map(|k| cast(field[k])))).collect()
 }
 
 /// Points in the order of their numbers as a field of shape [3, H, W].
@@ -67,8 +63,8 @@ fn field(points: &[[f64; 3]]) -> Vec<f64> {
 fn control<T: Float>(handles: &[Vec<[f64; 3]>], wind: &[[f64; 3]], frame: usize) -> Control<T> {
     let row = handles.get(frame).or(handles.last()).map_or(&[][..], Vec::as_slice);
     Control {
-        handles: row.iter().map(|&p| cast(p)).collect(),
-        wind: wind.iter().map(|&w| cast(w)).collect(),
+        handles: row.iter().map(|p| p.map(cast)).collect(),
+        wind: wind.iter().map(|w| w.map(cast)).collect(),
         forces: Vec::new(),
     }
 }
@@ -149,7 +145,7 @@ impl Scene {
         let handles = self.trajectory(&units, &at_start)?;
         // A recording's first row is where the handles are at the start; for a built-in motion this changes nothing.
         for (&p, &at) in particles.iter().zip(&handles[0]) {
-            let gap = (0..3).map(|c| (points[p][c] - at[c]).powi(2)).sum::<f64>().sqrt();
+            let gap = norm(zip(points[p], at, |p, at| p - at));
             if gap > 1.0 {
                 tracing::warn!(
                     "{}: motion: handle {p} begins {gap:.1} edges from where the start state has it",
@@ -249,8 +245,7 @@ impl Scene {
     /// nearest particle, and a start state from a file is resampled.
     pub fn regrid(&mut self, grid: Grid) -> Result<()> {
         let old = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
-        let aspect = |g: Grid| (g.w - 1) as f64 / (g.h - 1) as f64;
-        self.mass.scale_area(aspect(grid) / aspect(old));
+        self.mass.scale_area(grid.aspect() / old.aspect());
         self.side_m = super::Side::Height(self.side_m.height());
         self.handles = Handles::regrid(&self.handles, old, grid);
         if let super::Start::File(file) = &mut self.start {

@@ -3,9 +3,9 @@
 use super::obj::Mesh;
 use super::surface::Surface;
 use super::units::{Units, UpAxis};
-use super::{array, json::Node};
+use super::{json::Node, points};
 use crate::sim::Grid;
-use crate::{Error, Result};
+use crate::{Error, Result, io};
 use std::path::{Path, PathBuf};
 
 /// An affine map of positions in a scene's axes \[m\]: three rows, the last column is the translation.
@@ -74,19 +74,19 @@ impl Start {
 
     /// Positions of the particles of `grid`, in the order of their numbers; grid units, z up.
     pub(super) fn on(&self, grid: Grid, units: &Units, up: UpAxis) -> Result<Vec<[f64; 3]>> {
-        let half = (grid.h - 1) as f64 / 2.0;
-        let plane = |place: &dyn Fn(f64, f64) -> [f64; 3]| {
-            (0..grid.particles()).map(|p| place((p / grid.w) as f64, (p % grid.w) as f64)).collect()
-        };
         match self {
             Start::Settled => {
                 // Stored for a height of 1 m, which is H - 1 edges.
                 let edges = |p: [f64; 3]| UpAxis::Y.to_z_up(p).map(|c| c * (grid.h - 1) as f64);
                 Ok(Surface::settled(grid)?.points.into_iter().map(edges).collect())
             }
-            Start::Flat => Ok(plane(&|i, j| [j, i - half, 0.0])),
+            Start::Flat => Ok((0..grid.particles()).map(|p| grid.rest(p)).collect()),
             // In the axes of the drape: with y up, i runs along +z and the upper edge is half a side above the origin.
-            Start::Hanging => Ok(plane(&|i, j| [0.0, half - i, half - j])),
+            Start::Hanging => {
+                let half = (grid.h - 1) as f64 / 2.0;
+                let upright = |p: usize| [0.0, half - (p / grid.w) as f64, half - (p % grid.w) as f64];
+                Ok((0..grid.particles()).map(upright).collect())
+            }
             Start::File(file) => {
                 let inside = |p: [f64; 3]| units.position(up.to_z_up(file.transformed(p)));
                 Ok(file.read(grid)?.regrid(grid).points.into_iter().map(inside).collect())
@@ -104,16 +104,16 @@ impl StartFile {
             Some(e) if e == "obj" => {
                 let mesh = Mesh::read(&self.path)?;
                 mesh.check(grid)?;
-                mesh.points
+                mesh.into_points()
             }
             Some(e) if e == "npy" => {
-                let array = array::read_npy(&self.path)?;
+                let array = io::read_npy(&self.path)?;
                 let shape = array.shape();
                 if shape != [grid.h, grid.w, 3] && shape != [grid.particles(), 3] {
                     let expected = format!("[{}, {}, 3] or [{}, 3]", grid.h, grid.w, grid.particles());
                     return Err(Error::invalid(origin, "shape", expected, format!("{shape:?}")));
                 }
-                array::points(&origin, &array)?
+                points::from_array(&origin, &array)?
             }
             _ => return Err(Error::invalid(origin, "start", "an .obj or .npy file", "another ending")),
         };
@@ -157,7 +157,7 @@ pub(super) fn read_transform(node: &Node) -> Result<Transform> {
 
 /// The matrix of a turn about an axis (Rodrigues).
 fn rotation(node: &Node, [degrees, x, y, z]: [f64; 4]) -> Result<[[f64; 3]; 3]> {
-    let length = (x * x + y * y + z * z).sqrt();
+    let length = points::norm([x, y, z]);
     if length == 0.0 || !length.is_finite() {
         return Err(node.invalid("an axis that is not zero"));
     }

@@ -1,8 +1,8 @@
 //! Sampled sheets: the stored drapes, and carrying a sheet from one grid to another.
 
-use super::array;
-use crate::Result;
+use super::points::{self, norm, zip};
 use crate::sim::Grid;
+use crate::{Result, io};
 
 /// A drape that hangs at rest from its two upper corners, drawn together to 0.9 of the side; side 1 m, y up.
 const SETTLED: [&[u8]; 2] = [
@@ -19,29 +19,20 @@ pub(super) struct Surface {
     pub points: Vec<[f64; 3]>,
 }
 
-fn zip(a: [f64; 3], b: [f64; 3], f: impl Fn(f64, f64) -> f64) -> [f64; 3] {
-    std::array::from_fn(|c| f(a[c], b[c]))
-}
-
-fn norm(v: [f64; 3]) -> f64 {
-    v.iter().map(|c| c * c).sum::<f64>().sqrt()
-}
-
 impl Surface {
     /// The settled drape on `grid` for a sheet of height 1 m, y up \[m\].
     pub fn settled(grid: Grid) -> Result<Self> {
         // The nearer of the two in size; in between (48 x 48) the finer one, which loses less.
         let fine = grid.particles() >= 48 * 48;
-        let stored = array::parse_npy("the stored drape", SETTLED[usize::from(fine)])?;
+        let stored = io::parse_npy("the stored drape", SETTLED[usize::from(fine)])?;
         let grid_of = Grid { h: stored.shape()[0], w: stored.shape()[1] };
-        Ok(Self { grid: grid_of, points: array::points("the stored drape", &stored)? }.regrid(grid))
+        Ok(Self { grid: grid_of, points: points::from_array("the stored drape", &stored)? }.regrid(grid))
     }
 
     /// The sheet on another grid of square cells, its height kept. Where the ratio of the sides changes, the sheet
     /// becomes longer or shorter along its width so that the edges keep about their length.
     pub fn regrid(&self, grid: Grid) -> Self {
-        let aspect = |g: Grid| (g.w - 1) as f64 / (g.h - 1) as f64;
-        let ratio = aspect(grid) / aspect(self.grid);
+        let ratio = grid.aspect() / self.grid.aspect();
         let mut sheet = if grid == self.grid { self.clone() } else { self.resample(grid) };
         if ratio < 1.0 - 1e-9 {
             sheet.shorten(ratio);

@@ -40,6 +40,16 @@ impl Grid {
         edge(i, self.h) * edge(j, self.w)
     }
 
+    /// Width over height of the sheet.
+    pub(crate) fn aspect(&self) -> f64 {
+        (self.w - 1) as f64 / (self.h - 1) as f64
+    }
+
+    /// Where particle `p` rests, flat and unstretched \[edges\], z up: `(j, i - (H-1)/2, 0)`.
+    pub(crate) fn rest(&self, p: usize) -> [f64; 3] {
+        [(p % self.w) as f64, (p / self.w) as f64 - (self.h - 1) as f64 / 2.0, 0.0]
+    }
+
     /// Triangles as particle numbers, two per cell, cut along the diagonal (i, j) - (i+1, j+1).
     pub fn faces(&self) -> Vec<[u32; 3]> {
         let at = |i: usize, j: usize| (i * self.w + j) as u32;

@@ -8,6 +8,7 @@ mod solver;
 mod stats;
 
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
+pub(crate) use model::cast;
 pub use model::{Air, Cloth, Control, Material, Model, State};
 pub use optimizer::Optimizer;
 pub use simulator::{Device, Frame, Simulator};

@@ -1,6 +1,7 @@
 //! What stays fixed during a run, what changes, and what a frame is driven by. Grid units throughout, z up.
 
 use super::Grid;
+use num_traits::Float;
 
 /// Energy coefficients in grid units (section 3 of the specification; the paper's material parameters).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,7 +80,7 @@ impl Model {
     }
 }
 
-/// Positions [edges] and velocities [edges / frame] of a batch, each of shape [B, 3, H, W].
+/// Positions \[edges\] and velocities [edges / frame] of a batch, each of shape [B, 3, H, W].
 #[derive(Clone, Debug, PartialEq)]
 pub struct State<T> {
     /// Positions, shape [B, 3, H, W].
@@ -88,16 +89,19 @@ pub struct State<T> {
     pub v: Vec<T>,
 }
 
-impl<T: num_traits::Float> State<T> {
+/// A number in another precision.
+pub(crate) fn cast<T: Float, U: Float>(v: T) -> U {
+    U::from(v).expect("a float casts to a float")
+}
+
+impl<T: Float> State<T> {
     /// The rest state of `batch` cloths: particle (i, j) at `(j, i - (H-1)/2, 0)`, velocity 0.
     pub fn rest(grid: Grid, batch: usize) -> Self {
         let n = grid.particles();
-        let cast = |v: f64| T::from(v).expect("a grid coordinate is representable");
         let mut x = vec![T::zero(); batch * 3 * n];
         for cloth in x.chunks_mut(3 * n) {
             for p in 0..n {
-                cloth[p] = cast((p % grid.w) as f64);
-                cloth[n + p] = cast((p / grid.w) as f64 - (grid.h - 1) as f64 / 2.0);
+                [cloth[p], cloth[n + p], cloth[2 * n + p]] = grid.rest(p).map(cast);
             }
         }
         let v = vec![T::zero(); x.len()];
@@ -105,18 +109,18 @@ impl<T: num_traits::Float> State<T> {
     }
 
     /// The same state in another precision.
-    pub fn cast<U: num_traits::Float>(&self) -> State<U> {
-        let cast = |s: &[T]| s.iter().map(|&a| U::from(a).expect("a float casts to a float")).collect();
-        State { x: cast(&self.x), v: cast(&self.v) }
+    pub fn cast<U: Float>(&self) -> State<U> {
+        let all = |s: &[T]| s.iter().map(|&a| cast(a)).collect();
+        State { x: all(&self.x), v: all(&self.v) }
     }
 }
 
 /// What drives one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Control<T> {
-    /// Handle positions at the end of the frame [edges], all handles of cloth 0, then of cloth 1, and so on.
+    /// Handle positions at the end of the frame \[edges\], all handles of cloth 0, then of cloth 1, and so on.
     pub handles: Vec<[T; 3]>,
-    /// Wind velocity of each cloth [edges / frame], shape [B]; empty for still air.
+    /// Wind velocity of each cloth [edges / frame], shape `[B]`; empty for still air.
     pub wind: Vec<[T; 3]>,
     /// External acceleration of each particle beside gravity and air [edges / frame^2], shape [B, 3, H, W]; empty for none.
     pub forces: Vec<T>,

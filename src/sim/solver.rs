@@ -177,7 +177,7 @@ impl Solver {
         self.iterations
     }
 
-    /// Positions [edges], shape [B, 3, H W]; its buffer can be bound for storage and as a vertex buffer.
+    /// Positions \[edges\], shape [B, 3, H W]; its buffer can be bound for storage and as a vertex buffer.
     pub fn positions(&self) -> &Tensor {
         &self.x
     }

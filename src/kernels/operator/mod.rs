@@ -27,6 +27,6 @@ use crate::gpu::Tensor;
 pub struct Layer {
     /// Weight, in the layout of the kernel that takes it.
     pub weight: Tensor,
-    /// Bias, shape [out].
+    /// Bias, shape `[out]`.
     pub bias: Tensor,
 }

@@ -29,7 +29,7 @@ impl Project {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `layer` [C] and [1], `x` [S, C, H, W'], `field` [S, H, W'].
+    /// `layer` `[C]` and `[1]`, `x` [S, C, H, W'], `field` [S, H, W'].
     pub fn push(&self, schedule: &mut Schedule, layer: &Layer, x: &Tensor, field: &Tensor) {
         let &[samples, channels, h, w] = x.shape() else { panic!("project: {:?}", x.shape()) };
         assert_eq!((layer.weight.len(), layer.bias.len()), (channels, 1));

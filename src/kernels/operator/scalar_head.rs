@@ -32,7 +32,7 @@ impl ScalarHead {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `layer` [C] and [1], `rows_max` [S, H, C], `scalar` [S].
+    /// `layer` `[C]` and `[1]`, `rows_max` [S, H, C], `scalar` `[S]`.
     pub fn push(&self, schedule: &mut Schedule, layer: &Layer, rows_max: &Tensor, scalar: &Tensor) {
         let &[samples, rows, channels] = rows_max.shape() else {
             panic!("scalar_head: {:?}", rows_max.shape())

@@ -30,7 +30,7 @@ impl Rescale {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `scalar` [S], `scale` [S].
+    /// `scalar` `[S]`, `scale` `[S]`.
     pub fn push(&self, schedule: &mut Schedule, scalar: &Tensor, scale: &Tensor) {
         assert_eq!(scalar.len(), scale.len());
         let params = Params { samples: size(scalar.len()), pad: [0; 3] };

@@ -33,7 +33,7 @@ pub struct Update {
 pub struct UpdateTensors<'a> {
     /// Field head, shape [S, H, W'].
     pub field: &'a Tensor,
-    /// Persistent scale, shape [S].
+    /// Persistent scale, shape `[S]`.
     pub scale: &'a Tensor,
     /// Last gradient and last step, shape [2, S, n]: written.
     pub hidden: &'a Tensor,
