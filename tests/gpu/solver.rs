@@ -1,1 +1,223 @@
+//! Whole frames: against the CPU path, repeated, in batches, in a host's encoder.
 
+use crate::common::{assert_close, context, device, largest, noise, widened};
+use fnopt::cpu;
+use fnopt::gpu::Tensor;
+use fnopt::network::Weights;
+use fnopt::scene::{BuiltIn, Motion, Scene};
+use fnopt::sim::{
+    Air, Cloth, Control, FrameStats, Grid, Material, Model, Optimizer, Solver, SolverOptions, State,
+};
+use std::path::Path;
+use std::sync::{Arc, LazyLock};
+
+/// The weights that the project ships.
+pub fn starter() -> &'static Arc<Weights> {
+    static WEIGHTS: LazyLock<Arc<Weights>> = LazyLock::new(|| {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/starter.safetensors");
+        Arc::new(Weights::load(&path).unwrap())
+    });
+    &WEIGHTS
+}
+
+fn optimizers() -> [Optimizer; 4] {
+    let learned = Optimizer::Learned(starter().clone());
+    [learned, Optimizer::gradient_descent(), Optimizer::adam(), Optimizer::lbfgs()]
+}
+
+/// A solver on the device, in the given state.
+fn solver(model: &Model, optimizer: &Optimizer, iterations: usize, start: &State<f32>) -> Solver {
+    let options = SolverOptions { iterations, ..Default::default() };
+    let solver = Solver::new(context(), model, optimizer, &options).unwrap();
+    solver.set_state(start);
+    solver
+}
+
+fn read(tensor: &Tensor) -> Vec<f32> {
+    tensor.read(context()).unwrap()
+}
+
+/// The state after a frame.
+fn step(solver: &Solver, control: &Control<f32>) -> State<f32> {
+    solver.set_control(control);
+    context().submit(|encoder| solver.record(encoder));
+    State { x: read(solver.positions()), v: read(solver.velocities()) }
+}
+
+fn statistics(solver: &Solver) -> Vec<FrameStats> {
+    let contents: Vec<f32> = solver.statistics_tensors().into_iter().flat_map(read).collect();
+    solver.statistics(&contents)
+}
+
+/// Three different cloths in wind, and what drives them.
+fn varied_batch() -> (Model, State<f32>, Control<f32>) {
+    let grid = Grid { h: 21, w: 18 };
+    let n = grid.particles();
+    let cloth = |b: usize| Cloth {
+        material: Material { stretch: 100.0 * (1 + b) as f64, shear: 3.0, bend: 0.2 * b as f64 },
+        gravity: [0.0, 0.01 * b as f64, -0.1],
+        air: Air { density: 0.1 * b as f64, drag: 0.02 },
+        handles: vec![b, n - 1 - b][..2 - b % 2].to_vec(),
+    };
+    let model = Model { grid, cloths: (0..3).map(cloth).collect() };
+    let mut state = State::<f32>::rest(grid, 3);
+    state.x.iter_mut().zip(noise(9 * n, 6)).for_each(|(x, noise)| *x += 0.05 * noise);
+    let mut handles = vec![];
+    for (b, cloth) in model.cloths.iter().enumerate() {
+        handles.extend(cloth.handles.iter().map(|p| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p] + 0.1)));
+    }
+    let wind = vec![[0.1, 0.0, 0.2], [0.0; 3], [-0.2, 0.1, 0.0]];
+    let forces = noise(9 * n, 7).iter().map(|f| 0.02 * f).collect();
+    (model, state, Control { handles, wind, forces })
+}
+
+/// Twenty frames of the default scene, and of one that moves from the first frame on, on 32x32 particles.
+#[test]
+fn twenty_frames_agree_with_the_host() {
+    let _turn = device();
+    let moving = Scene { motion: Motion::BuiltIn(BuiltIn::named("xyz_v3").unwrap()), ..Default::default() };
+    for (name, scene, first) in [("at rest", Scene::default(), 1), ("moving", moving, 31)] {
+        let setup = scene.setup().unwrap();
+        let start = setup.start.cast::<f32>();
+        let optimizer = Optimizer::Learned(starter().clone());
+        let solver = solver(&setup.model, &optimizer, 10, &start);
+        let mut host = cpu::Solver::<f32>::new(&setup.model, &optimizer, 10).unwrap();
+        let mut expected = start;
+        let side = (setup.model.grid.h - 1) as f64;
+        for frame in first..first + 20 {
+            let control = setup.control(frame);
+            let found = step(&solver, &control);
+            host.step(&mut expected, &control);
+            // The first frame differs by roundings; each frame after it doubles or triples what differs.
+            let atol = if frame == first { 1e-6 } else { 1e-3 } * side;
+            assert_close(&format!("{name}, frame {frame}"), &found.x, &widened(&expected.x), (atol, 0.0));
+        }
+    }
+}
+
+/// Frames of all optimizers, for cloths that differ, in wind and under forces: state, energies, norms, stretch, scales.
+#[test]
+fn frames_of_all_optimizers_agree_with_the_host() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    for optimizer in optimizers() {
+        let solver = solver(&model, &optimizer, 5, &start);
+        let mut host = cpu::Solver::<f64>::new(&model, &optimizer, 5).unwrap();
+        let mut expected = start.cast::<f64>();
+        let double = Control {
+            handles: control.handles.iter().map(|p| p.map(f64::from)).collect(),
+            wind: control.wind.iter().map(|p| p.map(f64::from)).collect(),
+            forces: widened(&control.forces),
+        };
+        for frame in 0..3 {
+            let found = step(&solver, &control);
+            let stats = host.step(&mut expected, &double);
+            let what = format!("{}, frame {frame}", optimizer.name());
+            let atol = 2e-5 * 5f64.powi(frame) * largest(&expected.v);
+            assert_close(&what, &found.x, &expected.x, (atol, 2e-7));
+            assert_close(&what, &found.v, &expected.v, (atol, 2e-7));
+            let numbers = |s: &FrameStats| {
+                let e = s.energy;
+                let terms = [e.stretch, e.shear, e.bend, e.inertia, e.external, e.total()];
+                let others = [s.gradient_first, s.gradient_last, s.stretch_largest, s.stretch_mean];
+                [&terms[..], &others].concat()
+            };
+            for (found, expected) in statistics(&solver).iter().zip(&stats) {
+                let (found, expected) = (numbers(found), numbers(expected));
+                let found: Vec<f32> = found.iter().map(|&v| v as f32).collect();
+                let atol = 1e-4 * 5f64.powi(frame) * largest(&expected);
+                assert_close(&format!("statistics of {what}"), &found, &expected, (atol, 0.0));
+            }
+            let (log, wanted) = (solver.iterations_log().unwrap(), host.iterations());
+            for (found, wanted) in
+                [(log.gradient_norms, &wanted.gradient_norms), (log.scales, &wanted.scales)]
+            {
+                let found: Vec<f32> = found.iter().map(|&v| v as f32).collect();
+                let atol = 1e-4 * 5f64.powi(frame) * largest(wanted);
+                assert_close(&format!("iterations of {what}"), &found, wanted, (atol, 0.0));
+            }
+        }
+    }
+}
+
+#[test]
+fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let run = |model: &Model, optimizer: &Optimizer, start: &State<f32>, control: &Control<f32>| {
+        let solver = solver(model, optimizer, 4, start);
+        (0..3).map(|_| step(&solver, control)).next_back().unwrap()
+    };
+    for optimizer in optimizers() {
+        let all = run(&model, &optimizer, &start, &control);
+        assert!(all.x.iter().all(|x| x.is_finite()));
+        assert_eq!(all, run(&model, &optimizer, &start, &control), "{} repeats", optimizer.name());
+        let len = 3 * model.grid.particles();
+        let mut handles = &control.handles[..];
+        for (b, cloth) in model.cloths.iter().enumerate() {
+            let at = b * len..(b + 1) * len;
+            let (mine, others) = handles.split_at(cloth.handles.len());
+            handles = others;
+            let control = Control {
+                handles: mine.to_vec(),
+                wind: vec![control.wind[b]],
+                forces: control.forces[at.clone()].to_vec(),
+            };
+            let single = State { x: start.x[at.clone()].to_vec(), v: start.v[at.clone()].to_vec() };
+            let model = Model { grid: model.grid, cloths: vec![cloth.clone()] };
+            let end = run(&model, &optimizer, &single, &control);
+            assert_eq!(end.x, all.x[at], "cloth {b} with {}", optimizer.name());
+        }
+    }
+}
+
+/// A host records frames into an encoder of its own, several if it likes, among its own commands.
+#[test]
+fn frames_are_recorded_into_a_hosts_encoder() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let optimizer = Optimizer::Learned(starter().clone());
+    let solver = solver(&model, &optimizer, 2, &start);
+    let apart = (0..2).map(|_| step(&solver, &control)).next_back().unwrap();
+
+    solver.set_state(&start);
+    solver.set_control(&control);
+    let kept = Tensor::zeros(context(), "kept", solver.positions().shape()).unwrap();
+    let mut encoder = context().device.create_command_encoder(&Default::default());
+    solver.record(&mut encoder);
+    let bytes = kept.bytes();
+    encoder.copy_buffer_to_buffer(solver.positions().buffer(), 0, kept.buffer(), 0, bytes);
+    solver.record(&mut encoder);
+    context().queue.submit([encoder.finish()]);
+    let together = State { x: read(solver.positions()), v: read(solver.velocities()) };
+    assert_eq!(together, apart);
+
+    solver.set_state(&start);
+    assert_eq!(read(&kept), step(&solver, &control).x, "the first of both frames");
+}
+
+/// A control without wind and forces used to leave those of the frame before in place.
+#[test]
+fn wind_and_forces_end_with_the_control_that_has_them() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let solver = solver(&model, &Optimizer::gradient_descent(), 3, &start);
+    let calm = Control { wind: vec![], forces: vec![], ..control.clone() };
+    let expected = step(&solver, &calm);
+    solver.set_state(&start);
+    assert_ne!(step(&solver, &control), expected);
+    solver.set_state(&start);
+    assert_eq!(step(&solver, &calm), expected);
+}
+
+/// What the learned optimizer remembers goes with the state it belongs to.
+#[test]
+fn a_new_state_forgets_the_hidden_one() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let solver = solver(&model, &Optimizer::Learned(starter().clone()), 3, &start);
+    let first = step(&solver, &control);
+    assert_ne!(step(&solver, &control), first);
+    solver.set_state(&start);
+    assert_eq!(step(&solver, &control), first);
+}
