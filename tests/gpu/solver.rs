@@ -4,7 +4,7 @@ use crate::common::{assert_close, context, device, largest, noise, widened};
 use fnopt::cpu;
 use fnopt::gpu::Tensor;
 use fnopt::network::Weights;
-use fnopt::scene::{BuiltIn, Motion, Scene};
+use fnopt::scene::Scene;
 use fnopt::sim::{
     Air, Cloth, Control, FrameStats, Grid, Material, Model, Optimizer, Solver, SolverOptions, State,
 };
@@ -80,26 +80,45 @@ fn varied_batch() -> (Model, State<f32>, Control<f32>) {
     (model, state, Control { handles, wind, forces })
 }
 
-/// Twenty frames of the default scene, and of one that moves from the first frame on, on 32x32 particles.
+/// Root mean square and largest of the differences [edges].
+fn apart(found: &[f32], expected: &[f32]) -> (f64, f64) {
+    let differences = || found.iter().zip(expected).map(|(&f, &e)| f64::from(f) - f64::from(e));
+    let squares: f64 = differences().map(|d| d * d).sum();
+    ((squares / found.len() as f64).sqrt(), largest(&differences().collect::<Vec<_>>()))
+}
+
+/// Twenty frames of the default scene, whose cloth settles, and of the cloth that swings, on 32x32 particles.
+///
+/// A frame multiplies what differs at its start by two or three: a run on the host that differs in the last bit of one
+/// coordinate is a millimetre away after five frames. So devices agree closely in the first frames only; after that they
+/// may be as far apart as that bit drives two runs of the host, and at rest on average by 1e-3 of the side.
 #[test]
 fn twenty_frames_agree_with_the_host() {
     let _turn = device();
-    let moving = Scene { motion: Motion::BuiltIn(BuiltIn::named("xyz_v3").unwrap()), ..Default::default() };
-    for (name, scene, first) in [("at rest", Scene::default(), 1), ("moving", moving, 31)] {
-        let setup = scene.setup().unwrap();
+    let setup = Scene::default().setup().unwrap();
+    let side = (setup.model.grid.h - 1) as f64;
+    let optimizer = Optimizer::Learned(starter().clone());
+    for (name, first, on_average) in [("at rest", 1, 1e-3), ("swinging", 91, 1e-3), ("starting", 31, 5e-3)] {
         let start = setup.start.cast::<f32>();
-        let optimizer = Optimizer::Learned(starter().clone());
         let solver = solver(&setup.model, &optimizer, 10, &start);
-        let mut host = cpu::Solver::<f32>::new(&setup.model, &optimizer, 10).unwrap();
-        let mut expected = start;
-        let side = (setup.model.grid.h - 1) as f64;
-        for frame in first..first + 20 {
-            let control = setup.control(frame);
+        let host = || cpu::Solver::<f32>::new(&setup.model, &optimizer, 10).unwrap();
+        let (mut one, mut other) = (host(), host());
+        let (mut expected, mut nudged) = (start.clone(), start);
+        nudged.x[500] = nudged.x[500].next_up();
+        let mut farthest: f64 = 0.0;
+        for frame in 0..20 {
+            let control = setup.control(first + frame);
             let found = step(&solver, &control);
-            host.step(&mut expected, &control);
-            // The first frame differs by roundings; each frame after it doubles or triples what differs.
-            let atol = if frame == first { 1e-5 } else { 1e-3 } * side;
-            assert_close(&format!("{name}, frame {frame}"), &found.x, &widened(&expected.x), (atol, 0.0));
+            one.step(&mut expected, &control);
+            other.step(&mut nudged, &control);
+            farthest = farthest.max(apart(&nudged.x, &expected.x).1);
+            let (mean, most) = apart(&found.x, &expected.x);
+            println!(
+                "{name}, frame {frame}: {mean:.1e} on average, {most:.1e} at most; by one bit {farthest:.1e}"
+            );
+            assert!(mean < on_average * side, "{name}, frame {frame}: {mean:e} edges on average");
+            let allowed = if frame == 0 { 1e-5 * side } else { (1e-4 * side).max(3.0 * farthest) };
+            assert!(most < allowed, "{name}, frame {frame}: {most:e} edges, not {allowed:e}");
         }
     }
 }
@@ -122,8 +141,8 @@ fn frames_of_all_optimizers_agree_with_the_host() {
             let found = step(&solver, &control);
             let stats = host.step(&mut expected, &double);
             let what = format!("{}, frame {frame}", optimizer.name());
-            // Adam divides by the size of the gradient: where that vanishes, so do the digits of the step.
-            let digits = if optimizer.name() == "adam" { 2e-4 } else { 2e-5 };
+            // Adam divides by the size of the gradient, L-BFGS by curvatures: where these are small, digits are lost.
+            let digits = if matches!(optimizer.name(), "adam" | "lbfgs") { 2e-4 } else { 2e-5 };
             let atol = digits * 5f64.powi(frame) * largest(&expected.v);
             assert_close(&what, &found.x, &expected.x, (atol, 2e-7));
             assert_close(&what, &found.v, &expected.v, (atol, 2e-7));
