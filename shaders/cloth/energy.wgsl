@@ -2,7 +2,7 @@
 //
 // Each particle owns the edges, corner angles and bends that start at it. Every part holds eight sums:
 // stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of ||edge| - 1|, unused.
-// cloths: [B]; external, a, trial: [B, 3, H, W]; parts: [B, groups, 8].
+// cloths: [B]; external, a, x, shift: [B, 3, H, W]; parts: [B, groups, 8].
 // One invocation: one particle; a workgroup adds up in a fixed order. Workgroups: (n / 64, B).
 // Adjoint: `gradient`.
 
@@ -17,18 +17,25 @@ struct Params {
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
 @group(0) @binding(2) var<storage, read> external_acceleration: array<f32>;
 @group(0) @binding(3) var<storage, read> a: array<f32>;
-@group(0) @binding(4) var<storage, read> trial: array<f32>;
-@group(0) @binding(5) var<storage, read_write> parts: array<vec4f>;
+@group(0) @binding(4) var<storage, read> x: array<f32>;
+@group(0) @binding(5) var<storage, read> shift: array<f32>;
+@group(0) @binding(6) var<storage, read_write> parts: array<vec4f>;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
 var<workgroup> terms: array<vec4f, 64>; // stretch, shear, bend, inertia
 var<workgroup> others: array<vec4f, 64>; // external, largest stretch, sum of |stretch|, unused
 
+var<private> x0: vec3f;
+var<private> shift0: vec3f;
+
+// Where particle (i, j) is, seen from the particle of this invocation (x0, shift0). Differences of neighbouring
+// coordinates are exact or nearly so; absolute positions would round the stiff edges by the size of the coordinates.
 fn position(b: u32, i: u32, j: u32) -> vec3f {
     let n = params.rows * params.columns;
     let at = b * 3u * n + i * params.columns + j;
-    return vec3f(trial[at], trial[at + n], trial[at + 2u * n]);
+    let way = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
+    return (vec3f(x[at], x[at + n], x[at + 2u * n]) - x0) + (way - shift0);
 }
 
 fn squared_angle(u: vec3f, w: vec3f, rest: f32) -> f32 {
@@ -53,37 +60,38 @@ fn energy(
         let columns = f32(params.columns);
         let has_down = i + 1u < params.rows;
         let has_across = j + 1u < params.columns;
-        let p = position(b, i, j);
+        let at = b * 3u * n + id.x;
+        x0 = vec3f(x[at], x[at + n], x[at + 2u * n]);
+        shift0 = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
         var down = vec3f();
         var across = vec3f();
         if has_down {
-            down = position(b, i + 1u, j) - p;
+            down = position(b, i + 1u, j);
             let off = length(down) - 1.0;
             term.x += off * off / ((rows - 1.0) * columns);
             other.y = max(other.y, off);
             other.z += abs(off);
             if i + 2u < params.rows {
-                term.z += squared_angle(down, position(b, i + 2u, j) - position(b, i + 1u, j), 0.0);
+                term.z += squared_angle(down, position(b, i + 2u, j) - down, 0.0);
             }
         }
         if has_across {
-            across = position(b, i, j + 1u) - p;
+            across = position(b, i, j + 1u);
             let off = length(across) - 1.0;
             term.x += off * off / (rows * (columns - 1.0));
             other.y = max(other.y, off);
             other.z += abs(off);
             if j + 2u < params.columns {
-                term.z += squared_angle(across, position(b, i, j + 2u) - position(b, i, j + 1u), 0.0);
+                term.z += squared_angle(across, position(b, i, j + 2u) - across, 0.0);
             }
         }
         if has_down && has_across {
             let corner = position(b, i + 1u, j + 1u);
-            let far_v = corner - (p + across);
-            let far_h = corner - (p + down);
+            let far_v = corner - across;
+            let far_h = corner - down;
             term.y += squared_angle(down, across, RIGHT_ANGLE) + squared_angle(down, far_h, RIGHT_ANGLE)
                 + squared_angle(far_v, across, RIGHT_ANGLE) + squared_angle(far_v, far_h, RIGHT_ANGLE);
         }
-        let at = b * 3u * n + id.x;
         let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
         let f = vec3f(external_acceleration[at], external_acceleration[at + n], external_acceleration[at + 2u * n]);
         let m = mass(i, j, params.rows, params.columns);

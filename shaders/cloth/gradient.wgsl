@@ -1,7 +1,7 @@
 // Gradient of the frame's energy with respect to the acceleration: grad = dL/da (specification section 3).
 //
 // dx/da = 1 at a free particle and 0 at a handle, so there only inertia and the external term count.
-// cloths: [B]; slots: [B, H, W]; external, a, trial, grad: [B, 3, H, W].
+// cloths: [B]; slots: [B, H, W]; external, a, x, shift, grad: [B, 3, H, W].
 // One invocation: one particle, which gathers from the edges, corner angles and bends it takes part in; nothing is
 // scattered, so the order of every sum is fixed. Workgroups: (W / 8, H / 8, B).
 // Adjoint: none, the gradient is an input of the training step and a constant there.
@@ -18,15 +18,22 @@ struct Params {
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
 @group(0) @binding(3) var<storage, read> external_acceleration: array<f32>;
 @group(0) @binding(4) var<storage, read> a: array<f32>;
-@group(0) @binding(5) var<storage, read> trial: array<f32>;
-@group(0) @binding(6) var<storage, read_write> grad: array<f32>;
+@group(0) @binding(5) var<storage, read> x: array<f32>;
+@group(0) @binding(6) var<storage, read> shift: array<f32>;
+@group(0) @binding(7) var<storage, read_write> grad: array<f32>;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
+var<private> x0: vec3f;
+var<private> shift0: vec3f;
+
+// Where particle (i, j) is, seen from the particle of this invocation (x0, shift0). Differences of neighbouring
+// coordinates are exact or nearly so; absolute positions would round the stiff edges by the size of the coordinates.
 fn position(b: u32, i: i32, j: i32) -> vec3f {
     let n = params.rows * params.columns;
     let at = b * 3u * n + u32(i) * params.columns + u32(j);
-    return vec3f(trial[at], trial[at + n], trial[at + 2u * n]);
+    let way = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
+    return (vec3f(x[at], x[at + n], x[at + 2u * n]) - x0) + (way - shift0);
 }
 
 fn inside(i: i32, j: i32) -> bool {
@@ -109,7 +116,9 @@ fn gradient(@builtin(global_invocation_id) id: vec3u) {
     let f = vec3f(external_acceleration[at], external_acceleration[at + n], external_acceleration[at + 2u * n]);
     var sum = mass(id.y, id.x, params.rows, params.columns) / count * (acceleration - f);
     if slots[b * n + flat] == 0u {
-        let p = position(b, i, j);
+        x0 = vec3f(x[at], x[at + n], x[at + 2u * n]);
+        shift0 = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
+        let p = vec3f();
         let material = cloths[b].material;
         let vertical = stretch(b, p, i - 1, j) + stretch(b, p, i + 1, j);
         let horizontal = stretch(b, p, i, j - 1) + stretch(b, p, i, j + 1);

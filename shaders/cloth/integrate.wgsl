@@ -1,6 +1,8 @@
-// End of a frame, backward Euler: v += a, x = trial = x + v; at a handle v = trial - x, what it moved in this frame.
+// End of a frame, backward Euler: the accepted shift is the velocity, v = shift, x += shift; a handle is exactly where it
+// is to be.
 //
-// a, trial, x, v: [B, 3, n]; slots: [B, n]. One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; shift, x, v: [B, 3, n].
+// One invocation: one particle's component. Workgroups: (n / 64, 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
 struct Params {
@@ -12,8 +14,8 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> slots: array<u32>;
-@group(0) @binding(2) var<storage, read> a: array<f32>;
-@group(0) @binding(3) var<storage, read> trial: array<f32>;
+@group(0) @binding(2) var<storage, read> targets: array<f32>;
+@group(0) @binding(3) var<storage, read> shift: array<f32>;
 @group(0) @binding(4) var<storage, read_write> x: array<f32>;
 @group(0) @binding(5) var<storage, read_write> v: array<f32>;
 
@@ -25,7 +27,10 @@ fn integrate(@builtin(global_invocation_id) id: vec3u) {
     }
     let at = id.y * params.particles + p;
     let slot = slots[id.y / 3u * params.particles + p];
-    let next = trial[at];
-    v[at] = select(v[at] + a[at], next - x[at], slot != 0u);
+    var next = x[at] + shift[at];
+    if slot != 0u {
+        next = targets[3u * (slot - 1u) + id.y % 3u];
+    }
+    v[at] = shift[at];
     x[at] = next;
 }

@@ -1,6 +1,7 @@
-// Start of a frame: a = 0, base = x + v, or the prescribed position at a handle; the trial positions start there.
+// Start of a frame: a = 0 moves the particles by base = v, or at a handle by the way to its prescribed position; the
+// shift of the trial, x(a) - x, starts there.
 //
-// x, v, base, a, trial: [B, 3, n]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3].
+// x, v, base, a, shift: [B, 3, n]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3].
 // One invocation: one particle's component. Workgroups: (n / 64, 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
@@ -18,7 +19,7 @@ struct Params {
 @group(0) @binding(4) var<storage, read> targets: array<f32>;
 @group(0) @binding(5) var<storage, read_write> base: array<f32>;
 @group(0) @binding(6) var<storage, read_write> a: array<f32>;
-@group(0) @binding(7) var<storage, read_write> trial: array<f32>;
+@group(0) @binding(7) var<storage, read_write> shift: array<f32>;
 
 @compute @workgroup_size(64)
 fn predict(@builtin(global_invocation_id) id: vec3u) {
@@ -28,11 +29,11 @@ fn predict(@builtin(global_invocation_id) id: vec3u) {
     }
     let at = id.y * params.particles + p;
     let slot = slots[id.y / 3u * params.particles + p];
-    var position = x[at] + v[at];
+    var way = v[at];
     if slot != 0u {
-        position = targets[3u * (slot - 1u) + id.y % 3u];
+        way = targets[3u * (slot - 1u) + id.y % 3u] - x[at];
     }
-    base[at] = position;
+    base[at] = way;
     a[at] = 0.0;
-    trial[at] = position;
+    shift[at] = way;
 }

@@ -1,8 +1,8 @@
-// Adam with bias correction, then the trial positions (see `update`).
+// Adam with bias correction, then the shift (see `update`).
 //
 // m <- beta1 m + (1 - beta1) g, v <- beta2 v + (1 - beta2) g^2, a -= rate m / (1 - beta1^t) / (sqrt(v / (1 - beta2^t)) + epsilon).
 // At t = 1, the first iteration of a frame, the moments start from zero whatever they hold.
-// grad, base, a, trial: [B, 3, n]; moments: [B, 3, n, 2] = (m, v); slots: [B, n].
+// grad, base, a, shift: [B, 3, n]; moments: [B, 3, n, 2] = (m, v); slots: [B, n].
 // One invocation: one particle's component. Workgroups: (n / 64, 3 B).
 // Adjoint: none, it is not trained.
 
@@ -23,7 +23,7 @@ struct Params {
 @group(0) @binding(3) var<storage, read> slots: array<u32>;
 @group(0) @binding(4) var<storage, read_write> moments: array<vec2f>;
 @group(0) @binding(5) var<storage, read_write> a: array<f32>;
-@group(0) @binding(6) var<storage, read_write> trial: array<f32>;
+@group(0) @binding(6) var<storage, read_write> shift: array<f32>;
 
 @compute @workgroup_size(64)
 fn adam(@builtin(global_invocation_id) id: vec3u) {
@@ -40,5 +40,5 @@ fn adam(@builtin(global_invocation_id) id: vec3u) {
     let denominator = sqrt(now.y * params.correction2) + params.epsilon;
     let next = a[at] - params.rate * now.x * params.correction1 / denominator;
     a[at] = next;
-    trial[at] = base[at] + select(next, 0.0, slots[id.y / 3u * params.particles + p] != 0u);
+    shift[at] = base[at] + select(next, 0.0, slots[id.y / 3u * params.particles + p] != 0u);
 }

@@ -1,6 +1,6 @@
-// Gradient descent: a -= rate grad, then the trial positions (see `update`).
+// Gradient descent: a -= rate grad, then the shift (see `update`).
 //
-// grad, base, a, trial: [B, 3, n]; slots: [B, n]. One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// grad, base, a, shift: [B, 3, n]; slots: [B, n]. One invocation: one particle's component. Workgroups: (n / 64, 3 B).
 // Adjoint: none, it is not trained.
 
 struct Params {
@@ -15,7 +15,7 @@ struct Params {
 @group(0) @binding(2) var<storage, read> base: array<f32>;
 @group(0) @binding(3) var<storage, read> slots: array<u32>;
 @group(0) @binding(4) var<storage, read_write> a: array<f32>;
-@group(0) @binding(5) var<storage, read_write> trial: array<f32>;
+@group(0) @binding(5) var<storage, read_write> shift: array<f32>;
 
 @compute @workgroup_size(64)
 fn gradient_descent(@builtin(global_invocation_id) id: vec3u) {
@@ -26,5 +26,5 @@ fn gradient_descent(@builtin(global_invocation_id) id: vec3u) {
     let at = id.y * params.particles + p;
     let next = a[at] - params.rate * grad[at];
     a[at] = next;
-    trial[at] = base[at] + select(next, 0.0, slots[id.y / 3u * params.particles + p] != 0u);
+    shift[at] = base[at] + select(next, 0.0, slots[id.y / 3u * params.particles + p] != 0u);
 }

@@ -1,8 +1,8 @@
-// Limited-memory BFGS (two-loop recursion), then the trial positions (see `update`).
+// Limited-memory BFGS (two-loop recursion), then the shift (see `update`).
 //
 // With pairs s = a_k - a_(k-1), y = g_k - g_(k-1), kept when y.s > CURVATURE: q = H g, a -= q, where H starts from
 // gamma = s.y / y.y of the newest pair (1 without one). The history is cleared in the first iteration of a frame.
-// grad, base, a, trial: [B, 3 n]; slots: [B, n]; history: [B, HISTORY, 2, 3 n] = (s, y); last: [B, 2, 3 n], the last
+// grad, base, a, shift: [B, 3 n]; slots: [B, n]; history: [B, HISTORY, 2, 3 n] = (s, y); last: [B, 2, 3 n], the last
 // gradient and the last step; pairs: [B, HISTORY + 2], the number of pairs, the place of the newest and each pair's 1 / y.s.
 // One workgroup: one cloth; its invocations take elements in turn and add up in a fixed order. Workgroups: (B).
 // Adjoint: none, it is not trained.
@@ -22,7 +22,7 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> last: array<f32>;
 @group(0) @binding(6) var<storage, read_write> pairs: array<f32>;
 @group(0) @binding(7) var<storage, read_write> a: array<f32>;
-@group(0) @binding(8) var<storage, read_write> trial: array<f32>;
+@group(0) @binding(8) var<storage, read_write> shift: array<f32>;
 
 const LANES: u32 = 256u;
 override HISTORY: u32 = 5;
@@ -140,7 +140,7 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         let next = a[first + e] + step;
         a[first + e] = next;
         let particle = group.x * params.particles + e % params.particles;
-        trial[first + e] = base[first + e] + select(next, 0.0, slots[particle] != 0u);
+        shift[first + e] = base[first + e] + select(next, 0.0, slots[particle] != 0u);
     }
     if lane == 0u {
         pairs[book] = f32(count);

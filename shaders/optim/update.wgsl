@@ -1,7 +1,7 @@
 // The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
 //
-// Then the trial positions: x(a) = base + a, or base alone at a handle, where base is its prescribed position.
-// field: [S, H, Q] quads; scale: [S]; grad, base, a, trial: [S, H, W] = [B, 3, H, W]; slots: [B, H, W];
+// Then the shift of the trial: x(a) - x = base + a, or base alone at a handle, whose way is prescribed.
+// field: [S, H, Q] quads; scale: [S]; grad, base, a, shift: [S, H, W] = [B, 3, H, W]; slots: [B, H, W];
 // hidden: [2, S, H, W], last gradient and last step.
 // One invocation: one particle's component. Workgroups: (n / 64, S).
 // Adjoint: `update_adj`.
@@ -21,7 +21,7 @@ struct Params {
 @group(0) @binding(5) var<storage, read> slots: array<u32>;
 @group(0) @binding(6) var<storage, read_write> hidden: array<f32>;
 @group(0) @binding(7) var<storage, read_write> a: array<f32>;
-@group(0) @binding(8) var<storage, read_write> trial: array<f32>;
+@group(0) @binding(8) var<storage, read_write> shift: array<f32>;
 
 @compute @workgroup_size(64)
 fn update(@builtin(global_invocation_id) id: vec3u) {
@@ -38,5 +38,5 @@ fn update(@builtin(global_invocation_id) id: vec3u) {
     hidden[params.samples * n + at] = step;
     let next = a[at] + step;
     a[at] = next;
-    trial[at] = base[at] + select(next, 0.0, slots[sample / 3u * n + p] != 0u);
+    shift[at] = base[at] + select(next, 0.0, slots[sample / 3u * n + p] != 0u);
 }

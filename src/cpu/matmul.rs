@@ -28,11 +28,11 @@ pub(crate) struct Target<'a, T> {
     pub stride: usize,
     pub rows: usize,
     pub columns: usize,
-    /// What each row starts from, shape [N], such as a bias; zero if there is none.
+    /// What each row starts from, shape \[N\], such as a bias; zero if there is none.
     pub start: Option<&'a [T]>,
 }
 
-/// `out[m, n] = start[n] + sum over terms and k of a[m, k] b[k, n]`, summed in this order whatever the threads do.
+/// `out[m, n] = start\[n\] + sum over terms and k of a[m, k] b[k, n]`, summed in this order whatever the threads do.
 pub(crate) fn product<T: Real>(target: Target<'_, T>, terms: &[Term<'_, T>]) {
     assert!(target.columns.is_multiple_of(LANES), "columns come in multiples of the register width");
     pulp::Arch::new().dispatch(Product { target, terms });
@@ -43,7 +43,7 @@ pub(crate) fn weighted_rows<T: Real>(out: &mut [T], start: T, a: &[T], weight: &
     pulp::Arch::new().dispatch(WeightedRows { out, start, a, weight });
 }
 
-/// `largest[n] = max(largest[n], rows[m, n])` over all rows, each of `largest.len()` numbers.
+/// `largest\[n\] = max(largest\[n\], rows[m, n])` over all rows, each of `largest.len()` numbers.
 pub(crate) fn largest_rows<T: Real>(largest: &mut [T], rows: &[T]) {
     pulp::Arch::new().dispatch(LargestRows { largest, rows });
 }

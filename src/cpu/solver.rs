@@ -1,9 +1,7 @@
 //! The frame on the CPU (paper sections 3.2 and 3.3).
 
 use super::Real;
-use super::cloth::{
-    Frame, GradientRows, Trial, add_wind, end_frame, energy, gradient, stretch, trial_positions,
-};
+use super::cloth::{Frame, GradientRows, Trial, add_wind, end_frame, energy, gradient, shifts, stretch};
 use super::optim::{Minimizer, minimizer, norm};
 use crate::Result;
 use crate::sim::{Control, FrameStats, Iterations, Model, Optimizer, State};
@@ -24,8 +22,8 @@ pub struct Solver<T: Real> {
 
 /// All cloths at a trial acceleration.
 struct Fields<T> {
-    /// Trial positions, shape [B, 3, H, W].
-    x: Vec<T>,
+    /// What the trial moves the particles by, shape [B, 3, H, W].
+    shift: Vec<T>,
     /// Accelerations, shape [B, 3, H, W].
     a: Vec<T>,
     /// External accelerations, shape [B, 3, H, W].
@@ -36,13 +34,14 @@ struct Fields<T> {
 
 impl<T: Real> Fields<T> {
     /// Cloth `b`.
-    fn cloth(&self, model: &Model, b: usize) -> Trial<'_, T> {
+    fn cloth<'a>(&'a self, model: &Model, state: &'a State<T>, b: usize) -> Trial<'a, T> {
         let n = model.grid.particles();
         let at = 3 * n * b..3 * n * (b + 1);
         Trial {
             grid: model.grid,
             material: model.cloths[b].material,
-            x: &self.x[at.clone()],
+            x: &state.x[at.clone()],
+            shift: &self.shift[at.clone()],
             a: &self.a[at.clone()],
             f: &self.f[at],
             slots: &self.slots[n * b..n * (b + 1)],
@@ -61,7 +60,7 @@ impl<T: Real> Solver<T> {
             iterations,
             minimizer: minimizer(optimizer, grid, batch)?,
             log: Iterations::default(),
-            trial: Fields { x: zeros(), a: zeros(), f: zeros(), slots: model.handle_slots() },
+            trial: Fields { shift: zeros(), a: zeros(), f: zeros(), slots: model.handle_slots() },
             rows: GradientRows::new(grid),
             grad: zeros(),
             norms: vec![0.0; 3 * batch],
@@ -82,17 +81,18 @@ impl<T: Real> Solver<T> {
         self.minimizer.begin_frame();
         for _ in 0..self.iterations {
             self.place(state, control);
-            self.gradient();
+            self.gradient(state);
             self.minimizer.step(&self.grad, &self.norms, &mut self.trial.a);
             self.log.gradient_norms.extend(&self.norms);
             self.log.scales.extend(self.minimizer.scales().iter().map(|s| s.f64()));
         }
         self.place(state, control);
-        let stats = self.stats();
+        let stats = self.stats(state);
         let cloth = self.cloth_len();
         let parts = state.x.chunks_exact_mut(cloth).zip(state.v.chunks_exact_mut(cloth));
         for (b, (x, v)) in parts.enumerate() {
-            end_frame(frame(&self.trial.slots, &self.trial.a, control, (b, cloth / 3)), x, v);
+            let frame = frame(&self.trial.slots, &self.trial.a, control, (b, cloth / 3));
+            end_frame(frame, &self.trial.shift[b * cloth..][..cloth], x, v);
         }
         stats
     }
@@ -140,39 +140,35 @@ impl<T: Real> Solver<T> {
         }
     }
 
-    /// Sets the trial positions for the current accelerations.
+    /// Sets what the current accelerations move the particles by.
     fn place(&mut self, state: &State<T>, control: &Control<T>) {
         let cloth = self.cloth_len();
-        let Fields { x, a, slots, .. } = &mut self.trial;
-        for (b, trial) in x.chunks_exact_mut(cloth).enumerate() {
+        let Fields { shift, a, slots, .. } = &mut self.trial;
+        for (b, shift) in shift.chunks_exact_mut(cloth).enumerate() {
             let at = b * cloth..(b + 1) * cloth;
-            trial_positions(
-                frame(slots, a, control, (b, cloth / 3)),
-                &state.x[at.clone()],
-                &state.v[at],
-                trial,
-            );
+            let frame = frame(slots, a, control, (b, cloth / 3));
+            shifts(frame, &state.x[at.clone()], &state.v[at], shift);
         }
     }
 
     /// Sets the gradient at the trial, and its norms.
-    fn gradient(&mut self) {
+    fn gradient(&mut self, state: &State<T>) {
         let cloth = self.cloth_len();
         for (b, grad) in self.grad.chunks_exact_mut(cloth).enumerate() {
-            gradient(&self.trial.cloth(&self.model, b), &mut self.rows, grad);
+            gradient(&self.trial.cloth(&self.model, state, b), &mut self.rows, grad);
         }
         for (norm_of, grad) in self.norms.iter_mut().zip(self.grad.chunks_exact(cloth / 3)) {
             *norm_of = norm(grad);
         }
     }
 
-    fn stats(&self) -> Vec<FrameStats> {
+    fn stats(&self, state: &State<T>) -> Vec<FrameStats> {
         let batch = self.model.batch();
         let norms = &self.log.gradient_norms;
         let norm_at = |iteration: usize, b: usize| norm(&norms[iteration * 3 * batch + 3 * b..][..3]);
         let cloth = |b: usize| {
-            let trial = self.trial.cloth(&self.model, b);
-            let (stretch_largest, stretch_mean) = stretch(trial.grid, trial.x);
+            let trial = self.trial.cloth(&self.model, state, b);
+            let (stretch_largest, stretch_mean) = stretch(&trial);
             FrameStats {
                 energy: energy(&trial),
                 gradient_first: norm_at(0, b),

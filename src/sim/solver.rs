@@ -5,8 +5,8 @@ use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
-    ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate, Predict,
-    PredictTensors, energy,
+    ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate, Physics,
+    Predict, StateTensors, energy,
 };
 use crate::kernels::optim::{
     Adam, AdamSettings, FeatureTensors, Features, GradientDescent, Iterate, Lbfgs, LbfgsMemory, Norms,
@@ -139,7 +139,8 @@ impl Solver {
         let Self { x, v, cloths, targets, forces, external, iterate, .. } = self;
         let batch = self.model.batch();
 
-        Predict::new(context)?.push(&mut frame, PredictTensors { x, v, targets }, iterate);
+        let state = StateTensors { x, v, targets };
+        Predict::new(context)?.push(&mut frame, state, iterate);
         ExternalForce::new(context)?.push(
             &mut frame,
             grid,
@@ -147,17 +148,18 @@ impl Solver {
             external,
         );
 
+        let physics = Physics { cloths, external, x };
         let gradient = Gradient::new(context)?;
         let mut step = self.rule.kernels(context, self)?;
         for iteration in 0..self.iterations {
-            gradient.push(&mut frame, grid, (cloths, external), iterate);
+            gradient.push(&mut frame, grid, physics, iterate);
             step(&mut frame, iteration);
         }
 
         let parts = Tensor::zeros(context, "energy parts", &[batch, energy::parts(grid), 8])?;
-        Energy::new(context)?.push(&mut frame, grid, (cloths, external), (iterate, &parts));
+        Energy::new(context)?.push(&mut frame, grid, physics, (iterate, &parts));
         EnergySum::new(context)?.push(&mut frame, &parts, &self.terms);
-        Integrate::new(context)?.push(&mut frame, iterate, x, v);
+        Integrate::new(context)?.push(&mut frame, state, iterate);
         Ok(frame)
     }
 

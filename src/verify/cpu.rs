@@ -49,7 +49,7 @@ impl<T: Real> Stages for CpuStages<T> {
         let model = Model { grid: case.grid, cloths: case.cloths.clone() };
         let n = case.grid.particles();
         let slots = model.handle_slots();
-        let [x, a, f] = [&case.trial, &case.a, &case.external].map(|v| cast::<T>(v));
+        let [x, shift, a, f] = [&case.x, &case.shift, &case.a, &case.external].map(|v| cast::<T>(v));
         let mut rows = GradientRows::new(case.grid);
         let (mut terms, mut gradients) = (Vec::new(), Vec::new());
         for (b, cloth) in model.cloths.iter().enumerate() {
@@ -58,6 +58,7 @@ impl<T: Real> Stages for CpuStages<T> {
                 grid: case.grid,
                 material: cloth.material,
                 x: &x[at.clone()],
+                shift: &shift[at.clone()],
                 a: &a[at.clone()],
                 f: &f[at],
                 slots: &slots[n * b..n * (b + 1)],

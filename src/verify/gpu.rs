@@ -3,7 +3,7 @@
 use super::{EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, UpdateCase};
 use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, energy};
+use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, Physics, energy};
 use crate::kernels::optim::{
     FeatureTensors, Features, Iterate, Norms, Rescale, Update, UpdateTensors, norms,
 };
@@ -90,16 +90,18 @@ impl Stages for GpuStages {
         let (batch, n) = (model.batch(), grid.particles());
         let iterate = Iterate::new(context, batch, &model.handle_slots())?;
         iterate.a.write(context, &single(&case.a));
-        iterate.trial.write(context, &single(&case.trial));
+        iterate.shift.write(context, &single(&case.shift));
         let params: Vec<_> = model.cloths.iter().map(|c| ClothParams::new(c, [0.0; 3])).collect();
         let cloths = Tensor::from_slice(context, "cloths", &[batch, 16], &params)?;
         let external = self.upload("external", &[batch, 3, n], &case.external)?;
+        let x = self.upload("positions", &[batch, 3, n], &case.x)?;
+        let physics = Physics { cloths: &cloths, external: &external, x: &x };
         let parts = Tensor::zeros(context, "parts", &[batch, energy::parts(grid), 8])?;
         let terms = Tensor::zeros(context, "terms", &[batch, 8])?;
         let mut schedule = Schedule::new(context);
         context.checked(|| {
-            Gradient::new(context)?.push(&mut schedule, grid, (&cloths, &external), &iterate);
-            Energy::new(context)?.push(&mut schedule, grid, (&cloths, &external), (&iterate, &parts));
+            Gradient::new(context)?.push(&mut schedule, grid, physics, &iterate);
+            Energy::new(context)?.push(&mut schedule, grid, physics, (&iterate, &parts));
             EnergySum::new(context)?.push(&mut schedule, &parts, &terms);
             Ok(())
         })?;

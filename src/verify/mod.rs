@@ -71,8 +71,10 @@ pub struct EnergyCase {
     pub grid: Grid,
     /// The cloths, B of them; their gravity and air do not count.
     pub cloths: Vec<Cloth>,
-    /// Trial positions x(a), shape [B, 3, H, W].
-    pub trial: Vec<f64>,
+    /// Positions at the start of the frame, shape [B, 3, H, W].
+    pub x: Vec<f64>,
+    /// What the trial moves them by, shape [B, 3, H, W].
+    pub shift: Vec<f64>,
     /// Accelerations, shape [B, 3, H, W].
     pub a: Vec<f64>,
     /// External accelerations, shape [B, 3, H, W].

@@ -9,13 +9,13 @@ mod wind;
 
 pub use energy::energy;
 pub use gradient::{GradientRows, gradient};
-pub use integrate::{Frame, end_frame, trial_positions};
+pub use integrate::{Frame, end_frame, shifts};
 pub use stretch::stretch;
 pub use wind::add_wind;
 
 use super::Real;
 use crate::sim::{Grid, Material};
-use vector::{at, sub};
+use vector::{add, at, sub};
 
 /// One cloth at a trial acceleration: all that its energy depends on.
 #[derive(Clone, Copy)]
@@ -24,8 +24,11 @@ pub struct Trial<'a, T> {
     pub grid: Grid,
     /// Energy coefficients.
     pub material: Material,
-    /// Trial positions [edges], shape [3, H, W].
+    /// Positions at the start of the frame \[edges\], shape [3, H, W].
     pub x: &'a [T],
+    /// What the trial moves them by \[edges\], shape [3, H, W]. Kept apart from `x`: in single precision a sum would
+    /// round an edge by the size of the coordinates, and the stiff edges would turn that into noise in the gradient.
+    pub shift: &'a [T],
     /// Trial accelerations [edges / frame^2], shape [3, H, W].
     pub a: &'a [T],
     /// External accelerations [edges / frame^2], shape [3, H, W].
@@ -38,15 +41,20 @@ impl<T: Real> Trial<'_, T> {
     /// The edge from particle (i, j) to (i+1, j).
     #[inline(always)]
     fn vertical(&self, i: usize, j: usize) -> [T; 3] {
-        let (n, w) = (self.grid.particles(), self.grid.w);
-        sub(at(self.x, n, (i + 1) * w + j), at(self.x, n, i * w + j))
+        self.edge(i * self.grid.w + j, (i + 1) * self.grid.w + j)
     }
 
     /// The edge from particle (i, j) to (i, j+1).
     #[inline(always)]
     fn horizontal(&self, i: usize, j: usize) -> [T; 3] {
-        let (n, w) = (self.grid.particles(), self.grid.w);
-        sub(at(self.x, n, i * w + j + 1), at(self.x, n, i * w + j))
+        self.edge(i * self.grid.w + j, i * self.grid.w + j + 1)
+    }
+
+    /// The way from particle p to q at the trial acceleration.
+    #[inline(always)]
+    fn edge(&self, p: usize, q: usize) -> [T; 3] {
+        let n = self.grid.particles();
+        add(sub(at(self.x, n, q), at(self.x, n, p)), sub(at(self.shift, n, q), at(self.shift, n, p)))
     }
 
     /// Factors of one vertical edge, one horizontal edge, one corner angle and one bend angle.

@@ -9,6 +9,11 @@ pub(super) fn at<T: Real>(x: &[T], n: usize, p: usize) -> [T; 3] {
 }
 
 #[inline(always)]
+pub(super) fn add<T: Real>(u: [T; 3], w: [T; 3]) -> [T; 3] {
+    [u[0] + w[0], u[1] + w[1], u[2] + w[2]]
+}
+
+#[inline(always)]
 pub(super) fn sub<T: Real>(u: [T; 3], w: [T; 3]) -> [T; 3] {
     [u[0] - w[0], u[1] - w[1], u[2] - w[2]]
 }
@@ -52,13 +57,16 @@ pub(super) fn angle_gradient<T: Real>(u: [T; 3], w: [T; 3], rest: T) -> ([T; 3],
     let zero = T::zero();
     let ratio = if sine > zero {
         (sine.atan2(cosine) - rest) / sine
-    } else if rest == zero && cosine > zero {
+    } else if rest == zero && cosine > T::min_positive_value() {
         cosine.recip()
     } else {
         zero
     };
-    // The smallest normal number keeps 0 / 0 out where an edge has no length.
-    let tiny = T::min_positive_value();
-    let double = ratio + ratio;
-    (scaled(cross(u, c), double / uu.max(tiny)), scaled(cross(c, w), double / ww.max(tiny)))
+    // The smallest normal number keeps 0 / 0 out where an edge has no length, and dividing first keeps the product of two
+    // large factors out where it has hardly any.
+    let along = |v: [T; 3], square: T| {
+        let square = square.max(T::min_positive_value());
+        scaled([v[0] / square, v[1] / square, v[2] / square], ratio + ratio)
+    };
+    (along(cross(u, c), uu), along(cross(c, w), ww))
 }

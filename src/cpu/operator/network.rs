@@ -55,7 +55,7 @@ struct Buffers<T> {
     pooled: Vec<T>,
     /// Result, shape [S, 1, H, W].
     field: Vec<T>,
-    /// Result, shape [S].
+    /// Result, shape \[S\].
     scalar: Vec<T>,
 }
 
@@ -106,7 +106,7 @@ impl<T: Real> Network<T> {
         &self.buffers.field
     }
 
-    /// The scalars of the last run, shape [S].
+    /// The scalars of the last run, shape \[S\].
     pub fn scalar(&self) -> &[T] {
         &self.buffers.scalar
     }

@@ -29,7 +29,7 @@ impl<T: Real> Projection<T> {
         vec![T::zero(); SEGMENT * self.hidden.outputs()]
     }
 
-    /// `field` [positions] from `x` [positions, C].
+    /// `field` \[positions\] from `x` [positions, C].
     pub fn apply(&self, field: &mut [T], x: &[T], scratch: &mut [T]) {
         let channels = x.len() / field.len();
         for (field, x) in field.chunks_mut(SEGMENT).zip(x.chunks(SEGMENT * channels)) {

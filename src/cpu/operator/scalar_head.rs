@@ -20,13 +20,13 @@ impl<T: Real> ScalarHead<T> {
         Self { weight, bias: T::of(weights.scalar.bias[0] as f64) }
     }
 
-    /// The largest value of each channel, `pooled` [C], over `x` [positions, C].
+    /// The largest value of each channel, `pooled` \[C\], over `x` [positions, C].
     pub fn pool(&self, pooled: &mut [T], x: &[T]) {
         pooled.fill(T::neg_infinity());
         largest_rows(pooled, x);
     }
 
-    /// `scalar` [S] from the pooled rows `pooled` [S, H, C]; overwrites the first row of each sample.
+    /// `scalar` \[S\] from the pooled rows `pooled` [S, H, C]; overwrites the first row of each sample.
     pub fn apply(&self, scalar: &mut [T], pooled: &mut [T]) {
         let c = self.weight.len();
         let sample = pooled.len() / scalar.len();

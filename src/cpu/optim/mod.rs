@@ -20,11 +20,11 @@ pub trait Minimizer<T>: Send {
     /// Starts a frame, at a = 0.
     fn begin_frame(&mut self) {}
     /// Adds a step to the accelerations `a`, given `grad` = dL/da at `a` and its norm `norms` for each component of each
-    /// cloth; shapes [B, 3, H, W] and [S] with S = 3 B.
+    /// cloth; shapes [B, 3, H, W] and \[S\] with S = 3 B.
     fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]);
     /// Forgets everything, as when the scene is reset.
     fn reset(&mut self);
-    /// The scale of each sample, shape [S], if the optimizer has one.
+    /// The scale of each sample, shape \[S\], if the optimizer has one.
     fn scales(&self) -> &[T] {
         &[]
     }

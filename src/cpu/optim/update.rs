@@ -20,7 +20,7 @@ pub struct Hidden<T> {
     pub last_grad: Vec<T>,
     /// The last step, shape [S, H, W].
     pub last_step: Vec<T>,
-    /// The scale of the steps, shape [S].
+    /// The scale of the steps, shape \[S\].
     pub scale: Vec<T>,
 }
 

@@ -1,5 +1,6 @@
 //! Host side of `shaders/cloth/energy.wgsl`.
 
+use super::Physics;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
@@ -39,20 +40,20 @@ impl Energy {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `parts` [B, parts, 8] at `iterate.a`; `physics` as for the gradient.
+    /// `parts` [B, parts, 8] at `iterate.a`.
     pub fn push(
         &self,
         schedule: &mut Schedule,
         grid: Grid,
-        physics: (&Tensor, &Tensor),
+        physics: Physics<'_>,
         (iterate, parts): (&Iterate, &Tensor),
     ) {
-        let (cloths, external) = physics;
+        let Physics { cloths, external, x } = physics;
         let batch = super::batch_of(grid, &iterate.a);
         let count = groups(grid.particles(), 64);
         assert_eq!(parts.shape(), [batch, count as usize, 8]);
         let params = Params { rows: size(grid.h), columns: size(grid.w), groups: count, pad: 0 };
-        let tensors = [cloths, external, &iterate.a, &iterate.trial, parts];
+        let tensors = [cloths, external, &iterate.a, x, &iterate.shift, parts];
         schedule.dispatch(&self.kernel, &params, &tensors, [count, size(batch), 1]);
     }
 }

@@ -1,7 +1,8 @@
 //! Host side of `shaders/cloth/gradient.wgsl`.
 
+use super::Physics;
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::optim::Iterate;
 use crate::kernels::{common, groups, size};
 use crate::sim::Grid;
@@ -33,13 +34,13 @@ impl Gradient {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets `iterate.grad` at `iterate.a`; `cloths` see [`super::ClothParams`], `external` [B, 3, H, W].
-    pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: (&Tensor, &Tensor), iterate: &Iterate) {
-        let (cloths, external) = physics;
+    /// Sets `iterate.grad` at `iterate.a`.
+    pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: Physics<'_>, iterate: &Iterate) {
+        let Physics { cloths, external, x } = physics;
         let batch = super::batch_of(grid, &iterate.grad);
-        assert_eq!(external.len(), iterate.grad.len());
+        assert_eq!((external.len(), x.len()), (iterate.grad.len(), iterate.grad.len()));
         let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
-        let tensors = [cloths, &iterate.slots, external, &iterate.a, &iterate.trial, &iterate.grad];
+        let tensors = [cloths, &iterate.slots, external, &iterate.a, x, &iterate.shift, &iterate.grad];
         let count = [groups(grid.w, 8), groups(grid.h, 8), size(batch)];
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }

@@ -1,7 +1,8 @@
 //! Host side of `shaders/cloth/integrate.wgsl`.
 
+use super::StateTensors;
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::optim::Iterate;
 use crate::kernels::{groups, size};
 
@@ -28,12 +29,13 @@ impl Integrate {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Advances `x` and `v` [B, 3, n] to the end of the frame.
-    pub fn push(&self, schedule: &mut Schedule, iterate: &Iterate, x: &Tensor, v: &Tensor) {
+    /// Advances positions and velocities to the end of the frame.
+    pub fn push(&self, schedule: &mut Schedule, state: StateTensors<'_>, iterate: &Iterate) {
         let (samples, n) = iterate.samples_and_particles();
+        let StateTensors { x, v, targets } = state;
         assert_eq!((x.len(), v.len()), (samples * n, samples * n));
         let params = Params { particles: size(n), pad: [0; 3] };
-        let tensors = [&iterate.slots, &iterate.a, &iterate.trial, x, v];
+        let tensors = [&iterate.slots, targets, &iterate.shift, x, v];
         schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
     }
 }

@@ -12,10 +12,32 @@ pub use energy_sum::EnergySum;
 pub use external_force::{ExternalForce, ExternalForceTensors};
 pub use gradient::Gradient;
 pub use integrate::Integrate;
-pub use predict::{Predict, PredictTensors};
+pub use predict::Predict;
 
 use crate::gpu::Tensor;
 use crate::sim::{Cloth, Grid};
+
+/// What the energy of a trial depends on, beside the trial itself.
+#[derive(Clone, Copy, Debug)]
+pub struct Physics<'a> {
+    /// Constants of the cloths, see [`ClothParams`].
+    pub cloths: &'a Tensor,
+    /// External acceleration, shape [B, 3, H, W].
+    pub external: &'a Tensor,
+    /// Positions at the start of the frame, shape [B, 3, H, W].
+    pub x: &'a Tensor,
+}
+
+/// The state of the cloths and where their handles are to be.
+#[derive(Clone, Copy, Debug)]
+pub struct StateTensors<'a> {
+    /// Positions, shape [B, 3, n].
+    pub x: &'a Tensor,
+    /// Velocities, shape [B, 3, n].
+    pub v: &'a Tensor,
+    /// Handle positions, shape [handles, 3].
+    pub targets: &'a Tensor,
+}
 
 /// One element of the WGSL's `array<Cloth>`.
 #[repr(C)]

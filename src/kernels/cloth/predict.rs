@@ -1,7 +1,8 @@
 //! Host side of `shaders/cloth/predict.wgsl`.
 
+use super::StateTensors;
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::{groups, size};
 
 /// The WGSL.
@@ -21,35 +22,24 @@ pub struct Predict {
     kernel: Kernel,
 }
 
-/// What the prediction reads and writes.
-#[derive(Clone, Copy, Debug)]
-pub struct PredictTensors<'a> {
-    /// Positions, shape [B, 3, n].
-    pub x: &'a Tensor,
-    /// Velocities, shape [B, 3, n].
-    pub v: &'a Tensor,
-    /// Handle positions, shape [handles, 3].
-    pub targets: &'a Tensor,
-}
-
 impl Predict {
     /// Compiles it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets base, a and trial of `iterate`.
+    /// Sets base, a and shift of `iterate`.
     pub fn push(
         &self,
         schedule: &mut Schedule,
-        from: PredictTensors<'_>,
+        state: StateTensors<'_>,
         iterate: &crate::kernels::optim::Iterate,
     ) {
         let (samples, n) = iterate.samples_and_particles();
-        assert_eq!((from.x.len(), from.v.len()), (samples * n, samples * n));
+        assert_eq!((state.x.len(), state.v.len()), (samples * n, samples * n));
         let params = Params { particles: size(n), pad: [0; 3] };
         let tensors =
-            [from.x, from.v, &iterate.slots, from.targets, &iterate.base, &iterate.a, &iterate.trial];
+            [state.x, state.v, &iterate.slots, state.targets, &iterate.base, &iterate.a, &iterate.shift];
         schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
     }
 }

@@ -70,8 +70,8 @@ impl Adam {
             correction1: (1.0 / (1.0 - beta1.powi(t))) as f32,
             correction2: (1.0 / (1.0 - beta2.powi(t))) as f32,
         };
-        let Iterate { grad, base, slots, a, trial } = iterate;
-        let tensors = [grad, base, slots, moments, a, trial];
+        let Iterate { grad, base, slots, a, shift } = iterate;
+        let tensors = [grad, base, slots, moments, a, shift];
         schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
     }
 }

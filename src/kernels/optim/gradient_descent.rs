@@ -36,8 +36,8 @@ impl GradientDescent {
     pub fn push(&self, schedule: &mut Schedule, rate: f64, iterate: &Iterate) {
         let (samples, n) = iterate.samples_and_particles();
         let params = Params { particles: size(n), rate: rate as f32, pad: [0; 2] };
-        let Iterate { grad, base, slots, a, trial } = iterate;
+        let Iterate { grad, base, slots, a, shift } = iterate;
         let count = [groups(n, 64), size(samples), 1];
-        schedule.dispatch(&self.kernel, &params, &[grad, base, slots, a, trial], count);
+        schedule.dispatch(&self.kernel, &params, &[grad, base, slots, a, shift], count);
     }
 }

@@ -79,9 +79,9 @@ impl Lbfgs {
         let batch = samples / 3;
         assert_eq!(memory.history.shape(), [batch, self.history, 2, 3 * n]);
         let params = Params { particles: size(n), first: u32::from(iteration == 0), pad: [0; 2] };
-        let Iterate { grad, base, slots, a, trial } = iterate;
+        let Iterate { grad, base, slots, a, shift } = iterate;
         let LbfgsMemory { history, last, pairs } = memory;
-        let tensors = [grad, base, slots, history, last, pairs, a, trial];
+        let tensors = [grad, base, slots, history, last, pairs, a, shift];
         schedule.dispatch(&self.kernel, &params, &tensors, [size(batch), 1, 1]);
     }
 }

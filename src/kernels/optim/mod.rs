@@ -24,14 +24,14 @@ use crate::gpu::{Context, Tensor};
 pub struct Iterate {
     /// Gradient of the energy with respect to `a`, shape [B, 3, n].
     pub grad: Tensor,
-    /// Position for `a = 0`, or the prescribed one at a handle, shape [B, 3, n].
+    /// What `a = 0` moves the particles by: the velocity, or the way of a handle, shape [B, 3, n].
     pub base: Tensor,
     /// 0 for a free particle, else 1 + the place of its handle, shape [B, n].
     pub slots: Tensor,
     /// Acceleration, shape [B, 3, n].
     pub a: Tensor,
-    /// Positions x(a), shape [B, 3, n].
-    pub trial: Tensor,
+    /// What `a` moves the particles by, x(a) - x, shape [B, 3, n].
+    pub shift: Tensor,
 }
 
 impl Iterate {
@@ -44,7 +44,7 @@ impl Iterate {
             base: field("base")?,
             slots: Tensor::from_slice(context, "slots", &[batch, n], slots)?,
             a: field("a")?,
-            trial: field("trial")?,
+            shift: field("shift")?,
         })
     }
 

@@ -53,8 +53,8 @@ impl Update {
         assert_eq!(iterate.a.len(), samples * n);
         let params =
             Params { rows: size(h), columns: size(grid.w), row_quads: size(w / 4), samples: size(samples) };
-        let Iterate { grad, base, slots, a, trial } = iterate;
-        let tensors = [from.field, from.scale, grad, base, slots, from.hidden, a, trial];
+        let Iterate { grad, base, slots, a, shift } = iterate;
+        let tensors = [from.field, from.scale, grad, base, slots, from.hidden, a, shift];
         schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
     }
 }
