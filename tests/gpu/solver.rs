@@ -87,18 +87,18 @@ fn apart(found: &[f32], expected: &[f32]) -> (f64, f64) {
     ((squares / found.len() as f64).sqrt(), largest(&differences().collect::<Vec<_>>()))
 }
 
-/// Twenty frames of the default scene, whose cloth settles, and of the cloth that swings, on 32x32 particles.
+/// Twenty frames of the default scene from its start, while it swings and while it starts to, on 32x32 particles.
 ///
-/// A frame multiplies what differs at its start by two or three: a run on the host that differs in the last bit of one
-/// coordinate is a millimetre away after five frames. So devices agree closely in the first frames only; after that they
-/// may be as far apart as that bit drives two runs of the host, and at rest on average by 1e-3 of the side.
+/// The learned optimizer stops its frames far from the minimum, and a frame multiplies what differs at its start by two
+/// or three: two runs on the host that differ in the last bit of one coordinate are 1e-3 of the side apart within twenty
+/// frames. So devices are held to three times what that bit does, and to 5e-3 of the side on average.
 #[test]
-fn twenty_frames_agree_with_the_host() {
+fn twenty_learned_frames_agree_with_the_host() {
     let _turn = device();
-    let setup = Scene::default().setup().unwrap();
-    let side = (setup.model.grid.h - 1) as f64;
     let optimizer = Optimizer::Learned(starter().clone());
-    for (name, first, on_average) in [("at rest", 1, 1e-3), ("swinging", 91, 1e-3), ("starting", 31, 5e-3)] {
+    for first in [1, 91, 31] {
+        let setup = Scene::default().setup().unwrap();
+        let side = (setup.model.grid.h - 1) as f64;
         let start = setup.start.cast::<f32>();
         let solver = solver(&setup.model, &optimizer, 10, &start);
         let host = || cpu::Solver::<f32>::new(&setup.model, &optimizer, 10).unwrap();
@@ -106,19 +106,40 @@ fn twenty_frames_agree_with_the_host() {
         let (mut expected, mut nudged) = (start.clone(), start);
         nudged.x[500] = nudged.x[500].next_up();
         let mut farthest: f64 = 0.0;
-        for frame in 0..20 {
-            let control = setup.control(first + frame);
+        for frame in first..first + 20 {
+            let control = setup.control(frame);
             let found = step(&solver, &control);
             one.step(&mut expected, &control);
             other.step(&mut nudged, &control);
             farthest = farthest.max(apart(&nudged.x, &expected.x).1);
             let (mean, most) = apart(&found.x, &expected.x);
             println!(
-                "{name}, frame {frame}: {mean:.1e} on average, {most:.1e} at most; by one bit {farthest:.1e}"
+                "fnopt, frame {frame}: {mean:.1e} on average, {most:.1e} at most; by one bit {farthest:.1e}"
             );
-            assert!(mean < on_average * side, "{name}, frame {frame}: {mean:e} edges on average");
-            let allowed = if frame == 0 { 1e-5 * side } else { (1e-4 * side).max(3.0 * farthest) };
-            assert!(most < allowed, "{name}, frame {frame}: {most:e} edges, not {allowed:e}");
+            assert!(mean < 5e-3 * side, "frame {frame}: {mean:e} edges on average");
+            let allowed = if frame == first { 1e-5 * side } else { (1e-4 * side).max(3.0 * farthest) };
+            assert!(most < allowed, "frame {frame}: {most:e} edges, not {allowed:e}");
+        }
+    }
+}
+
+/// The classical optimizers do not amplify roundings like this: twenty frames agree to 1e-3 of the side.
+#[test]
+fn twenty_classical_frames_agree_with_the_host() {
+    let _turn = device();
+    let setup = Scene::default().setup().unwrap();
+    let side = (setup.model.grid.h - 1) as f64;
+    for optimizer in &optimizers()[1..] {
+        let mut expected = setup.start.cast::<f32>();
+        let solver = solver(&setup.model, optimizer, 10, &expected);
+        let mut host = cpu::Solver::<f32>::new(&setup.model, optimizer, 10).unwrap();
+        for frame in 1..=20 {
+            let control = setup.control(frame);
+            let found = step(&solver, &control);
+            host.step(&mut expected, &control);
+            let (_, most) = apart(&found.x, &expected.x);
+            println!("{}, frame {frame}: {most:.1e} at most", optimizer.name());
+            assert!(most < 1e-3 * side, "{}, frame {frame}: {most:e} edges", optimizer.name());
         }
     }
 }

@@ -14,7 +14,7 @@ const ITERATIONS: usize = 12;
 pub type Push<'a> = &'a dyn Fn(&mut Schedule, usize, &Iterate);
 
 /// Runs two frames of `optimizer` on a quadratic energy of a batch with handles, on the device by `push` and on the CPU
-/// path in double precision with the device's gradients; accelerations and trial positions agree to `tolerance` of the
+/// path in double precision with the device's gradients; accelerations and shifts agree to `tolerance` of the
 /// largest acceleration. In between the energy turns over once, so that some curvature is negative.
 pub fn frames_match(optimizer: &Optimizer, push: Push<'_>, (grid, batch): (Grid, usize), tolerance: f64) {
     let model = model(grid, batch);
@@ -42,9 +42,9 @@ pub fn frames_match(optimizer: &Optimizer, push: Push<'_>, (grid, batch): (Grid,
             let atol = tolerance * largest(&a);
             assert_close(&what, &read(&iterate.a), &a, (atol, 0.0));
             let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
-            let trial: Vec<f64> =
+            let shift: Vec<f64> =
                 (0..a.len()).map(|k| f64::from(base[k]) + if free(k) { a[k] } else { 0.0 }).collect();
-            assert_close(&what, &read(&iterate.trial), &trial, (atol + 1e-7, 1e-7));
+            assert_close(&what, &read(&iterate.shift), &shift, (atol + 1e-7, 1e-7));
         }
     }
 }

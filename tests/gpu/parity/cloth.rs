@@ -54,7 +54,7 @@ pub fn constants(model: &Model) -> Tensor {
 pub fn iterate(model: &Model) -> Iterate {
     let iterate = Iterate::new(context(), model.batch(), &model.handle_slots()).unwrap();
     let nan = vec![f32::NAN; iterate.a.len()];
-    for tensor in [&iterate.grad, &iterate.base, &iterate.a, &iterate.trial] {
+    for tensor in [&iterate.grad, &iterate.base, &iterate.a, &iterate.shift] {
         tensor.write(context(), &nan);
     }
     iterate
@@ -70,15 +70,16 @@ pub struct Doubles {
     model: Model,
     slots: Vec<u32>,
     x: Vec<f64>,
+    shift: Vec<f64>,
     a: Vec<f64>,
     f: Vec<f64>,
 }
 
 impl Doubles {
-    /// Trial positions, accelerations and external accelerations, each [B, 3, n].
-    pub fn new(model: &Model, x: &[f32], a: &[f32], f: &[f32]) -> Self {
-        let [x, a, f] = [x, a, f].map(widened);
-        Self { model: model.clone(), slots: model.handle_slots(), x, a, f }
+    /// Positions, shifts, accelerations and external accelerations, each [B, 3, n].
+    pub fn new(model: &Model, fields: [&[f32]; 4]) -> Self {
+        let [x, shift, a, f] = fields.map(widened);
+        Self { model: model.clone(), slots: model.handle_slots(), x, shift, a, f }
     }
 
     /// Cloth `b`.
@@ -89,6 +90,7 @@ impl Doubles {
             grid: self.model.grid,
             material: self.model.cloths[b].material,
             x: &self.x[at.clone()],
+            shift: &self.shift[at.clone()],
             a: &self.a[at.clone()],
             f: &self.f[at],
             slots: &self.slots[n * b..n * (b + 1)],

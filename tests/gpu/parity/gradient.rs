@@ -3,19 +3,21 @@
 use super::cloth::{Doubles, constants, crumpled, field, iterate, model, upload};
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, read, run};
 use fnopt::cpu::cloth::{GradientRows, gradient};
-use fnopt::kernels::cloth::Gradient;
+use fnopt::kernels::cloth::{Gradient, Physics};
 use fnopt::sim::{Model, State};
 
-/// The gradient at `x` on the device, and in double precision.
-fn both(kernel: &Gradient, model: &Model, x: &[f32], a: &[f32], f: &[f32]) -> (Vec<f32>, Vec<f64>) {
+/// The gradient on the device, and in double precision, for positions, shifts, accelerations and external accelerations.
+fn both(kernel: &Gradient, model: &Model, fields: [&[f32]; 4]) -> (Vec<f32>, Vec<f64>) {
     let iterate = iterate(model);
-    iterate.trial.write(context(), x);
+    let [x, shift, a, f] = fields;
+    iterate.shift.write(context(), shift);
     iterate.a.write(context(), a);
-    let (cloths, external) = (constants(model), upload("external", model, f));
-    run(|schedule| kernel.push(schedule, model.grid, (&cloths, &external), &iterate));
-    let doubles = Doubles::new(model, x, a, f);
+    let (cloths, external, x) = (constants(model), upload("external", model, f), upload("x", model, x));
+    let physics = Physics { cloths: &cloths, external: &external, x: &x };
+    run(|schedule| kernel.push(schedule, model.grid, physics, &iterate));
+    let doubles = Doubles::new(model, fields);
     let mut rows = GradientRows::new(model.grid);
-    let mut expected = vec![0.0; x.len()];
+    let mut expected = vec![0.0; a.len()];
     for (b, grad) in expected.chunks_exact_mut(3 * model.grid.particles()).enumerate() {
         gradient(&doubles.cloth(b), &mut rows, grad);
     }
@@ -29,8 +31,9 @@ fn gradients_of_crumpled_cloths_match() {
     for (grid, batch) in cases() {
         let model = model(grid, batch);
         for amplitude in [0.02, 0.4] {
-            let (x, a, f) = (crumpled(&model, amplitude), field(&model, 0.1, 73), field(&model, 0.1, 74));
-            let (found, expected) = both(&kernel, &model, &x, &a, &f);
+            let (x, shift) = (crumpled(&model, amplitude), field(&model, 0.1 * amplitude, 79));
+            let (a, f) = (field(&model, 0.1, 73), field(&model, 0.1, 74));
+            let (found, expected) = both(&kernel, &model, [&x, &shift, &a, &f]);
             // Stretch dominates: four edges of nearly unit length, each rounded, times the coefficient over the edges.
             let edges = ((grid.h - 1) * grid.w) as f64;
             let atol = 8.0 * ROUNDING * 1000.0 / edges;
@@ -49,7 +52,7 @@ fn rest_has_no_gradient_but_inertia() {
         let model = model(grid, batch);
         let x = State::<f32>::rest(grid, batch).x;
         let (a, f) = (field(&model, 0.1, 73), field(&model, 0.1, 74));
-        let (found, expected) = both(&kernel, &model, &x, &a, &f);
+        let (found, expected) = both(&kernel, &model, [&x, &vec![0.0; x.len()], &a, &f]);
         // A right angle differs from the constant for it by a rounding.
         let count = grid.particles() as f64;
         let atol = 100.0 * ROUNDING / count;
@@ -80,7 +83,7 @@ fn degenerate_cloths_have_finite_gradients() {
             }
         }
         let zero = vec![0.0; x.len()];
-        let (found, expected) = both(&kernel, &model, &x, &zero, &zero);
+        let (found, expected) = both(&kernel, &model, [&x, &zero, &zero, &zero]);
         let atol = 8.0 * ROUNDING * 1000.0 / ((grid.h - 1) * grid.w) as f64;
         assert_close(&format!("gradient folded {batch} x {grid}"), &found, &expected, (atol, 8.0 * ROUNDING));
     }

@@ -23,7 +23,7 @@ fn learned_steps_match() {
             output.iter().enumerate().map(|(k, &v)| f64::from(scale[k / n]) * f64::from(v).tanh()).collect();
         let next: Vec<f64> = a.iter().zip(&step).map(|(&a, step)| f64::from(a) + step).collect();
         let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
-        let trial: Vec<f64> =
+        let shift: Vec<f64> =
             (0..next.len()).map(|k| f64::from(base[k]) + if free(k) { next[k] } else { 0.0 }).collect();
 
         let iterate = iterate(&model);
@@ -40,6 +40,6 @@ fn learned_steps_match() {
         assert_eq!(hidden[..samples * n], grad, "the last gradient");
         assert_close(&what, &hidden[samples * n..], &step, (1e-36, 8.0 * ROUNDING));
         assert_close(&what, &read(&iterate.a), &next, (8.0 * ROUNDING, ROUNDING));
-        assert_close(&what, &read(&iterate.trial), &trial, (8.0 * ROUNDING, ROUNDING));
+        assert_close(&what, &read(&iterate.shift), &shift, (8.0 * ROUNDING, ROUNDING));
     }
 }
