@@ -37,6 +37,20 @@ impl Config {
         self.modes_h * self.modes_w
     }
 
+    /// Floating-point operations of one pass over one sample on `grid`, a multiply-add counted as two: pointwise layers,
+    /// truncated transforms as matrix products, spectral products.
+    pub fn flop(&self, grid: crate::sim::Grid) -> f64 {
+        let n = grid.particles() as f64;
+        let [lifting, channels, projection] =
+            [self.lifting, self.channels, self.projection].map(|c| c as f64);
+        let (inputs, modes) = (self.inputs() as f64, self.modes() as f64);
+        let pointwise = inputs * lifting + lifting * channels + channels * projection + projection;
+        let rows = 2.0 * self.modes_w as f64 * channels * n;
+        let columns = 4.0 * modes * channels * grid.h as f64;
+        let block = channels * channels * n + 2.0 * (rows + columns) + 4.0 * modes * channels * channels;
+        2.0 * (pointwise * n + self.layers as f64 * block)
+    }
+
     /// Index of the block whose output feeds the scalar head: the one before the last (0 if there is one block only).
     pub fn scalar_block(&self) -> usize {
         self.layers.saturating_sub(2)

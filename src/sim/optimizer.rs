@@ -38,6 +38,11 @@ impl Optimizer {
     /// Names of the optimizers on command lines and in reports.
     pub const NAMES: [&str; 4] = ["fnopt", "gd", "adam", "lbfgs"];
 
+    /// The learned optimizer with these weights.
+    pub fn learned(weights: Weights) -> Self {
+        Self::Learned(Arc::new(weights))
+    }
+
     /// Gradient descent as the paper compares with (section 4.3): rate 0.01.
     pub fn gradient_descent() -> Self {
         Self::GradientDescent { rate: 0.01 }
@@ -56,7 +61,7 @@ impl Optimizer {
     /// The classical optimizer of that name with the paper's settings, or the learned one made by `weights`.
     pub fn named(name: &str, weights: impl FnOnce() -> Result<Weights>) -> Result<Self> {
         match name {
-            "fnopt" => Ok(Self::Learned(Arc::new(weights()?))),
+            "fnopt" => Ok(Self::learned(weights()?)),
             "gd" => Ok(Self::gradient_descent()),
             "adam" => Ok(Self::adam()),
             "lbfgs" => Ok(Self::lbfgs()),

@@ -1,0 +1,170 @@
+//! `fnopt bench`: time of frames, of each kernel and of recording.
+
+use super::device::DeviceArgs;
+use super::{Ending, SolverArgs, median};
+use anyhow::Result;
+use fnopt::gpu::{Context, Profile};
+use fnopt::scene::{Scene, Setup};
+use fnopt::sim::{Device, Grid, Optimizer, Simulator, Solver, SolverOptions};
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+/// Arguments of `fnopt bench`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Sizes of square grids
+    #[arg(long, value_delimiter = ',', default_value = "32,64,100", value_name = "N,..")]
+    grid: Vec<usize>,
+    /// Cloths that advance together
+    #[arg(long, value_delimiter = ',', default_value = "1", value_name = "B,..")]
+    batch: Vec<usize>,
+    /// Frames that are timed, after three that are not
+    #[arg(long, default_value_t = 10, value_name = "F", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    frames: u32,
+    #[command(flatten)]
+    solver: SolverArgs,
+    #[command(flatten)]
+    device: DeviceArgs,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Frames before the timed ones.
+const WARM_UP: usize = 3;
+
+#[derive(serde::Serialize)]
+struct Row {
+    grid: usize,
+    batch: usize,
+    iterations: usize,
+    ms_per_frame: f64,
+    ms_least: f64,
+    cloth_frames_per_s: f64,
+    /// Floating-point operations of the network alone; `null` for the classical optimizers.
+    gflop_per_s: Option<f64>,
+    /// Recording one frame on the host; `null` on the CPU.
+    encode_ms: Option<f64>,
+    dispatches: Option<usize>,
+    /// Time on the device by kernel, each dispatch in a pass of its own.
+    kernels: Vec<KernelRow>,
+}
+
+#[derive(serde::Serialize)]
+struct KernelRow {
+    name: &'static str,
+    ms: f64,
+    dispatches: usize,
+}
+
+pub fn run(args: &Args) -> Result<Ending> {
+    let optimizer = args.solver.optimizer()?;
+    let (device, line) = args.device.open()?;
+    eprintln!("{line}");
+    let mut rows = Vec::new();
+    let mut out = std::io::stdout().lock();
+    for &n in &args.grid {
+        for &batch in &args.batch {
+            let row = measure(args, &device, &optimizer, (Grid::new(n, n, "--grid")?, batch))?;
+            if !args.json {
+                print(&mut out, &row)?;
+            }
+            rows.push(row);
+        }
+    }
+    if args.json {
+        let all = serde_json::json!({ "device": device.name(), "solver": optimizer.name(), "rows": rows });
+        writeln!(out, "{all:#}")?;
+    }
+    Ok(Ending::Done)
+}
+
+fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (Grid, usize)) -> Result<Row> {
+    if batch == 0 {
+        return Err(fnopt::Error::invalid("--batch", "batch", "at least 1", batch).into());
+    }
+    let mut scene = Scene::default();
+    scene.regrid(grid)?;
+    let setups = Setup::batch(&vec![scene.setup()?; batch])?;
+    let (frames, iterations) = (args.frames as usize, args.solver.iterations());
+    let mut simulator = Simulator::new(device, &setups.model, optimizer, iterations)?;
+    simulator.set_state(&setups.start.cast());
+    let mut times = Vec::with_capacity(frames);
+    // Through the whole motion and over again, so that any number of frames has something to do.
+    let controls = (0..WARM_UP + frames).map(|f| setups.control(1 + f % (setups.frames() - 1)));
+    simulator.rollout(controls, |frame| {
+        if frame.index > WARM_UP {
+            times.push(frame.wall.as_secs_f64() * 1e3);
+        }
+        ControlFlow::Continue(())
+    })?;
+    let ms_per_frame = median(&times);
+    let flop = match optimizer {
+        Optimizer::Learned(weights) => Some(weights.config.flop(grid) * (3 * batch * iterations) as f64),
+        _ => None,
+    };
+    let mut row = Row {
+        grid: grid.h,
+        batch,
+        iterations,
+        ms_per_frame,
+        ms_least: times.iter().copied().fold(f64::INFINITY, f64::min),
+        cloth_frames_per_s: 1e3 * batch as f64 / ms_per_frame,
+        gflop_per_s: flop.map(|f| f / ms_per_frame * 1e-6),
+        encode_ms: None,
+        dispatches: None,
+        kernels: Vec::new(),
+    };
+    if let Device::Gpu(context) = device {
+        drop(simulator);
+        let options = SolverOptions { iterations, ..Default::default() };
+        let solver = Solver::new(context, &setups.model, optimizer, &options)?;
+        solver.set_state(&setups.start.cast());
+        record_times(context, &solver, &mut row)?;
+    }
+    Ok(row)
+}
+
+/// Times recording, and each kernel where the device has timestamps.
+fn record_times(context: &Context, solver: &Solver, row: &mut Row) -> Result<()> {
+    let mut encode = Vec::new();
+    for _ in 0..5 {
+        let mut encoder = context.device.create_command_encoder(&Default::default());
+        let start = Instant::now();
+        solver.record(&mut encoder);
+        let buffer = encoder.finish();
+        encode.push(start.elapsed().as_secs_f64() * 1e3);
+        context.queue.submit([buffer]);
+        context.wait()?;
+    }
+    row.encode_ms = Some(median(&encode));
+    row.dispatches = Some(solver.frame().dispatches());
+    if let Some(mut profile) = Profile::new(context) {
+        context.submit(|encoder| solver.frame().record_timed(encoder, &mut profile));
+        let times = profile.read(context)?;
+        row.kernels =
+            times.into_iter().map(|(name, (ms, dispatches))| KernelRow { name, ms, dispatches }).collect();
+        row.kernels.sort_by(|a, b| b.ms.total_cmp(&a.ms));
+    }
+    Ok(())
+}
+
+fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
+    let Row { grid, batch, iterations, ms_per_frame, ms_least, cloth_frames_per_s, .. } = row;
+    write!(out, "{grid}x{grid} batch {batch}, {iterations} iterations: {ms_per_frame:.3} ms/frame")?;
+    write!(out, " (least {ms_least:.3}), {cloth_frames_per_s:.1} cloth-frames/s")?;
+    if let Some(rate) = row.gflop_per_s {
+        write!(out, ", {rate:.1} GFLOP/s")?;
+    }
+    writeln!(out)?;
+    if let (Some(ms), Some(count)) = (row.encode_ms, row.dispatches) {
+        writeln!(out, "  recording {ms:.3} ms, {count} dispatches")?;
+    }
+    let total: f64 = row.kernels.iter().map(|k| k.ms).sum();
+    for k in &row.kernels {
+        let share = 100.0 * k.ms / total;
+        writeln!(out, "  {:18} {:9.3} ms {share:5.1} %  {:4} dispatches", k.name, k.ms, k.dispatches)?;
+    }
+    Ok(())
+}

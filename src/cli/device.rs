@@ -1,0 +1,69 @@
+//! `--device` and `--adapter`.
+
+use clap::ValueEnum;
+use fnopt::gpu::{AdapterChoice, AdapterKind, Context, adapters};
+use fnopt::sim::Device;
+use fnopt::{Error, Result};
+
+/// Where to run.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum DeviceKind {
+    /// A hardware adapter if there is one, else the CPU
+    #[default]
+    Auto,
+    /// The best adapter, a software one included
+    Gpu,
+    /// The CPU path
+    Cpu,
+}
+
+/// Options that choose a device.
+#[derive(Clone, Debug, clap::Args)]
+pub struct DeviceArgs {
+    /// Where to run: auto takes a hardware adapter if there is one, else the CPU; gpu takes a software adapter too
+    #[arg(long, value_enum, default_value_t)]
+    pub device: DeviceKind,
+    /// Adapter to run on, by part of its name or by its number in `fnopt doctor`
+    #[arg(long, value_name = "NAME|INDEX")]
+    pub adapter: Option<String>,
+}
+
+impl DeviceArgs {
+    /// Opens the device and says in one line which and why.
+    pub fn open(&self) -> Result<(Device, String)> {
+        if let (DeviceKind::Cpu, Some(adapter)) = (self.device, &self.adapter) {
+            return Err(Error::invalid("--adapter", "adapter", "none with --device cpu", adapter));
+        }
+        let choice = match (&self.adapter, self.device) {
+            (Some(name), _) => AdapterChoice::parse(name),
+            (None, DeviceKind::Gpu) => AdapterChoice::Best,
+            (None, DeviceKind::Auto) => match auto_choice() {
+                Some(choice) => choice,
+                None => return Ok(cpu("no hardware adapter")),
+            },
+            (None, DeviceKind::Cpu) => return Ok(cpu("asked for")),
+        };
+        let context = Context::headless(&choice)?;
+        let why = match (&self.adapter, self.device, context.kind()) {
+            (Some(_), ..) => "asked for",
+            (_, DeviceKind::Auto, _) => "hardware adapter",
+            (.., AdapterKind::Hardware) => "best adapter",
+            (.., AdapterKind::Software) => "best adapter, a software one",
+        };
+        let line = format!("device: {} ({why})", context.name());
+        Ok((Device::Gpu(context), line))
+    }
+}
+
+/// What `--device auto` opens: a usable hardware adapter, or nothing, which means the CPU.
+pub fn auto_choice() -> Option<AdapterChoice> {
+    let found =
+        adapters().into_iter().position(|a| a.kind() == AdapterKind::Hardware && a.unusable.is_none());
+    found.map(AdapterChoice::Index)
+}
+
+fn cpu(why: &str) -> (Device, String) {
+    let device = Device::Cpu;
+    let line = format!("device: {} ({why})", device.name());
+    (device, line)
+}

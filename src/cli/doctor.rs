@@ -1,0 +1,185 @@
+//! `fnopt doctor`: what this machine can run.
+
+use super::device::auto_choice;
+use super::{Ending, load_weights, median};
+use anyhow::Result;
+use fnopt::gpu::{AdapterChoice, AdapterSummary, Context, adapters};
+use fnopt::scene::Scene;
+use fnopt::sim::{Device, Grid, Optimizer, Simulator};
+use std::io::Write;
+use std::ops::ControlFlow;
+
+/// Arguments of `fnopt doctor`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Positions after the first frame of the default scene [m], shape [32 32, 3], from the CPU path in double precision.
+const FRAME: &[u8] = include_bytes!("../../assets/selftest/first_frame_32.npy");
+/// How far the frame may be off [m]: single precision reaches 1e-6 of the side.
+const TOLERANCE_M: f64 = 2e-5;
+/// Frames that are timed, after one that is not.
+const FRAMES: usize = 5;
+
+#[derive(serde::Serialize)]
+struct Report {
+    device: String,
+    /// What keeps it from running.
+    problem: Option<String>,
+    /// Largest error of the self-test [m].
+    error_m: Option<f64>,
+    passed: bool,
+    /// Milliseconds per frame by grid size.
+    ms_per_frame: Vec<(usize, f64)>,
+}
+
+pub fn run(args: &Args) -> Result<Ending> {
+    let found = adapters();
+    let auto = match auto_choice() {
+        Some(AdapterChoice::Index(i)) => format!("adapter {i}, {}", found[i].info.name),
+        _ => "the CPU path (no usable hardware adapter)".to_owned(),
+    };
+    let mut out = std::io::stdout().lock();
+    if !args.json {
+        writeln!(out, "fnopt {}", env!("CARGO_PKG_VERSION"))?;
+        if found.is_empty() {
+            writeln!(out, "no adapters (a software one: Debian's package mesa-vulkan-drivers)")?;
+        }
+        for (i, adapter) in found.iter().enumerate() {
+            describe(&mut out, i, adapter)?;
+        }
+        writeln!(out, "--device auto takes {auto}")?;
+    }
+    let mut reports = vec![examine("cpu".to_owned(), || Ok(Device::Cpu))];
+    for (i, adapter) in found.iter().enumerate() {
+        let name = format!("adapter {i}, {}", adapter.info.name);
+        reports.push(match &adapter.unusable {
+            Some(problem) => Report::failed(name, problem.clone()),
+            None => examine(name, || Ok(Device::Gpu(Context::headless(&AdapterChoice::Index(i))?))),
+        });
+    }
+    if args.json {
+        let listed: Vec<_> = found.iter().map(summary).collect();
+        let all = serde_json::json!({ "adapters": listed, "auto": auto, "devices": reports });
+        writeln!(out, "{all:#}")?;
+    } else {
+        for report in &reports {
+            print(&mut out, report)?;
+        }
+    }
+    // An adapter that cannot run fnopt is a fact; one that runs it wrongly is a failure.
+    let wrong = reports.iter().any(|r| !r.passed && r.error_m.is_some());
+    Ok(if wrong { Ending::CheckFailed } else { Ending::Done })
+}
+
+impl Report {
+    fn failed(device: String, problem: String) -> Self {
+        Self { device, problem: Some(problem), error_m: None, passed: false, ms_per_frame: Vec::new() }
+    }
+}
+
+/// Runs the self-test and the timings.
+fn examine(name: String, open: impl FnOnce() -> fnopt::Result<Device>) -> Report {
+    let run = || -> fnopt::Result<(f64, Vec<(usize, f64)>)> {
+        let device = open()?;
+        let optimizer = Optimizer::learned(load_weights(None)?);
+        let error = self_test(&device, &optimizer)?;
+        let mut times = Vec::new();
+        for n in [32, 64] {
+            times.push((n, time(&device, &optimizer, n)?));
+        }
+        Ok((error, times))
+    };
+    match run() {
+        Ok((error, ms_per_frame)) => {
+            let passed = error <= TOLERANCE_M;
+            Report { device: name, problem: None, error_m: Some(error), passed, ms_per_frame }
+        }
+        Err(e) => Report::failed(name, e.to_string()),
+    }
+}
+
+/// Largest distance of a coordinate from where the first frame of the default scene must have it [m].
+fn self_test(device: &Device, optimizer: &Optimizer) -> fnopt::Result<f64> {
+    let setup = Scene::default().setup()?;
+    let mut simulator = Simulator::new(device, &setup.model, optimizer, 10)?;
+    simulator.set_state(&setup.start.cast());
+    let frame = simulator.step(&setup.control(1))?;
+    let expected = fnopt::io::parse_npy("the self-test", FRAME)?;
+    let found = setup.vertices_m(&frame.state.x);
+    let errors = found.iter().flatten().zip(&expected).map(|(f, e)| (f - e).abs());
+    Ok(errors.fold(0.0, f64::max))
+}
+
+fn time(device: &Device, optimizer: &Optimizer, n: usize) -> fnopt::Result<f64> {
+    let mut scene = Scene::default();
+    scene.regrid(Grid::new(n, n, "doctor")?)?;
+    let setup = scene.setup()?;
+    let mut simulator = Simulator::new(device, &setup.model, optimizer, 10)?;
+    simulator.set_state(&setup.start.cast());
+    let mut times = Vec::new();
+    simulator.rollout((1..=FRAMES + 1).map(|f| setup.control(f)), |frame| {
+        if frame.index > 1 {
+            times.push(frame.wall.as_secs_f64() * 1e3);
+        }
+        ControlFlow::Continue(())
+    })?;
+    Ok(median(&times))
+}
+
+/// Features and limits that matter here.
+fn facts(adapter: &AdapterSummary) -> [(&'static str, String); 7] {
+    let has = |feature| if adapter.features.contains(feature) { "yes" } else { "no" }.to_owned();
+    let limits = &adapter.limits;
+    [
+        ("timestamps", has(wgpu::Features::TIMESTAMP_QUERY)),
+        ("f16", has(wgpu::Features::SHADER_F16)),
+        ("subgroups", has(wgpu::Features::SUBGROUP)),
+        ("cooperative matrices", has(wgpu::Features::EXPERIMENTAL_COOPERATIVE_MATRIX)),
+        ("largest binding", format!("{} MiB", limits.max_storage_buffer_binding_size >> 20)),
+        ("storage buffers", limits.max_storage_buffers_per_shader_stage.to_string()),
+        ("workgroup memory", format!("{} KiB", limits.max_compute_workgroup_storage_size >> 10)),
+    ]
+}
+
+fn describe(out: &mut impl Write, i: usize, adapter: &AdapterSummary) -> std::io::Result<()> {
+    let info = &adapter.info;
+    writeln!(out, "adapter {i}: {} [{}, {:?}]", info.name, info.backend, info.device_type)?;
+    let driver = format!("{} {}", info.driver, info.driver_info);
+    writeln!(out, "  {:22} {}", "driver", driver.trim())?;
+    for (what, value) in facts(adapter) {
+        writeln!(out, "  {what:22} {value}")?;
+    }
+    match &adapter.unusable {
+        Some(problem) => writeln!(out, "  unusable: {problem}"),
+        None => Ok(()),
+    }
+}
+
+fn summary(adapter: &AdapterSummary) -> serde_json::Value {
+    let info = &adapter.info;
+    let facts: serde_json::Map<String, serde_json::Value> =
+        facts(adapter).into_iter().map(|(k, v)| (k.to_owned(), v.into())).collect();
+    serde_json::json!({
+        "name": info.name, "backend": info.backend.to_string(), "type": format!("{:?}", info.device_type),
+        "driver": format!("{} {}", info.driver, info.driver_info).trim(), "facts": facts, "unusable": adapter.unusable,
+    })
+}
+
+fn print(out: &mut impl Write, report: &Report) -> std::io::Result<()> {
+    if let Some(problem) = &report.problem {
+        return writeln!(out, "{}: cannot run: {problem}", report.device);
+    }
+    let verdict = if report.passed { "self-test passed" } else { "SELF-TEST FAILED" };
+    write!(out, "{}: {verdict}", report.device)?;
+    if let Some(error) = report.error_m {
+        write!(out, " (error {error:.1e} m)")?;
+    }
+    for (n, ms) in &report.ms_per_frame {
+        write!(out, ", {n}x{n} {ms:.2} ms/frame")?;
+    }
+    writeln!(out)
+}

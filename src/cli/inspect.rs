@@ -1,0 +1,59 @@
+//! `fnopt inspect`: what a checkpoint holds.
+
+use super::Ending;
+use anyhow::Result;
+use fnopt::network::Checkpoint;
+use std::io::Write;
+use std::path::PathBuf;
+
+/// Arguments of `fnopt inspect`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// A safetensors file
+    file: PathBuf,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &Args) -> Result<Ending> {
+    let checkpoint = Checkpoint::open(&args.file)?;
+    let description = checkpoint.describe();
+    let weights = checkpoint.weights();
+    let mut out = std::io::stdout().lock();
+    if args.json {
+        let tensors: Vec<_> = description
+            .tensors
+            .iter()
+            .map(|t| {
+                serde_json::json!({
+                    "name": t.name, "shape": t.shape, "dtype": t.dtype, "norm": t.norm, "min": t.min, "max": t.max,
+                    "non_finite": t.non_finite,
+                })
+            })
+            .collect();
+        let network = match &weights {
+            Ok(w) => serde_json::json!({ "config": w.config, "parameters": w.parameter_count() }),
+            Err(e) => serde_json::json!({ "error": e.to_string() }),
+        };
+        let all = serde_json::json!({
+            "file": args.file, "metadata": description.metadata, "tensors": tensors, "network": network,
+        });
+        writeln!(out, "{all:#}")?;
+    } else {
+        writeln!(out, "{description}")?;
+        match &weights {
+            Ok(w) => {
+                let c = w.config;
+                writeln!(
+                    out,
+                    "network: {} fields, lifting {}, {} blocks of {} channels, {}x{} modes, projection {}",
+                    c.fields, c.lifting, c.layers, c.channels, c.modes_h, c.modes_w, c.projection
+                )?;
+                writeln!(out, "{} parameters", w.parameter_count())?;
+            }
+            Err(e) => writeln!(out, "not a usable network: {e}")?,
+        }
+    }
+    Ok(if weights.is_ok() { Ending::Done } else { Ending::CheckFailed })
+}

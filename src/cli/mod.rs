@@ -1,0 +1,133 @@
+//! Subcommands and what they share.
+
+mod bench;
+mod device;
+mod doctor;
+mod inspect;
+mod rollout;
+mod verify;
+
+use clap::{Parser, Subcommand};
+use fnopt::network::Weights;
+use fnopt::sim::Optimizer;
+use fnopt::{Error, Result};
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+/// Neural cloth: simulates a cloth with a Fourier neural operator trained to be an optimizer.
+///
+/// Exit codes: 0 done, 1 a check failed, 2 bad input or environment, 3 the simulation became non-finite,
+/// 130 interrupted (what was computed so far is written). Logs go to stderr (FNOPT_LOG=info for more).
+#[derive(Debug, Parser)]
+#[command(name = "fnopt", version)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Simulate a scene and write positions, a report and pictures
+    Rollout(rollout::Args),
+    /// Check every stage against a folder of golden files
+    Verify(verify::Args),
+    /// Show what this machine can run, test it and time it
+    Doctor(doctor::Args),
+    /// Show what a checkpoint holds
+    Inspect(inspect::Args),
+    /// Time frames, kernels and their recording
+    Bench(bench::Args),
+}
+
+/// How a subcommand ended when it did not fail.
+pub enum Ending {
+    /// All done.
+    Done,
+    /// A check failed.
+    CheckFailed,
+    /// The simulation became non-finite; this was told and the frames before are kept.
+    NonFinite,
+    /// Ctrl-C; what was computed so far is kept.
+    Interrupted,
+}
+
+/// Runs the command line and tells how it ended.
+pub fn run(cli: Cli) -> ExitCode {
+    let ending = match cli.command {
+        Command::Rollout(args) => rollout::run(&args),
+        Command::Verify(args) => verify::run(&args),
+        Command::Doctor(args) => doctor::run(&args),
+        Command::Inspect(args) => inspect::run(&args),
+        Command::Bench(args) => bench::run(&args),
+    };
+    match ending {
+        Ok(Ending::Done) => ExitCode::SUCCESS,
+        Ok(Ending::CheckFailed) => ExitCode::from(1),
+        Ok(Ending::NonFinite) => ExitCode::from(3),
+        Ok(Ending::Interrupted) => ExitCode::from(130),
+        Err(error) => {
+            // A reader that went away (`fnopt inspect X | head`) is no failure of ours.
+            let broken = error.downcast_ref::<std::io::Error>();
+            if broken.is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe) {
+                return ExitCode::SUCCESS;
+            }
+            eprintln!("error: {error:#}");
+            ExitCode::from(if matches!(error.downcast_ref(), Some(Error::NonFinite { .. })) { 3 } else { 2 })
+        }
+    }
+}
+
+/// The weights that come with the program.
+const STARTER: &[u8] = include_bytes!("../../assets/weights/starter.safetensors");
+
+/// Which optimizer, with which weights.
+#[derive(Debug, clap::Args)]
+pub struct SolverArgs {
+    /// Optimizer of each frame: fnopt (learned), gd, adam or lbfgs
+    #[arg(long, default_value = "fnopt", value_name = "S")]
+    solver: String,
+    /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
+    /// Iterations per frame
+    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    iterations: u32,
+}
+
+impl SolverArgs {
+    /// The optimizer, its weights read and checked.
+    pub fn optimizer(&self) -> Result<Optimizer> {
+        let optimizer = Optimizer::named(&self.solver, || load_weights(self.checkpoint.as_deref()))?;
+        match (&optimizer, &self.checkpoint) {
+            (Optimizer::Learned(_), _) | (_, None) => Ok(optimizer),
+            (_, Some(path)) => {
+                let expected = format!("none with --solver {}", self.solver);
+                Err(Error::invalid("--checkpoint", "weights", expected, path.display()))
+            }
+        }
+    }
+
+    /// Iterations per frame.
+    pub fn iterations(&self) -> usize {
+        self.iterations as usize
+    }
+}
+
+/// The weights in a file, or those that come with the program.
+pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
+    match path {
+        Some(path) => Weights::load(path),
+        None => Weights::from_bytes(STARTER, "the weights that come with the program"),
+    }
+}
+
+/// Median of some numbers; NaN of none.
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.len() {
+        0 => f64::NAN,
+        n if n % 2 == 1 => sorted[n / 2],
+        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
+    }
+}

@@ -1,0 +1,60 @@
+//! `fnopt verify`: every stage against golden files.
+
+use super::Ending;
+use super::device::{DeviceArgs, DeviceKind};
+use anyhow::Result;
+use fnopt::sim::Device;
+use fnopt::verify::{Check, CpuStages, GpuStages, Outcome, Stages, verify_folder};
+use std::io::Write;
+use std::path::PathBuf;
+
+/// Arguments of `fnopt verify`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Folder of golden files (*.safetensors)
+    folder: PathBuf,
+    /// On the CPU each file is checked in double and in single precision; auto adds a hardware adapter if there is one
+    #[command(flatten)]
+    device: DeviceArgs,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &Args) -> Result<Ending> {
+    let (device, line) = args.device.open()?;
+    eprintln!("{line}");
+    let mut stages: Vec<Box<dyn Stages>> = Vec::new();
+    if matches!(device, Device::Cpu)
+        || args.device.device == DeviceKind::Auto && args.device.adapter.is_none()
+    {
+        stages.push(Box::new(CpuStages::<f64>::new()));
+        stages.push(Box::new(CpuStages::<f32>::new()));
+    }
+    if let Device::Gpu(context) = &device {
+        stages.push(Box::new(GpuStages::new(context)));
+    }
+    let mut checks: Vec<Check> = Vec::new();
+    let mut out = std::io::stdout().lock();
+    for stages in &mut stages {
+        let mut written = Ok(());
+        verify_folder(&args.folder, stages.as_mut(), &mut |check| {
+            if !args.json && written.is_ok() {
+                written = writeln!(out, "{check}");
+            }
+            checks.push(check);
+        })?;
+        written?;
+    }
+    let count = |outcome| checks.iter().filter(|c| c.outcome == outcome).count();
+    let (passed, failed, skipped) = (count(Outcome::Passed), count(Outcome::Failed), count(Outcome::Skipped));
+    if args.json {
+        let all = serde_json::json!({
+            "device": device.name(), "passed": passed, "failed": failed, "skipped": skipped, "checks": checks,
+        });
+        writeln!(out, "{all:#}")?;
+    } else {
+        writeln!(out, "{passed} passed, {failed} failed, {skipped} skipped")?;
+    }
+    Ok(if failed == 0 { Ending::Done } else { Ending::CheckFailed })
+}
