@@ -61,7 +61,7 @@ pub struct Tuning {
     pub block_wide: u32,
     /// Rows per workgroup of a block.
     pub block_high: u32,
-    /// Largest size of the lifting's hidden layer [bytes]; more samples than fit are lifted in turn.
+    /// Largest size of the lifting's hidden layer \[bytes\]; more samples than fit are lifted in turn.
     pub hidden_bytes: usize,
 }
 
