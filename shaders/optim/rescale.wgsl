@@ -19,6 +19,6 @@ fn rescale(@builtin(global_invocation_id) id: vec3u) {
     if id.x >= params.samples {
         return;
     }
-    let half = clamp(0.5 * scalar[id.x], -20.0, 20.0);
-    scale[id.x] *= exp(2.0 * tanh(half) - 1.0);
+    let half = tanh_exact(vec4f(0.5 * scalar[id.x])).x;
+    scale[id.x] *= exp(2.0 * half - 1.0);
 }

@@ -33,7 +33,7 @@ fn update(@builtin(global_invocation_id) id: vec3u) {
     }
     let at = sample * n + p;
     let padded = (sample * params.rows + p / params.columns) * 4u * params.row_quads + p % params.columns;
-    let step = scale[sample] * tanh(clamp(field[padded], -20.0, 20.0));
+    let step = scale[sample] * tanh_exact(vec4f(field[padded])).x;
     hidden[at] = grad[at];
     hidden[params.samples * n + at] = step;
     let next = a[at] + step;

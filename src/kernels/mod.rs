@@ -4,6 +4,7 @@
 //! takes tensors and little else, and asserts that they fit. No algorithm lives here.
 
 pub mod cloth;
+pub mod fft;
 pub mod operator;
 pub mod optim;
 
@@ -14,6 +15,7 @@ pub(crate) mod common {
     pub const ANGLE: &str = include_str!("../../shaders/common/angle.wgsl");
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
+    pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");
 }
 
 /// Every kernel, with a tile it is unrolled to somewhere (0 where it has none).
@@ -40,6 +42,12 @@ pub const ALL: &[(&Source, usize)] = &[
     (&operator::pool_rows::SOURCE, 0),
     (&operator::scalar_head::SOURCE, 0),
     (&operator::project::SOURCE, 0),
+    (&fft::pack_pairs::SOURCE, 0),
+    (&fft::unpack_pairs::SOURCE, 0),
+    (&fft::split_spectra::SOURCE, 0),
+    (&fft::join_spectra::SOURCE, 0),
+    (&fft::radix4::SOURCE, 0),
+    (&fft::radix_prime::SOURCE, 0),
 ];
 
 /// Sizes of tiles and workgroups that suit a kind of adapter. Results do not depend on them beyond rounding.
@@ -53,6 +61,8 @@ pub struct Tuning {
     pub block_wide: u32,
     /// Rows per workgroup of a block.
     pub block_high: u32,
+    /// Largest size of the lifting's hidden layer \[bytes\]; more samples than fit are lifted in turn.
+    pub hidden_bytes: usize,
 }
 
 /// Channel counts are padded to a multiple of this, the largest tile.
@@ -62,12 +72,11 @@ impl Tuning {
     /// What was measured to be good: wide tiles, one row to a workgroup and uniform addresses where lanes gather one
     /// by one (llvmpipe), smaller tiles and more invocations where there are thousands of lanes to fill.
     pub fn new(context: &Context) -> Self {
-        match context.kind() {
-            AdapterKind::Software => {
-                Self { channels: 16, pointwise_group: 64, block_wide: 64, block_high: 1 }
-            }
-            AdapterKind::Hardware => Self { channels: 8, pointwise_group: 64, block_wide: 8, block_high: 8 },
-        }
+        let (channels, block_wide, block_high) = match context.kind() {
+            AdapterKind::Software => (16, 64, 1),
+            AdapterKind::Hardware => (8, 8, 8),
+        };
+        Self { channels, pointwise_group: 64, block_wide, block_high, hidden_bytes: 256 << 20 }
     }
 }
 

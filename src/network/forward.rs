@@ -10,9 +10,6 @@ use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
 use crate::sim::Grid;
 use crate::{Error, Result};
 
-/// Largest size of the lifting's hidden layer; more samples than fit are lifted in turn.
-const HIDDEN_BYTES: usize = 256 << 20;
-
 /// The network on a device, for `samples` samples of one grid: [`Forward::embedded`] in, [`Forward::field`] and
 /// [`Forward::scalar`] out.
 ///
@@ -28,7 +25,10 @@ pub struct Forward {
     /// Output of the scalar head, shape `[S]`.
     pub scalar: Tensor,
     hidden: Tensor,
+    keep: Keep,
     activations: Vec<Tensor>,
+    /// Hidden layer of the projection, shape [S, projection, H, W'].
+    projected: Tensor,
     spectral: SpectralTensors,
     rows_max: Tensor,
     layers: Layers,
@@ -95,13 +95,20 @@ impl Forward {
         check_modes(&config, grid)?;
         let (h, w) = (grid.h, padded(grid.w));
         let plane = h * w;
-        let lifted_at_once = (HIDDEN_BYTES / (4 * config.lifting * plane)).clamp(1, samples.max(1));
+        let lifted_at_once = (tuning.hidden_bytes / (4 * config.lifting * plane)).clamp(1, samples.max(1));
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let activation = |label| zeros(label, &[samples, config.channels, h, w]);
         let count = match keep {
             Keep::Nothing => 2,
-            // The lifting, the blocks, and the projection's hidden layer.
-            Keep::Blocks => config.layers + 2,
+            // The lifting and the blocks.
+            Keep::Blocks => config.layers + 1,
+        };
+        let activations: Vec<Tensor> = (0..count).map(|_| activation("activation")).collect::<Result<_>>()?;
+        let projected = if keep == Keep::Nothing && config.projection == config.channels {
+            // The input of the last block is not needed any more.
+            activations[(config.layers + 1) % count].clone()
+        } else {
+            zeros("projected", &[samples, config.projection, h, w])?
         };
         let columns = 2 * config.modes_w;
         let spectrum = [samples, config.modes_h, config.modes_w, config.channels, 2];
@@ -114,7 +121,9 @@ impl Forward {
             field: zeros("field", &[samples, h, w])?,
             scalar: zeros("scalar", &[samples])?,
             hidden: zeros("hidden", &[lifted_at_once, config.lifting, h, w])?,
-            activations: (0..count).map(|_| activation("activation")).collect::<Result<_>>()?,
+            keep,
+            activations,
+            projected,
             spectral: SpectralTensors {
                 rows: zeros("rows", &[samples, h, columns, config.channels])?,
                 spectrum: zeros("spectrum", &spectrum)?,
@@ -163,20 +172,15 @@ impl Forward {
                 k.scalar_head.push(schedule, &self.layers.scalar, &self.rows_max, &self.scalar);
             }
         }
-        // The input of the last block is not needed any more; its buffer takes the projection's hidden layer.
-        let (y, hidden) = (slot(self.config.layers), self.projection_hidden());
-        k.dense_gelu.push(schedule, &self.layers.projection[0], y, hidden);
-        k.project.push(schedule, &self.layers.projection[1], hidden, &self.field);
+        let [inner, outer] = &self.layers.projection;
+        k.dense_gelu.push(schedule, inner, slot(self.config.layers), &self.projected);
+        k.project.push(schedule, outer, &self.projected, &self.field);
     }
 
     /// Output of the lifting (0) or of block `i - 1`, shape [S, C, H, W']; only with [`Keep::Blocks`].
     pub fn activation(&self, i: usize) -> &Tensor {
-        assert_eq!(self.activations.len(), self.config.layers + 2, "the activations were not kept");
+        assert_eq!(self.keep, Keep::Blocks, "the activations were not kept");
         &self.activations[i]
-    }
-
-    fn projection_hidden(&self) -> &Tensor {
-        &self.activations[(self.config.layers + 1) % self.activations.len()]
     }
 
     fn push_lifting(&self, schedule: &mut Schedule) {

@@ -13,6 +13,7 @@ use crate::kernels::optim::{
     Rescale, Update, UpdateTensors, norms,
 };
 use crate::network::{Forward, Keep, Weights};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Scale of a fresh hidden state (section 5 of the specification).
 pub const INITIAL_SCALE: f32 = 0.05;
@@ -47,6 +48,8 @@ pub struct Solver {
     cloths: Tensor,
     targets: Tensor,
     forces: Tensor,
+    /// Whether `forces` holds any.
+    forced: AtomicBool,
     external: Tensor,
     iterate: Iterate,
     rule: Rule,
@@ -113,6 +116,7 @@ impl Solver {
             cloths: Tensor::from_slice(context, "cloths", &[batch, 16], &cloths)?,
             targets: zeros("handle targets", &[model.handles(), 3])?,
             forces: field("forces")?,
+            forced: AtomicBool::new(false),
             external: field("external")?,
             iterate: Iterate::new(context, batch, &model.handle_slots())?,
             norms: zeros("norms", &[options.iterations, samples, norms::parts(n), 2])?,
@@ -214,15 +218,20 @@ impl Solver {
     /// Panics when a length is not the model's.
     pub fn set_control(&self, control: &Control<f32>) {
         self.targets.write(&self.context, &control.handles);
-        if !control.wind.is_empty() {
-            assert_eq!(control.wind.len(), self.model.batch(), "one wind velocity for each cloth");
-            let cloths = self.model.cloths.iter().zip(&control.wind);
-            let params: Vec<ClothParams> = cloths.map(|(c, &w)| ClothParams::new(c, w)).collect();
-            self.cloths.write(&self.context, &params);
-        }
-        if !control.forces.is_empty() {
+        let batch = self.model.batch();
+        assert!(control.wind.is_empty() || control.wind.len() == batch, "one wind velocity for each cloth");
+        // A control without wind or forces means none, whatever the one before it said.
+        let wind = |b: usize| control.wind.get(b).copied().unwrap_or_default();
+        let cloths = self.model.cloths.iter().enumerate();
+        let params: Vec<ClothParams> = cloths.map(|(b, c)| ClothParams::new(c, wind(b))).collect();
+        self.cloths.write(&self.context, &params);
+        let forced = !control.forces.is_empty();
+        if forced {
             self.forces.write(&self.context, &control.forces);
+        } else if self.forced.load(Ordering::Relaxed) {
+            self.forces.write(&self.context, &vec![0f32; self.forces.len()]);
         }
+        self.forced.store(forced, Ordering::Relaxed);
     }
 
     /// The tensors that [`Solver::statistics`] reads, in the order it wants their bytes.

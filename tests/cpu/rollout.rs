@@ -50,11 +50,11 @@ impl<T: Real> Rollout<T> {
     }
 }
 
-/// Positions, velocities and accelerations of the authors' single-precision rollout [edges], the first frame to 1e-4.
+/// Positions, velocities and accelerations of the authors' single-precision rollout \[edges\], the first frame to 1e-4.
 ///
-/// The motion is chaotic: errors grow two to threefold a frame, and the authors' formulas in single and in double
-/// precision are 1e-2 apart after five frames and 1e-1 after ten. So the fifth frame is followed to 1e-2 and the tenth to
-/// 1e-1; `double_precision_rollout_is_exact` holds all ten to what the equations say.
+/// The motion is chaotic, errors grow two to threefold a frame, and the recording itself carries single-precision noise:
+/// it is 9.8e-3 from the double-precision solution in the fifth frame and 8.2e-2 in the tenth. So a run is held to twice
+/// that; `double_precision_rollout_is_exact` holds all ten frames to what the equations say.
 fn follow<T: Real>() {
     let golden = Golden::open("rollout_starter_32x32");
     let mut rollout = Rollout::<T>::new(&golden);
@@ -64,7 +64,7 @@ fn follow<T: Real>() {
         rollout.step();
         let double = |values: &[T]| values.iter().map(|v| v.f64()).collect::<Vec<_>>();
         let found = [&rollout.state.x[..], &rollout.state.v, rollout.solver.accelerations()].map(double);
-        let tolerance = [1e-4, 1e-2, 1e-2, 1e-2, 1e-2, 1e-1, 1e-1, 1e-1, 1e-1, 1e-1][frame];
+        let tolerance = [1e-4, 2e-2, 2e-2, 2e-2, 2e-2, 1.6e-1, 1.6e-1, 1.6e-1, 1.6e-1, 1.6e-1][frame];
         for (found, expected) in found.iter().zip(&expected) {
             let difference = largest_difference(found, &expected[frame * found.len()..][..found.len()]);
             assert!(difference < tolerance, "frame {frame}: {difference}");

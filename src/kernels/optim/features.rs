@@ -2,12 +2,15 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, padded, size};
+use crate::kernels::{common, groups, padded, size};
 use crate::sim::Grid;
 
 /// The WGSL.
-pub const SOURCE: Source =
-    Source { name: "features", wgsl: include_str!("../../../shaders/optim/features.wgsl"), common: &[] };
+pub const SOURCE: Source = Source {
+    name: "features",
+    wgsl: include_str!("../../../shaders/optim/features.wgsl"),
+    common: &[common::TANH],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

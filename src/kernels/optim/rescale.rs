@@ -2,11 +2,14 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::{common, groups, size};
 
 /// The WGSL.
-pub const SOURCE: Source =
-    Source { name: "rescale", wgsl: include_str!("../../../shaders/optim/rescale.wgsl"), common: &[] };
+pub const SOURCE: Source = Source {
+    name: "rescale",
+    wgsl: include_str!("../../../shaders/optim/rescale.wgsl"),
+    common: &[common::TANH],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

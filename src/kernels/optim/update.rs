@@ -3,12 +3,15 @@
 use super::Iterate;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::{common, groups, size};
 use crate::sim::Grid;
 
 /// The WGSL.
-pub const SOURCE: Source =
-    Source { name: "update", wgsl: include_str!("../../../shaders/optim/update.wgsl"), common: &[] };
+pub const SOURCE: Source = Source {
+    name: "update",
+    wgsl: include_str!("../../../shaders/optim/update.wgsl"),
+    common: &[common::TANH],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

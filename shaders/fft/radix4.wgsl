@@ -1,0 +1,62 @@
+// One radix-4 pass of a Stockham transform along the middle axis of [lines, n, inner]; autosort, so nothing is reversed.
+//
+// Earlier passes left l = span groups of 4 s = n / l elements. For k < l, t < s and p = 0..3, with the sign of the exponent
+// and w = exp(sign 2 pi i / (4 l)): result[k + l p, t] = sum_q source[k, q s + t] w^(q k) (sign i)^(q p), q = 0..3.
+// source, result: [B, lines, n, inner] complex; table: [n] complex, exp(2 pi i j / n).
+// One invocation: one butterfly, four elements. Workgroups: (butterflies / 64 along x, then y, and B).
+// Adjoint: that of a whole transform is the transform of the opposite sign.
+
+struct Params {
+    count: u32, // butterflies of one item of the batch
+    length: u32, // n
+    inner: u32,
+    span: u32, // l
+    sign: f32, // -1 forward, 1 inverse
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> table: array<vec2f>;
+@group(0) @binding(2) var<storage, read> source: array<vec2f>;
+@group(0) @binding(3) var<storage, read_write> result: array<vec2f>;
+
+// z times the table's j-th root, conjugated for the forward transform.
+fn turned(z: vec2f, j: u32) -> vec2f {
+    let w = vec2f(table[j].x, params.sign * table[j].y);
+    return vec2f(z.x * w.x - z.y * w.y, z.x * w.y + z.y * w.x);
+}
+
+@compute @workgroup_size(64)
+fn radix4(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let butterfly = (group.y * groups.x + group.x) * 64u + lane;
+    if butterfly >= params.count {
+        return;
+    }
+    let quarter = params.length / 4u;
+    let column = butterfly % params.inner;
+    let place = butterfly / params.inner % quarter; // k s + t
+    let line = butterfly / params.inner / quarter;
+    let s = quarter / params.span;
+    let k = place / s;
+    let first = (4u * group.z * params.count) + line * params.length * params.inner + column;
+    let at = first + (place + 3u * k * s) * params.inner;
+    let step = s * params.inner;
+    let z0 = source[at];
+    let z1 = turned(source[at + step], k * s);
+    let z2 = turned(source[at + 2u * step], 2u * k * s);
+    let z3 = turned(source[at + 3u * step], 3u * k * s);
+    let odd = z1 - z3;
+    let quarter_turn = params.sign * vec2f(-odd.y, odd.x);
+    let out = first + place * params.inner;
+    let stride = quarter * params.inner;
+    result[out] = (z0 + z2) + (z1 + z3);
+    result[out + stride] = (z0 - z2) + quarter_turn;
+    result[out + 2u * stride] = (z0 + z2) - (z1 + z3);
+    result[out + 3u * stride] = (z0 - z2) - quarter_turn;
+}

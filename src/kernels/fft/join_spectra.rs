@@ -1,0 +1,46 @@
+//! Host side of `shaders/fft/join_spectra.wgsl`.
+
+use super::{Fields, spread};
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::size;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "join_spectra",
+    wgsl: include_str!("../../../shaders/fft/join_spectra.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    count: u32,
+    pad: u32,
+}
+
+/// The spectrum of a complex row from those of its two real rows.
+#[derive(Clone, Debug)]
+pub struct JoinSpectra {
+    context: Context,
+    kernel: Kernel,
+}
+
+impl JoinSpectra {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `z` [B, ceil(H / 2), W, 2] from `y` [B, H, W / 2 + 1, 2]; both may be larger.
+    pub fn push(&self, schedule: &mut Schedule, fields: Fields, y: &Tensor, z: &Tensor) {
+        let Fields { batch, h, w } = fields;
+        let count = fields.pairs() * fields.half();
+        assert!(y.len() >= 2 * batch * h * fields.half(), "{:?} for {fields:?}", y.shape());
+        assert!(z.len() >= 2 * batch * fields.pairs() * w, "join_spectra: {:?} for {fields:?}", z.shape());
+        let params = Params { rows: size(h), columns: size(w), count: size(count), pad: 0 };
+        schedule.dispatch(&self.kernel, &params, &[y, z], spread(&self.context, count, batch));
+    }
+}

@@ -1,0 +1,90 @@
+//! The full two-dimensional real Fourier transform of a batch, of any size: [`RealFft2`] and the passes it is made of.
+//!
+//! The operator does not need it (it keeps few modes and uses [`crate::kernels::operator`]'s truncated transforms); it is
+//! here for whoever wants whole spectra on the device.
+
+pub mod join_spectra;
+pub mod pack_pairs;
+pub mod radix4;
+pub mod radix_prime;
+mod real_fft2;
+pub mod split_spectra;
+pub mod unpack_pairs;
+
+pub use join_spectra::JoinSpectra;
+pub use pack_pairs::PackPairs;
+pub use radix_prime::RadixPrime;
+pub use radix4::Radix4;
+pub use real_fft2::{MAX_LENGTH, RealFft2};
+pub use split_spectra::SplitSpectra;
+pub use unpack_pairs::UnpackPairs;
+
+use super::{groups, size};
+use crate::gpu::{Context, Tensor};
+
+/// The fields that are transformed: `batch` of them, each of `h` rows of `w` numbers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fields {
+    /// Fields (B).
+    pub batch: usize,
+    /// Rows of a field (H).
+    pub h: usize,
+    /// Numbers in a row (W).
+    pub w: usize,
+}
+
+impl Fields {
+    /// Complex rows that two real rows each are packed in, `ceil(H / 2)`.
+    pub fn pairs(&self) -> usize {
+        self.h.div_ceil(2)
+    }
+
+    /// Columns of a half spectrum, `floor(W / 2) + 1`.
+    pub fn half(&self) -> usize {
+        self.w / 2 + 1
+    }
+}
+
+/// One pass of a complex transform along the middle axis of [batch, lines, length, inner].
+#[derive(Clone, Copy, Debug)]
+pub struct Pass {
+    /// Items of the batch.
+    pub batch: usize,
+    /// Number of transforms of an item before the axis.
+    pub lines: usize,
+    /// Length of the transforms.
+    pub length: usize,
+    /// Number of transforms of an item behind the axis.
+    pub inner: usize,
+    /// Product of the radices of the passes before this one.
+    pub span: usize,
+    /// Radix of this pass; `span * radix` divides `length`.
+    pub radix: usize,
+    /// Whether the exponent is positive.
+    pub inverse: bool,
+}
+
+impl Pass {
+    /// Complex elements of one item of the batch.
+    pub fn elements(&self) -> usize {
+        self.lines * self.length * self.inner
+    }
+
+    fn sign(&self) -> f32 {
+        if self.inverse { 1.0 } else { -1.0 }
+    }
+
+    fn check(&self, table: &Tensor, source: &Tensor, result: &Tensor) {
+        assert!(self.length.is_multiple_of(self.span * self.radix), "{self:?}");
+        assert_eq!(table.shape(), [self.length, 2]);
+        let needed = 2 * self.batch * self.elements();
+        assert!(source.len() >= needed && result.len() >= needed, "{self:?}");
+    }
+}
+
+/// Workgroups of 64 that cover `count` elements of each of `batch` items; the kernels number them along x, then y.
+fn spread(context: &Context, count: usize, batch: usize) -> [u32; 3] {
+    let all = groups(count, 64);
+    let wide = all.min(context.device.limits().max_compute_workgroups_per_dimension).max(1);
+    [wide, all.div_ceil(wide), size(batch)]
+}

@@ -1,0 +1,43 @@
+//! Host side of `shaders/fft/pack_pairs.wgsl`.
+
+use super::{Fields, spread};
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::size;
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "pack_pairs", wgsl: include_str!("../../../shaders/fft/pack_pairs.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    count: u32,
+    scale: f32,
+}
+
+/// Two real rows as one complex row.
+#[derive(Clone, Debug)]
+pub struct PackPairs {
+    context: Context,
+    kernel: Kernel,
+}
+
+impl PackPairs {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `z` [B, ceil(H / 2), W, 2] from `x` [B, H, W], times `scale`.
+    pub fn push(&self, schedule: &mut Schedule, fields: Fields, scale: f32, x: &Tensor, z: &Tensor) {
+        let Fields { batch, h, w } = fields;
+        let count = fields.pairs() * w;
+        assert_eq!(x.shape(), [batch, h, w]);
+        assert!(z.len() >= 2 * batch * fields.pairs() * w, "pack_pairs: {:?} for {fields:?}", z.shape());
+        let params = Params { rows: size(h), columns: size(w), count: size(count), scale };
+        schedule.dispatch(&self.kernel, &params, &[x, z], spread(&self.context, count, batch));
+    }
+}

@@ -1,0 +1,59 @@
+//! Host side of `shaders/fft/radix4.wgsl`.
+
+use super::{Pass, spread};
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::size;
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "radix4", wgsl: include_str!("../../../shaders/fft/radix4.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    count: u32,
+    length: u32,
+    inner: u32,
+    span: u32,
+    sign: f32,
+    pad: [u32; 3],
+}
+
+/// A pass of radix 4.
+#[derive(Clone, Debug)]
+pub struct Radix4 {
+    context: Context,
+    kernel: Kernel,
+}
+
+impl Radix4 {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `result` from `source`, both [batch, lines, length, inner, 2] or larger, with `table` [length, 2] of the roots
+    /// of unity.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        pass: Pass,
+        table: &Tensor,
+        (source, result): (&Tensor, &Tensor),
+    ) {
+        pass.check(table, source, result);
+        assert_eq!(pass.radix, 4);
+        let count = pass.elements() / 4;
+        let params = Params {
+            count: size(count),
+            length: size(pass.length),
+            inner: size(pass.inner),
+            span: size(pass.span),
+            sign: pass.sign(),
+            pad: [0; 3],
+        };
+        let groups = spread(&self.context, count, pass.batch);
+        schedule.dispatch(&self.kernel, &params, &[table, source, result], groups);
+    }
+}

@@ -1,0 +1,60 @@
+//! Host side of `shaders/fft/radix_prime.wgsl`.
+
+use super::{Pass, spread};
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::size;
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "radix_prime", wgsl: include_str!("../../../shaders/fft/radix_prime.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    count: u32,
+    length: u32,
+    inner: u32,
+    span: u32,
+    radix: u32,
+    sign: f32,
+    pad: [u32; 2],
+}
+
+/// A pass of any radix.
+#[derive(Clone, Debug)]
+pub struct RadixPrime {
+    context: Context,
+    kernel: Kernel,
+}
+
+impl RadixPrime {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `result` from `source`, both [batch, lines, length, inner, 2] or larger, with `table` [length, 2] of the roots
+    /// of unity.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        pass: Pass,
+        table: &Tensor,
+        (source, result): (&Tensor, &Tensor),
+    ) {
+        pass.check(table, source, result);
+        let count = pass.elements();
+        let params = Params {
+            count: size(count),
+            length: size(pass.length),
+            inner: size(pass.inner),
+            span: size(pass.span),
+            radix: size(pass.radix),
+            sign: pass.sign(),
+            pad: [0; 2],
+        };
+        let groups = spread(&self.context, count, pass.batch);
+        schedule.dispatch(&self.kernel, &params, &[table, source, result], groups);
+    }
+}

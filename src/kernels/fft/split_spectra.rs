@@ -1,0 +1,46 @@
+//! Host side of `shaders/fft/split_spectra.wgsl`.
+
+use super::{Fields, spread};
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::size;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "split_spectra",
+    wgsl: include_str!("../../../shaders/fft/split_spectra.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    count: u32,
+    pad: u32,
+}
+
+/// The spectra of two real rows from that of their complex row.
+#[derive(Clone, Debug)]
+pub struct SplitSpectra {
+    context: Context,
+    kernel: Kernel,
+}
+
+impl SplitSpectra {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `y` [B, H, W / 2 + 1, 2] from `z` [B, ceil(H / 2), W, 2]; both may be larger.
+    pub fn push(&self, schedule: &mut Schedule, fields: Fields, z: &Tensor, y: &Tensor) {
+        let Fields { batch, h, w } = fields;
+        let count = fields.pairs() * fields.half();
+        assert!(y.len() >= 2 * batch * h * fields.half(), "{:?} for {fields:?}", y.shape());
+        assert!(z.len() >= 2 * batch * fields.pairs() * w, "split_spectra: {:?} for {fields:?}", z.shape());
+        let params = Params { rows: size(h), columns: size(w), count: size(count), pad: 0 };
+        schedule.dispatch(&self.kernel, &params, &[z, y], spread(&self.context, count, batch));
+    }
+}

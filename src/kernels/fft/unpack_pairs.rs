@@ -1,0 +1,46 @@
+//! Host side of `shaders/fft/unpack_pairs.wgsl`.
+
+use super::{Fields, spread};
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::size;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "unpack_pairs",
+    wgsl: include_str!("../../../shaders/fft/unpack_pairs.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    count: u32,
+    scale: f32,
+}
+
+/// Complex rows as pairs of real ones.
+#[derive(Clone, Debug)]
+pub struct UnpackPairs {
+    context: Context,
+    kernel: Kernel,
+}
+
+impl UnpackPairs {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `x` [B, H, W] from `z` [B, ceil(H / 2), W, 2], times `scale`.
+    pub fn push(&self, schedule: &mut Schedule, fields: Fields, scale: f32, z: &Tensor, x: &Tensor) {
+        let Fields { batch, h, w } = fields;
+        let count = fields.pairs() * w;
+        assert_eq!(x.shape(), [batch, h, w]);
+        assert!(z.len() >= 2 * batch * fields.pairs() * w, "unpack_pairs: {:?} for {fields:?}", z.shape());
+        let params = Params { rows: size(h), columns: size(w), count: size(count), scale };
+        schedule.dispatch(&self.kernel, &params, &[z, x], spread(&self.context, count, batch));
+    }
+}

@@ -1,0 +1,138 @@
+//! What the tests share: one device for all of them, tensors that betray what was not written, and comparisons.
+
+use fnopt::gpu::{AdapterChoice, Context, Schedule, Tensor};
+use fnopt::kernels::{Tuning, padded};
+use fnopt::sim::Grid;
+use std::sync::{LazyLock, Mutex, MutexGuard};
+
+/// Grids of the parity tests: the smallest, one with odd sides, a wide and a larger one.
+pub const GRIDS: [Grid; 4] =
+    [Grid { h: 8, w: 8 }, Grid { h: 31, w: 33 }, Grid { h: 48, w: 32 }, Grid { h: 100, w: 100 }];
+/// Batches of the parity tests.
+pub const BATCHES: [usize; 2] = [1, 3];
+/// The distance from 1 to the next f32: the largest relative error of a product and a sum, one rounding each.
+pub const ROUNDING: f64 = f32::EPSILON as f64;
+
+/// Every grid with every batch.
+pub fn cases() -> impl Iterator<Item = (Grid, usize)> {
+    GRIDS.into_iter().flat_map(|grid| BATCHES.map(|batch| (grid, batch)))
+}
+
+/// The device of all tests: compiling the kernels anew for each test would take most of the time.
+pub fn context() -> &'static Context {
+    static CONTEXT: LazyLock<Context> = LazyLock::new(|| {
+        Context::headless(&AdapterChoice::Best).unwrap_or_else(|e| {
+            panic!(
+                "the GPU tests need an adapter; a software one will do (Debian and Ubuntu: apt-get install \
+                 mesa-vulkan-drivers): {e}"
+            )
+        })
+    });
+    &CONTEXT
+}
+
+/// Keeps other tests off the device: software adapters use all cores for one dispatch anyway.
+pub fn device() -> MutexGuard<'static, ()> {
+    static TURN: Mutex<()> = Mutex::new(());
+    // A test that failed leaves nothing behind that another one could see.
+    TURN.lock().unwrap_or_else(|e| e.into_inner())
+}
+
+/// The tile sizes of both kinds of adapter, with every width of tile that the kernels allow.
+pub fn tunings() -> [Tuning; 3] {
+    let own = Tuning::new(context());
+    [
+        Tuning { channels: 16, block_wide: 64, block_high: 1, ..own },
+        Tuning { channels: 8, block_wide: 8, block_high: 8, ..own },
+        Tuning { channels: 4, pointwise_group: 32, block_wide: 16, block_high: 4, ..own },
+    ]
+}
+
+/// A tensor that holds `data`.
+pub fn tensor(label: &'static str, shape: &[usize], data: &[f32]) -> Tensor {
+    Tensor::from_slice(context(), label, shape, data).unwrap()
+}
+
+/// A tensor of NaN: an element that a kernel does not write stays one.
+pub fn poisoned(label: &'static str, shape: &[usize]) -> Tensor {
+    tensor(label, shape, &vec![f32::NAN; shape.iter().product()])
+}
+
+/// Builds a schedule and runs it; fails on whatever the device reports.
+pub fn run(build: impl FnOnce(&mut Schedule)) {
+    let context = context();
+    let ran = context.checked(|| {
+        let mut schedule = Schedule::new(context);
+        build(&mut schedule);
+        context.submit(|encoder| schedule.record(encoder));
+        context.wait()
+    });
+    ran.unwrap();
+}
+
+/// The content of a tensor.
+pub fn read(tensor: &Tensor) -> Vec<f32> {
+    tensor.read(context()).unwrap()
+}
+
+/// The content of a network tensor [.., H, W'] without the padding of its rows.
+pub fn read_unpadded(tensor: &Tensor, grid: Grid) -> Vec<f32> {
+    let rows = read(tensor);
+    rows.chunks_exact(padded(grid.w)).flat_map(|row| &row[..grid.w]).copied().collect()
+}
+
+/// Rows of `grid` padded as in a network tensor, with `filler` in the padding.
+pub fn pad(rows: &[f32], grid: Grid, filler: f32) -> Vec<f32> {
+    let spare = padded(grid.w) - grid.w;
+    rows.chunks_exact(grid.w)
+        .flat_map(|row| row.iter().copied().chain(std::iter::repeat_n(filler, spare)))
+        .collect()
+}
+
+/// Numbers without pattern in -1..1.
+pub fn noise(len: usize, seed: u64) -> Vec<f32> {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 40) as f32 / (1u64 << 23) as f32 - 1.0
+    };
+    (0..len).map(|_| next()).collect()
+}
+
+/// Single precision to double.
+pub fn widened(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|&v| f64::from(v)).collect()
+}
+
+/// Double precision to single.
+pub fn narrowed(values: &[f64]) -> Vec<f32> {
+    values.iter().map(|&v| v as f32).collect()
+}
+
+/// Largest magnitude.
+pub fn largest(values: &[f64]) -> f64 {
+    values.iter().fold(0.0, |m: f64, v| m.max(v.abs()))
+}
+
+/// Fails unless `|found - expected| <= atol + rtol |expected|` for every element; NaN fails.
+pub fn assert_close(what: &str, found: &[f32], expected: &[f64], (atol, rtol): (f64, f64)) {
+    assert_eq!(found.len(), expected.len(), "{what}: number of elements");
+    // How much of its tolerance each element uses.
+    let used =
+        |(&f, &e): (&f32, &f64)| (f64::from(f) - e).abs() / (atol + rtol * e.abs()).max(f64::MIN_POSITIVE);
+    let mut worst = (0, 0.0);
+    for (i, pair) in found.iter().zip(expected).enumerate() {
+        let used = used(pair);
+        if used.is_nan() || used > worst.1 {
+            worst = (i, if used.is_nan() { f64::INFINITY } else { used });
+        }
+    }
+    let (at, used) = worst;
+    // Shown with --nocapture: what the tolerances are chosen by.
+    println!("{what}: {:.0} % of the tolerance {atol:.1e} + {rtol:.1e} |x|", 100.0 * used);
+    if used > 1.0 {
+        panic!("{what}: element {at} is {}, not {} ({used:.2} of the tolerance)", found[at], expected[at]);
+    }
+}

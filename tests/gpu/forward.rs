@@ -1,0 +1,143 @@
+//! The forward pass of the network: against the CPU path stage by stage, with every tile, and in parts.
+
+use crate::common::{
+    assert_close, context, device, largest, noise, pad, read, read_unpadded, tunings, widened,
+};
+use crate::solver::starter;
+use fnopt::cpu::operator::{Network, Stage};
+use fnopt::gpu::Schedule;
+use fnopt::kernels::Tuning;
+use fnopt::network::{Block, Config, Dense, Forward, Keep, Weights};
+use fnopt::sim::Grid;
+
+/// Random weights of about the size that keeps activations at about 1.
+fn random(config: Config) -> Weights {
+    let values = |len: usize, inputs: usize, seed: u64| -> Vec<f32> {
+        noise(len, seed).iter().map(|v| v * (3.0 / inputs as f32).sqrt()).collect()
+    };
+    let dense = |outputs: usize, inputs: usize, seed: u64| Dense {
+        weight: values(outputs * inputs, inputs, seed),
+        bias: values(outputs, 10, seed + 1),
+    };
+    let (l, c, p) = (config.lifting, config.channels, config.projection);
+    let block = |k: u64| Block {
+        spectral: values(c * c * config.modes() * 2, c, 10 * k + 1),
+        bias: values(c, 10, 10 * k + 2),
+        skip: values(c * c, c, 10 * k + 3),
+    };
+    Weights {
+        config,
+        lifting: [dense(l, config.inputs(), 101), dense(c, l, 103)],
+        blocks: (0..config.layers as u64).map(block).collect(),
+        projection: [dense(p, c, 105), dense(1, p, 107)],
+        scalar: dense(1, c, 109),
+    }
+}
+
+/// A forward pass and the results of its stages, without padding.
+struct Pass {
+    lifted: Vec<f32>,
+    blocks: Vec<Vec<f32>>,
+    field: Vec<f32>,
+    scalar: Vec<f32>,
+}
+
+fn forward(weights: &Weights, tuning: &Tuning, (grid, samples): (Grid, usize), fields: &[f32]) -> Pass {
+    let context = context();
+    let config = weights.config;
+    let pass =
+        context.checked(|| Forward::new(context, weights, tuning, (grid, samples), Keep::Blocks)).unwrap();
+    let n = grid.particles();
+    let mut embedded = Vec::new();
+    for fields in fields.chunks_exact(config.fields * n) {
+        embedded.extend_from_slice(fields);
+        embedded.extend((0..n).map(|p| (p / grid.w) as f32 / (grid.h - 1) as f32));
+        embedded.extend((0..n).map(|p| (p % grid.w) as f32 / (grid.w - 1) as f32));
+    }
+    pass.embedded.write(context, &pad(&embedded, grid, 0.0));
+    let mut schedule = Schedule::new(context);
+    pass.push(&mut schedule);
+    context.submit(|encoder| schedule.record(encoder));
+    // Channels that were added to fill a tile come last in each sample.
+    let channels = |i: usize| -> Vec<f32> {
+        let activation = pass.activation(i);
+        let stored = activation.shape()[1] * n;
+        let all = read_unpadded(activation, grid);
+        all.chunks_exact(stored).flat_map(|sample| &sample[..config.channels * n]).copied().collect()
+    };
+    Pass {
+        lifted: channels(0),
+        blocks: (1..=config.layers).map(channels).collect(),
+        field: read_unpadded(&pass.field, grid),
+        scalar: read(&pass.scalar),
+    }
+}
+
+/// Every stage to 2e-5 of its largest magnitude, as the files of reference vectors ask for.
+fn check(weights: &Weights, (grid, samples): (Grid, usize)) {
+    let config = weights.config;
+    let fields: Vec<f32> =
+        noise(samples * config.fields * grid.particles(), 120).iter().map(|v| 3.0 * v).collect();
+    let mut host = Network::<f64>::new(weights, grid, samples).unwrap();
+    let mut stages = Vec::new();
+    host.forward_observed(&widened(&fields), &mut |stage, values| stages.push((stage, values.to_vec())));
+    for tuning in tunings() {
+        let found = forward(weights, &tuning, (grid, samples), &fields);
+        let close = |name: &str, found: &[f32], expected: &[f64]| {
+            let what = format!("{name} {} {samples} x {grid}", tuning.channels);
+            assert_close(&what, found, expected, (2e-5 * largest(expected), 0.0));
+        };
+        for (stage, expected) in &stages {
+            match *stage {
+                Stage::Embedded => {}
+                Stage::Lifted => close("lifted", &found.lifted, expected),
+                Stage::Block(i) => close(&format!("block {i}"), &found.blocks[i], expected),
+            }
+        }
+        close("field", &found.field, host.field());
+        close("scalar", &found.scalar, host.scalar());
+    }
+}
+
+#[test]
+fn the_shipped_network_matches_the_host() {
+    let _turn = device();
+    for shape in [(Grid { h: 8, w: 8 }, 3), (Grid { h: 31, w: 33 }, 3), (Grid { h: 48, w: 32 }, 9)] {
+        check(starter(), shape);
+    }
+}
+
+/// Channels that fill no tile, other modes, and one, two and five blocks.
+#[test]
+fn networks_of_other_sizes_match_the_host() {
+    let _turn = device();
+    let odd = Config {
+        lifting: 20,
+        channels: 12,
+        projection: 33,
+        modes_h: 7,
+        modes_w: 3,
+        layers: 2,
+        ..Config::default()
+    };
+    for config in [odd, Config { layers: 1, ..odd }, Config { layers: 5, channels: 17, ..odd }] {
+        check(&random(config), (Grid { h: 13, w: 11 }, 4));
+    }
+}
+
+/// Samples that do not fit the lifting's hidden layer at once are lifted in turn, to the same bits.
+#[test]
+fn lifting_in_parts_gives_the_same_bits() {
+    let _turn = device();
+    let (grid, samples) = (Grid { h: 9, w: 14 }, 9);
+    let weights = starter();
+    let fields = noise(samples * 3 * grid.particles(), 121);
+    let own = Tuning::new(context());
+    let whole = forward(weights, &own, (grid, samples), &fields);
+    let one = 4 * weights.config.lifting * grid.h * 16;
+    for hidden_bytes in [0, one, 2 * one, 5 * one, 9 * one - 1] {
+        let parts = forward(weights, &Tuning { hidden_bytes, ..own }, (grid, samples), &fields);
+        assert_eq!(parts.lifted, whole.lifted, "{hidden_bytes} bytes");
+        assert_eq!((parts.field, parts.scalar), (whole.field.clone(), whole.scalar.clone()));
+    }
+}

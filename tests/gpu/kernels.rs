@@ -1,0 +1,200 @@
+//! The WGSL files and the table of kernels: every file is in the table, valid, and keeps the rules that the host side and
+//! the reader rely on. Needs no adapter.
+
+use fnopt::gpu::Source;
+use fnopt::kernels::ALL;
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::{AddressSpace, StorageAccess};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Kernels without a parity test of their own stem, and where they are tested.
+const TESTED_ELSEWHERE: &[(&str, &str)] = &[
+    ("energy_sum", "energy"),
+    // The passes of a transform mean something only together.
+    ("pack_pairs", "real_fft2"),
+    ("unpack_pairs", "real_fft2"),
+    ("split_spectra", "real_fft2"),
+    ("join_spectra", "real_fft2"),
+    ("radix4", "real_fft2"),
+    ("radix_prime", "real_fft2"),
+];
+
+/// Kernels whose meaning the CPU path has under another name.
+const TWINS: &[(&str, &str)] = &[
+    ("external_force", "cloth/wind"),
+    ("predict", "cloth/integrate"),
+    ("energy_sum", "cloth/energy"),
+    ("norms", "optim/update"),
+    ("features", "optim/update"),
+    ("rescale", "optim/update"),
+    ("gradient_descent", "optim/gd"),
+    ("transform_rows", "operator/transform"),
+    ("transform_columns", "operator/transform"),
+    ("inverse_columns", "operator/transform"),
+    ("pool_rows", "operator/scalar_head"),
+    ("project", "operator/projection"),
+    ("pack_pairs", "fft"),
+    ("unpack_pairs", "fft"),
+    ("split_spectra", "fft"),
+    ("join_spectra", "fft"),
+    ("radix4", "fft"),
+    ("radix_prime", "fft"),
+];
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Files with this ending below a folder, as `folder/stem`, those of `common` left out.
+fn stems(folder: &str, ending: &str) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    for entry in std::fs::read_dir(root().join(folder)).unwrap() {
+        let entry = entry.unwrap();
+        let name = entry.file_name().into_string().unwrap();
+        for file in std::fs::read_dir(entry.path()).into_iter().flatten().filter(|_| name != "common") {
+            let file = file.unwrap().file_name().into_string().unwrap();
+            found.extend(file.strip_suffix(ending).map(|stem| format!("{name}/{stem}")));
+        }
+    }
+    found
+}
+
+/// The stem with its folder, as in `optim/update`.
+fn place(source: &Source) -> String {
+    let found = stems("shaders", ".wgsl");
+    let place = found.into_iter().find(|p| p.ends_with(&format!("/{}", source.name)));
+    place.unwrap_or_else(|| panic!("no file for {}", source.name))
+}
+
+fn parsed(source: &Source, tile: usize) -> (String, naga::Module) {
+    let text = source.unrolled(tile);
+    let module = naga::front::wgsl::parse_str(&text)
+        .unwrap_or_else(|e| panic!("{}.wgsl: {}", source.name, e.emit_to_string(&text)));
+    (text, module)
+}
+
+/// The tiles that a kernel is unrolled to, among them those that the table names.
+fn tiles(source: &Source, tile: usize) -> Vec<usize> {
+    match source.name {
+        "pointwise" | "block" => vec![4, 8, 16],
+        "spectral" => vec![1, 3],
+        _ => vec![tile],
+    }
+}
+
+#[test]
+fn every_file_is_in_the_table_once() {
+    let listed: Vec<String> = ALL.iter().map(|(source, _)| place(source)).collect();
+    let unique: BTreeSet<String> = listed.iter().cloned().collect();
+    assert_eq!(listed.len(), unique.len(), "a kernel is listed twice");
+    assert_eq!(unique, stems("shaders", ".wgsl"));
+    for (source, _) in ALL {
+        let file = std::fs::read_to_string(root().join(format!("shaders/{}.wgsl", place(source)))).unwrap();
+        assert_eq!(file, source.wgsl, "{} includes another file", source.name);
+    }
+}
+
+#[test]
+fn every_kernel_is_valid_wgsl() {
+    for &(source, tile) in ALL {
+        for tile in tiles(source, tile) {
+            let (text, module) = parsed(source, tile);
+            // Nothing beyond what WebGPU has: no optional capability.
+            let valid = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
+            valid.unwrap_or_else(|e| panic!("{}.wgsl: {}", source.name, e.emit_to_string(&text)));
+        }
+    }
+}
+
+#[test]
+fn entry_points_are_named_after_their_file() {
+    for &(source, tile) in ALL {
+        let (_, module) = parsed(source, tile);
+        let names: Vec<&str> = module.entry_points.iter().map(|e| e.name.as_str()).collect();
+        assert_eq!(names, [source.name]);
+    }
+}
+
+#[test]
+fn bindings_are_parameters_then_reads_then_writes() {
+    for &(source, tile) in ALL {
+        let (_, module) = parsed(source, tile);
+        let mut bound: Vec<_> = module
+            .global_variables
+            .iter()
+            .filter_map(|(_, v)| v.binding.as_ref().map(|b| (b.group, b.binding, v)))
+            .collect();
+        bound.sort_by_key(|b| (b.0, b.1));
+        let name = source.name;
+        assert!(bound.iter().all(|b| b.0 == 0), "{name} binds outside group 0");
+        let numbers: Vec<u32> = bound.iter().map(|b| b.1).collect();
+        assert_eq!(numbers, (0..bound.len() as u32).collect::<Vec<_>>(), "{name} leaves a binding out");
+        assert_eq!(bound[0].2.space, AddressSpace::Uniform, "{name}: binding 0");
+        assert_eq!(bound[0].2.name.as_deref(), Some("params"), "{name}: binding 0");
+        let writes: Vec<bool> = bound[1..]
+            .iter()
+            .map(|b| match b.2.space {
+                AddressSpace::Storage { access } => access.contains(StorageAccess::STORE),
+                other => panic!("{name} binds {other:?}"),
+            })
+            .collect();
+        assert!(writes.len() <= 8, "{name} binds {} storage buffers", writes.len());
+        assert!(writes.is_sorted() && writes.last() == Some(&true), "{name}: reads come before writes");
+    }
+}
+
+/// Parameters are uniforms of 16 bytes' multiples, so that the host side's size is the WGSL's on every device.
+#[test]
+fn parameters_fill_their_binding() {
+    for &(source, tile) in ALL {
+        let (text, module) = parsed(source, tile);
+        let uniform = module.global_variables.iter().find(|(_, v)| v.space == AddressSpace::Uniform);
+        let (_, uniform) = uniform.expect("every kernel has parameters");
+        let size = module.types[uniform.ty].inner.size(module.to_ctx());
+        assert_eq!(size % 16, 0, "{}", source.name);
+        let bindings = source.bindings(&text).unwrap();
+        assert_eq!(bindings[0].size, size, "{}", source.name);
+    }
+}
+
+#[test]
+fn headers_tell_purpose_threads_and_adjoint() {
+    for (source, _) in ALL {
+        let header: Vec<&str> = source.wgsl.lines().take_while(|l| l.starts_with("//")).collect();
+        let has = |word: &str| header.iter().any(|l| l.contains(word));
+        for word in ["// Adjoint: ", "One ", "Workgroups: "] {
+            assert!(has(word), "{}.wgsl: its header has no '{word}'", source.name);
+        }
+        // The first line is the purpose, then a blank one.
+        assert!(header.len() > 3 && header.contains(&"//"), "{}.wgsl: {header:#?}", source.name);
+    }
+}
+
+#[test]
+fn shared_texts_hold_functions_only() {
+    for (source, tile) in ALL {
+        for text in source.common {
+            let module = naga::front::wgsl::parse_str(text).unwrap();
+            assert!(module.global_variables.is_empty() && module.entry_points.is_empty(), "{}", source.name);
+        }
+        // Names of the kernel's functions and of the shared ones do not meet: the whole parses.
+        parsed(source, *tile);
+    }
+}
+
+#[test]
+fn every_kernel_has_its_host_side_twin_and_parity_test() {
+    let elsewhere =
+        |list: &[(&str, &'static str)], stem: &str| list.iter().find(|l| l.0 == stem).map(|l| l.1);
+    let exists = |path: String| assert!(Path::new(&root()).join(&path).is_file(), "{path} does not exist");
+    for (source, _) in ALL {
+        let place = place(source);
+        exists(format!("src/kernels/{place}.rs"));
+        exists(format!("src/cpu/{}.rs", elsewhere(TWINS, source.name).unwrap_or(&place)));
+        let test = elsewhere(TESTED_ELSEWHERE, source.name).unwrap_or(source.name);
+        exists(format!("tests/gpu/parity/{test}.rs"));
+        let modules = std::fs::read_to_string(root().join("tests/gpu/parity/mod.rs")).unwrap();
+        assert!(modules.contains(&format!("mod {test};")), "parity/{test}.rs is not compiled");
+    }
+}

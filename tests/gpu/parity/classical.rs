@@ -1,0 +1,50 @@
+//! What the tests of the classical optimizers share: frames of iterations, the same gradients on both sides.
+
+use super::cloth::{field, iterate, model};
+use crate::common::{assert_close, context, largest, narrowed, read, run, widened};
+use fnopt::cpu::optim::minimizer;
+use fnopt::gpu::Schedule;
+use fnopt::kernels::optim::Iterate;
+use fnopt::sim::{Grid, Optimizer};
+
+/// Iterations of a frame.
+const ITERATIONS: usize = 12;
+
+/// Appends an iteration's dispatch.
+pub type Push<'a> = &'a dyn Fn(&mut Schedule, usize, &Iterate);
+
+/// Runs two frames of `optimizer` on a quadratic energy of a batch with handles, on the device by `push` and on the CPU
+/// path in double precision with the device's gradients; accelerations and shifts agree to `tolerance` of the
+/// largest acceleration. In between the energy turns over once, so that some curvature is negative.
+pub fn frames_match(optimizer: &Optimizer, push: Push<'_>, (grid, batch): (Grid, usize), tolerance: f64) {
+    let model = model(grid, batch);
+    let (slots, n) = (model.handle_slots(), grid.particles());
+    let iterate = iterate(&model);
+    let base = field(&model, 1.0, 111);
+    iterate.base.write(context(), &base);
+    let start = widened(&field(&model, 1.0, 112));
+    let stiffness: Vec<f64> = field(&model, 0.7, 113).iter().map(|&d| 1.0 + f64::from(d)).collect();
+    let mut host = minimizer::<f64>(optimizer, grid, batch).unwrap();
+    for frame in 0..2 {
+        let mut a = vec![0.0; start.len()];
+        iterate.a.write(context(), &narrowed(&a));
+        host.begin_frame();
+        for iteration in 0..ITERATIONS {
+            let sign = if iteration == 6 { -1.0 } else { 1.0 };
+            let on_device = widened(&read(&iterate.a));
+            let grad: Vec<f64> =
+                (0..a.len()).map(|k| sign * (stiffness[k] * on_device[k] + start[k])).collect();
+            let grad = narrowed(&grad);
+            iterate.grad.write(context(), &grad);
+            run(|schedule| push(schedule, iteration, &iterate));
+            host.step(&widened(&grad), &[], &mut a);
+            let what = format!("{} {batch} x {grid}, frame {frame}, iteration {iteration}", optimizer.name());
+            let atol = tolerance * largest(&a);
+            assert_close(&what, &read(&iterate.a), &a, (atol, 0.0));
+            let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
+            let shift: Vec<f64> =
+                (0..a.len()).map(|k| f64::from(base[k]) + if free(k) { a[k] } else { 0.0 }).collect();
+            assert_close(&what, &read(&iterate.shift), &shift, (atol + 1e-7, 1e-7));
+        }
+    }
+}

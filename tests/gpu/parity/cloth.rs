@@ -1,0 +1,99 @@
+//! What the tests of the cloth's and the optimizers' kernels share.
+
+use crate::common::{context, noise, poisoned, tensor, widened};
+use fnopt::cpu::cloth::Trial;
+use fnopt::gpu::Tensor;
+use fnopt::kernels::cloth::ClothParams;
+use fnopt::kernels::optim::Iterate;
+use fnopt::sim::{Air, Cloth, Grid, Material, Model, State};
+
+/// Wind of each cloth [edges / frame].
+pub const WIND: [[f32; 3]; 3] = [[0.3, -0.2, 0.1], [0.0, 0.0, 0.0], [-0.5, 0.4, 0.2]];
+
+/// Cloths of different materials, in different air, held by different handles.
+pub fn model(grid: Grid, batch: usize) -> Model {
+    let (h, w) = (grid.h, grid.w);
+    let cloth = |b: usize| Cloth {
+        material: Material { stretch: 1000.0 / (b + 1) as f64, shear: 8.0 + b as f64, bend: 0.5 },
+        gravity: [0.02 * b as f64, -0.01, -0.07],
+        air: [Air { density: 0.3, drag: 0.1 }, Air { density: 0.0, drag: 0.2 }, Air::default()][b],
+        handles: [vec![0, (h - 1) * w], vec![w / 2], vec![w - 1, h * w - 1, h * w / 2]][b].clone(),
+    };
+    Model { grid, cloths: (0..batch).map(cloth).collect() }
+}
+
+/// Handle positions of a model [handles, 3].
+pub fn targets(model: &Model) -> Vec<[f32; 3]> {
+    noise(3 * model.handles(), 71).chunks_exact(3).map(|p| [3.0 * p[0], 3.0 * p[1], 3.0 * p[2]]).collect()
+}
+
+/// A field [B, 3, n] of noise.
+pub fn field(model: &Model, amplitude: f32, seed: u64) -> Vec<f32> {
+    let len = model.batch() * 3 * model.grid.particles();
+    noise(len, seed).into_iter().map(|v| amplitude * v).collect()
+}
+
+/// Positions of cloths at rest plus noise, so that edges are strained and every angle is bent.
+pub fn crumpled(model: &Model, amplitude: f32) -> Vec<f32> {
+    let rest = State::<f32>::rest(model.grid, model.batch()).x;
+    rest.iter().zip(field(model, amplitude, 72)).map(|(x, d)| x + d).collect()
+}
+
+/// A field on the device.
+pub fn upload(label: &'static str, model: &Model, values: &[f32]) -> Tensor {
+    tensor(label, &[model.batch(), 3, model.grid.particles()], values)
+}
+
+/// The constants of the cloths on the device, in [`WIND`].
+pub fn constants(model: &Model) -> Tensor {
+    let params: Vec<_> = model.cloths.iter().zip(WIND).map(|(c, wind)| ClothParams::new(c, wind)).collect();
+    Tensor::from_slice(context(), "cloths", &[model.batch(), 16], &params).unwrap()
+}
+
+/// The unknown of a frame, all of it NaN but the slots.
+pub fn iterate(model: &Model) -> Iterate {
+    let iterate = Iterate::new(context(), model.batch(), &model.handle_slots()).unwrap();
+    let nan = vec![f32::NAN; iterate.a.len()];
+    for tensor in [&iterate.grad, &iterate.base, &iterate.a, &iterate.shift] {
+        tensor.write(context(), &nan);
+    }
+    iterate
+}
+
+/// A field of NaN.
+pub fn poisoned_field(model: &Model) -> Tensor {
+    poisoned("output", &[model.batch(), 3, model.grid.particles()])
+}
+
+/// All cloths in double precision, at the numbers that the device has.
+pub struct Doubles {
+    model: Model,
+    slots: Vec<u32>,
+    x: Vec<f64>,
+    shift: Vec<f64>,
+    a: Vec<f64>,
+    f: Vec<f64>,
+}
+
+impl Doubles {
+    /// Positions, shifts, accelerations and external accelerations, each [B, 3, n].
+    pub fn new(model: &Model, fields: [&[f32]; 4]) -> Self {
+        let [x, shift, a, f] = fields.map(widened);
+        Self { model: model.clone(), slots: model.handle_slots(), x, shift, a, f }
+    }
+
+    /// Cloth `b`.
+    pub fn cloth(&self, b: usize) -> Trial<'_, f64> {
+        let n = self.model.grid.particles();
+        let at = 3 * n * b..3 * n * (b + 1);
+        Trial {
+            grid: self.model.grid,
+            material: self.model.cloths[b].material,
+            x: &self.x[at.clone()],
+            shift: &self.shift[at.clone()],
+            a: &self.a[at.clone()],
+            f: &self.f[at],
+            slots: &self.slots[n * b..n * (b + 1)],
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! `energy` and `energy_sum` against the CPU path.
+
+use super::cloth::{Doubles, constants, crumpled, field, iterate, model, upload};
+use crate::common::{ROUNDING, assert_close, cases, context, device, poisoned, read, run};
+use fnopt::cpu::cloth::{energy, stretch};
+use fnopt::kernels::cloth::{Energy, EnergySum, Physics, energy::parts};
+use fnopt::sim::{Grid, State};
+
+#[test]
+fn energies_and_stretch_match() {
+    let _turn = device();
+    let (kernel, sum) = (Energy::new(context()).unwrap(), EnergySum::new(context()).unwrap());
+    for (grid, batch) in cases() {
+        let model = model(grid, batch);
+        let rest = State::<f32>::rest(grid, batch).x;
+        let shrunk = rest.iter().map(|x| 0.75 * x).collect();
+        for (name, x) in [
+            ("rest", rest),
+            ("shrunk", shrunk),
+            ("wavy", crumpled(&model, 0.02)),
+            ("crumpled", crumpled(&model, 0.4)),
+        ] {
+            let (a, f) = (field(&model, 0.1, 73), field(&model, 0.1, 74));
+            let iterate = iterate(&model);
+            let shift = field(&model, if name == "crumpled" { 0.1 } else { 0.0 }, 79);
+            iterate.shift.write(context(), &shift);
+            iterate.a.write(context(), &a);
+            let (cloths, external) = (constants(&model), upload("external", &model, &f));
+            let start = upload("x", &model, &x);
+            let physics = Physics { cloths: &cloths, external: &external, x: &start };
+            let partial = poisoned("parts", &[batch, parts(grid), 8]);
+            let terms = poisoned("terms", &[batch, 8]);
+            run(|schedule| {
+                kernel.push(schedule, grid, physics, (&iterate, &partial));
+                sum.push(schedule, &partial, &terms);
+            });
+            let doubles = Doubles::new(&model, [&x, &shift, &a, &f]);
+            for (b, found) in read(&terms).chunks_exact(8).enumerate() {
+                let e = energy(&doubles.cloth(b));
+                let (largest, mean) = stretch(&doubles.cloth(b));
+                let edges = ((grid.h - 1) * grid.w + grid.h * (grid.w - 1)) as f64;
+                let expected = [e.stretch, e.shear, e.bend, e.inertia, e.external, largest, mean * edges];
+                // Squares of strains and angles, which the rounding of an edge changes by that much, and sums of
+                // positive terms; the external term's have both signs, so it is held to the size of its terms.
+                let what = format!("energy {name} {b} of {batch} x {grid}");
+                assert_close(&what, &found[..4], &expected[..4], (1e-9, 16.0 * ROUNDING));
+                assert_close(&what, &found[4..5], &expected[4..5], (4.0 * ROUNDING * 0.03, 4.0 * ROUNDING));
+                assert_close(&what, &found[5..6], &expected[5..6], (4.0 * ROUNDING, 0.0));
+                assert_close(&what, &found[6..7], &expected[6..7], (ROUNDING * edges, 4.0 * ROUNDING));
+            }
+        }
+    }
+}
+
+/// More parts than a workgroup has invocations: each takes several in turn.
+#[test]
+fn many_parts_are_all_summed() {
+    let _turn = device();
+    let sum = EnergySum::new(context()).unwrap();
+    let count = parts(Grid { h: 100, w: 100 });
+    assert!(count > 64);
+    let values: Vec<f32> = (0..2 * count * 8).map(|k| (k / 8 % count) as f32 + (k % 8) as f32).collect();
+    let partial = crate::common::tensor("parts", &[2, count, 8], &values);
+    let terms = poisoned("terms", &[2, 8]);
+    run(|schedule| sum.push(schedule, &partial, &terms));
+    let total = |k: usize| (count * (count - 1) / 2 + count * k) as f64;
+    let one = [total(0), total(1), total(2), total(3), total(4), (count - 1 + 5) as f64, total(6), 0.0];
+    assert_close("energy_sum", &read(&terms), &[one, one].concat(), (0.0, 2.0 * ROUNDING));
+}

@@ -1,0 +1,55 @@
+//! `external_force` against the CPU path.
+
+use super::cloth::{WIND, constants, crumpled, field, model, poisoned_field, upload};
+use crate::common::{ROUNDING, assert_close, cases, context, device, largest, read, run, widened};
+use fnopt::cpu::cloth::add_wind;
+use fnopt::kernels::cloth::{ExternalForce, ExternalForceTensors};
+use fnopt::sim::Model;
+
+fn expected(model: &Model, x: &[f32], v: &[f32], forces: &[f32]) -> Vec<f64> {
+    let n = model.grid.particles();
+    let (x, v, mut f) = (widened(x), widened(v), widened(forces));
+    for (b, f) in f.chunks_exact_mut(3 * n).enumerate() {
+        for (f, g) in f.chunks_exact_mut(n).zip(model.cloths[b].gravity) {
+            f.iter_mut().for_each(|f| *f += g);
+        }
+        let at = 3 * n * b..3 * n * (b + 1);
+        add_wind(model.grid, model.cloths[b].air, WIND[b].map(f64::from), (&x[at.clone()], &v[at]), f);
+    }
+    f
+}
+
+#[test]
+fn gravity_forces_and_air_match() {
+    let _turn = device();
+    let kernel = ExternalForce::new(context()).unwrap();
+    for (grid, batch) in cases() {
+        let model = model(grid, batch);
+        let (x, v, forces) = (crumpled(&model, 0.3), field(&model, 0.5, 75), field(&model, 0.1, 76));
+        let expected = expected(&model, &x, &v, &forces);
+        let [x, v, forces] = [x, v, forces].map(|values| upload("input", &model, &values));
+        let (cloths, external) = (constants(&model), poisoned_field(&model));
+        let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, forces: &forces };
+        run(|schedule| kernel.push(schedule, grid, tensors, &external));
+        // Differences of positions, two products and six triangles.
+        let atol = 16.0 * ROUNDING * largest(&expected);
+        assert_close(&format!("external_force {batch} x {grid}"), &read(&external), &expected, (atol, 0.0));
+    }
+}
+
+/// Triangles without area have no normal; they feel no air.
+#[test]
+fn air_ignores_triangles_without_area() {
+    let _turn = device();
+    let kernel = ExternalForce::new(context()).unwrap();
+    let (grid, _) = cases().next().unwrap();
+    let model = model(grid, 1);
+    let x = vec![1.0; 3 * grid.particles()];
+    let (v, forces) = (field(&model, 0.5, 75), vec![0.0; x.len()]);
+    let expected = expected(&model, &x, &v, &forces);
+    let [x, v, forces] = [x, v, forces].map(|values| upload("input", &model, &values));
+    let (cloths, external) = (constants(&model), poisoned_field(&model));
+    let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, forces: &forces };
+    run(|schedule| kernel.push(schedule, grid, tensors, &external));
+    assert_close("external_force collapsed", &read(&external), &expected, (0.0, ROUNDING));
+}

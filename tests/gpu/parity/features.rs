@@ -1,0 +1,79 @@
+//! `features` against its formula.
+
+use crate::common::{
+    ROUNDING, assert_close, cases, context, device, noise, poisoned, read, read_unpadded, run, tensor,
+    widened,
+};
+use fnopt::kernels::optim::{FeatureTensors, Features, Norms, norms::parts};
+use fnopt::kernels::padded;
+use fnopt::sim::Grid;
+
+/// `10 tanh(field / rms / 10)`, with the root mean square of `of`.
+fn squashed(field: &[f32], of: &[f32]) -> Vec<f64> {
+    let squares: f64 = widened(of).iter().map(|v| v * v).sum();
+    // The shader keeps the norm above this, so that a zero field stays zero.
+    let rms = squares.sqrt().max(1e-30) / (of.len() as f64).sqrt();
+    field.iter().map(|&v| 10.0 * (f64::from(v) / rms / 10.0).tanh()).collect()
+}
+
+fn check(
+    kernels: &(Norms, Features),
+    (grid, samples): (Grid, usize),
+    grad: &[f32],
+    hidden: &[f32],
+    what: &str,
+) {
+    let n = grid.particles();
+    let mut expected = Vec::new();
+    for s in 0..samples {
+        let g = &grad[s * n..][..n];
+        let step = &hidden[(samples + s) * n..][..n];
+        expected.extend(squashed(g, g));
+        expected.extend(squashed(&hidden[s * n..][..n], g));
+        expected.extend(squashed(step, step));
+        expected.extend((0..n).map(|p| (p / grid.w) as f64 / (grid.h - 1) as f64));
+        expected.extend((0..n).map(|p| (p % grid.w) as f64 / (grid.w - 1) as f64));
+    }
+    let grad = tensor("grad", &[samples, n], grad);
+    let hidden = tensor("hidden", &[2, samples, n], hidden);
+    let partial = poisoned("partial", &[samples, parts(n), 2]);
+    let embedded = poisoned("embedded", &[samples, 5, grid.h, padded(grid.w)]);
+    run(|schedule| {
+        kernels.0.push(schedule, &grad, &hidden, &partial);
+        let from = FeatureTensors { grad: &grad, hidden: &hidden, partial: &partial };
+        kernels.1.push(schedule, grid, from, &embedded);
+    });
+    // Roundings of the norm and of tanh, a few each.
+    assert_close(what, &read_unpadded(&embedded, grid), &expected, (1e-36, 8.0 * ROUNDING));
+    let rows = read(&embedded);
+    let padding = rows.chunks_exact(padded(grid.w)).flat_map(|row| &row[grid.w..]);
+    assert!(padding.clone().all(|&v| v == 0.0), "{what}: the padding is zero");
+}
+
+#[test]
+fn normalised_fields_and_positions_match() {
+    let _turn = device();
+    let kernels = (Norms::new(context(), true).unwrap(), Features::new(context()).unwrap());
+    for (grid, batch) in cases() {
+        let (samples, n) = (3 * batch, grid.particles());
+        // Samples of very different sizes; cubes, so that some elements are saturated.
+        let size = |s: usize| 10f32.powi(3 * (s % 3) as i32 - 6);
+        let spiky =
+            |len, seed| noise(len, seed).into_iter().enumerate().map(move |(k, v)| size(k / n) * v.powi(9));
+        let grad: Vec<f32> = spiky(samples * n, 91).collect();
+        let hidden: Vec<f32> = spiky(2 * samples * n, 92).collect();
+        check(&kernels, (grid, samples), &grad, &hidden, &format!("features {batch} x {grid}"));
+    }
+}
+
+/// The first iteration of a run knows no last step, and a cloth at rest no gradient: zero fields stay zero.
+#[test]
+fn zero_fields_stay_zero() {
+    let _turn = device();
+    let kernels = (Norms::new(context(), true).unwrap(), Features::new(context()).unwrap());
+    let (grid, samples) = (crate::common::GRIDS[1], 3);
+    let n = grid.particles();
+    let mut grad = noise(samples * n, 93);
+    grad[..n].fill(0.0);
+    check(&kernels, (grid, samples), &grad, &vec![0.0; 2 * samples * n], "features of zero");
+}

@@ -1,0 +1,47 @@
+//! `lbfgs` against the CPU path.
+
+use super::classical::frames_match;
+use crate::common::{GRIDS, cases, context, device};
+use fnopt::gpu::AdapterKind;
+use fnopt::kernels::optim::{Lbfgs, LbfgsMemory};
+use fnopt::sim::{Grid, Optimizer};
+
+/// The directions of two dozen iterations amplify roundings of the sums by the condition of the problem, about 6.
+const TOLERANCE: f64 = 2e-5;
+
+fn check(history: usize, curvature: f64, (grid, batch): (Grid, usize)) {
+    let kernel = Lbfgs::new(context(), history, curvature).unwrap();
+    let memory = LbfgsMemory::new(context(), batch, grid.particles(), history).unwrap();
+    // A frame forgets whatever was remembered.
+    for tensor in [&memory.history, &memory.last, &memory.pairs] {
+        tensor.write(context(), &vec![f32::NAN; tensor.len()]);
+    }
+    let push = |s: &mut _, iteration, iterate: &_| kernel.push(s, iteration, iterate, &memory);
+    frames_match(&Optimizer::Lbfgs { history, curvature }, &push, (grid, batch), TOLERANCE);
+}
+
+#[test]
+fn steps_match() {
+    let _turn = device();
+    for case in cases() {
+        check(5, 1e-12, case);
+    }
+}
+
+/// Histories of one pair, of more pairs than a frame makes, and of the most that the kernel holds.
+#[test]
+fn histories_of_all_lengths_match() {
+    let _turn = device();
+    for history in [1, 11, 32] {
+        check(history, 1e-12, (GRIDS[1], 2));
+    }
+}
+
+/// Software drivers stop long loops silently, so sizes beyond are refused.
+#[test]
+fn sizes_beyond_the_loop_limit_are_refused() {
+    let kernel = Lbfgs::new(context(), 32, 1e-12).unwrap();
+    let refused = kernel.check_size(context(), 512 * 512).is_err();
+    assert_eq!(refused, context().kind() == AdapterKind::Software);
+    assert!(kernel.check_size(context(), 100 * 100).is_ok());
+}

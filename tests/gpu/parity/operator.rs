@@ -1,0 +1,81 @@
+//! What the tests of the operator's kernels share.
+
+use crate::common::{noise, pad, tensor};
+use fnopt::cpu::Real;
+use fnopt::gpu::Tensor;
+use fnopt::kernels::operator::{Layer, pointwise::tiled};
+use fnopt::kernels::padded;
+use fnopt::network::Config;
+use fnopt::sim::Grid;
+use std::f64::consts::TAU;
+
+/// The network's modes, and others: fewer, and an odd number of rows.
+pub const MODES: [[usize; 2]; 2] = [[8, 5], [7, 3]];
+/// More channels than a workgroup has invocations.
+pub const CHANNELS: usize = 80;
+
+/// A configuration with these modes and channels.
+pub fn config([modes_h, modes_w]: [usize; 2], channels: usize) -> Config {
+    Config { modes_h, modes_w, channels, ..Config::default() }
+}
+
+/// Random activations: dense [S, C, H, W] for formulas, and a tensor of them with `filler` in the padding.
+pub fn activations(samples: usize, channels: usize, grid: Grid, filler: f32) -> (Vec<f32>, Tensor) {
+    let dense = noise(samples * channels * grid.particles(), 11);
+    let shape = [samples, channels, grid.h, padded(grid.w)];
+    let padded = tensor("x", &shape, &pad(&dense, grid, filler));
+    (dense, padded)
+}
+
+/// A random layer: weight [outputs, inputs] and bias [outputs] for formulas, and tensors in tiles.
+pub fn layer(outputs: usize, inputs: usize, tile: usize) -> (Vec<f32>, Vec<f32>, Layer) {
+    let (weight, bias) = (noise(outputs * inputs, 12), noise(outputs, 13));
+    let shape = [outputs / tile, inputs, tile];
+    let on_device = Layer {
+        weight: tensor("weight", &shape, &tiled(&weight, inputs, tile)),
+        bias: tensor("bias", &[outputs], &bias),
+    };
+    (weight, bias, on_device)
+}
+
+/// A random layer with one output, as the heads take it.
+pub fn head(inputs: usize) -> (Vec<f32>, f32, Layer) {
+    let (weight, bias) = (noise(inputs, 14), 0.3);
+    let on_device =
+        Layer { weight: tensor("weight", &[inputs], &weight), bias: tensor("bias", &[1], &[bias]) };
+    (weight, bias, on_device)
+}
+
+/// `weight x + bias` at every position, [S, O, n] from `x` [S, I, n].
+pub fn dense(weight: &[f32], bias: &[f32], x: &[f32], n: usize) -> Vec<f64> {
+    let (outputs, inputs) = (bias.len(), weight.len() / bias.len());
+    let mut y = Vec::with_capacity(x.len() / inputs * outputs);
+    for x in x.chunks_exact(inputs * n) {
+        for (weight, &bias) in weight.chunks_exact(inputs).zip(bias) {
+            let mut sum = vec![f64::from(bias); n];
+            for (&w, x) in weight.iter().zip(x.chunks_exact(n)) {
+                sum.iter_mut().zip(x).for_each(|(sum, &x)| *sum += f64::from(w) * f64::from(x));
+            }
+            y.extend(sum);
+        }
+    }
+    y
+}
+
+/// The activation, where there is one.
+pub fn activate(y: &mut [f64], gelu: bool) {
+    if gelu {
+        f64::gelu(y);
+    }
+}
+
+/// cos and sin of `2 pi k j / n`, k negative or not.
+pub fn turn(k: i64, j: usize, n: usize) -> (f64, f64) {
+    let theta = TAU * (k * j as i64).rem_euclid(n as i64) as f64 / n as f64;
+    (theta.cos(), theta.sin())
+}
+
+/// How often a kept column counts in the inverse: twice where it stands for its conjugate too.
+pub fn copies(mode: usize, w: usize) -> f64 {
+    if mode == 0 || 2 * mode == w { 1.0 } else { 2.0 }
+}

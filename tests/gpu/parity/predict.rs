@@ -1,0 +1,29 @@
+//! `predict` against its formula.
+
+use super::cloth::{crumpled, field, iterate, model, targets, upload};
+use crate::common::{ROUNDING, assert_close, cases, context, device, read, run, tensor};
+use fnopt::kernels::cloth::{Predict, StateTensors};
+
+#[test]
+fn frames_start_where_velocity_and_handles_lead() {
+    let _turn = device();
+    let kernel = Predict::new(context()).unwrap();
+    for (grid, batch) in cases() {
+        let model = model(grid, batch);
+        let (x, v, targets) = (crumpled(&model, 0.3), field(&model, 0.5, 77), targets(&model));
+        let (slots, n) = (model.handle_slots(), grid.particles());
+        let start = |at: usize| match slots[at / (3 * n) * n + at % n] {
+            0 => f64::from(v[at]),
+            slot => f64::from(targets[slot as usize - 1][at / n % 3]) - f64::from(x[at]),
+        };
+        let expected: Vec<f64> = (0..x.len()).map(start).collect();
+        let iterate = iterate(&model);
+        let [x, v] = [x, v].map(|values| upload("input", &model, &values));
+        let targets = tensor("targets", &[model.handles(), 3], targets.as_flattened());
+        run(|schedule| kernel.push(schedule, StateTensors { x: &x, v: &v, targets: &targets }, &iterate));
+        let base = read(&iterate.base);
+        assert_close(&format!("predict {batch} x {grid}"), &base, &expected, (0.0, ROUNDING));
+        assert_eq!(read(&iterate.shift), base);
+        assert!(read(&iterate.a).iter().all(|&a| a == 0.0));
+    }
+}

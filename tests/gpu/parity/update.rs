@@ -1,0 +1,45 @@
+//! `update` against its formula.
+
+use super::cloth::{field, iterate, model};
+use crate::common::{
+    ROUNDING, assert_close, cases, context, device, noise, pad, poisoned, read, run, tensor,
+};
+use fnopt::kernels::optim::{Update, UpdateTensors};
+use fnopt::kernels::padded;
+
+#[test]
+fn learned_steps_match() {
+    let _turn = device();
+    let kernel = Update::new(context()).unwrap();
+    for (grid, batch) in cases() {
+        let model = model(grid, batch);
+        let (samples, n) = (3 * batch, grid.particles());
+        let [grad, base, a] = [101, 102, 103].map(|seed| field(&model, 1.0, seed));
+        // Some far beyond where tanh is 1, some tiny.
+        let output: Vec<f32> = noise(samples * n, 104).iter().map(|v| 40.0 * v.powi(5)).collect();
+        let scale: Vec<f32> = (0..samples).map(|s| 0.05 * (s + 1) as f32).collect();
+        let slots = model.handle_slots();
+        let step: Vec<f64> =
+            output.iter().enumerate().map(|(k, &v)| f64::from(scale[k / n]) * f64::from(v).tanh()).collect();
+        let next: Vec<f64> = a.iter().zip(&step).map(|(&a, step)| f64::from(a) + step).collect();
+        let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
+        let shift: Vec<f64> =
+            (0..next.len()).map(|k| f64::from(base[k]) + if free(k) { next[k] } else { 0.0 }).collect();
+
+        let iterate = iterate(&model);
+        iterate.grad.write(context(), &grad);
+        iterate.base.write(context(), &base);
+        iterate.a.write(context(), &a);
+        let output = tensor("field", &[samples, grid.h, padded(grid.w)], &pad(&output, grid, f32::NAN));
+        let scale = tensor("scale", &[samples], &scale);
+        let hidden = poisoned("hidden", &[2, samples, n]);
+        let from = UpdateTensors { field: &output, scale: &scale, hidden: &hidden };
+        run(|schedule| kernel.push(schedule, grid, from, &iterate));
+        let what = format!("update {batch} x {grid}");
+        let hidden = read(&hidden);
+        assert_eq!(hidden[..samples * n], grad, "the last gradient");
+        assert_close(&what, &hidden[samples * n..], &step, (1e-36, 8.0 * ROUNDING));
+        assert_close(&what, &read(&iterate.a), &next, (8.0 * ROUNDING, ROUNDING));
+        assert_close(&what, &read(&iterate.shift), &shift, (8.0 * ROUNDING, ROUNDING));
+    }
+}
