@@ -94,6 +94,25 @@ impl Schedule {
         self.steps.iter().filter(|s| matches!(s, Step::Dispatch { .. })).count()
     }
 
+    /// Names of the kernels, each once, in the order of their first dispatch.
+    pub fn kernels(&self) -> Vec<&'static str> {
+        let mut names = Vec::new();
+        for step in &self.steps {
+            if let Step::Dispatch { name, .. } = step
+                && !names.contains(name)
+            {
+                names.push(*name);
+            }
+        }
+        names
+    }
+
+    /// The dispatches of one kernel alone, to measure it.
+    pub fn only(&self, kernel: &str) -> Self {
+        let wanted = |s: &&Step| matches!(s, Step::Dispatch { name, .. } if *name == kernel);
+        Self { context: self.context.clone(), steps: self.steps.iter().filter(wanted).cloned().collect() }
+    }
+
     /// Records everything into the caller's encoder, dispatches that follow each other in one compute pass.
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
         let mut steps = self.steps.iter().peekable();

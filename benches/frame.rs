@@ -1,0 +1,50 @@
+//! A frame of ten iterations with the learned optimizer, read back: 32, 64 and 100 particles a side, one cloth and
+//! sixteen, on the CPU path and on the best adapter.
+
+mod common;
+
+use common::{adapter, cloths, criterion, is_software, learned};
+use criterion::{Criterion, Throughput, criterion_group, criterion_main};
+use fnopt::sim::{Device, Simulator};
+
+fn frames(c: &mut Criterion) {
+    let mut devices = vec![Device::Cpu];
+    devices.extend(adapter().map(Device::Gpu));
+    for device in &devices {
+        eprintln!("{}", device.name());
+        let (name, software) = match device {
+            Device::Cpu => ("cpu", true),
+            Device::Gpu(context) => ("gpu", is_software(context)),
+        };
+        for n in [32, 64, 100] {
+            for batch in [1, 16] {
+                if software && n * n * batch > 20_000 {
+                    eprintln!(
+                        "{name}: {n}x{n} batch {batch} takes many seconds a frame: hardware adapters only"
+                    );
+                    continue;
+                }
+                frame(c, (name, device), n, batch);
+            }
+        }
+    }
+}
+
+fn frame(c: &mut Criterion, (name, device): (&str, &Device), n: usize, batch: usize) {
+    let cloths = cloths(n, batch);
+    let mut simulator =
+        Simulator::new(device, &cloths.model, &learned(), 10).expect("a benchmark fits any adapter");
+    simulator.set_state(&cloths.start.cast());
+    let mut at = 0;
+    let mut group = c.benchmark_group(format!("frame, {name}"));
+    group.throughput(Throughput::Elements(batch as u64));
+    group.bench_function(format!("{n}x{n} batch {batch}"), |b| {
+        b.iter(|| {
+            at = at % (cloths.frames() - 1) + 1;
+            simulator.step(&cloths.control(at)).expect("the default scene stays finite")
+        });
+    });
+}
+
+criterion_group!(name = benches; config = criterion(); targets = frames);
+criterion_main!(benches);
