@@ -1,4 +1,62 @@
-//! Neural cloth on the GPU.
+//! `fnopt` simulates cloth on the GPU with FNOpt (Chen, Tran and Parashar, WACV 2026): a Fourier neural operator that was
+//! trained, from physics alone, to be an *optimizer*. Each frame it minimises the backward-Euler energy of the cloth in
+//! about ten iterations; trained on coarse grids it runs on any grid, with any handles and motions.
+//!
+//! ```
+//! use fnopt::scene::Scene;
+//! use fnopt::sim::{Device, Optimizer, Simulator};
+//!
+//! let setup = Scene::default().setup()?; // a sheet hanging from two corners, grid units inside
+//! let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::lbfgs(), 10)?;
+//! simulator.set_state(&setup.start.cast());
+//! for frame in 1..4 {
+//!     let frame = simulator.step(&setup.control(frame))?;
+//!     println!("{:?} m", setup.vertices_m(&frame.state.x)[0]);
+//! }
+//! # Ok::<(), fnopt::Error>(())
+//! ```
+//!
+//! # What flows through
+//!
+//! ```text
+//! scene::Scene (SI units) -> scene::Setup: sim::Model (grid, material, air, handles) + sim::State (x, v), grid units
+//! sim::Control (this frame's handles, wind, forces) -> sim::Solver or cpu::Solver -> the next State
+//! sim::Simulator: submits, reads back -> io::Trajectory, render::strip; or the caller's own use of the position buffer
+//! ```
+//!
+//! There are two devices and one meaning. [`cpu`] holds every stage in plain Rust, in single or double precision; in
+//! double precision it defines what is correct. [`kernels`] and `shaders/` hold the same stages as WGSL on [`gpu`], the only
+//! module that knows wgpu. [`sim::Solver`] records a frame into a command encoder that the caller owns and never submits,
+//! polls or maps; [`sim::Simulator`] is the convenience on top.
+//!
+//! # One frame
+//!
+//! [`sim::Simulator::step`] sets the control and records the schedule that [`sim::Solver::new`] built:
+//!
+//! 1. [`kernels::cloth::Predict`]: a = 0 moves the particles by their velocity, the handles to their targets;
+//!    [`kernels::cloth::ExternalForce`]: gravity, the caller's forces and the air's drag.
+//! 2. N times (paper section 3.3): [`kernels::cloth::Gradient`] gives dL/da; [`kernels::optim::Norms`] and
+//!    [`kernels::optim::Features`] normalise it; [`network::Forward`] runs the network (section 4): lifting, four Fourier
+//!    blocks of truncated transform, spectral product and inverse, the field head and the scalar head;
+//!    [`kernels::optim::Rescale`] and [`kernels::optim::Update`] make the step and add it to a. The classical optimizers
+//!    ([`sim::Optimizer`]) take the place of everything behind the gradient.
+//! 3. [`kernels::cloth::Energy`] for the statistics, then [`kernels::cloth::Integrate`]: v + a, x + v.
+//!
+//! # The rooms
+//!
+//! | module | what is there |
+//! |---|---|
+//! | [`scene`] | scene files, motions, materials, conversion into grid units |
+//! | [`sim`] | model, state, control, solver, simulator |
+//! | [`network`] | sizes, weights, checkpoints, the forward pass as dispatches |
+//! | [`gpu`] | context, tensors, kernels, schedules, readback; knows no cloth |
+//! | [`kernels`] | the host side of each file in `shaders/`, in the same tree |
+//! | [`cpu`] | the same stages without a GPU |
+//! | [`io`], [`render`] | trajectories and meshes in files; pictures |
+//! | [`verify`] | every stage against golden files |
+//!
+//! Lengths, times and masses are SI units in scenes and files and *grid units* inside: the rest length of an edge and a
+//! frame are 1, the height axis is z, and particle (i, j) has number `i W + j`. Arrays are channel-first, `[B, 3, H, W]`.
 
 pub mod cpu;
 mod error;

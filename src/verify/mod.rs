@@ -42,7 +42,7 @@ pub trait Stages {
     /// Energy terms of each cloth and the gradient dL/da [B, 3, H, W].
     fn energy(&mut self, case: &EnergyCase) -> Result<(Vec<EnergyTerms>, Vec<f64>)>;
 
-    /// One application of the update rule: step [S, H, W] and new scales [S].
+    /// One application of the update rule: step [S, H, W] and new scales `[S]`.
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)>;
 
     /// Frames from a start at rest with a fresh hidden state.
@@ -60,7 +60,7 @@ pub struct NetworkOutput {
     pub blocks: Vec<Vec<f64>>,
     /// Field head, shape [S, H, W].
     pub field: Vec<f64>,
-    /// Scalar head, shape [S].
+    /// Scalar head, shape `[S]`.
     pub scalar: Vec<f64>,
 }
 
@@ -92,7 +92,7 @@ pub struct UpdateCase {
     pub last_grad: Vec<f64>,
     /// Last steps, shape [S, H, W].
     pub last_step: Vec<f64>,
-    /// Scales, shape [S].
+    /// Scales, shape `[S]`.
     pub scale: Vec<f64>,
 }
 
