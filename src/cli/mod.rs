@@ -71,7 +71,7 @@ pub fn run(cli: Cli) -> ExitCode {
             if broken.is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe) {
                 return ExitCode::SUCCESS;
             }
-            eprintln!("error: {error:#}");
+            eprintln!("error: {error}");
             ExitCode::from(if matches!(error.downcast_ref(), Some(Error::NonFinite { .. })) { 3 } else { 2 })
         }
     }

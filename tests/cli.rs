@@ -1,0 +1,137 @@
+//! The command as a script meets it: exit codes, messages, files.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// Runs the command in `folder`.
+fn fnopt(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
+    command.current_dir(folder).args(arguments).env("FNOPT_LOG", "off");
+    command.output().expect("the command starts")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// Runs the command, which must refuse its input, say all of `said`, and write nothing into `out`.
+fn refused(folder: &Path, arguments: &[&str], said: &[&str]) {
+    let output = fnopt(folder, arguments);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
+    for part in said {
+        assert!(message.contains(part), "{arguments:?}: no '{part}' in: {message}");
+    }
+    let written = std::fs::read_dir(folder.join("out")).map_or(0, |entries| entries.count());
+    assert_eq!(written, 0, "{arguments:?} left files behind");
+}
+
+#[test]
+fn bad_input_is_refused_by_name_and_leaves_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let starter = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/starter.safetensors");
+    let bytes = std::fs::read(starter).unwrap();
+    let write = |name: &str, content: &[u8]| std::fs::write(at.join(name), content).unwrap();
+    write("cut.safetensors", &bytes[..bytes.len() / 2]);
+    let mut poisoned = bytes;
+    let end = poisoned.len();
+    poisoned[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+    write("nan.safetensors", &poisoned);
+    write("key.json", br#"{"gravty": 9}"#);
+    write("mass.json", br#"{"mass_kg": 0}"#);
+    write("free.json", br#"{"handles": []}"#);
+    write("outside.json", br#"{"handles": [[40, 0]]}"#);
+    write("short.npy", b"\x93NUMPY");
+    let cases: &[(&[&str], &[&str])] = &[
+        (&["rollout", "--checkpoint", "missing.safetensors"], &["missing.safetensors", "cannot read"]),
+        (
+            &["rollout", "--checkpoint", "cut.safetensors"],
+            &["cut.safetensors", "expected a whole safetensors"],
+        ),
+        (&["rollout", "--checkpoint", "nan.safetensors"], &["nan.safetensors", "finite"]),
+        (&["rollout", "key.json"], &["key.json", "gravty", "did you mean gravity?"]),
+        (&["rollout", "mass.json"], &["mass.json", "mass_kg"]),
+        (&["rollout", "free.json"], &["free.json", "handles"]),
+        (&["rollout", "outside.json"], &["outside.json", "handles"]),
+        (&["rollout", "none.json"], &["none.json", "cannot read"]),
+        (&["rollout", "--grid", "4", "32"], &["--grid", "8 to 4096", "found 4"]),
+        (&["rollout", "--motion", "xz_v3"], &["--motion", "did you mean xyz_v3"]),
+        (&["rollout", "--motion", "short.npy"], &["short.npy"]),
+        (&["rollout", "--material", "1,2"], &["--material", "three numbers"]),
+        (&["rollout", "--material", "nan,2,3"], &["finite"]),
+        (&["rollout", "--solver", "bfgs"], &["--solver", "did you mean lbfgs"]),
+        (&["rollout", "--adapter", "no such adapter"], &["no adapter named 'no such adapter'"]),
+        (&["rollout", "--device", "cpu", "--adapter", "0"], &["--adapter"]),
+        (&["rollout", "--format", "obx"], &["obx"]),
+        (&["verify", "nowhere"], &["nowhere", "cannot read"]),
+        (&["inspect", "key.json"], &["key.json"]),
+        (&["bench", "--batch", "0"], &["--batch"]),
+    ];
+    for (arguments, said) in cases {
+        refused(at, arguments, said);
+    }
+}
+
+#[test]
+fn a_file_in_place_of_the_output_folder_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("taken"), "").unwrap();
+    refused(folder.path(), &["rollout", "--device", "cpu", "--out", "taken/x"], &["taken", "cannot create"]);
+}
+
+#[test]
+fn a_rollout_writes_what_it_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = [
+        "rollout", "--device", "cpu", "--grid", "16", "12", "--frames", "6", "--format", "npz,obj", "--json",
+    ];
+    let output = fnopt(folder.path(), &arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(summary["frames"], 6);
+    for path in summary["written"].as_array().unwrap() {
+        assert!(folder.path().join(path.as_str().unwrap()).exists(), "{path}");
+    }
+    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    assert_eq!(report["per_frame"].as_array().unwrap().len(), 5);
+    assert!(report["ms_per_frame"].as_f64().unwrap() > 0.0);
+    for picture in ["out/rollout.png", "out/rollout.gif", "out/rollout.npz"] {
+        assert!(folder.path().join(picture).metadata().unwrap().len() > 1000, "{picture}");
+    }
+}
+
+#[test]
+fn a_run_that_explodes_keeps_the_frames_before_and_a_replay() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments =
+        ["rollout", "--device", "cpu", "--solver", "gd", "--material", "1e30,8,0.5", "--frames", "30"];
+    let output = fnopt(folder.path(), &arguments);
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("non-finite"));
+    for file in ["out/replay.npz", "out/rollout.npz", "out/report.json"] {
+        assert!(folder.path().join(file).exists(), "{file}");
+    }
+}
+
+#[test]
+fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
+    let folder = tempfile::tempdir().unwrap();
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    let mut bytes = std::fs::read(golden.join("energy_small.safetensors")).unwrap();
+    let name = folder.path().join("energy_small.safetensors");
+    std::fs::write(&name, &bytes).unwrap();
+    let good = fnopt(folder.path(), &["verify", ".", "--device", "cpu"]);
+    assert_eq!(good.status.code(), Some(0), "{}", text(&good.stdout));
+    assert!(text(&good.stdout).ends_with("14 passed, 0 failed, 0 skipped\n"), "{}", text(&good.stdout));
+    let end = bytes.len();
+    bytes.truncate(end - 100);
+    std::fs::write(&name, &bytes).unwrap();
+    assert_eq!(fnopt(folder.path(), &["verify", ".", "--device", "cpu"]).status.code(), Some(1));
+
+    let weights = golden.join("network_weights.safetensors");
+    let output = fnopt(folder.path(), &["inspect", weights.to_str().unwrap(), "--json"]);
+    let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(value["network"]["parameters"], 1_349_634);
+}
