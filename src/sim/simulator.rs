@@ -108,7 +108,8 @@ impl Simulator {
 
     /// Computes a frame for each control and hands it to `take`, which may end the rollout.
     ///
-    /// On a GPU the next frame is computed while `take` looks at this one. Fails with [`Error::NonFinite`] at the first
+    /// On a GPU the next frame is computed while `take` looks at this one, so that ending early leaves the device's state up
+    /// to two frames further on; set a state before the next rollout. Fails with [`Error::NonFinite`] at the first
     /// frame that is not finite; the frames before it were handed out.
     pub fn rollout(
         &mut self,
