@@ -91,3 +91,75 @@ pub struct Weights {
     /// The scalar head, `channels -> 1`.
     pub scalar: Dense,
 }
+
+impl Weights {
+    /// A network whose weights are all zero.
+    pub fn zeros(config: Config) -> Self {
+        let dense = |outputs: usize, inputs: usize| Dense {
+            weight: vec![0.0; outputs * inputs],
+            bias: vec![0.0; outputs],
+        };
+        let c = config.channels;
+        let block = || Block {
+            spectral: vec![0.0; c * c * config.modes() * 2],
+            bias: vec![0.0; c],
+            skip: vec![0.0; c * c],
+        };
+        Self {
+            config,
+            lifting: [dense(config.lifting, config.inputs()), dense(c, config.lifting)],
+            blocks: (0..config.layers).map(|_| block()).collect(),
+            projection: [dense(config.projection, c), dense(1, config.projection)],
+            scalar: dense(1, c),
+        }
+    }
+
+    /// All parameters in one fixed order: lifting, blocks (spectral, bias, skip), projection, scalar head. Training works
+    /// on this list, joined to one vector by [`Weights::flat`].
+    pub fn parameters(&self) -> Vec<&[f32]> {
+        let mut all: Vec<&[f32]> = Vec::new();
+        for d in &self.lifting {
+            all.extend([&d.weight[..], &d.bias]);
+        }
+        for b in &self.blocks {
+            all.extend([&b.spectral[..], &b.bias, &b.skip]);
+        }
+        for d in self.projection.iter().chain([&self.scalar]) {
+            all.extend([&d.weight[..], &d.bias]);
+        }
+        all
+    }
+
+    /// [`Weights::parameters`], to write.
+    pub fn parameters_mut(&mut self) -> Vec<&mut [f32]> {
+        let mut all: Vec<&mut [f32]> = Vec::new();
+        for d in &mut self.lifting {
+            all.extend([&mut d.weight[..], &mut d.bias]);
+        }
+        for b in &mut self.blocks {
+            all.extend([&mut b.spectral[..], &mut b.bias, &mut b.skip]);
+        }
+        for d in self.projection.iter_mut().chain([&mut self.scalar]) {
+            all.extend([&mut d.weight[..], &mut d.bias]);
+        }
+        all
+    }
+
+    /// All parameters one after the other, in the order of [`Weights::parameters`].
+    pub fn flat(&self) -> Vec<f32> {
+        self.parameters().concat()
+    }
+
+    /// The inverse of [`Weights::flat`]. Panics when the number of parameters is another.
+    pub fn from_flat(config: Config, flat: &[f32]) -> Self {
+        let mut weights = Self::zeros(config);
+        let mut rest = flat;
+        for parameter in weights.parameters_mut() {
+            let (head, tail) = rest.split_at(parameter.len());
+            parameter.copy_from_slice(head);
+            rest = tail;
+        }
+        assert!(rest.is_empty(), "{} parameters too many", rest.len());
+        weights
+    }
+}

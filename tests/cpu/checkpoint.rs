@@ -225,3 +225,11 @@ proptest! {
         prop_assert!(Weights::from_bytes(&bytes, "noise").is_err());
     }
 }
+
+#[test]
+fn weights_survive_the_way_through_one_flat_vector() {
+    let tiny = tiny();
+    assert_eq!(Weights::from_flat(tiny.config, &tiny.flat()), tiny);
+    // The paper's network has this many parameters.
+    assert_eq!(Weights::zeros(Config::default()).flat().len(), 1_349_634);
+}
