@@ -15,7 +15,10 @@ const BLOCK_ROWS: usize = 6;
 /// One product `A B` of a sum: A of shape [M, K] with `a_stride` between rows, B of shape [K, N] with `b_stride`.
 pub(crate) struct Term<'a, T> {
     pub a: &'a [T],
+    /// Numbers between the rows of A, or of its transpose.
     pub a_stride: usize,
+    /// Whether `a` holds the transpose [K, M] of A, as where a sum runs over positions.
+    pub a_transposed: bool,
     pub b: &'a [T],
     pub b_stride: usize,
     /// K, the length of the sum.
@@ -28,8 +31,17 @@ pub(crate) struct Target<'a, T> {
     pub stride: usize,
     pub rows: usize,
     pub columns: usize,
-    /// What each row starts from, shape \[N\], such as a bias; zero if there is none.
-    pub start: Option<&'a [T]>,
+    pub start: Start<'a, T>,
+}
+
+/// What a product is added to.
+#[derive(Clone, Copy)]
+pub(crate) enum Start<'a, T> {
+    Zero,
+    /// The same numbers for each row, shape \[N\], such as a bias.
+    Row(&'a [T]),
+    /// What the target holds.
+    Target,
 }
 
 /// `out[m, n] = start\[n\] + sum over terms and k of a[m, k] b[k, n]`, summed in this order whatever the threads do.
@@ -41,6 +53,11 @@ pub(crate) fn product<T: Real>(target: Target<'_, T>, terms: &[Term<'_, T>]) {
 /// `out[m] = start + sum over k of a[m, k] weight[k]` for rows of `weight.len()` numbers, a multiple of [`LANES`].
 pub(crate) fn weighted_rows<T: Real>(out: &mut [T], start: T, a: &[T], weight: &[T]) {
     pulp::Arch::new().dispatch(WeightedRows { out, start, a, weight });
+}
+
+/// `sums\[n\] += sum over m of rows[m, n]`, rows of `sums.len()` numbers, a multiple of [`LANES`].
+pub(crate) fn add_rows<T: Real>(sums: &mut [T], rows: &[T]) {
+    pulp::Arch::new().dispatch(AddRows { sums, rows });
 }
 
 /// `largest\[n\] = max(largest\[n\], rows[m, n])` over all rows, each of `largest.len()` numbers.
@@ -105,16 +122,38 @@ fn block<T: Real, S: Simd, const M: usize, const V: usize>(
 ) {
     let target = &mut p.target;
     let mut sum = [[T::splat(simd, T::zero()); V]; M];
-    if let Some(start) = target.start {
-        let start = T::lanes::<S>(&start[column..]);
-        for sum in &mut sum {
-            sum.copy_from_slice(&start[..V]);
+    match target.start {
+        Start::Zero => {}
+        Start::Row(start) => {
+            let start = T::lanes::<S>(&start[column..]);
+            for sum in &mut sum {
+                sum.copy_from_slice(&start[..V]);
+            }
+        }
+        Start::Target => {
+            for (m, sum) in sum.iter_mut().enumerate() {
+                let start = T::lanes::<S>(&target.out[(row + m) * target.stride + column..]);
+                sum.copy_from_slice(&start[..V]);
+            }
         }
     }
     for term in p.terms {
         let depth = term.depth;
+        let b_rows = term.b[column..].chunks(term.b_stride).take(depth);
+        if term.a_transposed {
+            for (a, b) in term.a[row..].chunks(term.a_stride).zip(b_rows) {
+                let (a, b) = (&a[..M], &T::lanes::<S>(b)[..V]);
+                for m in 0..M {
+                    let a = T::splat(simd, a[m]);
+                    for v in 0..V {
+                        sum[m][v] = T::fma(simd, a, b[v], sum[m][v]);
+                    }
+                }
+            }
+            continue;
+        }
         let a: [&[T]; M] = std::array::from_fn(|m| &term.a[(row + m) * term.a_stride..][..depth]);
-        for (k, b) in term.b[column..].chunks(term.b_stride).take(depth).enumerate() {
+        for (k, b) in b_rows.enumerate() {
             let b = &T::lanes::<S>(b)[..V];
             for m in 0..M {
                 let a = T::splat(simd, a[m][k]);
@@ -153,6 +192,27 @@ impl<T: Real> WithSimd for WeightedRows<'_, T> {
     }
 }
 
+struct AddRows<'a, T> {
+    sums: &'a mut [T],
+    rows: &'a [T],
+}
+
+impl<T: Real> WithSimd for AddRows<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let columns = self.sums.len();
+        let one = T::splat(simd, T::one());
+        let sums = T::lanes_mut::<S>(self.sums);
+        for row in self.rows.chunks_exact(columns) {
+            for (sum, &x) in sums.iter_mut().zip(T::lanes::<S>(row)) {
+                *sum = T::fma(simd, one, x, *sum);
+            }
+        }
+    }
+}
+
 struct LargestRows<'a, T> {
     largest: &'a mut [T],
     rows: &'a [T],
@@ -184,11 +244,24 @@ mod tests {
             let a: Vec<f64> = (0..rows * (depth + 2)).map(|n| value(n, 1)).collect();
             let b: Vec<f64> = (0..depth * (columns + 3)).map(|n| value(n, 2)).collect();
             let start: Vec<f64> = (0..columns).map(|n| value(n, 3)).collect();
-            let term = || Term { a: &a, a_stride: depth + 2, b: &b, b_stride: columns + 3, depth };
+            let turned: Vec<f64> = (0..depth * (rows + 1))
+                .map(|n| {
+                    if n % (rows + 1) < rows {
+                        a[n % (rows + 1) * (depth + 2) + n / (rows + 1)]
+                    } else {
+                        f64::NAN
+                    }
+                })
+                .collect();
+            let b_stride = columns + 3;
+            let straight = Term { a: &a, a_stride: depth + 2, a_transposed: false, b: &b, b_stride, depth };
+            let turned = Term { a: &turned, a_stride: rows + 1, a_transposed: true, b: &b, b_stride, depth };
             let stride = columns + 1;
             let mut out = vec![f64::NAN; rows * stride];
-            let target = Target { out: &mut out, stride, rows, columns, start: Some(&start) };
-            product(target, &[term(), term()]);
+            let target = Target { out: &mut out, stride, rows, columns, start: Start::Row(&start) };
+            product(target, &[straight]);
+            let target = Target { out: &mut out, stride, rows, columns, start: Start::Target };
+            product(target, &[turned]);
             for m in 0..rows {
                 for n in 0..columns {
                     let ab: f64 = (0..depth).map(|k| a[m * (depth + 2) + k] * b[k * (columns + 3) + n]).sum();

@@ -24,6 +24,8 @@ pub trait Real: Float + FftNum + Default + std::iter::Sum {
 
     /// Replaces each number by its exact GELU, `x / 2 (1 + erf(x / sqrt 2))`.
     fn gelu(values: &mut [Self]);
+    /// [`Real::gelu`] that also sets `slopes` to its derivative, at what `values` held.
+    fn gelu_and_slope(values: &mut [Self], slopes: &mut [Self]);
     /// Replaces each number `x` by `amplitude tanh(x factor)`.
     fn squash(values: &mut [Self], factor: Self, amplitude: Self);
 
@@ -90,6 +92,15 @@ impl Real for f64 {
         }
     }
 
+    fn gelu_and_slope(values: &mut [Self], slopes: &mut [Self]) {
+        for (x, slope) in values.iter_mut().zip(slopes) {
+            let below = 0.5 * libm::erfc(-*x * std::f64::consts::FRAC_1_SQRT_2);
+            let density = (-0.5 * *x * *x).exp() / std::f64::consts::TAU.sqrt();
+            *slope = below + *x * density;
+            *x = *x * below;
+        }
+    }
+
     fn squash(values: &mut [Self], factor: Self, amplitude: Self) {
         for x in values {
             *x = amplitude * (*x * factor).tanh();
@@ -113,6 +124,10 @@ impl Real for f32 {
         pulp::Arch::new().dispatch(Map { values, function: Gelu });
     }
 
+    fn gelu_and_slope(values: &mut [Self], slopes: &mut [Self]) {
+        pulp::Arch::new().dispatch(GeluAndSlope { values, slopes });
+    }
+
     fn squash(values: &mut [Self], factor: Self, amplitude: Self) {
         pulp::Arch::new().dispatch(Map { values, function: Squash { factor, amplitude } });
     }
@@ -133,6 +148,17 @@ const GELU_TAIL: [f32; 9] = [
     -2.038_251_5e-5,
     3.354_599_8e-6,
 ];
+
+/// The derivative of that polynomial.
+const GELU_TAIL_SLOPE: [f32; 8] = {
+    let mut slope = [0.0; 8];
+    let mut k = 1;
+    while k < GELU_TAIL.len() {
+        slope[k - 1] = k as f32 * GELU_TAIL[k];
+        k += 1;
+    }
+    slope
+};
 
 /// `tanh x` is nearly `x p(x^2) / q(x^2)` for |x| <= 9, clamped to -1..1: minimax in the relative error by the same
 /// method, 1.3e-9; with rounding 3e-7.
@@ -186,6 +212,46 @@ impl Lanewise for Gelu {
     }
 }
 
+struct GeluAndSlope<'a> {
+    values: &'a mut [f32],
+    slopes: &'a mut [f32],
+}
+
+impl WithSimd for GeluAndSlope<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let (values, rest) = S::as_mut_simd_f32s(self.values);
+        let (slopes, rest_slopes) = S::as_mut_simd_f32s(self.slopes);
+        for (x, slope) in values.iter_mut().zip(slopes) {
+            *slope = gelu_slope(simd, *x);
+            *x = Gelu.of(simd, *x);
+        }
+        if !rest.is_empty() {
+            let x = simd.partial_load_f32s(rest);
+            simd.partial_store_f32s(rest_slopes, gelu_slope(simd, x));
+            simd.partial_store_f32s(rest, Gelu.of(simd, x));
+        }
+    }
+}
+
+/// The derivative of what [`Gelu`] computes: with `h = t / p^8`, `h' = (1 - 8 t p' / p) / p^8`. Its error is 2.5e-6, at 0.
+#[inline(always)]
+fn gelu_slope<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+    // Beyond this the derivative is 0 or 1, and the powers would overflow.
+    let t = simd.min_f32s(simd.abs_f32s(x), simd.splat_f32s(12.0));
+    let p = horner(simd, t, &GELU_TAIL);
+    let inverse = simd.div_f32s(simd.splat_f32s(1.0), p);
+    let i2 = simd.mul_f32s(inverse, inverse);
+    let i4 = simd.mul_f32s(i2, i2);
+    let i8 = simd.mul_f32s(i4, i4);
+    let ratio = simd.mul_f32s(simd.mul_f32s(t, horner(simd, t, &GELU_TAIL_SLOPE)), inverse);
+    let tail = simd.mul_f32s(i8, simd.mul_add_e_f32s(ratio, simd.splat_f32s(-8.0), simd.splat_f32s(1.0)));
+    let negative = simd.less_than_f32s(x, simd.splat_f32s(0.0));
+    simd.select_f32s(negative, tail, simd.sub_f32s(simd.splat_f32s(1.0), tail))
+}
+
 #[derive(Clone, Copy)]
 struct Squash {
     factor: f32,
@@ -235,6 +301,44 @@ mod tests {
         for ((&x, &y), &exact) in x.iter().zip(&single).zip(&double) {
             let bound = 2.2e-7 + 6e-8 * exact.abs();
             assert!((y as f64 - exact).abs() < bound, "gelu({x}) = {y}, not {exact}");
+        }
+    }
+
+    #[test]
+    fn single_precision_slope_of_the_gelu_follows_the_exact_one() {
+        let x = points();
+        let (mut single, mut double) = (x.clone(), x.iter().map(|&x| x as f64).collect::<Vec<_>>());
+        let (mut slope, mut exact) = (vec![0f32; x.len()], vec![0f64; x.len()]);
+        f32::gelu_and_slope(&mut single, &mut slope);
+        f64::gelu_and_slope(&mut double, &mut exact);
+        let mut gelu = x.clone();
+        f32::gelu(&mut gelu);
+        assert_eq!(gelu, single);
+        for ((&x, &slope), &exact) in x.iter().zip(&slope).zip(&exact) {
+            assert!((slope as f64 - exact).abs() < 2.7e-6, "gelu'({x}) = {slope}, not {exact}");
+        }
+        let mut v = [-1e30f32, 1e30, -40.0, 40.0];
+        let mut slope = [f32::NAN; 4];
+        f32::gelu_and_slope(&mut v, &mut slope);
+        assert_eq!(slope, [0.0, 1.0, 0.0, 1.0]);
+    }
+
+    #[test]
+    fn double_precision_slope_of_the_gelu_is_its_derivative() {
+        let delta = 1e-4;
+        for x in [-5.0, -1.3, -0.2, 0.0, 0.7, 2.5] {
+            let gelu = |x: f64| {
+                let mut v = [x];
+                f64::gelu(&mut v);
+                v[0]
+            };
+            // Five points, an error of delta to the fourth.
+            let near = |k: f64| gelu(x + k * delta);
+            let expected = (8.0 * (near(1.0) - near(-1.0)) - (near(2.0) - near(-2.0))) / (12.0 * delta);
+            let (mut v, mut slope) = ([x], [0.0]);
+            f64::gelu_and_slope(&mut v, &mut slope);
+            assert_eq!(v[0], gelu(x));
+            assert!((slope[0] - expected).abs() < 1e-10, "gelu'({x}) = {}, not {expected}", slope[0]);
         }
     }
 

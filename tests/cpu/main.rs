@@ -1,5 +1,6 @@
 //! Tests of the CPU path; they need no adapter.
 
+mod adjoint;
 mod checkpoint;
 mod cloth;
 mod fft;

@@ -1,9 +1,9 @@
 //! The position-wise half of a Fourier block: `y = K(x) + S x + bias` with the inverse transform fused in.
 
 use super::padded;
-use super::pointwise::transposed;
+use super::pointwise::{straight, transposed};
 use super::transform::Transform;
-use crate::cpu::matmul::{Target, Term, product};
+use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
 use crate::network::{self, Config};
 
@@ -24,13 +24,19 @@ impl<T: Real> Skip<T> {
         Self { weight: transposed(&block.skip, n, n, c), bias }
     }
 
+    /// The adjoint, for cotangents: `adj_x = S^T adj_y` and the adjoint transform of what the spectral product sends back.
+    pub fn adjoint(config: &Config, block: &network::Block) -> Self {
+        let c = config.channels;
+        Self { weight: straight(&block.skip, c, c), bias: vec![T::zero(); padded(c)] }
+    }
+
     /// One row of the grid: `out` [W, C] from `x` [W, C] and the row spectrum `z` [modes_w, 2, C] that the inverse
     /// transform along the columns has left. The GELU is left to the caller.
     pub fn row(&self, out: &mut [T], x: &[T], z: &[T], transform: &Transform<T>) {
         let c = self.bias.len();
-        let skip = Term { a: x, a_stride: c, b: &self.weight, b_stride: c, depth: c };
+        let skip = Term { a: x, a_stride: c, a_transposed: false, b: &self.weight, b_stride: c, depth: c };
         product(
-            Target { rows: out.len() / c, out, stride: c, columns: c, start: Some(&self.bias) },
+            Target { rows: out.len() / c, out, stride: c, columns: c, start: Start::Row(&self.bias) },
             &[skip, transform.row_inverse(z)],
         );
     }

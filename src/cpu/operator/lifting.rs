@@ -1,9 +1,10 @@
 //! Lifting: normalised fields and positions to channels, through a hidden layer that never leaves the cache.
 
-use super::pointwise::Pointwise;
-use super::{SEGMENT, padded};
+use super::pointwise::{Pointwise, PointwiseGradient};
+use super::{ADJOINT_SEGMENT, SEGMENT, padded};
+use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
-use crate::network::Weights;
+use crate::network::{Config, Weights};
 use crate::sim::Grid;
 
 /// The lifting layers and the positional fields (paper section 4).
@@ -18,6 +19,26 @@ pub(super) struct Lifting<T> {
 pub(super) struct LiftingScratch<T> {
     embedded: Vec<T>,
     hidden: Vec<T>,
+}
+
+/// A part of the gradient of [`Lifting`], and working memory.
+pub(super) struct LiftingGradient<T> {
+    pub hidden: PointwiseGradient<T>,
+    pub out: PointwiseGradient<T>,
+    embedded: Vec<T>,
+    scratch: [Vec<T>; 3],
+}
+
+impl<T: Real> LiftingGradient<T> {
+    pub fn new(config: &Config) -> Self {
+        let (inputs, hidden) = (config.inputs(), padded(config.lifting));
+        Self {
+            hidden: PointwiseGradient::new(inputs, config.lifting),
+            out: PointwiseGradient::new(hidden, config.channels),
+            embedded: vec![T::zero(); ADJOINT_SEGMENT * inputs],
+            scratch: [(); 3].map(|_| vec![T::zero(); ADJOINT_SEGMENT * hidden]),
+        }
+    }
 }
 
 impl<T: Real> Lifting<T> {
@@ -47,6 +68,46 @@ impl<T: Real> Lifting<T> {
             self.hidden.apply(hidden, embedded);
             T::gelu(hidden);
             self.out.apply(out, hidden);
+        }
+    }
+
+    /// Adds to the gradient, for the cotangents `adj_out` [positions, C] of the positions of `fields` [fields, H, W] from
+    /// number `first` on. The hidden layer is computed again; its inputs are constants of training, so that nothing goes
+    /// further back. `turned` is the weight of the second layer [C, hidden].
+    pub fn backward(
+        &self,
+        adj_out: &[T],
+        (fields, first): (&[T], usize),
+        turned: &[T],
+        gradient: &mut LiftingGradient<T>,
+    ) {
+        let (c, inputs, hidden) = (self.out.outputs(), self.fields + 2, self.hidden.outputs());
+        for (segment, adj_out) in adj_out.chunks(ADJOINT_SEGMENT * c).enumerate() {
+            let n = adj_out.len() / c;
+            let embedded = &mut gradient.embedded[..n * inputs];
+            for (k, at) in embedded.chunks_exact_mut(inputs).enumerate() {
+                let p = first + segment * ADJOINT_SEGMENT + k;
+                self.embed(at, fields, p / self.grid.w, p % self.grid.w);
+            }
+            let [values, slopes, adj] = gradient.scratch.each_mut().map(|s| &mut s[..n * hidden]);
+            self.hidden.apply(values, embedded);
+            T::gelu_and_slope(values, slopes);
+            gradient.out.add(values, adj_out);
+            product(
+                Target { out: adj, stride: hidden, rows: n, columns: hidden, start: Start::Zero },
+                &[Term {
+                    a: adj_out,
+                    a_stride: c,
+                    a_transposed: false,
+                    b: turned,
+                    b_stride: hidden,
+                    depth: c,
+                }],
+            );
+            for (adj, &slope) in adj.iter_mut().zip(&*slopes) {
+                *adj = *adj * slope;
+            }
+            gradient.hidden.add(embedded, adj);
         }
     }
 

@@ -4,6 +4,7 @@
 //! product of small matrices whose columns are channels, and no grid size needs padding. A sample (S of them) is one
 //! component of one cloth.
 
+mod adjoint;
 mod block;
 mod lifting;
 mod network;
@@ -13,6 +14,7 @@ mod scalar_head;
 mod spectral;
 mod transform;
 
+pub use adjoint::Adjoint;
 pub use network::{Network, Stage};
 pub use spectral::Spectral;
 pub use transform::Transform;
@@ -21,6 +23,10 @@ use super::matmul::LANES;
 
 /// Positions of a row that pass through a hidden layer at a time: its activations then stay in the first-level cache.
 const SEGMENT: usize = 24;
+
+/// Positions that pass through a hidden layer at a time on the way back: a sum over positions wants to be longer, and the
+/// second-level cache holds this many.
+const ADJOINT_SEGMENT: usize = 96;
 
 /// Positions of the rows that one task processes, about.
 const BAND: usize = 256;

@@ -26,16 +26,47 @@ pub enum Stage {
 
 /// The network for a number of samples on one grid, with all its working memory.
 pub struct Network<T: Real> {
-    config: Config,
-    grid: Grid,
+    pub(super) config: Config,
+    pub(super) grid: Grid,
     /// Channels as they lie in memory.
-    channels: usize,
-    lifting: Lifting<T>,
-    transform: Transform<T>,
-    blocks: Vec<(Spectral<T>, Skip<T>)>,
-    projection: Projection<T>,
-    scalar_head: ScalarHead<T>,
+    pub(super) channels: usize,
+    pub(super) transform: Transform<T>,
+    pub(super) layers: Layers<T>,
+    pub(super) kept: Option<Kept<T>>,
     buffers: Buffers<T>,
+}
+
+/// The weights, each layer in the order that its stage reads.
+pub(super) struct Layers<T> {
+    pub lifting: Lifting<T>,
+    pub blocks: Vec<(Spectral<T>, Skip<T>)>,
+    pub projection: Projection<T>,
+    pub scalar_head: ScalarHead<T>,
+}
+
+/// What the backward pass needs of a forward pass. Hidden layers of lifting and projection are computed again instead.
+pub(super) struct Kept<T> {
+    /// Output of the lifting, shape [S, H, W, C].
+    pub lifted: Vec<T>,
+    /// Output of each block before its GELU, shape [S, H, W, C].
+    pub blocks: Vec<Vec<T>>,
+    /// Kept modes of each block's input, as the spectral product takes them.
+    pub modes: Vec<Vec<T>>,
+    /// The largest value of each channel, shape [S, C], and the first row that attains it.
+    pub pooled: Vec<T>,
+    pub first_rows: Vec<u32>,
+}
+
+impl<T: Real> Layers<T> {
+    pub fn new(weights: &Weights, grid: Grid) -> Self {
+        let block = |block| (Spectral::new(&weights.config, block), Skip::new(&weights.config, block));
+        Self {
+            lifting: Lifting::new(weights, grid),
+            blocks: weights.blocks.iter().map(block).collect(),
+            projection: Projection::new(weights),
+            scalar_head: ScalarHead::new(weights),
+        }
+    }
 }
 
 struct Buffers<T> {
@@ -65,11 +96,7 @@ impl<T: Real> Network<T> {
         let config = weights.config;
         let channels = padded(config.channels);
         let transform = Transform::new(&config, grid, channels)?;
-        let blocks: Vec<_> = weights
-            .blocks
-            .iter()
-            .map(|block| (Spectral::new(&config, block), Skip::new(&config, block)))
-            .collect();
+        let layers = Layers::new(weights, grid);
         let zeros = |n: usize| vec![T::zero(); n];
         let n = grid.particles();
         let buffers = Buffers {
@@ -78,15 +105,27 @@ impl<T: Real> Network<T> {
             rows: zeros(samples * grid.h * transform.row_len()),
             sums: zeros(samples * transform.column_len()),
             modes: zeros(config.modes() * 4 * samples * channels),
-            spectral: zeros(blocks.first().map_or(0, |b| b.0.scratch_len(samples))),
+            spectral: zeros(layers.blocks.first().map_or(0, |b| b.0.scratch_len(samples))),
             pooled: zeros(samples * grid.h * channels),
             field: zeros(samples * n),
             scalar: zeros(samples),
         };
-        let lifting = Lifting::new(weights, grid);
-        let projection = Projection::new(weights);
-        let scalar_head = ScalarHead::new(weights);
-        Ok(Self { config, grid, channels, lifting, transform, blocks, projection, scalar_head, buffers })
+        Ok(Self { config, grid, channels, transform, layers, kept: None, buffers })
+    }
+
+    /// From now on keeps what the backward pass needs.
+    pub(super) fn keep(&mut self) {
+        let zeros = |like: &Vec<T>| vec![T::zero(); like.len()];
+        let Buffers { x, spectral, scalar, .. } = &self.buffers;
+        let pooled = vec![T::zero(); scalar.len() * self.channels];
+        let blocks = || self.layers.blocks.iter();
+        self.kept = Some(Kept {
+            lifted: zeros(x),
+            blocks: blocks().map(|_| zeros(x)).collect(),
+            modes: blocks().map(|_| zeros(spectral)).collect(),
+            first_rows: vec![0; pooled.len()],
+            pooled,
+        });
     }
 
     /// Runs the network on `input` [S, fields, H, W], the normalised gradient, last gradient and last step.
@@ -116,19 +155,32 @@ impl<T: Real> Network<T> {
         assert_eq!(input.len(), self.buffers.scalar.len() * per_sample, "input has shape [S, fields, H, W]");
         self.lift(input);
         observer(Stage::Lifted, &self.buffers.x);
-        for index in 0..self.blocks.len() {
+        for index in 0..self.layers.blocks.len() {
             self.mix(index);
             self.finish_block(index);
+            if let (0, Some(kept)) = (index, &mut self.kept) {
+                std::mem::swap(&mut self.buffers.x, &mut kept.lifted);
+            }
             std::mem::swap(&mut self.buffers.x, &mut self.buffers.y);
             observer(Stage::Block(index), &self.buffers.x);
         }
-        self.scalar_head.apply(&mut self.buffers.scalar, &mut self.buffers.pooled);
+        let (scalar_head, Buffers { pooled, scalar, .. }) = (&self.layers.scalar_head, &mut self.buffers);
+        if let Some(kept) = &mut self.kept {
+            scalar_head.first_rows(&mut kept.first_rows, pooled);
+        }
+        scalar_head.apply(scalar, pooled);
+        if let Some(kept) = &mut self.kept {
+            let samples = pooled.chunks_exact(self.grid.h * self.channels);
+            for (to, from) in kept.pooled.chunks_exact_mut(self.channels).zip(samples) {
+                to.copy_from_slice(&from[..self.channels]);
+            }
+        }
     }
 
     /// Lifting and the row transform, band by band.
     fn lift(&mut self, input: &[T]) {
         let Grid { h, w } = self.grid;
-        let (lifting, transform) = (&self.lifting, &self.transform);
+        let (lifting, transform) = (&self.layers.lifting, &self.transform);
         let Buffers { x, rows, scalar, .. } = &mut self.buffers;
         let (band, row) = (band_rows(w), w * self.channels);
         let samples = x.par_chunks_mut(h * row);
@@ -159,48 +211,54 @@ impl<T: Real> Network<T> {
             let rows = &rows[column / modes_w * sample..][..sample];
             transform.column_forward(sums, rows, column % modes_w);
         });
-        self.blocks[index].0.apply(modes, sums, transform, spectral);
+        let scratch = self.kept.as_mut().map_or(spectral, |kept| &mut kept.modes[index]);
+        self.layers.blocks[index].0.apply(modes, sums, transform, scratch);
     }
 
     /// The rest of block `index`, band by band, and what follows it position by position: the GELU and the row transform
     /// of the next block, or the projection; and the maximum for the scalar head.
     fn finish_block(&mut self, index: usize) {
         let Grid { h, w } = self.grid;
-        let (transform, projection, scalar_head) = (&self.transform, &self.projection, &self.scalar_head);
+        let Layers { blocks, projection, scalar_head, .. } = &self.layers;
+        let transform = &self.transform;
         let (c, row, row_len) = (self.channels, w * self.channels, transform.row_len());
         let band = band_rows(w);
-        let skip = &self.blocks[index].1;
-        let last = index + 1 == self.blocks.len();
+        let skip = &blocks[index].1;
+        let last = index + 1 == blocks.len();
         let pools = index == self.config.scalar_block();
         let Buffers { x, y, rows, modes, pooled, field, scalar, .. } = &mut self.buffers;
         let samples = scalar.len();
         let modes = &*modes;
-        let finish_row = |(x, y): (&[T], &mut [T]), (z, pooled, field): Heads<'_, T>, scratch: &mut [T]| {
-            skip.row(y, x, z, transform);
-            if last {
-                projection.apply(field, y, scratch);
-            } else {
-                T::gelu(y);
-                transform.row_forward(z, y);
-            }
-            if pools {
-                scalar_head.pool(pooled, y);
-            }
-        };
+        let kept = self.kept.as_mut().map(|kept| &mut kept.blocks[index][..]);
+        let kept = optional_chunks(kept, h * row, samples);
+        let finish_row =
+            |(y, z, pooled): (&mut [T], &mut [T], &mut [T]), field: &mut [T], scratch: &mut [T]| {
+                if last {
+                    projection.apply(field, y, scratch);
+                } else {
+                    T::gelu(y);
+                    transform.row_forward(z, y);
+                }
+                if pools {
+                    scalar_head.pool(pooled, y);
+                }
+            };
         let activations = x.par_chunks(h * row).zip(y.par_chunks_mut(h * row));
         let heads = rows
             .par_chunks_mut(h * row_len)
             .zip(pooled.par_chunks_mut(h * c))
             .zip(field.par_chunks_mut(h * w));
-        activations.zip(heads).enumerate().for_each(|(sample, ((x, y), ((rows, pooled), field)))| {
+        activations.zip(heads).zip(kept).enumerate().for_each(|(sample, (parts, kept))| {
+            let ((x, y), ((rows, pooled), field)) = parts;
+            let kept = optional_chunks(kept, band * row, h.div_ceil(band));
             let activations = x.par_chunks(band * row).zip(y.par_chunks_mut(band * row));
             let heads = rows
                 .par_chunks_mut(band * row_len)
                 .zip(pooled.par_chunks_mut(band * c))
                 .zip(field.par_chunks_mut(band * w));
-            activations.zip(heads).enumerate().for_each_init(
+            activations.zip(heads).zip(kept).enumerate().for_each_init(
                 || projection.scratch(),
-                |scratch, (index, ((x, y), ((rows, pooled), field)))| {
+                |scratch, (index, (((x, y), ((rows, pooled), field)), mut kept))| {
                     let parts = ModeParts { values: modes, samples, sample };
                     transform.column_inverse(rows, index * band, parts);
                     let activations = x.chunks_exact(row).zip(y.chunks_exact_mut(row));
@@ -208,8 +266,12 @@ impl<T: Real> Network<T> {
                         .chunks_exact_mut(row_len)
                         .zip(pooled.chunks_exact_mut(c))
                         .zip(field.chunks_exact_mut(w));
-                    for (activations, ((z, pooled), field)) in activations.zip(heads) {
-                        finish_row(activations, (z, pooled, field), scratch);
+                    for (k, ((x, y), ((z, pooled), field))) in activations.zip(heads).enumerate() {
+                        skip.row(y, x, z, transform);
+                        if let Some(kept) = &mut kept {
+                            kept[k * row..][..row].copy_from_slice(y);
+                        }
+                        finish_row((y, z, pooled), field, scratch);
                     }
                 },
             );
@@ -224,7 +286,7 @@ impl<T: Real> Network<T> {
         for fields in input.chunks_exact(self.config.fields * n) {
             let mut positions = vec![T::zero(); n * inputs];
             for (p, at) in positions.chunks_exact_mut(inputs).enumerate() {
-                self.lifting.embed(at, fields, p / w, p % w);
+                self.layers.lifting.embed(at, fields, p / w, p % w);
             }
             embedded.extend(channels_first(&positions, n, inputs, inputs));
         }
@@ -232,8 +294,13 @@ impl<T: Real> Network<T> {
     }
 }
 
-/// What a row of a block's output goes on to: its spectrum, its maxima, its part of the field.
-type Heads<'a, T> = (&'a mut [T], &'a mut [T], &'a mut [T]);
+/// The chunks of `size` numbers of a slice that may not be there: `count` of them in either case.
+fn optional_chunks<T>(all: Option<&mut [T]>, size: usize, count: usize) -> Vec<Option<&mut [T]>> {
+    match all {
+        Some(all) => all.chunks_mut(size).map(Some).collect(),
+        None => (0..count).map(|_| None).collect(),
+    }
+}
 
 /// [S, n, stored channels] to [S, channels, n].
 fn channels_first<T: Real>(x: &[T], n: usize, stored: usize, channels: usize) -> Vec<T> {

@@ -1,7 +1,7 @@
 //! Pointwise layers: the same small matrix at every position.
 
 use super::padded;
-use crate::cpu::matmul::{Target, Term, product};
+use crate::cpu::matmul::{Start, Target, Term, add_rows, product};
 use crate::cpu::real::Real;
 use crate::network::Dense;
 
@@ -36,10 +36,91 @@ impl<T: Real> Pointwise<T> {
         let columns = self.outputs();
         let rows = out.len() / columns;
         product(
-            Target { out, stride: columns, rows, columns, start: Some(&self.bias) },
-            &[Term { a: x, a_stride: self.inputs, b: &self.weight, b_stride: columns, depth: self.inputs }],
+            Target { out, stride: columns, rows, columns, start: Start::Row(&self.bias) },
+            &[Term {
+                a: x,
+                a_stride: self.inputs,
+                a_transposed: false,
+                b: &self.weight,
+                b_stride: columns,
+                depth: self.inputs,
+            }],
         );
     }
+}
+
+/// The gradient of a pointwise layer, in the layout of [`Pointwise`].
+#[derive(Clone)]
+pub(super) struct PointwiseGradient<T> {
+    /// Shape [in stored, out padded].
+    weight: Vec<T>,
+    /// Shape [out padded].
+    bias: Vec<T>,
+    inputs: usize,
+}
+
+impl<T: Real> PointwiseGradient<T> {
+    /// Zero, for a layer that reads `stored` channels.
+    pub fn new(stored: usize, outputs: usize) -> Self {
+        let zeros = |n| vec![T::zero(); n];
+        Self { weight: zeros(stored * padded(outputs)), bias: zeros(padded(outputs)), inputs: stored }
+    }
+
+    /// Adds `sum over positions of x adj_y`, from `x` [positions, in stored] and `adj_y` [positions, out padded].
+    pub fn add(&mut self, x: &[T], adj_y: &[T]) {
+        let columns = self.bias.len();
+        let target = Target {
+            out: &mut self.weight,
+            stride: columns,
+            rows: self.inputs,
+            columns,
+            start: Start::Target,
+        };
+        let depth = adj_y.len() / columns;
+        product(
+            target,
+            &[Term { a: x, a_stride: self.inputs, a_transposed: true, b: adj_y, b_stride: columns, depth }],
+        );
+        add_rows(&mut self.bias, adj_y);
+    }
+
+    /// Adds another part of the same gradient.
+    pub fn merge(&mut self, other: &Self) {
+        for (to, &from) in
+            self.weight.iter_mut().zip(&other.weight).chain(self.bias.iter_mut().zip(&other.bias))
+        {
+            *to = *to + from;
+        }
+    }
+
+    /// Adds the gradient of the weight to `weight` [out, in] and that of the bias to `bias` \[out\].
+    pub fn add_to(&self, weight: &mut [T], bias: &mut [T]) {
+        let (inputs, columns) = (weight.len() / bias.len(), self.bias.len());
+        for (o, (row, bias)) in weight.chunks_exact_mut(inputs).zip(bias).enumerate() {
+            for (i, to) in row.iter_mut().enumerate() {
+                *to = *to + self.weight[i * columns + o];
+            }
+            *bias = *bias + self.bias[o];
+        }
+    }
+
+    /// Back to zero.
+    pub fn clear(&mut self) {
+        self.weight.fill(T::zero());
+        self.bias.fill(T::zero());
+    }
+}
+
+/// A weight [out, in] as it is, of shape [stored out, in padded], zero in what is padded: `adj_x = adj_y weight`.
+pub(super) fn straight<T: Real>(weight: &[f32], outputs: usize, inputs: usize) -> Vec<T> {
+    let columns = padded(inputs);
+    let mut result = vec![T::zero(); padded(outputs) * columns];
+    for (to, from) in result.chunks_exact_mut(columns).zip(weight.chunks_exact(inputs)) {
+        for (to, &from) in to.iter_mut().zip(from) {
+            *to = T::of(from as f64);
+        }
+    }
+    result
 }
 
 /// The transpose of a weight [out, in], of shape [stored, out padded], zero in what is padded.

@@ -1,10 +1,31 @@
 //! The field head: channels to one field, through a hidden layer that never leaves the cache.
 
-use super::pointwise::Pointwise;
-use super::{SEGMENT, padded};
-use crate::cpu::matmul::weighted_rows;
+use super::pointwise::{Pointwise, PointwiseGradient};
+use super::{ADJOINT_SEGMENT, SEGMENT, padded};
+use crate::cpu::matmul::{Start, Target, Term, product, weighted_rows};
 use crate::cpu::real::Real;
-use crate::network::Weights;
+use crate::network::{Config, Weights};
+
+/// A part of the gradient of [`Projection`], and working memory.
+pub(super) struct ProjectionGradient<T> {
+    pub hidden: PointwiseGradient<T>,
+    /// Shape [hidden padded].
+    pub weight: Vec<T>,
+    pub bias: T,
+    scratch: [Vec<T>; 2],
+}
+
+impl<T: Real> ProjectionGradient<T> {
+    pub fn new(config: &Config) -> Self {
+        let hidden = padded(config.projection);
+        Self {
+            hidden: PointwiseGradient::new(padded(config.channels), config.projection),
+            weight: vec![T::zero(); hidden],
+            bias: T::zero(),
+            scratch: [(); 2].map(|_| vec![T::zero(); ADJOINT_SEGMENT * hidden]),
+        }
+    }
+}
 
 /// The two layers of the projection, `C -> hidden -> 1`.
 pub(super) struct Projection<T> {
@@ -23,6 +44,60 @@ impl<T: Real> Projection<T> {
             *to = T::of(from as f64);
         }
         Self { hidden, weight, bias: T::of(second.bias[0] as f64) }
+    }
+
+    /// The cotangents `adj_x` [positions, C] for those of the field, `adj_field` \[positions\], at the input `x`
+    /// [positions, C]; adds to the gradient. The hidden layer is computed again.
+    pub fn backward(
+        &self,
+        adj_x: &mut [T],
+        (x, adj_field): (&[T], &[T]),
+        turned: &[T],
+        gradient: &mut ProjectionGradient<T>,
+    ) {
+        let (c, hidden) = (x.len() / adj_field.len(), self.hidden.outputs());
+        let parts = adj_x.chunks_mut(ADJOINT_SEGMENT * c).zip(x.chunks(ADJOINT_SEGMENT * c));
+        for ((adj_x, x), adj_field) in parts.zip(adj_field.chunks(ADJOINT_SEGMENT)) {
+            let n = adj_field.len();
+            let [values, slopes] = gradient.scratch.each_mut().map(|s| &mut s[..n * hidden]);
+            self.hidden.apply(values, x);
+            T::gelu_and_slope(values, slopes);
+            product(
+                Target {
+                    out: &mut gradient.weight,
+                    stride: hidden,
+                    rows: 1,
+                    columns: hidden,
+                    start: Start::Target,
+                },
+                &[Term {
+                    a: adj_field,
+                    a_stride: 1,
+                    a_transposed: true,
+                    b: values,
+                    b_stride: hidden,
+                    depth: n,
+                }],
+            );
+            for (slopes, &adj) in slopes.chunks_exact_mut(hidden).zip(adj_field) {
+                for (slope, &weight) in slopes.iter_mut().zip(&self.weight) {
+                    *slope = *slope * weight * adj;
+                }
+                gradient.bias = gradient.bias + adj;
+            }
+            gradient.hidden.add(x, slopes);
+            product(
+                Target { out: adj_x, stride: c, rows: n, columns: c, start: Start::Zero },
+                &[Term {
+                    a: slopes,
+                    a_stride: hidden,
+                    a_transposed: false,
+                    b: turned,
+                    b_stride: c,
+                    depth: hidden,
+                }],
+            );
+        }
     }
 
     pub fn scratch(&self) -> Vec<T> {

@@ -26,6 +26,46 @@ impl<T: Real> ScalarHead<T> {
         largest_rows(pooled, x);
     }
 
+    /// The first row that holds the largest value of each channel, `rows` [S, C], of the pooled rows `pooled` [S, H, C]:
+    /// the maximum's cotangent goes to the first position that attains it.
+    pub fn first_rows(&self, rows: &mut [u32], pooled: &[T]) {
+        let c = self.weight.len();
+        let sample = pooled.len() / (rows.len() / c);
+        for (rows, pooled) in rows.chunks_exact_mut(c).zip(pooled.chunks_exact(sample)) {
+            rows.fill(0);
+            for (i, row) in pooled.chunks_exact(c).enumerate() {
+                for (k, &x) in row.iter().enumerate() {
+                    if x > pooled[rows[k] as usize * c + k] {
+                        rows[k] = i as u32;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Adds the cotangents of row `i` of a sample to `adj_x` [W, C], for `adj_scalar` of the head's output: where `x`
+    /// [W, C] first attains its maximum, for the channels whose maximum `first_rows` \[C\] puts into this row.
+    pub fn backward_row(&self, adj_x: &mut [T], x: &[T], (i, first_rows): (usize, &[u32]), adj_scalar: T) {
+        let c = self.weight.len();
+        for (k, &weight) in self.weight.iter().enumerate().filter(|(k, _)| first_rows[*k] as usize == i) {
+            let mut largest = 0;
+            for j in 1..x.len() / c {
+                if x[j * c + k] > x[largest * c + k] {
+                    largest = j;
+                }
+            }
+            adj_x[largest * c + k] = adj_x[largest * c + k] + adj_scalar * weight;
+        }
+    }
+
+    /// Adds the gradient of the weight, `weight` \[C\], and of the bias, from the largest values `pooled` \[C\] of a sample.
+    pub fn add_gradient(weight: &mut [T], bias: &mut T, pooled: &[T], adj_scalar: T) {
+        for (to, &largest) in weight.iter_mut().zip(pooled) {
+            *to = *to + adj_scalar * largest;
+        }
+        *bias = *bias + adj_scalar;
+    }
+
     /// `scalar` \[S\] from the pooled rows `pooled` [S, H, C]; overwrites the first row of each sample.
     pub fn apply(&self, scalar: &mut [T], pooled: &mut [T]) {
         let c = self.weight.len();

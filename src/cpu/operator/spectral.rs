@@ -2,7 +2,7 @@
 
 use super::padded;
 use super::transform::Transform;
-use crate::cpu::matmul::{Target, Term, product};
+use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
 use crate::network::{Block, Config};
 use rayon::prelude::*;
@@ -19,24 +19,78 @@ pub struct Spectral<T> {
 impl<T: Real> Spectral<T> {
     /// Lays out the weights of a block, shape [in, out, modes_h, modes_w, 2].
     pub fn new(config: &Config, block: &Block) -> Self {
+        let n = config.channels;
+        Self::laid_out(config, |i, o, m, part| block.spectral[((i * n + o) * config.modes() + m) * 2 + part])
+    }
+
+    /// The adjoint, for cotangents: the conjugate of the weights, with inputs and outputs exchanged.
+    pub fn adjoint(config: &Config, block: &Block) -> Self {
+        let n = config.channels;
+        Self::laid_out(config, |i, o, m, part| {
+            let value = block.spectral[((o * n + i) * config.modes() + m) * 2 + part];
+            if part == 1 { -value } else { value }
+        })
+    }
+
+    fn laid_out(config: &Config, value: impl Fn(usize, usize, usize, usize) -> f32 + Sync) -> Self {
         let (n, modes, c) = (config.channels, config.modes(), padded(config.channels));
         let mut weight = vec![T::zero(); modes * 2 * c * c];
-        for i in 0..n {
-            for o in 0..n {
-                for m in 0..modes {
-                    for part in 0..2 {
-                        let from = block.spectral[((i * n + o) * modes + m) * 2 + part];
-                        weight[((m * 2 + part) * c + i) * c + o] = T::of(from as f64);
-                    }
+        weight.par_chunks_exact_mut(c * c).enumerate().for_each(|(part, matrix)| {
+            for (i, row) in matrix.chunks_exact_mut(c).take(n).enumerate() {
+                for (o, to) in row.iter_mut().take(n).enumerate() {
+                    *to = T::of(value(i, o, part / 2, part % 2) as f64);
                 }
             }
-        }
+        });
         Self { weight, channels: c, modes_h: config.modes_h, modes_w: config.modes_w }
     }
 
     /// Numbers of working memory that [`Spectral::apply`] needs for `samples` samples.
     pub fn scratch_len(&self, samples: usize) -> usize {
         self.modes_h * self.modes_w * 4 * samples * self.channels
+    }
+
+    /// Adds the gradient of the weights to `gradient` [in, out, modes_h, modes_w, 2]: the sum over samples of
+    /// `conj(x) adj_y`, from what [`Spectral::apply`] left in `scratch` for the inputs and, applied by the adjoint, for the
+    /// cotangents of the outputs. `matrices` is working memory of the size of the weights.
+    pub fn add_gradient(&self, gradient: &mut [T], (x, adj_y): (&[T], &[T]), matrices: &mut [T]) {
+        let (c, modes) = (self.channels, self.modes_h * self.modes_w);
+        let mode_len = x.len() / modes;
+        let parts = x.par_chunks_exact(mode_len).zip(adj_y.par_chunks_exact(mode_len));
+        matrices.par_chunks_exact_mut(2 * c * c).zip(parts).for_each(|(matrices, (x, adj_y))| {
+            // Every other row is (re), (im), (re), ..; those between are (-im), (re), ..: with the first the sum is the
+            // gradient's real part, with the second its imaginary part, negative.
+            let (real, imaginary) = matrices.split_at_mut(c * c);
+            for (out, b) in [(real, adj_y), (imaginary, &adj_y[c..])] {
+                product(
+                    Target { out, stride: c, rows: c, columns: c, start: Start::Zero },
+                    &[Term {
+                        a: x,
+                        a_stride: 2 * c,
+                        a_transposed: true,
+                        b,
+                        b_stride: 2 * c,
+                        depth: mode_len / (2 * c),
+                    }],
+                );
+            }
+        });
+        let matrices = &*matrices;
+        let n = (gradient.len() / (2 * modes)).isqrt();
+        gradient.par_chunks_exact_mut(n * modes * 2).enumerate().for_each(|(i, gradient)| {
+            for (o, gradient) in gradient.chunks_exact_mut(modes * 2).enumerate() {
+                for (m, to) in gradient.chunks_exact_mut(2).enumerate() {
+                    let at = (m * 2 * c + i) * c + o;
+                    to[0] = to[0] + matrices[at];
+                    to[1] = to[1] - matrices[at + c * c];
+                }
+            }
+        });
+    }
+
+    /// Numbers of working memory that [`Spectral::add_gradient`] needs.
+    pub fn len(&self) -> usize {
+        self.weight.len()
     }
 
     /// `out` [modes_h, modes_w, 2, S, 2, C] from the column sums `sums` [S, modes_w, 2 modes_h, 2, C] of the forward
@@ -64,8 +118,15 @@ impl<T: Real> Spectral<T> {
             let (straight, turned) = out.split_at_mut(2 * samples * c);
             let weight = &self.weight[mode * 2 * c * c..][..2 * c * c];
             product(
-                Target { out: straight, stride: c, rows: 2 * samples, columns: c, start: None },
-                &[Term { a: inputs, a_stride: 2 * c, b: weight, b_stride: c, depth: 2 * c }],
+                Target { out: straight, stride: c, rows: 2 * samples, columns: c, start: Start::Zero },
+                &[Term {
+                    a: inputs,
+                    a_stride: 2 * c,
+                    a_transposed: false,
+                    b: weight,
+                    b_stride: c,
+                    depth: 2 * c,
+                }],
             );
             for (from, to) in straight.chunks_exact(2 * c).zip(turned.chunks_exact_mut(2 * c)) {
                 for o in 0..c {

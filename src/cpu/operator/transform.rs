@@ -4,7 +4,7 @@
 //! is one product along the rows of the grid and one along its columns. A row spectrum `R` keeps, for one grid row, the
 //! columns k_w as (re, im) pairs: shape [modes_w, 2, C]. The forward transform carries the factor 1/(HW), the inverse none.
 
-use crate::cpu::matmul::{Target, Term, product};
+use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
 use crate::network::Config;
 use crate::sim::Grid;
@@ -12,6 +12,7 @@ use crate::{Error, Result};
 use std::f64::consts::TAU;
 
 /// The tables of one grid for `channels` channels as they lie in memory.
+#[derive(Clone)]
 pub struct Transform<T> {
     grid: Grid,
     channels: usize,
@@ -75,6 +76,21 @@ impl<T: Real> Transform<T> {
         })
     }
 
+    /// The adjoint: forward is the adjoint of the inverse, inverse that of the forward transform. Along the columns each
+    /// is the other's adjoint already; along the rows the tables trade places. So the weight that a mode carries in the
+    /// inverse, 2 where it stands for its conjugate too, is in the adjoint's forward transform.
+    pub fn adjoint(&self) -> Self {
+        let (w, modes) = (self.grid.w, 2 * self.modes_w);
+        let transposed = |table: &[T], rows: usize, columns: usize| {
+            (0..rows * columns).map(|n| table[n % rows * columns + n / rows]).collect()
+        };
+        Self {
+            row_forward: transposed(&self.row_inverse, w, modes),
+            row_inverse: transposed(&self.row_forward, modes, w),
+            ..self.clone()
+        }
+    }
+
     /// Numbers in the row spectrum of one grid row, shape [modes_w, 2, C].
     pub fn row_len(&self) -> usize {
         self.modes_w * 2 * self.channels
@@ -89,15 +105,22 @@ impl<T: Real> Transform<T> {
     pub fn row_forward(&self, out: &mut [T], x: &[T]) {
         let (w, c) = (self.grid.w, self.channels);
         product(
-            Target { out, stride: c, rows: 2 * self.modes_w, columns: c, start: None },
-            &[Term { a: &self.row_forward, a_stride: w, b: x, b_stride: c, depth: w }],
+            Target { out, stride: c, rows: 2 * self.modes_w, columns: c, start: Start::Zero },
+            &[Term { a: &self.row_forward, a_stride: w, a_transposed: false, b: x, b_stride: c, depth: w }],
         );
     }
 
     /// The term that adds the inverse along a row, [W, C], of a row spectrum `z` [modes_w, 2, C].
     pub(super) fn row_inverse<'a>(&'a self, z: &'a [T]) -> Term<'a, T> {
         let depth = 2 * self.modes_w;
-        Term { a: &self.row_inverse, a_stride: depth, b: z, b_stride: self.channels, depth }
+        Term {
+            a: &self.row_inverse,
+            a_stride: depth,
+            a_transposed: false,
+            b: z,
+            b_stride: self.channels,
+            depth,
+        }
     }
 
     /// Forward along the columns, of column `k_w` of a sample: `out` [2 modes_h, 2, C], the sums with the cosines and then
@@ -106,8 +129,15 @@ impl<T: Real> Transform<T> {
         let (h, columns) = (self.grid.h, 2 * self.channels);
         let b = &rows[k_w * columns..];
         product(
-            Target { out, stride: columns, rows: 2 * self.modes_h, columns, start: None },
-            &[Term { a: &self.column_forward, a_stride: h, b, b_stride: self.row_len(), depth: h }],
+            Target { out, stride: columns, rows: 2 * self.modes_h, columns, start: Start::Zero },
+            &[Term {
+                a: &self.column_forward,
+                a_stride: h,
+                a_transposed: false,
+                b,
+                b_stride: self.row_len(),
+                depth: h,
+            }],
         );
     }
 
@@ -133,7 +163,7 @@ impl<T: Real> Transform<T> {
         let mut field = vec![T::zero(); self.grid.particles() * c];
         for (out, z) in field.chunks_exact_mut(self.grid.w * c).zip(spectra.chunks_exact(row_len)) {
             product(
-                Target { out, stride: c, rows: self.grid.w, columns: c, start: None },
+                Target { out, stride: c, rows: self.grid.w, columns: c, start: Start::Zero },
                 &[self.row_inverse(z)],
             );
         }
@@ -150,12 +180,16 @@ impl<T: Real> Transform<T> {
             let part = |turned: usize| Term {
                 a: &self.column_inverse[i * 2 * self.modes_h + turned * self.modes_h..],
                 a_stride: 2 * self.modes_h,
+                a_transposed: false,
                 b: &modes.values[(k_w * 2 + turned) * modes.samples * columns + modes.sample * columns..],
                 b_stride: self.modes_w * 2 * modes.samples * columns,
                 depth: self.modes_h,
             };
             let out = &mut out[k_w * columns..];
-            product(Target { out, stride: self.row_len(), rows, columns, start: None }, &[part(0), part(1)]);
+            product(
+                Target { out, stride: self.row_len(), rows, columns, start: Start::Zero },
+                &[part(0), part(1)],
+            );
         }
     }
 }
