@@ -145,7 +145,7 @@ pub enum Every {
 /// Rollouts of fixed scenes by which weights are judged ([`super::Validation`]).
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ValidationConfig {
-    /// How often; at the end of the run in any case.
+    /// How often; at the end of each session in any case.
     pub every: Every,
     /// Frames of each rollout.
     pub frames: usize,

@@ -107,7 +107,10 @@ impl StepReport {
 /// The learner of a device, beginning with `weights`.
 pub fn learner(device: &Device, config: &Config, weights: &Weights) -> Result<Box<dyn Learner>> {
     match device {
-        Device::Cpu => todo!(),
+        Device::Cpu => {
+            let _ = (config, weights);
+            todo!()
+        }
         Device::Gpu(_) => {
             Err(Error::Device("training runs on the CPU path so far: ask for it with --device cpu".into()))
         }

@@ -159,7 +159,7 @@ impl Run {
         let (first, before) = (self.counters.step, self.counters.seconds);
         let (mut skipped, mut saved) = (0, first);
         let end = loop {
-            if self.counters.step >= steps || session.is_due(self.counters.step) {
+            if self.counters.step >= steps {
                 break End::Done;
             }
             let report = self.advance()?;
@@ -173,7 +173,8 @@ impl Run {
             if step.is_multiple_of(self.config.log_every) {
                 self.flush()?;
             }
-            let validated = step == steps || validate.restart_if_due(step);
+            let last = step == steps || session.is_due(step);
+            let validated = last || validate.restart_if_due(step);
             let improved = validated && self.validate()?;
             if improved || checkpoint.restart_if_due(step) {
                 self.save()?;
@@ -182,6 +183,9 @@ impl Run {
             let validation = validated.then_some(&self.scores.1[..]);
             if watch(&Progress { step, steps, report: &report, validation }).is_break() {
                 break End::Interrupted;
+            }
+            if last {
+                break End::Done;
             }
         };
         match end {
