@@ -36,8 +36,8 @@ const LINES: [u8; 3] = [214, 218, 222];
 /// Height of titles and of labels \[px\].
 const TITLE: f32 = 11.0;
 const LABEL: f32 = 8.0;
-/// Space for the axes and the legend \[px\]: left, top, right, bottom.
-const MARGINS: [f32; 4] = [62.0, 34.0, 16.0, 26.0];
+/// Space for the axes and the title \[px\]: left, top, right, bottom.
+const MARGINS: [f32; 4] = [62.0, 30.0, 16.0, 26.0];
 /// Share of the values at each end that may lie outside the chart, lest a spike flatten the rest.
 const OUTSIDE: f64 = 0.005;
 
@@ -58,14 +58,7 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
     let [left, top, right, bottom] = MARGINS;
     let low = corner + vec2(left, size.y - bottom);
     let high = corner + vec2(size.x - right, top);
-    text::write(image, &chart.title, [low.x, corner.y + 6.0], TITLE);
-    let mut legend = high.x;
-    for (k, curve) in chart.curves.iter().enumerate().rev() {
-        legend -= text::width(&curve.label, LABEL) + 30.0;
-        let y = corner.y + 26.0;
-        line(image, [vec2(legend, y), vec2(legend + 14.0, y)], COLOURS[k % COLOURS.len()], 1.2);
-        text::write(image, &curve.label, [legend + 18.0, y - LABEL / 2.0], LABEL);
-    }
+    text::write(image, &chart.title.to_uppercase(), [low.x, corner.y + 8.0], TITLE);
     let points =
         || chart.curves.iter().flat_map(|c| &c.points).filter(|p| p[0].is_finite() && p[1].is_finite());
     let x = Axis::over(points().map(|p| p[0]).collect(), 0.0);
@@ -94,6 +87,12 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
                 line(image, [a, b], *colour, 0.9);
             }
         }
+    }
+    let widest = chart.curves.iter().map(|c| text::width(&c.label.to_uppercase(), LABEL)).fold(0.0, f32::max);
+    for (k, curve) in chart.curves.iter().enumerate() {
+        let (x, y) = (high.x - widest - 24.0, high.y + 10.0 + 1.8 * LABEL * k as f32);
+        line(image, [vec2(x, y), vec2(x + 14.0, y)], COLOURS[k % COLOURS.len()], 1.2);
+        text::write(image, &curve.label.to_uppercase(), [x + 20.0, y - LABEL / 2.0], LABEL);
     }
 }
 
@@ -180,9 +179,9 @@ mod tests {
     #[test]
     fn ticks_are_round_and_inside() {
         let ticks = |low, high| Axis { low, high }.ticks().map(number).collect::<Vec<_>>().join(" ");
-        assert_eq!(ticks(0.0, 1.0), "0 0.5 1");
+        assert_eq!(ticks(0.0, 1.0), "0 0.2 0.4 0.6 0.8 1");
         assert_eq!(ticks(-3.7, 2.1), "-2 0 2");
-        assert_eq!(ticks(100.0, 500_000.0), "200000 400000");
+        assert_eq!(ticks(100.0, 500_000.0), "100000 200000 300000 400000 500000");
         assert_eq!(ticks(0.0, 2e-4), "0 5.0e-5 1.0e-4 1.5e-4 2.0e-4");
     }
 }

@@ -3,8 +3,9 @@
 use super::checkpoint::Tensors;
 use super::config::Config;
 use crate::network::Weights;
-use crate::sim::{Cloth, Device, EnergyTerms};
+use crate::sim::{Cloth, Control, Device, EnergyTerms, Grid, Model, cast};
 use crate::{Error, Result};
+use num_traits::Float;
 
 /// The device's side of training: the weights, AdamW's memory and the arrays of all pools.
 pub trait Learner {
@@ -60,6 +61,19 @@ pub struct Drawn {
     pub advance: bool,
 }
 
+impl Batch {
+    /// The cloths as a model.
+    pub fn model(&self, grid: Grid) -> Model {
+        Model { grid, cloths: self.cloths.iter().map(|drawn| drawn.cloth.clone()).collect() }
+    }
+
+    /// What drives the present frame of each of them.
+    pub fn control<T: Float + Default>(&self) -> Control<T> {
+        let targets = self.cloths.iter().flat_map(|drawn| &drawn.targets);
+        Control { handles: targets.map(|p| p.map(cast)).collect(), ..Control::default() }
+    }
+}
+
 /// How the weights are updated in a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Update {
@@ -105,14 +119,6 @@ impl StepReport {
 }
 
 /// The learner of a device, beginning with `weights`.
-pub fn learner(device: &Device, config: &Config, weights: &Weights) -> Result<Box<dyn Learner>> {
-    match device {
-        Device::Cpu => {
-            let _ = (config, weights);
-            todo!()
-        }
-        Device::Gpu(_) => {
-            Err(Error::Device("training runs on the CPU path so far: ask for it with --device cpu".into()))
-        }
-    }
+pub fn learner(device: &Device, _config: &Config, _weights: &Weights) -> Result<Box<dyn Learner>> {
+    Err(Error::Device(format!("training on {} is not there yet", device.name())))
 }

@@ -29,6 +29,7 @@
 //! | `checkpoints/` | the last three whole states of the run, to resume from |
 //! | `weights/best.safetensors`, `last.safetensors` | weights (averaged, if that is on), each with a model card in JSON |
 
+mod arrays;
 mod card;
 mod checkpoint;
 mod config;
@@ -46,6 +47,7 @@ mod script;
 mod table;
 mod validation;
 
+pub use arrays::Arrays;
 pub use card::Card;
 pub use checkpoint::Tensors;
 pub use config::{
