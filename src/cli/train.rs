@@ -3,7 +3,6 @@
 use super::device::DeviceArgs;
 use super::{Ending, interrupt_flag};
 use anyhow::Result;
-use fnopt::Error;
 use fnopt::network::Weights;
 use fnopt::train::{Config, End, Limits, Progress, Run, SceneScore, first_weights, learner};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -39,7 +38,7 @@ const PAPER: &str = include_str!("../../assets/training/paper.toml");
 const PAPER_NAME: &str = "assets/training/paper.toml";
 
 pub fn run(args: &Args) -> Result<Ending> {
-    let given = args.config.as_deref().map(read).transpose()?;
+    let given = args.config.as_deref().map(Config::load).transpose()?;
     let mut run = match &args.resume {
         Some(folder) => args.resumed(folder, given.map(|(_, config)| config))?,
         None => {
@@ -100,13 +99,6 @@ impl Args {
         eprintln!("continuing after step {}", run.step());
         Ok(run)
     }
-}
-
-/// A configuration as text and as what it means.
-fn read(path: &Path) -> fnopt::Result<(String, Config)> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::io(path, "cannot read", e))?;
-    let config = Config::parse(&text, path)?;
-    Ok((text, config))
 }
 
 /// A number of minutes.

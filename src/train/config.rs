@@ -3,7 +3,7 @@
 use super::read;
 use super::schedule::{Decay, Schedule};
 use crate::sim::Grid;
-use crate::{Result, io, network};
+use crate::{Error, Result, io, network};
 use std::path::{Path, PathBuf};
 
 /// A training run: its pools, its optimizer, how long and how watched. The default is the paper's recipe (section 4).
@@ -224,10 +224,13 @@ impl Default for ValidationConfig {
 }
 
 impl Config {
-    /// Reads a configuration file.
-    pub fn load(path: &Path) -> Result<Self> {
+    /// Reads a configuration file: its text, which a run keeps, and what it means.
+    pub fn load(path: &Path) -> Result<(String, Self)> {
         let bytes = io::read_bytes(path)?;
-        Self::parse(&String::from_utf8_lossy(&bytes), path)
+        let origin = path.display().to_string();
+        let text = String::from_utf8(bytes).map_err(|e| Error::invalid(origin, "text", "UTF-8", e))?;
+        let config = Self::parse(&text, path)?;
+        Ok((text, config))
     }
 
     /// Reads a configuration from TOML; `path` names it in errors, and its folder is where `init` is looked for.

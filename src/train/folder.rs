@@ -15,12 +15,13 @@ pub(super) struct Folder {
 }
 
 impl Folder {
-    /// Begins a run in a folder, which is made if it is not there; refuses one that holds a run.
+    /// Begins a run in a folder, which is made if it is not there; refuses one that holds
+    /// checkpoints.
     pub fn create(root: &Path, config: &str) -> Result<Self> {
         let folder = Self { root: root.to_owned() };
-        if folder.config().exists() {
-            let expected = "a folder without a run (--resume continues one)";
-            return Err(Error::invalid(root.display().to_string(), "config.toml", expected, "a run"));
+        if let Some(path) = folder.checkpoints()?.first() {
+            let expected = "none in the folder of a new run (--resume continues an old one)";
+            return Err(Error::invalid(root.display().to_string(), "checkpoints", expected, path.display()));
         }
         io::write_atomic(folder.config(), |file| file.write_all(config.as_bytes()))?;
         Ok(folder)
@@ -83,12 +84,16 @@ impl Folder {
         Err(Error::invalid(dir, "checkpoints", "a whole one to resume from", found))
     }
 
-    /// All checkpoints, the newest first.
+    /// All checkpoints, the newest first; a folder that is missing has none.
     fn checkpoints(&self) -> Result<Vec<PathBuf>> {
         let dir = self.checkpoint_dir();
         let fail = |e| Error::io(&dir, "cannot read", e);
         let mut found: Vec<(u64, PathBuf)> = Vec::new();
-        for entry in std::fs::read_dir(&dir).map_err(fail)? {
+        let entries = match std::fs::read_dir(&dir) {
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            entries => entries.map_err(fail)?,
+        };
+        for entry in entries {
             let path = entry.map_err(fail)?.path();
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
             let step = name.strip_prefix("step-").and_then(|n| n.strip_suffix(".safetensors"));

@@ -86,7 +86,7 @@ impl Run {
         learner: impl FnOnce(&Config) -> Result<Box<dyn Learner>>,
     ) -> Result<(Self, Vec<Error>)> {
         let folder = Folder::open(root);
-        let config = Config::load(&folder.config())?;
+        let (_, config) = Config::load(&folder.config())?;
         let other = |found: &str| {
             let origin = folder.config().display().to_string();
             Err(Error::invalid(origin, "configuration", "the one that the run began with", found))

@@ -164,10 +164,12 @@ fn a_damaged_checkpoint_is_passed_over_and_told() {
 #[test]
 fn runs_are_not_mixed_up() {
     let folder = tempfile::tempdir().unwrap();
+    // A run that ended before its first checkpoint has nothing to keep.
+    fresh(folder.path());
     train(&mut fresh(folder.path()), 2);
     let again = Run::create(folder.path(), CONFIG, config(), Box::new(Fake::new(&config())));
     let message = again.err().expect("the folder holds a run").to_string();
-    assert!(message.contains("without a run"), "{message}");
+    assert!(message.contains("in the folder of a new run"), "{message}");
     let other = Config { seed: 2, ..config() };
     let given = Run::resume(folder.path(), Some(&other), |c| Ok(Box::new(Fake::new(c)) as Box<dyn Learner>));
     let message = given.err().expect("another configuration").to_string();
