@@ -239,15 +239,17 @@ fn an_interrupted_run_and_one_out_of_time_can_be_resumed() {
 }
 
 #[test]
-fn the_last_good_checkpoint_survives_a_failed_one() {
+fn the_last_good_checkpoint_survives_one_that_cannot_be_written() {
     let folder = tempfile::tempdir().unwrap();
     train(&mut fresh(folder.path()), 2);
-    let (mut run, _) = Run::resume(folder.path(), None, |config| {
-        Ok(Box::new(Fake::new(config).on_a_full_disk()) as Box<dyn Learner>)
-    })
-    .unwrap();
+    // A folder of that name stands in for a full disk: the file is written and cannot take its place.
+    let taken = folder.path().join("checkpoints/step-00000004.safetensors");
+    std::fs::create_dir(&taken).unwrap();
+    let (mut run, _) = resume(folder.path()).unwrap();
     let limits = Limits { steps: Some(6), minutes: None };
     let error = run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err().to_string();
-    assert!(error.contains("cannot write"), "{error}");
-    assert_eq!(resume(folder.path()).unwrap().0.step(), 2);
+    assert!(error.contains("step-00000004") && error.contains("cannot write"), "{error}");
+    assert_eq!(checkpoints(folder.path()).len(), 2, "no half-written file is left");
+    let (run, passed_over) = resume(folder.path()).unwrap();
+    assert_eq!((run.step(), passed_over.len()), (2, 1));
 }
