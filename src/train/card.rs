@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// What is told of weights beside their file.
 #[derive(Clone, Debug, serde::Serialize)]
-pub struct Card<'a> {
+pub(super) struct Card<'a> {
     /// Training steps behind them.
     pub steps: u64,
     /// Of them, steps skipped because they were not finite.

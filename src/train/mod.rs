@@ -48,7 +48,6 @@ mod table;
 mod validation;
 
 pub use arrays::Arrays;
-pub use card::Card;
 pub use checkpoint::Tensors;
 pub use config::{
     AdamWOptions, Config, Every, MaterialRanges, MotionRanges, PoolConfig, Range, ResetRules,
