@@ -28,13 +28,10 @@ override WIDE: u32 = 8;
 override HIGH: u32 = 8;
 
 @compute @workgroup_size(WIDE, HIGH)
-fn block(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
-    let quad = id.x;
-    // With one row to a workgroup its number is the same for all invocations, and so are the addresses in r.
-    let row = select(id.y, group.y, HIGH == 1u);
-    if quad >= params.row_quads || row >= params.rows {
-        return;
-    }
+fn block(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
+    // Invocations beyond the last quad take part in what a subgroup shares.
+    let quad = min(id.x, params.row_quads - 1u);
+    let row = min(id.y, params.rows - 1u);
     let tiles = params.channels / $n;
     let sample = group.z / tiles;
     let tile = group.z % tiles;
@@ -44,20 +41,23 @@ fn block(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group:
     var y$c = vec4f();
     for (var c = 0u; c < params.channels; c++) {
         let v = x[first + c * plane];
-        let w$q = skip[at + $q];
+        let w$q = $same(skip, at + $q);
         y$c += w$q.$e * v;
         at += $m;
     }
     at = (sample * params.rows + row) * params.columns * params.channels / 4u + tile * $m;
     for (var k = 0u; k < params.columns; k++) {
         let v = table[k * params.row_quads + quad];
-        let w$q = r[at + $q];
+        let w$q = $same(r, at + $q);
         y$c += w$q.$e * v;
         at += params.channels / 4u;
     }
     let out = first + tile * $n * plane;
-    let b$q = bias[tile * $m + $q];
+    let b$q = $same(bias, tile * $m + $q);
     y$c += b$q.$e;
+    if id.x >= params.row_quads || id.y >= params.rows {
+        return;
+    }
     if GELU {
         y[out + $c * plane] = gelu(y$c);
     } else {

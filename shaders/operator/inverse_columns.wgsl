@@ -19,11 +19,9 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> r: array<f32>;
 
 @compute @workgroup_size(64)
-fn inverse_columns(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
-    let channel = id.x;
-    if channel >= params.channels {
-        return;
-    }
+fn inverse_columns(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
+    // Invocations beyond the last channel take part in what a subgroup shares.
+    let channel = min(id.x, params.channels - 1u);
     let column = group.y % params.modes_w;
     let first = group.y / params.modes_w * params.strip;
     let sample = group.z;
@@ -33,11 +31,13 @@ fn inverse_columns(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_
     for (var i = first; i < end; i++) {
         var re = 0.0;
         var im = 0.0;
-        let t$c = table[i * $n + $c];
+        let t$c = $same(table, i * $n + $c);
         re += z$c.x * t$c.x - z$c.y * t$c.y;
         im += z$c.x * t$c.y + z$c.y * t$c.x;
         let at = ((sample * params.rows + i) * params.modes_w + column) * 2u * params.channels + channel;
-        r[at] = re;
-        r[at + params.channels] = im;
+        if id.x < params.channels {
+            r[at] = re;
+            r[at + params.channels] = im;
+        }
     }
 }

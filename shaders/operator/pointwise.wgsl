@@ -26,24 +26,25 @@ override GELU: bool = true;
 override WORKGROUP: u32 = 64;
 
 @compute @workgroup_size(WORKGROUP)
-fn pointwise(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
-    let p = id.x;
-    if p >= params.quads {
-        return;
-    }
+fn pointwise(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
+    // Invocations beyond the last quad take part in what a subgroup shares.
+    let p = min(id.x, params.quads - 1u);
     let tile = group.y;
     let first = (params.x_first + group.z) * params.inputs * params.quads + p;
     var at = tile * params.inputs * $m;
     var y$c = vec4f();
     for (var i = 0u; i < params.inputs; i++) {
         let v = x[first + i * params.quads];
-        let w$q = weight[at + $q];
+        let w$q = $same(weight, at + $q);
         y$c += w$q.$e * v;
         at += $m;
     }
     let out = ((params.y_first + group.z) * params.outputs + tile * $n) * params.quads + p;
-    let b$q = bias[tile * $m + $q];
+    let b$q = $same(bias, tile * $m + $q);
     y$c += b$q.$e;
+    if id.x >= params.quads {
+        return;
+    }
     if GELU {
         y[out + $c * params.quads] = gelu(y$c);
     } else {

@@ -18,11 +18,9 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> y: array<vec2f>;
 
 @compute @workgroup_size(64)
-fn spectral(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
-    let channel = id.x;
-    if channel >= params.outputs {
-        return;
-    }
+fn spectral(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
+    // Invocations beyond the last channel take part in what a subgroup shares.
+    let channel = min(id.x, params.outputs - 1u);
     let mode = group.y;
     let sample = group.z * $n;
     let stride = params.modes * params.inputs;
@@ -30,8 +28,11 @@ fn spectral(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) gro
     var y$c = vec2f();
     for (var i = 0u; i < params.inputs; i++) {
         let w = weight[(mode * params.inputs + i) * params.outputs + channel];
-        let x$c = x[first + $c * stride + i];
+        let x$c = $same(x, first + $c * stride + i);
         y$c += vec2f(x$c.x * w.x - x$c.y * w.y, x$c.x * w.y + x$c.y * w.x);
+    }
+    if id.x >= params.outputs {
+        return;
     }
     let out = (sample * params.modes + mode) * params.outputs + channel;
     y[out + $c * params.modes * params.outputs] = y$c;

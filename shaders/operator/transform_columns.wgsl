@@ -18,11 +18,9 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> spectrum: array<vec2f>;
 
 @compute @workgroup_size(64)
-fn transform_columns(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
-    let channel = id.x;
-    if channel >= params.channels {
-        return;
-    }
+fn transform_columns(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
+    // Invocations beyond the last channel take part in what a subgroup shares.
+    let channel = min(id.x, params.channels - 1u);
     let column = group.y;
     let sample = group.z;
     var z$c = vec2f();
@@ -30,8 +28,11 @@ fn transform_columns(@builtin(global_invocation_id) id: vec3u, @builtin(workgrou
         let at = ((sample * params.rows + i) * params.modes_w + column) * 2u * params.channels + channel;
         let re = r[at];
         let im = r[at + params.channels];
-        let t$c = table[i * $n + $c];
+        let t$c = $same(table, i * $n + $c);
         z$c += vec2f(re * t$c.x - im * t$c.y, re * t$c.y + im * t$c.x);
+    }
+    if id.x >= params.channels {
+        return;
     }
     let out = (sample * $n * params.modes_w + column) * params.channels + channel;
     spectrum[out + $c * params.modes_w * params.channels] = z$c;

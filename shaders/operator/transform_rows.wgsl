@@ -19,18 +19,20 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> r: array<f32>;
 
 @compute @workgroup_size(64)
-fn transform_rows(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
-    let channel = id.x;
-    if channel >= params.channels {
-        return;
-    }
+fn transform_rows(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
+    // Invocations beyond the last channel take part in what a subgroup shares.
+    let channel = min(id.x, params.channels - 1u);
     let row = group.y;
     let sample = group.z;
     let first = ((sample * params.channels + channel) * params.rows + row) * params.row_quads;
     var r$c = 0.0;
     for (var q = 0u; q < params.row_quads; q++) {
         let v = x[first + q];
-        r$c += dot(v, table[q * $n + $c]);
+        let t$c = $same(table, q * $n + $c);
+        r$c += dot(v, t$c);
+    }
+    if id.x >= params.channels {
+        return;
     }
     let out = (sample * params.rows + row) * $n * params.channels + channel;
     r[out + $c * params.channels] = r$c;

@@ -1,5 +1,6 @@
 //! A device and its queue, the caller's or a headless one of our own.
 
+use super::Sharing;
 use crate::{Error, Result};
 
 /// What kind of adapter a device runs on; tile sizes of the kernels follow it.
@@ -97,7 +98,7 @@ impl Context {
     /// [`Context::headless`] for callers that already run an executor.
     pub async fn headless_async(choice: &AdapterChoice) -> Result<Self> {
         let adapter = choose(all_adapters().await, choice)?;
-        let optional = wgpu::Features::TIMESTAMP_QUERY;
+        let optional = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("fnopt"),
             required_features: adapter.features() & optional,
@@ -125,6 +126,13 @@ impl Context {
     /// Whether dispatches can be timed on this device.
     pub fn has_timestamps(&self) -> bool {
         self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY)
+    }
+
+    /// How kernels should read operands that a whole subgroup shares.
+    pub fn sharing(&self) -> Sharing {
+        let wide_enough = self.device.adapter_info().subgroup_min_size >= 8;
+        let subgroups = self.device.features().contains(wgpu::Features::SUBGROUP) && wide_enough;
+        if subgroups && self.kind == AdapterKind::Software { Sharing::Broadcast } else { Sharing::Loads }
     }
 
     /// Runs `build` and turns what the device then reports (invalid objects, no memory left) into an error.

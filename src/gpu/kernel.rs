@@ -27,38 +27,101 @@ pub struct Binding {
     pub size: u32,
 }
 
+/// How a kernel's text is made from its file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Unroll {
+    /// Copies of the lines that are written once for each output of an invocation; 0 where there are none.
+    pub tile: usize,
+    /// How operands are read whose address is the same for all invocations of a subgroup.
+    pub sharing: Sharing,
+}
+
+impl From<usize> for Unroll {
+    fn from(tile: usize) -> Self {
+        Self { tile, sharing: Sharing::Loads }
+    }
+}
+
+/// How operands are read whose address is the same for all invocations of a subgroup.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sharing {
+    /// Every invocation loads them: hardware serves equal addresses at once.
+    Loads,
+    /// Eight invocations load one of eight each and pass them on ([`wgpu::Features::SUBGROUP`]; subgroups of at least
+    /// eight): software drivers load lane by lane, so that this is an eighth of the loads.
+    Broadcast,
+}
+
+/// Lanes that [`Sharing::Broadcast`] spreads loads over.
+const LANES: usize = 8;
+
 impl Source {
-    /// The whole text with the tile unrolled: a line with `$c` is written once for each of `tile` channels, with
-    /// `$q` for the quad of channels it belongs to and `$e` for its element there; a line with `$q` alone once a quad.
-    /// `$n` stands for the size of the tile and `$m` for its number of quads.
+    /// The whole text, unrolled: a line with `$c` is written once for each channel of the tile, with `$q` for the quad of
+    /// channels it belongs to and `$e` for its element there; a line with `$q` alone once a quad. `$n` stands for the
+    /// size of the tile and `$m` for its number of quads. In `let v$q = $same(array, index);` the index depends on
+    /// `$q` (or `$c`) and beside it on nothing that differs within a subgroup, all of whose invocations get there; `$lane`
+    /// ends the parameters of an entry point that does so.
     ///
     /// Accumulators then are named registers: neither naga nor software drivers reliably turn a private array into
     /// registers.
-    pub fn unrolled(&self, tile: usize) -> String {
+    pub fn unrolled(&self, unroll: impl Into<Unroll>) -> String {
+        let Unroll { tile, sharing } = unroll.into();
+        let lane = match sharing {
+            Sharing::Loads => "",
+            Sharing::Broadcast => ", @builtin(subgroup_invocation_id) lane: u32",
+        };
         let mut text = String::with_capacity(2 * self.wgsl.len());
         for line in self.wgsl.lines() {
-            // The kernel's first copy stays on the line it has in the file; the others share that line.
-            let copies: Vec<String> = if line.contains("$c") {
-                (0..tile)
-                    .map(|c| {
-                        line.replace("$c", &c.to_string())
-                            .replace("$q", &(c / 4).to_string())
-                            .replace("$e", ["x", "y", "z", "w"][c % 4])
-                    })
-                    .collect()
+            let count = if line.contains("$c") {
+                tile
             } else if line.contains("$q") {
-                (0..tile / 4).map(|q| line.replace("$q", &q.to_string())).collect()
+                tile / 4
             } else {
-                vec![line.to_owned()]
+                1
             };
-            let line = copies.join(" ");
-            text.push_str(&line.replace("$n", &format!("{tile}u")).replace("$m", &format!("{}u", tile / 4)));
+            // The kernel's first copy stays on the line it has in the file; the others share that line.
+            let copies: Vec<String> = match line.split_once("$same(") {
+                Some((target, operand)) => self.shared(target, operand, count, sharing),
+                None => vec![line.to_owned(); count],
+            };
+            let copies = copies.iter().enumerate().map(|(c, copy)| {
+                let quad = if line.contains("$c") { c / 4 } else { c };
+                copy.replace("$c", &c.to_string())
+                    .replace("$q", &quad.to_string())
+                    .replace("$e", ["x", "y", "z", "w"][c % 4])
+            });
+            let line = copies.collect::<Vec<_>>().join(" ");
+            let line = line.replace("$n", &format!("{tile}u")).replace("$m", &format!("{}u", tile / 4));
+            text.push_str(&line.replace("$lane", lane));
             text.push('\n');
         }
         for part in self.common {
             text.push_str(part);
         }
         text
+    }
+
+    /// The `count` copies of `target$same(operand`, where the operand is `array, index);`.
+    fn shared(&self, target: &str, operand: &str, count: usize, sharing: Sharing) -> Vec<String> {
+        let Some((array, index)) = operand.strip_suffix(");").and_then(|o| o.split_once(", ")) else {
+            panic!("{}.wgsl: expected $same(array, index), found {operand}", self.name)
+        };
+        let name = target.trim_start().trim_start_matches("let ").split('$').next().unwrap_or_default();
+        let copy = |k: usize| match sharing {
+            Sharing::Loads => format!("{target}{array}[{index}];"),
+            Sharing::Broadcast => {
+                let (from, first) = (k % LANES, k - k % LANES);
+                let held = format!("{name}_held{first}");
+                let last = LANES.min(count - first) - 1;
+                let own = format!("({first}u + min(lane % {LANES}u, {last}u))");
+                let load = match from {
+                    0 => format!("let {held} = {array}[{}];", index.replace("$c", &own).replace("$q", &own)),
+                    _ => String::new(),
+                };
+                format!("{load}{target}subgroupBroadcast({held}, {from}u);")
+            }
+        };
+        (0..count).map(copy).collect()
     }
 
     /// The bindings of group 0 in order, by parsing `text` with naga.
@@ -97,9 +160,14 @@ pub struct Kernel {
 }
 
 impl Kernel {
-    /// Compiles `source` with `constants` for its overrides and `tile` for its unrolled lines.
-    pub fn new(context: &Context, source: &Source, tile: usize, constants: &[(&str, f64)]) -> Result<Self> {
-        let text = source.unrolled(tile);
+    /// Compiles `source` with `constants` for its overrides, its text unrolled.
+    pub fn new(
+        context: &Context,
+        source: &Source,
+        unroll: impl Into<Unroll>,
+        constants: &[(&str, f64)],
+    ) -> Result<Self> {
+        let text = source.unrolled(unroll);
         let bindings = source.bindings(&text)?;
         let device = &context.device;
         let entries: Vec<_> = bindings

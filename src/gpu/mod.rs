@@ -12,7 +12,7 @@ mod schedule;
 mod tensor;
 
 pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters};
-pub use kernel::{Binding, Kernel, Source};
+pub use kernel::{Binding, Kernel, Sharing, Source, Unroll};
 pub use profile::Profile;
 pub use readback::Readback;
 pub use schedule::Schedule;

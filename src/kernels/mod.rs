@@ -8,7 +8,7 @@ pub mod fft;
 pub mod operator;
 pub mod optim;
 
-use crate::gpu::{AdapterKind, Context, Source};
+use crate::gpu::{AdapterKind, Context, Sharing, Source, Unroll};
 
 /// Texts that hold only functions and constants, appended to the kernels that call them.
 pub(crate) mod common {
@@ -61,22 +61,30 @@ pub struct Tuning {
     pub block_wide: u32,
     /// Rows per workgroup of a block.
     pub block_high: u32,
+    /// How operands that a subgroup shares are read.
+    pub sharing: Sharing,
     /// Largest size of the lifting's hidden layer \[bytes\]; more samples than fit are lifted in turn.
     pub hidden_bytes: usize,
 }
 
 /// Channel counts are padded to a multiple of this, the largest tile.
-pub const CHANNEL_MULTIPLE: usize = 16;
+pub const CHANNEL_MULTIPLE: usize = 32;
 
 impl Tuning {
-    /// What was measured to be good: wide tiles, one row to a workgroup and uniform addresses where lanes gather one
-    /// by one (llvmpipe), smaller tiles and more invocations where there are thousands of lanes to fill.
+    /// What was measured to be good: wide tiles and one row to a workgroup where every lane's load is a branch and a
+    /// move of its own (llvmpipe), smaller tiles and more invocations where there are thousands of lanes to fill.
     pub fn new(context: &Context) -> Self {
         let (channels, block_wide, block_high) = match context.kind() {
-            AdapterKind::Software => (16, 64, 1),
+            AdapterKind::Software => (32, 64, 1),
             AdapterKind::Hardware => (8, 8, 8),
         };
-        Self { channels, pointwise_group: 64, block_wide, block_high, hidden_bytes: 256 << 20 }
+        let sharing = context.sharing();
+        Self { channels, pointwise_group: 64, block_wide, block_high, sharing, hidden_bytes: 256 << 20 }
+    }
+
+    /// The text of a kernel with a tile of this size.
+    pub fn unroll(&self, tile: usize) -> Unroll {
+        Unroll { tile, sharing: self.sharing }
     }
 }
 

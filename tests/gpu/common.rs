@@ -1,6 +1,6 @@
 //! What the tests share: one device for all of them, tensors that betray what was not written, and comparisons.
 
-use fnopt::gpu::{AdapterChoice, Context, Schedule, Tensor};
+use fnopt::gpu::{AdapterChoice, Context, Schedule, Sharing, Tensor};
 use fnopt::kernels::{Tuning, padded};
 use fnopt::sim::Grid;
 use std::sync::{LazyLock, Mutex, MutexGuard};
@@ -38,14 +38,22 @@ pub fn device() -> MutexGuard<'static, ()> {
     TURN.lock().unwrap_or_else(|e| e.into_inner())
 }
 
-/// The tile sizes of both kinds of adapter, with every width of tile that the kernels allow.
-pub fn tunings() -> [Tuning; 3] {
+/// The tunings of both kinds of adapter, then the other widths of tile that the kernels allow.
+pub fn tunings() -> [Tuning; 4] {
     let own = Tuning::new(context());
+    let loads = Tuning { sharing: Sharing::Loads, ..own };
     [
-        Tuning { channels: 16, block_wide: 64, block_high: 1, ..own },
-        Tuning { channels: 8, block_wide: 8, block_high: 8, ..own },
-        Tuning { channels: 4, pointwise_group: 32, block_wide: 16, block_high: 4, ..own },
+        Tuning { channels: 32, block_wide: 64, block_high: 1, ..own },
+        Tuning { channels: 8, block_wide: 8, block_high: 8, ..loads },
+        Tuning { channels: 16, block_wide: 32, block_high: 1, ..own },
+        Tuning { channels: 4, pointwise_group: 32, block_wide: 16, block_high: 4, ..loads },
     ]
+}
+
+/// The two tunings that differ in how a subgroup shares its operands.
+pub fn sharings() -> [Tuning; 2] {
+    let [software, hardware, ..] = tunings();
+    [software, hardware]
 }
 
 /// A tensor that holds `data`.

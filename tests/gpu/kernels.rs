@@ -1,9 +1,9 @@
 //! The WGSL files and the table of kernels: every file is in the table, valid, and keeps the rules that the host side and
 //! the reader rely on. Needs no adapter.
 
-use fnopt::gpu::Source;
+use fnopt::gpu::{Sharing, Source, Unroll};
 use fnopt::kernels::ALL;
-use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::valid::{Capabilities, ShaderStages, SubgroupOperationSet, ValidationFlags, Validator};
 use naga::{AddressSpace, StorageAccess};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -67,8 +67,8 @@ fn place(source: &Source) -> String {
     place.unwrap_or_else(|| panic!("no file for {}", source.name))
 }
 
-fn parsed(source: &Source, tile: usize) -> (String, naga::Module) {
-    let text = source.unrolled(tile);
+fn parsed(source: &Source, unroll: impl Into<Unroll>) -> (String, naga::Module) {
+    let text = source.unrolled(unroll);
     let module = naga::front::wgsl::parse_str(&text)
         .unwrap_or_else(|e| panic!("{}.wgsl: {}", source.name, e.emit_to_string(&text)));
     (text, module)
@@ -77,7 +77,7 @@ fn parsed(source: &Source, tile: usize) -> (String, naga::Module) {
 /// The tiles that a kernel is unrolled to, among them those that the table names.
 fn tiles(source: &Source, tile: usize) -> Vec<usize> {
     match source.name {
-        "pointwise" | "block" => vec![4, 8, 16],
+        "pointwise" | "block" => vec![4, 8, 16, 32],
         "spectral" => vec![1, 3],
         _ => vec![tile],
     }
@@ -99,10 +99,18 @@ fn every_file_is_in_the_table_once() {
 fn every_kernel_is_valid_wgsl() {
     for &(source, tile) in ALL {
         for tile in tiles(source, tile) {
-            let (text, module) = parsed(source, tile);
-            // Nothing beyond what WebGPU has: no optional capability.
-            let valid = Validator::new(ValidationFlags::all(), Capabilities::empty()).validate(&module);
-            valid.unwrap_or_else(|e| panic!("{}.wgsl: {}", source.name, e.emit_to_string(&text)));
+            // Nothing beyond what WebGPU has, no optional capability, but where operands are broadcast.
+            let variants =
+                [(Sharing::Loads, Capabilities::empty()), (Sharing::Broadcast, Capabilities::SUBGROUP)];
+            for (sharing, capabilities) in variants {
+                let (text, module) = parsed(source, Unroll { tile, sharing });
+                let mut validator = Validator::new(ValidationFlags::all(), capabilities);
+                validator
+                    .subgroup_stages(ShaderStages::COMPUTE)
+                    .subgroup_operations(SubgroupOperationSet::all())
+                    .validate(&module)
+                    .unwrap_or_else(|e| panic!("{}.wgsl: {}", source.name, e.emit_to_string(&text)));
+            }
         }
     }
 }

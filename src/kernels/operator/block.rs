@@ -2,7 +2,7 @@
 
 use super::Layer;
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor};
 use crate::kernels::{Tuning, common, groups, size};
 
 /// The WGSL.
@@ -32,6 +32,10 @@ pub struct Block {
 impl Block {
     /// Compiles it for rows of `row_quads` quads, with GELU after it or without.
     pub fn new(context: &Context, tuning: &Tuning, row_quads: usize, gelu: bool) -> Result<Self> {
+        assert!(
+            tuning.sharing == Sharing::Loads || tuning.block_high == 1,
+            "a subgroup shares operands within one row"
+        );
         // No wider than a row, in steps of the narrowest lanes there are.
         let wide = tuning.block_wide.min(size(row_quads).next_multiple_of(8));
         let workgroup = [wide, tuning.block_high];
@@ -40,7 +44,7 @@ impl Block {
             ("WIDE", f64::from(wide)),
             ("HIGH", f64::from(tuning.block_high)),
         ];
-        let kernel = Kernel::new(context, &SOURCE, tuning.channels, &constants)?;
+        let kernel = Kernel::new(context, &SOURCE, tuning.unroll(tuning.channels), &constants)?;
         Ok(Self { kernel, tile: tuning.channels, workgroup })
     }
 

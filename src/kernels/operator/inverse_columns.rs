@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::{Tuning, groups, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -32,8 +32,8 @@ pub struct InverseColumns {
 
 impl InverseColumns {
     /// Compiles it for `modes_h` kept rows.
-    pub fn new(context: &Context, modes_h: usize) -> Result<Self> {
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, modes_h, &[])?, modes_h })
+    pub fn new(context: &Context, tuning: &Tuning, modes_h: usize) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(modes_h), &[])?, modes_h })
     }
 
     /// `table` [H, modes_h, 2], `spectrum` [S, modes_h, modes_w, C, 2], `r` [S, H, 2 modes_w, C].

@@ -36,7 +36,7 @@ impl Pointwise {
     pub fn new(context: &Context, tuning: &Tuning, gelu: bool) -> Result<Self> {
         let group = tuning.pointwise_group;
         let constants = [("GELU", f64::from(u8::from(gelu))), ("WORKGROUP", f64::from(group))];
-        let kernel = Kernel::new(context, &SOURCE, tuning.channels, &constants)?;
+        let kernel = Kernel::new(context, &SOURCE, tuning.unroll(tuning.channels), &constants)?;
         Ok(Self { kernel, tile: tuning.channels, group })
     }
 

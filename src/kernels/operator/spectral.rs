@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::{Tuning, groups, size};
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -29,9 +29,9 @@ pub struct Spectral {
 
 impl Spectral {
     /// Compiles it.
-    pub fn new(context: &Context) -> Result<Self> {
-        let tiled = Kernel::new(context, &SOURCE, TILE, &[])?;
-        Ok(Self { tiled, single: Kernel::new(context, &SOURCE, 1, &[])? })
+    pub fn new(context: &Context, tuning: &Tuning) -> Result<Self> {
+        let tiled = Kernel::new(context, &SOURCE, tuning.unroll(TILE), &[])?;
+        Ok(Self { tiled, single: Kernel::new(context, &SOURCE, tuning.unroll(1), &[])? })
     }
 
     /// `weight` [modes, I, O, 2] (see [`by_mode`]), `x` and `y` [S, modes_h, modes_w, C, 2].

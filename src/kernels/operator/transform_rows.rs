@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::{Tuning, groups, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -29,9 +29,9 @@ pub struct TransformRows {
 
 impl TransformRows {
     /// Compiles it for `modes_w` kept columns.
-    pub fn new(context: &Context, modes_w: usize) -> Result<Self> {
+    pub fn new(context: &Context, tuning: &Tuning, modes_w: usize) -> Result<Self> {
         let columns = 2 * modes_w;
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, columns, &[])?, columns })
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(columns), &[])?, columns })
     }
 
     /// `table` [W' / 4, 2 modes_w, 4], `x` [S, C, H, W'], `r` [S, H, 2 modes_w, C].

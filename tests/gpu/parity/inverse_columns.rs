@@ -2,7 +2,7 @@
 
 use super::operator::{CHANNELS, MODES, config, turn};
 use crate::common::{
-    ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run, tensor,
+    ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run, sharings, tensor,
 };
 use fnopt::kernels::operator::InverseColumns;
 use fnopt::network::tables;
@@ -13,7 +13,7 @@ fn columns_match() {
     for modes in MODES {
         let config = config(modes, CHANNELS);
         let [modes_h, modes_w] = modes;
-        let kernel = InverseColumns::new(context(), modes_h).unwrap();
+        let kernels = sharings().map(|tuning| InverseColumns::new(context(), &tuning, modes_h).unwrap());
         for (grid, batch) in cases() {
             let z = noise(batch * modes_h * modes_w * CHANNELS * 2, 41);
             let mut expected = Vec::with_capacity(batch * grid.h * 2 * modes_w * CHANNELS);
@@ -34,11 +34,13 @@ fn columns_match() {
             }
             let table = tensor("table", &[grid.h, modes_h, 2], &tables::columns(&config, grid.h, true));
             let spectrum = tensor("spectrum", &[batch, modes_h, modes_w, CHANNELS, 2], &z);
-            let r = poisoned("r", &[batch, grid.h, 2 * modes_w, CHANNELS]);
-            run(|schedule| kernel.push(schedule, &table, &spectrum, &r));
-            // A rounding of each of the products.
-            let atol = 3.0 * ROUNDING * largest(&expected);
-            assert_close(&format!("inverse_columns {batch} x {grid}"), &read(&r), &expected, (atol, 0.0));
+            for kernel in &kernels {
+                let r = poisoned("r", &[batch, grid.h, 2 * modes_w, CHANNELS]);
+                run(|schedule| kernel.push(schedule, &table, &spectrum, &r));
+                // A rounding of each of the products.
+                let atol = 3.0 * ROUNDING * largest(&expected);
+                assert_close(&format!("inverse_columns {batch} x {grid}"), &read(&r), &expected, (atol, 0.0));
+            }
         }
     }
 }

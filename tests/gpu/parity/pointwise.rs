@@ -21,7 +21,7 @@ fn layers_of_all_tiles_match() {
         for gelu in [false, true] {
             let kernel = Pointwise::new(context(), &tuning, gelu).unwrap();
             for (grid, batch) in cases() {
-                for (inputs, outputs) in [(5, 32), (33, 16)] {
+                for (inputs, outputs) in [(5, 32), (33, 64)] {
                     let (x, x_tensor) = activations(batch, inputs, grid, 0.5);
                     let (weight, bias, layer) = layer(outputs, inputs, tuning.channels);
                     let mut expected = dense(&weight, &bias, &x, grid.particles());
@@ -44,15 +44,15 @@ fn parts_of_the_samples_are_taken_alone() {
     let _turn = device();
     let (tuning, grid) = (tunings()[0], crate::common::GRIDS[1]);
     let (x, x_tensor) = activations(5, 5, grid, 0.5);
-    let (weight, bias, layer) = layer(16, 5, 16);
+    let (weight, bias, layer) = layer(32, 5, 32);
     let n = grid.particles();
     let expected = dense(&weight, &bias, &x[2 * 5 * n..4 * 5 * n], n);
-    let y = poisoned("y", &[4, 16, grid.h, padded(grid.w)]);
+    let y = poisoned("y", &[4, 32, grid.h, padded(grid.w)]);
     let kernel = Pointwise::new(context(), &tuning, false).unwrap();
     let part = Samples { count: 2, x_first: 2, y_first: 1 };
     run(|schedule| kernel.push_part(schedule, &layer, (&x_tensor, &y), part));
     let found = read_unpadded(&y, grid);
-    let sample = 16 * n;
+    let sample = 32 * n;
     assert_close("part", &found[sample..3 * sample], &expected, tolerance(5, &expected, false));
     assert!(
         found[..sample].iter().chain(&found[3 * sample..]).all(|y| y.is_nan()),
@@ -67,10 +67,10 @@ fn gelu_of_large_arguments() {
     let (tuning, grid) = (tunings()[0], crate::common::GRIDS[0]);
     let x: Vec<f32> = (0..64).map(|k| (k as f32 - 32.0) * 1.7).collect();
     let x_tensor = crate::common::tensor("x", &[1, 1, 8, 8], &x);
-    let (_, _, mut layer) = layer(16, 1, 16);
-    layer.weight.write(context(), &[1f32; 16]);
-    layer.bias = crate::common::tensor("bias", &[16], &[0.0; 16]);
-    let y = poisoned("y", &[1, 16, grid.h, grid.w]);
+    let (_, _, mut layer) = layer(32, 1, 32);
+    layer.weight.write(context(), &[1f32; 32]);
+    layer.bias = crate::common::tensor("bias", &[32], &[0.0; 32]);
+    let y = poisoned("y", &[1, 32, grid.h, grid.w]);
     let kernel = Pointwise::new(context(), &tuning, true).unwrap();
     run(|schedule| kernel.push(schedule, &layer, &x_tensor, &y));
     let mut expected = crate::common::widened(&x);

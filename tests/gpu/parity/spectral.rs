@@ -1,12 +1,14 @@
 //! `spectral` against its formula.
 
-use crate::common::{ROUNDING, assert_close, context, device, largest, noise, poisoned, read, run, tensor};
+use crate::common::{
+    ROUNDING, assert_close, context, device, largest, noise, poisoned, read, run, sharings, tensor,
+};
 use fnopt::kernels::operator::{Spectral, spectral::by_mode};
 
 #[test]
 fn products_match_with_and_without_tiles_of_samples() {
     let _turn = device();
-    let kernel = Spectral::new(context()).unwrap();
+    let kernels = sharings().map(|tuning| Spectral::new(context(), &tuning).unwrap());
     let (modes_h, modes_w, inputs, outputs) = (8, 5, 48, 80);
     let modes = modes_h * modes_w;
     // Three samples and their multiples share one reading of the weights, other numbers do not.
@@ -26,10 +28,12 @@ fn products_match_with_and_without_tiles_of_samples() {
         }
         let weight = tensor("weight", &[modes, inputs, outputs, 2], &by_mode(&weight, inputs, outputs));
         let x = tensor("x", &[samples, modes_h, modes_w, inputs, 2], &x);
-        let y = poisoned("y", &[samples, modes_h, modes_w, outputs, 2]);
-        run(|schedule| kernel.push(schedule, &weight, &x, &y));
-        // A rounding of each of the 96 products.
-        let atol = 10.0 * ROUNDING * largest(&expected);
-        assert_close(&format!("spectral {samples}"), &read(&y), &expected, (atol, 0.0));
+        for kernel in &kernels {
+            let y = poisoned("y", &[samples, modes_h, modes_w, outputs, 2]);
+            run(|schedule| kernel.push(schedule, &weight, &x, &y));
+            // A rounding of each of the 96 products.
+            let atol = 10.0 * ROUNDING * largest(&expected);
+            assert_close(&format!("spectral {samples}"), &read(&y), &expected, (atol, 0.0));
+        }
     }
 }

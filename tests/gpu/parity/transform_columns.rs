@@ -2,7 +2,8 @@
 
 use super::operator::{CHANNELS, MODES, config};
 use crate::common::{
-    ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run, tensor, widened,
+    ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run, sharings, tensor,
+    widened,
 };
 use fnopt::cpu::operator::Transform;
 use fnopt::kernels::operator::TransformColumns;
@@ -14,7 +15,7 @@ fn columns_match() {
     for modes in MODES {
         let config = config(modes, CHANNELS);
         let [modes_h, modes_w] = modes;
-        let kernel = TransformColumns::new(context(), modes_h).unwrap();
+        let kernels = sharings().map(|tuning| TransformColumns::new(context(), &tuning, modes_h).unwrap());
         for (grid, batch) in cases() {
             let transform = Transform::<f64>::new(&config, grid, CHANNELS).unwrap();
             let r = noise(batch * grid.h * transform.row_len(), 31);
@@ -36,11 +37,13 @@ fn columns_match() {
             }
             let table = tensor("table", &[grid.h, modes_h, 2], &tables::columns(&config, grid.h, false));
             let r = tensor("r", &[batch, grid.h, 2 * modes_w, CHANNELS], &r);
-            let spectrum = poisoned("spectrum", &[batch, modes_h, modes_w, CHANNELS, 2]);
-            run(|schedule| kernel.push(schedule, &table, &r, &spectrum));
-            let atol = ROUNDING * (grid.h as f64).sqrt() * largest(&expected);
-            let what = format!("transform_columns {batch} x {grid}");
-            assert_close(&what, &read(&spectrum), &expected, (atol, 0.0));
+            for kernel in &kernels {
+                let spectrum = poisoned("spectrum", &[batch, modes_h, modes_w, CHANNELS, 2]);
+                run(|schedule| kernel.push(schedule, &table, &r, &spectrum));
+                let atol = ROUNDING * (grid.h as f64).sqrt() * largest(&expected);
+                let what = format!("transform_columns {batch} x {grid}");
+                assert_close(&what, &read(&spectrum), &expected, (atol, 0.0));
+            }
         }
     }
 }

@@ -1,7 +1,9 @@
 //! `transform_rows` against the CPU path.
 
 use super::operator::{CHANNELS, MODES, activations, config};
-use crate::common::{ROUNDING, assert_close, cases, context, device, largest, poisoned, read, run, tensor};
+use crate::common::{
+    ROUNDING, assert_close, cases, context, device, largest, poisoned, read, run, sharings, tensor,
+};
 use fnopt::cpu::operator::Transform;
 use fnopt::kernels::operator::TransformRows;
 use fnopt::kernels::padded;
@@ -13,7 +15,8 @@ fn rows_match() {
     for modes in MODES {
         let config = config(modes, CHANNELS);
         let columns = 2 * config.modes_w;
-        let kernel = TransformRows::new(context(), config.modes_w).unwrap();
+        let kernels =
+            sharings().map(|tuning| TransformRows::new(context(), &tuning, config.modes_w).unwrap());
         for (grid, batch) in cases() {
             // What is in the padding must not count.
             let (x, x_tensor) = activations(batch, CHANNELS, grid, 1e3);
@@ -28,11 +31,13 @@ fn rows_match() {
             }
             let shape = [padded(grid.w) / 4, columns, 4];
             let table = tensor("table", &shape, &tables::forward_rows(&config, grid.h, grid.w));
-            let r = poisoned("r", &[batch, grid.h, columns, CHANNELS]);
-            run(|schedule| kernel.push(schedule, &table, &x_tensor, &r));
-            // Roundings of sums of W terms that grow as the root of their number.
-            let atol = ROUNDING * (grid.w as f64).sqrt() * largest(&expected);
-            assert_close(&format!("transform_rows {batch} x {grid}"), &read(&r), &expected, (atol, 0.0));
+            for kernel in &kernels {
+                let r = poisoned("r", &[batch, grid.h, columns, CHANNELS]);
+                run(|schedule| kernel.push(schedule, &table, &x_tensor, &r));
+                // Roundings of sums of W terms that grow as the root of their number.
+                let atol = ROUNDING * (grid.w as f64).sqrt() * largest(&expected);
+                assert_close(&format!("transform_rows {batch} x {grid}"), &read(&r), &expected, (atol, 0.0));
+            }
         }
     }
 }
