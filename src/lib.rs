@@ -53,6 +53,7 @@
 //! | [`kernels`] | the host side of each file in `shaders/`, in the same tree |
 //! | [`cpu`] | the same stages without a GPU |
 //! | [`io`], [`render`] | trajectories and meshes in files; pictures |
+//! | [`train`] | pools of cloths, the run loop and its files; imports the above |
 //! | [`verify`] | every stage against golden files |
 //!
 //! Lengths, times and masses are SI units in scenes and files and *grid units* inside: the rest length of an edge and a
@@ -67,6 +68,7 @@ pub mod network;
 pub mod render;
 pub mod scene;
 pub mod sim;
+pub mod train;
 pub mod verify;
 
 pub use error::{Error, Result};

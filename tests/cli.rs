@@ -31,7 +31,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let starter = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/starter.safetensors");
-    let bytes = std::fs::read(starter).unwrap();
+    let bytes = std::fs::read(&starter).unwrap();
     let write = |name: &str, content: &[u8]| std::fs::write(at.join(name), content).unwrap();
     write("cut.safetensors", &bytes[..bytes.len() / 2]);
     let mut poisoned = bytes;
@@ -43,6 +43,11 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
     write("free.json", br#"{"handles": []}"#);
     write("outside.json", br#"{"handles": [[40, 0]]}"#);
     write("short.npy", b"\x93NUMPY");
+    write("key.toml", b"[optimizer]\nrat = 1");
+    write("range.toml", b"[[pool]]\nmaterial = { bend = [10, 1] }");
+    write("start.toml", b"init = 'missing.safetensors'");
+    let sizes = format!("init = '{}'\nnetwork = {{ channels = 32 }}", starter.display());
+    write("sizes.toml", sizes.as_bytes());
     let cases: &[(&[&str], &[&str])] = &[
         (&["rollout", "--checkpoint", "missing.safetensors"], &["missing.safetensors", "cannot read"]),
         (
@@ -67,6 +72,14 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["verify", "nowhere"], &["nowhere", "cannot read"]),
         (&["inspect", "key.json"], &["key.json"]),
         (&["bench", "--batch", "0"], &["--batch"]),
+        (&["train", "none.toml"], &["none.toml", "cannot read"]),
+        (&["train", "key.toml"], &["key.toml", "optimizer", "did you mean rate"]),
+        (&["train", "range.toml"], &["range.toml", "pool[0].material.bend", "[smallest, largest]"]),
+        (&["train", "start.toml"], &["missing.safetensors", "cannot read"]),
+        (&["train", "sizes.toml"], &["starter.safetensors", "network", "channels: 32"]),
+        (&["train", "--resume", "nowhere"], &["nowhere", "config.toml"]),
+        (&["train", "--resume", "x", "--out", "y"], &["--resume"]),
+        (&["train", "--minutes", "0"], &["--minutes", "above 0"]),
     ];
     for (arguments, said) in cases {
         refused(at, arguments, said);

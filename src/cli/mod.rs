@@ -5,6 +5,7 @@ mod device;
 mod doctor;
 mod inspect;
 mod rollout;
+mod train;
 mod verify;
 
 use clap::{Parser, Subcommand};
@@ -13,10 +14,12 @@ use fnopt::sim::Optimizer;
 use fnopt::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Neural cloth: simulates a cloth with a Fourier neural operator trained to be an optimizer.
 ///
-/// Exit codes: 0 done, 1 a check failed, 2 bad input or environment, 3 the simulation became non-finite,
+/// Exit codes: 0 done, 1 a check failed, 2 bad input or environment, 3 the simulation or the loss became non-finite,
 /// 130 interrupted (what was computed so far is written). Logs go to stderr (FNOPT_LOG=info for more).
 #[derive(Debug, Parser)]
 #[command(name = "fnopt", version)]
@@ -29,6 +32,8 @@ pub struct Cli {
 enum Command {
     /// Simulate a scene and write positions, a report and pictures
     Rollout(rollout::Args),
+    /// Train weights of the learned optimizer
+    Train(train::Args),
     /// Check every stage against a folder of golden files
     Verify(verify::Args),
     /// Show what this machine can run, test it and time it
@@ -45,7 +50,7 @@ pub enum Ending {
     Done,
     /// A check failed.
     CheckFailed,
-    /// The simulation became non-finite; this was told and the frames before are kept.
+    /// The simulation or the loss became non-finite; this was told and what was before it is kept.
     NonFinite,
     /// Ctrl-C; what was computed so far is kept.
     Interrupted,
@@ -55,6 +60,7 @@ pub enum Ending {
 pub fn run(cli: Cli) -> ExitCode {
     let ending = match cli.command {
         Command::Rollout(args) => rollout::run(&args),
+        Command::Train(args) => train::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Inspect(args) => inspect::run(&args),
@@ -119,6 +125,21 @@ pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
         Some(path) => Weights::load(path),
         None => Weights::from_bytes(STARTER, "the weights that come with the program"),
     }
+}
+
+/// Set by Ctrl-C; a second one ends the process as usual.
+pub fn interrupt_flag() -> Arc<AtomicBool> {
+    let flag = Arc::new(AtomicBool::new(false));
+    let seen = flag.clone();
+    let installed = ctrlc::set_handler(move || {
+        if seen.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    });
+    if let Err(error) = installed {
+        tracing::warn!("Ctrl-C will not keep what was computed so far: {error}");
+    }
+    flag
 }
 
 /// Median of some numbers; NaN of none.

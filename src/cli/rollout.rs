@@ -1,7 +1,7 @@
 //! `fnopt rollout`: simulates a scene and writes what came of it.
 
 use super::device::DeviceArgs;
-use super::{Ending, SolverArgs, median};
+use super::{Ending, SolverArgs, interrupt_flag, median};
 use anyhow::Result;
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
@@ -12,8 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 /// Arguments of `fnopt rollout`.
 #[derive(Debug, clap::Args)]
@@ -130,21 +129,6 @@ fn prepare(folder: &Path) -> fnopt::Result<()> {
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
     tempfile::tempfile_in(folder).map_err(|e| Error::io(folder, "cannot write into the folder", e))?;
     Ok(())
-}
-
-/// Set by Ctrl-C; a second one ends the process as usual.
-fn interrupt_flag() -> Arc<AtomicBool> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let seen = flag.clone();
-    let installed = ctrlc::set_handler(move || {
-        if seen.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    });
-    if let Err(error) = installed {
-        tracing::warn!("Ctrl-C will not keep the frames so far: {error}");
-    }
-    flag
 }
 
 /// A bar on stderr, hidden when that is no terminal.

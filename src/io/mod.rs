@@ -5,6 +5,7 @@
 //! length of the file before anything is allocated for them.
 
 mod atomic;
+mod document;
 mod format;
 mod mesh;
 mod npy;
@@ -17,6 +18,7 @@ mod zip;
 
 pub(crate) use atomic::replace;
 pub use atomic::write_atomic;
+pub(crate) use document::{Node, parse_json, parse_toml};
 pub use format::Format;
 pub use mesh::{Mesh, vertex_normals};
 pub use npy::{parse_npy, read_npy};

@@ -2,10 +2,11 @@
 //!
 //! [`strip`] draws frames side by side, [`write_gif`] an animation. Both see the whole trajectory with one fixed
 //! [`View`]. The cloth is petrol blue in front and sand at the back, handles are orange spheres, and a soft shadow lies
-//! on the floor below. Vertices that are not finite are left out, with their triangles.
+//! on the floor below. Vertices that are not finite are left out, with their triangles. [`charts`] draws curves.
 
 mod animation;
 mod camera;
+mod chart;
 mod image;
 mod look;
 mod palette;
@@ -18,5 +19,6 @@ mod text;
 
 pub use animation::{GifOptions, write_gif};
 pub use camera::View;
+pub use chart::{Chart, Curve, charts};
 pub use image::{Image, write_png};
 pub use strip::{StripOptions, strip};

@@ -1,4 +1,4 @@
-//! Small captions: digits drawn as smooth strokes.
+//! Small captions: digits and capitals drawn as smooth strokes.
 
 use super::Image;
 use glam::{Vec2, vec2};
@@ -87,19 +87,70 @@ fn strokes(character: char) -> &'static [&'static [(f32, f32)]] {
     }
 }
 
-/// Writes `text` (digits, '.', 's' and spaces) with its top left corner at `(x, y)` \[px\], `height` pixels tall.
+/// The strokes of a letter or sign: points as pairs of digits, x right and y down; a space lifts the pen.
+fn letter(character: char) -> &'static str {
+    match character.to_ascii_uppercase() {
+        'A' => "062046 1434",
+        'B' => "06003041423303 3344453606",
+        'C' => "413010010516 36451636",
+        'D' => "00062644422000",
+        'E' => "40000646 0333",
+        'F' => "400006 0333",
+        'G' => "41301001051636454323",
+        'H' => "0006 4046 0343",
+        'I' => "1030 2026 1636",
+        'J' => "404536160504",
+        'K' => "0006 4003 0346",
+        'L' => "000646",
+        'M' => "0600234046",
+        'N' => "06004640",
+        'O' => "103041453616050110",
+        'P' => "06003041423303",
+        'Q' => "103041453616050110 2446",
+        'R' => "06003041423303 2346",
+        'S' => "41301001021333444536160605",
+        'T' => "0040 2026",
+        'U' => "000516364540",
+        'V' => "002640",
+        'W' => "0016233640",
+        'X' => "0046 4006",
+        'Y' => "002340 2326",
+        'Z' => "00400646",
+        '-' => "0343",
+        '+' => "0343 2125",
+        '/' => "0640",
+        _ => "",
+    }
+}
+
+/// Width of `text` when it is written `height` pixels tall \[px\].
+pub(super) fn width(text: &str, height: f32) -> f32 {
+    height / TALL * text.chars().map(advance).sum::<f32>()
+}
+
+/// From the left of a character to the next, in units of its strokes.
+fn advance(character: char) -> f32 {
+    if matches!(character, '.' | ' ') { 0.4 * ADVANCE } else { ADVANCE }
+}
+
+/// Writes `text` (digits, letters as capitals except the 's' of seconds, '.', '-', '+', '/' and spaces) with its top left corner at `(x, y)` \[px\], `height` pixels tall.
 pub(super) fn write(image: &mut Image, text: &str, [x, y]: [f32; 2], height: f32) {
     let unit = height / TALL;
     let mut left = x;
     for character in text.chars() {
         let corner = vec2(left, y);
-        let lines: Vec<(Vec2, Vec2)> = strokes(character)
-            .iter()
-            .flat_map(|line| line.windows(2))
-            .map(|p| (corner + unit * vec2(p[0].0, p[0].1), corner + unit * vec2(p[1].0, p[1].1)))
-            .collect();
+        let place = |(x, y): (f32, f32)| corner + unit * vec2(x, y);
+        let digits =
+            strokes(character).iter().flat_map(|line| line.windows(2)).map(|p| (place(p[0]), place(p[1])));
+        let point = |p: &[u8]| place((f32::from(p[0] - b'0'), f32::from(p[1] - b'0')));
+        let letters = if strokes(character).is_empty() { letter(character) } else { "" };
+        let letters = letters.split(' ').flat_map(|line| {
+            let points: Vec<Vec2> = line.as_bytes().chunks_exact(2).map(point).collect();
+            points.windows(2).map(|p| (p[0], p[1])).collect::<Vec<_>>()
+        });
+        let lines: Vec<(Vec2, Vec2)> = digits.chain(letters).collect();
         draw(image, &lines, corner, unit);
-        left += unit * if matches!(character, '.' | ' ') { 0.4 * ADVANCE } else { ADVANCE };
+        left += unit * advance(character);
     }
 }
 
@@ -121,7 +172,7 @@ fn draw(image: &mut Image, lines: &[(Vec2, Vec2)], corner: Vec2, unit: f32) {
 }
 
 /// The distance from a point to a line between two others.
-fn distance(p: Vec2, a: Vec2, b: Vec2) -> f32 {
+pub(super) fn distance(p: Vec2, a: Vec2, b: Vec2) -> f32 {
     let along = (b - a).length_squared().max(1e-12);
     let t = ((p - a).dot(b - a) / along).clamp(0.0, 1.0);
     p.distance(a + t * (b - a))
@@ -132,14 +183,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_digit_has_its_own_picture_and_text_may_leave_the_image() {
+    fn every_character_has_its_own_picture_and_text_may_leave_the_image() {
         let picture = |text: &str| {
             let mut image = Image::new(14, 16);
             image.pixels.fill([255; 3]);
             write(&mut image, text, [2.0, 2.0], 12.0);
             image.pixels
         };
-        let mut pictures: Vec<_> = "0123456789.s ".chars().map(|c| picture(&c.to_string())).collect();
+        let mut pictures: Vec<_> =
+            "0123456789.s ABCDEFGHIJKLMNPQRSTUVWXYZ-+/".chars().map(|c| picture(&c.to_string())).collect();
         let count = pictures.len();
         pictures.sort();
         pictures.dedup();

@@ -1,10 +1,10 @@
 //! Scene files of the method's authors.
 
 use super::file::read_gravity;
-use super::json::Node;
 use super::obj::Mesh;
 use super::start::read_transform;
 use super::{Handles, Motion, Scene, Side, Start, StartFile, UpAxis};
+use crate::io::Node;
 use crate::sim::Grid;
 use crate::{Error, Result};
 use serde_json::Value;

@@ -1,10 +1,10 @@
 //! Scene files: between JSON and [`Scene`].
 
-use super::json::{self, Node};
 use super::start::read_transform;
 use super::{
     Handles, Mass, Moduli, Motion, Placement, Scene, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
 };
+use crate::io::Node;
 use crate::sim::{Grid, Material};
 use crate::{Error, Result, io};
 use serde_json::{Value, json};
@@ -46,7 +46,7 @@ impl Scene {
 
     /// The scene in a JSON text; relative paths in it are taken from `folder`, and `origin` names it in errors.
     pub fn parse(text: &str, origin: &str, folder: &Path) -> Result<Self> {
-        let document = json::parse(origin, text)?;
+        let document = io::parse_json(origin, text)?;
         let node = Node::root(origin, &document);
         let scene =
             if authors::recognise(&document) { authors::read(&node, folder)? } else { read(&node, folder)? };

@@ -84,7 +84,6 @@
 mod authors;
 mod file;
 mod handles;
-mod json;
 mod motion;
 mod obj;
 mod points;

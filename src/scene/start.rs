@@ -1,9 +1,10 @@
 //! Where the cloth is at frame 0, at rest.
 
 use super::obj::Mesh;
+use super::points;
 use super::surface::Surface;
 use super::units::{Units, UpAxis};
-use super::{json::Node, points};
+use crate::io::Node;
 use crate::sim::Grid;
 use crate::{Error, Result, io};
 use std::path::{Path, PathBuf};

@@ -1,10 +1,11 @@
-//! Reading JSON value by value, so that every error names the file, the path of the field, what was expected and what is there.
+//! Reading JSON and TOML value by value, so that every error names the file, the path of the field, what was expected and
+//! what is there.
 
 use crate::{Error, Result};
 use serde_json::Value;
 
-/// A value of a JSON document together with where it stands.
-pub(super) struct Node<'a> {
+/// A value of a document together with where it stands.
+pub(crate) struct Node<'a> {
     /// The file, for errors.
     pub origin: &'a str,
     /// Where the value stands, as in `wind.velocity[1]`; empty for the document.
@@ -94,7 +95,7 @@ impl<'a> Node<'a> {
     }
 }
 
-/// A JSON value, short enough for one line.
+/// A value as JSON, short enough for one line.
 fn brief(value: &Value) -> String {
     let text = value.to_string();
     match text.char_indices().nth(60) {
@@ -104,11 +105,41 @@ fn brief(value: &Value) -> String {
 }
 
 /// Parses a JSON document; the error tells line and column.
-pub(super) fn parse(origin: &str, text: &str) -> Result<Value> {
+pub(crate) fn parse_json(origin: &str, text: &str) -> Result<Value> {
     serde_json::from_str(text).map_err(|e| {
         let place = format!("line {}, column {}", e.line(), e.column());
         let message = e.to_string();
         let found = message.split(" at line").next().unwrap_or_default();
         Error::invalid(origin, place, "JSON", found)
     })
+}
+
+/// Parses a TOML document; the error tells line and column.
+pub(crate) fn parse_toml(origin: &str, text: &str) -> Result<Value> {
+    let value: Value = toml::from_str(text).map_err(|e| {
+        let at = e.span().map_or(0, |span| span.start.min(text.len()));
+        let before = &text[..text.floor_char_boundary(at)];
+        let column = before.chars().rev().take_while(|&c| c != '\n').count() + 1;
+        let place = format!("line {}, column {column}", before.matches('\n').count() + 1);
+        Error::invalid(origin, place, "TOML", e.message())
+    })?;
+    // TOML has no null: it is what its `nan` and `inf` become, which must not pass for a field that is left out.
+    match missing(&value) {
+        Some(path) => Err(Error::invalid(origin, path, "a finite number", "nan or inf")),
+        None => Ok(value),
+    }
+}
+
+/// Where the first null stands.
+fn missing(value: &Value) -> Option<String> {
+    let below = |name: String, value: &Value| {
+        let rest = missing(value)?;
+        Some(if rest.is_empty() || rest.starts_with('[') { name + &rest } else { format!("{name}.{rest}") })
+    };
+    match value {
+        Value::Null => Some(String::new()),
+        Value::Array(items) => items.iter().enumerate().find_map(|(k, v)| below(format!("[{k}]"), v)),
+        Value::Object(fields) => fields.iter().find_map(|(key, v)| below(key.clone(), v)),
+        _ => None,
+    }
 }

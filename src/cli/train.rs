@@ -1,0 +1,130 @@
+//! `fnopt train`: trains weights in a folder.
+
+use super::device::DeviceArgs;
+use super::{Ending, interrupt_flag};
+use anyhow::Result;
+use fnopt::network::Weights;
+use fnopt::train::{Config, End, Limits, Progress, Run, SceneScore, first_weights, learner};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+
+/// Arguments of `fnopt train`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Configuration (TOML) [default: the paper's recipe, assets/training/paper.toml]
+    config: Option<PathBuf>,
+    /// Folder of a new run
+    #[arg(long, default_value = "out", value_name = "DIR", conflicts_with = "resume")]
+    out: PathBuf,
+    /// Folder of a run to continue; a CONFIG that is given too must be the run's
+    #[arg(long, value_name = "DIR")]
+    resume: Option<PathBuf>,
+    #[command(flatten)]
+    device: DeviceArgs,
+    /// End when the run has done N steps; it can be resumed
+    #[arg(long, value_name = "N")]
+    steps: Option<u64>,
+    /// End after M minutes; it can be resumed
+    #[arg(long, value_name = "M", value_parser = minutes)]
+    minutes: Option<f64>,
+}
+
+/// The configuration of a run that is given none.
+const PAPER: &str = include_str!("../../assets/training/paper.toml");
+/// How that one is named in errors.
+const PAPER_NAME: &str = "assets/training/paper.toml";
+
+pub fn run(args: &Args) -> Result<Ending> {
+    let given = args.config.as_deref().map(Config::load).transpose()?;
+    let mut run = match &args.resume {
+        Some(folder) => args.resumed(folder, given.map(|(_, config)| config))?,
+        None => {
+            let (text, config) = match given {
+                Some(given) => given,
+                None => (PAPER.to_owned(), Config::parse(PAPER, Path::new(PAPER_NAME))?),
+            };
+            let weights = first_weights(&config)?;
+            let (device, line) = args.device.open()?;
+            eprintln!("{line}");
+            let learner = learner(&device, &config, &weights)?;
+            Run::create(&args.out, &text, config, learner)?
+        }
+    };
+    let folder = args.resume.as_ref().unwrap_or(&args.out).display();
+    let limits = Limits { steps: args.steps, minutes: args.minutes };
+    let bar = progress(run.step(), limits.steps.unwrap_or(u64::MAX).min(run.config().steps));
+    let interrupted = interrupt_flag();
+    let end = run.train(&limits, |progress| {
+        show(&bar, progress);
+        if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })?;
+    bar.finish_and_clear();
+    let skipped = match run.skipped() {
+        0 => String::new(),
+        n => format!(", {n} skipped because they were not finite"),
+    };
+    let line =
+        format!("{} steps of {} done{skipped}; {folder} holds the run", run.step(), run.config().steps);
+    Ok(match end {
+        End::Done => {
+            writeln!(std::io::stdout(), "{line}")?;
+            Ending::Done
+        }
+        End::Interrupted => {
+            eprintln!("interrupted: {line}; continue with --resume");
+            Ending::Interrupted
+        }
+        End::NonFinite => {
+            eprintln!(
+                "error: the loss became non-finite and stayed so: {line}; the weights are those before"
+            );
+            Ending::NonFinite
+        }
+    })
+}
+
+impl Args {
+    fn resumed(&self, folder: &Path, given: Option<Config>) -> Result<Run> {
+        let (run, passed_over) = Run::resume(folder, given.as_ref(), |config| {
+            let (device, line) = self.device.open()?;
+            eprintln!("{line}");
+            learner(&device, config, &Weights::zeros(config.network))
+        })?;
+        for error in passed_over {
+            eprintln!("warning: passed over a damaged checkpoint: {error}");
+        }
+        eprintln!("continuing after step {}", run.step());
+        Ok(run)
+    }
+}
+
+/// A number of minutes.
+fn minutes(text: &str) -> std::result::Result<f64, String> {
+    let minutes = text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0);
+    minutes.ok_or_else(|| "expected a number above 0".into())
+}
+
+/// A bar on stderr, hidden when that is no terminal.
+fn progress(from: u64, to: u64) -> ProgressBar {
+    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} steps, {per_sec}, {eta} left  {msg}");
+    let bar = ProgressBar::new(to).with_style(style.expect("the template is valid")).with_position(from);
+    bar.reset_eta();
+    bar
+}
+
+fn show(bar: &ProgressBar, progress: &Progress<'_>) {
+    bar.set_position(progress.step);
+    bar.set_message(format!("loss {:.4}", progress.report.loss()));
+    for SceneScore { scene, remainder, largest_stretch, stable } in progress.validation.into_iter().flatten()
+    {
+        let stable = if *stable { "stable" } else { "UNSTABLE" };
+        bar.println(format!(
+            "step {}: {scene}: {stable}, remainder {remainder:.3}, largest stretch {:.1} %",
+            progress.step,
+            100.0 * largest_stretch
+        ));
+    }
+}

@@ -1,0 +1,187 @@
+//! Line charts.
+
+use super::{Image, text};
+use glam::{Vec2, vec2};
+
+/// A chart: curves over one axis, with a title.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chart {
+    /// Title; letters appear as capitals.
+    pub title: String,
+    /// The curves.
+    pub curves: Vec<Curve>,
+}
+
+/// A curve of a chart.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Curve {
+    /// Name in the legend.
+    pub label: String,
+    /// Points (x, y), x ascending. Where y is not finite the curve has a gap.
+    pub points: Vec<[f64; 2]>,
+}
+
+/// Colours of the curves, told apart with most kinds of colour vision (after Okabe and Ito).
+const COLOURS: [[u8; 3]; 7] = [
+    [0, 114, 178],
+    [230, 159, 0],
+    [0, 158, 115],
+    [204, 121, 167],
+    [213, 94, 0],
+    [86, 180, 233],
+    [90, 90, 90],
+];
+const PAPER: [u8; 3] = [255; 3];
+const LINES: [u8; 3] = [214, 218, 222];
+/// Height of titles and of labels \[px\].
+const TITLE: f32 = 11.0;
+const LABEL: f32 = 8.0;
+/// Space for the axes and the title \[px\]: left, top, right, bottom.
+const MARGINS: [f32; 4] = [62.0, 30.0, 16.0, 26.0];
+/// Share of the values at each end that may lie outside the chart, lest a spike flatten the rest.
+const OUTSIDE: f64 = 0.005;
+
+/// Draws charts in two columns on white, in an image of `width` x `height` pixels.
+pub fn charts(charts: &[Chart], (width, height): (usize, usize)) -> Image {
+    let mut image = Image::new(width, height);
+    image.pixels.fill(PAPER);
+    let rows = charts.len().div_ceil(2).max(1);
+    let size = vec2(width as f32 / 2.0, (height / rows) as f32);
+    for (k, chart) in charts.iter().enumerate() {
+        let corner = vec2((k % 2) as f32, (k / 2) as f32) * size;
+        draw(&mut image, chart, corner, size);
+    }
+    image
+}
+
+fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
+    let [left, top, right, bottom] = MARGINS;
+    let low = corner + vec2(left, size.y - bottom);
+    let high = corner + vec2(size.x - right, top);
+    text::write(image, &chart.title.to_uppercase(), [low.x, corner.y + 8.0], TITLE);
+    let points =
+        || chart.curves.iter().flat_map(|c| &c.points).filter(|p| p[0].is_finite() && p[1].is_finite());
+    let x = Axis::over(points().map(|p| p[0]).collect(), 0.0);
+    let y = Axis::over(points().map(|p| p[1]).collect(), OUTSIDE);
+    for tick in x.ticks() {
+        let at = low.x + (high.x - low.x) * x.place(tick);
+        line(image, [vec2(at, low.y), vec2(at, high.y)], LINES, 0.5);
+        let label = number(tick);
+        text::write(image, &label, [at - text::width(&label, LABEL) / 2.0, low.y + 8.0], LABEL);
+    }
+    for tick in y.ticks() {
+        let at = low.y + (high.y - low.y) * y.place(tick);
+        line(image, [vec2(low.x, at), vec2(high.x, at)], LINES, 0.5);
+        let label = number(tick);
+        let place = [low.x - 6.0 - text::width(&label, LABEL), at - LABEL / 2.0];
+        text::write(image, &label, place, LABEL);
+    }
+    for (curve, colour) in chart.curves.iter().zip(COLOURS.iter().cycle()) {
+        let place = |p: &[f64; 2]| {
+            let inside = vec2(x.place(p[0]), y.place(p[1]).clamp(0.0, 1.0));
+            p[1].is_finite().then(|| low + (high - low) * inside)
+        };
+        let places: Vec<Option<Vec2>> = curve.points.iter().map(place).collect();
+        for pair in places.windows(2) {
+            if let [Some(a), Some(b)] = *pair {
+                line(image, [a, b], *colour, 0.9);
+            }
+        }
+    }
+    let widest = chart.curves.iter().map(|c| text::width(&c.label.to_uppercase(), LABEL)).fold(0.0, f32::max);
+    for (k, curve) in chart.curves.iter().enumerate() {
+        let (x, y) = (high.x - widest - 24.0, high.y + 10.0 + 1.8 * LABEL * k as f32);
+        line(image, [vec2(x, y), vec2(x + 14.0, y)], COLOURS[k % COLOURS.len()], 1.2);
+        text::write(image, &curve.label.to_uppercase(), [x + 20.0, y - LABEL / 2.0], LABEL);
+    }
+}
+
+/// What one side of a chart spans.
+struct Axis {
+    low: f64,
+    high: f64,
+}
+
+impl Axis {
+    /// Over these values, without the share `outside` at each end.
+    fn over(mut values: Vec<f64>, outside: f64) -> Self {
+        values.sort_by(f64::total_cmp);
+        let left_out = (values.len() as f64 * outside) as usize;
+        let (Some(&low), Some(&high)) = (values.get(left_out), values.iter().nth_back(left_out)) else {
+            return Self { low: 0.0, high: 1.0 };
+        };
+        let wide = if high > low { 0.0 } else { 0.5 * low.abs().max(1.0) };
+        Self { low: low - wide, high: high + wide }
+    }
+
+    /// Where a value lies, from 0 to 1.
+    fn place(&self, value: f64) -> f32 {
+        ((value - self.low) / (self.high - self.low)) as f32
+    }
+
+    /// Round numbers inside, three to seven of them.
+    fn ticks(&self) -> impl Iterator<Item = f64> {
+        let raw = (self.high - self.low) / 5.0;
+        let power = 10f64.powf(raw.log10().floor());
+        let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&s| s >= raw).unwrap_or(raw);
+        let (first, last) = ((self.low / step).ceil() as i64, (self.high / step).floor() as i64);
+        (first..=last).map(move |k| k as f64 * step)
+    }
+}
+
+/// A tick as text: short, without the rounding of its last place.
+fn number(value: f64) -> String {
+    let plain = format!("{value:.4}");
+    let plain = plain.trim_end_matches('0').trim_end_matches('.');
+    let small = value != 0.0 && value.abs() < 1e-3;
+    if small || value.abs() >= 1e6 { format!("{value:.1e}") } else { plain.to_owned() }
+}
+
+/// Draws a smooth line, `half` its width.
+fn line(image: &mut Image, ends: [Vec2; 2], colour: [u8; 3], half: f32) {
+    let reach = Vec2::splat(half + 1.0);
+    let (low, high) = (ends[0].min(ends[1]) - reach, ends[0].max(ends[1]) + reach);
+    let span = |from: f32, to: f32, n: usize| from.max(0.0) as usize..(to.max(0.0) as usize + 1).min(n);
+    for py in span(low.y, high.y, image.height) {
+        for px in span(low.x, high.x, image.width) {
+            let at = vec2(px as f32 + 0.5, py as f32 + 0.5);
+            let cover = (half + 0.5 - text::distance(at, ends[0], ends[1])).clamp(0.0, 1.0);
+            let pixel = &mut image.pixels[py * image.width + px];
+            for (channel, ink) in pixel.iter_mut().zip(colour) {
+                *channel = (f32::from(*channel) * (1.0 - cover) + f32::from(ink) * cover).round() as u8;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn curves_stay_in_their_charts_and_gaps_are_left_out() {
+        let curve = |points: Vec<[f64; 2]>| Curve { label: "a".into(), points };
+        let rising = curve((0..50).map(|k| [f64::from(k), f64::from(k * k)]).collect());
+        let broken = curve(vec![[0.0, 0.0], [1.0, f64::NAN], [2.0, f64::INFINITY], [3.0, 1e300]]);
+        let some = [vec![], vec![rising], vec![broken], vec![curve(vec![[5.0, 5.0]])]];
+        let some = some.map(|curves| Chart { title: "t".into(), curves });
+        let image = charts(&some, (400, 300));
+        let blue = |x: std::ops::Range<usize>, y: std::ops::Range<usize>| {
+            y.flat_map(|y| x.clone().map(move |x| (x, y)))
+                .filter(|&(x, y)| image.at(x, y) == COLOURS[0])
+                .count()
+        };
+        assert_eq!(blue(0..200, 0..150), 0);
+        assert!(blue(262..400, 34..124) > 20);
+        assert_eq!(blue(200..260, 30..150), 0);
+    }
+
+    #[test]
+    fn ticks_are_round_and_inside() {
+        let ticks = |low, high| Axis { low, high }.ticks().map(number).collect::<Vec<_>>().join(" ");
+        assert_eq!(ticks(0.0, 1.0), "0 0.2 0.4 0.6 0.8 1");
+        assert_eq!(ticks(-3.7, 2.1), "-2 0 2");
+        assert_eq!(ticks(100.0, 500_000.0), "100000 200000 300000 400000 500000");
+        assert_eq!(ticks(0.0, 2e-4), "0 5.0e-5 1.0e-4 1.5e-4 2.0e-4");
+    }
+}

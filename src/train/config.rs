@@ -1,0 +1,240 @@
+//! The configuration of a training run.
+
+use super::read;
+use super::schedule::{Decay, Schedule};
+use crate::sim::Grid;
+use crate::{Error, Result, io, network};
+use std::path::{Path, PathBuf};
+
+/// A training run: its pools, its optimizer, how long and how watched. The default is the paper's recipe (section 4).
+///
+/// Read from TOML by [`Config::parse`]; every field may be left out and then has its default. Unknown fields are errors.
+///
+/// | field | default |
+/// |---|---|
+/// | `seed`, `steps`, `log_every`, `average` | 1, 500000, 50, 0 |
+/// | `init` | fresh weights; else a safetensors file beside the configuration |
+/// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
+/// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in a pool that is given `[32, 32]`, 10, 1000, 10 |
+/// | `[pool.material]` `stretch`, `shear`, `bend` | `[100, 1000]`, `[1, 100]`, `[0.01, 10]` |
+/// | `[motion]` `moving`, `rotation`, `amplitude`, `frequency`, `pinch`, `gravity`, `more_handles` | 0.8, 0.0628, 10, 0.2, 0.4, 0.125, 0.5 |
+/// | `[reset]` `energy`, `sequence_length`, `scale` | 20000, 1000, no bounds |
+/// | `[optimizer]` `rate`, `betas`, `epsilon`, `weight_decay`, `clip` | 1e-3, `[0.9, 0.999]`, 1e-8, 0.01, 1 |
+/// | `[schedule]` `warmup`, `decay` | 0, `{ halvings = [125000, 250000, 375000] }`; or `"none"`, `{ cosine = { final = 1e-5 } }` |
+/// | `[validation]` `every`, `frames`, `iterations`, `grids` | `{ minutes = 15 }`, 60, 10, `[[32, 32], [64, 64], [100, 100], [48, 32]]` |
+/// | `[checkpoint]` `every` | `{ minutes = 10 }`; or `{ steps = 1000 }` |
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Config {
+    /// Seed of all that is random.
+    pub seed: u64,
+    /// Training steps of the whole run; the schedule is stretched over them.
+    pub steps: u64,
+    /// Steps that a row of `metrics.csv` is the mean of.
+    pub log_every: u64,
+    /// Decay of the running mean of the weights, which is then what is validated and kept; 0 for the weights themselves.
+    pub average: f64,
+    /// Weights to begin with; none for fresh ones ([`super::initial_weights`]).
+    pub init: Option<PathBuf>,
+    /// Sizes of the network.
+    pub network: network::Config,
+    /// The pools of cloths.
+    #[serde(rename = "pool")]
+    pub pools: Vec<PoolConfig>,
+    /// How handles move, and gravity.
+    pub motion: MotionRanges,
+    /// When cloths begin anew.
+    pub reset: ResetRules,
+    /// AdamW.
+    pub optimizer: AdamWOptions,
+    /// The learning rate from step to step.
+    pub schedule: Schedule,
+    /// Validation rollouts.
+    pub validation: ValidationConfig,
+    /// When the state of the run is written.
+    pub checkpoint: Every,
+}
+
+/// A pool: cloths on one grid that are given the same number of iterations per frame.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct PoolConfig {
+    /// Particles along the height and the width.
+    #[serde(serialize_with = "read::serialize_grid")]
+    pub grid: Grid,
+    /// Iterations per frame.
+    pub iterations: u32,
+    /// Cloths in the pool.
+    pub cloths: usize,
+    /// Cloths drawn in each step.
+    pub batch: usize,
+    /// What materials are drawn from.
+    pub material: MaterialRanges,
+}
+
+/// An interval of positive numbers, drawn from log-uniformly: `[smallest, largest]`.
+pub type Range = [f64; 2];
+
+/// What the coefficients of the energy are drawn from, once per slot of a pool (grid units; paper section 3.2).
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct MaterialRanges {
+    /// Stretch coefficient.
+    pub stretch: Range,
+    /// Shear coefficient.
+    pub shear: Range,
+    /// Bend coefficient.
+    pub bend: Range,
+}
+
+/// What the motion of the handles and gravity are drawn from.
+///
+/// Lengths and accelerations are those of a sheet 31 edges high, the paper's 32x32. On a grid of H rows both are
+/// multiplied by (H - 1) / 31, so that sheets of all grids meet the same motions in metres.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct MotionRanges {
+    /// Probability that the handles of a cloth move.
+    pub moving: f64,
+    /// Largest rotation about each axis [rad / frame].
+    pub rotation: f64,
+    /// Largest amplitude of the translation along each axis \[edges\].
+    pub amplitude: f64,
+    /// Largest angular frequency of translation and pinch [rad / frame].
+    pub frequency: f64,
+    /// Depth of the pinch p: handles are scaled by `1 - p + p cos(frequency t)`.
+    pub pinch: f64,
+    /// Size of gravity [edges / frame^2]; its direction is random.
+    pub gravity: f64,
+    /// Probability of each further handle after the two corners.
+    pub more_handles: f64,
+}
+
+/// When a cloth begins anew.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct ResetRules {
+    /// When its stretch, shear and bend energy exceeds this (or is not finite).
+    pub energy: f64,
+    /// On average after this many frames, cloth by cloth in turn.
+    pub sequence_length: u64,
+    /// When the scale of its steps leaves this interval; none for no bounds.
+    pub scale: Option<Range>,
+}
+
+/// AdamW with a bound on the gradient's norm, as PyTorch's.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct AdamWOptions {
+    /// Learning rate.
+    pub rate: f64,
+    /// Decays of the means of the gradient and of its square.
+    pub betas: [f64; 2],
+    /// Added to the denominator.
+    pub epsilon: f64,
+    /// Decoupled weight decay.
+    pub weight_decay: f64,
+    /// Largest norm of the gradient over all weights.
+    pub clip: f64,
+}
+
+/// How often something is done.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Every {
+    /// Each time this many steps are done.
+    Steps(u64),
+    /// Each time this many minutes have passed.
+    Minutes(f64),
+}
+
+/// Rollouts of fixed scenes by which weights are judged ([`super::Validation`]).
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct ValidationConfig {
+    /// How often; at the end of each session in any case.
+    pub every: Every,
+    /// Frames of each rollout.
+    pub frames: usize,
+    /// Iterations per frame.
+    pub iterations: usize,
+    /// Grids of the hanging sheet; the falling one has the finest of them.
+    #[serde(serialize_with = "read::serialize_grids")]
+    pub grids: Vec<Grid>,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        let pool = |iterations| PoolConfig { iterations, ..Default::default() };
+        Self {
+            seed: 1,
+            steps: 500_000,
+            log_every: 50,
+            average: 0.0,
+            init: None,
+            network: network::Config::default(),
+            pools: [1, 3, 10, 30].map(pool).to_vec(),
+            motion: MotionRanges::default(),
+            reset: ResetRules::default(),
+            optimizer: AdamWOptions::default(),
+            schedule: Schedule { warmup: 0, decay: Decay::Halvings(vec![125_000, 250_000, 375_000]) },
+            validation: ValidationConfig::default(),
+            checkpoint: Every::Minutes(10.0),
+        }
+    }
+}
+
+impl Default for PoolConfig {
+    fn default() -> Self {
+        let (grid, material) = (Grid { h: 32, w: 32 }, MaterialRanges::default());
+        Self { grid, iterations: 10, cloths: 1000, batch: 10, material }
+    }
+}
+
+impl Default for MaterialRanges {
+    fn default() -> Self {
+        Self { stretch: [100.0, 1000.0], shear: [1.0, 100.0], bend: [0.01, 10.0] }
+    }
+}
+
+impl Default for MotionRanges {
+    fn default() -> Self {
+        Self {
+            moving: 0.8,
+            rotation: 0.0628,
+            amplitude: 10.0,
+            frequency: 0.2,
+            pinch: 0.4,
+            gravity: 0.125,
+            more_handles: 0.5,
+        }
+    }
+}
+
+impl Default for ResetRules {
+    fn default() -> Self {
+        Self { energy: 20_000.0, sequence_length: 1000, scale: None }
+    }
+}
+
+impl Default for AdamWOptions {
+    fn default() -> Self {
+        Self { rate: 1e-3, betas: [0.9, 0.999], epsilon: 1e-8, weight_decay: 0.01, clip: 1.0 }
+    }
+}
+
+impl Default for ValidationConfig {
+    fn default() -> Self {
+        let grids = [(32, 32), (64, 64), (100, 100), (48, 32)].map(|(h, w)| Grid { h, w }).to_vec();
+        Self { every: Every::Minutes(15.0), frames: 60, iterations: 10, grids }
+    }
+}
+
+impl Config {
+    /// Reads a configuration file: its text, which a run keeps, and what it means.
+    pub fn load(path: &Path) -> Result<(String, Self)> {
+        let bytes = io::read_bytes(path)?;
+        let origin = path.display().to_string();
+        let text = String::from_utf8(bytes).map_err(|e| Error::invalid(origin, "text", "UTF-8", e))?;
+        let config = Self::parse(&text, path)?;
+        Ok((text, config))
+    }
+
+    /// Reads a configuration from TOML; `path` names it in errors, and its folder is where `init` is looked for.
+    pub fn parse(text: &str, path: &Path) -> Result<Self> {
+        read::config(text, path)
+    }
+}

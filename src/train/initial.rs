@@ -1,0 +1,78 @@
+//! Fresh weights.
+
+use super::config::Config;
+use super::random::{Purpose, generator};
+use crate::network::{self, Weights};
+use crate::{Error, Result};
+use rand::RngExt;
+use rand::rngs::ChaCha8Rng;
+use std::f64::consts::TAU;
+
+/// The weights that a run begins with: those in the file `init`, or fresh ones.
+pub fn first_weights(config: &Config) -> Result<Weights> {
+    let Some(path) = &config.init else { return Ok(initial_weights(config.network, config.seed)) };
+    let weights = Weights::load(path)?;
+    if weights.config == config.network {
+        return Ok(weights);
+    }
+    let (expected, found) = (format!("{:?}", config.network), format!("{:?}", weights.config));
+    Err(Error::invalid(path.display().to_string(), "network", expected, found))
+}
+
+/// Random weights as the authors' implementation draws them (neuraloperator's and PyTorch's defaults).
+///
+/// Pointwise layers, skips and the scalar head: weights and biases uniform within `1 / sqrt(inputs)` of 0 (the skips have
+/// no bias). Spectral weights: complex normal numbers of variance `2 / (channels + channels)`, half of it in each part;
+/// the biases of the blocks: real normal numbers of the same variance.
+pub fn initial_weights(config: network::Config, seed: u64) -> Weights {
+    let random = &mut generator(seed, Purpose::Weights, 0);
+    let mut weights = Weights::zeros(config);
+    let Weights { lifting, blocks, projection, scalar, .. } = &mut weights;
+    for dense in lifting.iter_mut().chain(projection).chain([scalar]) {
+        let inputs = dense.weight.len() / dense.bias.len();
+        uniform(random, &mut dense.weight, inputs);
+        uniform(random, &mut dense.bias, inputs);
+    }
+    let deviation = (config.channels as f64).sqrt().recip();
+    for block in blocks {
+        normal(random, &mut block.spectral, deviation * 0.5f64.sqrt());
+        normal(random, &mut block.bias, deviation);
+        uniform(random, &mut block.skip, config.channels);
+    }
+    weights
+}
+
+fn uniform(random: &mut ChaCha8Rng, values: &mut [f32], inputs: usize) {
+    let bound = (inputs as f64).sqrt().recip();
+    values.fill_with(|| (bound * (2.0 * random.random::<f64>() - 1.0)) as f32);
+}
+
+/// Normal numbers by Box and Muller; `1 - u` keeps the logarithm finite.
+fn normal(random: &mut ChaCha8Rng, values: &mut [f32], deviation: f64) {
+    values.fill_with(|| {
+        let radius = (-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt();
+        (deviation * radius * (TAU * random.random::<f64>()).cos()) as f32
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fresh_weights_have_the_spread_of_the_authors() {
+        let weights = initial_weights(network::Config::default(), 7);
+        assert_eq!(weights, initial_weights(network::Config::default(), 7));
+        assert_ne!(weights, initial_weights(network::Config::default(), 8));
+        let variance =
+            |values: &[f32]| values.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>() / values.len() as f64;
+        // A uniform number within b has variance b^2 / 3.
+        let near =
+            |value: f64, exact: f64| assert!((value / exact - 1.0).abs() < 0.1, "{value}, not {exact}");
+        near(variance(&weights.lifting[0].weight), 1.0 / 15.0);
+        near(variance(&weights.projection[0].weight), 1.0 / 192.0);
+        near(variance(&weights.blocks[2].skip), 1.0 / 192.0);
+        near(variance(&weights.blocks[1].spectral), 0.5 / 64.0);
+        assert!(weights.lifting[0].weight.iter().all(|w| w.abs() <= 0.2f32.sqrt()));
+    }
+}

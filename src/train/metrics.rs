@@ -1,0 +1,91 @@
+//! Means over steps, as rows of `metrics.csv`.
+
+use super::config::PoolConfig;
+use super::learner::{Outcome, StepReport};
+use super::table::Table;
+use crate::Result;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// What is told of each pool.
+const OF_POOL: [&str; 7] = ["loss", "stretch", "shear", "bend", "inertia", "external", "log_gradient"];
+/// What is told of the step.
+const OF_STEP: [&str; 7] =
+    ["step", "seconds", "steps_per_second", "rate", "skipped", "loss", "gradient_norm"];
+
+/// The name of a pool in files and curves.
+pub(super) fn pool_name(index: usize, pool: &PoolConfig) -> String {
+    format!("pool{index}_{}_n{}", pool.grid, pool.iterations)
+}
+
+/// Collects steps and writes their means.
+pub(super) struct Metrics {
+    table: Table,
+    /// Sums of loss, gradient norm and what is told of each pool.
+    sums: Vec<f64>,
+    /// Steps that the sums hold.
+    used: u64,
+    /// Steps that were skipped since the last row.
+    skipped: u64,
+    since: Instant,
+}
+
+impl Metrics {
+    /// Opens the table; rows after `step` are given up.
+    pub fn open(path: PathBuf, pools: &[PoolConfig], step: u64) -> Result<Self> {
+        let of_pools = pools.iter().enumerate().flat_map(|(index, pool)| {
+            let name = pool_name(index, pool);
+            OF_POOL.map(|column| format!("{name}_{column}"))
+        });
+        let columns: Vec<String> = OF_STEP.map(str::to_owned).into_iter().chain(of_pools).collect();
+        let sums = vec![0.0; 2 + OF_POOL.len() * pools.len()];
+        let table = Table::open(path, columns, step)?;
+        Ok(Self { table, sums, used: 0, skipped: 0, since: Instant::now() })
+    }
+
+    /// Adds a step; one that was skipped is only counted.
+    pub fn add(&mut self, report: &StepReport) {
+        if !report.is_finite() {
+            self.skipped += 1;
+            return;
+        }
+        self.used += 1;
+        let of_pools = report.outcomes.iter().flat_map(|outcomes| {
+            let mean =
+                |value: fn(&Outcome) -> f64| outcomes.iter().map(value).sum::<f64>() / outcomes.len() as f64;
+            [
+                mean(|o| o.energy.total()),
+                mean(|o| o.energy.stretch),
+                mean(|o| o.energy.shear),
+                mean(|o| o.energy.bend),
+                mean(|o| o.energy.inertia),
+                mean(|o| o.energy.external),
+                mean(|o| o.log_gradient),
+            ]
+        });
+        let values = [report.loss(), report.gradient_norm].into_iter().chain(of_pools);
+        for (sum, value) in self.sums.iter_mut().zip(values) {
+            *sum += value;
+        }
+    }
+
+    /// Writes the row of the steps up to `step`, if there were any, and begins the next.
+    pub fn flush(&mut self, step: u64, seconds: f64, rate: f64) -> Result<()> {
+        if self.used + self.skipped == 0 {
+            return Ok(());
+        }
+        let speed = (self.used + self.skipped) as f64 / self.since.elapsed().as_secs_f64();
+        let mut row = vec![step.to_string(), format!("{seconds:.1}"), format!("{speed:.3}")];
+        row.extend([format!("{rate:.6e}"), self.skipped.to_string()]);
+        row.extend(self.sums.iter().map(|sum| format!("{:.6e}", sum / self.used as f64)));
+        self.table.push(&row)?;
+        self.sums.fill(0.0);
+        (self.used, self.skipped, self.since) = (0, 0, Instant::now());
+        Ok(())
+    }
+
+    /// The rows so far.
+    pub fn table(&self) -> &Table {
+        &self.table
+    }
+}

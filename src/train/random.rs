@@ -1,0 +1,33 @@
+//! Randomness without a state: every draw has a generator of its own, named by what it is for.
+
+use rand::{SeedableRng, rngs::ChaCha8Rng};
+
+/// What a generator is for.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Purpose {
+    /// Fresh weights.
+    Weights,
+    /// The cloths that a step draws from a pool; index: the step.
+    Batch { pool: usize },
+    /// What a slot of a pool keeps for good, its material; index: the slot.
+    Material { pool: usize },
+    /// One life of a cloth, from its start to the next; index: the slot.
+    Life { pool: usize, generation: u32 },
+}
+
+/// The generator for `purpose` number `index` in a run with this seed. ChaCha gives the same numbers on every machine.
+pub(super) fn generator(seed: u64, purpose: Purpose, index: u64) -> ChaCha8Rng {
+    let (kind, pool, generation) = match purpose {
+        Purpose::Weights => (0, 0, 0),
+        Purpose::Batch { pool } => (1, pool, 0),
+        Purpose::Material { pool } => (2, pool, 0),
+        Purpose::Life { pool, generation } => (3, pool, generation),
+    };
+    let mut key = [0; 32];
+    key[..8].copy_from_slice(&seed.to_le_bytes());
+    key[8..16].copy_from_slice(&index.to_le_bytes());
+    key[16..20].copy_from_slice(&generation.to_le_bytes());
+    key[20..24].copy_from_slice(&(pool as u32).to_le_bytes());
+    key[24] = kind;
+    ChaCha8Rng::from_seed(key)
+}

@@ -1,0 +1,274 @@
+//! Reads and checks a configuration, field by field.
+
+use super::config::{
+    AdamWOptions, Config, Every, MaterialRanges, MotionRanges, PoolConfig, Range, ResetRules,
+    ValidationConfig,
+};
+use super::schedule::{Decay, Schedule};
+use crate::io::{Node, parse_toml};
+use crate::sim::{Grid, MAX_GRID, MIN_GRID};
+use crate::{Error, Result, network};
+use serde::{Serialize, Serializer};
+use std::path::Path;
+
+/// The most particles in all pools: their arrays take 60 bytes each.
+const MAX_PARTICLES: usize = 1 << 28;
+/// The largest size of a layer.
+const MAX_CHANNELS: usize = 4096;
+
+/// See [`Config::parse`].
+pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
+    let origin = path.display().to_string();
+    let document = parse_toml(&origin, text)?;
+    let root = Node::root(&origin, &document);
+    root.only(&[
+        "seed",
+        "steps",
+        "log_every",
+        "average",
+        "init",
+        "network",
+        "pool",
+        "motion",
+        "reset",
+        "optimizer",
+        "schedule",
+        "validation",
+        "checkpoint",
+    ])?;
+    let base = Config::default();
+    let init = root.get("init").map(|n| n.text()).transpose()?;
+    let config = Config {
+        seed: root.get_or("seed", base.seed, whole)?,
+        steps: root.get_or("steps", base.steps, above_zero)?,
+        log_every: root.get_or("log_every", base.log_every, above_zero)?,
+        average: root.get_or("average", base.average, decay)?,
+        init: init.map(|file| path.parent().unwrap_or(Path::new("")).join(file)),
+        network: root.get_or("network", base.network, network)?,
+        pools: root.get_or("pool", base.pools, |n| n.items()?.iter().map(pool).collect())?,
+        motion: root.get_or("motion", base.motion, motion)?,
+        reset: root.get_or("reset", base.reset, reset)?,
+        optimizer: root.get_or("optimizer", base.optimizer, optimizer)?,
+        schedule: root.get_or("schedule", base.schedule, schedule)?,
+        validation: root.get_or("validation", base.validation, validation)?,
+        checkpoint: root.get_or("checkpoint", base.checkpoint, |n| {
+            n.only(&["every"])?;
+            n.get_or("every", base.checkpoint, every)
+        })?,
+    };
+    check(config, &origin)
+}
+
+/// What concerns several fields.
+fn check(config: Config, origin: &str) -> Result<Config> {
+    if config.pools.is_empty() {
+        return Err(Error::invalid(origin, "pool", "at least one", "none"));
+    }
+    let particles: usize = config.pools.iter().map(|p| p.cloths * p.grid.particles()).sum();
+    if particles > MAX_PARTICLES {
+        let expected = format!("at most {MAX_PARTICLES} particles in all pools");
+        return Err(Error::invalid(origin, "pool", expected, particles));
+    }
+    let network::Config { modes_h, modes_w, .. } = config.network;
+    let named = |name: String, grids: Vec<Grid>| grids.into_iter().map(move |grid| (name.clone(), grid));
+    let pools =
+        config.pools.iter().enumerate().flat_map(|(k, p)| named(format!("pool[{k}].grid"), vec![p.grid]));
+    let grids = pools.chain(named("validation.grids".into(), config.validation.grids.clone()));
+    for (field, grid) in grids {
+        if grid.h < modes_h || grid.w / 2 + 1 < modes_w {
+            let expected = format!("a grid that carries {modes_h} x {modes_w} Fourier modes");
+            return Err(Error::invalid(origin, field, expected, grid));
+        }
+    }
+    if let Decay::Cosine { last } = config.schedule.decay
+        && last > config.optimizer.rate
+    {
+        let expected = format!("at most the rate {}", config.optimizer.rate);
+        return Err(Error::invalid(origin, "schedule.decay.cosine.final", expected, last));
+    }
+    Ok(config)
+}
+
+fn network(node: &Node<'_>) -> Result<network::Config> {
+    node.only(&["lifting", "channels", "projection", "layers", "modes_h", "modes_w"])?;
+    let base = network::Config::default();
+    let size = |key, default, most| node.get_or(key, default, |n| count(n, 1, most));
+    Ok(network::Config {
+        lifting: size("lifting", base.lifting, MAX_CHANNELS)?,
+        channels: size("channels", base.channels, MAX_CHANNELS)?,
+        projection: size("projection", base.projection, MAX_CHANNELS)?,
+        layers: size("layers", base.layers, 64)?,
+        modes_h: size("modes_h", base.modes_h, MAX_GRID)?,
+        modes_w: size("modes_w", base.modes_w, MAX_GRID)?,
+        ..base
+    })
+}
+
+fn pool(node: &Node<'_>) -> Result<PoolConfig> {
+    node.only(&["grid", "iterations", "cloths", "batch", "material"])?;
+    let base = PoolConfig::default();
+    let cloths = node.get_or("cloths", base.cloths, |n| count(n, 1, 1 << 24))?;
+    Ok(PoolConfig {
+        grid: node.get_or("grid", base.grid, grid)?,
+        iterations: node.get_or("iterations", base.iterations as usize, |n| count(n, 1, 1 << 16))? as u32,
+        cloths,
+        batch: node.get_or("batch", base.batch.min(cloths), |n| count(n, 1, cloths))?,
+        material: node.get_or("material", base.material, |n| {
+            n.only(&["stretch", "shear", "bend"])?;
+            Ok(MaterialRanges {
+                stretch: n.get_or("stretch", base.material.stretch, range)?,
+                shear: n.get_or("shear", base.material.shear, range)?,
+                bend: n.get_or("bend", base.material.bend, range)?,
+            })
+        })?,
+    })
+}
+
+fn motion(node: &Node<'_>) -> Result<MotionRanges> {
+    node.only(&["moving", "rotation", "amplitude", "frequency", "pinch", "gravity", "more_handles"])?;
+    let base = MotionRanges::default();
+    let size = |key, default| node.get_or(key, default, not_negative);
+    Ok(MotionRanges {
+        moving: node.get_or("moving", base.moving, share)?,
+        rotation: size("rotation", base.rotation)?,
+        amplitude: size("amplitude", base.amplitude)?,
+        frequency: size("frequency", base.frequency)?,
+        pinch: node.get_or("pinch", base.pinch, share)?,
+        gravity: size("gravity", base.gravity)?,
+        more_handles: node.get_or("more_handles", base.more_handles, decay)?,
+    })
+}
+
+fn reset(node: &Node<'_>) -> Result<ResetRules> {
+    node.only(&["energy", "sequence_length", "scale"])?;
+    let base = ResetRules::default();
+    Ok(ResetRules {
+        energy: node.get_or("energy", base.energy, positive)?,
+        sequence_length: node.get_or("sequence_length", base.sequence_length, above_zero)?,
+        scale: node.get_or("scale", base.scale, |n| range(n).map(Some))?,
+    })
+}
+
+fn optimizer(node: &Node<'_>) -> Result<AdamWOptions> {
+    node.only(&["rate", "betas", "epsilon", "weight_decay", "clip"])?;
+    let base = AdamWOptions::default();
+    Ok(AdamWOptions {
+        rate: node.get_or("rate", base.rate, positive)?,
+        betas: node.get_or("betas", base.betas, |n| n.array("two numbers [b1, b2]", decay))?,
+        epsilon: node.get_or("epsilon", base.epsilon, positive)?,
+        weight_decay: node.get_or("weight_decay", base.weight_decay, not_negative)?,
+        clip: node.get_or("clip", base.clip, positive)?,
+    })
+}
+
+fn schedule(node: &Node<'_>) -> Result<Schedule> {
+    node.only(&["warmup", "decay"])?;
+    let read_decay = |node: &Node<'_>| {
+        if node.value.as_str() == Some("none") {
+            return Ok(Decay::None);
+        }
+        let expected = r#""none", { halvings = [steps, ..] } or { cosine = { final = rate } }"#;
+        if !node.value.is_object() {
+            return Err(node.invalid(expected));
+        }
+        node.only(&["halvings", "cosine"])?;
+        match (node.get("halvings"), node.get("cosine")) {
+            (Some(at), None) => {
+                Ok(Decay::Halvings(at.items()?.iter().map(above_zero).collect::<Result<_>>()?))
+            }
+            (None, Some(cosine)) => {
+                cosine.only(&["final"])?;
+                Ok(Decay::Cosine { last: cosine.get_or("final", 0.0, not_negative)? })
+            }
+            _ => Err(node.invalid(expected)),
+        }
+    };
+    Ok(Schedule {
+        warmup: node.get_or("warmup", 0, whole)?,
+        decay: node.get_or("decay", Config::default().schedule.decay, read_decay)?,
+    })
+}
+
+fn validation(node: &Node<'_>) -> Result<ValidationConfig> {
+    node.only(&["every", "frames", "iterations", "grids"])?;
+    let base = ValidationConfig::default();
+    let grids = |n: &Node<'_>| {
+        let grids: Vec<Grid> = n.items()?.iter().map(grid).collect::<Result<_>>()?;
+        if grids.is_empty() { Err(n.invalid("at least one grid [h, w]")) } else { Ok(grids) }
+    };
+    Ok(ValidationConfig {
+        every: node.get_or("every", base.every, every)?,
+        frames: node.get_or("frames", base.frames, |n| count(n, 1, 100_000))?,
+        iterations: node.get_or("iterations", base.iterations, |n| count(n, 1, 100_000))?,
+        grids: node.get_or("grids", base.grids, grids)?,
+    })
+}
+
+fn every(node: &Node<'_>) -> Result<Every> {
+    let expected = "{ steps = N } or { minutes = M }";
+    if !node.value.is_object() {
+        return Err(node.invalid(expected));
+    }
+    node.only(&["steps", "minutes"])?;
+    match (node.get("steps"), node.get("minutes")) {
+        (Some(steps), None) => Ok(Every::Steps(above_zero(&steps)?)),
+        (None, Some(minutes)) => Ok(Every::Minutes(positive(&minutes)?)),
+        _ => Err(node.invalid(expected)),
+    }
+}
+
+fn grid(node: &Node<'_>) -> Result<Grid> {
+    let expected = format!("[h, w], each {MIN_GRID} to {MAX_GRID}");
+    let [h, w] = node.array(&expected, Node::count)?;
+    let possible = [h, w].iter().all(|n| (MIN_GRID..=MAX_GRID).contains(n));
+    if possible { Ok(Grid { h, w }) } else { Err(node.invalid(expected)) }
+}
+
+fn range(node: &Node<'_>) -> Result<Range> {
+    let expected = "two numbers above 0, [smallest, largest]";
+    let range: Range = node.array(expected, Node::number)?;
+    if range[0] > 0.0 && range[0] <= range[1] { Ok(range) } else { Err(node.invalid(expected)) }
+}
+
+fn whole(node: &Node<'_>) -> Result<u64> {
+    node.count().map(|n| n as u64)
+}
+
+fn above_zero(node: &Node<'_>) -> Result<u64> {
+    whole(node).ok().filter(|&n| n > 0).ok_or_else(|| node.invalid("a whole number, 1 or more"))
+}
+
+fn count(node: &Node<'_>, least: usize, most: usize) -> Result<usize> {
+    let count = node.count().ok().filter(|n| (least..=most).contains(n));
+    count.ok_or_else(|| node.invalid(format!("a whole number, {least} to {most}")))
+}
+
+fn positive(node: &Node<'_>) -> Result<f64> {
+    node.number().ok().filter(|&v| v > 0.0).ok_or_else(|| node.invalid("a number above 0"))
+}
+
+fn not_negative(node: &Node<'_>) -> Result<f64> {
+    node.number().ok().filter(|&v| v >= 0.0).ok_or_else(|| node.invalid("a number, 0 or more"))
+}
+
+/// A probability or the like.
+fn share(node: &Node<'_>) -> Result<f64> {
+    let share = node.number().ok().filter(|v| (0.0..=1.0).contains(v));
+    share.ok_or_else(|| node.invalid("a number from 0 to 1"))
+}
+
+/// How much of something is kept each time; 1 would keep all of it for ever.
+fn decay(node: &Node<'_>) -> Result<f64> {
+    let decay = node.number().ok().filter(|v| (0.0..1.0).contains(v));
+    decay.ok_or_else(|| node.invalid("a number, 0 or more and below 1"))
+}
+
+/// A grid as it is written in a configuration, `[h, w]`.
+pub(super) fn serialize_grid<S: Serializer>(grid: &Grid, to: S) -> std::result::Result<S::Ok, S::Error> {
+    [grid.h, grid.w].serialize(to)
+}
+
+/// Grids as they are written in a configuration, `[[h, w], ..]`.
+pub(super) fn serialize_grids<S: Serializer>(grids: &[Grid], to: S) -> std::result::Result<S::Ok, S::Error> {
+    grids.iter().map(|g| [g.h, g.w]).collect::<Vec<_>>().serialize(to)
+}

@@ -1,0 +1,63 @@
+//! The learning rate from step to step.
+
+use std::f64::consts::PI;
+
+/// How the learning rate changes during a run.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Schedule {
+    /// Steps over which the rate rises linearly at the beginning; 0 for none.
+    pub warmup: u64,
+    /// What becomes of it afterwards.
+    pub decay: Decay,
+}
+
+/// How the learning rate falls.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Decay {
+    /// Not at all.
+    #[default]
+    None,
+    /// By half at each of these steps; the paper's recipe.
+    Halvings(Vec<u64>),
+    /// Along half a cosine, from the end of the warm-up to the end of the run.
+    Cosine {
+        /// The rate at the end.
+        #[serde(rename = "final")]
+        last: f64,
+    },
+}
+
+impl Schedule {
+    /// The learning rate of step `step` of `steps`, counted from 0, where the full rate is `rate`.
+    pub fn rate(&self, rate: f64, step: u64, steps: u64) -> f64 {
+        if step < self.warmup {
+            return rate * (step + 1) as f64 / self.warmup as f64;
+        }
+        match &self.decay {
+            Decay::None => rate,
+            Decay::Halvings(at) => rate * 0.5f64.powi(at.iter().filter(|&&at| at <= step).count() as i32),
+            Decay::Cosine { last } => {
+                let way = steps.saturating_sub(self.warmup).max(1) as f64;
+                let done = ((step - self.warmup) as f64 / way).min(1.0);
+                last + (rate - last) * 0.5 * (1.0 + (PI * done).cos())
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rate_rises_and_falls_as_told() {
+        let paper = Schedule { warmup: 0, decay: Decay::Halvings(vec![10, 20, 30]) };
+        let rates = [0, 9, 10, 19, 20, 30, 1000].map(|step| paper.rate(8.0, step, 40));
+        assert_eq!(rates, [8.0, 8.0, 4.0, 4.0, 2.0, 1.0, 1.0]);
+        let cosine = Schedule { warmup: 4, decay: Decay::Cosine { last: 2.0 } };
+        let rates = [0, 1, 3, 4, 12, 20, 30].map(|step| cosine.rate(8.0, step, 20));
+        assert_eq!(rates, [2.0, 4.0, 8.0, 8.0, 5.0, 2.0, 2.0]);
+        assert_eq!(Schedule::default().rate(3.0, 7, 8), 3.0);
+    }
+}

@@ -1,0 +1,90 @@
+//! The arrays of a pool do what the solver does, one iteration at a time.
+
+use fnopt::cpu::cloth::{GradientRows, Trial, gradient, shifts};
+use fnopt::cpu::optim::{Minimizer, Update};
+use fnopt::cpu::{self, cloth};
+use fnopt::network;
+use fnopt::sim::{Grid, Model, Optimizer, State};
+use fnopt::train::{Arrays, Batch, MotionRanges, Pool, PoolConfig, ResetRules, Script, initial_weights};
+
+const GRID: Grid = Grid { h: 9, w: 12 };
+const ITERATIONS: u32 = 2;
+
+fn small_network() -> network::Weights {
+    let config =
+        network::Config { lifting: 16, channels: 16, projection: 16, layers: 2, ..Default::default() };
+    initial_weights(config, 3)
+}
+
+/// One iteration of the update rule on the cloths of a batch.
+fn iterate(batch: &Batch, drawn: &mut Arrays<f64>) {
+    let (model, control) = (batch.model(GRID), batch.control());
+    let (n, slots) = (GRID.particles(), batch.model(GRID).handle_slots());
+    let zeros = vec![0.0; drawn.a.len()];
+    let (mut grad, mut rows, mut f) = (zeros.clone(), GradientRows::new(GRID), zeros);
+    for b in 0..model.batch() {
+        let (at, slots) = (3 * n * b..3 * n * (b + 1), &slots[n * b..][..n]);
+        for (f, g) in f[at.clone()].chunks_mut(n).zip(model.cloths[b].gravity) {
+            f.fill(g);
+        }
+        let (x, v, a) = (&drawn.state.x[at.clone()], &drawn.state.v[at.clone()], &drawn.a[at.clone()]);
+        let mut shift = vec![0.0; 3 * n];
+        shifts(cloth::Frame { slots, handles: &control.handles, a }, x, v, &mut shift);
+        let material = model.cloths[b].material;
+        let trial = Trial { grid: GRID, material, x, shift: &shift, a, f: &f[at.clone()], slots };
+        gradient(&trial, &mut rows, &mut grad[at]);
+    }
+    let norms: Vec<f64> = grad.chunks(n).map(|g| g.iter().map(|v| v * v).sum::<f64>().sqrt()).collect();
+    let mut update = Update::new(&small_network(), GRID, norms.len()).unwrap();
+    *update.hidden_mut() = drawn.hidden.clone();
+    update.step(&grad, &norms, &mut drawn.a);
+    drawn.hidden = update.hidden().clone();
+}
+
+#[test]
+fn frames_of_a_pool_are_those_of_the_solver() {
+    let config = PoolConfig { grid: GRID, iterations: ITERATIONS, cloths: 4, batch: 3, ..Default::default() };
+    let motion = MotionRanges::default();
+    let mut pool =
+        Pool::new(0, 7, config.clone(), (motion, ResetRules { energy: 1e30, ..Default::default() }));
+    let mut arrays = Arrays::<f64>::of_pool(&config);
+    let mut drawn = Arrays::new(GRID, config.batch);
+    let mut frames = [0; 4];
+    for step in 0..9 {
+        let batch = pool.draw(step);
+        arrays.draw(&batch, &mut drawn);
+        iterate(&batch, &mut drawn);
+        arrays.store(&batch, &mut drawn);
+        pool.record(&batch, &vec![super::support::outcome(1.0); config.batch]);
+        batch.cloths.iter().filter(|c| c.advance).for_each(|c| frames[c.slot] += 1);
+    }
+    assert!(frames.iter().all(|&f| f >= 2), "{frames:?}");
+    let field = 3 * GRID.particles();
+    for (slot, frames) in frames.into_iter().enumerate() {
+        let script = Script::new(7, &motion, (0, &config), (slot, 0));
+        let model = Model { grid: GRID, cloths: vec![script.cloth.clone()] };
+        let optimizer = Optimizer::learned(small_network());
+        let mut solver = cpu::Solver::<f64>::new(&model, &optimizer, ITERATIONS as usize).unwrap();
+        let mut state = State::rest(GRID, 1);
+        let rest = state.x.clone();
+        let n = GRID.particles();
+        for (component, row) in script.start().iter().enumerate() {
+            (0..n).for_each(|p| {
+                state.x[component * n + p] = (0..3).map(|k| row[k] * rest[k * n + p]).sum();
+            });
+        }
+        for frame in 1..=frames {
+            let handles = script.targets(frame);
+            solver.step(&mut state, &fnopt::sim::Control { handles, ..Default::default() });
+            for &p in &script.cloth.handles {
+                (0..3).for_each(|component| state.v[component * n + p] = 0.0);
+            }
+        }
+        let at = slot * field..(slot + 1) * field;
+        assert!(arrays.state.x[at.clone()] == state.x[..], "positions of cloth {slot} after {frames} frames");
+        assert!(arrays.state.v[at.clone()] == state.v[..], "velocities of cloth {slot}");
+        let begun = arrays.a[at].iter().any(|&a| a != 0.0);
+        let iterations = pool.draw(99).cloths.iter().find(|c| c.slot == slot).map(|c| c.advance);
+        assert!(iterations.is_none_or(|advance| advance == begun), "a is 0 between frames");
+    }
+}

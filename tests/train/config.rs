@@ -1,0 +1,105 @@
+//! Configurations: what they mean, and how bad ones are refused.
+
+use fnopt::train::{Config, Decay, Every, PoolConfig};
+use std::path::Path;
+
+fn parse(text: &str) -> fnopt::Result<Config> {
+    Config::parse(text, Path::new("runs/some.toml"))
+}
+
+#[test]
+fn the_paper_is_the_default() {
+    assert_eq!(parse("").unwrap(), Config::default());
+    let paper = include_str!("../../assets/training/paper.toml");
+    assert_eq!(parse(paper).unwrap(), Config::default());
+    let paper = Config::default();
+    assert_eq!(paper.pools.iter().map(|p| p.iterations).collect::<Vec<_>>(), [1, 3, 10, 30]);
+    assert_eq!(paper.pools.iter().map(|p| (p.cloths, p.batch)).collect::<Vec<_>>(), [(1000, 10); 4]);
+}
+
+#[test]
+fn every_field_can_be_set() {
+    let config = parse(
+        r#"
+        seed = 9
+        steps = 70
+        log_every = 5
+        average = 0.9
+        init = "given.safetensors"
+        checkpoint = { every = { steps = 7 } }
+        [network]
+        channels = 16
+        [[pool]]
+        grid = [24, 40]
+        iterations = 3
+        cloths = 4
+        material = { bend = [0.1, 0.1] }
+        [motion]
+        pinch = 0
+        [reset]
+        scale = [1e-5, 2]
+        [optimizer]
+        betas = [0.8, 0.99]
+        [schedule]
+        warmup = 3
+        decay = { cosine = { final = 1e-6 } }
+        [validation]
+        every = { minutes = 0.5 }
+        grids = [[16, 12]]
+        "#,
+    )
+    .unwrap();
+    assert_eq!((config.seed, config.steps, config.log_every, config.average), (9, 70, 5, 0.9));
+    assert_eq!(config.init.as_deref(), Some(Path::new("runs/given.safetensors")));
+    assert_eq!((config.network.channels, config.network.lifting), (16, 256));
+    let [pool] = &config.pools[..] else { panic!("one pool") };
+    assert_eq!((pool.grid.h, pool.grid.w, pool.iterations, pool.cloths, pool.batch), (24, 40, 3, 4, 4));
+    assert_eq!(pool.material.bend, [0.1, 0.1]);
+    assert_eq!(pool.material.stretch, PoolConfig::default().material.stretch);
+    assert_eq!(config.reset.scale, Some([1e-5, 2.0]));
+    assert_eq!(config.optimizer.betas, [0.8, 0.99]);
+    assert_eq!((config.schedule.warmup, &config.schedule.decay), (3, &Decay::Cosine { last: 1e-6 }));
+    assert_eq!((config.checkpoint, config.validation.every), (Every::Steps(7), Every::Minutes(0.5)));
+    let mixed = include_str!("../../assets/training/mixed.toml");
+    assert!(parse(mixed).unwrap().pools.len() > 4);
+}
+
+#[test]
+fn bad_configurations_are_refused_by_field() {
+    let cases: &[(&str, &[&str])] = &[
+        ("sed = 3", &["unknown field 'sed'", "did you mean seed"]),
+        ("[optimizer]\nrat = 1", &["optimizer", "unknown field 'rat'", "did you mean rate"]),
+        ("[[pool]]\n[[pool]]\ncloth = 1", &["pool[1]", "unknown field 'cloth'", "cloths"]),
+        ("pool = []", &["pool", "at least one"]),
+        ("[[pool]]\ngrid = [4, 32]", &["pool[0].grid", "8 to 4096"]),
+        ("[[pool]]\ncloths = 3\nbatch = 4", &["pool[0].batch", "1 to 3", "found 4"]),
+        ("[[pool]]\niterations = 0", &["pool[0].iterations", "found 0"]),
+        ("[[pool]]\nmaterial = { bend = [10, 0.01] }", &["pool[0].material.bend", "[smallest, largest]"]),
+        ("[[pool]]\nmaterial = { bend = [-1, 1] }", &["pool[0].material.bend", "above 0"]),
+        ("[[pool]]\ngrid = [4000, 4000]", &["pool", "particles in all pools"]),
+        ("[optimizer]\nrate = -1", &["optimizer.rate", "above 0", "-1"]),
+        ("[optimizer]\nrate = nan", &["optimizer.rate", "finite"]),
+        ("[optimizer]\nbetas = [0.9, 1]", &["optimizer.betas[1]", "below 1"]),
+        ("[motion]\nmoving = 1.5", &["motion.moving", "0 to 1"]),
+        ("average = 1", &["average", "below 1"]),
+        ("steps = 0", &["steps", "1 or more"]),
+        ("steps = -5", &["steps", "1 or more", "-5"]),
+        ("[schedule]\ndecay = \"cosin\"", &["schedule.decay", "cosine"]),
+        (
+            "[schedule]\ndecay = { cosine = { final = 1 } }",
+            &["schedule.decay.cosine.final", "at most the rate"],
+        ),
+        ("[validation]\nevery = { hours = 1 }", &["validation.every", "unknown field 'hours'"]),
+        ("[validation]\nevery = 3", &["validation.every", "{ steps = N }"]),
+        ("[validation]\ngrids = []", &["validation.grids", "at least one"]),
+        ("[network]\nmodes_h = 16\n[[pool]]\ngrid = [12, 32]", &["pool[0].grid", "16 x 5", "12x32"]),
+        ("seed = \nsteps = 4", &["line 1, column 8", "TOML"]),
+    ];
+    for (text, said) in cases {
+        let message = parse(text).expect_err(text).to_string();
+        assert!(message.starts_with("runs/some.toml: "), "{message}");
+        for part in *said {
+            assert!(message.contains(part), "{text}: no '{part}' in: {message}");
+        }
+    }
+}

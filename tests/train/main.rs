@@ -1,0 +1,7 @@
+//! The host's side of training: configuration, pools, the run and its folder.
+
+mod arrays;
+mod config;
+mod pool;
+mod run;
+mod support;

@@ -1,0 +1,255 @@
+//! Runs with a learner that computes nothing: what the folder holds, resuming, damage, losses that are not finite.
+
+use super::support::Fake;
+use fnopt::train::{Config, End, Learner, Limits, Run};
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+const CONFIG: &str = r#"
+    steps = 12
+    log_every = 2
+    checkpoint = { every = { steps = 2 } }
+    [network]
+    lifting = 16
+    channels = 16
+    projection = 16
+    layers = 2
+    [[pool]]
+    grid = [8, 8]
+    iterations = 1
+    cloths = 6
+    batch = 2
+    [[pool]]
+    grid = [9, 12]
+    iterations = 3
+    cloths = 4
+    batch = 3
+    [reset]
+    sequence_length = 2
+    [validation]
+    every = { steps = 4 }
+    frames = 2
+    iterations = 2
+    grids = [[8, 8]]
+"#;
+
+fn config() -> Config {
+    Config::parse(CONFIG, Path::new("test.toml")).unwrap()
+}
+
+fn create(root: &Path, learner: Fake) -> Run {
+    Run::create(root, CONFIG, config(), Box::new(learner)).unwrap()
+}
+
+fn fresh(root: &Path) -> Run {
+    create(root, Fake::new(&config()))
+}
+
+fn resume(root: &Path) -> fnopt::Result<(Run, Vec<fnopt::Error>)> {
+    Run::resume(root, None, |config| Ok(Box::new(Fake::new(config)) as Box<dyn Learner>))
+}
+
+fn train(run: &mut Run, steps: u64) -> End {
+    run.train(&Limits { steps: Some(steps), minutes: None }, |_| ControlFlow::Continue(())).unwrap()
+}
+
+fn checkpoints(root: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(root.join("checkpoints")).unwrap();
+    let mut paths: Vec<_> = entries.map(|e| e.unwrap().path()).collect();
+    paths.sort();
+    paths
+}
+
+fn lines(path: PathBuf) -> Vec<String> {
+    std::fs::read_to_string(path).unwrap().lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn a_run_fills_its_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("run");
+    let mut run = fresh(&root);
+    let mut validations = 0;
+    let end = run.train(&Limits::default(), |progress| {
+        validations += usize::from(progress.validation.is_some());
+        ControlFlow::Continue(())
+    });
+    assert_eq!((end.unwrap(), run.step(), run.skipped(), validations), (End::Done, 12, 0, 3));
+    assert_eq!(std::fs::read_to_string(root.join("config.toml")).unwrap(), CONFIG);
+    let names: Vec<_> = checkpoints(&root).iter().map(|p| p.file_name().unwrap().to_owned()).collect();
+    assert_eq!(
+        names,
+        ["step-00000008.safetensors", "step-00000010.safetensors", "step-00000012.safetensors"]
+    );
+    let metrics = lines(root.join("metrics.csv"));
+    assert_eq!(metrics.len(), 1 + 6);
+    assert!(
+        metrics[0]
+            .starts_with("step,seconds,steps_per_second,rate,skipped,loss,gradient_norm,pool0_8x8_n1_loss")
+    );
+    assert!(metrics[0].ends_with("pool1_9x12_n3_log_gradient"));
+    assert!(metrics[6].starts_with("12,"));
+    let validation = lines(root.join("validation.csv"));
+    assert_eq!(validation.len(), 1 + 3 * 2);
+    assert!(validation[1].starts_with("4,hanging 8x8,") && validation[6].starts_with("12,falling 8x8,"));
+    let picture = std::fs::read(root.join("plot.png")).unwrap();
+    assert_eq!(&picture[..4], b"\x89PNG");
+    for name in ["best", "last"] {
+        let weights =
+            fnopt::network::Weights::load(&root.join(format!("weights/{name}.safetensors"))).unwrap();
+        assert_eq!(weights.config, config().network);
+        let card = std::fs::read(root.join(format!("weights/{name}.json"))).unwrap();
+        let card: serde_json::Value = serde_json::from_slice(&card).unwrap();
+        assert_eq!(card["parameters"], weights.parameter_count());
+        assert_eq!(card["config"]["pool"][1]["grid"], serde_json::json!([9, 12]));
+        assert_eq!(card["validation"][0]["scene"], "hanging 8x8");
+    }
+}
+
+#[test]
+fn a_resumed_run_has_the_bits_of_an_unbroken_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let (whole, broken) = (folder.path().join("whole"), folder.path().join("broken"));
+    let mut run = fresh(&whole);
+    train(&mut run, 10);
+    train(&mut fresh(&broken), 5);
+    // What a run that was killed in between leaves behind the checkpoint is given up.
+    let metrics = broken.join("metrics.csv");
+    let left = std::fs::read_to_string(&metrics).unwrap();
+    std::fs::write(&metrics, left.clone() + &left.lines().last().unwrap().replacen('5', "6", 1) + "\n7,hal")
+        .unwrap();
+    let (mut resumed, passed_over) = resume(&broken).unwrap();
+    assert!(passed_over.is_empty());
+    assert_eq!(resumed.step(), 5);
+    assert_eq!(std::fs::read_to_string(&metrics).unwrap(), left);
+    train(&mut resumed, 10);
+    let bits = |run: &Run| run.weights().unwrap().flat().iter().map(|w| w.to_bits()).collect::<Vec<_>>();
+    assert_eq!(bits(&run), bits(&resumed));
+    let state = |root: &Path| {
+        let bytes = std::fs::read(root.join("checkpoints/step-00000010.safetensors")).unwrap();
+        let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+        let mut tensors: Vec<_> = file.iter().map(|(n, view)| (n.to_owned(), view.data().to_vec())).collect();
+        tensors.sort();
+        let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
+        let counters = header.metadata().as_ref().unwrap()["counters"].clone();
+        let mut counters: serde_json::Value = serde_json::from_str(&counters).unwrap();
+        // Sessions end with a validation, which may find other weights the best.
+        counters["best"] = 0.into();
+        counters["seconds"] = 0.into();
+        (tensors, counters)
+    };
+    assert_eq!(state(&whole), state(&broken));
+}
+
+#[test]
+fn a_damaged_checkpoint_is_passed_over_and_told() {
+    let folder = tempfile::tempdir().unwrap();
+    train(&mut fresh(folder.path()), 6);
+    let all = checkpoints(folder.path());
+    let newest = std::fs::read(&all[2]).unwrap();
+    std::fs::write(&all[2], &newest[..newest.len() - 7]).unwrap();
+    let mut flipped = std::fs::read(&all[1]).unwrap();
+    let middle = flipped.len() / 2;
+    flipped[middle] ^= 1;
+    std::fs::write(&all[1], flipped).unwrap();
+    let (run, passed_over) = resume(folder.path()).unwrap();
+    assert_eq!(run.step(), 2);
+    let told: Vec<String> = passed_over.iter().map(ToString::to_string).collect();
+    assert!(told.len() == 2 && told[0].contains("step-00000006") && told[1].contains("checksum"), "{told:?}");
+    std::fs::write(&all[0], "").unwrap();
+    let message = resume(folder.path()).err().expect("no checkpoint is left").to_string();
+    assert!(message.contains("checkpoints") && message.contains("a whole one"), "{message}");
+}
+
+#[test]
+fn runs_are_not_mixed_up() {
+    let folder = tempfile::tempdir().unwrap();
+    // A run that ended before its first checkpoint has nothing to keep.
+    fresh(folder.path());
+    train(&mut fresh(folder.path()), 2);
+    let again = Run::create(folder.path(), CONFIG, config(), Box::new(Fake::new(&config())));
+    let message = again.err().expect("the folder holds a run").to_string();
+    assert!(message.contains("in the folder of a new run"), "{message}");
+    let other = Config { seed: 2, ..config() };
+    let given = Run::resume(folder.path(), Some(&other), |c| Ok(Box::new(Fake::new(c)) as Box<dyn Learner>));
+    let message = given.err().expect("another configuration").to_string();
+    assert!(message.contains("given with --resume"), "{message}");
+    std::fs::write(folder.path().join("config.toml"), CONFIG.replace("steps = 12", "steps = 13")).unwrap();
+    let message = resume(folder.path()).err().expect("an edited configuration").to_string();
+    assert!(message.contains("config.toml") && message.contains("in the checkpoints"), "{message}");
+    let message = resume(&folder.path().join("nowhere")).err().expect("no folder").to_string();
+    assert!(message.contains("nowhere"), "{message}");
+}
+
+#[test]
+fn a_checkpoint_of_another_version_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    train(&mut fresh(folder.path()), 2);
+    let path = &checkpoints(folder.path())[0];
+    let bytes = std::fs::read(path).unwrap();
+    let at = bytes.windows(16).position(|w| w == b"fnopt-training-1").unwrap() + 15;
+    let mut other = bytes;
+    other[at] = b'9';
+    std::fs::write(path, other).unwrap();
+    let message = resume(folder.path()).err().expect("another version").to_string();
+    assert!(message.contains("fnopt-training-1") && message.contains("fnopt-training-9"), "{message}");
+}
+
+#[test]
+fn steps_that_are_not_finite_are_skipped_and_ten_in_a_row_end_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = create(folder.path(), Fake::new(&config()).broken_at([3, 4, 7]));
+    assert_eq!(train(&mut run, 12), End::Done);
+    assert_eq!((run.step(), run.skipped()), (12, 3));
+    let skipped: Vec<String> = lines(folder.path().join("metrics.csv"))[1..]
+        .iter()
+        .map(|l| l.split(',').nth(4).unwrap().to_owned())
+        .collect();
+    assert_eq!(skipped, ["0", "1", "1", "1", "0", "0"]);
+
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = create(folder.path(), Fake::new(&config()).broken_at(2..50));
+    let last = || fnopt::network::Weights::load(&folder.path().join("weights/last.safetensors")).unwrap();
+    let mut good = None;
+    let end = run.train(&Limits::default(), |progress| {
+        if progress.step == 2 {
+            good = Some(last());
+        }
+        ControlFlow::Continue(())
+    });
+    assert_eq!((end.unwrap(), run.step(), run.skipped()), (End::NonFinite, 12, 10));
+    assert!(Some(last()) == good, "the weights are not those of the last good step");
+}
+
+#[test]
+fn an_interrupted_run_and_one_out_of_time_can_be_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = fresh(folder.path());
+    let stop = |at| {
+        move |p: &fnopt::train::Progress<'_>| {
+            if p.step == at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        }
+    };
+    assert_eq!(run.train(&Limits::default(), stop(3)).unwrap(), End::Interrupted);
+    let (mut run, _) = resume(folder.path()).unwrap();
+    assert_eq!(run.step(), 3);
+    let limits = Limits { steps: None, minutes: Some(1e-9) };
+    assert_eq!(run.train(&limits, stop(0)).unwrap(), End::Done);
+    assert_eq!(run.step(), 4);
+}
+
+#[test]
+fn the_last_good_checkpoint_survives_one_that_cannot_be_written() {
+    let folder = tempfile::tempdir().unwrap();
+    train(&mut fresh(folder.path()), 2);
+    // A folder of that name stands in for a full disk: the file is written and cannot take its place.
+    let taken = folder.path().join("checkpoints/step-00000004.safetensors");
+    std::fs::create_dir(&taken).unwrap();
+    let (mut run, _) = resume(folder.path()).unwrap();
+    let limits = Limits { steps: Some(6), minutes: None };
+    let error = run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err().to_string();
+    assert!(error.contains("step-00000004") && error.contains("cannot write"), "{error}");
+    assert_eq!(checkpoints(folder.path()).len(), 2, "no half-written file is left");
+    let (run, passed_over) = resume(folder.path()).unwrap();
+    assert_eq!((run.step(), passed_over.len()), (2, 1));
+}
