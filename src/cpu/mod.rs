@@ -6,10 +6,13 @@
 pub mod cloth;
 pub mod fft;
 mod matmul;
+mod objective;
 pub mod operator;
 pub mod optim;
 mod real;
 mod solver;
+pub mod train;
 
+pub use objective::Objective;
 pub use real::Real;
 pub use solver::Solver;

@@ -97,7 +97,7 @@ impl Real for f64 {
             let below = 0.5 * libm::erfc(-*x * std::f64::consts::FRAC_1_SQRT_2);
             let density = (-0.5 * *x * *x).exp() / std::f64::consts::TAU.sqrt();
             *slope = below + *x * density;
-            *x = *x * below;
+            *x *= below;
         }
     }
 

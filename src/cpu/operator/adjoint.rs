@@ -151,7 +151,7 @@ impl<T: Real> Adjoint<T> {
             sums: zeros(samples * transform.column_len()),
             modes: zeros(config.modes() * 4 * samples * network.channels),
             spectral: zeros(spectral.map_or(0, |b| b.0.scratch_len(samples))),
-            matrices: zeros(spectral.map_or(0, |b| b.0.len())),
+            matrices: zeros(spectral.map_or(0, |b| b.0.weight_len())),
         };
         Ok(Self { network, transform, weights, parts: (0..count).map(part).collect(), buffers })
     }

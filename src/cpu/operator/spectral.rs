@@ -89,7 +89,7 @@ impl<T: Real> Spectral<T> {
     }
 
     /// Numbers of working memory that [`Spectral::add_gradient`] needs.
-    pub fn len(&self) -> usize {
+    pub(super) fn weight_len(&self) -> usize {
         self.weight.len()
     }
 

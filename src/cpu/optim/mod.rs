@@ -4,12 +4,14 @@ mod adam;
 mod gd;
 mod lbfgs;
 mod update;
+mod update_adj;
 
 pub use adam::Adam;
 pub use gd::GradientDescent;
 pub use lbfgs::Lbfgs;
 pub(super) use update::norm;
 pub use update::{Hidden, Update};
+pub use update_adj::UpdateAdjoint;
 
 use super::Real;
 use crate::Result;

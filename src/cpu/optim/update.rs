@@ -11,7 +11,7 @@ use rayon::prelude::*;
 /// Amplitude that the normalised fields are squashed to, `10 tanh(. / 10)`.
 const SQUASH: f64 = 10.0;
 /// Floor of a norm; below the smallest normal f32, hence used in double precision only.
-const NORM_FLOOR: f64 = 1e-40;
+pub(super) const NORM_FLOOR: f64 = 1e-40;
 
 /// What the update rule remembers from one iteration to the next, across frames.
 #[derive(Clone, Debug)]
@@ -51,10 +51,12 @@ impl<T: Real> Update<T> {
     pub fn hidden_mut(&mut self) -> &mut Hidden<T> {
         &mut self.hidden
     }
+}
 
+impl<T: Real> Hidden<T> {
     /// Writes the network's input for the gradient `grad`: each field over the gradient's, or the last step's, root mean
     /// square, squashed.
-    fn normalise(&mut self, grad: &[T], norms: &[f64]) {
+    pub(super) fn normalise(&self, input: &mut [T], grad: &[T], norms: &[f64]) {
         let samples = norms.len();
         let n = grad.len() / samples;
         // Where all is zero the factor stays finite, so that 0 times it is 0 and not NaN.
@@ -62,34 +64,37 @@ impl<T: Real> Update<T> {
             let scale = norm.max(NORM_FLOOR) / (n as f64).sqrt();
             T::of((SQUASH * scale).recip()).min(T::max_value())
         };
-        let Hidden { last_grad, last_step, .. } = &self.hidden;
-        self.input.par_chunks_mut(n).enumerate().for_each(|(index, input)| {
+        input.par_chunks_mut(n).enumerate().for_each(|(index, input)| {
             let (sample, field) = (index / 3, index % 3);
-            let source = [grad, last_grad, last_step][field];
+            let source = [grad, &self.last_grad, &self.last_step][field];
             let source = &source[sample * n..][..n];
             let norm = if field == 2 { norm(source) } else { norms[sample] };
             input.copy_from_slice(source);
             T::squash(input, factor(norm), T::of(SQUASH));
         });
     }
+
+    /// Remembers `grad` and the step that the network's `field` and `scalar` make of it, and adds the step to `a`.
+    pub(super) fn remember(&mut self, grad: &[T], (field, scalar): (&[T], &[T]), a: &mut [T]) {
+        for (scale, scalar) in self.scale.iter_mut().zip(scalar) {
+            *scale = *scale * T::of((2.0 * (scalar.f64() / 2.0).tanh() - 1.0).exp());
+        }
+        self.last_step.copy_from_slice(field);
+        for (step, &scale) in self.last_step.chunks_exact_mut(grad.len() / scalar.len()).zip(&self.scale) {
+            T::squash(step, T::one(), scale);
+        }
+        for (a, &step) in a.iter_mut().zip(&self.last_step) {
+            *a = *a + step;
+        }
+        self.last_grad.copy_from_slice(grad);
+    }
 }
 
 impl<T: Real> Minimizer<T> for Update<T> {
     fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]) {
-        self.normalise(grad, norms);
+        self.hidden.normalise(&mut self.input, grad, norms);
         self.network.forward(&self.input);
-        let Hidden { last_grad, last_step, scale } = &mut self.hidden;
-        for (scale, scalar) in scale.iter_mut().zip(self.network.scalar()) {
-            *scale = *scale * T::of((2.0 * (scalar.f64() / 2.0).tanh() - 1.0).exp());
-        }
-        last_step.copy_from_slice(self.network.field());
-        for (step, &scale) in last_step.chunks_exact_mut(grad.len() / norms.len()).zip(&*scale) {
-            T::squash(step, T::one(), scale);
-        }
-        for (a, &step) in a.iter_mut().zip(&*last_step) {
-            *a = *a + step;
-        }
-        last_grad.copy_from_slice(grad);
+        self.hidden.remember(grad, (self.network.field(), self.network.scalar()), a);
     }
 
     fn reset(&mut self) {

@@ -1,0 +1,172 @@
+//! What a frame minimises: the energy of each cloth of a batch as a function of its accelerations, and its gradient.
+
+use super::Real;
+use super::cloth::{Frame, GradientRows, Trial, add_wind, end_frame, energy, gradient, shifts, stretch};
+use super::optim::norm;
+use crate::sim::{Control, EnergyTerms, Model, State};
+
+/// The energies L(a) of a batch of cloths (paper section 3.2).
+pub struct Objective<T> {
+    pub(super) trial: Trials<T>,
+    rows: GradientRows<T>,
+    /// Gradient dL/da, shape [B, 3, H, W].
+    pub(super) grad: Vec<T>,
+    /// Its norm for each component of each cloth, shape [B, 3].
+    pub(super) norms: Vec<f64>,
+}
+
+/// All cloths at their trial accelerations.
+pub(super) struct Trials<T> {
+    model: Model,
+    /// Accelerations [edges / frame^2], shape [B, 3, H, W].
+    pub a: Vec<T>,
+    /// What they move the particles by \[edges\], shape [B, 3, H, W].
+    shift: Vec<T>,
+    /// External accelerations [edges / frame^2], shape [B, 3, H, W].
+    f: Vec<T>,
+    /// Handle slots, shape [B, H, W].
+    slots: Vec<u32>,
+}
+
+impl<T: Real> Objective<T> {
+    /// For the cloths of `model`, with a = 0.
+    pub fn new(model: &Model) -> Self {
+        let zeros = || vec![T::zero(); model.batch() * 3 * model.grid.particles()];
+        Self {
+            trial: Trials {
+                model: model.clone(),
+                a: zeros(),
+                shift: zeros(),
+                f: zeros(),
+                slots: model.handle_slots(),
+            },
+            rows: GradientRows::new(model.grid),
+            grad: zeros(),
+            norms: vec![0.0; 3 * model.batch()],
+        }
+    }
+
+    /// Takes other cloths, as many on the same grid.
+    pub fn set_model(&mut self, model: &Model) {
+        let old = &mut self.trial.model;
+        assert!(model.grid == old.grid && model.batch() == old.batch(), "the sizes stay");
+        old.clone_from(model);
+        self.trial.slots = model.handle_slots();
+    }
+
+    /// The cloths.
+    pub fn model(&self) -> &Model {
+        &self.trial.model
+    }
+
+    /// The gradient dL/da of the last [`Objective::evaluate`], shape [B, 3, H, W].
+    pub fn grad(&self) -> &[T] {
+        &self.grad
+    }
+
+    /// Its norm for each component of each cloth, shape [B, 3].
+    pub fn norms(&self) -> &[f64] {
+        &self.norms
+    }
+
+    /// Numbers in one cloth's arrays.
+    pub fn cloth_len(&self) -> usize {
+        3 * self.trial.model.grid.particles()
+    }
+
+    /// Starts a frame: gravity, wind and the forces of `control` stay the same during it. Panics when a length is not the
+    /// model's.
+    pub fn begin_frame(&mut self, state: &State<T>, control: &Control<T>) {
+        let Trials { model, f, .. } = &mut self.trial;
+        let (grid, batch, cloth) = (model.grid, model.batch(), 3 * model.grid.particles());
+        let len = batch * cloth;
+        assert!(state.x.len() == len && state.v.len() == len, "a state has shape [B, 3, H, W]");
+        assert_eq!(control.handles.len(), model.handles(), "every handle needs a position");
+        assert!(control.wind.is_empty() || control.wind.len() == batch, "wind has shape [B]");
+        assert!(control.forces.is_empty() || control.forces.len() == len, "forces have shape [B, 3, H, W]");
+        for (b, (f, setting)) in f.chunks_exact_mut(cloth).zip(&model.cloths).enumerate() {
+            for (f, &g) in f.chunks_exact_mut(cloth / 3).zip(&setting.gravity) {
+                f.fill(T::of(g));
+            }
+            let at = b * cloth..(b + 1) * cloth;
+            if !control.forces.is_empty() {
+                for (f, &force) in f.iter_mut().zip(&control.forces[at.clone()]) {
+                    *f = *f + force;
+                }
+            }
+            let wind = control.wind.get(b).copied().unwrap_or([T::zero(); 3]);
+            add_wind(grid, setting.air, wind, (&state.x[at.clone()], &state.v[at]), f);
+        }
+    }
+
+    /// Moves the particles to where the accelerations lead.
+    pub fn place(&mut self, state: &State<T>, control: &Control<T>) {
+        let cloth = self.cloth_len();
+        let Trials { shift, a, slots, .. } = &mut self.trial;
+        for (b, shift) in shift.chunks_exact_mut(cloth).enumerate() {
+            let at = b * cloth..(b + 1) * cloth;
+            let frame = frame(slots, a, control, (b, cloth / 3));
+            shifts(frame, &state.x[at.clone()], &state.v[at], shift);
+        }
+    }
+
+    /// [`Objective::place`], then sets the gradient there and its norms.
+    pub fn evaluate(&mut self, state: &State<T>, control: &Control<T>) {
+        self.place(state, control);
+        let cloth = self.cloth_len();
+        for (b, grad) in self.grad.chunks_exact_mut(cloth).enumerate() {
+            gradient(&self.trial.cloth(state, b), &mut self.rows, grad);
+        }
+        for (norm_of, grad) in self.norms.iter_mut().zip(self.grad.chunks_exact(cloth / 3)) {
+            *norm_of = norm(grad);
+        }
+    }
+
+    /// Energy terms of cloth `b` where the particles are.
+    pub fn energy(&self, state: &State<T>, b: usize) -> EnergyTerms {
+        energy(&self.trial.cloth(state, b))
+    }
+
+    /// Largest and mean stretch of cloth `b` where the particles are.
+    pub fn stretch(&self, state: &State<T>, b: usize) -> (f64, f64) {
+        stretch(&self.trial.cloth(state, b))
+    }
+
+    /// Ends the frame: `state` is where the particles are.
+    pub fn end_frame(&self, state: &mut State<T>, control: &Control<T>) {
+        let cloth = self.cloth_len();
+        let parts = state.x.chunks_exact_mut(cloth).zip(state.v.chunks_exact_mut(cloth));
+        for (b, (x, v)) in parts.enumerate() {
+            let Trials { shift, a, slots, .. } = &self.trial;
+            let frame = frame(slots, a, control, (b, cloth / 3));
+            end_frame(frame, &shift[b * cloth..][..cloth], x, v);
+        }
+    }
+}
+
+impl<T: Real> Trials<T> {
+    /// Cloth `b`.
+    fn cloth<'a>(&'a self, state: &'a State<T>, b: usize) -> Trial<'a, T> {
+        let n = self.model.grid.particles();
+        let at = 3 * n * b..3 * n * (b + 1);
+        Trial {
+            grid: self.model.grid,
+            material: self.model.cloths[b].material,
+            x: &state.x[at.clone()],
+            shift: &self.shift[at.clone()],
+            a: &self.a[at.clone()],
+            f: &self.f[at],
+            slots: &self.slots[n * b..n * (b + 1)],
+        }
+    }
+}
+
+/// What the frame of cloth `b` of `n` particles starts from, given the slots and accelerations of all cloths.
+fn frame<'a, T>(
+    slots: &'a [u32],
+    a: &'a [T],
+    control: &'a Control<T>,
+    (b, n): (usize, usize),
+) -> Frame<'a, T> {
+    Frame { slots: &slots[b * n..][..n], handles: &control.handles, a: &a[b * 3 * n..][..3 * n] }
+}

@@ -1,0 +1,78 @@
+//! The loss of a batch of cloths on one grid and its gradient over the weights (paper section 3.3): one iteration of the
+//! learned optimizer, judged by the energies where it leads.
+
+use crate::Result;
+use crate::cpu::optim::{Hidden, UpdateAdjoint};
+use crate::cpu::{Objective, Real};
+use crate::network::Weights;
+use crate::sim::{Control, EnergyTerms, Model, State};
+
+/// The loss for batches of B cloths on one grid.
+pub struct Loss<T: Real> {
+    objective: Objective<T>,
+    update: UpdateAdjoint<T>,
+    adj_step: Vec<T>,
+}
+
+/// What one cloth contributes.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Outcome {
+    /// Energy terms after the step.
+    pub energy: EnergyTerms,
+    /// Mean over particles and components of |dL/da| after the step.
+    pub mean_gradient: f64,
+}
+
+impl<T: Real> Loss<T> {
+    /// For batches like `model`; an error if the grid is too small for the kept modes.
+    pub fn new(weights: &Weights, model: &Model) -> Result<Self> {
+        let objective = Objective::new(model);
+        let update = UpdateAdjoint::new(weights, model.grid, 3 * model.batch())?;
+        let adj_step = vec![T::zero(); objective.grad().len()];
+        Ok(Self { objective, update, adj_step })
+    }
+
+    /// Takes other weights of the same sizes.
+    pub fn set_weights(&mut self, weights: &Weights) {
+        self.update.set_weights(weights);
+    }
+
+    /// Takes other cloths, as many on the same grid.
+    pub fn set_model(&mut self, model: &Model) {
+        self.objective.set_model(model);
+    }
+
+    /// One iteration of the frame that `control` drives from `state`: adds the step to `a` [B, 3, H, W] and remembers it
+    /// in `hidden`, adds the gradient over all weights of `share` times the sum of the energies to `gradient`.
+    pub fn step(
+        &mut self,
+        (state, control): (&State<T>, &Control<T>),
+        (a, hidden): (&mut [T], &mut Hidden<T>),
+        share: f64,
+        gradient: &mut [T],
+    ) -> Vec<Outcome> {
+        let Self { objective, update, adj_step } = self;
+        objective.begin_frame(state, control);
+        objective.trial.a.copy_from_slice(a);
+        objective.evaluate(state, control);
+        update.forward((&objective.grad, &objective.norms), hidden, &mut objective.trial.a);
+        a.copy_from_slice(&objective.trial.a);
+        objective.evaluate(state, control);
+        let share = T::of(share);
+        for (adj, &grad) in adj_step.iter_mut().zip(objective.grad()) {
+            *adj = grad * share;
+        }
+        update.backward(adj_step, hidden, gradient);
+        let cloth = objective.cloth_len();
+        let outcome = |(b, grad): (usize, &[T])| Outcome {
+            energy: objective.energy(state, b),
+            mean_gradient: grad.iter().map(|g| g.f64().abs()).sum::<f64>() / cloth as f64,
+        };
+        objective.grad().chunks_exact(cloth).enumerate().map(outcome).collect()
+    }
+
+    /// The gradient of the update rule's last step, before the energies are weighed: dL/da after it, shape [B, 3, H, W].
+    pub fn grad(&self) -> &[T] {
+        self.objective.grad()
+    }
+}

@@ -1,0 +1,7 @@
+//! Training on the CPU: the loss of a batch with its gradient, and the optimizer of the weights.
+
+mod adamw;
+mod loss;
+
+pub use adamw::AdamW;
+pub use loss::{Loss, Outcome};
