@@ -53,6 +53,18 @@ impl Checkpoint {
         Ok(Self { origin: origin.to_owned(), tensors, metadata })
     }
 
+    /// The tensors whose names begin with `prefix`, without it: several sets of weights may share a file.
+    pub fn part(&self, prefix: &str) -> Self {
+        let under = |(name, tensor): (&String, &Tensor)| {
+            Some((name.strip_prefix(prefix)?.to_owned(), tensor.clone()))
+        };
+        Self {
+            origin: format!("{}: {prefix}*", self.origin),
+            tensors: self.tensors.iter().filter_map(under).collect(),
+            metadata: self.metadata.clone(),
+        }
+    }
+
     /// The weights of the network; an error if a tensor is missing, surplus, of another shape or not finite.
     pub fn weights(&self) -> Result<Weights> {
         let config = match self.metadata.get("config") {

@@ -130,6 +130,20 @@ impl Weights {
         all
     }
 
+    /// Names of [`Weights::parameters`], after the authors' state dict.
+    pub fn parameter_names(&self) -> Vec<String> {
+        let dense = |stem: &str| [format!("{stem}.weight"), format!("{stem}.bias")];
+        let mut names: Vec<String> =
+            ["lifting.fcs.0", "lifting.fcs.1"].iter().flat_map(|s| dense(s)).collect();
+        for n in 0..self.blocks.len() {
+            names.push(format!("fno_blocks.convs.weight.{n}"));
+            names.push(format!("fno_blocks.convs.bias[{n}]"));
+            names.push(format!("fno_blocks.fno_skips.{n}.conv.weight"));
+        }
+        names.extend(["projection.fcs.0", "projection.fcs.1", "out_scalar"].iter().flat_map(|s| dense(s)));
+        names
+    }
+
     /// [`Weights::parameters`], to write.
     pub fn parameters_mut(&mut self) -> Vec<&mut [f32]> {
         let mut all: Vec<&mut [f32]> = Vec::new();

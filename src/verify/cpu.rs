@@ -1,10 +1,14 @@
 //! The stages on the CPU, in either precision.
 
-use super::{EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, UpdateCase};
+use super::{
+    AdamWCase, EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, TrainingCase,
+    TrainingOutput, UpdateCase,
+};
 use crate::Result;
 use crate::cpu::cloth::{GradientRows, Trial, energy, gradient};
 use crate::cpu::operator::{Network, Stage};
-use crate::cpu::optim::{Minimizer, Update};
+use crate::cpu::optim::{Hidden, Minimizer, Update};
+use crate::cpu::train::{AdamW, Loss};
 use crate::cpu::{Real, Solver};
 use crate::network::Weights;
 use crate::sim::{Control, EnergyTerms, Grid, Model, Optimizer, State};
@@ -84,6 +88,44 @@ impl<T: Real> Stages for CpuStages<T> {
         let mut step = vec![T::zero(); samples * n];
         update.step(&cast(&case.grad), &norms, &mut step);
         Ok((double(&step), double(&update.hidden().scale)))
+    }
+
+    fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<Option<TrainingOutput>> {
+        let model = Model { grid: case.grid, cloths: case.cloths.clone() };
+        let batch = model.batch();
+        let state = State { x: cast(&case.x), v: cast(&case.v) };
+        let control = Control {
+            handles: case.targets.iter().map(|p| p.map(T::of)).collect(),
+            forces: cast(&case.external),
+            ..Default::default()
+        };
+        let mut hidden = Hidden {
+            last_grad: cast(&case.last_grad),
+            last_step: cast(&case.last_step),
+            scale: cast(&case.scale),
+        };
+        let mut gradient = vec![T::zero(); weights.parameter_count()];
+        let share = 1.0 / batch as f64;
+        let outcomes = Loss::<T>::new(weights, &model)?.step(
+            (&state, &control),
+            (&mut cast(&case.a), &mut hidden),
+            share,
+            &mut gradient,
+        );
+        let loss = outcomes.iter().map(|o| o.energy.total()).sum::<f64>() * share;
+        Ok(Some(TrainingOutput { loss, step: double(&hidden.last_step), gradient: double(&gradient) }))
+    }
+
+    fn adamw(&mut self, case: &AdamWCase) -> Result<Option<Vec<Vec<f64>>>> {
+        let mut weights = cast::<T>(&case.before);
+        let mut adamw = AdamW::new(weights.len());
+        adamw.clip = case.clip;
+        let steps = case.gradients.iter().zip(1..).map(|(gradient, number)| {
+            let gradient = cast::<T>(gradient);
+            adamw.step(&mut weights, (&gradient, AdamW::norm(&gradient)), number, case.rate);
+            double(&weights)
+        });
+        Ok(Some(steps.collect()))
     }
 
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>> {

@@ -2,8 +2,11 @@
 
 use super::cpu::CpuStages;
 use super::golden::Golden;
-use super::{Check, EnergyCase, NetworkOutput, Outcome, Precision, RolloutCase, Stages, UpdateCase};
-use crate::network::Weights;
+use super::{
+    AdamWCase, Check, EnergyCase, NetworkOutput, Outcome, Precision, RolloutCase, Stages, TrainingCase,
+    UpdateCase,
+};
+use crate::network::{Checkpoint, Weights};
 use crate::sim::{Cloth, Grid, Material};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
@@ -19,6 +22,16 @@ const ENERGY_SINGLE: f64 = 1e-5;
 const GRADIENT_SINGLE: f64 = 1e-4;
 /// The same where edges are far from their rest length and angles near 0 and pi.
 const GRADIENT_CRUMPLED: f64 = 1e-3;
+/// Loss of a training step, relative.
+const LOSS: f64 = 1e-4;
+/// Gradient of a training step over the numbers of one weight, in norm.
+const WEIGHT_GRADIENT: f64 = 1e-3;
+/// Weights after steps of AdamW, against the largest.
+const ADAMW: f64 = 1e-6;
+/// Norm that the gradients of the AdamW files are clipped to.
+const ADAMW_CLIP: f64 = 0.05;
+/// Learning rate of the AdamW files.
+const ADAMW_RATE: f64 = 1e-3;
 /// First frame of a rollout, absolute in grid units.
 const ROLLOUT_FIRST: f64 = 1e-4;
 /// From 1e-4 in the first frame to 1e-2 in the tenth, or as far as rounding takes a recording.
@@ -73,13 +86,17 @@ impl Checker<'_> {
             self.energy(&Golden::open(path)?)
         } else if starts("rollout_") {
             self.rollout(&Golden::open(path)?)
+        } else if starts("training_step") {
+            self.training_step(path)
+        } else if starts("adamw") {
+            self.adamw(&Golden::open(path)?)
         } else if starts("network_weights") || starts("checkpoint_") {
             let weights = Weights::load(path)?;
             self.verdict(&format!("{} parameters", weights.parameter_count()), Outcome::Passed);
             Ok(())
         } else {
-            let known = ["training_step", "adamw", "repulsion_"].iter().any(|p| starts(p));
-            let why = if known { "stage not implemented yet" } else { "not a golden file's name" };
+            let why =
+                if starts("repulsion_") { "stage not implemented yet" } else { "not a golden file's name" };
             self.verdict(why, Outcome::Skipped);
             Ok(())
         }
@@ -133,6 +150,79 @@ impl Checker<'_> {
         Ok(())
     }
 
+    fn training_step(&mut self, path: &Path) -> Result<()> {
+        let golden = &Golden::open(path)?;
+        let [batch, _, h, w] = golden.shape("positions")?;
+        let [shape, samples] = [[batch, 3, h, w], [3 * batch, 1, h, w]];
+        let weights = self.weights("network_weights")?;
+        let field = |name: &str, shape: &[usize]| Ok::<_, Error>(golden.shaped(name, shape)?.to_vec());
+        let cloths = cloths(golden, batch, Grid { h, w })?;
+        let (n, held) = (h * w, field("handle_positions", &shape)?);
+        let handles =
+            cloths.iter().enumerate().flat_map(|(b, c)| c.handles.iter().map(move |p| 3 * n * b + p));
+        let case = TrainingCase {
+            grid: Grid { h, w },
+            targets: handles.map(|at| [0, 1, 2].map(|k| held[at + k * n])).collect(),
+            cloths,
+            x: field("positions", &shape)?,
+            v: field("velocities", &shape)?,
+            a: field("accelerations", &shape)?,
+            external: field("external_accelerations", &shape)?,
+            last_grad: field("last_grads", &samples)?,
+            last_step: field("last_steps", &samples)?,
+            scale: field("scales", &[3 * batch, 1, 1, 1])?,
+        };
+        let expected = Checkpoint::open(path)?.part("gradient.").weights()?;
+        if expected.config != weights.config {
+            let (wanted, found) = (format!("{:?}", weights.config), format!("{:?}", expected.config));
+            return Err(Error::invalid(self.file, "gradient.*", wanted, found));
+        }
+        let Some(found) = self.stages.training_step(&weights, &case)? else {
+            self.verdict("this device does not train yet", Outcome::Skipped);
+            return Ok(());
+        };
+        self.magnitude("loss", golden.shaped("loss", &[])?, &[found.loss], LOSS);
+        self.magnitude("step", golden.shaped("step", &samples)?, &found.step, NETWORK);
+        let mut rest = &found.gradient[..];
+        for (name, expected) in expected.parameter_names().iter().zip(expected.parameters()) {
+            let (gradient, others) = rest.split_at(expected.len());
+            let expected: Vec<f64> = expected.iter().map(|&v| v.into()).collect();
+            self.in_norm(&format!("gradient.{name}"), &expected, gradient, WEIGHT_GRADIENT);
+            rest = others;
+        }
+        let norm = found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+        self.magnitude("gradient_norm", golden.shaped("gradient_norm", &[])?, &[norm], WEIGHT_GRADIENT);
+        Ok(())
+    }
+
+    fn adamw(&mut self, golden: &Golden) -> Result<()> {
+        let names: Vec<&str> = golden.names().filter_map(|n| n.strip_prefix("before.")).collect();
+        if names.is_empty() {
+            return Err(Error::invalid(self.file, "before.*", "weights", "none"));
+        }
+        // All arrays one after the other: clipping takes the norm of all of them.
+        let joined = |prefix: &str| -> Result<Vec<f64>> {
+            let mut all = Vec::new();
+            for name in &names {
+                let (shape, _) = golden.array(&format!("before.{name}"))?;
+                all.extend_from_slice(golden.shaped(&format!("{prefix}.{name}"), shape)?);
+            }
+            Ok(all)
+        };
+        let steps = (0..).take_while(|k| golden.has(&format!("grad{k}.{}", names[0]))).count();
+        let gradients = (0..steps).map(|k| joined(&format!("grad{k}"))).collect::<Result<_>>()?;
+        let case = AdamWCase { before: joined("before")?, gradients, clip: ADAMW_CLIP, rate: ADAMW_RATE };
+        let Some(found) = self.stages.adamw(&case)? else {
+            self.verdict("this device does not train yet", Outcome::Skipped);
+            return Ok(());
+        };
+        for (k, found) in found.iter().enumerate() {
+            let name = format!("after{k}");
+            self.magnitude(&name, &joined(&name)?, found, ADAMW);
+        }
+        Ok(())
+    }
+
     fn energy(&mut self, golden: &Golden) -> Result<()> {
         let [batch, three, h, w] = golden.shape("positions")?;
         let shape = [batch, three, h, w];
@@ -143,17 +233,9 @@ impl Checker<'_> {
         let n = h * w;
         let is_handle = |k: usize| mask[k / (3 * n) * n + k % n] != 0.0;
         let shift = |k: usize| if is_handle(k) { held[k] - x[k] } else { v[k] + a[k] };
-        let coefficient = |name: &str| golden.shaped(name, &[batch]);
-        let (stretch, shear, bend) =
-            (coefficient("stretching")?, coefficient("shearing")?, coefficient("bending")?);
-        let cloths = (0..batch).map(|b| Cloth {
-            material: Material { stretch: stretch[b], shear: shear[b], bend: bend[b] },
-            handles: (0..n).filter(|p| mask[b * n + p] != 0.0).collect(),
-            ..Cloth::default()
-        });
         let case = EnergyCase {
             grid: Grid { h, w },
-            cloths: cloths.collect(),
+            cloths: cloths(golden, batch, Grid { h, w })?,
             x: x.to_vec(),
             shift: (0..x.len()).map(shift).collect(),
             a: a.to_vec(),
@@ -289,6 +371,21 @@ impl Checker<'_> {
             outcome,
         });
     }
+}
+
+/// The cloths of a batch: material and handles.
+fn cloths(golden: &Golden, batch: usize, grid: Grid) -> Result<Vec<Cloth>> {
+    let n = grid.particles();
+    let mask = golden.shaped("handle_mask", &[batch, 1, grid.h, grid.w])?;
+    let coefficient = |name: &str| golden.shaped(name, &[batch]);
+    let (stretch, shear, bend) =
+        (coefficient("stretching")?, coefficient("shearing")?, coefficient("bending")?);
+    let cloth = |b: usize| Cloth {
+        material: Material { stretch: stretch[b], shear: shear[b], bend: bend[b] },
+        handles: (0..n).filter(|p| mask[b * n + p] != 0.0).collect(),
+        ..Cloth::default()
+    };
+    Ok((0..batch).map(cloth).collect())
 }
 
 /// Coordinates moved by half the distance of single-precision numbers, up or down by a fixed pseudo-random choice.

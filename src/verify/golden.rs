@@ -1,6 +1,6 @@
 //! Arrays of a golden file.
 
-use crate::{Error, Result};
+use crate::{Error, Result, io};
 use safetensors::tensor::{Dtype, SafeTensors};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -15,7 +15,7 @@ impl Golden {
     /// Reads a file.
     pub fn open(path: &Path) -> Result<Self> {
         let origin = path.display().to_string();
-        let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot read", e))?;
+        let bytes = io::read_bytes(path)?;
         let file = SafeTensors::deserialize(&bytes)
             .map_err(|e| Error::invalid(&origin, "header", "a whole safetensors file", e))?;
         let mut arrays = BTreeMap::new();
@@ -33,6 +33,11 @@ impl Golden {
     /// Whether there is an array of that name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)
+    }
+
+    /// Names of all arrays.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.arrays.keys().map(String::as_str)
     }
 
     /// Shape and values of an array.

@@ -1,7 +1,7 @@
 //! Checks of every stage against golden files: vectors computed with the method's original implementation.
 //!
 //! A file's name says what it holds: `network_weights`, `network_forward_*`, `update_rule_*`, `energy_*`,
-//! `checkpoint_NAME`, `rollout_NAME_*`. Sizes are read from the arrays, so files of other grids and seeds check as well.
+//! `checkpoint_NAME`, `rollout_NAME_*`, `training_step*`, `adamw*`. Sizes are read from the arrays, so files of other grids and seeds check as well.
 //! Every array is compared on its own, so that an error points at one stage.
 
 mod cpu;
@@ -44,6 +44,16 @@ pub trait Stages {
 
     /// One application of the update rule: step [S, H, W] and new scales `[S]`.
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)>;
+
+    /// One training step's loss and gradient; `None` where the device does not train.
+    fn training_step(&mut self, _weights: &Weights, _case: &TrainingCase) -> Result<Option<TrainingOutput>> {
+        Ok(None)
+    }
+
+    /// The weights after each of some steps of AdamW; `None` where the device does not train.
+    fn adamw(&mut self, _case: &AdamWCase) -> Result<Option<Vec<Vec<f64>>>> {
+        Ok(None)
+    }
 
     /// Frames from a start at rest with a fresh hidden state.
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>>;
@@ -94,6 +104,55 @@ pub struct UpdateCase {
     pub last_step: Vec<f64>,
     /// Scales, shape `[S]`.
     pub scale: Vec<f64>,
+}
+
+/// A batch of cloths in the middle of a frame, for one training step.
+#[derive(Clone, Debug)]
+pub struct TrainingCase {
+    /// The grid.
+    pub grid: Grid,
+    /// The cloths, B of them; still air.
+    pub cloths: Vec<Cloth>,
+    /// Handle positions at the end of the frame, of all cloths.
+    pub targets: Vec<[f64; 3]>,
+    /// Positions at the start of the frame, shape [B, 3, H, W].
+    pub x: Vec<f64>,
+    /// Velocities, shape [B, 3, H, W].
+    pub v: Vec<f64>,
+    /// Accelerations so far, shape [B, 3, H, W].
+    pub a: Vec<f64>,
+    /// External accelerations, shape [B, 3, H, W].
+    pub external: Vec<f64>,
+    /// Last gradients, shape [S, H, W].
+    pub last_grad: Vec<f64>,
+    /// Last steps, shape [S, H, W].
+    pub last_step: Vec<f64>,
+    /// Scales, shape `[S]`.
+    pub scale: Vec<f64>,
+}
+
+/// What a training step computes before the weights move.
+#[derive(Clone, Debug)]
+pub struct TrainingOutput {
+    /// Mean over the batch of the energy after the step.
+    pub loss: f64,
+    /// The step, shape [S, H, W].
+    pub step: Vec<f64>,
+    /// Gradient over all weights, in the order of [`Weights::parameters`].
+    pub gradient: Vec<f64>,
+}
+
+/// Some steps of AdamW with the paper's settings.
+#[derive(Clone, Debug)]
+pub struct AdamWCase {
+    /// Weights at the start.
+    pub before: Vec<f64>,
+    /// Gradient of each step.
+    pub gradients: Vec<Vec<f64>>,
+    /// Norm that gradients are clipped to.
+    pub clip: f64,
+    /// Learning rate.
+    pub rate: f64,
 }
 
 /// A rollout of one cloth.

@@ -70,9 +70,4 @@ impl<T: Real> Loss<T> {
         };
         objective.grad().chunks_exact(cloth).enumerate().map(outcome).collect()
     }
-
-    /// The gradient of the update rule's last step, before the energies are weighed: dL/da after it, shape [B, 3, H, W].
-    pub fn grad(&self) -> &[T] {
-        self.objective.grad()
-    }
 }
