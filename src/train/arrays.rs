@@ -30,6 +30,11 @@ impl<T: Real> Arrays<T> {
         Self { grid, state: State { x: zeros(), v: zeros() }, a: zeros(), hidden }
     }
 
+    /// The grid of the cloths.
+    pub fn grid(&self) -> Grid {
+        self.grid
+    }
+
     /// The room of a pool.
     pub fn of_pool(pool: &PoolConfig) -> Self {
         Self::new(pool.grid, pool.cloths)

@@ -2,6 +2,7 @@
 
 use super::checkpoint::Tensors;
 use super::config::Config;
+use super::cpu::CpuLearner;
 use crate::network::Weights;
 use crate::sim::{Cloth, Control, Device, EnergyTerms, Grid, Model, cast};
 use crate::{Error, Result};
@@ -119,6 +120,9 @@ impl StepReport {
 }
 
 /// The learner of a device, beginning with `weights`.
-pub fn learner(device: &Device, _config: &Config, _weights: &Weights) -> Result<Box<dyn Learner>> {
-    Err(Error::Device(format!("training on {} is not there yet", device.name())))
+pub fn learner(device: &Device, config: &Config, weights: &Weights) -> Result<Box<dyn Learner>> {
+    match device {
+        Device::Cpu => Ok(Box::new(CpuLearner::new(config, weights)?)),
+        Device::Gpu(_) => Err(Error::Device(format!("training on {} is not there yet", device.name()))),
+    }
 }

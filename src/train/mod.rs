@@ -33,6 +33,7 @@ mod arrays;
 mod card;
 mod checkpoint;
 mod config;
+mod cpu;
 mod folder;
 mod initial;
 mod learner;
