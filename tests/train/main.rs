@@ -2,6 +2,7 @@
 
 mod arrays;
 mod config;
+mod learns;
 mod pool;
 mod run;
 mod support;
