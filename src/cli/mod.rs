@@ -89,7 +89,7 @@ const STARTER: &[u8] = include_bytes!("../../assets/weights/starter.safetensors"
 /// Which optimizer, with which weights.
 #[derive(Debug, clap::Args)]
 pub struct SolverArgs {
-    /// Optimizer of each frame: fnopt (learned), gd, adam or lbfgs
+    /// Optimizer of each frame: fnopt (learned), gd, adam, lbfgs or quasi-newton (on the CPU)
     #[arg(long, default_value = "fnopt", value_name = "S")]
     solver: String,
     /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]

@@ -10,9 +10,11 @@ mod objective;
 pub mod operator;
 pub mod optim;
 mod real;
+mod reference;
 mod solver;
 pub mod train;
 
 pub use objective::Objective;
 pub use real::Real;
+pub use reference::{Minimum, Reference, Track};
 pub use solver::Solver;

@@ -17,7 +17,7 @@ pub struct Objective<T> {
 
 /// All cloths at their trial accelerations.
 pub(super) struct Trials<T> {
-    model: Model,
+    pub model: Model,
     /// Accelerations [edges / frame^2], shape [B, 3, H, W].
     pub a: Vec<T>,
     /// What they move the particles by \[edges\], shape [B, 3, H, W].

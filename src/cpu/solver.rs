@@ -19,7 +19,7 @@ impl<T: Real> Solver<T> {
         assert!(iterations > 0, "a frame needs an iteration");
         Ok(Self {
             iterations,
-            minimizer: minimizer(optimizer, model.grid, model.batch())?,
+            minimizer: minimizer(optimizer, model)?,
             log: Iterations::default(),
             objective: Objective::new(model),
         })

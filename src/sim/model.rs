@@ -115,6 +115,15 @@ impl<T: Float> State<T> {
     }
 }
 
+impl<T: Float> Control<T> {
+    /// The same control in another precision.
+    pub fn cast<U: Float>(&self) -> Control<U> {
+        let points = |points: &[[T; 3]]| points.iter().map(|p| p.map(cast)).collect();
+        let forces = self.forces.iter().map(|&f| cast(f)).collect();
+        Control { handles: points(&self.handles), wind: points(&self.wind), forces }
+    }
+}
+
 /// What drives one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Control<T> {

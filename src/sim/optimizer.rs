@@ -32,11 +32,19 @@ pub enum Optimizer {
         /// A pair is kept when `y.s` exceeds this.
         curvature: f64,
     },
+    /// L-BFGS that starts from the Hessian of the sheet at rest, with step 1 (after Liu, Bouaziz and Kavan 2017): the
+    /// classical method to compare with. CPU path only.
+    QuasiNewton {
+        /// Number of pairs remembered.
+        history: usize,
+        /// A pair is kept when `y.s` exceeds this.
+        curvature: f64,
+    },
 }
 
 impl Optimizer {
     /// Names of the optimizers on command lines and in reports.
-    pub const NAMES: [&str; 4] = ["fnopt", "gd", "adam", "lbfgs"];
+    pub const NAMES: [&str; 5] = ["fnopt", "gd", "adam", "lbfgs", "quasi-newton"];
 
     /// The learned optimizer with these weights.
     pub fn learned(weights: Weights) -> Self {
@@ -58,6 +66,11 @@ impl Optimizer {
         Self::Lbfgs { history: 5, curvature: 1e-12 }
     }
 
+    /// The quasi-Newton method: history 5, step 1, pairs with `y.s > 1e-12`.
+    pub fn quasi_newton() -> Self {
+        Self::QuasiNewton { history: 5, curvature: 1e-12 }
+    }
+
     /// The classical optimizer of that name with the paper's settings, or the learned one made by `weights`.
     pub fn named(name: &str, weights: impl FnOnce() -> Result<Weights>) -> Result<Self> {
         match name {
@@ -65,6 +78,7 @@ impl Optimizer {
             "gd" => Ok(Self::gradient_descent()),
             "adam" => Ok(Self::adam()),
             "lbfgs" => Ok(Self::lbfgs()),
+            "quasi-newton" => Ok(Self::quasi_newton()),
             other => Err(Error::unknown("--solver", "solver", other, Self::NAMES)),
         }
     }
@@ -76,6 +90,7 @@ impl Optimizer {
             Self::GradientDescent { .. } => "gd",
             Self::Adam { .. } => "adam",
             Self::Lbfgs { .. } => "lbfgs",
+            Self::QuasiNewton { .. } => "quasi-newton",
         }
     }
 }

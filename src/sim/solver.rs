@@ -1,7 +1,6 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
 use super::{Control, EnergyTerms, FrameStats, Grid, Iterations, Model, Optimizer, State};
-use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
@@ -13,6 +12,7 @@ use crate::kernels::optim::{
     Rescale, Update, UpdateTensors, norms,
 };
 use crate::network::{Forward, Keep, Weights};
+use crate::{Error, Result};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Scale of a fresh hidden state (section 5 of the specification).
@@ -104,6 +104,15 @@ impl Solver {
             },
             Optimizer::Lbfgs { history, curvature } => {
                 Rule::Lbfgs { history, curvature, memory: LbfgsMemory::new(context, batch, n, history)? }
+            }
+            Optimizer::QuasiNewton { .. } => {
+                let found = format!("{}, which lacks it; the CPU path has it", context.name());
+                return Err(Error::invalid(
+                    "--solver",
+                    "quasi-newton",
+                    "a device that has this optimizer",
+                    found,
+                ));
             }
         };
         let learned = matches!(rule, Rule::Learned { .. });

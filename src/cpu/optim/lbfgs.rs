@@ -1,7 +1,9 @@
-//! Limited-memory BFGS by the two-loop recursion, with step 1 and a history that is cleared every frame.
+//! Limited-memory BFGS by the two-loop recursion, with step 1 and a history that is cleared every frame; from a multiple of
+//! the identity, or from the Hessian at rest, with which it is the quasi-Newton method.
 
-use super::Minimizer;
+use super::{Minimizer, RestHessian};
 use crate::cpu::Real;
+use crate::sim::Model;
 use rayon::prelude::*;
 
 /// L-BFGS for a batch of cloths, each with its own history.
@@ -13,15 +15,17 @@ pub struct Lbfgs<T> {
 }
 
 /// What L-BFGS remembers of one cloth.
-struct History<T> {
+pub(in crate::cpu) struct History<T> {
     /// Pairs of step s and gradient difference y with `1 / (s . y)`; only `pairs` of them, the oldest first, count.
     ring: Vec<Pair<T>>,
     pairs: usize,
-    last_grad: Vec<T>,
-    last_step: Vec<T>,
+    pub last_grad: Vec<T>,
+    pub last_step: Vec<T>,
     /// Whether `last_grad` and `last_step` are those of this frame.
     started: bool,
-    direction: Vec<T>,
+    pub direction: Vec<T>,
+    /// The inverse Hessian without history; the identity, scaled by the newest pair, if there is none.
+    initial: Option<RestHessian<T>>,
 }
 
 struct Pair<T> {
@@ -33,17 +37,14 @@ struct Pair<T> {
 impl<T: Real> Lbfgs<T> {
     /// L-BFGS for `batch` cloths of `len` unknowns each, with at most `history` pairs of `s . y > curvature`.
     pub fn new(history: usize, curvature: f64, len: usize, batch: usize) -> Self {
-        let zeros = || vec![T::zero(); len];
-        let pair = |_| Pair { s: zeros(), y: zeros(), inverse: 0.0 };
-        let cloth = |_| History {
-            ring: (0..history).map(pair).collect(),
-            pairs: 0,
-            last_grad: zeros(),
-            last_step: zeros(),
-            started: false,
-            direction: zeros(),
-        };
-        Self { cloths: (0..batch).map(cloth).collect(), curvature, len }
+        Self { cloths: (0..batch).map(|_| History::new(history, len, None)).collect(), curvature, len }
+    }
+
+    /// The quasi-Newton method: the same for the cloths of `model`, from their Hessians at rest.
+    pub fn from_rest(history: usize, curvature: f64, model: &Model) -> Self {
+        let len = 3 * model.grid.particles();
+        let cloth = |cloth| History::new(history, len, Some(RestHessian::new(model.grid, cloth)));
+        Self { cloths: model.cloths.iter().map(cloth).collect(), curvature, len }
     }
 }
 
@@ -78,8 +79,23 @@ impl<T: Real> Minimizer<T> for Lbfgs<T> {
 }
 
 impl<T: Real> History<T> {
+    /// An empty history of at most `pairs` pairs for `len` unknowns.
+    pub fn new(pairs: usize, len: usize, initial: Option<RestHessian<T>>) -> Self {
+        let zeros = || vec![T::zero(); len];
+        let pair = |_| Pair { s: zeros(), y: zeros(), inverse: 0.0 };
+        Self {
+            ring: (0..pairs).map(pair).collect(),
+            pairs: 0,
+            last_grad: zeros(),
+            last_step: zeros(),
+            started: false,
+            direction: zeros(),
+            initial,
+        }
+    }
+
     /// Keeps the pair of the last step if its curvature suffices, in place of the oldest if the ring is full.
-    fn remember(&mut self, grad: &[T], curvature: f64) {
+    pub fn remember(&mut self, grad: &[T], curvature: f64) {
         let product: f64 = (self.last_step.iter().zip(grad).zip(&self.last_grad))
             .map(|((&s, &g), &last)| s.f64() * (g - last).f64())
             .sum();
@@ -99,8 +115,8 @@ impl<T: Real> History<T> {
         }
     }
 
-    /// Sets `direction` to the inverse Hessian of the history times `grad`; without history to `grad`.
-    fn turn(&mut self, grad: &[T]) {
+    /// Sets `direction` to the inverse Hessian of the history times `grad`.
+    pub fn turn(&mut self, grad: &[T]) {
         let pairs = &self.ring[..self.pairs];
         let direction = &mut self.direction;
         direction.copy_from_slice(grad);
@@ -109,7 +125,9 @@ impl<T: Real> History<T> {
             *weight = pair.inverse * dot(&pair.s, direction);
             add_scaled(direction, &pair.y, -*weight);
         }
-        if let Some(newest) = pairs.last() {
+        if let Some(initial) = &mut self.initial {
+            initial.apply(direction);
+        } else if let Some(newest) = pairs.last() {
             let gamma = T::of((newest.inverse * dot(&newest.y, &newest.y)).recip());
             direction.iter_mut().for_each(|d| *d = *d * gamma);
         }
@@ -120,7 +138,7 @@ impl<T: Real> History<T> {
     }
 }
 
-fn dot<T: Real>(u: &[T], w: &[T]) -> f64 {
+pub(in crate::cpu) fn dot<T: Real>(u: &[T], w: &[T]) -> f64 {
     u.iter().zip(w).map(|(&u, &w)| u.f64() * w.f64()).sum()
 }
 

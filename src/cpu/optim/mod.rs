@@ -3,19 +3,22 @@
 mod adam;
 mod gd;
 mod lbfgs;
+mod rest_hessian;
 mod update;
 mod update_adj;
 
 pub use adam::Adam;
 pub use gd::GradientDescent;
 pub use lbfgs::Lbfgs;
+pub(super) use lbfgs::{History, dot};
+pub use rest_hessian::RestHessian;
 pub(super) use update::norm;
 pub use update::{Hidden, Update};
 pub use update_adj::UpdateAdjoint;
 
 use super::Real;
 use crate::Result;
-use crate::sim::{Grid, Optimizer};
+use crate::sim::{Model, Optimizer};
 
 /// One optimizer at work on a batch of cloths.
 pub trait Minimizer<T>: Send {
@@ -32,8 +35,9 @@ pub trait Minimizer<T>: Send {
     }
 }
 
-/// The optimizer for `batch` cloths on `grid`; an error if the grid does not suit the network.
-pub fn minimizer<T: Real>(optimizer: &Optimizer, grid: Grid, batch: usize) -> Result<Box<dyn Minimizer<T>>> {
+/// The optimizer for the cloths of `model`; an error if the grid does not suit the network.
+pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dyn Minimizer<T>>> {
+    let (grid, batch) = (model.grid, model.batch());
     let cloth = 3 * grid.particles();
     Ok(match *optimizer {
         Optimizer::Learned(ref weights) => Box::new(Update::new(weights, grid, 3 * batch)?),
@@ -42,5 +46,8 @@ pub fn minimizer<T: Real>(optimizer: &Optimizer, grid: Grid, batch: usize) -> Re
             Box::new(Adam::new([rate, beta1, beta2, epsilon], batch * cloth))
         }
         Optimizer::Lbfgs { history, curvature } => Box::new(Lbfgs::new(history, curvature, cloth, batch)),
+        Optimizer::QuasiNewton { history, curvature } => {
+            Box::new(Lbfgs::from_rest(history, curvature, model))
+        }
     })
 }

@@ -1,0 +1,207 @@
+//! The converged minimum of a frame, and how far an optimizer stays above it.
+//!
+//! Handles are no unknowns of a frame: they go where they are told, whatever accelerations an optimizer writes there. Here
+//! these count as 0, or the little that they add to inertia and external work would outweigh the rest in a quiet frame.
+
+use super::objective::Trials;
+use super::optim::{History, RestHessian, dot, norm};
+use super::{Objective, Solver};
+use crate::Result;
+use crate::sim::{Control, Model, Optimizer, State};
+
+/// Pairs that the reference remembers.
+const HISTORY: usize = 12;
+/// A step must gain this share of what its slope promises (Armijo).
+const SUFFICIENT: f64 = 1e-4;
+/// Halvings of a step before the search gives up: no step gains any more.
+const HALVINGS: usize = 30;
+
+/// Finds the minimum of a frame of one cloth in double precision: L-BFGS from the Hessian at rest, with line search.
+pub struct Reference {
+    objective: Objective<f64>,
+    /// Norm of the gradient at which a frame counts as converged.
+    pub tolerance: f64,
+    /// Iterations after which it gives up.
+    pub iterations: usize,
+}
+
+/// What [`Reference::minimise`] found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Minimum {
+    /// Accelerations [edges / frame^2], shape [3, H, W].
+    pub a: Vec<f64>,
+    /// L there.
+    pub energy: f64,
+    /// |dL/da| there, over the particles that are free.
+    pub gradient: f64,
+    /// Iterations taken.
+    pub iterations: usize,
+    /// Whether the gradient is below the tolerance.
+    pub converged: bool,
+}
+
+impl Reference {
+    /// For one cloth, to |dL/da| < 1e-6 in at most 3000 iterations.
+    pub fn new(model: &Model) -> Self {
+        assert_eq!(model.batch(), 1, "the reference is of one cloth");
+        Self { objective: Objective::new(model), tolerance: 1e-6, iterations: 3000 }
+    }
+
+    /// L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`.
+    pub fn energy(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) -> f64 {
+        self.begin(state, control, a);
+        self.energy_here(state, control)
+    }
+
+    fn begin(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) {
+        self.objective.begin_frame(state, control);
+        self.objective.trial.a.copy_from_slice(a);
+        let Trials { model, a, .. } = &mut self.objective.trial;
+        hold(model, a);
+    }
+
+    /// The minimum of the frame that `control` drives from `state`, searched from the accelerations `a` [3, H, W].
+    pub fn minimise(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) -> Minimum {
+        let model = self.objective.model().clone();
+        let initial = RestHessian::new(model.grid, &model.cloths[0]);
+        let mut history = History::new(HISTORY, a.len(), Some(initial));
+        self.begin(state, control, a);
+        let mut grad = self.gradient(state, control);
+        let mut energy = self.energy_here(state, control);
+        let mut iterations = 0;
+        while norm(&grad) >= self.tolerance && iterations < self.iterations {
+            history.turn(&grad);
+            let slope = dot(&grad, &history.direction);
+            let before = self.objective.trial.a.clone();
+            let step = self.search((energy, slope), &before, &history.direction, (state, control));
+            let Some((step, lower)) = step else {
+                self.objective.trial.a.copy_from_slice(&before);
+                break;
+            };
+            energy = lower;
+            for (last, &d) in history.last_step.iter_mut().zip(&history.direction) {
+                *last = -step * d;
+            }
+            history.last_grad.copy_from_slice(&grad);
+            grad = self.gradient(state, control);
+            history.remember(&grad, 0.0);
+            iterations += 1;
+        }
+        let gradient = norm(&grad);
+        // A search that gave up has left the particles elsewhere.
+        self.objective.place(state, control);
+        let a = self.objective.trial.a.clone();
+        Minimum { a, energy, gradient, iterations, converged: gradient < self.tolerance }
+    }
+
+    /// A step along `-direction` from `before` that lowers the energy enough, and the energy there.
+    fn search(
+        &mut self,
+        (energy, slope): (f64, f64),
+        before: &[f64],
+        direction: &[f64],
+        (state, control): (&State<f64>, &Control<f64>),
+    ) -> Option<(f64, f64)> {
+        // Close to the minimum a step gains less than the energy's own rounding.
+        let rounding = 4.0 * f64::EPSILON * energy.abs();
+        let mut step = 1.0;
+        for _ in 0..HALVINGS {
+            let moved = self.objective.trial.a.iter_mut().zip(before).zip(direction);
+            moved.for_each(|((a, &before), &d)| *a = before - step * d);
+            let lower = self.energy_here(state, control);
+            if lower <= energy - SUFFICIENT * step * slope + rounding {
+                return Some((step, lower));
+            }
+            step *= 0.5;
+        }
+        None
+    }
+
+    fn energy_here(&mut self, state: &State<f64>, control: &Control<f64>) -> f64 {
+        self.objective.place(state, control);
+        self.objective.energy(state, 0).total()
+    }
+
+    /// The gradient over the free particles, 0 at handles.
+    fn gradient(&mut self, state: &State<f64>, control: &Control<f64>) -> Vec<f64> {
+        self.objective.evaluate(state, control);
+        let mut grad = self.objective.grad().to_vec();
+        hold(self.objective.model(), &mut grad);
+        grad
+    }
+}
+
+/// Iterations that keep a track's cloth close to its minima, frame by frame.
+const TRACK_ITERATIONS: usize = 60;
+
+/// The frames of a simulation close to convergence, on which optimizers are compared: each of them gets the same frames to
+/// minimise. On its own way an optimizer would be judged by what it left undone in the frames before, too.
+pub struct Track {
+    model: Model,
+    /// The state before each frame and what drives it.
+    frames: Vec<(State<f32>, Control<f32>)>,
+    /// Energies in some of the frames: number of the frame, L at a = 0, L at the minimum.
+    probes: Vec<(usize, f64, f64)>,
+}
+
+impl Track {
+    /// Follows one cloth from `start` through the frames of `controls`, with the reference in every `every`-th of them. Frames
+    /// in which it does not converge are left out.
+    pub fn new(
+        model: &Model,
+        start: State<f64>,
+        controls: impl IntoIterator<Item = Control<f64>>,
+        every: usize,
+    ) -> Self {
+        let [mut close, mut reference] = [(); 2].map(|()| Reference::new(model));
+        close.iterations = TRACK_ITERATIONS;
+        let (mut state, mut frames, mut probes) = (start, Vec::new(), Vec::new());
+        let still = vec![0.0; state.x.len()];
+        for (frame, control) in controls.into_iter().enumerate() {
+            frames.push((state.cast(), control.cast()));
+            let near = close.minimise(&state, &control, &still);
+            if (frame + 1) % every == 0 {
+                let nothing = reference.energy(&state, &control, &still);
+                let minimum = reference.minimise(&state, &control, &near.a);
+                if minimum.converged && nothing > minimum.energy {
+                    probes.push((frame, nothing, minimum.energy));
+                }
+            }
+            close.objective.end_frame(&mut state, &control);
+        }
+        Self { model: model.clone(), frames, probes }
+    }
+
+    /// The energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` that `iterations` iterations of an optimizer leave in the frames with
+    /// a reference. Its memory goes along from frame to frame.
+    pub fn gaps(&self, optimizer: &Optimizer, iterations: usize) -> Result<Vec<f64>> {
+        let mut solver = Solver::<f32>::new(&self.model, optimizer, iterations)?;
+        let mut reference = Reference::new(&self.model);
+        let mut probes = self.probes.iter().peekable();
+        let mut gaps = Vec::with_capacity(self.probes.len());
+        for (frame, (before, control)) in self.frames.iter().enumerate() {
+            solver.step(&mut before.clone(), control);
+            if let Some(&(_, nothing, minimum)) = probes.next_if(|probe| probe.0 == frame) {
+                let a: Vec<f64> = solver.accelerations().iter().map(|&a| a.into()).collect();
+                let reached = reference.energy(&before.cast(), &control.cast(), &a);
+                gaps.push((reached - minimum) / (nothing - minimum));
+            }
+        }
+        Ok(gaps)
+    }
+
+    /// The median of [`Track::gaps`]; infinite when one of them is no number, or there is none.
+    pub fn median_gap(&self, optimizer: &Optimizer, iterations: usize) -> Result<f64> {
+        let mut gaps = self.gaps(optimizer, iterations)?;
+        gaps.sort_by(f64::total_cmp);
+        let whole = gaps.iter().all(|gap| gap.is_finite());
+        Ok(gaps.get(gaps.len() / 2).copied().filter(|_| whole).unwrap_or(f64::INFINITY))
+    }
+}
+
+/// Zeroes a field [3, H, W] at the handles.
+fn hold(model: &Model, field: &mut [f64]) {
+    for component in field.chunks_exact_mut(model.grid.particles()) {
+        model.cloths[0].handles.iter().for_each(|&p| component[p] = 0.0);
+    }
+}

@@ -1,0 +1,134 @@
+//! The quasi-Newton method and the converged reference.
+
+use fnopt::cpu::optim::RestHessian;
+use fnopt::cpu::{Objective, Reference, Track};
+use fnopt::scene::{Scene, Setup};
+use fnopt::sim::{Cloth, Control, Grid, Material, Model, Optimizer, State};
+use std::f64::consts::PI;
+
+fn scene(h: usize, w: usize) -> Setup {
+    let mut scene = Scene::default();
+    scene.regrid(Grid { h, w }).unwrap();
+    scene.setup().unwrap()
+}
+
+#[test]
+fn the_cosine_transform_is_orthonormal() {
+    // With inertia alone the Hessian is a multiple of the identity, whatever basis it is written in.
+    let grid = Grid { h: 13, w: 18 };
+    let material = Material { stretch: 0.0, shear: 0.0, bend: 0.0 };
+    let n = grid.particles();
+    let cloth = Cloth { material, handles: vec![4, 100], ..Cloth::default() };
+    let direction: Vec<f64> = (0..3 * n).map(|k| (k * 7919 % 101) as f64 - 50.0).collect();
+    let mut found = direction.clone();
+    RestHessian::new(grid, &cloth).apply(&mut found);
+    for (k, (found, direction)) in found.iter().zip(direction).enumerate() {
+        let expected = if cloth.handles.contains(&(k % n)) { 0.0 } else { n as f64 * direction };
+        // The handles' zeros spread nowhere: the transform and its inverse cancel.
+        assert!((found - expected).abs() < 1e-9, "element {k}: {found}, not {expected}");
+    }
+}
+
+/// The Hessian of a sheet at rest along a wave, by differences of the gradient, and what the inverse makes of it.
+fn turned_back(
+    grid: Grid,
+    material: Material,
+    component: usize,
+    wave: impl Fn(usize, usize) -> f64,
+) -> (f64, f64) {
+    let cloth = Cloth { material, ..Cloth::default() };
+    let model = Model { grid, cloths: vec![cloth.clone()] };
+    let (state, n) = (State::<f64>::rest(grid, 1), grid.particles());
+    let wave: Vec<f64> = (0..n).map(|p| wave(p / grid.w, p % grid.w)).collect();
+    let gradient = |factor: f64| {
+        let mut forced = state.clone();
+        // At a = 0 the particles move by their velocities.
+        for (v, wave) in forced.v[component * n..][..n].iter_mut().zip(&wave) {
+            *v = factor * wave;
+        }
+        let mut objective = Objective::new(&model);
+        objective.begin_frame(&forced, &Control::default());
+        objective.evaluate(&forced, &Control::default());
+        objective.grad().to_vec()
+    };
+    let step = 1e-5;
+    let mut turned: Vec<f64> = gradient(step)
+        .iter()
+        .zip(gradient(-step))
+        .map(|(plus, minus)| (plus - minus) / (2.0 * step))
+        .collect();
+    RestHessian::new(grid, &cloth).apply(&mut turned);
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let along = &turned[component * n..][..n];
+    (dot(along, &wave) / dot(&wave, &wave), dot(&turned, &turned) / dot(along, along))
+}
+
+#[test]
+fn waves_of_a_flat_sheet_are_turned_into_themselves() {
+    let grid = Grid { h: 14, w: 19 };
+    let stretch = Material { stretch: 1000.0, shear: 0.0, bend: 0.0 };
+    let bend = Material { stretch: 0.0, shear: 0.0, bend: 10.0 };
+    let cosine = |k: usize, i: usize, n: usize| (PI * (k * (2 * i + 1)) as f64 / (2 * n) as f64).cos();
+    let waves: [(Material, usize, Box<dyn Fn(usize, usize) -> f64>); 2] = [
+        // Along the width, in the sheet's plane: edges of one direction get longer and shorter.
+        (stretch, 0, Box::new(move |_, j| cosine(3, j, 19))),
+        // Along the height, in its plane as well.
+        (stretch, 1, Box::new(move |i, _| cosine(5, i, 14))),
+    ];
+    for (material, component, wave) in waves {
+        let (along, spread) = turned_back(grid, material, component, wave);
+        // Inertia is in the inverse and not in the velocities' Hessian: a share of 1 / (n lambda).
+        assert!((along - 1.0).abs() < 0.01 && (spread - 1.0).abs() < 1e-6, "{along} {spread}");
+    }
+    // Out of its plane: free borders differ from the cosine's, the more the longer the wave is.
+    let (along, _) = turned_back(grid, bend, 2, move |i, _| cosine(9, i, 14));
+    assert!((along - 1.0).abs() < 0.15, "{along}");
+}
+
+/// The frames from `first` on of the way of `xy_v2`.
+fn track(grid: Grid, frames: std::ops::Range<usize>, every: usize) -> Track {
+    let setup = scene(grid.h, grid.w);
+    let controls = frames.map(|frame| setup.control(frame));
+    Track::new(&setup.model, setup.start.clone(), controls, every)
+}
+
+#[test]
+fn the_reference_is_the_minimum() {
+    let setup = scene(16, 20);
+    let mut reference = Reference::new(&setup.model);
+    let (control, nothing) = (setup.control(60), vec![0.0; setup.start.x.len()]);
+    let minimum = reference.minimise(&setup.start, &control, &nothing);
+    assert!(minimum.converged && minimum.gradient < 1e-6, "{} iterations", minimum.iterations);
+    assert_eq!(reference.energy(&setup.start, &control, &minimum.a), minimum.energy);
+    assert!(minimum.energy < reference.energy(&setup.start, &control, &nothing));
+    // From elsewhere it comes to the same place, handles apart, which are no unknowns.
+    let elsewhere: Vec<f64> = (0..nothing.len()).map(|k| 1e-3 * ((k * 7919 % 101) as f64 - 50.0)).collect();
+    let again = reference.minimise(&setup.start, &control, &elsewhere);
+    assert!((again.energy - minimum.energy).abs() < 1e-9, "{} and {}", again.energy, minimum.energy);
+}
+
+#[test]
+fn optimizers_close_a_part_of_the_gap() {
+    let track = track(Grid { h: 32, w: 32 }, 1..41, 5);
+    let gap = |optimizer, iterations| track.median_gap(&optimizer, iterations).unwrap();
+    let quasi_newton = [10, 15, 20].map(|iterations| gap(Optimizer::quasi_newton(), iterations));
+    let (lbfgs, descent) = (gap(Optimizer::lbfgs(), 10), gap(Optimizer::gradient_descent(), 10));
+    println!("quasi-newton {quasi_newton:.4?}, lbfgs {lbfgs:.3}, gd {descent:.3}");
+    assert!(quasi_newton.is_sorted_by(|a, b| a > b) && quasi_newton[2] > 0.0, "{quasi_newton:?}");
+    assert!(quasi_newton[0] < 0.15 && quasi_newton[0] < lbfgs && lbfgs < descent && descent < 1.0);
+}
+
+/// The figures that the learned optimizer is compared by, for `WEIGHTS`, minutes long:
+/// `WEIGHTS=FILE cargo test --release --test cpu -- --ignored gaps`.
+#[test]
+#[ignore = "minutes long"]
+fn gaps_on_the_way_of_xy_v2() {
+    let weights = std::env::var("WEIGHTS").unwrap_or("assets/weights/starter.safetensors".into());
+    let learned = Optimizer::learned(fnopt::network::Weights::load(weights.as_ref()).unwrap());
+    for (h, w) in [(32, 32), (64, 64), (100, 100)] {
+        let track = track(Grid { h, w }, 1..391, 10);
+        let gaps =
+            [&learned, &Optimizer::quasi_newton()].map(|optimizer| track.median_gap(optimizer, 10).unwrap());
+        println!("{h}x{w}: learned {:.4}, quasi-newton {:.4}", gaps[0], gaps[1]);
+    }
+}
