@@ -52,6 +52,7 @@
 //! | [`gpu`] | context, tensors, kernels, schedules, readback; knows no cloth |
 //! | [`kernels`] | the host side of each file in `shaders/`, in the same tree |
 //! | [`cpu`] | the same stages without a GPU |
+//! | [`eval`] | measures of a simulation's frames |
 //! | [`io`], [`render`] | trajectories and meshes in files; pictures |
 //! | [`train`] | pools of cloths, the run loop and its files; imports the above |
 //! | [`verify`] | every stage against golden files |
@@ -61,6 +62,7 @@
 
 pub mod cpu;
 mod error;
+pub mod eval;
 pub mod gpu;
 pub mod io;
 pub mod kernels;

@@ -83,9 +83,6 @@ pub fn run(cli: Cli) -> ExitCode {
     }
 }
 
-/// The weights that come with the program.
-const STARTER: &[u8] = include_bytes!("../../assets/weights/starter.safetensors");
-
 /// Which optimizer, with which weights.
 #[derive(Debug, clap::Args)]
 pub struct SolverArgs {
@@ -123,7 +120,7 @@ impl SolverArgs {
 pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
     match path {
         Some(path) => Weights::load(path),
-        None => Weights::from_bytes(STARTER, "the weights that come with the program"),
+        None => Ok(Weights::shipped()),
     }
 }
 

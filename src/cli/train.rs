@@ -118,11 +118,11 @@ fn progress(from: u64, to: u64) -> ProgressBar {
 fn show(bar: &ProgressBar, progress: &Progress<'_>) {
     bar.set_position(progress.step);
     bar.set_message(format!("loss {:.4}", progress.report.loss()));
-    for SceneScore { scene, remainder, largest_stretch, stable } in progress.validation.into_iter().flatten()
-    {
+    for SceneScore { scene, gap, largest_stretch, stable } in progress.validation.into_iter().flatten() {
         let stable = if *stable { "stable" } else { "UNSTABLE" };
+        let gap = gap.map_or_else(String::new, |gap| format!(", energy gap {:.2} %", 100.0 * gap));
         bar.println(format!(
-            "step {}: {scene}: {stable}, remainder {remainder:.3}, largest stretch {:.1} %",
+            "step {}: {scene}: {stable}{gap}, largest stretch {:.1} %",
             progress.step,
             100.0 * largest_stretch
         ));

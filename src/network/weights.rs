@@ -92,7 +92,16 @@ pub struct Weights {
     pub scalar: Dense,
 }
 
+/// The file behind [`Weights::shipped`].
+const SHIPPED: &[u8] = include_bytes!("../../assets/weights/starter.safetensors");
+
 impl Weights {
+    /// The trained weights that come with the program.
+    pub fn shipped() -> Self {
+        Self::from_bytes(SHIPPED, "the weights that come with the program")
+            .expect("they are checked before they ship")
+    }
+
     /// A network whose weights are all zero.
     pub fn zeros(config: Config) -> Self {
         let dense = |outputs: usize, inputs: usize| Dense {

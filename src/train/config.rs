@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
 /// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in a pool that is given `[32, 32]`, 10, 1000, 10 |
 /// | `[pool.material]` `stretch`, `shear`, `bend` | `[100, 1000]`, `[1, 100]`, `[0.01, 10]` |
-/// | `[motion]` `moving`, `rotation`, `amplitude`, `frequency`, `pinch`, `gravity`, `more_handles` | 0.8, 0.0628, 10, 0.2, 0.4, 0.125, 0.5 |
+/// | `[motion]` `moving`, `rotation`, `amplitude`, `frequency`, `pinch`, `gravity`, `aligned`, `corners`, `more_handles` | 0.8, 0.0628, 10, 0.2, 0.4, 0.125, 0, 1, 0.5 |
 /// | `[reset]` `energy`, `sequence_length`, `scale` | 20000, 1000, no bounds |
 /// | `[optimizer]` `rate`, `betas`, `epsilon`, `weight_decay`, `clip` | 1e-3, `[0.9, 0.999]`, 1e-8, 0.01, 1 |
 /// | `[schedule]` `warmup`, `decay` | 0, `{ halvings = [125000, 250000, 375000] }`; or `"none"`, `{ cosine = { final = 1e-5 } }` |
@@ -102,7 +102,12 @@ pub struct MotionRanges {
     pub pinch: f64,
     /// Size of gravity [edges / frame^2]; its direction is random.
     pub gravity: f64,
-    /// Probability of each further handle after the two corners.
+    /// Probability that a sheet starts unrotated, with gravity along an axis: as users' scenes do, where whole components
+    /// of the first gradient are zero.
+    pub aligned: f64,
+    /// Probability that the first handles are the two corners; else they are one random particle.
+    pub corners: f64,
+    /// Probability of each further handle, a random particle.
     pub more_handles: f64,
 }
 
@@ -199,6 +204,8 @@ impl Default for MotionRanges {
             frequency: 0.2,
             pinch: 0.4,
             gravity: 0.125,
+            aligned: 0.0,
+            corners: 1.0,
             more_handles: 0.5,
         }
     }

@@ -41,7 +41,7 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
             chart("loss", of_pools("loss")),
             chart("log mean gradient", of_pools("log_gradient")),
             chart("norm of the gradient of the weights", norm),
-            chart("validation remainder", scenes),
+            chart("validation: energy gap", scenes),
         ],
         SIZE,
     ))

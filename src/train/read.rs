@@ -125,7 +125,9 @@ fn pool(node: &Node<'_>) -> Result<PoolConfig> {
 }
 
 fn motion(node: &Node<'_>) -> Result<MotionRanges> {
-    node.only(&["moving", "rotation", "amplitude", "frequency", "pinch", "gravity", "more_handles"])?;
+    const SIZES: [&str; 4] = ["rotation", "amplitude", "frequency", "gravity"];
+    const SHARES: [&str; 5] = ["moving", "pinch", "aligned", "corners", "more_handles"];
+    node.only(&[&SIZES[..], &SHARES].concat())?;
     let base = MotionRanges::default();
     let size = |key, default| node.get_or(key, default, not_negative);
     Ok(MotionRanges {
@@ -135,6 +137,8 @@ fn motion(node: &Node<'_>) -> Result<MotionRanges> {
         frequency: size("frequency", base.frequency)?,
         pinch: node.get_or("pinch", base.pinch, share)?,
         gravity: size("gravity", base.gravity)?,
+        aligned: node.get_or("aligned", base.aligned, share)?,
+        corners: node.get_or("corners", base.corners, share)?,
         more_handles: node.get_or("more_handles", base.more_handles, decay)?,
     })
 }

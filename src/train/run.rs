@@ -20,7 +20,7 @@ use std::time::Instant;
 /// Steps in a row that may be skipped because they are not finite.
 const MOST_SKIPPED: u32 = 10;
 /// Columns of `validation.csv`.
-const VALIDATION_COLUMNS: [&str; 5] = ["step", "scene", "remainder", "largest_stretch", "stable"];
+const VALIDATION_COLUMNS: [&str; 5] = ["step", "scene", "gap", "largest_stretch", "stable"];
 
 /// A run and its folder.
 pub struct Run {
@@ -230,13 +230,13 @@ impl Run {
         let step = self.counters.step;
         self.scores = (step, self.validation.run(&self.weights()?)?);
         for score in &self.scores.1 {
-            let numbers = [score.remainder, score.largest_stretch].map(|v| format!("{v:.6}"));
-            let [remainder, stretch] = numbers;
+            let gap = score.gap.map_or_else(String::new, |gap| format!("{gap:.6}"));
+            let stretch = format!("{:.6}", score.largest_stretch);
             let stable = u8::from(score.stable).to_string();
-            self.validations.push(&[step.to_string(), score.scene.clone(), remainder, stretch, stable])?;
+            self.validations.push(&[step.to_string(), score.scene.clone(), gap, stretch, stable])?;
         }
         let score = Validation::score(&self.scores.1);
-        let improved = score.is_finite() && self.counters.best.is_none_or(|best| score < best);
+        let improved = self.counters.best.is_none_or(|best| score < best);
         if improved {
             self.counters.best = Some(score);
             self.write_weights("best")?;

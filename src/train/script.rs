@@ -58,13 +58,17 @@ impl Script {
         let frequency = within(motion.frequency);
         let pinch_frequency = around_zero(&mut random, motion.frequency);
         let moves = if random.random_bool(motion.moving) { 1.0 } else { 0.0 };
-        let gravity = direction(&mut random) * motion.gravity * size;
-        let handles = handles(&mut random, grid, motion.more_handles);
+        let gravity = direction(&mut random);
+        let handles = handles(&mut random, grid, motion);
+        let (angles, gravity) = match random.random_bool(motion.aligned) {
+            true => (DVec3::ZERO, along_an_axis(gravity)),
+            false => (angles, gravity),
+        };
         Self {
             anchors: handles.iter().map(|&p| grid.rest(p).into()).collect(),
             cloth: Cloth {
                 material: Material { stretch, shear, bend },
-                gravity: gravity.into(),
+                gravity: (gravity * motion.gravity * size).into(),
                 air: Air::default(),
                 handles,
             },
@@ -99,10 +103,13 @@ impl Script {
     }
 }
 
-/// The corners (0, 0) and (H-1, 0), then, while a coin of probability `more` says so, one more particle.
-fn handles(random: &mut ChaCha8Rng, grid: Grid, more: f64) -> Vec<usize> {
-    let mut handles = vec![0, (grid.h - 1) * grid.w];
-    while handles.len() < MAX_HANDLES && random.random_bool(more) {
+/// The corners (0, 0) and (H-1, 0), or one particle; then, while a coin says so, one more.
+fn handles(random: &mut ChaCha8Rng, grid: Grid, motion: &MotionRanges) -> Vec<usize> {
+    let mut handles = match random.random_bool(motion.corners) {
+        true => vec![0, (grid.h - 1) * grid.w],
+        false => vec![random.random_range(0..grid.particles())],
+    };
+    while handles.len() < MAX_HANDLES && random.random_bool(motion.more_handles) {
         let p = random.random_range(0..grid.particles());
         if !handles.contains(&p) {
             handles.push(p);
@@ -127,4 +134,17 @@ fn direction(random: &mut impl Rng) -> DVec3 {
     let (sin, cos) = (TAU * random.random::<f64>()).sin_cos();
     let across = (1.0 - up * up).sqrt();
     DVec3::new(across * cos, across * sin, up)
+}
+
+/// The axis that is closest to a direction, with its sign.
+fn along_an_axis(direction: DVec3) -> DVec3 {
+    let size = direction.abs();
+    let axis = if size.x >= size.y.max(size.z) {
+        DVec3::X
+    } else if size.y >= size.z {
+        DVec3::Y
+    } else {
+        DVec3::Z
+    };
+    axis * direction.dot(axis).signum()
 }

@@ -1,21 +1,36 @@
 //! Rollouts of fixed scenes, by which weights are judged.
 
 use super::config::ValidationConfig;
+
+use crate::cpu::Track;
+use crate::eval::{FreeEdges, STRETCH_LIMIT};
 use crate::network::Weights;
 use crate::scene::{Motion, Scene, Setup, Start};
-use crate::sim::{Optimizer, State};
+use crate::sim::{Grid, Optimizer, State};
 use crate::{Result, cpu};
+use std::cell::OnceCell;
 
-/// An edge that is this much longer than at rest tells that the rollout blew up: sheets of the fixed scenes on up to
-/// 100x100 particles stay below 1.
-const UNSTABLE_STRETCH: f64 = 3.0;
+/// Every so many frames of a track has a converged minimum to compare with.
+const PROBE_EVERY: usize = 5;
+/// What an unstable scene counts for in the score, in energy gaps: more than any gap of a stable one.
+const UNSTABLE_GAP: f64 = 10.0;
 
 /// Scenes made ready: a sheet that hangs from two corners and swings along `xy_v2`, on each grid of the configuration, and
 /// a flat sheet that falls, held by two corners, on the finest of them. Default material, air, 60 frames per second.
 pub struct Validation {
     iterations: usize,
     frames: usize,
-    scenes: Vec<(String, Setup)>,
+    scenes: Vec<Judged>,
+}
+
+/// A scene, and what the energy gaps in it are measured on.
+struct Judged {
+    name: String,
+    setup: Setup,
+    /// Whether the gap counts, or only stability does.
+    with_gap: bool,
+    /// Converged frames, computed when first needed.
+    track: OnceCell<Track>,
 }
 
 /// How weights did in one scene.
@@ -23,12 +38,12 @@ pub struct Validation {
 pub struct SceneScore {
     /// Name of the scene, such as `hanging 64x64`.
     pub scene: String,
-    /// Median over the frames of what the iterations have left to do: `|dL/da|` at the last iteration over that at the
-    /// first; 0 would be the minimum. Infinite when the rollout was unstable.
-    pub remainder: f64,
-    /// Largest `|edge| - 1` over all frames.
+    /// Median over the frames of the energy gap `(L_N - L_ref) / (L_0 - L_ref)` after N iterations, the frames being those of
+    /// a converged simulation; nothing in the falling scene.
+    pub gap: Option<f64>,
+    /// Largest `|edge| - 1` over all frames, of the edges that are away from the handles ([`FreeEdges`]).
     pub largest_stretch: f64,
-    /// Whether all frames were finite and no edge was longer than four times its length at rest.
+    /// Whether all frames were finite and no such edge was stretched beyond [`STRETCH_LIMIT`].
     pub stable: bool,
 }
 
@@ -37,52 +52,57 @@ impl Validation {
     pub fn new(config: &ValidationConfig) -> Result<Self> {
         let mut scenes = Vec::new();
         for &grid in &config.grids {
-            let mut scene = Scene::default();
-            scene.regrid(grid)?;
-            scenes.push((format!("hanging {grid}"), scene));
+            scenes.push(Judged::new("hanging", Scene::default(), grid, true)?);
         }
         if let Some(&finest) = config.grids.iter().max_by_key(|grid| grid.particles()) {
-            let mut scene = Scene { start: Start::Flat, motion: Motion::Still, ..Scene::default() };
-            scene.regrid(finest)?;
-            scenes.push((format!("falling {finest}"), scene));
+            let scene = Scene { start: Start::Flat, motion: Motion::Still, ..Scene::default() };
+            scenes.push(Judged::new("falling", scene, finest, false)?);
         }
-        let ready = |(name, scene): (String, Scene)| Ok((name, scene.setup()?));
-        let scenes = scenes.into_iter().map(ready).collect::<Result<_>>()?;
         Ok(Self { iterations: config.iterations, frames: config.frames, scenes })
     }
 
-    /// Rolls every scene out on the CPU with these weights.
+    /// Rolls every scene out on the CPU with these weights, in single precision, and measures the gaps.
     pub fn run(&self, weights: &Weights) -> Result<Vec<SceneScore>> {
         let optimizer = Optimizer::learned(weights.clone());
-        self.scenes.iter().map(|(name, setup)| self.rollout(name, setup, &optimizer)).collect()
+        self.scenes.iter().map(|scene| scene.judge(&optimizer, self.frames, self.iterations)).collect()
     }
 
-    fn rollout(&self, name: &str, setup: &Setup, optimizer: &Optimizer) -> Result<SceneScore> {
-        let mut solver = cpu::Solver::<f32>::new(&setup.model, optimizer, self.iterations)?;
-        let mut state: State<f32> = setup.start.cast();
-        let mut remainders = Vec::new();
-        let (mut largest_stretch, mut stable) = (f64::NEG_INFINITY, true);
-        for frame in 1..=self.frames {
-            let stats = solver.step(&mut state, &setup.control(frame))[0];
-            largest_stretch = largest_stretch.max(stats.stretch_largest);
-            remainders.push(stats.gradient_last / stats.gradient_first);
-            stable = stats.is_finite() && stats.stretch_largest < UNSTABLE_STRETCH;
+    /// One number for weights, smaller is better: the mean gap, in which an unstable scene outweighs all gaps.
+    pub fn score(scores: &[SceneScore]) -> f64 {
+        let of = |s: &SceneScore| match s.gap.unwrap_or(0.0) {
+            gap if s.stable && gap < UNSTABLE_GAP => gap,
+            _ => UNSTABLE_GAP,
+        };
+        scores.iter().map(of).sum::<f64>() / scores.len() as f64
+    }
+}
+
+impl Judged {
+    fn new(kind: &str, mut scene: Scene, grid: Grid, with_gap: bool) -> Result<Self> {
+        scene.regrid(grid)?;
+        Ok(Self { name: format!("{kind} {grid}"), setup: scene.setup()?, with_gap, track: OnceCell::new() })
+    }
+
+    fn judge(&self, optimizer: &Optimizer, frames: usize, iterations: usize) -> Result<SceneScore> {
+        let Setup { model, start, .. } = &self.setup;
+        let edges = FreeEdges::new(model, 0);
+        let mut solver = cpu::Solver::<f32>::new(model, optimizer, iterations)?;
+        let mut state: State<f32> = start.cast();
+        let (mut largest_stretch, mut stable) = (0.0, true);
+        for frame in 1..=frames {
+            let finite = solver.step(&mut state, &self.setup.control(frame))[0].is_finite();
+            largest_stretch = edges.largest(&state.x).max(largest_stretch);
+            stable = finite && largest_stretch <= STRETCH_LIMIT;
             if !stable {
                 break;
             }
         }
-        let remainder = if stable { median(&mut remainders) } else { f64::INFINITY };
-        Ok(SceneScore { scene: name.to_owned(), remainder, largest_stretch, stable })
+        let track = || {
+            let controls = (1..=frames).map(|frame| self.setup.control(frame));
+            Track::new(model, start.clone(), controls, PROBE_EVERY.min(frames))
+        };
+        let gap = || self.track.get_or_init(track).median_gap(optimizer, iterations);
+        let gap = self.with_gap.then(gap).transpose()?;
+        Ok(SceneScore { scene: self.name.clone(), gap, largest_stretch, stable })
     }
-
-    /// One number for weights, smaller is better: the mean remainder, infinite when a scene was unstable.
-    pub fn score(scores: &[SceneScore]) -> f64 {
-        scores.iter().map(|s| s.remainder).sum::<f64>() / scores.len() as f64
-    }
-}
-
-/// The median of some numbers; the upper one of two.
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }

@@ -69,14 +69,12 @@ fn waves_of_a_flat_sheet_are_turned_into_themselves() {
     let stretch = Material { stretch: 1000.0, shear: 0.0, bend: 0.0 };
     let bend = Material { stretch: 0.0, shear: 0.0, bend: 10.0 };
     let cosine = |k: usize, i: usize, n: usize| (PI * (k * (2 * i + 1)) as f64 / (2 * n) as f64).cos();
-    let waves: [(Material, usize, Box<dyn Fn(usize, usize) -> f64>); 2] = [
-        // Along the width, in the sheet's plane: edges of one direction get longer and shorter.
-        (stretch, 0, Box::new(move |_, j| cosine(3, j, 19))),
-        // Along the height, in its plane as well.
-        (stretch, 1, Box::new(move |i, _| cosine(5, i, 14))),
+    // In the sheet's plane, where edges of one direction get longer and shorter: along the width, then along the height.
+    let waves = [
+        turned_back(grid, stretch, 0, move |_, j| cosine(3, j, 19)),
+        turned_back(grid, stretch, 1, move |i, _| cosine(5, i, 14)),
     ];
-    for (material, component, wave) in waves {
-        let (along, spread) = turned_back(grid, material, component, wave);
+    for (along, spread) in waves {
         // Inertia is in the inverse and not in the velocities' Hessian: a share of 1 / (n lambda).
         assert!((along - 1.0).abs() < 0.01 && (spread - 1.0).abs() < 1e-6, "{along} {spread}");
     }
@@ -116,19 +114,4 @@ fn optimizers_close_a_part_of_the_gap() {
     println!("quasi-newton {quasi_newton:.4?}, lbfgs {lbfgs:.3}, gd {descent:.3}");
     assert!(quasi_newton.is_sorted_by(|a, b| a > b) && quasi_newton[2] > 0.0, "{quasi_newton:?}");
     assert!(quasi_newton[0] < 0.15 && quasi_newton[0] < lbfgs && lbfgs < descent && descent < 1.0);
-}
-
-/// The figures that the learned optimizer is compared by, for `WEIGHTS`, minutes long:
-/// `WEIGHTS=FILE cargo test --release --test cpu -- --ignored gaps`.
-#[test]
-#[ignore = "minutes long"]
-fn gaps_on_the_way_of_xy_v2() {
-    let weights = std::env::var("WEIGHTS").unwrap_or("assets/weights/starter.safetensors".into());
-    let learned = Optimizer::learned(fnopt::network::Weights::load(weights.as_ref()).unwrap());
-    for (h, w) in [(32, 32), (64, 64), (100, 100)] {
-        let track = track(Grid { h, w }, 1..391, 10);
-        let gaps =
-            [&learned, &Optimizer::quasi_newton()].map(|optimizer| track.median_gap(optimizer, 10).unwrap());
-        println!("{h}x{w}: learned {:.4}, quasi-newton {:.4}", gaps[0], gaps[1]);
-    }
 }

@@ -36,6 +36,8 @@ fn every_field_can_be_set() {
         material = { bend = [0.1, 0.1] }
         [motion]
         pinch = 0
+        aligned = 0.25
+        corners = 0.5
         [reset]
         scale = [1e-5, 2]
         [optimizer]
@@ -56,6 +58,7 @@ fn every_field_can_be_set() {
     assert_eq!((pool.grid.h, pool.grid.w, pool.iterations, pool.cloths, pool.batch), (24, 40, 3, 4, 4));
     assert_eq!(pool.material.bend, [0.1, 0.1]);
     assert_eq!(pool.material.stretch, PoolConfig::default().material.stretch);
+    assert_eq!((config.motion.pinch, config.motion.aligned, config.motion.corners), (0.0, 0.25, 0.5));
     assert_eq!(config.reset.scale, Some([1e-5, 2.0]));
     assert_eq!(config.optimizer.betas, [0.8, 0.99]);
     assert_eq!((config.schedule.warmup, &config.schedule.decay), (3, &Decay::Cosine { last: 1e-6 }));

@@ -143,6 +143,23 @@ fn materials_and_handles_are_those_of_the_paper() {
 }
 
 #[test]
+fn sheets_along_the_axes_and_held_anywhere_are_drawn_when_asked_for() {
+    let aligned = MotionRanges { aligned: 1.0, corners: 0.0, more_handles: 0.0, ..Default::default() };
+    let mut held = HashSet::new();
+    for script in scripts(aligned, 400) {
+        assert_eq!(script.start(), [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]);
+        assert_eq!(script.cloth.gravity.iter().filter(|&&g| g == 0.0).count(), 2);
+        assert!((distance(script.cloth.gravity, [0.0; 3]) - 0.125 * 8.0 / 31.0).abs() < 1e-12);
+        assert_eq!(script.cloth.handles.len(), 1);
+        held.insert(script.cloth.handles[0]);
+    }
+    assert!(held.len() > 90, "{} of 108 particles", held.len());
+    let some = scripts(MotionRanges { aligned: 0.3, ..Default::default() }, 400);
+    let along = some.iter().filter(|s| s.cloth.gravity.contains(&0.0)).count();
+    assert!((84..=156).contains(&along), "{along} of 400");
+}
+
+#[test]
 fn handles_turn_translate_and_pinch_as_told() {
     let still = MotionRanges { moving: 1.0, rotation: 0.0, amplitude: 0.0, pinch: 0.0, ..Default::default() };
     for script in scripts(still, 10) {

@@ -24,7 +24,7 @@ pub fn frames_match(optimizer: &Optimizer, push: Push<'_>, (grid, batch): (Grid,
     iterate.base.write(context(), &base);
     let start = widened(&field(&model, 1.0, 112));
     let stiffness: Vec<f64> = field(&model, 0.7, 113).iter().map(|&d| 1.0 + f64::from(d)).collect();
-    let mut host = minimizer::<f64>(optimizer, grid, batch).unwrap();
+    let mut host = minimizer::<f64>(optimizer, &model).unwrap();
     for frame in 0..2 {
         let mut a = vec![0.0; start.len()];
         iterate.a.write(context(), &narrowed(&a));

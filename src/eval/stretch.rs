@@ -1,0 +1,63 @@
+//! Stretch of the edges that no handle pulls directly.
+
+use crate::sim::Model;
+
+/// Largest stretch of [`FreeEdges`] that a sound simulation shows.
+pub const STRETCH_LIMIT: f64 = 0.6;
+
+/// The edges of one cloth that are more than H/10 edges away from each of its handles. Next to a handle that carries half
+/// of a sheet an edge rightly doubles its length on a fine grid; away from it no edge should.
+pub struct FreeEdges {
+    /// The two particles of each edge.
+    edges: Vec<[usize; 2]>,
+}
+
+impl FreeEdges {
+    /// Those of cloth `index` of the model. The distance is counted in edges of the grid, from the nearer end.
+    pub fn new(model: &Model, index: usize) -> Self {
+        let grid = model.grid;
+        let (h, w) = (grid.h, grid.w);
+        let handles = &model.cloths[index].handles;
+        let distance = |p: usize| {
+            let from = |&q: &usize| (p / w).abs_diff(q / w) + (p % w).abs_diff(q % w);
+            handles.iter().map(from).min().unwrap_or(usize::MAX)
+        };
+        let down = (0..(h - 1) * w).map(|p| [p, p + w]);
+        let across = (0..h * w).filter(|p| p % w + 1 < w).map(|p| [p, p + 1]);
+        let free = |edge: &[usize; 2]| edge.iter().all(|&p| distance(p) > h / 10);
+        Self { edges: down.chain(across).filter(free).collect() }
+    }
+
+    /// Largest `|edge| - 1` of positions `x` [3, H, W] in edges; not a number when a position is none.
+    pub fn largest<T: Copy + Into<f64>>(&self, x: &[T]) -> f64 {
+        let n = x.len() / 3;
+        let length = |&[p, q]: &[usize; 2]| {
+            let square = |c: usize| (x[c * n + q].into() - x[c * n + p].into()).powi(2);
+            (square(0) + square(1) + square(2)).sqrt()
+        };
+        // `f64::max` would drop what is not a number.
+        self.edges.iter().map(length).fold(0.0, |a, b| if a > b || a.is_nan() { a } else { b }) - 1.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::FreeEdges;
+    use crate::scene::{Scene, Start};
+
+    #[test]
+    fn edges_beside_a_handle_do_not_count() {
+        let setup = Scene { start: Start::Flat, ..Scene::default() }.setup().unwrap();
+        let edges = FreeEdges::new(&setup.model, 0);
+        let n = setup.model.grid.particles();
+        let mut x = setup.start.x.clone();
+        assert!(edges.largest(&x).abs() < 1e-12);
+        // Handle (0, 0): particles (0, 1) to (0, 3) are at most H/10 = 3 edges away, (0, 5) is not.
+        x[3] += 0.5;
+        assert!(edges.largest(&x).abs() < 1e-12);
+        x[5] -= 0.5;
+        assert!((edges.largest(&x) - 0.5).abs() < 1e-12);
+        x[n + 20] = f64::NAN;
+        assert!(edges.largest(&x).is_nan());
+    }
+}
