@@ -42,6 +42,9 @@
 //!    ([`sim::Optimizer`]) take the place of everything behind the gradient.
 //! 3. [`kernels::cloth::Energy`] for the statistics, then [`kernels::cloth::Integrate`]: v + a, x + v.
 //!
+//! A training step ([`train::DeviceLoss`], [`cpu::train::Loss`]) is one such iteration, the energy where it led, and the way
+//! back through [`kernels::optim::UpdateAdj`] and [`network::Backward`].
+//!
 //! # The rooms
 //!
 //! | module | what is there |

@@ -1,5 +1,5 @@
 // Start of a frame: a = 0 moves the particles by base = v, or at a handle by the way to its prescribed position; the
-// shift of the trial, x(a) - x, starts there.
+// shift of the trial, x(a) - x, starts there. In the middle of a frame (FRESH false) a stays, and is part of the shift.
 //
 // x, v, base, a, shift: [B, 3, n]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3].
 // One invocation: one particle's component. Workgroups: (n / 64, 3 B).
@@ -21,6 +21,8 @@ struct Params {
 @group(0) @binding(6) var<storage, read_write> a: array<f32>;
 @group(0) @binding(7) var<storage, read_write> shift: array<f32>;
 
+override FRESH: bool = true;
+
 @compute @workgroup_size(64)
 fn predict(@builtin(global_invocation_id) id: vec3u) {
     let p = id.x;
@@ -34,6 +36,10 @@ fn predict(@builtin(global_invocation_id) id: vec3u) {
         way = targets[3u * (slot - 1u) + id.y % 3u] - x[at];
     }
     base[at] = way;
-    a[at] = 0.0;
-    shift[at] = way;
+    if FRESH {
+        a[at] = 0.0;
+        shift[at] = way;
+    } else {
+        shift[at] = way + select(a[at], 0.0, slot != 0u);
+    }
 }

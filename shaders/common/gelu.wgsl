@@ -1,8 +1,19 @@
 
-// GELU(x) = x/2 (1 + erf(x / sqrt 2)), the exact one. WGSL has no erf: z P(z^2) / Q(z^2) on |z| <= 3.95, where erf is
-// within 3e-8 of 1; coefficients from a weighted least-squares fit iterated towards the smallest largest error (5e-8,
-// 4e-7 when evaluated in single precision).
+// GELU(x) = x Phi(x), the exact one.
 fn gelu(x: vec4f) -> vec4f {
+    return x * normal_cdf(x);
+}
+
+// GELU'(x) = Phi(x) + x exp(-x^2 / 2) / sqrt(2 pi). The exponent is bounded: the product is 0 there, and some drivers do
+// not return from infinity.
+fn gelu_slope(x: vec4f) -> vec4f {
+    return normal_cdf(x) + 0.3989422804014327 * x * exp(-min(0.5 * x * x, vec4f(80.0)));
+}
+
+// Phi(x) = (1 + erf(x / sqrt 2)) / 2. WGSL has no erf: z P(z^2) / Q(z^2) on |z| <= 3.95, where erf is within 3e-8 of 1;
+// coefficients from a weighted least-squares fit iterated towards the smallest largest error (5e-8, 4e-7 when evaluated
+// in single precision).
+fn normal_cdf(x: vec4f) -> vec4f {
     let z = clamp(x * 0.7071067811865476, vec4f(-3.95), vec4f(3.95));
     let u = z * z;
     var p = 1.964157734e-8 * u - 1.991579359e-6;
@@ -15,5 +26,5 @@ fn gelu(x: vec4f) -> vec4f {
     q = q * u + 1.187549467e-1;
     q = q * u + 5.185482826e-1;
     q = q * u + 1.0;
-    return 0.5 * x * (1.0 + z * p / q);
+    return 0.5 * (1.0 + z * p / q);
 }

@@ -6,7 +6,8 @@
 // weights differ from row to row.
 // x, y: [S, C, H, Q] quads; skip: [C / tile, C, tile]; bias: [C]; r: [S, H, 2 modes_w, C]; table: [2 modes_w, Q] quads.
 // One invocation: one quad and a tile of output channels. Workgroups: (Q, H, S * C / tile) by WIDE x HIGH invocations.
-// Adjoint: `pointwise_adj` for x, `transform_rows` for r.
+// Adjoint: itself with the `transpose`d skip, no bias and the row transform's table (x), `transform_rows` with this table (r),
+// `pointwise_weight_adj` (skip, bias).
 
 struct Params {
     channels: u32, // C

@@ -3,7 +3,7 @@
 // x: [S, I, H, Q] quads of 4 columns; weight: [O / tile, I, tile]; bias: [O]; y: [S, O, H, Q] quads.
 // One invocation: one quad and a tile of output channels, held in named registers; the weights' addresses are the
 // same for a whole workgroup. Workgroups: (quads, O / tile, S).
-// Adjoint: `pointwise_adj` (x) and `pointwise_weight_adj` (weight, bias).
+// Adjoint: itself with the `transpose`d weight and no bias (x), `pointwise_weight_adj` (weight, bias).
 
 struct Params {
     inputs: u32, // I

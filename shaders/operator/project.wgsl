@@ -2,7 +2,7 @@
 //
 // x: [S, C, H, Q] quads; weight: [C]; bias: [1]; field: [S, H, Q] quads.
 // One invocation: one quad. Workgroups: (quads / 64, S).
-// Adjoint: an outer product, folded into `pointwise_adj` of the layer before.
+// Adjoint: `project_adj` (x), `head_weight_adj` (weight, bias).
 
 struct Params {
     channels: u32, // C

@@ -2,7 +2,7 @@
 //
 // rows_max: [S, H, C]; weight: [C]; bias: [1]; scalar: [S].
 // One workgroup: one sample; its invocations take channels in turn and add up in a fixed order. Workgroups: (S).
-// Adjoint: `pool_adj`.
+// Adjoint: `pool_adj` (x), `head_weight_adj` (weight, bias).
 
 struct Params {
     channels: u32, // C

@@ -3,7 +3,7 @@
 // x: [S, M, I] complex; weight: [M, I, O] complex; y: [S, M, O] complex. The tile is the number of samples that share
 // one reading of the weights; S is a multiple of it.
 // One invocation: one output channel of one mode, for the samples of a tile. Workgroups: (O / 64, M, S / tile).
-// Adjoint: `spectral_adj` (x) and `spectral_weight_adj` (weight).
+// Adjoint: itself with the `spectral_transpose`d weight (x), `spectral_weight_adj` (weight).
 
 struct Params {
     inputs: u32, // I

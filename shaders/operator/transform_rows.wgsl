@@ -4,7 +4,7 @@
 // and table[j, 2 m + 1] = -sin(2 pi m j / W) / (H W), zero in the padding, so that padded columns do not count.
 // x: [S, C, H, Q] quads; table: [Q, tile] quads; r: [S, H, tile, C]. The tile is 2 modes_w.
 // One invocation: one row of one channel. Workgroups: (C / 64, H, S).
-// Adjoint: `inverse_rows` of the block, with this table.
+// Adjoint: the inverse rows of `block`, with this table.
 
 struct Params {
     channels: u32, // C

@@ -43,7 +43,7 @@ impl Readback {
         let slot = self.free.pop()?;
         let mut offset = 0;
         for source in &self.sources {
-            encoder.copy_buffer_to_buffer(source.buffer(), 0, &slot, offset, source.bytes());
+            encoder.copy_buffer_to_buffer(source.buffer(), source.offset(), &slot, offset, source.bytes());
             offset += source.bytes();
         }
         self.recorded.push(slot);

@@ -18,9 +18,13 @@ enum Step {
         groups: [u32; 3],
     },
     Copy {
-        from: wgpu::Buffer,
-        to: wgpu::Buffer,
-        to_offset: u64,
+        from: (wgpu::Buffer, u64),
+        to: (wgpu::Buffer, u64),
+        bytes: u64,
+    },
+    Clear {
+        buffer: wgpu::Buffer,
+        offset: u64,
         bytes: u64,
     },
 }
@@ -59,10 +63,11 @@ impl Schedule {
             mapped_at_creation: false,
         });
         context.queue.write_buffer(&uniform, 0, bytes);
-        let buffers = std::iter::once(&uniform).chain(tensors.iter().map(|t| t.buffer()));
-        let entries: Vec<_> = buffers
+        let resources =
+            std::iter::once(uniform.as_entire_binding()).chain(tensors.iter().map(|t| t.binding()));
+        let entries: Vec<_> = resources
             .enumerate()
-            .map(|(i, b)| wgpu::BindGroupEntry { binding: i as u32, resource: b.as_entire_binding() })
+            .map(|(i, resource)| wgpu::BindGroupEntry { binding: i as u32, resource })
             .collect();
         let bind_group = context.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(kernel.name),
@@ -77,11 +82,16 @@ impl Schedule {
     pub fn copy(&mut self, from: &Tensor, to: &Tensor, to_offset: usize) {
         assert!(to_offset + from.len() <= to.len(), "copy of '{}' to '{}'", from.label(), to.label());
         self.steps.push(Step::Copy {
-            from: from.buffer().clone(),
-            to: to.buffer().clone(),
-            to_offset: 4 * to_offset as u64,
+            from: (from.buffer().clone(), from.offset()),
+            to: (to.buffer().clone(), to.offset() + 4 * to_offset as u64),
             bytes: from.bytes(),
         });
+    }
+
+    /// Appends zeroing the whole of a tensor.
+    pub fn clear(&mut self, tensor: &Tensor) {
+        let (offset, bytes) = (tensor.offset(), tensor.bytes());
+        self.steps.push(Step::Clear { buffer: tensor.buffer().clone(), offset, bytes });
     }
 
     /// Appends the steps of another schedule; they share its bind groups.
@@ -117,8 +127,7 @@ impl Schedule {
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
         let mut steps = self.steps.iter().peekable();
         while let Some(step) = steps.peek() {
-            if let Step::Copy { from, to, to_offset, bytes } = step {
-                encoder.copy_buffer_to_buffer(from, 0, to, *to_offset, *bytes);
+            if step.record_transfer(encoder) {
                 steps.next();
                 continue;
             }
@@ -138,22 +147,31 @@ impl Schedule {
     /// The passes keep dispatches from overlapping, so the sum is an upper bound of an untimed run's time.
     pub fn record_timed(&self, encoder: &mut wgpu::CommandEncoder, profile: &mut Profile) {
         for step in &self.steps {
-            match step {
-                Step::Copy { from, to, to_offset, bytes } => {
-                    encoder.copy_buffer_to_buffer(from, 0, to, *to_offset, *bytes);
-                }
-                Step::Dispatch { name, pipeline, bind_group, groups } => {
-                    let timestamp_writes = profile.next(name);
-                    let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                        label: Some(name),
-                        timestamp_writes,
-                    });
-                    pass.set_pipeline(pipeline);
-                    pass.set_bind_group(0, bind_group, &[]);
-                    pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
-                }
-            }
+            let Step::Dispatch { name, pipeline, bind_group, groups } = step else {
+                step.record_transfer(encoder);
+                continue;
+            };
+            let timestamp_writes = profile.next(name);
+            let mut pass = encoder
+                .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(name), timestamp_writes });
+            pass.set_pipeline(pipeline);
+            pass.set_bind_group(0, bind_group, &[]);
+            pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
         }
         profile.resolve(encoder);
+    }
+}
+
+impl Step {
+    /// Records a step that needs no compute pass; tells whether it was one.
+    fn record_transfer(&self, encoder: &mut wgpu::CommandEncoder) -> bool {
+        match self {
+            Step::Copy { from, to, bytes } => {
+                encoder.copy_buffer_to_buffer(&from.0, from.1, &to.0, to.1, *bytes);
+            }
+            Step::Clear { buffer, offset, bytes } => encoder.clear_buffer(buffer, *offset, Some(*bytes)),
+            Step::Dispatch { .. } => return false,
+        }
+        true
     }
 }

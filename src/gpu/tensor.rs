@@ -5,11 +5,13 @@ use crate::{Error, Result};
 
 /// A storage buffer of 32-bit elements with a shape.
 ///
-/// Every tensor is a buffer of its own: wgpu refuses one buffer bound both for reading and for writing, even where
-/// the ranges do not meet.
+/// Nearly every tensor is a buffer of its own: wgpu refuses one buffer bound both for reading and for writing, even where
+/// the ranges do not meet. What is only read together, such as the weights of all layers, may be views of one buffer.
 #[derive(Clone, Debug)]
 pub struct Tensor {
     buffer: wgpu::Buffer,
+    /// First byte of the content in the buffer.
+    offset: u64,
     shape: Vec<usize>,
     label: &'static str,
 }
@@ -36,7 +38,24 @@ impl Tensor {
                 | wgpu::BufferUsages::VERTEX,
             mapped_at_creation: false,
         });
-        Ok(Self { buffer, shape: shape.to_vec(), label })
+        Ok(Self { buffer, offset: 0, shape: shape.to_vec(), label })
+    }
+
+    /// Elements from which views may start: every device binds at multiples of 256 bytes.
+    pub const VIEW_ALIGNMENT: usize = 64;
+
+    /// A part of this tensor, from element `first` on, with a shape of its own; shares the buffer.
+    ///
+    /// A kernel that reads it as vec4 sees up to a multiple of four elements.
+    pub fn view(&self, first: usize, shape: &[usize]) -> Self {
+        assert_eq!(first % Self::VIEW_ALIGNMENT, 0, "a view of '{}' starts at element {first}", self.label);
+        assert!(
+            first + shape.iter().product::<usize>() <= self.len(),
+            "a view of '{}' leaves it",
+            self.label
+        );
+        let offset = self.offset + 4 * first as u64;
+        Self { buffer: self.buffer.clone(), offset, shape: shape.to_vec(), label: self.label }
     }
 
     /// A tensor that holds `data`, whose length must be that of `shape`.
@@ -56,7 +75,7 @@ impl Tensor {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert_eq!(bytes.len() as u64, self.bytes(), "tensor '{}' has shape {:?}", self.label, self.shape);
         if !bytes.is_empty() {
-            context.queue.write_buffer(&self.buffer, 0, bytes);
+            context.queue.write_buffer(&self.buffer, self.offset, bytes);
         }
     }
 
@@ -70,9 +89,21 @@ impl Tensor {
         Ok(bytemuck::pod_collect_to_vec(&bytes))
     }
 
-    /// The buffer, usable as storage, as a vertex buffer and for copies.
+    /// The buffer, usable as storage, as a vertex buffer and for copies; the content starts at [`Tensor::offset`].
     pub fn buffer(&self) -> &wgpu::Buffer {
         &self.buffer
+    }
+
+    /// First byte of the content in the buffer: 0 unless the tensor is a view.
+    pub fn offset(&self) -> u64 {
+        self.offset
+    }
+
+    /// What a kernel binds: the content, rounded up to whole vec4.
+    pub(super) fn binding(&self) -> wgpu::BindingResource<'_> {
+        let size = self.bytes().max(4).next_multiple_of(16);
+        let size = std::num::NonZeroU64::new(size.min(self.buffer.size() - self.offset));
+        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &self.buffer, offset: self.offset, size })
     }
 
     /// Number of elements along each axis.

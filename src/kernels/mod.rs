@@ -7,6 +7,7 @@ pub mod cloth;
 pub mod fft;
 pub mod operator;
 pub mod optim;
+pub mod train;
 
 use crate::gpu::{AdapterKind, Context, Sharing, Source, Unroll};
 
@@ -14,6 +15,7 @@ use crate::gpu::{AdapterKind, Context, Sharing, Source, Unroll};
 pub(crate) mod common {
     pub const ANGLE: &str = include_str!("../../shaders/common/angle.wgsl");
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
+    pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
     pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");
 }
@@ -42,6 +44,23 @@ pub const ALL: &[(&Source, usize)] = &[
     (&operator::pool_rows::SOURCE, 0),
     (&operator::scalar_head::SOURCE, 0),
     (&operator::project::SOURCE, 0),
+    (&operator::activate::SOURCE, 0),
+    (&operator::gelu_adj::SOURCE, 0),
+    (&operator::transpose::SOURCE, 0),
+    (&operator::spectral_transpose::SOURCE, 0),
+    (&operator::pointwise_weight_adj::SOURCE, 0),
+    (&operator::spectral_weight_adj::SOURCE, 4),
+    (&operator::head_weight_adj::SOURCE, 0),
+    (&operator::sum_parts::SOURCE, 0),
+    (&operator::pool_adj::SOURCE, 0),
+    (&operator::project_adj::SOURCE, 0),
+    (&optim::update_adj::SOURCE, 0),
+    (&train::draw::SOURCE, 0),
+    (&train::advance::SOURCE, 0),
+    (&train::store::SOURCE, 0),
+    (&train::gradient_size::SOURCE, 0),
+    (&train::squares::SOURCE, 0),
+    (&train::adamw::SOURCE, 0),
     (&fft::pack_pairs::SOURCE, 0),
     (&fft::unpack_pairs::SOURCE, 0),
     (&fft::split_spectra::SOURCE, 0),
@@ -101,4 +120,13 @@ pub(crate) fn size(n: usize) -> u32 {
 /// Number of workgroups of `group` invocations that cover `n`.
 pub(crate) fn groups(n: usize, group: u32) -> u32 {
     size(n).div_ceil(group)
+}
+
+/// Workgroups of 64 invocations, one to an element, in rows that no device's limit cuts short; and the invocations of a row.
+pub(crate) fn element_groups(n: usize) -> ([u32; 3], u32) {
+    /// Workgroups that every device takes along an axis.
+    const MOST: u32 = 65535;
+    let all = groups(n, 64);
+    let across = all.min(MOST);
+    ([across, all.div_ceil(across.max(1)), 1], 64 * across)
 }

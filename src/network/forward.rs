@@ -1,12 +1,13 @@
 //! The forward pass of the network as dispatches.
 
-use super::{Config, Dense, Weights, tables};
+use super::parameters::Layers;
+use super::{Config, Parameters, Weights, tables};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::operator::{
-    Block, BlockTensors, InverseColumns, Layer, Pointwise, PoolRows, Project, ScalarHead, Spectral,
-    TransformColumns, TransformRows, pointwise, spectral,
+    Activate, Block, BlockTensors, InverseColumns, Pointwise, PoolRows, Project, ScalarHead, Spectral,
+    TransformColumns, TransformRows, pointwise,
 };
-use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
+use crate::kernels::{Tuning, padded};
 use crate::sim::Grid;
 use crate::{Error, Result};
 
@@ -16,56 +17,59 @@ use crate::{Error, Result};
 /// Inside, rows are padded to quads of columns ([`padded`]); the padding holds finite numbers that nothing reads.
 #[derive(Debug)]
 pub struct Forward {
-    config: Config,
-    grid: Grid,
+    pub(super) config: Config,
+    pub(super) grid: Grid,
     /// Input channels, shape [S, 5, H, W']: the normalised fields, then `i / (H-1)` and `j / (W-1)`; zero in the padding.
     pub embedded: Tensor,
     /// Output of the field head, shape [S, H, W'].
     pub field: Tensor,
     /// Output of the scalar head, shape `[S]`.
     pub scalar: Tensor,
-    hidden: Tensor,
+    pub(super) hidden: Tensor,
     keep: Keep,
     activations: Vec<Tensor>,
+    /// What is before the GELU of each block but the last, shape [S, C, H, W'], and of the projection's hidden layer; only
+    /// with [`Keep::Adjoint`].
+    pub(super) before_gelu: Vec<Tensor>,
     /// Hidden layer of the projection, shape [S, projection, H, W'].
-    projected: Tensor,
-    spectral: SpectralTensors,
-    rows_max: Tensor,
-    layers: Layers,
-    kernels: Kernels,
+    pub(super) projected: Tensor,
+    pub(super) spectral: SpectralTensors,
+    pub(super) rows_max: Tensor,
+    pub(super) layers: Layers,
+    pub(super) kernels: Kernels,
 }
 
 #[derive(Debug)]
-struct SpectralTensors {
-    rows: Tensor,
-    spectrum: Tensor,
-    product: Tensor,
-    inverse: Tensor,
+pub(super) struct SpectralTensors {
+    pub rows: Tensor,
+    /// Kept modes of each block, or one for all in turn.
+    spectra: Vec<Tensor>,
+    pub product: Tensor,
+    pub inverse: Tensor,
     forward_rows: Tensor,
-    forward_columns: Tensor,
-    inverse_columns: Tensor,
+    pub forward_columns: Tensor,
+    pub inverse_columns: Tensor,
     inverse_rows: Tensor,
 }
 
-#[derive(Debug)]
-struct Layers {
-    lifting: [Layer; 2],
-    skips: Vec<Layer>,
-    products: Vec<Tensor>,
-    projection: [Layer; 2],
-    scalar: Layer,
+impl SpectralTensors {
+    /// Modes of the input of a block, shape [S, modes_h, modes_w, C, 2].
+    pub fn spectrum(&self, block: usize) -> &Tensor {
+        &self.spectra[block % self.spectra.len()]
+    }
 }
 
 #[derive(Debug)]
-struct Kernels {
-    dense: Pointwise,
+pub(super) struct Kernels {
+    pub dense: Pointwise,
     dense_gelu: Pointwise,
-    transform_rows: TransformRows,
-    transform_columns: TransformColumns,
-    spectral: Spectral,
-    inverse_columns: InverseColumns,
-    block: Block,
+    pub transform_rows: TransformRows,
+    pub transform_columns: TransformColumns,
+    pub spectral: Spectral,
+    pub inverse_columns: InverseColumns,
+    pub block: Block,
     block_gelu: Block,
+    activate: Activate,
     pool_rows: PoolRows,
     scalar_head: ScalarHead,
     project: Project,
@@ -76,8 +80,10 @@ struct Kernels {
 pub enum Keep {
     /// Two buffers in turn.
     Nothing,
-    /// Every block's output, for checks and for the backward pass.
+    /// Every block's output, for checks.
     Blocks,
+    /// Every block's output, what is before its GELU, and its modes: for the backward pass ([`super::Backward`]).
+    Adjoint,
 }
 
 impl Forward {
@@ -89,9 +95,19 @@ impl Forward {
         shape: (Grid, usize),
         keep: Keep,
     ) -> Result<Self> {
+        Self::with_parameters(context, &Parameters::new(context, weights, tuning)?, tuning, shape, keep)
+    }
+
+    /// The same on weights that are on the device already, and may change there.
+    pub fn with_parameters(
+        context: &Context,
+        parameters: &Parameters,
+        tuning: &Tuning,
+        shape: (Grid, usize),
+        keep: Keep,
+    ) -> Result<Self> {
         let (grid, samples) = shape;
-        let weights = padded_channels(weights);
-        let config = weights.config;
+        let config = parameters.layout().padded();
         check_modes(&config, grid)?;
         let (h, w) = (grid.h, padded(grid.w));
         let plane = h * w;
@@ -101,7 +117,7 @@ impl Forward {
         let count = match keep {
             Keep::Nothing => 2,
             // The lifting and the blocks.
-            Keep::Blocks => config.layers + 1,
+            Keep::Blocks | Keep::Adjoint => config.layers + 1,
         };
         let activations: Vec<Tensor> = (0..count).map(|_| activation("activation")).collect::<Result<_>>()?;
         let projected = if keep == Keep::Nothing && config.projection == config.channels {
@@ -110,6 +126,14 @@ impl Forward {
         } else {
             zeros("projected", &[samples, config.projection, h, w])?
         };
+        let mut before_gelu = Vec::new();
+        if keep == Keep::Adjoint {
+            for _ in 1..config.layers {
+                before_gelu.push(activation("before GELU")?);
+            }
+            before_gelu.push(zeros("before GELU", &[samples, config.projection, h, w])?);
+        }
+        let spectra = if keep == Keep::Adjoint { config.layers } else { 1 };
         let columns = 2 * config.modes_w;
         let spectrum = [samples, config.modes_h, config.modes_w, config.channels, 2];
         let upload =
@@ -123,10 +147,11 @@ impl Forward {
             hidden: zeros("hidden", &[lifted_at_once, config.lifting, h, w])?,
             keep,
             activations,
+            before_gelu,
             projected,
             spectral: SpectralTensors {
                 rows: zeros("rows", &[samples, h, columns, config.channels])?,
-                spectrum: zeros("spectrum", &spectrum)?,
+                spectra: (0..spectra).map(|_| zeros("spectrum", &spectrum)).collect::<Result<_>>()?,
                 product: zeros("product", &spectrum)?,
                 inverse: zeros("inverse", &[samples, h, columns, config.channels])?,
                 forward_rows: upload(
@@ -147,7 +172,7 @@ impl Forward {
                 inverse_rows: upload("inverse_rows", &[columns, w], tables::inverse_rows(&config, grid.w))?,
             },
             rows_max: zeros("rows_max", &[samples, h, config.channels])?,
-            layers: Layers::new(context, &weights, tuning)?,
+            layers: parameters.layout().layers(&parameters.flat),
             kernels: Kernels::new(context, &config, tuning, w / 4)?,
         })
     }
@@ -160,26 +185,39 @@ impl Forward {
         for block in 0..self.config.layers {
             let (x, y) = (slot(block), slot(block + 1));
             let s = &self.spectral;
+            let spectrum = s.spectrum(block);
             k.transform_rows.push(schedule, &s.forward_rows, x, &s.rows);
-            k.transform_columns.push(schedule, &s.forward_columns, &s.rows, &s.spectrum);
-            k.spectral.push(schedule, &self.layers.products[block], &s.spectrum, &s.product);
+            k.transform_columns.push(schedule, &s.forward_columns, &s.rows, spectrum);
+            k.spectral.push(schedule, &self.layers.products[block], spectrum, &s.product);
             k.inverse_columns.push(schedule, &s.inverse_columns, &s.product, &s.inverse);
-            let kernel = if block + 1 < self.config.layers { &k.block_gelu } else { &k.block };
-            let tensors = BlockTensors { x, r: &s.inverse, y };
+            let last = block + 1 == self.config.layers;
+            let kernel = if last || self.keep == Keep::Adjoint { &k.block } else { &k.block_gelu };
+            let before = self.before_gelu.get(block).filter(|_| !last);
+            let tensors = BlockTensors { x, r: &s.inverse, y: before.unwrap_or(y) };
             kernel.push(schedule, &self.layers.skips[block], &s.inverse_rows, tensors);
+            if let Some(before) = before {
+                k.activate.push(schedule, before, y);
+            }
             if block == self.config.scalar_block() {
                 k.pool_rows.push(schedule, self.grid.w, y, &self.rows_max);
                 k.scalar_head.push(schedule, &self.layers.scalar, &self.rows_max, &self.scalar);
             }
         }
         let [inner, outer] = &self.layers.projection;
-        k.dense_gelu.push(schedule, inner, slot(self.config.layers), &self.projected);
+        let y = slot(self.config.layers);
+        match self.before_gelu.last() {
+            Some(before) => {
+                k.dense.push(schedule, inner, y, before);
+                k.activate.push(schedule, before, &self.projected);
+            }
+            None => k.dense_gelu.push(schedule, inner, y, &self.projected),
+        }
         k.project.push(schedule, outer, &self.projected, &self.field);
     }
 
-    /// Output of the lifting (0) or of block `i - 1`, shape [S, C, H, W']; only with [`Keep::Blocks`].
+    /// Output of the lifting (0) or of block `i - 1`, shape [S, C, H, W']; only where blocks are kept.
     pub fn activation(&self, i: usize) -> &Tensor {
-        assert_eq!(self.keep, Keep::Blocks, "the activations were not kept");
+        assert_ne!(self.keep, Keep::Nothing, "the activations were not kept");
         &self.activations[i]
     }
 
@@ -197,44 +235,6 @@ impl Forward {
     }
 }
 
-impl Layers {
-    fn new(context: &Context, weights: &Weights, tuning: &Tuning) -> Result<Self> {
-        let (config, tile) = (&weights.config, tuning.channels);
-        let dense = |label, weight: &[f32], bias: &[f32]| -> Result<Layer> {
-            let (outputs, inputs) = (bias.len(), weight.len() / bias.len());
-            let shape = [outputs / tile, inputs, tile];
-            let tiled = pointwise::tiled(weight, inputs, tile);
-            Ok(Layer {
-                weight: Tensor::from_slice(context, label, &shape, &tiled)?,
-                bias: Tensor::from_slice(context, label, &[outputs], bias)?,
-            })
-        };
-        let head = |label, layer: &Dense| -> Result<Layer> {
-            Ok(Layer {
-                weight: Tensor::from_slice(context, label, &[layer.weight.len()], &layer.weight)?,
-                bias: Tensor::from_slice(context, label, &[1], &layer.bias)?,
-            })
-        };
-        let c = config.channels;
-        let [l0, l1] = &weights.lifting;
-        let [p0, p1] = &weights.projection;
-        Ok(Self {
-            lifting: [dense("lifting.0", &l0.weight, &l0.bias)?, dense("lifting.1", &l1.weight, &l1.bias)?],
-            skips: weights.blocks.iter().map(|b| dense("skip", &b.skip, &b.bias)).collect::<Result<_>>()?,
-            products: weights
-                .blocks
-                .iter()
-                .map(|b| {
-                    let ordered = spectral::by_mode(&b.spectral, c, c);
-                    Tensor::from_slice(context, "spectral", &[config.modes(), c, c, 2], &ordered)
-                })
-                .collect::<Result<_>>()?,
-            projection: [dense("projection.0", &p0.weight, &p0.bias)?, head("projection.1", p1)?],
-            scalar: head("scalar", &weights.scalar)?,
-        })
-    }
-}
-
 impl Kernels {
     fn new(context: &Context, config: &Config, tuning: &Tuning, row_quads: usize) -> Result<Self> {
         Ok(Self {
@@ -246,6 +246,7 @@ impl Kernels {
             inverse_columns: InverseColumns::new(context, tuning, config.modes_h)?,
             block: Block::new(context, tuning, row_quads, false)?,
             block_gelu: Block::new(context, tuning, row_quads, true)?,
+            activate: Activate::new(context)?,
             pool_rows: PoolRows::new(context)?,
             scalar_head: ScalarHead::new(context)?,
             project: Project::new(context)?,
@@ -259,42 +260,4 @@ fn check_modes(config: &Config, grid: Grid) -> Result<()> {
         return Err(Error::invalid("checkpoint", "grid that carries its Fourier modes", expected, grid));
     }
     Ok(())
-}
-
-/// The same network with every channel count a multiple of [`CHANNEL_MULTIPLE`]: the new channels have weight 0.
-fn padded_channels(weights: &Weights) -> Weights {
-    let old = weights.config;
-    let up = |n: usize| n.next_multiple_of(CHANNEL_MULTIPLE);
-    let (l, c, p) = (up(old.lifting), up(old.channels), up(old.projection));
-    if (l, c, p) == (old.lifting, old.channels, old.projection) {
-        return weights.clone();
-    }
-    // `unit` numbers belong to each (row, column) of a matrix [rows, columns, unit].
-    let matrix = |from: &[f32], columns: usize, to: [usize; 2], unit: usize| {
-        let mut wide = vec![0.0; to[0] * to[1] * unit];
-        for (row, line) in from.chunks_exact(columns * unit).enumerate() {
-            wide[row * to[1] * unit..][..line.len()].copy_from_slice(line);
-        }
-        wide
-    };
-    let dense = |d: &Dense, to: [usize; 2]| Dense {
-        weight: matrix(&d.weight, d.weight.len() / d.bias.len(), to, 1),
-        bias: matrix(&d.bias, d.bias.len(), [1, to[0]], 1),
-    };
-    let modes = 2 * old.modes();
-    Weights {
-        config: Config { lifting: l, channels: c, projection: p, ..old },
-        lifting: [dense(&weights.lifting[0], [l, old.inputs()]), dense(&weights.lifting[1], [c, l])],
-        blocks: weights
-            .blocks
-            .iter()
-            .map(|b| super::Block {
-                spectral: matrix(&b.spectral, old.channels, [c, c], modes),
-                bias: matrix(&b.bias, old.channels, [1, c], 1),
-                skip: matrix(&b.skip, old.channels, [c, c], 1),
-            })
-            .collect(),
-        projection: [dense(&weights.projection[0], [p, c]), dense(&weights.projection[1], [1, p])],
-        scalar: dense(&weights.scalar, [1, c]),
-    }
 }

@@ -1,11 +1,15 @@
 //! The network as data: its sizes ([`Config`]), its weights ([`Weights`]) and the files that hold them; and its forward
 //! pass as dispatches ([`Forward`]).
 
+mod backward;
 mod checkpoint;
 mod forward;
+mod parameters;
 pub mod tables;
 mod weights;
 
+pub use backward::{Backward, Transposed};
 pub use checkpoint::{Checkpoint, Description, TensorSummary};
 pub use forward::{Forward, Keep};
+pub use parameters::{Layout, Parameters};
 pub use weights::{Block, Config, Dense, Weights};

@@ -19,15 +19,44 @@ fn row_wave(k: usize, j: usize, w: usize) -> f64 {
 
 /// Row transform: shape [W' / 4, 2 modes_w, 4]; cos and -sin, divided by `h w`, zero beyond column `w`.
 pub fn forward_rows(config: &Config, h: usize, w: usize) -> Vec<f32> {
-    let scale = 1.0 / (h * w) as f64;
-    let value = |j: usize, k: usize| {
-        if j < w { (scale * row_wave(k, j, w)) as f32 } else { 0.0 }
-    };
+    by_quads(config, w, |j, k| row_wave(k, j, w) / (h * w) as f64)
+}
+
+/// The adjoint of the inverse row transform, taken like a row transform: its table in that order.
+pub fn inverse_rows_adj(config: &Config, w: usize) -> Vec<f32> {
+    by_quads(config, w, |j, k| inverse_wave(k, j, w))
+}
+
+/// Inverse row transform: shape [2 modes_w, W']; f cos and -f sin, where f counts the conjugate column unless a column
+/// is its own (column 0, and the Nyquist column of an even width); zero beyond column `w`.
+pub fn inverse_rows(config: &Config, w: usize) -> Vec<f32> {
+    by_columns(config, w, |j, k| inverse_wave(k, j, w))
+}
+
+/// The adjoint of the row transform, taken like an inverse row transform: its table in that order.
+pub fn forward_rows_adj(config: &Config, h: usize, w: usize) -> Vec<f32> {
+    by_columns(config, w, |j, k| row_wave(k, j, w) / (h * w) as f64)
+}
+
+/// Column `k` of an inverse transform of rows of width `w` at place `j`.
+fn inverse_wave(k: usize, j: usize, w: usize) -> f64 {
+    let mode = k / 2;
+    let f = if mode == 0 || 2 * mode == w { 1.0 } else { 2.0 };
+    f * row_wave(k, j, w)
+}
+
+/// Values at place j of column k, shape [W' / 4, 2 modes_w, 4].
+fn by_quads(config: &Config, w: usize, value: impl Fn(usize, usize) -> f64) -> Vec<f32> {
     let columns = 2 * config.modes_w;
-    (0..w.div_ceil(4))
-        .flat_map(|q| (0..columns).flat_map(move |k| (0..4).map(move |e| (4 * q + e, k))))
-        .map(|(j, k)| value(j, k))
-        .collect()
+    let places =
+        (0..w.div_ceil(4)).flat_map(|q| (0..columns).flat_map(move |k| (0..4).map(move |e| (4 * q + e, k))));
+    places.map(|(j, k)| if j < w { value(j, k) as f32 } else { 0.0 }).collect()
+}
+
+/// Values at place j of column k, shape [2 modes_w, W'].
+fn by_columns(config: &Config, w: usize, value: impl Fn(usize, usize) -> f64) -> Vec<f32> {
+    let places = (0..2 * config.modes_w).flat_map(|k| (0..w.next_multiple_of(4)).map(move |j| (j, k)));
+    places.map(|(j, k)| if j < w { value(j, k) as f32 } else { 0.0 }).collect()
 }
 
 /// Column transform: shape [H, modes_h, 2]; exp(-2 pi i k_h i / H), or its conjugate for the inverse.
@@ -39,21 +68,6 @@ pub fn columns(config: &Config, h: usize, inverse: bool) -> Vec<f32> {
         for m in 0..config.modes_h as i64 {
             let theta = angle(first + m, i, h);
             table.extend([theta.cos() as f32, (sign * theta.sin()) as f32]);
-        }
-    }
-    table
-}
-
-/// Inverse row transform: shape [2 modes_w, W']; f cos and -f sin, where f counts the conjugate column unless a column
-/// is its own (column 0, and the Nyquist column of an even width).
-pub fn inverse_rows(config: &Config, w: usize) -> Vec<f32> {
-    let padded = w.next_multiple_of(4);
-    let mut table = Vec::with_capacity(2 * config.modes_w * padded);
-    for k in 0..2 * config.modes_w {
-        let mode = k / 2;
-        let f = if mode == 0 || 2 * mode == w { 1.0 } else { 2.0 };
-        for j in 0..padded {
-            table.push(if j < w { (f * row_wave(k, j, w)) as f32 } else { 0.0 });
         }
     }
     table

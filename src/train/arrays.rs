@@ -41,7 +41,7 @@ impl<T: Real> Arrays<T> {
     }
 
     /// Fields of shape [C, 3, H, W] or [S, H, W], which lie alike in memory.
-    fn fields(&mut self) -> [&mut Vec<T>; 5] {
+    pub(super) fn fields(&mut self) -> [&mut Vec<T>; 5] {
         let Hidden { last_grad, last_step, .. } = &mut self.hidden;
         [&mut self.state.x, &mut self.state.v, &mut self.a, last_grad, last_step]
     }

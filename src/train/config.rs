@@ -2,6 +2,7 @@
 
 use super::read;
 use super::schedule::{Decay, Schedule};
+use crate::cpu::train::AdamWSettings;
 use crate::sim::Grid;
 use crate::{Error, Result, io, network};
 use std::path::{Path, PathBuf};
@@ -214,6 +215,14 @@ impl Default for MotionRanges {
 impl Default for ResetRules {
     fn default() -> Self {
         Self { energy: 20_000.0, sequence_length: 1000, scale: None }
+    }
+}
+
+impl AdamWOptions {
+    /// As the optimizer takes them.
+    pub fn settings(&self) -> AdamWSettings {
+        let [beta1, beta2] = self.betas;
+        AdamWSettings { beta1, beta2, epsilon: self.epsilon, decay: self.weight_decay, clip: self.clip }
     }
 }
 

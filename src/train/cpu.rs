@@ -35,15 +35,7 @@ impl CpuLearner {
             Ok(Room { all: Arrays::of_pool(pool), drawn, loss: Loss::new(weights, &model)? })
         };
         let flat = weights.flat();
-        let settings = config.optimizer;
-        let adamw = AdamW {
-            beta1: settings.betas[0],
-            beta2: settings.betas[1],
-            epsilon: settings.epsilon,
-            decay: settings.weight_decay,
-            clip: settings.clip,
-            ..AdamW::new(flat.len())
-        };
+        let adamw = AdamW::new(config.optimizer.settings(), flat.len());
         Ok(Self {
             network: weights.config,
             pools: config.pools.iter().map(room).collect::<Result<_>>()?,

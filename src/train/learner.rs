@@ -3,9 +3,10 @@
 use super::checkpoint::Tensors;
 use super::config::Config;
 use super::cpu::CpuLearner;
+use super::gpu::GpuLearner;
+use crate::Result;
 use crate::network::Weights;
 use crate::sim::{Cloth, Control, Device, EnergyTerms, Grid, Model, cast};
-use crate::{Error, Result};
 use num_traits::Float;
 
 /// The device's side of training: the weights, AdamW's memory and the arrays of all pools.
@@ -123,6 +124,6 @@ impl StepReport {
 pub fn learner(device: &Device, config: &Config, weights: &Weights) -> Result<Box<dyn Learner>> {
     match device {
         Device::Cpu => Ok(Box::new(CpuLearner::new(config, weights)?)),
-        Device::Gpu(_) => Err(Error::Device(format!("training on {} is not there yet", device.name()))),
+        Device::Gpu(context) => Ok(Box::new(GpuLearner::new(context, config, weights)?)),
     }
 }

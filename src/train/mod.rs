@@ -34,7 +34,9 @@ mod card;
 mod checkpoint;
 mod config;
 mod cpu;
+mod device;
 mod folder;
+mod gpu;
 mod initial;
 mod learner;
 mod metrics;
@@ -54,6 +56,7 @@ pub use config::{
     AdamWOptions, Config, Every, MaterialRanges, MotionRanges, PoolConfig, Range, ResetRules,
     ValidationConfig,
 };
+pub use device::{DeviceAdamW, DeviceLoss};
 pub use initial::{first_weights, initial_weights};
 pub use learner::{Batch, Drawn, Learner, Outcome, StepReport, Update, learner};
 pub use pool::{MAX_HANDLES, Pool};

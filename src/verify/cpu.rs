@@ -8,7 +8,7 @@ use crate::Result;
 use crate::cpu::cloth::{GradientRows, Trial, energy, gradient};
 use crate::cpu::operator::{Network, Stage};
 use crate::cpu::optim::{Hidden, Minimizer, Update};
-use crate::cpu::train::{AdamW, Loss};
+use crate::cpu::train::{AdamW, AdamWSettings, Loss};
 use crate::cpu::{Real, Solver};
 use crate::network::Weights;
 use crate::sim::{Control, EnergyTerms, Grid, Model, Optimizer, State};
@@ -118,8 +118,8 @@ impl<T: Real> Stages for CpuStages<T> {
 
     fn adamw(&mut self, case: &AdamWCase) -> Result<Option<Vec<Vec<f64>>>> {
         let mut weights = cast::<T>(&case.before);
-        let mut adamw = AdamW::new(weights.len());
-        adamw.clip = case.clip;
+        let settings = AdamWSettings { clip: case.clip, ..Default::default() };
+        let mut adamw = AdamW::new(settings, weights.len());
         let steps = case.gradients.iter().zip(1..).map(|(gradient, number)| {
             let gradient = cast::<T>(gradient);
             adamw.step(&mut weights, (&gradient, AdamW::norm(&gradient)), number, case.rate);

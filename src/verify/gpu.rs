@@ -1,15 +1,21 @@
 //! The stages on a GPU, one at a time and waited for.
 
-use super::{EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, UpdateCase};
+use super::{
+    AdamWCase, EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, TrainingCase,
+    TrainingOutput, UpdateCase,
+};
 use crate::Result;
+use crate::cpu::train::AdamWSettings;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, Physics, energy};
 use crate::kernels::optim::{
     FeatureTensors, Features, Iterate, Norms, Rescale, Update, UpdateTensors, norms,
 };
+use crate::kernels::train::BatchTensors;
 use crate::kernels::{Tuning, padded};
-use crate::network::{Forward, Keep, Weights};
+use crate::network::{Forward, Keep, Parameters, Transposed, Weights};
 use crate::sim::{Control, EnergyTerms, Grid, Model, Optimizer, Solver, SolverOptions, State};
+use crate::train::{DeviceAdamW, DeviceLoss};
 use std::sync::Arc;
 
 /// Stages on the device of a context.
@@ -143,6 +149,60 @@ impl Stages for GpuStages {
         // From a = 0 the step is the acceleration.
         let step = self.read(&iterate.a)?[..wanted * n].to_vec();
         Ok((step, self.read(&scale)?[..wanted].to_vec()))
+    }
+
+    fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<Option<TrainingOutput>> {
+        let context = &self.context;
+        let model = Model { grid: case.grid, cloths: case.cloths.clone() };
+        let mut schedule = Schedule::new(context);
+        let (parameters, gradient, loss) = context.checked(|| {
+            let parameters = Parameters::new(context, weights, &self.tuning)?;
+            let gradient = Tensor::zeros(context, "gradient", parameters.flat.shape())?;
+            let shape = (case.grid, model.batch());
+            let loss = DeviceLoss::new(context, shape, &parameters, &gradient, &self.tuning)?;
+            let transposed = Transposed::new(context, &parameters)?;
+            transposed.push(&mut schedule);
+            loss.push(&mut schedule, &transposed)?;
+            Ok((parameters, gradient, loss))
+        })?;
+        let handles = case.targets.iter().map(|p| p.map(|c| c as f32)).collect();
+        loss.set_cloths(&model, &Control { handles, ..Default::default() });
+        loss.forces.write(context, &single(&case.external));
+        let BatchTensors { x, v, a, hidden, scale } = loss.tensors();
+        for (tensor, values) in [(x, &case.x), (v, &case.v), (a, &case.a), (scale, &case.scale)] {
+            tensor.write(context, &single(values));
+        }
+        hidden.write(context, &single(&[&case.last_grad[..], &case.last_step].concat()));
+        self.run(&schedule);
+        let energy = |t: &[f64]| t[..5].iter().sum::<f64>();
+        let terms = self.read(&loss.terms)?;
+        let step = self.read(hidden)?.split_off(case.last_grad.len());
+        let gradient = parameters.layout().to_host(&gradient.read(context)?);
+        Ok(Some(TrainingOutput {
+            loss: terms.chunks_exact(8).map(energy).sum::<f64>() / model.batch() as f64,
+            step,
+            gradient: gradient.into_iter().map(f64::from).collect(),
+        }))
+    }
+
+    fn adamw(&mut self, case: &AdamWCase) -> Result<Option<Vec<Vec<f64>>>> {
+        let context = &self.context;
+        let weights = self.upload("weights", &[case.before.len()], &case.before)?;
+        let settings = AdamWSettings { clip: case.clip, ..Default::default() };
+        let adamw = DeviceAdamW::new(context, weights.len(), settings)?;
+        let [mut norm, mut step] = [(); 2].map(|()| Schedule::new(context));
+        context.checked(|| {
+            adamw.push_norm(&mut norm)?;
+            adamw.push_step(&mut step, &weights)
+        })?;
+        let steps = case.gradients.iter().zip(1..).map(|(gradient, number)| {
+            adamw.gradient.write(context, &single(gradient));
+            self.run(&norm);
+            adamw.set_factors(self.read(&adamw.norm_squared)?[0].sqrt(), number, (case.rate, 0.0));
+            self.run(&step);
+            self.read(&weights)
+        });
+        steps.collect::<Result<_>>().map(Some)
     }
 
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>> {

@@ -11,7 +11,7 @@ use fnopt::network::{Block, Config, Dense, Forward, Keep, Weights};
 use fnopt::sim::Grid;
 
 /// Random weights of about the size that keeps activations at about 1.
-fn random(config: Config) -> Weights {
+pub fn random(config: Config) -> Weights {
     let values = |len: usize, inputs: usize, seed: u64| -> Vec<f32> {
         noise(len, seed).iter().map(|v| v * (3.0 / inputs as f32).sqrt()).collect()
     };

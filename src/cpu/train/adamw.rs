@@ -6,9 +6,9 @@ use rayon::prelude::*;
 /// Numbers that one task updates.
 const CHUNK: usize = 1 << 14;
 
-/// Settings and memory of AdamW.
-#[derive(Clone, Debug)]
-pub struct AdamW<T> {
+/// Settings of AdamW, on any device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamWSettings {
     /// Decay of the mean gradient.
     pub beta1: f64,
     /// Decay of the mean squared gradient.
@@ -19,6 +19,48 @@ pub struct AdamW<T> {
     pub decay: f64,
     /// Largest norm of a gradient; a longer one is shortened.
     pub clip: f64,
+}
+
+/// What an update does to each weight: `g <- shorten g`, the means of g and g^2, `w <- shrink w - pace mean / (sqrt(square) /
+/// root + epsilon)`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamWFactors {
+    /// What the gradient is multiplied by.
+    pub shorten: f64,
+    /// What the weights are multiplied by.
+    pub shrink: f64,
+    /// The rate over the correction of the mean gradient.
+    pub pace: f64,
+    /// Square root of the correction of the mean squared gradient.
+    pub root: f64,
+}
+
+impl Default for AdamWSettings {
+    /// The paper's: decays 0.9 and 0.999, weight decay 0.01, gradients clipped to 1.
+    fn default() -> Self {
+        Self { beta1: 0.9, beta2: 0.999, epsilon: 1e-8, decay: 0.01, clip: 1.0 }
+    }
+}
+
+impl AdamWSettings {
+    /// Update number `number`, from 1 on, with a gradient of this norm.
+    pub fn factors(&self, norm: f64, number: u64, rate: f64) -> AdamWFactors {
+        let number = i32::try_from(number).unwrap_or(i32::MAX);
+        AdamWFactors {
+            // The small number is PyTorch's.
+            shorten: (self.clip / (norm + 1e-6)).min(1.0),
+            shrink: 1.0 - rate * self.decay,
+            pace: rate / (1.0 - self.beta1.powi(number)),
+            root: (1.0 - self.beta2.powi(number)).sqrt(),
+        }
+    }
+}
+
+/// AdamW with its memory.
+#[derive(Clone, Debug)]
+pub struct AdamW<T> {
+    /// Settings.
+    pub settings: AdamWSettings,
     /// Mean gradient, as long as the weights.
     pub mean: Vec<T>,
     /// Mean squared gradient, as long as the weights.
@@ -26,11 +68,10 @@ pub struct AdamW<T> {
 }
 
 impl<T: Real> AdamW<T> {
-    /// The paper's settings for this many weights: decays 0.9 and 0.999, weight decay 0.01, gradients clipped to 1.
-    pub fn new(weights: usize) -> Self {
+    /// With a fresh memory for this many weights.
+    pub fn new(settings: AdamWSettings, weights: usize) -> Self {
         let zeros = || vec![T::zero(); weights];
-        let (mean, square) = (zeros(), zeros());
-        Self { beta1: 0.9, beta2: 0.999, epsilon: 1e-8, decay: 0.01, clip: 1.0, mean, square }
+        Self { settings, mean: zeros(), square: zeros() }
     }
 
     /// The norm of a gradient, the same whatever the number of threads.
@@ -41,16 +82,11 @@ impl<T: Real> AdamW<T> {
 
     /// Moves `weights` by update number `number`, from 1 on, given the gradient and its norm.
     pub fn step(&mut self, weights: &mut [T], (gradient, norm): (&[T], f64), number: u64, rate: f64) {
-        let number = i32::try_from(number).unwrap_or(i32::MAX);
-        let correction1 = 1.0 - self.beta1.powi(number);
-        let correction2 = 1.0 - self.beta2.powi(number);
-        // The small number is PyTorch's.
-        let shorten = T::of((self.clip / (norm + 1e-6)).min(1.0));
-        let [keep1, keep2] = [self.beta1, self.beta2].map(T::of);
-        let [add1, add2] = [1.0 - self.beta1, 1.0 - self.beta2].map(T::of);
-        let shrink = T::of(1.0 - rate * self.decay);
-        let (pace, epsilon) = (T::of(rate / correction1), T::of(self.epsilon));
-        let root = T::of(correction2.sqrt());
+        let AdamWSettings { beta1, beta2, epsilon, .. } = self.settings;
+        let AdamWFactors { shorten, shrink, pace, root } = self.settings.factors(norm, number, rate);
+        let [shorten, shrink, pace, root, epsilon] = [shorten, shrink, pace, root, epsilon].map(T::of);
+        let [keep1, keep2] = [beta1, beta2].map(T::of);
+        let [add1, add2] = [1.0 - beta1, 1.0 - beta2].map(T::of);
         let memory = self.mean.par_chunks_mut(CHUNK).zip(self.square.par_chunks_mut(CHUNK));
         let all = weights.par_chunks_mut(CHUNK).zip(gradient.par_chunks(CHUNK)).zip(memory);
         all.for_each(|((weights, gradient), (mean, square))| {

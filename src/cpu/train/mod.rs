@@ -3,5 +3,5 @@
 mod adamw;
 mod loss;
 
-pub use adamw::AdamW;
+pub use adamw::{AdamW, AdamWFactors, AdamWSettings};
 pub use loss::{Loss, Outcome};

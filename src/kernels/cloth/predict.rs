@@ -23,12 +23,17 @@ pub struct Predict {
 }
 
 impl Predict {
-    /// Compiles it.
+    /// Compiles it for the start of frames.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets base, a and shift of `iterate`.
+    /// Compiles it for the middle of frames, where a is what it is.
+    pub fn in_a_frame(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("FRESH", 0.0)])? })
+    }
+
+    /// Sets base and shift of `iterate`, and its a to 0 at the start of a frame.
     pub fn push(
         &self,
         schedule: &mut Schedule,

@@ -1,24 +1,44 @@
 //! The Fourier neural operator, kernel by kernel (paper section 4).
 
+pub mod activate;
 pub mod block;
+pub mod gelu_adj;
+pub mod head_weight_adj;
 pub mod inverse_columns;
 pub mod pointwise;
+pub mod pointwise_weight_adj;
+pub mod pool_adj;
 pub mod pool_rows;
 pub mod project;
+pub mod project_adj;
 pub mod scalar_head;
 pub mod spectral;
+pub mod spectral_transpose;
+pub mod spectral_weight_adj;
+pub mod sum_parts;
 pub mod transform_columns;
 pub mod transform_rows;
+pub mod transpose;
 
+pub use activate::Activate;
 pub use block::{Block, BlockTensors};
+pub use gelu_adj::GeluAdj;
+pub use head_weight_adj::HeadWeightAdj;
 pub use inverse_columns::InverseColumns;
 pub use pointwise::Pointwise;
+pub use pointwise_weight_adj::{Parts, PointwiseWeightAdj};
+pub use pool_adj::{PoolAdj, PoolAdjTensors};
 pub use pool_rows::PoolRows;
 pub use project::Project;
+pub use project_adj::ProjectAdj;
 pub use scalar_head::ScalarHead;
 pub use spectral::Spectral;
+pub use spectral_transpose::SpectralTranspose;
+pub use spectral_weight_adj::SpectralWeightAdj;
+pub use sum_parts::SumParts;
 pub use transform_columns::TransformColumns;
 pub use transform_rows::TransformRows;
+pub use transpose::Transpose;
 
 use crate::gpu::Tensor;
 

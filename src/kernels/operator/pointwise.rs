@@ -86,9 +86,16 @@ pub struct Samples {
     pub y_first: usize,
 }
 
-/// A weight [O, I] in the order of the kernels, [O / tile, I, tile].
+/// Where the weight from input `input` to output `output` lies in the order of the kernels, [O / tile, I, tile].
+pub fn index(output: usize, input: usize, (inputs, tile): (usize, usize)) -> usize {
+    (output / tile * inputs + input) * tile + output % tile
+}
+
+/// A weight [O, I] in the order of the kernels.
 pub fn tiled(weight: &[f32], inputs: usize, tile: usize) -> Vec<f32> {
-    let rows = |t: usize, i: usize| (0..tile).map(move |c| weight[(t * tile + c) * inputs + i]);
-    let tiles = weight.len() / inputs / tile;
-    (0..tiles).flat_map(|t| (0..inputs).flat_map(move |i| rows(t, i))).collect()
+    let mut ordered = vec![0.0; weight.len()];
+    for (k, &w) in weight.iter().enumerate() {
+        ordered[index(k / inputs, k % inputs, (inputs, tile))] = w;
+    }
+    ordered
 }

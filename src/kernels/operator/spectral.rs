@@ -49,15 +49,20 @@ impl Spectral {
     }
 }
 
-/// A checkpoint's spectral weight [I, O, modes, 2] in the order of the kernel, [modes, I, O, 2].
+/// Where the real part of the weight of `mode` from input `i` to output `o` lies in the order of the kernel,
+/// [modes, I, O, 2].
+pub fn index(mode: usize, (i, o): (usize, usize), (inputs, outputs): (usize, usize)) -> usize {
+    2 * ((mode * inputs + i) * outputs + o)
+}
+
+/// A checkpoint's spectral weight [I, O, modes, 2] in the order of the kernel.
 pub fn by_mode(weight: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
     let modes = weight.len() / (2 * inputs * outputs);
-    let mut ordered = Vec::with_capacity(weight.len());
-    for m in 0..modes {
-        for io in 0..inputs * outputs {
-            let at = 2 * (io * modes + m);
-            ordered.extend_from_slice(&weight[at..at + 2]);
-        }
+    let mut ordered = vec![0.0; weight.len()];
+    for (k, pair) in weight.chunks_exact(2).enumerate() {
+        let (io, mode) = (k / modes, k % modes);
+        let at = index(mode, (io / outputs, io % outputs), (inputs, outputs));
+        ordered[at..at + 2].copy_from_slice(pair);
     }
     ordered
 }

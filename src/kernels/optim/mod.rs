@@ -7,6 +7,7 @@ pub mod lbfgs;
 pub mod norms;
 pub mod rescale;
 pub mod update;
+pub mod update_adj;
 
 pub use adam::{Adam, AdamSettings};
 pub use features::{FeatureTensors, Features};
@@ -15,6 +16,7 @@ pub use lbfgs::{Lbfgs, LbfgsMemory};
 pub use norms::Norms;
 pub use rescale::Rescale;
 pub use update::{Update, UpdateTensors};
+pub use update_adj::{UpdateAdj, UpdateAdjTensors};
 
 use crate::Result;
 use crate::gpu::{Context, Tensor};

@@ -1,0 +1,46 @@
+// Gradient over weight and bias of a head with one output: weight[c] += sum_{s, p} adj[s, p] x[s, c, p],
+// bias += sum_{s, p} adj[s, p].
+//
+// x: [S, C, P]; adj: [S, P], zero where a row is padded; P is the number of positions, 1 for the scalar head, whose x is what
+// was pooled. weight: [C] and the bias at element `bias` of the same array.
+// One workgroup: one channel, or the bias behind the last one; its invocations add up in a fixed order. Workgroups: (C + 1).
+// Adjoint: none, it is one.
+
+struct Params {
+    channels: u32, // C
+    positions: u32, // P
+    samples: u32, // S
+    bias: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> x: array<f32>;
+@group(0) @binding(2) var<storage, read> adj: array<f32>;
+@group(0) @binding(3) var<storage, read_write> gradient: array<f32>;
+
+var<workgroup> partial: array<f32, 64>;
+
+@compute @workgroup_size(64)
+fn head_weight_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
+    let channel = group.x;
+    let is_bias = channel == params.channels;
+    let all = params.samples * params.positions;
+    var sum = 0.0;
+    for (var k = lane; k < all; k += 64u) {
+        var value = 1.0;
+        if !is_bias {
+            value = x[(k / params.positions * params.channels + channel) * params.positions + k % params.positions];
+        }
+        sum += adj[k] * value;
+    }
+    partial[lane] = sum;
+    for (var half = 32u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if lane < half {
+            partial[lane] += partial[lane + half];
+        }
+    }
+    if lane == 0u {
+        gradient[select(channel, params.bias, is_bias)] += partial[0];
+    }
+}

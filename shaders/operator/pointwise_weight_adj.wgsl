@@ -1,0 +1,111 @@
+// Gradient over weight and bias of a pointwise layer, in parts: weight[o, i] = sum_p adj[s, o, p] x[s, i, p] over one part
+// of the positions of one sample, bias[o] = sum_p adj[s, o, p]. `sum_parts` adds the parts up in order.
+//
+// x: [S, I, H, Q] quads; adj: [S, O, H, Q] quads, zero where a row is padded; partial: [samples * parts, stride] quads of
+// outputs: weights in the layer's order [O / tile, I, tile], the bias from `bias` on.
+// One workgroup: 32 outputs by 32 inputs, 4 by 4 to an invocation; 32 positions at a time go through workgroup memory,
+// positions first, channels in quads. Workgroups: (O / 32 * I / 32, parts, samples).
+// Adjoint: none, it is one (towards the weight; towards x it is `pointwise` with the `transpose`d weight).
+
+struct Params {
+    inputs: u32, // I
+    outputs: u32, // O
+    quads: u32, // H Q, quads of one plane
+    parts: u32, // of each sample
+    x_first: u32, // first sample of x
+    adj_first: u32, // first sample of adj
+    tile: u32,
+    stride: u32, // quads of a part
+    bias: u32, // place of the bias in a part, in quads
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> x: array<vec4f>;
+@group(0) @binding(2) var<storage, read> adj: array<vec4f>;
+@group(0) @binding(3) var<storage, read_write> partial: array<vec4f>;
+
+var<workgroup> x_tile: array<vec4f, 256>;
+var<workgroup> adj_tile: array<vec4f, 256>;
+
+@compute @workgroup_size(64)
+fn pointwise_weight_adj(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+) {
+    let across = (params.inputs + 31u) / 32u;
+    // What this invocation loads: four channels of one quad of positions; what it sums: quads `out_quad` and `in_quad`.
+    let channels = lane / 8u;
+    let quad = lane % 8u;
+    let out_quad = group.x / across * 8u + lane / 8u;
+    let in_quad = group.x % across * 8u + lane % 8u;
+    let x_channel = group.x % across * 32u + 4u * channels;
+    let adj_channel = group.x / across * 32u + 4u * channels;
+    let per_part = (params.quads + params.parts - 1u) / params.parts;
+    let begin = group.y * per_part;
+    let end = min(begin + per_part, params.quads);
+    let x_from = ((params.x_first + group.z) * params.inputs + x_channel) * params.quads;
+    let adj_from = ((params.adj_first + group.z) * params.outputs + adj_channel) * params.quads;
+    var sum0 = vec4f();
+    var sum1 = vec4f();
+    var sum2 = vec4f();
+    var sum3 = vec4f();
+    var bias = vec4f();
+    for (var first = begin; first < end; first += 8u) {
+        let q = first + quad;
+        var a = mat4x4f();
+        var b = mat4x4f();
+        if q < end {
+            for (var k = 0u; k < 4u; k++) {
+                if adj_channel + k < params.outputs {
+                    a[k] = adj[adj_from + k * params.quads + q];
+                }
+                if x_channel + k < params.inputs {
+                    b[k] = x[x_from + k * params.quads + q];
+                }
+            }
+        }
+        let a_turned = transpose(a);
+        let b_turned = transpose(b);
+        for (var k = 0u; k < 4u; k++) {
+            adj_tile[(4u * quad + k) * 8u + channels] = a_turned[k];
+            x_tile[(4u * quad + k) * 8u + channels] = b_turned[k];
+        }
+        workgroupBarrier();
+        for (var p = 0u; p < 32u; p++) {
+            let va = adj_tile[p * 8u + lane / 8u];
+            let vx = x_tile[p * 8u + lane % 8u];
+            sum0 += vx.x * va;
+            sum1 += vx.y * va;
+            sum2 += vx.z * va;
+            sum3 += vx.w * va;
+            bias += va;
+        }
+        workgroupBarrier();
+    }
+    if 4u * out_quad >= params.outputs {
+        return;
+    }
+    let part = (group.z * params.parts + group.y) * params.stride;
+    if in_quad == 0u {
+        partial[part + params.bias + out_quad] = bias;
+    }
+    // Outputs 4 out_quad.. are a quad of one tile.
+    let quads = params.tile / 4u;
+    let out = part + out_quad / quads * params.inputs * quads + out_quad % quads;
+    let i = 4u * in_quad;
+    if i < params.inputs {
+        partial[out + i * quads] = sum0;
+    }
+    if i + 1u < params.inputs {
+        partial[out + (i + 1u) * quads] = sum1;
+    }
+    if i + 2u < params.inputs {
+        partial[out + (i + 2u) * quads] = sum2;
+    }
+    if i + 3u < params.inputs {
+        partial[out + (i + 3u) * quads] = sum3;
+    }
+}

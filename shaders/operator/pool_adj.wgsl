@@ -1,0 +1,47 @@
+// Adjoint of the scalar head and its maximum: adj[s, c, p] += weight[c] adj_scalar[s] at the first position p, row by row,
+// where x[s, c, p] is largest. Also pooled[s, c], that largest value, which the weight's gradient needs.
+//
+// weight: [C]; adj_scalar: [S]; rows_max: [S, H, C] (`pool_rows`); x, adj: [S, C, H, W'] with padded rows; pooled: [S, C].
+// One invocation: one channel of one sample. Workgroups: (C / 64, S).
+// Adjoint: none, it is one.
+
+struct Params {
+    channels: u32, // C
+    rows: u32, // H
+    stride: u32, // W'
+    columns: u32, // W
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> weight: array<f32>;
+@group(0) @binding(2) var<storage, read> adj_scalar: array<f32>;
+@group(0) @binding(3) var<storage, read> rows_max: array<f32>;
+@group(0) @binding(4) var<storage, read> x: array<f32>;
+@group(0) @binding(5) var<storage, read_write> adj: array<f32>;
+@group(0) @binding(6) var<storage, read_write> pooled: array<f32>;
+
+@compute @workgroup_size(64)
+fn pool_adj(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
+    let channel = id.x;
+    if channel >= params.channels {
+        return;
+    }
+    let sample = group.y;
+    var row = 0u;
+    var most = rows_max[sample * params.rows * params.channels + channel];
+    for (var i = 1u; i < params.rows; i++) {
+        let other = rows_max[(sample * params.rows + i) * params.channels + channel];
+        if other > most {
+            most = other;
+            row = i;
+        }
+    }
+    let first = ((sample * params.channels + channel) * params.rows + row) * params.stride;
+    // The last column needs no look: if none before it is as large, it is.
+    var column = 0u;
+    while column + 1u < params.columns && x[first + column] < most {
+        column++;
+    }
+    adj[first + column] += weight[channel] * adj_scalar[sample];
+    pooled[sample * params.channels + channel] = most;
+}

@@ -1,0 +1,27 @@
+// The weight of `spectral` the other way round: turned[m, o, i] = conj(weight[m, i, o]); `spectral` with it is its own
+// adjoint towards its input.
+//
+// weight: [M, I, O] complex; turned: [M, O, I] complex.
+// One invocation: one weight. Workgroups: (I / 64, O, M).
+// Adjoint: itself; the weight's gradient is taken from `spectral_weight_adj`.
+
+struct Params {
+    inputs: u32, // I
+    outputs: u32, // O
+    pad0: u32,
+    pad1: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> weight: array<vec2f>;
+@group(0) @binding(2) var<storage, read_write> turned: array<vec2f>;
+
+@compute @workgroup_size(64)
+fn spectral_transpose(@builtin(global_invocation_id) id: vec3u) {
+    let i = id.x;
+    if i >= params.inputs {
+        return;
+    }
+    let w = weight[(id.z * params.inputs + i) * params.outputs + id.y];
+    turned[(id.z * params.outputs + id.y) * params.inputs + i] = vec2f(w.x, -w.y);
+}

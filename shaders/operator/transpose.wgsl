@@ -1,0 +1,28 @@
+// A pointwise layer's weight the other way round, in the order of the kernels: from [O / tile, I, tile] to [I / tile, O, tile].
+//
+// `pointwise` and `block` with it are their own adjoints towards their inputs.
+// One invocation: one weight. Workgroups: (O I / 64).
+// Adjoint: itself; the weight's gradient is taken from `pointwise_weight_adj` in the layer's own order.
+
+struct Params {
+    outputs: u32, // O
+    inputs: u32, // I
+    tile: u32,
+    pad: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> weight: array<f32>;
+@group(0) @binding(2) var<storage, read_write> turned: array<f32>;
+
+@compute @workgroup_size(64)
+fn transpose(@builtin(global_invocation_id) id: vec3u) {
+    let tile = params.tile;
+    if id.x >= params.outputs * params.inputs {
+        return;
+    }
+    let of_tile = id.x % (params.outputs * tile);
+    let o = of_tile / tile;
+    let i = id.x / (params.outputs * tile) * tile + of_tile % tile;
+    turned[id.x] = weight[(o / tile * params.inputs + i) * tile + o % tile];
+}

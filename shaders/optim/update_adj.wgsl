@@ -1,0 +1,73 @@
+// The update rule backwards, with the authors' rule in place of the true adjoint: the cotangent of tanh(field) and that of
+// 2 tanh(scalar / 2) - 1 are divided by their own norms, sample by sample, and clamped to -10..10, so that every cloth weighs
+// the same, whatever its energies are (paper section 3.3).
+//
+// step = scale tanh(field). The cotangent of the step is grad, that of the loss, times any positive factor, which the
+// division takes out again. Norms are kept above 1e-30, so that a cloth in equilibrium has cotangents 0.
+// field, adj_field: [S, H, Q] quads, adj_field zero in the padding; scalar, scale (after the step), adj_scalar: [S];
+// grad: [S, H, W].
+// One workgroup: one sample; its invocations add up in a fixed order. Workgroups: (S).
+// Adjoint: none, it is one.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+    stride: u32, // W' = 4 Q
+    share: f32, // factor of grad
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> field: array<f32>;
+@group(0) @binding(2) var<storage, read> scalar: array<f32>;
+@group(0) @binding(3) var<storage, read> scale: array<f32>;
+@group(0) @binding(4) var<storage, read> grad: array<f32>;
+@group(0) @binding(5) var<storage, read_write> adj_field: array<f32>;
+@group(0) @binding(6) var<storage, read_write> adj_scalar: array<f32>;
+
+const CLAMP: f32 = 10.0;
+const FLOOR: f32 = 1e-30;
+
+// (sum grad^2, sum grad tanh(field)).
+var<workgroup> partial: array<vec2f, 256>;
+
+@compute @workgroup_size(256)
+fn update_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
+    let sample = group.x;
+    let all = params.rows * params.stride;
+    let first = sample * params.rows * params.columns;
+    var sums = vec2f();
+    for (var k = lane; k < all; k += 256u) {
+        let column = k % params.stride;
+        if column < params.columns {
+            let g = grad[first + k / params.stride * params.columns + column];
+            sums += vec2f(g * g, g * tanh_exact(vec4f(field[sample * all + k])).x);
+        }
+    }
+    partial[lane] = sums;
+    for (var half = 128u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if lane < half {
+            partial[lane] += partial[lane + half];
+        }
+    }
+    workgroupBarrier();
+    sums = partial[0];
+    let pace = params.share * scale[sample];
+    if lane == 0u {
+        let adj_exponent = pace * sums.y;
+        let normalised = clamp(adj_exponent / max(abs(adj_exponent), FLOOR), -CLAMP, CLAMP);
+        let t = tanh_exact(vec4f(0.5 * scalar[sample])).x;
+        adj_scalar[sample] = normalised * (1.0 - t * t);
+    }
+    let factor = pace / max(pace * sqrt(sums.x), FLOOR);
+    for (var k = lane; k < all; k += 256u) {
+        let column = k % params.stride;
+        var value = 0.0;
+        if column < params.columns {
+            let g = grad[first + k / params.stride * params.columns + column];
+            let u = tanh_exact(vec4f(field[sample * all + k])).x;
+            value = clamp(g * factor, -CLAMP, CLAMP) * (1.0 - u * u);
+        }
+        adj_field[sample * all + k] = value;
+    }
+}

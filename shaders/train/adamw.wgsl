@@ -1,0 +1,55 @@
+// AdamW on the whole vector of weights (Loshchilov and Hutter 2019), with the gradient shortened to a norm, and the running
+// mean of the weights.
+//
+// g <- shorten gradient; m <- beta1 m + (1 - beta1) g; v <- beta2 v + (1 - beta2) g^2;
+// w <- shrink w - pace m / (sqrt(v) / root + epsilon); mean of w <- average mean + (1 - average) w.
+// The host makes the factors in double precision: shorten = min(clip / (norm + 1e-6), 1), shrink = 1 - rate decay,
+// pace = rate / (1 - beta1^t), root = sqrt(1 - beta2^t). All vectors: [n].
+// One invocation: one weight. Workgroups: rows of up to 65535, of 64 invocations each.
+// Adjoint: none, it is the optimizer.
+
+struct Params {
+    n: u32,
+    row: u32, // invocations in a row of workgroups
+    pad0: u32,
+    pad1: u32,
+}
+
+struct Factors {
+    shorten: f32,
+    shrink: f32,
+    pace: f32,
+    root: f32,
+    beta1: f32,
+    beta2: f32,
+    add1: f32, // 1 - beta1
+    add2: f32, // 1 - beta2
+    epsilon: f32,
+    average: f32,
+    pad0: f32,
+    pad1: f32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> factors: Factors;
+@group(0) @binding(2) var<storage, read> gradient: array<f32>;
+@group(0) @binding(3) var<storage, read_write> weight: array<f32>;
+@group(0) @binding(4) var<storage, read_write> mean: array<f32>;
+@group(0) @binding(5) var<storage, read_write> square: array<f32>;
+@group(0) @binding(6) var<storage, read_write> averaged: array<f32>;
+
+@compute @workgroup_size(64)
+fn adamw(@builtin(global_invocation_id) id: vec3u) {
+    let k = id.y * params.row + id.x;
+    if k >= params.n {
+        return;
+    }
+    let g = factors.shorten * gradient[k];
+    let m = factors.beta1 * mean[k] + factors.add1 * g;
+    let v = factors.beta2 * square[k] + factors.add2 * g * g;
+    let w = factors.shrink * weight[k] - factors.pace * m / (sqrt(v) / factors.root + factors.epsilon);
+    mean[k] = m;
+    square[k] = v;
+    weight[k] = w;
+    averaged[k] = factors.average * averaged[k] + (1.0 - factors.average) * w;
+}

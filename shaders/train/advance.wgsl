@@ -1,0 +1,40 @@
+// Ends the frame of those cloths of a batch that are through their iterations: v = shift, x += shift, a = 0; a handle is where
+// it is to be, with velocity 0 (paper section 3.3: as in the authors' pools, not as in a rollout).
+//
+// drawn: [B]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; shift, x, v, a: [B, 3, n].
+// One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// Adjoint: none, the state is a constant of the training step.
+
+struct Params {
+    particles: u32, // n
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> drawn: array<Drawn>;
+@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(3) var<storage, read> targets: array<f32>;
+@group(0) @binding(4) var<storage, read> shift: array<f32>;
+@group(0) @binding(5) var<storage, read_write> x: array<f32>;
+@group(0) @binding(6) var<storage, read_write> v: array<f32>;
+@group(0) @binding(7) var<storage, read_write> a: array<f32>;
+
+@compute @workgroup_size(64)
+fn advance(@builtin(global_invocation_id) id: vec3u) {
+    let p = id.x;
+    if p >= params.particles || drawn[id.y / 3u].advance == 0u {
+        return;
+    }
+    let at = id.y * params.particles + p;
+    let slot = slots[id.y / 3u * params.particles + p];
+    if slot == 0u {
+        v[at] = shift[at];
+        x[at] += shift[at];
+    } else {
+        v[at] = 0.0;
+        x[at] = targets[3u * (slot - 1u) + id.y % 3u];
+    }
+    a[at] = 0.0;
+}

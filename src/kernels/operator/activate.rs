@@ -1,0 +1,41 @@
+//! Host side of `shaders/operator/activate.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{common, element_groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "activate",
+    wgsl: include_str!("../../../shaders/operator/activate.wgsl"),
+    common: &[common::GELU],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    quads: u32,
+    row: u32,
+    pad: [u32; 2],
+}
+
+/// GELU of each element.
+#[derive(Clone, Debug)]
+pub struct Activate {
+    kernel: Kernel,
+}
+
+impl Activate {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `y = gelu(x)`, of one shape with padded rows.
+    pub fn push(&self, schedule: &mut Schedule, x: &Tensor, y: &Tensor) {
+        assert_eq!((x.shape(), x.len() % 4), (y.shape(), 0));
+        let (count, row) = element_groups(x.len() / 4);
+        let params = Params { quads: size(x.len() / 4), row, pad: [0; 2] };
+        schedule.dispatch(&self.kernel, &params, &[x, y], count);
+    }
+}

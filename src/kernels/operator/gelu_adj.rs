@@ -1,0 +1,41 @@
+//! Host side of `shaders/operator/gelu_adj.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{common, element_groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "gelu_adj",
+    wgsl: include_str!("../../../shaders/operator/gelu_adj.wgsl"),
+    common: &[common::GELU],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    quads: u32,
+    row: u32,
+    pad: [u32; 2],
+}
+
+/// Adjoint of GELU.
+#[derive(Clone, Debug)]
+pub struct GeluAdj {
+    kernel: Kernel,
+}
+
+impl GeluAdj {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `adj *= gelu'(x)`, then `x = gelu(x)`, of one shape with padded rows.
+    pub fn push(&self, schedule: &mut Schedule, x: &Tensor, adj: &Tensor) {
+        assert_eq!((x.shape(), x.len() % 4), (adj.shape(), 0));
+        let (count, row) = element_groups(x.len() / 4);
+        let params = Params { quads: size(x.len() / 4), row, pad: [0; 2] };
+        schedule.dispatch(&self.kernel, &params, &[x, adj], count);
+    }
+}

@@ -1,0 +1,64 @@
+//! Host side of `shaders/operator/pool_adj.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "pool_adj", wgsl: include_str!("../../../shaders/operator/pool_adj.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    channels: u32,
+    rows: u32,
+    stride: u32,
+    columns: u32,
+}
+
+/// Adjoint of the scalar head and its maximum.
+#[derive(Clone, Debug)]
+pub struct PoolAdj {
+    kernel: Kernel,
+}
+
+impl PoolAdj {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Adds to `adj` [S, C, H, W'] what goes back through the head of weight `[C]`; sets `pooled` [S, C].
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        weight: &Tensor,
+        from: PoolAdjTensors<'_>,
+        (adj, pooled): (&Tensor, &Tensor),
+    ) {
+        let PoolAdjTensors { adj_scalar, rows_max, x, columns } = from;
+        let &[samples, channels, h, w] = x.shape() else { panic!("pool_adj: {:?}", x.shape()) };
+        assert_eq!((adj.shape(), pooled.shape()), (x.shape(), &[samples, channels][..]));
+        assert_eq!((weight.len(), adj_scalar.len()), (channels, samples));
+        assert_eq!(rows_max.shape(), [samples, h, channels]);
+        assert!(columns <= w);
+        let params =
+            Params { channels: size(channels), rows: size(h), stride: size(w), columns: size(columns) };
+        let tensors = [weight, adj_scalar, rows_max, x, adj, pooled];
+        schedule.dispatch(&self.kernel, &params, &tensors, [groups(channels, 64), size(samples), 1]);
+    }
+}
+
+/// What the maximum was taken of, and the cotangent of the scalar.
+#[derive(Clone, Copy, Debug)]
+pub struct PoolAdjTensors<'a> {
+    /// Cotangent of the scalar, shape `[S]`.
+    pub adj_scalar: &'a Tensor,
+    /// Largest value of each row, shape [S, H, C].
+    pub rows_max: &'a Tensor,
+    /// What was pooled, shape [S, C, H, W'].
+    pub x: &'a Tensor,
+    /// Columns of a row that count (W).
+    pub columns: usize,
+}

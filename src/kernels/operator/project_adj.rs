@@ -1,0 +1,43 @@
+//! Host side of `shaders/operator/project_adj.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "project_adj",
+    wgsl: include_str!("../../../shaders/operator/project_adj.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    channels: u32,
+    quads: u32,
+    pad: [u32; 2],
+}
+
+/// Adjoint of the last layer of the field head.
+#[derive(Clone, Debug)]
+pub struct ProjectAdj {
+    kernel: Kernel,
+}
+
+impl ProjectAdj {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `adj` [S, C, H, W'] from `adj_field` [S, H, W'], through the layer of weight `[C]`.
+    pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, adj_field: &Tensor, adj: &Tensor) {
+        let &[samples, channels, h, w] = adj.shape() else { panic!("project_adj: {:?}", adj.shape()) };
+        assert_eq!((adj_field.shape(), weight.len()), (&[samples, h, w][..], channels));
+        let quads = h * w / 4;
+        let params = Params { channels: size(channels), quads: size(quads), pad: [0; 2] };
+        let count = [groups(quads, 64), size(channels), size(samples)];
+        schedule.dispatch(&self.kernel, &params, &[weight, adj_field, adj], count);
+    }
+}

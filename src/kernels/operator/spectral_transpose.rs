@@ -1,0 +1,44 @@
+//! Host side of `shaders/operator/spectral_transpose.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "spectral_transpose",
+    wgsl: include_str!("../../../shaders/operator/spectral_transpose.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    inputs: u32,
+    outputs: u32,
+    pad: [u32; 2],
+}
+
+/// The spectral product's weight the other way round, conjugated.
+#[derive(Clone, Debug)]
+pub struct SpectralTranspose {
+    kernel: Kernel,
+}
+
+impl SpectralTranspose {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `weight` [modes, I, O, 2] into `turned` [modes, O, I, 2].
+    pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, turned: &Tensor) {
+        let &[modes, inputs, outputs, 2] = weight.shape() else {
+            panic!("spectral_transpose: {:?}", weight.shape())
+        };
+        assert_eq!(turned.shape(), [modes, outputs, inputs, 2]);
+        let params = Params { inputs: size(inputs), outputs: size(outputs), pad: [0; 2] };
+        let count = [groups(inputs, 64), size(outputs), size(modes)];
+        schedule.dispatch(&self.kernel, &params, &[weight, turned], count);
+    }
+}

@@ -1,0 +1,56 @@
+//! Host side of `shaders/operator/spectral_weight_adj.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{Tuning, groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "spectral_weight_adj",
+    wgsl: include_str!("../../../shaders/operator/spectral_weight_adj.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    inputs: u32,
+    outputs: u32,
+    modes: u32,
+    samples: u32,
+}
+
+/// Inputs that share a reading of the cotangents; a divisor of [`crate::kernels::CHANNEL_MULTIPLE`].
+const TILE: usize = 4;
+
+/// Gradient over the weight of the spectral product.
+#[derive(Clone, Debug)]
+pub struct SpectralWeightAdj {
+    kernel: Kernel,
+}
+
+impl SpectralWeightAdj {
+    /// Compiles it.
+    pub fn new(context: &Context, tuning: &Tuning) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(TILE), &[])? })
+    }
+
+    /// Adds to `gradient` [modes, I, O, 2]: `x` [S, .., I, 2] is what the product took, `adj` [S, .., O, 2] the cotangent of
+    /// what it gave.
+    pub fn push(&self, schedule: &mut Schedule, x: &Tensor, adj: &Tensor, gradient: &Tensor) {
+        let &[modes, inputs, outputs, 2] = gradient.shape() else {
+            panic!("spectral_weight_adj: {:?}", gradient.shape())
+        };
+        let samples = x.shape()[0];
+        assert_eq!((x.len(), adj.len()), (samples * modes * inputs * 2, samples * modes * outputs * 2));
+        assert_eq!(inputs % TILE, 0, "inputs are whole tiles");
+        let params = Params {
+            inputs: size(inputs),
+            outputs: size(outputs),
+            modes: size(modes),
+            samples: size(samples),
+        };
+        let count = [groups(outputs, 64), size(modes), size(inputs / TILE)];
+        schedule.dispatch(&self.kernel, &params, &[x, adj, gradient], count);
+    }
+}

@@ -1,0 +1,39 @@
+//! Host side of `shaders/operator/sum_parts.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "sum_parts", wgsl: include_str!("../../../shaders/operator/sum_parts.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    stride: u32,
+    parts: u32,
+    pad: [u32; 2],
+}
+
+/// Adds the parts of a gradient up.
+#[derive(Clone, Debug)]
+pub struct SumParts {
+    kernel: Kernel,
+}
+
+impl SumParts {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Adds the first `parts` rows of `partial`, each as long as `gradient`, to `gradient`.
+    pub fn push(&self, schedule: &mut Schedule, (partial, parts): (&Tensor, usize), gradient: &Tensor) {
+        let len = gradient.len();
+        assert_eq!(len % 4, 0, "a gradient is whole quads");
+        assert!(parts * len <= partial.len(), "{parts} parts of {len} in {:?}", partial.shape());
+        let params = Params { stride: size(len / 4), parts: size(parts), pad: [0; 2] };
+        schedule.dispatch(&self.kernel, &params, &[partial, gradient], [groups(len / 4, 64), 1, 1]);
+    }
+}

@@ -1,0 +1,42 @@
+//! Host side of `shaders/operator/transpose.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "transpose", wgsl: include_str!("../../../shaders/operator/transpose.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    outputs: u32,
+    inputs: u32,
+    tile: u32,
+    pad: u32,
+}
+
+/// A pointwise layer's weight the other way round.
+#[derive(Clone, Debug)]
+pub struct Transpose {
+    kernel: Kernel,
+}
+
+impl Transpose {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `weight` [O / tile, I, tile] into `turned` [I / tile, O, tile].
+    pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, turned: &Tensor) {
+        let &[tiles, inputs, tile] = weight.shape() else { panic!("transpose: {:?}", weight.shape()) };
+        let outputs = tiles * tile;
+        assert_eq!(turned.shape(), [inputs / tile, outputs, tile]);
+        assert_eq!(inputs % tile, 0, "inputs are whole tiles, too");
+        let params = Params { outputs: size(outputs), inputs: size(inputs), tile: size(tile), pad: 0 };
+        let count = [groups(outputs * inputs, 64), 1, 1];
+        schedule.dispatch(&self.kernel, &params, &[weight, turned], count);
+    }
+}

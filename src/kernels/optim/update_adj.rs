@@ -1,0 +1,66 @@
+//! Host side of `shaders/optim/update_adj.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{common, size};
+use crate::sim::Grid;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "update_adj",
+    wgsl: include_str!("../../../shaders/optim/update_adj.wgsl"),
+    common: &[common::TANH],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    stride: u32,
+    share: f32,
+}
+
+/// The update rule backwards.
+#[derive(Clone, Debug)]
+pub struct UpdateAdj {
+    kernel: Kernel,
+}
+
+impl UpdateAdj {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Sets the cotangents of field and scalar of the step that was made, for `share` times the gradient `grad` [S, n] where it
+    /// led.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        (from, share): (UpdateAdjTensors<'_>, f32),
+        (adj_field, adj_scalar): (&Tensor, &Tensor),
+    ) {
+        let UpdateAdjTensors { field, scalar, scale, grad } = from;
+        let &[samples, h, w] = field.shape() else { panic!("update_adj: {:?}", field.shape()) };
+        assert_eq!((adj_field.shape(), h, grad.len()), (field.shape(), grid.h, samples * grid.particles()));
+        assert_eq!([scalar.len(), scale.len(), adj_scalar.len()], [samples; 3]);
+        let params = Params { rows: size(h), columns: size(grid.w), stride: size(w), share };
+        let tensors = [field, scalar, scale, grad, adj_field, adj_scalar];
+        schedule.dispatch(&self.kernel, &params, &tensors, [size(samples), 1, 1]);
+    }
+}
+
+/// What the step was made of, and where it led.
+#[derive(Clone, Copy, Debug)]
+pub struct UpdateAdjTensors<'a> {
+    /// Field head, shape [S, H, W'].
+    pub field: &'a Tensor,
+    /// Scalar head, shape `[S]`.
+    pub scalar: &'a Tensor,
+    /// Scale that the step had, shape `[S]`.
+    pub scale: &'a Tensor,
+    /// dL/da after the step, shape [S, H, W].
+    pub grad: &'a Tensor,
+}

@@ -1,0 +1,86 @@
+//! Host side of `shaders/train/adamw.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{element_groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source =
+    Source { name: "adamw", wgsl: include_str!("../../../shaders/train/adamw.wgsl"), common: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    n: u32,
+    row: u32,
+    pad: [u32; 2],
+}
+
+/// The factors of a step, made by the host in double precision: the content of a tensor of 12 elements.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct Factors {
+    /// What the gradient is multiplied by, so that its norm is at most the clip: `min(clip / (norm + 1e-6), 1)`.
+    pub shorten: f32,
+    /// `1 - rate decay`.
+    pub shrink: f32,
+    /// `rate / (1 - beta1^t)`.
+    pub pace: f32,
+    /// `sqrt(1 - beta2^t)`.
+    pub root: f32,
+    /// Decay of the mean gradient.
+    pub beta1: f32,
+    /// Decay of the mean squared gradient.
+    pub beta2: f32,
+    /// `1 - beta1`.
+    pub add1: f32,
+    /// `1 - beta2`.
+    pub add2: f32,
+    /// Added to the denominator.
+    pub epsilon: f32,
+    /// Decay of the running mean of the weights.
+    pub average: f32,
+    /// Unused.
+    pub pad: [f32; 2],
+}
+
+/// The vectors of the optimizer, all of one length.
+#[derive(Clone, Debug)]
+pub struct Moments {
+    /// Mean gradient.
+    pub mean: Tensor,
+    /// Mean squared gradient.
+    pub square: Tensor,
+    /// Running mean of the weights.
+    pub averaged: Tensor,
+}
+
+/// A step of AdamW.
+#[derive(Clone, Debug)]
+pub struct AdamW {
+    kernel: Kernel,
+}
+
+impl AdamW {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Moves `weight` along `gradient`, by the `factors` ([`Factors`]) that the tensor holds when it runs.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        factors: &Tensor,
+        (gradient, weight): (&Tensor, &Tensor),
+        moments: &Moments,
+    ) {
+        let n = weight.len();
+        let Moments { mean, square, averaged } = moments;
+        assert_eq!([gradient.len(), mean.len(), square.len(), averaged.len()], [n; 4]);
+        assert_eq!(factors.bytes() as usize, size_of::<Factors>());
+        let (count, row) = element_groups(n);
+        let params = Params { n: size(n), row, pad: [0; 2] };
+        schedule.dispatch(&self.kernel, &params, &[factors, gradient, weight, mean, square, averaged], count);
+    }
+}

@@ -1,0 +1,44 @@
+//! Host side of `shaders/train/advance.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::cloth::StateTensors;
+use crate::kernels::optim::Iterate;
+use crate::kernels::{common, groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "advance",
+    wgsl: include_str!("../../../shaders/train/advance.wgsl"),
+    common: &[common::DRAWN],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    particles: u32,
+    pad: [u32; 3],
+}
+
+/// Ends the frame of some cloths of a batch.
+#[derive(Clone, Debug)]
+pub struct Advance {
+    kernel: Kernel,
+}
+
+impl Advance {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Moves `state` by the shift of `iterate`, whose `a` it zeroes, where `drawn` [B] says so.
+    pub fn push(&self, schedule: &mut Schedule, drawn: &Tensor, state: StateTensors<'_>, iterate: &Iterate) {
+        let (samples, n) = iterate.samples_and_particles();
+        assert_eq!((drawn.shape()[0], state.x.len()), (samples / 3, samples * n));
+        let params = Params { particles: size(n), pad: [0; 3] };
+        let Iterate { slots, a, shift, .. } = iterate;
+        let tensors = [drawn, slots, state.targets, shift, state.x, state.v, a];
+        schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
+    }
+}

@@ -1,0 +1,40 @@
+//! Host side of `shaders/train/gradient_size.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::size;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "gradient_size",
+    wgsl: include_str!("../../../shaders/train/gradient_size.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    elements: u32,
+    pad: [u32; 3],
+}
+
+/// Mean magnitude of the gradient of each cloth.
+#[derive(Clone, Debug)]
+pub struct GradientSize {
+    kernel: Kernel,
+}
+
+impl GradientSize {
+    /// Compiles it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `sizes` [B] of `grad` [B, 3, n].
+    pub fn push(&self, schedule: &mut Schedule, grad: &Tensor, sizes: &Tensor) {
+        let batch = sizes.len();
+        assert_eq!(grad.shape()[0], batch);
+        let params = Params { elements: size(grad.len() / batch), pad: [0; 3] };
+        schedule.dispatch(&self.kernel, &params, &[grad, sizes], [size(batch), 1, 1]);
+    }
+}

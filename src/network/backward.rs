@@ -1,0 +1,261 @@
+//! The backward pass of the network as dispatches: from the cotangents of field and scalar to the gradient over all weights.
+//!
+//! The adjoint of a block runs through the kernels of a block: rows, columns, product, inverse and skip, in the reverse
+//! order, each with its table or weight the other way round. The network's inputs are constants of training: nothing goes
+//! back beyond the lifting, whose hidden layer is computed again instead of kept.
+
+use super::parameters::{GradientLayer, GradientLayers, Layers};
+use super::{Forward, Parameters, tables};
+use crate::Result;
+use crate::gpu::{Context, Schedule, Tensor};
+use crate::kernels::operator::{
+    BlockTensors, GeluAdj, HeadWeightAdj, Layer, Parts, PointwiseWeightAdj, PoolAdj, PoolAdjTensors,
+    ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose, pointwise, pointwise_weight_adj,
+};
+use crate::kernels::{Tuning, padded};
+
+/// The weights the other way round, as the adjoint of each layer reads them.
+#[derive(Debug)]
+pub struct Transposed {
+    /// The weights themselves.
+    layers: Layers,
+    /// Skips of the blocks, the second layer of the lifting and the first of the projection; their biases are zero.
+    skips: Vec<Layer>,
+    products: Vec<Tensor>,
+    lifting: Layer,
+    projection: Layer,
+    transpose: Transpose,
+    spectral_transpose: SpectralTranspose,
+}
+
+/// The backward pass for the samples of a [`Forward`] that keeps what it needs ([`super::Keep::Adjoint`]).
+#[derive(Debug)]
+pub struct Backward {
+    /// Cotangent of [`Forward::field`], shape [S, H, W'], zero in the padding.
+    pub adj_field: Tensor,
+    /// Cotangent of [`Forward::scalar`], shape `[S]`.
+    pub adj_scalar: Tensor,
+    gradient: GradientLayers,
+    /// Cotangents of the blocks' outputs before their GELU, two in turn, shape [S, C, H, W'].
+    adj: [Tensor; 2],
+    adj_projected: Tensor,
+    /// Cotangents of the lifting's hidden layer, of the samples that are lifted at once.
+    adj_hidden: Tensor,
+    adj_spectrum: Tensor,
+    inverse_rows_adj: Tensor,
+    forward_rows_adj: Tensor,
+    pooled: Tensor,
+    partial: Tensor,
+    tile: usize,
+    kernels: Kernels,
+}
+
+#[derive(Debug)]
+struct Kernels {
+    gelu_adj: GeluAdj,
+    pointwise_weight_adj: PointwiseWeightAdj,
+    spectral_weight_adj: SpectralWeightAdj,
+    head_weight_adj: HeadWeightAdj,
+    sum_parts: SumParts,
+    pool_adj: PoolAdj,
+    project_adj: ProjectAdj,
+}
+
+impl Transposed {
+    /// Room for the weights in `parameters`; [`Transposed::push`] fills it.
+    pub fn new(context: &Context, parameters: &Parameters) -> Result<Self> {
+        let layout = parameters.layout();
+        let layers = layout.layers(&parameters.flat);
+        let turned = |layer: &Layer| -> Result<Layer> {
+            let &[tiles, inputs, tile] = layer.weight.shape() else { panic!("a layer is tiled") };
+            Ok(Layer {
+                weight: Tensor::zeros(context, "transposed weight", &[inputs / tile, tiles * tile, tile])?,
+                bias: Tensor::zeros(context, "no bias", &[inputs])?,
+            })
+        };
+        let product = |weight: &Tensor| Tensor::zeros(context, "transposed product", weight.shape());
+        Ok(Self {
+            skips: layers.skips.iter().map(turned).collect::<Result<_>>()?,
+            products: layers.products.iter().map(product).collect::<Result<_>>()?,
+            lifting: turned(&layers.lifting[1])?,
+            projection: turned(&layers.projection[0])?,
+            transpose: Transpose::new(context)?,
+            spectral_transpose: SpectralTranspose::new(context)?,
+            layers,
+        })
+    }
+
+    /// Appends the transposition of the weights as they are when it runs.
+    pub fn push(&self, schedule: &mut Schedule) {
+        for (weight, turned) in self.layers.products.iter().zip(&self.products) {
+            self.spectral_transpose.push(schedule, weight, turned);
+        }
+        let [_, lifting] = &self.layers.lifting;
+        let [projection, _] = &self.layers.projection;
+        let skips = self.layers.skips.iter().zip(&self.skips);
+        for (layer, turned) in skips.chain([(lifting, &self.lifting), (projection, &self.projection)]) {
+            self.transpose.push(schedule, &layer.weight, &turned.weight);
+        }
+    }
+}
+
+impl Backward {
+    /// What a pass needs; `gradient` is a vector in the order of `parameters`, to which it is added.
+    pub fn new(
+        context: &Context,
+        forward: &Forward,
+        parameters: &Parameters,
+        gradient: &Tensor,
+        tuning: &Tuning,
+    ) -> Result<Self> {
+        let (config, grid) = (forward.config, forward.grid);
+        let &[samples, h, w] = forward.field.shape() else { panic!("a field is [S, H, W']") };
+        let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
+        let upload =
+            |label, shape: &[usize], data: Vec<f32>| Tensor::from_slice(context, label, shape, &data);
+        let gradient = parameters.layout().gradient_layers(gradient);
+        let parts = pointwise_weight_adj::parts(h * w / 4);
+        let layers = [&gradient.lifting[0], &gradient.lifting[1], &gradient.projection[0]];
+        let longest = layers.into_iter().chain(&gradient.skips).map(|g| g.both.len()).max().unwrap_or(0);
+        let (columns, c) = (2 * config.modes_w, config.channels);
+        let adj = || zeros("adj", &[samples, c, h, w]);
+        Ok(Self {
+            adj_field: zeros("adj_field", &[samples, h, w])?,
+            adj_scalar: zeros("adj_scalar", &[samples])?,
+            gradient,
+            adj: [adj()?, adj()?],
+            adj_projected: zeros("adj_projected", &[samples, config.projection, h, w])?,
+            adj_hidden: zeros("adj_hidden", forward.hidden.shape())?,
+            adj_spectrum: zeros("adj_spectrum", forward.spectral.product.shape())?,
+            inverse_rows_adj: upload(
+                "inverse_rows_adj",
+                &[w / 4, columns, 4],
+                tables::inverse_rows_adj(&config, grid.w),
+            )?,
+            forward_rows_adj: upload(
+                "forward_rows_adj",
+                &[columns, padded(grid.w)],
+                tables::forward_rows_adj(&config, h, grid.w),
+            )?,
+            pooled: zeros("pooled", &[samples, c])?,
+            partial: zeros("gradient parts", &[samples * parts, longest])?,
+            tile: tuning.channels,
+            kernels: Kernels {
+                gelu_adj: GeluAdj::new(context)?,
+                pointwise_weight_adj: PointwiseWeightAdj::new(context)?,
+                spectral_weight_adj: SpectralWeightAdj::new(context, tuning)?,
+                head_weight_adj: HeadWeightAdj::new(context)?,
+                sum_parts: SumParts::new(context)?,
+                pool_adj: PoolAdj::new(context)?,
+                project_adj: ProjectAdj::new(context)?,
+            },
+        })
+    }
+
+    /// Appends the pass back from `adj_field` and `adj_scalar` through the last pass of `forward`.
+    pub fn push(&self, schedule: &mut Schedule, forward: &Forward, transposed: &Transposed) {
+        let (config, k) = (&forward.config, &self.kernels);
+        self.push_heads(schedule, forward, transposed);
+        let [mut adj_y, mut adj_x] = self.adj.each_ref();
+        for block in (0..config.layers).rev() {
+            self.push_block(schedule, (forward, transposed), block, (adj_y, adj_x));
+            if block > 0 {
+                self.push_pool(schedule, forward, block - 1, adj_x);
+                k.gelu_adj.push(schedule, &forward.before_gelu[block - 1], adj_x);
+            }
+            std::mem::swap(&mut adj_y, &mut adj_x);
+        }
+        self.push_lifting(schedule, (forward, transposed), adj_y);
+    }
+
+    /// Through the heads to the last block's output, and the gradients over their weights.
+    fn push_heads(&self, schedule: &mut Schedule, forward: &Forward, transposed: &Transposed) {
+        let (config, k) = (&forward.config, &self.kernels);
+        let samples = self.adj_scalar.len();
+        let all = pointwise::Samples { count: samples, x_first: 0, y_first: 0 };
+        let [_, outer] = &forward.layers.projection;
+        let [inner_gradient, outer_gradient] = &self.gradient.projection;
+        let (y, before) = (forward.activation(config.layers), &forward.before_gelu[config.layers - 1]);
+        let to = (&outer_gradient.both, outer_gradient.bias);
+        k.head_weight_adj.push(schedule, &forward.projected, &self.adj_field, to);
+        k.project_adj.push(schedule, &outer.weight, &self.adj_field, &self.adj_projected);
+        k.gelu_adj.push(schedule, before, &self.adj_projected);
+        self.push_weights(schedule, (y, &self.adj_projected), all, inner_gradient);
+        let [adj_y, _] = &self.adj;
+        forward.kernels.dense.push(schedule, &transposed.projection, &self.adj_projected, adj_y);
+        self.push_pool(schedule, forward, config.layers - 1, adj_y);
+    }
+
+    /// Through the scalar head to the output of `block`, if that is where it is.
+    fn push_pool(&self, schedule: &mut Schedule, forward: &Forward, block: usize, adj: &Tensor) {
+        if forward.config.scalar_block() != block {
+            return;
+        }
+        let (rows_max, columns) = (&forward.rows_max, forward.grid.w);
+        let x = forward.activation(block + 1);
+        let from = PoolAdjTensors { adj_scalar: &self.adj_scalar, rows_max, x, columns };
+        let head = &forward.layers.scalar.weight;
+        self.kernels.pool_adj.push(schedule, head, from, (adj, &self.pooled));
+        let GradientLayer { both, bias } = &self.gradient.scalar;
+        self.kernels.head_weight_adj.push(schedule, &self.pooled, &self.adj_scalar, (both, *bias));
+    }
+
+    /// From the output of a block before its GELU to its input.
+    fn push_block(
+        &self,
+        schedule: &mut Schedule,
+        (forward, transposed): (&Forward, &Transposed),
+        block: usize,
+        (adj_y, adj_x): (&Tensor, &Tensor),
+    ) {
+        let (k, s) = (&forward.kernels, &forward.spectral);
+        k.transform_rows.push(schedule, &self.inverse_rows_adj, adj_y, &s.rows);
+        k.transform_columns.push(schedule, &s.forward_columns, &s.rows, &self.adj_spectrum);
+        let to = &self.gradient.products[block];
+        self.kernels.spectral_weight_adj.push(schedule, s.spectrum(block), &self.adj_spectrum, to);
+        k.spectral.push(schedule, &transposed.products[block], &self.adj_spectrum, &s.product);
+        k.inverse_columns.push(schedule, &s.inverse_columns, &s.product, &s.inverse);
+        let tensors = BlockTensors { x: adj_y, r: &s.inverse, y: adj_x };
+        k.block.push(schedule, &transposed.skips[block], &self.forward_rows_adj, tensors);
+        let all = pointwise::Samples { count: self.adj_scalar.len(), x_first: 0, y_first: 0 };
+        self.push_weights(schedule, (forward.activation(block), adj_y), all, &self.gradient.skips[block]);
+    }
+
+    /// The gradients over the lifting's weights, from the cotangent of its output.
+    fn push_lifting(
+        &self,
+        schedule: &mut Schedule,
+        (forward, transposed): (&Forward, &Transposed),
+        adj: &Tensor,
+    ) {
+        let (samples, at_once) = (self.adj_scalar.len(), forward.hidden.shape()[0]);
+        let (dense, hidden) = (&forward.kernels.dense, &forward.hidden);
+        let [inner, _] = &forward.layers.lifting;
+        let [inner_gradient, outer_gradient] = &self.gradient.lifting;
+        for first in (0..samples).step_by(at_once) {
+            let count = at_once.min(samples - first);
+            // Samples of the whole as input, of what is lifted at once as output; and the other way round.
+            let into = pointwise::Samples { count, x_first: first, y_first: 0 };
+            let back = pointwise::Samples { count, x_first: 0, y_first: first };
+            dense.push_part(schedule, inner, (&forward.embedded, hidden), into);
+            dense.push_part(schedule, &transposed.lifting, (adj, &self.adj_hidden), into);
+            self.kernels.gelu_adj.push(schedule, hidden, &self.adj_hidden);
+            self.push_weights(schedule, (hidden, adj), back, outer_gradient);
+            self.push_weights(schedule, (&forward.embedded, &self.adj_hidden), into, inner_gradient);
+        }
+    }
+
+    /// Adds the gradient over a pointwise layer's weight and bias, from its input `x` and the cotangent of its output.
+    fn push_weights(
+        &self,
+        schedule: &mut Schedule,
+        (x, adj): (&Tensor, &Tensor),
+        part: pointwise::Samples,
+        gradient: &GradientLayer,
+    ) {
+        let GradientLayer { both, bias } = gradient;
+        let parts = Parts { partial: &self.partial, len: both.len(), bias: *bias, tile: self.tile };
+        let count = self.kernels.pointwise_weight_adj.push(schedule, (x, adj), part, parts);
+        self.kernels.sum_parts.push(schedule, (&self.partial, count), both);
+    }
+}

@@ -1,0 +1,238 @@
+//! The weights on a device: one vector in the order and with the paddings that the kernels want, of which every layer is a
+//! view. Training works on the vector, the kernels on the views.
+
+use super::{Config, Weights};
+use crate::Result;
+use crate::gpu::{Context, Tensor};
+use crate::kernels::operator::{Layer, pointwise, spectral};
+use crate::kernels::{CHANNEL_MULTIPLE, Tuning};
+
+/// The weights of a network on a device.
+#[derive(Clone, Debug)]
+pub struct Parameters {
+    /// All of them, and zeros where layers are padded.
+    pub flat: Tensor,
+    layout: Layout,
+}
+
+/// Where the weights of a network lie in a device's vector. Channel counts are padded to [`CHANNEL_MULTIPLE`] by channels
+/// whose weights are zero, and stay so in training: nothing goes through them, in neither direction.
+#[derive(Clone, Debug)]
+pub struct Layout {
+    config: Config,
+    padded: Config,
+    tile: usize,
+    lifting: [DensePlace; 2],
+    blocks: Vec<BlockPlace>,
+    projection: [DensePlace; 2],
+    scalar: DensePlace,
+    len: usize,
+}
+
+/// First elements of a layer's weight and bias, and its padded sizes.
+#[derive(Clone, Copy, Debug)]
+struct DensePlace {
+    weight: usize,
+    bias: usize,
+    outputs: usize,
+    inputs: usize,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct BlockPlace {
+    product: usize,
+    skip: DensePlace,
+}
+
+/// The layers of a network as views of the vector of its weights.
+#[derive(Clone, Debug)]
+pub(super) struct Layers {
+    pub lifting: [Layer; 2],
+    pub skips: Vec<Layer>,
+    /// Shape [modes, C, C, 2].
+    pub products: Vec<Tensor>,
+    pub projection: [Layer; 2],
+    pub scalar: Layer,
+}
+
+/// The gradient over the layers, as views of one vector.
+#[derive(Clone, Debug)]
+pub(super) struct GradientLayers {
+    pub lifting: [GradientLayer; 2],
+    pub skips: Vec<GradientLayer>,
+    /// Shape [modes, C, C, 2].
+    pub products: Vec<Tensor>,
+    pub projection: [GradientLayer; 2],
+    pub scalar: GradientLayer,
+}
+
+/// The gradient over weight and bias of a layer in one tensor.
+#[derive(Clone, Debug)]
+pub(super) struct GradientLayer {
+    /// The weight, in the order of the kernels, then the bias.
+    pub both: Tensor,
+    /// First element of the bias.
+    pub bias: usize,
+}
+
+impl Layout {
+    /// For a network of these sizes and kernels of this tile.
+    pub fn new(config: Config, tile: usize) -> Self {
+        let up = |n: usize| n.next_multiple_of(CHANNEL_MULTIPLE);
+        let (l, c, p) = (up(config.lifting), up(config.channels), up(config.projection));
+        let mut len = 0;
+        let mut take = |n: usize| {
+            let first = len;
+            len = (len + n).next_multiple_of(Tensor::VIEW_ALIGNMENT);
+            first
+        };
+        let products: Vec<usize> = (0..config.layers).map(|_| take(config.modes() * c * c * 2)).collect();
+        let mut dense = |outputs: usize, inputs: usize| {
+            let weight = take(outputs * inputs);
+            DensePlace { weight, bias: take(outputs), outputs, inputs }
+        };
+        let lifting = [dense(l, config.inputs()), dense(c, l)];
+        let blocks = products.into_iter().map(|product| BlockPlace { product, skip: dense(c, c) }).collect();
+        let projection = [dense(p, c), dense(1, p)];
+        let scalar = dense(1, c);
+        let padded = Config { lifting: l, channels: c, projection: p, ..config };
+        Self { config, padded, tile, lifting, blocks, projection, scalar, len }
+    }
+
+    /// Number of elements of the vector.
+    pub fn len(&self) -> usize {
+        self.len
+    }
+
+    /// Whether it has none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
+    }
+
+    /// Sizes with the channels that were added.
+    pub fn padded(&self) -> Config {
+        self.padded
+    }
+
+    /// The places of all weights, in the order of [`Weights::flat`].
+    fn places(&self) -> Vec<usize> {
+        let Config { lifting, channels: c, projection, .. } = self.config;
+        let dense = |place: &DensePlace, outputs: usize, inputs: usize| {
+            // A head's only row is a plain vector.
+            let tile = if outputs == 1 { 1 } else { self.tile };
+            let (first, sizes) = (place.weight, (place.inputs, tile));
+            let row = move |o| (0..inputs).map(move |i| first + pointwise::index(o, i, sizes));
+            let weight: Vec<usize> = (0..outputs).flat_map(row).collect();
+            let bias: Vec<usize> = (place.bias..place.bias + outputs).collect();
+            [weight, bias]
+        };
+        let product = |first: usize| {
+            let sizes = (self.padded.channels, self.padded.channels);
+            let modes = self.config.modes();
+            let of = move |io: usize| {
+                (0..modes).map(move |mode| first + spectral::index(mode, (io / c, io % c), sizes))
+            };
+            (0..c * c).flat_map(of).flat_map(|at| [at, at + 1]).collect::<Vec<usize>>()
+        };
+        let mut places = dense(&self.lifting[0], lifting, self.config.inputs()).concat();
+        places.extend(dense(&self.lifting[1], c, lifting).concat());
+        for block in &self.blocks {
+            let [skip, bias] = dense(&block.skip, c, c);
+            places.extend([product(block.product), bias, skip].concat());
+        }
+        places.extend(dense(&self.projection[0], projection, c).concat());
+        places.extend(dense(&self.projection[1], 1, projection).concat());
+        places.extend(dense(&self.scalar, 1, c).concat());
+        places
+    }
+
+    /// A vector in the device's order from one in the order of [`Weights::flat`].
+    pub fn to_device(&self, host: &[f32]) -> Vec<f32> {
+        let places = self.places();
+        assert_eq!(places.len(), host.len(), "the vector has the size of the weights");
+        let mut device = vec![0.0; self.len];
+        places.into_iter().zip(host).for_each(|(at, &value)| device[at] = value);
+        device
+    }
+
+    /// The inverse of [`Layout::to_device`].
+    pub fn to_host(&self, device: &[f32]) -> Vec<f32> {
+        assert_eq!(device.len(), self.len, "the vector has the size of the layout");
+        self.places().into_iter().map(|at| device[at]).collect()
+    }
+
+    /// The layers in a device's vector.
+    pub(super) fn layers(&self, flat: &Tensor) -> Layers {
+        assert_eq!(flat.len(), self.len, "the vector has the size of the layout");
+        let layer = |place: &DensePlace| {
+            let &DensePlace { weight, bias, outputs, inputs } = place;
+            let shape =
+                if outputs == 1 { vec![inputs] } else { vec![outputs / self.tile, inputs, self.tile] };
+            Layer { weight: flat.view(weight, &shape), bias: flat.view(bias, &[outputs]) }
+        };
+        let c = self.padded.channels;
+        let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c, c, 2]);
+        Layers {
+            lifting: self.lifting.each_ref().map(layer),
+            skips: self.blocks.iter().map(|b| layer(&b.skip)).collect(),
+            products: self.blocks.iter().map(product).collect(),
+            projection: self.projection.each_ref().map(layer),
+            scalar: layer(&self.scalar),
+        }
+    }
+}
+
+impl Layout {
+    /// The layers in a device's vector, as the adjoint kernels write them.
+    pub(super) fn gradient_layers(&self, flat: &Tensor) -> GradientLayers {
+        assert_eq!(flat.len(), self.len, "the vector has the size of the layout");
+        let layer = |place: &DensePlace| {
+            let bias = place.bias - place.weight;
+            // Whole quads; what lies behind the bias is padding, too.
+            let len = (bias + place.outputs).next_multiple_of(4);
+            GradientLayer { both: flat.view(place.weight, &[len]), bias }
+        };
+        let c = self.padded.channels;
+        let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c, c, 2]);
+        GradientLayers {
+            lifting: self.lifting.each_ref().map(layer),
+            skips: self.blocks.iter().map(|b| layer(&b.skip)).collect(),
+            products: self.blocks.iter().map(product).collect(),
+            projection: self.projection.each_ref().map(layer),
+            scalar: layer(&self.scalar),
+        }
+    }
+}
+
+impl Parameters {
+    /// Uploads weights.
+    pub fn new(context: &Context, weights: &Weights, tuning: &Tuning) -> Result<Self> {
+        let layout = Layout::new(weights.config, tuning.channels);
+        let flat = layout.to_device(&weights.flat());
+        Ok(Self { flat: Tensor::from_slice(context, "weights", &[layout.len], &flat)?, layout })
+    }
+
+    /// Where they lie.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Config, Layout, Weights};
+
+    #[test]
+    fn every_weight_has_a_place_of_its_own() {
+        let config = Config { lifting: 40, channels: 12, projection: 20, layers: 2, ..Default::default() };
+        let layout = Layout::new(config, 16);
+        let mut places = layout.places();
+        assert_eq!(places.len(), Weights::zeros(config).parameter_count());
+        places.sort_unstable();
+        places.dedup();
+        assert_eq!(places.len(), Weights::zeros(config).parameter_count());
+        assert!(places.last().is_some_and(|&last| last < layout.len()));
+        let host: Vec<f32> = (0..places.len()).map(|k| k as f32).collect();
+        assert_eq!(layout.to_host(&layout.to_device(&host)), host);
+    }
+}

@@ -1,0 +1,218 @@
+//! A training step on a GPU as dispatches: the loss of a batch with its gradient, and AdamW.
+
+use super::pool::MAX_HANDLES;
+use crate::Result;
+use crate::cpu::train::{AdamWFactors, AdamWSettings};
+use crate::gpu::{Context, Schedule, Tensor};
+use crate::kernels::Tuning;
+use crate::kernels::cloth::{
+    ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Physics, Predict,
+    StateTensors, energy,
+};
+use crate::kernels::optim::{
+    FeatureTensors, Features, Iterate, Norms, Rescale, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors,
+    norms,
+};
+use crate::kernels::train::{AdamW, BatchTensors, Factors, GradientSize, Moments, Squares, squares};
+use crate::network::{Backward, Forward, Keep, Parameters, Transposed};
+use crate::sim::{Control, Grid, Model};
+
+/// The loss of a batch of B cloths on one grid, and its gradient over the weights (paper section 3.3): one iteration of the
+/// learned optimizer, judged by the energies where it leads.
+#[derive(Debug)]
+pub struct DeviceLoss {
+    context: Context,
+    grid: Grid,
+    batch: usize,
+    /// Positions and velocities at the start of the frame, shape [B, 3, n].
+    x: Tensor,
+    v: Tensor,
+    cloths: Tensor,
+    targets: Tensor,
+    /// Accelerations of the caller's [edges / frame^2], shape [B, 3, n].
+    pub forces: Tensor,
+    external: Tensor,
+    iterate: Iterate,
+    hidden: Tensor,
+    scale: Tensor,
+    /// Energy terms at the new a, as [`EnergySum`] gives them, shape [B, 8].
+    pub terms: Tensor,
+    /// Mean magnitude of the gradient there, shape \[B\].
+    pub sizes: Tensor,
+    forward: Forward,
+    backward: Backward,
+}
+
+impl DeviceLoss {
+    /// For batches of `batch` cloths; `gradient` is a vector in the order of `parameters`.
+    pub fn new(
+        context: &Context,
+        (grid, batch): (Grid, usize),
+        parameters: &Parameters,
+        gradient: &Tensor,
+        tuning: &Tuning,
+    ) -> Result<Self> {
+        let (samples, n) = (3 * batch, grid.particles());
+        let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
+        let field = |label| zeros(label, &[batch, 3, n]);
+        let forward = Forward::with_parameters(context, parameters, tuning, (grid, samples), Keep::Adjoint)?;
+        let backward = Backward::new(context, &forward, parameters, gradient, tuning)?;
+        Ok(Self {
+            context: context.clone(),
+            grid,
+            batch,
+            x: field("positions")?,
+            v: field("velocities")?,
+            cloths: zeros("cloths", &[batch, 16])?,
+            targets: zeros("handle targets", &[batch * MAX_HANDLES, 3])?,
+            forces: field("forces")?,
+            external: field("external")?,
+            iterate: Iterate::new(context, batch, &vec![0; batch * n])?,
+            hidden: zeros("hidden state", &[2, samples, n])?,
+            scale: zeros("scale", &[samples])?,
+            terms: zeros("energy terms", &[batch, 8])?,
+            sizes: zeros("gradient sizes", &[batch])?,
+            forward,
+            backward,
+        })
+    }
+
+    /// Number of cloths.
+    pub fn batch(&self) -> usize {
+        self.batch
+    }
+
+    /// What the step begins with and changes.
+    pub fn tensors(&self) -> BatchTensors<'_> {
+        let Self { x, v, hidden, scale, .. } = self;
+        BatchTensors { x, v, a: &self.iterate.a, hidden, scale }
+    }
+
+    /// Scale of the next step of each sample, shape `[3 B]`.
+    pub fn scale(&self) -> &Tensor {
+        &self.scale
+    }
+
+    /// The state, where handles are to be, and the iterate: for what ends a frame.
+    pub fn state(&self) -> (StateTensors<'_>, &Iterate) {
+        (StateTensors { x: &self.x, v: &self.v, targets: &self.targets }, &self.iterate)
+    }
+
+    /// Sets cloths, handles and their targets, ahead of whatever is submitted next. Panics when a cloth has more handles
+    /// than [`MAX_HANDLES`] or the numbers are not the batch's.
+    pub fn set_cloths(&self, model: &Model, control: &Control<f32>) {
+        assert_eq!((model.batch(), control.handles.len()), (self.batch, model.handles()));
+        let cloths: Vec<_> = model.cloths.iter().map(|c| ClothParams::new(c, [0.0; 3])).collect();
+        self.cloths.write(&self.context, &cloths);
+        self.iterate.slots.write(&self.context, &model.handle_slots());
+        let mut targets = control.handles.clone();
+        assert!(targets.len() <= self.batch * MAX_HANDLES, "at most {MAX_HANDLES} handles for each cloth");
+        targets.resize(self.batch * MAX_HANDLES, [0.0; 3]);
+        self.targets.write(&self.context, &targets);
+    }
+
+    /// Appends an iteration: the step is added to a and remembered, and the gradient over all weights of the mean of the
+    /// energies is added to the vector given. `transposed` holds the weights.
+    pub fn push(&self, schedule: &mut Schedule, transposed: &Transposed) -> Result<()> {
+        let (context, grid) = (&self.context, self.grid);
+        let Self { x, v, cloths, forces, external, iterate, hidden, scale, forward, backward, .. } = self;
+        let (samples, n) = iterate.samples_and_particles();
+        let (state, _) = self.state();
+        Predict::in_a_frame(context)?.push(schedule, state, iterate);
+        let from = ExternalForceTensors { cloths, x, v, forces };
+        ExternalForce::new(context)?.push(schedule, grid, from, external);
+        let physics = Physics { cloths, external, x };
+        let gradient = Gradient::new(context)?;
+        gradient.push(schedule, grid, physics, iterate);
+        let partial = Tensor::zeros(context, "norm parts", &[samples, norms::parts(n), 2])?;
+        Norms::new(context, true)?.push(schedule, &iterate.grad, hidden, &partial);
+        let from = FeatureTensors { grad: &iterate.grad, hidden, partial: &partial };
+        Features::new(context)?.push(schedule, grid, from, &forward.embedded);
+        forward.push(schedule);
+        Rescale::new(context)?.push(schedule, &forward.scalar, scale);
+        let from = UpdateTensors { field: &forward.field, scale, hidden };
+        Update::new(context)?.push(schedule, grid, from, iterate);
+
+        gradient.push(schedule, grid, physics, iterate);
+        let parts = Tensor::zeros(context, "energy parts", &[self.batch, energy::parts(grid), 8])?;
+        Energy::new(context)?.push(schedule, grid, physics, (iterate, &parts));
+        EnergySum::new(context)?.push(schedule, &parts, &self.terms);
+        GradientSize::new(context)?.push(schedule, &iterate.grad, &self.sizes);
+        let Forward { field, scalar, .. } = forward;
+        let from = UpdateAdjTensors { field, scalar, scale, grad: &iterate.grad };
+        let to = (&backward.adj_field, &backward.adj_scalar);
+        UpdateAdj::new(context)?.push(schedule, grid, (from, 1.0 / self.batch as f32), to);
+        backward.push(schedule, forward, transposed);
+        Ok(())
+    }
+}
+
+/// AdamW on a vector of weights on the device.
+#[derive(Debug)]
+pub struct DeviceAdamW {
+    context: Context,
+    /// The gradient, as long as the weights.
+    pub gradient: Tensor,
+    /// Mean gradient, mean squared gradient, and the running mean of the weights.
+    pub moments: Moments,
+    /// Sum of the squares of the gradient, after [`DeviceAdamW::push_norm`]: shape \[1\].
+    pub norm_squared: Tensor,
+    sums: Tensor,
+    factors: Tensor,
+    settings: AdamWSettings,
+}
+
+impl DeviceAdamW {
+    /// For `weights` numbers, with a fresh memory.
+    pub fn new(context: &Context, weights: usize, settings: AdamWSettings) -> Result<Self> {
+        let zeros = |label, len: usize| Tensor::zeros(context, label, &[len]);
+        let moments = Moments {
+            mean: zeros("mean gradient", weights)?,
+            square: zeros("mean squared gradient", weights)?,
+            averaged: zeros("mean weights", weights)?,
+        };
+        Ok(Self {
+            context: context.clone(),
+            gradient: zeros("gradient", weights)?,
+            moments,
+            norm_squared: zeros("norm squared", 1)?,
+            sums: zeros("sums of squares", squares::parts(weights))?,
+            factors: zeros("factors", size_of::<Factors>() / 4)?,
+            settings,
+        })
+    }
+
+    /// Appends the norm of the gradient.
+    pub fn push_norm(&self, schedule: &mut Schedule) -> Result<()> {
+        Squares::new(&self.context)?.push(schedule, &self.gradient, &self.sums, &self.norm_squared);
+        Ok(())
+    }
+
+    /// Appends a step of `weights`, by the factors as they are when it runs.
+    pub fn push_step(&self, schedule: &mut Schedule, weights: &Tensor) -> Result<()> {
+        let vectors = (&self.gradient, weights);
+        AdamW::new(&self.context)?.push(schedule, &self.factors, vectors, &self.moments);
+        Ok(())
+    }
+
+    /// Sets the factors of update number `number`, from 1 on, for a gradient of this norm; `average` is the decay of the
+    /// running mean of the weights. Ahead of whatever is submitted next.
+    pub fn set_factors(&self, norm: f64, number: u64, (rate, average): (f64, f64)) {
+        let AdamWSettings { beta1, beta2, epsilon, .. } = self.settings;
+        let AdamWFactors { shorten, shrink, pace, root } = self.settings.factors(norm, number, rate);
+        let factors = Factors {
+            shorten: shorten as f32,
+            shrink: shrink as f32,
+            pace: pace as f32,
+            root: root as f32,
+            beta1: beta1 as f32,
+            beta2: beta2 as f32,
+            add1: (1.0 - beta1) as f32,
+            add2: (1.0 - beta2) as f32,
+            epsilon: epsilon as f32,
+            average: average as f32,
+            pad: [0.0; 2],
+        };
+        self.factors.write(&self.context, &[factors]);
+    }
+}

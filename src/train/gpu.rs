@@ -1,0 +1,242 @@
+//! Training on a GPU.
+
+use super::arrays::Arrays;
+use super::checkpoint::Tensors;
+use super::config::{Config, PoolConfig};
+use super::device::{DeviceAdamW, DeviceLoss};
+use super::learner::{Batch, Learner, Outcome, StepReport, Update};
+use crate::Result;
+use crate::gpu::{Context, Readback, Schedule, Tensor};
+use crate::kernels::Tuning;
+use crate::kernels::train::{Advance, Draw, Drawn, PoolTensors, Store};
+use crate::network::{self, Parameters, Transposed, Weights};
+use crate::sim::{EnergyTerms, Grid, INITIAL_SCALE};
+
+/// The learner on the device of a context. Weights, memory and pools stay there; a step takes two submissions, since the
+/// host judges in between whether it can be used.
+pub(super) struct GpuLearner {
+    context: Context,
+    network: network::Config,
+    parameters: Parameters,
+    adamw: DeviceAdamW,
+    pools: Vec<Room>,
+    /// Before the batches: an empty gradient, and the weights the other way round.
+    prepare: Schedule,
+    /// After them: the gradient's norm.
+    norm: Schedule,
+    update: Schedule,
+}
+
+/// A pool: all its cloths, and what a step of a batch of them takes.
+struct Room {
+    grid: Grid,
+    /// Shape [P, 5, 3, n], see [`PoolTensors`].
+    fields: Tensor,
+    /// Shape [P, 3].
+    scale: Tensor,
+    drawn: Tensor,
+    loss: DeviceLoss,
+    step: Schedule,
+    readback: Readback,
+}
+
+impl Room {
+    fn new(
+        context: &Context,
+        pool: &PoolConfig,
+        (parameters, transposed): (&Parameters, &Transposed),
+        gradient: &Tensor,
+        tuning: &Tuning,
+    ) -> Result<Self> {
+        let (grid, batch) = (pool.grid, pool.batch);
+        let fields = Tensor::zeros(context, "pool", &[pool.cloths, 5, 3, grid.particles()])?;
+        let scale = Tensor::zeros(context, "pool scale", &[pool.cloths, 3])?;
+        let drawn = Tensor::zeros(context, "drawn", &[batch, size_of::<Drawn>() / 4])?;
+        let loss = DeviceLoss::new(context, (grid, batch), parameters, gradient, tuning)?;
+        let mut step = Schedule::new(context);
+        let pool = PoolTensors { fields: &fields, scale: &scale };
+        Draw::new(context)?.push(&mut step, (grid, INITIAL_SCALE), (&drawn, pool), loss.tensors());
+        loss.push(&mut step, transposed)?;
+        let (state, iterate) = loss.state();
+        Advance::new(context)?.push(&mut step, &drawn, state, iterate);
+        Store::new(context)?.push(&mut step, grid, (&drawn, pool), loss.tensors());
+        let readback = Readback::new(context, &[&loss.terms, &loss.sizes, loss.scale()], 1);
+        Ok(Self { grid, fields, scale, drawn, loss, step, readback })
+    }
+
+    /// Sets the cloths of the next step.
+    fn set(&self, context: &Context, batch: &Batch) {
+        let drawn = batch.cloths.iter().map(|drawn| Drawn {
+            slot: u32::try_from(drawn.slot).expect("a pool's cloths fit 32 bits"),
+            begin: drawn.start.is_some().into(),
+            advance: drawn.advance.into(),
+            pad: 0,
+            rotation: drawn.start.unwrap_or_default().map(|[x, y, z]| [x as f32, y as f32, z as f32, 0.0]),
+        });
+        self.drawn.write(context, &drawn.collect::<Vec<_>>());
+        self.loss.set_cloths(&batch.model(self.grid), &batch.control());
+    }
+
+    /// What became of the cloths of the last step, from what was read back.
+    fn outcomes(&self, told: &[u8]) -> Vec<Outcome> {
+        let told: Vec<f32> = bytemuck::pod_collect_to_vec(told);
+        let batch = self.loss.batch();
+        let (terms, rest) = told.split_at(8 * batch);
+        let (sizes, scales) = rest.split_at(batch);
+        let outcome = |((t, &size), scale): ((&[f32], &f32), &[f32])| {
+            let [stretch, shear, bend, inertia, external] = [0, 1, 2, 3, 4].map(|k| f64::from(t[k]));
+            Outcome {
+                energy: EnergyTerms { stretch, shear, bend, inertia, external },
+                log_gradient: f64::from(size).ln(),
+                scale: [0, 1, 2].map(|k| f64::from(scale[k])),
+            }
+        };
+        terms.chunks_exact(8).zip(sizes).zip(scales.chunks_exact(3)).map(outcome).collect()
+    }
+
+    /// The pool on the host.
+    fn read(&self, context: &Context) -> Result<Arrays<f32>> {
+        let mut arrays = Arrays::new(self.grid, self.scale.shape()[0]);
+        let fields: Vec<f32> = self.fields.read(context)?;
+        let len = 3 * self.grid.particles();
+        for (k, to) in arrays.fields().into_iter().enumerate() {
+            for (to, from) in to.chunks_exact_mut(len).zip(fields.chunks_exact(5 * len)) {
+                to.copy_from_slice(&from[k * len..][..len]);
+            }
+        }
+        arrays.hidden.scale = self.scale.read(context)?;
+        Ok(arrays)
+    }
+
+    /// The pool from the host.
+    fn write(&self, context: &Context, mut arrays: Arrays<f32>) {
+        let mut fields = vec![0.0; self.fields.len()];
+        let len = 3 * self.grid.particles();
+        for (k, from) in arrays.fields().into_iter().enumerate() {
+            for (from, to) in from.chunks_exact(len).zip(fields.chunks_exact_mut(5 * len)) {
+                to[k * len..][..len].copy_from_slice(from);
+            }
+        }
+        self.fields.write(context, &fields);
+        self.scale.write(context, &arrays.hidden.scale);
+    }
+}
+
+impl GpuLearner {
+    /// Begins with `weights`; an error if a grid is too small for the kept modes, or the device's memory for the pools.
+    pub fn new(context: &Context, config: &Config, weights: &Weights) -> Result<Self> {
+        context.checked(|| Self::build(context, config, weights))
+    }
+
+    fn build(context: &Context, config: &Config, weights: &Weights) -> Result<Self> {
+        let tuning = Tuning::new(context);
+        let parameters = Parameters::new(context, weights, &tuning)?;
+        let adamw = DeviceAdamW::new(context, parameters.flat.len(), config.optimizer.settings())?;
+        adamw.moments.averaged.write(context, &parameters.layout().to_device(&weights.flat()));
+        let transposed = Transposed::new(context, &parameters)?;
+        let mut prepare = Schedule::new(context);
+        prepare.clear(&adamw.gradient);
+        transposed.push(&mut prepare);
+        let room = |pool: &PoolConfig| {
+            Room::new(context, pool, (&parameters, &transposed), &adamw.gradient, &tuning)
+        };
+        let pools = config.pools.iter().map(room).collect::<Result<_>>()?;
+        let [mut norm, mut update] = [(); 2].map(|()| Schedule::new(context));
+        adamw.push_norm(&mut norm)?;
+        adamw.push_step(&mut update, &parameters.flat)?;
+        let (context, network) = (context.clone(), weights.config);
+        Ok(Self { context, network, parameters, adamw, pools, prepare, norm, update })
+    }
+
+    /// The vectors of a checkpoint, by name.
+    fn vectors(&self) -> [(&'static str, &Tensor); 4] {
+        let moments = &self.adamw.moments;
+        [
+            ("weights", &self.parameters.flat),
+            ("averaged", &moments.averaged),
+            ("adamw.mean", &moments.mean),
+            ("adamw.square", &moments.square),
+        ]
+    }
+
+    fn download(&self, vector: &Tensor) -> Result<Vec<f32>> {
+        Ok(self.parameters.layout().to_host(&vector.read(&self.context)?))
+    }
+
+    fn upload(&self, vector: &Tensor, host: &[f32]) {
+        vector.write(&self.context, &self.parameters.layout().to_device(host));
+    }
+}
+
+impl Learner for GpuLearner {
+    fn step(&mut self, batches: &[Batch], update: Update) -> Result<StepReport> {
+        let Self { context, pools, adamw, .. } = self;
+        let mut norm = Readback::new(context, &[&adamw.norm_squared], 1);
+        for batch in batches {
+            pools[batch.pool].set(context, batch);
+        }
+        let submission = context.submit(|encoder| {
+            self.prepare.record(encoder);
+            for batch in batches {
+                let room = &mut pools[batch.pool];
+                room.step.record(encoder);
+                room.readback.record(encoder).expect("a pool is drawn from once a step");
+            }
+            self.norm.record(encoder);
+            norm.record(encoder).expect("a fresh ring has a free slot");
+        });
+        norm.submitted(&submission);
+        let mut report = StepReport::default();
+        for batch in batches {
+            let room = &mut pools[batch.pool];
+            room.readback.submitted(&submission);
+            let told = room.readback.next(context)?.expect("one read is under way");
+            report.outcomes.push(room.outcomes(&told));
+        }
+        let told = norm.next(context)?.expect("one read is under way");
+        let norm_squared: f32 = bytemuck::pod_read_unaligned(&told);
+        report.gradient_norm = f64::from(norm_squared).sqrt();
+        if report.is_finite() {
+            adamw.set_factors(report.gradient_norm, update.number, (update.rate, update.average));
+            context.submit(|encoder| self.update.record(encoder));
+        }
+        Ok(report)
+    }
+
+    fn weights(&self) -> Result<Weights> {
+        Ok(Weights::from_flat(self.network, &self.download(&self.parameters.flat)?))
+    }
+
+    fn averaged(&self) -> Result<Weights> {
+        Ok(Weights::from_flat(self.network, &self.download(&self.adamw.moments.averaged)?))
+    }
+
+    fn device(&self) -> String {
+        self.context.name().to_owned()
+    }
+
+    fn save(&self) -> Result<Tensors> {
+        let mut tensors = Tensors::default();
+        for (name, vector) in self.vectors() {
+            let values = self.download(vector)?;
+            tensors.insert(name.to_owned(), &[values.len()], values);
+        }
+        for (k, room) in self.pools.iter().enumerate() {
+            room.read(&self.context)?.save(&format!("pool{k}"), &mut tensors);
+        }
+        Ok(tensors)
+    }
+
+    fn load(&mut self, saved: &Tensors) -> Result<()> {
+        let shape = [Weights::zeros(self.network).parameter_count()];
+        for (name, vector) in self.vectors() {
+            self.upload(vector, saved.get(name, &shape)?);
+        }
+        for (k, room) in self.pools.iter().enumerate() {
+            let mut arrays = Arrays::new(room.grid, room.scale.shape()[0]);
+            arrays.load(&format!("pool{k}"), saved)?;
+            room.write(&self.context, arrays);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,104 @@
+//! `draw`, `advance` and `store` against their meaning.
+
+use super::cloth::{field, iterate, model, targets, upload};
+use crate::common::{ROUNDING, assert_close, context, device, noise, poisoned, read, run, tensor};
+use fnopt::gpu::Tensor;
+use fnopt::kernels::cloth::StateTensors;
+use fnopt::kernels::train::{Advance, BatchTensors, Draw, Drawn, PoolTensors, Store};
+use fnopt::sim::{Grid, State};
+
+const GRID: Grid = Grid { h: 9, w: 13 };
+/// Cloths of the pool, and those drawn: the middle one begins anew, the last one ends its frame.
+const CLOTHS: usize = 5;
+const SLOTS: [usize; 3] = [4, 0, 2];
+
+fn drawn() -> Tensor {
+    let rotation = [[0.0, -1.0, 0.0, 9.0], [0.6, 0.0, 0.8, 9.0], [0.8, 0.0, -0.6, 9.0]];
+    let drawn = SLOTS.map(|slot| Drawn {
+        slot: slot as u32,
+        begin: u32::from(slot == 0),
+        advance: u32::from(slot == 2),
+        pad: 0,
+        rotation,
+    });
+    Tensor::from_slice(context(), "drawn", &[3, 16], &drawn).unwrap()
+}
+
+#[test]
+fn cloths_leave_their_pool_and_come_back() {
+    let _turn = device();
+    let (draw, store) = (Draw::new(context()).unwrap(), Store::new(context()).unwrap());
+    let n = GRID.particles();
+    let (fields, scales) = (noise(CLOTHS * 15 * n, 131), noise(CLOTHS * 3, 132));
+    let pool = tensor("pool", &[CLOTHS, 5, 3, n], &fields);
+    let pool_scale = tensor("scale", &[CLOTHS, 3], &scales);
+    let [x, v, a] = [(); 3].map(|()| poisoned("batch", &[3, 3, n]));
+    let (hidden, scale) = (poisoned("hidden", &[2, 9, n]), poisoned("scale", &[9]));
+    let batch = BatchTensors { x: &x, v: &v, a: &a, hidden: &hidden, scale: &scale };
+    let tensors = PoolTensors { fields: &pool, scale: &pool_scale };
+    let drawn = drawn();
+    run(|schedule| draw.push(schedule, (GRID, 0.05), (&drawn, tensors), batch));
+    // Field k of a slot, and what was drawn of it.
+    let of_pool = |fields: &[f32], k: usize, slot: usize| fields[(5 * slot + k) * 3 * n..][..3 * n].to_vec();
+    let memory = read(&hidden);
+    let (last_grad, last_step) = memory.split_at(9 * n);
+    let found = [read(&x), read(&v), read(&a), last_grad.to_vec(), last_step.to_vec()];
+    for (place, slot) in SLOTS.into_iter().enumerate().filter(|(_, slot)| *slot != 0) {
+        for (k, found) in found.iter().enumerate() {
+            assert_eq!(found[place * 3 * n..][..3 * n], of_pool(&fields, k, slot), "field {k}");
+        }
+        assert_eq!(read(&scale)[3 * place..][..3], scales[3 * slot..][..3]);
+    }
+    // A life that starts: the sheet at rest, turned; the rest is zero.
+    let rest = State::<f64>::rest(GRID, 1).x;
+    let turned: Vec<f64> = [[0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.8, 0.0, -0.6]]
+        .iter()
+        .flat_map(|row| (0..n).map(|p| (0..3).map(|c| row[c] * rest[c * n + p]).sum()).collect::<Vec<f64>>())
+        .collect();
+    assert_close("start", &found[0][3 * n..][..3 * n], &turned, (4.0 * ROUNDING, 4.0 * ROUNDING));
+    assert!(found[1..].iter().all(|field| field[3 * n..][..3 * n].iter().all(|&v| v == 0.0)));
+    assert_eq!(read(&scale)[3..6], [0.05; 3]);
+
+    // Other values come back to the same places, and nothing else changes.
+    let next = [141, 142, 143, 144, 145].map(|seed| noise(9 * n, seed));
+    for (tensor, values) in [&x, &v, &a].into_iter().zip(&next) {
+        tensor.write(context(), values);
+    }
+    hidden.write(context(), &[&next[3][..], &next[4]].concat());
+    let scale_next = noise(9, 146);
+    scale.write(context(), &scale_next);
+    run(|schedule| store.push(schedule, GRID, (&drawn, tensors), batch));
+    let (mut fields, mut scales) = (fields, scales);
+    for (place, slot) in SLOTS.into_iter().enumerate() {
+        for (k, next) in next.iter().enumerate() {
+            fields[(5 * slot + k) * 3 * n..][..3 * n].copy_from_slice(&next[place * 3 * n..][..3 * n]);
+        }
+        scales[3 * slot..][..3].copy_from_slice(&scale_next[3 * place..][..3]);
+    }
+    assert_eq!((read(&pool), read(&pool_scale)), (fields, scales));
+}
+
+#[test]
+fn frames_end_where_they_are_due() {
+    let _turn = device();
+    let kernel = Advance::new(context()).unwrap();
+    let model = model(GRID, 3);
+    let (n, slots, targets) = (GRID.particles(), model.handle_slots(), targets(&model));
+    let [x, v, a, shift] = [151, 152, 153, 154].map(|seed| field(&model, 1.0, seed));
+    let [mut next_x, mut next_v, mut next_a] = [x.clone(), v.clone(), a.clone()];
+    for k in 6 * n..9 * n {
+        let slot = slots[2 * n + k % n] as usize;
+        next_a[k] = 0.0;
+        next_v[k] = if slot == 0 { shift[k] } else { 0.0 };
+        next_x[k] = if slot == 0 { x[k] + shift[k] } else { targets[slot - 1][k / n % 3] };
+    }
+    let iterate = iterate(&model);
+    iterate.a.write(context(), &a);
+    iterate.shift.write(context(), &shift);
+    let [x, v] = [x, v].map(|values| upload("state", &model, &values));
+    let targets = tensor("targets", &[model.handles(), 3], targets.as_flattened());
+    let drawn = drawn();
+    let state = StateTensors { x: &x, v: &v, targets: &targets };
+    run(|schedule| kernel.push(schedule, &drawn, state, &iterate));
+    assert_eq!((read(&x), read(&v), read(&iterate.a)), (next_x, next_v, next_a));
+}

@@ -1,0 +1,52 @@
+//! `update_adj` against the authors' rule in double precision.
+
+use crate::common::{
+    ROUNDING, assert_close, cases, context, device, noise, pad, poisoned, read, run, tensor,
+};
+use fnopt::kernels::optim::{UpdateAdj, UpdateAdjTensors};
+use fnopt::kernels::padded;
+
+#[test]
+fn normalised_cotangents_match() {
+    let _turn = device();
+    let kernel = UpdateAdj::new(context()).unwrap();
+    for (grid, batch) in cases() {
+        let (samples, n) = (3 * batch, grid.particles());
+        let field: Vec<f32> = noise(samples * n, 121).iter().map(|v| 3.0 * v).collect();
+        let scalar = noise(samples, 122);
+        let scale: Vec<f32> = (0..samples).map(|s| 0.05 * (s + 1) as f32).collect();
+        let mut grad = noise(samples * n, 123);
+        // Sample 1 has all its gradient at one particle, which the clamp cuts; sample 2 is in equilibrium.
+        grad[n..2 * n].fill(0.0);
+        grad[n + n / 2] = -7.0;
+        grad[2 * n..3 * n].fill(0.0);
+        let share = 0.25;
+        let (mut adj_field, mut adj_scalar) = (Vec::new(), Vec::new());
+        for s in 0..samples {
+            let row = |v: &[f32]| v[s * n..][..n].iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
+            let (u, g) = (row(&field).iter().map(|f| f.tanh()).collect::<Vec<_>>(), row(&grad));
+            let pace = f64::from(share) * f64::from(scale[s]);
+            let along: f64 = pace * u.iter().zip(&g).map(|(u, g)| u * g).sum::<f64>();
+            let tanh = (f64::from(scalar[s]) / 2.0).tanh();
+            adj_scalar.push((along / along.abs().max(1e-40)).clamp(-10.0, 10.0) * (1.0 - tanh * tanh));
+            let norm = pace * g.iter().map(|g| g * g).sum::<f64>().sqrt();
+            let back = |(u, g): (&f64, &f64)| (pace * g / norm.max(1e-40)).clamp(-10.0, 10.0) * (1.0 - u * u);
+            adj_field.extend(u.iter().zip(&g).map(back));
+        }
+        let field = tensor("field", &[samples, grid.h, padded(grid.w)], &pad(&field, grid, f32::NAN));
+        let [scalar, scale] = [&scalar, &scale].map(|v| tensor("samples", &[samples], v));
+        let grad = tensor("grad", &[samples, n], &grad);
+        let to_field = poisoned("adj_field", field.shape());
+        let to_scalar = poisoned("adj_scalar", &[samples]);
+        let from = UpdateAdjTensors { field: &field, scalar: &scalar, scale: &scale, grad: &grad };
+        run(|schedule| kernel.push(schedule, grid, (from, share), (&to_field, &to_scalar)));
+        let what = format!("update_adj {batch} x {grid}");
+        let found = read(&to_field);
+        let dense: Vec<f32> =
+            found.chunks_exact(padded(grid.w)).flat_map(|row| &row[..grid.w]).copied().collect();
+        assert_close(&what, &dense, &adj_field, (4.0 * ROUNDING, 16.0 * ROUNDING));
+        assert_close(&what, &read(&to_scalar), &adj_scalar, (0.0, 8.0 * ROUNDING));
+        let beyond = found.chunks_exact(padded(grid.w)).flat_map(|row| &row[grid.w..]);
+        assert!(beyond.into_iter().all(|&v| v == 0.0), "{what}: the padding is zero");
+    }
+}

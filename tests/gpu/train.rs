@@ -1,0 +1,123 @@
+//! Training on the device: against the CPU path step by step, and to the same bits again.
+
+use crate::common::{context, device};
+use fnopt::sim::Device;
+use fnopt::train::{Config, Learner, Limits, Pool, Run, Update, first_weights, learner};
+use std::ops::ControlFlow;
+use std::path::Path;
+
+/// Grids with odd sides, batches of one and more, channels that fill no tile; frames end and lives begin within a few steps.
+const CONFIG: &str = r#"
+    steps = 6
+    log_every = 2
+    average = 0.9
+    [network]
+    lifting = 20
+    channels = 12
+    projection = 9
+    [[pool]]
+    grid = [9, 13]
+    iterations = 1
+    cloths = 4
+    batch = 3
+    [[pool]]
+    grid = [12, 8]
+    iterations = 2
+    cloths = 2
+    batch = 1
+    [reset]
+    sequence_length = 2
+    [validation]
+    frames = 2
+    grids = [[9, 12]]
+"#;
+
+fn config() -> Config {
+    Config::parse(CONFIG, Path::new("test.toml")).unwrap()
+}
+
+fn on(device: &Device) -> Box<dyn Learner> {
+    let config = config();
+    learner(device, &config, &first_weights(&config).unwrap()).unwrap()
+}
+
+fn gpu() -> Device {
+    Device::Gpu(context().clone())
+}
+
+#[test]
+fn steps_are_those_of_the_cpu() {
+    let _turn = device();
+    let config = config();
+    let mut learners = [on(&Device::Cpu), on(&gpu())];
+    let pool = |(index, pool): (usize, &fnopt::train::PoolConfig)| {
+        Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset))
+    };
+    let mut pools: Vec<Pool> = config.pools.iter().enumerate().map(pool).collect();
+    let (mut begun, mut advanced) = (0, 0);
+    for step in 0..12 {
+        let batches: Vec<_> = pools.iter().map(|pool| pool.draw(step)).collect();
+        begun += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.start.is_some()).count();
+        advanced += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.advance).count();
+        let update = Update { number: step + 1, rate: 1e-3, average: 0.9 };
+        let [host, found] = learners.each_mut().map(|learner| learner.step(&batches, update).unwrap());
+        let close = |what: &str, found: f64, host: f64, tolerance: f64| {
+            let error = (found - host).abs() / host.abs().max(1e-3);
+            assert!(error < tolerance, "step {step}: {what} {found}, on the CPU {host}");
+        };
+        close("loss", found.loss(), host.loss(), 1e-3);
+        close("gradient", found.gradient_norm, host.gradient_norm, 1e-3);
+        for (found, host) in found.outcomes.iter().flatten().zip(host.outcomes.iter().flatten()) {
+            close("log gradient", found.log_gradient, host.log_gradient, 1e-3);
+            (0..3).for_each(|k| close("scale", found.scale[k], host.scale[k], 1e-3));
+        }
+        for (pool, (batch, outcomes)) in pools.iter_mut().zip(batches.iter().zip(&host.outcomes)) {
+            pool.record(batch, outcomes);
+            pool.rotate(step);
+        }
+    }
+    assert!(begun > 6 && advanced > 36, "{begun} lives began, {advanced} frames ended");
+    // AdamW makes a whole step of a gradient that is all rounding, so that single weights differ; most do not.
+    let start = first_weights(&config).unwrap().flat();
+    let norm =
+        |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt();
+    let [host, found] = learners
+        .each_ref()
+        .map(|learner| [learner.weights().unwrap().flat(), learner.averaged().unwrap().flat()]);
+    for (found, host) in found.iter().zip(&host) {
+        let (apart, moved) = (norm(found, host), norm(host, &start));
+        println!("weights moved {moved:.1e} and are {apart:.1e} apart");
+        assert!(moved > 0.0 && apart < 0.1 * moved, "weights moved {moved:.1e} and are {apart:.1e} apart");
+    }
+}
+
+#[test]
+fn runs_repeat_and_resume_to_the_same_bits() {
+    let _turn = device();
+    let folder = tempfile::tempdir().unwrap();
+    let [once, twice] = ["once", "twice"].map(|name| folder.path().join(name));
+    let session = |run: &mut Run, steps| {
+        run.train(&Limits { steps: Some(steps), minutes: None }, |_| ControlFlow::Continue(())).unwrap();
+    };
+    let mut unbroken = Run::create(&once, CONFIG, config(), on(&gpu())).unwrap();
+    session(&mut unbroken, 6);
+    let mut broken = Run::create(&twice, CONFIG, config(), on(&gpu())).unwrap();
+    session(&mut broken, 3);
+    drop(broken);
+    let (mut resumed, _) = Run::resume(&twice, None, |_| Ok(on(&gpu()))).unwrap();
+    assert_eq!(resumed.step(), 3);
+    session(&mut resumed, 6);
+    assert_eq!(unbroken.weights().unwrap(), resumed.weights().unwrap());
+}
+
+#[test]
+fn a_run_moves_from_device_to_device() {
+    let _turn = device();
+    let from = on(&gpu()).save().unwrap();
+    let mut host = on(&Device::Cpu);
+    host.load(&from).unwrap();
+    assert_eq!(host.weights().unwrap(), on(&gpu()).weights().unwrap());
+    let mut back = on(&gpu());
+    back.load(&host.save().unwrap()).unwrap();
+    assert_eq!(back.weights().unwrap(), host.weights().unwrap());
+}
