@@ -78,7 +78,7 @@ impl Learner for CpuLearner {
             report.outcomes.push(told.collect());
             all.store(batch, drawn);
         }
-        ranks.mean_gradient(&mut self.gradient, report.loss());
+        ranks.join(&mut self.gradient, report.loss());
         report.gradient_norm = AdamW::norm(&self.gradient);
         if report.is_finite() {
             let gradient = (&self.gradient[..], report.gradient_norm);

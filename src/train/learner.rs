@@ -19,7 +19,7 @@ pub trait Learner {
     ///    scale and network only, with the gradient-normalising rule;
     /// 4. where `advance` is set, the frame ends: v <- v + a, x <- x + v, handles at their targets with velocity 0, a <- 0.
     ///
-    /// Then [`Ranks::mean_gradient`] joins the gradients of all ranks, and AdamW follows with the gradient's norm clipped,
+    /// Then [`Ranks::join`] adds up the gradients of all ranks, and AdamW follows with the gradient's norm clipped,
     /// and the running mean of the weights. If the loss or the norm is not finite ([`StepReport::is_finite`]), weights,
     /// AdamW's memory and running mean stay as they are. With one rank the gradient need not leave the device.
     fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport>;
@@ -115,7 +115,7 @@ impl StepReport {
         self.outcomes.iter().map(mean).sum()
     }
 
-    /// Whether the step can be used; all ranks find the same, as [`Ranks::mean_gradient`] tells each of all losses.
+    /// Whether the step can be used; all ranks find the same, as [`Ranks::join`] tells each of all losses.
     pub fn is_finite(&self) -> bool {
         self.gradient_norm.is_finite() && self.loss().is_finite()
     }

@@ -7,7 +7,7 @@ use std::rc::Rc;
 /// The processes that train one network together, seen from one of them. Each is a *rank*, numbered from 0.
 ///
 /// All hold the same weights and AdamW's memory of them. Each has pools of its own, simulated from a seed of its own
-/// ([`Ranks::seed`]), and takes part in every step with the gradient of its own batches ([`Ranks::mean_gradient`]). Rank 0
+/// ([`Ranks::seed`]), and takes part in every step with the gradient of its own batches ([`Ranks::join`]). Rank 0
 /// alone measures, writes the files of the run and decides when something ends ([`Ranks::decide`]); the others only write
 /// their part of each checkpoint.
 ///
@@ -34,19 +34,15 @@ pub trait Ranks {
         seed.wrapping_add((self.rank() as u64) << 32)
     }
 
-    /// Makes the gradient of this rank's loss, over all weights, that of the mean of all ranks' losses: ranks with batches
-    /// of B cloths are together one learner with batches of `count B`. If a loss is not finite, nor is the gradient, on any
-    /// rank, so that all skip the step alike.
-    fn mean_gradient(&self, gradient: &mut [f32], loss: f64) {
-        if self.count() == 1 {
-            return;
-        }
-        if !loss.is_finite() {
+    /// Makes the gradient over all weights of this rank's loss that of the sum of all ranks' losses. As the loss of one
+    /// learner is the sum over its pools, ranks are together one learner with the pools of all of them. (And because every
+    /// cloth weighs the same on the way back, also one with larger batches: it is not divided by the number of ranks.) If
+    /// a loss is not finite, the gradient is not either, on any rank, so that all skip the step alike.
+    fn join(&self, gradient: &mut [f32], loss: f64) {
+        if !loss.is_finite() && self.count() > 1 {
             gradient.fill(f32::NAN);
         }
         self.sum(gradient);
-        let share = 1.0 / self.count() as f32;
-        gradient.iter_mut().for_each(|g| *g *= share);
     }
 
     /// Rank 0's number.
