@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Two ranks over MPI, for real: they end well, resume to the same bits, refuse another number of ranks, and stop together.
+# Two ranks over MPI, for real: they end well, resume to the same bits, refuse another number of ranks, end together.
 # Needs Open MPI with its headers and libclang (Debian: libopenmpi-dev openmpi-bin libclang-dev). Run by hand.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -55,7 +55,14 @@ for count in 1 3; do
     grep -q "ranks: expected 2, as many as the run began with, found $count" "$scratch/said" || fail "no clear error"
 done
 
-echo "== interrupted on rank 0"
+echo "== an error on one rank"
+mkdir "$scratch/once/checkpoints/step-00000008.rank1.safetensors"
+code=0
+ranks 2 --resume "$scratch/once" --steps 8 2>"$scratch/said" || code=$?
+[[ "$code" == 2 ]] || fail "exit code $code, not 2"
+grep -q "error on rank 1: .*cannot write" "$scratch/said" || fail "nothing tells of the error"
+
+echo "== interrupted, with the signal that launchers send"
 ranks 2 "$scratch/tiny.toml" --out "$scratch/stopped" 2>"$scratch/said" &
 job=$!
 while ! [[ -s "$scratch/stopped/metrics.csv" && "$(wc -l <"$scratch/stopped/metrics.csv")" -gt 4 ]]; do
@@ -63,7 +70,7 @@ while ! [[ -s "$scratch/stopped/metrics.csv" && "$(wc -l <"$scratch/stopped/metr
     sleep 0.2
 done
 for process in $(pgrep -f "^$scratch/fnopt "); do
-    if grep -qz '^OMPI_COMM_WORLD_RANK=0$' "/proc/$process/environ"; then kill -INT "$process"; fi
+    if grep -qz '^OMPI_COMM_WORLD_RANK=0$' "/proc/$process/environ"; then kill -TERM "$process"; fi
 done
 code=0
 wait "$job" || code=$?

@@ -117,10 +117,12 @@ impl Args {
     /// The device of this rank.
     fn opened(&self, ranks: &dyn Ranks) -> fnopt::Result<Device> {
         let (device, line) = self.device.open()?;
-        match ranks.count() {
-            1 => eprintln!("{line}"),
-            count => eprintln!("rank {} of {count}: {line}", ranks.rank()),
-        }
+        let line = match ranks.count() {
+            1 => format!("{line}\n"),
+            count => format!("rank {} of {count}: {line}\n", ranks.rank()),
+        };
+        // In one piece, or the lines of several ranks would mix.
+        eprint!("{line}");
         Ok(device)
     }
 }

@@ -20,9 +20,6 @@
 //!
 //! [`Run`] is a folder and what goes on in it:
 //!
-//! Several processes can train one network together, each with pools of its own ([`Ranks`]); with the crate's feature `mpi`
-//! MPI connects them. Rank 0 writes the folder, and its losses are those in `metrics.csv`; the gradient norm is that of all.
-//!
 //! | file | holds |
 //! |---|---|
 //! | `config.toml` | the exact configuration ([`Config`]) |
@@ -31,6 +28,11 @@
 //! | `plot.png` | both as curves |
 //! | `checkpoints/` | the last three whole states of the run, to resume from with as many ranks; a file for each rank |
 //! | `weights/best.safetensors`, `last.safetensors` | weights (averaged, if that is on), each with a model card in JSON |
+//!
+//! # Several ranks
+//!
+//! Several processes can train one network together, each with pools of its own ([`Ranks`]); with the crate's feature `mpi`
+//! MPI connects them. Rank 0 writes the folder, and its losses are those in `metrics.csv`; the gradient norm is that of all.
 
 mod arrays;
 mod card;
