@@ -175,6 +175,13 @@ mod tests {
     }
 
     #[test]
+    fn a_checkpoint_from_before_there_were_ranks_is_of_one() {
+        let mut counters = serde_json::to_value(example().counters).unwrap();
+        counters.as_object_mut().unwrap().remove("ranks").unwrap();
+        assert_eq!(serde_json::from_value::<Counters>(counters).unwrap().ranks, 1);
+    }
+
+    #[test]
     fn any_damaged_byte_and_any_cut_is_noticed() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("c.safetensors");
