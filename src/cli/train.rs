@@ -4,11 +4,13 @@ use super::device::DeviceArgs;
 use super::{Ending, interrupt_flag};
 use anyhow::Result;
 use fnopt::network::Weights;
-use fnopt::train::{Config, End, Limits, Progress, Run, SceneScore, first_weights, learner};
+use fnopt::sim::Device;
+use fnopt::train::{Config, End, Limits, Progress, Ranks, Run, SceneScore, first_weights, learner, ranks};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 use std::sync::atomic::Ordering;
 
 /// Arguments of `fnopt train`.
@@ -38,24 +40,32 @@ const PAPER: &str = include_str!("../../assets/training/paper.toml");
 const PAPER_NAME: &str = "assets/training/paper.toml";
 
 pub fn run(args: &Args) -> Result<Ending> {
+    let ranks = ranks()?;
+    train(args, &ranks).inspect_err(|error| ranks.abort(error))
+}
+
+/// Trains as one of the ranks; only rank 0 tells how it goes.
+fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
+    let first = ranks.rank() == 0;
     let given = args.config.as_deref().map(Config::load).transpose()?;
     let mut run = match &args.resume {
-        Some(folder) => args.resumed(folder, given.map(|(_, config)| config))?,
+        Some(folder) => args.resumed(folder, given.map(|(_, config)| config), ranks)?,
         None => {
             let (text, config) = match given {
                 Some(given) => given,
                 None => (PAPER.to_owned(), Config::parse(PAPER, Path::new(PAPER_NAME))?),
             };
-            let weights = first_weights(&config)?;
-            let (device, line) = args.device.open()?;
-            eprintln!("{line}");
-            let learner = learner(&device, &config, &weights)?;
-            Run::create(&args.out, &text, config, learner)?
+            let weights = first_weights(&config, &**ranks)?;
+            let learner = learner(&args.opened(&**ranks)?, &config, &weights)?;
+            Run::create(&args.out, &text, config, learner, ranks.clone())?
         }
     };
     let folder = args.resume.as_ref().unwrap_or(&args.out).display();
     let limits = Limits { steps: args.steps, minutes: args.minutes };
-    let bar = progress(run.step(), limits.steps.unwrap_or(u64::MAX).min(run.config().steps));
+    let bar = match first {
+        true => progress(run.step(), limits.steps.unwrap_or(u64::MAX).min(run.config().steps)),
+        false => ProgressBar::hidden(),
+    };
     let interrupted = interrupt_flag();
     let end = run.train(&limits, |progress| {
         show(&bar, progress);
@@ -68,36 +78,52 @@ pub fn run(args: &Args) -> Result<Ending> {
     };
     let line =
         format!("{} steps of {} done{skipped}; {folder} holds the run", run.step(), run.config().steps);
+    if first {
+        tell(end, &line)?;
+    }
     Ok(match end {
-        End::Done => {
-            writeln!(std::io::stdout(), "{line}")?;
-            Ending::Done
-        }
-        End::Interrupted => {
-            eprintln!("interrupted: {line}; continue with --resume");
-            Ending::Interrupted
-        }
-        End::NonFinite => {
-            eprintln!(
-                "error: the loss became non-finite and stayed so: {line}; the weights are those before"
-            );
-            Ending::NonFinite
-        }
+        End::Done => Ending::Done,
+        End::Interrupted => Ending::Interrupted,
+        End::NonFinite => Ending::NonFinite,
     })
 }
 
+/// Says how the run ended; `line` says where it is.
+fn tell(end: End, line: &str) -> std::io::Result<()> {
+    match end {
+        End::Done => writeln!(std::io::stdout(), "{line}")?,
+        End::Interrupted => eprintln!("interrupted: {line}; continue with --resume"),
+        End::NonFinite => {
+            eprintln!("error: the loss became non-finite and stayed so: {line}; the weights are those before")
+        }
+    }
+    Ok(())
+}
+
 impl Args {
-    fn resumed(&self, folder: &Path, given: Option<Config>) -> Result<Run> {
-        let (run, passed_over) = Run::resume(folder, given.as_ref(), |config| {
-            let (device, line) = self.device.open()?;
-            eprintln!("{line}");
-            learner(&device, config, &Weights::zeros(config.network))
-        })?;
+    fn resumed(&self, folder: &Path, given: Option<Config>, ranks: &Rc<dyn Ranks>) -> Result<Run> {
+        let learner =
+            |config: &Config| learner(&self.opened(&**ranks)?, config, &Weights::zeros(config.network));
+        let (run, passed_over) = Run::resume(folder, given.as_ref(), learner, ranks.clone())?;
         for error in passed_over {
             eprintln!("warning: passed over a damaged checkpoint: {error}");
         }
-        eprintln!("continuing after step {}", run.step());
+        if ranks.rank() == 0 {
+            eprintln!("continuing after step {}", run.step());
+        }
         Ok(run)
+    }
+
+    /// The device of this rank.
+    fn opened(&self, ranks: &dyn Ranks) -> fnopt::Result<Device> {
+        let (device, line) = self.device.open()?;
+        let line = match ranks.count() {
+            1 => format!("{line}\n"),
+            count => format!("rank {} of {count}: {line}\n", ranks.rank()),
+        };
+        // In one piece, or the lines of several ranks would mix.
+        eprint!("{line}");
+        Ok(device)
     }
 }
 

@@ -17,6 +17,8 @@ pub(super) struct Card<'a> {
     pub seconds: f64,
     /// Device they were trained on.
     pub device: &'a str,
+    /// Processes that trained them together, each with batches of its own.
+    pub ranks: usize,
     /// Version of the program.
     pub version: &'static str,
     /// Real parameters of the network.

@@ -1,4 +1,4 @@
-//! The whole state of a run as one file.
+//! The whole state of a rank of a run as one file.
 
 use super::pool::Slot;
 use crate::{Error, Result, io};
@@ -50,11 +50,18 @@ pub(super) struct Counters {
     pub best: Option<f64>,
     /// Time spent \[s\], in all sessions.
     pub seconds: f64,
+    /// Ranks that train together; files from before there could be several do not say.
+    #[serde(default = "one")]
+    pub ranks: usize,
     /// How far each cloth of each pool is.
     pub pools: Vec<Vec<Slot>>,
 }
 
-/// A checkpoint of a run.
+fn one() -> usize {
+    1
+}
+
+/// A checkpoint of a run, or the part of it of one rank: weights and counters are the same in all, pools are its own.
 pub(super) struct Checkpoint {
     /// The configuration, as TOML.
     pub config: String,
@@ -165,6 +172,13 @@ mod tests {
         assert_eq!(bits(&read, "a", &[3]), bits(&written, "a", &[3]));
         let error = read.tensors.get("a", &[4]).unwrap_err().to_string();
         assert!(error.contains("tensor 'a'") && error.contains("[4]") && error.contains("c.saf"), "{error}");
+    }
+
+    #[test]
+    fn a_checkpoint_from_before_there_were_ranks_is_of_one() {
+        let mut counters = serde_json::to_value(example().counters).unwrap();
+        counters.as_object_mut().unwrap().remove("ranks").unwrap();
+        assert_eq!(serde_json::from_value::<Counters>(counters).unwrap().ranks, 1);
     }
 
     #[test]

@@ -4,6 +4,7 @@ use super::arrays::Arrays;
 use super::checkpoint::Tensors;
 use super::config::Config;
 use super::learner::{Batch, Learner, Outcome, StepReport, Update};
+use super::ranks::Ranks;
 use crate::Result;
 use crate::cpu::train::{AdamW, Loss};
 use crate::network::{self, Weights};
@@ -48,7 +49,7 @@ impl CpuLearner {
 }
 
 impl Learner for CpuLearner {
-    fn step(&mut self, batches: &[Batch], update: Update) -> Result<StepReport> {
+    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
         let weights = self.weights()?;
         self.gradient.fill(0.0);
         let mut report = StepReport::default();
@@ -69,6 +70,7 @@ impl Learner for CpuLearner {
             report.outcomes.push(told.collect());
             all.store(batch, drawn);
         }
+        ranks.join(&mut self.gradient, report.loss());
         report.gradient_norm = AdamW::norm(&self.gradient);
         if report.is_finite() {
             let gradient = (&self.gradient[..], report.gradient_norm);

@@ -1,6 +1,7 @@
 //! The folder of a run.
 
 use super::checkpoint::Checkpoint;
+use super::ranks::Ranks;
 use crate::{Error, Result, io};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -8,10 +9,20 @@ use std::path::{Path, PathBuf};
 /// Checkpoints that are kept.
 const KEPT: usize = 3;
 
+/// What [`Folder::newest`] calls a checkpoint that is not there.
+const NONE: u64 = u64::MAX;
+
 /// Paths inside the folder of a run.
 #[derive(Clone, Debug)]
 pub(super) struct Folder {
     root: PathBuf,
+}
+
+/// A file among the checkpoints: what a rank had to save after a step.
+struct Saved {
+    step: u64,
+    rank: usize,
+    path: PathBuf,
 }
 
 impl Folder {
@@ -19,7 +30,7 @@ impl Folder {
     /// checkpoints.
     pub fn create(root: &Path, config: &str) -> Result<Self> {
         let folder = Self { root: root.to_owned() };
-        if let Some(path) = folder.checkpoints()?.first() {
+        if let Some(Saved { path, .. }) = folder.checkpoints()?.first() {
             let expected = "none in the folder of a new run (--resume continues an old one)";
             return Err(Error::invalid(root.display().to_string(), "checkpoints", expected, path.display()));
         }
@@ -57,22 +68,47 @@ impl Folder {
         self.root.join("weights").join(format!("{name}.safetensors"))
     }
 
-    /// Writes a checkpoint, and only then removes the oldest.
-    pub fn keep(&self, checkpoint: &Checkpoint) -> Result<()> {
-        let name = format!("step-{:08}.safetensors", checkpoint.counters.step);
-        checkpoint.write(&self.checkpoint_dir().join(name))?;
-        for path in self.checkpoints()?.iter().skip(KEPT) {
+    /// Writes the checkpoint of all ranks, and only then removes the oldest.
+    pub fn keep(&self, checkpoint: &Checkpoint, ranks: &dyn Ranks) -> Result<()> {
+        let path = self.checkpoint(checkpoint.counters.step, ranks.rank());
+        // Rank 0's files say which checkpoints there are, so each comes after those of the others.
+        if ranks.rank() != 0 {
+            checkpoint.write(&path)?;
+        }
+        ranks.all(true);
+        if ranks.rank() != 0 {
+            return Ok(());
+        }
+        checkpoint.write(&path)?;
+        let files = self.checkpoints()?;
+        let kept: Vec<u64> = files.iter().filter(|f| f.rank == 0).map(|f| f.step).take(KEPT).collect();
+        for Saved { path, .. } in files.iter().filter(|file| !kept.contains(&file.step)) {
             std::fs::remove_file(path).map_err(|e| Error::io(path, "cannot remove", e))?;
         }
         Ok(())
     }
 
-    /// The newest checkpoint that is whole, and what was wrong with newer ones.
-    pub fn newest(&self) -> Result<(Checkpoint, Vec<Error>)> {
+    /// The newest checkpoint that is whole on all ranks, as this rank saved it, and what was wrong with its newer ones.
+    pub fn newest(&self, ranks: &dyn Ranks) -> Result<(Checkpoint, Vec<Error>)> {
         let mut passed_over = Vec::new();
-        for path in self.checkpoints()? {
-            match Checkpoint::read(&path) {
-                Ok(checkpoint) => return Ok((checkpoint, passed_over)),
+        let count = ranks.count() as u64;
+        let mut steps = self.checkpoints()?.into_iter().filter(|file| file.rank == 0).map(|file| file.step);
+        loop {
+            let step = ranks.first(steps.next().unwrap_or(NONE));
+            if step == NONE {
+                break;
+            }
+            let read = Checkpoint::read(&self.checkpoint(step, ranks.rank()));
+            let began = ranks.first(read.as_ref().map_or(count, |c| c.counters.ranks as u64));
+            if began != count {
+                let expected = format!("{began}, as many as the run began with");
+                return Err(Error::invalid(self.root.display().to_string(), "ranks", expected, count));
+            }
+            let whole = ranks.all(read.is_ok());
+            match read {
+                Ok(checkpoint) if whole => return Ok((checkpoint, passed_over)),
+                // Another rank tells what is wrong.
+                Ok(_) => {}
                 Err(error) => passed_over.push(error),
             }
         }
@@ -84,25 +120,34 @@ impl Folder {
         Err(Error::invalid(dir, "checkpoints", "a whole one to resume from", found))
     }
 
-    /// All checkpoints, the newest first; a folder that is missing has none.
-    fn checkpoints(&self) -> Result<Vec<PathBuf>> {
+    /// The files of all checkpoints and ranks, the newest first; a folder that is missing has none.
+    fn checkpoints(&self) -> Result<Vec<Saved>> {
         let dir = self.checkpoint_dir();
         let fail = |e| Error::io(&dir, "cannot read", e);
-        let mut found: Vec<(u64, PathBuf)> = Vec::new();
+        let mut found = Vec::new();
         let entries = match std::fs::read_dir(&dir) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(found),
             entries => entries.map_err(fail)?,
         };
         for entry in entries {
             let path = entry.map_err(fail)?.path();
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-            let step = name.strip_prefix("step-").and_then(|n| n.strip_suffix(".safetensors"));
-            if let Some(step) = step.and_then(|n| n.parse().ok()) {
-                found.push((step, path));
+            let Some(name) = name.strip_prefix("step-").and_then(|n| n.strip_suffix(".safetensors")) else {
+                continue;
+            };
+            let (step, rank) = name.split_once(".rank").unwrap_or((name, "0"));
+            if let (Ok(step), Ok(rank)) = (step.parse(), rank.parse()) {
+                found.push(Saved { step, rank, path });
             }
         }
-        found.sort_by(|a, b| b.cmp(a));
-        Ok(found.into_iter().map(|(_, path)| path).collect())
+        found.sort_by_key(|file| (std::cmp::Reverse(file.step), file.rank));
+        Ok(found)
+    }
+
+    /// Where a rank saves its part of the checkpoint after a step.
+    fn checkpoint(&self, step: u64, rank: usize) -> PathBuf {
+        let rank = if rank == 0 { String::new() } else { format!(".rank{rank}") };
+        self.checkpoint_dir().join(format!("step-{step:08}{rank}.safetensors"))
     }
 
     fn checkpoint_dir(&self) -> PathBuf {

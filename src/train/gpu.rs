@@ -5,6 +5,7 @@ use super::checkpoint::Tensors;
 use super::config::{Config, PoolConfig};
 use super::device::{DeviceAdamW, DeviceLoss};
 use super::learner::{Batch, Learner, Outcome, StepReport, Update};
+use super::ranks::Ranks;
 use crate::Result;
 use crate::gpu::{Context, Readback, Schedule, Tensor};
 use crate::kernels::Tuning;
@@ -24,6 +25,8 @@ pub(super) struct GpuLearner {
     prepare: Schedule,
     /// After them: the gradient's norm.
     norm: Schedule,
+    /// Reads it back.
+    told: Readback,
     update: Schedule,
 }
 
@@ -144,8 +147,9 @@ impl GpuLearner {
         let [mut norm, mut update] = [(); 2].map(|()| Schedule::new(context));
         adamw.push_norm(&mut norm)?;
         adamw.push_step(&mut update, &parameters.flat)?;
+        let told = Readback::new(context, &[&adamw.norm_squared], 1);
         let (context, network) = (context.clone(), weights.config);
-        Ok(Self { context, network, parameters, adamw, pools, prepare, norm, update })
+        Ok(Self { context, network, parameters, adamw, pools, prepare, norm, told, update })
     }
 
     /// The vectors of a checkpoint, by name.
@@ -169,9 +173,8 @@ impl GpuLearner {
 }
 
 impl Learner for GpuLearner {
-    fn step(&mut self, batches: &[Batch], update: Update) -> Result<StepReport> {
+    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
         let Self { context, pools, adamw, .. } = self;
-        let mut norm = Readback::new(context, &[&adamw.norm_squared], 1);
         for batch in batches {
             pools[batch.pool].set(context, batch);
         }
@@ -182,10 +185,11 @@ impl Learner for GpuLearner {
                 room.step.record(encoder);
                 room.readback.record(encoder).expect("a pool is drawn from once a step");
             }
-            self.norm.record(encoder);
-            norm.record(encoder).expect("a fresh ring has a free slot");
+            if ranks.count() == 1 {
+                self.norm.record(encoder);
+                self.told.record(encoder).expect("the ring's slot is free between steps");
+            }
         });
-        norm.submitted(&submission);
         let mut report = StepReport::default();
         for batch in batches {
             let room = &mut pools[batch.pool];
@@ -193,7 +197,19 @@ impl Learner for GpuLearner {
             let told = room.readback.next(context)?.expect("one read is under way");
             report.outcomes.push(room.outcomes(&told));
         }
-        let told = norm.next(context)?.expect("one read is under way");
+        let mut submission = submission;
+        if ranks.count() > 1 {
+            // The one case in which the gradient leaves the device.
+            let mut gradient = adamw.gradient.read(context)?;
+            ranks.join(&mut gradient, report.loss());
+            adamw.gradient.write(context, &gradient);
+            submission = context.submit(|encoder| {
+                self.norm.record(encoder);
+                self.told.record(encoder).expect("the ring's slot is free between steps");
+            });
+        }
+        self.told.submitted(&submission);
+        let told = self.told.next(context)?.expect("one read is under way");
         let norm_squared: f32 = bytemuck::pod_read_unaligned(&told);
         report.gradient_norm = f64::from(norm_squared).sqrt();
         if report.is_finite() {

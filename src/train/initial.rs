@@ -2,21 +2,27 @@
 
 use super::config::Config;
 use super::random::{Purpose, generator};
+use super::ranks::Ranks;
 use crate::network::{self, Weights};
 use crate::{Error, Result};
 use rand::RngExt;
 use rand::rngs::ChaCha8Rng;
 use std::f64::consts::TAU;
 
-/// The weights that a run begins with: those in the file `init`, or fresh ones.
-pub fn first_weights(config: &Config) -> Result<Weights> {
-    let Some(path) = &config.init else { return Ok(initial_weights(config.network, config.seed)) };
-    let weights = Weights::load(path)?;
-    if weights.config == config.network {
-        return Ok(weights);
+/// The weights that a run begins with: those in the file `init`, or fresh ones. Those of rank 0 on all ranks, as logarithms
+/// and cosines may differ in the last bit from machine to machine.
+pub fn first_weights(config: &Config, ranks: &dyn Ranks) -> Result<Weights> {
+    let weights = match &config.init {
+        Some(path) => Weights::load(path)?,
+        None => initial_weights(config.network, config.seed),
+    };
+    if let Some(path) = config.init.as_ref().filter(|_| weights.config != config.network) {
+        let (expected, found) = (format!("{:?}", config.network), format!("{:?}", weights.config));
+        return Err(Error::invalid(path.display().to_string(), "network", expected, found));
     }
-    let (expected, found) = (format!("{:?}", config.network), format!("{:?}", weights.config));
-    Err(Error::invalid(path.display().to_string(), "network", expected, found))
+    let mut flat = weights.flat();
+    ranks.broadcast(bytemuck::cast_slice_mut(&mut flat));
+    Ok(Weights::from_flat(config.network, &flat))
 }
 
 /// Random weights as the authors' implementation draws them (neuraloperator's and PyTorch's defaults).

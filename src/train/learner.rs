@@ -4,6 +4,7 @@ use super::checkpoint::Tensors;
 use super::config::Config;
 use super::cpu::CpuLearner;
 use super::gpu::GpuLearner;
+use super::ranks::Ranks;
 use crate::Result;
 use crate::network::Weights;
 use crate::sim::{Cloth, Control, Device, EnergyTerms, Grid, Model, cast};
@@ -19,9 +20,10 @@ pub trait Learner {
     ///    scale and network only, with the gradient-normalising rule;
     /// 4. where `advance` is set, the frame ends: v <- v + a, x <- x + v, handles at their targets with velocity 0, a <- 0.
     ///
-    /// Then AdamW with the gradient's norm clipped, and the running mean of the weights. If the loss or the norm is not
-    /// finite ([`StepReport::is_finite`]), weights, AdamW's memory and running mean stay as they are.
-    fn step(&mut self, batches: &[Batch], update: Update) -> Result<StepReport>;
+    /// Then [`Ranks::join`] adds up the gradients of all ranks, and AdamW follows with the gradient's norm clipped,
+    /// and the running mean of the weights. If the loss or the norm is not finite ([`StepReport::is_finite`]), weights,
+    /// AdamW's memory and running mean stay as they are. With one rank the gradient need not leave the device.
+    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport>;
 
     /// The weights.
     fn weights(&self) -> Result<Weights>;
@@ -90,9 +92,9 @@ pub struct Update {
 /// What a step tells.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct StepReport {
-    /// Norm of the loss's gradient over all weights, before clipping.
+    /// Norm of the gradient over all weights of the loss of all ranks, before clipping.
     pub gradient_norm: f64,
-    /// Each cloth of each batch, in the order of the batches.
+    /// Each cloth of each batch of this rank, in the order of the batches.
     pub outcomes: Vec<Vec<Outcome>>,
 }
 
@@ -108,13 +110,13 @@ pub struct Outcome {
 }
 
 impl StepReport {
-    /// The loss: the sum over the batches of the mean energy of their cloths.
+    /// The loss of this rank: the sum over the batches of the mean energy of their cloths.
     pub fn loss(&self) -> f64 {
         let mean = |o: &Vec<Outcome>| o.iter().map(|o| o.energy.total()).sum::<f64>() / o.len() as f64;
         self.outcomes.iter().map(mean).sum()
     }
 
-    /// Whether the step can be used.
+    /// Whether the step can be used; all ranks find the same, as [`Ranks::join`] tells each of all losses.
     pub fn is_finite(&self) -> bool {
         self.gradient_norm.is_finite() && self.loss().is_finite()
     }

@@ -26,8 +26,13 @@
 //! | `metrics.csv` | means over `log_every` steps: loss, its terms and the log mean absolute gradient of each pool, gradient norm, speed |
 //! | `validation.csv` | each rollout of each validation |
 //! | `plot.png` | both as curves |
-//! | `checkpoints/` | the last three whole states of the run, to resume from |
+//! | `checkpoints/` | the last three whole states of the run, to resume from with as many ranks; a file for each rank |
 //! | `weights/best.safetensors`, `last.safetensors` | weights (averaged, if that is on), each with a model card in JSON |
+//!
+//! # Several ranks
+//!
+//! Several processes can train one network together, each with pools of its own ([`Ranks`]); with the crate's feature `mpi`
+//! MPI connects them. Rank 0 writes the folder, and its losses are those in `metrics.csv`; the gradient norm is that of all.
 
 mod arrays;
 mod card;
@@ -40,10 +45,14 @@ mod gpu;
 mod initial;
 mod learner;
 mod metrics;
+#[cfg(feature = "mpi")]
+mod mpi;
 mod plot;
 mod pool;
 mod random;
+mod ranks;
 mod read;
+mod records;
 mod run;
 mod schedule;
 mod script;
@@ -60,6 +69,7 @@ pub use device::{DeviceAdamW, DeviceLoss};
 pub use initial::{first_weights, initial_weights};
 pub use learner::{Batch, Drawn, Learner, Outcome, StepReport, Update, learner};
 pub use pool::{MAX_HANDLES, Pool};
+pub use ranks::{Alone, Ranks, ranks};
 pub use run::{End, Limits, Progress, Run};
 pub use schedule::{Decay, Schedule};
 pub use script::Script;

@@ -5,36 +5,32 @@ use super::checkpoint::{Checkpoint, Counters};
 use super::config::{Config, Every};
 use super::folder::Folder;
 use super::learner::{Batch, Learner, StepReport, Update};
-use super::metrics::Metrics;
-use super::plot;
 use super::pool::Pool;
-use super::table::Table;
+use super::ranks::Ranks;
+use super::records::Records;
 use super::validation::{SceneScore, Validation};
 use crate::network::Weights;
-use crate::{Error, Result, io, render};
+use crate::{Error, Result, io};
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::rc::Rc;
 use std::time::Instant;
 
 /// Steps in a row that may be skipped because they are not finite.
 const MOST_SKIPPED: u32 = 10;
-/// Columns of `validation.csv`.
-const VALIDATION_COLUMNS: [&str; 5] = ["step", "scene", "gap", "largest_stretch", "stable"];
 
-/// A run and its folder.
+/// A run and its folder, on one of the [`Ranks`] that train together.
 pub struct Run {
     config: Config,
     text: String,
     folder: Folder,
+    ranks: Rc<dyn Ranks>,
     learner: Box<dyn Learner>,
     pools: Vec<Pool>,
     counters: Counters,
-    metrics: Metrics,
-    validation: Validation,
-    validations: Table,
-    /// The last validation and its step.
-    scores: (u64, Vec<SceneScore>),
+    /// On rank 0 only.
+    records: Option<Records>,
 }
 
 /// Where a session ends, if not at the end of the run. The run can be resumed there.
@@ -66,16 +62,23 @@ pub struct Progress<'a> {
     pub steps: u64,
     /// What the step told.
     pub report: &'a StepReport,
-    /// Validation, if this step was followed by one.
+    /// Validation, if this step was followed by one; on rank 0 only.
     pub validation: Option<&'a [SceneScore]>,
 }
 
 impl Run {
     /// Begins a run in the folder `root`. `text` is the configuration as it was read; `learner` holds the first weights.
-    pub fn create(root: &Path, text: &str, config: Config, learner: Box<dyn Learner>) -> Result<Self> {
-        let validation = Validation::new(&config.validation)?;
-        let folder = Folder::create(root, text)?;
-        Self::open((config, text.to_owned()), folder, learner, (Counters::default(), validation))
+    pub fn create(
+        root: &Path,
+        text: &str,
+        config: Config,
+        learner: Box<dyn Learner>,
+        ranks: Rc<dyn Ranks>,
+    ) -> Result<Self> {
+        // Before the folder: what is wrong with the configuration leaves no trace.
+        Validation::new(&config.validation)?;
+        let folder = if ranks.rank() == 0 { Folder::create(root, text)? } else { Folder::open(root) };
+        Self::open((config, text.to_owned()), folder, Counters::default(), (learner, ranks))
     }
 
     /// Continues the run in the folder `root`, on the learner that `learner` makes for its configuration. `given` is
@@ -84,6 +87,7 @@ impl Run {
         root: &Path,
         given: Option<&Config>,
         learner: impl FnOnce(&Config) -> Result<Box<dyn Learner>>,
+        ranks: Rc<dyn Ranks>,
     ) -> Result<(Self, Vec<Error>)> {
         let folder = Folder::open(root);
         let (_, config) = Config::load(&folder.config())?;
@@ -94,35 +98,35 @@ impl Run {
         if given.is_some_and(|given| *given != config) {
             return other("another than the one given with --resume");
         }
-        let (Checkpoint { config: text, counters, tensors }, passed_over) = folder.newest()?;
+        let (Checkpoint { config: text, counters, tensors }, passed_over) = folder.newest(&*ranks)?;
         if Config::parse(&text, &folder.config())? != config {
             return other("another than in the checkpoints");
         }
         let mut learner = learner(&config)?;
         learner.load(&tensors)?;
-        let validation = Validation::new(&config.validation)?;
-        let run = Self::open((config, text), folder, learner, (counters, validation))?;
+        let run = Self::open((config, text), folder, counters, (learner, ranks))?;
         Ok((run, passed_over))
     }
 
     fn open(
         (config, text): (Config, String),
         folder: Folder,
-        learner: Box<dyn Learner>,
-        (mut counters, validation): (Counters, Validation),
+        mut counters: Counters,
+        (learner, ranks): (Box<dyn Learner>, Rc<dyn Ranks>),
     ) -> Result<Self> {
-        let rules = (config.motion, config.reset);
-        let of =
-            |(index, pool): (usize, &super::PoolConfig)| Pool::new(index, config.seed, pool.clone(), rules);
+        let (seed, rules) = (ranks.seed(config.seed), (config.motion, config.reset));
+        let of = |(index, pool): (usize, &super::PoolConfig)| Pool::new(index, seed, pool.clone(), rules);
         let mut pools: Vec<Pool> = config.pools.iter().enumerate().map(of).collect();
         for (pool, slots) in pools.iter_mut().zip(std::mem::take(&mut counters.pools)) {
             pool.restore(slots, "checkpoint")?;
         }
-        let metrics = Metrics::open(folder.metrics(), &config.pools, counters.step)?;
-        let columns = VALIDATION_COLUMNS.map(str::to_owned).to_vec();
-        let validations = Table::open(folder.validation(), columns, counters.step)?;
-        let scores = (counters.step, Vec::new());
-        Ok(Self { config, text, folder, learner, pools, counters, metrics, validation, validations, scores })
+        counters.ranks = ranks.count();
+        let records = || {
+            let validation = Validation::new(&config.validation)?;
+            Records::open(&folder, &config, validation, counters.step)
+        };
+        let records = (ranks.rank() == 0).then(records).transpose()?;
+        Ok(Self { config, text, folder, ranks, learner, pools, counters, records })
     }
 
     /// The configuration.
@@ -146,7 +150,8 @@ impl Run {
     }
 
     /// Trains until the end of the run, a limit, or until `watch`, which sees every step, breaks off. Whatever the end,
-    /// the folder holds the weights, and what is needed to resume.
+    /// the folder holds the weights, and what is needed to resume. All ranks end at the same step: rank 0's clock and
+    /// `watch` count.
     pub fn train(
         &mut self,
         limits: &Limits,
@@ -165,7 +170,7 @@ impl Run {
             let report = self.advance()?;
             let step = self.counters.step;
             self.counters.seconds = before + session.since.elapsed().as_secs_f64();
-            self.metrics.add(&report);
+            self.records.iter_mut().for_each(|records| records.add(&report));
             skipped = if report.is_finite() { 0 } else { skipped + 1 };
             if skipped == MOST_SKIPPED {
                 break End::NonFinite;
@@ -173,15 +178,17 @@ impl Run {
             if step.is_multiple_of(self.config.log_every) {
                 self.flush()?;
             }
-            let last = step == steps || session.is_due(step);
-            let validated = last || validate.restart_if_due(step);
+            let last = self.ranks.decide(step == steps || session.is_due(step));
+            let validated = self.ranks.decide(last || validate.restart_if_due(step));
             let improved = validated && self.validate()?;
-            if improved || checkpoint.restart_if_due(step) {
+            if self.ranks.decide(improved || checkpoint.restart_if_due(step)) {
                 self.save()?;
                 saved = step;
             }
-            let validation = validated.then_some(&self.scores.1[..]);
-            if watch(&Progress { step, steps, report: &report, validation }).is_break() {
+            let records = self.records.as_ref().filter(|_| validated);
+            let validation = records.map(|records| records.scores(step));
+            let watched = watch(&Progress { step, steps, report: &report, validation });
+            if self.ranks.decide(watched.is_break()) {
                 break End::Interrupted;
             }
             if last {
@@ -207,7 +214,8 @@ impl Run {
         let number = self.counters.updates + 1;
         // A mean over a long time begins as one over a short time, or it would remember the first weights for long.
         let average = self.config.average.min(number as f64 / (number + 9) as f64);
-        let report = self.learner.step(&batches, Update { number, rate: self.rate(), average })?;
+        let update = Update { number, rate: self.rate(), average };
+        let report = self.learner.step(&batches, update, &*self.ranks)?;
         for ((pool, batch), outcomes) in self.pools.iter_mut().zip(&batches).zip(&report.outcomes) {
             pool.record(batch, outcomes);
             pool.rotate(step);
@@ -222,20 +230,14 @@ impl Run {
     }
 
     fn flush(&mut self) -> Result<()> {
-        self.metrics.flush(self.counters.step, self.counters.seconds, self.rate())
+        let (step, seconds, rate) = (self.counters.step, self.counters.seconds, self.rate());
+        self.records.iter_mut().try_for_each(|records| records.flush(step, seconds, rate))
     }
 
-    /// Rolls the scenes out; keeps the weights if they are the best so far, and tells whether they are.
+    /// Rolls the scenes out; keeps the weights if they are the best so far, and tells whether they are. Only rank 0 does.
     fn validate(&mut self) -> Result<bool> {
-        let step = self.counters.step;
-        self.scores = (step, self.validation.run(&self.weights()?)?);
-        for score in &self.scores.1 {
-            let gap = score.gap.map_or_else(String::new, |gap| format!("{gap:.6}"));
-            let stretch = format!("{:.6}", score.largest_stretch);
-            let stable = u8::from(score.stable).to_string();
-            self.validations.push(&[step.to_string(), score.scene.clone(), gap, stretch, stable])?;
-        }
-        let score = Validation::score(&self.scores.1);
+        let Some(records) = &mut self.records else { return Ok(false) };
+        let score = records.validate(self.counters.step, &self.learner.averaged()?)?;
         let improved = self.counters.best.is_none_or(|best| score < best);
         if improved {
             self.counters.best = Some(score);
@@ -244,7 +246,7 @@ impl Run {
         Ok(improved)
     }
 
-    /// Writes the whole state, the last weights and the plot.
+    /// Writes the whole state of this rank; on rank 0 also the last weights and the plot.
     fn save(&mut self) -> Result<()> {
         self.flush()?;
         let pools = self.pools.iter().map(|pool| pool.slots().to_vec()).collect();
@@ -253,26 +255,25 @@ impl Run {
             counters: Counters { pools, ..self.counters.clone() },
             tensors: self.learner.save()?,
         };
-        self.folder.keep(&checkpoint)?;
+        self.folder.keep(&checkpoint, &*self.ranks)?;
         self.write_weights("last")?;
-        let image = plot::draw(self.metrics.table(), &self.config.pools, &self.validations)?;
-        render::write_png(self.folder.plot(), &image)
+        self.records.iter().try_for_each(|records| records.plot(&self.folder, &self.config))
     }
 
     fn write_weights(&self, name: &str) -> Result<()> {
+        let Some(records) = &self.records else { return Ok(()) };
         let weights = self.weights()?;
         let path = self.folder.weights(name);
         io::write_atomic(&path, |file| file.write_all(&weights.to_bytes()))?;
-        let (validated, scores) = &self.scores;
         let card = Card {
             steps: self.counters.step,
             skipped: self.skipped(),
             seconds: self.counters.seconds,
             device: &self.learner.device(),
+            ranks: self.ranks.count(),
             version: env!("CARGO_PKG_VERSION"),
             parameters: weights.parameter_count(),
-            // Figures of other weights would not be theirs.
-            validation: if *validated == self.counters.step { scores } else { &[] },
+            validation: records.scores(self.counters.step),
             config: &self.config,
         };
         card.write(&path)

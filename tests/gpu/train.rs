@@ -2,9 +2,10 @@
 
 use crate::common::{context, device};
 use fnopt::sim::Device;
-use fnopt::train::{Config, Learner, Limits, Pool, Run, Update, first_weights, learner};
+use fnopt::train::{Alone, Config, Learner, Limits, Pool, Run, Update, first_weights, learner};
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::rc::Rc;
 
 /// Grids with odd sides, batches of one and more, channels that fill no tile; frames end and lives begin within a few steps.
 const CONFIG: &str = r#"
@@ -38,7 +39,7 @@ fn config() -> Config {
 
 fn on(device: &Device) -> Box<dyn Learner> {
     let config = config();
-    learner(device, &config, &first_weights(&config).unwrap()).unwrap()
+    learner(device, &config, &first_weights(&config, &Alone).unwrap()).unwrap()
 }
 
 fn gpu() -> Device {
@@ -60,7 +61,8 @@ fn steps_are_those_of_the_cpu() {
         begun += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.start.is_some()).count();
         advanced += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.advance).count();
         let update = Update { number: step + 1, rate: 1e-3, average: 0.9 };
-        let [host, found] = learners.each_mut().map(|learner| learner.step(&batches, update).unwrap());
+        let [host, found] =
+            learners.each_mut().map(|learner| learner.step(&batches, update, &Alone).unwrap());
         let close = |what: &str, found: f64, host: f64, tolerance: f64| {
             let error = (found - host).abs() / host.abs().max(1e-3);
             assert!(error < tolerance, "step {step}: {what} {found}, on the CPU {host}");
@@ -78,7 +80,7 @@ fn steps_are_those_of_the_cpu() {
     }
     assert!(begun > 6 && advanced > 36, "{begun} lives began, {advanced} frames ended");
     // AdamW makes a whole step of a gradient that is all rounding, so that single weights differ; most do not.
-    let start = first_weights(&config).unwrap().flat();
+    let start = first_weights(&config, &Alone).unwrap().flat();
     let norm =
         |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt();
     let [host, found] = learners
@@ -99,12 +101,12 @@ fn runs_repeat_and_resume_to_the_same_bits() {
     let session = |run: &mut Run, steps| {
         run.train(&Limits { steps: Some(steps), minutes: None }, |_| ControlFlow::Continue(())).unwrap();
     };
-    let mut unbroken = Run::create(&once, CONFIG, config(), on(&gpu())).unwrap();
+    let mut unbroken = Run::create(&once, CONFIG, config(), on(&gpu()), Rc::new(Alone)).unwrap();
     session(&mut unbroken, 6);
-    let mut broken = Run::create(&twice, CONFIG, config(), on(&gpu())).unwrap();
+    let mut broken = Run::create(&twice, CONFIG, config(), on(&gpu()), Rc::new(Alone)).unwrap();
     session(&mut broken, 3);
     drop(broken);
-    let (mut resumed, _) = Run::resume(&twice, None, |_| Ok(on(&gpu()))).unwrap();
+    let (mut resumed, _) = Run::resume(&twice, None, |_| Ok(on(&gpu())), Rc::new(Alone)).unwrap();
     assert_eq!(resumed.step(), 3);
     session(&mut resumed, 6);
     assert_eq!(unbroken.weights().unwrap(), resumed.weights().unwrap());

@@ -1,10 +1,11 @@
 //! Training on the CPU path, for real: it learns, and a run in two sessions has the bits of a run in one.
 
 use fnopt::sim::Device;
-use fnopt::train::{Config, Learner, Limits, Run, first_weights, learner};
+use fnopt::train::{Alone, Config, Learner, Limits, Run, first_weights, learner};
 use safetensors::SafeTensors;
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::rc::Rc;
 
 const CONFIG: &str = r#"
     steps = 200
@@ -26,7 +27,7 @@ const CONFIG: &str = r#"
 "#;
 
 fn cpu(config: &Config) -> fnopt::Result<Box<dyn Learner>> {
-    learner(&Device::Cpu, config, &first_weights(config)?)
+    learner(&Device::Cpu, config, &first_weights(config, &Alone)?)
 }
 
 fn parsed(text: &str) -> Config {
@@ -38,7 +39,7 @@ fn two_hundred_steps_from_scratch_lower_the_gradient() {
     let folder = tempfile::tempdir().unwrap();
     let config = parsed(CONFIG);
     let learner = cpu(&config).unwrap();
-    let mut run = Run::create(&folder.path().join("run"), CONFIG, config, learner).unwrap();
+    let mut run = Run::create(&folder.path().join("run"), CONFIG, config, learner, Rc::new(Alone)).unwrap();
     let mut logs = vec![Vec::new(); 2];
     run.train(&Limits::default(), |progress| {
         for (log, outcomes) in logs.iter_mut().zip(&progress.report.outcomes) {
@@ -86,12 +87,14 @@ fn a_run_in_two_sessions_has_the_bits_of_one() {
     let session = |run: &mut Run, steps| {
         run.train(&Limits { steps: Some(steps), minutes: None }, |_| ControlFlow::Continue(())).unwrap();
     };
-    let mut unbroken = Run::create(&once, text, config.clone(), cpu(&config).unwrap()).unwrap();
+    let mut unbroken =
+        Run::create(&once, text, config.clone(), cpu(&config).unwrap(), Rc::new(Alone)).unwrap();
     session(&mut unbroken, 6);
-    let mut broken = Run::create(&twice, text, config.clone(), cpu(&config).unwrap()).unwrap();
+    let mut broken =
+        Run::create(&twice, text, config.clone(), cpu(&config).unwrap(), Rc::new(Alone)).unwrap();
     session(&mut broken, 3);
     drop(broken);
-    let (mut resumed, passed_over) = Run::resume(&twice, None, cpu).unwrap();
+    let (mut resumed, passed_over) = Run::resume(&twice, None, cpu, Rc::new(Alone)).unwrap();
     assert!(passed_over.is_empty() && resumed.step() == 3);
     session(&mut resumed, 6);
     assert_eq!(unbroken.weights().unwrap(), resumed.weights().unwrap());

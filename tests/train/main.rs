@@ -4,5 +4,6 @@ mod arrays;
 mod config;
 mod learns;
 mod pool;
+mod ranks;
 mod run;
 mod support;

@@ -1,9 +1,10 @@
 //! Runs with a learner that computes nothing: what the folder holds, resuming, damage, losses that are not finite.
 
 use super::support::Fake;
-use fnopt::train::{Config, End, Learner, Limits, Run};
+use fnopt::train::{Alone, Config, End, Learner, Limits, Run};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 const CONFIG: &str = r#"
     steps = 12
@@ -38,7 +39,7 @@ fn config() -> Config {
 }
 
 fn create(root: &Path, learner: Fake) -> Run {
-    Run::create(root, CONFIG, config(), Box::new(learner)).unwrap()
+    Run::create(root, CONFIG, config(), Box::new(learner), Rc::new(Alone)).unwrap()
 }
 
 fn fresh(root: &Path) -> Run {
@@ -46,7 +47,12 @@ fn fresh(root: &Path) -> Run {
 }
 
 fn resume(root: &Path) -> fnopt::Result<(Run, Vec<fnopt::Error>)> {
-    Run::resume(root, None, |config| Ok(Box::new(Fake::new(config)) as Box<dyn Learner>))
+    resume_given(root, None)
+}
+
+fn resume_given(root: &Path, given: Option<&Config>) -> fnopt::Result<(Run, Vec<fnopt::Error>)> {
+    let learner = |config: &Config| Ok(Box::new(Fake::new(config)) as Box<dyn Learner>);
+    Run::resume(root, given, learner, Rc::new(Alone))
 }
 
 fn train(run: &mut Run, steps: u64) -> End {
@@ -167,12 +173,11 @@ fn runs_are_not_mixed_up() {
     // A run that ended before its first checkpoint has nothing to keep.
     fresh(folder.path());
     train(&mut fresh(folder.path()), 2);
-    let again = Run::create(folder.path(), CONFIG, config(), Box::new(Fake::new(&config())));
+    let again = Run::create(folder.path(), CONFIG, config(), Box::new(Fake::new(&config())), Rc::new(Alone));
     let message = again.err().expect("the folder holds a run").to_string();
     assert!(message.contains("in the folder of a new run"), "{message}");
     let other = Config { seed: 2, ..config() };
-    let given = Run::resume(folder.path(), Some(&other), |c| Ok(Box::new(Fake::new(c)) as Box<dyn Learner>));
-    let message = given.err().expect("another configuration").to_string();
+    let message = resume_given(folder.path(), Some(&other)).err().expect("another configuration").to_string();
     assert!(message.contains("given with --resume"), "{message}");
     std::fs::write(folder.path().join("config.toml"), CONFIG.replace("steps = 12", "steps = 13")).unwrap();
     let message = resume(folder.path()).err().expect("an edited configuration").to_string();

@@ -1,10 +1,12 @@
-//! A learner that computes nothing but keeps what a real one would.
+//! A learner that computes nothing but keeps what a real one would, and ranks that are threads.
 
 use fnopt::Result;
 use fnopt::network::Weights;
 use fnopt::sim::EnergyTerms;
-use fnopt::train::{Batch, Config, Learner, Outcome, StepReport, Tensors, Update};
+use fnopt::train::{Alone, Batch, Config, Learner, Outcome, Ranks, StepReport, Tensors, Update};
 use std::collections::HashSet;
+use std::fmt::Display;
+use std::sync::mpsc::{Receiver, Sender, channel};
 
 /// A cloth that came out of a step with this external energy.
 pub fn outcome(external: f64) -> Outcome {
@@ -23,7 +25,7 @@ pub struct Fake {
 
 impl Fake {
     pub fn new(config: &Config) -> Self {
-        let weights = fnopt::train::first_weights(config).expect("weights");
+        let weights = fnopt::train::first_weights(config, &Alone).expect("weights");
         let cloths = config.pools.iter().map(|p| vec![0.0; p.cloths]).collect();
         Self { weights, cloths, broken: HashSet::new(), step: 0 }
     }
@@ -35,10 +37,10 @@ impl Fake {
 }
 
 impl Learner for Fake {
-    fn step(&mut self, batches: &[Batch], update: Update) -> Result<StepReport> {
+    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
         let broken = self.broken.contains(&self.step);
         self.step += 1;
-        let mut report = StepReport { gradient_norm: 1.0, ..StepReport::default() };
+        let mut report = StepReport::default();
         for batch in batches {
             let mut outcomes = Vec::new();
             for drawn in &batch.cloths {
@@ -50,9 +52,12 @@ impl Learner for Fake {
             }
             report.outcomes.push(outcomes);
         }
-        if !broken {
-            let mixed = (report.loss() * update.rate * update.number as f64 * (1.0 - update.average)) as f32;
-            self.weights.scalar.bias[0] += mixed;
+        let mut gradient = [report.loss() as f32];
+        ranks.join(&mut gradient, report.loss());
+        report.gradient_norm = gradient[0].abs().into();
+        if report.is_finite() {
+            let share = update.rate * update.number as f64 * (1.0 - update.average);
+            self.weights.scalar.bias[0] += gradient[0] * share as f32;
         }
         Ok(report)
     }
@@ -86,5 +91,66 @@ impl Learner for Fake {
             *cloths = saved.get(&format!("pool{k}"), &[cloths.len()])?.to_vec();
         }
         Ok(())
+    }
+}
+
+/// One of several threads that train together. One that panics takes the others with it.
+pub struct Thread {
+    rank: usize,
+    /// To each rank, this one included.
+    to: Vec<Sender<Vec<u8>>>,
+    /// From each rank.
+    from: Vec<Receiver<Vec<u8>>>,
+}
+
+impl Thread {
+    /// Calls `body` on each of `count` ranks and gives what they return, in their order.
+    pub fn run<R: Send>(count: usize, body: impl Fn(Thread) -> R + Sync) -> Vec<R> {
+        let of = |rank| Thread { rank, to: Vec::new(), from: Vec::new() };
+        let mut ranks: Vec<Thread> = (0..count).map(of).collect();
+        for (from, to) in (0..count).flat_map(|from| (0..count).map(move |to| (from, to))) {
+            let (sender, receiver) = channel();
+            ranks[from].to.push(sender);
+            ranks[to].from.push(receiver);
+        }
+        let body = &body;
+        std::thread::scope(|scope| {
+            let threads: Vec<_> = ranks.into_iter().map(|rank| scope.spawn(move || body(rank))).collect();
+            threads.into_iter().map(|thread| thread.join().expect("a rank panicked")).collect()
+        })
+    }
+
+    /// What all ranks bring, in their order.
+    fn exchange(&self, bytes: &[u8]) -> Vec<Vec<u8>> {
+        self.to.iter().for_each(|to| to.send(bytes.to_vec()).expect("another rank has ended"));
+        self.from.iter().map(|from| from.recv().expect("another rank has ended")).collect()
+    }
+}
+
+impl Ranks for Thread {
+    fn rank(&self) -> usize {
+        self.rank
+    }
+
+    fn count(&self) -> usize {
+        self.to.len()
+    }
+
+    fn sum(&self, values: &mut [f32]) {
+        let brought = self.exchange(bytemuck::cast_slice(values));
+        values.fill(0.0);
+        for other in brought {
+            let other: Vec<f32> = bytemuck::pod_collect_to_vec(&other);
+            assert_eq!(other.len(), values.len(), "ranks are at different sums");
+            values.iter_mut().zip(other).for_each(|(sum, value)| *sum += value);
+        }
+    }
+
+    fn broadcast(&self, bytes: &mut [u8]) {
+        bytes.copy_from_slice(&self.exchange(bytes)[0]);
+    }
+
+    fn abort(&self, error: &dyn Display) {
+        panic!("rank {}: {error}", self.rank);
     }
 }

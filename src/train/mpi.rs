@@ -1,0 +1,61 @@
+//! Ranks that MPI connects.
+
+use super::ranks::Ranks;
+use mpi::Threading;
+use mpi::collective::SystemOperation;
+use mpi::environment::Universe;
+use mpi::topology::SimpleCommunicator;
+use mpi::traits::{Communicator, CommunicatorCollectives, Root};
+use std::fmt::Display;
+
+/// The ranks of an MPI job. MPI adds in an order of its own, which does not change from run to run with as many ranks on
+/// the same machines; so runs repeat to the same bits there.
+pub(super) struct Mpi {
+    world: SimpleCommunicator,
+    // Ends MPI when dropped, so it comes last.
+    _universe: Universe,
+}
+
+impl Mpi {
+    /// Joins the job; nothing if MPI was started before. Only this thread may use it.
+    pub fn new() -> Option<Self> {
+        let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)?;
+        Some(Self { world: universe.world(), _universe: universe })
+    }
+}
+
+impl Ranks for Mpi {
+    fn rank(&self) -> usize {
+        self.world.rank() as usize
+    }
+
+    fn count(&self) -> usize {
+        self.world.size() as usize
+    }
+
+    fn sum(&self, values: &mut [f32]) {
+        let own = values.to_vec();
+        self.world.all_reduce_into(&own[..], values, SystemOperation::sum());
+    }
+
+    fn broadcast(&self, bytes: &mut [u8]) {
+        self.world.process_at_rank(0).broadcast_into(bytes);
+    }
+
+    fn abort(&self, error: &dyn Display) {
+        if self.count() > 1 {
+            eprintln!("error on rank {}: {error}", self.rank());
+            self.world.abort(2);
+        }
+    }
+}
+
+impl Drop for Mpi {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.abort(&"the program panicked");
+        }
+        // A rank that ends in a way of its own makes the launcher end the others, which may still be writing.
+        self.world.barrier();
+    }
+}

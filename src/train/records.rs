@@ -1,0 +1,68 @@
+//! What rank 0 alone measures and writes while a run goes on: means over steps, validation rollouts, the plot.
+
+use super::config::Config;
+use super::folder::Folder;
+use super::learner::StepReport;
+use super::metrics::Metrics;
+use super::plot;
+use super::table::Table;
+use super::validation::{SceneScore, Validation};
+use crate::network::Weights;
+use crate::{Result, render};
+
+/// Columns of `validation.csv`.
+const VALIDATION_COLUMNS: [&str; 5] = ["step", "scene", "gap", "largest_stretch", "stable"];
+
+/// The records of a run.
+pub(super) struct Records {
+    metrics: Metrics,
+    validation: Validation,
+    validations: Table,
+    /// The last validation and its step.
+    scores: (u64, Vec<SceneScore>),
+}
+
+impl Records {
+    /// Opens the tables in the folder; rows after `step` are given up.
+    pub fn open(folder: &Folder, config: &Config, validation: Validation, step: u64) -> Result<Self> {
+        let metrics = Metrics::open(folder.metrics(), &config.pools, step)?;
+        let columns = VALIDATION_COLUMNS.map(str::to_owned).to_vec();
+        let validations = Table::open(folder.validation(), columns, step)?;
+        Ok(Self { metrics, validation, validations, scores: (step, Vec::new()) })
+    }
+
+    /// Adds a step.
+    pub fn add(&mut self, report: &StepReport) {
+        self.metrics.add(report);
+    }
+
+    /// Writes the means over the steps up to `step`, if there were any since the last.
+    pub fn flush(&mut self, step: u64, seconds: f64, rate: f64) -> Result<()> {
+        self.metrics.flush(step, seconds, rate)
+    }
+
+    /// Rolls the scenes out with the weights after `step` steps, and gives their score.
+    pub fn validate(&mut self, step: u64, weights: &Weights) -> Result<f64> {
+        self.scores = (step, self.validation.run(weights)?);
+        for score in &self.scores.1 {
+            let gap = score.gap.map_or_else(String::new, |gap| format!("{gap:.6}"));
+            let stretch = format!("{:.6}", score.largest_stretch);
+            let stable = u8::from(score.stable).to_string();
+            self.validations.push(&[step.to_string(), score.scene.clone(), gap, stretch, stable])?;
+        }
+        Ok(Validation::score(&self.scores.1))
+    }
+
+    /// The validation of the weights after `step` steps; empty if there was none, as figures of other weights would not be
+    /// theirs.
+    pub fn scores(&self, step: u64) -> &[SceneScore] {
+        let (validated, scores) = &self.scores;
+        if *validated == step { scores } else { &[] }
+    }
+
+    /// Draws the curves so far.
+    pub fn plot(&self, folder: &Folder, config: &Config) -> Result<()> {
+        let image = plot::draw(self.metrics.table(), &config.pools, &self.validations)?;
+        render::write_png(folder.plot(), &image)
+    }
+}
