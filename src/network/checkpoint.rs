@@ -342,7 +342,8 @@ impl Weights {
             (name, view.expect("a tensor has the number of elements of its shape"))
         });
         let config = serde_json::to_string(&self.config).expect("a configuration is plain data");
-        let metadata = HashMap::from([("config".to_owned(), config), ("format".to_owned(), "pt".to_owned())]);
+        // One entry: several would come in another order each time, and the same weights would make other files.
+        let metadata = HashMap::from([("config".to_owned(), config)]);
         safetensors::serialize(views, Some(metadata)).expect("the weights fit the format")
     }
 
