@@ -119,7 +119,7 @@ fn gaps_on_the_way_of_xy_v2() {
     for grid in grids(&["32x32", "64x64", "100x100"]) {
         let setup = setup("xy_v2", grid);
         let controls = (1..frames()).map(|frame| setup.control(frame));
-        let track = Track::new(&setup.model, setup.start.clone(), controls, 10);
+        let track = Track::new(&setup.model, setup.start.clone(), controls, 10).unwrap();
         let [learned, classical] =
             [weights(), Optimizer::quasi_newton()].map(|o| track.median_gap(&o, 10).unwrap());
         println!("{grid}: learned {learned:.4}, quasi-newton {classical:.4}");

@@ -6,6 +6,7 @@
 pub mod cloth;
 pub mod fft;
 mod matmul;
+mod newton;
 mod objective;
 pub mod operator;
 pub mod optim;
@@ -14,6 +15,7 @@ mod reference;
 mod solver;
 pub mod train;
 
+pub use newton::Newton;
 pub use objective::Objective;
 pub use real::Real;
 pub use reference::{Minimum, Reference, Track};

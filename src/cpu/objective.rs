@@ -146,7 +146,7 @@ impl<T: Real> Objective<T> {
 
 impl<T: Real> Trials<T> {
     /// Cloth `b`.
-    fn cloth<'a>(&'a self, state: &'a State<T>, b: usize) -> Trial<'a, T> {
+    pub(super) fn cloth<'a>(&'a self, state: &'a State<T>, b: usize) -> Trial<'a, T> {
         let n = self.model.grid.particles();
         let at = 3 * n * b..3 * n * (b + 1);
         Trial {

@@ -4,21 +4,21 @@
 //! these count as 0, or the little that they add to inertia and external work would outweigh the rest in a quiet frame.
 
 use super::objective::Trials;
-use super::optim::{History, RestHessian, dot, norm};
-use super::{Objective, Solver};
+use super::optim::{dot, norm};
+use super::{Newton, Objective, Solver};
 use crate::Result;
 use crate::sim::{Control, Model, Optimizer, State};
 
-/// Pairs that the reference remembers.
-const HISTORY: usize = 12;
 /// A step must gain this share of what its slope promises (Armijo).
 const SUFFICIENT: f64 = 1e-4;
 /// Halvings of a step before the search gives up: no step gains any more.
 const HALVINGS: usize = 30;
 
-/// Finds the minimum of a frame of one cloth in double precision: L-BFGS from the Hessian at rest, with line search.
+/// Finds the minimum of a frame of one cloth in double precision: Newton's method on the Hessian, projected where it is not
+/// positive definite, with line search.
 pub struct Reference {
     objective: Objective<f64>,
+    newton: Newton,
     /// Norm of the gradient at which a frame counts as converged.
     pub tolerance: f64,
     /// Iterations after which it gives up.
@@ -41,10 +41,11 @@ pub struct Minimum {
 }
 
 impl Reference {
-    /// For one cloth, to |dL/da| < 1e-6 in at most 3000 iterations.
-    pub fn new(model: &Model) -> Self {
+    /// For one cloth, to |dL/da| <= 1e-8 in at most 200 iterations; an error when memory does not suffice.
+    pub fn new(model: &Model) -> Result<Self> {
         assert_eq!(model.batch(), 1, "the reference is of one cloth");
-        Self { objective: Objective::new(model), tolerance: 1e-6, iterations: 3000 }
+        let newton = Newton::new(model.grid)?;
+        Ok(Self { objective: Objective::new(model), newton, tolerance: 1e-8, iterations: 200 })
     }
 
     /// L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`.
@@ -62,46 +63,45 @@ impl Reference {
 
     /// The minimum of the frame that `control` drives from `state`, searched from the accelerations `a` [3, H, W].
     pub fn minimise(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) -> Minimum {
-        let model = self.objective.model().clone();
-        let initial = RestHessian::new(model.grid, &model.cloths[0]);
-        let mut history = History::new(HISTORY, a.len(), Some(initial));
         self.begin(state, control, a);
         let mut grad = self.gradient(state, control);
         let mut energy = self.energy_here(state, control);
         let mut iterations = 0;
-        while norm(&grad) >= self.tolerance && iterations < self.iterations {
-            history.turn(&grad);
-            let slope = dot(&grad, &history.direction);
+        while norm(&grad) > self.tolerance && iterations < self.iterations {
+            let Ok(direction) = self.newton.direction(&self.objective.trial.cloth(state, 0), &grad) else {
+                break;
+            };
+            let slope = dot(&grad, &direction);
             let before = self.objective.trial.a.clone();
-            let step = self.search((energy, slope), &before, &history.direction, (state, control));
-            let Some((step, lower)) = step else {
+            let step = self.search((energy, slope), &before, &direction, (state, control));
+            let Some(lower) = step else {
                 self.objective.trial.a.copy_from_slice(&before);
                 break;
             };
             energy = lower;
-            for (last, &d) in history.last_step.iter_mut().zip(&history.direction) {
-                *last = -step * d;
-            }
-            history.last_grad.copy_from_slice(&grad);
             grad = self.gradient(state, control);
-            history.remember(&grad, 0.0);
             iterations += 1;
         }
         let gradient = norm(&grad);
         // A search that gave up has left the particles elsewhere.
         self.objective.place(state, control);
         let a = self.objective.trial.a.clone();
-        Minimum { a, energy, gradient, iterations, converged: gradient < self.tolerance }
+        Minimum { a, energy, gradient, iterations, converged: gradient <= self.tolerance }
     }
 
-    /// A step along `-direction` from `before` that lowers the energy enough, and the energy there.
+    /// Ends the frame where the last search did: `state` is the next one.
+    pub fn end_frame(&self, state: &mut State<f64>, control: &Control<f64>) {
+        self.objective.end_frame(state, control);
+    }
+
+    /// Takes a step along `-direction` from `before` that lowers the energy enough; the energy there.
     fn search(
         &mut self,
         (energy, slope): (f64, f64),
         before: &[f64],
         direction: &[f64],
         (state, control): (&State<f64>, &Control<f64>),
-    ) -> Option<(f64, f64)> {
+    ) -> Option<f64> {
         // Close to the minimum a step gains less than the energy's own rounding.
         let rounding = 4.0 * f64::EPSILON * energy.abs();
         let mut step = 1.0;
@@ -110,7 +110,7 @@ impl Reference {
             moved.for_each(|((a, &before), &d)| *a = before - step * d);
             let lower = self.energy_here(state, control);
             if lower <= energy - SUFFICIENT * step * slope + rounding {
-                return Some((step, lower));
+                return Some(lower);
             }
             step *= 0.5;
         }
@@ -131,10 +131,7 @@ impl Reference {
     }
 }
 
-/// Iterations that keep a track's cloth close to its minima, frame by frame.
-const TRACK_ITERATIONS: usize = 60;
-
-/// The frames of a simulation close to convergence, on which optimizers are compared: each of them gets the same frames to
+/// The frames of a converged simulation, on which optimizers are compared: each of them gets the same frames to
 /// minimise. On its own way an optimizer would be judged by what it left undone in the frames before, too.
 pub struct Track {
     model: Model,
@@ -145,38 +142,38 @@ pub struct Track {
 }
 
 impl Track {
-    /// Follows one cloth from `start` through the frames of `controls`, with the reference in every `every`-th of them. Frames
-    /// in which it does not converge are left out.
+    /// Follows one cloth from `start` through the frames of `controls`, every `every`-th of which is probed, unless it does not
+    /// converge.
     pub fn new(
         model: &Model,
         start: State<f64>,
         controls: impl IntoIterator<Item = Control<f64>>,
         every: usize,
-    ) -> Self {
-        let [mut close, mut reference] = [(); 2].map(|()| Reference::new(model));
-        close.iterations = TRACK_ITERATIONS;
+    ) -> Result<Self> {
+        let mut reference = Reference::new(model)?;
         let (mut state, mut frames, mut probes) = (start, Vec::new(), Vec::new());
         let still = vec![0.0; state.x.len()];
         for (frame, control) in controls.into_iter().enumerate() {
             frames.push((state.cast(), control.cast()));
-            let near = close.minimise(&state, &control, &still);
-            if (frame + 1) % every == 0 {
+            let minimum = reference.minimise(&state, &control, &still);
+            if (frame + 1) % every == 0 && minimum.converged {
                 let nothing = reference.energy(&state, &control, &still);
-                let minimum = reference.minimise(&state, &control, &near.a);
-                if minimum.converged && nothing > minimum.energy {
+                if nothing > minimum.energy {
                     probes.push((frame, nothing, minimum.energy));
                 }
+                reference.begin(&state, &control, &minimum.a);
+                reference.objective.place(&state, &control);
             }
-            close.objective.end_frame(&mut state, &control);
+            reference.end_frame(&mut state, &control);
         }
-        Self { model: model.clone(), frames, probes }
+        Ok(Self { model: model.clone(), frames, probes })
     }
 
     /// The energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` that `iterations` iterations of an optimizer leave in the frames with
     /// a reference. Its memory goes along from frame to frame.
     pub fn gaps(&self, optimizer: &Optimizer, iterations: usize) -> Result<Vec<f64>> {
         let mut solver = Solver::<f32>::new(&self.model, optimizer, iterations)?;
-        let mut reference = Reference::new(&self.model);
+        let mut reference = Reference::new(&self.model)?;
         let mut probes = self.probes.iter().peekable();
         let mut gaps = Vec::with_capacity(self.probes.len());
         for (frame, (before, control)) in self.frames.iter().enumerate() {

@@ -97,11 +97,14 @@ impl Judged {
                 break;
             }
         }
-        let track = || {
-            let controls = (1..=frames).map(|frame| self.setup.control(frame));
-            Track::new(model, start.clone(), controls, PROBE_EVERY.min(frames))
+        let gap = || {
+            if self.track.get().is_none() {
+                let controls = (1..=frames).map(|frame| self.setup.control(frame));
+                let track = Track::new(model, start.clone(), controls, PROBE_EVERY.min(frames))?;
+                self.track.set(track).ok().expect("it was not set");
+            }
+            self.track.get().expect("it was set").median_gap(optimizer, iterations)
         };
-        let gap = || self.track.get_or_init(track).median_gap(optimizer, iterations);
         let gap = self.with_gap.then(gap).transpose()?;
         Ok(SceneScore { scene: self.name.clone(), gap, largest_stretch, stable })
     }

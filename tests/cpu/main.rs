@@ -6,6 +6,7 @@ mod cloth;
 mod fft;
 mod golden;
 mod network;
+mod newton;
 mod reference;
 mod rollout;
 mod update_rule;

@@ -87,13 +87,13 @@ fn waves_of_a_flat_sheet_are_turned_into_themselves() {
 fn track(grid: Grid, frames: std::ops::Range<usize>, every: usize) -> Track {
     let setup = scene(grid.h, grid.w);
     let controls = frames.map(|frame| setup.control(frame));
-    Track::new(&setup.model, setup.start.clone(), controls, every)
+    Track::new(&setup.model, setup.start.clone(), controls, every).unwrap()
 }
 
 #[test]
 fn the_reference_is_the_minimum() {
     let setup = scene(16, 20);
-    let mut reference = Reference::new(&setup.model);
+    let mut reference = Reference::new(&setup.model).unwrap();
     let (control, nothing) = (setup.control(60), vec![0.0; setup.start.x.len()]);
     let minimum = reference.minimise(&setup.start, &control, &nothing);
     assert!(minimum.converged && minimum.gradient < 1e-6, "{} iterations", minimum.iterations);

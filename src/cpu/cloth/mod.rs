@@ -2,6 +2,7 @@
 
 mod energy;
 mod gradient;
+mod hessian;
 mod integrate;
 mod stretch;
 mod vector;
@@ -9,6 +10,7 @@ mod wind;
 
 pub use energy::energy;
 pub use gradient::{GradientRows, gradient};
+pub use hessian::{Block, Curvature, hessian};
 pub use integrate::{Frame, end_frame, shifts};
 pub use stretch::stretch;
 pub use wind::add_wind;

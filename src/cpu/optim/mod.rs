@@ -10,7 +10,7 @@ mod update_adj;
 pub use adam::Adam;
 pub use gd::GradientDescent;
 pub use lbfgs::Lbfgs;
-pub(super) use lbfgs::{History, dot};
+pub(super) use lbfgs::dot;
 pub use rest_hessian::RestHessian;
 pub(super) use update::norm;
 pub use update::{Hidden, Update};

@@ -1,0 +1,113 @@
+//! The Newton step of a frame: the sparse Hessian, its Cholesky factors, and the direction they give.
+
+use super::cloth::{Block, Curvature, Trial, hessian};
+use crate::sim::Grid;
+use crate::{Error, Result};
+use faer::linalg::solvers::Solve;
+use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
+use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
+use faer::{MatMut, Side};
+
+/// Particles that come after a particle in the grid and share a term with it: rows and columns from there.
+const NEIGHBOURS: [(usize, isize); 6] = [(0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
+
+/// Newton directions of cloths on one grid, in double precision.
+///
+/// The unknowns are the particles, component by component; the lower triangle of the Hessian has a fixed pattern, so that
+/// its symbolic factorisation is made once.
+pub struct Newton {
+    grid: Grid,
+    pattern: SymbolicSparseColMat<usize>,
+    symbolic: SymbolicLlt<usize>,
+    values: Vec<f64>,
+    /// Of each particle, which of its neighbours there are: place in the column, after its own entries.
+    places: Vec<[Option<usize>; NEIGHBOURS.len()]>,
+}
+
+impl Newton {
+    /// Analyses the pattern of a grid; an error when memory does not suffice.
+    pub fn new(grid: Grid) -> Result<Self> {
+        let n = grid.particles();
+        let mut places = vec![[None; NEIGHBOURS.len()]; n];
+        let (mut starts, mut rows) = (vec![0], Vec::new());
+        for p in 0..n {
+            let mut others = Vec::new();
+            for (place, &(down, across)) in places[p].iter_mut().zip(&NEIGHBOURS) {
+                let (i, j) = (p / grid.w + down, (p % grid.w).checked_add_signed(across));
+                if let Some(j) = j.filter(|&j| j < grid.w && i < grid.h) {
+                    *place = Some(others.len());
+                    others.push(i * grid.w + j);
+                }
+            }
+            for component in 0..3 {
+                rows.extend((component..3).map(|c| 3 * p + c));
+                rows.extend(others.iter().flat_map(|q| (0..3).map(move |c| 3 * q + c)));
+                starts.push(rows.len());
+            }
+        }
+        let values = vec![0.0; rows.len()];
+        let pattern = SymbolicSparseColMat::new_checked(3 * n, 3 * n, starts, None, rows);
+        let symbolic = SymbolicLlt::try_new(pattern.as_ref(), Side::Lower).map_err(unsolved)?;
+        Ok(Self { grid, pattern, symbolic, values, places })
+    }
+
+    /// The direction `H^-1 grad` at a trial, shape [3, H, W]: of the Hessian itself where that is positive definite, else of
+    /// its projection. `grad` is 0 at handles, and so is the direction.
+    pub fn direction(&mut self, trial: &Trial<'_, f64>, grad: &[f64]) -> Result<Vec<f64>> {
+        for curvature in [Curvature::Exact, Curvature::Projected] {
+            self.assemble(trial, curvature);
+            let matrix = SparseColMatRef::new(self.pattern.as_ref(), &self.values);
+            match Llt::try_new_with_symbolic(self.symbolic.clone(), matrix, Side::Lower) {
+                Ok(factors) => return Ok(self.solve(&factors, grad)),
+                Err(_) if curvature == Curvature::Exact => {}
+                Err(e) => return Err(unsolved(e)),
+            }
+        }
+        unreachable!("the projected Hessian was the last one")
+    }
+
+    /// Fills the lower triangle; a handle's rows and columns are those of the unit matrix.
+    fn assemble(&mut self, trial: &Trial<'_, f64>, curvature: Curvature) {
+        let (grid, n) = (self.grid, self.grid.particles());
+        let Self { pattern, values, places, .. } = self;
+        let starts = pattern.col_ptr();
+        values.fill(0.0);
+        let free = |p: usize| trial.slots[p] == 0;
+        let mut add = |p: usize, q: usize, block: &Block| {
+            if p < q || !free(p) || !free(q) {
+                return;
+            }
+            // Of column q: rows from q's own component down, then those of its neighbours.
+            let place = (p != q).then(|| {
+                let (down, across) = (p / grid.w - q / grid.w, (p % grid.w) as isize - (q % grid.w) as isize);
+                let kind = NEIGHBOURS.iter().position(|&neighbour| neighbour == (down, across));
+                kind.and_then(|kind| places[q][kind]).expect("particles of a term are neighbours")
+            });
+            for (column, &start) in starts[3 * q..3 * q + 3].iter().enumerate() {
+                match place {
+                    None => (column..3).for_each(|row| values[start + row - column] += block[row][column]),
+                    Some(place) => {
+                        let first = start + 3 - column + 3 * place;
+                        (0..3).for_each(|row| values[first + row] += block[row][column]);
+                    }
+                }
+            }
+        };
+        hessian(trial, curvature, &mut add);
+        for p in 0..n {
+            let own = if free(p) { grid.mass(p / grid.w, p % grid.w) / n as f64 } else { 1.0 };
+            (0..3).for_each(|c| values[starts[3 * p + c]] += own);
+        }
+    }
+
+    fn solve(&self, factors: &Llt<usize, f64>, grad: &[f64]) -> Vec<f64> {
+        let n = self.grid.particles();
+        let mut interleaved: Vec<f64> = (0..3 * n).map(|k| grad[k % 3 * n + k / 3]).collect();
+        factors.solve_in_place(MatMut::from_column_major_slice_mut(&mut interleaved, 3 * n, 1));
+        (0..3 * n).map(|k| interleaved[k % n * 3 + k / n]).collect()
+    }
+}
+
+fn unsolved(e: impl std::fmt::Debug) -> Error {
+    Error::Device(format!("cpu: the Newton step cannot be solved: {e:?}"))
+}

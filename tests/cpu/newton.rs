@@ -1,0 +1,150 @@
+//! The Hessian of the shape's energy, and Newton's method with it.
+
+use fnopt::cpu::cloth::{Block, Curvature, GradientRows, Trial, gradient, hessian};
+use fnopt::cpu::{Newton, Reference};
+use fnopt::scene::Scene;
+use fnopt::sim::{Grid, Material, State};
+
+/// A sheet with its arrays: crumpled by `noise`, some edges longer and some shorter than at rest, two handles.
+struct Sheet {
+    grid: Grid,
+    x: Vec<f64>,
+    zeros: Vec<f64>,
+    slots: Vec<u32>,
+}
+
+fn noise(len: usize, seed: u64) -> Vec<f64> {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    };
+    (0..len).map(|_| next()).collect()
+}
+
+impl Sheet {
+    fn new(grid: Grid, crumpled: f64) -> Self {
+        let rest = State::<f64>::rest(grid, 1).x;
+        let x = rest.iter().zip(noise(rest.len(), 1)).map(|(x, d)| x + crumpled * d).collect();
+        Self { grid, zeros: vec![0.0; rest.len()], x, slots: vec![0; grid.particles()] }
+    }
+
+    fn at<'a>(&'a self, x: &'a [f64]) -> Trial<'a, f64> {
+        Trial {
+            grid: self.grid,
+            material: Material { stretch: 700.0, shear: 8.0, bend: 3.0 },
+            x,
+            shift: &self.zeros,
+            a: &self.zeros,
+            f: &self.zeros,
+            slots: &self.slots,
+        }
+    }
+
+    fn gradient(&self, x: &[f64]) -> Vec<f64> {
+        let mut grad = vec![0.0; x.len()];
+        gradient(&self.at(x), &mut GradientRows::new(self.grid), &mut grad);
+        grad
+    }
+
+    /// The Hessian times a direction.
+    fn turned(&self, curvature: Curvature, direction: &[f64]) -> Vec<f64> {
+        let n = self.grid.particles();
+        let mut turned = vec![0.0; direction.len()];
+        hessian(&self.at(&self.x), curvature, |p, q, block: &Block| {
+            for (row, line) in block.iter().enumerate() {
+                let product = line.iter().enumerate().map(|(column, b)| b * direction[column * n + q]);
+                turned[row * n + p] += product.sum::<f64>();
+            }
+        });
+        turned
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+#[test]
+fn the_hessian_is_the_derivative_of_the_gradient() {
+    // Crumpled, nearly flat, and flat, where angles are 0.
+    for (crumpled, tolerance) in [(0.2, 1e-7), (1e-3, 1e-5), (0.0, 1e-5)] {
+        let sheet = Sheet::new(Grid { h: 9, w: 12 }, crumpled);
+        let direction = noise(sheet.x.len(), 2);
+        let moved = |step: f64| {
+            let x: Vec<f64> = sheet.x.iter().zip(&direction).map(|(x, d)| x + step * d).collect();
+            sheet.gradient(&x)
+        };
+        let step = 1e-6;
+        let difference: Vec<f64> =
+            moved(step).iter().zip(moved(-step)).map(|(plus, minus)| (plus - minus) / (2.0 * step)).collect();
+        let found = sheet.turned(Curvature::Exact, &direction);
+        let apart: Vec<f64> = found.iter().zip(&difference).map(|(f, d)| f - d).collect();
+        let error = (dot(&apart, &apart) / dot(&difference, &difference)).sqrt();
+        assert!(error < tolerance, "crumpled by {crumpled}: {error:.1e}");
+    }
+}
+
+#[test]
+fn the_projected_hessian_is_never_negative() {
+    let sheet = Sheet::new(Grid { h: 10, w: 8 }, 0.4);
+    let (mut lowest, mut exact_lowest) = (f64::INFINITY, f64::INFINITY);
+    for seed in 3..40 {
+        // One particle moves alone: the directions in which compressed edges buckle.
+        let mut direction = vec![0.0; sheet.x.len()];
+        let n = sheet.grid.particles();
+        let p = (seed as usize * 31) % n;
+        (0..3).for_each(|c| direction[c * n + p] = noise(3, seed)[c]);
+        lowest = lowest.min(dot(&direction, &sheet.turned(Curvature::Projected, &direction)));
+        exact_lowest = exact_lowest.min(dot(&direction, &sheet.turned(Curvature::Exact, &direction)));
+        let all = noise(sheet.x.len(), seed);
+        assert!(dot(&all, &sheet.turned(Curvature::Projected, &all)) >= 0.0);
+        // What is exact is never above.
+        let exact = dot(&all, &sheet.turned(Curvature::Exact, &all));
+        assert!(exact.is_finite());
+    }
+    assert!(lowest >= 0.0, "{lowest}");
+    assert!(exact_lowest < 0.0, "the sheet has no compressed edge: {exact_lowest}");
+}
+
+#[test]
+fn the_direction_solves_the_system() {
+    let mut sheet = Sheet::new(Grid { h: 8, w: 11 }, 0.05);
+    (sheet.slots[3], sheet.slots[50]) = (1, 2);
+    let n = sheet.grid.particles();
+    let held = |k: usize| sheet.slots[k % n] != 0;
+    let mut grad = noise(3 * n, 5);
+    (0..3 * n).filter(|&k| held(k)).for_each(|k| grad[k] = 0.0);
+    let direction = Newton::new(sheet.grid).unwrap().direction(&sheet.at(&sheet.x), &grad).unwrap();
+    assert!((0..3 * n).filter(|&k| held(k)).all(|k| direction[k] == 0.0));
+    let inertia = |k: usize| sheet.grid.mass(k % n / sheet.grid.w, k % n % sheet.grid.w) / n as f64;
+    let solved = [Curvature::Exact, Curvature::Projected].iter().any(|&curvature| {
+        let mut turned = sheet.turned(curvature, &direction);
+        (0..3 * n)
+            .for_each(|k| turned[k] = if held(k) { 0.0 } else { turned[k] + inertia(k) * direction[k] });
+        turned.iter().zip(&grad).all(|(t, g)| (t - g).abs() < 1e-9)
+    });
+    assert!(solved, "neither Hessian times the direction is the gradient");
+}
+
+/// Every frame of the default scene to |gradient| <= 1e-8.
+#[test]
+fn frames_of_a_swinging_sheet_converge() {
+    let setup = Scene::default().setup().unwrap();
+    let mut reference = Reference::new(&setup.model).unwrap();
+    let (mut state, still) = (setup.start.clone(), vec![0.0; setup.start.x.len()]);
+    let (mut most, begun) = (0, std::time::Instant::now());
+    let frames = 391.min(std::env::var("FRAMES").map_or(60, |f| f.parse().unwrap()));
+    for frame in 1..frames {
+        let minimum = reference.minimise(&state, &setup.control(frame), &still);
+        assert!(minimum.converged, "frame {frame}: |gradient| {:.1e}", minimum.gradient);
+        most = most.max(minimum.iterations);
+        reference.end_frame(&mut state, &setup.control(frame));
+    }
+    println!(
+        "{most} iterations at most, {:.1} ms a frame",
+        begun.elapsed().as_secs_f64() / frames as f64 * 1e3
+    );
+}
