@@ -86,7 +86,8 @@ pub fn run(cli: Cli) -> ExitCode {
 /// Which optimizer, with which weights.
 #[derive(Debug, clap::Args)]
 pub struct SolverArgs {
-    /// Optimizer of each frame: fnopt (learned), gd, adam, lbfgs or quasi-newton (on the CPU)
+    /// Optimizer of each frame: fnopt (learned), gd, adam, lbfgs; on the CPU also quasi-newton, and newton, which converges
+    /// whatever the number of iterations
     #[arg(long, default_value = "fnopt", value_name = "S")]
     solver: String,
     /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]

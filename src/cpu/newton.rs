@@ -30,9 +30,9 @@ impl Newton {
         let n = grid.particles();
         let mut places = vec![[None; NEIGHBOURS.len()]; n];
         let (mut starts, mut rows) = (vec![0], Vec::new());
-        for p in 0..n {
+        for (p, places) in places.iter_mut().enumerate() {
             let mut others = Vec::new();
-            for (place, &(down, across)) in places[p].iter_mut().zip(&NEIGHBOURS) {
+            for (place, &(down, across)) in places.iter_mut().zip(&NEIGHBOURS) {
                 let (i, j) = (p / grid.w + down, (p % grid.w).checked_add_signed(across));
                 if let Some(j) = j.filter(|&j| j < grid.w && i < grid.h) {
                     *place = Some(others.len());

@@ -1,28 +1,38 @@
 //! The frame on the CPU (paper sections 3.2 and 3.3).
 
 use super::optim::{Minimizer, minimizer, norm};
-use super::{Objective, Real};
+use super::{Objective, Real, Reference};
 use crate::Result;
-use crate::sim::{Control, FrameStats, Iterations, Model, Optimizer, State};
+use crate::sim::{Cloth, Control, FrameStats, Iterations, Model, Optimizer, State};
 
 /// Advances a batch of cloths frame by frame.
 pub struct Solver<T: Real> {
-    iterations: usize,
-    minimizer: Box<dyn Minimizer<T>>,
+    method: Method<T>,
     log: Iterations,
     objective: Objective<T>,
+}
+
+/// How a frame is minimised.
+enum Method<T> {
+    /// By this many steps of an optimizer that sees the gradient.
+    Steps(usize, Box<dyn Minimizer<T>>),
+    /// Each cloth until it has converged.
+    Newton(Vec<Reference>),
 }
 
 impl<T: Real> Solver<T> {
     /// A solver with `iterations` steps of the optimizer per frame; an error if the grid does not suit the network.
     pub fn new(model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         assert!(iterations > 0, "a frame needs an iteration");
-        Ok(Self {
-            iterations,
-            minimizer: minimizer(optimizer, model)?,
-            log: Iterations::default(),
-            objective: Objective::new(model),
-        })
+        let method = match optimizer {
+            Optimizer::Newton => {
+                let alone = |cloth: &Cloth| Model { grid: model.grid, cloths: vec![cloth.clone()] };
+                let references = model.cloths.iter().map(|cloth| Reference::new(&alone(cloth)));
+                Method::Newton(references.collect::<Result<_>>()?)
+            }
+            optimizer => Method::Steps(iterations, minimizer(optimizer, model)?),
+        };
+        Ok(Self { method, log: Iterations::default(), objective: Objective::new(model) })
     }
 
     /// Advances `state` by one frame driven by `control`; statistics of each cloth.
@@ -34,12 +44,33 @@ impl<T: Real> Solver<T> {
         objective.trial.a.fill(T::zero());
         self.log.gradient_norms.clear();
         self.log.scales.clear();
-        self.minimizer.begin_frame();
-        for _ in 0..self.iterations {
-            objective.evaluate(state, control);
-            self.minimizer.step(&objective.grad, &objective.norms, &mut objective.trial.a);
-            self.log.gradient_norms.extend(&objective.norms);
-            self.log.scales.extend(self.minimizer.scales().iter().map(|s| s.f64()));
+        match &mut self.method {
+            Method::Steps(iterations, minimizer) => {
+                minimizer.begin_frame();
+                for _ in 0..*iterations {
+                    objective.evaluate(state, control);
+                    minimizer.step(&objective.grad, &objective.norms, &mut objective.trial.a);
+                    self.log.gradient_norms.extend(&objective.norms);
+                    self.log.scales.extend(minimizer.scales().iter().map(|s| s.f64()));
+                }
+            }
+            Method::Newton(references) => {
+                objective.evaluate(state, control);
+                self.log.gradient_norms.extend(&objective.norms);
+                let cloth = objective.cloth_len();
+                let (mut handles, still) = (0, vec![0.0; cloth]);
+                for (b, reference) in references.iter_mut().enumerate() {
+                    let count = objective.trial.model.cloths[b].handles.len();
+                    let (state, control) = part(state, control, (b, cloth), handles..handles + count);
+                    handles += count;
+                    let minimum = reference.minimise(&state, &control, &still);
+                    for (a, minimum) in objective.trial.a[b * cloth..].iter_mut().zip(minimum.a) {
+                        *a = T::of(minimum);
+                    }
+                }
+                objective.evaluate(state, control);
+                self.log.gradient_norms.extend(&objective.norms);
+            }
         }
         objective.place(state, control);
         let stats = self.stats(state);
@@ -49,7 +80,9 @@ impl<T: Real> Solver<T> {
 
     /// Forgets the optimizer's memory, as when a scene starts again.
     pub fn reset(&mut self) {
-        self.minimizer.reset();
+        if let Method::Steps(_, minimizer) = &mut self.method {
+            minimizer.reset();
+        }
     }
 
     /// What the optimizer did in the last frame.
@@ -71,11 +104,30 @@ impl<T: Real> Solver<T> {
             FrameStats {
                 energy: self.objective.energy(state, b),
                 gradient_first: norm_at(0, b),
-                gradient_last: norm_at(self.iterations - 1, b),
+                gradient_last: norm_at(norms.len() / (3 * batch) - 1, b),
                 stretch_largest,
                 stretch_mean,
             }
         };
         (0..batch).map(cloth).collect()
     }
+}
+
+/// Cloth `b` of a batch alone, in double precision: its state and what drives it. Arrays have `len` numbers for each cloth,
+/// and `handles` are its own.
+fn part<T: Real>(
+    state: &State<T>,
+    control: &Control<T>,
+    (b, len): (usize, usize),
+    handles: std::ops::Range<usize>,
+) -> (State<f64>, Control<f64>) {
+    let wide = |values: &[T]| values[b * len..(b + 1) * len].iter().map(|v| v.f64()).collect();
+    let state = State { x: wide(&state.x), v: wide(&state.v) };
+    let point = |p: &[T; 3]| p.map(|v| v.f64());
+    let control = Control {
+        handles: control.handles[handles].iter().map(point).collect(),
+        wind: control.wind.get(b).map(point).into_iter().collect(),
+        forces: if control.forces.is_empty() { Vec::new() } else { wide(&control.forces) },
+    };
+    (state, control)
 }

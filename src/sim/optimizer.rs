@@ -4,7 +4,8 @@ use crate::network::Weights;
 use crate::{Error, Result};
 use std::sync::Arc;
 
-/// An optimizer of the frame's energy; all of them start from `a = 0` and see nothing but its gradient.
+/// An optimizer of the frame's energy; all of them start from `a = 0` and, but for Newton's method, see nothing but its
+/// gradient.
 #[derive(Clone, Debug)]
 pub enum Optimizer {
     /// The learned optimizer (paper sections 3.3 and 4).
@@ -40,11 +41,14 @@ pub enum Optimizer {
         /// A pair is kept when `y.s` exceeds this.
         curvature: f64,
     },
+    /// Newton's method with sparse Cholesky factors and line search, in double precision until it has converged
+    /// ([`crate::cpu::Reference`]), whatever the number of iterations: the physics itself, to compare with. CPU path only.
+    Newton,
 }
 
 impl Optimizer {
     /// Names of the optimizers on command lines and in reports.
-    pub const NAMES: [&str; 5] = ["fnopt", "gd", "adam", "lbfgs", "quasi-newton"];
+    pub const NAMES: [&str; 6] = ["fnopt", "gd", "adam", "lbfgs", "quasi-newton", "newton"];
 
     /// The learned optimizer with these weights.
     pub fn learned(weights: Weights) -> Self {
@@ -79,6 +83,7 @@ impl Optimizer {
             "adam" => Ok(Self::adam()),
             "lbfgs" => Ok(Self::lbfgs()),
             "quasi-newton" => Ok(Self::quasi_newton()),
+            "newton" => Ok(Self::Newton),
             other => Err(Error::unknown("--solver", "solver", other, Self::NAMES)),
         }
     }
@@ -91,6 +96,7 @@ impl Optimizer {
             Self::Adam { .. } => "adam",
             Self::Lbfgs { .. } => "lbfgs",
             Self::QuasiNewton { .. } => "quasi-newton",
+            Self::Newton => "newton",
         }
     }
 }

@@ -105,11 +105,11 @@ impl Solver {
             Optimizer::Lbfgs { history, curvature } => {
                 Rule::Lbfgs { history, curvature, memory: LbfgsMemory::new(context, batch, n, history)? }
             }
-            Optimizer::QuasiNewton { .. } => {
+            Optimizer::QuasiNewton { .. } | Optimizer::Newton => {
                 let found = format!("{}, which lacks it; the CPU path has it", context.name());
                 return Err(Error::invalid(
                     "--solver",
-                    "quasi-newton",
+                    optimizer.name(),
                     "a device that has this optimizer",
                     found,
                 ));

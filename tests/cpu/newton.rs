@@ -1,9 +1,9 @@
 //! The Hessian of the shape's energy, and Newton's method with it.
 
 use fnopt::cpu::cloth::{Block, Curvature, GradientRows, Trial, gradient, hessian};
-use fnopt::cpu::{Newton, Reference};
+use fnopt::cpu::{Newton, Reference, Solver};
 use fnopt::scene::Scene;
-use fnopt::sim::{Grid, Material, State};
+use fnopt::sim::{Control, Grid, Material, Model, Optimizer, State};
 
 /// A sheet with its arrays: crumpled by `noise`, some edges longer and some shorter than at rest, two handles.
 struct Sheet {
@@ -147,4 +147,30 @@ fn frames_of_a_swinging_sheet_converge() {
         "{most} iterations at most, {:.1} ms a frame",
         begun.elapsed().as_secs_f64() / frames as f64 * 1e3
     );
+}
+
+/// As a solver, in single precision and for a batch: the frames of the reference to single precision.
+#[test]
+fn a_batch_is_solved_cloth_by_cloth() {
+    let setup = Scene::default().setup().unwrap();
+    let model = Model { grid: setup.model.grid, cloths: vec![setup.model.cloths[0].clone(); 2] };
+    let mut solver = Solver::<f32>::new(&model, &Optimizer::Newton, 1).unwrap();
+    let twice = |values: &[f64]| [values, values].concat().iter().map(|&v| v as f32).collect::<Vec<_>>();
+    let mut state = State { x: twice(&setup.start.x), v: twice(&setup.start.v) };
+    let (mut exact, still) = (setup.start.clone(), vec![0.0; setup.start.x.len()]);
+    let mut reference = Reference::new(&setup.model).unwrap();
+    for frame in 40..44 {
+        let control = setup.control::<f64>(frame);
+        let handles = [&control.handles[..], &control.handles].concat();
+        let handles = handles.iter().map(|p| p.map(|v| v as f32)).collect();
+        let stats = solver.step(&mut state, &Control { handles, ..Default::default() });
+        assert!(stats[0].gradient_last < 1e-3 * stats[0].gradient_first, "{stats:?}");
+        assert_eq!(stats[0], stats[1]);
+        reference.minimise(&exact, &control, &still);
+        reference.end_frame(&mut exact, &control);
+    }
+    let (one, other) = state.x.split_at(exact.x.len());
+    assert_eq!(one, other);
+    let apart = one.iter().zip(&exact.x).map(|(&x, e)| (f64::from(x) - e).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-3, "{apart} edges");
 }

@@ -17,8 +17,8 @@ pub use update::{Hidden, Update};
 pub use update_adj::UpdateAdjoint;
 
 use super::Real;
-use crate::Result;
 use crate::sim::{Model, Optimizer};
+use crate::{Error, Result};
 
 /// One optimizer at work on a batch of cloths.
 pub trait Minimizer<T>: Send {
@@ -35,7 +35,8 @@ pub trait Minimizer<T>: Send {
     }
 }
 
-/// The optimizer for the cloths of `model`; an error if the grid does not suit the network.
+/// The optimizer for the cloths of `model`; an error if the grid does not suit the network, or the optimizer is Newton's
+/// method, which is [`crate::cpu::Reference`].
 pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dyn Minimizer<T>>> {
     let (grid, batch) = (model.grid, model.batch());
     let cloth = 3 * grid.particles();
@@ -48,6 +49,10 @@ pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dy
         Optimizer::Lbfgs { history, curvature } => Box::new(Lbfgs::new(history, curvature, cloth, batch)),
         Optimizer::QuasiNewton { history, curvature } => {
             Box::new(Lbfgs::from_rest(history, curvature, model))
+        }
+        Optimizer::Newton => {
+            let expected = "an optimizer that takes nothing but the gradient";
+            return Err(Error::invalid("optimizer", "newton", expected, "one that takes the Hessian"));
         }
     })
 }
