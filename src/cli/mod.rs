@@ -3,6 +3,7 @@
 mod bench;
 mod device;
 mod doctor;
+mod evaluate;
 mod inspect;
 mod rollout;
 mod train;
@@ -34,6 +35,8 @@ enum Command {
     Rollout(rollout::Args),
     /// Train weights of the learned optimizer
     Train(train::Args),
+    /// Compare solvers with recorded trajectories, in tables
+    Evaluate(evaluate::Args),
     /// Check every stage against a folder of golden files
     Verify(verify::Args),
     /// Show what this machine can run, test it and time it
@@ -61,6 +64,7 @@ pub fn run(cli: Cli) -> ExitCode {
     let ending = match cli.command {
         Command::Rollout(args) => rollout::run(&args),
         Command::Train(args) => train::run(&args),
+        Command::Evaluate(args) => evaluate::run_command(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Inspect(args) => inspect::run(&args),

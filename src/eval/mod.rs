@@ -1,5 +1,19 @@
-//! How good a simulation is: measures of its frames.
+//! How good a simulation is: measures of its frames, and comparisons with recorded trajectories.
+//!
+//! ```text
+//! Sequence (a trajectory of another simulator, its handles, its cloth) -> Sequence::scene on a grid -> Setup
+//! Entry (an optimizer, its iterations) on a Setup -> Score: distances to the truth, stretch, energy, time
+//! Scores of all sequences, grids and entries -> Tables (text, Markdown, CSV)
+//! ```
 
+mod metrics;
+mod score;
+mod sequence;
 mod stretch;
+mod tables;
 
+pub use metrics::{Surface, chamfer, mean_and_deviation, relative_error, repulsion};
+pub use score::{Entry, PerFrame, Score, Settings, compare, run};
+pub use sequence::Sequence;
 pub use stretch::{FreeEdges, STRETCH_LIMIT};
+pub use tables::{Format, Table, tables};

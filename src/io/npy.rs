@@ -11,6 +11,7 @@ use std::{
 /// Types of elements that are read, all little-endian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Element {
+    F16,
     F32,
     F64,
     I32,
@@ -20,6 +21,7 @@ enum Element {
 impl Element {
     fn bytes(self) -> usize {
         match self {
+            Self::F16 => 2,
             Self::F32 | Self::I32 => 4,
             Self::F64 | Self::I64 => 8,
         }
@@ -28,6 +30,7 @@ impl Element {
     /// Its name in a header.
     fn name(self) -> &'static str {
         match self {
+            Self::F16 => "<f2",
             Self::F32 => "<f4",
             Self::F64 => "<f8",
             Self::I32 => "<i4",
@@ -82,11 +85,12 @@ impl<R: Read> Array<R> {
         let (descr, fortran, shape) = parse_header(&header)
             .ok_or_else(|| bad("header", "descr, fortran_order and shape", &"other text"))?;
         let element = match descr {
+            "<f2" => Element::F16,
             "<f4" => Element::F32,
             "<f8" => Element::F64,
             "<i4" => Element::I32,
             "<i8" => Element::I64,
-            _ => return Err(bad("dtype", "'<f4', '<f8', '<i4' or '<i8'", &format!("'{descr}'"))),
+            _ => return Err(bad("dtype", "'<f2', '<f4', '<f8', '<i4' or '<i8'", &format!("'{descr}'"))),
         };
         let bytes = shape.iter().try_fold(element.bytes(), |n, &axis| n.checked_mul(axis));
         let there = size.saturating_sub(start_len + header_len);
@@ -103,8 +107,8 @@ impl<R: Read> Array<R> {
     /// This array if its elements are floating-point numbers, else an error.
     pub fn of_floats(self) -> Result<Self> {
         match self.element {
-            Element::F32 | Element::F64 => Ok(self),
-            whole => Err(self.invalid("dtype", "'<f4' or '<f8'", format!("'{}'", whole.name()))),
+            Element::F16 | Element::F32 | Element::F64 => Ok(self),
+            whole => Err(self.invalid("dtype", "'<f2', '<f4' or '<f8'", format!("'{}'", whole.name()))),
         }
     }
 
@@ -124,6 +128,7 @@ impl<R: Read> Array<R> {
                 .read_exact(chunk)
                 .map_err(|e| Error::invalid(&self.origin, "data", "all its elements", e))?;
             match self.element {
+                Element::F16 => words(chunk).for_each(|b| sink(half::f16::from_le_bytes(b).into())),
                 Element::F32 => words(chunk).for_each(|b| sink(f32::from_le_bytes(b).into())),
                 Element::F64 => words(chunk).for_each(|b| sink(f64::from_le_bytes(b))),
                 Element::I32 => words(chunk).for_each(|b| sink(i32::from_le_bytes(b).into())),
@@ -225,7 +230,7 @@ fn parse_axes(text: &str) -> Option<Vec<usize>> {
     axes.filter(|a| a.len() <= MAX_AXES)
 }
 
-/// Reads an array of `f4` or `f8` in C or Fortran order.
+/// Reads an array of `f2`, `f4` or `f8` in C or Fortran order.
 pub fn read_npy(path: impl AsRef<Path>) -> Result<ArrayD<f64>> {
     open_npy(path.as_ref())?.of_floats()?.read(|x| x)
 }

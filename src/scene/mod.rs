@@ -47,7 +47,8 @@
 //! **Start.** `settled` hangs from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side with y up. `flat` has
 //! particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up. `hanging` is a vertical plane whose upper edge, j = 0, is
 //! `(0, 0.5, z)` times the side. An OBJ has vertex `i W + j` for particle (i, j), and its faces, if it has any, cover each
-//! cell by two triangles or one quadrilateral. A `.npy` (`f4` or `f8`) has shape [H, W, 3] or [H W, 3].
+//! cell by two triangles or one quadrilateral. A `.npy` (`f2`, `f4` or `f8`) has shape [H, W, 3] or [H W, 3], or
+//! that of a trajectory, [frames, H W, 3], whose first frame is taken.
 //! `grid` is the file's own grid where it is not the scene's: the sheet is then resampled. `transform` is applied to the
 //! file's positions: a 4x4 or 3x4 matrix in rows, a translation `[x, y, z]`, or
 //! `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}` in this order. Velocities are zero.

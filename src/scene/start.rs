@@ -15,7 +15,8 @@ pub type Transform = [[f64; 4]; 3];
 /// Positions of all particles in a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartFile {
-    /// An OBJ file, vertex `i W + j` being particle (i, j), or a `.npy` of shape [H, W, 3] or [H W, 3]; the scene's axes \[m\].
+    /// An OBJ file, vertex `i W + j` being particle (i, j), or a `.npy` of shape [H, W, 3] or [H W, 3], or of a trajectory
+    /// [frames, H W, 3], whose first frame is taken; the scene's axes \[m\].
     pub path: PathBuf,
     /// The grid of the file; none for the scene's. Where they differ the sheet is resampled.
     pub grid: Option<Grid>,
@@ -109,12 +110,15 @@ impl StartFile {
             }
             Some(e) if e == "npy" => {
                 let array = io::read_npy(&self.path)?;
-                let shape = array.shape();
-                if shape != [grid.h, grid.w, 3] && shape != [grid.particles(), 3] {
-                    let expected = format!("[{}, {}, 3] or [{}, 3]", grid.h, grid.w, grid.particles());
+                let (shape, n) = (array.shape(), grid.particles());
+                let trajectory = matches!(*shape, [frames, particles, 3] if frames > 0 && particles == n);
+                if shape != [grid.h, grid.w, 3] && shape != [n, 3] && !trajectory {
+                    let expected = format!("[{}, {}, 3], [{n}, 3] or [frames, {n}, 3]", grid.h, grid.w);
                     return Err(Error::invalid(origin, "shape", expected, format!("{shape:?}")));
                 }
-                points::from_array(&origin, &array)?
+                let mut points = points::from_array(&origin, &array)?;
+                points.truncate(n);
+                points
             }
             _ => return Err(Error::invalid(origin, "start", "an .obj or .npy file", "another ending")),
         };

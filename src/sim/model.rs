@@ -4,7 +4,7 @@ use super::Grid;
 use num_traits::Float;
 
 /// Energy coefficients in grid units (section 3 of the specification; the paper's material parameters).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Material {
     /// Stretch coefficient `k_stretch`.
     pub stretch: f64,

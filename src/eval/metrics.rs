@@ -1,0 +1,99 @@
+//! Distances between simulated and true cloths (paper section 4.1).
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use rand::rngs::ChaCha8Rng;
+use rand::{RngExt, SeedableRng};
+use std::num::NonZero;
+
+/// A cloth as triangles: vertices \[m\] and the numbers of each triangle's corners.
+#[derive(Clone, Copy, Debug)]
+pub struct Surface<'a> {
+    /// Vertices \[m\].
+    pub points: &'a [[f64; 3]],
+    /// Triangles.
+    pub faces: &'a [[u32; 3]],
+}
+
+impl Surface<'_> {
+    /// `count` points, uniform by area; the same for the same seed.
+    pub fn sample(&self, count: usize, seed: u64) -> Vec<[f64; 3]> {
+        let mut until = Vec::with_capacity(self.faces.len());
+        let mut sum = 0.0;
+        for face in self.faces {
+            sum += self.area(face);
+            until.push(sum);
+        }
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut point = || {
+            let at = sum * random.random::<f64>();
+            let face = until.partition_point(|&until| until <= at).min(self.faces.len() - 1);
+            let [a, b, c] = self.corners(&self.faces[face]);
+            // The square root makes the density the same from the corner to the opposite side.
+            let (across, along) = (random.random::<f64>().sqrt(), random.random::<f64>());
+            std::array::from_fn(|k| a[k] + across * ((1.0 - along) * (b[k] - a[k]) + along * (c[k] - a[k])))
+        };
+        (0..count).map(|_| point()).collect()
+    }
+
+    fn corners(&self, face: &[u32; 3]) -> [[f64; 3]; 3] {
+        face.map(|k| self.points[k as usize])
+    }
+
+    fn area(&self, face: &[u32; 3]) -> f64 {
+        let [a, b, c] = self.corners(face);
+        let side = |p: [f64; 3]| [p[0] - a[0], p[1] - a[1], p[2] - a[2]];
+        let (u, v) = (side(b), side(c));
+        let cross = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+        0.5 * cross.iter().map(|c| c * c).sum::<f64>().sqrt()
+    }
+}
+
+/// The mean squared distance from each point of `from` to the nearest point of `to` [m^2].
+fn mean_nearest(from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
+    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(to);
+    from.iter().map(|p| tree.nearest_one::<SquaredEuclidean>(p).distance).sum::<f64>() / from.len() as f64
+}
+
+/// The Chamfer distance of two clouds: mean squared distances to the nearest point of the other, both directions added
+/// [m^2].
+pub fn chamfer(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
+    mean_nearest(a, b) + mean_nearest(b, a)
+}
+
+/// The error of vertices relative to the truth: `|found - truth| / |truth|`, norms over all coordinates of a frame.
+pub fn relative_error(found: &[[f64; 3]], truth: &[[f64; 3]]) -> f64 {
+    assert_eq!(found.len(), truth.len(), "as many vertices");
+    let squares = |points: &mut dyn Iterator<Item = f64>| points.map(|v| v * v).sum::<f64>();
+    let pairs = found.as_flattened().iter().zip(truth.as_flattened());
+    let apart = squares(&mut pairs.map(|(f, t)| f - t));
+    (apart / squares(&mut truth.as_flattened().iter().copied())).sqrt()
+}
+
+/// The energy that keeps layers apart (paper section 3.4): over ordered pairs of particles nearer than `delta` that no edge
+/// of the triangulated grid joins, the sum of `-log(d^2 + 1e-8)`. Lengths in edges.
+pub fn repulsion(points: &[[f64; 3]], faces: &[[u32; 3]], delta: f64) -> f64 {
+    let mut joined = vec![Vec::new(); points.len()];
+    for &[a, b, c] in faces {
+        for (p, q) in [(a, b), (b, c), (c, a)] {
+            joined[p as usize].push(q);
+            joined[q as usize].push(p);
+        }
+    }
+    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(points);
+    let of = |(p, point): (usize, &[f64; 3])| {
+        let near = tree.within_unsorted::<SquaredEuclidean>(point, delta * delta);
+        let apart = |q: u64| q as usize != p && !joined[p].contains(&(q as u32));
+        let pairs = near.into_iter().filter(|n| n.distance < delta * delta && apart(n.item));
+        pairs.fold(0.0, |sum, n| sum - (n.distance + 1e-8).ln())
+    };
+    // An empty sum is a negative zero.
+    points.iter().enumerate().map(of).fold(0.0, |sum, e| sum + e)
+}
+
+/// Mean and standard deviation (of the sample; 0 of a single number).
+pub fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+    (mean, NonZero::new(values.len().saturating_sub(1)).map_or(0.0, |n| (square / n.get() as f64).sqrt()))
+}

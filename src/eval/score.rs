@@ -1,0 +1,319 @@
+//! One solver on one sequence: what it cost and how far from the truth it was.
+
+use super::metrics::{Surface, chamfer, relative_error, repulsion};
+use super::{FreeEdges, Sequence};
+use crate::io::Trajectory;
+use crate::scene::Setup;
+use crate::sim::{Device, FrameStats, Grid, Material, Optimizer, Simulator};
+use crate::{Error, Result, io};
+use rayon::prelude::*;
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::path::Path;
+
+/// An edge away from the handles that is this much longer than at rest tells that a simulation diverged.
+const DIVERGED: f64 = 3.0;
+/// Frames left out of the median time.
+const WARM_UP: usize = 3;
+/// Distance below which particles repel each other [edges of the 32x32 grid] (paper section 3.4).
+const REPULSION_DELTA: f64 = 0.5;
+/// Rows of edges that lengths of the repulsion refer to, whatever the grid.
+const REPULSION_EDGES: f64 = 31.0;
+/// Seconds at the end over which the speed is averaged.
+const SETTLED_S: f64 = 0.5;
+
+/// A solver that takes part.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// Name of its column, such as `fnopt` or `adam`.
+    pub name: String,
+    /// The optimizer.
+    pub optimizer: Optimizer,
+    /// Iterations per frame.
+    pub iterations: usize,
+}
+
+/// What all entries share.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Settings {
+    /// Energy coefficients (grid units).
+    pub material: Material,
+    /// Points sampled from each surface for e_CD.
+    pub points: usize,
+    /// Frames that are simulated, the start included; all of a sequence at most.
+    pub frames: usize,
+}
+
+/// How one solver did on one sequence. Without frames to judge, because it diverged, there are no numbers.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Score {
+    /// Name of the sequence.
+    pub sequence: String,
+    /// The grid, as in `32x32`.
+    pub grid: String,
+    /// Name of the solver.
+    pub solver: String,
+    /// Iterations per frame; 0 where that means nothing.
+    pub iterations: usize,
+    /// Frames that were judged, the start not among them.
+    pub frames: usize,
+    /// Whether all frames were finite and of about the right size.
+    pub stable: bool,
+    /// Mean Chamfer distance [m^2].
+    pub e_cd: Option<f64>,
+    /// Mean relative error of the vertices, on the truth's grid.
+    pub e_3d: Option<f64>,
+    /// Median wall time of a frame \[ms\].
+    pub ms_per_frame: Option<f64>,
+    /// Means over the frames of the total energy, and of |dL/da| at the last iteration (grid units).
+    pub energy: Option<f64>,
+    /// See `energy`.
+    pub gradient: Option<f64>,
+    /// Largest `|edge| - 1` of the edges away from handles.
+    pub stretch_largest: Option<f64>,
+    /// Mean speed of the particles in the last half second [m/s]: how far the cloth has settled.
+    pub speed_at_end: Option<f64>,
+    /// Mean repulsion energy, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.1).
+    pub repulsion: Option<[f64; 3]>,
+    /// Figures of every frame.
+    pub per_frame: PerFrame,
+}
+
+/// Figures of every frame.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct PerFrame {
+    /// Chamfer distance [m^2].
+    pub e_cd: Vec<f64>,
+    /// Relative error of the vertices.
+    pub e_3d: Vec<f64>,
+    /// Repulsion energy.
+    pub repulsion: Vec<f64>,
+}
+
+impl Score {
+    /// Reads a score that [`Score::write`] kept.
+    pub fn read(path: &Path) -> Result<Self> {
+        let bytes = io::read_bytes(path)?;
+        let origin = path.display().to_string();
+        serde_json::from_slice(&bytes).map_err(|e| Error::invalid(origin, "score", "one that was kept", e))
+    }
+
+    /// Keeps the score as JSON.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let json = serde_json::to_vec(self).expect("scores are plain data");
+        io::write_atomic(path, |file| file.write_all(&json))
+    }
+}
+
+/// What a simulation leaves to be judged.
+struct Simulated {
+    trajectory: Trajectory,
+    stats: Vec<FrameStats>,
+    times_ms: Vec<f64>,
+    stretch_largest: f64,
+    stable: bool,
+    ended_early: bool,
+}
+
+/// Simulates a sequence on a grid and judges it. `tick` is called after each frame and may end everything; then there is no
+/// score.
+pub fn run(
+    sequence: &Sequence,
+    grid: Grid,
+    entry: &Entry,
+    (device, settings): (&Device, &Settings),
+    tick: impl FnMut() -> ControlFlow<()>,
+) -> Result<Option<Score>> {
+    let mut scene = sequence.scene(grid, settings.material)?;
+    scene.frames = Some(sequence.truth.frames().min(settings.frames));
+    let setup = scene.setup()?;
+    let simulated = simulate(&setup, entry, device, tick)?;
+    if simulated.ended_early {
+        return Ok(None);
+    }
+    let mut score = Score {
+        iterations: if matches!(entry.optimizer, Optimizer::Newton) { 0 } else { entry.iterations },
+        ..judge(sequence, (&entry.name, &simulated.trajectory), simulated.stable, settings)
+    };
+    if score.stable {
+        let mean = |of: &dyn Fn(&FrameStats) -> f64| {
+            simulated.stats.iter().map(of).sum::<f64>() / simulated.stats.len() as f64
+        };
+        score.ms_per_frame = Some(median(&simulated.times_ms));
+        score.energy = Some(mean(&|s| s.energy.total()));
+        score.gradient = Some(mean(&|s| s.gradient_last));
+        score.stretch_largest = Some(simulated.stretch_largest);
+    }
+    Ok(Some(score))
+}
+
+/// Judges positions that another system made for a sequence, on whatever grid they have.
+pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &Settings) -> Result<Score> {
+    let frames = sequence.truth.frames().min(settings.frames);
+    if found.frames() < frames {
+        let (origin, expected) = (format!("{name}, {}", sequence.name), format!("at least {frames}"));
+        return Err(Error::invalid(origin, "frames", expected, found.frames()));
+    }
+    Ok(judge(sequence, (name, found), true, settings))
+}
+
+fn simulate(
+    setup: &Setup,
+    entry: &Entry,
+    device: &Device,
+    mut tick: impl FnMut() -> ControlFlow<()>,
+) -> Result<Simulated> {
+    let mut simulator = Simulator::new(device, &setup.model, &entry.optimizer, entry.iterations)?;
+    simulator.set_state(&setup.start.cast());
+    let edges = FreeEdges::new(&setup.model, 0);
+    let mut done = Simulated {
+        trajectory: Trajectory::new(setup.model.grid, 1.0 / setup.units.frame_time_s),
+        stats: Vec::new(),
+        times_ms: Vec::new(),
+        stretch_largest: 0.0,
+        stable: true,
+        ended_early: false,
+    };
+    let single = |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
+    done.trajectory
+        .push(&single(setup.vertices_m(&setup.start.x)), &single(setup.velocities_m_s(&setup.start.v)));
+    let controls = (1..setup.frames()).map(|f| setup.control(f));
+    let outcome = simulator.rollout(controls, |frame| {
+        let state = &frame.state;
+        done.trajectory.push(&single(setup.vertices_m(&state.x)), &single(setup.velocities_m_s(&state.v)));
+        done.stats.push(frame.stats[0]);
+        done.times_ms.push(frame.wall.as_secs_f64() * 1e3);
+        done.stretch_largest = edges.largest(&state.x).max(done.stretch_largest);
+        done.stable = done.stretch_largest < DIVERGED;
+        done.ended_early = tick().is_break();
+        if done.stable && !done.ended_early { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+    });
+    match outcome {
+        Ok(()) => {}
+        Err(Error::NonFinite { .. }) => done.stable = false,
+        Err(error) => return Err(error),
+    }
+    Ok(done)
+}
+
+/// The distances of a trajectory to the truth.
+fn judge(
+    sequence: &Sequence,
+    (name, found): (&str, &Trajectory),
+    stable: bool,
+    settings: &Settings,
+) -> Score {
+    let truth = &sequence.truth;
+    let frames = truth.frames().min(settings.frames);
+    let mut score = Score {
+        sequence: sequence.name.clone(),
+        grid: found.grid().to_string(),
+        solver: name.to_owned(),
+        iterations: 0,
+        frames: 0,
+        stable,
+        e_cd: None,
+        e_3d: None,
+        ms_per_frame: None,
+        energy: None,
+        gradient: None,
+        stretch_largest: None,
+        speed_at_end: None,
+        repulsion: None,
+        per_frame: PerFrame::default(),
+    };
+    if !stable || frames < 2 {
+        return score;
+    }
+    let wide = |points: &[[f32; 3]]| points.iter().map(|p| p.map(f64::from)).collect::<Vec<_>>();
+    let faces = [found.grid().faces(), truth.grid().faces()];
+    let resampled = Resampling::new(found.grid(), truth.grid());
+    let edge = distance(found.frame(0)[0], found.frame(0)[1]).max(f64::MIN_POSITIVE);
+    let rest = f64::from(found.grid().h as u32 - 1) / REPULSION_EDGES;
+    let figures: Vec<[f64; 3]> = (1..frames)
+        .into_par_iter()
+        .map(|frame| {
+            let (a, b) = (wide(found.frame(frame)), wide(truth.frame(frame)));
+            let seed = frame as u64;
+            let clouds = [
+                Surface { points: &a, faces: &faces[0] }.sample(settings.points, 2 * seed),
+                Surface { points: &b, faces: &faces[1] }.sample(settings.points, 2 * seed + 1),
+            ];
+            // In edges of a grid of 32 rows.
+            let scaled: Vec<[f64; 3]> = a.iter().map(|p| p.map(|c| c / (edge * rest))).collect();
+            [
+                chamfer(&clouds[0], &clouds[1]),
+                relative_error(&resampled.apply(&a), &b),
+                repulsion(&scaled, &faces[0], REPULSION_DELTA),
+            ]
+        })
+        .collect();
+    let column = |k: usize| figures.iter().map(|f| f[k]).collect::<Vec<f64>>();
+    let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+    let per_frame = PerFrame { e_cd: column(0), e_3d: column(1), repulsion: column(2) };
+    let share = |limit: f64| {
+        per_frame.repulsion.iter().filter(|&&r| r > limit).count() as f64 / per_frame.repulsion.len() as f64
+    };
+    score.frames = figures.len();
+    score.e_cd = Some(mean(&per_frame.e_cd));
+    score.e_3d = Some(mean(&per_frame.e_3d));
+    score.repulsion = Some([mean(&per_frame.repulsion), share(0.1), share(0.02)]);
+    let last = ((found.fps() * SETTLED_S) as usize).clamp(1, frames - 1);
+    let speeds: Vec<f64> = (frames - last..frames).map(|f| mean_speed(found, f)).collect();
+    score.speed_at_end = Some(mean(&speeds));
+    score.per_frame = per_frame;
+    score
+}
+
+fn distance(a: [f32; 3], b: [f32; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Mean speed of the particles on the way to a frame [m/s].
+fn mean_speed(trajectory: &Trajectory, frame: usize) -> f64 {
+    let (before, after) = (trajectory.frame(frame - 1), trajectory.frame(frame));
+    let moved = before.iter().zip(after).map(|(&a, &b)| distance(a, b)).sum::<f64>();
+    moved * trajectory.fps() / before.len() as f64
+}
+
+/// The median; the mean of the middle two of an even number. Without the first frames, where there are more.
+fn median(times: &[f64]) -> f64 {
+    let mut times = times[if times.len() > WARM_UP { WARM_UP } else { 0 }..].to_vec();
+    times.sort_by(f64::total_cmp);
+    let n = times.len();
+    if n == 0 { 0.0 } else { 0.5 * (times[(n - 1) / 2] + times[n / 2]) }
+}
+
+/// Carries positions from one grid to the places of another's particles, bilinearly, corners on corners.
+struct Resampling {
+    from: Grid,
+    /// First particle of the cell of each place, and where in the cell it is.
+    places: Vec<(usize, [f64; 2])>,
+}
+
+impl Resampling {
+    fn new(from: Grid, to: Grid) -> Self {
+        let place = |k: usize, n: usize, m: usize| {
+            let at = (k * (n - 1)) as f64 / (m - 1) as f64;
+            let cell = (at as usize).min(n - 2);
+            (cell, at - cell as f64)
+        };
+        let particle = |p: usize| {
+            let (i, down) = place(p / to.w, from.h, to.h);
+            let (j, across) = place(p % to.w, from.w, to.w);
+            (i * from.w + j, [down, across])
+        };
+        Self { from, places: (0..to.particles()).map(particle).collect() }
+    }
+
+    fn apply(&self, points: &[[f64; 3]]) -> Vec<[f64; 3]> {
+        let w = self.from.w;
+        let mix = |a: [f64; 3], b: [f64; 3], t: f64| std::array::from_fn(|c| a[c] + t * (b[c] - a[c]));
+        let at = |&(p, [down, across]): &(usize, [f64; 2])| {
+            let upper = mix(points[p], points[p + 1], across);
+            let lower = mix(points[p + w], points[p + w + 1], across);
+            mix(upper, lower, down)
+        };
+        self.places.iter().map(at).collect()
+    }
+}

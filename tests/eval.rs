@@ -1,0 +1,198 @@
+//! Measures against brute force and closed forms, sequences as they are read, and the tables.
+
+use fnopt::eval::{
+    Entry, Format, Sequence, Settings, Surface, chamfer, compare, mean_and_deviation, relative_error,
+    repulsion, run, tables,
+};
+use fnopt::io::{ReadOptions, Trajectory};
+use fnopt::sim::{Device, Grid, Material, Optimizer};
+use safetensors::SafeTensors;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+/// Points without pattern in the unit cube.
+fn cloud(count: usize, seed: u64) -> Vec<[f64; 3]> {
+    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
+    let mut next = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        (state >> 11) as f64 / (1u64 << 53) as f64
+    };
+    (0..count).map(|_| [next(), next(), next()]).collect()
+}
+
+fn square(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
+}
+
+#[test]
+fn chamfer_is_that_of_all_pairs() {
+    let nearest = |from: &[[f64; 3]], to: &[[f64; 3]]| {
+        let of = |&p: &[f64; 3]| to.iter().map(|&q| square(p, q)).fold(f64::INFINITY, f64::min);
+        from.iter().map(of).sum::<f64>() / from.len() as f64
+    };
+    for (m, n) in [(1, 1), (300, 170), (2000, 2000)] {
+        let (a, b) = (cloud(m, 1), cloud(n, 2));
+        let expected = nearest(&a, &b) + nearest(&b, &a);
+        assert!((chamfer(&a, &b) - expected).abs() < 1e-12 * expected, "{m} and {n} points");
+        assert_eq!(chamfer(&a, &b), chamfer(&b, &a));
+        assert_eq!(chamfer(&a, &a), 0.0);
+    }
+    // Two planes at a distance of 0.1, sampled alike: each point's nearest is right above it.
+    let plane = |z: f64| cloud(500, 3).iter().map(|p| [p[0], p[1], z]).collect::<Vec<_>>();
+    assert!((chamfer(&plane(0.0), &plane(0.1)) - 2.0 * 0.01).abs() < 1e-12);
+}
+
+#[test]
+fn samples_are_uniform_by_area() {
+    // Two triangles, one three times as large as the other, and one without area.
+    let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-3.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
+    let faces = [[0, 1, 2], [0, 2, 3], [0, 1, 4]];
+    let surface = Surface { points: &points, faces: &faces };
+    let samples = surface.sample(40_000, 7);
+    assert_eq!(samples, surface.sample(40_000, 7), "the same seed");
+    assert_ne!(samples[..10], surface.sample(10, 8)[..]);
+    let right: Vec<_> = samples.iter().filter(|p| p[0] > 0.0).collect();
+    // A share of 1/4 with a deviation of 0.0022.
+    assert!((right.len() as f64 / 40_000.0 - 0.25).abs() < 0.01);
+    assert!(samples.iter().all(|p| p[2] == 0.0 && p[1] >= 0.0 && p[1] <= 1.0));
+    // The centroid of the right triangle is at a third of its sides.
+    for axis in 0..2 {
+        let mean = right.iter().map(|p| p[axis]).sum::<f64>() / right.len() as f64;
+        assert!((mean - 1.0 / 3.0).abs() < 0.01, "{mean}");
+    }
+}
+
+#[test]
+fn relative_errors_and_deviations_have_closed_forms() {
+    let truth = cloud(100, 4);
+    let larger: Vec<[f64; 3]> = truth.iter().map(|p| p.map(|c| 1.02 * c)).collect();
+    assert!((relative_error(&larger, &truth) - 0.02).abs() < 1e-12);
+    assert_eq!(relative_error(&truth, &truth), 0.0);
+    let (mean, deviation) = mean_and_deviation(&[1.0, 2.0, 3.0, 4.0]);
+    assert!((mean - 2.5).abs() < 1e-12 && (deviation - (5.0f64 / 3.0).sqrt()).abs() < 1e-12);
+    assert_eq!(mean_and_deviation(&[3.0]), (3.0, 0.0));
+}
+
+#[test]
+fn repulsion_is_the_authors() {
+    for name in ["repulsion_threshold0.5", "repulsion_threshold1.0"] {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/{name}.safetensors"));
+        let bytes = std::fs::read(path).unwrap();
+        let file = SafeTensors::deserialize(&bytes).unwrap();
+        let numbers = |name: &str| -> Vec<f64> {
+            let data = file.tensor(name).unwrap();
+            data.data().as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
+        };
+        let x = numbers("positions");
+        let n = x.len() / 3;
+        let points: Vec<[f64; 3]> = (0..n).map(|p| [x[p], x[n + p], x[2 * n + p]]).collect();
+        let grid = Grid { h: 16, w: 16 };
+        let found = repulsion(&points, &grid.faces(), numbers("threshold")[0]);
+        let expected = numbers("energy")[0];
+        assert!((found / expected - 1.0).abs() < 1e-12, "{name}: {found}, not {expected}");
+    }
+    let flat: Vec<[f64; 3]> = (0..64).map(|p| [(p % 8) as f64, (p / 8) as f64, 0.0]).collect();
+    assert_eq!(repulsion(&flat, &Grid { h: 8, w: 8 }.faces(), 0.5), 0.0);
+}
+
+fn shipped() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth")
+}
+
+const SETTINGS: Settings =
+    Settings { material: Material { stretch: 1000.0, shear: 8.0, bend: 0.5 }, points: 1000, frames: 25 };
+
+fn newton() -> Entry {
+    Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1 }
+}
+
+#[test]
+fn a_sequence_is_repeated_from_its_first_frame() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    assert_eq!((sequence.truth.frames(), sequence.grid()), (391, Grid { h: 32, w: 32 }));
+    for grid in [Grid { h: 32, w: 32 }, Grid { h: 20, w: 20 }] {
+        let tick = || ControlFlow::Continue(());
+        let score = run(&sequence, grid, &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+        assert!(score.stable && score.frames == 24 && score.per_frame.e_cd.len() == 24);
+        // The true cloth hangs at rest; ours, of the default material, sags by a few centimetres.
+        let (e_cd, e_3d) = (score.e_cd.unwrap(), score.e_3d.unwrap());
+        assert!(e_cd < 8e-3 && e_3d < 0.25, "{grid}: {e_cd}, {e_3d}");
+        assert!(score.ms_per_frame.unwrap() > 0.0 && score.gradient.unwrap() < 1e-2);
+    }
+    let stopped =
+        run(&sequence, sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), || ControlFlow::Break(()));
+    assert!(stopped.unwrap().is_none());
+}
+
+#[test]
+fn the_truth_compared_with_itself_is_exact() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let score = compare(&sequence, "itself", &sequence.truth, &SETTINGS).unwrap();
+    assert_eq!(score.e_3d, Some(0.0));
+    // Two samples of one surface; more points come closer.
+    let more = Settings { points: 8000, ..SETTINGS };
+    let closer = compare(&sequence, "itself", &sequence.truth, &more).unwrap();
+    assert!(closer.e_cd.unwrap() < 0.3 * score.e_cd.unwrap() && score.e_cd.unwrap() < 2e-3);
+    let longer = Settings { frames: 500, ..SETTINGS };
+    assert_eq!(compare(&sequence, "itself", &sequence.truth, &longer).unwrap().frames, 390);
+    let short = Trajectory::new(sequence.grid(), 60.0);
+    let error = compare(&sequence, "short", &short, &SETTINGS).unwrap_err().to_string();
+    assert!(error.contains("short, xy_v2: frames: expected at least 25"), "{error}");
+}
+
+#[test]
+fn a_solver_that_diverges_has_no_numbers() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let descent = Optimizer::GradientDescent { rate: 1e3 };
+    let entry = Entry { name: "gd".into(), optimizer: descent, iterations: 10 };
+    let tick = || ControlFlow::Continue(());
+    let diverged = run(&sequence, sequence.grid(), &entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+    assert!(!diverged.stable && diverged.e_cd.is_none() && diverged.ms_per_frame.is_none());
+    let good = run(&sequence, sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+    let tables = tables(&[good, diverged]);
+    let text = tables[0].write(Format::Text { bold: true });
+    let row = text.lines().find(|line| line.starts_with("xy_v2")).unwrap();
+    assert!(row.ends_with('-') && row.contains("\x1b[1m"), "{row}");
+    let markdown = tables[0].write(Format::Markdown);
+    assert!(
+        markdown.contains("| sequence | newton | gd, N = 10 |") && markdown.contains("| - |"),
+        "{markdown}"
+    );
+    let csv = tables[0].write(Format::Csv);
+    assert!(csv.contains("sequence,newton,\"gd, N = 10\""), "{csv}");
+}
+
+#[test]
+fn bad_sequences_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = |name: &str| Sequence::load(folder.path(), name).unwrap_err().to_string();
+    assert!(Sequence::names(folder.path()).unwrap_err().to_string().contains("cloth_pos.npy"));
+    let copy = |name: &str| {
+        let to = folder.path().join(name);
+        std::fs::create_dir(&to).unwrap();
+        for file in ["cloth_pos.npy", "handles.npy", "meta.json"] {
+            std::fs::copy(shipped().join("xy_v2").join(file), to.join(file)).unwrap();
+        }
+        to
+    };
+    let grid = copy("grid");
+    std::fs::write(grid.join("meta.json"), r#"{"grid": [20, 20]}"#).unwrap();
+    assert!(error("grid").contains("vertices: expected those of 20x20, found 1024"));
+    std::fs::write(grid.join("meta.json"), r#"{"fps": -3}"#).unwrap();
+    assert!(error("grid").contains("fps: expected a positive number"));
+    std::fs::write(grid.join("meta.json"), "{").unwrap();
+    assert!(error("grid").contains("meta.json: text: expected JSON"));
+    std::fs::write(grid.join("meta.json"), r#"{"handle_vertices": "corner"}"#).unwrap();
+    assert!(error("grid").contains("handle_vertices"));
+    // Without a meta.json: the default cloth.
+    std::fs::remove_file(grid.join("meta.json")).unwrap();
+    assert_eq!(Sequence::load(folder.path(), "grid").unwrap().grid(), Grid { h: 32, w: 32 });
+    assert_eq!(Sequence::names(folder.path()).unwrap(), ["grid"]);
+    let cut = copy("cut");
+    let bytes = std::fs::read(cut.join("cloth_pos.npy")).unwrap();
+    std::fs::write(cut.join("cloth_pos.npy"), &bytes[..bytes.len() - 2]).unwrap();
+    assert!(error("cut").contains("length"));
+    assert!(Trajectory::read(cut.join("handles.npy"), &ReadOptions::default()).is_err());
+}
