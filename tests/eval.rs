@@ -1,11 +1,14 @@
 //! Measures against brute force and closed forms, sequences as they are read, and the tables.
 
+use fnopt::eval;
+use fnopt::eval::fit::{Fit, Surface};
 use fnopt::eval::{
-    Entry, Format, Sequence, Settings, Surface, chamfer, compare, mean_and_deviation, relative_error,
+    Entry, Format, Physics, Sequence, Settings, chamfer, compare, mean_and_deviation, relative_error,
     repulsion, run, tables,
 };
 use fnopt::io::{ReadOptions, Trajectory};
-use fnopt::sim::{Device, Grid, Material, Optimizer};
+use fnopt::scene::{Scene, Stiffness};
+use fnopt::sim::{Device, Grid, Material, Optimizer, Simulator, State};
 use safetensors::SafeTensors;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -49,7 +52,7 @@ fn samples_are_uniform_by_area() {
     // Two triangles, one three times as large as the other, and one without area.
     let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-3.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
     let faces = [[0, 1, 2], [0, 2, 3], [0, 1, 4]];
-    let surface = Surface { points: &points, faces: &faces };
+    let surface = eval::Surface { points: &points, faces: &faces };
     let samples = surface.sample(40_000, 7);
     assert_eq!(samples, surface.sample(40_000, 7), "the same seed");
     assert_ne!(samples[..10], surface.sample(10, 8)[..]);
@@ -101,8 +104,9 @@ fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth")
 }
 
-const SETTINGS: Settings =
-    Settings { material: Material { stretch: 1000.0, shear: 8.0, bend: 0.5 }, points: 1000, frames: 25 };
+const MATERIAL: Material = Material { stretch: 1000.0, shear: 8.0, bend: 0.5 };
+const PHYSICS: Physics = Physics { material: MATERIAL, density: None, drag: None, frame_time_s: None };
+const SETTINGS: Settings = Settings { physics: PHYSICS, points: 1000, frames: 25 };
 
 fn newton() -> Entry {
     Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1 }
@@ -195,4 +199,65 @@ fn bad_sequences_are_refused_by_name() {
     std::fs::write(cut.join("cloth_pos.npy"), &bytes[..bytes.len() - 2]).unwrap();
     assert!(error("cut").contains("length"));
     assert!(Trajectory::read(cut.join("handles.npy"), &ReadOptions::default()).is_err());
+}
+
+/// A trajectory that Newton's method made with a known material: the fit finds it, also when it goes on from a file.
+#[test]
+fn a_known_material_is_found_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let to = folder.path().join("made");
+    std::fs::create_dir(&to).unwrap();
+    let truth = Material { stretch: 400.0, shear: 4.0, bend: 0.5 };
+    let mut scene = Scene { stiffness: Stiffness::Grid(truth), frames: Some(20), ..Scene::default() };
+    scene.regrid(Grid { h: 12, w: 12 }).unwrap();
+    let setup = scene.setup().unwrap();
+    let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::Newton, 1).unwrap();
+    simulator.set_state(&setup.start.cast());
+    let mut trajectory = Trajectory::new(setup.model.grid, 60.0);
+    let mut handles = Vec::new();
+    let mut push = |state: &State<f32>| {
+        let vertices: Vec<[f32; 3]> =
+            setup.vertices_m(&state.x).iter().map(|p| p.map(|c| c as f32)).collect();
+        handles.extend([vertices[11 * 12], vertices[0]].concat());
+        trajectory.push(&vertices, &vertices);
+    };
+    push(&setup.start.cast());
+    for frame in 1..20 {
+        push(&simulator.step(&setup.control(frame)).unwrap().state);
+    }
+    trajectory.write(&to, "cloth_pos", fnopt::io::Format::Npy).unwrap();
+    let handles = ndarray::Array3::from_shape_vec((20, 2, 3), handles).unwrap();
+    ndarray_npy::write_npy(to.join("handles.npy"), &handles).unwrap();
+
+    let sequences = [Sequence::load(folder.path(), "made").unwrap()];
+    let [density, drag, time] = sequences[0].air_and_frame_time();
+    let fit = Fit {
+        sequences: &sequences,
+        grid: Grid { h: 12, w: 12 },
+        settings: Settings { frames: 20, ..SETTINGS },
+        // The truth is on the way of the refinement: 100 * 16^(1/2).
+        ranges: [[100.0, 1600.0], [1.0, 16.0], [0.5; 2], [density; 2], [drag; 2], [time; 2]],
+        levels: 2,
+        rounds: 1,
+    };
+    let mut surface = Surface::default();
+    let mut calls = 0;
+    let mut few = |_: &Surface, _: usize| {
+        calls += 1;
+        Ok(if calls == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+    };
+    fit.search(&mut surface, &mut few).unwrap();
+    let file = folder.path().join("fit.csv");
+    surface.write(&file).unwrap();
+    let mut again = Surface::load(&file).unwrap();
+    assert_eq!(again, surface, "what was tried is known again");
+    let known = again.sorted().len();
+    fit.search(&mut again, |_, _| Ok(ControlFlow::Continue(()))).unwrap();
+    assert!(again.sorted().len() > known);
+    let ([stretch, shear, ..], error) = again.sorted()[0];
+    assert!((stretch / 400.0 - 1.0).abs() < 1e-9 && (shear / 4.0 - 1.0).abs() < 1e-9, "{stretch}, {shear}");
+    // What sampling two equal surfaces leaves.
+    assert!(error < 3e-3, "{error}");
+    std::fs::write(&file, "stretch\n1,2\n").unwrap();
+    assert!(Surface::load(&file).unwrap_err().to_string().contains("line 2: expected seven numbers"));
 }

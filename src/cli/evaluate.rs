@@ -4,7 +4,7 @@ use super::device::DeviceArgs;
 use super::{Ending, interrupt_flag, load_weights};
 use anyhow::Result;
 use fnopt::Error;
-use fnopt::eval::{Entry, Format, Score, Sequence, Settings, compare, run, tables};
+use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, compare, run, tables};
 use fnopt::io::{ReadOptions, Trajectory, write_atomic};
 use fnopt::network::Weights;
 use fnopt::render::{Chart, Curve, charts, write_png};
@@ -46,6 +46,9 @@ pub struct Args {
     /// Energy coefficients stretch, shear, bend
     #[arg(long, value_delimiter = ',', default_value = "1000,8,0.5", value_name = "KS,KH,KB")]
     material: Vec<f64>,
+    /// Density of the air [kg/m^3] [default: the sequence's]
+    #[arg(long, value_name = "DENSITY")]
+    wind: Option<f64>,
     /// Frames of each sequence, the start included [default: all]
     #[arg(long, value_name = "F")]
     frames: Option<usize>,
@@ -179,7 +182,8 @@ impl Args {
             return Err(Error::invalid("--points, --frames", "counts", "a point and two frames", "fewer"));
         }
         let material = Material { stretch, shear, bend };
-        Ok(Settings { material, points: self.points, frames: self.frames.unwrap_or(usize::MAX) })
+        let physics = Physics { material, density: self.wind, drag: None, frame_time_s: None };
+        Ok(Settings { physics, points: self.points, frames: self.frames.unwrap_or(usize::MAX) })
     }
 
     /// The solvers with each of their numbers of iterations.

@@ -4,6 +4,7 @@ mod bench;
 mod device;
 mod doctor;
 mod evaluate;
+mod fit_material;
 mod inspect;
 mod rollout;
 mod train;
@@ -37,6 +38,8 @@ enum Command {
     Train(train::Args),
     /// Compare solvers with recorded trajectories, in tables
     Evaluate(evaluate::Args),
+    /// Find the material that brings the converged simulation closest to recorded trajectories
+    FitMaterial(fit_material::Args),
     /// Check every stage against a folder of golden files
     Verify(verify::Args),
     /// Show what this machine can run, test it and time it
@@ -65,6 +68,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Rollout(args) => rollout::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Evaluate(args) => evaluate::run_command(&args),
+        Command::FitMaterial(args) => fit_material::run(&args),
         Command::Verify(args) => verify::run(&args),
         Command::Doctor(args) => doctor::run(&args),
         Command::Inspect(args) => inspect::run(&args),

@@ -6,6 +6,7 @@
 //! Scores of all sequences, grids and entries -> Tables (text, Markdown, CSV)
 //! ```
 
+pub mod fit;
 mod metrics;
 mod score;
 mod sequence;
@@ -13,7 +14,7 @@ mod stretch;
 mod tables;
 
 pub use metrics::{Surface, chamfer, mean_and_deviation, relative_error, repulsion};
-pub use score::{Entry, PerFrame, Score, Settings, compare, run};
+pub use score::{Entry, PerFrame, Physics, Score, Settings, compare, run};
 pub use sequence::Sequence;
 pub use stretch::{FreeEdges, STRETCH_LIMIT};
 pub use tables::{Format, Table, tables};

@@ -33,11 +33,24 @@ pub struct Entry {
     pub iterations: usize,
 }
 
+/// What a cloth is simulated with beside what its sequence tells.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Physics {
+    /// Energy coefficients (grid units).
+    pub material: Material,
+    /// Density of the air [kg/m^3]; the sequence's where not given.
+    pub density: Option<f64>,
+    /// Drag of the air [N s/m^3]; the sequence's where not given.
+    pub drag: Option<f64>,
+    /// Frame time \[s\]; the sequence's where not given.
+    pub frame_time_s: Option<f64>,
+}
+
 /// What all entries share.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Settings {
-    /// Energy coefficients (grid units).
-    pub material: Material,
+    /// The cloth and the air.
+    pub physics: Physics,
     /// Points sampled from each surface for e_CD.
     pub points: usize,
     /// Frames that are simulated, the start included; all of a sequence at most.
@@ -124,7 +137,7 @@ pub fn run(
     (device, settings): (&Device, &Settings),
     tick: impl FnMut() -> ControlFlow<()>,
 ) -> Result<Option<Score>> {
-    let mut scene = sequence.scene(grid, settings.material)?;
+    let mut scene = sequence.scene(grid, &settings.physics)?;
     scene.frames = Some(sequence.truth.frames().min(settings.frames));
     let setup = scene.setup()?;
     let simulated = simulate(&setup, entry, device, tick)?;

@@ -1,8 +1,9 @@
 //! Trajectories of other simulators, in the layout of the MeshGraphNetRP data set.
 
+use super::Physics;
 use crate::io::{ReadOptions, Trajectory};
 use crate::scene::{Handles, Mass, Motion, Scene, Side, Start, StartFile, Stiffness, Wind};
-use crate::sim::{Grid, Material};
+use crate::sim::Grid;
 use crate::{Error, Result, io};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -101,13 +102,18 @@ impl Sequence {
         })
     }
 
+    /// Density and drag of its air, and its frame time \[s\].
+    pub fn air_and_frame_time(&self) -> [f64; 3] {
+        [self.wind.density, self.wind.drag, 1.0 / self.truth.fps()]
+    }
+
     /// The grid of the truth.
     pub fn grid(&self) -> Grid {
         self.truth.grid()
     }
 
     /// The scene that repeats it: from its first frame, with its handles, on a grid.
-    pub fn scene(&self, grid: Grid, material: Material) -> Result<Scene> {
+    pub fn scene(&self, grid: Grid, physics: &Physics) -> Result<Scene> {
         let of_truth = self.truth.grid();
         let start =
             StartFile { path: self.folder.join("cloth_pos.npy"), grid: Some(of_truth), transform: None };
@@ -115,10 +121,14 @@ impl Sequence {
             grid: of_truth,
             side_m: Side::Height(self.side_m),
             mass: Mass::Areal(self.areal_mass),
-            stiffness: Stiffness::Grid(material),
+            stiffness: Stiffness::Grid(physics.material),
             gravity: self.gravity,
-            wind: self.wind,
-            frame_time_s: 1.0 / self.truth.fps(),
+            wind: Wind {
+                density: physics.density.unwrap_or(self.wind.density),
+                drag: physics.drag.unwrap_or(self.wind.drag),
+                ..self.wind
+            },
+            frame_time_s: physics.frame_time_s.unwrap_or(1.0 / self.truth.fps()),
             frames: Some(self.truth.frames()),
             start: Start::File(start),
             motion: Motion::File(self.folder.join("handles.npy")),

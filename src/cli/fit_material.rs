@@ -1,0 +1,150 @@
+//! `fnopt fit-material`: finds the material of recorded trajectories.
+
+use super::{Ending, interrupt_flag};
+use anyhow::Result;
+use fnopt::Error;
+use fnopt::eval::fit::{Fit, PARAMETERS, Surface};
+use fnopt::eval::{Physics, Sequence, Settings};
+use fnopt::sim::{Grid, Material};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::path::PathBuf;
+use std::sync::atomic::Ordering;
+
+/// Points of the surface that are printed.
+const PRINTED: usize = 12;
+
+/// Arguments of `fnopt fit-material`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Folder of sequences, as for evaluate
+    #[arg(long, default_value = "assets/ground_truth", value_name = "DIR")]
+    ground_truth: PathBuf,
+    /// Sequences whose mean error counts [default: all]
+    #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
+    sequences: Option<Vec<String>>,
+    /// Rows and columns of the grid that is simulated on
+    #[arg(long, num_args = 2, value_names = ["H", "W"], default_values = ["32", "32"])]
+    grid: Vec<usize>,
+    /// Frames of each sequence, the start included [default: all]
+    #[arg(long, value_name = "F")]
+    frames: Option<usize>,
+    /// Points sampled from each surface
+    #[arg(long, default_value_t = 3000, value_name = "N")]
+    points: usize,
+    /// Range of the stretch coefficient; one number to keep it
+    #[arg(long, value_delimiter = ',', default_value = "300,10000", value_name = "LOW,HIGH")]
+    stretch: Vec<f64>,
+    /// Range of the shear coefficient
+    #[arg(long, value_delimiter = ',', default_value = "1,100", value_name = "LOW,HIGH")]
+    shear: Vec<f64>,
+    /// Range of the bend coefficient
+    #[arg(long, value_delimiter = ',', default_value = "0.03,10", value_name = "LOW,HIGH")]
+    bend: Vec<f64>,
+    /// Range of the density of the air [kg/m^3] [default: the first sequence's]
+    #[arg(long, value_delimiter = ',', value_name = "LOW,HIGH")]
+    density: Option<Vec<f64>>,
+    /// Range of the drag of the air [N s/m^3] [default: the first sequence's]
+    #[arg(long, value_delimiter = ',', value_name = "LOW,HIGH")]
+    drag: Option<Vec<f64>>,
+    /// Range of the frame time [s] [default: the first sequence's]
+    #[arg(long, value_delimiter = ',', value_name = "LOW,HIGH")]
+    frame_time: Option<Vec<f64>>,
+    /// Values of each parameter in the coarse grid
+    #[arg(long, default_value_t = 4, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=50))]
+    levels: u32,
+    /// Rounds of refinement around the best point, the step halved in each
+    #[arg(long, default_value_t = 3, value_name = "N")]
+    rounds: usize,
+    /// File of the errors (CSV); what it holds already is not computed again
+    #[arg(long, default_value = "out/fit.csv", value_name = "FILE")]
+    out: PathBuf,
+}
+
+pub fn run(args: &Args) -> Result<Ending> {
+    let known = Sequence::names(&args.ground_truth)?;
+    let mut sequences = Vec::new();
+    for name in args.sequences.as_ref().unwrap_or(&known) {
+        if !known.contains(name) {
+            let origin = args.ground_truth.display().to_string();
+            return Err(Error::unknown(origin, "sequence", name, known.iter().map(String::as_str)).into());
+        }
+        sequences.push(Sequence::load(&args.ground_truth, name)?);
+    }
+    let ranges = args.ranges(sequences[0].air_and_frame_time())?;
+    let nothing = Material { stretch: 0.0, shear: 0.0, bend: 0.0 };
+    let physics = Physics { material: nothing, density: None, drag: None, frame_time_s: None };
+    let fit = Fit {
+        sequences: &sequences,
+        grid: Grid::new(args.grid[0], args.grid[1], "--grid")?,
+        settings: Settings {
+            physics,
+            points: args.points.max(1),
+            frames: args.frames.unwrap_or(usize::MAX).max(2),
+        },
+        ranges,
+        levels: args.levels as usize,
+        rounds: args.rounds,
+    };
+    if let Some(folder) = args.out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+        std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
+    }
+    let mut surface = Surface::load(&args.out)?;
+    let style = ProgressStyle::with_template("{spinner} {pos} points tried, {elapsed}  {msg}");
+    let bar = ProgressBar::new_spinner().with_style(style.expect("the template is valid"));
+    let interrupted = interrupt_flag();
+    let mut stopped = false;
+    fit.search(&mut surface, |surface, left| {
+        surface.write(&args.out)?;
+        let sorted = surface.sorted();
+        bar.set_position(sorted.len() as u64);
+        bar.set_message(format!("{left} to go in this round, best e_CD {:.3e}", sorted[0].1));
+        stopped = interrupted.load(Ordering::Relaxed);
+        Ok(if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+    })?;
+    bar.finish_and_clear();
+    let mut out = std::io::stdout().lock();
+    let heads: String = PARAMETERS.iter().map(|name| format!("{name:>12}")).collect();
+    writeln!(out, "{heads}  e_CD x 10^3")?;
+    for (point, error) in surface.sorted().iter().take(PRINTED) {
+        let values: String = point.iter().map(|v| format!("{v:>12.5}")).collect();
+        writeln!(out, "{values}{:>13.3}", 1e3 * error)?;
+    }
+    writeln!(out, "all {} points: {}", surface.sorted().len(), args.out.display())?;
+    if stopped {
+        eprintln!("interrupted; run again to go on");
+        return Ok(Ending::Interrupted);
+    }
+    Ok(Ending::Done)
+}
+
+impl Args {
+    /// Smallest and largest value of each parameter; `kept` are those of air and frame time that are not fitted.
+    fn ranges(&self, kept: [f64; 3]) -> fnopt::Result<[[f64; 2]; 6]> {
+        let range = |name: &str, given: Option<&Vec<f64>>, kept: f64| {
+            let Some(values) = given else { return Ok([kept; 2]) };
+            let range = match values[..] {
+                [value] => [value; 2],
+                [low, high] => [low, high],
+                _ => [f64::NAN; 2],
+            };
+            let positive = range[0] > 0.0 || (range[0] == range[1] && range[0] == 0.0);
+            match positive && range[0] <= range[1] && range[1].is_finite() {
+                true => Ok(range),
+                false => {
+                    let expected = "LOW,HIGH with 0 < LOW <= HIGH, or one number";
+                    Err(Error::invalid("--".to_owned() + name, "range", expected, format!("{values:?}")))
+                }
+            }
+        };
+        Ok([
+            range("stretch", Some(&self.stretch), 0.0)?,
+            range("shear", Some(&self.shear), 0.0)?,
+            range("bend", Some(&self.bend), 0.0)?,
+            range("density", self.density.as_ref(), kept[0])?,
+            range("drag", self.drag.as_ref(), kept[1])?,
+            range("frame-time", self.frame_time.as_ref(), kept[2])?,
+        ])
+    }
+}

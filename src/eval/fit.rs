@@ -1,0 +1,186 @@
+//! The material that brings the converged simulation closest to recorded trajectories.
+
+use super::{Entry, Physics, Sequence, Settings, run};
+use crate::sim::{Device, Grid, Material, Optimizer};
+use crate::{Error, Result, io};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::path::Path;
+
+/// What can be fitted, in the order of [`Point`].
+pub const PARAMETERS: [&str; 6] = ["stretch", "shear", "bend", "density", "drag", "frame_time"];
+
+/// A value for each of [`PARAMETERS`]: energy coefficients (grid units), density of the air [kg/m^3], its drag
+/// [N s/m^3], and the frame time \[s\].
+pub type Point = [f64; 6];
+
+/// A search: on a grid of points spaced by equal ratios, then around the best one in ever smaller steps.
+#[derive(Clone, Debug)]
+pub struct Fit<'a> {
+    /// The trajectories; their mean error counts.
+    pub sequences: &'a [Sequence],
+    /// The grid that is simulated on.
+    pub grid: Grid,
+    /// Frames and points of a comparison; its physics are replaced by each point.
+    pub settings: Settings,
+    /// Smallest and largest value of each parameter; the same for one that is given.
+    pub ranges: [[f64; 2]; 6],
+    /// Values of each parameter in the coarse grid.
+    pub levels: usize,
+    /// Rounds of refinement, in each of which the step is halved (its ratio's root taken).
+    pub rounds: usize,
+}
+
+/// Errors of the points that were tried: mean e_CD [m^2], infinite where the simulation diverged.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Surface {
+    /// By the point's numbers, written out.
+    errors: BTreeMap<String, (Point, f64)>,
+}
+
+impl Surface {
+    /// Reads the errors of an earlier search; nothing when there is no such file.
+    pub fn load(path: &Path) -> Result<Self> {
+        let mut surface = Self::default();
+        if !path.is_file() {
+            return Ok(surface);
+        }
+        let bytes = io::read_bytes(path)?;
+        let text = String::from_utf8_lossy(&bytes);
+        for (number, line) in text.lines().enumerate().skip(1) {
+            let values: Vec<f64> = line.split(',').filter_map(|v| v.parse().ok()).collect();
+            let Ok([point @ .., error]) = <[f64; 7]>::try_from(values) else {
+                let (origin, field) = (path.display().to_string(), format!("line {}", number + 1));
+                return Err(Error::invalid(origin, field, "seven numbers", line));
+            };
+            surface.errors.insert(key(&point), (point, error));
+        }
+        Ok(surface)
+    }
+
+    /// Writes all errors as CSV, the smallest first.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        let line = |(point, error): &(Point, f64)| {
+            let values: Vec<String> = point.iter().chain([error]).map(f64::to_string).collect();
+            format!("{}\n", values.join(","))
+        };
+        let lines: String = self.sorted().iter().map(line).collect();
+        io::write_atomic(path, |file| write!(file, "{},e_cd\n{lines}", PARAMETERS.join(",")))
+    }
+
+    /// All points with their errors, the best first.
+    pub fn sorted(&self) -> Vec<(Point, f64)> {
+        let mut all: Vec<(Point, f64)> = self.errors.values().copied().collect();
+        all.sort_by(|a, b| a.1.total_cmp(&b.1));
+        all
+    }
+}
+
+fn key(point: &Point) -> String {
+    point.map(|v| format!("{v:.5e}")).join(" ")
+}
+
+impl Fit<'_> {
+    /// Searches, going on from what `surface` knows already. `tried` is called with the surface after each few points and
+    /// may end the search.
+    pub fn search(
+        &self,
+        surface: &mut Surface,
+        mut tried: impl FnMut(&Surface, usize) -> Result<ControlFlow<()>>,
+    ) -> Result<()> {
+        let free: Vec<usize> = (0..6).filter(|&k| self.ranges[k][0] < self.ranges[k][1]).collect();
+        let ratio = |k: usize| (self.ranges[k][1] / self.ranges[k][0]).powf(1.0 / (self.levels - 1) as f64);
+        let mut points = vec![self.ranges.map(|range| range[0])];
+        for &k in &free {
+            let value = |level: usize| self.ranges[k][0] * ratio(k).powi(level as i32);
+            let along = |p: &Point| {
+                let p = *p;
+                (0..self.levels).map(move |level| {
+                    let mut p = p;
+                    p[k] = value(level);
+                    p
+                })
+            };
+            points = points.iter().flat_map(along).collect();
+        }
+        if self.try_all(&points, surface, &mut tried)?.is_break() {
+            return Ok(());
+        }
+        for round in 1..=self.rounds {
+            let step = |k: usize| ratio(k).powf(0.5f64.powi(round as i32));
+            // Downhill at this step until nothing around the best point is better.
+            loop {
+                let (best, error) = self.best(surface)?;
+                let around = free.iter().flat_map(|&k| {
+                    [1.0 / step(k), step(k)].map(|factor| {
+                        let mut point = best;
+                        point[k] = (point[k] * factor).clamp(self.ranges[k][0], self.ranges[k][1]);
+                        point
+                    })
+                });
+                let around: Vec<Point> = around.collect();
+                if self.try_all(&around, surface, &mut tried)?.is_break() {
+                    return Ok(());
+                }
+                if self.best(surface)?.1 >= error {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn best(&self, surface: &Surface) -> Result<(Point, f64)> {
+        let best = surface.sorted().first().copied().filter(|best| best.1.is_finite());
+        best.ok_or_else(|| Error::invalid("fit", "ranges", "a point that does not diverge", "none"))
+    }
+
+    /// Tries those points that are new, as many at a time as there are threads.
+    fn try_all(
+        &self,
+        points: &[Point],
+        surface: &mut Surface,
+        tried: &mut impl FnMut(&Surface, usize) -> Result<ControlFlow<()>>,
+    ) -> Result<ControlFlow<()>> {
+        let mut new: Vec<Point> = Vec::new();
+        for point in points {
+            let known = surface.errors.contains_key(&key(point)) || new.iter().any(|n| key(n) == key(point));
+            if !known {
+                new.push(*point);
+            }
+        }
+        let mut left = new.len();
+        for some in new.chunks(rayon::current_num_threads()) {
+            let errors: Vec<f64> = some.par_iter().map(|p| self.error(p)).collect::<Result<_>>()?;
+            for (point, error) in some.iter().zip(errors) {
+                surface.errors.insert(key(point), (*point, error));
+            }
+            left -= some.len();
+            if tried(surface, left)?.is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+
+    /// Mean e_CD over the sequences.
+    fn error(&self, &[stretch, shear, bend, density, drag, frame_time]: &Point) -> Result<f64> {
+        let physics = Physics {
+            material: Material { stretch, shear, bend },
+            density: Some(density),
+            drag: Some(drag),
+            frame_time_s: Some(frame_time),
+        };
+        let settings = Settings { physics, ..self.settings };
+        let entry = Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1 };
+        let mut sum = 0.0;
+        for sequence in self.sequences {
+            let tick = || ControlFlow::Continue(());
+            let score = run(sequence, self.grid, &entry, (&Device::Cpu, &settings), tick)?;
+            sum += score.and_then(|s| s.e_cd).unwrap_or(f64::INFINITY);
+        }
+        Ok(sum / self.sequences.len() as f64)
+    }
+}
