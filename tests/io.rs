@@ -117,7 +117,12 @@ fn arrays_in_both_orders_are_read_as_f64() {
     ndarray_npy::write_npy(&path, &a.mapv(f64::from).t()).unwrap();
     assert_eq!(read_npy(&path).unwrap(), a.t().mapv(f64::from).into_dyn());
     ndarray_npy::write_npy(&path, &array![1i32, 2]).unwrap();
-    assert!(read_npy(&path).unwrap_err().to_string().contains("dtype: expected '<f4' or '<f8', found '<i4'"));
+    assert!(
+        read_npy(&path)
+            .unwrap_err()
+            .to_string()
+            .contains("dtype: expected '<f2', '<f4' or '<f8', found '<i4'")
+    );
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Pictures of a cloth: a small software rasteriser, so that every run can show what it did on any machine.
 //!
-//! [`strip`] draws frames side by side, [`write_gif`] an animation. Both see the whole trajectory with one fixed
+//! [`strip()`] draws frames side by side, [`write_gif`] an animation. Both see the whole trajectory with one fixed
 //! [`View`]. The cloth is petrol blue in front and sand at the back, handles are orange spheres, and a soft shadow lies
 //! on the floor below. Vertices that are not finite are left out, with their triangles. [`charts`] draws curves.
 

@@ -29,7 +29,7 @@ impl<T: Real> GradientRows<T> {
         Self { edges: vec![T::zero(); 12 * grid.particles()], grid }
     }
 
-    /// One component of the gradients that row `i` of cells left for one kind of edges, shape [W]; `None` outside.
+    /// One component of the gradients that row `i` of cells left for one kind of edges, shape \[W\]; `None` outside.
     fn left(&self, i: Option<usize>, kind: usize, component: usize) -> Option<&[T]> {
         let w = self.grid.w;
         i.map(|i| &self.edges[((i * 4 + kind) * 3 + component) * w..][..w])

@@ -32,7 +32,7 @@ impl HeadWeightAdj {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Adds to `gradient`, which holds the weight [C] first and the bias at element `bias`: `x` [S, C, ..] are the head's
+    /// Adds to `gradient`, which holds the weight \[C\] first and the bias at element `bias`: `x` \[S, C, ..\] are the head's
     /// inputs, `adj` [S, ..] the cotangents of its output.
     pub fn push(
         &self,

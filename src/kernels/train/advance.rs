@@ -32,7 +32,7 @@ impl Advance {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Moves `state` by the shift of `iterate`, whose `a` it zeroes, where `drawn` [B] says so.
+    /// Moves `state` by the shift of `iterate`, whose `a` it zeroes, where `drawn` \[B\] says so.
     pub fn push(&self, schedule: &mut Schedule, drawn: &Tensor, state: StateTensors<'_>, iterate: &Iterate) {
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((drawn.shape()[0], state.x.len()), (samples / 3, samples * n));

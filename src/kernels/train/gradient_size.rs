@@ -30,7 +30,7 @@ impl GradientSize {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `sizes` [B] of `grad` [B, 3, n].
+    /// `sizes` \[B\] of `grad` \[B, 3, n\].
     pub fn push(&self, schedule: &mut Schedule, grad: &Tensor, sizes: &Tensor) {
         let batch = sizes.len();
         assert_eq!(grad.shape()[0], batch);

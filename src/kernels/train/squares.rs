@@ -39,7 +39,7 @@ impl Squares {
         Ok(Self { of_parts: kernel(true)?, of_sums: kernel(false)? })
     }
 
-    /// `sum` [1] of the squares of `x`, through `sums` with an element for each of its [`parts`].
+    /// `sum` \[1\] of the squares of `x`, through `sums` with an element for each of its [`parts`].
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, sums: &Tensor, sum: &Tensor) {
         assert_eq!((sums.len(), sum.len()), (parts(x.len()), 1));
         let params = |n: usize, parts: usize| Params { n: size(n), parts: size(parts), pad: [0; 2] };
