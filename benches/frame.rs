@@ -1,9 +1,12 @@
 //! A frame of ten iterations with the learned optimizer, read back: 32, 64 and 100 particles a side, one cloth and
 //! sixteen, on the CPU path and on the best adapter.
 
+#[path = "common/cloths.rs"]
+mod cloths;
 mod common;
 
-use common::{adapter, cloths, criterion, is_software, learned};
+use cloths::{cloths, learned};
+use common::{adapter, criterion, is_software};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use fnopt::sim::{Device, Simulator};
 

@@ -3,9 +3,12 @@
 //! The dispatches are picked from the frames that the solvers record, so the shapes are the real ones and no kernel in
 //! use is left out. What is reported includes one submission (about 0.1 ms); `fnopt bench` shows device time by kernel.
 
+#[path = "common/cloths.rs"]
+mod cloths;
 mod common;
 
-use common::{adapter, cloths, criterion, is_software, learned};
+use cloths::{cloths, learned};
+use common::{adapter, criterion, is_software};
 use criterion::{Criterion, criterion_group, criterion_main};
 use fnopt::gpu::{Context, Schedule};
 use fnopt::sim::{Optimizer, Solver, SolverOptions};

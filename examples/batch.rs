@@ -5,7 +5,6 @@ use fnopt::scene::{Scene, Setup, Stiffness};
 use fnopt::sim::{Device, Material, Optimizer, Simulator};
 
 const FRAMES: usize = 40;
-const WEIGHTS: &[u8] = include_bytes!("../assets/weights/starter.safetensors");
 
 fn main() -> fnopt::Result<()> {
     let stretch = [2000.0, 1000.0, 500.0, 250.0];
@@ -18,7 +17,7 @@ fn main() -> fnopt::Result<()> {
         .collect::<fnopt::Result<_>>()?;
     let batch = Setup::batch(&setups)?;
 
-    let optimizer = Optimizer::learned(Weights::from_bytes(WEIGHTS, "starter weights")?);
+    let optimizer = Optimizer::learned(Weights::shipped());
     let mut simulator = Simulator::new(&Device::Cpu, &batch.model, &optimizer, 10)?;
     simulator.set_state(&batch.start.cast());
     let mut frame = simulator.step(&batch.control(1))?;

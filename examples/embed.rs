@@ -11,7 +11,6 @@ use fnopt::wgpu;
 use host::Host;
 
 const FRAMES: usize = 30;
-const WEIGHTS: &[u8] = include_bytes!("../assets/weights/starter.safetensors");
 /// Looks along the x axis, z up; positions are in edges, of which the sheet has 31 along a side.
 const SHADER: &str = "
 @vertex fn corner(@location(0) x: f32, @location(1) y: f32, @location(2) z: f32) -> @builtin(position) vec4f {
@@ -25,7 +24,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // The cloth on the host's device.
     let context = Context::new(host.device.clone(), host.queue.clone())?;
     let setup = Scene::default().setup()?;
-    let optimizer = Optimizer::learned(Weights::from_bytes(WEIGHTS, "starter weights")?);
+    let optimizer = Optimizer::learned(Weights::shipped());
     let solver = Solver::new(&context, &setup.model, &optimizer, &SolverOptions::default())?;
     solver.set_state(&setup.start.cast());
 

@@ -30,7 +30,7 @@ fn refused(folder: &Path, arguments: &[&str], said: &[&str]) {
 fn bad_input_is_refused_by_name_and_leaves_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    let starter = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/starter.safetensors");
+    let starter = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/checkpoint_starter.safetensors");
     let bytes = std::fs::read(&starter).unwrap();
     let write = |name: &str, content: &[u8]| std::fs::write(at.join(name), content).unwrap();
     write("cut.safetensors", &bytes[..bytes.len() / 2]);
@@ -76,7 +76,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["train", "key.toml"], &["key.toml", "optimizer", "did you mean rate"]),
         (&["train", "range.toml"], &["range.toml", "pool[0].material.bend", "[smallest, largest]"]),
         (&["train", "start.toml"], &["missing.safetensors", "cannot read"]),
-        (&["train", "sizes.toml"], &["starter.safetensors", "network", "channels: 32"]),
+        (&["train", "sizes.toml"], &["checkpoint_starter.safetensors", "network", "channels: 32"]),
         (&["train", "--resume", "nowhere"], &["nowhere", "config.toml"]),
         (&["train", "--resume", "x", "--out", "y"], &["--resume"]),
         (&["train", "--minutes", "0"], &["--minutes", "above 0"]),

@@ -2,12 +2,7 @@
 
 use criterion::Criterion;
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context};
-use fnopt::network::Weights;
-use fnopt::scene::{Batch, Scene, Setup};
-use fnopt::sim::{Grid, Optimizer};
 use std::time::Duration;
-
-const WEIGHTS: &[u8] = include_bytes!("../../assets/weights/starter.safetensors");
 
 /// Few samples and a short time each: a software adapter takes up to a second for a frame.
 pub fn criterion() -> Criterion {
@@ -32,21 +27,4 @@ pub fn adapter() -> Option<Context> {
 /// Whether it runs on the host's processor.
 pub fn is_software(context: &Context) -> bool {
     context.kind() == AdapterKind::Software
-}
-
-/// The learned optimizer with the weights that come with the program.
-pub fn learned() -> Optimizer {
-    let weights =
-        Weights::from_bytes(WEIGHTS, "starter weights").expect("the weights that come along are good");
-    Optimizer::learned(weights)
-}
-
-/// `batch` cloths of the default scene on a grid of `n` by `n`.
-pub fn cloths(n: usize, batch: usize) -> Batch {
-    let mut scene = Scene::default();
-    scene
-        .regrid(Grid::new(n, n, "bench").expect("a grid of a benchmark"))
-        .expect("the default scene fits any grid");
-    let setup = scene.setup().expect("the default scene is good");
-    Setup::batch(&vec![setup; batch]).expect("equal scenes make a batch")
 }

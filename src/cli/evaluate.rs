@@ -4,10 +4,11 @@ use super::device::DeviceArgs;
 use super::{Ending, interrupt_flag, load_weights};
 use anyhow::Result;
 use fnopt::Error;
-use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, compare, run, tables};
+use fnopt::eval::suite::{self, Case, CaseScore, Suite};
+use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, Table, compare, run, tables};
 use fnopt::io::{ReadOptions, Trajectory, write_atomic};
 use fnopt::network::Weights;
-use fnopt::render::{Chart, Curve, charts, write_png};
+use fnopt::render::{Chart, Curve, StripOptions, View, charts, strip, write_png};
 use fnopt::sim::{Device, Grid, Material, Optimizer};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeMap;
@@ -22,7 +23,7 @@ pub struct Args {
     /// Folder of sequences, each a folder with cloth_pos.npy, handles.npy and meta.json
     #[arg(long, default_value = "assets/ground_truth", value_name = "DIR")]
     ground_truth: PathBuf,
-    /// Sequences to take part [default: all]
+    /// Sequences, or cases of a suite, to take part [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
     /// Grids to simulate on: rows, or rows and columns
@@ -68,6 +69,13 @@ pub struct Args {
     /// Simulate nothing; make the tables of all scores in these folders
     #[arg(long, value_name = "DIR", num_args = 1..)]
     merge: Vec<PathBuf>,
+    /// Instead of recorded trajectories, how far each solver generalises from the default scene: motions, handles, speeds,
+    /// grids, materials or iterations; tables, and a picture of each case in --out
+    #[arg(long, value_name = "SUITE", conflicts_with_all = ["compare", "shard", "merge", "plots"])]
+    suite: Option<String>,
+    /// Leave the energy gap out of a suite: its converged simulation takes most of the time
+    #[arg(long, requires = "suite")]
+    no_gap: bool,
     /// Scores as JSON
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
@@ -104,6 +112,9 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let settings = args.settings()?;
     let entries = args.entries()?;
     let grids: Vec<Grid> = args.grid.iter().map(|text| grid(text)).collect::<fnopt::Result<_>>()?;
+    if let Some(name) = &args.suite {
+        return args.run_suite(Suite::named(name)?, &entries, &grids, settings.frames);
+    }
     let sequences = args.sequences()?;
     let systems = args.systems()?;
     let (device, line) = args.device.open()?;
@@ -234,6 +245,17 @@ impl Args {
         names.iter().map(load).collect()
     }
 
+    /// The cases of a suite that take part.
+    fn cases(&self, suite: Suite, grid: Grid) -> fnopt::Result<Vec<Case>> {
+        let cases = suite.cases(grid)?;
+        let Some(names) = &self.sequences else { return Ok(cases) };
+        let known = || cases.iter().map(|case| case.name.as_str());
+        if let Some(name) = names.iter().find(|name| !known().any(|known| known == *name)) {
+            return Err(Error::unknown("--sequences", "case", name, known()));
+        }
+        Ok(cases.iter().filter(|case| names.contains(&case.name)).cloned().collect())
+    }
+
     /// Names and folders of the systems to compare with.
     fn systems(&self) -> fnopt::Result<Vec<(String, PathBuf)>> {
         let parse = |text: &String| {
@@ -274,9 +296,73 @@ impl Args {
         Ok((index, count))
     }
 
+    /// Runs the cases of a suite with each solver on each grid.
+    fn run_suite(&self, suite: Suite, entries: &[Entry], grids: &[Grid], frames: usize) -> Result<Ending> {
+        let (device, line) = self.device.open()?;
+        eprintln!("{line}");
+        let mut jobs = Vec::new();
+        for entry in entries {
+            for &grid in grids {
+                jobs.extend(self.cases(suite, grid)?.into_iter().map(|case| (entry, case)));
+            }
+        }
+        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} cases, {eta} left  {msg}");
+        let bar = ProgressBar::new(jobs.len() as u64).with_style(style.expect("the template is valid"));
+        let interrupted = interrupt_flag();
+        let tick = || match interrupted.load(Ordering::Relaxed) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        };
+        let mut scores: Vec<(String, CaseScore)> = Vec::new();
+        let mut complete = true;
+        for (entry, case) in jobs {
+            bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
+            let solver = (&entry.optimizer, entry.iterations);
+            let Some((score, trajectory)) = suite::run(&case, solver, &device, (frames, !self.no_gap), tick)?
+            else {
+                complete = false;
+                break;
+            };
+            let setup = case.scene.setup()?;
+            let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
+            let options = StripOptions { view, ..Default::default() };
+            let image = strip(&trajectory, &setup.model.cloths[0].handles, &options);
+            let file = format!("{}_{}_{}.png", entry.name, score.grid, score.case).replace(' ', "_");
+            write_png(self.out.join(file), &image)?;
+            scores.push((entry.name.clone(), score));
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        let of = |entry: &Entry| -> Vec<CaseScore> {
+            scores.iter().filter(|(name, _)| *name == entry.name).map(|(_, score)| score.clone()).collect()
+        };
+        let tables: Vec<Table> = entries.iter().map(|entry| suite::table(&entry.name, &of(entry))).collect();
+        let named: Vec<_> = scores
+            .iter()
+            .map(|(solver, score)| serde_json::json!({"solver": solver, "score": score}))
+            .collect();
+        self.write_tables(&tables, &named)?;
+        if !complete {
+            eprintln!("interrupted; the cases so far are above");
+        }
+        let sound = scores.iter().all(|(_, score)| score.sound());
+        Ok(match (complete, sound) {
+            (false, _) => Ending::Interrupted,
+            (true, false) => Ending::CheckFailed,
+            (true, true) => Ending::Done,
+        })
+    }
+
     /// Prints the tables and writes what was asked for.
     fn write(&self, scores: &[Score]) -> Result<()> {
-        let tables = tables(scores);
+        self.write_tables(&tables(scores), scores)?;
+        if let Some(folder) = &self.plots {
+            plot(folder, scores)?;
+        }
+        Ok(())
+    }
+
+    fn write_tables(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> Result<()> {
         let text = |format: Format| tables.iter().map(|t| t.write(format)).collect::<Vec<_>>().join("\n");
         let mut out = std::io::stdout().lock();
         let bold = out.is_terminal();
@@ -291,9 +377,6 @@ impl Args {
         }
         if let Some(path) = &self.json {
             into(path, serde_json::to_string_pretty(scores).expect("scores are plain data"))?;
-        }
-        if let Some(folder) = &self.plots {
-            plot(folder, scores)?;
         }
         Ok(())
     }

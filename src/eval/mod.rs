@@ -11,10 +11,11 @@ mod metrics;
 mod score;
 mod sequence;
 mod stretch;
+pub mod suite;
 mod tables;
 
 pub use metrics::{Surface, chamfer, mean_and_deviation, relative_error, repulsion};
 pub use score::{Entry, PerFrame, Physics, Score, Settings, compare, run};
 pub use sequence::Sequence;
 pub use stretch::{FreeEdges, STRETCH_LIMIT};
-pub use tables::{Format, Table, tables};
+pub use tables::{Cell, Format, Table, tables};

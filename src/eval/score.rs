@@ -119,13 +119,13 @@ impl Score {
 }
 
 /// What a simulation leaves to be judged.
-struct Simulated {
-    trajectory: Trajectory,
-    stats: Vec<FrameStats>,
-    times_ms: Vec<f64>,
-    stretch_largest: f64,
-    stable: bool,
-    ended_early: bool,
+pub(super) struct Simulated {
+    pub trajectory: Trajectory,
+    pub stats: Vec<FrameStats>,
+    pub times_ms: Vec<f64>,
+    pub stretch_largest: f64,
+    pub stable: bool,
+    pub ended_early: bool,
 }
 
 /// Simulates a sequence on a grid and judges it. `tick` is called after each frame and may end everything; then there is no
@@ -170,7 +170,8 @@ pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &S
     Ok(judge(sequence, (name, found), true, settings))
 }
 
-fn simulate(
+/// Simulates a scene until it ends, diverges, or `tick` ends it.
+pub(super) fn simulate(
     setup: &Setup,
     entry: &Entry,
     device: &Device,
@@ -290,7 +291,7 @@ fn mean_speed(trajectory: &Trajectory, frame: usize) -> f64 {
 }
 
 /// The median; the mean of the middle two of an even number. Without the first frames, where there are more.
-fn median(times: &[f64]) -> f64 {
+pub(super) fn median(times: &[f64]) -> f64 {
     let mut times = times[if times.len() > WARM_UP { WARM_UP } else { 0 }..].to_vec();
     times.sort_by(f64::total_cmp);
     let n = times.len();

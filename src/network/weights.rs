@@ -93,7 +93,7 @@ pub struct Weights {
 }
 
 /// The file behind [`Weights::shipped`].
-const SHIPPED: &[u8] = include_bytes!("../../assets/weights/starter.safetensors");
+const SHIPPED: &[u8] = include_bytes!("../../assets/weights/fnopt.safetensors");
 
 impl Weights {
     /// The trained weights that come with the program.

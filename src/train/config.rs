@@ -17,6 +17,7 @@ use std::path::{Path, PathBuf};
 /// | `init` | fresh weights; else a safetensors file beside the configuration |
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
 /// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in a pool that is given `[32, 32]`, 10, 1000, 10 |
+/// | `[[pool]]` `sequence_length` | that of `[reset]` |
 /// | `[pool.material]` `stretch`, `shear`, `bend` | `[100, 1000]`, `[1, 100]`, `[0.01, 10]` |
 /// | `[motion]` `moving`, `rotation`, `amplitude`, `frequency`, `pinch`, `gravity`, `aligned`, `corners`, `more_handles` | 0.8, 0.0628, 10, 0.2, 0.4, 0.125, 0, 1, 0.5 |
 /// | `[reset]` `energy`, `sequence_length`, `scale` | 20000, 1000, no bounds |
@@ -69,6 +70,9 @@ pub struct PoolConfig {
     pub batch: usize,
     /// What materials are drawn from.
     pub material: MaterialRanges,
+    /// Frames that a cloth of this pool lives on average; none for [`ResetRules::sequence_length`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sequence_length: Option<u64>,
 }
 
 /// An interval of positive numbers, drawn from log-uniformly: `[smallest, largest]`.
@@ -117,7 +121,7 @@ pub struct MotionRanges {
 pub struct ResetRules {
     /// When its stretch, shear and bend energy exceeds this (or is not finite).
     pub energy: f64,
-    /// On average after this many frames, cloth by cloth in turn.
+    /// On average after this many frames, cloth by cloth in turn; a pool may have a [length](PoolConfig::sequence_length) of its own.
     pub sequence_length: u64,
     /// When the scale of its steps leaves this interval; none for no bounds.
     pub scale: Option<Range>,
@@ -186,7 +190,7 @@ impl Default for Config {
 impl Default for PoolConfig {
     fn default() -> Self {
         let (grid, material) = (Grid { h: 32, w: 32 }, MaterialRanges::default());
-        Self { grid, iterations: 10, cloths: 1000, batch: 10, material }
+        Self { grid, iterations: 10, cloths: 1000, batch: 10, material, sequence_length: None }
     }
 }
 

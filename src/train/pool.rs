@@ -96,7 +96,8 @@ impl Pool {
     /// `sequence_length` frames on average.
     pub fn rotate(&mut self, step: u64) {
         // Iterations of a life, over the whole pool and drawn `batch` at a time.
-        let life = u128::from(self.reset.sequence_length) * u128::from(self.config.iterations);
+        let frames = self.config.sequence_length.unwrap_or(self.reset.sequence_length);
+        let life = u128::from(frames) * u128::from(self.config.iterations);
         let turns = |steps: u64| u128::from(steps) * self.config.batch as u128 / life;
         for turn in turns(step)..turns(step + 1) {
             let slot = (turn % self.slots.len() as u128) as usize;

@@ -105,7 +105,7 @@ fn network(node: &Node<'_>) -> Result<network::Config> {
 }
 
 fn pool(node: &Node<'_>) -> Result<PoolConfig> {
-    node.only(&["grid", "iterations", "cloths", "batch", "material"])?;
+    node.only(&["grid", "iterations", "cloths", "batch", "material", "sequence_length"])?;
     let base = PoolConfig::default();
     let cloths = node.get_or("cloths", base.cloths, |n| count(n, 1, 1 << 24))?;
     Ok(PoolConfig {
@@ -121,6 +121,7 @@ fn pool(node: &Node<'_>) -> Result<PoolConfig> {
                 bend: n.get_or("bend", base.material.bend, range)?,
             })
         })?,
+        sequence_length: node.get_or("sequence_length", None, |n| above_zero(n).map(Some))?,
     })
 }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 fn starter() -> Optimizer {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/starter.safetensors");
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/checkpoint_starter.safetensors");
     Optimizer::Learned(Arc::new(Weights::load(&path).unwrap()))
 }
 

@@ -14,7 +14,7 @@ use std::sync::{Arc, LazyLock};
 /// The weights that the project ships.
 pub fn starter() -> &'static Arc<Weights> {
     static WEIGHTS: LazyLock<Arc<Weights>> = LazyLock::new(|| {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/starter.safetensors");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/checkpoint_starter.safetensors");
         Arc::new(Weights::load(&path).unwrap())
     });
     &WEIGHTS

@@ -1,0 +1,217 @@
+//! How far a solver generalises: the default scene with other motions, handles, speeds, grids, materials or numbers of
+//! iterations, judged by itself, without another simulator.
+
+use super::score::{median, simulate};
+use super::{Cell, Entry, STRETCH_LIMIT, Table};
+use crate::cpu::Track;
+use crate::io::Trajectory;
+use crate::scene::{BuiltIn, Handles, Motion, Placement, Scene, Setup, Start, Stiffness};
+use crate::sim::{Device, Grid, Material, Optimizer};
+use crate::{Error, Result};
+use std::ops::ControlFlow;
+
+/// Every so many frames is compared with its converged minimum.
+const PROBE_EVERY: usize = 10;
+
+/// Frames of a scene without a motion, as many as a motion takes.
+const STILL_FRAMES: usize = 391;
+
+/// What is varied.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Suite {
+    /// All built-in motions.
+    Motions,
+    /// All placements of handles: the drape let go of (`drape`), and a flat sheet dropped (`flat`).
+    Handles,
+    /// The default motion played 1.2, 1.5 and 2 times faster.
+    Speeds,
+    /// Grids that are not square, and fine ones.
+    Grids,
+    /// Stretch 100 to 1000 by bend 0.01 to 10.
+    Materials,
+    /// 3 to 30 iterations.
+    Iterations,
+}
+
+/// A scene of a suite.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// What is special about it.
+    pub name: String,
+    /// The scene.
+    pub scene: Scene,
+    /// Iterations per frame, where the suite sets them.
+    pub iterations: Option<usize>,
+}
+
+/// How a solver did in a case.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct CaseScore {
+    /// Name of the case.
+    pub case: String,
+    /// The grid, as in `32x32`.
+    pub grid: String,
+    /// Iterations per frame.
+    pub iterations: usize,
+    /// Whether all frames were finite and of about the right size.
+    pub finite: bool,
+    /// Largest `|edge| - 1` of the edges away from handles.
+    pub stretch_largest: f64,
+    /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; none where it was not
+    /// asked for.
+    pub gap: Option<f64>,
+    /// Median wall time of a frame \[ms\].
+    pub ms_per_frame: f64,
+}
+
+impl CaseScore {
+    /// Whether the rollout was sound: finite, and no edge away from a handle beyond [`STRETCH_LIMIT`].
+    pub fn sound(&self) -> bool {
+        self.finite && self.stretch_largest <= STRETCH_LIMIT
+    }
+}
+
+impl Suite {
+    /// Names of the suites.
+    pub const NAMES: [&str; 6] = ["motions", "handles", "speeds", "grids", "materials", "iterations"];
+
+    /// The suite of that name.
+    pub fn named(name: &str) -> Result<Self> {
+        Ok(match name {
+            "motions" => Self::Motions,
+            "handles" => Self::Handles,
+            "speeds" => Self::Speeds,
+            "grids" => Self::Grids,
+            "materials" => Self::Materials,
+            "iterations" => Self::Iterations,
+            other => return Err(Error::unknown("--suite", "suite", other, Self::NAMES)),
+        })
+    }
+
+    /// Its cases on a grid, which the suite of grids replaces by its own.
+    pub fn cases(self, grid: Grid) -> Result<Vec<Case>> {
+        let mut cases: Vec<Case> = Vec::new();
+        let mut push = |name: String, scene: Scene| cases.push(Case { name, scene, iterations: None });
+        match self {
+            Self::Motions => {
+                for name in BuiltIn::names() {
+                    let motion = BuiltIn::named(&name).map_or(Motion::Still, Motion::BuiltIn);
+                    push(name, Scene { motion, ..Scene::default() });
+                }
+            }
+            Self::Handles => {
+                for placement in Placement::ALL {
+                    for (kind, start) in [("drape", Start::Settled), ("flat", Start::Flat)] {
+                        let handles = Handles::Placement(placement);
+                        let frames = Some(STILL_FRAMES);
+                        let scene =
+                            Scene { handles, start, motion: Motion::Still, frames, ..Scene::default() };
+                        push(format!("{} {kind}", placement.name()), scene);
+                    }
+                }
+            }
+            Self::Speeds => {
+                for speed in [1.0, 1.2, 1.5, 2.0] {
+                    push(format!("speed {speed}"), Scene { speed, ..Scene::default() });
+                }
+            }
+            Self::Grids => {
+                let sides =
+                    [(48, 32), (32, 48), (64, 32), (32, 64), (100, 32), (32, 100), (64, 64), (100, 100)];
+                for (h, w) in sides {
+                    let mut scene = Scene::default();
+                    scene.regrid(Grid { h, w })?;
+                    push(scene.grid.to_string(), scene);
+                }
+                return Ok(cases);
+            }
+            Self::Materials => {
+                for stretch in [100.0, 300.0, 1000.0] {
+                    for bend in [0.01, 0.1, 1.0, 10.0] {
+                        let material = Material { stretch, shear: 8.0, bend };
+                        let stiffness = Stiffness::Grid(material);
+                        push(
+                            format!("stretch {stretch} bend {bend}"),
+                            Scene { stiffness, ..Scene::default() },
+                        );
+                    }
+                }
+            }
+            Self::Iterations => {
+                for iterations in [3, 5, 8, 10, 15, 20, 25, 30] {
+                    let name = format!("{iterations} iterations");
+                    cases.push(Case { name, scene: Scene::default(), iterations: Some(iterations) });
+                }
+            }
+        }
+        cases.iter_mut().try_for_each(|case| case.scene.regrid(grid))?;
+        Ok(cases)
+    }
+}
+
+/// Runs a case for `frames` frames at most, the start included; with its energy gap if asked for. Nothing when `tick`, called
+/// after each frame, ended it.
+pub fn run(
+    case: &Case,
+    (optimizer, iterations): (&Optimizer, usize),
+    device: &Device,
+    (frames, with_gap): (usize, bool),
+    tick: impl FnMut() -> ControlFlow<()>,
+) -> Result<Option<(CaseScore, Trajectory)>> {
+    let mut setup = case.scene.setup()?;
+    if setup.frames() > frames {
+        setup = Scene { frames: Some(frames), ..case.scene.clone() }.setup()?;
+    }
+    let iterations = case.iterations.unwrap_or(iterations);
+    let entry = Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations };
+    let simulated = simulate(&setup, &entry, device, tick)?;
+    if simulated.ended_early {
+        return Ok(None);
+    }
+    let score = CaseScore {
+        case: case.name.clone(),
+        grid: setup.model.grid.to_string(),
+        iterations,
+        finite: simulated.stable,
+        stretch_largest: simulated.stretch_largest,
+        gap: if with_gap { Some(gap(&setup, optimizer, iterations)?) } else { None },
+        ms_per_frame: median(&simulated.times_ms),
+    };
+    Ok(Some((score, simulated.trajectory)))
+}
+
+/// The median energy gap on the converged way of a scene.
+fn gap(setup: &Setup, optimizer: &Optimizer, iterations: usize) -> Result<f64> {
+    let controls = (1..setup.frames()).map(|frame| setup.control(frame));
+    let every = PROBE_EVERY.min(setup.frames() - 1);
+    Track::new(&setup.model, setup.start.clone(), controls, every)?.median_gap(optimizer, iterations)
+}
+
+/// The scores of a suite as a table.
+pub fn table(title: &str, scores: &[CaseScore]) -> Table {
+    let cell = |text: String| Cell { text, best: false };
+    let row = |s: &CaseScore| {
+        let sound = if !s.finite {
+            "diverged"
+        } else if s.sound() {
+            "yes"
+        } else {
+            "stretched"
+        };
+        let cells = [
+            s.grid.clone(),
+            s.iterations.to_string(),
+            sound.to_owned(),
+            format!("{:.1}", 100.0 * s.stretch_largest),
+            s.gap.map_or_else(String::new, |gap| format!("{:.2}", 100.0 * gap)),
+            format!("{:.1}", s.ms_per_frame),
+        ];
+        (s.case.clone(), cells.map(cell).to_vec())
+    };
+    let columns = ["case", "grid", "N", "sound", "largest stretch [%]", "energy gap [%]", "ms/frame"];
+    Table {
+        title: title.to_owned(),
+        columns: columns.map(str::to_owned).to_vec(),
+        rows: scores.iter().map(row).collect(),
+    }
+}
