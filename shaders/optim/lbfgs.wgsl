@@ -2,8 +2,10 @@
 //
 // With pairs s = a_k - a_(k-1), y = g_k - g_(k-1), kept when y.s > CURVATURE: q = H g, a -= q, where H starts from
 // gamma = s.y / y.y of the newest pair (1 without one). The history is cleared in the first iteration of a frame.
+// With another initial H than gamma the recursion is done in two dispatches, between which that is applied to q (PART).
 // grad, base, a, shift: [B, 3 n]; slots: [B, n]; history: [B, HISTORY, 2, 3 n] = (s, y); last: [B, 2, 3 n], the last
-// gradient and the last step; pairs: [B, HISTORY + 2], the number of pairs, the place of the newest and each pair's 1 / y.s.
+// gradient and the last step, or q between the two; pairs: [B, 2 HISTORY + 2], the number of pairs, the place of the
+// newest, each pair's 1 / y.s, and the first loop's alpha, from the newest on.
 // One workgroup: one cloth; its invocations take elements in turn and add up in a fixed order. Workgroups: (B).
 // Adjoint: none, it is not trained.
 
@@ -27,6 +29,8 @@ struct Params {
 const LANES: u32 = 256u;
 override HISTORY: u32 = 5;
 override CURVATURE: f32 = 1e-12;
+// 0: the whole step; 1: what comes before the initial H; 2: what comes after it.
+override PART: u32 = 0;
 
 var<workgroup> partial: array<vec2f, 256>;
 
@@ -48,72 +52,90 @@ fn total(lane: u32, value: vec2f) -> vec2f {
 fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let n = 3u * params.particles;
     let first = group.x * n;
-    let book = group.x * (HISTORY + 2u);
+    let book = group.x * (2u * HISTORY + 2u);
     let previous_grad = 2u * first;
     let q = 2u * first + n; // the last step, then the direction
     let ring = 2u * first * HISTORY;
     var count = 0u;
     var newest = HISTORY - 1u;
     var gamma = 1.0;
+    var alpha: array<f32, 32>;
 
-    if params.first == 0u {
+    if params.first == 0u || PART == 2u {
         count = u32(pairs[book]);
         newest = u32(pairs[book + 1u]);
     }
-    // The pair of the last step; in the first iteration there is none and nothing of it is kept.
-    var sums = vec2f();
-    if params.first == 0u {
-        for (var e = lane; e < n; e += LANES) {
-            let y = grad[first + e] - last[previous_grad + e];
-            sums += y * vec2f(last[q + e], y);
+    if PART != 2u {
+        // The pair of the last step; in the first iteration there is none and nothing of it is kept.
+        var sums = vec2f();
+        if params.first == 0u {
+            for (var e = lane; e < n; e += LANES) {
+                let y = grad[first + e] - last[previous_grad + e];
+                sums += y * vec2f(last[q + e], y);
+            }
         }
-    }
-    sums = total(lane, sums);
-    let keep = params.first == 0u && sums.x > CURVATURE;
-    if keep {
-        newest = (newest + 1u) % HISTORY;
-        count = min(count + 1u, HISTORY);
-        if lane == 0u {
-            pairs[book + 2u + newest] = 1.0 / sums.x;
-        }
-    }
-    let pair = ring + newest * 2u * n;
-    for (var e = lane; e < n; e += LANES) {
-        let g = grad[first + e];
+        sums = total(lane, sums);
+        let keep = params.first == 0u && sums.x > CURVATURE;
         if keep {
-            history[pair + e] = last[q + e];
-            history[pair + n + e] = g - last[previous_grad + e];
+            newest = (newest + 1u) % HISTORY;
+            count = min(count + 1u, HISTORY);
+            if lane == 0u {
+                pairs[book + 2u + newest] = 1.0 / sums.x;
+            }
         }
-        last[previous_grad + e] = g;
-        last[q + e] = g;
-    }
-    storageBarrier();
+        let pair = ring + newest * 2u * n;
+        for (var e = lane; e < n; e += LANES) {
+            let g = grad[first + e];
+            if keep {
+                history[pair + e] = last[q + e];
+                history[pair + n + e] = g - last[previous_grad + e];
+            }
+            last[previous_grad + e] = g;
+            last[q + e] = g;
+        }
+        storageBarrier();
 
-    var alpha: array<f32, 32>;
-    for (var k = 0u; k < HISTORY; k++) {
-        let slot = (newest + HISTORY - k) % HISTORY;
-        let s = ring + slot * 2u * n;
-        var sum = vec2f();
-        if k < count {
-            for (var e = lane; e < n; e += LANES) {
-                let y = history[s + n + e];
-                sum += vec2f(history[s + e] * last[q + e], y * y);
+        for (var k = 0u; k < HISTORY; k++) {
+            let slot = (newest + HISTORY - k) % HISTORY;
+            let s = ring + slot * 2u * n;
+            var sum = vec2f();
+            if k < count {
+                for (var e = lane; e < n; e += LANES) {
+                    let y = history[s + n + e];
+                    sum += vec2f(history[s + e] * last[q + e], y * y);
+                }
+            }
+            sum = total(lane, sum);
+            if k < count {
+                let rho = pairs[book + 2u + slot];
+                alpha[k] = rho * sum.x;
+                if k == 0u {
+                    gamma = 1.0 / (rho * sum.y);
+                }
+                for (var e = lane; e < n; e += LANES) {
+                    last[q + e] -= alpha[k] * history[s + n + e];
+                }
             }
         }
-        sum = total(lane, sum);
-        if k < count {
-            let rho = pairs[book + 2u + slot];
-            alpha[k] = rho * sum.x;
-            if k == 0u {
-                gamma = 1.0 / (rho * sum.y);
-            }
-            for (var e = lane; e < n; e += LANES) {
-                last[q + e] -= alpha[k] * history[s + n + e];
-            }
+        workgroupBarrier();
+        if lane == 0u {
+            pairs[book] = f32(count);
+            pairs[book + 1u] = f32(newest);
         }
     }
-    for (var e = lane; e < n; e += LANES) {
-        last[q + e] *= gamma;
+    if PART == 0u {
+        for (var e = lane; e < n; e += LANES) {
+            last[q + e] *= gamma;
+        }
+    } else if PART == 1u {
+        if lane < count {
+            pairs[book + 2u + HISTORY + lane] = alpha[lane];
+        }
+        return;
+    } else {
+        for (var k = 0u; k < HISTORY; k++) {
+            alpha[k] = pairs[book + 2u + HISTORY + k];
+        }
     }
     for (var j = 0u; j < HISTORY; j++) {
         let k = HISTORY - 1u - j; // oldest first
@@ -141,9 +163,5 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         a[first + e] = next;
         let particle = group.x * params.particles + e % params.particles;
         shift[first + e] = base[first + e] + select(next, 0.0, slots[particle] != 0u);
-    }
-    if lane == 0u {
-        pairs[book] = f32(count);
-        pairs[book + 1u] = f32(newest);
     }
 }

@@ -35,6 +35,8 @@ pub const ALL: &[(&Source, usize)] = &[
     (&optim::gradient_descent::SOURCE, 0),
     (&optim::adam::SOURCE, 0),
     (&optim::lbfgs::SOURCE, 0),
+    (&optim::cosine_order::SOURCE, 0),
+    (&optim::rest_modes::SOURCE, 0),
     (&operator::pointwise::SOURCE, 16),
     (&operator::transform_rows::SOURCE, 10),
     (&operator::transform_columns::SOURCE, 8),

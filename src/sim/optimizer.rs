@@ -34,7 +34,7 @@ pub enum Optimizer {
         curvature: f64,
     },
     /// L-BFGS that starts from the Hessian of the sheet at rest, with step 1 (after Liu, Bouaziz and Kavan 2017): the
-    /// classical method to compare with. CPU path only.
+    /// classical method to compare with.
     QuasiNewton {
         /// Number of pairs remembered.
         history: usize,

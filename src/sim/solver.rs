@@ -9,7 +9,7 @@ use crate::kernels::cloth::{
 };
 use crate::kernels::optim::{
     Adam, AdamSettings, FeatureTensors, Features, GradientDescent, Iterate, Lbfgs, LbfgsMemory, Norms,
-    Rescale, Update, UpdateTensors, norms,
+    QuasiNewton, Rescale, Update, UpdateTensors, norms,
 };
 use crate::network::{Forward, Keep, Weights};
 use crate::{Error, Result};
@@ -69,6 +69,7 @@ enum Rule {
     GradientDescent { rate: f64 },
     Adam { settings: AdamSettings, moments: Tensor },
     Lbfgs { history: usize, curvature: f64, memory: LbfgsMemory },
+    QuasiNewton { history: usize, curvature: f64, memory: LbfgsMemory },
 }
 
 impl Solver {
@@ -105,7 +106,11 @@ impl Solver {
             Optimizer::Lbfgs { history, curvature } => {
                 Rule::Lbfgs { history, curvature, memory: LbfgsMemory::new(context, batch, n, history)? }
             }
-            Optimizer::QuasiNewton { .. } | Optimizer::Newton => {
+            Optimizer::QuasiNewton { history, curvature } => {
+                let memory = LbfgsMemory::new(context, batch, n, history)?;
+                Rule::QuasiNewton { history, curvature, memory }
+            }
+            Optimizer::Newton => {
                 let found = format!("{}, which lacks it; the CPU path has it", context.name());
                 return Err(Error::invalid(
                     "--solver",
@@ -358,6 +363,15 @@ impl Rule {
                 Box::new(move |frame, iteration| {
                     sum(frame, iteration, &iterate.a);
                     kernel.push(frame, iteration, iterate, memory);
+                })
+            }
+            Self::QuasiNewton { history, curvature, memory } => {
+                let batch = solver.model.batch();
+                let plan = QuasiNewton::new(context, *history, *curvature, (grid, batch))?;
+                plan.check_size(context, grid.particles())?;
+                Box::new(move |frame, iteration| {
+                    sum(frame, iteration, &iterate.a);
+                    plan.push(frame, iteration, (iterate, &solver.cloths), memory);
                 })
             }
         })

@@ -19,6 +19,18 @@ struct Params {
     pad: [u32; 2],
 }
 
+/// What of a step a dispatch does: something else than a multiple of the identity may be the initial inverse Hessian, and is
+/// applied to the direction in between.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// All of it.
+    Whole,
+    /// What comes before the initial inverse Hessian.
+    Before,
+    /// What comes after it.
+    After,
+}
+
 /// Limited-memory BFGS.
 #[derive(Clone, Debug)]
 pub struct Lbfgs {
@@ -33,7 +45,7 @@ pub struct LbfgsMemory {
     pub history: Tensor,
     /// Last gradient and last step, shape [B, 2, 3 n].
     pub last: Tensor,
-    /// Number of pairs, place of the newest, curvatures, shape [B, history + 2].
+    /// Number of pairs, place of the newest, curvatures, weights of the first loop, shape [B, 2 history + 2].
     pub pairs: Tensor,
 }
 
@@ -44,7 +56,7 @@ impl LbfgsMemory {
         Ok(Self {
             history: Tensor::zeros(context, "lbfgs.history", &[batch, history, 2, n])?,
             last: Tensor::zeros(context, "lbfgs.last", &[batch, 2, n])?,
-            pairs: Tensor::zeros(context, "lbfgs.pairs", &[batch, history + 2])?,
+            pairs: Tensor::zeros(context, "lbfgs.pairs", &[batch, 2 * history + 2])?,
         })
     }
 }
@@ -55,8 +67,14 @@ pub const MAX_HISTORY: usize = 32;
 impl Lbfgs {
     /// Compiles it for a history of up to [`MAX_HISTORY`] pairs, kept when `y.s > curvature`.
     pub fn new(context: &Context, history: usize, curvature: f64) -> Result<Self> {
+        Self::part(context, history, curvature, Part::Whole)
+    }
+
+    /// Compiles a part of the step, else as [`Lbfgs::new`].
+    pub fn part(context: &Context, history: usize, curvature: f64, part: Part) -> Result<Self> {
         assert!((1..=MAX_HISTORY).contains(&history), "a history of 1 to {MAX_HISTORY} pairs, not {history}");
-        let constants = [("HISTORY", history as f64), ("CURVATURE", curvature)];
+        let constants =
+            [("HISTORY", history as f64), ("CURVATURE", curvature), ("PART", f64::from(part as u8))];
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, history })
     }
 

@@ -1,20 +1,26 @@
 //! What moves the acceleration: the learned update rule and the classical optimizers (paper sections 3.3 and 4.3).
 
 pub mod adam;
+pub mod cosine_order;
 pub mod features;
 pub mod gradient_descent;
 pub mod lbfgs;
 pub mod norms;
+mod quasi_newton;
 pub mod rescale;
+pub mod rest_modes;
 pub mod update;
 pub mod update_adj;
 
 pub use adam::{Adam, AdamSettings};
+pub use cosine_order::CosineOrder;
 pub use features::{FeatureTensors, Features};
 pub use gradient_descent::GradientDescent;
-pub use lbfgs::{Lbfgs, LbfgsMemory};
+pub use lbfgs::{Lbfgs, LbfgsMemory, Part};
 pub use norms::Norms;
+pub use quasi_newton::QuasiNewton;
 pub use rescale::Rescale;
+pub use rest_modes::RestModes;
 pub use update::{Update, UpdateTensors};
 pub use update_adj::{UpdateAdj, UpdateAdjTensors};
 

@@ -29,6 +29,7 @@ mod pool_rows;
 mod predict;
 mod project;
 mod project_adj;
+mod quasi_newton;
 mod real_fft2;
 mod rescale;
 mod scalar_head;

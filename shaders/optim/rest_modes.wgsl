@@ -1,0 +1,64 @@
+// The Hessian of a flat sheet inverted in its cosine modes, from Fourier spectra to Fourier spectra.
+//
+// With A = e_H(k) e_W(l) z[k, l] and B = e_H(k) conj(e_W(l)) conj(z[-k, l]), e_n(k) = exp(-i pi k / 2 n), the spectrum z of
+// a field in `cosine_order` holds four modes of its cosine transform: cc = Re(A + B) / 2 of (k, l), sc = -Im(A + B) / 2 of
+// (H - k, l), cs = -Im(A - B) / 2 of (k, W - l), ss = Re(B - A) / 2 of (H - k, W - l). Each is divided by its
+// eigenvalue lambda (SPEC section 7), and what they make is the spectrum of the result:
+// conj(e_H(k) e_W(l)) (cc - ss - i (sc + cs)).
+// z, out: [3 B, H, W / 2 + 1] complex; cloths: [B]; rows: [H], columns: [W / 2 + 1], (cos, sin)(pi k / 2 n).
+// One invocation: one element of the spectrum. Workgroups: (H (W / 2 + 1) / 64, 3 B).
+// Adjoint: none, it is not trained.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+    pad0: u32,
+    pad1: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
+@group(0) @binding(2) var<storage, read> rows: array<vec2f>;
+@group(0) @binding(3) var<storage, read> columns: array<vec2f>;
+@group(0) @binding(4) var<storage, read> z: array<vec2f>;
+@group(0) @binding(5) var<storage, read_write> out: array<vec2f>;
+
+fn times(a: vec2f, b: vec2f) -> vec2f {
+    return vec2f(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x);
+}
+
+// Inertia, stretch, bend and shear of a small wave; `mu` is 2 - 2 cos(pi k / n) of both axes.
+fn eigenvalue(mu: vec2f, material: vec4f) -> f32 {
+    let h = f32(params.rows);
+    let w = f32(params.columns);
+    let stretch = 2.0 * material.x * (mu.x / ((h - 1.0) * w) + mu.y / (h * (w - 1.0)));
+    return stretch + (1.0 + 2.0 * material.z * dot(mu, mu) + 4.0 * material.y * (mu.x + mu.y)) / (h * w);
+}
+
+@compute @workgroup_size(64)
+fn rest_modes(@builtin(global_invocation_id) id: vec3u) {
+    let half = params.columns / 2u + 1u;
+    if id.x >= params.rows * half {
+        return;
+    }
+    let k = id.x / half;
+    let l = id.x % half;
+    let field = id.y * params.rows * half;
+    let material = cloths[id.y / 3u].material;
+
+    let conj = vec2f(1.0, -1.0);
+    let e_h = conj * rows[k];
+    let e_w = conj * columns[l];
+    let opposite = z[field + (params.rows - k) % params.rows * half + l];
+    let a = times(times(e_h, e_w), z[field + id.x]);
+    let b = times(times(e_h, conj * e_w), conj * opposite);
+
+    // mu of k and of n - k, without the cancellation of 1 - cos.
+    let mu_h = 4.0 * rows[k] * rows[k];
+    let mu_w = 4.0 * columns[l] * columns[l];
+    let cc = 0.5 * (a.x + b.x) / eigenvalue(vec2f(mu_h.y, mu_w.y), material);
+    let sc = -0.5 * (a.y + b.y) / eigenvalue(vec2f(mu_h.x, mu_w.y), material);
+    let cs = -0.5 * (a.y - b.y) / eigenvalue(vec2f(mu_h.y, mu_w.x), material);
+    let ss = 0.5 * (b.x - a.x) / eigenvalue(vec2f(mu_h.x, mu_w.x), material);
+    out[field + id.x] = times(conj * times(e_h, e_w), vec2f(cc - ss, -(sc + cs)));
+}

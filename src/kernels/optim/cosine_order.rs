@@ -1,0 +1,43 @@
+//! Host side of `shaders/optim/cosine_order.wgsl`.
+
+use super::{Iterate, LbfgsMemory};
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{groups, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "cosine_order",
+    wgsl: include_str!("../../../shaders/optim/cosine_order.wgsl"),
+    common: &[],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    pad: [u32; 2],
+}
+
+/// The order in which a Fourier transform gives the cosine transform, there or back.
+#[derive(Clone, Debug)]
+pub struct CosineOrder {
+    kernel: Kernel,
+}
+
+impl CosineOrder {
+    /// Compiles it for one direction.
+    pub fn new(context: &Context, back: bool) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("BACK", f64::from(u8::from(back)))])? })
+    }
+
+    /// Between the direction that L-BFGS turns (`memory.last`) and `ordered` [3 B, H, W].
+    pub fn push(&self, schedule: &mut Schedule, iterate: &Iterate, memory: &LbfgsMemory, ordered: &Tensor) {
+        let &[samples, h, w] = ordered.shape() else { panic!("cosine_order: {:?}", ordered.shape()) };
+        assert_eq!(iterate.samples_and_particles(), (samples, h * w));
+        let params = Params { rows: size(h), columns: size(w), pad: [0; 2] };
+        let tensors = [&iterate.slots, &memory.last, ordered];
+        schedule.dispatch(&self.kernel, &params, &tensors, [groups(h * w, 64), size(samples), 1]);
+    }
+}

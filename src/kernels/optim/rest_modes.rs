@@ -1,0 +1,61 @@
+//! Host side of `shaders/optim/rest_modes.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{common, groups, size};
+use crate::sim::Grid;
+use std::f64::consts::PI;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "rest_modes",
+    wgsl: include_str!("../../../shaders/optim/rest_modes.wgsl"),
+    common: &[common::CLOTH],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    pad: [u32; 2],
+}
+
+/// The inverse Hessian of a flat sheet, between spectra.
+#[derive(Clone, Debug)]
+pub struct RestModes {
+    grid: Grid,
+    kernel: Kernel,
+    rows: Tensor,
+    columns: Tensor,
+}
+
+impl RestModes {
+    /// Compiles it and makes the tables of a grid.
+    pub fn new(context: &Context, grid: Grid) -> Result<Self> {
+        // Devices disagree on sines and cosines, so they come from here, in double precision.
+        let table = |label, length: usize, count: usize| {
+            let angle = |k: usize| PI * k as f64 / (2 * length) as f64;
+            let values: Vec<_> = (0..count).map(|k| [angle(k).cos() as f32, angle(k).sin() as f32]).collect();
+            Tensor::from_slice(context, label, &[count, 2], &values)
+        };
+        Ok(Self {
+            grid,
+            kernel: Kernel::new(context, &SOURCE, 0, &[])?,
+            rows: table("rest_modes.rows", grid.h, grid.h)?,
+            columns: table("rest_modes.columns", grid.w, grid.w / 2 + 1)?,
+        })
+    }
+
+    /// `out` of `spectrum`, both [3 B, H, W / 2 + 1, 2], for the materials of `cloths` \[B\].
+    pub fn push(&self, schedule: &mut Schedule, cloths: &Tensor, spectrum: &Tensor, out: &Tensor) {
+        let Grid { h, w } = self.grid;
+        let (samples, half) = (spectrum.shape()[0], w / 2 + 1);
+        assert_eq!(spectrum.shape(), [samples, h, half, 2]);
+        assert_eq!(out.shape(), spectrum.shape());
+        assert_eq!(3 * cloths.shape()[0], samples);
+        let params = Params { rows: size(h), columns: size(w), pad: [0; 2] };
+        let tensors = [cloths, &self.rows, &self.columns, spectrum, out];
+        schedule.dispatch(&self.kernel, &params, &tensors, [groups(h * half, 64), size(samples), 1]);
+    }
+}
