@@ -216,3 +216,68 @@ fn an_interrupted_training_run_keeps_what_is_done() {
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("continuing after step"), "{}", text(&output.stderr));
 }
+
+#[test]
+fn an_evaluation_keeps_its_scores_and_merges_shares() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let truth = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth");
+    let truth = truth.to_str().unwrap();
+    let evaluate = |more: &[&str]| {
+        let short =
+            ["--frames", "6", "--points", "200", "--solver", "newton,gd,lbfgs", "--ground-truth", truth];
+        let output = fnopt(at, &[&["evaluate"], &short[..], more].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    let whole = evaluate(&["--plots", "plots", "--markdown", "t.md", "--csv", "t.csv", "--json", "t.json"]);
+    for file in ["per_frame", "repulsion", "iterations", "convergence", "errors_xy_v2_32x32"] {
+        assert!(at.join(format!("plots/{file}.png")).is_file(), "{file}");
+    }
+    for (file, says) in [("t.md", "| xy_v2 |"), ("t.csv", "xy_v2,"), ("t.json", "\"sequence\": \"xy_v2\"")] {
+        assert!(std::fs::read_to_string(at.join(file)).unwrap().contains(says), "{file}");
+    }
+    // Times would differ if anything were simulated again.
+    assert_eq!(evaluate(&[]), whole);
+    let lines =
+        |text: &str| text.lines().filter(|l| l.starts_with("xy_v2")).map(str::len).collect::<Vec<_>>();
+    for share in ["0/2", "1/2"] {
+        evaluate(&["--out", "shares", "--shard", share]);
+    }
+    let merged = fnopt(at, &["evaluate", "--merge", "shares"]);
+    assert_eq!(lines(&text(&merged.stdout)), lines(&whole));
+
+    // Another system, here the truth itself, stands beside them.
+    let other = evaluate(&["--compare", &format!("arcsim={truth}")]);
+    assert!(other.contains("arcsim"), "{other}");
+
+    let clean = tempfile::tempdir().unwrap();
+    let refused = |arguments: &[&str], said: &[&str]| {
+        refused(clean.path(), &[&["evaluate", "--ground-truth", truth], arguments].concat(), said);
+    };
+    refused(&["--solver", "newtn"], &["newtn", "did you mean newton?"]);
+    refused(&["--solver", "fnopt:x"], &["--solver", "NAME:ITERATIONS"]);
+    refused(&["--sequences", "xy_v3"], &["xy_v3", "did you mean xy_v2?"]);
+    refused(&["--suite", "motion"], &["motion", "did you mean motions?"]);
+    refused(&["--grid", "4"], &["--grid", "8"]);
+    refused(&["--shard", "2/2"], &["--shard", "0 to 1"]);
+    refused(&["--compare", "ours=nowhere"], &["--compare", "a folder"]);
+    std::fs::create_dir(clean.path().join("empty")).unwrap();
+    refused(&["--compare", "ours=empty"], &["empty", "xy_v2.npz"]);
+}
+
+#[test]
+fn a_suite_fails_when_a_case_is_not_sound() {
+    let folder = tempfile::tempdir().unwrap();
+    let suite = |solver: &str| {
+        let arguments = ["--suite", "handles", "--sequences", "corners flat", "--grid", "12", "--no-gap"];
+        fnopt(folder.path(), &[&["evaluate", "--frames", "30", "--solver", solver], &arguments[..]].concat())
+    };
+    let good = suite("newton");
+    assert_eq!(good.status.code(), Some(0), "{}", text(&good.stderr));
+    let picture = folder.path().join("out/evaluate/newton_12x12_corners_flat.png");
+    assert!(picture.is_file());
+    // One pass of a network that was trained for more.
+    let bad = suite("single-pass");
+    assert_eq!(bad.status.code(), Some(1), "{}", text(&bad.stdout));
+}

@@ -109,7 +109,7 @@ const PHYSICS: Physics = Physics { material: MATERIAL, density: None, drag: None
 const SETTINGS: Settings = Settings { physics: PHYSICS, points: 1000, frames: 25 };
 
 fn newton() -> Entry {
-    Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1 }
+    Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1, coarse: false }
 }
 
 #[test]
@@ -118,7 +118,7 @@ fn a_sequence_is_repeated_from_its_first_frame() {
     assert_eq!((sequence.truth.frames(), sequence.grid()), (391, Grid { h: 32, w: 32 }));
     for grid in [Grid { h: 32, w: 32 }, Grid { h: 20, w: 20 }] {
         let tick = || ControlFlow::Continue(());
-        let score = run(&sequence, grid, &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+        let (score, _) = run(&sequence, grid, &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
         assert!(score.stable && score.frames == 24 && score.per_frame.e_cd.len() == 24);
         // The true cloth hangs at rest; ours, of the default material, sags by a few centimetres.
         let (e_cd, e_3d) = (score.e_cd.unwrap(), score.e_3d.unwrap());
@@ -147,14 +147,55 @@ fn the_truth_compared_with_itself_is_exact() {
 }
 
 #[test]
+fn interpolation_is_the_coarse_simulation_between_its_particles() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let descent = Entry { name: "gd".into(), optimizer: Optimizer::adam(), iterations: 5, coarse: false };
+    let carried = Entry { name: "interpolation".into(), coarse: true, ..descent.clone() };
+    let of = |n: usize, entry: &Entry| {
+        let tick = || ControlFlow::Continue(());
+        run(&sequence, Grid { h: n, w: n }, entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap()
+    };
+    let (_, coarse) = of(32, &descent);
+    assert_eq!(of(32, &carried).1.frame(24), coarse.frame(24), "its own grid");
+    // Every other particle of 63 rows is one of 32.
+    let (score, fine) = of(63, &carried);
+    assert_eq!((score.grid.as_str(), score.gradient, score.stretch_largest), ("63x63", None, None));
+    for (p, found) in fine.frame(24).iter().enumerate().filter(|(p, _)| p / 63 % 2 == 0 && p % 63 % 2 == 0) {
+        let at = coarse.frame(24)[p / 63 / 2 * 32 + p % 63 / 2];
+        let apart = (0..3).map(|c| (found[c] - at[c]).abs()).fold(0.0, f32::max);
+        assert!(apart < 1e-5, "particle {p}: {found:?}, not {at:?}");
+    }
+    assert_eq!(eval::coarse(Grid { h: 63, w: 125 }), Grid { h: 32, w: 63 });
+}
+
+#[test]
+fn vertex_errors_are_distances_at_the_vertices() {
+    let place = |n: usize, off: f32| -> Vec<[f32; 3]> {
+        (0..n * n).map(|p| [(p % n) as f32 / (n - 1) as f32, (p / n) as f32 / (n - 1) as f32, off]).collect()
+    };
+    let (small, large) = (Grid { h: 9, w: 9 }, Grid { h: 20, w: 20 });
+    let errors = eval::vertex_errors((&place(20, 0.25), large), (&place(9, 0.0), small));
+    assert_eq!(errors.len(), 400);
+    assert!(errors.iter().all(|error| (error - 0.25).abs() < 1e-6));
+    let mut trajectory = Trajectory::new(small, 60.0);
+    (0..9).for_each(|k| trajectory.push(&place(9, k as f32), &place(9, 0.0)));
+    let kept = eval::snapshots(&trajectory, 9);
+    let heights: Vec<f32> = (0..kept.frames()).map(|f| kept.frame(f)[0][2]).collect();
+    assert_eq!(heights, [2.0, 4.0, 6.0, 8.0]);
+    assert_eq!(eval::snapshots(&trajectory, 5).frame(3)[0][2], 4.0);
+}
+
+#[test]
 fn a_solver_that_diverges_has_no_numbers() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
     let descent = Optimizer::GradientDescent { rate: 1e3 };
-    let entry = Entry { name: "gd".into(), optimizer: descent, iterations: 10 };
+    let entry = Entry { name: "gd".into(), optimizer: descent, iterations: 10, coarse: false };
     let tick = || ControlFlow::Continue(());
-    let diverged = run(&sequence, sequence.grid(), &entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+    let (diverged, _) =
+        run(&sequence, sequence.grid(), &entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
     assert!(!diverged.stable && diverged.e_cd.is_none() && diverged.ms_per_frame.is_none());
-    let good = run(&sequence, sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+    let (good, _) =
+        run(&sequence, sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
     let tables = tables(&[good, diverged]);
     let text = tables[0].write(Format::Text { bold: true });
     let row = text.lines().find(|line| line.starts_with("xy_v2")).unwrap();

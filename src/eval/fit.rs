@@ -174,12 +174,13 @@ impl Fit<'_> {
             frame_time_s: Some(frame_time),
         };
         let settings = Settings { physics, ..self.settings };
-        let entry = Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1 };
+        let entry =
+            Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1, coarse: false };
         let mut sum = 0.0;
         for sequence in self.sequences {
             let tick = || ControlFlow::Continue(());
             let score = run(sequence, self.grid, &entry, (&Device::Cpu, &settings), tick)?;
-            sum += score.and_then(|s| s.e_cd).unwrap_or(f64::INFINITY);
+            sum += score.and_then(|(score, _)| score.e_cd).unwrap_or(f64::INFINITY);
         }
         Ok(sum / self.sequences.len() as f64)
     }

@@ -21,6 +21,10 @@ const REPULSION_DELTA: f64 = 0.5;
 const REPULSION_EDGES: f64 = 31.0;
 /// Seconds at the end over which the speed is averaged.
 const SETTLED_S: f64 = 0.5;
+/// Rows of the grids on which `interpolation` works out accelerations: those of the paper's training.
+const COARSE_ROWS: usize = 32;
+/// Frames that [`snapshots`] keeps.
+const SNAPSHOTS: usize = 4;
 
 /// A solver that takes part.
 #[derive(Clone, Debug)]
@@ -31,10 +35,13 @@ pub struct Entry {
     pub optimizer: Optimizer,
     /// Iterations per frame.
     pub iterations: usize,
+    /// Whether it only works out accelerations on [`coarse`] grids, which are carried to the grid that was asked for (the
+    /// baseline `interpolation`).
+    pub coarse: bool,
 }
 
 /// What a cloth is simulated with beside what its sequence tells.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Physics {
     /// Energy coefficients (grid units).
     pub material: Material,
@@ -128,21 +135,28 @@ pub(super) struct Simulated {
     pub ended_early: bool,
 }
 
-/// Simulates a sequence on a grid and judges it. `tick` is called after each frame and may end everything; then there is no
-/// score.
+/// Simulates a sequence on a grid and judges it; the score and what was simulated. `tick` is called after each frame and may
+/// end everything; then there is nothing.
 pub fn run(
     sequence: &Sequence,
     grid: Grid,
     entry: &Entry,
     (device, settings): (&Device, &Settings),
     tick: impl FnMut() -> ControlFlow<()>,
-) -> Result<Option<Score>> {
-    let mut scene = sequence.scene(grid, &settings.physics)?;
-    scene.frames = Some(sequence.truth.frames().min(settings.frames));
-    let setup = scene.setup()?;
-    let simulated = simulate(&setup, entry, device, tick)?;
+) -> Result<Option<(Score, Trajectory)>> {
+    let setup = |grid| {
+        let mut scene = sequence.scene(grid, &settings.physics)?;
+        scene.frames = Some(sequence.truth.frames().min(settings.frames));
+        scene.setup()
+    };
+    let own = if entry.coarse { coarse(grid) } else { grid };
+    let mut simulated = simulate(&setup(own)?, entry, device, tick)?;
     if simulated.ended_early {
         return Ok(None);
+    }
+    if own != grid {
+        let start = setup(grid)?;
+        simulated.trajectory = carried(&simulated.trajectory, grid, &start.vertices_m(&start.start.x));
     }
     let mut score = Score {
         iterations: if matches!(entry.optimizer, Optimizer::Newton) { 0 } else { entry.iterations },
@@ -153,11 +167,59 @@ pub fn run(
             simulated.stats.iter().map(of).sum::<f64>() / simulated.stats.len() as f64
         };
         score.ms_per_frame = Some(median(&simulated.times_ms));
-        score.energy = Some(mean(&|s| s.energy.total()));
-        score.gradient = Some(mean(&|s| s.gradient_last));
-        score.stretch_largest = Some(simulated.stretch_largest);
+        // Those of another grid's cloth would say nothing.
+        if own == grid {
+            score.energy = Some(mean(&|s| s.energy.total()));
+            score.gradient = Some(mean(&|s| s.gradient_last));
+            score.stretch_largest = Some(simulated.stretch_largest);
+        }
     }
-    Ok(Some(score))
+    Ok(Some((score, simulated.trajectory)))
+}
+
+/// The grid on which `interpolation` works out the accelerations of another: of the same shape with 32 rows; a coarser one
+/// is its own.
+pub fn coarse(grid: Grid) -> Grid {
+    if grid.h <= COARSE_ROWS {
+        return grid;
+    }
+    let edges = (grid.w - 1) as f64 * (COARSE_ROWS - 1) as f64 / (grid.h - 1) as f64;
+    Grid { h: COARSE_ROWS, w: (edges.round() as usize + 1).max(8) }
+}
+
+/// Accelerations of a trajectory, carried to a finer grid and integrated there from `start`. Both are linear, so this is the
+/// same as carrying the way from the first frame.
+fn carried(coarse: &Trajectory, grid: Grid, start: &[[f64; 3]]) -> Trajectory {
+    let resampling = Resampling::new(coarse.grid(), grid);
+    let mut fine = Trajectory::new(grid, coarse.fps());
+    for frame in 0..coarse.frames() {
+        let moved = coarse.frame(frame).iter().zip(coarse.frame(0));
+        let moved: Vec<[f64; 3]> =
+            moved.map(|(a, b)| std::array::from_fn(|c| f64::from(a[c]) - f64::from(b[c]))).collect();
+        let place = |(x, d): (&[f64; 3], [f64; 3])| std::array::from_fn(|c| (x[c] + d[c]) as f32);
+        let positions: Vec<[f32; 3]> = start.iter().zip(resampling.apply(&moved)).map(place).collect();
+        fine.push(&positions, &vec![[0.0; 3]; positions.len()]);
+    }
+    fine
+}
+
+/// A few frames of a trajectory to look at, evenly spread over its first `frames`, the last of them included.
+pub fn snapshots(trajectory: &Trajectory, frames: usize) -> Trajectory {
+    let mut kept = Trajectory::new(trajectory.grid(), trajectory.fps());
+    let last = trajectory.frames().min(frames).saturating_sub(1);
+    for k in 1..=SNAPSHOTS {
+        let frame = trajectory.frame(k * last / SNAPSHOTS);
+        kept.push(frame, &vec![[0.0; 3]; frame.len()]);
+    }
+    kept
+}
+
+/// Distances of the vertices of a frame from a truth on another grid \[m\], at the frame's vertices.
+pub fn vertex_errors((found, grid): (&[[f32; 3]], Grid), (truth, of_truth): (&[[f32; 3]], Grid)) -> Vec<f32> {
+    let wide: Vec<[f64; 3]> = truth.iter().map(|p| p.map(f64::from)).collect();
+    let truth = Resampling::new(of_truth, grid).apply(&wide);
+    let apart = |(p, q): (&[f32; 3], [f64; 3])| distance(*p, q.map(|c| c as f32)) as f32;
+    found.iter().zip(truth).map(apart).collect()
 }
 
 /// Judges positions that another system made for a sequence, on whatever grid they have.

@@ -163,7 +163,8 @@ pub fn run(
         setup = Scene { frames: Some(frames), ..case.scene.clone() }.setup()?;
     }
     let iterations = case.iterations.unwrap_or(iterations);
-    let entry = Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations };
+    let entry =
+        Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations, coarse: false };
     let simulated = simulate(&setup, &entry, device, tick)?;
     if simulated.ended_early {
         return Ok(None);

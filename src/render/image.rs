@@ -25,9 +25,10 @@ impl Image {
         self.pixels[y * self.width + x]
     }
 
-    /// Copies `other` into this image with its top left corner at column `x` of the first row.
-    pub(super) fn paste(&mut self, other: &Image, x: usize) {
-        for (row, source) in self.pixels.chunks_mut(self.width).zip(other.pixels.chunks(other.width)) {
+    /// Copies `other` into this image with its top left corner at column `x` of row `y`.
+    pub(super) fn paste(&mut self, other: &Image, [x, y]: [usize; 2]) {
+        let rows = self.pixels.chunks_mut(self.width).skip(y);
+        for (row, source) in rows.zip(other.pixels.chunks(other.width)) {
             row[x..x + other.width].copy_from_slice(source);
         }
     }

@@ -26,10 +26,17 @@ pub(super) struct Look<'a> {
     fields: f32,
     /// Radius of a marker \[samples\].
     radius: f32,
+    /// What to show in colour at each vertex, from 0 to 1; its sides where empty.
+    heat: &'a [f32],
 }
 
 impl<'a> Look<'a> {
-    pub fn new(stage: &'a Stage, positions: &[[f32; 3]], projected: Vec<Vec3>, radius: f32) -> Self {
+    pub fn new(
+        stage: &'a Stage,
+        (positions, heat): (&[[f32; 3]], &'a [f32]),
+        projected: Vec<Vec3>,
+        radius: f32,
+    ) -> Self {
         let normals = vertex_normals(positions, &stage.faces);
         let valleys = valleys(stage.grid, positions, &normals);
         let turn = |n: &[f32; 3]| stage.camera.rotation * Vec3::from(*n);
@@ -44,6 +51,7 @@ impl<'a> Look<'a> {
             valleys,
             fields: shade::fields_per_edge(stage.grid.h.max(stage.grid.w) - 1),
             radius,
+            heat,
         }
     }
 
@@ -60,10 +68,11 @@ impl<'a> Look<'a> {
         let corners = face.map(|v| self.projected[v as usize]);
         let weights = surface::weights(corners, place.x, place.y).to_array();
         let front = surface::is_front(corners);
-        let (mut normal, mut valley, mut field) = (Vec3::ZERO, 0.0, Vec2::ZERO);
+        let (mut normal, mut valley, mut field, mut heat) = (Vec3::ZERO, 0.0, Vec2::ZERO, 0.0);
         for (weight, v) in weights.into_iter().zip(face.map(|v| v as usize)) {
             normal += weight * self.normals[v];
             valley += weight * self.valleys[v];
+            heat += weight * self.heat.get(v).copied().unwrap_or_default();
             field += weight * vec2((v % self.grid.w) as f32, (v / self.grid.w) as f32);
         }
         let side = if front { 1.0 } else { -1.0 };
@@ -75,6 +84,7 @@ impl<'a> Look<'a> {
             valley: side * valley,
             field: field * self.fields,
             front,
+            heat: (!self.heat.is_empty()).then_some(heat),
         })
     }
 

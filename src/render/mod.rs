@@ -7,6 +7,7 @@
 mod animation;
 mod camera;
 mod chart;
+mod error_map;
 mod image;
 mod look;
 mod palette;
@@ -20,5 +21,6 @@ mod text;
 pub use animation::{GifOptions, write_gif};
 pub use camera::View;
 pub use chart::{Chart, Curve, charts};
+pub use error_map::{ErrorMap, error_maps};
 pub use image::{Image, write_png};
 pub use strip::{StripOptions, strip};

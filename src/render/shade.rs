@@ -15,6 +15,7 @@ const BACKGROUND: [Vec3; 2] = [vec3(0.86, 0.88, 0.90), vec3(0.60, 0.61, 0.62)];
 const FIELDS: f32 = 16.0;
 
 /// The lights of a stage, as directions along the camera's axes.
+#[derive(Clone)]
 pub(super) struct Lights {
     key: Vec3,
     fill: Vec3,
@@ -33,6 +34,8 @@ pub(super) struct Sample {
     pub field: Vec2,
     /// Whether the front of the cloth is seen.
     pub front: bool,
+    /// Something else than its sides to show in colour, from 0 to 1.
+    pub heat: Option<f32>,
 }
 
 impl Lights {
@@ -55,7 +58,12 @@ impl Lights {
         let light = vec3(1.0, 0.96, 0.90) * (1.3 * key)
             + vec3(0.75, 0.85, 1.0) * (0.13 * fill)
             + vec3(0.80, 0.88, 1.0) * (0.20 * open * (0.55 + 0.45 * sky));
-        let albedo = if s.front { FRONT } else { BACK } * checker(s.field);
+        let colour = match (s.heat, s.front) {
+            (Some(heat), _) => warmth(heat),
+            (None, true) => FRONT,
+            (None, false) => BACK,
+        };
+        let albedo = colour * checker(s.field);
         let facing = n.dot(s.eye).clamp(0.0, 1.0);
         let rim = (1.0 - facing).powi(4) * (0.3 + 0.7 * sky);
         let shine = n.dot((self.key + s.eye).normalize()).max(0.0).powi(24);
@@ -68,6 +76,15 @@ impl Lights {
         let shine = n.dot((self.key + Vec3::Z).normalize()).max(0.0).powi(40);
         HANDLE * (0.42 + 0.75 * key) + Vec3::splat(0.45 * shine)
     }
+}
+
+/// From pale over yellow and red to nearly black, ever darker.
+fn warmth(heat: f32) -> Vec3 {
+    const STEPS: [Vec3; 4] =
+        [vec3(0.80, 0.80, 0.78), vec3(0.85, 0.52, 0.10), vec3(0.62, 0.08, 0.03), vec3(0.10, 0.01, 0.05)];
+    let place = heat.clamp(0.0, 1.0) * (STEPS.len() - 1) as f32;
+    let step = (place as usize).min(STEPS.len() - 2);
+    STEPS[step].lerp(STEPS[step + 1], place - step as f32)
 }
 
 /// A checker of two close tones with a darker thread between the fields.

@@ -25,6 +25,7 @@ const SHADOW: f32 = 0.34;
 const ENOUGH: usize = 100_000;
 
 /// What the frames of a picture have in common.
+#[derive(Clone)]
 pub(super) struct Stage {
     pub size: [usize; 2],
     samples: usize,
@@ -82,6 +83,11 @@ impl Stage {
         Self { size, samples, grid, faces, handles: handles.to_vec(), camera, lights, up, floor }
     }
 
+    /// The same stage, without markers, for a cloth on another grid.
+    pub fn on(&self, grid: Grid) -> Self {
+        Self { grid, faces: grid.faces(), handles: Vec::new(), ..self.clone() }
+    }
+
     /// Draws the stage without a cloth.
     pub fn draw_empty(&self) -> Image {
         self.draw(&vec![[f32::NAN; 3]; self.grid.particles()])
@@ -89,6 +95,11 @@ impl Stage {
 
     /// Draws the positions of a frame \[m\], shape [V, 3].
     pub fn draw(&self, positions: &[[f32; 3]]) -> Image {
+        self.draw_heat(positions, &[])
+    }
+
+    /// Draws a frame with a number from 0 to 1 at each vertex in place of the cloth's colours, if there are any.
+    pub fn draw_heat(&self, positions: &[[f32; 3]], heat: &[f32]) -> Image {
         let [width, height] = self.size;
         let n = self.samples;
         let projected: Vec<Vec3> = positions.iter().map(|p| self.camera.project(place(p))).collect();
@@ -105,7 +116,7 @@ impl Stage {
         }
 
         let shadow = self.shadow(positions);
-        let look = Look::new(self, positions, projected, radius);
+        let look = Look::new(self, (positions, heat), projected, radius);
         let mut image = Image::new(width, height);
         for (y, row) in image.pixels.chunks_mut(width).enumerate() {
             let wall = shade::background((y as f32 + 0.5) / height as f32);

@@ -47,7 +47,7 @@ pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions)
     let width = panels[0].width;
     let mut image = Image::new(width * count, options.height);
     for (k, panel) in panels.iter().enumerate() {
-        image.paste(panel, k * width);
+        image.paste(panel, [k * width, 0]);
     }
     image
 }

@@ -1,17 +1,20 @@
 //! `fnopt evaluate`: compares solvers with recorded trajectories.
 
+mod plots;
+mod suite;
+
 use super::device::DeviceArgs;
 use super::{Ending, interrupt_flag, load_weights};
 use anyhow::Result;
 use fnopt::Error;
-use fnopt::eval::suite::{self, Case, CaseScore, Suite};
-use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, Table, compare, run, tables};
-use fnopt::io::{ReadOptions, Trajectory, write_atomic};
+use fnopt::eval::suite::Suite;
+use fnopt::eval::{
+    Entry, Format, Physics, Score, Sequence, Settings, Table, compare, run, snapshots, tables,
+};
+use fnopt::io::{self, ReadOptions, Trajectory, write_atomic};
 use fnopt::network::Weights;
-use fnopt::render::{Chart, Curve, StripOptions, View, charts, strip, write_png};
 use fnopt::sim::{Device, Grid, Material, Optimizer};
 use indicatif::{ProgressBar, ProgressStyle};
-use std::collections::BTreeMap;
 use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -29,8 +32,8 @@ pub struct Args {
     /// Grids to simulate on: rows, or rows and columns
     #[arg(long, value_delimiter = ',', default_value = "32", value_name = "N|HxW,..")]
     grid: Vec<String>,
-    /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton, newton, or single-pass, which is fnopt:1; with iterations of their own
-    /// after a colon
+    /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton, newton, single-pass, which is fnopt:1, or interpolation, which is fnopt
+    /// on 32 rows carried to the grid; with iterations of their own after a colon
     #[arg(
         long,
         value_delimiter = ',',
@@ -97,17 +100,23 @@ struct Job {
     sequence: usize,
     grid: Grid,
     entry: Entry,
-    /// Where its score is kept.
+    /// Where its score is kept; a few of its frames are kept beside it.
     file: PathBuf,
+}
+
+/// A score and a few frames of what it is of, if they are there.
+struct Kept {
+    score: Score,
+    snapshots: Option<Trajectory>,
 }
 
 pub fn run_command(args: &Args) -> Result<Ending> {
     if !args.merge.is_empty() {
-        let mut scores = Vec::new();
+        let mut all = Vec::new();
         for folder in &args.merge {
-            scores.extend(kept(folder)?);
+            all.extend(kept(folder)?);
         }
-        return args.write(&scores).map(|()| Ending::Done);
+        return args.write(&all, &[]).map(|()| Ending::Done);
     }
     let settings = args.settings()?;
     let entries = args.entries()?;
@@ -116,7 +125,17 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         return args.run_suite(Suite::named(name)?, &entries, &grids, settings.frames);
     }
     let sequences = args.sequences()?;
-    let systems = args.systems()?;
+    let (index, count) = args.shard()?;
+    // Others' trajectories first: what is wrong with them is then said before the work, not after it.
+    let mut systems = Vec::new();
+    for (name, folder) in args.systems()? {
+        for sequence in &sequences {
+            let found = imported(&folder, sequence)?;
+            let score = compare(sequence, &name, &found, &settings)?;
+            let frames = sequence.truth.frames().min(settings.frames);
+            systems.push(Kept { score, snapshots: Some(snapshots(&found, frames)) });
+        }
+    }
     let (device, line) = args.device.open()?;
     eprintln!("{line}");
     std::fs::create_dir_all(&args.out).map_err(|e| Error::io(&args.out, "cannot create the folder", e))?;
@@ -130,15 +149,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
             }
         }
     }
-    let (index, count) = args.shard()?;
     let jobs: Vec<Job> = jobs.into_iter().skip(index).step_by(count).collect();
-    let (mut scores, complete) = work(&jobs, &sequences, (&device, &settings))?;
-    for (name, folder) in &systems {
-        for sequence in &sequences {
-            scores.push(compare(sequence, name, &imported(folder, sequence)?, &settings)?);
-        }
-    }
-    args.write(&scores)?;
+    let (mut all, complete) = work(&jobs, &sequences, (&device, &settings))?;
+    all.extend(systems);
+    args.write(&all, &sequences)?;
     if !complete {
         eprintln!("interrupted; the scores so far are kept in {}", args.out.display());
         return Ok(Ending::Interrupted);
@@ -151,17 +165,17 @@ fn work(
     jobs: &[Job],
     sequences: &[Sequence],
     (device, settings): (&Device, &Settings),
-) -> Result<(Vec<Score>, bool)> {
+) -> Result<(Vec<Kept>, bool)> {
     let frames = |job: &Job| sequences[job.sequence].truth.frames().min(settings.frames) as u64 - 1;
     let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta} left  {msg}");
     let bar =
         ProgressBar::new(jobs.iter().map(frames).sum()).with_style(style.expect("the template is valid"));
     let interrupted = interrupt_flag();
-    let mut scores = Vec::new();
+    let mut all = Vec::new();
     for job in jobs {
         if job.file.is_file() {
             bar.inc(frames(job));
-            scores.push(Score::read(&job.file)?);
+            all.push(Kept::read(&job.file)?);
             continue;
         }
         let sequence = &sequences[job.sequence];
@@ -173,14 +187,38 @@ fn work(
                 false => ControlFlow::Continue(()),
             }
         };
-        let Some(score) = run(sequence, job.grid, &job.entry, (device, settings), tick)? else {
-            return Ok((scores, false));
+        let Some((score, found)) = run(sequence, job.grid, &job.entry, (device, settings), tick)? else {
+            return Ok((all, false));
         };
-        score.write(&job.file)?;
-        scores.push(score);
+        let snapshots = score.stable.then(|| snapshots(&found, usize::MAX));
+        let kept = Kept { score, snapshots };
+        kept.write(&job.file)?;
+        all.push(kept);
     }
     bar.finish_and_clear();
-    Ok((scores, true))
+    Ok((all, true))
+}
+
+impl Kept {
+    /// The score in a file, and the frames beside it.
+    fn read(file: &Path) -> fnopt::Result<Self> {
+        let (score, frames) = (Score::read(file)?, file.with_extension("npy"));
+        let read = || {
+            let (h, w) = score.grid.split_once('x')?;
+            let grid = Some(Grid::new(h.parse().ok()?, w.parse().ok()?, "grid").ok()?);
+            frames.is_file().then(|| Trajectory::read(&frames, &ReadOptions { grid, fps: 1.0 }))
+        };
+        let snapshots = read().transpose()?;
+        Ok(Self { score, snapshots })
+    }
+
+    /// The score last: once it is there, all is.
+    fn write(&self, file: &Path) -> fnopt::Result<()> {
+        if let (Some(frames), Some(folder), Some(stem)) = (&self.snapshots, file.parent(), file.file_stem()) {
+            frames.write(folder, &stem.to_string_lossy(), io::Format::Npy)?;
+        }
+        self.score.write(file)
+    }
 }
 
 impl Args {
@@ -212,7 +250,11 @@ impl Args {
                     ),
                 ),
             };
-            let (known, own) = if name == "single-pass" { ("fnopt", Some(1)) } else { (name, own) };
+            let (known, own) = match name {
+                "single-pass" => ("fnopt", Some(1)),
+                "interpolation" => ("fnopt", own),
+                _ => (name, own),
+            };
             let mut load = || match &weights {
                 Some(weights) => Ok(weights.clone()),
                 None => Ok(weights.insert(load_weights(self.checkpoint.as_deref())?).clone()),
@@ -226,7 +268,12 @@ impl Args {
             if all.contains(&0) {
                 return Err(Error::invalid("--iterations", name, "at least one", 0));
             }
-            let of = |iterations| Entry { name: name.to_owned(), optimizer: optimizer.clone(), iterations };
+            let of = |iterations| Entry {
+                name: name.to_owned(),
+                optimizer: optimizer.clone(),
+                iterations,
+                coarse: name == "interpolation",
+            };
             entries.extend(all.into_iter().map(of));
         }
         Ok(entries)
@@ -243,17 +290,6 @@ impl Args {
             }
         };
         names.iter().map(load).collect()
-    }
-
-    /// The cases of a suite that take part.
-    fn cases(&self, suite: Suite, grid: Grid) -> fnopt::Result<Vec<Case>> {
-        let cases = suite.cases(grid)?;
-        let Some(names) = &self.sequences else { return Ok(cases) };
-        let known = || cases.iter().map(|case| case.name.as_str());
-        if let Some(name) = names.iter().find(|name| !known().any(|known| known == *name)) {
-            return Err(Error::unknown("--sequences", "case", name, known()));
-        }
-        Ok(cases.iter().filter(|case| names.contains(&case.name)).cloned().collect())
     }
 
     /// Names and folders of the systems to compare with.
@@ -296,70 +332,31 @@ impl Args {
         Ok((index, count))
     }
 
-    /// Runs the cases of a suite with each solver on each grid.
-    fn run_suite(&self, suite: Suite, entries: &[Entry], grids: &[Grid], frames: usize) -> Result<Ending> {
-        let (device, line) = self.device.open()?;
-        eprintln!("{line}");
-        let mut jobs = Vec::new();
-        for entry in entries {
-            for &grid in grids {
-                jobs.extend(self.cases(suite, grid)?.into_iter().map(|case| (entry, case)));
-            }
-        }
-        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} cases, {eta} left  {msg}");
-        let bar = ProgressBar::new(jobs.len() as u64).with_style(style.expect("the template is valid"));
-        let interrupted = interrupt_flag();
-        let tick = || match interrupted.load(Ordering::Relaxed) {
-            true => ControlFlow::Break(()),
-            false => ControlFlow::Continue(()),
-        };
-        let mut scores: Vec<(String, CaseScore)> = Vec::new();
-        let mut complete = true;
-        for (entry, case) in jobs {
-            bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
-            let solver = (&entry.optimizer, entry.iterations);
-            let Some((score, trajectory)) = suite::run(&case, solver, &device, (frames, !self.no_gap), tick)?
-            else {
-                complete = false;
-                break;
-            };
-            let setup = case.scene.setup()?;
-            let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
-            let options = StripOptions { view, ..Default::default() };
-            let image = strip(&trajectory, &setup.model.cloths[0].handles, &options);
-            let file = format!("{}_{}_{}.png", entry.name, score.grid, score.case).replace(' ', "_");
-            write_png(self.out.join(file), &image)?;
-            scores.push((entry.name.clone(), score));
-            bar.inc(1);
-        }
-        bar.finish_and_clear();
-        let of = |entry: &Entry| -> Vec<CaseScore> {
-            scores.iter().filter(|(name, _)| *name == entry.name).map(|(_, score)| score.clone()).collect()
-        };
-        let tables: Vec<Table> = entries.iter().map(|entry| suite::table(&entry.name, &of(entry))).collect();
-        let named: Vec<_> = scores
-            .iter()
-            .map(|(solver, score)| serde_json::json!({"solver": solver, "score": score}))
-            .collect();
-        self.write_tables(&tables, &named)?;
-        if !complete {
-            eprintln!("interrupted; the cases so far are above");
-        }
-        let sound = scores.iter().all(|(_, score)| score.sound());
-        Ok(match (complete, sound) {
-            (false, _) => Ending::Interrupted,
-            (true, false) => Ending::CheckFailed,
-            (true, true) => Ending::Done,
-        })
-    }
-
     /// Prints the tables and writes what was asked for.
-    fn write(&self, scores: &[Score]) -> Result<()> {
-        self.write_tables(&tables(scores), scores)?;
+    fn write(&self, all: &[Kept], sequences: &[Sequence]) -> Result<()> {
+        let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
+        self.write_tables(&tables(&scores), &scores)?;
         if let Some(folder) = &self.plots {
-            plot(folder, scores)?;
+            plots::draw(folder, &scores)?;
+            for sequence in sequences {
+                plots::error_maps(folder, sequence, (all, self.frames.unwrap_or(usize::MAX)))?;
+            }
+            self.plot_convergence(folder, sequences)?;
         }
         Ok(())
+    }
+
+    /// The energy gap against the number of iterations of every solver, on the first frames of the first sequence.
+    fn plot_convergence(&self, folder: &Path, sequences: &[Sequence]) -> Result<()> {
+        let (Some(sequence), Some(text)) = (sequences.first(), self.grid.first()) else { return Ok(()) };
+        let optimizers = self.entries()?.into_iter().map(|entry| entry.optimizer).collect();
+        let frames = self.frames.unwrap_or(usize::MAX);
+        Ok(plots::convergence(
+            folder,
+            (sequence, grid(text)?),
+            (optimizers, frames),
+            &self.settings()?.physics,
+        )?)
     }
 
     fn write_tables(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> Result<()> {
@@ -412,7 +409,7 @@ fn file_name(
 }
 
 /// All scores that a folder keeps, in the order of their files' names.
-fn kept(folder: &Path) -> fnopt::Result<Vec<Score>> {
+fn kept(folder: &Path) -> fnopt::Result<Vec<Kept>> {
     let fail = |e| Error::io(folder, "cannot read the folder", e);
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {
@@ -425,7 +422,7 @@ fn kept(folder: &Path) -> fnopt::Result<Vec<Score>> {
     if files.is_empty() {
         return Err(Error::invalid(folder.display().to_string(), "scores", "files of scores", "none"));
     }
-    files.iter().map(|file| Score::read(file)).collect()
+    files.iter().map(|file| Kept::read(file)).collect()
 }
 
 /// Another system's trajectory of a sequence.
@@ -440,56 +437,4 @@ fn imported(folder: &Path, sequence: &Sequence) -> fnopt::Result<Trajectory> {
         return Err(Error::invalid(folder.display().to_string(), "trajectory", expected, "none of them"));
     };
     Trajectory::read(path, &options)
-}
-
-/// Error per frame and solver for each sequence and grid; error and time against iterations.
-fn plot(folder: &Path, scores: &[Score]) -> fnopt::Result<()> {
-    /// Width and height of a chart \[px\].
-    const SIZE: (usize, usize) = (640, 420);
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
-    let label = |s: &Score| match s.iterations {
-        0 => s.solver.clone(),
-        n => format!("{} n {n}", s.solver),
-    };
-    let mut of_frames: BTreeMap<(String, String), Vec<Curve>> = BTreeMap::new();
-    let mut of_iterations: BTreeMap<(String, String), Vec<[f64; 3]>> = BTreeMap::new();
-    for score in scores.iter().filter(|s| s.stable) {
-        let points = score.per_frame.e_cd.iter().enumerate().map(|(f, &e)| [(f + 1) as f64, 1e3 * e]);
-        let curve = Curve { label: label(score), points: points.collect() };
-        of_frames.entry((score.sequence.clone(), score.grid.clone())).or_default().push(curve);
-        if let (Some(e), Some(ms), 1..) = (score.e_cd, score.ms_per_frame, score.iterations) {
-            let key = (score.grid.clone(), score.solver.clone());
-            of_iterations.entry(key).or_default().push([score.iterations as f64, 1e3 * e, ms]);
-        }
-    }
-    let draw = |name: String, all: Vec<Chart>| {
-        let image = charts(&all, (2 * SIZE.0, SIZE.1 * all.len().div_ceil(2)));
-        write_png(folder.join(name), &image)
-    };
-    let mut frames = Vec::new();
-    for ((sequence, grid), curves) in of_frames {
-        frames.push(Chart { title: format!("{sequence} {grid}: e_CD x 1000 per frame"), curves });
-    }
-    if !frames.is_empty() {
-        draw("per_frame.png".into(), frames)?;
-    }
-    let mut grids: BTreeMap<String, [Vec<Curve>; 2]> = BTreeMap::new();
-    for ((grid, solver), points) in of_iterations {
-        let mut means: BTreeMap<u64, Vec<[f64; 2]>> = BTreeMap::new();
-        points.iter().for_each(|p| means.entry(p[0] as u64).or_default().push([p[1], p[2]]));
-        for (k, curves) in grids.entry(grid).or_default().iter_mut().enumerate() {
-            let mean = |v: &[[f64; 2]]| v.iter().map(|v| v[k]).sum::<f64>() / v.len() as f64;
-            let points = means.iter().map(|(&n, v)| [n as f64, mean(v)]).collect();
-            curves.push(Curve { label: solver.clone(), points });
-        }
-    }
-    let mut iterations = Vec::new();
-    for (grid, [errors, times]) in grids {
-        iterations.push(Chart { title: format!("{grid}: e_CD x 1000 by iterations"), curves: errors });
-        iterations.push(Chart { title: format!("{grid}: ms per frame by iterations"), curves: times });
-    }
-    match iterations.is_empty() {
-        true => Ok(()),
-        false => draw("iterations.png".into(), iterations),
-    }
 }

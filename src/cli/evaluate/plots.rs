@@ -1,0 +1,142 @@
+//! The plots of `fnopt evaluate --plots`.
+
+use super::Kept;
+use fnopt::cpu::Track;
+use fnopt::eval::{Physics, Score, Sequence, snapshots, vertex_errors};
+use fnopt::render::{self, Chart, Curve, ErrorMap, View, charts, write_png};
+use fnopt::sim::{Grid, Optimizer};
+use fnopt::{Error, Result};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Width and height of a chart \[px\].
+const SIZE: (usize, usize) = (640, 420);
+/// Numbers of iterations after which the energy is looked at.
+const ITERATIONS: [usize; 9] = [1, 2, 3, 5, 8, 10, 15, 20, 30];
+/// Frames in which it is looked at, the start included.
+const CONVERGENCE_FRAMES: usize = 41;
+
+fn label(score: &Score) -> String {
+    match score.iterations {
+        0 => score.solver.clone(),
+        n => format!("{} n {n}", score.solver),
+    }
+}
+
+fn write(folder: &Path, name: &str, all: &[Chart]) -> Result<()> {
+    if all.is_empty() {
+        return Ok(());
+    }
+    let image = charts(all, (2 * SIZE.0, SIZE.1 * all.len().div_ceil(2)));
+    write_png(folder.join(name), &image)
+}
+
+/// Error and repulsion per frame of every sequence and grid, and error and time against the number of iterations.
+pub(super) fn draw(folder: &Path, scores: &[Score]) -> Result<()> {
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
+    per_frame(folder, "per_frame.png", scores, ("e_CD x 1000", 1e3, |s| &s.per_frame.e_cd))?;
+    per_frame(folder, "repulsion.png", scores, ("repulsion", 1.0, |s| &s.per_frame.repulsion))?;
+    iterations(folder, scores)
+}
+
+/// What is plotted of a score: its name, a factor and the figures of the frames.
+type Figure = (&'static str, f64, fn(&Score) -> &Vec<f64>);
+
+fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Figure) -> Result<()> {
+    let mut curves: BTreeMap<(String, String), Vec<Curve>> = BTreeMap::new();
+    for score in scores.iter().filter(|s| s.stable) {
+        let points = of(score).iter().enumerate().map(|(f, &v)| [(f + 1) as f64, factor * v]);
+        let curve = Curve { label: label(score), points: points.collect() };
+        curves.entry((score.sequence.clone(), score.grid.clone())).or_default().push(curve);
+    }
+    let chart =
+        |((sequence, grid), curves)| Chart { title: format!("{sequence} {grid}: {name} per frame"), curves };
+    write(folder, file, &curves.into_iter().map(chart).collect::<Vec<_>>())
+}
+
+/// Means over the sequences of a grid and solver, by the number of iterations: of the error (x 1000) and the time \[ms\].
+fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
+    /// Error and time of every sequence, by the number of iterations.
+    type Figures = BTreeMap<usize, Vec<[f64; 2]>>;
+    let mut of: BTreeMap<(String, String), Figures> = BTreeMap::new();
+    for score in scores.iter().filter(|s| s.stable && s.iterations > 0) {
+        if let (Some(e), Some(ms)) = (score.e_cd, score.ms_per_frame) {
+            let of_solver = of.entry((score.grid.clone(), score.solver.clone())).or_default();
+            of_solver.entry(score.iterations).or_default().push([1e3 * e, ms]);
+        }
+    }
+    let mut grids: BTreeMap<String, [Vec<Curve>; 2]> = BTreeMap::new();
+    for ((grid, solver), means) in of {
+        for (k, curves) in grids.entry(grid).or_default().iter_mut().enumerate() {
+            let mean = |v: &[[f64; 2]]| v.iter().map(|v| v[k]).sum::<f64>() / v.len() as f64;
+            let points = means.iter().map(|(&n, v)| [n as f64, mean(v)]).collect();
+            curves.push(Curve { label: solver.clone(), points });
+        }
+    }
+    let charts: Vec<Chart> = grids
+        .into_iter()
+        .flat_map(|(grid, [errors, times])| {
+            [
+                Chart { title: format!("{grid}: e_CD x 1000 by iterations"), curves: errors },
+                Chart { title: format!("{grid}: ms per frame by iterations"), curves: times },
+            ]
+        })
+        .collect();
+    write(folder, "iterations.png", &charts)
+}
+
+/// The median energy gap of every optimizer after some numbers of iterations, on a converged simulation: its decimal
+/// logarithm, so that methods which differ by powers of ten fit on one chart.
+pub(super) fn convergence(
+    folder: &Path,
+    (sequence, grid): (&Sequence, Grid),
+    (optimizers, frames): (Vec<Optimizer>, usize),
+    physics: &Physics,
+) -> Result<()> {
+    let mut scene = sequence.scene(grid, physics)?;
+    scene.frames = Some(sequence.truth.frames().min(frames).min(CONVERGENCE_FRAMES));
+    let setup = scene.setup()?;
+    let controls = (1..setup.frames()).map(|frame| setup.control(frame));
+    let track = Track::new(&setup.model, setup.start.clone(), controls, 4.min(setup.frames() - 1))?;
+    let mut curves: Vec<Curve> = Vec::new();
+    for optimizer in optimizers {
+        // One that converges whatever the number of iterations has no curve, and neither has one twice.
+        if matches!(optimizer, Optimizer::Newton) || curves.iter().any(|c| c.label == optimizer.name()) {
+            continue;
+        }
+        let mut points = Vec::new();
+        for n in ITERATIONS {
+            // Beyond the start it has diverged, and no more is to be seen.
+            let gap = track.median_gap(&optimizer, n)?;
+            points.push([n as f64, if gap < 1.0 { gap.log10() } else { f64::NAN }]);
+        }
+        curves.push(Curve { label: optimizer.name().to_owned(), points });
+    }
+    let title = format!("{} {grid}: log10 of the energy gap by iterations", sequence.name);
+    write(folder, "convergence.png", &[Chart { title, curves }])
+}
+
+/// A few frames of a sequence and, for each grid, of all that simulated it, coloured by their distance from the truth.
+pub(super) fn error_maps(folder: &Path, sequence: &Sequence, (all, frames): (&[Kept], usize)) -> Result<()> {
+    let truth = snapshots(&sequence.truth, frames);
+    let here = |kept: &&Kept| kept.score.sequence == sequence.name;
+    let mut grids: BTreeMap<&str, Vec<ErrorMap>> = BTreeMap::new();
+    for kept in all.iter().filter(here) {
+        let Some(found) = &kept.snapshots else { continue };
+        let errors = |f| vertex_errors((found.frame(f), found.grid()), (truth.frame(f), truth.grid()));
+        let map = ErrorMap {
+            label: label(&kept.score),
+            errors: (0..found.frames()).map(errors).collect(),
+            frames: found.clone(),
+        };
+        grids.entry(&kept.score.grid).or_default().push(map);
+    }
+    let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
+    let handles =
+        sequence.scene(sequence.grid(), &Physics::default())?.setup()?.model.cloths[0].handles.clone();
+    for (grid, maps) in grids {
+        let image = render::error_maps(&truth, &handles, &maps, &view);
+        write_png(folder.join(format!("errors_{}_{grid}.png", sequence.name)), &image)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,89 @@
+//! `fnopt evaluate --suite`: how far solvers generalise.
+
+use super::Args;
+use crate::cli::{Ending, interrupt_flag};
+use anyhow::Result;
+use fnopt::Error;
+use fnopt::eval::suite::{self, Case, CaseScore, Suite};
+use fnopt::eval::{Entry, Table};
+use fnopt::render::{StripOptions, View, strip, write_png};
+use fnopt::sim::Grid;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::ops::ControlFlow;
+use std::sync::atomic::Ordering;
+
+impl Args {
+    /// The cases of a suite that take part.
+    fn cases(&self, suite: Suite, grid: Grid) -> fnopt::Result<Vec<Case>> {
+        let cases = suite.cases(grid)?;
+        let Some(names) = &self.sequences else { return Ok(cases) };
+        let known = || cases.iter().map(|case| case.name.as_str());
+        if let Some(name) = names.iter().find(|name| !known().any(|known| known == *name)) {
+            return Err(Error::unknown("--sequences", "case", name, known()));
+        }
+        Ok(cases.iter().filter(|case| names.contains(&case.name)).cloned().collect())
+    }
+
+    /// Runs the cases of a suite with each solver on each grid.
+    pub(super) fn run_suite(
+        &self,
+        suite: Suite,
+        entries: &[Entry],
+        grids: &[Grid],
+        frames: usize,
+    ) -> Result<Ending> {
+        let (device, line) = self.device.open()?;
+        eprintln!("{line}");
+        let mut jobs = Vec::new();
+        for entry in entries {
+            for &grid in grids {
+                jobs.extend(self.cases(suite, grid)?.into_iter().map(|case| (entry, case)));
+            }
+        }
+        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} cases, {eta} left  {msg}");
+        let bar = ProgressBar::new(jobs.len() as u64).with_style(style.expect("the template is valid"));
+        let interrupted = interrupt_flag();
+        let tick = || match interrupted.load(Ordering::Relaxed) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        };
+        let mut scores: Vec<(String, CaseScore)> = Vec::new();
+        let mut complete = true;
+        for (entry, case) in jobs {
+            bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
+            let solver = (&entry.optimizer, entry.iterations);
+            let Some((score, trajectory)) = suite::run(&case, solver, &device, (frames, !self.no_gap), tick)?
+            else {
+                complete = false;
+                break;
+            };
+            let setup = case.scene.setup()?;
+            let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
+            let options = StripOptions { view, ..Default::default() };
+            let image = strip(&trajectory, &setup.model.cloths[0].handles, &options);
+            let file = format!("{}_{}_{}.png", entry.name, score.grid, score.case).replace(' ', "_");
+            write_png(self.out.join(file), &image)?;
+            scores.push((entry.name.clone(), score));
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        let of = |entry: &Entry| -> Vec<CaseScore> {
+            scores.iter().filter(|(name, _)| *name == entry.name).map(|(_, score)| score.clone()).collect()
+        };
+        let tables: Vec<Table> = entries.iter().map(|entry| suite::table(&entry.name, &of(entry))).collect();
+        let named: Vec<_> = scores
+            .iter()
+            .map(|(solver, score)| serde_json::json!({"solver": solver, "score": score}))
+            .collect();
+        self.write_tables(&tables, &named)?;
+        if !complete {
+            eprintln!("interrupted; the cases so far are above");
+        }
+        let sound = scores.iter().all(|(_, score)| score.sound());
+        Ok(match (complete, sound) {
+            (false, _) => Ending::Interrupted,
+            (true, false) => Ending::CheckFailed,
+            (true, true) => Ending::Done,
+        })
+    }
+}

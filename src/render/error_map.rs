@@ -1,0 +1,103 @@
+//! Frames of several systems beside the truth, coloured by their distance from it.
+
+use super::{
+    Image, View,
+    stage::{Size, Stage},
+    text,
+};
+use crate::io::Trajectory;
+use rayon::prelude::*;
+
+/// One system's frames.
+#[derive(Clone, Debug)]
+pub struct ErrorMap {
+    /// Name; letters appear as capitals.
+    pub label: String,
+    /// Its frames, as many as the truth's.
+    pub frames: Trajectory,
+    /// Distance of each vertex of each frame from the truth \[m\].
+    pub errors: Vec<Vec<f32>>,
+}
+
+/// Height of a panel \[px\].
+const HEIGHT: usize = 300;
+/// Share of the vertices of all maps that the colours span; the rest is as dark as the darkest.
+const SPAN: f64 = 0.98;
+
+/// Draws a row of frames of the truth and below it one of each map, all in one scale of colours, which the caption of the
+/// first row tells. `handles` are vertices of the truth to mark.
+pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view: &View) -> Image {
+    assert!(truth.frames() > 0, "there are frames to draw");
+    let mut all: Vec<f32> = maps.iter().flat_map(|map| &map.errors).flatten().copied().collect();
+    all.retain(|error| error.is_finite());
+    all.sort_by(f32::total_cmp);
+    let largest = all.get((all.len() as f64 * SPAN) as usize).copied().unwrap_or(1.0).max(1e-6);
+
+    // The camera of the truth for all, on whatever grid they are.
+    let stage = Stage::new(truth, handles, view, Size::Height(HEIGHT), 3);
+    let [width, _] = stage.size;
+    let caption =
+        |image: &mut Image, line: &str, y: f32| text::write(image, &line.to_uppercase(), [10.0, y], 11.0);
+    let scale = format!("darkest: {largest:.2} m");
+    let truths = (0..truth.frames()).into_par_iter().map(|frame| {
+        let mut image = stage.draw(truth.frame(frame));
+        if frame == 0 {
+            caption(&mut image, "truth", 10.0);
+            caption(&mut image, &scale, HEIGHT as f32 - 24.0);
+        }
+        image
+    });
+    let mut rows: Vec<Vec<Image>> = vec![truths.collect()];
+    for map in maps {
+        let own = stage.on(map.frames.grid());
+        let draw = |frame: usize| {
+            let heat: Vec<f32> = map.errors[frame].iter().map(|error| error / largest).collect();
+            let mut image = own.draw_heat(map.frames.frame(frame), &heat);
+            let mean = map.errors[frame].iter().map(|&e| f64::from(e)).sum::<f64>() / heat.len() as f64;
+            if frame == 0 {
+                caption(&mut image, &map.label, 10.0);
+            }
+            caption(&mut image, &format!("mean {mean:.3} m"), HEIGHT as f32 - 24.0);
+            image
+        };
+        rows.push((0..truth.frames()).into_par_iter().map(draw).collect());
+    }
+    let mut image = Image::new(width * truth.frames(), HEIGHT * rows.len());
+    for (y, row) in rows.iter().enumerate() {
+        for (x, panel) in row.iter().enumerate() {
+            image.paste(panel, [x * width, y * HEIGHT]);
+        }
+    }
+    image
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::Grid;
+
+    #[test]
+    fn what_is_off_is_darker() {
+        let sheet = |grid: Grid, off: f32| {
+            let at = |k: usize, n: usize| k as f32 / (n - 1) as f32;
+            let place = |p: usize| [off, 1.0 - at(p / grid.w, grid.h), at(p % grid.w, grid.w)];
+            let positions: Vec<[f32; 3]> = (0..grid.particles()).map(place).collect();
+            let mut trajectory = Trajectory::new(grid, 60.0);
+            trajectory.push(&positions, &positions);
+            trajectory
+        };
+        let truth = sheet(Grid { h: 10, w: 10 }, 0.0);
+        let map = |h: usize, off: f32| {
+            let frames = sheet(Grid { h, w: h }, off);
+            ErrorMap { label: "a".into(), errors: vec![vec![off; h * h]], frames }
+        };
+        let view = View { azimuth: Some(0.0), elevation: Some(0.0), ..View::default() };
+        let image = error_maps(&truth, &[0], &[map(10, 0.0), map(17, 0.02)], &view);
+        let row = |k: usize| {
+            let middle = &image.pixels[image.width * (k * HEIGHT + HEIGHT / 2)..][..image.width];
+            middle.iter().map(|p| u64::from(p[1])).sum::<u64>()
+        };
+        assert_eq!(image.height, 3 * HEIGHT);
+        assert!(row(2) < row(1), "{} and {}", row(1), row(2));
+    }
+}
