@@ -1,0 +1,141 @@
+"""Runs fnopt and the same frame in PyTorch in turn on this machine and writes a table of their times.
+
+    python3 benches/peers/compare.py [--grid 32,64,100] [--rounds 3] [--device cpu|cuda] [--adapter NAME] [--markdown FILE]
+
+Each round runs everything once, one after the other; a cell is the median of the rounds. Before that both compute the same
+frames from the same sheet, which must agree to 1e-3 of its side; exit code 1 when they do not. Needs PyTorch, numpy and
+safetensors, and the program built (`cargo build --release`).
+"""
+
+import argparse
+import json
+import pathlib
+import statistics
+import subprocess
+import sys
+import tempfile
+
+import numpy
+
+HERE = pathlib.Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+FRAME_TIME, GRAVITY = 1 / 60, 9.8
+# Later ones drift apart: ten iterations of the optimizer multiply rounding.
+FRAMES_COMPARED = 3
+TOLERANCE = 1e-3
+
+
+def run(command):
+    done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
+    if done.returncode != 0:
+        sys.exit(f"{' '.join(map(str, command))}\n{done.stderr}")
+    return done.stdout
+
+
+class Comparison:
+    def __init__(self, options, folder):
+        self.options, self.folder = options, folder
+        self.ours = ["--device", "cpu"]
+        if options.device == "cuda":
+            self.ours = ["--device", "gpu"] + (["--adapter", options.adapter] if options.adapter else [])
+
+    def sheet(self, n):
+        """A drape that the air stops carrying: our frames of it in edges, [F, n, n, 3]. (A flat sheet would not do: whole
+        components of its first gradient are zero, and what the optimizer makes of their rounding differs.)"""
+        scene = {
+            "grid": [n, n],
+            "up": "z",
+            "motion": "none",
+            "wind": {"density": 0, "drag": 0},
+            "frames": FRAMES_COMPARED + 4,
+            "frame_time_s": FRAME_TIME,
+            "gravity": GRAVITY,
+        }
+        path = self.folder / f"scene_{n}.json"
+        path.write_text(json.dumps(scene))
+        out = self.folder / f"ours_{n}"
+        command = [self.options.program, "rollout", path, "--checkpoint", self.options.checkpoint, "--out", out]
+        run(command + self.ours + ["--no-pictures", "--format", "npy"])
+        (frames,) = out.glob("*.npy")
+        return numpy.load(frames).reshape(-1, n, n, 3) * (n - 1)
+
+    def peer(self, n, mode, tf32=False, more=()):
+        down = -GRAVITY * FRAME_TIME**2 * (n - 1)
+        command = [sys.executable, HERE / "torch_frame.py", "--checkpoint", self.options.checkpoint]
+        command += ["--start", self.folder / f"start_{n}.npy", "--held", 0, n * (n - 1), "--gravity", 0, 0, down]
+        command += ["--mode", mode, "--device", self.options.device, "--threads", self.options.threads]
+        command += ["--frames", self.options.frames, *(["--tf32"] if tf32 else []), *more]
+        return json.loads(run(command).splitlines()[-1])
+
+    def check(self, n):
+        """Both from the same sheet; the largest distance after a few frames, in sides."""
+        ours = self.sheet(n)
+        numpy.save(self.folder / f"start_{n}.npy", ours[0])
+        path = self.folder / f"peer_{n}.npy"
+        self.peer(n, "eager", more=["--out", path])
+        theirs = numpy.load(path)[:FRAMES_COMPARED]
+        apart = numpy.linalg.norm(ours[1 : FRAMES_COMPARED + 1] - theirs, axis=-1).max() / (n - 1)
+        if not apart < TOLERANCE:
+            sys.exit(f"{n}x{n}: the frames are {apart:.2e} of the side apart, not {TOLERANCE:g}")
+        return apart
+
+    def fnopt(self, n):
+        command = [self.options.program, "bench", "--grid", n, "--frames", self.options.frames, "--json"]
+        rows = json.loads(run(command + self.ours))
+        return (rows["rows"] if isinstance(rows, dict) else rows)[0]["ms_per_frame"]
+
+    def systems(self):
+        if self.options.device == "cuda":
+            modes = [("eager", False), ("compiled", True), ("graph", False), ("graph", True)]
+        else:
+            modes = [(mode, False) for mode in self.options.modes.split(",")]
+        name = lambda mode, tf32: f"PyTorch {mode}" + (", TF32" if tf32 else "")
+        peers = {name(*which): lambda n, which=which: self.peer(n, *which)["ms_per_frame"] for which in modes}
+        return {"fnopt": self.fnopt, **peers}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--grid", default="32,64,100")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--frames", type=int, default=10, help="timed in each run, after three that are not")
+    parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
+    parser.add_argument("--modes", default="eager,compiled", help="on the CPU: eager, compiled or both")
+    parser.add_argument("--threads", type=int, default=2, help="of PyTorch on the CPU; fnopt takes RAYON_NUM_THREADS")
+    parser.add_argument("--adapter", help="of fnopt, with --device cuda")
+    parser.add_argument("--program", default=ROOT / "target/release/fnopt")
+    parser.add_argument("--checkpoint", default=ROOT / "assets/weights/fnopt.safetensors")
+    parser.add_argument("--markdown", type=pathlib.Path)
+    options = parser.parse_args()
+    if options.frames < FRAMES_COMPARED:
+        parser.error(f"--frames: at least {FRAMES_COMPARED}")
+
+    with tempfile.TemporaryDirectory() as folder:
+        comparison = Comparison(options, pathlib.Path(folder))
+        grids = [int(n) for n in options.grid.split(",")]
+        for n in grids:
+            apart = comparison.check(n)
+            print(f"{n}x{n}: the same frames to {apart:.1e} of the side", file=sys.stderr)
+        systems = comparison.systems()
+        times = {(name, n): [] for name in systems for n in grids}
+        for round_ in range(options.rounds):
+            for n in grids:
+                for name, measure in systems.items():
+                    times[name, n].append(measure(n))
+            print(f"round {round_ + 1} of {options.rounds}", file=sys.stderr)
+
+    median = {key: statistics.median(values) for key, values in times.items()}
+    heads = ["grid"] + [f"{name} [ms]" for name in systems] + ["fnopt / best PyTorch"]
+    lines = [f"| {' | '.join(heads)} |", "|---|" + "---:|" * (len(heads) - 1)]
+    for n in grids:
+        best = min(median[name, n] for name in systems if name != "fnopt")
+        cells = [f"{median[name, n]:.1f}" for name in systems] + [f"{median['fnopt', n] / best:.2f}"]
+        lines.append(f"| {n}x{n} | {' | '.join(cells)} |")
+    table = "\n".join(lines) + "\n"
+    print(table, end="")
+    if options.markdown:
+        options.markdown.write_text(table)
+
+
+if __name__ == "__main__":
+    main()
