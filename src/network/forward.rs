@@ -27,6 +27,8 @@ pub struct Forward {
     pub scalar: Tensor,
     pub(super) hidden: Tensor,
     keep: Keep,
+    /// Whether the first layer of the projection changes nothing ([`Weights::folded`]) and is left out.
+    folded: bool,
     activations: Vec<Tensor>,
     /// What is before the GELU of each block but the last, shape [S, C, H, W'], and of the projection's hidden layer; only
     /// with [`Keep::Adjoint`].
@@ -95,7 +97,10 @@ impl Forward {
         shape: (Grid, usize),
         keep: Keep,
     ) -> Result<Self> {
-        Self::with_parameters(context, &Parameters::new(context, weights, tuning)?, tuning, shape, keep)
+        let parameters = Parameters::new(context, weights, tuning)?;
+        let mut forward = Self::with_parameters(context, &parameters, tuning, shape, keep)?;
+        forward.folded = keep == Keep::Nothing && weights.is_folded();
+        Ok(forward)
     }
 
     /// The same on weights that are on the device already, and may change there.
@@ -146,6 +151,7 @@ impl Forward {
             scalar: zeros("scalar", &[samples])?,
             hidden: zeros("hidden", &[lifted_at_once, config.lifting, h, w])?,
             keep,
+            folded: false,
             activations,
             before_gelu,
             projected,
@@ -191,7 +197,8 @@ impl Forward {
             k.spectral.push(schedule, &self.layers.products[block], spectrum, &s.product);
             k.inverse_columns.push(schedule, &s.inverse_columns, &s.product, &s.inverse);
             let last = block + 1 == self.config.layers;
-            let kernel = if last || self.keep == Keep::Adjoint { &k.block } else { &k.block_gelu };
+            let gelu = if last { self.folded } else { self.keep != Keep::Adjoint };
+            let kernel = if gelu { &k.block_gelu } else { &k.block };
             let before = self.before_gelu.get(block).filter(|_| !last);
             let tensors = BlockTensors { x, r: &s.inverse, y: before.unwrap_or(y) };
             kernel.push(schedule, &self.layers.skips[block], &s.inverse_rows, tensors);
@@ -205,6 +212,10 @@ impl Forward {
         }
         let [inner, outer] = &self.layers.projection;
         let y = slot(self.config.layers);
+        if self.folded {
+            k.project.push(schedule, outer, y, &self.field);
+            return;
+        }
         match self.before_gelu.last() {
             Some(before) => {
                 k.dense.push(schedule, inner, y, before);

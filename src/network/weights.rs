@@ -66,6 +66,21 @@ pub struct Dense {
     pub bias: Vec<f32>,
 }
 
+impl Dense {
+    /// Whether it changes nothing.
+    fn is_identity(&self) -> bool {
+        let n = self.bias.len();
+        self.bias.iter().all(|&b| b == 0.0) && self.weight == identity(n)
+    }
+}
+
+/// The identity as a weight, shape [n, n].
+fn identity(n: usize) -> Vec<f32> {
+    let mut weight = vec![0.0; n * n];
+    weight.iter_mut().step_by(n + 1).for_each(|w| *w = 1.0);
+    weight
+}
+
 /// A Fourier block: `y = K(x) + S x + bias`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Block {
@@ -121,6 +136,56 @@ impl Weights {
             projection: [dense(config.projection, c), dense(1, config.projection)],
             scalar: dense(1, c),
         }
+    }
+
+    /// The same network with less to do: nothing is between the last block and the first layer of the projection, so that layer
+    /// is multiplied into the block and the identity takes its place. As it is where the layer is not square, or the scalar
+    /// head reads that block.
+    pub fn folded(&self) -> Self {
+        let mut folded = self.clone();
+        let Config { channels: c, projection, layers, .. } = self.config;
+        if projection != c || layers < 2 {
+            return folded;
+        }
+        let first = &self.projection[0];
+        let weight = |to: usize, from: usize| f64::from(first.weight[to * c + from]);
+        let (block, last) = (&self.blocks[layers - 1], &mut folded.blocks[layers - 1]);
+        for to in 0..c {
+            let of = |value: &dyn Fn(usize) -> f32| {
+                (0..c).map(|from| weight(to, from) * f64::from(value(from))).sum::<f64>()
+            };
+            last.bias[to] = (of(&|from| block.bias[from]) + f64::from(first.bias[to])) as f32;
+            for input in 0..c {
+                last.skip[to * c + input] = of(&|from| block.skip[from * c + input]) as f32;
+            }
+        }
+        let numbers = 2 * self.config.modes();
+        let inputs =
+            last.spectral.chunks_exact_mut(c * numbers).zip(block.spectral.chunks_exact(c * numbers));
+        for (new, old) in inputs {
+            let mut sums = vec![0.0; numbers];
+            for (to, new) in new.chunks_exact_mut(numbers).enumerate() {
+                sums.fill(0.0);
+                for (from, old) in old.chunks_exact(numbers).enumerate() {
+                    let factor = weight(to, from);
+                    sums.iter_mut().zip(old).for_each(|(sum, &z)| *sum += factor * f64::from(z));
+                }
+                new.iter_mut().zip(&sums).for_each(|(z, &sum)| *z = sum as f32);
+            }
+        }
+        let [identity, _] = &mut folded.projection;
+        identity.bias.fill(0.0);
+        identity
+            .weight
+            .iter_mut()
+            .enumerate()
+            .for_each(|(k, w)| *w = if k % (c + 1) == 0 { 1.0 } else { 0.0 });
+        folded
+    }
+
+    /// Whether the first layer of the projection changes nothing and may be left out, as in [`Weights::folded`].
+    pub fn is_folded(&self) -> bool {
+        self.config.layers > 1 && self.projection[0].is_identity()
     }
 
     /// All parameters in one fixed order: lifting, blocks (spectral, bias, skip), projection, scalar head. Training works

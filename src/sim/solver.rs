@@ -310,7 +310,7 @@ impl Rule {
     fn learned(context: &Context, weights: &Weights, tuning: &Tuning, shape: (Grid, usize)) -> Result<Self> {
         let (grid, samples) = shape;
         Ok(Self::Learned {
-            forward: Box::new(Forward::new(context, weights, tuning, shape, Keep::Nothing)?),
+            forward: Box::new(Forward::new(context, &weights.folded(), tuning, shape, Keep::Nothing)?),
             hidden: Tensor::zeros(context, "hidden state", &[2, samples, grid.particles()])?,
             scale: Tensor::zeros(context, "scale", &[samples])?,
         })

@@ -52,6 +52,32 @@ fn odd_sizes_keep_modes_in_their_place() {
     check("network_forward_33x47");
 }
 
+/// Weights in which a layer is multiplied into another are those of the same network, to the rounding of the products.
+#[test]
+fn folded_weights_make_the_same_network() {
+    let golden = Golden::open("network_forward_33x47");
+    let (grid, samples) = grid_of(&golden);
+    let (weights, input) = (weights(), golden.get("input"));
+    let folded = weights.folded();
+    assert!(folded.is_folded() && !weights.is_folded());
+    assert_eq!(folded.folded(), folded);
+    let double = |weights| {
+        let mut network = Network::<f64>::new(weights, grid, samples).unwrap();
+        network.forward(&input);
+        (network.field().to_vec(), network.scalar().to_vec())
+    };
+    let ((field, scalar), (found_field, found_scalar)) = (double(&weights), double(&folded));
+    assert!(relative_error(&found_field, &field) < 1e-6 && found_scalar == scalar);
+    let mut single = Network::<f32>::new(&folded, grid, samples).unwrap();
+    single.forward(&narrowed(&input));
+    assert!(relative_error(&widened(single.field()), &field) < TOLERANCE);
+
+    // Where the shapes do not allow it, the weights stay.
+    let config = fnopt::network::Config { projection: 32, ..weights.config };
+    let other = fnopt::network::Weights::zeros(config);
+    assert_eq!(other.folded(), other);
+}
+
 #[test]
 fn batches_equal_single_samples_bit_for_bit() {
     let golden = Golden::open("network_forward_16x24");

@@ -42,14 +42,13 @@ struct Pass {
     scalar: Vec<f32>,
 }
 
-fn forward(weights: &Weights, tuning: &Tuning, (grid, samples): (Grid, usize), fields: &[f32]) -> Pass {
-    let context = context();
-    let config = weights.config;
-    let pass =
-        context.checked(|| Forward::new(context, weights, tuning, (grid, samples), Keep::Blocks)).unwrap();
+/// A pass over `fields`, done.
+fn done(weights: &Weights, tuning: &Tuning, shape: (Grid, usize), (fields, keep): (&[f32], Keep)) -> Forward {
+    let (context, (grid, _)) = (context(), shape);
+    let pass = context.checked(|| Forward::new(context, weights, tuning, shape, keep)).unwrap();
     let n = grid.particles();
     let mut embedded = Vec::new();
-    for fields in fields.chunks_exact(config.fields * n) {
+    for fields in fields.chunks_exact(weights.config.fields * n) {
         embedded.extend_from_slice(fields);
         embedded.extend((0..n).map(|p| (p / grid.w) as f32 / (grid.h - 1) as f32));
         embedded.extend((0..n).map(|p| (p % grid.w) as f32 / (grid.w - 1) as f32));
@@ -58,6 +57,12 @@ fn forward(weights: &Weights, tuning: &Tuning, (grid, samples): (Grid, usize), f
     let mut schedule = Schedule::new(context);
     pass.push(&mut schedule);
     context.submit(|encoder| schedule.record(encoder));
+    pass
+}
+
+fn forward(weights: &Weights, tuning: &Tuning, (grid, samples): (Grid, usize), fields: &[f32]) -> Pass {
+    let (config, n) = (weights.config, grid.particles());
+    let pass = done(weights, tuning, (grid, samples), (fields, Keep::Blocks));
     // Channels that were added to fill a tile come last in each sample.
     let channels = |i: usize| -> Vec<f32> {
         let activation = pass.activation(i);
@@ -96,6 +101,25 @@ fn check(weights: &Weights, (grid, samples): (Grid, usize)) {
         }
         close("field", &found.field, host.field());
         close("scalar", &found.scalar, host.scalar());
+    }
+}
+
+/// Weights whose projection is multiplied into the last block, as solvers use them: a layer less, the same results.
+#[test]
+fn folded_networks_match_the_host() {
+    let _turn = device();
+    let (grid, samples) = (Grid { h: 31, w: 33 }, 3);
+    let config = Config { lifting: 20, channels: 12, projection: 12, layers: 2, ..Config::default() };
+    for weights in [(**starter()).clone(), random(config)] {
+        let fields: Vec<f32> = noise(samples * 3 * grid.particles(), 121).iter().map(|v| 3.0 * v).collect();
+        let mut host = Network::<f64>::new(&weights, grid, samples).unwrap();
+        host.forward(&widened(&fields));
+        for tuning in tunings() {
+            let pass = done(&weights.folded(), &tuning, (grid, samples), (&fields, Keep::Nothing));
+            let field = read_unpadded(&pass.field, grid);
+            assert_close("field", &field, host.field(), (2e-5 * largest(host.field()), 0.0));
+            assert_close("scalar", &read(&pass.scalar), host.scalar(), (2e-5 * largest(host.scalar()), 0.0));
+        }
     }
 }
 

@@ -17,6 +17,8 @@ const TESTED_ELSEWHERE: &[(&str, &str)] = &[
     ("advance", "draw"),
     ("store", "draw"),
     ("squares", "adamw"),
+    ("cosine_order", "quasi_newton"),
+    ("rest_modes", "quasi_newton"),
     // The passes of a transform mean something only together.
     ("pack_pairs", "real_fft2"),
     ("unpack_pairs", "real_fft2"),
@@ -35,6 +37,8 @@ const TWINS: &[(&str, &str)] = &[
     ("features", "optim/update"),
     ("rescale", "optim/update"),
     ("gradient_descent", "optim/gd"),
+    ("cosine_order", "optim/rest_hessian"),
+    ("rest_modes", "optim/rest_hessian"),
     ("transform_rows", "operator/transform"),
     ("transform_columns", "operator/transform"),
     ("inverse_columns", "operator/transform"),

@@ -233,14 +233,15 @@ impl<T: Real> Network<T> {
         let kept = optional_chunks(kept, h * row, samples);
         let finish_row =
             |(y, z, pooled): (&mut [T], &mut [T], &mut [T]), field: &mut [T], scratch: &mut [T]| {
-                if last {
-                    projection.apply(field, y, scratch);
-                } else {
+                if !last {
                     T::gelu(y);
                     transform.row_forward(z, y);
                 }
                 if pools {
                     scalar_head.pool(pooled, y);
+                }
+                if last {
+                    projection.apply(field, y, scratch);
                 }
             };
         let activations = x.par_chunks(h * row).zip(y.par_chunks_mut(h * row));

@@ -30,6 +30,8 @@ impl<T: Real> ProjectionGradient<T> {
 /// The two layers of the projection, `C -> hidden -> 1`.
 pub(super) struct Projection<T> {
     hidden: Pointwise<T>,
+    /// Whether the first layer changes nothing, as in [`Weights::folded`].
+    folded: bool,
     weight: Vec<T>,
     bias: T,
 }
@@ -43,7 +45,7 @@ impl<T: Real> Projection<T> {
         for (to, &from) in weight.iter_mut().zip(&second.weight) {
             *to = T::of(from as f64);
         }
-        Self { hidden, weight, bias: T::of(second.bias[0] as f64) }
+        Self { hidden, folded: weights.is_folded(), weight, bias: T::of(second.bias[0] as f64) }
     }
 
     /// The cotangents `adj_x` [positions, C] for those of the field, `adj_field` \[positions\], at the input `x`
@@ -104,8 +106,13 @@ impl<T: Real> Projection<T> {
         vec![T::zero(); SEGMENT * self.hidden.outputs()]
     }
 
-    /// `field` \[positions\] from `x` [positions, C].
-    pub fn apply(&self, field: &mut [T], x: &[T], scratch: &mut [T]) {
+    /// `field` \[positions\] from `x` [positions, C], which may be changed.
+    pub fn apply(&self, field: &mut [T], x: &mut [T], scratch: &mut [T]) {
+        if self.folded {
+            T::gelu(x);
+            weighted_rows(field, self.bias, x, &self.weight);
+            return;
+        }
         let channels = x.len() / field.len();
         for (field, x) in field.chunks_mut(SEGMENT).zip(x.chunks(SEGMENT * channels)) {
             let hidden = &mut scratch[..field.len() * self.hidden.outputs()];

@@ -41,7 +41,11 @@ pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dy
     let (grid, batch) = (model.grid, model.batch());
     let cloth = 3 * grid.particles();
     Ok(match *optimizer {
-        Optimizer::Learned(ref weights) => Box::new(Update::new(weights, grid, 3 * batch)?),
+        // In double precision the digits of the weights as they are count for more than a layer less.
+        Optimizer::Learned(ref weights) => match size_of::<T>() < size_of::<f64>() {
+            true => Box::new(Update::new(&weights.folded(), grid, 3 * batch)?),
+            false => Box::new(Update::new(weights, grid, 3 * batch)?),
+        },
         Optimizer::GradientDescent { rate } => Box::new(GradientDescent::new(rate)),
         Optimizer::Adam { rate, beta1, beta2, epsilon } => {
             Box::new(Adam::new([rate, beta1, beta2, epsilon], batch * cloth))
