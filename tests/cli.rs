@@ -261,6 +261,10 @@ fn an_evaluation_keeps_its_scores_and_merges_shares() {
     refused(&["--suite", "motion"], &["motion", "did you mean motions?"]);
     refused(&["--grid", "4"], &["--grid", "8"]);
     refused(&["--shard", "2/2"], &["--shard", "0 to 1"]);
+    refused(&["--material", "1,2"], &["--material", "three numbers or a file"]);
+    refused(&["--material", "1,2,-3"], &["--material", "not negative"]);
+    std::fs::write(clean.path().join("m.json"), r#"{"material": {"stretch": 1, "shear": "8"}}"#).unwrap();
+    refused(&["--material", "m.json"], &["m.json", "material.shear", "a number"]);
     refused(&["--compare", "ours=nowhere"], &["--compare", "a folder"]);
     std::fs::create_dir(clean.path().join("empty")).unwrap();
     refused(&["--compare", "ours=empty"], &["empty", "xy_v2.npz"]);

@@ -281,16 +281,16 @@ fn a_known_material_is_found_again() {
         levels: 2,
         rounds: 1,
     };
-    let mut surface = Surface::default();
+    let file = folder.path().join("fit.csv");
+    let mut surface = Surface::load(&file, &fit).unwrap();
     let mut calls = 0;
     let mut few = |_: &Surface, _: usize| {
         calls += 1;
         Ok(if calls == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
     };
     fit.search(&mut surface, &mut few).unwrap();
-    let file = folder.path().join("fit.csv");
     surface.write(&file).unwrap();
-    let mut again = Surface::load(&file).unwrap();
+    let mut again = Surface::load(&file, &fit).unwrap();
     assert_eq!(again, surface, "what was tried is known again");
     let known = again.sorted().len();
     fit.search(&mut again, |_, _| Ok(ControlFlow::Continue(()))).unwrap();
@@ -299,6 +299,11 @@ fn a_known_material_is_found_again() {
     assert!((stretch / 400.0 - 1.0).abs() < 1e-9 && (shear / 4.0 - 1.0).abs() < 1e-9, "{stretch}, {shear}");
     // What sampling two equal surfaces leaves.
     assert!(error < 3e-3, "{error}");
-    std::fs::write(&file, "stretch\n1,2\n").unwrap();
-    assert!(Surface::load(&file).unwrap_err().to_string().contains("line 2: expected seven numbers"));
+    // Errors of fewer frames are others, and damage is named.
+    let shorter = Fit { settings: Settings { frames: 10, ..fit.settings }, ..fit.clone() };
+    let refused = Surface::load(&file, &shorter).unwrap_err().to_string();
+    assert!(refused.contains("line 1: expected # made (10 frames) on 12x12"), "{refused}");
+    std::fs::write(&file, format!("# {}\nstretch\n1,2\n", fit.subject())).unwrap();
+    let refused = Surface::load(&file, &fit).unwrap_err().to_string();
+    assert!(refused.contains("line 3: expected seven numbers"), "{refused}");
 }

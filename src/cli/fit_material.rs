@@ -90,7 +90,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     if let Some(folder) = args.out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
         std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
     }
-    let mut surface = Surface::load(&args.out)?;
+    let mut surface = Surface::load(&args.out, &fit)?;
     let style = ProgressStyle::with_template("{spinner} {pos} points tried, {elapsed}  {msg}");
     let bar = ProgressBar::new_spinner().with_style(style.expect("the template is valid"));
     let interrupted = interrupt_flag();

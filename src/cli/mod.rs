@@ -94,8 +94,8 @@ pub fn run(cli: Cli) -> ExitCode {
 /// Which optimizer, with which weights.
 #[derive(Debug, clap::Args)]
 pub struct SolverArgs {
-    /// Optimizer of each frame: fnopt (learned), gd, adam, lbfgs, quasi-newton; on the CPU also newton, which converges
-    /// whatever the number of iterations
+    /// Optimizer of each frame: fnopt (learned), gd, adam, lbfgs, quasi-newton; on the CPU also quasi-newton-exact, and newton,
+    /// which converges whatever the number of iterations
     #[arg(long, default_value = "fnopt", value_name = "S")]
     solver: String,
     /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]

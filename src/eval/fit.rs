@@ -36,24 +36,33 @@ pub struct Fit<'a> {
 /// Errors of the points that were tried: mean e_CD [m^2], infinite where the simulation diverged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
+    /// What the errors are of ([`Fit::subject`]).
+    subject: String,
     /// By the point's numbers, written out.
     errors: BTreeMap<String, (Point, f64)>,
 }
 
 impl Surface {
-    /// Reads the errors of an earlier search; nothing when there is no such file.
-    pub fn load(path: &Path) -> Result<Self> {
-        let mut surface = Self::default();
+    /// Reads the errors of an earlier search for the same `fit`; nothing when there is no such file.
+    pub fn load(path: &Path, fit: &Fit<'_>) -> Result<Self> {
+        let mut surface = Self { subject: fit.subject(), ..Self::default() };
         if !path.is_file() {
             return Ok(surface);
         }
         let bytes = io::read_bytes(path)?;
         let text = String::from_utf8_lossy(&bytes);
-        for (number, line) in text.lines().enumerate().skip(1) {
+        let bad = |number: usize, expected: &str, line: &str| {
+            let (origin, field) = (path.display().to_string(), format!("line {}", number + 1));
+            Error::invalid(origin, field, expected, line)
+        };
+        let first = text.lines().next().unwrap_or_default();
+        if first.strip_prefix("# ") != Some(&surface.subject) {
+            return Err(bad(0, &format!("# {}, as in a search for the same", surface.subject), first));
+        }
+        for (number, line) in text.lines().enumerate().skip(2) {
             let values: Vec<f64> = line.split(',').filter_map(|v| v.parse().ok()).collect();
             let Ok([point @ .., error]) = <[f64; 7]>::try_from(values) else {
-                let (origin, field) = (path.display().to_string(), format!("line {}", number + 1));
-                return Err(Error::invalid(origin, field, "seven numbers", line));
+                return Err(bad(number, "seven numbers", line));
             };
             surface.errors.insert(key(&point), (point, error));
         }
@@ -67,7 +76,8 @@ impl Surface {
             format!("{}\n", values.join(","))
         };
         let lines: String = self.sorted().iter().map(line).collect();
-        io::write_atomic(path, |file| write!(file, "{},e_cd\n{lines}", PARAMETERS.join(",")))
+        let heads = PARAMETERS.join(",");
+        io::write_atomic(path, |file| write!(file, "# {}\n{heads},e_cd\n{lines}", self.subject))
     }
 
     /// All points with their errors, the best first.
@@ -83,6 +93,13 @@ fn key(point: &Point) -> String {
 }
 
 impl Fit<'_> {
+    /// What an error is of, for points to be compared: sequences, grid, frames and points.
+    pub fn subject(&self) -> String {
+        let of = |s: &Sequence| format!("{} ({} frames)", s.name, s.truth.frames().min(self.settings.frames));
+        let sequences: Vec<String> = self.sequences.iter().map(of).collect();
+        format!("{} on {} with {} points", sequences.join(" "), self.grid, self.settings.points)
+    }
+
     /// Searches, going on from what `surface` knows already. `tried` is called with the surface after each few points and
     /// may end the search.
     pub fn search(

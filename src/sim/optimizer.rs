@@ -40,6 +40,9 @@ pub enum Optimizer {
         history: usize,
         /// A pair is kept when `y.s` exceeds this.
         curvature: f64,
+        /// Whether that Hessian is factored with the handles held, sparsely and in double precision (CPU path only), rather
+        /// than inverted by a cosine transform as if they were free.
+        factored: bool,
     },
     /// Newton's method with sparse Cholesky factors and line search, in double precision until it has converged
     /// ([`crate::cpu::Reference`]), whatever the number of iterations: the physics itself, to compare with. CPU path only.
@@ -48,7 +51,8 @@ pub enum Optimizer {
 
 impl Optimizer {
     /// Names of the optimizers on command lines and in reports.
-    pub const NAMES: [&str; 6] = ["fnopt", "gd", "adam", "lbfgs", "quasi-newton", "newton"];
+    pub const NAMES: [&str; 7] =
+        ["fnopt", "gd", "adam", "lbfgs", "quasi-newton", "quasi-newton-exact", "newton"];
 
     /// The learned optimizer with these weights.
     pub fn learned(weights: Weights) -> Self {
@@ -72,7 +76,12 @@ impl Optimizer {
 
     /// The quasi-Newton method: history 5, step 1, pairs with `y.s > 1e-12`.
     pub fn quasi_newton() -> Self {
-        Self::QuasiNewton { history: 5, curvature: 1e-12 }
+        Self::QuasiNewton { history: 5, curvature: 1e-12, factored: false }
+    }
+
+    /// The quasi-Newton method with exact factors of the Hessian at rest.
+    pub fn quasi_newton_exact() -> Self {
+        Self::QuasiNewton { history: 5, curvature: 1e-12, factored: true }
     }
 
     /// The classical optimizer of that name with the paper's settings, or the learned one made by `weights`.
@@ -83,6 +92,7 @@ impl Optimizer {
             "adam" => Ok(Self::adam()),
             "lbfgs" => Ok(Self::lbfgs()),
             "quasi-newton" => Ok(Self::quasi_newton()),
+            "quasi-newton-exact" => Ok(Self::quasi_newton_exact()),
             "newton" => Ok(Self::Newton),
             other => Err(Error::unknown("--solver", "solver", other, Self::NAMES)),
         }
@@ -95,7 +105,8 @@ impl Optimizer {
             Self::GradientDescent { .. } => "gd",
             Self::Adam { .. } => "adam",
             Self::Lbfgs { .. } => "lbfgs",
-            Self::QuasiNewton { .. } => "quasi-newton",
+            Self::QuasiNewton { factored: false, .. } => "quasi-newton",
+            Self::QuasiNewton { factored: true, .. } => "quasi-newton-exact",
             Self::Newton => "newton",
         }
     }

@@ -106,11 +106,11 @@ impl Solver {
             Optimizer::Lbfgs { history, curvature } => {
                 Rule::Lbfgs { history, curvature, memory: LbfgsMemory::new(context, batch, n, history)? }
             }
-            Optimizer::QuasiNewton { history, curvature } => {
+            Optimizer::QuasiNewton { history, curvature, factored: false } => {
                 let memory = LbfgsMemory::new(context, batch, n, history)?;
                 Rule::QuasiNewton { history, curvature, memory }
             }
-            Optimizer::Newton => {
+            Optimizer::QuasiNewton { factored: true, .. } | Optimizer::Newton => {
                 let found = format!("{}, which lacks it; the CPU path has it", context.name());
                 return Err(Error::invalid(
                     "--solver",

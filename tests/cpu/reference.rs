@@ -1,6 +1,6 @@
 //! The quasi-Newton method and the converged reference.
 
-use fnopt::cpu::optim::RestHessian;
+use fnopt::cpu::optim::{FactoredRestHessian, InverseHessian, RestHessian};
 use fnopt::cpu::{Objective, Reference, Track};
 use fnopt::scene::{Scene, Setup};
 use fnopt::sim::{Cloth, Control, Grid, Material, Model, Optimizer, State};
@@ -110,8 +110,66 @@ fn optimizers_close_a_part_of_the_gap() {
     let track = track(Grid { h: 32, w: 32 }, 1..41, 5);
     let gap = |optimizer, iterations| track.median_gap(&optimizer, iterations).unwrap();
     let quasi_newton = [10, 15, 20].map(|iterations| gap(Optimizer::quasi_newton(), iterations));
+    // Handles that are held exactly.
+    let exact = gap(Optimizer::quasi_newton_exact(), 10);
+    assert!(exact < 1.05 * quasi_newton[0], "{exact:.4}, {quasi_newton:.4?}");
     let (lbfgs, descent) = (gap(Optimizer::lbfgs(), 10), gap(Optimizer::gradient_descent(), 10));
-    println!("quasi-newton {quasi_newton:.4?}, lbfgs {lbfgs:.3}, gd {descent:.3}");
+    println!("quasi-newton {quasi_newton:.4?}, exact {exact:.4}, lbfgs {lbfgs:.3}, gd {descent:.3}");
     assert!(quasi_newton.is_sorted_by(|a, b| a > b) && quasi_newton[2] > 0.0, "{quasi_newton:?}");
     assert!(quasi_newton[0] < 0.15 && quasi_newton[0] < lbfgs && lbfgs < descent && descent < 1.0);
+}
+
+/// Without handles both ways to invert the Hessian at rest are the same; with them, the factors undo the matrix where
+/// particles are free: the residual of the stencil, worked out here from the eigenvectors of the cosine transform.
+#[test]
+fn both_inverses_of_the_hessian_at_rest_agree() {
+    let grid = Grid { h: 9, w: 12 };
+    let free = Cloth { handles: vec![], ..scene(9, 12).model.cloths[0].clone() };
+    let field: Vec<f64> = (0..3 * 108).map(|k| ((k * 7919 % 101) as f64 - 50.0) / 50.0).collect();
+    let (mut cosine, mut factored) = (field.clone(), field.clone());
+    RestHessian::<f64>::new(grid, &free).apply(&mut cosine);
+    FactoredRestHessian::new(grid, &free).unwrap().apply(&mut factored);
+    let largest = cosine.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+    let apart = cosine.iter().zip(&factored).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-10 * largest, "{apart:e} of {largest:e}");
+
+    let held = Cloth { handles: vec![0, 50, 107], ..free.clone() };
+    let mut solved = field.clone();
+    FactoredRestHessian::new(grid, &held).unwrap().apply(&mut solved);
+    assert!(held.handles.iter().all(|&p| solved[p] == 0.0 && solved[216 + p] == 0.0));
+    // The free Hessian times the solution is the field where particles are free: its inverse brings the solution back when
+    // the forces that hold the handles are added to the field.
+    let mut inverse = RestHessian::<f64>::new(grid, &free);
+    let column = |p: usize, inverse: &mut RestHessian<f64>| {
+        let mut unit = vec![0.0; 108];
+        unit[p] = 1.0;
+        inverse.apply(&mut unit);
+        unit
+    };
+    let columns = [0, 50, 107].map(|p| column(p, &mut inverse));
+    let mut without = field[..108].to_vec();
+    held.handles.iter().for_each(|&p| without[p] = 0.0);
+    inverse.apply(&mut without);
+    // What remains of the solution beyond that is a combination of the columns of the handles.
+    let rest: Vec<f64> = solved[..108].iter().zip(&without).map(|(a, b)| a - b).collect();
+    let matrix = [0, 1, 2].map(|r| [0, 1, 2].map(|c| columns[c][held.handles[r]]));
+    let right = [0, 1, 2].map(|r| rest[held.handles[r]]);
+    let forces = solve3(matrix, right);
+    for p in 0..108 {
+        let combined: f64 = (0..3).map(|c| forces[c] * columns[c][p]).sum();
+        assert!((rest[p] - combined).abs() < 1e-9 * largest, "particle {p}");
+    }
+}
+
+/// Cramer's rule.
+fn solve3(m: [[f64; 3]; 3], b: [f64; 3]) -> [f64; 3] {
+    let det = |m: [[f64; 3]; 3]| {
+        m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])
+            + m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0])
+    };
+    [0, 1, 2].map(|k| {
+        let mut replaced = m;
+        (0..3).for_each(|r| replaced[r][k] = b[r]);
+        det(replaced) / det(m)
+    })
 }

@@ -47,9 +47,10 @@ pub struct Args {
     /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Energy coefficients stretch, shear, bend
-    #[arg(long, value_delimiter = ',', default_value = "1000,8,0.5", value_name = "KS,KH,KB")]
-    material: Vec<f64>,
+    /// Energy coefficients stretch, shear, bend, or a JSON file with them under "material" [default: those fitted to the
+    /// trajectories of assets/ground_truth, assets/materials/arcsim.json]; suites have their own
+    #[arg(long, value_name = "KS,KH,KB|FILE")]
+    material: Option<String>,
     /// Density of the air [kg/m^3] [default: the sequence's]
     #[arg(long, value_name = "DENSITY")]
     wind: Option<f64>,
@@ -223,14 +224,10 @@ impl Kept {
 
 impl Args {
     fn settings(&self) -> fnopt::Result<Settings> {
-        let &[stretch, shear, bend] = &self.material[..] else {
-            let found = format!("{} numbers", self.material.len());
-            return Err(Error::invalid("--material", "coefficients", "three numbers", found));
-        };
         if self.points == 0 || self.frames.is_some_and(|frames| frames < 2) {
             return Err(Error::invalid("--points, --frames", "counts", "a point and two frames", "fewer"));
         }
-        let material = Material { stretch, shear, bend };
+        let material = material(self.material.as_deref())?;
         let physics = Physics { material, density: self.wind, drag: None, frame_time_s: None };
         Ok(Settings { physics, points: self.points, frames: self.frames.unwrap_or(usize::MAX) })
     }
@@ -377,6 +374,45 @@ impl Args {
         }
         Ok(())
     }
+}
+
+/// The fitted material.
+const MATERIAL: &str = include_str!("../../../assets/materials/arcsim.json");
+
+/// Three numbers or a file of them; the fitted ones where nothing is given.
+fn material(text: Option<&str>) -> fnopt::Result<Material> {
+    let coefficients = match text {
+        None => of_file("the fitted material", MATERIAL.as_bytes())?,
+        Some(text) if text.contains(',') => {
+            let numbers: Vec<f64> = text.split(',').filter_map(|n| n.trim().parse().ok()).collect();
+            let three = <[f64; 3]>::try_from(numbers);
+            three
+                .map_err(|_| Error::invalid("--material", "coefficients", "three numbers or a file", text))?
+        }
+        Some(path) => {
+            let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot read", e))?;
+            of_file(path, &bytes)?
+        }
+    };
+    if !coefficients.iter().all(|k| k.is_finite() && *k >= 0.0) {
+        let found = format!("{coefficients:?}");
+        return Err(Error::invalid("--material", "coefficients", "numbers that are not negative", found));
+    }
+    let [stretch, shear, bend] = coefficients;
+    Ok(Material { stretch, shear, bend })
+}
+
+/// Stretch, shear and bend under `material` of a JSON object.
+fn of_file(origin: &str, bytes: &[u8]) -> fnopt::Result<[f64; 3]> {
+    let bad = |field: String, expected: &str, found: String| Error::invalid(origin, field, expected, found);
+    let object: serde_json::Value =
+        serde_json::from_slice(bytes).map_err(|e| bad("text".into(), "JSON", e.to_string()))?;
+    let mut coefficients = [0.0; 3];
+    for (to, key) in coefficients.iter_mut().zip(["stretch", "shear", "bend"]) {
+        let value = &object["material"][key];
+        *to = value.as_f64().ok_or_else(|| bad(format!("material.{key}"), "a number", value.to_string()))?;
+    }
+    Ok(coefficients)
 }
 
 /// `32` or `48x32`.

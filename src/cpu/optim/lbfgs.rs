@@ -1,7 +1,8 @@
 //! Limited-memory BFGS by the two-loop recursion, with step 1 and a history that is cleared every frame; from a multiple of
 //! the identity, or from the Hessian at rest, with which it is the quasi-Newton method.
 
-use super::{Minimizer, RestHessian};
+use super::{FactoredRestHessian, InverseHessian, Minimizer, RestHessian};
+use crate::Result;
 use crate::cpu::Real;
 use crate::sim::Model;
 use rayon::prelude::*;
@@ -25,7 +26,7 @@ pub(in crate::cpu) struct History<T> {
     started: bool,
     pub direction: Vec<T>,
     /// The inverse Hessian without history; the identity, scaled by the newest pair, if there is none.
-    initial: Option<RestHessian<T>>,
+    initial: Option<Box<dyn InverseHessian<T>>>,
 }
 
 struct Pair<T> {
@@ -40,11 +41,18 @@ impl<T: Real> Lbfgs<T> {
         Self { cloths: (0..batch).map(|_| History::new(history, len, None)).collect(), curvature, len }
     }
 
-    /// The quasi-Newton method: the same for the cloths of `model`, from their Hessians at rest.
-    pub fn from_rest(history: usize, curvature: f64, model: &Model) -> Self {
+    /// The quasi-Newton method: the same for the cloths of `model`, from their Hessians at rest, which are `factored` or
+    /// inverted by a cosine transform; an error when there is no memory for the factors.
+    pub fn from_rest((history, curvature): (usize, f64), factored: bool, model: &Model) -> Result<Self> {
         let len = 3 * model.grid.particles();
-        let cloth = |cloth| History::new(history, len, Some(RestHessian::new(model.grid, cloth)));
-        Self { cloths: model.cloths.iter().map(cloth).collect(), curvature, len }
+        let initial = |cloth| -> Result<Box<dyn InverseHessian<T>>> {
+            Ok(match factored {
+                true => Box::new(FactoredRestHessian::new(model.grid, cloth)?),
+                false => Box::new(RestHessian::new(model.grid, cloth)),
+            })
+        };
+        let cloth = |cloth| Ok(History::new(history, len, Some(initial(cloth)?)));
+        Ok(Self { cloths: model.cloths.iter().map(cloth).collect::<Result<_>>()?, curvature, len })
     }
 }
 
@@ -80,7 +88,7 @@ impl<T: Real> Minimizer<T> for Lbfgs<T> {
 
 impl<T: Real> History<T> {
     /// An empty history of at most `pairs` pairs for `len` unknowns.
-    pub fn new(pairs: usize, len: usize, initial: Option<RestHessian<T>>) -> Self {
+    pub fn new(pairs: usize, len: usize, initial: Option<Box<dyn InverseHessian<T>>>) -> Self {
         let zeros = || vec![T::zero(); len];
         let pair = |_| Pair { s: zeros(), y: zeros(), inverse: 0.0 };
         Self {

@@ -11,7 +11,7 @@ pub use adam::Adam;
 pub use gd::GradientDescent;
 pub use lbfgs::Lbfgs;
 pub(super) use lbfgs::dot;
-pub use rest_hessian::RestHessian;
+pub use rest_hessian::{FactoredRestHessian, InverseHessian, RestHessian};
 pub(super) use update::norm;
 pub use update::{Hidden, Update};
 pub use update_adj::UpdateAdjoint;
@@ -51,8 +51,8 @@ pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dy
             Box::new(Adam::new([rate, beta1, beta2, epsilon], batch * cloth))
         }
         Optimizer::Lbfgs { history, curvature } => Box::new(Lbfgs::new(history, curvature, cloth, batch)),
-        Optimizer::QuasiNewton { history, curvature } => {
-            Box::new(Lbfgs::from_rest(history, curvature, model))
+        Optimizer::QuasiNewton { history, curvature, factored } => {
+            Box::new(Lbfgs::from_rest((history, curvature), factored, model)?)
         }
         Optimizer::Newton => {
             let expected = "an optimizer that takes nothing but the gradient";

@@ -1,9 +1,20 @@
-//! The Hessian of a flat sheet's energy, inverted by a cosine transform: where quasi-Newton methods start from.
+//! The Hessian of a flat sheet's energy, inverted by a cosine transform or factored: where quasi-Newton methods start from.
 
 use crate::cpu::Real;
 use crate::cpu::matmul::{LANES, Start, Target, Term, product};
 use crate::sim::{Cloth, Grid, Material};
+use crate::{Error, Result};
+use faer::linalg::solvers::Solve;
+use faer::sparse::linalg::solvers::Llt;
+use faer::sparse::{SparseColMat, Triplet};
+use faer::{MatMut, Side};
 use std::f64::consts::PI;
+
+/// What quasi-Newton methods take for the inverse Hessian before they know better.
+pub trait InverseHessian<T>: Send + Sync {
+    /// Replaces each component of `direction` [3, H, W] by the inverse Hessian times it; 0 at handles.
+    fn apply(&mut self, direction: &mut [T]);
+}
 
 /// `H0^-1 = P C^T diag(1 / lambda) C P`: the two-dimensional cosine transform C (DCT-II, orthonormal) makes the energy's
 /// Hessian at rest nearly diagonal; P zeroes the handles, which do not move (after Liu, Bouaziz and Kavan 2017).
@@ -66,8 +77,13 @@ impl<T: Real> RestHessian<T> {
         }
     }
 
-    /// Replaces each component of `direction` [3, H, W] by `H0^-1` times it.
-    pub fn apply(&mut self, direction: &mut [T]) {
+    fn hold(&self, component: &mut [T]) {
+        self.handles.iter().for_each(|&p| component[p] = T::zero());
+    }
+}
+
+impl<T: Real> InverseHessian<T> for RestHessian<T> {
+    fn apply(&mut self, direction: &mut [T]) {
         let Grid { h, w } = self.grid;
         for component in direction.chunks_exact_mut(h * w) {
             self.hold(component);
@@ -108,9 +124,83 @@ impl<T: Real> RestHessian<T> {
             self.hold(component);
         }
     }
+}
 
-    fn hold(&self, component: &mut [T]) {
-        self.handles.iter().for_each(|&p| component[p] = T::zero());
+/// The same Hessian on the free particles alone, by its sparse Cholesky factors in double precision: exact at the handles, too.
+///
+/// With the second differences D of a row and of a column of particles it is
+/// `1/(HW) + 2 k_stretch (D_H / ((H-1) W) + D_W / (H (W-1))) + 2 k_bend/(HW) (D_H^2 + D_W^2) + 4 k_shear/(HW) (D_H + D_W)`.
+pub struct FactoredRestHessian {
+    factors: Llt<usize, f64>,
+    handles: Vec<usize>,
+    component: Vec<f64>,
+}
+
+impl FactoredRestHessian {
+    /// For one cloth; an error when there is no memory for the factors.
+    pub fn new(grid: Grid, cloth: &Cloth) -> Result<Self> {
+        let Grid { h, w } = grid;
+        let (n, Material { stretch, shear, bend }) = ((h * w) as f64, cloth.material);
+        let along = |length: usize, lines: usize, d: f64, d2: f64| {
+            d * (2.0 * stretch / ((length - 1) * lines) as f64 + 4.0 * shear / n) + d2 * 2.0 * bend / n
+        };
+        let mut held = vec![false; grid.particles()];
+        cloth.handles.iter().for_each(|&p| held[p] = true);
+        let mut triplets = Vec::new();
+        for (q, &held) in held.iter().enumerate() {
+            let (i, j) = (q / w, q % w);
+            if held {
+                triplets.push(Triplet::new(q, q, 1.0));
+                continue;
+            }
+            // The lower triangle: particles further down or to the right.
+            for k in i..(i + 3).min(h) {
+                let mut value = along(h, w, second_difference(h, k, i), square_of_it(h, k, i));
+                if k == i {
+                    value += 1.0 / n + along(w, h, second_difference(w, j, j), square_of_it(w, j, j));
+                }
+                triplets.push(Triplet::new(k * w + j, q, value));
+            }
+            for l in j + 1..(j + 3).min(w) {
+                let value = along(w, h, second_difference(w, l, j), square_of_it(w, l, j));
+                triplets.push(Triplet::new(i * w + l, q, value));
+            }
+        }
+        triplets.retain(|t| t.row == t.col || !held[t.row]);
+        let failed = |e: &dyn std::fmt::Debug| Error::Device(format!("cpu: the Hessian at rest: {e:?}"));
+        let particles = grid.particles();
+        let matrix = SparseColMat::<usize, f64>::try_new_from_triplets(particles, particles, &triplets)
+            .map_err(|e| failed(&e))?;
+        let factors = matrix.sp_cholesky(Side::Lower).map_err(|e| failed(&e))?;
+        Ok(Self { factors, handles: cloth.handles.clone(), component: vec![0.0; particles] })
+    }
+}
+
+/// `D[a, b]` of a line of `n` particles: 2 (1 at its ends) on the diagonal, -1 beside it.
+fn second_difference(n: usize, a: usize, b: usize) -> f64 {
+    match a.abs_diff(b) {
+        0 => 2.0 - f64::from(u8::from(a == 0)) - f64::from(u8::from(a + 1 == n)),
+        1 => -1.0,
+        _ => 0.0,
+    }
+}
+
+/// `(D D)[a, b]`.
+fn square_of_it(n: usize, a: usize, b: usize) -> f64 {
+    (a.saturating_sub(1)..(a + 2).min(n))
+        .map(|k| second_difference(n, a, k) * second_difference(n, k, b))
+        .sum()
+}
+
+impl<T: Real> InverseHessian<T> for FactoredRestHessian {
+    fn apply(&mut self, direction: &mut [T]) {
+        let n = self.component.len();
+        for component in direction.chunks_exact_mut(n) {
+            self.component.iter_mut().zip(&*component).for_each(|(to, &from)| *to = from.f64());
+            self.handles.iter().for_each(|&p| self.component[p] = 0.0);
+            self.factors.solve_in_place(MatMut::from_column_major_slice_mut(&mut self.component, n, 1));
+            component.iter_mut().zip(&self.component).for_each(|(to, &from)| *to = T::of(from));
+        }
     }
 }
 
