@@ -285,3 +285,38 @@ fn a_suite_fails_when_a_case_is_not_sound() {
     let bad = suite("single-pass");
     assert_eq!(bad.status.code(), Some(1), "{}", text(&bad.stdout));
 }
+
+/// On the software adapter that the tests need anyway.
+#[test]
+fn a_tuning_is_stored_for_its_adapter_and_used() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = folder.path().join("cache");
+    let run = |arguments: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
+        let arguments = [arguments, &["--adapter", "llvmpipe", "--iterations", "1"]].concat();
+        command.current_dir(folder.path()).args(&arguments).env("FNOPT_CACHE", &cache);
+        let output = command.output().expect("the command starts");
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
+        (text(&output.stdout), text(&output.stderr))
+    };
+    let (dry, _) = run(&["tune", "--grid", "8", "--dry-run"]);
+    assert!(dry.contains("best: tile ") && !cache.exists(), "{dry}");
+    let (tuned, _) = run(&["tune", "--grid", "8", "--json"]);
+    let tuned: serde_json::Value = serde_json::from_str(&tuned).unwrap();
+    let times: Vec<f64> =
+        tuned["tried"].as_array().unwrap().iter().map(|t| t["ms"].as_f64().unwrap()).collect();
+    assert!(times.len() > 5 && times.iter().all(|&ms| ms > 0.0), "{times:?}");
+    let file = tuned["file"].as_str().unwrap();
+    let stored: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+    assert_eq!(stored["tuning"], tuned["best"]);
+
+    let rollout = ["rollout", "--device", "gpu", "--frames", "2", "--no-pictures"];
+    let (_, log) = run(&rollout);
+    assert!(!log.contains("no tuning of"), "{log}");
+    // What is damaged, or asks for what the kernels cannot do, is said and passed over.
+    for damage in ["{", &stored.to_string().replace("\"channels\":", "\"channels\":3")] {
+        std::fs::write(file, damage).unwrap();
+        let (_, log) = run(&rollout);
+        assert!(log.contains("no tuning of"), "{damage}: {log}");
+    }
+}

@@ -38,13 +38,16 @@ fn sheets_swing_and_fall_without_tearing() {
     sound(Suite::Motions, &["xyz_v3"], (square(32), 60, 5));
     // From a fresh memory, where whole components of the first gradient are zero.
     sound(Suite::Handles, &["corners flat", "single-corner flat"], (square(64), 15, 10));
-    sound(Suite::Handles, &["corners flat"], (square(100), 6, 10));
+    sound(Suite::Handles, &["corners flat", "diagonal drape"], (square(100), 6, 10));
+    sound(Suite::Handles, &["single-center flat"], (square(128), 5, 10));
     sound(Suite::Handles, &["mid-edge drape"], (Grid { h: 48, w: 32 }, 20, 10));
 }
 
+/// On the first frames of the default scene. At 64x64 the classical method is as good there; over a whole motion it is not
+/// (the README's table).
 #[test]
-fn ten_iterations_beat_the_classical_method() {
-    for (n, frames, most) in [(32, 40, 0.04), (64, 12, 0.06)] {
+fn ten_iterations_come_close_to_the_minimum() {
+    for (n, frames, most) in [(32, 40, 0.03), (64, 12, 0.06)] {
         let mut scene = Scene::default();
         scene.regrid(Grid { h: n, w: n }).unwrap();
         let setup = scene.setup().unwrap();
@@ -53,6 +56,7 @@ fn ten_iterations_beat_the_classical_method() {
         let gap = |optimizer| track.median_gap(&optimizer, 10).unwrap();
         let (learned, classical) = (gap(learned()), gap(Optimizer::quasi_newton()));
         println!("{n}x{n}: {learned:.4}, quasi-newton {classical:.4}");
-        assert!(learned < most && learned < classical, "{n}x{n}: {learned:.4}, quasi-newton {classical:.4}");
+        assert!(learned < most, "{n}x{n}: {learned:.4}");
+        assert!(n > 32 || learned < 0.5 * classical, "{n}x{n}: {learned:.4}, quasi-newton {classical:.4}");
     }
 }

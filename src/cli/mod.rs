@@ -8,6 +8,7 @@ mod fit_material;
 mod inspect;
 mod rollout;
 mod train;
+mod tune;
 mod verify;
 
 use clap::{Parser, Subcommand};
@@ -48,6 +49,8 @@ enum Command {
     Inspect(inspect::Args),
     /// Time frames, kernels and their recording
     Bench(bench::Args),
+    /// Find the tile sizes that suit this machine's adapter and keep them
+    Tune(tune::Args),
 }
 
 /// How a subcommand ended when it did not fail.
@@ -73,6 +76,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Doctor(args) => doctor::run(&args),
         Command::Inspect(args) => inspect::run(&args),
         Command::Bench(args) => bench::run(&args),
+        Command::Tune(args) => tune::run(&args),
     };
     match ending {
         Ok(Ending::Done) => ExitCode::SUCCESS,

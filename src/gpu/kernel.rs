@@ -43,7 +43,8 @@ impl From<usize> for Unroll {
 }
 
 /// How operands are read whose address is the same for all invocations of a subgroup.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
 pub enum Sharing {
     /// Every invocation loads them: hardware serves equal addresses at once.
     Loads,

@@ -8,8 +8,11 @@ pub mod fft;
 pub mod operator;
 pub mod optim;
 pub mod train;
+mod tuning;
 
-use crate::gpu::{AdapterKind, Context, Sharing, Source, Unroll};
+pub use tuning::{CHANNEL_MULTIPLE, Tuning};
+
+use crate::gpu::Source;
 
 /// Texts that hold only functions and constants, appended to the kernels that call them.
 pub(crate) mod common {
@@ -70,44 +73,6 @@ pub const ALL: &[(&Source, usize)] = &[
     (&fft::radix4::SOURCE, 0),
     (&fft::radix_prime::SOURCE, 0),
 ];
-
-/// Sizes of tiles and workgroups that suit a kind of adapter. Results do not depend on them beyond rounding.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Tuning {
-    /// Output channels per invocation of the matrix products, a divisor of [`CHANNEL_MULTIPLE`] and a multiple of 4.
-    pub channels: usize,
-    /// Invocations per workgroup of the pointwise layers.
-    pub pointwise_group: u32,
-    /// Largest number of invocations of a block's workgroup along a row.
-    pub block_wide: u32,
-    /// Rows per workgroup of a block.
-    pub block_high: u32,
-    /// How operands that a subgroup shares are read.
-    pub sharing: Sharing,
-    /// Largest size of the lifting's hidden layer \[bytes\]; more samples than fit are lifted in turn.
-    pub hidden_bytes: usize,
-}
-
-/// Channel counts are padded to a multiple of this, the largest tile.
-pub const CHANNEL_MULTIPLE: usize = 32;
-
-impl Tuning {
-    /// What was measured to be good: wide tiles and one row to a workgroup where every lane's load is a branch and a
-    /// move of its own (llvmpipe), smaller tiles and more invocations where there are thousands of lanes to fill.
-    pub fn new(context: &Context) -> Self {
-        let (channels, block_wide, block_high) = match context.kind() {
-            AdapterKind::Software => (32, 64, 1),
-            AdapterKind::Hardware => (8, 8, 8),
-        };
-        let sharing = context.sharing();
-        Self { channels, pointwise_group: 64, block_wide, block_high, sharing, hidden_bytes: 256 << 20 }
-    }
-
-    /// The text of a kernel with a tile of this size.
-    pub fn unroll(&self, tile: usize) -> Unroll {
-        Unroll { tile, sharing: self.sharing }
-    }
-}
 
 /// Number of columns of a network tensor's row: the grid's, rounded up to quads.
 pub fn padded(columns: usize) -> usize {

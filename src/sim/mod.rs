@@ -6,6 +6,7 @@ mod optimizer;
 mod simulator;
 mod solver;
 mod stats;
+mod tune;
 
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub(crate) use model::cast;
@@ -14,3 +15,4 @@ pub use optimizer::Optimizer;
 pub use simulator::{Device, Frame, Simulator};
 pub use solver::{INITIAL_SCALE, Solver, SolverOptions};
 pub use stats::{EnergyTerms, FrameStats, Iterations};
+pub use tune::tune;

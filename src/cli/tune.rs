@@ -1,0 +1,87 @@
+//! `fnopt tune`: finds the tile sizes that suit the adapter at hand.
+
+use super::device::{DeviceArgs, DeviceKind};
+use super::{Ending, SolverArgs, interrupt_flag};
+use anyhow::Result;
+use fnopt::Error;
+use fnopt::kernels::Tuning;
+use fnopt::scene::{Scene, Setup};
+use fnopt::sim::{Device, Grid, tune};
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::sync::atomic::Ordering;
+
+/// Arguments of `fnopt tune`.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// Rows and columns of the cloths that are timed
+    #[arg(long, default_value_t = 64, value_name = "N")]
+    grid: usize,
+    /// Cloths that advance together
+    #[arg(long, default_value_t = 1, value_name = "B", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    batch: u32,
+    /// Adapter to run on, by part of its name or by its number in `fnopt doctor` [default: the best]
+    #[arg(long, value_name = "NAME|INDEX")]
+    adapter: Option<String>,
+    #[command(flatten)]
+    solver: SolverArgs,
+    /// Measure only; store nothing
+    #[arg(long)]
+    dry_run: bool,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &Args) -> Result<Ending> {
+    let device = DeviceArgs { device: DeviceKind::Gpu, adapter: args.adapter.clone() };
+    let (Device::Gpu(context), line) = device.open()? else {
+        return Err(Error::Device("the CPU path has nothing to tune".into()).into());
+    };
+    eprintln!("{line}");
+    let mut scene = Scene::default();
+    scene.regrid(Grid::new(args.grid, args.grid, "--grid")?)?;
+    let setups = Setup::batch(&vec![scene.setup()?; args.batch as usize])?;
+    let (optimizer, start) = (args.solver.optimizer()?, setups.start.cast());
+    let interrupted = interrupt_flag();
+    let mut out = std::io::stdout().lock();
+    let mut all = Vec::new();
+    let mut failed = Ok(());
+    let mut tried = |tuning: &Tuning, ms: f64| {
+        all.push(serde_json::json!({ "tuning": tuning, "ms": ms }));
+        if !args.json {
+            failed = writeln!(out, "{ms:9.3} ms/frame  {}", describe(tuning));
+        }
+        match failed.is_err() || interrupted.load(Ordering::Relaxed) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    };
+    let best = tune(&context, (&setups.model, &start), &optimizer, args.solver.iterations(), &mut tried)?;
+    failed?;
+    if interrupted.load(Ordering::Relaxed) {
+        eprintln!("interrupted; nothing is stored");
+        return Ok(Ending::Interrupted);
+    }
+    let stored = match args.dry_run {
+        true => None,
+        false => Some(best.store(&context)?),
+    };
+    if args.json {
+        let result =
+            serde_json::json!({ "adapter": context.name(), "best": best, "file": stored, "tried": all });
+        writeln!(out, "{result:#}")?;
+        return Ok(Ending::Done);
+    }
+    writeln!(out, "best: {}", describe(&best))?;
+    if let Some(path) = stored {
+        writeln!(out, "stored in {}; remove the file to go back", path.display())?;
+    }
+    Ok(Ending::Done)
+}
+
+fn describe(tuning: &Tuning) -> String {
+    let Tuning { channels, pointwise_group, block_wide, block_high, sharing, .. } = tuning;
+    format!("tile {channels}, block {block_wide}x{block_high}, group {pointwise_group}, {sharing:?}")
+        .to_lowercase()
+}

@@ -1,0 +1,136 @@
+//! Sizes that suit an adapter: a table of good ones, and what was measured on the adapter at hand.
+
+use crate::gpu::{AdapterKind, Context, Sharing, Unroll};
+use crate::{Error, Result, io};
+use std::io::Write;
+use std::path::PathBuf;
+
+/// Sizes of tiles and workgroups that suit a kind of adapter. Results do not depend on them beyond rounding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Tuning {
+    /// Output channels per invocation of the matrix products, a divisor of [`CHANNEL_MULTIPLE`] and a multiple of 4.
+    pub channels: usize,
+    /// Invocations per workgroup of the pointwise layers.
+    pub pointwise_group: u32,
+    /// Largest number of invocations of a block's workgroup along a row.
+    pub block_wide: u32,
+    /// Rows per workgroup of a block.
+    pub block_high: u32,
+    /// How operands that a subgroup shares are read.
+    pub sharing: Sharing,
+    /// Largest size of the lifting's hidden layer \[bytes\]; more samples than fit are lifted in turn.
+    pub hidden_bytes: usize,
+}
+
+/// Channel counts are padded to a multiple of this, the largest tile.
+pub const CHANNEL_MULTIPLE: usize = 32;
+
+/// Most invocations of a workgroup that every device takes.
+const INVOCATIONS: u32 = 256;
+
+/// Variable of the environment that names the folder for what is measured, in place of the user's cache directory.
+const FOLDER: &str = "FNOPT_CACHE";
+
+/// A measured tuning as it is stored.
+#[derive(serde::Serialize, serde::Deserialize)]
+struct Stored {
+    /// Adapter, driver and backend it was measured on, and with which version of the program.
+    adapter: String,
+    version: String,
+    tuning: Tuning,
+}
+
+impl Tuning {
+    /// The tuning that was measured on this adapter ([`crate::sim::tune`]), if one is stored; else [`Tuning::table`].
+    pub fn new(context: &Context) -> Self {
+        Self::stored(context).unwrap_or_else(|| Self::table(context))
+    }
+
+    /// What was measured to be good for each kind of adapter: wide tiles and one row to a workgroup where every lane's load
+    /// is a branch and a move of its own (llvmpipe), smaller tiles and more invocations where there are thousands of
+    /// lanes to fill.
+    pub fn table(context: &Context) -> Self {
+        let (channels, block_wide, block_high) = match context.kind() {
+            AdapterKind::Software => (32, 64, 1),
+            AdapterKind::Hardware => (8, 8, 8),
+        };
+        let sharing = context.sharing();
+        Self { channels, pointwise_group: 64, block_wide, block_high, sharing, hidden_bytes: 256 << 20 }
+    }
+
+    /// The tunings that differ from this one in one respect and work on the adapter, by respect.
+    pub fn neighbours(&self, context: &Context) -> Vec<Vec<Self>> {
+        let channels = [4, 8, 16, 32].map(|channels| Self { channels, ..*self });
+        let groups = [32, 64, 128, 256].map(|pointwise_group| Self { pointwise_group, ..*self });
+        let shapes = [(8, 8), (16, 4), (16, 8), (32, 1), (32, 4), (64, 1)];
+        let shapes = shapes.map(|(block_wide, block_high)| Self { block_wide, block_high, ..*self });
+        let sharings = [Sharing::Loads, context.sharing()].map(|sharing| Self { sharing, ..*self });
+        let others = |all: &[Self]| -> Vec<Self> {
+            let mut found: Vec<Self> = Vec::new();
+            for tuning in all.iter().filter(|t| *t != self && t.works(context)) {
+                if !found.contains(tuning) {
+                    found.push(*tuning);
+                }
+            }
+            found
+        };
+        vec![others(&channels), others(&shapes), others(&groups), others(&sharings)]
+    }
+
+    /// Whether the kernels can be made with it on the adapter.
+    pub fn works(&self, context: &Context) -> bool {
+        let shared =
+            self.sharing == Sharing::Loads || (context.sharing() == self.sharing && self.block_high == 1);
+        let tile = self.channels >= 4 && self.channels.is_multiple_of(4);
+        let fits = |n: u32| (1..=INVOCATIONS).contains(&n);
+        let rows = self.block_wide.checked_mul(self.block_high);
+        let groups = fits(self.pointwise_group) && self.block_high > 0 && rows.is_some_and(fits);
+        shared && tile && groups && CHANNEL_MULTIPLE.is_multiple_of(self.channels) && self.hidden_bytes > 0
+    }
+
+    /// The text of a kernel with a tile of this size.
+    pub fn unroll(&self, tile: usize) -> Unroll {
+        Unroll { tile, sharing: self.sharing }
+    }
+
+    /// Where the tuning of an adapter is stored: in the folder that `FNOPT_CACHE` names, else in `fnopt` of the user's cache
+    /// directory. None where there is no such directory.
+    pub fn path(context: &Context) -> Option<PathBuf> {
+        let folder = match std::env::var_os(FOLDER) {
+            Some(folder) => PathBuf::from(folder),
+            None => dirs::cache_dir()?.join("fnopt"),
+        };
+        let mut sum = crc32fast::Hasher::new();
+        sum.update(context.name().as_bytes());
+        sum.update(env!("CARGO_PKG_VERSION").as_bytes());
+        Some(folder.join(format!("tuning_{:08x}.json", sum.finalize())))
+    }
+
+    /// What is stored for the adapter. A file that is damaged or of something else counts as none, and is said.
+    fn stored(context: &Context) -> Option<Self> {
+        let path = Self::path(context)?;
+        let bytes = std::fs::read(&path).ok()?;
+        let stored: Option<Stored> = serde_json::from_slice(&bytes).ok();
+        let fits = |s: &Stored| s.adapter == context.name() && s.version == env!("CARGO_PKG_VERSION");
+        let found = stored.filter(fits).map(|s| s.tuning).filter(|tuning| tuning.works(context));
+        if found.is_none() {
+            tracing::warn!("{}: no tuning of {}; the table's is used", path.display(), context.name());
+        }
+        found
+    }
+
+    /// Stores it for the adapter, to be found by [`Tuning::new`] from then on; the file.
+    pub fn store(&self, context: &Context) -> Result<PathBuf> {
+        let nowhere = || Error::Device(format!("no cache directory to store a tuning in; set {FOLDER}"));
+        let path = Self::path(context).ok_or_else(nowhere)?;
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
+        }
+        let (adapter, version) = (context.name().to_owned(), env!("CARGO_PKG_VERSION").to_owned());
+        let json = serde_json::to_vec_pretty(&Stored { adapter, version, tuning: *self });
+        let json = json.expect("a tuning is plain data");
+        io::write_atomic(&path, |file| file.write_all(&json))?;
+        Ok(path)
+    }
+}
