@@ -279,8 +279,13 @@ fn a_suite_fails_when_a_case_is_not_sound() {
     };
     let good = suite("newton");
     assert_eq!(good.status.code(), Some(0), "{}", text(&good.stderr));
-    let picture = folder.path().join("out/evaluate/newton_12x12_corners_flat.png");
+    let picture = folder.path().join("out/evaluate/newton_1_12x12_corners_flat.png");
     assert!(picture.is_file());
+    assert_eq!(suite("interpolation").status.code(), Some(2));
+    // Two numbers of iterations are two tables.
+    let both = suite("lbfgs:50,lbfgs:100");
+    let rows = text(&both.stdout).lines().filter(|line| line.starts_with("corners flat")).count();
+    assert_eq!(rows, 2, "{}", text(&both.stdout));
     // One pass of a network that was trained for more.
     let bad = suite("single-pass");
     assert_eq!(bad.status.code(), Some(1), "{}", text(&bad.stdout));

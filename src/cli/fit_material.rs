@@ -1,16 +1,14 @@
 //! `fnopt fit-material`: finds the material of recorded trajectories.
 
-use super::{Ending, interrupt_flag};
+use super::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::fit::{Fit, PARAMETERS, Surface};
 use fnopt::eval::{Physics, Sequence, Settings};
-use fnopt::sim::{Grid, Material};
+use fnopt::sim::Grid;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
-use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::atomic::Ordering;
 
 /// Points of the surface that are printed.
 const PRINTED: usize = 12;
@@ -28,11 +26,11 @@ pub struct Args {
     #[arg(long, num_args = 2, value_names = ["H", "W"], default_values = ["32", "32"])]
     grid: Vec<usize>,
     /// Frames of each sequence, the start included [default: all]
-    #[arg(long, value_name = "F")]
-    frames: Option<usize>,
+    #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(2..))]
+    frames: Option<u32>,
     /// Points sampled from each surface
-    #[arg(long, default_value_t = 3000, value_name = "N")]
-    points: usize,
+    #[arg(long, default_value_t = 3000, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    points: u32,
     /// Range of the stretch coefficient; one number to keep it
     #[arg(long, value_delimiter = ',', default_value = "300,10000", value_name = "LOW,HIGH")]
     stretch: Vec<f64>,
@@ -63,25 +61,16 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Ending> {
-    let known = Sequence::names(&args.ground_truth)?;
-    let mut sequences = Vec::new();
-    for name in args.sequences.as_ref().unwrap_or(&known) {
-        if !known.contains(name) {
-            let origin = args.ground_truth.display().to_string();
-            return Err(Error::unknown(origin, "sequence", name, known.iter().map(String::as_str)).into());
-        }
-        sequences.push(Sequence::load(&args.ground_truth, name)?);
-    }
+    let sequences = Sequence::load_all(&args.ground_truth, args.sequences.as_deref())?;
     let ranges = args.ranges(sequences[0].air_and_frame_time())?;
-    let nothing = Material { stretch: 0.0, shear: 0.0, bend: 0.0 };
-    let physics = Physics { material: nothing, density: None, drag: None, frame_time_s: None };
     let fit = Fit {
         sequences: &sequences,
         grid: Grid::new(args.grid[0], args.grid[1], "--grid")?,
         settings: Settings {
-            physics,
-            points: args.points.max(1),
-            frames: args.frames.unwrap_or(usize::MAX).max(2),
+            // Replaced by those of each point.
+            physics: Physics::default(),
+            points: args.points as usize,
+            frames: args.frames.map_or(usize::MAX, |frames| frames as usize),
         },
         ranges,
         levels: args.levels as usize,
@@ -100,8 +89,9 @@ pub fn run(args: &Args) -> Result<Ending> {
         let sorted = surface.sorted();
         bar.set_position(sorted.len() as u64);
         bar.set_message(format!("{left} to go in this round, best e_CD {:.3e}", sorted[0].1));
-        stopped = interrupted.load(Ordering::Relaxed);
-        Ok(if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+        let flow = go_on(&interrupted);
+        stopped = flow.is_break();
+        Ok(flow)
     })?;
     bar.finish_and_clear();
     let mut out = std::io::stdout().lock();

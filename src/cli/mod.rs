@@ -15,6 +15,7 @@ use clap::{Parser, Subcommand};
 use fnopt::network::Weights;
 use fnopt::sim::Optimizer;
 use fnopt::{Error, Result};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -135,6 +136,11 @@ pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
         Some(path) => Weights::load(path),
         None => Ok(Weights::shipped()),
     }
+}
+
+/// Whether to go on: not once Ctrl-C has set the flag.
+pub fn go_on(interrupted: &AtomicBool) -> ControlFlow<()> {
+    if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
 /// Set by Ctrl-C; a second one ends the process as usual.

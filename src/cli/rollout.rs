@@ -1,7 +1,7 @@
 //! `fnopt rollout`: simulates a scene and writes what came of it.
 
 use super::device::DeviceArgs;
-use super::{Ending, SolverArgs, interrupt_flag, median};
+use super::{Ending, SolverArgs, go_on, interrupt_flag, median};
 use anyhow::Result;
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
@@ -10,9 +10,7 @@ use fnopt::sim::{Frame, Grid, Material, Simulator, State};
 use fnopt::{Error, sim};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 
 /// Arguments of `fnopt rollout`.
 #[derive(Debug, clap::Args)]
@@ -73,7 +71,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         bar.inc(1);
         bar.set_message(format!("energy {:.4}", frame.stats[0].energy.total()));
         run.keep(&setup, &frame);
-        if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        go_on(&interrupted)
     });
     bar.finish_and_clear();
     let ending = match outcome {

@@ -1,17 +1,15 @@
 //! `fnopt train`: trains weights in a folder.
 
 use super::device::DeviceArgs;
-use super::{Ending, interrupt_flag};
+use super::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::network::Weights;
 use fnopt::sim::Device;
 use fnopt::train::{Config, End, Limits, Progress, Ranks, Run, SceneScore, first_weights, learner, ranks};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
-use std::sync::atomic::Ordering;
 
 /// Arguments of `fnopt train`.
 #[derive(Debug, clap::Args)]
@@ -69,7 +67,7 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
     let interrupted = interrupt_flag();
     let end = run.train(&limits, |progress| {
         show(&bar, progress);
-        if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        go_on(&interrupted)
     })?;
     bar.finish_and_clear();
     let skipped = match run.skipped() {

@@ -1,7 +1,7 @@
 //! `fnopt tune`: finds the tile sizes that suit the adapter at hand.
 
 use super::device::{DeviceArgs, DeviceKind};
-use super::{Ending, SolverArgs, interrupt_flag};
+use super::{Ending, SolverArgs, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::kernels::Tuning;
@@ -9,7 +9,6 @@ use fnopt::scene::{Scene, Setup};
 use fnopt::sim::{Device, Grid, tune};
 use std::io::Write;
 use std::ops::ControlFlow;
-use std::sync::atomic::Ordering;
 
 /// Arguments of `fnopt tune`.
 #[derive(Debug, clap::Args)]
@@ -52,14 +51,11 @@ pub fn run(args: &Args) -> Result<Ending> {
         if !args.json {
             failed = writeln!(out, "{ms:9.3} ms/frame  {}", describe(tuning));
         }
-        match failed.is_err() || interrupted.load(Ordering::Relaxed) {
-            true => ControlFlow::Break(()),
-            false => ControlFlow::Continue(()),
-        }
+        if failed.is_err() { ControlFlow::Break(()) } else { go_on(&interrupted) }
     };
     let best = tune(&context, (&setups.model, &start), &optimizer, args.solver.iterations(), &mut tried)?;
     failed?;
-    if interrupted.load(Ordering::Relaxed) {
+    if go_on(&interrupted).is_break() {
         eprintln!("interrupted; nothing is stored");
         return Ok(Ending::Interrupted);
     }

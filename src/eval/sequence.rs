@@ -45,6 +45,19 @@ impl Sequence {
         Ok(names)
     }
 
+    /// Reads sequences of a folder: those that are named, or all of them.
+    pub fn load_all(folder: &Path, named: Option<&[String]>) -> Result<Vec<Self>> {
+        let known = Self::names(folder)?;
+        let load = |name: &String| match known.contains(name) {
+            true => Self::load(folder, name),
+            false => {
+                let origin = folder.display().to_string();
+                Err(Error::unknown(origin, "sequence", name, known.iter().map(String::as_str)))
+            }
+        };
+        named.unwrap_or(&known).iter().map(load).collect()
+    }
+
     /// Reads the sequence `name` of a folder of them. Without `meta.json` the cloth is the default scene's, on a square grid,
     /// and a warning says so.
     pub fn load(folder: &Path, name: &str) -> Result<Self> {

@@ -124,7 +124,7 @@ fn folded_networks_match_the_host() {
 }
 
 #[test]
-fn the_shipped_network_matches_the_host() {
+fn a_trained_network_matches_the_host() {
     let _turn = device();
     for shape in [(Grid { h: 8, w: 8 }, 3), (Grid { h: 31, w: 33 }, 3), (Grid { h: 48, w: 32 }, 9)] {
         check(starter(), shape);

@@ -11,7 +11,7 @@ use fnopt::sim::{
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
-/// The weights that the project ships.
+/// The weights of the golden rollouts.
 pub fn starter() -> &'static Arc<Weights> {
     static WEIGHTS: LazyLock<Arc<Weights>> = LazyLock::new(|| {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/checkpoint_starter.safetensors");
@@ -128,8 +128,8 @@ fn twenty_learned_frames_agree_with_the_host() {
 }
 
 /// Gradient descent and L-BFGS do not amplify roundings like this: twenty frames agree to 1e-6 and 1e-3 of the side. (Adam does at
-/// once: where a gradient is 0 but for roundings, its sign decides about a whole step. Quasi-Newton steps, ten
-/// times as long, are 1e-3 of the side apart after five frames.)
+/// once: where a gradient is 0 but for roundings, its sign decides about a whole step. Quasi-Newton is 1.1e-3
+/// of the side apart after five frames.)
 #[test]
 fn twenty_classical_frames_agree_with_the_host() {
     let _turn = device();

@@ -4,7 +4,7 @@ mod plots;
 mod suite;
 
 use super::device::DeviceArgs;
-use super::{Ending, interrupt_flag, load_weights};
+use super::{Ending, go_on, interrupt_flag, load_weights};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::Suite;
@@ -16,9 +16,7 @@ use fnopt::network::Weights;
 use fnopt::sim::{Device, Grid, Material, Optimizer};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{IsTerminal, Write};
-use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 
 /// Arguments of `fnopt evaluate`.
 #[derive(Debug, clap::Args)]
@@ -125,7 +123,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     if let Some(name) = &args.suite {
         return args.run_suite(Suite::named(name)?, &entries, &grids, settings.frames);
     }
-    let sequences = args.sequences()?;
+    let sequences = Sequence::load_all(&args.ground_truth, args.sequences.as_deref())?;
     let (index, count) = args.shard()?;
     // Others' trajectories first: what is wrong with them is then said before the work, not after it.
     let mut systems = Vec::new();
@@ -183,10 +181,7 @@ fn work(
         bar.set_message(format!("{} {} {}", sequence.name, job.grid, job.entry.name));
         let tick = || {
             bar.inc(1);
-            match interrupted.load(Ordering::Relaxed) {
-                true => ControlFlow::Break(()),
-                false => ControlFlow::Continue(()),
-            }
+            go_on(&interrupted)
         };
         let Some((score, found)) = run(sequence, job.grid, &job.entry, (device, settings), tick)? else {
             return Ok((all, false));
@@ -274,19 +269,6 @@ impl Args {
             entries.extend(all.into_iter().map(of));
         }
         Ok(entries)
-    }
-
-    fn sequences(&self) -> fnopt::Result<Vec<Sequence>> {
-        let known = Sequence::names(&self.ground_truth)?;
-        let names = self.sequences.as_ref().unwrap_or(&known);
-        let load = |name: &String| match known.contains(name) {
-            true => Sequence::load(&self.ground_truth, name),
-            false => {
-                let origin = self.ground_truth.display().to_string();
-                Err(Error::unknown(origin, "sequence", name, known.iter().map(String::as_str)))
-            }
-        };
-        names.iter().map(load).collect()
     }
 
     /// Names and folders of the systems to compare with.

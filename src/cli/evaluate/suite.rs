@@ -1,7 +1,7 @@
 //! `fnopt evaluate --suite`: how far solvers generalise.
 
 use super::Args;
-use crate::cli::{Ending, interrupt_flag};
+use crate::cli::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::{self, Case, CaseScore, Suite};
@@ -9,8 +9,6 @@ use fnopt::eval::{Entry, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
 use fnopt::sim::Grid;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::ops::ControlFlow;
-use std::sync::atomic::Ordering;
 
 impl Args {
     /// The cases of a suite that take part.
@@ -32,24 +30,26 @@ impl Args {
         grids: &[Grid],
         frames: usize,
     ) -> Result<Ending> {
+        if entries.iter().any(|entry| entry.coarse) {
+            let expected = "solvers of the grid itself in a suite";
+            return Err(Error::invalid("--solver", "interpolation", expected, "interpolation").into());
+        }
         let (device, line) = self.device.open()?;
         eprintln!("{line}");
         let mut jobs = Vec::new();
-        for entry in entries {
+        for (number, entry) in entries.iter().enumerate() {
             for &grid in grids {
-                jobs.extend(self.cases(suite, grid)?.into_iter().map(|case| (entry, case)));
+                jobs.extend(self.cases(suite, grid)?.into_iter().map(|case| (number, entry, case)));
             }
         }
         let style = ProgressStyle::with_template("{bar:30} {pos}/{len} cases, {eta} left  {msg}");
         let bar = ProgressBar::new(jobs.len() as u64).with_style(style.expect("the template is valid"));
         let interrupted = interrupt_flag();
-        let tick = || match interrupted.load(Ordering::Relaxed) {
-            true => ControlFlow::Break(()),
-            false => ControlFlow::Continue(()),
-        };
-        let mut scores: Vec<(String, CaseScore)> = Vec::new();
+        let tick = || go_on(&interrupted);
+        // With the number of the entry: one solver may take part with several numbers of iterations.
+        let mut scores: Vec<(usize, CaseScore)> = Vec::new();
         let mut complete = true;
-        for (entry, case) in jobs {
+        for (number, entry, case) in jobs {
             bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
             let solver = (&entry.optimizer, entry.iterations);
             let Some((score, trajectory)) = suite::run(&case, solver, &device, (frames, !self.no_gap), tick)?
@@ -61,19 +61,22 @@ impl Args {
             let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
             let options = StripOptions { view, ..Default::default() };
             let image = strip(&trajectory, &setup.model.cloths[0].handles, &options);
-            let file = format!("{}_{}_{}.png", entry.name, score.grid, score.case).replace(' ', "_");
+            let CaseScore { grid, iterations, case, .. } = &score;
+            let file = format!("{}_{iterations}_{grid}_{case}.png", entry.name).replace(' ', "_");
             write_png(self.out.join(file), &image)?;
-            scores.push((entry.name.clone(), score));
+            scores.push((number, score));
             bar.inc(1);
         }
         bar.finish_and_clear();
-        let of = |entry: &Entry| -> Vec<CaseScore> {
-            scores.iter().filter(|(name, _)| *name == entry.name).map(|(_, score)| score.clone()).collect()
+        let of = |(number, entry): (usize, &Entry)| {
+            let own: Vec<CaseScore> =
+                scores.iter().filter(|(of, _)| *of == number).map(|(_, score)| score.clone()).collect();
+            suite::table(&entry.name, &own)
         };
-        let tables: Vec<Table> = entries.iter().map(|entry| suite::table(&entry.name, &of(entry))).collect();
+        let tables: Vec<Table> = entries.iter().enumerate().map(of).collect();
         let named: Vec<_> = scores
             .iter()
-            .map(|(solver, score)| serde_json::json!({"solver": solver, "score": score}))
+            .map(|(number, score)| serde_json::json!({"solver": entries[*number].name, "score": score}))
             .collect();
         self.write_tables(&tables, &named)?;
         if !complete {
