@@ -1,5 +1,5 @@
-// Ends the frame of those cloths of a batch that are through their iterations: v = shift, x += shift, a = 0; a handle is where
-// it is to be, with velocity 0 (paper section 3.3: as in the authors' pools, not as in a rollout).
+// Ends the frame of those cloths of a batch that are through their iterations: x += shift, v = keep shift, a = 0; a handle is
+// where it is to be, with velocity 0 (paper section 3.3: as in the authors' pools, not as in a rollout).
 //
 // drawn: [B]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; shift, x, v, a: [B, 3, n].
 // One invocation: one particle's component. Workgroups: (n / 64, 3 B).
@@ -30,7 +30,7 @@ fn advance(@builtin(global_invocation_id) id: vec3u) {
     let at = id.y * params.particles + p;
     let slot = slots[id.y / 3u * params.particles + p];
     if slot == 0u {
-        v[at] = shift[at];
+        v[at] = drawn[id.y / 3u].keep * shift[at];
         x[at] += shift[at];
     } else {
         v[at] = 0.0;

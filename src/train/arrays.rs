@@ -78,7 +78,7 @@ impl<T: Real> Arrays<T> {
         copy(from, self, |place, slot| (place, slot), batch);
     }
 
-    /// v <- v + a, x <- x + v, a <- 0; handles at their targets with velocity 0 (paper section 3.3).
+    /// v <- v + a, x <- x + v, a <- 0; handles at their targets with velocity 0 (paper section 3.3); v is damped.
     fn end_frames(&mut self, batch: &Batch) {
         let n = self.grid.particles();
         let (slots, control) = (batch.model(self.grid).handle_slots(), batch.control());
@@ -91,6 +91,8 @@ impl<T: Real> Arrays<T> {
             let (x, v) = (&mut x[at.clone()], &mut v[at.clone()]);
             shifts(frame, x, v, &mut shift);
             end_frame(frame, &shift, x, v);
+            let keep = T::of(1.0 - drawn.damping);
+            v.iter_mut().for_each(|v| *v = keep * *v);
             for &p in &drawn.cloth.handles {
                 (0..3).for_each(|component| v[component * n + p] = T::zero());
             }

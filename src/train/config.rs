@@ -17,9 +17,9 @@ use std::path::{Path, PathBuf};
 /// | `init` | fresh weights; else a safetensors file beside the configuration |
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
 /// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in a pool that is given `[32, 32]`, 10, 1000, 10 |
-/// | `[[pool]]` `sequence_length` | that of `[reset]` |
+/// | `[[pool]]` `sequence_length`, `every` | that of `[reset]`, 1 |
 /// | `[pool.material]` `stretch`, `shear`, `bend` | `[100, 1000]`, `[1, 100]`, `[0.01, 10]` |
-/// | `[motion]` `moving`, `rotation`, `amplitude`, `frequency`, `pinch`, `gravity`, `aligned`, `corners`, `more_handles` | 0.8, 0.0628, 10, 0.2, 0.4, 0.125, 0, 1, 0.5 |
+/// | `[motion]` `moving`, `rotation`, `amplitude`, `frequency`, `pinch`, `gravity`, `aligned`, `corners`, `more_handles`, `damping` | 0.8, 0.0628, 10, 0.2, 0.4, 0.125, 0, 1, 0.5, 0 |
 /// | `[reset]` `energy`, `sequence_length`, `scale` | 20000, 1000, no bounds |
 /// | `[optimizer]` `rate`, `betas`, `epsilon`, `weight_decay`, `clip` | 1e-3, `[0.9, 0.999]`, 1e-8, 0.01, 1 |
 /// | `[schedule]` `warmup`, `decay` | 0, `{ halvings = [125000, 250000, 375000] }`; or `"none"`, `{ cosine = { final = 1e-5 } }` |
@@ -73,6 +73,8 @@ pub struct PoolConfig {
     /// Frames that a cloth of this pool lives on average; none for [`ResetRules::sequence_length`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequence_length: Option<u64>,
+    /// Only one step in so many draws from this pool: for fine grids, which cost the most.
+    pub every: u64,
 }
 
 /// An interval of positive numbers, drawn from log-uniformly: `[smallest, largest]`.
@@ -114,6 +116,9 @@ pub struct MotionRanges {
     pub corners: f64,
     /// Probability of each further handle, a random particle.
     pub more_handles: f64,
+    /// Largest share of its velocity that a cloth loses per frame, drawn for each life: what comes to rest is then seen in
+    /// the pools too. The energy that is minimised does not know of it.
+    pub damping: f64,
 }
 
 /// When a cloth begins anew.
@@ -190,7 +195,7 @@ impl Default for Config {
 impl Default for PoolConfig {
     fn default() -> Self {
         let (grid, material) = (Grid { h: 32, w: 32 }, MaterialRanges::default());
-        Self { grid, iterations: 10, cloths: 1000, batch: 10, material, sequence_length: None }
+        Self { grid, iterations: 10, cloths: 1000, batch: 10, material, sequence_length: None, every: 1 }
     }
 }
 
@@ -212,6 +217,7 @@ impl Default for MotionRanges {
             aligned: 0.0,
             corners: 1.0,
             more_handles: 0.5,
+            damping: 0.0,
         }
     }
 }

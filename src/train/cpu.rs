@@ -52,7 +52,7 @@ impl Learner for CpuLearner {
     fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
         let weights = self.weights()?;
         self.gradient.fill(0.0);
-        let mut report = StepReport::default();
+        let mut report = StepReport { outcomes: vec![Vec::new(); self.pools.len()], ..StepReport::default() };
         for batch in batches {
             let Room { all, drawn, loss } = &mut self.pools[batch.pool];
             all.draw(batch, drawn);
@@ -67,7 +67,7 @@ impl Learner for CpuLearner {
                 log_gradient: outcome.mean_gradient.ln(),
                 scale,
             });
-            report.outcomes.push(told.collect());
+            report.outcomes[batch.pool] = told.collect();
             all.store(batch, drawn);
         }
         ranks.join(&mut self.gradient, report.loss());

@@ -73,7 +73,7 @@ impl Room {
             slot: u32::try_from(drawn.slot).expect("a pool's cloths fit 32 bits"),
             begin: drawn.start.is_some().into(),
             advance: drawn.advance.into(),
-            pad: 0,
+            keep: (1.0 - drawn.damping) as f32,
             rotation: drawn.start.unwrap_or_default().map(|[x, y, z]| [x as f32, y as f32, z as f32, 0.0]),
         });
         self.drawn.write(context, &drawn.collect::<Vec<_>>());
@@ -190,12 +190,12 @@ impl Learner for GpuLearner {
                 self.told.record(encoder).expect("the ring's slot is free between steps");
             }
         });
-        let mut report = StepReport::default();
+        let mut report = StepReport { outcomes: vec![Vec::new(); pools.len()], ..StepReport::default() };
         for batch in batches {
             let room = &mut pools[batch.pool];
             room.readback.submitted(&submission);
             let told = room.readback.next(context)?.expect("one read is under way");
-            report.outcomes.push(room.outcomes(&told));
+            report.outcomes[batch.pool] = room.outcomes(&told);
         }
         let mut submission = submission;
         if ranks.count() > 1 {

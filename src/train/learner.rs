@@ -18,7 +18,8 @@ pub trait Learner {
     /// 2. g = dL/da at a; the update rule makes a step; a <- a + step; the memory is kept;
     /// 3. the loss is the sum over batches of the mean over the batch of L at the new a. It goes back through step, tanh,
     ///    scale and network only, with the gradient-normalising rule;
-    /// 4. where `advance` is set, the frame ends: v <- v + a, x <- x + v, handles at their targets with velocity 0, a <- 0.
+    /// 4. where `advance` is set, the frame ends: v <- v + a, x <- x + v, handles at their targets with velocity 0, a <- 0,
+    ///    and v loses the share `damping`.
     ///
     /// Then [`Ranks::join`] adds up the gradients of all ranks, and AdamW follows with the gradient's norm clipped,
     /// and the running mean of the weights. If the loss or the norm is not finite ([`StepReport::is_finite`]), weights,
@@ -63,6 +64,8 @@ pub struct Drawn {
     pub start: Option<[[f64; 3]; 3]>,
     /// Whether this iteration is the last of the frame.
     pub advance: bool,
+    /// Share of its velocity that the cloth loses when the frame ends.
+    pub damping: f64,
 }
 
 impl Batch {
@@ -94,7 +97,7 @@ pub struct Update {
 pub struct StepReport {
     /// Norm of the gradient over all weights of the loss of all ranks, before clipping.
     pub gradient_norm: f64,
-    /// Each cloth of each batch of this rank, in the order of the batches.
+    /// The cloths drawn from each pool on this rank; none where it was not the pool's turn.
     pub outcomes: Vec<Vec<Outcome>>,
 }
 
@@ -113,7 +116,7 @@ impl StepReport {
     /// The loss of this rank: the sum over the batches of the mean energy of their cloths.
     pub fn loss(&self) -> f64 {
         let mean = |o: &Vec<Outcome>| o.iter().map(|o| o.energy.total()).sum::<f64>() / o.len() as f64;
-        self.outcomes.iter().map(mean).sum()
+        self.outcomes.iter().filter(|outcomes| !outcomes.is_empty()).map(mean).sum()
     }
 
     /// Whether the step can be used; all ranks find the same, as [`Ranks::join`] tells each of all losses.

@@ -25,6 +25,8 @@ pub(super) struct Metrics {
     sums: Vec<f64>,
     /// Steps that the sums hold.
     used: u64,
+    /// How many of them drew from each pool.
+    drawn: Vec<u64>,
     /// Steps that were skipped since the last row.
     skipped: u64,
     since: Instant,
@@ -40,7 +42,8 @@ impl Metrics {
         let columns: Vec<String> = OF_STEP.map(str::to_owned).into_iter().chain(of_pools).collect();
         let sums = vec![0.0; 2 + OF_POOL.len() * pools.len()];
         let table = Table::open(path, columns, step)?;
-        Ok(Self { table, sums, used: 0, skipped: 0, since: Instant::now() })
+        let drawn = vec![0; pools.len()];
+        Ok(Self { table, sums, used: 0, drawn, skipped: 0, since: Instant::now() })
     }
 
     /// Adds a step; one that was skipped is only counted.
@@ -50,10 +53,15 @@ impl Metrics {
             return;
         }
         self.used += 1;
-        let of_pools = report.outcomes.iter().flat_map(|outcomes| {
+        let (of_step, of_pools) = self.sums.split_at_mut(2);
+        let add = |sums: &mut [f64], values: &[f64]| sums.iter_mut().zip(values).for_each(|(s, v)| *s += v);
+        add(of_step, &[report.loss(), report.gradient_norm]);
+        let pools = report.outcomes.iter().zip(of_pools.chunks_exact_mut(OF_POOL.len())).zip(&mut self.drawn);
+        for ((outcomes, sums), drawn) in pools.filter(|((outcomes, _), _)| !outcomes.is_empty()) {
             let mean =
                 |value: fn(&Outcome) -> f64| outcomes.iter().map(value).sum::<f64>() / outcomes.len() as f64;
-            [
+            *drawn += 1;
+            let values = [
                 mean(|o| o.energy.total()),
                 mean(|o| o.energy.stretch),
                 mean(|o| o.energy.shear),
@@ -61,15 +69,13 @@ impl Metrics {
                 mean(|o| o.energy.inertia),
                 mean(|o| o.energy.external),
                 mean(|o| o.log_gradient),
-            ]
-        });
-        let values = [report.loss(), report.gradient_norm].into_iter().chain(of_pools);
-        for (sum, value) in self.sums.iter_mut().zip(values) {
-            *sum += value;
+            ];
+            add(sums, &values);
         }
     }
 
-    /// Writes the row of the steps up to `step`, if there were any, and begins the next.
+    /// Writes the row of the steps up to `step`, if there were any, and begins the next. Nothing is told of a pool that was
+    /// not drawn from.
     pub fn flush(&mut self, step: u64, seconds: f64, rate: f64) -> Result<()> {
         if self.used + self.skipped == 0 {
             return Ok(());
@@ -77,9 +83,15 @@ impl Metrics {
         let speed = (self.used + self.skipped) as f64 / self.since.elapsed().as_secs_f64();
         let mut row = vec![step.to_string(), format!("{seconds:.1}"), format!("{speed:.3}")];
         row.extend([format!("{rate:.6e}"), self.skipped.to_string()]);
-        row.extend(self.sums.iter().map(|sum| format!("{:.6e}", sum / self.used as f64)));
+        let counts = self.drawn.iter().flat_map(|&drawn| [drawn; OF_POOL.len()]);
+        let means = self.sums.iter().zip([self.used; 2].into_iter().chain(counts));
+        row.extend(means.map(|(sum, count)| match count {
+            0 => String::new(),
+            _ => format!("{:.6e}", sum / count as f64),
+        }));
         self.table.push(&row)?;
         self.sums.fill(0.0);
+        self.drawn.fill(0);
         (self.used, self.skipped, self.since) = (0, 0, Instant::now());
         Ok(())
     }

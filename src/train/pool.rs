@@ -57,6 +57,11 @@ impl Pool {
         &self.config
     }
 
+    /// Whether training step `step` draws from this pool. Pools that are drawn from equally seldom take turns.
+    pub fn takes_part(&self, step: u64) -> bool {
+        (step + self.index as u64).is_multiple_of(self.config.every)
+    }
+
     /// The cloths of training step `step`, all different.
     pub fn draw(&self, step: u64) -> Batch {
         let mut random = generator(self.seed, Purpose::Batch { pool: self.index }, step);
@@ -69,6 +74,7 @@ impl Pool {
                 targets: script.targets(frame + 1),
                 start: (!begun).then(|| script.start()),
                 advance: iterations + 1 == self.config.iterations,
+                damping: script.damping,
                 cloth: script.cloth,
             }
         };
@@ -98,7 +104,7 @@ impl Pool {
         // Iterations of a life, over the whole pool and drawn `batch` at a time.
         let frames = self.config.sequence_length.unwrap_or(self.reset.sequence_length);
         let life = u128::from(frames) * u128::from(self.config.iterations);
-        let turns = |steps: u64| u128::from(steps) * self.config.batch as u128 / life;
+        let turns = |steps: u64| u128::from(steps / self.config.every) * self.config.batch as u128 / life;
         for turn in turns(step)..turns(step + 1) {
             let slot = (turn % self.slots.len() as u128) as usize;
             self.slots[slot].begin_anew();

@@ -64,6 +64,14 @@ fn check(config: Config, origin: &str) -> Result<Config> {
     if config.pools.is_empty() {
         return Err(Error::invalid(origin, "pool", "at least one", "none"));
     }
+    if config.pools.iter().all(|pool| pool.every > 1) {
+        return Err(Error::invalid(
+            origin,
+            "pool",
+            "one with every = 1, for a step without cloths teaches nothing",
+            "none",
+        ));
+    }
     let particles: usize = config.pools.iter().map(|p| p.cloths * p.grid.particles()).sum();
     if particles > MAX_PARTICLES {
         let expected = format!("at most {MAX_PARTICLES} particles in all pools");
@@ -105,7 +113,7 @@ fn network(node: &Node<'_>) -> Result<network::Config> {
 }
 
 fn pool(node: &Node<'_>) -> Result<PoolConfig> {
-    node.only(&["grid", "iterations", "cloths", "batch", "material", "sequence_length"])?;
+    node.only(&["grid", "iterations", "cloths", "batch", "material", "sequence_length", "every"])?;
     let base = PoolConfig::default();
     let cloths = node.get_or("cloths", base.cloths, |n| count(n, 1, 1 << 24))?;
     Ok(PoolConfig {
@@ -122,12 +130,13 @@ fn pool(node: &Node<'_>) -> Result<PoolConfig> {
             })
         })?,
         sequence_length: node.get_or("sequence_length", None, |n| above_zero(n).map(Some))?,
+        every: node.get_or("every", base.every, above_zero)?,
     })
 }
 
 fn motion(node: &Node<'_>) -> Result<MotionRanges> {
     const SIZES: [&str; 4] = ["rotation", "amplitude", "frequency", "gravity"];
-    const SHARES: [&str; 5] = ["moving", "pinch", "aligned", "corners", "more_handles"];
+    const SHARES: [&str; 6] = ["moving", "pinch", "aligned", "corners", "more_handles", "damping"];
     node.only(&[&SIZES[..], &SHARES].concat())?;
     let base = MotionRanges::default();
     let size = |key, default| node.get_or(key, default, not_negative);
@@ -141,6 +150,7 @@ fn motion(node: &Node<'_>) -> Result<MotionRanges> {
         aligned: node.get_or("aligned", base.aligned, share)?,
         corners: node.get_or("corners", base.corners, share)?,
         more_handles: node.get_or("more_handles", base.more_handles, decay)?,
+        damping: node.get_or("damping", base.damping, share)?,
     })
 }
 

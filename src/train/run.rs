@@ -210,16 +210,17 @@ impl Run {
     /// One training step.
     fn advance(&mut self) -> Result<StepReport> {
         let step = self.counters.step;
-        let batches: Vec<Batch> = self.pools.iter().map(|pool| pool.draw(step)).collect();
+        let pools = self.pools.iter().filter(|pool| pool.takes_part(step));
+        let batches: Vec<Batch> = pools.map(|pool| pool.draw(step)).collect();
         let number = self.counters.updates + 1;
         // A mean over a long time begins as one over a short time, or it would remember the first weights for long.
         let average = self.config.average.min(number as f64 / (number + 9) as f64);
         let update = Update { number, rate: self.rate(), average };
         let report = self.learner.step(&batches, update, &*self.ranks)?;
-        for ((pool, batch), outcomes) in self.pools.iter_mut().zip(&batches).zip(&report.outcomes) {
-            pool.record(batch, outcomes);
-            pool.rotate(step);
+        for batch in &batches {
+            self.pools[batch.pool].record(batch, &report.outcomes[batch.pool]);
         }
+        self.pools.iter_mut().for_each(|pool| pool.rotate(step));
         self.counters.step += 1;
         self.counters.updates += u64::from(report.is_finite());
         Ok(report)

@@ -32,6 +32,8 @@ pub struct Script {
     pinch_frequency: f64,
     /// Depth of the pinch.
     pinch: f64,
+    /// Share of its velocity that the cloth loses per frame.
+    pub damping: f64,
 }
 
 impl Script {
@@ -78,6 +80,7 @@ impl Script {
             frequency,
             pinch_frequency,
             pinch: moves * motion.pinch,
+            damping: motion.damping * random.random::<f64>(),
         }
     }
 

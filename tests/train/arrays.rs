@@ -44,7 +44,7 @@ fn iterate(batch: &Batch, drawn: &mut Arrays<f64>) {
 #[test]
 fn frames_of_a_pool_are_those_of_the_solver() {
     let config = PoolConfig { grid: GRID, iterations: ITERATIONS, cloths: 4, batch: 3, ..Default::default() };
-    let motion = MotionRanges::default();
+    let motion = MotionRanges { damping: 0.5, ..MotionRanges::default() };
     let mut pool =
         Pool::new(0, 7, config.clone(), (motion, ResetRules { energy: 1e30, ..Default::default() }));
     let mut arrays = Arrays::<f64>::of_pool(&config);
@@ -76,6 +76,7 @@ fn frames_of_a_pool_are_those_of_the_solver() {
         for frame in 1..=frames {
             let handles = script.targets(frame);
             solver.step(&mut state, &fnopt::sim::Control { handles, ..Default::default() });
+            state.v.iter_mut().for_each(|v| *v *= 1.0 - script.damping);
             for &p in &script.cloth.handles {
                 (0..3).for_each(|component| state.v[component * n + p] = 0.0);
             }

@@ -80,6 +80,27 @@ fn cloths_begin_anew_in_turn() {
 }
 
 #[test]
+fn a_pool_drawn_from_seldom_takes_turns_and_lives_as_long() {
+    // As above, but only every third step draws: one cloth every 90 steps.
+    let config = PoolConfig { every: 3, ..config(3, 4, 2) };
+    let mut pool = pool(config.clone(), ResetRules { sequence_length: 20, ..ResetRules::default() });
+    let mut starts = 0;
+    for k in 0..900 {
+        if pool.takes_part(k) {
+            let batch = pool.draw(k);
+            pool.record(&batch, &[outcome(1.0); 2]);
+            starts += batch.cloths.iter().filter(|c| c.start.is_some()).count();
+        }
+        pool.rotate(k);
+    }
+    // The first lives, and one for each turn; the last of these need not have been drawn yet.
+    assert!((13..=14).contains(&starts), "{starts} lives");
+    let rules = (MotionRanges::default(), ResetRules::default());
+    let other = Pool::new(1, 5, config, rules);
+    assert!((0..9).all(|k| pool.takes_part(k) == (k % 3 == 0) && other.takes_part(k) == (k % 3 == 2)));
+}
+
+#[test]
 fn cloths_that_go_wrong_begin_anew_with_the_same_material() {
     let rules = ResetRules { scale: Some([1e-3, 10.0]), ..ResetRules::default() };
     let good = outcome(1.0);
@@ -157,6 +178,22 @@ fn sheets_along_the_axes_and_held_anywhere_are_drawn_when_asked_for() {
     let some = scripts(MotionRanges { aligned: 0.3, ..Default::default() }, 400);
     let along = some.iter().filter(|s| s.cloth.gravity.contains(&0.0)).count();
     assert!((84..=156).contains(&along), "{along} of 400");
+}
+
+#[test]
+fn lives_are_damped_when_asked_for_and_else_the_same() {
+    let [free, damped] =
+        [0.0, 0.05].map(|damping| scripts(MotionRanges { damping, ..Default::default() }, 200));
+    assert!(free.iter().all(|script| script.damping == 0.0));
+    let mean = damped.iter().map(|script| script.damping).sum::<f64>() / 200.0;
+    assert!(
+        damped.iter().all(|s| (0.0..0.05).contains(&s.damping)) && (mean - 0.025).abs() < 0.004,
+        "{mean}"
+    );
+    for (free, mut damped) in free.into_iter().zip(damped) {
+        damped.damping = 0.0;
+        assert_eq!(damped, free);
+    }
 }
 
 #[test]

@@ -25,6 +25,7 @@ const CONFIG: &str = r#"
     iterations = 3
     cloths = 4
     batch = 3
+    every = 3
     [reset]
     sequence_length = 2
     [validation]
@@ -95,6 +96,8 @@ fn a_run_fills_its_folder() {
     );
     assert!(metrics[0].ends_with("pool1_9x12_n3_log_gradient"));
     assert!(metrics[6].starts_with("12,"));
+    // The second pool takes part in steps 2, 5, 8 and 11, counted from 0, of which the first row holds none.
+    assert!(metrics[1].ends_with(&",".repeat(7)) && !metrics[2].ends_with(','), "{metrics:?}");
     let validation = lines(root.join("validation.csv"));
     assert_eq!(validation.len(), 1 + 3 * 2);
     assert!(validation[1].starts_with("4,hanging 8x8,") && validation[6].starts_with("12,falling 8x8,"));

@@ -40,7 +40,7 @@ impl Learner for Fake {
     fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
         let broken = self.broken.contains(&self.step);
         self.step += 1;
-        let mut report = StepReport::default();
+        let mut report = StepReport { outcomes: vec![Vec::new(); self.cloths.len()], ..Default::default() };
         for batch in batches {
             let mut outcomes = Vec::new();
             for drawn in &batch.cloths {
@@ -50,7 +50,7 @@ impl Learner for Fake {
                 *cloth = (from * 0.9 + told as f32).sin() + f32::from(u8::from(drawn.advance));
                 outcomes.push(outcome(if broken { f64::NAN } else { f64::from(*cloth) }));
             }
-            report.outcomes.push(outcomes);
+            report.outcomes[batch.pool] = outcomes;
         }
         let mut gradient = [report.loss() as f32];
         ranks.join(&mut gradient, report.loss());

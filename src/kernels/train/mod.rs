@@ -27,8 +27,8 @@ pub struct Drawn {
     pub begin: u32,
     /// 1 where the frame ends after this iteration.
     pub advance: u32,
-    /// Unused.
-    pub pad: u32,
+    /// Share of the velocity that is left when the frame ends.
+    pub keep: f32,
     /// Rows of the matrix that turns the sheet at rest to its start; the last column is unused.
     pub rotation: [[f32; 4]; 3],
 }

@@ -18,7 +18,7 @@ fn drawn() -> Tensor {
         slot: slot as u32,
         begin: u32::from(slot == 0),
         advance: u32::from(slot == 2),
-        pad: 0,
+        keep: 0.75,
         rotation,
     });
     Tensor::from_slice(context(), "drawn", &[3, 16], &drawn).unwrap()
@@ -89,7 +89,7 @@ fn frames_end_where_they_are_due() {
     for k in 6 * n..9 * n {
         let slot = slots[2 * n + k % n] as usize;
         next_a[k] = 0.0;
-        next_v[k] = if slot == 0 { shift[k] } else { 0.0 };
+        next_v[k] = if slot == 0 { 0.75 * shift[k] } else { 0.0 };
         next_x[k] = if slot == 0 { x[k] + shift[k] } else { targets[slot - 1][k / n % 3] };
     }
     let iterate = iterate(&model);
