@@ -47,6 +47,24 @@ fn chamfer_is_that_of_all_pairs() {
     assert!((chamfer(&plane(0.0), &plane(0.1)) - 2.0 * 0.01).abs() < 1e-12);
 }
 
+/// Random clouds of different sizes and scales, and what the nearest neighbours of `scipy.spatial.cKDTree` make of them.
+#[test]
+fn chamfer_is_that_of_scipy() {
+    #[derive(serde::Deserialize)]
+    struct Case {
+        a: Vec<[f64; 3]>,
+        b: Vec<[f64; 3]>,
+        chamfer: f64,
+    }
+    let recorded: serde_json::Value = serde_json::from_str(include_str!("data/chamfer_scipy.json")).unwrap();
+    let cases: Vec<Case> = serde_json::from_value(recorded["cases"].clone()).unwrap();
+    assert_eq!(cases.len(), 3);
+    for Case { a, b, chamfer: expected } in cases {
+        let found = chamfer(&a, &b);
+        assert!((found - expected).abs() < 1e-12 * expected, "{found}, by scipy {expected}");
+    }
+}
+
 #[test]
 fn samples_are_uniform_by_area() {
     // Two triangles, one three times as large as the other, and one without area.
@@ -185,6 +203,117 @@ fn vertex_errors_are_distances_at_the_vertices() {
     assert_eq!(eval::snapshots(&trajectory, 5).frame(3)[0][2], 4.0);
 }
 
+/// A copy of the shipped sequence whose vertices are numbered backwards, in a mesh with further vertices in the middles of
+/// the cells; at rest it lies in the x-z plane.
+fn meshed(folder: &Path) -> PathBuf {
+    let grid = Grid { h: 32, w: 32 };
+    let to = folder.join("meshed");
+    std::fs::create_dir(&to).unwrap();
+    let truth = Sequence::load(&shipped(), "xy_v2").unwrap().truth;
+    let corners = |k: usize| [0, 1, 32, 33].map(|step| k / 31 * 32 + k % 31 + step);
+    let with_middles = |points: &[[f32; 3]]| -> Vec<[f32; 3]> {
+        let middle = |k| [0, 1, 2].map(|c| corners(k).map(|p| points[p][c]).iter().sum::<f32>() / 4.0);
+        points.iter().rev().copied().chain((0..961).map(middle)).collect()
+    };
+    let mut frames = Vec::new();
+    (0..20).for_each(|f| frames.extend(with_middles(truth.frame(f))));
+    let frames = ndarray::Array3::from_shape_vec((20, 1985, 3), frames.concat()).unwrap();
+    ndarray_npy::write_npy(to.join("cloth_pos.npy"), &frames).unwrap();
+    let rest: Vec<[f32; 3]> =
+        (0..1024).map(|p| [1.0 - (p % 32) as f32 / 31.0, 0.0, (p / 32) as f32 / 31.0]).collect();
+    let mut obj = String::new();
+    with_middles(&rest).iter().for_each(|[x, y, z]| obj += &format!("v {x} {y} {z}\n"));
+    for k in 0..961 {
+        // As numbered in the file, from 1.
+        let [a, b, c, d] = corners(k).map(|p| 1024 - p);
+        for [p, q] in [[a, b], [b, d], [d, c], [c, a]] {
+            obj += &format!("f {p} {q} {}\n", 1025 + k);
+        }
+    }
+    std::fs::write(to.join("mesh.obj"), obj).unwrap();
+    let [h0, h1] = [1023 - 31 * grid.w, 1023];
+    let meta = format!(r#"{{"handle_vertices": [{h0}, {h1}], "fps": 60}}"#);
+    std::fs::write(to.join("meta.json"), meta).unwrap();
+    to
+}
+
+#[test]
+fn a_mesh_that_is_no_grid_is_carried_to_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let to = meshed(folder.path());
+    let sequence = Sequence::load(folder.path(), "meshed").unwrap();
+    let original = Sequence::load(&shipped(), "xy_v2").unwrap();
+    // As many particles as vertices, about; the handles without a file are where their vertices are.
+    assert_eq!(sequence.grid(), Grid { h: 45, w: 45 });
+    let [found, expected] =
+        [&sequence, &original].map(|s| s.scene(Grid { h: 32, w: 32 }, &PHYSICS).unwrap().setup().unwrap());
+    assert_eq!(found.model.cloths[0].handles, expected.model.cloths[0].handles);
+    let apart = |a: [f64; 3], b: [f64; 3]| square(a, b).sqrt();
+    for frame in [0, 19] {
+        for (&a, &b) in found.handles[frame].iter().zip(&expected.handles[frame]) {
+            // The trajectory that ships has half precision; in edges.
+            assert!(apart(a, b) < 0.02, "handles of frame {frame}: {a:?}, {b:?}");
+        }
+    }
+    let [mine, theirs] = [&found, &expected].map(|setup| setup.vertices_m(&setup.start.x));
+    let farthest = mine.iter().zip(&theirs).map(|(&a, &b)| apart(a, b)).fold(0.0, f64::max);
+    assert!(farthest < 3e-3, "the start is {farthest} m away");
+    // Distances are measured to the mesh itself.
+    let (vertices, faces) = sequence.surface(3);
+    assert_eq!((vertices.len(), faces.len()), (1985, 4 * 961));
+    let score = compare(&sequence, "itself", &original.truth, &Settings { frames: 20, ..SETTINGS }).unwrap();
+    // Two samples of one surface are about as far apart as their points: 1000 on a square metre.
+    assert!(score.e_cd.unwrap() < 2e-3 && score.e_3d.unwrap() < 3e-3, "{:?}, {:?}", score.e_cd, score.e_3d);
+    let tick = || ControlFlow::Continue(());
+    let settings = Settings { frames: 4, ..SETTINGS };
+    let (score, _) =
+        run(&sequence, Grid { h: 16, w: 16 }, &newton(), (&Device::Cpu, &settings), tick).unwrap().unwrap();
+    assert!(score.stable && score.e_cd.unwrap() < 8e-3);
+
+    let refused = |file: &str, text: &str, said: &[&str]| {
+        let kept = std::fs::read(to.join(file)).unwrap();
+        std::fs::write(to.join(file), text).unwrap();
+        let error = Sequence::load(folder.path(), "meshed").unwrap_err().to_string();
+        std::fs::write(to.join(file), kept).unwrap();
+        said.iter().for_each(|part| assert!(error.contains(part), "no '{part}' in {error}"));
+    };
+    let obj = std::fs::read_to_string(to.join("mesh.obj")).unwrap();
+    refused("meta.json", "{}", &["handle_vertices", "as there is a mesh"]);
+    refused("meta.json", r#"{"handle_vertices": [5000, 1]}"#, &["vertices below 1985", "5000"]);
+    refused("mesh.obj", &obj.replacen("v ", "# ", 1), &["mesh.obj", "line", "that exist"]);
+    refused("mesh.obj", &(obj.clone() + "v 0 0 0\n"), &["mesh.obj", "1985, as in cloth_pos.npy", "1986"]);
+    refused("mesh.obj", &obj.replacen("v 0 0 1\n", "v 0 0.5 1\n", 1), &["mesh.obj", "a flat sheet"]);
+    let holed: Vec<&str> = obj.lines().filter(|line| !line.ends_with(" 1500")).collect();
+    refused("mesh.obj", &holed.join("\n"), &["mesh.obj", "fills a rectangle"]);
+    std::fs::rename(to.join("mesh.obj"), folder.path().join("sheet.obj")).unwrap();
+    assert!(Sequence::load(folder.path(), "meshed").is_err(), "1985 vertices are no square");
+    let meta = r#"{"handle_vertices": [31, 1023], "obj_code": "sheet"}"#;
+    std::fs::write(to.join("meta.json"), meta).unwrap();
+    assert_eq!(Sequence::load(folder.path(), "meshed").unwrap().grid(), Grid { h: 45, w: 45 });
+}
+
+#[test]
+fn repulsion_is_judged_on_the_grid_of_the_paper() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    // A sheet folded onto itself at half of its height, 0.2 edges of 32 rows apart.
+    let folded = |n: usize| {
+        let grid = Grid { h: n, w: n };
+        let mut trajectory = Trajectory::new(grid, 60.0);
+        let place = |p: usize| {
+            let [down, across] = [p / n, p % n].map(|k| k as f32 / (n - 1) as f32);
+            let side = if down > 0.5 { 0.2 / 31.0 } else { 0.0 };
+            [across, if down > 0.5 { 1.0 - down } else { down }, side]
+        };
+        let frame: Vec<_> = (0..n * n).map(place).collect();
+        (0..3).for_each(|_| trajectory.push(&frame, &frame));
+        compare(&sequence, "folded", &trajectory, &Settings { frames: 3, ..SETTINGS }).unwrap().repulsion
+    };
+    // Every other row and column of 63 is one of 32.
+    let [coarse, fine] = [32, 63].map(|n| folded(n).unwrap());
+    assert!(coarse[0] > 1.0 && coarse[1] == 1.0);
+    assert!((fine[0] / coarse[0] - 1.0).abs() < 1e-3, "{} and {}", fine[0], coarse[0]);
+}
+
 #[test]
 fn a_solver_that_diverges_has_no_numbers() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
@@ -231,6 +360,23 @@ fn bad_sequences_are_refused_by_name() {
     assert!(error("grid").contains("meta.json: text: expected JSON"));
     std::fs::write(grid.join("meta.json"), r#"{"handle_vertices": "corner"}"#).unwrap();
     assert!(error("grid").contains("handle_vertices"));
+    // Without handles.npy they are where their vertices are; start.npy has more digits than cloth_pos.npy.
+    std::fs::write(grid.join("meta.json"), r#"{"handle_vertices": [992, 0]}"#).unwrap();
+    let setup = |folder: &Path, name: &str| {
+        let sequence = Sequence::load(folder, name).unwrap();
+        sequence.scene(Grid { h: 32, w: 32 }, &PHYSICS).unwrap().setup().unwrap()
+    };
+    let given = setup(&shipped(), "xy_v2");
+    std::fs::remove_file(grid.join("handles.npy")).unwrap();
+    let followed = setup(folder.path(), "grid");
+    let gap = |a: &[[f64; 3]], b: &[[f64; 3]]| square(a[0], b[0]).max(square(a[1], b[1])).sqrt();
+    let farthest = given.handles.iter().zip(&followed.handles).map(|(a, b)| gap(a, b)).fold(0.0, f64::max);
+    assert!(farthest > 0.0 && farthest < 0.02, "half precision: {farthest} edges");
+    assert_ne!(given.start.x, followed.start.x);
+    std::fs::copy(shipped().join("xy_v2/start.npy"), grid.join("start.npy")).unwrap();
+    assert!(
+        given.start.x.iter().zip(&setup(folder.path(), "grid").start.x).all(|(a, b)| (a - b).abs() < 0.02)
+    );
     // Without a meta.json: the default cloth.
     std::fs::remove_file(grid.join("meta.json")).unwrap();
     assert_eq!(Sequence::load(folder.path(), "grid").unwrap().grid(), Grid { h: 32, w: 32 });

@@ -113,6 +113,30 @@ fn a_recorded_motion_equals_the_built_in_one_and_is_held_past_its_end() {
 }
 
 #[test]
+fn positions_may_stand_in_the_scene_itself() {
+    let mut scene = Scene::load(assets("scenes/inline.json")).unwrap();
+    let setup = scene.setup().unwrap();
+    let hanging = Scene { start: Start::Hanging, motion: Motion::Still, ..scene.clone() }.setup().unwrap();
+    let apart = setup.start.x.iter().zip(&hanging.start.x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-9, "{apart} edges");
+    assert_eq!(setup.frames(), 4);
+    let moved = distance(setup.handles[3][0], setup.handles[0][0]) * setup.units.length_m;
+    assert!((moved - 0.03).abs() < 1e-12, "{moved} m");
+    // On another grid the sheet is resampled.
+    scene.regrid(Grid { h: 15, w: 15 }).unwrap();
+    let fine = scene.setup().unwrap();
+    assert!(edges(&fine).iter().flatten().all(|length| (length - 1.0).abs() < 1e-9));
+
+    let start = |text: &str| format!(r#"{{"grid": [8, 8], "start": {text}}}"#);
+    expect_refusal(&start(r#"{"vertices": [[0, 0, 0]]}"#), &["start", "grid"]);
+    let few = start(r#"{"vertices": [[0, 0, 0]], "grid": [8, 8]}"#);
+    expect_refusal(&few, &["start.vertices", "64 for the 8x8 grid", "found 1"]);
+    expect_refusal(&start(r#"{"vertices": [[0, 0]], "grid": [8, 8]}"#), &["start.vertices[0]"]);
+    expect_refusal(r#"{"motion": []}"#, &["motion", "at least one row"]);
+    expect_refusal(r#"{"motion": [[[0, 0, 0]]]}"#, &["motion[0]", "2 positions", "found 1"]);
+}
+
+#[test]
 fn a_faster_motion_takes_fewer_frames() {
     for (motion, tolerance) in [("xy_v2", 1e-12), ("../motions/xy_v2.npy", 1e-3)] {
         let at = |speed: f64| {

@@ -5,7 +5,7 @@
 //! `--suite handles`, and `--iterations 5` on 32 and 64. Here a part of it that takes seconds.
 
 use fnopt::cpu::Track;
-use fnopt::eval::suite::{Suite, run};
+use fnopt::eval::suite::{Prepared, Suite};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{Device, Grid, Optimizer};
@@ -22,7 +22,8 @@ fn sound(suite: Suite, names: &[&str], (grid, frames, iterations): (Grid, usize,
     assert!(chosen.len() >= names.len(), "{names:?}");
     for case in chosen {
         let tick = || ControlFlow::Continue(());
-        let ran = run(case, (&learned(), iterations), &Device::Cpu, (frames, false), tick);
+        let prepared = Prepared::new(case, frames).unwrap();
+        let ran = prepared.run((&learned(), iterations), &Device::Cpu, false, tick);
         let (score, trajectory) = ran.unwrap().expect("nobody ended it");
         assert_eq!(trajectory.frames(), frames);
         let stretch = score.stretch_largest;

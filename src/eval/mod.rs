@@ -7,6 +7,7 @@
 //! ```
 
 pub mod fit;
+mod flat_mesh;
 mod metrics;
 mod score;
 mod sequence;

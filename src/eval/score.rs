@@ -21,7 +21,7 @@ const REPULSION_DELTA: f64 = 0.5;
 const REPULSION_EDGES: f64 = 31.0;
 /// Seconds at the end over which the speed is averaged.
 const SETTLED_S: f64 = 0.5;
-/// Rows of the grids on which `interpolation` works out accelerations: those of the paper's training.
+/// Rows of the grids on which `interpolation` works out accelerations and repulsion is judged: those of the paper's training.
 const COARSE_ROWS: usize = 32;
 /// Frames that [`snapshots`] keeps.
 const SNAPSHOTS: usize = 4;
@@ -93,7 +93,7 @@ pub struct Score {
     pub stretch_largest: Option<f64>,
     /// Mean speed of the particles in the last half second [m/s]: how far the cloth has settled.
     pub speed_at_end: Option<f64>,
-    /// Mean repulsion energy, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.1).
+    /// Mean repulsion energy on [`coarse`] grids, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.1).
     pub repulsion: Option<[f64; 3]>,
     /// Figures of every frame.
     pub per_frame: PerFrame,
@@ -177,8 +177,8 @@ pub fn run(
     Ok(Some((score, simulated.trajectory)))
 }
 
-/// The grid on which `interpolation` works out the accelerations of another: of the same shape with 32 rows; a coarser one
-/// is its own.
+/// The grid on which `interpolation` works out the accelerations of another, and repulsion is judged: of the same shape with
+/// 32 rows; a coarser one is its own.
 pub fn coarse(grid: Grid) -> Grid {
     if grid.h <= COARSE_ROWS {
         return grid;
@@ -302,25 +302,29 @@ fn judge(
         return score;
     }
     let wide = |points: &[[f32; 3]]| points.iter().map(|p| p.map(f64::from)).collect::<Vec<_>>();
-    let faces = [found.grid().faces(), truth.grid().faces()];
+    let faces = found.grid().faces();
     let resampled = Resampling::new(found.grid(), truth.grid());
+    let coarse = coarse(found.grid());
+    let (coarsened, coarse_faces) = (Resampling::new(found.grid(), coarse), coarse.faces());
     let edge = distance(found.frame(0)[0], found.frame(0)[1]).max(f64::MIN_POSITIVE);
     let rest = f64::from(found.grid().h as u32 - 1) / REPULSION_EDGES;
     let figures: Vec<[f64; 3]> = (1..frames)
         .into_par_iter()
         .map(|frame| {
-            let (a, b) = (wide(found.frame(frame)), wide(truth.frame(frame)));
+            let (a, (b, of_truth)) = (wide(found.frame(frame)), sequence.surface(frame));
             let seed = frame as u64;
             let clouds = [
-                Surface { points: &a, faces: &faces[0] }.sample(settings.points, 2 * seed),
-                Surface { points: &b, faces: &faces[1] }.sample(settings.points, 2 * seed + 1),
+                Surface { points: &a, faces: &faces }.sample(settings.points, 2 * seed),
+                Surface { points: &b, faces: &of_truth }.sample(settings.points, 2 * seed + 1),
             ];
-            // In edges of a grid of 32 rows.
-            let scaled: Vec<[f64; 3]> = a.iter().map(|p| p.map(|c| c / (edge * rest))).collect();
+            // In edges of a grid of 32 rows, and on such a grid, as its authors evaluate it: the particles of a finer one are
+            // nearer to each other than `REPULSION_DELTA` in any fold.
+            let scaled: Vec<[f64; 3]> =
+                coarsened.apply(&a).into_iter().map(|p| p.map(|c| c / (edge * rest))).collect();
             [
                 chamfer(&clouds[0], &clouds[1]),
-                relative_error(&resampled.apply(&a), &b),
-                repulsion(&scaled, &faces[0], REPULSION_DELTA),
+                relative_error(&resampled.apply(&a), &wide(truth.frame(frame))),
+                repulsion(&scaled, &coarse_faces, REPULSION_DELTA),
             ]
         })
         .collect();

@@ -8,6 +8,7 @@ use crate::io::Trajectory;
 use crate::scene::{BuiltIn, Handles, Motion, Placement, Scene, Setup, Start, Stiffness};
 use crate::sim::{Device, Grid, Material, Optimizer};
 use crate::{Error, Result};
+use std::cell::OnceCell;
 use std::ops::ControlFlow;
 
 /// Every so many frames is compared with its converged minimum.
@@ -149,43 +150,63 @@ impl Suite {
     }
 }
 
-/// Runs a case for `frames` frames at most, the start included; with its energy gap if asked for. Nothing when `tick`, called
-/// after each frame, ended it.
-pub fn run(
-    case: &Case,
-    (optimizer, iterations): (&Optimizer, usize),
-    device: &Device,
-    (frames, with_gap): (usize, bool),
-    tick: impl FnMut() -> ControlFlow<()>,
-) -> Result<Option<(CaseScore, Trajectory)>> {
-    let mut setup = case.scene.setup()?;
-    if setup.frames() > frames {
-        setup = Scene { frames: Some(frames), ..case.scene.clone() }.setup()?;
-    }
-    let iterations = case.iterations.unwrap_or(iterations);
-    let entry =
-        Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations, coarse: false };
-    let simulated = simulate(&setup, &entry, device, tick)?;
-    if simulated.ended_early {
-        return Ok(None);
-    }
-    let score = CaseScore {
-        case: case.name.clone(),
-        grid: setup.model.grid.to_string(),
-        iterations,
-        finite: simulated.stable,
-        stretch_largest: simulated.stretch_largest,
-        gap: if with_gap { Some(gap(&setup, optimizer, iterations)?) } else { None },
-        ms_per_frame: median(&simulated.times_ms),
-    };
-    Ok(Some((score, simulated.trajectory)))
+/// A case made ready for any number of solvers.
+pub struct Prepared<'a> {
+    case: &'a Case,
+    /// Its scene in grid units.
+    pub setup: Setup,
+    /// Its converged frames, computed when the first gap is measured.
+    track: OnceCell<Track>,
 }
 
-/// The median energy gap on the converged way of a scene.
-fn gap(setup: &Setup, optimizer: &Optimizer, iterations: usize) -> Result<f64> {
-    let controls = (1..setup.frames()).map(|frame| setup.control(frame));
-    let every = PROBE_EVERY.min(setup.frames() - 1);
-    Track::new(&setup.model, setup.start.clone(), controls, every)?.median_gap(optimizer, iterations)
+impl<'a> Prepared<'a> {
+    /// Makes a case ready, for `frames` frames at most, the start included.
+    pub fn new(case: &'a Case, frames: usize) -> Result<Self> {
+        let mut setup = case.scene.setup()?;
+        if setup.frames() > frames {
+            setup = Scene { frames: Some(frames), ..case.scene.clone() }.setup()?;
+        }
+        Ok(Self { case, setup, track: OnceCell::new() })
+    }
+
+    /// Runs a solver; with its energy gap if asked for. Nothing when `tick`, called after each frame, ended it.
+    pub fn run(
+        &self,
+        (optimizer, iterations): (&Optimizer, usize),
+        device: &Device,
+        with_gap: bool,
+        tick: impl FnMut() -> ControlFlow<()>,
+    ) -> Result<Option<(CaseScore, Trajectory)>> {
+        let (case, setup) = (self.case, &self.setup);
+        let iterations = case.iterations.unwrap_or(iterations);
+        let entry =
+            Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations, coarse: false };
+        let simulated = simulate(setup, &entry, device, tick)?;
+        if simulated.ended_early {
+            return Ok(None);
+        }
+        let score = CaseScore {
+            case: case.name.clone(),
+            grid: setup.model.grid.to_string(),
+            iterations,
+            finite: simulated.stable,
+            stretch_largest: simulated.stretch_largest,
+            gap: if with_gap { Some(self.track()?.median_gap(optimizer, iterations)?) } else { None },
+            ms_per_frame: median(&simulated.times_ms),
+        };
+        Ok(Some((score, simulated.trajectory)))
+    }
+
+    fn track(&self) -> Result<&Track> {
+        if self.track.get().is_none() {
+            let Setup { model, start, .. } = &self.setup;
+            let frames = self.setup.frames();
+            let controls = (1..frames).map(|frame| self.setup.control(frame));
+            let track = Track::new(model, start.clone(), controls, PROBE_EVERY.min(frames - 1))?;
+            self.track.set(track).ok().expect("it was not set");
+        }
+        Ok(self.track.get().expect("it was set"))
+    }
 }
 
 /// The scores of a suite as a table.

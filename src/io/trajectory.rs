@@ -147,22 +147,14 @@ impl Trajectory {
     /// has no velocities, they are the differences of positions over the frame time, and 0 in the first frame.
     pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Self> {
         let path = path.as_ref();
-        let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
-        let parts = match extension.to_str() {
-            _ if path.is_dir() => read_folder(path)?,
-            Some("npz") => npz::read(path)?,
-            Some("pc2") => pc2::read(path)?,
-            Some("npy") => {
-                let mut array = npy::open_npy(path)?.of_floats()?;
-                let shape = array.shape.clone();
-                Parts { shape, positions: array.triples(|x| x as f32)?, ..Parts::default() }
-            }
-            _ => {
-                let expected = "an npz, npy or pc2 file or a folder of OBJ files";
-                return Err(Error::invalid(path.display().to_string(), "type", expected, "another one"));
-            }
-        };
-        Self::from_parts(parts, options, &path.display().to_string())
+        Self::from_parts(read_parts(path)?, options, &path.display().to_string())
+    }
+
+    /// As [`Trajectory::read`], of vertices that need not form a grid: the grid is then a single row of them.
+    pub(crate) fn read_vertices(path: &Path, fps: f64) -> Result<Self> {
+        let parts = read_parts(path)?;
+        let grid = parts.shape.get(1).map(|&vertices| Grid { h: 1, w: vertices });
+        Self::from_parts(parts, &ReadOptions { grid, fps }, &path.display().to_string())
     }
 
     fn from_parts(parts: Parts, options: &ReadOptions, origin: &str) -> Result<Self> {
@@ -200,6 +192,24 @@ impl Trajectory {
         });
         (trajectory.positions, trajectory.velocities) = (parts.positions, velocities);
         Ok(trajectory)
+    }
+}
+
+fn read_parts(path: &Path) -> Result<Parts> {
+    let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
+    match extension.to_str() {
+        _ if path.is_dir() => read_folder(path),
+        Some("npz") => npz::read(path),
+        Some("pc2") => pc2::read(path),
+        Some("npy") => {
+            let mut array = npy::open_npy(path)?.of_floats()?;
+            let shape = array.shape.clone();
+            Ok(Parts { shape, positions: array.triples(|x| x as f32)?, ..Parts::default() })
+        }
+        _ => {
+            let expected = "an npz, npy or pc2 file or a folder of OBJ files";
+            Err(Error::invalid(path.display().to_string(), "type", expected, "another one"))
+        }
     }
 }
 

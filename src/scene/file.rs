@@ -89,6 +89,7 @@ impl Scene {
                     "grid": file.grid.map(|g| [g.h, g.w]),
                     "transform": file.transform,
                 }),
+                Start::Vertices(grid, vertices) => json!({ "vertices": vertices, "grid": [grid.h, grid.w] }),
                 named => json!(named.name()),
             },
             "handles": match &self.handles {
@@ -96,7 +97,10 @@ impl Scene {
                 Handles::Cells(cells) => json!(cells),
                 Handles::Vertices(vertices) => json!(vertices),
             },
-            "motion": self.motion.to_string(),
+            "motion": match &self.motion {
+                Motion::Rows(rows) => json!(rows),
+                named => json!(named.to_string()),
+            },
             "speed": self.speed,
             "up": match self.up {
                 UpAxis::Y => "y",
@@ -129,7 +133,7 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         frames: node.get_or("frames", None, |n| n.count().map(Some))?,
         start: node.get_or("start", fallback.start, |n| read_start(n, folder))?,
         handles: node.get_or("handles", fallback.handles, read_handles)?,
-        motion: node.get_or("motion", fallback.motion, |n| Motion::parse(n.text()?, n.origin, folder))?,
+        motion: node.get_or("motion", fallback.motion, |n| read_motion(n, folder))?,
         speed: node.get_or("speed", fallback.speed, Node::number)?,
         up,
         origin: node.origin.to_owned(),
@@ -212,6 +216,12 @@ fn read_start(node: &Node, folder: &Path) -> Result<Start> {
     if node.value.is_string() {
         return Start::parse(node.text()?, node.origin, folder);
     }
+    if let Some(vertices) = node.get("vertices") {
+        node.only(&["vertices", "grid"])?;
+        let grid =
+            node.get("grid").ok_or_else(|| node.invalid("the \"grid\" of the vertices beside them"))?;
+        return Ok(Start::Vertices(read_grid(&grid)?, read_points(&vertices)?));
+    }
     node.only(&["file", "grid", "transform"])?;
     let file = node.get("file").ok_or_else(|| node.invalid("a name, a path or {\"file\": path, ..}"))?;
     match Start::parse(file.text()?, node.origin, folder)? {
@@ -222,6 +232,17 @@ fn read_start(node: &Node, folder: &Path) -> Result<Start> {
         })),
         _ => Err(file.invalid("the path of an .obj or .npy file")),
     }
+}
+
+fn read_motion(node: &Node, folder: &Path) -> Result<Motion> {
+    match node.value.is_array() {
+        true => Ok(Motion::Rows(node.items()?.iter().map(read_points).collect::<Result<_>>()?)),
+        false => Motion::parse(node.text()?, node.origin, folder),
+    }
+}
+
+fn read_points(node: &Node) -> Result<Vec<[f64; 3]>> {
+    node.items()?.iter().map(Node::vector).collect()
 }
 
 fn read_handles(node: &Node) -> Result<Handles> {

@@ -34,9 +34,9 @@
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
 //! | `frame_time_s` | time of a frame | s | `1/60` |
 //! | `frames` | number of frames, the start included | | as many as the motion takes; 391 without a motion |
-//! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj` or `.npy`, or `{"file", "grid", "transform"}` | m | `"settled"` |
+//! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj` or `.npy`, `{"file", "grid", "transform"}`, or the positions themselves, `{"vertices": [[x, y, z], ..], "grid"}` | m | `"settled"` |
 //! | `handles` | a placement, pairs `[[i, j], ..]`, or vertex numbers `[k, ..]` with `k = i W + j` | | `"corners"` |
-//! | `motion` | a built-in name, `"none"`, or the path of a `.npy` | m | `"xy_v2"` |
+//! | `motion` | a built-in name, `"none"`, the path of a `.npy`, or the positions themselves, `[[[x, y, z], ..], ..]`: for each frame time those of all handles | m | `"xy_v2"` |
 //! | `speed` | how many times faster the motion is played | | `1` |
 //! | `up` | `"y"` or `"z"`, the axis that points up | | `"y"` |
 //!

@@ -122,6 +122,8 @@ pub enum Motion {
     BuiltIn(BuiltIn),
     /// A `.npy` file of shape [frames, handles, 3] in metres and the scene's axes, one row for each frame time.
     File(PathBuf),
+    /// Positions of all handles for each frame time \[m\], in the scene's axes.
+    Rows(Vec<Vec<[f64; 3]>>),
 }
 
 impl Motion {
@@ -148,6 +150,7 @@ impl std::fmt::Display for Motion {
             Motion::Still => f.write_str(STILL),
             Motion::BuiltIn(motion) => f.write_str(&motion.name()),
             Motion::File(path) => write!(f, "{}", path.display()),
+            Motion::Rows(rows) => write!(f, "{} rows of positions", rows.len()),
         }
     }
 }
@@ -174,6 +177,18 @@ impl Recording {
             return Err(Error::invalid(origin, "shape", expected, found));
         }
         Ok(Self { points: points::from_array(&origin, &array)?, handles })
+    }
+
+    /// Rows of `handles` positions each; `origin` names the scene.
+    pub fn from_rows(rows: &[Vec<[f64; 3]>], handles: usize, origin: &str) -> Result<Self> {
+        if rows.is_empty() {
+            return Err(Error::invalid(origin, "motion", "at least one row of positions", "none"));
+        }
+        if let Some(k) = rows.iter().position(|row| row.len() != handles) {
+            let expected = format!("{handles} positions, one for each handle");
+            return Err(Error::invalid(origin, format!("motion[{k}]"), expected, rows[k].len()));
+        }
+        Ok(Self { points: rows.concat(), handles })
     }
 
     /// Number of recorded frames, at least one.

@@ -194,14 +194,17 @@ impl Scene {
                 let row = |f: usize| motion.at(f as f64 * step, &start).into_iter().map(inside).collect();
                 Ok((0..frames).map(row).collect())
             }
-            Motion::File(path) => {
-                let recording = Recording::read(path, many)?;
-                let frames = self.frame_count((recording.frames() - 1) as f64 / self.speed, many)?;
-                let inside = |p| units.position(self.up.to_z_up(p));
-                let row = |f: usize| recording.at(f as f64 * self.speed).into_iter().map(inside).collect();
-                Ok((0..frames).map(row).collect())
-            }
+            Motion::File(path) => self.play(&Recording::read(path, many)?, units, many),
+            Motion::Rows(rows) => self.play(&Recording::from_rows(rows, many, &self.origin)?, units, many),
         }
+    }
+
+    /// [`Scene::trajectory`] of a recording of `many` handles.
+    fn play(&self, recording: &Recording, units: &Units, many: usize) -> Result<Vec<Vec<[f64; 3]>>> {
+        let frames = self.frame_count((recording.frames() - 1) as f64 / self.speed, many)?;
+        let inside = |p| units.position(self.up.to_z_up(p));
+        let row = |f: usize| recording.at(f as f64 * self.speed).into_iter().map(inside).collect();
+        Ok((0..frames).map(row).collect())
     }
 
     /// The frames that the scene asks for, or those that it takes to the end of its motion, `steps` after the start.

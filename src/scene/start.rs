@@ -36,6 +36,9 @@ pub enum Start {
     Hanging,
     /// Positions from a file.
     File(StartFile),
+    /// Positions of the particles of a grid, in the order of their numbers and the scene's axes \[m\]. On another grid the
+    /// sheet is resampled.
+    Vertices(Grid, Vec<[f64; 3]>),
 }
 
 /// Names of the start states that need no file.
@@ -70,7 +73,7 @@ impl Start {
             Start::Settled => Some(NAMES[0]),
             Start::Flat => Some(NAMES[1]),
             Start::Hanging => Some(NAMES[2]),
-            Start::File(_) => None,
+            Start::File(_) | Start::Vertices(..) => None,
         }
     }
 
@@ -92,6 +95,14 @@ impl Start {
             Start::File(file) => {
                 let inside = |p: [f64; 3]| units.position(up.to_z_up(file.transformed(p)));
                 Ok(file.read(grid)?.regrid(grid).points.into_iter().map(inside).collect())
+            }
+            Start::Vertices(of, points) => {
+                if points.len() != of.particles() {
+                    let expected = format!("{} for the {of} grid", of.particles());
+                    return Err(Error::invalid("scene", "start.vertices", expected, points.len()));
+                }
+                let sheet = Surface { grid: *of, points: points.clone() }.regrid(grid);
+                Ok(sheet.points.into_iter().map(|p| units.position(up.to_z_up(p))).collect())
             }
         }
     }

@@ -4,7 +4,7 @@ use super::Args;
 use crate::cli::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
-use fnopt::eval::suite::{self, Case, CaseScore, Suite};
+use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
 use fnopt::eval::{Entry, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
 use fnopt::sim::Grid;
@@ -36,36 +36,35 @@ impl Args {
         }
         let (device, line) = self.device.open()?;
         eprintln!("{line}");
-        let mut jobs = Vec::new();
-        for (number, entry) in entries.iter().enumerate() {
-            for &grid in grids {
-                jobs.extend(self.cases(suite, grid)?.into_iter().map(|case| (number, entry, case)));
-            }
-        }
+        let cases = grids.iter().map(|&grid| self.cases(suite, grid)).collect::<fnopt::Result<Vec<_>>>()?;
+        let cases = cases.concat();
         let style = ProgressStyle::with_template("{bar:30} {pos}/{len} cases, {eta} left  {msg}");
-        let bar = ProgressBar::new(jobs.len() as u64).with_style(style.expect("the template is valid"));
+        let bar = ProgressBar::new((cases.len() * entries.len()) as u64)
+            .with_style(style.expect("the template is valid"));
         let interrupted = interrupt_flag();
         let tick = || go_on(&interrupted);
         // With the number of the entry: one solver may take part with several numbers of iterations.
         let mut scores: Vec<(usize, CaseScore)> = Vec::new();
         let mut complete = true;
-        for (number, entry, case) in jobs {
-            bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
-            let solver = (&entry.optimizer, entry.iterations);
-            let Some((score, trajectory)) = suite::run(&case, solver, &device, (frames, !self.no_gap), tick)?
-            else {
-                complete = false;
-                break;
-            };
-            let setup = case.scene.setup()?;
-            let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
-            let options = StripOptions { view, ..Default::default() };
-            let image = strip(&trajectory, &setup.model.cloths[0].handles, &options);
-            let CaseScore { grid, iterations, case, .. } = &score;
-            let file = format!("{}_{iterations}_{grid}_{case}.png", entry.name).replace(' ', "_");
-            write_png(self.out.join(file), &image)?;
-            scores.push((number, score));
-            bar.inc(1);
+        'cases: for case in &cases {
+            // All solvers of a case in turn: they share its converged frames.
+            let prepared = Prepared::new(case, frames)?;
+            for (number, entry) in entries.iter().enumerate() {
+                bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
+                let solver = (&entry.optimizer, entry.iterations);
+                let Some((score, trajectory)) = prepared.run(solver, &device, !self.no_gap, tick)? else {
+                    complete = false;
+                    break 'cases;
+                };
+                let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
+                let options = StripOptions { view, ..Default::default() };
+                let image = strip(&trajectory, &prepared.setup.model.cloths[0].handles, &options);
+                let CaseScore { grid, iterations, case, .. } = &score;
+                let file = format!("{}_{iterations}_{grid}_{case}.png", entry.name).replace(' ', "_");
+                write_png(self.out.join(file), &image)?;
+                scores.push((number, score));
+                bar.inc(1);
+            }
         }
         bar.finish_and_clear();
         let of = |(number, entry): (usize, &Entry)| {

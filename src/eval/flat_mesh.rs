@@ -1,0 +1,140 @@
+//! Recorded cloths whose vertices are no grid: their mesh at rest, and the grid that stands in for it.
+
+use crate::io::read_obj;
+use crate::sim::{Grid, MIN_GRID};
+use crate::{Error, Result};
+use rayon::prelude::*;
+use std::path::Path;
+
+/// How far a mesh at rest may be from a plane, in its longer side; and how far a corner of the rectangle around it may lie
+/// outside of all triangles, in their sides.
+const FLAT: f64 = 1e-3;
+
+/// A flat rectangular mesh at rest. Its sheet is measured from the corner where particle (0, 0) of a grid would be: along
+/// the height, on which the first two handles lie and where i counts from the second to the first, and along the width,
+/// which leads away from them.
+#[derive(Clone, Debug)]
+pub(super) struct FlatMesh {
+    /// Triangles.
+    pub faces: Vec<[u32; 3]>,
+    origin: String,
+    /// Where each vertex is along the height and the width \[m\].
+    places: Vec<[f64; 2]>,
+    /// Lengths of the sides \[m\].
+    pub sides: [f64; 2],
+}
+
+impl FlatMesh {
+    /// Reads an OBJ file of `vertices` vertices; `handles` are the numbers of some of them.
+    pub fn read(path: &Path, vertices: usize, handles: &[usize]) -> Result<Self> {
+        let mesh = read_obj(path)?;
+        let origin = path.display().to_string();
+        if mesh.positions.len() != vertices {
+            let expected = format!("{vertices}, as in cloth_pos.npy");
+            return Err(Error::invalid(origin, "vertices", expected, mesh.positions.len()));
+        }
+        if mesh.faces.is_empty() {
+            return Err(Error::invalid(origin, "faces", "at least one triangle", "none"));
+        }
+        if let Some(&handle) = handles.iter().find(|&&handle| handle >= vertices) {
+            return Err(Error::invalid(origin, "handles", format!("vertices below {vertices}"), handle));
+        }
+        let of = |axis: usize| mesh.positions.iter().map(move |p| f64::from(p[axis]));
+        let bounds = [0, 1, 2].map(|axis| {
+            of(axis).fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)))
+        });
+        let extent = bounds.map(|(low, high)| high - low);
+        let mut axes = [0, 1, 2];
+        axes.sort_by(|&a, &b| extent[b].total_cmp(&extent[a]));
+        let [long, short, across] = axes;
+        if extent[across] > FLAT * extent[long] || extent[short] <= FLAT * extent[long] {
+            let expected = "a flat sheet, its sides along two of the axes";
+            return Err(Error::invalid(origin, "vertices", expected, format!("a box of {extent:?} m")));
+        }
+        let at = |handle: usize, axis: usize| f64::from(mesh.positions[handle][axis]);
+        let apart = |axis: usize| match handles {
+            [first, second, ..] => at(*first, axis) - at(*second, axis),
+            _ => 0.0,
+        };
+        let [height, width] =
+            if apart(long).abs() >= apart(short).abs() { [long, short] } else { [short, long] };
+        // Whether each side is measured from its upper bound.
+        let down = apart(height) < 0.0;
+        let away = handles.first().is_some_and(|&handle| {
+            let (low, high) = bounds[width];
+            2.0 * at(handle, width) > low + high
+        });
+        let place = |p: &[f32; 3]| {
+            [(height, down), (width, away)].map(|(axis, turned)| {
+                let (low, high) = bounds[axis];
+                if turned { high - f64::from(p[axis]) } else { f64::from(p[axis]) - low }
+            })
+        };
+        let places = mesh.positions.iter().map(place).collect();
+        Ok(Self { faces: mesh.faces, origin, places, sides: [extent[height], extent[width]] })
+    }
+
+    /// A grid of square cells with about as many particles as the mesh has vertices.
+    pub fn grid(&self) -> Grid {
+        let [height, width] = self.sides;
+        let cells = (self.places.len() as f64).sqrt() - 1.0;
+        let edges = |side: f64, other: f64| (cells * (side / other).sqrt()).round() as usize;
+        let h = (edges(height, width) + 1).max(MIN_GRID);
+        let w = (((h - 1) as f64 * width / height).round() as usize + 1).max(MIN_GRID);
+        Grid { h, w }
+    }
+
+    /// The particle (i, j) of a grid that is nearest to a vertex.
+    pub fn cell(&self, grid: Grid, vertex: usize) -> [usize; 2] {
+        let ends = [grid.h - 1, grid.w - 1];
+        std::array::from_fn(|k| (self.places[vertex][k] / self.sides[k] * ends[k] as f64).round() as usize)
+    }
+
+    /// What carries positions of the vertices to the particles of a grid.
+    pub fn carrier(&self, grid: Grid) -> Result<Carrier> {
+        let place = |p: usize| {
+            let at = [(p / grid.w, grid.h), (p % grid.w, grid.w)].map(|(k, n)| k as f64 / (n - 1) as f64);
+            self.locate([at[0] * self.sides[0], at[1] * self.sides[1]])
+        };
+        Ok(Carrier((0..grid.particles()).into_par_iter().map(place).collect::<Result<_>>()?))
+    }
+
+    /// The triangle that a place of the sheet lies in, or is nearest to by rounding, and the shares of its corners.
+    fn locate(&self, at: [f64; 2]) -> Result<Shares> {
+        let shares = |face: &[u32; 3]| {
+            let [a, b, c] = face.map(|k| self.places[k as usize]);
+            let cross = |p: [f64; 2], q: [f64; 2]| p[0] * q[1] - p[1] * q[0];
+            let from_a = |p: [f64; 2]| [p[0] - a[0], p[1] - a[1]];
+            let (u, v, p) = (from_a(b), from_a(c), from_a(at));
+            let area = cross(u, v);
+            let [of_b, of_c] = [cross(p, v) / area, cross(u, p) / area];
+            [1.0 - of_b - of_c, of_b, of_c]
+        };
+        let least = |shares: &[f64; 3]| shares.iter().copied().fold(f64::INFINITY, f64::min);
+        let all = self.faces.iter().map(|face| (*face, shares(face)));
+        // A triangle without area has no shares.
+        let usable = all.filter(|(_, shares)| shares.iter().all(|share| share.is_finite()));
+        let best = usable.max_by(|(_, a), (_, b)| least(a).total_cmp(&least(b)));
+        best.filter(|(_, shares)| least(shares) > -FLAT).ok_or_else(|| {
+            let expected = "a mesh that fills a rectangle";
+            Error::invalid(&self.origin, "faces", expected, format!("none at {at:?} m from its corner"))
+        })
+    }
+}
+
+/// The corners of a triangle, and the share of each in a place inside.
+type Shares = ([u32; 3], [f64; 3]);
+
+/// Carries positions of a mesh to a grid, linearly within each triangle.
+pub(super) struct Carrier(Vec<Shares>);
+
+impl Carrier {
+    /// Positions of the particles, from those of the vertices.
+    pub fn apply(&self, vertices: &[[f32; 3]]) -> Vec<[f64; 3]> {
+        let carry = |(face, shares): &Shares| {
+            let part = |k: usize, c: usize| shares[k] * f64::from(vertices[face[k] as usize][c]);
+            std::array::from_fn(|c| part(0, c) + part(1, c) + part(2, c))
+        };
+        self.0.iter().map(carry).collect()
+    }
+}
