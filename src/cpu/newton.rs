@@ -1,6 +1,6 @@
 //! The Newton step of a frame: the sparse Hessian, its Cholesky factors, and the direction they give.
 
-use super::cloth::{Block, Curvature, Trial, hessian};
+use super::cloth::{Block, Projection, Trial, hessian};
 use crate::sim::Grid;
 use crate::{Error, Result};
 use faer::linalg::solvers::Solve;
@@ -11,6 +11,12 @@ use faer::{MatMut, Side};
 /// Particles that come after a particle in the grid and share a term with it: rows and columns from there.
 const NEIGHBOURS: [(usize, isize); 6] = [(0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
 
+/// The least share of the negative curvature that is left out where all of it is too much.
+const LEAST: f64 = 1.0 / 64.0;
+/// By how much the share grows when it was not enough, and shrinks after it was.
+const STEP: f64 = 8.0;
+const EASE: f64 = 2.0;
+
 /// Newton directions of cloths on one grid, in double precision.
 ///
 /// The unknowns are the particles, component by component; the lower triangle of the Hessian has a fixed pattern, so that
@@ -20,6 +26,8 @@ pub struct Newton {
     pattern: SymbolicSparseColMat<usize>,
     symbolic: SymbolicLlt<usize>,
     values: Vec<f64>,
+    /// What was needed last, eased.
+    projection: Projection,
     /// Of each particle, which of its neighbours there are: place in the column, after its own entries.
     places: Vec<[Option<usize>; NEIGHBOURS.len()]>,
 }
@@ -48,26 +56,32 @@ impl Newton {
         let values = vec![0.0; rows.len()];
         let pattern = SymbolicSparseColMat::new_checked(3 * n, 3 * n, starts, None, rows);
         let symbolic = SymbolicLlt::try_new(pattern.as_ref(), Side::Lower).map_err(unsolved)?;
-        Ok(Self { grid, pattern, symbolic, values, places })
+        Ok(Self { grid, pattern, symbolic, values, projection: Projection::NONE, places })
     }
 
-    /// The direction `H^-1 grad` at a trial, shape [3, H, W]: of the Hessian itself where that is positive definite, else of
-    /// its projection. `grad` is 0 at handles, and so is the direction.
+    /// The direction `H^-1 grad` at a trial, shape [3, H, W], of the Hessian with as little of its negative curvature left out
+    /// as makes it positive definite. `grad` is 0 at handles, and so is the direction.
+    ///
+    /// A full projection is always definite, and converges slowly: of a folded sheet much is compressed, and the projection
+    /// is far stiffer there than the cloth.
     pub fn direction(&mut self, trial: &Trial<'_, f64>, grad: &[f64]) -> Result<Vec<f64>> {
-        for curvature in [Curvature::Exact, Curvature::Projected] {
-            self.assemble(trial, curvature);
+        loop {
+            self.assemble(trial, self.projection);
             let matrix = SparseColMatRef::new(self.pattern.as_ref(), &self.values);
+            let Projection(share) = self.projection;
             match Llt::try_new_with_symbolic(self.symbolic.clone(), matrix, Side::Lower) {
-                Ok(factors) => return Ok(self.solve(&factors, grad)),
-                Err(_) if curvature == Curvature::Exact => {}
+                Ok(factors) => {
+                    self.projection = Projection(if share > LEAST { share / EASE } else { 0.0 });
+                    return Ok(self.solve(&factors, grad));
+                }
+                Err(_) if share < 1.0 => self.projection = Projection((share * STEP).clamp(LEAST, 1.0)),
                 Err(e) => return Err(unsolved(e)),
             }
         }
-        unreachable!("the projected Hessian was the last one")
     }
 
     /// Fills the lower triangle; a handle's rows and columns are those of the unit matrix.
-    fn assemble(&mut self, trial: &Trial<'_, f64>, curvature: Curvature) {
+    fn assemble(&mut self, trial: &Trial<'_, f64>, projection: Projection) {
         let (grid, n) = (self.grid, self.grid.particles());
         let Self { pattern, values, places, .. } = self;
         let starts = pattern.col_ptr();
@@ -93,7 +107,7 @@ impl Newton {
                 }
             }
         };
-        hessian(trial, curvature, &mut add);
+        hessian(trial, projection, &mut add);
         for p in 0..n {
             let own = if free(p) { grid.mass(p / grid.w, p % grid.w) / n as f64 } else { 1.0 };
             (0..3).for_each(|c| values[starts[3 * p + c]] += own);

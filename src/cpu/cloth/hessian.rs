@@ -8,13 +8,20 @@ use std::f64::consts::FRAC_PI_2;
 /// A block of the Hessian: second derivatives with respect to the positions of two particles.
 pub type Block = [[f64; 3]; 3];
 
-/// Which Hessian.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Curvature {
+/// How much is left out, term by term, of what could be negative: a share from 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
+pub struct Projection(pub f64);
+
+impl Projection {
     /// The Hessian itself, which away from a minimum may have directions of negative curvature.
-    Exact,
-    /// Each term without what could be negative: never less than zero along any direction.
-    Projected,
+    pub const NONE: Self = Self(0.0);
+    /// Never less than zero along any direction.
+    pub const FULL: Self = Self(1.0);
+
+    /// `value` without this share of what is below zero.
+    fn of(self, value: f64) -> f64 {
+        value - self.0 * value.min(0.0)
+    }
 }
 
 /// Sines below this are those of parallel edges.
@@ -22,14 +29,14 @@ const PARALLEL: f64 = 1e-9;
 
 /// Calls `add(p, q, block)` with what each term of the shape's energy (stretch, shear, bend) contributes to the block of
 /// particles p and q, for both orders of a pair; handles are not left out.
-pub fn hessian(trial: &Trial<'_, f64>, curvature: Curvature, mut add: impl FnMut(usize, usize, &Block)) {
+pub fn hessian(trial: &Trial<'_, f64>, projection: Projection, mut add: impl FnMut(usize, usize, &Block)) {
     let Grid { h, w } = trial.grid;
     let Factors { vertical, horizontal, shear, bend } = trial.factors();
     let edge = |p: usize, q: usize| Edge { ends: [p, q], vector: trial.edge(p, q) };
     let down = |i: usize, j: usize| edge(i * w + j, (i + 1) * w + j);
     let across = |i: usize, j: usize| edge(i * w + j, i * w + j + 1);
     let mut stretched = |e: Edge, factor: f64| {
-        let block = stretch_block(e.vector, factor, curvature);
+        let block = stretch_block(e.vector, factor, projection);
         spread((&e, &e), &block, &mut add);
     };
     for i in 0..h {
@@ -43,7 +50,7 @@ pub fn hessian(trial: &Trial<'_, f64>, curvature: Curvature, mut add: impl FnMut
         }
     }
     let mut bent = |u: Edge, w: Edge, (rest, factor): (f64, f64)| {
-        let [uu, uw, ww] = angle_blocks((u.vector, w.vector), rest, factor, curvature);
+        let [uu, uw, ww] = angle_blocks((u.vector, w.vector), rest, factor, projection);
         spread((&u, &u), &uu, &mut add);
         spread((&w, &w), &ww, &mut add);
         spread((&u, &w), &uw, &mut add);
@@ -86,15 +93,12 @@ fn spread((u, w): (&Edge, &Edge), block: &Block, add: &mut impl FnMut(usize, usi
 
 /// Second derivatives of `factor (|e| - 1)^2`: 2 along the edge, and 2 (1 - 1 / |e|) across it, which is negative for a
 /// compressed one.
-fn stretch_block(e: [f64; 3], factor: f64, curvature: Curvature) -> Block {
+fn stretch_block(e: [f64; 3], factor: f64, projection: Projection) -> Block {
     let l = length(e);
     if l == 0.0 {
         return [[0.0; 3]; 3];
     }
-    let across = match curvature {
-        Curvature::Exact => 1.0 - 1.0 / l,
-        Curvature::Projected => (1.0 - 1.0 / l).max(0.0),
-    };
+    let across = projection.of(1.0 - 1.0 / l);
     let d = scaled(e, 1.0 / l);
     let mut block = scaled_outer(d, d, 2.0 * factor * (1.0 - across));
     (0..3).for_each(|k| block[k][k] += 2.0 * factor * across);
@@ -107,7 +111,7 @@ fn stretch_block(e: [f64; 3], factor: f64, curvature: Curvature) -> Block {
 /// `dt/du = -m_u / |u|`, `d2t/du2 = (cot t nn' + m_u u' + u m_u') / |u|^2` (u of length 1) and `d2t/du dw = -nn' / (|u| |w|
 /// sin t)`. The part along n of the whole is `s [[cos t, -1], [-1, cos t]]` with `s = (t - rest) / sin t`, whose eigenvalues
 /// are `s (cos t + 1)` and `s (cos t - 1)`; the projection keeps the positive ones and leaves the products of m and u out.
-fn angle_blocks((u, w): ([f64; 3], [f64; 3]), rest: f64, factor: f64, curvature: Curvature) -> [Block; 3] {
+fn angle_blocks((u, w): ([f64; 3], [f64; 3]), rest: f64, factor: f64, projection: Projection) -> [Block; 3] {
     let (lu, lw) = (length(u), length(w));
     if lu == 0.0 || lw == 0.0 {
         return [[[0.0; 3]; 3]; 3];
@@ -123,11 +127,8 @@ fn angle_blocks((u, w): ([f64; 3], [f64; 3]), rest: f64, factor: f64, curvature:
         false => (any_normal(u), 0.0),
     };
     let (mu, mw) = (cross(n, u), cross(w, n));
-    let [mut sum, mut difference] = [s * (cosine - 1.0), s * (cosine + 1.0)];
-    let mut radial = delta;
-    if curvature == Curvature::Projected {
-        (sum, difference, radial) = (sum.max(0.0), difference.max(0.0), 0.0);
-    }
+    let [sum, difference] = [s * (cosine - 1.0), s * (cosine + 1.0)].map(|value| projection.of(value));
+    let radial = (1.0 - projection.0) * delta;
     let own = |m: [f64; 3], e: [f64; 3], l: f64| {
         let factor = 2.0 * factor / (l * l);
         let mut block = scaled_outer(m, m, factor);
