@@ -4,10 +4,13 @@ use super::device::DeviceArgs;
 use super::{Ending, SolverArgs, median};
 use anyhow::Result;
 use fnopt::gpu::{Context, Profile};
+use fnopt::kernels::{Tuning, operator::pointwise};
+use fnopt::render::{Chart, Curve, Image, charts, write_png};
 use fnopt::scene::{Scene, Setup};
 use fnopt::sim::{Device, Grid, Optimizer, Simulator, Solver, SolverOptions};
 use std::io::Write;
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::time::Instant;
 
 /// Arguments of `fnopt bench`.
@@ -26,6 +29,10 @@ pub struct Args {
     solver: SolverArgs,
     #[command(flatten)]
     device: DeviceArgs,
+    /// Draw ms per frame over particles and cloths (PNG), beside what the network's operations alone would take at the speed of
+    /// the device's matrix product
+    #[arg(long, value_name = "FILE")]
+    plot: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -73,11 +80,58 @@ pub fn run(args: &Args) -> Result<Ending> {
             rows.push(row);
         }
     }
+    let product = product_rate(&device)?;
     if args.json {
-        let all = serde_json::json!({ "device": device.name(), "solver": optimizer.name(), "rows": rows });
+        let all = serde_json::json!({
+            "device": device.name(), "solver": optimizer.name(), "product_gflop_per_s": product * 1e-9, "rows": rows
+        });
         writeln!(out, "{all:#}")?;
+    } else {
+        writeln!(out, "the matrix product alone: {:.0} GFLOP/s", product * 1e-9)?;
+    }
+    if let Some(path) = &args.plot {
+        write_png(path, &plot(&rows, product))?;
     }
     Ok(Ending::Done)
+}
+
+/// Operations per second of the device's matrix product where nothing else limits it.
+fn product_rate(device: &Device) -> Result<f64> {
+    Ok(match device {
+        Device::Cpu => fnopt::cpu::product_rate(),
+        Device::Gpu(context) => pointwise::product_rate(context, &Tuning::new(context))?,
+    })
+}
+
+/// Time and speed over the particles of all cloths, for each number of cloths, beside the matrix product's.
+fn plot(rows: &[Row], product: f64) -> Image {
+    let particles = |row: &Row| (row.grid * row.grid * row.batch) as f64;
+    let mut batches: Vec<usize> = rows.iter().map(|row| row.batch).collect();
+    batches.sort_unstable();
+    batches.dedup();
+    let curves = |value: &dyn Fn(&Row) -> f64| -> Vec<Curve> {
+        let of = |&batch: &usize| {
+            let rows = rows.iter().filter(|row| row.batch == batch);
+            let mut points: Vec<[f64; 2]> = rows.map(|row| [particles(row), value(row)]).collect();
+            points.sort_by(|a, b| a[0].total_cmp(&b[0]));
+            Curve { label: format!("{batch} cloths"), points }
+        };
+        batches.iter().map(of).collect()
+    };
+    let mut times = curves(&|row| row.ms_per_frame);
+    let mut speeds = curves(&|row| row.gflop_per_s.unwrap_or(f64::NAN));
+    let mut bound: Vec<[f64; 2]> = rows
+        .iter()
+        .filter_map(|row| Some([particles(row), row.gflop_per_s? * row.ms_per_frame * 1e9 / product]))
+        .collect();
+    bound.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    let label = "matrix product".to_owned();
+    speeds
+        .push(Curve { label: label.clone(), points: bound.iter().map(|p| [p[0], product * 1e-9]).collect() });
+    times.push(Curve { label, points: bound });
+    let chart = |title: &str, curves| Chart { title: title.into(), curves, log: true };
+    let both = [chart("ms per frame over particles", times), chart("GFLOP/s over particles", speeds)];
+    charts(&both, (1200, 420))
 }
 
 fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (Grid, usize)) -> Result<Row> {

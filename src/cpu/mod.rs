@@ -15,6 +15,7 @@ mod reference;
 mod solver;
 pub mod train;
 
+pub use matmul::product_rate;
 pub use newton::Newton;
 pub use objective::Objective;
 pub use real::Real;

@@ -9,6 +9,7 @@
 pub mod fit;
 mod flat_mesh;
 mod metrics;
+mod resampling;
 mod score;
 mod sequence;
 mod stretch;
@@ -16,7 +17,8 @@ pub mod suite;
 mod tables;
 
 pub use metrics::{Surface, chamfer, mean_and_deviation, relative_error, repulsion};
-pub use score::{Entry, PerFrame, Physics, Score, Settings, coarse, compare, run, snapshots, vertex_errors};
+pub use resampling::coarse;
+pub use score::{Entry, PerFrame, Physics, Score, Settings, compare, run, snapshots, vertex_errors};
 pub use sequence::Sequence;
 pub use stretch::{FreeEdges, STRETCH_LIMIT};
 pub use tables::{Cell, Format, Table, tables};

@@ -1,6 +1,7 @@
 //! One solver on one sequence: what it cost and how far from the truth it was.
 
 use super::metrics::{Surface, chamfer, relative_error, repulsion};
+use super::resampling::{Resampling, coarse};
 use super::{FreeEdges, Sequence};
 use crate::io::Trajectory;
 use crate::scene::Setup;
@@ -21,8 +22,6 @@ const REPULSION_DELTA: f64 = 0.5;
 const REPULSION_EDGES: f64 = 31.0;
 /// Seconds at the end over which the speed is averaged.
 const SETTLED_S: f64 = 0.5;
-/// Rows of the grids on which `interpolation` works out accelerations and repulsion is judged: those of the paper's training.
-const COARSE_ROWS: usize = 32;
 /// Frames that [`snapshots`] keeps.
 const SNAPSHOTS: usize = 4;
 
@@ -175,16 +174,6 @@ pub fn run(
         }
     }
     Ok(Some((score, simulated.trajectory)))
-}
-
-/// The grid on which `interpolation` works out the accelerations of another, and repulsion is judged: of the same shape with
-/// 32 rows; a coarser one is its own.
-pub fn coarse(grid: Grid) -> Grid {
-    if grid.h <= COARSE_ROWS {
-        return grid;
-    }
-    let edges = (grid.w - 1) as f64 * (COARSE_ROWS - 1) as f64 / (grid.h - 1) as f64;
-    Grid { h: COARSE_ROWS, w: (edges.round() as usize + 1).max(8) }
 }
 
 /// Accelerations of a trajectory, carried to a finer grid and integrated there from `start`. Both are linear, so this is the
@@ -362,38 +351,4 @@ pub(super) fn median(times: &[f64]) -> f64 {
     times.sort_by(f64::total_cmp);
     let n = times.len();
     if n == 0 { 0.0 } else { 0.5 * (times[(n - 1) / 2] + times[n / 2]) }
-}
-
-/// Carries positions from one grid to the places of another's particles, bilinearly, corners on corners.
-struct Resampling {
-    from: Grid,
-    /// First particle of the cell of each place, and where in the cell it is.
-    places: Vec<(usize, [f64; 2])>,
-}
-
-impl Resampling {
-    fn new(from: Grid, to: Grid) -> Self {
-        let place = |k: usize, n: usize, m: usize| {
-            let at = (k * (n - 1)) as f64 / (m - 1) as f64;
-            let cell = (at as usize).min(n - 2);
-            (cell, at - cell as f64)
-        };
-        let particle = |p: usize| {
-            let (i, down) = place(p / to.w, from.h, to.h);
-            let (j, across) = place(p % to.w, from.w, to.w);
-            (i * from.w + j, [down, across])
-        };
-        Self { from, places: (0..to.particles()).map(particle).collect() }
-    }
-
-    fn apply(&self, points: &[[f64; 3]]) -> Vec<[f64; 3]> {
-        let w = self.from.w;
-        let mix = |a: [f64; 3], b: [f64; 3], t: f64| std::array::from_fn(|c| a[c] + t * (b[c] - a[c]));
-        let at = |&(p, [down, across]): &(usize, [f64; 2])| {
-            let upper = mix(points[p], points[p + 1], across);
-            let lower = mix(points[p + w], points[p + w + 1], across);
-            mix(upper, lower, down)
-        };
-        self.places.iter().map(at).collect()
-    }
 }

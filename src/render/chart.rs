@@ -10,6 +10,8 @@ pub struct Chart {
     pub title: String,
     /// The curves.
     pub curves: Vec<Curve>,
+    /// Whether both axes are logarithmic; what is not above 0 is then left out.
+    pub log: bool,
 }
 
 /// A curve of a chart.
@@ -59,10 +61,10 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
     let low = corner + vec2(left, size.y - bottom);
     let high = corner + vec2(size.x - right, top);
     text::write(image, &chart.title.to_uppercase(), [low.x, corner.y + 8.0], TITLE);
-    let points =
-        || chart.curves.iter().flat_map(|c| &c.points).filter(|p| p[0].is_finite() && p[1].is_finite());
-    let x = Axis::over(points().map(|p| p[0]).collect(), 0.0);
-    let y = Axis::over(points().map(|p| p[1]).collect(), OUTSIDE);
+    let shown = |p: &[f64; 2]| p.iter().all(|v| v.is_finite() && !(chart.log && *v <= 0.0));
+    let points = || chart.curves.iter().flat_map(|c| &c.points).filter(|p| shown(p));
+    let x = Axis::over(points().map(|p| p[0]).collect(), 0.0, chart.log);
+    let y = Axis::over(points().map(|p| p[1]).collect(), OUTSIDE, chart.log);
     for tick in x.ticks() {
         let at = low.x + (high.x - low.x) * x.place(tick);
         line(image, [vec2(at, low.y), vec2(at, high.y)], LINES, 0.5);
@@ -79,7 +81,7 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
     for (curve, colour) in chart.curves.iter().zip(COLOURS.iter().cycle()) {
         let place = |p: &[f64; 2]| {
             let inside = vec2(x.place(p[0]), y.place(p[1]).clamp(0.0, 1.0));
-            p[1].is_finite().then(|| low + (high - low) * inside)
+            shown(p).then(|| low + (high - low) * inside)
         };
         let places: Vec<Option<Vec2>> = curve.points.iter().map(place).collect();
         for pair in places.windows(2) {
@@ -100,32 +102,44 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
 struct Axis {
     low: f64,
     high: f64,
+    log: bool,
 }
 
 impl Axis {
     /// Over these values, without the share `outside` at each end.
-    fn over(mut values: Vec<f64>, outside: f64) -> Self {
+    fn over(mut values: Vec<f64>, outside: f64, log: bool) -> Self {
         values.sort_by(f64::total_cmp);
         let left_out = (values.len() as f64 * outside) as usize;
         let (Some(&low), Some(&high)) = (values.get(left_out), values.iter().nth_back(left_out)) else {
-            return Self { low: 0.0, high: 1.0 };
+            return Self { low: 0.0, high: 1.0, log: false };
         };
-        let wide = if high > low { 0.0 } else { 0.5 * low.abs().max(1.0) };
-        Self { low: low - wide, high: high + wide }
+        let wide = match high > low {
+            true => 0.0,
+            false if log => 0.5 * low,
+            false => 0.5 * low.abs().max(1.0),
+        };
+        Self { low: low - wide, high: high + wide, log }
     }
 
     /// Where a value lies, from 0 to 1.
     fn place(&self, value: f64) -> f32 {
-        ((value - self.low) / (self.high - self.low)) as f32
+        match self.log {
+            true => ((value / self.low).ln() / (self.high / self.low).ln()) as f32,
+            false => ((value - self.low) / (self.high - self.low)) as f32,
+        }
     }
 
-    /// Round numbers inside, three to seven of them.
-    fn ticks(&self) -> impl Iterator<Item = f64> {
+    /// Round numbers inside: three to seven of them, or the powers of ten.
+    fn ticks(&self) -> Vec<f64> {
+        if self.log {
+            let (first, last) = (self.low.log10().ceil() as i32, self.high.log10().floor() as i32);
+            return (first..=last).map(|k| 10f64.powi(k)).collect();
+        }
         let raw = (self.high - self.low) / 5.0;
         let power = 10f64.powf(raw.log10().floor());
         let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&s| s >= raw).unwrap_or(raw);
         let (first, last) = ((self.low / step).ceil() as i64, (self.high / step).floor() as i64);
-        (first..=last).map(move |k| k as f64 * step)
+        (first..=last).map(|k| k as f64 * step).collect()
     }
 }
 
@@ -164,7 +178,7 @@ mod tests {
         let rising = curve((0..50).map(|k| [f64::from(k), f64::from(k * k)]).collect());
         let broken = curve(vec![[0.0, 0.0], [1.0, f64::NAN], [2.0, f64::INFINITY], [3.0, 1e300]]);
         let some = [vec![], vec![rising], vec![broken], vec![curve(vec![[5.0, 5.0]])]];
-        let some = some.map(|curves| Chart { title: "t".into(), curves });
+        let some = some.map(|curves| Chart { title: "t".into(), curves, log: false });
         let image = charts(&some, (400, 300));
         let blue = |x: std::ops::Range<usize>, y: std::ops::Range<usize>| {
             y.flat_map(|y| x.clone().map(move |x| (x, y)))
@@ -178,10 +192,17 @@ mod tests {
 
     #[test]
     fn ticks_are_round_and_inside() {
-        let ticks = |low, high| Axis { low, high }.ticks().map(number).collect::<Vec<_>>().join(" ");
+        let text = |axis: Axis| axis.ticks().into_iter().map(number).collect::<Vec<_>>().join(" ");
+        let ticks = |low, high| text(Axis { low, high, log: false });
         assert_eq!(ticks(0.0, 1.0), "0 0.2 0.4 0.6 0.8 1");
         assert_eq!(ticks(-3.7, 2.1), "-2 0 2");
         assert_eq!(ticks(100.0, 500_000.0), "100000 200000 300000 400000 500000");
         assert_eq!(ticks(0.0, 2e-4), "0 5.0e-5 1.0e-4 1.5e-4 2.0e-4");
+        let decades = Axis { low: 0.02, high: 3000.0, log: true };
+        assert!(
+            (decades.place(0.2) - decades.place(2.0)).abs() - (decades.place(20.0) - decades.place(2.0))
+                < 1e-6
+        );
+        assert_eq!(text(decades), "0.1 1 10 100 1000");
     }
 }

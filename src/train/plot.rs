@@ -35,7 +35,7 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
         }
     }
     let norm = vec![curve("gradient_norm", "gradient norm".into())];
-    let chart = |title: &str, curves| Chart { title: title.into(), curves };
+    let chart = |title: &str, curves| Chart { title: title.into(), curves, log: false };
     Ok(charts(
         &[
             chart("loss", of_pools("loss")),

@@ -49,8 +49,11 @@ fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Fi
         let curve = Curve { label: label(score), points: points.collect() };
         curves.entry((score.sequence.clone(), score.grid.clone())).or_default().push(curve);
     }
-    let chart =
-        |((sequence, grid), curves)| Chart { title: format!("{sequence} {grid}: {name} per frame"), curves };
+    let chart = |((sequence, grid), curves)| Chart {
+        title: format!("{sequence} {grid}: {name} per frame"),
+        curves,
+        log: false,
+    };
     write(folder, file, &curves.into_iter().map(chart).collect::<Vec<_>>())
 }
 
@@ -77,8 +80,8 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
         .into_iter()
         .flat_map(|(grid, [errors, times])| {
             [
-                Chart { title: format!("{grid}: e_CD x 1000 by iterations"), curves: errors },
-                Chart { title: format!("{grid}: ms per frame by iterations"), curves: times },
+                Chart { title: format!("{grid}: e_CD x 1000 by iterations"), curves: errors, log: false },
+                Chart { title: format!("{grid}: ms per frame by iterations"), curves: times, log: false },
             ]
         })
         .collect();
@@ -113,7 +116,7 @@ pub(super) fn convergence(
         curves.push(Curve { label: optimizer.name().to_owned(), points });
     }
     let title = format!("{} {grid}: log10 of the energy gap by iterations", sequence.name);
-    write(folder, "convergence.png", &[Chart { title, curves }])
+    write(folder, "convergence.png", &[Chart { title, curves, log: false }])
 }
 
 /// A few frames of a sequence and, for each grid, of all that simulated it, coloured by their distance from the truth.

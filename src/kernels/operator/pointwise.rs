@@ -4,6 +4,7 @@ use super::Layer;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{Tuning, common, groups, size};
+use std::time::Instant;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -73,6 +74,32 @@ impl Pointwise {
         let count = [groups(quads, self.group), size(outputs / self.tile), size(part.count)];
         schedule.dispatch(&self.kernel, &params, &[&layer.weight, &layer.bias, x, y], count);
     }
+}
+
+/// Operations per second that the kernel reaches when nothing else limits it: 64 channels to 64, on many positions, one
+/// dispatch after the other. Takes about a third of a second, and as long as compiling takes.
+pub fn product_rate(context: &Context, tuning: &Tuning) -> Result<f64> {
+    const SHAPE: [usize; 4] = [12, 64, 64, 64];
+    const DISPATCHES: usize = 10;
+    let [samples, channels, h, w] = SHAPE;
+    let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
+    let (x, y) = (zeros("x", &SHAPE)?, zeros("y", &SHAPE)?);
+    let weight = zeros("weight", &[channels / tuning.channels, channels, tuning.channels])?;
+    let layer = Layer { weight, bias: zeros("bias", &[channels])? };
+    let kernel = Pointwise::new(context, tuning, false)?;
+    let mut schedule = Schedule::new(context);
+    (0..DISPATCHES).for_each(|_| kernel.push(&mut schedule, &layer, &x, &y));
+    let run = || {
+        let begun = Instant::now();
+        context.submit(|encoder| schedule.record(encoder));
+        context.wait().map(|()| begun.elapsed().as_secs_f64())
+    };
+    run()?;
+    let (begun, mut best) = (Instant::now(), f64::INFINITY);
+    while begun.elapsed().as_secs_f64() < 0.3 {
+        best = best.min(run()?);
+    }
+    Ok((2 * DISPATCHES * samples * channels * channels * h * w) as f64 / best)
 }
 
 /// Which samples of input and output a dispatch takes.
