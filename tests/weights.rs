@@ -44,11 +44,10 @@ fn sheets_swing_and_fall_without_tearing() {
     sound(Suite::Handles, &["mid-edge drape"], (Grid { h: 48, w: 32 }, 20, 10));
 }
 
-/// On the first frames of the default scene. At 64x64 the classical method is as good there; over a whole motion it is not
-/// (the README's table).
+/// On the first frames of the default scene, and against the classical method.
 #[test]
 fn ten_iterations_come_close_to_the_minimum() {
-    for (n, frames, most) in [(32, 40, 0.03), (64, 12, 0.06)] {
+    for (n, frames, most, share) in [(32, 40, 0.03, 0.5), (64, 12, 0.05, 1.0)] {
         let mut scene = Scene::default();
         scene.regrid(Grid { h: n, w: n }).unwrap();
         let setup = scene.setup().unwrap();
@@ -58,6 +57,6 @@ fn ten_iterations_come_close_to_the_minimum() {
         let (learned, classical) = (gap(learned()), gap(Optimizer::quasi_newton()));
         println!("{n}x{n}: {learned:.4}, quasi-newton {classical:.4}");
         assert!(learned < most, "{n}x{n}: {learned:.4}");
-        assert!(n > 32 || learned < 0.5 * classical, "{n}x{n}: {learned:.4}, quasi-newton {classical:.4}");
+        assert!(learned < share * classical, "{n}x{n}: {learned:.4}, quasi-newton {classical:.4}");
     }
 }
