@@ -286,8 +286,8 @@ fn a_suite_fails_when_a_case_is_not_sound() {
     let both = suite("lbfgs:50,lbfgs:100");
     let rows = text(&both.stdout).lines().filter(|line| line.starts_with("corners flat")).count();
     assert_eq!(rows, 2, "{}", text(&both.stdout));
-    // One pass of a network that was trained for more.
-    let bad = suite("single-pass");
+    // The classical method diverges from a flat sheet on so coarse a grid.
+    let bad = suite("quasi-newton:10");
     assert_eq!(bad.status.code(), Some(1), "{}", text(&bad.stdout));
 }
 
