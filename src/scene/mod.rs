@@ -279,6 +279,12 @@ impl Scene {
                 return Err(Error::invalid(&self.origin, field, "finite numbers", format!("{vector:?}")));
             }
         }
+        if let Start::Vertices(of, points) = &self.start
+            && points.len() != of.particles()
+        {
+            let expected = format!("{} for the {of} grid", of.particles());
+            return Err(Error::invalid(&self.origin, "start.vertices", expected, points.len()));
+        }
         if self.frames == Some(0) {
             return Err(Error::invalid(&self.origin, "frames", "1 or more", 0));
         }

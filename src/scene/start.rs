@@ -97,10 +97,6 @@ impl Start {
                 Ok(file.read(grid)?.regrid(grid).points.into_iter().map(inside).collect())
             }
             Start::Vertices(of, points) => {
-                if points.len() != of.particles() {
-                    let expected = format!("{} for the {of} grid", of.particles());
-                    return Err(Error::invalid("scene", "start.vertices", expected, points.len()));
-                }
                 let sheet = Surface { grid: *of, points: points.clone() }.regrid(grid);
                 Ok(sheet.points.into_iter().map(|p| units.position(up.to_z_up(p))).collect())
             }
