@@ -77,7 +77,12 @@ pub fn run(args: &Args) -> Result<Ending> {
 }
 
 fn describe(tuning: &Tuning) -> String {
-    let Tuning { channels, pointwise_group, block_wide, block_high, sharing, .. } = tuning;
-    format!("tile {channels}, block {block_wide}x{block_high}, group {pointwise_group}, {sharing:?}")
-        .to_lowercase()
+    let Tuning { channels, pointwise_group, block_wide, block_high, .. } = tuning;
+    let Tuning { rows_in_blocks, spectral_teams, sharing, .. } = tuning;
+    let rows = if *rows_in_blocks { "in blocks" } else { "apart" };
+    format!(
+        "tile {channels}, block {block_wide}x{block_high}, group {pointwise_group}, rows {rows}, teams {spectral_teams}, \
+         {sharing:?}"
+    )
+    .to_lowercase()
 }

@@ -32,13 +32,15 @@ pub struct Binding {
 pub struct Unroll {
     /// Copies of the lines that are written once for each output of an invocation; 0 where there are none.
     pub tile: usize,
+    /// Copies of the lines that are written once for each output of another kind, in kernels that have two.
+    pub second: usize,
     /// How operands are read whose address is the same for all invocations of a subgroup.
     pub sharing: Sharing,
 }
 
 impl From<usize> for Unroll {
     fn from(tile: usize) -> Self {
-        Self { tile, sharing: Sharing::Loads }
+        Self { tile, second: 1, sharing: Sharing::Loads }
     }
 }
 
@@ -59,14 +61,14 @@ const LANES: usize = 8;
 impl Source {
     /// The whole text, unrolled: a line with `$c` is written once for each channel of the tile, with `$q` for the quad of
     /// channels it belongs to and `$e` for its element there; a line with `$q` alone once a quad. `$n` stands for the
-    /// size of the tile and `$m` for its number of quads. In `let v$q = $same(array, index);` the index depends on
-    /// `$q` (or `$c`) and beside it on nothing that differs within a subgroup, all of whose invocations get there; `$lane`
-    /// ends the parameters of an entry point that does so.
+    /// size of the tile and `$m` for its number of quads. A line with `$k` is written `$t` times, once for each of the second tile.
+    /// In `let v$q = $same(array, index);` the index depends on `$q` (or `$c`, or `$k`) and beside it on nothing that differs
+    /// within a subgroup, all of whose invocations get there; `$lane` ends the parameters of an entry point that does so.
     ///
     /// Accumulators then are named registers: neither naga nor software drivers reliably turn a private array into
     /// registers.
     pub fn unrolled(&self, unroll: impl Into<Unroll>) -> String {
-        let Unroll { tile, sharing } = unroll.into();
+        let Unroll { tile, second, sharing } = unroll.into();
         let lane = match sharing {
             Sharing::Loads => "",
             Sharing::Broadcast => ", @builtin(subgroup_invocation_id) lane: u32",
@@ -77,6 +79,8 @@ impl Source {
                 tile
             } else if line.contains("$q") {
                 tile / 4
+            } else if line.contains("$k") {
+                second
             } else {
                 1
             };
@@ -89,10 +93,12 @@ impl Source {
                 let quad = if line.contains("$c") { c / 4 } else { c };
                 copy.replace("$c", &c.to_string())
                     .replace("$q", &quad.to_string())
+                    .replace("$k", &c.to_string())
                     .replace("$e", ["x", "y", "z", "w"][c % 4])
             });
             let line = copies.collect::<Vec<_>>().join(" ");
             let line = line.replace("$n", &format!("{tile}u")).replace("$m", &format!("{}u", tile / 4));
+            let line = line.replace("$t", &format!("{second}u"));
             text.push_str(&line.replace("$lane", lane));
             text.push('\n');
         }
@@ -116,7 +122,10 @@ impl Source {
                 let last = LANES.min(count - first) - 1;
                 let own = format!("({first}u + min(lane % {LANES}u, {last}u))");
                 let load = match from {
-                    0 => format!("let {held} = {array}[{}];", index.replace("$c", &own).replace("$q", &own)),
+                    0 => format!(
+                        "let {held} = {array}[{}];",
+                        ["$c", "$q", "$k"].iter().fold(index.to_owned(), |i, of| i.replace(of, &own))
+                    ),
                     _ => String::new(),
                 };
                 format!("{load}{target}subgroupBroadcast({held}, {from}u);")

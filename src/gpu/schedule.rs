@@ -2,7 +2,7 @@
 
 use super::{Context, Kernel, Profile, Tensor};
 
-/// Dispatches and copies in order. Built once; recording it allocates nothing on our side.
+/// Dispatches and clears in order. Built once; recording it allocates nothing on our side.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     context: Context,
@@ -16,11 +16,6 @@ enum Step {
         pipeline: wgpu::ComputePipeline,
         bind_group: wgpu::BindGroup,
         groups: [u32; 3],
-    },
-    Copy {
-        from: (wgpu::Buffer, u64),
-        to: (wgpu::Buffer, u64),
-        bytes: u64,
     },
     Clear {
         buffer: wgpu::Buffer,
@@ -78,16 +73,6 @@ impl Schedule {
         self.steps.push(Step::Dispatch { name: kernel.name, pipeline, bind_group, groups });
     }
 
-    /// Appends a copy of the whole of `from` to `to`, starting at element `to_offset` there.
-    pub fn copy(&mut self, from: &Tensor, to: &Tensor, to_offset: usize) {
-        assert!(to_offset + from.len() <= to.len(), "copy of '{}' to '{}'", from.label(), to.label());
-        self.steps.push(Step::Copy {
-            from: (from.buffer().clone(), from.offset()),
-            to: (to.buffer().clone(), to.offset() + 4 * to_offset as u64),
-            bytes: from.bytes(),
-        });
-    }
-
     /// Appends zeroing the whole of a tensor.
     pub fn clear(&mut self, tensor: &Tensor) {
         let (offset, bytes) = (tensor.offset(), tensor.bytes());
@@ -127,7 +112,8 @@ impl Schedule {
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
         let mut steps = self.steps.iter().peekable();
         while let Some(step) = steps.peek() {
-            if step.record_transfer(encoder) {
+            if let Step::Clear { buffer, offset, bytes } = step {
+                encoder.clear_buffer(buffer, *offset, Some(*bytes));
                 steps.next();
                 continue;
             }
@@ -147,9 +133,12 @@ impl Schedule {
     /// The passes keep dispatches from overlapping, so the sum is an upper bound of an untimed run's time.
     pub fn record_timed(&self, encoder: &mut wgpu::CommandEncoder, profile: &mut Profile) {
         for step in &self.steps {
-            let Step::Dispatch { name, pipeline, bind_group, groups } = step else {
-                step.record_transfer(encoder);
-                continue;
+            let (name, pipeline, bind_group, groups) = match step {
+                Step::Dispatch { name, pipeline, bind_group, groups } => (name, pipeline, bind_group, groups),
+                Step::Clear { buffer, offset, bytes } => {
+                    encoder.clear_buffer(buffer, *offset, Some(*bytes));
+                    continue;
+                }
             };
             let timestamp_writes = profile.next(name);
             let mut pass = encoder
@@ -159,19 +148,5 @@ impl Schedule {
             pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
         }
         profile.resolve(encoder);
-    }
-}
-
-impl Step {
-    /// Records a step that needs no compute pass; tells whether it was one.
-    fn record_transfer(&self, encoder: &mut wgpu::CommandEncoder) -> bool {
-        match self {
-            Step::Copy { from, to, bytes } => {
-                encoder.copy_buffer_to_buffer(&from.0, from.1, &to.0, to.1, *bytes);
-            }
-            Step::Clear { buffer, offset, bytes } => encoder.clear_buffer(buffer, *offset, Some(*bytes)),
-            Step::Dispatch { .. } => return false,
-        }
-        true
     }
 }

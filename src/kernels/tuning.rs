@@ -17,6 +17,12 @@ pub struct Tuning {
     pub block_wide: u32,
     /// Rows per workgroup of a block.
     pub block_high: u32,
+    /// Whether blocks transform their rows for the next one where a row fits a workgroup: fewer dispatches, which is what a
+    /// frame of few cloths waits for, and one reading less.
+    pub rows_in_blocks: bool,
+    /// Teams of 64 invocations that share the work of a spectral convolution's workgroup, at most 4; 1 where operands are
+    /// broadcast.
+    pub spectral_teams: u32,
     /// How operands that a subgroup shares are read.
     pub sharing: Sharing,
     /// Largest size of the lifting's hidden layer \[bytes\]; more samples than fit are lifted in turn.
@@ -51,12 +57,21 @@ impl Tuning {
     /// is a branch and a move of its own (llvmpipe), smaller tiles and more invocations where there are thousands of
     /// lanes to fill.
     pub fn table(context: &Context) -> Self {
-        let (channels, block_wide, block_high) = match context.kind() {
-            AdapterKind::Software => (32, 64, 1),
-            AdapterKind::Hardware => (8, 8, 8),
+        let (channels, block_wide, block_high, spectral_teams) = match context.kind() {
+            AdapterKind::Software => (32, 64, 1, 1),
+            AdapterKind::Hardware => (8, 8, 8, 4),
         };
         let sharing = context.sharing();
-        Self { channels, pointwise_group: 64, block_wide, block_high, sharing, hidden_bytes: 256 << 20 }
+        Self {
+            channels,
+            pointwise_group: 64,
+            block_wide,
+            block_high,
+            rows_in_blocks: true,
+            spectral_teams,
+            sharing,
+            hidden_bytes: 256 << 20,
+        }
     }
 
     /// The tunings that differ from this one in one respect and work on the adapter, by respect.
@@ -65,6 +80,8 @@ impl Tuning {
         let groups = [32, 64, 128, 256].map(|pointwise_group| Self { pointwise_group, ..*self });
         let shapes = [(8, 8), (16, 4), (16, 8), (32, 1), (32, 4), (64, 1)];
         let shapes = shapes.map(|(block_wide, block_high)| Self { block_wide, block_high, ..*self });
+        let places = [true, false].map(|rows_in_blocks| Self { rows_in_blocks, ..*self });
+        let teams = [1, 2, 4].map(|spectral_teams| Self { spectral_teams, ..*self });
         let sharings = [Sharing::Loads, context.sharing()].map(|sharing| Self { sharing, ..*self });
         let others = |all: &[Self]| -> Vec<Self> {
             let mut found: Vec<Self> = Vec::new();
@@ -75,23 +92,32 @@ impl Tuning {
             }
             found
         };
-        vec![others(&channels), others(&shapes), others(&groups), others(&sharings)]
+        vec![
+            others(&channels),
+            others(&shapes),
+            others(&groups),
+            others(&places),
+            others(&teams),
+            others(&sharings),
+        ]
     }
 
     /// Whether the kernels can be made with it on the adapter.
     pub fn works(&self, context: &Context) -> bool {
-        let shared =
-            self.sharing == Sharing::Loads || (context.sharing() == self.sharing && self.block_high == 1);
+        // Subgroups share operands within one row of invocations only.
+        let in_rows = self.block_high == 1 && self.spectral_teams == 1;
+        let shared = self.sharing == Sharing::Loads || (context.sharing() == self.sharing && in_rows);
         let tile = self.channels >= 4 && self.channels.is_multiple_of(4);
         let fits = |n: u32| (1..=INVOCATIONS).contains(&n);
         let rows = self.block_wide.checked_mul(self.block_high);
-        let groups = fits(self.pointwise_group) && self.block_high > 0 && rows.is_some_and(fits);
+        let teams = (1..=INVOCATIONS / 64).contains(&self.spectral_teams);
+        let groups = fits(self.pointwise_group) && teams && self.block_high > 0 && rows.is_some_and(fits);
         shared && tile && groups && CHANNEL_MULTIPLE.is_multiple_of(self.channels) && self.hidden_bytes > 0
     }
 
     /// The text of a kernel with a tile of this size.
     pub fn unroll(&self, tile: usize) -> Unroll {
-        Unroll { tile, sharing: self.sharing }
+        Unroll { tile, second: 1, sharing: self.sharing }
     }
 
     /// Where the tuning of an adapter is stored: in the folder that `FNOPT_CACHE` names, else in `fnopt` of the user's cache

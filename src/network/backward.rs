@@ -1,6 +1,6 @@
 //! The backward pass of the network as dispatches: from the cotangents of field and scalar to the gradient over all weights.
 //!
-//! The adjoint of a block runs through the kernels of a block: rows, columns, product, inverse and skip, in the reverse
+//! The adjoint of a block runs through the kernels of a block: rows, spectral convolution, inverse and skip, in the reverse
 //! order, each with its table or weight the other way round. The network's inputs are constants of training: nothing goes
 //! back beyond the lifting, whose hidden layer is computed again instead of kept.
 
@@ -9,7 +9,7 @@ use super::{Forward, Parameters, tables};
 use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::operator::{
-    BlockTensors, GeluAdj, HeadWeightAdj, Layer, Parts, PointwiseWeightAdj, PoolAdj, PoolAdjTensors,
+    After, BlockTensors, GeluAdj, HeadWeightAdj, Layer, Parts, PointwiseWeightAdj, PoolAdj, PoolAdjTensors,
     ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose, pointwise, pointwise_weight_adj,
 };
 use crate::kernels::{Tuning, padded};
@@ -126,7 +126,7 @@ impl Backward {
             adj: [adj()?, adj()?],
             adj_projected: zeros("adj_projected", &[samples, config.projection, h, w])?,
             adj_hidden: zeros("adj_hidden", forward.hidden.shape())?,
-            adj_spectrum: zeros("adj_spectrum", forward.spectral.product.shape())?,
+            adj_spectrum: zeros("adj_spectrum", forward.spectral.modes[0].shape())?,
             inverse_rows_adj: upload(
                 "inverse_rows_adj",
                 &[w / 4, columns, 4],
@@ -210,13 +210,12 @@ impl Backward {
     ) {
         let (k, s) = (&forward.kernels, &forward.spectral);
         k.transform_rows.push(schedule, &self.inverse_rows_adj, adj_y, &s.rows);
-        k.transform_columns.push(schedule, &s.forward_columns, &s.rows, &self.adj_spectrum);
+        k.spectral.push(schedule, &transposed.products[block], s.columns(Some(&self.adj_spectrum)));
         let to = &self.gradient.products[block];
-        self.kernels.spectral_weight_adj.push(schedule, s.spectrum(block), &self.adj_spectrum, to);
-        k.spectral.push(schedule, &transposed.products[block], &self.adj_spectrum, &s.product);
-        k.inverse_columns.push(schedule, &s.inverse_columns, &s.product, &s.inverse);
-        let tensors = BlockTensors { x: adj_y, r: &s.inverse, y: adj_x };
-        k.block.push(schedule, &transposed.skips[block], &self.forward_rows_adj, tensors);
+        self.kernels.spectral_weight_adj.push(schedule, &s.modes[block], &self.adj_spectrum, to);
+        let tensors = BlockTensors { x: adj_y, r: &s.inverse, y: adj_x, rows: None, rows_max: None };
+        let tables = (&self.forward_rows_adj, forward.grid.w);
+        k.block(After::default()).push(schedule, &transposed.skips[block], tables, tensors);
         let all = pointwise::Samples { count: self.adj_scalar.len(), x_first: 0, y_first: 0 };
         self.push_weights(schedule, (forward.activation(block), adj_y), all, &self.gradient.skips[block]);
     }

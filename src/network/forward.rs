@@ -4,8 +4,8 @@ use super::parameters::Layers;
 use super::{Config, Parameters, Weights, tables};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::operator::{
-    Activate, Block, BlockTensors, InverseColumns, Pointwise, PoolRows, Project, ScalarHead, Spectral,
-    TransformColumns, TransformRows, pointwise,
+    Activate, After, Block, BlockTensors, Pointwise, PoolRows, Project, ScalarHead, Spectral,
+    SpectralTensors, TransformRows, pointwise,
 };
 use crate::kernels::{Tuning, padded};
 use crate::sim::Grid;
@@ -29,35 +29,37 @@ pub struct Forward {
     keep: Keep,
     /// Whether the first layer of the projection changes nothing ([`Weights::folded`]) and is left out.
     folded: bool,
+    /// Whether blocks transform and pool their rows themselves.
+    rows_in_blocks: bool,
     activations: Vec<Tensor>,
     /// What is before the GELU of each block but the last, shape [S, C, H, W'], and of the projection's hidden layer; only
     /// with [`Keep::Adjoint`].
     pub(super) before_gelu: Vec<Tensor>,
     /// Hidden layer of the projection, shape [S, projection, H, W'].
     pub(super) projected: Tensor,
-    pub(super) spectral: SpectralTensors,
+    pub(super) spectral: Spectra,
     pub(super) rows_max: Tensor,
     pub(super) layers: Layers,
     pub(super) kernels: Kernels,
 }
 
 #[derive(Debug)]
-pub(super) struct SpectralTensors {
+pub(super) struct Spectra {
     pub rows: Tensor,
-    /// Kept modes of each block, or one for all in turn.
-    spectra: Vec<Tensor>,
-    pub product: Tensor,
+    /// Kept modes of the input of each block, shape [S, modes_h, modes_w, C, 2]; only with [`Keep::Adjoint`].
+    pub modes: Vec<Tensor>,
     pub inverse: Tensor,
     forward_rows: Tensor,
-    pub forward_columns: Tensor,
-    pub inverse_columns: Tensor,
-    inverse_rows: Tensor,
+    columns: Tensor,
+    /// The inverse rows' table, and behind it the forward one where blocks transform their rows.
+    block_rows: Tensor,
 }
 
-impl SpectralTensors {
-    /// Modes of the input of a block, shape [S, modes_h, modes_w, C, 2].
-    pub fn spectrum(&self, block: usize) -> &Tensor {
-        &self.spectra[block % self.spectra.len()]
+impl Spectra {
+    /// What the spectral convolution from `rows` to `inverse` reads and writes.
+    pub fn columns<'a>(&'a self, spectrum: Option<&'a Tensor>) -> SpectralTensors<'a> {
+        let Self { columns: table, rows: r, inverse, .. } = self;
+        SpectralTensors { table, r, inverse, spectrum }
     }
 }
 
@@ -66,11 +68,9 @@ pub(super) struct Kernels {
     pub dense: Pointwise,
     dense_gelu: Pointwise,
     pub transform_rows: TransformRows,
-    pub transform_columns: TransformColumns,
     pub spectral: Spectral,
-    pub inverse_columns: InverseColumns,
-    pub block: Block,
-    block_gelu: Block,
+    /// One of each kind that the network has.
+    blocks: Vec<Block>,
     activate: Activate,
     pool_rows: PoolRows,
     scalar_head: ScalarHead,
@@ -98,9 +98,8 @@ impl Forward {
         keep: Keep,
     ) -> Result<Self> {
         let parameters = Parameters::new(context, weights, tuning)?;
-        let mut forward = Self::with_parameters(context, &parameters, tuning, shape, keep)?;
-        forward.folded = keep == Keep::Nothing && weights.is_folded();
-        Ok(forward)
+        let folded = keep == Keep::Nothing && weights.is_folded();
+        Self::build(context, &parameters, tuning, shape, (keep, folded))
     }
 
     /// The same on weights that are on the device already, and may change there.
@@ -110,6 +109,16 @@ impl Forward {
         tuning: &Tuning,
         shape: (Grid, usize),
         keep: Keep,
+    ) -> Result<Self> {
+        Self::build(context, parameters, tuning, shape, (keep, false))
+    }
+
+    fn build(
+        context: &Context,
+        parameters: &Parameters,
+        tuning: &Tuning,
+        shape: (Grid, usize),
+        (keep, folded): (Keep, bool),
     ) -> Result<Self> {
         let (grid, samples) = shape;
         let config = parameters.layout().padded();
@@ -138,7 +147,15 @@ impl Forward {
             }
             before_gelu.push(zeros("before GELU", &[samples, config.projection, h, w])?);
         }
-        let spectra = if keep == Keep::Adjoint { config.layers } else { 1 };
+        // The backward pass wants what is before the GELU, and the rows are those of what is behind it.
+        let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, w / 4);
+        let afters: Vec<After> =
+            (0..config.layers).map(|block| after(&config, block, (keep, folded), rows_in_blocks)).collect();
+        let mut block_rows = tables::inverse_rows(&config, grid.w);
+        if rows_in_blocks {
+            block_rows.extend(tables::forward_rows(&config, h, grid.w));
+        }
+        let kept = if keep == Keep::Adjoint { config.layers } else { 0 };
         let columns = 2 * config.modes_w;
         let spectrum = [samples, config.modes_h, config.modes_w, config.channels, 2];
         let upload =
@@ -151,35 +168,30 @@ impl Forward {
             scalar: zeros("scalar", &[samples])?,
             hidden: zeros("hidden", &[lifted_at_once, config.lifting, h, w])?,
             keep,
-            folded: false,
+            folded,
+            rows_in_blocks,
             activations,
             before_gelu,
             projected,
-            spectral: SpectralTensors {
+            spectral: Spectra {
                 rows: zeros("rows", &[samples, h, columns, config.channels])?,
-                spectra: (0..spectra).map(|_| zeros("spectrum", &spectrum)).collect::<Result<_>>()?,
-                product: zeros("product", &spectrum)?,
+                modes: (0..kept).map(|_| zeros("spectrum", &spectrum)).collect::<Result<_>>()?,
                 inverse: zeros("inverse", &[samples, h, columns, config.channels])?,
                 forward_rows: upload(
                     "forward_rows",
                     &[w / 4, columns, 4],
                     tables::forward_rows(&config, h, grid.w),
                 )?,
-                forward_columns: upload(
-                    "forward_columns",
-                    &[h, config.modes_h, 2],
-                    tables::columns(&config, h, false),
+                columns: upload("columns", &[h, config.modes_h, 2], tables::columns(&config, h))?,
+                block_rows: upload(
+                    "block_rows",
+                    &[block_rows.len() / (columns * w), columns, w],
+                    block_rows,
                 )?,
-                inverse_columns: upload(
-                    "inverse_columns",
-                    &[h, config.modes_h, 2],
-                    tables::columns(&config, h, true),
-                )?,
-                inverse_rows: upload("inverse_rows", &[columns, w], tables::inverse_rows(&config, grid.w))?,
             },
             rows_max: zeros("rows_max", &[samples, h, config.channels])?,
             layers: parameters.layout().layers(&parameters.flat),
-            kernels: Kernels::new(context, &config, tuning, w / 4)?,
+            kernels: Kernels::new(context, &config, tuning, (samples, w / 4), (keep, &afters))?,
         })
     }
 
@@ -191,22 +203,32 @@ impl Forward {
         for block in 0..self.config.layers {
             let (x, y) = (slot(block), slot(block + 1));
             let s = &self.spectral;
-            let spectrum = s.spectrum(block);
-            k.transform_rows.push(schedule, &s.forward_rows, x, &s.rows);
-            k.transform_columns.push(schedule, &s.forward_columns, &s.rows, spectrum);
-            k.spectral.push(schedule, &self.layers.products[block], spectrum, &s.product);
-            k.inverse_columns.push(schedule, &s.inverse_columns, &s.product, &s.inverse);
-            let last = block + 1 == self.config.layers;
-            let gelu = if last { self.folded } else { self.keep != Keep::Adjoint };
-            let kernel = if gelu { &k.block_gelu } else { &k.block };
-            let before = self.before_gelu.get(block).filter(|_| !last);
-            let tensors = BlockTensors { x, r: &s.inverse, y: before.unwrap_or(y) };
-            kernel.push(schedule, &self.layers.skips[block], &s.inverse_rows, tensors);
+            let after = after(&self.config, block, (self.keep, self.folded), self.rows_in_blocks);
+            if block == 0 || !self.rows_in_blocks {
+                k.transform_rows.push(schedule, &s.forward_rows, x, &s.rows);
+            }
+            k.spectral.push(schedule, &self.layers.products[block], s.columns(s.modes.get(block)));
+            let before = self.before_gelu.get(block).filter(|_| block + 1 < self.config.layers);
+            let tensors = BlockTensors {
+                x,
+                r: &s.inverse,
+                y: before.unwrap_or(y),
+                rows: after.rows.then_some(&s.rows),
+                rows_max: after.pool.then_some(&self.rows_max),
+            };
+            let tables = if after.rows {
+                s.block_rows.clone()
+            } else {
+                s.block_rows.view(0, &s.block_rows.shape()[1..])
+            };
+            k.block(after).push(schedule, &self.layers.skips[block], (&tables, self.grid.w), tensors);
             if let Some(before) = before {
                 k.activate.push(schedule, before, y);
             }
             if block == self.config.scalar_block() {
-                k.pool_rows.push(schedule, self.grid.w, y, &self.rows_max);
+                if !after.pool {
+                    k.pool_rows.push(schedule, self.grid.w, y, &self.rows_max);
+                }
                 k.scalar_head.push(schedule, &self.layers.scalar, &self.rows_max, &self.scalar);
             }
         }
@@ -247,21 +269,46 @@ impl Forward {
 }
 
 impl Kernels {
-    fn new(context: &Context, config: &Config, tuning: &Tuning, row_quads: usize) -> Result<Self> {
+    fn new(
+        context: &Context,
+        config: &Config,
+        tuning: &Tuning,
+        (samples, row_quads): (usize, usize),
+        (keep, afters): (Keep, &[After]),
+    ) -> Result<Self> {
+        let mut blocks: Vec<Block> = Vec::new();
+        for &after in afters {
+            if blocks.iter().all(|b| b.after() != after) {
+                blocks.push(Block::new(context, tuning, (row_quads, config.modes_w), after)?);
+            }
+        }
         Ok(Self {
             dense: Pointwise::new(context, tuning, false)?,
             dense_gelu: Pointwise::new(context, tuning, true)?,
             transform_rows: TransformRows::new(context, tuning, config.modes_w)?,
-            transform_columns: TransformColumns::new(context, tuning, config.modes_h)?,
-            spectral: Spectral::new(context, tuning)?,
-            inverse_columns: InverseColumns::new(context, tuning, config.modes_h)?,
-            block: Block::new(context, tuning, row_quads, false)?,
-            block_gelu: Block::new(context, tuning, row_quads, true)?,
+            spectral: Spectral::new(context, tuning, config, samples, keep == Keep::Adjoint)?,
+            blocks,
             activate: Activate::new(context)?,
             pool_rows: PoolRows::new(context)?,
             scalar_head: ScalarHead::new(context)?,
             project: Project::new(context)?,
         })
+    }
+
+    /// The kernel of a block that does this.
+    pub fn block(&self, after: After) -> &Block {
+        let found = self.blocks.iter().find(|b| b.after() == after);
+        found.expect("every kind of block of the network is made")
+    }
+}
+
+/// What a block of the network does beside the linear part of its output.
+fn after(config: &Config, block: usize, (keep, folded): (Keep, bool), rows_in_blocks: bool) -> After {
+    let last = block + 1 == config.layers;
+    After {
+        gelu: if last { folded } else { keep != Keep::Adjoint },
+        rows: rows_in_blocks && !last,
+        pool: rows_in_blocks && block == config.scalar_block(),
     }
 }
 

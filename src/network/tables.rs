@@ -59,15 +59,14 @@ fn by_columns(config: &Config, w: usize, value: impl Fn(usize, usize) -> f64) ->
     places.map(|(j, k)| if j < w { value(j, k) as f32 } else { 0.0 }).collect()
 }
 
-/// Column transform: shape [H, modes_h, 2]; exp(-2 pi i k_h i / H), or its conjugate for the inverse.
-pub fn columns(config: &Config, h: usize, inverse: bool) -> Vec<f32> {
+/// Column transform: shape [H, modes_h, 2]; exp(-2 pi i k_h i / H), the inverse's conjugate.
+pub fn columns(config: &Config, h: usize) -> Vec<f32> {
     let first = -(config.modes_h as i64 / 2);
-    let sign = if inverse { 1.0 } else { -1.0 };
     let mut table = Vec::with_capacity(2 * h * config.modes_h);
     for i in 0..h {
         for m in 0..config.modes_h as i64 {
             let theta = angle(first + m, i, h);
-            table.extend([theta.cos() as f32, (sign * theta.sin()) as f32]);
+            table.extend([theta.cos() as f32, -theta.sin() as f32]);
         }
     }
     table

@@ -53,23 +53,39 @@ pub struct Solver {
     external: Tensor,
     iterate: Iterate,
     rule: Rule,
-    /// Partial sums of squares of the gradient in each iteration, shape [N, S, parts, 2].
+    /// Partial sums of squares of the gradient in each iteration, rows of [S, parts, 2], see [`rows`].
     norms: Tensor,
     /// Energy terms and stretch, shape [B, 8].
     terms: Tensor,
-    /// Scale of each sample after each iteration, shape [N, S]; empty without the learned optimizer.
-    scales: Tensor,
     frame: Schedule,
 }
 
 /// What an optimizer keeps on the device.
 #[derive(Debug)]
 enum Rule {
-    Learned { forward: Box<Forward>, hidden: Tensor, scale: Tensor },
-    GradientDescent { rate: f64 },
-    Adam { settings: AdamSettings, moments: Tensor },
-    Lbfgs { history: usize, curvature: f64, memory: LbfgsMemory },
-    QuasiNewton { history: usize, curvature: f64, memory: LbfgsMemory },
+    /// `scales` holds the persistent scale after each iteration, rows of `[S]`; the next frame begins with the last row.
+    Learned {
+        forward: Box<Forward>,
+        hidden: Tensor,
+        scales: Tensor,
+    },
+    GradientDescent {
+        rate: f64,
+    },
+    Adam {
+        settings: AdamSettings,
+        moments: Tensor,
+    },
+    Lbfgs {
+        history: usize,
+        curvature: f64,
+        memory: LbfgsMemory,
+    },
+    QuasiNewton {
+        history: usize,
+        curvature: f64,
+        memory: LbfgsMemory,
+    },
 }
 
 impl Solver {
@@ -97,7 +113,9 @@ impl Solver {
         let field = |label| zeros(label, &[batch, 3, n]);
         let cloths: Vec<ClothParams> = model.cloths.iter().map(|c| ClothParams::new(c, [0.0; 3])).collect();
         let rule = match *optimizer {
-            Optimizer::Learned(ref weights) => Rule::learned(context, weights, &tuning, (grid, samples))?,
+            Optimizer::Learned(ref weights) => {
+                Rule::learned(context, weights, (&tuning, options.iterations), (grid, samples))?
+            }
             Optimizer::GradientDescent { rate } => Rule::GradientDescent { rate },
             Optimizer::Adam { rate, beta1, beta2, epsilon } => Rule::Adam {
                 settings: AdamSettings { rate, beta1, beta2, epsilon },
@@ -120,7 +138,6 @@ impl Solver {
                 ));
             }
         };
-        let learned = matches!(rule, Rule::Learned { .. });
         let mut solver = Self {
             context: context.clone(),
             model: model.clone(),
@@ -133,9 +150,8 @@ impl Solver {
             forced: AtomicBool::new(false),
             external: field("external")?,
             iterate: Iterate::new(context, batch, &model.handle_slots())?,
-            norms: zeros("norms", &[options.iterations, samples, norms::parts(n), 2])?,
+            norms: rows(context, "norms", options.iterations, samples * norms::parts(n) * 2)?,
             terms: zeros("energy terms", &[batch, 8])?,
-            scales: zeros("scales", &[if learned { options.iterations } else { 0 }, samples])?,
             rule,
             frame: Schedule::new(context),
         };
@@ -221,9 +237,9 @@ impl Solver {
 
     /// Forgets what the optimizer remembers from frame to frame: the hidden state of the learned one.
     pub fn reset_memory(&self) {
-        if let Rule::Learned { hidden, scale, .. } = &self.rule {
+        if let Rule::Learned { hidden, scales, .. } = &self.rule {
             hidden.write(&self.context, &vec![0f32; hidden.len()]);
-            scale.write(&self.context, &vec![INITIAL_SCALE; scale.len()]);
+            scales.write(&self.context, &vec![INITIAL_SCALE; scales.len()]);
         }
     }
 
@@ -282,16 +298,22 @@ impl Solver {
     fn gradient_norms(&self, norms: &[f32]) -> Vec<f64> {
         let per_sample = 2 * norms::parts(self.model.grid.particles());
         let norm = |parts: &[f32]| parts.iter().step_by(2).map(|&s| f64::from(s)).sum::<f64>().sqrt();
-        norms.chunks_exact(per_sample).map(norm).collect()
+        let of_iteration = |row: &[f32]| {
+            let samples = row.chunks_exact(per_sample).take(3 * self.model.batch());
+            samples.map(norm).collect::<Vec<_>>()
+        };
+        norms.chunks_exact(self.norms.shape()[1]).flat_map(of_iteration).collect()
     }
 
     /// What the optimizer did in the last frame; waits for the device, so it is for checks and not for frames.
     pub fn iterations_log(&self) -> Result<Iterations> {
-        let scales: Vec<f32> = self.scales.read(&self.context)?;
-        Ok(Iterations {
-            gradient_norms: self.gradient_norms(&self.norms.read(&self.context)?),
-            scales: scales.into_iter().map(f64::from).collect(),
-        })
+        let mut scales = Vec::new();
+        if let Rule::Learned { scales: rows, .. } = &self.rule {
+            for row in rows.read::<f32>(&self.context)?.chunks_exact(rows.shape()[1]) {
+                scales.extend(row[..3 * self.model.batch()].iter().map(|&s| f64::from(s)));
+            }
+        }
+        Ok(Iterations { gradient_norms: self.gradient_norms(&self.norms.read(&self.context)?), scales })
     }
 
     /// Handle positions in `state` [B, 3, n], in the order of [`Control::handles`].
@@ -303,33 +325,46 @@ impl Solver {
     }
 }
 
+/// A row for each iteration, of at least `len` elements, that a kernel can bind by itself.
+fn rows(context: &Context, label: &'static str, iterations: usize, len: usize) -> Result<Tensor> {
+    Tensor::zeros(context, label, &[iterations, len.next_multiple_of(Tensor::VIEW_ALIGNMENT)])
+}
+
+/// The row of an iteration, as a tensor of `shape`.
+fn row(rows: &Tensor, iteration: usize, shape: &[usize]) -> Tensor {
+    rows.view(iteration * rows.shape()[1], shape)
+}
+
 /// Appends what turns the gradient of an iteration into the next iterate.
 type Step<'a> = Box<dyn FnMut(&mut Schedule, usize) + 'a>;
 
 impl Rule {
-    fn learned(context: &Context, weights: &Weights, tuning: &Tuning, shape: (Grid, usize)) -> Result<Self> {
+    fn learned(
+        context: &Context,
+        weights: &Weights,
+        (tuning, iterations): (&Tuning, usize),
+        shape: (Grid, usize),
+    ) -> Result<Self> {
         let (grid, samples) = shape;
         Ok(Self::Learned {
             forward: Box::new(Forward::new(context, &weights.folded(), tuning, shape, Keep::Nothing)?),
             hidden: Tensor::zeros(context, "hidden state", &[2, samples, grid.particles()])?,
-            scale: Tensor::zeros(context, "scale", &[samples])?,
+            scales: rows(context, "scales", iterations, samples)?,
         })
     }
 
     fn kernels<'a>(&'a self, context: &Context, solver: &'a Solver) -> Result<Step<'a>> {
         let (iterate, grid) = (&solver.iterate, solver.model.grid);
-        let norms_shape = &solver.norms.shape()[1..];
-        let partial = Tensor::zeros(context, "norm parts", norms_shape)?;
-        let per_iteration = partial.len();
-        let norms = Norms::new(context, matches!(self, Self::Learned { .. }))?;
+        let (samples, n) = iterate.samples_and_particles();
+        let sums = Norms::new(context, matches!(self, Self::Learned { .. }))?;
         // The partial sums of each iteration are kept for the statistics.
         let sum = move |frame: &mut Schedule, iteration: usize, hidden: &Tensor| {
-            norms.push(frame, &iterate.grad, hidden, &partial);
-            frame.copy(&partial, &solver.norms, iteration * per_iteration);
-            partial.clone()
+            let partial = row(&solver.norms, iteration, &[samples, norms::parts(n), 2]);
+            sums.push(frame, &iterate.grad, hidden, &partial);
+            partial
         };
         Ok(match self {
-            Self::Learned { forward, hidden, scale } => {
+            Self::Learned { forward, hidden, scales } => {
                 let features = Features::new(context)?;
                 let (rescale, update) = (Rescale::new(context)?, Update::new(context)?);
                 Box::new(move |frame, iteration| {
@@ -337,10 +372,12 @@ impl Rule {
                     let from = FeatureTensors { grad: &iterate.grad, hidden, partial };
                     features.push(frame, grid, from, &forward.embedded);
                     forward.push(frame);
-                    rescale.push(frame, &forward.scalar, scale);
+                    let (before, stride) =
+                        ((iteration + solver.iterations - 1) % solver.iterations, scales.shape()[1]);
+                    rescale.push(frame, &forward.scalar, scales, [before * stride, iteration * stride]);
+                    let scale = &row(scales, iteration, &[samples]);
                     let from = UpdateTensors { field: &forward.field, scale, hidden };
                     update.push(frame, grid, from, iterate);
-                    frame.copy(scale, &solver.scales, iteration * scale.len());
                 })
             }
             Self::GradientDescent { rate } => {

@@ -129,7 +129,7 @@ impl DeviceLoss {
         let from = FeatureTensors { grad: &iterate.grad, hidden, partial: &partial };
         Features::new(context)?.push(schedule, grid, from, &forward.embedded);
         forward.push(schedule);
-        Rescale::new(context)?.push(schedule, &forward.scalar, scale);
+        Rescale::new(context)?.push(schedule, &forward.scalar, scale, [0, 0]);
         let from = UpdateTensors { field: &forward.field, scale, hidden };
         Update::new(context)?.push(schedule, grid, from, iterate);
 

@@ -140,7 +140,7 @@ impl Stages for GpuStages {
             let from = FeatureTensors { grad: &iterate.grad, hidden: &hidden, partial: &partial };
             Features::new(context)?.push(&mut schedule, grid, from, &forward.embedded);
             forward.push(&mut schedule);
-            Rescale::new(context)?.push(&mut schedule, &forward.scalar, &scale);
+            Rescale::new(context)?.push(&mut schedule, &forward.scalar, &scale, [0, 0]);
             let from = UpdateTensors { field: &forward.field, scale: &scale, hidden: &hidden };
             Update::new(context)?.push(&mut schedule, grid, from, &iterate);
             Ok(())

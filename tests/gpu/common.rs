@@ -43,10 +43,24 @@ pub fn tunings() -> [Tuning; 4] {
     let own = Tuning::new(context());
     let loads = Tuning { sharing: Sharing::Loads, ..own };
     [
-        Tuning { channels: 32, block_wide: 64, block_high: 1, ..own },
-        Tuning { channels: 8, block_wide: 8, block_high: 8, ..loads },
-        Tuning { channels: 16, block_wide: 32, block_high: 1, ..own },
-        Tuning { channels: 4, pointwise_group: 32, block_wide: 16, block_high: 4, ..loads },
+        Tuning { channels: 32, block_wide: 64, block_high: 1, spectral_teams: 1, ..own },
+        Tuning { channels: 8, block_wide: 8, block_high: 8, spectral_teams: 4, ..loads },
+        Tuning {
+            channels: 16,
+            block_wide: 32,
+            block_high: 1,
+            rows_in_blocks: false,
+            spectral_teams: 1,
+            ..own
+        },
+        Tuning {
+            channels: 4,
+            pointwise_group: 32,
+            block_wide: 16,
+            block_high: 4,
+            spectral_teams: 2,
+            ..loads
+        },
     ]
 }
 

@@ -92,8 +92,8 @@ fn apart(found: &[f32], expected: &[f32]) -> (f64, f64) {
 ///
 /// The learned optimizer stops its frames far from the minimum, and a frame multiplies what differs at its start by two
 /// or three: two runs on the host whose starts differ in the coordinates' last bits are more than 1e-3 of the side apart
-/// within twenty frames. So devices, which round in every operation, are held to ten times what those bits do, and to 1e-2
-/// of the side on average.
+/// within twenty frames. So devices, which round in every operation, are held to ten times what those bits do, at most and
+/// on average.
 #[test]
 fn twenty_learned_frames_agree_with_the_host() {
     let _turn = device();
@@ -109,19 +109,22 @@ fn twenty_learned_frames_agree_with_the_host() {
         for (x, up) in nudged.x.iter_mut().zip(noise(expected.x.len(), 8)) {
             *x = if up > 0.0 { x.next_up() } else { x.next_down() };
         }
-        let mut farthest: f64 = 0.0;
+        let mut farthest: (f64, f64) = (0.0, 0.0);
         for frame in first..first + 20 {
             let control = setup.control(frame);
             let found = step(&solver, &control);
             one.step(&mut expected, &control);
             other.step(&mut nudged, &control);
-            farthest = farthest.max(apart(&nudged.x, &expected.x).1);
+            let by_last_bits = apart(&nudged.x, &expected.x);
+            farthest = (farthest.0.max(by_last_bits.0), farthest.1.max(by_last_bits.1));
             let (mean, most) = apart(&found.x, &expected.x);
             println!(
-                "fnopt, frame {frame}: {mean:.1e} on average, {most:.1e} at most; by last bits {farthest:.1e}"
+                "fnopt, frame {frame}: {mean:.1e} on average, {most:.1e} at most; by last bits {:.1e}, {:.1e}",
+                farthest.0, farthest.1
             );
-            assert!(mean < 1e-2 * side, "frame {frame}: {mean:e} edges on average");
-            let allowed = if frame == first { 1e-5 * side } else { (1e-4 * side).max(10.0 * farthest) };
+            let allowed = (1e-5 * side).max(10.0 * farthest.0);
+            assert!(mean < allowed, "frame {frame}: {mean:e} edges on average, not {allowed:e}");
+            let allowed = if frame == first { 1e-5 * side } else { (1e-4 * side).max(10.0 * farthest.1) };
             assert!(most < allowed, "frame {frame}: {most:e} edges, not {allowed:e}");
         }
     }

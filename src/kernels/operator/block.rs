@@ -2,7 +2,7 @@
 
 use super::Layer;
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor};
+use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll};
 use crate::kernels::{Tuning, common, groups, size};
 
 /// The WGSL.
@@ -19,54 +19,128 @@ struct Params {
     rows: u32,
     row_quads: u32,
     columns: u32,
+    width: u32,
+    pad: [u32; 3],
 }
 
-/// A Fourier block after its columns: inverse rows, skip, bias and activation.
+/// What a block does beside the linear part of its output.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct After {
+    /// The activation.
+    pub gelu: bool,
+    /// The row transform of the output, for the next block.
+    pub rows: bool,
+    /// The largest value of each row of the output, for the scalar head.
+    pub pool: bool,
+}
+
+/// A Fourier block after its columns: inverse rows, skip, bias, activation, and what the next kernels want of its rows.
 #[derive(Clone, Debug)]
 pub struct Block {
     kernel: Kernel,
     tile: usize,
     workgroup: [u32; 2],
+    after: After,
+    /// What is bound where nothing is made of the rows.
+    nothing: [Tensor; 2],
+}
+
+/// Invocations of a block's workgroup along a row and over rows.
+fn workgroup(tuning: &Tuning, row_quads: usize, whole_rows: bool) -> [u32; 2] {
+    // In steps of the narrowest lanes there are.
+    let row = size(row_quads).next_multiple_of(8);
+    let (wide, high) = (tuning.block_wide.min(row), tuning.block_high);
+    if whole_rows { [row, (wide * high / row).clamp(1, high)] } else { [wide, high] }
+}
+
+/// Quads of workgroup memory that the output of a workgroup takes, an odd number to each row.
+fn held(tuning: &Tuning, row_quads: usize) -> usize {
+    let [_, high] = workgroup(tuning, row_quads, true);
+    high as usize * tuning.channels * (row_quads | 1)
 }
 
 impl Block {
-    /// Compiles it for rows of `row_quads` quads, with GELU after it or without.
-    pub fn new(context: &Context, tuning: &Tuning, row_quads: usize, gelu: bool) -> Result<Self> {
+    /// Whether a whole row of `row_quads` quads fits a workgroup, as [`After::rows`] and [`After::pool`] want it, and whether
+    /// the tuning wants it there.
+    pub fn takes_rows(context: &Context, tuning: &Tuning, row_quads: usize) -> bool {
+        let limits = context.device.limits();
+        let [wide, high] = workgroup(tuning, row_quads, true);
+        let invocations =
+            limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
+        let bytes = 16 * held(tuning, row_quads);
+        tuning.rows_in_blocks
+            && wide * high <= invocations
+            && bytes <= limits.max_compute_workgroup_storage_size as usize
+    }
+
+    /// Compiles it for rows of `row_quads` quads and `modes_w` kept columns.
+    pub fn new(
+        context: &Context,
+        tuning: &Tuning,
+        (row_quads, modes_w): (usize, usize),
+        after: After,
+    ) -> Result<Self> {
         assert!(
             tuning.sharing == Sharing::Loads || tuning.block_high == 1,
             "a subgroup shares operands within one row"
         );
-        // No wider than a row, in steps of the narrowest lanes there are.
-        let wide = tuning.block_wide.min(size(row_quads).next_multiple_of(8));
-        let workgroup = [wide, tuning.block_high];
+        let whole_rows = after.rows || after.pool;
+        let workgroup = workgroup(tuning, row_quads, whole_rows);
+        let flag = |flag: bool| f64::from(u8::from(flag));
         let constants = [
-            ("GELU", f64::from(u8::from(gelu))),
-            ("WIDE", f64::from(wide)),
-            ("HIGH", f64::from(tuning.block_high)),
+            ("GELU", flag(after.gelu)),
+            ("ROWS", flag(after.rows)),
+            ("POOL", flag(after.pool)),
+            ("WIDE", f64::from(workgroup[0])),
+            ("HIGH", f64::from(workgroup[1])),
+            ("HELD", if whole_rows { held(tuning, row_quads) as f64 } else { 1.0 }),
         ];
-        let kernel = Kernel::new(context, &SOURCE, tuning.unroll(tuning.channels), &constants)?;
-        Ok(Self { kernel, tile: tuning.channels, workgroup })
+        // Where operands are broadcast, loads are dear, and a row is read once for all columns; else invocations share them.
+        let second = if tuning.sharing == Sharing::Broadcast { 2 * modes_w } else { 2 };
+        let unroll = Unroll { second, ..tuning.unroll(tuning.channels) };
+        let kernel = Kernel::new(context, &SOURCE, unroll, &constants)?;
+        let nothing = || Tensor::zeros(context, "nothing", &[1]);
+        Ok(Self { kernel, tile: tuning.channels, workgroup, after, nothing: [nothing()?, nothing()?] })
     }
 
-    /// `skip.weight` [C / tile, C, tile], `table` [2 modes_w, W'], `r` [S, H, 2 modes_w, C], `x` and `y` [S, C, H, W'].
-    pub fn push(&self, schedule: &mut Schedule, skip: &Layer, table: &Tensor, tensors: BlockTensors<'_>) {
-        let BlockTensors { x, r, y } = tensors;
+    /// What it does beside the linear part.
+    pub fn after(&self) -> After {
+        self.after
+    }
+
+    /// `skip.weight` [C / tile, C, tile]; `tables` [2 modes_w, W'], or [2, 2 modes_w, W'] with the row transform's table
+    /// [W' / 4, 2 modes_w, 4] behind it if that is what comes after; `width` is the number of columns of the grid.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        skip: &Layer,
+        (tables, width): (&Tensor, usize),
+        tensors: BlockTensors<'_>,
+    ) {
+        let BlockTensors { x, r, y, rows, rows_max } = tensors;
         let &[samples, channels, h, w] = x.shape() else { panic!("block: {:?}", x.shape()) };
         let &[_, _, columns, _] = r.shape() else { panic!("block: {:?}", r.shape()) };
         assert_eq!(y.shape(), x.shape());
         assert_eq!(r.shape(), [samples, h, columns, channels]);
-        assert_eq!(table.shape(), [columns, w]);
+        assert_eq!(tables.len(), columns * w * if self.after.rows { 2 } else { 1 });
         assert_eq!(skip.weight.shape(), [channels / self.tile, channels, self.tile]);
         assert_eq!(skip.bias.len(), channels);
+        assert_eq!((rows.is_some(), rows_max.is_some()), (self.after.rows, self.after.pool));
+        assert!(rows.is_none_or(|rows| rows.shape() == r.shape()));
+        assert!(rows_max.is_none_or(|most| most.shape() == [samples, h, channels]));
         let params = Params {
             channels: size(channels),
             rows: size(h),
             row_quads: size(w / 4),
             columns: size(columns),
+            width: size(width),
+            pad: [0; 3],
         };
         let tiles = samples * channels / self.tile;
         let count = [groups(w / 4, self.workgroup[0]), groups(h, self.workgroup[1]), size(tiles)];
-        let tensors = [&skip.weight, &skip.bias, table, x, r, y];
+        let [no_rows, no_maxima] = &self.nothing;
+        let (rows, rows_max) = (rows.unwrap_or(no_rows), rows_max.unwrap_or(no_maxima));
+        let tensors = [&skip.weight, &skip.bias, tables, x, r, y, rows, rows_max];
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }
@@ -80,4 +154,8 @@ pub struct BlockTensors<'a> {
     pub r: &'a Tensor,
     /// Output, shape [S, C, H, W'].
     pub y: &'a Tensor,
+    /// Rows' spectra of the output, shape [S, H, 2 modes_w, C]; given if and only if they are wanted.
+    pub rows: Option<&'a Tensor>,
+    /// Largest values of the output's rows, shape [S, H, C]; given if and only if they are wanted.
+    pub rows_max: Option<&'a Tensor>,
 }

@@ -15,7 +15,9 @@ pub const SOURCE: Source = Source {
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     samples: u32,
-    pad: [u32; 3],
+    before: u32,
+    after: u32,
+    pad: u32,
 }
 
 /// The persistent scale from the scalar head.
@@ -30,10 +32,17 @@ impl Rescale {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `scalar` `[S]`, `scale` `[S]`.
-    pub fn push(&self, schedule: &mut Schedule, scalar: &Tensor, scale: &Tensor) {
-        assert_eq!(scalar.len(), scale.len());
-        let params = Params { samples: size(scalar.len()), pad: [0; 3] };
+    /// `scalar` `[S]`; in `scale`, the S elements from `after` on become those from `before` on, rescaled.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        scalar: &Tensor,
+        scale: &Tensor,
+        [before, after]: [usize; 2],
+    ) {
+        let samples = scalar.len();
+        assert!(before.max(after) + samples <= scale.len());
+        let params = Params { samples: size(samples), before: size(before), after: size(after), pad: 0 };
         schedule.dispatch(&self.kernel, &params, &[scalar, scale], [groups(scalar.len(), 64), 1, 1]);
     }
 }

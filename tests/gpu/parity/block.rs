@@ -1,11 +1,13 @@
-//! `block` against its formula: inverse rows, skip, bias and activation.
+//! `block` against its formula: inverse rows, skip, bias and activation; and what it makes of its rows against the formulas
+//! of the kernels that do that alone.
 
 use super::operator::{MODES, activate, activations, config, copies, dense, layer, turn};
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_unpadded, run,
     tensor, tunings,
 };
-use fnopt::kernels::operator::{Block, BlockTensors};
+use fnopt::kernels::Tuning;
+use fnopt::kernels::operator::{After, Block, BlockTensors};
 use fnopt::kernels::padded;
 use fnopt::network::tables;
 use fnopt::sim::Grid;
@@ -43,14 +45,85 @@ fn blocks_of_all_tiles_match() {
                 let table = tensor("table", &[columns, w], &tables::inverse_rows(&config, grid.w));
                 let r = tensor("r", &[batch, grid.h, columns, CHANNELS], &r);
                 let y = poisoned("y", &[batch, CHANNELS, grid.h, w]);
-                let kernel = Block::new(context(), &tuning, w / 4, gelu).unwrap();
-                let tensors = BlockTensors { x: &x_tensor, r: &r, y: &y };
-                run(|schedule| kernel.push(schedule, &skip, &table, tensors));
+                let after = After { gelu, ..After::default() };
+                let kernel = Block::new(context(), &tuning, (w / 4, config.modes_w), after).unwrap();
+                let tensors = BlockTensors { x: &x_tensor, r: &r, y: &y, rows: None, rows_max: None };
+                run(|schedule| kernel.push(schedule, &skip, (&table, grid.w), tensors));
                 let what = format!("block {} gelu {gelu} {batch} x {grid}", tuning.channels);
                 // A rounding for each of the 42 products, of sums about as large as the result.
                 let atol = (7.0 * ROUNDING + if gelu { 3e-7 } else { 0.0 }) * largest(&expected);
                 assert_close(&what, &read_unpadded(&y, grid), &expected, (atol, ROUNDING));
                 assert!(read(&y).iter().all(|y| y.is_finite()), "the padding stays finite");
+            }
+        }
+    }
+}
+
+/// Rows' spectra [S, H, 2 modes_w, C] and largest values [S, H, C] of `y` [S, C, H, W].
+fn of_rows(y: &[f32], modes_w: usize, grid: Grid) -> (Vec<f64>, Vec<f32>) {
+    let Grid { h, w } = grid;
+    let samples = y.len() / (CHANNELS * h * w);
+    let (mut spectra, mut largest) = (Vec::new(), Vec::new());
+    for (s, i) in (0..samples).flat_map(|s| (0..h).map(move |i| (s, i))) {
+        let row = |c: usize| &y[((s * CHANNELS + c) * h + i) * w..][..w];
+        for k in 0..2 * modes_w {
+            spectra.extend((0..CHANNELS).map(|c| {
+                let wave = |j: usize| {
+                    let (cos, sin) = turn((k / 2) as i64, j, w);
+                    if k % 2 == 0 { cos } else { -sin }
+                };
+                let sum: f64 = row(c).iter().enumerate().map(|(j, &y)| f64::from(y) * wave(j)).sum();
+                sum / (h * w) as f64
+            }));
+        }
+        largest.extend((0..CHANNELS).map(|c| row(c).iter().copied().fold(f32::NEG_INFINITY, f32::max)));
+    }
+    (spectra, largest)
+}
+
+/// Blocks that transform and pool their rows: the same output to the bit, and of it what the other kernels would make.
+#[test]
+fn blocks_that_take_rows_match() {
+    let _turn = device();
+    for tuning in tunings() {
+        let tuning = Tuning { rows_in_blocks: true, ..tuning };
+        for (rows, pool, modes) in [(true, false, MODES[1]), (true, true, MODES[0]), (false, true, MODES[0])]
+        {
+            for (grid, batch) in cases() {
+                let config = config(modes, CHANNELS);
+                let (columns, w) = (2 * config.modes_w, padded(grid.w));
+                assert!(Block::takes_rows(context(), &tuning, w / 4), "{grid} fits a workgroup");
+                let (_, x) = activations(batch, CHANNELS, grid, 0.5);
+                let (_, _, skip) = layer(CHANNELS, CHANNELS, tuning.channels);
+                let shape = [batch, grid.h, columns, CHANNELS];
+                let r = tensor("r", &shape, &noise(shape.iter().product(), 21));
+                let inverse = tables::inverse_rows(&config, grid.w);
+                let table = tensor("table", &[columns, w], &inverse);
+                let both = [inverse, tables::forward_rows(&config, grid.h, grid.w)].concat();
+                let both = tensor("tables", &[2, columns, w], &both);
+                let [alone, y] = [(); 2].map(|()| poisoned("y", x.shape()));
+                let spectra = poisoned("rows", &shape);
+                let most = poisoned("rows_max", &[batch, grid.h, CHANNELS]);
+                let none = BlockTensors { x: &x, r: &r, y: &alone, rows: None, rows_max: None };
+                let (wanted, maxima) = (rows.then_some(&spectra), pool.then_some(&most));
+                let some = BlockTensors { y: &y, rows: wanted, rows_max: maxima, ..none };
+                for (after, tables, tensors) in [
+                    (After { gelu: true, ..After::default() }, &table, none),
+                    (After { gelu: true, rows, pool }, if rows { &both } else { &table }, some),
+                ] {
+                    let kernel = Block::new(context(), &tuning, (w / 4, config.modes_w), after).unwrap();
+                    run(|schedule| kernel.push(schedule, &skip, (tables, grid.w), tensors));
+                }
+                let what = format!("block {} with rows {batch} x {grid}", tuning.channels);
+                assert_eq!(read(&y), read(&alone), "{what}");
+                let (expected, expected_most) = of_rows(&read_unpadded(&y, grid), config.modes_w, grid);
+                if rows {
+                    let atol = ROUNDING * (grid.w as f64).sqrt() * largest(&expected);
+                    assert_close(&what, &read(&spectra), &expected, (atol, 0.0));
+                }
+                if pool {
+                    assert_eq!(read(&most), expected_most, "{what}");
+                }
             }
         }
     }

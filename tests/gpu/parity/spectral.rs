@@ -1,39 +1,108 @@
-//! `spectral` against its formula.
+//! `spectral` against the CPU path's column transform and the formulas of product and inverse.
 
+use super::operator::{CHANNELS, MODES, config, turn};
 use crate::common::{
-    ROUNDING, assert_close, context, device, largest, noise, poisoned, read, run, sharings, tensor,
+    ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run, sharings, tensor,
+    widened,
 };
-use fnopt::kernels::operator::{Spectral, spectral::by_mode};
+use fnopt::cpu::operator::Transform;
+use fnopt::kernels::Tuning;
+use fnopt::kernels::operator::{Spectral, SpectralTensors, spectral::by_mode};
+use fnopt::network::{Config, tables};
+use fnopt::sim::Grid;
 
-#[test]
-fn products_match_with_and_without_tiles_of_samples() {
-    let _turn = device();
-    let kernels = sharings().map(|tuning| Spectral::new(context(), &tuning).unwrap());
-    let (modes_h, modes_w, inputs, outputs) = (8, 5, 48, 80);
-    let modes = modes_h * modes_w;
-    // Three samples and their multiples share one reading of the weights, other numbers do not.
-    for samples in [1, 3, 4, 9] {
-        let x = noise(samples * modes * inputs * 2, 51);
-        let weight = noise(inputs * outputs * modes * 2, 52);
-        let mut expected = vec![0.0; samples * modes * outputs * 2];
-        for (index, y) in expected.chunks_exact_mut(2).enumerate() {
-            let (o, m, s) = (index % outputs, index / outputs % modes, index / (outputs * modes));
-            for i in 0..inputs {
-                let complex = |v: &[f32], at: usize| (f64::from(v[2 * at]), f64::from(v[2 * at + 1]));
-                let (xr, xi) = complex(&x, (s * modes + m) * inputs + i);
-                let (wr, wi) = complex(&weight, (i * outputs + o) * modes + m);
-                y[0] += xr * wr - xi * wi;
-                y[1] += xr * wi + xi * wr;
+/// The spectrum [S, modes_h, modes_w, C, 2] of rows' spectra `r` [S, H, 2 modes_w, C].
+fn spectrum(config: &Config, grid: Grid, r: &[f32]) -> Vec<f64> {
+    let Config { modes_h, modes_w, channels, .. } = *config;
+    let transform = Transform::<f64>::new(config, grid, channels).unwrap();
+    let mut sums = vec![0.0; transform.column_len() / modes_w];
+    let mut spectrum = Vec::new();
+    for rows in r.chunks_exact(grid.h * transform.row_len()) {
+        let (rows, first) = (widened(rows), spectrum.len());
+        spectrum.resize(first + modes_h * modes_w * channels * 2, 0.0);
+        for k_w in 0..modes_w {
+            transform.column_forward(&mut sums, &rows, k_w);
+            for (m_h, c) in (0..modes_h).flat_map(|m| (0..channels).map(move |c| (m, c))) {
+                let at = first + ((m_h * modes_w + k_w) * channels + c) * 2;
+                (spectrum[at], spectrum[at + 1]) = transform.mode(&sums, m_h, c);
             }
         }
-        let weight = tensor("weight", &[modes, inputs, outputs, 2], &by_mode(&weight, inputs, outputs));
-        let x = tensor("x", &[samples, modes_h, modes_w, inputs, 2], &x);
-        for kernel in &kernels {
-            let y = poisoned("y", &[samples, modes_h, modes_w, outputs, 2]);
-            run(|schedule| kernel.push(schedule, &weight, &x, &y));
-            // A rounding of each of the 96 products.
-            let atol = 10.0 * ROUNDING * largest(&expected);
-            assert_close(&format!("spectral {samples}"), &read(&y), &expected, (atol, 0.0));
+    }
+    spectrum
+}
+
+/// The channel product of each mode with `weight` [C, C, modes, 2].
+fn product(config: &Config, x: &[f64], weight: &[f32]) -> Vec<f64> {
+    let (modes, channels) = (config.modes(), config.channels);
+    let mut y = vec![0.0; x.len()];
+    for (index, y) in y.chunks_exact_mut(2).enumerate() {
+        let (o, m, s) = (index % channels, index / channels % modes, index / (channels * modes));
+        for i in 0..channels {
+            let (at_x, at_w) = (2 * ((s * modes + m) * channels + i), 2 * ((i * channels + o) * modes + m));
+            let (xr, xi, wr, wi) =
+                (x[at_x], x[at_x + 1], f64::from(weight[at_w]), f64::from(weight[at_w + 1]));
+            y[0] += xr * wr - xi * wi;
+            y[1] += xr * wi + xi * wr;
+        }
+    }
+    y
+}
+
+/// The inverse column transform of `z`, shape [S, H, 2 modes_w, C].
+fn inverse(config: &Config, grid: Grid, z: &[f64]) -> Vec<f64> {
+    let Config { modes_h, modes_w, channels, .. } = *config;
+    let mut r = Vec::new();
+    for z in z.chunks_exact(modes_h * modes_w * channels * 2) {
+        for i in 0..grid.h {
+            for (k_w, part) in (0..modes_w).flat_map(|k| [(k, 0), (k, 1)]) {
+                r.extend((0..channels).map(|c| {
+                    let mode = |m: usize| {
+                        let at = ((m * modes_w + k_w) * channels + c) * 2;
+                        let (cos, sin) = turn(m as i64 - (modes_h / 2) as i64, i, grid.h);
+                        if part == 0 { z[at] * cos - z[at + 1] * sin } else { z[at] * sin + z[at + 1] * cos }
+                    };
+                    (0..modes_h).map(mode).sum::<f64>()
+                }));
+            }
+        }
+    }
+    r
+}
+
+/// With every division of a workgroup's work, and with the spectrum kept or not.
+#[test]
+fn convolutions_match() {
+    let _turn = device();
+    for modes in MODES {
+        let config = config(modes, CHANNELS);
+        let weight = noise(CHANNELS * CHANNELS * config.modes() * 2, 52);
+        let by_mode = by_mode(&weight, CHANNELS, CHANNELS);
+        let on_device = tensor("weight", &[config.modes(), CHANNELS, CHANNELS, 2], &by_mode);
+        for (grid, samples) in cases() {
+            let shape = [samples, grid.h, 2 * config.modes_w, CHANNELS];
+            let r = noise(shape.iter().product(), 31);
+            let modes = spectrum(&config, grid, &r);
+            let expected = inverse(&config, grid, &product(&config, &modes, &weight));
+            let table = tensor("table", &[grid.h, config.modes_h, 2], &tables::columns(&config, grid.h));
+            let r = tensor("r", &shape, &r);
+            let teams = [1, 2, 4].map(|spectral_teams| Tuning { spectral_teams, ..sharings()[1] });
+            for tuning in sharings().into_iter().chain(teams) {
+                for keep in [false, true] {
+                    let kernel = Spectral::new(context(), &tuning, &config, samples, keep).unwrap();
+                    let found = poisoned("inverse", &shape);
+                    let kept = poisoned("spectrum", &[samples, config.modes_h, config.modes_w, CHANNELS, 2]);
+                    let spectrum = keep.then_some(&kept);
+                    let tensors = SpectralTensors { table: &table, r: &r, inverse: &found, spectrum };
+                    run(|schedule| kernel.push(schedule, &on_device, tensors));
+                    let what = format!("spectral {samples} x {grid}");
+                    let rounding = ROUNDING * (grid.h as f64).sqrt();
+                    let atol = rounding * largest(&expected);
+                    assert_close(&what, &read(&found), &expected, (atol, 0.0));
+                    if keep {
+                        assert_close(&what, &read(&kept), &modes, (rounding * largest(&modes), 0.0));
+                    }
+                }
+            }
         }
     }
 }
