@@ -5,7 +5,7 @@ use super::{Ending, SolverArgs, median};
 use anyhow::Result;
 use fnopt::gpu::{Context, Profile};
 use fnopt::kernels::{Tuning, operator::pointwise};
-use fnopt::render::{Chart, Curve, Image, charts, write_png};
+use fnopt::render::{Chart, Curve, Image, Scale, charts, write_png};
 use fnopt::scene::{Scene, Setup};
 use fnopt::sim::{Device, Grid, Optimizer, Simulator, Solver, SolverOptions};
 use std::io::Write;
@@ -114,7 +114,7 @@ fn plot(rows: &[Row], product: f64) -> Image {
             let rows = rows.iter().filter(|row| row.batch == batch);
             let mut points: Vec<[f64; 2]> = rows.map(|row| [particles(row), value(row)]).collect();
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-            Curve { label: format!("{batch} cloths"), points }
+            Curve { label: format!("{batch} cloth{}", if batch == 1 { "" } else { "s" }), points }
         };
         batches.iter().map(of).collect()
     };
@@ -125,11 +125,12 @@ fn plot(rows: &[Row], product: f64) -> Image {
         .filter_map(|row| Some([particles(row), row.gflop_per_s? * row.ms_per_frame * 1e9 / product]))
         .collect();
     bound.sort_by(|a, b| a[0].total_cmp(&b[0]));
+    bound.dedup_by_key(|point| point[0]);
     let label = "matrix product".to_owned();
     speeds
         .push(Curve { label: label.clone(), points: bound.iter().map(|p| [p[0], product * 1e-9]).collect() });
     times.push(Curve { label, points: bound });
-    let chart = |title: &str, curves| Chart { title: title.into(), curves, log: true };
+    let chart = |title: &str, curves| Chart { title: title.into(), curves, scale: Scale::Logarithmic };
     let both = [chart("ms per frame over particles", times), chart("GFLOP/s over particles", speeds)];
     charts(&both, (1200, 420))
 }

@@ -10,8 +10,17 @@ pub struct Chart {
     pub title: String,
     /// The curves.
     pub curves: Vec<Curve>,
-    /// Whether both axes are logarithmic; what is not above 0 is then left out.
-    pub log: bool,
+    /// Of both axes.
+    pub scale: Scale,
+}
+
+/// How an axis is divided.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// Evenly.
+    Linear,
+    /// By ratios; what is not above 0 is left out.
+    Logarithmic,
 }
 
 /// A curve of a chart.
@@ -40,6 +49,8 @@ const TITLE: f32 = 11.0;
 const LABEL: f32 = 8.0;
 /// Space for the axes and the title \[px\]: left, top, right, bottom.
 const MARGINS: [f32; 4] = [62.0, 30.0, 16.0, 26.0];
+/// A curve of no more points than this shows each of them.
+const FEW: usize = 12;
 /// Share of the values at each end that may lie outside the chart, lest a spike flatten the rest.
 const OUTSIDE: f64 = 0.005;
 
@@ -61,10 +72,10 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
     let low = corner + vec2(left, size.y - bottom);
     let high = corner + vec2(size.x - right, top);
     text::write(image, &chart.title.to_uppercase(), [low.x, corner.y + 8.0], TITLE);
-    let shown = |p: &[f64; 2]| p.iter().all(|v| v.is_finite() && !(chart.log && *v <= 0.0));
+    let shown = |p: &[f64; 2]| p.iter().all(|v| v.is_finite() && (chart.scale == Scale::Linear || *v > 0.0));
     let points = || chart.curves.iter().flat_map(|c| &c.points).filter(|p| shown(p));
-    let x = Axis::over(points().map(|p| p[0]).collect(), 0.0, chart.log);
-    let y = Axis::over(points().map(|p| p[1]).collect(), OUTSIDE, chart.log);
+    let x = Axis::over(points().map(|p| p[0]).collect(), 0.0, chart.scale);
+    let y = Axis::over(points().map(|p| p[1]).collect(), OUTSIDE, chart.scale);
     for tick in x.ticks() {
         let at = low.x + (high.x - low.x) * x.place(tick);
         line(image, [vec2(at, low.y), vec2(at, high.y)], LINES, 0.5);
@@ -89,10 +100,15 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
                 line(image, [a, b], *colour, 0.9);
             }
         }
+        if places.len() <= FEW {
+            places.iter().flatten().for_each(|&at| line(image, [at, at], *colour, 2.6));
+        }
     }
     let widest = chart.curves.iter().map(|c| text::width(&c.label.to_uppercase(), LABEL)).fold(0.0, f32::max);
     for (k, curve) in chart.curves.iter().enumerate() {
-        let (x, y) = (high.x - widest - 24.0, high.y + 10.0 + 1.8 * LABEL * k as f32);
+        // Time over work rises from corner to corner.
+        let x = if chart.scale == Scale::Linear { high.x - widest - 24.0 } else { low.x + 8.0 };
+        let (x, y) = (x, high.y + 10.0 + 1.8 * LABEL * k as f32);
         line(image, [vec2(x, y), vec2(x + 14.0, y)], COLOURS[k % COLOURS.len()], 1.2);
         text::write(image, &curve.label.to_uppercase(), [x + 20.0, y - LABEL / 2.0], LABEL);
     }
@@ -102,38 +118,45 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
 struct Axis {
     low: f64,
     high: f64,
-    log: bool,
+    scale: Scale,
 }
 
 impl Axis {
     /// Over these values, without the share `outside` at each end.
-    fn over(mut values: Vec<f64>, outside: f64, log: bool) -> Self {
+    fn over(mut values: Vec<f64>, outside: f64, scale: Scale) -> Self {
         values.sort_by(f64::total_cmp);
         let left_out = (values.len() as f64 * outside) as usize;
         let (Some(&low), Some(&high)) = (values.get(left_out), values.iter().nth_back(left_out)) else {
-            return Self { low: 0.0, high: 1.0, log: false };
+            return Self { low: 0.0, high: 1.0, scale: Scale::Linear };
         };
-        let wide = match high > low {
-            true => 0.0,
-            false if log => 0.5 * low,
-            false => 0.5 * low.abs().max(1.0),
-        };
-        Self { low: low - wide, high: high + wide, log }
+        match scale {
+            // Room for the points at the ends.
+            Scale::Logarithmic => {
+                let room = (high / low).powf(0.04).max(1.1);
+                Self { low: low / room, high: high * room, scale }
+            }
+            Scale::Linear => {
+                let wide = if high > low { 0.0 } else { 0.5 * low.abs().max(1.0) };
+                Self { low: low - wide, high: high + wide, scale }
+            }
+        }
     }
 
     /// Where a value lies, from 0 to 1.
     fn place(&self, value: f64) -> f32 {
-        match self.log {
-            true => ((value / self.low).ln() / (self.high / self.low).ln()) as f32,
-            false => ((value - self.low) / (self.high - self.low)) as f32,
+        match self.scale {
+            Scale::Logarithmic => ((value / self.low).ln() / (self.high / self.low).ln()) as f32,
+            Scale::Linear => ((value - self.low) / (self.high - self.low)) as f32,
         }
     }
 
-    /// Round numbers inside: three to seven of them, or the powers of ten.
+    /// Round numbers inside: three to seven of them, or the powers of ten, with their doubles and fives where those are few.
     fn ticks(&self) -> Vec<f64> {
-        if self.log {
-            let (first, last) = (self.low.log10().ceil() as i32, self.high.log10().floor() as i32);
-            return (first..=last).map(|k| 10f64.powi(k)).collect();
+        if self.scale == Scale::Logarithmic {
+            let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
+            let steps: &[f64] = if self.high / self.low < 300.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+            let all = (first..=last).flat_map(|k| steps.iter().map(move |m| m * 10f64.powi(k)));
+            return all.filter(|tick| (self.low..=self.high).contains(tick)).collect();
         }
         let raw = (self.high - self.low) / 5.0;
         let power = 10f64.powf(raw.log10().floor());
@@ -178,7 +201,7 @@ mod tests {
         let rising = curve((0..50).map(|k| [f64::from(k), f64::from(k * k)]).collect());
         let broken = curve(vec![[0.0, 0.0], [1.0, f64::NAN], [2.0, f64::INFINITY], [3.0, 1e300]]);
         let some = [vec![], vec![rising], vec![broken], vec![curve(vec![[5.0, 5.0]])]];
-        let some = some.map(|curves| Chart { title: "t".into(), curves, log: false });
+        let some = some.map(|curves| Chart { title: "t".into(), curves, scale: Scale::Linear });
         let image = charts(&some, (400, 300));
         let blue = |x: std::ops::Range<usize>, y: std::ops::Range<usize>| {
             y.flat_map(|y| x.clone().map(move |x| (x, y)))
@@ -193,16 +216,17 @@ mod tests {
     #[test]
     fn ticks_are_round_and_inside() {
         let text = |axis: Axis| axis.ticks().into_iter().map(number).collect::<Vec<_>>().join(" ");
-        let ticks = |low, high| text(Axis { low, high, log: false });
+        let ticks = |low, high| text(Axis { low, high, scale: Scale::Linear });
         assert_eq!(ticks(0.0, 1.0), "0 0.2 0.4 0.6 0.8 1");
         assert_eq!(ticks(-3.7, 2.1), "-2 0 2");
         assert_eq!(ticks(100.0, 500_000.0), "100000 200000 300000 400000 500000");
         assert_eq!(ticks(0.0, 2e-4), "0 5.0e-5 1.0e-4 1.5e-4 2.0e-4");
-        let decades = Axis { low: 0.02, high: 3000.0, log: true };
+        let decades = Axis { low: 0.02, high: 3000.0, scale: Scale::Logarithmic };
         assert!(
             (decades.place(0.2) - decades.place(2.0)).abs() - (decades.place(20.0) - decades.place(2.0))
                 < 1e-6
         );
         assert_eq!(text(decades), "0.1 1 10 100 1000");
+        assert_eq!(text(Axis { low: 30.0, high: 600.0, scale: Scale::Logarithmic }), "50 100 200 500");
     }
 }

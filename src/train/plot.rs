@@ -4,7 +4,7 @@ use super::config::PoolConfig;
 use super::metrics::pool_name;
 use super::table::Table;
 use crate::Result;
-use crate::render::{Chart, Curve, Image, charts};
+use crate::render::{Chart, Curve, Image, Scale, charts};
 
 /// Width and height of the picture \[px\].
 const SIZE: (usize, usize) = (1200, 900);
@@ -35,7 +35,7 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
         }
     }
     let norm = vec![curve("gradient_norm", "gradient norm".into())];
-    let chart = |title: &str, curves| Chart { title: title.into(), curves, log: false };
+    let chart = |title: &str, curves| Chart { title: title.into(), curves, scale: Scale::Linear };
     Ok(charts(
         &[
             chart("loss", of_pools("loss")),

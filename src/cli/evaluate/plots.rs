@@ -3,7 +3,7 @@
 use super::Kept;
 use fnopt::cpu::Track;
 use fnopt::eval::{Physics, Score, Sequence, snapshots, vertex_errors};
-use fnopt::render::{self, Chart, Curve, ErrorMap, View, charts, write_png};
+use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
 use fnopt::sim::{Grid, Optimizer};
 use fnopt::{Error, Result};
 use std::collections::BTreeMap;
@@ -52,7 +52,7 @@ fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Fi
     let chart = |((sequence, grid), curves)| Chart {
         title: format!("{sequence} {grid}: {name} per frame"),
         curves,
-        log: false,
+        scale: Scale::Linear,
     };
     write(folder, file, &curves.into_iter().map(chart).collect::<Vec<_>>())
 }
@@ -80,8 +80,16 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
         .into_iter()
         .flat_map(|(grid, [errors, times])| {
             [
-                Chart { title: format!("{grid}: e_CD x 1000 by iterations"), curves: errors, log: false },
-                Chart { title: format!("{grid}: ms per frame by iterations"), curves: times, log: false },
+                Chart {
+                    title: format!("{grid}: e_CD x 1000 by iterations"),
+                    curves: errors,
+                    scale: Scale::Linear,
+                },
+                Chart {
+                    title: format!("{grid}: ms per frame by iterations"),
+                    curves: times,
+                    scale: Scale::Linear,
+                },
             ]
         })
         .collect();
@@ -116,7 +124,7 @@ pub(super) fn convergence(
         curves.push(Curve { label: optimizer.name().to_owned(), points });
     }
     let title = format!("{} {grid}: log10 of the energy gap by iterations", sequence.name);
-    write(folder, "convergence.png", &[Chart { title, curves, log: false }])
+    write(folder, "convergence.png", &[Chart { title, curves, scale: Scale::Linear }])
 }
 
 /// A few frames of a sequence and, for each grid, of all that simulated it, coloured by their distance from the truth.
