@@ -68,6 +68,8 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["rollout", "--solver", "bfgs"], &["--solver", "did you mean lbfgs"]),
         (&["rollout", "--adapter", "no such adapter"], &["no adapter named 'no such adapter'"]),
         (&["rollout", "--device", "cpu", "--adapter", "0"], &["--adapter"]),
+        (&["rollout", "--device", "cpu", "--precision", "f16"], &["--precision", "f32 on cpu"]),
+        (&["verify", ".", "--device", "cpu", "--precision", "f8"], &["--precision", "f16"]),
         (&["rollout", "--format", "obx"], &["obx"]),
         (&["verify", "nowhere"], &["nowhere", "cannot read"]),
         (&["inspect", "key.json"], &["key.json"]),

@@ -25,12 +25,12 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> skip: array<vec4f>;
+@group(0) @binding(1) var<storage, read> skip: array<StoredQuad>;
 @group(0) @binding(2) var<storage, read> bias: array<vec4f>;
 @group(0) @binding(3) var<storage, read> tables: array<vec4f>;
-@group(0) @binding(4) var<storage, read> x: array<vec4f>;
+@group(0) @binding(4) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(5) var<storage, read> r: array<vec4f>;
-@group(0) @binding(6) var<storage, read_write> y: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(7) var<storage, read_write> rows: array<f32>;
 @group(0) @binding(8) var<storage, read_write> rows_max: array<f32>;
 
@@ -62,26 +62,26 @@ fn block(
     var at = tile * params.channels * $m;
     var y$c = vec4f();
     for (var c = 0u; c < params.channels; c++) {
-        let v = x[first + c * plane];
-        let w$q = $same(skip, at + $q);
+        let v = vec4f(x[first + c * plane]);
+        let w$q = $same(vec4f(skip[at + $q]));
         y$c += w$q.$e * v;
         at += $m;
     }
     at = (sample * params.rows + row) * params.columns * params.channels / 4u + tile * $m;
     for (var k = 0u; k < params.columns; k++) {
         let v = tables[k * params.row_quads + quad];
-        let w$q = $same(r, at + $q);
+        let w$q = $same(r[at + $q]);
         y$c += w$q.$e * v;
         at += params.channels / 4u;
     }
     let out = first + tile * $n * plane;
-    let b$q = $same(bias, tile * $m + $q);
+    let b$q = $same(bias[tile * $m + $q]);
     y$c += b$q.$e;
     if GELU {
         y$c = gelu(y$c);
     }
     if id.x < params.row_quads && id.y < params.rows {
-        y[out + $c * plane] = y$c;
+        y[out + $c * plane] = StoredQuad(y$c);
     }
     if !ROWS && !POOL {
         return;
@@ -109,7 +109,7 @@ fn block(
             var z$k = 0.0;
             for (var q = 0u; q < params.row_quads; q++) {
                 let v = held[at_row + q];
-                let t$k = $same(tables, forward + q * params.columns + column + $k);
+                let t$k = $same(tables[forward + q * params.columns + column + $k]);
                 z$k += dot(v, t$k);
             }
             if exists {

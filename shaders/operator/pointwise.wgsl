@@ -17,10 +17,10 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> weight: array<vec4f>;
+@group(0) @binding(1) var<storage, read> weight: array<StoredQuad>;
 @group(0) @binding(2) var<storage, read> bias: array<vec4f>;
-@group(0) @binding(3) var<storage, read> x: array<vec4f>;
-@group(0) @binding(4) var<storage, read_write> y: array<vec4f>;
+@group(0) @binding(3) var<storage, read> x: array<StoredQuad>;
+@group(0) @binding(4) var<storage, read_write> y: array<StoredQuad>;
 
 override GELU: bool = true;
 override WORKGROUP: u32 = 64;
@@ -34,20 +34,20 @@ fn pointwise(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) gr
     var at = tile * params.inputs * $m;
     var y$c = vec4f();
     for (var i = 0u; i < params.inputs; i++) {
-        let v = x[first + i * params.quads];
-        let w$q = $same(weight, at + $q);
+        let v = vec4f(x[first + i * params.quads]);
+        let w$q = $same(vec4f(weight[at + $q]));
         y$c += w$q.$e * v;
         at += $m;
     }
     let out = ((params.y_first + group.z) * params.outputs + tile * $n) * params.quads + p;
-    let b$q = $same(bias, tile * $m + $q);
+    let b$q = $same(bias[tile * $m + $q]);
     y$c += b$q.$e;
     if id.x >= params.quads {
         return;
     }
     if GELU {
-        y[out + $c * params.quads] = gelu(y$c);
+        y[out + $c * params.quads] = StoredQuad(gelu(y$c));
     } else {
-        y[out + $c * params.quads] = y$c;
+        y[out + $c * params.quads] = StoredQuad(y$c);
     }
 }

@@ -13,7 +13,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> x: array<vec4f>;
+@group(0) @binding(1) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(2) var<storage, read_write> rows_max: array<f32>;
 
 @compute @workgroup_size(64)
@@ -25,13 +25,13 @@ fn pool_rows(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) gr
     let row = group.y;
     let sample = group.z;
     let first = ((sample * params.channels + channel) * params.rows + row) * params.row_quads;
-    var most = x[first];
+    var most = vec4f(x[first]);
     let last = params.row_quads - 1u;
     for (var q = 1u; q < last; q++) {
-        most = max(most, x[first + q]);
+        most = max(most, vec4f(x[first + q]));
     }
     // Columns of the last quad beyond W repeat its first one, which always exists.
-    let v = x[first + last];
+    let v = vec4f(x[first + last]);
     let inside = vec4u(0u, 1u, 2u, 3u) + 4u * last < vec4u(params.columns);
     most = max(most, select(vec4f(v.x), v, inside));
     rows_max[(sample * params.rows + row) * params.channels + channel] =

@@ -14,7 +14,7 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> weight: array<f32>;
 @group(0) @binding(2) var<storage, read> bias: array<f32>;
-@group(0) @binding(3) var<storage, read> x: array<vec4f>;
+@group(0) @binding(3) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(4) var<storage, read_write> field: array<vec4f>;
 
 @compute @workgroup_size(64)
@@ -27,7 +27,7 @@ fn project(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) grou
     let first = sample * params.channels * params.quads + p;
     var sum = vec4f(bias[0]);
     for (var c = 0u; c < params.channels; c++) {
-        sum += weight[c] * x[first + c * params.quads];
+        sum += weight[c] * vec4f(x[first + c * params.quads]);
     }
     field[sample * params.quads + p] = sum;
 }

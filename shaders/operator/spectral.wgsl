@@ -22,7 +22,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> table: array<vec2f>;
-@group(0) @binding(2) var<storage, read> weight: array<vec2f>;
+@group(0) @binding(2) var<storage, read> weight: array<StoredPair>;
 @group(0) @binding(3) var<storage, read> r: array<f32>;
 @group(0) @binding(4) var<storage, read_write> inverse: array<f32>;
 @group(0) @binding(5) var<storage, read_write> spectrum: array<vec2f>;
@@ -54,7 +54,7 @@ fn spectral(@builtin(local_invocation_id) local: vec3u, @builtin(workgroup_id) g
             let at = (((first + of_tile) * params.rows + y) * params.modes_w + column) * 2u * params.channels + source;
             let re = r[at];
             let im = r[at + params.channels];
-            let t$c = $same(table, y * $n + $c);
+            let t$c = $same(table[y * $n + $c]);
             z$c += vec2f(re * t$c.x - im * t$c.y, re * t$c.y + im * t$c.x);
         }
         if channel < params.channels {
@@ -70,8 +70,9 @@ fn spectral(@builtin(local_invocation_id) local: vec3u, @builtin(workgroup_id) g
     for (var mode = team; mode < $n; mode += TEAMS) {
         var p$k = vec2f();
         for (var i = 0u; i < params.channels; i++) {
-            let w = weight[((mode * params.modes_w + column) * params.channels + i) * params.channels + channel];
-            let x$k = $same(inputs, ($k * $n + mode) * params.channels + i);
+            let at = ((mode * params.modes_w + column) * params.channels + i) * params.channels + channel;
+            let w = vec2f(weight[at]);
+            let x$k = $same(inputs[($k * $n + mode) * params.channels + i]);
             p$k += vec2f(x$k.x * w.x - x$k.y * w.y, x$k.x * w.y + x$k.y * w.x);
         }
         outputs[($k * $n + mode) * 64u + across] = p$k;
@@ -86,7 +87,7 @@ fn spectral(@builtin(local_invocation_id) local: vec3u, @builtin(workgroup_id) g
         for (var y = begin; y < end; y++) {
             var re = 0.0;
             var im = 0.0;
-            let t$c = $same(table, y * $n + $c);
+            let t$c = $same(table[y * $n + $c]);
             re += q$c.x * t$c.x + q$c.y * t$c.y;
             im += q$c.y * t$c.x - q$c.x * t$c.y;
             if slice + across < params.channels {

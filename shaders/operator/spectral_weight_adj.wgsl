@@ -26,7 +26,7 @@ fn spectral_weight_adj(@builtin(global_invocation_id) id: vec3u, @builtin(workgr
     for (var s = 0u; s < params.samples; s++) {
         let y = adj[(s * params.modes + mode) * params.outputs + channel];
         let first_x = (s * params.modes + mode) * params.inputs + first;
-        let x$c = $same(x, first_x + $c);
+        let x$c = $same(x[first_x + $c]);
         sum$c += vec2f(x$c.x * y.x + x$c.y * y.y, x$c.x * y.y - x$c.y * y.x);
     }
     if id.x >= params.outputs {

@@ -15,7 +15,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> table: array<vec4f>;
-@group(0) @binding(2) var<storage, read> x: array<vec4f>;
+@group(0) @binding(2) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(3) var<storage, read_write> r: array<f32>;
 
 @compute @workgroup_size(64)
@@ -27,8 +27,8 @@ fn transform_rows(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_i
     let first = ((sample * params.channels + channel) * params.rows + row) * params.row_quads;
     var r$c = 0.0;
     for (var q = 0u; q < params.row_quads; q++) {
-        let v = x[first + q];
-        let t$c = $same(table, q * $n + $c);
+        let v = vec4f(x[first + q]);
+        let t$c = $same(table[q * $n + $c]);
         r$c += dot(v, t$c);
     }
     if id.x >= params.channels {

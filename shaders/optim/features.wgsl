@@ -22,7 +22,7 @@ struct Params {
 @group(0) @binding(1) var<storage, read> grad: array<f32>;
 @group(0) @binding(2) var<storage, read> hidden: array<f32>;
 @group(0) @binding(3) var<storage, read> partial_sums: array<vec2f>;
-@group(0) @binding(4) var<storage, read_write> embedded: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> embedded: array<StoredQuad>;
 
 @compute @workgroup_size(8, 8)
 fn features(@builtin(global_invocation_id) id: vec3u) {
@@ -57,11 +57,11 @@ fn features(@builtin(global_invocation_id) id: vec3u) {
     let down = f32(row) / f32(params.rows - 1u);
     let plane = params.rows * params.row_quads;
     let out = sample * 5u * plane + row * params.row_quads + quad;
-    embedded[out] = squash(g * inverse.x);
-    embedded[out + plane] = squash(last_grad * inverse.x);
-    embedded[out + 2u * plane] = squash(last_step * inverse.y);
-    embedded[out + 3u * plane] = select(vec4f(), vec4f(down), inside);
-    embedded[out + 4u * plane] = across;
+    embedded[out] = StoredQuad(squash(g * inverse.x));
+    embedded[out + plane] = StoredQuad(squash(last_grad * inverse.x));
+    embedded[out + 2u * plane] = StoredQuad(squash(last_step * inverse.y));
+    embedded[out + 3u * plane] = StoredQuad(select(vec4f(), vec4f(down), inside));
+    embedded[out + 4u * plane] = StoredQuad(across);
 }
 
 // 10 tanh(v / 10).

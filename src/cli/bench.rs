@@ -1,6 +1,6 @@
 //! `fnopt bench`: time of frames, of each kernel and of recording.
 
-use super::device::DeviceArgs;
+use super::device::InferenceArgs;
 use super::{Ending, SolverArgs, median};
 use anyhow::Result;
 use fnopt::gpu::{Context, Profile};
@@ -28,7 +28,7 @@ pub struct Args {
     #[command(flatten)]
     solver: SolverArgs,
     #[command(flatten)]
-    device: DeviceArgs,
+    device: InferenceArgs,
     /// Draw ms per frame over particles and cloths (PNG), beside what the network's operations alone would take at the speed of
     /// the device's matrix product
     #[arg(long, value_name = "FILE")]

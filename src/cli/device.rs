@@ -1,7 +1,7 @@
-//! `--device` and `--adapter`.
+//! `--device`, `--adapter` and `--precision`.
 
 use clap::ValueEnum;
-use fnopt::gpu::{AdapterChoice, AdapterKind, Context, adapters};
+use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Storage, adapters};
 use fnopt::sim::Device;
 use fnopt::{Error, Result};
 
@@ -52,6 +52,42 @@ impl DeviceArgs {
         };
         let line = format!("device: {} ({why})", context.name());
         Ok((Device::Gpu(context), line))
+    }
+}
+
+/// How the network is stored.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Precision {
+    /// 32-bit floating point
+    #[default]
+    F32,
+    /// 16-bit floating point, summed up in 32 bits; on GPUs that have it
+    F16,
+}
+
+/// Options that choose a device and how it stores the network.
+#[derive(Clone, Debug, clap::Args)]
+pub struct InferenceArgs {
+    #[command(flatten)]
+    pub on: DeviceArgs,
+    /// How the network's activations and weights are stored
+    #[arg(long, value_enum, default_value_t)]
+    pub precision: Precision,
+}
+
+impl InferenceArgs {
+    /// Opens the device and says in one line which and why.
+    pub fn open(&self) -> Result<(Device, String)> {
+        match (self.on.open()?, self.precision) {
+            (opened, Precision::F32) => Ok(opened),
+            ((Device::Gpu(context), line), Precision::F16) => {
+                let context = context.with_storage(Storage::F16)?;
+                Ok((Device::Gpu(context), format!("{line}, the network in f16")))
+            }
+            ((device @ Device::Cpu, _), Precision::F16) => {
+                Err(Error::invalid("--precision", "precision", format!("f32 on {}", device.name()), "f16"))
+            }
+        }
     }
 }
 

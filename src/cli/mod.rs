@@ -39,7 +39,7 @@ enum Command {
     /// Train weights of the learned optimizer
     Train(train::Args),
     /// Compare solvers with recorded trajectories, in tables
-    Evaluate(evaluate::Args),
+    Evaluate(Box<evaluate::Args>),
     /// Find the material that brings the converged simulation closest to recorded trajectories
     FitMaterial(fit_material::Args),
     /// Check every stage against a folder of golden files

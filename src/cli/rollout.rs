@@ -1,6 +1,6 @@
 //! `fnopt rollout`: simulates a scene and writes what came of it.
 
-use super::device::DeviceArgs;
+use super::device::InferenceArgs;
 use super::{Ending, SolverArgs, go_on, interrupt_flag, median};
 use anyhow::Result;
 use fnopt::io::{Format, Trajectory, write_atomic};
@@ -32,7 +32,7 @@ pub struct Args {
     #[command(flatten)]
     solver: SolverArgs,
     #[command(flatten)]
-    device: DeviceArgs,
+    device: InferenceArgs,
     /// Folder to write into
     #[arg(long, default_value = "out", value_name = "DIR")]
     out: PathBuf,

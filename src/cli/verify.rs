@@ -1,7 +1,7 @@
 //! `fnopt verify`: every stage against golden files.
 
 use super::Ending;
-use super::device::{DeviceArgs, DeviceKind};
+use super::device::{DeviceKind, InferenceArgs};
 use anyhow::Result;
 use fnopt::sim::Device;
 use fnopt::verify::{Check, CpuStages, GpuStages, Outcome, Stages, verify_folder};
@@ -15,7 +15,7 @@ pub struct Args {
     folder: PathBuf,
     /// On the CPU each file is checked in double and in single precision; auto adds a hardware adapter if there is one
     #[command(flatten)]
-    device: DeviceArgs,
+    device: InferenceArgs,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -26,7 +26,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     eprintln!("{line}");
     let mut stages: Vec<Box<dyn Stages>> = Vec::new();
     if matches!(device, Device::Cpu)
-        || args.device.device == DeviceKind::Auto && args.device.adapter.is_none()
+        || args.device.on.device == DeviceKind::Auto && args.device.on.adapter.is_none()
     {
         stages.push(Box::new(CpuStages::<f64>::new()));
         stages.push(Box::new(CpuStages::<f32>::new()));

@@ -173,13 +173,24 @@ impl Track {
     /// a reference. Its memory goes along from frame to frame.
     pub fn gaps(&self, optimizer: &Optimizer, iterations: usize) -> Result<Vec<f64>> {
         let mut solver = Solver::<f32>::new(&self.model, optimizer, iterations)?;
+        self.gaps_of(|before, control| {
+            solver.step(&mut before.clone(), control);
+            Ok(solver.accelerations().to_vec())
+        })
+    }
+
+    /// The same of whatever computes the accelerations [3, H, W] of one frame after the other, from a state and a control.
+    pub fn gaps_of(
+        &self,
+        mut accelerations: impl FnMut(&State<f32>, &Control<f32>) -> Result<Vec<f32>>,
+    ) -> Result<Vec<f64>> {
         let mut reference = Reference::new(&self.model)?;
         let mut probes = self.probes.iter().peekable();
         let mut gaps = Vec::with_capacity(self.probes.len());
         for (frame, (before, control)) in self.frames.iter().enumerate() {
-            solver.step(&mut before.clone(), control);
+            let a = accelerations(before, control)?;
             if let Some(&(_, nothing, minimum)) = probes.next_if(|probe| probe.0 == frame) {
-                let a: Vec<f64> = solver.accelerations().iter().map(|&a| a.into()).collect();
+                let a: Vec<f64> = a.into_iter().map(f64::from).collect();
                 let reached = reference.energy(&before.cast(), &control.cast(), &a);
                 gaps.push((reached - minimum) / (nothing - minimum));
             }

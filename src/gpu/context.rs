@@ -1,6 +1,6 @@
 //! A device and its queue, the caller's or a headless one of our own.
 
-use super::Sharing;
+use super::{Sharing, Storage};
 use crate::{Error, Result};
 
 /// What kind of adapter a device runs on; tile sizes of the kernels follow it.
@@ -70,6 +70,7 @@ pub struct Context {
     pub queue: wgpu::Queue,
     kind: AdapterKind,
     name: String,
+    storage: Storage,
 }
 
 /// Storage buffers that a kernel may bind.
@@ -87,7 +88,8 @@ impl Context {
         if let Some(missing) = missing_limit(&device.limits()) {
             return Err(Error::Device(format!("{}: {missing}", info.name)));
         }
-        Ok(Self { device, queue, kind: kind(&info), name: describe(&info) })
+        let storage = Storage::default();
+        Ok(Self { device, queue, kind: kind(&info), name: describe(&info), storage })
     }
 
     /// Opens a device of its own, without a window.
@@ -98,7 +100,8 @@ impl Context {
     /// [`Context::headless`] for callers that already run an executor.
     pub async fn headless_async(choice: &AdapterChoice) -> Result<Self> {
         let adapter = choose(all_adapters().await, choice)?;
-        let optional = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP;
+        let optional =
+            wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP | wgpu::Features::SHADER_F16;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("fnopt"),
             required_features: adapter.features() & optional,
@@ -111,6 +114,21 @@ impl Context {
             .await
             .map_err(|e| Error::Device(format!("{}: cannot open: {e}", adapter.get_info().name)))?;
         Self::new(device, queue)
+    }
+
+    /// The same device, on which networks store their activations and weights like this.
+    ///
+    /// An error where the device lacks it ([`wgpu::Features::SHADER_F16`]).
+    pub fn with_storage(&self, storage: Storage) -> Result<Self> {
+        if storage == Storage::F16 && !self.device.features().contains(wgpu::Features::SHADER_F16) {
+            return Err(Error::Device(format!("{}: has no 16-bit floating point (f16)", self.name)));
+        }
+        Ok(Self { storage, ..self.clone() })
+    }
+
+    /// How networks store their activations and weights.
+    pub fn storage(&self) -> Storage {
+        self.storage
     }
 
     /// Hardware or software.

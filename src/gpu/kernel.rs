@@ -1,6 +1,6 @@
 //! Compiled WGSL entry points.
 
-use super::Context;
+use super::{Context, Storage};
 use crate::{Error, Result};
 
 /// The WGSL text of one kernel: the file itself, then the shared functions it calls.
@@ -25,6 +25,8 @@ pub struct Binding {
     pub ty: wgpu::BufferBindingType,
     /// Size in bytes of a uniform; 0 for storage, whose arrays are sized at run time.
     pub size: u32,
+    /// What the numbers of storage are; 32-bit for integers and structures, too.
+    pub storage: Storage,
 }
 
 /// How a kernel's text is made from its file.
@@ -36,11 +38,13 @@ pub struct Unroll {
     pub second: usize,
     /// How operands are read whose address is the same for all invocations of a subgroup.
     pub sharing: Sharing,
+    /// What `StoredQuad` and `StoredPair` are made of; that of the context when a kernel is made.
+    pub storage: Storage,
 }
 
 impl From<usize> for Unroll {
     fn from(tile: usize) -> Self {
-        Self { tile, second: 1, sharing: Sharing::Loads }
+        Self { tile, second: 1, sharing: Sharing::Loads, storage: Storage::F32 }
     }
 }
 
@@ -62,18 +66,24 @@ impl Source {
     /// The whole text, unrolled: a line with `$c` is written once for each channel of the tile, with `$q` for the quad of
     /// channels it belongs to and `$e` for its element there; a line with `$q` alone once a quad. `$n` stands for the
     /// size of the tile and `$m` for its number of quads. A line with `$k` is written `$t` times, once for each of the second tile.
-    /// In `let v$q = $same(array, index);` the index depends on `$q` (or `$c`, or `$k`) and beside it on nothing that differs
+    /// In `let v$q = $same(array[index]);` the index depends on `$q` (or `$c`, or `$k`) and beside it on nothing that differs
     /// within a subgroup, all of whose invocations get there; `$lane` ends the parameters of an entry point that does so.
+    ///
+    /// `StoredQuad` and `StoredPair` are four and two numbers as the network's activations and weights are stored ([`Storage`]).
     ///
     /// Accumulators then are named registers: neither naga nor software drivers reliably turn a private array into
     /// registers.
     pub fn unrolled(&self, unroll: impl Into<Unroll>) -> String {
-        let Unroll { tile, second, sharing } = unroll.into();
+        let Unroll { tile, second, sharing, storage } = unroll.into();
         let lane = match sharing {
             Sharing::Loads => "",
             Sharing::Broadcast => ", @builtin(subgroup_invocation_id) lane: u32",
         };
         let mut text = String::with_capacity(2 * self.wgsl.len());
+        let stores = self.wgsl.contains("StoredQuad") || self.wgsl.contains("StoredPair");
+        if stores && storage == Storage::F16 {
+            text.push_str("enable f16; ");
+        }
         for line in self.wgsl.lines() {
             let count = if line.contains("$c") {
                 tile
@@ -102,30 +112,35 @@ impl Source {
             text.push_str(&line.replace("$lane", lane));
             text.push('\n');
         }
+        if stores {
+            let name = storage.name();
+            text.push_str(&format!("alias StoredQuad = vec4<{name}>; alias StoredPair = vec2<{name}>;\n"));
+        }
         for part in self.common {
             text.push_str(part);
         }
         text
     }
 
-    /// The `count` copies of `target$same(operand`, where the operand is `array, index);`.
+    /// The `count` copies of `target$same(operand`, where the operand ends with `);`.
     fn shared(&self, target: &str, operand: &str, count: usize, sharing: Sharing) -> Vec<String> {
-        let Some((array, index)) = operand.strip_suffix(");").and_then(|o| o.split_once(", ")) else {
-            panic!("{}.wgsl: expected $same(array, index), found {operand}", self.name)
+        let Some(operand) = operand.strip_suffix(");") else {
+            panic!("{}.wgsl: expected $same(array[index]);, found {operand}", self.name)
         };
         let name = target.trim_start().trim_start_matches("let ").split('$').next().unwrap_or_default();
         let copy = |k: usize| match sharing {
-            Sharing::Loads => format!("{target}{array}[{index}];"),
+            Sharing::Loads => format!("{target}{operand};"),
             Sharing::Broadcast => {
                 let (from, first) = (k % LANES, k - k % LANES);
                 let held = format!("{name}_held{first}");
                 let last = LANES.min(count - first) - 1;
                 let own = format!("({first}u + min(lane % {LANES}u, {last}u))");
                 let load = match from {
-                    0 => format!(
-                        "let {held} = {array}[{}];",
-                        ["$c", "$q", "$k"].iter().fold(index.to_owned(), |i, of| i.replace(of, &own))
-                    ),
+                    0 => {
+                        let own =
+                            ["$c", "$q", "$k"].iter().fold(operand.to_owned(), |o, of| o.replace(of, &own));
+                        format!("let {held} = {own};")
+                    }
                     _ => String::new(),
                 };
                 format!("{load}{target}subgroupBroadcast({held}, {from}u);")
@@ -153,10 +168,21 @@ impl Source {
                 other => unreachable!("{}.wgsl binds a variable in {other:?}", self.name),
             };
             let name = variable.name.clone().unwrap_or_default();
-            found.push((place.binding, Binding { name, ty, size }));
+            found.push((place.binding, Binding { name, ty, size, storage: storage(&module, variable.ty) }));
         }
         found.sort_by_key(|f| f.0);
         Ok(found.into_iter().map(|f| f.1).collect())
+    }
+}
+
+/// What an array's numbers are.
+fn storage(module: &naga::Module, ty: naga::Handle<naga::Type>) -> Storage {
+    match module.types[ty].inner {
+        naga::TypeInner::Array { base, .. } => storage(module, base),
+        naga::TypeInner::Vector { scalar, .. } | naga::TypeInner::Scalar(scalar) if scalar.width == 2 => {
+            Storage::F16
+        }
+        _ => Storage::F32,
     }
 }
 
@@ -177,7 +203,7 @@ impl Kernel {
         unroll: impl Into<Unroll>,
         constants: &[(&str, f64)],
     ) -> Result<Self> {
-        let text = source.unrolled(unroll);
+        let text = source.unrolled(Unroll { storage: context.storage(), ..unroll.into() });
         let bindings = source.bindings(&text)?;
         let device = &context.device;
         let entries: Vec<_> = bindings

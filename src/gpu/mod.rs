@@ -9,6 +9,7 @@ mod kernel;
 mod profile;
 mod readback;
 mod schedule;
+mod storage;
 mod tensor;
 
 pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters};
@@ -16,4 +17,5 @@ pub use kernel::{Binding, Kernel, Sharing, Source, Unroll};
 pub use profile::Profile;
 pub use readback::Readback;
 pub use schedule::Schedule;
+pub use storage::Storage;
 pub use tensor::Tensor;

@@ -32,7 +32,7 @@ impl Schedule {
 
     /// Appends a dispatch: `params` becomes binding 0, `tensors` the bindings after it, in the WGSL's order.
     ///
-    /// Panics when the number of tensors or the size of the parameters is not the kernel's: that is a defect of the
+    /// Panics when the number of tensors, what they store or the size of the parameters is not the kernel's: that is a defect of the
     /// host side, not bad input.
     pub fn dispatch<P: bytemuck::Pod>(
         &mut self,
@@ -45,6 +45,10 @@ impl Schedule {
         let expected = &kernel.bindings;
         assert_eq!(expected.len(), 1 + tensors.len(), "bindings of {}: {expected:?}", kernel.name);
         assert_eq!(expected[0].size as usize, bytes.len(), "size of the parameters of {}", kernel.name);
+        for (binding, tensor) in expected[1..].iter().zip(tensors) {
+            let (kernel, label) = (kernel.name, tensor.label());
+            assert_eq!(binding.storage, tensor.storage(), "{kernel}: {} from '{label}'", binding.name);
+        }
         let context = &self.context;
         let most = context.device.limits().max_compute_workgroups_per_dimension;
         assert!(groups.iter().all(|&g| g <= most), "{}: {groups:?} workgroups", kernel.name);

@@ -1,9 +1,9 @@
 //! Arrays in device memory.
 
-use super::Context;
+use super::{Context, Storage};
 use crate::{Error, Result};
 
-/// A storage buffer of 32-bit elements with a shape.
+/// A storage buffer with a shape, of 32-bit elements or of numbers as a network stores them ([`Storage`]).
 ///
 /// Nearly every tensor is a buffer of its own: wgpu refuses one buffer bound both for reading and for writing, even where
 /// the ranges do not meet. What is only read together, such as the weights of all layers, may be views of one buffer.
@@ -14,12 +14,22 @@ pub struct Tensor {
     offset: u64,
     shape: Vec<usize>,
     label: &'static str,
+    storage: Storage,
 }
 
 impl Tensor {
     /// A tensor of zeros; fails when it exceeds what the device can bind at once.
     pub fn zeros(context: &Context, label: &'static str, shape: &[usize]) -> Result<Self> {
-        let bytes = 4 * shape.iter().product::<usize>().max(1) as u64;
+        Self::zeros_of(context, label, shape, Storage::F32)
+    }
+
+    /// A tensor of zeros that are stored as the context's networks store theirs.
+    pub fn stored_zeros(context: &Context, label: &'static str, shape: &[usize]) -> Result<Self> {
+        Self::zeros_of(context, label, shape, context.storage())
+    }
+
+    fn zeros_of(context: &Context, label: &'static str, shape: &[usize], storage: Storage) -> Result<Self> {
+        let bytes = (storage.bytes() * shape.iter().product::<usize>().max(1)) as u64;
         let limits = context.device.limits();
         let most = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
         if bytes > most {
@@ -38,10 +48,10 @@ impl Tensor {
                 | wgpu::BufferUsages::VERTEX,
             mapped_at_creation: false,
         });
-        Ok(Self { buffer, offset: 0, shape: shape.to_vec(), label })
+        Ok(Self { buffer, offset: 0, shape: shape.to_vec(), label, storage })
     }
 
-    /// Elements from which views may start: every device binds at multiples of 256 bytes.
+    /// Elements from which views of single precision may start: every device binds at multiples of 256 bytes.
     pub const VIEW_ALIGNMENT: usize = 64;
 
     /// A part of this tensor, from element `first` on, with a shape of its own; shares the buffer.
@@ -54,8 +64,9 @@ impl Tensor {
             "a view of '{}' leaves it",
             self.label
         );
+        assert_eq!(self.storage, Storage::F32, "a view of '{}'", self.label);
         let offset = self.offset + 4 * first as u64;
-        Self { buffer: self.buffer.clone(), offset, shape: shape.to_vec(), label: self.label }
+        Self { buffer: self.buffer.clone(), shape: shape.to_vec(), offset, ..*self }
     }
 
     /// A tensor that holds `data`, whose length must be that of `shape`.
@@ -77,6 +88,33 @@ impl Tensor {
         if !bytes.is_empty() {
             context.queue.write_buffer(&self.buffer, self.offset, bytes);
         }
+    }
+
+    /// Replaces the whole content by these numbers, narrowed to what the tensor stores.
+    pub fn write_narrowed(&self, context: &Context, data: &[f32]) {
+        match self.storage {
+            Storage::F32 => self.write(context, data),
+            Storage::F16 => {
+                let narrow: Vec<u16> = data.iter().map(|&v| half::f16::from_f32(v).to_bits()).collect();
+                self.write(context, &narrow);
+            }
+        }
+    }
+
+    /// Reads the whole content, widened from what the tensor stores; as [`Tensor::read`].
+    pub fn read_widened(&self, context: &Context) -> Result<Vec<f32>> {
+        match self.storage {
+            Storage::F32 => self.read(context),
+            Storage::F16 => {
+                let narrow: Vec<u16> = self.read(context)?;
+                Ok(narrow.into_iter().map(|bits| half::f16::from_bits(bits).to_f32()).collect())
+            }
+        }
+    }
+
+    /// How its numbers are stored.
+    pub fn storage(&self) -> Storage {
+        self.storage
     }
 
     /// Reads the whole content, waiting for everything submitted so far: for tests, start and end, not for frames.
@@ -123,7 +161,7 @@ impl Tensor {
 
     /// Size of the content in bytes.
     pub fn bytes(&self) -> u64 {
-        4 * self.len() as u64
+        (self.storage.bytes() * self.len()) as u64
     }
 
     /// The name given at creation.

@@ -117,7 +117,7 @@ impl Tuning {
 
     /// The text of a kernel with a tile of this size.
     pub fn unroll(&self, tile: usize) -> Unroll {
-        Unroll { tile, second: 1, sharing: self.sharing }
+        Unroll { sharing: self.sharing, ..tile.into() }
     }
 
     /// Where the tuning of an adapter is stored: in the folder that `FNOPT_CACHE` names, else in `fnopt` of the user's cache

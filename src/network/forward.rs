@@ -1,8 +1,8 @@
 //! The forward pass of the network as dispatches.
 
 use super::parameters::Layers;
-use super::{Config, Parameters, Weights, tables};
-use crate::gpu::{Context, Schedule, Tensor};
+use super::{Config, Layout, Parameters, Weights, tables};
+use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::operator::{
     Activate, After, Block, BlockTensors, Pointwise, PoolRows, Project, ScalarHead, Spectral,
     SpectralTensors, TransformRows, pointwise,
@@ -97,12 +97,14 @@ impl Forward {
         shape: (Grid, usize),
         keep: Keep,
     ) -> Result<Self> {
-        let parameters = Parameters::new(context, weights, tuning)?;
+        let layout = Layout::new(weights.config, tuning.channels);
+        let layers = layout.stored_layers(context, weights)?;
         let folded = keep == Keep::Nothing && weights.is_folded();
-        Self::build(context, &parameters, tuning, shape, (keep, folded))
+        Self::build(context, (&layout, layers), tuning, shape, (keep, folded))
     }
 
-    /// The same on weights that are on the device already, and may change there.
+    /// The same on weights that are on the device already, and may change there; in single precision, whatever the context's
+    /// networks are stored in.
     pub fn with_parameters(
         context: &Context,
         parameters: &Parameters,
@@ -110,24 +112,28 @@ impl Forward {
         shape: (Grid, usize),
         keep: Keep,
     ) -> Result<Self> {
-        Self::build(context, parameters, tuning, shape, (keep, false))
+        let context = &context.with_storage(Storage::F32)?;
+        let layers = parameters.layout().layers(&parameters.flat);
+        Self::build(context, (parameters.layout(), layers), tuning, shape, (keep, false))
     }
 
     fn build(
         context: &Context,
-        parameters: &Parameters,
+        (layout, layers): (&Layout, Layers),
         tuning: &Tuning,
         shape: (Grid, usize),
         (keep, folded): (Keep, bool),
     ) -> Result<Self> {
         let (grid, samples) = shape;
-        let config = parameters.layout().padded();
+        let config = layout.padded();
         check_modes(&config, grid)?;
         let (h, w) = (grid.h, padded(grid.w));
         let plane = h * w;
-        let lifted_at_once = (tuning.hidden_bytes / (4 * config.lifting * plane)).clamp(1, samples.max(1));
+        let lifted_bytes = context.storage().bytes() * config.lifting * plane;
+        let lifted_at_once = (tuning.hidden_bytes / lifted_bytes).clamp(1, samples.max(1));
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
-        let activation = |label| zeros(label, &[samples, config.channels, h, w]);
+        let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
+        let activation = |label| stored(label, &[samples, config.channels, h, w]);
         let count = match keep {
             Keep::Nothing => 2,
             // The lifting and the blocks.
@@ -138,7 +144,7 @@ impl Forward {
             // The input of the last block is not needed any more.
             activations[(config.layers + 1) % count].clone()
         } else {
-            zeros("projected", &[samples, config.projection, h, w])?
+            stored("projected", &[samples, config.projection, h, w])?
         };
         let mut before_gelu = Vec::new();
         if keep == Keep::Adjoint {
@@ -163,10 +169,10 @@ impl Forward {
         Ok(Self {
             config,
             grid,
-            embedded: zeros("embedded", &[samples, config.inputs(), h, w])?,
+            embedded: stored("embedded", &[samples, config.inputs(), h, w])?,
             field: zeros("field", &[samples, h, w])?,
             scalar: zeros("scalar", &[samples])?,
-            hidden: zeros("hidden", &[lifted_at_once, config.lifting, h, w])?,
+            hidden: stored("hidden", &[lifted_at_once, config.lifting, h, w])?,
             keep,
             folded,
             rows_in_blocks,
@@ -190,7 +196,7 @@ impl Forward {
                 )?,
             },
             rows_max: zeros("rows_max", &[samples, h, config.channels])?,
-            layers: parameters.layout().layers(&parameters.flat),
+            layers,
             kernels: Kernels::new(context, &config, tuning, (samples, w / 4), (keep, &afters))?,
         })
     }

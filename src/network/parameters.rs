@@ -3,7 +3,7 @@
 
 use super::{Config, Weights};
 use crate::Result;
-use crate::gpu::{Context, Tensor};
+use crate::gpu::{Context, Storage, Tensor};
 use crate::kernels::operator::{Layer, pointwise, spectral};
 use crate::kernels::{CHANNEL_MULTIPLE, Tuning};
 
@@ -159,6 +159,33 @@ impl Layout {
     pub fn to_host(&self, device: &[f32]) -> Vec<f32> {
         assert_eq!(device.len(), self.len, "the vector has the size of the layout");
         self.places().into_iter().map(|at| device[at]).collect()
+    }
+
+    /// The layers of `weights` as the context's networks store them: views of one vector in single precision, or tensors of
+    /// their own, with biases and heads of one output in single precision still.
+    pub(super) fn stored_layers(&self, context: &Context, weights: &Weights) -> Result<Layers> {
+        let device = self.to_device(&weights.flat());
+        let flat = Tensor::from_slice(context, "weights", &[self.len], &device)?;
+        let mut layers = self.layers(&flat);
+        if context.storage() == Storage::F32 {
+            return Ok(layers);
+        }
+        let narrow = |tensor: &mut Tensor, first: usize| -> Result<()> {
+            let stored = Tensor::stored_zeros(context, "weight", tensor.shape())?;
+            stored.write_narrowed(context, &device[first..][..tensor.len()]);
+            *tensor = stored;
+            Ok(())
+        };
+        for (layer, place) in layers.lifting.iter_mut().zip(&self.lifting) {
+            narrow(&mut layer.weight, place.weight)?;
+        }
+        let blocks = layers.skips.iter_mut().zip(&mut layers.products).zip(&self.blocks);
+        for ((skip, product), place) in blocks {
+            narrow(&mut skip.weight, place.skip.weight)?;
+            narrow(product, place.product)?;
+        }
+        narrow(&mut layers.projection[0].weight, self.projection[0].weight)?;
+        Ok(layers)
     }
 
     /// The layers in a device's vector.

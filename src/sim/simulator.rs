@@ -1,7 +1,7 @@
 //! Frames on any device, submitted and read back.
 
 use super::{Control, FrameStats, Model, Optimizer, Solver, SolverOptions, State};
-use crate::gpu::{Context, Readback};
+use crate::gpu::{Context, Readback, Storage};
 use crate::{Error, Result, cpu};
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
@@ -16,11 +16,14 @@ pub enum Device {
 }
 
 impl Device {
-    /// Name of the device.
+    /// Name of the device, and how networks are stored on it if not in single precision.
     pub fn name(&self) -> String {
         match self {
             Self::Cpu => format!("cpu, {} threads", rayon::current_num_threads()),
-            Self::Gpu(context) => context.name().to_owned(),
+            Self::Gpu(context) => match context.storage() {
+                Storage::F32 => context.name().to_owned(),
+                Storage::F16 => format!("{}, the network in f16", context.name()),
+            },
         }
     }
 }

@@ -230,9 +230,14 @@ impl Solver {
 
     /// Replaces the state and forgets what the optimizer remembers, ahead of whatever is submitted next.
     pub fn set_state(&self, state: &State<f32>) {
+        self.place(state);
+        self.reset_memory();
+    }
+
+    /// Replaces the state and leaves the optimizer what it remembers, ahead of whatever is submitted next.
+    pub fn place(&self, state: &State<f32>) {
         self.x.write(&self.context, &state.x);
         self.v.write(&self.context, &state.v);
-        self.reset_memory();
     }
 
     /// Forgets what the optimizer remembers from frame to frame: the hidden state of the learned one.

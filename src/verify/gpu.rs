@@ -6,7 +6,7 @@ use super::{
 };
 use crate::Result;
 use crate::cpu::train::AdamWSettings;
-use crate::gpu::{Context, Schedule, Tensor};
+use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, Physics, energy};
 use crate::kernels::optim::{
     FeatureTensors, Features, Iterate, Norms, Rescale, Update, UpdateTensors, norms,
@@ -45,7 +45,7 @@ impl GpuStages {
     }
 
     fn read(&self, tensor: &Tensor) -> Result<Vec<f64>> {
-        Ok(tensor.read::<f32>(&self.context)?.into_iter().map(f64::from).collect())
+        Ok(tensor.read_widened(&self.context)?.into_iter().map(f64::from).collect())
     }
 
     /// A network tensor [.., H, W'] without its padding.
@@ -57,11 +57,14 @@ impl GpuStages {
 
 impl Stages for GpuStages {
     fn name(&self) -> String {
-        "gpu f32".to_owned()
+        format!("gpu {}", self.context.storage().name())
     }
 
     fn precision(&self) -> Precision {
-        Precision::Single
+        match self.context.storage() {
+            Storage::F32 => Precision::Single,
+            Storage::F16 => Precision::Half,
+        }
     }
 
     fn network(&mut self, weights: &Weights, grid: Grid, input: &[f64]) -> Result<NetworkOutput> {
@@ -69,7 +72,7 @@ impl Stages for GpuStages {
         let samples = input.len() / (weights.config.fields * grid.particles());
         let forward = context
             .checked(|| Forward::new(context, weights, &self.tuning, (grid, samples), Keep::Blocks))?;
-        forward.embedded.write(context, &embed(&single(input), weights.config.fields, grid));
+        forward.embedded.write_narrowed(context, &embed(&single(input), weights.config.fields, grid));
         let mut schedule = Schedule::new(context);
         forward.push(&mut schedule);
         self.run(&schedule);
@@ -152,6 +155,9 @@ impl Stages for GpuStages {
     }
 
     fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<Option<TrainingOutput>> {
+        if self.precision() == Precision::Half {
+            return Ok(None);
+        }
         let context = &self.context;
         let model = Model { grid: case.grid, cloths: case.cloths.clone() };
         let mut schedule = Schedule::new(context);

@@ -26,6 +26,8 @@ pub enum Precision {
     Double,
     /// 32-bit floating point.
     Single,
+    /// 32-bit floating point on activations and weights of the network that are stored in 16 bits.
+    Half,
 }
 
 /// The stages of a frame on some device; every array is in double precision here, whatever the device computes with.

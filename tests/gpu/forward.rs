@@ -5,7 +5,7 @@ use crate::common::{
 };
 use crate::solver::starter;
 use fnopt::cpu::operator::{Network, Stage};
-use fnopt::gpu::Schedule;
+use fnopt::gpu::{Context, Schedule, Storage};
 use fnopt::kernels::Tuning;
 use fnopt::network::{Block, Config, Dense, Forward, Keep, Weights};
 use fnopt::sim::Grid;
@@ -44,7 +44,17 @@ struct Pass {
 
 /// A pass over `fields`, done.
 fn done(weights: &Weights, tuning: &Tuning, shape: (Grid, usize), (fields, keep): (&[f32], Keep)) -> Forward {
-    let (context, (grid, _)) = (context(), shape);
+    done_on(context(), weights, tuning, shape, (fields, keep))
+}
+
+fn done_on(
+    context: &Context,
+    weights: &Weights,
+    tuning: &Tuning,
+    shape: (Grid, usize),
+    (fields, keep): (&[f32], Keep),
+) -> Forward {
+    let (grid, _) = shape;
     let pass = context.checked(|| Forward::new(context, weights, tuning, shape, keep)).unwrap();
     let n = grid.particles();
     let mut embedded = Vec::new();
@@ -53,7 +63,7 @@ fn done(weights: &Weights, tuning: &Tuning, shape: (Grid, usize), (fields, keep)
         embedded.extend((0..n).map(|p| (p / grid.w) as f32 / (grid.h - 1) as f32));
         embedded.extend((0..n).map(|p| (p % grid.w) as f32 / (grid.w - 1) as f32));
     }
-    pass.embedded.write(context, &pad(&embedded, grid, 0.0));
+    pass.embedded.write_narrowed(context, &pad(&embedded, grid, 0.0));
     let mut schedule = Schedule::new(context);
     pass.push(&mut schedule);
     context.submit(|encoder| schedule.record(encoder));
@@ -163,5 +173,32 @@ fn lifting_in_parts_gives_the_same_bits() {
         let parts = forward(weights, &Tuning { hidden_bytes, ..own }, (grid, samples), &fields);
         assert_eq!(parts.lifted, whole.lifted, "{hidden_bytes} bytes");
         assert_eq!((parts.field, parts.scalar), (whole.field.clone(), whole.scalar.clone()));
+    }
+}
+
+/// Networks whose activations and weights are stored in 16 bits, eleven of them significant: every output to a few of their
+/// roundings, with every tile, whether blocks take their rows or not.
+#[test]
+fn networks_stored_in_half_precision_are_near_the_host() {
+    let _turn = device();
+    let Ok(half) = context().with_storage(Storage::F16) else {
+        eprintln!("skipped: the adapter has no f16");
+        return;
+    };
+    for shape in [(Grid { h: 8, w: 8 }, 3), (Grid { h: 31, w: 33 }, 3), (Grid { h: 48, w: 32 }, 9)] {
+        let (grid, samples) = shape;
+        let fields: Vec<f32> = noise(samples * 3 * grid.particles(), 120).iter().map(|v| 3.0 * v).collect();
+        for weights in [(**starter()).clone(), starter().folded(), Weights::shipped().folded()] {
+            let mut host = Network::<f64>::new(&weights, grid, samples).unwrap();
+            host.forward(&widened(&fields));
+            for tuning in tunings() {
+                let pass = done_on(&half, &weights, &tuning, shape, (&fields, Keep::Nothing));
+                assert_eq!((pass.embedded.storage(), pass.field.storage()), (Storage::F16, Storage::F32));
+                let field = read_unpadded(&pass.field, grid);
+                let what = format!("f16 {} {samples} x {grid}", tuning.channels);
+                assert_close(&what, &field, host.field(), (2e-3 * largest(host.field()), 0.0));
+                assert_close(&what, &read(&pass.scalar), host.scalar(), (2e-3 * largest(host.scalar()), 0.0));
+            }
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! The WGSL files and the table of kernels: every file is in the table, valid, and keeps the rules that the host side and
 //! the reader rely on. Needs no adapter.
 
-use fnopt::gpu::{Sharing, Source, Unroll};
+use fnopt::gpu::{Sharing, Source, Storage, Unroll};
 use fnopt::kernels::ALL;
 use naga::valid::{Capabilities, ShaderStages, SubgroupOperationSet, ValidationFlags, Validator};
 use naga::{AddressSpace, StorageAccess};
@@ -121,11 +121,16 @@ fn every_file_is_in_the_table_once() {
 fn every_kernel_is_valid_wgsl() {
     for &(source, tile) in ALL {
         for tile in tiles(source, tile) {
-            // Nothing beyond what WebGPU has, no optional capability, but where operands are broadcast.
-            let variants =
-                [(Sharing::Loads, Capabilities::empty()), (Sharing::Broadcast, Capabilities::SUBGROUP)];
-            for (sharing, capabilities) in variants {
-                let (text, module) = parsed(source, Unroll { tile, second: 10, sharing });
+            // Nothing beyond what WebGPU has, no optional capability, but where operands are broadcast or stored in 16 bits.
+            let (subgroup, half) = (Capabilities::SUBGROUP, Capabilities::SHADER_FLOAT16);
+            let variants = [
+                (Sharing::Loads, Storage::F32, Capabilities::empty()),
+                (Sharing::Loads, Storage::F16, half),
+                (Sharing::Broadcast, Storage::F32, subgroup),
+                (Sharing::Broadcast, Storage::F16, subgroup | half),
+            ];
+            for (sharing, storage, capabilities) in variants {
+                let (text, module) = parsed(source, Unroll { tile, second: 10, sharing, storage });
                 let mut validator = Validator::new(ValidationFlags::all(), capabilities);
                 validator
                     .subgroup_stages(ShaderStages::COMPUTE)

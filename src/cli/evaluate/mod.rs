@@ -3,7 +3,7 @@
 mod plots;
 mod suite;
 
-use super::device::DeviceArgs;
+use super::device::InferenceArgs;
 use super::{Ending, go_on, interrupt_flag, load_weights};
 use anyhow::Result;
 use fnopt::Error;
@@ -91,7 +91,7 @@ pub struct Args {
     #[arg(long, value_name = "DIR")]
     plots: Option<PathBuf>,
     #[command(flatten)]
-    device: DeviceArgs,
+    device: InferenceArgs,
 }
 
 /// A solver on a grid, to be run on a sequence.
