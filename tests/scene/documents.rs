@@ -1,0 +1,73 @@
+//! Scene files that are right: the examples, the defaults, and the authors' own format.
+
+use crate::common::{assets, distance, parse};
+use fnopt::scene::{Handles, Placement, Scene, Side, UpAxis};
+use fnopt::sim::Grid;
+
+#[test]
+fn every_example_loads_sets_up_and_survives_a_round_trip() {
+    let mut count = 0;
+    for entry in std::fs::read_dir(assets("scenes")).unwrap() {
+        let path = entry.unwrap().path();
+        let scene = Scene::load(&path).unwrap_or_else(|e| panic!("{e}"));
+        let setup = scene.setup().unwrap_or_else(|e| panic!("{e}"));
+        let folder = tempfile::tempdir().unwrap();
+        let saved = folder.path().join("saved.json");
+        scene.save(&saved).unwrap();
+        let again = Scene::load(&saved).unwrap();
+        assert_eq!(Scene { origin: scene.origin.clone(), ..again.clone() }, scene, "{}", path.display());
+        assert_eq!(again.setup().unwrap(), setup, "{}", path.display());
+        count += 1;
+    }
+    assert!(count >= 14);
+}
+
+#[test]
+fn an_empty_document_and_the_default_file_are_the_default_scene() {
+    let named = |s: Scene| Scene { origin: "scene".into(), ..s };
+    assert_eq!(named(parse("{}").unwrap()), Scene::default());
+    let file = named(Scene::load(assets("scenes/default.json")).unwrap());
+    assert_eq!(file, Scene { frames: Some(391), ..Scene::default() });
+    let setup = Scene::default().setup().unwrap();
+    assert_eq!(setup.frames(), 391);
+    assert_eq!(setup.model.cloths[0].handles, [31 * 32, 0]);
+    assert!((setup.model.cloths[0].gravity[2] + 9.8 * 31.0 / 3600.0).abs() < 1e-15);
+    assert!((setup.model.cloths[0].air.density - 1.0 / 31.0 / 0.187).abs() < 1e-15);
+}
+
+#[test]
+fn the_authors_scenes_are_read() {
+    let scene = Scene::load(assets("scenes/authors.json")).unwrap();
+    assert_eq!((scene.grid, scene.up), (Grid { h: 12, w: 9 }, UpAxis::Z));
+    assert_eq!((scene.frame_time_s, scene.side_m), (0.02, Side::Height(0.55)));
+    let setup = scene.setup().unwrap();
+    // Their order of handles is from the last to the first.
+    assert_eq!(setup.model.cloths[0].handles, [99, 0]);
+    // z up, a quarter turn about +x: (x, y, z) -> (x, -z, y).
+    assert!(distance(setup.vertices_m(&setup.start.x)[8], [0.4, 0.194454, 0.5]) < 1e-6);
+    let gravity = setup.units.acceleration_m_s2(setup.model.cloths[0].gravity);
+    assert!(distance(gravity, [0.0, 0.0, -9.76]) < 1e-12);
+}
+
+#[test]
+fn variants_of_the_authors_scenes_are_read() {
+    let read = |fields: &str| {
+        parse(&format!("{{\"mesh_file\": \"../starts/tent_12x9.obj\", {fields}}}"))
+            .unwrap_or_else(|e| panic!("{e}"))
+    };
+    // The faces decide which side is which; a matrix, a translation and a scalar gravity are accepted.
+    let a = read(
+        r#""mesh_resolution": [12, 9], "mesh_size": [0.55, 0.4], "gravity": -9.8, "transform": [0, 0, 1]"#,
+    );
+    let b = read(
+        r#""mesh_resolution_h": 12, "mesh_resolution_w": 9, "mesh_size": 0.55, "handle_ind_list": [3],
+           "transform": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]], "gravity": 9.8"#,
+    );
+    for scene in [&a, &b] {
+        assert_eq!((scene.grid, scene.side_m), (Grid { h: 12, w: 9 }, Side::Height(0.55)));
+        assert_eq!(scene.gravity, [0.0, 0.0, -9.8]);
+    }
+    assert_eq!(a.setup().unwrap().start, b.setup().unwrap().start);
+    assert_eq!(b.handles, Handles::Vertices(vec![3]));
+    assert_eq!(a.handles, Handles::Placement(Placement::Corners));
+}

@@ -1,0 +1,198 @@
+//! What a scene makes: starts, grids, handles, motions and batches of them.
+
+use crate::common::{assets, distance, edges, expect_refusal, mean, parse, read};
+use fnopt::scene::{Handles, Mass, Motion, Placement, Scene, Setup, Start, Stiffness, UpAxis};
+use fnopt::sim::{Grid, Material};
+
+#[test]
+fn built_in_motions_match_the_reference_data() {
+    for name in ["xy_v2", "xyz_v3", "rot_h0", "rot_h1"] {
+        let truth = read(&format!("motions/{name}.npy"));
+        let setup = parse(&format!("{{\"motion\": \"{name}\"}}")).unwrap().setup().unwrap();
+        assert_eq!(setup.frames(), truth.shape()[0]);
+        let mut worst = 0.0f64;
+        for (f, row) in setup.handles.iter().enumerate() {
+            for (h, &p) in row.iter().enumerate() {
+                let p = UpAxis::Y.from_z_up(setup.units.position_m(p));
+                for c in 0..3 {
+                    worst = worst.max((p[c] - f64::from(truth[[f, h, c]])).abs());
+                }
+            }
+        }
+        assert!(worst < 1e-6, "{name}: {worst:e}");
+    }
+}
+
+#[test]
+fn a_recorded_motion_equals_the_built_in_one_and_is_held_past_its_end() {
+    let built_in = parse(r#"{"motion": "xyz_v3", "frames": 400}"#).unwrap().setup().unwrap();
+    let recorded = parse(r#"{"motion": "../motions/xyz_v3.npy", "frames": 400}"#).unwrap().setup().unwrap();
+    for (a, b) in built_in.handles.iter().flatten().zip(recorded.handles.iter().flatten()) {
+        assert!(distance(*a, *b) < 1e-5);
+    }
+    assert_eq!(recorded.handles[399], recorded.handles[390]);
+    assert_eq!(recorded.control::<f64>(1_000_000).handles, recorded.handles[390]);
+}
+
+#[test]
+fn positions_may_stand_in_the_scene_itself() {
+    let mut scene = Scene::load(assets("scenes/inline.json")).unwrap();
+    let setup = scene.setup().unwrap();
+    let hanging = Scene { start: Start::Hanging, motion: Motion::Still, ..scene.clone() }.setup().unwrap();
+    let apart = setup.start.x.iter().zip(&hanging.start.x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-9, "{apart} edges");
+    assert_eq!(setup.frames(), 4);
+    let moved = distance(setup.handles[3][0], setup.handles[0][0]) * setup.units.length_m;
+    assert!((moved - 0.03).abs() < 1e-12, "{moved} m");
+    // On another grid the sheet is resampled.
+    scene.regrid(Grid { h: 15, w: 15 }).unwrap();
+    let fine = scene.setup().unwrap();
+    assert!(edges(&fine).iter().flatten().all(|length| (length - 1.0).abs() < 1e-9));
+
+    let start = |text: &str| format!(r#"{{"grid": [8, 8], "start": {text}}}"#);
+    expect_refusal(&start(r#"{"vertices": [[0, 0, 0]]}"#), &["start", "grid"]);
+    let few = start(r#"{"vertices": [[0, 0, 0]], "grid": [8, 8]}"#);
+    expect_refusal(&few, &["start.vertices", "64 for the 8x8 grid", "found 1"]);
+    expect_refusal(&start(r#"{"vertices": [[0, 0]], "grid": [8, 8]}"#), &["start.vertices[0]"]);
+    expect_refusal(r#"{"motion": []}"#, &["motion", "at least one row"]);
+    expect_refusal(r#"{"motion": [[[0, 0, 0]]]}"#, &["motion[0]", "2 positions", "found 1"]);
+}
+
+#[test]
+fn a_faster_motion_takes_fewer_frames() {
+    for (motion, tolerance) in [("xy_v2", 1e-12), ("../motions/xy_v2.npy", 1e-3)] {
+        let at = |speed: f64| {
+            let text = format!("{{\"motion\": \"{motion}\", \"speed\": {speed}}}");
+            parse(&text).unwrap().setup().unwrap()
+        };
+        let (slow, fast) = (at(1.0), at(1.5));
+        assert_eq!((slow.frames(), fast.frames(), at(2.0).frames()), (391, 261, 196));
+        // Frame 50 at 1.5 times the speed is frame 75; linear interpolation of a recording is off by its curvature.
+        assert!(distance(fast.handles[50][0], slow.handles[75][0]) < tolerance);
+        let between = distance(fast.handles[51][0], slow.handles[76][0]);
+        assert!(between > 0.0);
+    }
+}
+
+#[test]
+fn the_stored_drape_is_kept_on_its_grid() {
+    for n in [32, 64] {
+        let truth = read(&format!("starts/settled_{n}.npy"));
+        let setup = parse(&format!("{{\"grid\": [{n}, {n}]}}")).unwrap().setup().unwrap();
+        for (p, q) in setup.vertices_m(&setup.start.x).iter().zip(truth.rows()) {
+            assert!((0..3).all(|c| (p[c] - f64::from(q[c])).abs() < 1e-12));
+        }
+        assert!(setup.start.v.iter().all(|&v| v == 0.0));
+    }
+}
+
+#[test]
+fn a_resampled_drape_keeps_its_corners_and_its_edges() {
+    for (h, w) in [(33, 48), (100, 100), (32, 100), (100, 32), (31, 33), (8, 8), (256, 256), (16, 200)] {
+        let setup = parse(&format!("{{\"grid\": [{h}, {w}]}}")).unwrap().setup().unwrap();
+        let corners: Vec<_> = setup.handles[0].iter().map(|&p| setup.units.position_m(p)).collect();
+        assert!(
+            distance(corners[0], [0.0, -0.45, 0.5]) < 1e-7 && distance(corners[1], [0.0, 0.45, 0.5]) < 1e-7
+        );
+        let [high, wide] = edges(&setup);
+        for (name, lengths) in [("height", &high), ("width", &wide)] {
+            let (low, top) = lengths.iter().fold((f64::MAX, 0.0f64), |(a, b), &l| (a.min(l), b.max(l)));
+            println!("{h}x{w} {name}: mean {:.4}, {low:.3} to {top:.3}", mean(lengths));
+            assert!((mean(lengths) - 1.0).abs() < 0.08, "{h}x{w} {name}: mean {}", mean(lengths));
+            assert!(low > 0.25 && top < 1.75, "{h}x{w} {name}: {low} to {top}");
+        }
+    }
+}
+
+#[test]
+fn flat_and_hanging_sheets_are_at_rest_length() {
+    for start in ["flat", "hanging"] {
+        let text =
+            format!("{{\"start\": \"{start}\", \"grid\": [20, 31], \"side_m\": 0.7, \"motion\": \"none\"}}");
+        let setup = parse(&text).unwrap().setup().unwrap();
+        assert!(edges(&setup).iter().flatten().all(|l| (l - 1.0).abs() < 1e-12));
+        if start == "flat" {
+            assert_eq!(setup.start, fnopt::sim::State::rest(setup.model.grid, 1));
+        } else {
+            // y up: the edge j = 0 is the upper one, and i runs along +z as in the drape.
+            let at = setup.vertices_m(&setup.start.x);
+            assert!(
+                distance(at[0], [0.0, 0.35, -0.35]) < 1e-12
+                    && distance(at[19 * 31], [0.0, 0.35, 0.35]) < 1e-12
+            );
+            assert!(at[30][1] < at[0][1]);
+        }
+    }
+}
+
+#[test]
+fn an_obj_start_is_transformed_and_turned() {
+    let setup = Scene::load(assets("scenes/obj_start.json")).unwrap().setup().unwrap();
+    let at = setup.vertices_m(&setup.start.x);
+    // Vertex 8 of the file is at (0.4, 0, -0.194454): a quarter turn about +y makes (x, y, z) -> (z, y, -x).
+    assert!(distance(at[8], [-0.194454, 0.5, -0.4]) < 1e-6);
+    assert!(edges(&setup).iter().flatten().all(|l| (l - 1.0).abs() < 0.5));
+    assert_eq!(setup.model.cloths[0].handles, [107, 0]);
+}
+
+#[test]
+fn a_new_grid_keeps_the_sheet() {
+    let mut scene = parse(
+        r#"{"grid": [32, 32], "mass_kg": 0.2, "handles": [[31, 0], [0, 0], [16, 31]], "motion": "none",
+            "material": {"stretch_modulus": 1000, "shear_modulus": 40, "bending_stiffness": 0.001}}"#,
+    )
+    .unwrap();
+    let before = scene.setup().unwrap();
+    scene.regrid(Grid { h: 63, w: 125 }).unwrap();
+    assert_eq!(scene.handles, Handles::Cells(vec![[62, 0], [0, 0], [32, 124]]));
+    assert!(matches!(scene.mass, Mass::Total(kg) if (kg - 0.4).abs() < 1e-15));
+    let after = scene.setup().unwrap();
+    assert!((after.units.length_m * 62.0 - 1.0).abs() < 1e-15);
+    assert!((after.units.areal_mass_kg_m2 / before.units.areal_mass_kg_m2 - 1.0).abs() < 1e-14);
+    let k = |s: &Setup| s.model.cloths[0].material;
+    assert!((k(&after).stretch / k(&before).stretch - 4.0).abs() < 1e-12);
+    assert!((k(&after).bend / k(&before).bend - 16.0).abs() < 1e-11);
+    // Grid coefficients stay as they are given.
+    scene.stiffness = Stiffness::Grid(Material { stretch: 5.0, shear: 6.0, bend: 7.0 });
+    scene.regrid(Grid { h: 40, w: 40 }).unwrap();
+    assert_eq!(k(&scene.setup().unwrap()), Material { stretch: 5.0, shear: 6.0, bend: 7.0 });
+    // A start state from a file is resampled from the file's grid.
+    let mut scene = Scene::load(assets("scenes/obj_start.json")).unwrap();
+    scene.regrid(Grid { h: 23, w: 17 }).unwrap();
+    assert_eq!(scene.setup().unwrap().start.x.len(), 3 * 23 * 17);
+}
+
+#[test]
+fn setups_are_batched() {
+    let a = parse(r#"{"motion": "xyz", "frames": 20}"#).unwrap().setup().unwrap();
+    let b = parse(
+        r#"{"motion": "rot_h1", "handles": "single-center", "frames": 30, "wind": {"velocity": [1, 0, 0]}}"#,
+    );
+    let b = b.unwrap().setup().unwrap();
+    let batch = Setup::batch(&[a.clone(), b.clone(), a.clone()]).unwrap();
+    assert_eq!((batch.model.batch(), batch.model.handles(), batch.frames()), (3, 5, 30));
+    assert_eq!(batch.start.x.len(), 3 * 3 * 1024);
+    let control = batch.control::<f64>(25);
+    assert_eq!(
+        control.handles,
+        [a.handles[19][0], a.handles[19][1], b.handles[25][0], a.handles[19][0], a.handles[19][1]]
+    );
+    assert_eq!(control.wind, [a.wind, b.wind, a.wind]);
+    let other = parse(r#"{"grid": [16, 16]}"#).unwrap().setup().unwrap();
+    assert!(Setup::batch(&[a.clone(), other]).unwrap_err().to_string().contains("32x32"));
+    let slow = parse(r#"{"frame_time_s": 0.02}"#).unwrap().setup().unwrap();
+    assert!(Setup::batch(&[a, slow]).unwrap_err().to_string().contains("frame time"));
+    assert!(Setup::batch(&[]).is_err());
+}
+
+#[test]
+fn placements_are_inside_every_grid() {
+    for (h, w) in [(8, 8), (9, 16), (33, 48)] {
+        let grid = Grid { h, w };
+        for placement in Placement::ALL {
+            let handles = Handles::Placement(placement).on(grid, "test").unwrap();
+            assert_eq!(handles.len(), if placement.name().starts_with("single") { 1 } else { 2 });
+            assert_eq!(Placement::named(placement.name(), "test").unwrap(), placement);
+        }
+    }
+}
