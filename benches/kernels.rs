@@ -1,7 +1,8 @@
 //! Each kernel by itself: all its dispatches in one frame of one cloth, submitted and waited for.
 //!
 //! The dispatches are picked from the frames that the solvers record, so the shapes are the real ones and no kernel in
-//! use is left out. What is reported includes one submission (about 0.1 ms); `fnopt bench` shows device time by kernel.
+//! use is left out; those of the full transform, which no frame uses, are measured together. What is reported includes
+//! one submission (about 0.1 ms); `fnopt bench` shows device time by kernel.
 
 #[path = "common/cloths.rs"]
 mod cloths;
@@ -10,7 +11,9 @@ mod common;
 use cloths::{cloths, learned};
 use common::{adapter, criterion, is_software};
 use criterion::{Criterion, criterion_group, criterion_main};
-use fnopt::gpu::{Context, Schedule};
+use fnopt::cpu::fft::Norm;
+use fnopt::gpu::{Context, Schedule, Tensor};
+use fnopt::kernels::fft::{Fields, RealFft2};
 use fnopt::sim::{Optimizer, Solver, SolverOptions};
 use std::collections::BTreeSet;
 
@@ -52,10 +55,28 @@ fn of_frame(
     }
 }
 
+/// Full real transforms, forward and back, of 64 fields whose sides are a power of two, have small factors, or are prime.
+fn transforms(c: &mut Criterion) {
+    let Some(context) = adapter() else { return };
+    let mut group = c.benchmark_group("full real transform");
+    for n in [64, 100, 97] {
+        let plan = RealFft2::new(&context, Fields { batch: 64, h: n, w: n }, Norm::default())
+            .expect("a benchmark fits any adapter");
+        let zeros = |shape: &[usize]| Tensor::zeros(&context, "field", shape).expect("it fits");
+        let (x, spectrum) = (zeros(&[64, n, n]), zeros(&plan.spectrum_shape()));
+        let mut schedule = Schedule::new(&context);
+        plan.push_forward(&mut schedule, &x, &spectrum);
+        plan.push_inverse(&mut schedule, &spectrum, &x);
+        group.bench_function(format!("64 x {n}x{n}, {} dispatches", schedule.dispatches()), |b| {
+            b.iter(|| run(&context, &schedule));
+        });
+    }
+}
+
 fn run(context: &Context, schedule: &Schedule) {
     context.submit(|encoder| schedule.record(encoder));
     context.wait().expect("the device is there");
 }
 
-criterion_group!(name = benches; config = criterion(); targets = kernels);
+criterion_group!(name = benches; config = criterion(); targets = kernels, transforms);
 criterion_main!(benches);
