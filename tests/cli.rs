@@ -327,3 +327,23 @@ fn a_tuning_is_stored_for_its_adapter_and_used() {
         assert!(log.contains("no tuning of"), "{damage}: {log}");
     }
 }
+
+/// On the software adapter, which has f16.
+#[test]
+fn networks_run_in_half_precision() {
+    let folder = tempfile::tempdir().unwrap();
+    let on = ["--device", "gpu", "--adapter", "llvmpipe", "--precision", "f16"];
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    for (arguments, said) in [
+        (
+            &["rollout", "--frames", "3", "--grid", "12", "8", "--no-pictures", "--json"][..],
+            "the network in f16",
+        ),
+        (&["bench", "--grid", "8", "--frames", "1", "--json"], "the network in f16"),
+        (&["verify", golden.to_str().unwrap()], "gpu f16"),
+    ] {
+        let output = fnopt(folder.path(), &[arguments, &on].concat());
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
+        assert!(text(&output.stdout).contains(said), "{arguments:?}: {}", text(&output.stdout));
+    }
+}

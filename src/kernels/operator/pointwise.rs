@@ -82,10 +82,10 @@ pub fn product_rate(context: &Context, tuning: &Tuning) -> Result<f64> {
     const SHAPE: [usize; 4] = [12, 64, 64, 64];
     const DISPATCHES: usize = 10;
     let [samples, channels, h, w] = SHAPE;
-    let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
-    let (x, y) = (zeros("x", &SHAPE)?, zeros("y", &SHAPE)?);
-    let weight = zeros("weight", &[channels / tuning.channels, channels, tuning.channels])?;
-    let layer = Layer { weight, bias: zeros("bias", &[channels])? };
+    let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
+    let (x, y) = (stored("x", &SHAPE)?, stored("y", &SHAPE)?);
+    let weight = stored("weight", &[channels / tuning.channels, channels, tuning.channels])?;
+    let layer = Layer { weight, bias: Tensor::zeros(context, "bias", &[channels])? };
     let kernel = Pointwise::new(context, tuning, false)?;
     let mut schedule = Schedule::new(context);
     (0..DISPATCHES).for_each(|_| kernel.push(&mut schedule, &layer, &x, &y));
