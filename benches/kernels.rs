@@ -1,8 +1,8 @@
 //! Each kernel by itself: all its dispatches in one frame of one cloth, submitted and waited for.
 //!
 //! The dispatches are picked from the frames that the solvers record, so the shapes are the real ones and no kernel in
-//! use is left out; those of the full transform, which no frame uses, are measured together. What is reported includes
-//! one submission (about 0.1 ms); `fnopt bench` shows device time by kernel.
+//! use is left out; full transforms are measured whole as well, for sides of all kinds. What is reported includes one
+//! submission (about 0.1 ms); `fnopt bench` shows device time by kernel.
 
 #[path = "common/cloths.rs"]
 mod cloths;
@@ -23,7 +23,9 @@ fn kernels(c: &mut Criterion) {
     let grids: &[usize] = if is_software(&context) { &[32] } else { &[32, 64, 100] };
     for &n in grids {
         let mut measured = BTreeSet::new();
-        for optimizer in [learned(), Optimizer::gradient_descent(), Optimizer::adam(), Optimizer::lbfgs()] {
+        let classical =
+            [Optimizer::gradient_descent(), Optimizer::adam(), Optimizer::lbfgs(), Optimizer::quasi_newton()];
+        for optimizer in [learned()].into_iter().chain(classical) {
             of_frame(c, &context, (n, &optimizer), &mut measured);
         }
     }

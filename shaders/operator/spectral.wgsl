@@ -9,7 +9,8 @@
 // spectrum: [S, modes_h, modes_w, C] complex, written if KEEP. The tile is modes_h; the second tile is the number of samples
 // that share one reading of the weights; S is a multiple of it.
 // One workgroup: 64 output channels of one kept column of a tile of samples. It makes the spectrum of all input channels in
-// workgroup memory first; TEAMS times 64 invocations share the samples, then the modes, then strips of rows.
+// workgroup memory first; TEAMS times 64 invocations share its samples and channels (which may be fewer than there are teams),
+// then the modes, then strips of rows.
 // Workgroups: (modes_w * C / 64, S / second tile).
 // Adjoint: itself with the `spectral_transpose`d weight (r), `spectral_weight_adj` (weight).
 

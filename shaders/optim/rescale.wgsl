@@ -1,6 +1,7 @@
 // Persistent scale of each sample: scale <- scale exp(2 tanh(scalar / 2) - 1) (update rule of the paper's section 3.3).
 //
-// scalar: [S]; scale: from element `before` on [S], to be written from element `after` on. One invocation: one sample. Workgroups: (S / 64).
+// scalar: [S]; scale: from element `before` on [S], to be written from element `after` on.
+// One invocation: one sample. Workgroups: (S / 64).
 // Adjoint: `update_adj`.
 
 struct Params {

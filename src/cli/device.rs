@@ -78,14 +78,16 @@ pub struct InferenceArgs {
 impl InferenceArgs {
     /// Opens the device and says in one line which and why.
     pub fn open(&self) -> Result<(Device, String)> {
-        match (self.on.open()?, self.precision) {
-            (opened, Precision::F32) => Ok(opened),
-            ((Device::Gpu(context), line), Precision::F16) => {
+        let (device, line) = self.on.open()?;
+        match (device, self.precision) {
+            (device, Precision::F32) => Ok((device, line)),
+            (Device::Gpu(context), Precision::F16) => {
                 let context = context.with_storage(Storage::F16)?;
                 Ok((Device::Gpu(context), format!("{line}, the network in f16")))
             }
-            ((device @ Device::Cpu, _), Precision::F16) => {
-                Err(Error::invalid("--precision", "precision", format!("f32 on {}", device.name()), "f16"))
+            (Device::Cpu, Precision::F16) => {
+                let expected = format!("f32 on {}", Device::Cpu.name());
+                Err(Error::invalid("--precision", "precision", expected, "f16"))
             }
         }
     }

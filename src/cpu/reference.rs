@@ -200,11 +200,27 @@ impl Track {
 
     /// The median of [`Track::gaps`]; infinite when one of them is no number, or there is none.
     pub fn median_gap(&self, optimizer: &Optimizer, iterations: usize) -> Result<f64> {
-        let mut gaps = self.gaps(optimizer, iterations)?;
-        gaps.sort_by(f64::total_cmp);
-        let whole = gaps.iter().all(|gap| gap.is_finite());
-        Ok(gaps.get(gaps.len() / 2).copied().filter(|_| whole).unwrap_or(f64::INFINITY))
+        Ok(median(self.gaps(optimizer, iterations)?))
     }
+
+    /// The median of [`Track::gaps_of`]; infinite when one of them is no number, or there is none.
+    pub fn median_gap_of(
+        &self,
+        accelerations: impl FnMut(&State<f32>, &Control<f32>) -> Result<Vec<f32>>,
+    ) -> Result<f64> {
+        Ok(median(self.gaps_of(accelerations)?))
+    }
+
+    /// The cloth.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+}
+
+fn median(mut gaps: Vec<f64>) -> f64 {
+    gaps.sort_by(f64::total_cmp);
+    let whole = gaps.iter().all(|gap| gap.is_finite());
+    gaps.get(gaps.len() / 2).copied().filter(|_| whole).unwrap_or(f64::INFINITY)
 }
 
 /// Zeroes a field [3, H, W] at the handles.

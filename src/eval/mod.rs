@@ -8,6 +8,7 @@
 
 pub mod fit;
 mod flat_mesh;
+mod gap;
 mod metrics;
 mod resampling;
 mod score;
@@ -16,6 +17,7 @@ mod stretch;
 pub mod suite;
 mod tables;
 
+pub use gap::median_gap;
 pub use metrics::{Surface, chamfer, mean_and_deviation, relative_error, repulsion};
 pub use resampling::coarse;
 pub use score::{Entry, PerFrame, Physics, Score, Settings, compare, run, snapshots, vertex_errors};

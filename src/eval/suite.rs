@@ -2,7 +2,7 @@
 //! iterations, judged by itself, without another simulator.
 
 use super::score::{median, simulate};
-use super::{Cell, Entry, STRETCH_LIMIT, Table};
+use super::{Cell, Entry, STRETCH_LIMIT, Table, median_gap};
 use crate::cpu::Track;
 use crate::io::Trajectory;
 use crate::scene::{BuiltIn, Handles, Motion, Placement, Scene, Setup, Start, Stiffness};
@@ -191,7 +191,11 @@ impl<'a> Prepared<'a> {
             iterations,
             finite: simulated.stable,
             stretch_largest: simulated.stretch_largest,
-            gap: if with_gap { Some(self.track()?.median_gap(optimizer, iterations)?) } else { None },
+            gap: if with_gap {
+                Some(median_gap(self.track()?, (optimizer, iterations), device)?)
+            } else {
+                None
+            },
             ms_per_frame: median(&simulated.times_ms),
         };
         Ok(Some((score, simulated.trajectory)))

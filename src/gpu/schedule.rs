@@ -32,8 +32,8 @@ impl Schedule {
 
     /// Appends a dispatch: `params` becomes binding 0, `tensors` the bindings after it, in the WGSL's order.
     ///
-    /// Panics when the number of tensors, what they store or the size of the parameters is not the kernel's: that is a defect of the
-    /// host side, not bad input.
+    /// Panics when the number of tensors, what they store or the size of the parameters is not the kernel's: that is a defect
+    /// of the host side, not bad input.
     pub fn dispatch<P: bytemuck::Pod>(
         &mut self,
         kernel: &Kernel,

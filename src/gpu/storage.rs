@@ -7,7 +7,8 @@ pub enum Storage {
     /// 32-bit floating point.
     #[default]
     F32,
-    /// 16-bit floating point ([`wgpu::Features::SHADER_F16`]): half the memory and half the traffic. For inference only.
+    /// 16-bit floating point ([`wgpu::Features::SHADER_F16`]): half the memory and traffic of
+    /// activations and weights. For inference: training is in single precision on every context.
     F16,
 }
 

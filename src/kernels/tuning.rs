@@ -13,9 +13,9 @@ pub struct Tuning {
     pub channels: usize,
     /// Invocations per workgroup of the pointwise layers.
     pub pointwise_group: u32,
-    /// Largest number of invocations of a block's workgroup along a row.
+    /// Largest number of invocations along a row of the workgroup of a block that does not take whole rows.
     pub block_wide: u32,
-    /// Rows per workgroup of a block.
+    /// Most rows per workgroup of a block.
     pub block_high: u32,
     /// Whether blocks transform their rows for the next one where a row fits a workgroup: fewer dispatches, which is what a
     /// frame of few cloths waits for, and one reading less.

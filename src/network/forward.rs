@@ -29,8 +29,8 @@ pub struct Forward {
     keep: Keep,
     /// Whether the first layer of the projection changes nothing ([`Weights::folded`]) and is left out.
     folded: bool,
-    /// Whether blocks transform and pool their rows themselves.
-    rows_in_blocks: bool,
+    /// What each block does beside the linear part of its output.
+    afters: Vec<After>,
     activations: Vec<Tensor>,
     /// What is before the GELU of each block but the last, shape [S, C, H, W'], and of the projection's hidden layer; only
     /// with [`Keep::Adjoint`].
@@ -97,6 +97,9 @@ impl Forward {
         shape: (Grid, usize),
         keep: Keep,
     ) -> Result<Self> {
+        // The backward pass is in single precision.
+        let storage = if keep == Keep::Adjoint { Storage::F32 } else { context.storage() };
+        let context = &context.with_storage(storage)?;
         let layout = Layout::new(weights.config, tuning.channels);
         let layers = layout.stored_layers(context, weights)?;
         let folded = keep == Keep::Nothing && weights.is_folded();
@@ -175,7 +178,6 @@ impl Forward {
             hidden: stored("hidden", &[lifted_at_once, config.lifting, h, w])?,
             keep,
             folded,
-            rows_in_blocks,
             activations,
             before_gelu,
             projected,
@@ -198,6 +200,7 @@ impl Forward {
             rows_max: zeros("rows_max", &[samples, h, config.channels])?,
             layers,
             kernels: Kernels::new(context, &config, tuning, (samples, w / 4), (keep, &afters))?,
+            afters,
         })
     }
 
@@ -209,8 +212,8 @@ impl Forward {
         for block in 0..self.config.layers {
             let (x, y) = (slot(block), slot(block + 1));
             let s = &self.spectral;
-            let after = after(&self.config, block, (self.keep, self.folded), self.rows_in_blocks);
-            if block == 0 || !self.rows_in_blocks {
+            let after = self.afters[block];
+            if block == 0 || !self.afters[block - 1].rows {
                 k.transform_rows.push(schedule, &s.forward_rows, x, &s.rows);
             }
             k.spectral.push(schedule, &self.layers.products[block], s.columns(s.modes.get(block)));
@@ -222,12 +225,7 @@ impl Forward {
                 rows: after.rows.then_some(&s.rows),
                 rows_max: after.pool.then_some(&self.rows_max),
             };
-            let tables = if after.rows {
-                s.block_rows.clone()
-            } else {
-                s.block_rows.view(0, &s.block_rows.shape()[1..])
-            };
-            k.block(after).push(schedule, &self.layers.skips[block], (&tables, self.grid.w), tensors);
+            k.block(after).push(schedule, &self.layers.skips[block], (&s.block_rows, self.grid.w), tensors);
             if let Some(before) = before {
                 k.activate.push(schedule, before, y);
             }

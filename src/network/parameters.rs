@@ -162,40 +162,51 @@ impl Layout {
     }
 
     /// The layers of `weights` as the context's networks store them: views of one vector in single precision, or tensors of
-    /// their own, with biases and heads of one output in single precision still.
+    /// their own, of which biases and heads of one output are in single precision still.
     pub(super) fn stored_layers(&self, context: &Context, weights: &Weights) -> Result<Layers> {
         let device = self.to_device(&weights.flat());
-        let flat = Tensor::from_slice(context, "weights", &[self.len], &device)?;
-        let mut layers = self.layers(&flat);
         if context.storage() == Storage::F32 {
-            return Ok(layers);
+            return Ok(self.layers(&Tensor::from_slice(context, "weights", &[self.len], &device)?));
         }
-        let narrow = |tensor: &mut Tensor, first: usize| -> Result<()> {
-            let stored = Tensor::stored_zeros(context, "weight", tensor.shape())?;
-            stored.write_narrowed(context, &device[first..][..tensor.len()]);
-            *tensor = stored;
-            Ok(())
+        let single = |first: usize, shape: &[usize]| {
+            let values = &device[first..][..shape.iter().product()];
+            Tensor::from_slice(context, "weight", shape, values)
         };
-        for (layer, place) in layers.lifting.iter_mut().zip(&self.lifting) {
-            narrow(&mut layer.weight, place.weight)?;
-        }
-        let blocks = layers.skips.iter_mut().zip(&mut layers.products).zip(&self.blocks);
-        for ((skip, product), place) in blocks {
-            narrow(&mut skip.weight, place.skip.weight)?;
-            narrow(product, place.product)?;
-        }
-        narrow(&mut layers.projection[0].weight, self.projection[0].weight)?;
-        Ok(layers)
+        let stored = |first: usize, shape: &[usize]| -> Result<Tensor> {
+            let tensor = Tensor::stored_zeros(context, "weight", shape)?;
+            tensor.write_narrowed(context, &device[first..][..tensor.len()]);
+            Ok(tensor)
+        };
+        let layer = |place: &DensePlace| -> Result<Layer> {
+            let shape = self.weight_shape(place);
+            let weight =
+                if place.outputs == 1 { single(place.weight, &shape) } else { stored(place.weight, &shape) };
+            Ok(Layer { weight: weight?, bias: single(place.bias, &[place.outputs])? })
+        };
+        let (modes, c) = (self.config.modes(), self.padded.channels);
+        let product = |b: &BlockPlace| stored(b.product, &[modes, c, c, 2]);
+        let [lifting, projection] = [&self.lifting, &self.projection];
+        Ok(Layers {
+            lifting: [layer(&lifting[0])?, layer(&lifting[1])?],
+            skips: self.blocks.iter().map(|b| layer(&b.skip)).collect::<Result<_>>()?,
+            products: self.blocks.iter().map(product).collect::<Result<_>>()?,
+            projection: [layer(&projection[0])?, layer(&projection[1])?],
+            scalar: layer(&self.scalar)?,
+        })
+    }
+
+    /// Shape of a layer's weight in the order of the kernels; that of a head with one output is a plain vector.
+    fn weight_shape(&self, place: &DensePlace) -> Vec<usize> {
+        let &DensePlace { outputs, inputs, .. } = place;
+        if outputs == 1 { vec![inputs] } else { vec![outputs / self.tile, inputs, self.tile] }
     }
 
     /// The layers in a device's vector.
     pub(super) fn layers(&self, flat: &Tensor) -> Layers {
         assert_eq!(flat.len(), self.len, "the vector has the size of the layout");
         let layer = |place: &DensePlace| {
-            let &DensePlace { weight, bias, outputs, inputs } = place;
-            let shape =
-                if outputs == 1 { vec![inputs] } else { vec![outputs / self.tile, inputs, self.tile] };
-            Layer { weight: flat.view(weight, &shape), bias: flat.view(bias, &[outputs]) }
+            let weight = flat.view(place.weight, &self.weight_shape(place));
+            Layer { weight, bias: flat.view(place.bias, &[place.outputs]) }
         };
         let c = self.padded.channels;
         let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c, c, 2]);

@@ -156,7 +156,10 @@ impl Axis {
             let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
             let steps: &[f64] = if self.high / self.low < 300.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
             let all = (first..=last).flat_map(|k| steps.iter().map(move |m| m * 10f64.powi(k)));
-            return all.filter(|tick| (self.low..=self.high).contains(tick)).collect();
+            let inside: Vec<f64> = all.filter(|tick| (self.low..=self.high).contains(tick)).collect();
+            if inside.len() > 1 {
+                return inside;
+            }
         }
         let raw = (self.high - self.low) / 5.0;
         let power = 10f64.powf(raw.log10().floor());
@@ -223,10 +226,14 @@ mod tests {
         assert_eq!(ticks(0.0, 2e-4), "0 5.0e-5 1.0e-4 1.5e-4 2.0e-4");
         let decades = Axis { low: 0.02, high: 3000.0, scale: Scale::Logarithmic };
         assert!(
-            (decades.place(0.2) - decades.place(2.0)).abs() - (decades.place(20.0) - decades.place(2.0))
+            ((decades.place(2.0) - decades.place(0.2)) - (decades.place(20.0) - decades.place(2.0))).abs()
                 < 1e-6
         );
         assert_eq!(text(decades), "0.1 1 10 100 1000");
         assert_eq!(text(Axis { low: 30.0, high: 600.0, scale: Scale::Logarithmic }), "50 100 200 500");
+        assert_eq!(
+            text(Axis { low: 3724.0, high: 4506.0, scale: Scale::Logarithmic }),
+            "3800 4000 4200 4400"
+        );
     }
 }

@@ -3,7 +3,7 @@
 use super::pool::MAX_HANDLES;
 use crate::Result;
 use crate::cpu::train::{AdamWFactors, AdamWSettings};
-use crate::gpu::{Context, Schedule, Tensor};
+use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
     ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Physics, Predict,
@@ -52,6 +52,7 @@ impl DeviceLoss {
         gradient: &Tensor,
         tuning: &Tuning,
     ) -> Result<Self> {
+        let context = &context.with_storage(Storage::F32)?;
         let (samples, n) = (3 * batch, grid.particles());
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let field = |label| zeros(label, &[batch, 3, n]);

@@ -122,13 +122,8 @@ impl Checker<'_> {
         for (i, block) in blocks.iter().enumerate() {
             self.optional(golden, &format!("block{i}"), &channels, block)?;
         }
-        self.magnitude(
-            "field",
-            golden.shaped("field", &[samples, 1, h, w])?,
-            &field,
-            self.network_tolerance(),
-        );
-        self.magnitude("scalar", golden.shaped("scalar", &[samples, 1])?, &scalar, self.network_tolerance());
+        self.network_magnitude("field", golden.shaped("field", &[samples, 1, h, w])?, &field);
+        self.network_magnitude("scalar", golden.shaped("scalar", &[samples, 1])?, &scalar);
         Ok(())
     }
 
@@ -145,21 +140,16 @@ impl Checker<'_> {
             scale: golden.shaped("scales", &per_sample)?.to_vec(),
         };
         let (step, scales) = self.stages.update(&weights, &case)?;
-        self.magnitude("step", golden.shaped("step", &shape)?, &step, self.network_tolerance());
-        self.magnitude(
-            "new_scales",
-            golden.shaped("new_scales", &per_sample)?,
-            &scales,
-            self.network_tolerance(),
-        );
+        self.network_magnitude("step", golden.shaped("step", &shape)?, &step);
+        self.network_magnitude("new_scales", golden.shaped("new_scales", &per_sample)?, &scales);
         case.last_grad.fill(0.0);
         case.last_step.fill(0.0);
         case.scale.fill(crate::sim::INITIAL_SCALE.into());
         let (step, scales) = self.stages.update(&weights, &case)?;
         let name = "step_from_fresh_state";
-        self.magnitude(name, golden.shaped(name, &shape)?, &step, self.network_tolerance());
+        self.network_magnitude(name, golden.shaped(name, &shape)?, &step);
         let name = "new_scales_from_fresh_state";
-        self.magnitude(name, golden.shaped(name, &per_sample)?, &scales, self.network_tolerance());
+        self.network_magnitude(name, golden.shaped(name, &per_sample)?, &scales);
         Ok(())
     }
 
@@ -354,11 +344,13 @@ impl Checker<'_> {
         Ok(())
     }
 
-    fn network_tolerance(&self) -> f64 {
-        match self.stages.precision() {
+    /// Largest error of what the network computes against the array's largest magnitude.
+    fn network_magnitude(&mut self, array: &str, expected: &[f64], found: &[f64]) {
+        let tolerance = match self.stages.precision() {
             Precision::Double | Precision::Single => NETWORK,
             Precision::Half => NETWORK_HALF,
-        }
+        };
+        self.magnitude(array, expected, found, tolerance);
     }
 
     fn weights(&self, name: &str) -> Result<Weights> {
@@ -368,7 +360,7 @@ impl Checker<'_> {
     /// Compares an array that only some files hold.
     fn optional(&mut self, golden: &Golden, name: &str, shape: &[usize], found: &[f64]) -> Result<()> {
         if golden.has(name) {
-            self.magnitude(name, golden.shaped(name, shape)?, found, self.network_tolerance());
+            self.network_magnitude(name, golden.shaped(name, shape)?, found);
         }
         Ok(())
     }

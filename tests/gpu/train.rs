@@ -1,6 +1,7 @@
 //! Training on the device: against the CPU path step by step, and to the same bits again.
 
 use crate::common::{context, device};
+use fnopt::gpu::Storage;
 use fnopt::sim::Device;
 use fnopt::train::{Alone, Config, Learner, Limits, Pool, Run, Update, first_weights, learner};
 use std::ops::ControlFlow;
@@ -126,4 +127,26 @@ fn a_run_moves_from_device_to_device() {
     let mut back = on(&gpu());
     back.load(&host.save().unwrap()).unwrap();
     assert_eq!(back.weights().unwrap(), host.weights().unwrap());
+}
+
+/// Also on a context whose networks are stored in 16 bits: weights must move by less than such a number tells apart.
+#[test]
+fn training_is_in_single_precision_whatever_the_context() {
+    let _turn = device();
+    let Ok(half) = context().with_storage(Storage::F16) else {
+        eprintln!("skipped: the adapter has no f16");
+        return;
+    };
+    let config = config();
+    let step = |device: &Device| {
+        let mut learner = on(device);
+        let pool = |(index, pool): (usize, &fnopt::train::PoolConfig)| {
+            Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset))
+        };
+        let pools: Vec<Pool> = config.pools.iter().enumerate().map(pool).collect();
+        let batches: Vec<_> = pools.iter().filter(|p| p.takes_part(0)).map(|p| p.draw(0)).collect();
+        learner.step(&batches, Update { number: 1, rate: 1e-3, average: 0.9 }, &Alone).unwrap();
+        learner.weights().unwrap().flat()
+    };
+    assert_eq!(step(&Device::Gpu(half)), step(&gpu()));
 }

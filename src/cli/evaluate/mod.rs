@@ -115,7 +115,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         for folder in &args.merge {
             all.extend(kept(folder)?);
         }
-        return args.write(&all, &[]).map(|()| Ending::Done);
+        return args.write(&all, &[], &Device::Cpu).map(|()| Ending::Done);
     }
     let settings = args.settings()?;
     let entries = args.entries()?;
@@ -151,7 +151,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let jobs: Vec<Job> = jobs.into_iter().skip(index).step_by(count).collect();
     let (mut all, complete) = work(&jobs, &sequences, (&device, &settings))?;
     all.extend(systems);
-    args.write(&all, &sequences)?;
+    args.write(&all, &sequences, &device)?;
     if !complete {
         eprintln!("interrupted; the scores so far are kept in {}", args.out.display());
         return Ok(Ending::Interrupted);
@@ -312,7 +312,7 @@ impl Args {
     }
 
     /// Prints the tables and writes what was asked for.
-    fn write(&self, all: &[Kept], sequences: &[Sequence]) -> Result<()> {
+    fn write(&self, all: &[Kept], sequences: &[Sequence], device: &Device) -> Result<()> {
         let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
         self.write_tables(&tables(&scores), &scores)?;
         if let Some(folder) = &self.plots {
@@ -320,13 +320,13 @@ impl Args {
             for sequence in sequences {
                 plots::error_maps(folder, sequence, (all, self.frames.unwrap_or(usize::MAX)))?;
             }
-            self.plot_convergence(folder, sequences)?;
+            self.plot_convergence(folder, sequences, device)?;
         }
         Ok(())
     }
 
     /// The energy gap against the number of iterations of every solver, on the first frames of the first sequence.
-    fn plot_convergence(&self, folder: &Path, sequences: &[Sequence]) -> Result<()> {
+    fn plot_convergence(&self, folder: &Path, sequences: &[Sequence], device: &Device) -> Result<()> {
         let (Some(sequence), Some(text)) = (sequences.first(), self.grid.first()) else { return Ok(()) };
         let optimizers = self.entries()?.into_iter().map(|entry| entry.optimizer).collect();
         let frames = self.frames.unwrap_or(usize::MAX);
@@ -334,7 +334,7 @@ impl Args {
             folder,
             (sequence, grid(text)?),
             (optimizers, frames),
-            &self.settings()?.physics,
+            (&self.settings()?.physics, device),
         )?)
     }
 

@@ -2,9 +2,9 @@
 
 use super::Kept;
 use fnopt::cpu::Track;
-use fnopt::eval::{Physics, Score, Sequence, snapshots, vertex_errors};
+use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshots, vertex_errors};
 use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
-use fnopt::sim::{Grid, Optimizer};
+use fnopt::sim::{Device, Grid, Optimizer};
 use fnopt::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -102,7 +102,7 @@ pub(super) fn convergence(
     folder: &Path,
     (sequence, grid): (&Sequence, Grid),
     (optimizers, frames): (Vec<Optimizer>, usize),
-    physics: &Physics,
+    (physics, device): (&Physics, &Device),
 ) -> Result<()> {
     let mut scene = sequence.scene(grid, physics)?;
     scene.frames = Some(sequence.truth.frames().min(frames).min(CONVERGENCE_FRAMES));
@@ -118,7 +118,7 @@ pub(super) fn convergence(
         let mut points = Vec::new();
         for n in ITERATIONS {
             // Beyond the start it has diverged, and no more is to be seen.
-            let gap = track.median_gap(&optimizer, n)?;
+            let gap = median_gap(&track, (&optimizer, n), device)?;
             points.push([n as f64, if gap < 1.0 { gap.log10() } else { f64::NAN }]);
         }
         curves.push(Curve { label: optimizer.name().to_owned(), points });

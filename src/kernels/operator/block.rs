@@ -3,7 +3,7 @@
 use super::Layer;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll};
-use crate::kernels::{Tuning, common, groups, size};
+use crate::kernels::{Tuning, common, groups, padded, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -40,6 +40,8 @@ pub struct Block {
     kernel: Kernel,
     tile: usize,
     workgroup: [u32; 2],
+    row_quads: usize,
+    columns: usize,
     after: After,
     /// What is bound where nothing is made of the rows.
     nothing: [Tensor; 2],
@@ -84,7 +86,7 @@ impl Block {
             tuning.sharing == Sharing::Loads || tuning.block_high == 1,
             "a subgroup shares operands within one row"
         );
-        let whole_rows = after.rows || after.pool;
+        let (columns, whole_rows) = (2 * modes_w, after.rows || after.pool);
         let workgroup = workgroup(tuning, row_quads, whole_rows);
         let flag = |flag: bool| f64::from(u8::from(flag));
         let constants = [
@@ -96,11 +98,19 @@ impl Block {
             ("HELD", if whole_rows { held(tuning, row_quads) as f64 } else { 1.0 }),
         ];
         // Where operands are broadcast, loads are dear, and a row is read once for all columns; else invocations share them.
-        let second = if tuning.sharing == Sharing::Broadcast { 2 * modes_w } else { 2 };
+        let second = if tuning.sharing == Sharing::Broadcast { columns } else { 2 };
         let unroll = Unroll { second, ..tuning.unroll(tuning.channels) };
         let kernel = Kernel::new(context, &SOURCE, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
-        Ok(Self { kernel, tile: tuning.channels, workgroup, after, nothing: [nothing()?, nothing()?] })
+        Ok(Self {
+            kernel,
+            tile: tuning.channels,
+            workgroup,
+            row_quads,
+            columns,
+            after,
+            nothing: [nothing()?, nothing()?],
+        })
     }
 
     /// What it does beside the linear part.
@@ -120,9 +130,10 @@ impl Block {
         let BlockTensors { x, r, y, rows, rows_max } = tensors;
         let &[samples, channels, h, w] = x.shape() else { panic!("block: {:?}", x.shape()) };
         let &[_, _, columns, _] = r.shape() else { panic!("block: {:?}", r.shape()) };
+        assert_eq!((w / 4, columns, padded(width)), (self.row_quads, self.columns, w));
         assert_eq!(y.shape(), x.shape());
         assert_eq!(r.shape(), [samples, h, columns, channels]);
-        assert_eq!(tables.len(), columns * w * if self.after.rows { 2 } else { 1 });
+        assert!(tables.len() >= columns * w * if self.after.rows { 2 } else { 1 });
         assert_eq!(skip.weight.shape(), [channels / self.tile, channels, self.tile]);
         assert_eq!(skip.bias.len(), channels);
         assert_eq!((rows.is_some(), rows_max.is_some()), (self.after.rows, self.after.pool));

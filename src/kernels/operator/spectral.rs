@@ -37,6 +37,9 @@ pub struct Spectral {
     /// Samples per workgroup.
     tile: usize,
     modes_h: usize,
+    modes_w: usize,
+    channels: usize,
+    keep: bool,
     /// What is bound where the spectrum is not kept.
     nothing: Tensor,
 }
@@ -74,8 +77,11 @@ impl Spectral {
         let bytes = |tile: usize| 8 * (complex(tile, channels) + complex(tile, ACROSS));
         let room = context.device.limits().max_compute_workgroup_storage_size as usize;
         if bytes(1) > room {
-            let what = format!("{modes_h} modes of {channels} channels in {room} bytes of workgroup memory");
-            return Err(Error::invalid("checkpoint", "network that fits the device", what, bytes(1)));
+            return Err(Error::Device(format!(
+                "{}: {modes_h} rows of modes of {channels} channels take {} bytes of workgroup memory, and it has {room}",
+                context.name(),
+                bytes(1)
+            )));
         }
         let few = samples / TILE * modes_w * channels.div_ceil(ACROSS) < ENOUGH;
         let alone = !samples.is_multiple_of(TILE)
@@ -90,14 +96,25 @@ impl Spectral {
         ];
         let unroll = Unroll { second: tile, ..tuning.unroll(modes_h) };
         let kernel = Kernel::new(context, &SOURCE, unroll, &constants)?;
-        Ok(Self { kernel, tile, modes_h, nothing: Tensor::zeros(context, "no spectrum", &[2])? })
+        Ok(Self {
+            kernel,
+            tile,
+            modes_h,
+            modes_w,
+            channels,
+            keep,
+            nothing: Tensor::zeros(context, "no spectrum", &[2])?,
+        })
     }
 
     /// `weight` [modes, C, C, 2] (see [`by_mode`]).
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, tensors: SpectralTensors<'_>) {
         let SpectralTensors { table, r, inverse, spectrum } = tensors;
         let &[samples, h, columns, channels] = r.shape() else { panic!("spectral: {:?}", r.shape()) };
-        let modes_w = columns / 2;
+        let modes_w = self.modes_w;
+        assert_eq!((columns, channels), (2 * modes_w, self.channels));
+        assert!(samples.is_multiple_of(self.tile), "{samples} samples in tiles of {}", self.tile);
+        assert_eq!(spectrum.is_some(), self.keep);
         assert_eq!(inverse.shape(), r.shape());
         assert_eq!(table.shape(), [h, self.modes_h, 2]);
         assert_eq!(weight.shape(), [self.modes_h * modes_w, channels, channels, 2]);
