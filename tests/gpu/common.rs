@@ -1,6 +1,6 @@
 //! What the tests share: one device for all of them, tensors that betray what was not written, and comparisons.
 
-use fnopt::gpu::{AdapterChoice, Context, Schedule, Sharing, Tensor};
+use fnopt::gpu::{AdapterChoice, Context, Schedule, Sharing, Storage, Tensor};
 use fnopt::kernels::{Tuning, padded};
 use fnopt::sim::Grid;
 use std::sync::{LazyLock, Mutex, MutexGuard};
@@ -29,6 +29,12 @@ pub fn context() -> &'static Context {
         })
     });
     &CONTEXT
+}
+
+/// The same device with networks in 16 bits; without it, said, on an adapter that lacks them.
+pub fn half() -> Option<Context> {
+    let half = context().with_storage(Storage::F16);
+    half.inspect_err(|e| eprintln!("skipped: {e}")).ok()
 }
 
 /// Keeps other tests off the device: software adapters use all cores for one dispatch anyway.

@@ -1,9 +1,9 @@
 //! Whole frames: against the CPU path, repeated, in batches, in a host's encoder.
 
-use crate::common::{assert_close, context, device, largest, noise, widened};
+use crate::common::{assert_close, context, device, half, largest, noise, widened};
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
-use fnopt::gpu::{Context, Storage, Tensor};
+use fnopt::gpu::{Context, Tensor};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{
@@ -296,10 +296,7 @@ fn a_new_state_forgets_the_hidden_one() {
 #[test]
 fn half_precision_closes_the_gap_as_far() {
     let _turn = device();
-    let Ok(half) = context().with_storage(Storage::F16) else {
-        eprintln!("skipped: the adapter has no f16");
-        return;
-    };
+    let Some(half) = half() else { return };
     let setup = Scene::default().setup().unwrap();
     let controls = (1..25).map(|frame| setup.control(frame));
     let track = Track::new(&setup.model, setup.start.clone(), controls, 4).unwrap();

@@ -1,7 +1,6 @@
 //! Training on the device: against the CPU path step by step, and to the same bits again.
 
-use crate::common::{context, device};
-use fnopt::gpu::Storage;
+use crate::common::{context, device, half};
 use fnopt::sim::Device;
 use fnopt::train::{Alone, Config, Learner, Limits, Pool, Run, Update, first_weights, learner};
 use std::ops::ControlFlow;
@@ -133,10 +132,7 @@ fn a_run_moves_from_device_to_device() {
 #[test]
 fn training_is_in_single_precision_whatever_the_context() {
     let _turn = device();
-    let Ok(half) = context().with_storage(Storage::F16) else {
-        eprintln!("skipped: the adapter has no f16");
-        return;
-    };
+    let Some(half) = half() else { return };
     let config = config();
     let step = |device: &Device| {
         let mut learner = on(device);
