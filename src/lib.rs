@@ -37,8 +37,8 @@
 //!    [`kernels::cloth::ExternalForce`]: gravity, the caller's forces and the air's drag.
 //! 2. N times (paper section 3.3): [`kernels::cloth::Gradient`] gives dL/da; [`kernels::optim::Norms`] and
 //!    [`kernels::optim::Features`] normalise it; [`network::Forward`] runs the network (section 4): lifting, four Fourier
-//!    blocks of truncated transform, spectral product and inverse, the field head and the scalar head;
-//!    [`kernels::optim::Rescale`] and [`kernels::optim::Update`] make the step and add it to a. The classical optimizers
+//!    blocks of truncated transform, spectral product and inverse, the field head, and the scalar head
+//!    with the persistent scale; [`kernels::optim::Update`] makes the step and adds it to a. The classical optimizers
 //!    ([`sim::Optimizer`]) take the place of everything behind the gradient.
 //! 3. [`kernels::cloth::Energy`] for the statistics, then [`kernels::cloth::Integrate`]: v + a, x + v.
 //!

@@ -1,17 +1,18 @@
 // Spectral convolution along the columns of the kept rows' spectra: transform, channel product of each mode, inverse.
 //
-// spectrum[s, m_h, m_w, i] = sum_y r[s, y, m_w, i] table[y, m_h], complex;
+// spectrum[s, m_h, m_w, i] = sum_y r[s, y, m_w, i] exp(-2 pi i k_h y / H), complex, k_h = m_h - modes_h / 2;
 // product[s, m_h, m_w, o] = sum_i spectrum[s, m_h, m_w, i] weight[m_h, m_w, i, o], complex;
-// inverse[s, y, m_w, o] = sum_m_h product[s, m_h, m_w, o] conj(table[y, m_h]), complex.
-// table[y, m_h] = exp(-2 pi i k_h y / H) with k_h = m_h - modes_h / 2. The inverse rows follow inside `block`, which drops the
-// imaginary part of column 0: what an inverse real transform does with the non-Hermitian part of that column.
-// r, inverse: [S, H, modes_w, (re, im), C]; table: [H, tile] complex; weight: [modes_h modes_w, C, C] complex;
-// spectrum: [S, modes_h, modes_w, C] complex, written if KEEP. The tile is modes_h; the second tile is the number of samples
-// that share one reading of the weights; S is a multiple of it.
-// One workgroup: 64 output channels of one kept column of a tile of samples. It makes the spectrum of all input channels in
-// workgroup memory first; TEAMS times 64 invocations share its samples and channels (which may be fewer than there are teams),
-// then the modes, then strips of rows.
-// Workgroups: (modes_w * C / 64, S / second tile).
+// inverse[s, y, m_w, o] = sum_m_h product[s, m_h, m_w, o] exp(2 pi i k_h y / H), complex.
+// Waves of opposite k_h have one cosine and opposite sines, so both are summed from the same four products. The inverse rows follow
+// inside `block`, which drops the imaginary part of column 0: what an inverse real transform does with the non-Hermitian part of
+// that column.
+// r, inverse: [S, H, modes_w, (re, im), C]; table: [H, tile] (cos, sin) of 2 pi k y / H; weight: [modes_h modes_w, C, C] complex;
+// spectrum: [S, modes_h, modes_w, C] complex, written if KEEP. The tile is modes_h / 2 + 1, the magnitudes k of k_h; the second
+// tile is the number of samples that share one reading of the weights; S is a multiple of it.
+// One workgroup: ACROSS output channels of one kept column of a tile of samples. It makes the spectrum of all input channels in
+// workgroup memory first, so that the fewer channels it has, the more often a column is transformed and the more workgroups there
+// are. Its invocations share rows and channels of the transform, then inputs and modes of the product, then strips of rows.
+// Workgroups: (modes_w * C / ACROSS, S / second tile).
 // Adjoint: itself with the `spectral_transpose`d weight (r), `spectral_weight_adj` (weight).
 
 struct Params {
@@ -29,73 +30,125 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> spectrum: array<vec2f>;
 
 override KEEP: bool = false;
-override TEAMS: u32 = 4;
-// Elements of the workgroup's memory: tile * second tile * C, and as many with 64 in place of C.
+override MODES: u32 = 8; // modes_h
+override LANES: u32 = 256;
+override ACROSS: u32 = 64;
+// Parts of a column's rows, and of the input channels, that are summed apart.
+override ROW_PARTS: u32 = 1;
+override INPUT_PARTS: u32 = 1;
+// Elements of the workgroup's memory: MODES * second tile * C * ROW_PARTS, and MODES * second tile * ACROSS * INPUT_PARTS.
 override INPUTS: u32 = 2048;
 override OUTPUTS: u32 = 2048;
 
+// [second tile, ROW_PARTS, MODES, C] and [INPUT_PARTS, second tile, MODES, ACROSS].
 var<workgroup> inputs: array<vec2f, INPUTS>;
 var<workgroup> outputs: array<vec2f, OUTPUTS>;
 
-@compute @workgroup_size(64, TEAMS)
-fn spectral(@builtin(local_invocation_id) local: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
-    let across = local.x;
-    let team = local.y;
+// In every loop, invocations beyond the last piece of work take part in what a subgroup shares.
+@compute @workgroup_size(LANES)
+fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) group: vec3u$lane) {
+    let channels = params.channels;
     let column = group.x % params.modes_w;
-    let slice = group.x / params.modes_w * 64u;
+    let slice = group.x / params.modes_w * ACROSS;
     let first = group.y * $t;
-    let slices = (params.channels + 63u) / 64u;
-    for (var part = team; part < $t * slices; part += TEAMS) {
-        // Invocations beyond the last channel take part in what a subgroup shares.
-        let channel = part / $t * 64u + across;
-        let source = min(channel, params.channels - 1u);
-        let of_tile = part % $t;
-        var z$c = vec2f();
-        for (var y = 0u; y < params.rows; y++) {
-            let at = (((first + of_tile) * params.rows + y) * params.modes_w + column) * 2u * params.channels + source;
+    let row_part = (params.rows + ROW_PARTS - 1u) / ROW_PARTS;
+    let transforms = $t * ROW_PARTS * channels;
+    for (var begin = 0u; begin < transforms; begin += LANES) {
+        let item = min(begin + index, transforms - 1u);
+        let channel = item % channels;
+        let of_parts = item / channels;
+        let sample = first + of_parts / ROW_PARTS;
+        let top = of_parts % ROW_PARTS * row_part;
+        let bottom = min(top + row_part, params.rows);
+        // Sums of re cos, im sin, im cos and re sin.
+        var z$c = vec4f();
+        for (var y = top; y < bottom; y++) {
+            let at = ((sample * params.rows + y) * params.modes_w + column) * 2u * channels + channel;
             let re = r[at];
-            let im = r[at + params.channels];
+            let im = r[at + channels];
             let t$c = $same(table[y * $n + $c]);
-            z$c += vec2f(re * t$c.x - im * t$c.y, re * t$c.y + im * t$c.x);
+            z$c += vec4f(re, im, im, re) * t$c.xyxy;
         }
-        if channel < params.channels {
-            inputs[(of_tile * $n + $c) * params.channels + channel] = z$c;
-            if KEEP && slice == 0u {
-                let out = ((first + of_tile) * $n * params.modes_w + column) * params.channels + channel;
-                spectrum[out + $c * params.modes_w * params.channels] = z$c;
-            }
+        if begin + index < transforms {
+            let zero = (of_parts * MODES + MODES / 2u) * channels + channel;
+            inputs[zero - $cu * channels] = vec2f(z$c.x - z$c.y, z$c.z + z$c.w);
+            if $cu + MODES / 2u < MODES { inputs[zero + $cu * channels] = vec2f(z$c.x + z$c.y, z$c.z - z$c.w); }
         }
     }
     workgroupBarrier();
-    let channel = min(slice + across, params.channels - 1u);
-    for (var mode = team; mode < $n; mode += TEAMS) {
+    if ROW_PARTS > 1u {
+        // The sum lies where its first part was.
+        for (var k = index; k < $t * MODES * channels; k += LANES) {
+            let at = k + k / (MODES * channels) * (ROW_PARTS - 1u) * MODES * channels;
+            var sum = inputs[at];
+            for (var part = 1u; part < ROW_PARTS; part++) {
+                sum += inputs[at + part * MODES * channels];
+            }
+            inputs[at] = sum;
+        }
+        workgroupBarrier();
+    }
+    if KEEP && slice == 0u {
+        for (var k = index; k < $t * MODES * channels; k += LANES) {
+            let mode = k / channels;
+            let of_tile = mode / MODES;
+            spectrum[((first * MODES + mode) * params.modes_w + column) * channels + k % channels] =
+                inputs[k + of_tile * (ROW_PARTS - 1u) * MODES * channels];
+        }
+    }
+    let input_part = (channels + INPUT_PARTS - 1u) / INPUT_PARTS;
+    let products = MODES * INPUT_PARTS * ACROSS;
+    for (var begin = 0u; begin < products; begin += LANES) {
+        let item = min(begin + index, products - 1u);
+        let channel = min(slice + item % ACROSS, channels - 1u);
+        let of_parts = item / ACROSS;
+        let mode = of_parts / INPUT_PARTS;
+        let part = of_parts % INPUT_PARTS;
+        let to = min((part + 1u) * input_part, channels);
         var p$k = vec2f();
-        for (var i = 0u; i < params.channels; i++) {
-            let at = ((mode * params.modes_w + column) * params.channels + i) * params.channels + channel;
-            let w = vec2f(weight[at]);
-            let x$k = $same(inputs[($k * $n + mode) * params.channels + i]);
+        for (var i = part * input_part; i < to; i++) {
+            let w = vec2f(weight[((mode * params.modes_w + column) * channels + i) * channels + channel]);
+            let x$k = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i]);
             p$k += vec2f(x$k.x * w.x - x$k.y * w.y, x$k.x * w.y + x$k.y * w.x);
         }
-        outputs[($k * $n + mode) * 64u + across] = p$k;
+        if begin + index < products {
+            outputs[((part * $t + $k) * MODES + mode) * ACROSS + item % ACROSS] = p$k;
+        }
     }
     workgroupBarrier();
     let strips = (params.rows + params.strip - 1u) / params.strip;
-    for (var part = team; part < $t * strips; part += TEAMS) {
-        let of_tile = part % $t;
-        let begin = part / $t * params.strip;
-        let end = min(begin + params.strip, params.rows);
-        let q$c = outputs[(of_tile * $n + $c) * 64u + across];
-        for (var y = begin; y < end; y++) {
+    let inverses = $t * strips * ACROSS;
+    for (var begin = 0u; begin < inverses; begin += LANES) {
+        let item = min(begin + index, inverses - 1u);
+        let channel = slice + item % ACROSS;
+        let of_tile = item / ACROSS % $t;
+        let top = item / (ACROSS * $t) * params.strip;
+        let bottom = min(top + params.strip, params.rows);
+        let zero = (of_tile * MODES + MODES / 2u) * ACROSS + item % ACROSS;
+        let lower$c = product(zero - $cu * ACROSS);
+        var upper$c = vec2f();
+        if $cu > 0u && $cu + MODES / 2u < MODES { upper$c = product(zero + $cu * ACROSS); }
+        let q$c = vec4f(upper$c + lower$c, upper$c - lower$c);
+        for (var y = top; y < bottom; y++) {
             var re = 0.0;
             var im = 0.0;
             let t$c = $same(table[y * $n + $c]);
-            re += q$c.x * t$c.x + q$c.y * t$c.y;
-            im += q$c.y * t$c.x - q$c.x * t$c.y;
-            if slice + across < params.channels {
-                let at = (((first + of_tile) * params.rows + y) * params.modes_w + column) * 2u * params.channels + channel;
+            re += q$c.x * t$c.x - q$c.w * t$c.y;
+            im += q$c.y * t$c.x + q$c.z * t$c.y;
+            if begin + index < inverses && channel < channels {
+                let at = (((first + of_tile) * params.rows + y) * params.modes_w + column) * 2u * channels + channel;
                 inverse[at] = re;
-                inverse[at + params.channels] = im;
+                inverse[at + channels] = im;
             }
         }
     }
+}
+
+// The product whose first part is at this place.
+fn product(at: u32) -> vec2f {
+    var sum = outputs[at];
+    for (var part = 1u; part < INPUT_PARTS; part++) {
+        sum += outputs[at + part * (OUTPUTS / INPUT_PARTS)];
+    }
+    return sum;
 }

@@ -78,11 +78,11 @@ pub fn run(args: &Args) -> Result<Ending> {
 
 fn describe(tuning: &Tuning) -> String {
     let Tuning { channels, pointwise_group, block_wide, block_high, .. } = tuning;
-    let Tuning { rows_in_blocks, spectral_teams, sharing, .. } = tuning;
+    let Tuning { rows_in_blocks, spectral_teams, busy_groups, sharing, .. } = tuning;
     let rows = if *rows_in_blocks { "in blocks" } else { "apart" };
     format!(
         "tile {channels}, block {block_wide}x{block_high}, group {pointwise_group}, rows {rows}, teams {spectral_teams}, \
-         {sharing:?}"
+         busy {busy_groups}, {sharing:?}"
     )
     .to_lowercase()
 }

@@ -20,9 +20,11 @@ pub struct Tuning {
     /// Whether blocks transform their rows for the next one where a row fits a workgroup: fewer dispatches, which is what a
     /// frame of few cloths waits for, and one reading less.
     pub rows_in_blocks: bool,
-    /// Teams of 64 invocations that share the work of a spectral convolution's workgroup, at most 4; 1 where operands are
-    /// broadcast.
+    /// Teams of 64 invocations that share the work of a spectral convolution's workgroup, at most 4.
     pub spectral_teams: u32,
+    /// Workgroups that keep the adapter busy: with fewer samples than make as many, a spectral convolution is divided further,
+    /// though that repeats a part of the work.
+    pub busy_groups: usize,
     /// How operands that a subgroup shares are read.
     pub sharing: Sharing,
     /// Largest size of the lifting's hidden layer \[bytes\]; more samples than fit are lifted in turn.
@@ -57,9 +59,9 @@ impl Tuning {
     /// is a branch and a move of its own (llvmpipe), smaller tiles and more invocations where there are thousands of
     /// lanes to fill.
     pub fn table(context: &Context) -> Self {
-        let (channels, block_wide, block_high, spectral_teams) = match context.kind() {
-            AdapterKind::Software => (32, 64, 1, 1),
-            AdapterKind::Hardware => (8, 8, 8, 4),
+        let (channels, block_wide, block_high, spectral_teams, busy_groups) = match context.kind() {
+            AdapterKind::Software => (32, 64, 1, 1, 1),
+            AdapterKind::Hardware => (8, 8, 8, 4, 128),
         };
         let sharing = context.sharing();
         Self {
@@ -69,6 +71,7 @@ impl Tuning {
             block_high,
             rows_in_blocks: true,
             spectral_teams,
+            busy_groups,
             sharing,
             hidden_bytes: 256 << 20,
         }
@@ -82,6 +85,7 @@ impl Tuning {
         let shapes = shapes.map(|(block_wide, block_high)| Self { block_wide, block_high, ..*self });
         let places = [true, false].map(|rows_in_blocks| Self { rows_in_blocks, ..*self });
         let teams = [1, 2, 4].map(|spectral_teams| Self { spectral_teams, ..*self });
+        let busy = [1, 8, 32, 128, 512].map(|busy_groups| Self { busy_groups, ..*self });
         let sharings = [Sharing::Loads, context.sharing()].map(|sharing| Self { sharing, ..*self });
         let others = |all: &[Self]| -> Vec<Self> {
             let mut found: Vec<Self> = Vec::new();
@@ -98,6 +102,7 @@ impl Tuning {
             others(&groups),
             others(&places),
             others(&teams),
+            others(&busy),
             others(&sharings),
         ]
     }
@@ -105,7 +110,7 @@ impl Tuning {
     /// Whether the kernels can be made with it on the adapter.
     pub fn works(&self, context: &Context) -> bool {
         // Subgroups share operands within one row of invocations only.
-        let in_rows = self.block_high == 1 && self.spectral_teams == 1;
+        let in_rows = self.block_high == 1;
         let shared = self.sharing == Sharing::Loads || (context.sharing() == self.sharing && in_rows);
         let tile = self.channels >= 4 && self.channels.is_multiple_of(4);
         let fits = |n: u32| (1..=INVOCATIONS).contains(&n);

@@ -4,7 +4,7 @@ use super::parameters::Layers;
 use super::{Config, Layout, Parameters, Weights, tables};
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::operator::{
-    Activate, After, Block, BlockTensors, Pointwise, PoolRows, Project, ScalarHead, Spectral,
+    Activate, After, Block, BlockTensors, Pointwise, PoolRows, Project, ScalarHead, Scales, Spectral,
     SpectralTensors, TransformRows, pointwise,
 };
 use crate::kernels::{Tuning, padded};
@@ -190,7 +190,7 @@ impl Forward {
                     &[w / 4, columns, 4],
                     tables::forward_rows(&config, h, grid.w),
                 )?,
-                columns: upload("columns", &[h, config.modes_h, 2], tables::columns(&config, h))?,
+                columns: upload("columns", &[h, config.modes_h / 2 + 1, 2], tables::columns(&config, h))?,
                 block_rows: upload(
                     "block_rows",
                     &[block_rows.len() / (columns * w), columns, w],
@@ -204,8 +204,8 @@ impl Forward {
         })
     }
 
-    /// Appends a pass: from `embedded` to `field` and `scalar`.
-    pub fn push(&self, schedule: &mut Schedule) {
+    /// Appends a pass: from `embedded` to `field` and `scalar`, and to the persistent scales, if they are given.
+    pub fn push(&self, schedule: &mut Schedule, scales: Option<Scales<'_>>) {
         let k = &self.kernels;
         let slot = |i: usize| &self.activations[i % self.activations.len()];
         self.push_lifting(schedule);
@@ -233,7 +233,8 @@ impl Forward {
                 if !after.pool {
                     k.pool_rows.push(schedule, self.grid.w, y, &self.rows_max);
                 }
-                k.scalar_head.push(schedule, &self.layers.scalar, &self.rows_max, &self.scalar);
+                let tensors = (&self.rows_max, &self.scalar);
+                k.scalar_head.push(schedule, &self.layers.scalar, tensors, scales);
             }
         }
         let [inner, outer] = &self.layers.projection;

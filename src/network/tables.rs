@@ -59,15 +59,9 @@ fn by_columns(config: &Config, w: usize, value: impl Fn(usize, usize) -> f64) ->
     places.map(|(j, k)| if j < w { value(j, k) as f32 } else { 0.0 }).collect()
 }
 
-/// Column transform: shape [H, modes_h, 2]; exp(-2 pi i k_h i / H), the inverse's conjugate.
+/// Column transform and its inverse: shape [H, modes_h / 2 + 1, 2]; cosine and sine of `2 pi k i / H` for each magnitude k of
+/// the kept rows of modes.
 pub fn columns(config: &Config, h: usize) -> Vec<f32> {
-    let first = -(config.modes_h as i64 / 2);
-    let mut table = Vec::with_capacity(2 * h * config.modes_h);
-    for i in 0..h {
-        for m in 0..config.modes_h as i64 {
-            let theta = angle(first + m, i, h);
-            table.extend([theta.cos() as f32, -theta.sin() as f32]);
-        }
-    }
-    table
+    let places = (0..h).flat_map(|i| (0..=config.modes_h / 2).map(move |k| angle(k as i64, i, h)));
+    places.flat_map(|theta| [theta.cos() as f32, theta.sin() as f32]).collect()
 }

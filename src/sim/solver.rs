@@ -7,9 +7,10 @@ use crate::kernels::cloth::{
     ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate, Physics,
     Predict, StateTensors, energy,
 };
+use crate::kernels::operator::Scales;
 use crate::kernels::optim::{
     Adam, AdamSettings, FeatureTensors, Features, GradientDescent, Iterate, Lbfgs, LbfgsMemory, Norms,
-    QuasiNewton, Rescale, Update, UpdateTensors, norms,
+    QuasiNewton, Update, UpdateTensors, norms,
 };
 use crate::network::{Forward, Keep, Weights};
 use crate::{Error, Result};
@@ -371,15 +372,14 @@ impl Rule {
         Ok(match self {
             Self::Learned { forward, hidden, scales } => {
                 let features = Features::new(context)?;
-                let (rescale, update) = (Rescale::new(context)?, Update::new(context)?);
+                let update = Update::new(context)?;
                 Box::new(move |frame, iteration| {
                     let partial = &sum(frame, iteration, hidden);
                     let from = FeatureTensors { grad: &iterate.grad, hidden, partial };
                     features.push(frame, grid, from, &forward.embedded);
-                    forward.push(frame);
-                    let (before, stride) =
-                        ((iteration + solver.iterations - 1) % solver.iterations, scales.shape()[1]);
-                    rescale.push(frame, &forward.scalar, scales, [before * stride, iteration * stride]);
+                    let last = (iteration + solver.iterations - 1) % solver.iterations;
+                    let [before, after] = [last, iteration].map(|row| row * scales.shape()[1]);
+                    forward.push(frame, Some(Scales { tensor: scales, before, after }));
                     let scale = &row(scales, iteration, &[samples]);
                     let from = UpdateTensors { field: &forward.field, scale, hidden };
                     update.push(frame, grid, from, iterate);

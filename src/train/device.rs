@@ -9,9 +9,9 @@ use crate::kernels::cloth::{
     ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Physics, Predict,
     StateTensors, energy,
 };
+use crate::kernels::operator::Scales;
 use crate::kernels::optim::{
-    FeatureTensors, Features, Iterate, Norms, Rescale, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors,
-    norms,
+    FeatureTensors, Features, Iterate, Norms, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors, norms,
 };
 use crate::kernels::train::{AdamW, BatchTensors, Factors, GradientSize, Moments, Squares, squares};
 use crate::network::{Backward, Forward, Keep, Parameters, Transposed};
@@ -129,8 +129,7 @@ impl DeviceLoss {
         Norms::new(context, true)?.push(schedule, &iterate.grad, hidden, &partial);
         let from = FeatureTensors { grad: &iterate.grad, hidden, partial: &partial };
         Features::new(context)?.push(schedule, grid, from, &forward.embedded);
-        forward.push(schedule);
-        Rescale::new(context)?.push(schedule, &forward.scalar, scale, [0, 0]);
+        forward.push(schedule, Some(Scales::in_place(scale)));
         let from = UpdateTensors { field: &forward.field, scale, hidden };
         Update::new(context)?.push(schedule, grid, from, iterate);
 

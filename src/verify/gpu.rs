@@ -8,9 +8,8 @@ use crate::Result;
 use crate::cpu::train::AdamWSettings;
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, Physics, energy};
-use crate::kernels::optim::{
-    FeatureTensors, Features, Iterate, Norms, Rescale, Update, UpdateTensors, norms,
-};
+use crate::kernels::operator::Scales;
+use crate::kernels::optim::{FeatureTensors, Features, Iterate, Norms, Update, UpdateTensors, norms};
 use crate::kernels::train::BatchTensors;
 use crate::kernels::{Tuning, padded};
 use crate::network::{Forward, Keep, Parameters, Transposed, Weights};
@@ -74,7 +73,7 @@ impl Stages for GpuStages {
             .checked(|| Forward::new(context, weights, &self.tuning, (grid, samples), Keep::Blocks))?;
         forward.embedded.write_narrowed(context, &embed(&single(input), weights.config.fields, grid));
         let mut schedule = Schedule::new(context);
-        forward.push(&mut schedule);
+        forward.push(&mut schedule, None);
         self.run(&schedule);
         // Channels that were added to fill a tile come last in each sample.
         let channels = |i: usize| -> Result<Vec<f64>> {
@@ -142,8 +141,7 @@ impl Stages for GpuStages {
             Norms::new(context, true)?.push(&mut schedule, &iterate.grad, &hidden, &partial);
             let from = FeatureTensors { grad: &iterate.grad, hidden: &hidden, partial: &partial };
             Features::new(context)?.push(&mut schedule, grid, from, &forward.embedded);
-            forward.push(&mut schedule);
-            Rescale::new(context)?.push(&mut schedule, &forward.scalar, &scale, [0, 0]);
+            forward.push(&mut schedule, Some(Scales::in_place(&scale)));
             let from = UpdateTensors { field: &forward.field, scale: &scale, hidden: &hidden };
             Update::new(context)?.push(&mut schedule, grid, from, &iterate);
             Ok(())

@@ -40,7 +40,7 @@ impl Case {
             backward.adj_scalar.write(context, &self.adj_scalar);
             let mut schedule = Schedule::new(context);
             transposed.push(&mut schedule);
-            forward.push(&mut schedule);
+            forward.push(&mut schedule, None);
             backward.push(&mut schedule, &forward, &transposed);
             for _ in 0..passes {
                 context.submit(|encoder| schedule.record(encoder));

@@ -49,14 +49,15 @@ pub fn tunings() -> [Tuning; 4] {
     let own = Tuning::new(context());
     let loads = Tuning { sharing: Sharing::Loads, ..own };
     [
-        Tuning { channels: 32, block_wide: 64, block_high: 1, spectral_teams: 1, ..own },
-        Tuning { channels: 8, block_wide: 8, block_high: 8, spectral_teams: 4, ..loads },
+        Tuning { channels: 32, block_wide: 64, block_high: 1, spectral_teams: 1, busy_groups: 1, ..own },
+        Tuning { channels: 8, block_wide: 8, block_high: 8, spectral_teams: 4, busy_groups: 128, ..loads },
         Tuning {
             channels: 16,
             block_wide: 32,
             block_high: 1,
             rows_in_blocks: false,
-            spectral_teams: 1,
+            spectral_teams: 2,
+            busy_groups: 25,
             ..own
         },
         Tuning {
@@ -65,6 +66,7 @@ pub fn tunings() -> [Tuning; 4] {
             block_wide: 16,
             block_high: 4,
             spectral_teams: 2,
+            busy_groups: 60,
             ..loads
         },
     ]

@@ -65,7 +65,7 @@ fn done_on(
     }
     pass.embedded.write_narrowed(context, &pad(&embedded, grid, 0.0));
     let mut schedule = Schedule::new(context);
-    pass.push(&mut schedule);
+    pass.push(&mut schedule, None);
     context.submit(|encoder| schedule.record(encoder));
     pass
 }

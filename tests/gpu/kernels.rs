@@ -35,7 +35,6 @@ const TWINS: &[(&str, &str)] = &[
     ("energy_sum", "cloth/energy"),
     ("norms", "optim/update"),
     ("features", "optim/update"),
-    ("rescale", "optim/update"),
     ("gradient_descent", "optim/gd"),
     ("cosine_order", "optim/rest_hessian"),
     ("rest_modes", "optim/rest_hessian"),

@@ -3,13 +3,13 @@
 use super::Layer;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::size;
+use crate::kernels::{common, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "scalar_head",
     wgsl: include_str!("../../../shaders/operator/scalar_head.wgsl"),
-    common: &[],
+    common: &[common::TANH],
 };
 
 #[repr(C)]
@@ -17,30 +17,65 @@ pub const SOURCE: Source = Source {
 struct Params {
     channels: u32,
     rows: u32,
-    pad: [u32; 2],
+    before: u32,
+    after: u32,
 }
 
-/// The scalar head after its rows' maxima.
+/// The scalar head after its rows' maxima, and the persistent scale that it changes.
 #[derive(Clone, Debug)]
 pub struct ScalarHead {
-    kernel: Kernel,
+    alone: Kernel,
+    rescaling: Kernel,
+    /// What is bound where there is no scale.
+    nothing: Tensor,
+}
+
+/// Where a pass finds and leaves the persistent scales of its samples.
+#[derive(Clone, Copy, Debug)]
+pub struct Scales<'a> {
+    /// The tensor.
+    pub tensor: &'a Tensor,
+    /// First of the S elements before the pass.
+    pub before: usize,
+    /// First of the S elements after it; may be the same.
+    pub after: usize,
+}
+
+impl<'a> Scales<'a> {
+    /// Scales `[S]` that are changed in place.
+    pub fn in_place(tensor: &'a Tensor) -> Self {
+        Self { tensor, before: 0, after: 0 }
+    }
 }
 
 impl ScalarHead {
     /// Compiles it.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+        let kernel = |rescale: f64| Kernel::new(context, &SOURCE, 0, &[("RESCALE", rescale)]);
+        let nothing = Tensor::zeros(context, "no scale", &[1])?;
+        Ok(Self { alone: kernel(0.0)?, rescaling: kernel(1.0)?, nothing })
     }
 
     /// `layer` `[C]` and `[1]`, `rows_max` [S, H, C], `scalar` `[S]`.
-    pub fn push(&self, schedule: &mut Schedule, layer: &Layer, rows_max: &Tensor, scalar: &Tensor) {
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        layer: &Layer,
+        (rows_max, scalar): (&Tensor, &Tensor),
+        scales: Option<Scales<'_>>,
+    ) {
         let &[samples, rows, channels] = rows_max.shape() else {
             panic!("scalar_head: {:?}", rows_max.shape())
         };
         assert_eq!((layer.weight.len(), layer.bias.len()), (channels, 1));
         assert_eq!(scalar.shape(), [samples]);
-        let params = Params { channels: size(channels), rows: size(rows), pad: [0; 2] };
-        let tensors = [&layer.weight, &layer.bias, rows_max, scalar];
-        schedule.dispatch(&self.kernel, &params, &tensors, [size(samples), 1, 1]);
+        assert!(rows >= 4, "scalar_head: a row for each team");
+        let Scales { tensor, before, after } = scales.unwrap_or(Scales::in_place(&self.nothing));
+        assert!(scales.is_none() || before.max(after) + samples <= tensor.len());
+        let params =
+            Params { channels: size(channels), rows: size(rows), before: size(before), after: size(after) };
+        let tensors = [&layer.weight, &layer.bias, rows_max, scalar, tensor];
+        let kernel = if scales.is_some() { &self.rescaling } else { &self.alone };
+        schedule.dispatch(kernel, &params, &tensors, [size(samples), 1, 1]);
     }
 }

@@ -1,7 +1,7 @@
 //! Host side of `shaders/operator/spectral.wgsl`.
 
-use crate::gpu::{AdapterKind, Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll};
-use crate::kernels::{Tuning, groups, size};
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor, Unroll};
+use crate::kernels::{Tuning, size};
 use crate::network::Config;
 use crate::{Error, Result};
 
@@ -12,14 +12,11 @@ pub const SOURCE: Source =
 /// Samples that share one reading of the weights: the three components of a cloth.
 const TILE: usize = 3;
 
-/// Workgroups that keep a large device busy; with fewer, each sample has its own rather than share the weights.
-const ENOUGH: usize = 128;
+/// Output channels that a workgroup may have, the most first.
+const ACROSS: [usize; 4] = [64, 32, 16, 8];
 
-/// Rows of the inverse per invocation: few enough to share them out, enough to read a column's modes seldom.
+/// Most rows of the inverse per invocation: few enough to share them out, enough to read a column's modes seldom.
 const STRIP: usize = 8;
-
-/// Channels of a workgroup.
-const ACROSS: usize = 64;
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -30,15 +27,68 @@ struct Params {
     strip: u32,
 }
 
+/// How the work is divided, see the WGSL.
+#[derive(Clone, Copy, Debug)]
+struct Division {
+    /// Invocations of a workgroup.
+    lanes: usize,
+    /// Samples of a workgroup.
+    tile: usize,
+    /// Output channels of a workgroup.
+    across: usize,
+    row_parts: usize,
+    input_parts: usize,
+}
+
+impl Division {
+    /// The largest workgroups that keep the adapter busy, and in them as many parts as keep their invocations busy; none if not
+    /// even the smallest workgroup fits `room` bytes of memory.
+    fn new(tuning: &Tuning, config: &Config, samples: usize, room: usize) -> Option<Self> {
+        let lanes = 64 * tuning.spectral_teams as usize;
+        let tiles = [TILE, 1].into_iter().filter(|&tile| samples.is_multiple_of(tile));
+        let all = tiles.flat_map(|tile| ACROSS.map(|across| (tile, across)));
+        let fit: Vec<Self> = all
+            .map(|(tile, across)| Self { lanes, tile, across, row_parts: 1, input_parts: 1 })
+            .filter(|division| division.bytes(config) <= room)
+            .collect();
+        let busy = |d: &&Self| samples / d.tile * d.groups(config) >= tuning.busy_groups;
+        let &Self { tile, across, .. } = fit.iter().find(busy).or(fit.last())?;
+        let parts = |pieces: usize| (lanes / pieces).max(1);
+        let input_parts = parts(config.modes_h * across);
+        (1..=parts(tile * config.channels))
+            .rev()
+            .map(|row_parts| Self { lanes, tile, across, row_parts, input_parts })
+            .find(|division| division.bytes(config) <= room)
+            .or(Some(Self { lanes, tile, across, row_parts: 1, input_parts: 1 }))
+    }
+
+    /// Workgroups for one tile of samples.
+    fn groups(&self, config: &Config) -> usize {
+        config.modes_w * config.channels.div_ceil(self.across)
+    }
+
+    /// Complex numbers of the spectrum and of the products that a workgroup holds.
+    fn held(&self, config: &Config) -> [usize; 2] {
+        let rows_of_modes = self.tile * config.modes_h;
+        [rows_of_modes * config.channels * self.row_parts, rows_of_modes * self.across * self.input_parts]
+    }
+
+    fn bytes(&self, config: &Config) -> usize {
+        8 * self.held(config).iter().sum::<usize>()
+    }
+
+    /// Rows of the inverse that an invocation takes in turn.
+    fn strip(&self, rows: usize) -> usize {
+        (rows * self.tile * self.across).div_ceil(self.lanes).clamp(1, STRIP)
+    }
+}
+
 /// Spectral convolution along the columns.
 #[derive(Clone, Debug)]
 pub struct Spectral {
     kernel: Kernel,
-    /// Samples per workgroup.
-    tile: usize,
-    modes_h: usize,
-    modes_w: usize,
-    channels: usize,
+    division: Division,
+    config: Config,
     keep: bool,
     /// What is bound where the spectrum is not kept.
     nothing: Tensor,
@@ -47,7 +97,7 @@ pub struct Spectral {
 /// What a spectral convolution reads and writes.
 #[derive(Clone, Copy, Debug)]
 pub struct SpectralTensors<'a> {
-    /// Column transform, shape [H, modes_h, 2].
+    /// Column transform, shape [H, modes_h / 2 + 1, 2].
     pub table: &'a Tensor,
     /// Rows' spectra of the input, shape [S, H, 2 modes_w, C].
     pub r: &'a Tensor,
@@ -68,64 +118,51 @@ impl Spectral {
         samples: usize,
         keep: bool,
     ) -> Result<Self> {
-        assert!(
-            tuning.sharing == Sharing::Loads || tuning.spectral_teams == 1,
-            "a subgroup shares operands within one team"
-        );
-        let Config { modes_h, modes_w, channels, .. } = *config;
-        let complex = |tile: usize, channels: usize| tile * modes_h * channels;
-        let bytes = |tile: usize| 8 * (complex(tile, channels) + complex(tile, ACROSS));
         let room = context.device.limits().max_compute_workgroup_storage_size as usize;
-        if bytes(1) > room {
-            return Err(Error::Device(format!(
-                "{}: {modes_h} rows of modes of {channels} channels take {} bytes of workgroup memory, and it has {room}",
-                context.name(),
-                bytes(1)
-            )));
-        }
-        let few = samples / TILE * modes_w * channels.div_ceil(ACROSS) < ENOUGH;
-        let alone = !samples.is_multiple_of(TILE)
-            || bytes(TILE) > room
-            || (few && context.kind() == AdapterKind::Hardware);
-        let tile = if alone { 1 } else { TILE };
+        let Config { modes_h, channels, .. } = *config;
+        let division = Division::new(tuning, config, samples, room).ok_or_else(|| {
+            let least = 8 * modes_h * (channels + ACROSS[ACROSS.len() - 1]);
+            Error::Device(format!(
+                "{}: {modes_h} rows of modes of {channels} channels take {least} bytes of workgroup memory, and it has {room}",
+                context.name()
+            ))
+        })?;
+        let [inputs, outputs] = division.held(config).map(|n| n as f64);
         let constants = [
             ("KEEP", f64::from(u8::from(keep))),
-            ("TEAMS", f64::from(tuning.spectral_teams)),
-            ("INPUTS", complex(tile, channels) as f64),
-            ("OUTPUTS", complex(tile, ACROSS) as f64),
+            ("MODES", modes_h as f64),
+            ("LANES", division.lanes as f64),
+            ("ACROSS", division.across as f64),
+            ("ROW_PARTS", division.row_parts as f64),
+            ("INPUT_PARTS", division.input_parts as f64),
+            ("INPUTS", inputs),
+            ("OUTPUTS", outputs),
         ];
-        let unroll = Unroll { second: tile, ..tuning.unroll(modes_h) };
+        let unroll = Unroll { second: division.tile, ..tuning.unroll(modes_h / 2 + 1) };
         let kernel = Kernel::new(context, &SOURCE, unroll, &constants)?;
-        Ok(Self {
-            kernel,
-            tile,
-            modes_h,
-            modes_w,
-            channels,
-            keep,
-            nothing: Tensor::zeros(context, "no spectrum", &[2])?,
-        })
+        let nothing = Tensor::zeros(context, "no spectrum", &[2])?;
+        Ok(Self { kernel, division, config: *config, keep, nothing })
     }
 
     /// `weight` [modes, C, C, 2] (see [`by_mode`]).
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, tensors: SpectralTensors<'_>) {
         let SpectralTensors { table, r, inverse, spectrum } = tensors;
-        let &[samples, h, columns, channels] = r.shape() else { panic!("spectral: {:?}", r.shape()) };
-        let modes_w = self.modes_w;
-        assert_eq!((columns, channels), (2 * modes_w, self.channels));
-        assert!(samples.is_multiple_of(self.tile), "{samples} samples in tiles of {}", self.tile);
+        let &[samples, h, columns, c] = r.shape() else { panic!("spectral: {:?}", r.shape()) };
+        let (division, Config { channels, modes_h, modes_w, .. }) = (self.division, self.config);
+        assert_eq!((columns, c), (2 * modes_w, channels));
+        assert!(samples.is_multiple_of(division.tile), "{samples} samples in tiles of {}", division.tile);
         assert_eq!(spectrum.is_some(), self.keep);
         assert_eq!(inverse.shape(), r.shape());
-        assert_eq!(table.shape(), [h, self.modes_h, 2]);
-        assert_eq!(weight.shape(), [self.modes_h * modes_w, channels, channels, 2]);
+        assert_eq!(table.shape(), [h, modes_h / 2 + 1, 2]);
+        assert_eq!(weight.shape(), [modes_h * modes_w, channels, channels, 2]);
         if let Some(spectrum) = spectrum {
-            assert_eq!(spectrum.shape(), [samples, self.modes_h, modes_w, channels, 2]);
+            assert_eq!(spectrum.shape(), [samples, modes_h, modes_w, channels, 2]);
         }
-        let params =
-            Params { channels: size(channels), rows: size(h), modes_w: size(modes_w), strip: size(STRIP) };
+        let strip = size(division.strip(h));
+        let params = Params { channels: size(channels), rows: size(h), modes_w: size(modes_w), strip };
         let tensors = [table, weight, r, inverse, spectrum.unwrap_or(&self.nothing)];
-        let across = modes_w * groups(channels, ACROSS as u32) as usize;
-        schedule.dispatch(&self.kernel, &params, &tensors, [size(across), size(samples / self.tile), 1]);
+        let count = [size(division.groups(&self.config)), size(samples / division.tile), 1];
+        schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }
 

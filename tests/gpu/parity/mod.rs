@@ -30,7 +30,6 @@ mod project;
 mod project_adj;
 mod quasi_newton;
 mod real_fft2;
-mod rescale;
 mod scalar_head;
 mod spectral;
 mod spectral_weight_adj;

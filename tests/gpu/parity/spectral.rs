@@ -83,10 +83,14 @@ fn convolutions_match() {
             let r = noise(shape.iter().product(), 31);
             let modes = spectrum(&config, grid, &r);
             let expected = inverse(&config, grid, &product(&config, &modes, &weight));
-            let table = tensor("table", &[grid.h, config.modes_h, 2], &tables::columns(&config, grid.h));
+            let table =
+                tensor("table", &[grid.h, config.modes_h / 2 + 1, 2], &tables::columns(&config, grid.h));
             let r = tensor("r", &shape, &r);
-            let teams = [1, 2, 4].map(|spectral_teams| Tuning { spectral_teams, ..sharings()[1] });
-            for tuning in sharings().into_iter().chain(teams) {
+            let [software, hardware] = sharings();
+            let divided = |(spectral_teams, busy_groups)| {
+                [software, hardware].map(|tuning| Tuning { spectral_teams, busy_groups, ..tuning })
+            };
+            for tuning in [(1, 1), (2, 10), (4, 30), (1, 60), (4, 1000)].into_iter().flat_map(divided) {
                 for keep in [false, true] {
                     let kernel = Spectral::new(context(), &tuning, &config, samples, keep).unwrap();
                     let found = poisoned("inverse", &shape);
