@@ -11,7 +11,8 @@
 // tile is the number of samples that share one reading of the weights; S is a multiple of it.
 // One workgroup: ACROSS output channels of one kept column of a tile of samples. It makes the spectrum of all input channels in
 // workgroup memory first, so that the fewer channels it has, the more often a column is transformed and the more workgroups there
-// are. Its invocations share rows and channels of the transform, then inputs and modes of the product, then strips of rows.
+// are. Its invocations share rows and channels of the transform, then inputs and modes of the product, then strips of rows. Sums are
+// made of PARTS sums, whether an invocation makes all of those or one: they do not depend on how the work is divided.
 // Workgroups: (modes_w * C / ACROSS, S / second tile).
 // Adjoint: itself with the `spectral_transpose`d weight (r), `spectral_weight_adj` (weight).
 
@@ -33,7 +34,8 @@ override KEEP: bool = false;
 override MODES: u32 = 8; // modes_h
 override LANES: u32 = 256;
 override ACROSS: u32 = 64;
-// Parts of a column's rows, and of the input channels, that are summed apart.
+override PARTS: u32 = 1;
+// Parts of a column's rows, and of the input channels, that are summed by invocations of their own: 1 or PARTS.
 override ROW_PARTS: u32 = 1;
 override INPUT_PARTS: u32 = 1;
 // Elements of the workgroup's memory: MODES * second tile * C * ROW_PARTS, and MODES * second tile * ACROSS * INPUT_PARTS.
@@ -51,28 +53,33 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
     let column = group.x % params.modes_w;
     let slice = group.x / params.modes_w * ACROSS;
     let first = group.y * $t;
-    let row_part = (params.rows + ROW_PARTS - 1u) / ROW_PARTS;
+    let row_part = (params.rows + PARTS - 1u) / PARTS;
     let transforms = $t * ROW_PARTS * channels;
     for (var begin = 0u; begin < transforms; begin += LANES) {
         let item = min(begin + index, transforms - 1u);
         let channel = item % channels;
         let of_parts = item / channels;
         let sample = first + of_parts / ROW_PARTS;
-        let top = of_parts % ROW_PARTS * row_part;
-        let bottom = min(top + row_part, params.rows);
-        // Sums of re cos, im sin, im cos and re sin.
+        // The modes of -k and k.
         var z$c = vec4f();
-        for (var y = top; y < bottom; y++) {
-            let at = ((sample * params.rows + y) * params.modes_w + column) * 2u * channels + channel;
-            let re = r[at];
-            let im = r[at + channels];
-            let t$c = $same(table[y * $n + $c]);
-            z$c += vec4f(re, im, im, re) * t$c.xyxy;
+        for (var turn = 0u; turn < PARTS / ROW_PARTS; turn++) {
+            let top = (of_parts % ROW_PARTS + turn) * row_part;
+            let bottom = min(top + row_part, params.rows);
+            // Sums of re cos, im sin, im cos and re sin.
+            var part$c = vec4f();
+            for (var y = top; y < bottom; y++) {
+                let at = ((sample * params.rows + y) * params.modes_w + column) * 2u * channels + channel;
+                let re = r[at];
+                let im = r[at + channels];
+                let t$c = $same(table[y * $n + $c]);
+                part$c += vec4f(re, im, im, re) * t$c.xyxy;
+            }
+            z$c += vec4f(part$c.xz, part$c.xz) + vec4f(-part$c.y, part$c.w, part$c.y, -part$c.w);
         }
         if begin + index < transforms {
             let zero = (of_parts * MODES + MODES / 2u) * channels + channel;
-            inputs[zero - $cu * channels] = vec2f(z$c.x - z$c.y, z$c.z + z$c.w);
-            if $cu + MODES / 2u < MODES { inputs[zero + $cu * channels] = vec2f(z$c.x + z$c.y, z$c.z - z$c.w); }
+            inputs[zero - $cu * channels] = z$c.xy;
+            if $cu + MODES / 2u < MODES { inputs[zero + $cu * channels] = z$c.zw; }
         }
     }
     workgroupBarrier();
@@ -96,7 +103,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
                 inputs[k + of_tile * (ROW_PARTS - 1u) * MODES * channels];
         }
     }
-    let input_part = (channels + INPUT_PARTS - 1u) / INPUT_PARTS;
+    let input_part = (channels + PARTS - 1u) / PARTS;
     let products = MODES * INPUT_PARTS * ACROSS;
     for (var begin = 0u; begin < products; begin += LANES) {
         let item = min(begin + index, products - 1u);
@@ -104,12 +111,16 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
         let of_parts = item / ACROSS;
         let mode = of_parts / INPUT_PARTS;
         let part = of_parts % INPUT_PARTS;
-        let to = min((part + 1u) * input_part, channels);
         var p$k = vec2f();
-        for (var i = part * input_part; i < to; i++) {
-            let w = vec2f(weight[((mode * params.modes_w + column) * channels + i) * channels + channel]);
-            let x$k = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i]);
-            p$k += vec2f(x$k.x * w.x - x$k.y * w.y, x$k.x * w.y + x$k.y * w.x);
+        for (var turn = 0u; turn < PARTS / INPUT_PARTS; turn++) {
+            let to = min((part + turn + 1u) * input_part, channels);
+            var part$k = vec2f();
+            for (var i = (part + turn) * input_part; i < to; i++) {
+                let w = vec2f(weight[((mode * params.modes_w + column) * channels + i) * channels + channel]);
+                let x$k = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i]);
+                part$k += vec2f(x$k.x * w.x - x$k.y * w.y, x$k.x * w.y + x$k.y * w.x);
+            }
+            p$k += part$k;
         }
         if begin + index < products {
             outputs[((part * $t + $k) * MODES + mode) * ACROSS + item % ACROSS] = p$k;

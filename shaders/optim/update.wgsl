@@ -1,7 +1,7 @@
 // The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
 //
 // Then the shift of the trial: x(a) - x = base + a, or base alone at a handle, whose way is prescribed.
-// field: [S, H, Q] quads; scale: [S]; grad, base, a, shift: [S, H, W] = [B, 3, H, W]; slots: [B, H, W];
+// field: [parts, S, H, Q] quads, to be added up; scale: [S]; grad, base, a, shift: [S, H, W] = [B, 3, H, W]; slots: [B, H, W];
 // hidden: [2, S, H, W], last gradient and last step.
 // One invocation: one particle's component. Workgroups: (n / 64, S).
 // Adjoint: `update_adj`.
@@ -11,6 +11,10 @@ struct Params {
     columns: u32, // W
     row_quads: u32, // Q
     samples: u32, // S
+    parts: u32,
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -33,7 +37,11 @@ fn update(@builtin(global_invocation_id) id: vec3u) {
     }
     let at = sample * n + p;
     let padded = (sample * params.rows + p / params.columns) * 4u * params.row_quads + p % params.columns;
-    let step = scale[sample] * tanh_exact(vec4f(field[padded])).x;
+    var value = field[padded];
+    for (var part = 1u; part < params.parts; part++) {
+        value += field[padded + part * params.samples * params.rows * 4u * params.row_quads];
+    }
+    let step = scale[sample] * tanh_exact(vec4f(value)).x;
     hidden[at] = grad[at];
     hidden[params.samples * n + at] = step;
     let next = a[at] + step;

@@ -77,11 +77,12 @@ pub fn run(args: &Args) -> Result<Ending> {
 }
 
 fn describe(tuning: &Tuning) -> String {
-    let Tuning { channels, pointwise_group, block_wide, block_high, .. } = tuning;
+    let Tuning { channels, pointwise_group, block_wide, block_high, block_deep, staged, .. } = tuning;
     let Tuning { rows_in_blocks, spectral_teams, busy_groups, sharing, .. } = tuning;
     let rows = if *rows_in_blocks { "in blocks" } else { "apart" };
+    let staged = if *staged { " staged" } else { "" };
     format!(
-        "tile {channels}, block {block_wide}x{block_high}, group {pointwise_group}, rows {rows}, teams {spectral_teams}, \
+        "tile {channels}, block {block_wide}x{block_high}x{block_deep}{staged}, group {pointwise_group}, rows {rows}, teams {spectral_teams}, \
          busy {busy_groups}, {sharing:?}"
     )
     .to_lowercase()

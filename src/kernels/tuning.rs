@@ -15,8 +15,13 @@ pub struct Tuning {
     pub pointwise_group: u32,
     /// Largest number of invocations along a row of the workgroup of a block that does not take whole rows.
     pub block_wide: u32,
-    /// Most rows per workgroup of a block.
+    /// Most rows per workgroup of a block; 1 with `staged`.
     pub block_high: u32,
+    /// Most tiles of output channels per workgroup of a block.
+    pub block_deep: u32,
+    /// Whether the inputs and weights of a block go through workgroup memory, and the lifting's two layers are one dispatch: each
+    /// is read once for all channels of a workgroup, and an invocation waits for few readings instead of one for each input.
+    pub staged: bool,
     /// Whether blocks transform their rows for the next one where a row fits a workgroup: fewer dispatches, which is what a
     /// frame of few cloths waits for, and one reading less.
     pub rows_in_blocks: bool,
@@ -34,9 +39,6 @@ pub struct Tuning {
 /// Channel counts are padded to a multiple of this, the largest tile.
 pub const CHANNEL_MULTIPLE: usize = 32;
 
-/// Most invocations of a workgroup that every device takes.
-const INVOCATIONS: u32 = 256;
-
 /// Variable of the environment that names the folder for what is measured, in place of the user's cache directory.
 const FOLDER: &str = "FNOPT_CACHE";
 
@@ -50,6 +52,9 @@ struct Stored {
 }
 
 impl Tuning {
+    /// Most invocations of a workgroup that every device takes.
+    pub const INVOCATIONS: u32 = 256;
+
     /// The tuning that was measured on this adapter ([`crate::sim::tune`]), if one is stored; else [`Tuning::table`].
     pub fn new(context: &Context) -> Self {
         Self::stored(context).unwrap_or_else(|| Self::table(context))
@@ -59,21 +64,30 @@ impl Tuning {
     /// is a branch and a move of its own (llvmpipe), smaller tiles and more invocations where there are thousands of
     /// lanes to fill.
     pub fn table(context: &Context) -> Self {
-        let (channels, block_wide, block_high, spectral_teams, busy_groups) = match context.kind() {
-            AdapterKind::Software => (32, 64, 1, 1, 1),
-            AdapterKind::Hardware => (8, 8, 8, 4, 128),
-        };
-        let sharing = context.sharing();
-        Self {
-            channels,
+        let software = Self {
+            channels: 32,
             pointwise_group: 64,
-            block_wide,
-            block_high,
+            block_wide: 64,
+            block_high: 1,
+            block_deep: 1,
+            staged: false,
             rows_in_blocks: true,
-            spectral_teams,
-            busy_groups,
-            sharing,
+            spectral_teams: 1,
+            busy_groups: 1,
+            sharing: context.sharing(),
             hidden_bytes: 256 << 20,
+        };
+        match context.kind() {
+            AdapterKind::Software => software,
+            AdapterKind::Hardware => Self {
+                channels: 8,
+                block_wide: 32,
+                block_deep: 8,
+                staged: true,
+                spectral_teams: 4,
+                busy_groups: 128,
+                ..software
+            },
         }
     }
 
@@ -83,6 +97,8 @@ impl Tuning {
         let groups = [32, 64, 128, 256].map(|pointwise_group| Self { pointwise_group, ..*self });
         let shapes = [(8, 8), (16, 4), (16, 8), (32, 1), (32, 4), (64, 1)];
         let shapes = shapes.map(|(block_wide, block_high)| Self { block_wide, block_high, ..*self });
+        let depths = [1, 2, 4, 8, 16].map(|block_deep| Self { block_deep, ..*self });
+        let staged = [true, false].map(|staged| Self { staged, ..*self });
         let places = [true, false].map(|rows_in_blocks| Self { rows_in_blocks, ..*self });
         let teams = [1, 2, 4].map(|spectral_teams| Self { spectral_teams, ..*self });
         let busy = [1, 8, 32, 128, 512].map(|busy_groups| Self { busy_groups, ..*self });
@@ -98,6 +114,8 @@ impl Tuning {
         };
         vec![
             others(&channels),
+            others(&depths),
+            others(&staged),
             others(&shapes),
             others(&groups),
             others(&places),
@@ -109,15 +127,22 @@ impl Tuning {
 
     /// Whether the kernels can be made with it on the adapter.
     pub fn works(&self, context: &Context) -> bool {
-        // Subgroups share operands within one row of invocations only.
-        let in_rows = self.block_high == 1;
-        let shared = self.sharing == Sharing::Loads || (context.sharing() == self.sharing && in_rows);
+        // Subgroups share operands within one row, and so does what is staged.
+        let in_rows = self.sharing == Sharing::Loads || self.block_wide.is_multiple_of(8);
+        let staged = self.block_high == 1 || !self.staged;
+        let shared = staged && in_rows && [Sharing::Loads, context.sharing()].contains(&self.sharing);
         let tile = self.channels >= 4 && self.channels.is_multiple_of(4);
-        let fits = |n: u32| (1..=INVOCATIONS).contains(&n);
+        let fits = |n: u32| (1..=Self::INVOCATIONS).contains(&n);
         let rows = self.block_wide.checked_mul(self.block_high);
-        let teams = (1..=INVOCATIONS / 64).contains(&self.spectral_teams);
+        let teams = (1..=Self::INVOCATIONS / 64).contains(&self.spectral_teams);
         let groups = fits(self.pointwise_group) && teams && self.block_high > 0 && rows.is_some_and(fits);
-        shared && tile && groups && CHANNEL_MULTIPLE.is_multiple_of(self.channels) && self.hidden_bytes > 0
+        let depth = (1..=16).contains(&self.block_deep);
+        shared
+            && tile
+            && groups
+            && depth
+            && CHANNEL_MULTIPLE.is_multiple_of(self.channels)
+            && self.hidden_bytes > 0
     }
 
     /// The text of a kernel with a tile of this size.

@@ -109,7 +109,7 @@ impl Backward {
         tuning: &Tuning,
     ) -> Result<Self> {
         let (config, grid) = (forward.config, forward.grid);
-        let &[samples, h, w] = forward.field.shape() else { panic!("a field is [S, H, W']") };
+        let &[1, samples, h, w] = forward.field.shape() else { panic!("a field is [1, S, H, W']") };
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let upload =
             |label, shape: &[usize], data: Vec<f32>| Tensor::from_slice(context, label, shape, &data);
@@ -213,7 +213,7 @@ impl Backward {
         k.spectral.push(schedule, &transposed.products[block], s.columns(Some(&self.adj_spectrum)));
         let to = &self.gradient.products[block];
         self.kernels.spectral_weight_adj.push(schedule, &s.modes[block], &self.adj_spectrum, to);
-        let tensors = BlockTensors { x: adj_y, r: &s.inverse, y: adj_x, rows: None, rows_max: None };
+        let tensors = BlockTensors { x: adj_y, r: &s.inverse, y: adj_x, made: None, rows_max: None };
         let tables = (&self.forward_rows_adj, forward.grid.w);
         k.block(After::default()).push(schedule, &transposed.skips[block], tables, tensors);
         let all = pointwise::Samples { count: self.adj_scalar.len(), x_first: 0, y_first: 0 };

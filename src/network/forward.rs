@@ -4,8 +4,8 @@ use super::parameters::Layers;
 use super::{Config, Layout, Parameters, Weights, tables};
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::operator::{
-    Activate, After, Block, BlockTensors, Pointwise, PoolRows, Project, ScalarHead, Scales, Spectral,
-    SpectralTensors, TransformRows, pointwise,
+    Activate, After, Block, BlockTensors, Layer, LayerSize, Pointwise, PoolRows, Project, ScalarHead, Scales,
+    Spectral, SpectralTensors, TransformRows, block, pointwise,
 };
 use crate::kernels::{Tuning, padded};
 use crate::sim::Grid;
@@ -21,14 +21,13 @@ pub struct Forward {
     pub(super) grid: Grid,
     /// Input channels, shape [S, 5, H, W']: the normalised fields, then `i / (H-1)` and `j / (W-1)`; zero in the padding.
     pub embedded: Tensor,
-    /// Output of the field head, shape [S, H, W'].
+    /// Output of the field head in parts to be added up, shape [parts, S, H, W']; one part unless [`Keep::Nothing`] is kept.
     pub field: Tensor,
     /// Output of the scalar head, shape `[S]`.
     pub scalar: Tensor,
     pub(super) hidden: Tensor,
     keep: Keep,
-    /// Whether the first layer of the projection changes nothing ([`Weights::folded`]) and is left out.
-    folded: bool,
+    joined: Joined,
     /// What each block does beside the linear part of its output.
     afters: Vec<After>,
     activations: Vec<Tensor>,
@@ -41,6 +40,15 @@ pub struct Forward {
     pub(super) rows_max: Tensor,
     pub(super) layers: Layers,
     pub(super) kernels: Kernels,
+}
+
+/// Layers that are joined, where their weights do not change.
+#[derive(Debug, Default)]
+struct Joined {
+    /// The last block with the last layer of the field head: where the first one changes nothing ([`Weights::folded`]).
+    head: Option<Layer>,
+    /// The first layer of the lifting, for a kernel of both ([`block::hidden_units`]).
+    lifting: Option<Tensor>,
 }
 
 #[derive(Debug)]
@@ -67,6 +75,8 @@ impl Spectra {
 pub(super) struct Kernels {
     pub dense: Pointwise,
     dense_gelu: Pointwise,
+    /// Both layers of the lifting.
+    lifting: Option<Block>,
     pub transform_rows: TransformRows,
     pub spectral: Spectral,
     /// One of each kind that the network has.
@@ -102,8 +112,8 @@ impl Forward {
         let context = &context.with_storage(storage)?;
         let layout = Layout::new(weights.config, tuning.channels);
         let layers = layout.stored_layers(context, weights)?;
-        let folded = keep == Keep::Nothing && weights.is_folded();
-        Self::build(context, (&layout, layers), tuning, shape, (keep, folded))
+        let joined = Joined::new(context, (&layout, &layers), weights, (tuning, keep))?;
+        Self::build(context, (&layout, layers), tuning, shape, (keep, joined))
     }
 
     /// The same on weights that are on the device already, and may change there; in single precision, whatever the context's
@@ -117,7 +127,7 @@ impl Forward {
     ) -> Result<Self> {
         let context = &context.with_storage(Storage::F32)?;
         let layers = parameters.layout().layers(&parameters.flat);
-        Self::build(context, (parameters.layout(), layers), tuning, shape, (keep, false))
+        Self::build(context, (parameters.layout(), layers), tuning, shape, (keep, Joined::default()))
     }
 
     fn build(
@@ -125,7 +135,7 @@ impl Forward {
         (layout, layers): (&Layout, Layers),
         tuning: &Tuning,
         shape: (Grid, usize),
-        (keep, folded): (Keep, bool),
+        (keep, joined): (Keep, Joined),
     ) -> Result<Self> {
         let (grid, samples) = shape;
         let config = layout.padded();
@@ -133,7 +143,11 @@ impl Forward {
         let (h, w) = (grid.h, padded(grid.w));
         let plane = h * w;
         let lifted_bytes = context.storage().bytes() * config.lifting * plane;
-        let lifted_at_once = (tuning.hidden_bytes / lifted_bytes).clamp(1, samples.max(1));
+        // Nothing is between the layers where they are joined.
+        let lifted_at_once = match joined.lifting {
+            Some(_) => 0,
+            None => (tuning.hidden_bytes / lifted_bytes).clamp(1, samples.max(1)),
+        };
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
         let activation = |label| stored(label, &[samples, config.channels, h, w]);
@@ -157,9 +171,22 @@ impl Forward {
             before_gelu.push(zeros("before GELU", &[samples, config.projection, h, w])?);
         }
         // The backward pass wants what is before the GELU, and the rows are those of what is behind it.
-        let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, w / 4);
-        let afters: Vec<After> =
-            (0..config.layers).map(|block| after(&config, block, (keep, folded), rows_in_blocks)).collect();
+        let size =
+            LayerSize { row_quads: w / 4, modes_w: config.modes_w, channels: config.channels, lifting: None };
+        let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
+        let joins_head = joined.head.is_some();
+        let afters: Vec<After> = (0..config.layers)
+            .map(|block| after(&config, block, (keep, joins_head), rows_in_blocks))
+            .collect();
+        let lifting = joined.lifting.as_ref().map(|_| {
+            let lifting = Some([config.lifting, config.inputs()]);
+            let size = LayerSize { lifting, ..size };
+            let rows = rows_in_blocks && Block::takes_rows(context, tuning, &size);
+            Block::new(context, tuning, size, After { rows, ..After::default() })
+        });
+        let kernels = Kernels::new(context, &config, tuning, (samples, size), (keep, &afters))?;
+        let kernels = Kernels { lifting: lifting.transpose()?, ..kernels };
+        let parts = if joins_head { kernels.block(afters[config.layers - 1]).field_parts() } else { 1 };
         let mut block_rows = tables::inverse_rows(&config, grid.w);
         if rows_in_blocks {
             block_rows.extend(tables::forward_rows(&config, h, grid.w));
@@ -173,11 +200,11 @@ impl Forward {
             config,
             grid,
             embedded: stored("embedded", &[samples, config.inputs(), h, w])?,
-            field: zeros("field", &[samples, h, w])?,
+            field: zeros("field", &[parts, samples, h, w])?,
             scalar: zeros("scalar", &[samples])?,
             hidden: stored("hidden", &[lifted_at_once, config.lifting, h, w])?,
             keep,
-            folded,
+            joined,
             activations,
             before_gelu,
             projected,
@@ -199,7 +226,7 @@ impl Forward {
             },
             rows_max: zeros("rows_max", &[samples, h, config.channels])?,
             layers,
-            kernels: Kernels::new(context, &config, tuning, (samples, w / 4), (keep, &afters))?,
+            kernels,
             afters,
         })
     }
@@ -208,24 +235,27 @@ impl Forward {
     pub fn push(&self, schedule: &mut Schedule, scales: Option<Scales<'_>>) {
         let k = &self.kernels;
         let slot = |i: usize| &self.activations[i % self.activations.len()];
-        self.push_lifting(schedule);
+        let mut has_rows = self.push_lifting(schedule);
         for block in 0..self.config.layers {
             let (x, y) = (slot(block), slot(block + 1));
             let s = &self.spectral;
             let after = self.afters[block];
-            if block == 0 || !self.afters[block - 1].rows {
+            if !has_rows {
                 k.transform_rows.push(schedule, &s.forward_rows, x, &s.rows);
             }
+            has_rows = after.rows;
             k.spectral.push(schedule, &self.layers.products[block], s.columns(s.modes.get(block)));
             let before = self.before_gelu.get(block).filter(|_| block + 1 < self.config.layers);
             let tensors = BlockTensors {
                 x,
                 r: &s.inverse,
                 y: before.unwrap_or(y),
-                rows: after.rows.then_some(&s.rows),
+                made: if after.field { Some(&self.field) } else { after.rows.then_some(&s.rows) },
                 rows_max: after.pool.then_some(&self.rows_max),
             };
-            k.block(after).push(schedule, &self.layers.skips[block], (&s.block_rows, self.grid.w), tensors);
+            let head = self.joined.head.as_ref().filter(|_| after.field);
+            let layer = head.unwrap_or(&self.layers.skips[block]);
+            k.block(after).push(schedule, layer, (&s.block_rows, self.grid.w), tensors);
             if let Some(before) = before {
                 k.activate.push(schedule, before, y);
             }
@@ -239,8 +269,7 @@ impl Forward {
         }
         let [inner, outer] = &self.layers.projection;
         let y = slot(self.config.layers);
-        if self.folded {
-            k.project.push(schedule, outer, y, &self.field);
+        if self.joined.head.is_some() {
             return;
         }
         match self.before_gelu.last() {
@@ -259,9 +288,17 @@ impl Forward {
         &self.activations[i]
     }
 
-    fn push_lifting(&self, schedule: &mut Schedule) {
+    /// Whether that makes the rows' spectra, too.
+    fn push_lifting(&self, schedule: &mut Schedule) -> bool {
         let (samples, at_once) = (self.embedded.shape()[0], self.hidden.shape()[0]);
         let (k, lifted) = (&self.kernels, &self.activations[0]);
+        if let (Some(kernel), Some(units)) = (&k.lifting, &self.joined.lifting) {
+            let (s, rows) = (&self.spectral, kernel.after().rows);
+            let made = rows.then_some(&s.rows);
+            let tensors = BlockTensors { x: &self.embedded, r: units, y: lifted, made, rows_max: None };
+            kernel.push(schedule, &self.layers.lifting[1], (&s.forward_rows, self.grid.w), tensors);
+            return rows;
+        }
         for first in (0..samples).step_by(at_once) {
             let count = at_once.min(samples - first);
             let [inner, outer] = &self.layers.lifting;
@@ -270,6 +307,48 @@ impl Forward {
             let from = pointwise::Samples { count, x_first: 0, y_first: first };
             k.dense.push_part(schedule, outer, (&self.hidden, lifted), from);
         }
+        false
+    }
+}
+
+impl Joined {
+    /// What can be joined of `weights`, whose layers are on the device.
+    fn new(
+        context: &Context,
+        (layout, layers): (&Layout, &Layers),
+        weights: &Weights,
+        (tuning, keep): (&Tuning, Keep),
+    ) -> Result<Self> {
+        let config = layout.padded();
+        let padded = |values: &[f32], len: usize| {
+            let mut values = values.to_vec();
+            values.resize(len, 0.0);
+            values
+        };
+        let head = if keep == Keep::Nothing && weights.is_folded() {
+            let last = weights.blocks.len() - 1;
+            let [_, outer] = &weights.projection;
+            let [bias, head] =
+                [&weights.blocks[last].bias, &outer.weight].map(|values| padded(values, config.channels));
+            let bias = block::with_head(&bias, (&head, outer.bias[0]));
+            let bias = Tensor::from_slice(context, "bias and head", &[bias.len()], &bias)?;
+            Some(Layer { weight: layers.skips[last].weight.clone(), bias })
+        } else {
+            None
+        };
+        let lifting = if tuning.staged && keep != Keep::Adjoint {
+            let [inner, _] = &weights.lifting;
+            let (weight, bias) = (
+                padded(&inner.weight, config.lifting * config.inputs()),
+                padded(&inner.bias, config.lifting),
+            );
+            let units = block::hidden_units(&weight, &bias);
+            let shape = [config.lifting, units.len() / config.lifting];
+            Some(Tensor::from_slice(context, "hidden units", &shape, &units)?)
+        } else {
+            None
+        };
+        Ok(Self { head, lifting })
     }
 }
 
@@ -278,18 +357,19 @@ impl Kernels {
         context: &Context,
         config: &Config,
         tuning: &Tuning,
-        (samples, row_quads): (usize, usize),
+        (samples, size): (usize, LayerSize),
         (keep, afters): (Keep, &[After]),
     ) -> Result<Self> {
         let mut blocks: Vec<Block> = Vec::new();
         for &after in afters {
             if blocks.iter().all(|b| b.after() != after) {
-                blocks.push(Block::new(context, tuning, (row_quads, config.modes_w), after)?);
+                blocks.push(Block::new(context, tuning, size, after)?);
             }
         }
         Ok(Self {
             dense: Pointwise::new(context, tuning, false)?,
             dense_gelu: Pointwise::new(context, tuning, true)?,
+            lifting: None,
             transform_rows: TransformRows::new(context, tuning, config.modes_w)?,
             spectral: Spectral::new(context, tuning, config, samples, keep == Keep::Adjoint)?,
             blocks,
@@ -308,10 +388,11 @@ impl Kernels {
 }
 
 /// What a block of the network does beside the linear part of its output.
-fn after(config: &Config, block: usize, (keep, folded): (Keep, bool), rows_in_blocks: bool) -> After {
+fn after(config: &Config, block: usize, (keep, joins_head): (Keep, bool), rows_in_blocks: bool) -> After {
     let last = block + 1 == config.layers;
     After {
-        gelu: if last { folded } else { keep != Keep::Adjoint },
+        gelu: if last { joins_head } else { keep != Keep::Adjoint },
+        field: last && joins_head,
         rows: rows_in_blocks && !last,
         pool: rows_in_blocks && block == config.scalar_block(),
     }

@@ -47,24 +47,34 @@ pub fn device() -> MutexGuard<'static, ()> {
 /// The tunings of both kinds of adapter, then the other widths of tile that the kernels allow.
 pub fn tunings() -> [Tuning; 4] {
     let own = Tuning::new(context());
-    let loads = Tuning { sharing: Sharing::Loads, ..own };
+    let unstaged = Tuning { staged: false, block_high: 1, block_deep: 1, ..own };
+    let loads = Tuning { sharing: Sharing::Loads, ..unstaged };
     [
-        Tuning { channels: 32, block_wide: 64, block_high: 1, spectral_teams: 1, busy_groups: 1, ..own },
-        Tuning { channels: 8, block_wide: 8, block_high: 8, spectral_teams: 4, busy_groups: 128, ..loads },
+        Tuning { channels: 32, block_wide: 64, spectral_teams: 1, busy_groups: 1, ..unstaged },
+        Tuning {
+            channels: 8,
+            block_wide: 32,
+            block_deep: 8,
+            staged: true,
+            spectral_teams: 4,
+            busy_groups: 128,
+            ..loads
+        },
         Tuning {
             channels: 16,
             block_wide: 32,
-            block_high: 1,
+            block_deep: 4,
             rows_in_blocks: false,
             spectral_teams: 2,
             busy_groups: 25,
-            ..own
+            ..unstaged
         },
         Tuning {
             channels: 4,
             pointwise_group: 32,
             block_wide: 16,
             block_high: 4,
+            block_deep: 2,
             spectral_teams: 2,
             busy_groups: 60,
             ..loads

@@ -1,9 +1,10 @@
 //! Whole frames: against the CPU path, repeated, in batches, in a host's encoder.
 
-use crate::common::{assert_close, context, device, half, largest, noise, widened};
+use crate::common::{assert_close, context, device, half, largest, noise, sharings, widened};
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
 use fnopt::gpu::{Context, Tensor};
+use fnopt::kernels::Tuning;
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{
@@ -206,15 +207,19 @@ fn frames_of_all_optimizers_agree_with_the_host() {
 fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
     let _turn = device();
     let (model, start, control) = varied_batch();
-    let run = |model: &Model, optimizer: &Optimizer, start: &State<f32>, control: &Control<f32>| {
-        let solver = solver(model, optimizer, 4, start);
-        {
+    // The second divides a convolution of three cloths and one of one cloth in different ways.
+    let [own, hardware] = sharings();
+    let divided = Tuning { busy_groups: 60, ..hardware };
+    let learned = (Optimizer::Learned(starter().clone()), divided);
+    for (optimizer, tuning) in optimizers().map(|optimizer| (optimizer, own)).into_iter().chain([learned]) {
+        let run = |model: &Model, optimizer: &Optimizer, start: &State<f32>, control: &Control<f32>| {
+            let options = SolverOptions { iterations: 4, tuning: Some(tuning) };
+            let solver = Solver::new(context(), model, optimizer, &options).unwrap();
+            solver.set_state(start);
             step(&solver, control);
             step(&solver, control);
             step(&solver, control)
-        }
-    };
-    for optimizer in optimizers() {
+        };
         let all = run(&model, &optimizer, &start, &control);
         let again = run(&model, &optimizer, &start, &control);
         assert_same(&format!("{} repeats", optimizer.name()), &all.x, &again.x);

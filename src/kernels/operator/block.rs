@@ -1,9 +1,9 @@
 //! Host side of `shaders/operator/block.wgsl`.
 
 use super::Layer;
-use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll};
 use crate::kernels::{Tuning, common, groups, padded, size};
+use crate::{Error, Result};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -12,18 +12,24 @@ pub const SOURCE: Source = Source {
     common: &[common::GELU],
 };
 
+/// Workgroup memory for inputs and weights on their way, where that is not needed for rows: enough for few turns, and for several
+/// workgroups to a multiprocessor.
+const STAGE_BYTES: usize = 16 << 10;
+
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
+    inputs: u32,
     channels: u32,
     rows: u32,
     row_quads: u32,
     columns: u32,
     width: u32,
-    pad: [u32; 3],
+    samples: u32,
+    embedded: u32,
 }
 
-/// What a block does beside the linear part of its output.
+/// What a layer does beside the linear part of its output.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct After {
     /// The activation.
@@ -32,85 +38,143 @@ pub struct After {
     pub rows: bool,
     /// The largest value of each row of the output, for the scalar head.
     pub pool: bool,
+    /// The last layer of the field head, in place of the output.
+    pub field: bool,
 }
 
-/// A Fourier block after its columns: inverse rows, skip, bias, activation, and what the next kernels want of its rows.
+impl After {
+    /// Whether it wants whole rows in a workgroup.
+    fn whole_rows(&self) -> bool {
+        self.rows || self.pool
+    }
+}
+
+/// Sizes that a layer is compiled for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LayerSize {
+    /// Quads of columns to a row (Q).
+    pub row_quads: usize,
+    /// Kept columns.
+    pub modes_w: usize,
+    /// Channels of the output (C).
+    pub channels: usize,
+    /// Hidden units and input channels of the lifting; none for a block.
+    pub lifting: Option<[usize; 2]>,
+}
+
+impl LayerSize {
+    /// Inputs that are summed: channels and columns of spectra, or hidden units.
+    fn inputs(&self) -> usize {
+        self.lifting.map_or(self.channels + 2 * self.modes_w, |[hidden, _]| hidden)
+    }
+}
+
+/// The shape of a workgroup.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Group {
+    wide: usize,
+    high: usize,
+    deep: usize,
+    /// Inputs that are staged at a time.
+    chunk: usize,
+    /// Quads of its memory.
+    memory: usize,
+}
+
+impl Group {
+    /// The group of a layer, with as many tiles of channels as the tuning allows and fit; none if a row is too long for the device.
+    fn new(context: &Context, tuning: &Tuning, layer: &LayerSize, after: After) -> Option<Self> {
+        let limits = context.device.limits();
+        let room = limits.max_compute_workgroup_storage_size as usize / 16;
+        let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
+        // Subgroups that share operands want steps of the narrowest lanes there are.
+        let row = match tuning.sharing {
+            Sharing::Loads => layer.row_quads,
+            Sharing::Broadcast => layer.row_quads.next_multiple_of(8),
+        };
+        let (wide, high) = ((tuning.block_wide as usize).min(row), tuning.block_high as usize);
+        let [wide, high] =
+            if after.whole_rows() { [row, (wide * high / row).clamp(1, high)] } else { [wide, high] };
+        let quads = tuning.channels / 4;
+        let of_depth = |deep: usize| {
+            let held = match after {
+                _ if after.whole_rows() => high * deep * tuning.channels * (layer.row_quads | 1),
+                _ if after.field => wide * high * deep,
+                _ => 1,
+            };
+            let (mut chunk, mut memory) = (1, held);
+            if tuning.staged {
+                let input = wide + deep * quads;
+                let at_once = (held.max(STAGE_BYTES / 16) / input).max(1);
+                chunk = layer.inputs().div_ceil(layer.inputs().div_ceil(at_once));
+                memory = held.max(chunk * input);
+            }
+            Self { wide, high, deep, chunk, memory }
+        };
+        let tiles = layer.channels / tuning.channels;
+        let depths = (1..=tuning.block_deep as usize).rev().filter(|&deep| tiles.is_multiple_of(deep));
+        let fits = |g: &Self| {
+            let few = g.deep == 1 || g.lanes() <= Tuning::INVOCATIONS as usize;
+            few && g.lanes() <= most as usize && g.memory <= room
+        };
+        depths.map(of_depth).find(fits)
+    }
+
+    fn lanes(&self) -> usize {
+        self.wide * self.high * self.deep
+    }
+}
+
+/// A layer over rows and what the next kernels want of them: a Fourier block after its columns (inverse rows, skip, bias,
+/// activation), or the lifting.
 #[derive(Clone, Debug)]
 pub struct Block {
     kernel: Kernel,
     tile: usize,
-    workgroup: [u32; 2],
-    row_quads: usize,
-    columns: usize,
+    group: Group,
+    layer: LayerSize,
     after: After,
     /// What is bound where nothing is made of the rows.
     nothing: [Tensor; 2],
 }
 
-/// Invocations of a block's workgroup along a row and over rows.
-fn workgroup(tuning: &Tuning, row_quads: usize, whole_rows: bool) -> [u32; 2] {
-    // In steps of the narrowest lanes there are.
-    let row = size(row_quads).next_multiple_of(8);
-    let (wide, high) = (tuning.block_wide.min(row), tuning.block_high);
-    if whole_rows { [row, (wide * high / row).clamp(1, high)] } else { [wide, high] }
-}
-
-/// Quads of workgroup memory that the output of a workgroup takes, an odd number to each row.
-fn held(tuning: &Tuning, row_quads: usize) -> usize {
-    let [_, high] = workgroup(tuning, row_quads, true);
-    high as usize * tuning.channels * (row_quads | 1)
-}
-
 impl Block {
-    /// Whether a whole row of `row_quads` quads fits a workgroup, as [`After::rows`] and [`After::pool`] want it, and whether
-    /// the tuning wants it there.
-    pub fn takes_rows(context: &Context, tuning: &Tuning, row_quads: usize) -> bool {
-        let limits = context.device.limits();
-        let [wide, high] = workgroup(tuning, row_quads, true);
-        let invocations =
-            limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
-        let bytes = 16 * held(tuning, row_quads);
-        tuning.rows_in_blocks
-            && wide * high <= invocations
-            && bytes <= limits.max_compute_workgroup_storage_size as usize
+    /// Whether a whole row fits a workgroup, as [`After::rows`] and [`After::pool`] want it, and whether the tuning wants it there.
+    pub fn takes_rows(context: &Context, tuning: &Tuning, layer: &LayerSize) -> bool {
+        let after = After { rows: true, pool: true, ..After::default() };
+        tuning.rows_in_blocks && Group::new(context, tuning, layer, after).is_some()
     }
 
-    /// Compiles it for rows of `row_quads` quads and `modes_w` kept columns.
-    pub fn new(
-        context: &Context,
-        tuning: &Tuning,
-        (row_quads, modes_w): (usize, usize),
-        after: After,
-    ) -> Result<Self> {
-        assert!(
-            tuning.sharing == Sharing::Loads || tuning.block_high == 1,
-            "a subgroup shares operands within one row"
-        );
-        let (columns, whole_rows) = (2 * modes_w, after.rows || after.pool);
-        let workgroup = workgroup(tuning, row_quads, whole_rows);
+    /// Compiles it; an error if the device's workgroups are too small.
+    pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, after: After) -> Result<Self> {
+        assert!(tuning.block_high == 1 || !tuning.staged, "what is staged is of one row");
+        let (columns, inputs) = (2 * layer.modes_w, layer.inputs());
+        let group = Group::new(context, tuning, &layer, after).ok_or_else(|| {
+            let quads = layer.row_quads;
+            Error::Device(format!("{}: rows of {quads} quads do not fit a workgroup", context.name()))
+        })?;
         let flag = |flag: bool| f64::from(u8::from(flag));
         let constants = [
+            ("LIFTING", flag(layer.lifting.is_some())),
             ("GELU", flag(after.gelu)),
             ("ROWS", flag(after.rows)),
             ("POOL", flag(after.pool)),
-            ("WIDE", f64::from(workgroup[0])),
-            ("HIGH", f64::from(workgroup[1])),
-            ("HELD", if whole_rows { held(tuning, row_quads) as f64 } else { 1.0 }),
+            ("FIELD", flag(after.field)),
+            ("STAGED", flag(tuning.staged)),
+            ("WIDE", group.wide as f64),
+            ("HIGH", group.high as f64),
+            ("DEEP", group.deep as f64),
+            ("CHUNK", group.chunk as f64),
+            ("MEMORY", group.memory as f64),
         ];
         // Where operands are broadcast, loads are dear, and a row is read once for all columns; else invocations share them.
         let second = if tuning.sharing == Sharing::Broadcast { columns } else { 2 };
         let unroll = Unroll { second, ..tuning.unroll(tuning.channels) };
         let kernel = Kernel::new(context, &SOURCE, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
-        Ok(Self {
-            kernel,
-            tile: tuning.channels,
-            workgroup,
-            row_quads,
-            columns,
-            after,
-            nothing: [nothing()?, nothing()?],
-        })
+        assert!(inputs > 0 && !(after.field && after.whole_rows()), "an output is made, or the field of it");
+        let nothing = [nothing()?, nothing()?];
+        Ok(Self { kernel, tile: tuning.channels, group, layer, after, nothing })
     }
 
     /// What it does beside the linear part.
@@ -118,55 +182,93 @@ impl Block {
         self.after
     }
 
-    /// `skip.weight` [C / tile, C, tile]; `tables` [2 modes_w, W'], or [2, 2 modes_w, W'] with the row transform's table
-    /// [W' / 4, 2 modes_w, 4] behind it if that is what comes after; `width` is the number of columns of the grid.
+    /// Parts in which it makes the field.
+    pub fn field_parts(&self) -> usize {
+        self.layer.channels / (self.tile * self.group.deep)
+    }
+
+    /// `weight` [C / tile, inputs, tile] and `bias` `[C]`, or [2 C + 4] with the field head behind it (see [`with_head`]); `tables`
+    /// [2 modes_w, W'] for a block, behind it the row transform's table [W' / 4, 2 modes_w, 4] if that is what comes after;
+    /// `width` is the number of columns of the grid.
     pub fn push(
         &self,
         schedule: &mut Schedule,
-        skip: &Layer,
+        Layer { weight, bias }: &Layer,
         (tables, width): (&Tensor, usize),
         tensors: BlockTensors<'_>,
     ) {
-        let BlockTensors { x, r, y, rows, rows_max } = tensors;
-        let &[samples, channels, h, w] = x.shape() else { panic!("block: {:?}", x.shape()) };
-        let &[_, _, columns, _] = r.shape() else { panic!("block: {:?}", r.shape()) };
-        assert_eq!((w / 4, columns, padded(width)), (self.row_quads, self.columns, w));
-        assert_eq!(y.shape(), x.shape());
-        assert_eq!(r.shape(), [samples, h, columns, channels]);
-        assert!(tables.len() >= columns * w * if self.after.rows { 2 } else { 1 });
-        assert_eq!(skip.weight.shape(), [channels / self.tile, channels, self.tile]);
-        assert_eq!(skip.bias.len(), channels);
-        assert_eq!((rows.is_some(), rows_max.is_some()), (self.after.rows, self.after.pool));
-        assert!(rows.is_none_or(|rows| rows.shape() == r.shape()));
+        let BlockTensors { x, r, y, made, rows_max } = tensors;
+        let (after, LayerSize { row_quads, channels, lifting, .. }) = (self.after, self.layer);
+        let columns = 2 * self.layer.modes_w;
+        let &[samples, from, h, w] = x.shape() else { panic!("block: {:?}", x.shape()) };
+        assert_eq!((w / 4, padded(width)), (row_quads, w));
+        let [inputs, embedded] = lifting.unwrap_or([channels, 0]);
+        let of_block = usize::from(lifting.is_none());
+        match lifting {
+            Some(_) => assert_eq!((r.shape(), from), (&[inputs, padded(embedded + 1)][..], embedded)),
+            None => assert_eq!((r.shape(), from), (&[samples, h, columns, channels][..], channels)),
+        }
+        assert!(tables.len() >= columns * w * (of_block + usize::from(after.rows)));
+        assert_eq!(y.shape(), [samples, channels, h, w]);
+        assert_eq!(weight.shape(), [channels / self.tile, inputs, self.tile]);
+        assert_eq!(bias.len(), if after.field { 2 * channels + 4 } else { channels });
+        assert_eq!((made.is_some(), rows_max.is_some()), (after.rows || after.field, after.pool));
+        let wanted =
+            if after.field { [self.field_parts(), samples, h, w] } else { [samples, h, columns, channels] };
+        assert!(made.is_none_or(|made| made.shape() == wanted));
         assert!(rows_max.is_none_or(|most| most.shape() == [samples, h, channels]));
         let params = Params {
+            inputs: size(inputs),
             channels: size(channels),
             rows: size(h),
-            row_quads: size(w / 4),
+            row_quads: size(row_quads),
             columns: size(columns),
             width: size(width),
-            pad: [0; 3],
+            samples: size(samples),
+            embedded: size(embedded),
         };
+        let Group { wide, high, deep, .. } = self.group;
         let tiles = samples * channels / self.tile;
-        let count = [groups(w / 4, self.workgroup[0]), groups(h, self.workgroup[1]), size(tiles)];
-        let [no_rows, no_maxima] = &self.nothing;
-        let (rows, rows_max) = (rows.unwrap_or(no_rows), rows_max.unwrap_or(no_maxima));
-        let tensors = [&skip.weight, &skip.bias, tables, x, r, y, rows, rows_max];
+        let count = [groups(row_quads, size(wide)), groups(h, size(high)), size(tiles / deep)];
+        let [nothing_made, no_maxima] = &self.nothing;
+        let (made, rows_max) = (made.unwrap_or(nothing_made), rows_max.unwrap_or(no_maxima));
+        let tensors = [weight, bias, tables, x, r, y, made, rows_max];
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }
 
-/// What a block reads and writes.
+/// What a layer reads and writes.
 #[derive(Clone, Copy, Debug)]
 pub struct BlockTensors<'a> {
-    /// Input, shape [S, C, H, W'].
+    /// Input, shape [S, C, H, W'], of the lifting [S, E, H, W'].
     pub x: &'a Tensor,
-    /// Inverse columns of the spectral product, shape [S, H, 2 modes_w, C].
+    /// Inverse columns of the spectral product, shape [S, H, 2 modes_w, C]; of the lifting its first layer, see [`hidden_units`].
     pub r: &'a Tensor,
-    /// Output, shape [S, C, H, W'].
+    /// Output, shape [S, C, H, W']; not written where the field is made.
     pub y: &'a Tensor,
-    /// Rows' spectra of the output, shape [S, H, 2 modes_w, C]; given if and only if they are wanted.
-    pub rows: Option<&'a Tensor>,
+    /// Rows' spectra of the output, shape [S, H, 2 modes_w, C], or the field in parts, [parts, S, H, W']; given if and only if either
+    /// is wanted.
+    pub made: Option<&'a Tensor>,
     /// Largest values of the output's rows, shape [S, H, C]; given if and only if they are wanted.
     pub rows_max: Option<&'a Tensor>,
+}
+
+/// A bias with a head of one output behind it, as [`After::field`] wants it.
+pub fn with_head(bias: &[f32], head: (&[f32], f32)) -> Vec<f32> {
+    let (weight, head_bias) = head;
+    assert_eq!(weight.len(), bias.len());
+    [bias, weight, &[head_bias, 0.0, 0.0, 0.0]].concat()
+}
+
+/// A first layer, weight [outputs, inputs] and bias, in the order in which the lifting reads it: [outputs, inputs + 1 in quads], each
+/// bias behind the weights.
+pub fn hidden_units(weight: &[f32], bias: &[f32]) -> Vec<f32> {
+    let inputs = weight.len() / bias.len();
+    let mut units = vec![0.0; bias.len() * padded(inputs + 1)];
+    let rows = units.chunks_exact_mut(padded(inputs + 1)).zip(weight.chunks_exact(inputs));
+    for ((unit, weight), &bias) in rows.zip(bias) {
+        unit[..inputs].copy_from_slice(weight);
+        unit[inputs] = bias;
+    }
+    units
 }

@@ -29,11 +29,11 @@ impl Project {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `layer` `[C]` and `[1]`, `x` [S, C, H, W'], `field` [S, H, W'].
+    /// `layer` `[C]` and `[1]`, `x` [S, C, H, W'], `field` [1, S, H, W'].
     pub fn push(&self, schedule: &mut Schedule, layer: &Layer, x: &Tensor, field: &Tensor) {
         let &[samples, channels, h, w] = x.shape() else { panic!("project: {:?}", x.shape()) };
         assert_eq!((layer.weight.len(), layer.bias.len()), (channels, 1));
-        assert_eq!(field.shape(), [samples, h, w]);
+        assert_eq!(field.shape(), [1, samples, h, w]);
         let quads = h * w / 4;
         let params = Params { channels: size(channels), quads: size(quads), pad: [0; 2] };
         let tensors = [&layer.weight, &layer.bias, x, field];

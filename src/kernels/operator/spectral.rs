@@ -36,30 +36,32 @@ struct Division {
     tile: usize,
     /// Output channels of a workgroup.
     across: usize,
+    /// Parts that every sum is made of, whatever the division: as many as there are teams.
+    parts: usize,
+    /// Parts that invocations of their own make.
     row_parts: usize,
     input_parts: usize,
 }
 
 impl Division {
-    /// The largest workgroups that keep the adapter busy, and in them as many parts as keep their invocations busy; none if not
-    /// even the smallest workgroup fits `room` bytes of memory.
+    /// The largest workgroups that keep the adapter busy, and in them parts to invocations of their own where there are some to
+    /// spare; none if not even the smallest workgroup fits `room` bytes of memory.
     fn new(tuning: &Tuning, config: &Config, samples: usize, room: usize) -> Option<Self> {
-        let lanes = 64 * tuning.spectral_teams as usize;
+        let parts = tuning.spectral_teams as usize;
         let tiles = [TILE, 1].into_iter().filter(|&tile| samples.is_multiple_of(tile));
         let all = tiles.flat_map(|tile| ACROSS.map(|across| (tile, across)));
-        let fit: Vec<Self> = all
-            .map(|(tile, across)| Self { lanes, tile, across, row_parts: 1, input_parts: 1 })
-            .filter(|division| division.bytes(config) <= room)
-            .collect();
+        let whole =
+            |(tile, across)| Self { lanes: 64 * parts, tile, across, parts, row_parts: 1, input_parts: 1 };
+        let fit: Vec<Self> = all.map(whole).filter(|division| division.bytes(config) <= room).collect();
         let busy = |d: &&Self| samples / d.tile * d.groups(config) >= tuning.busy_groups;
-        let &Self { tile, across, .. } = fit.iter().find(busy).or(fit.last())?;
-        let parts = |pieces: usize| (lanes / pieces).max(1);
-        let input_parts = parts(config.modes_h * across);
-        (1..=parts(tile * config.channels))
-            .rev()
-            .map(|row_parts| Self { lanes, tile, across, row_parts, input_parts })
-            .find(|division| division.bytes(config) <= room)
-            .or(Some(Self { lanes, tile, across, row_parts: 1, input_parts: 1 }))
+        let chosen = *fit.iter().find(busy).or(fit.last())?;
+        let spare = |pieces: usize| if pieces < chosen.lanes { parts } else { 1 };
+        let divided = Self {
+            row_parts: spare(chosen.tile * config.channels),
+            input_parts: spare(config.modes_h * chosen.across),
+            ..chosen
+        };
+        Some(if divided.bytes(config) <= room { divided } else { chosen })
     }
 
     /// Workgroups for one tile of samples.
@@ -133,6 +135,7 @@ impl Spectral {
             ("MODES", modes_h as f64),
             ("LANES", division.lanes as f64),
             ("ACROSS", division.across as f64),
+            ("PARTS", division.parts as f64),
             ("ROW_PARTS", division.row_parts as f64),
             ("INPUT_PARTS", division.input_parts as f64),
             ("INPUTS", inputs),

@@ -20,6 +20,8 @@ struct Params {
     columns: u32,
     row_quads: u32,
     samples: u32,
+    parts: u32,
+    pad: [u32; 3],
 }
 
 /// The learned step.
@@ -31,7 +33,7 @@ pub struct Update {
 /// What the learned step is made of, beside the iterate.
 #[derive(Clone, Copy, Debug)]
 pub struct UpdateTensors<'a> {
-    /// Field head, shape [S, H, W'].
+    /// Field head in parts to be added up, shape [parts, S, H, W'].
     pub field: &'a Tensor,
     /// Persistent scale, shape `[S]`.
     pub scale: &'a Tensor,
@@ -47,12 +49,13 @@ impl Update {
 
     /// Moves `iterate` by one learned step.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: UpdateTensors<'_>, iterate: &Iterate) {
-        let &[samples, h, w] = from.field.shape() else { panic!("update: {:?}", from.field.shape()) };
+        let &[parts, samples, h, w] = from.field.shape() else { panic!("update: {:?}", from.field.shape()) };
         let n = grid.particles();
         assert_eq!((h, from.scale.len(), from.hidden.len()), (grid.h, samples, 2 * samples * n));
         assert_eq!(iterate.a.len(), samples * n);
+        let [rows, columns, row_quads] = [h, grid.w, w / 4].map(size);
         let params =
-            Params { rows: size(h), columns: size(grid.w), row_quads: size(w / 4), samples: size(samples) };
+            Params { rows, columns, row_quads, samples: size(samples), parts: size(parts), pad: [0; 3] };
         let Iterate { grad, base, slots, a, shift } = iterate;
         let tensors = [from.field, from.scale, grad, base, slots, from.hidden, a, shift];
         schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);

@@ -43,8 +43,9 @@ impl UpdateAdj {
         (adj_field, adj_scalar): (&Tensor, &Tensor),
     ) {
         let UpdateAdjTensors { field, scalar, scale, grad } = from;
-        let &[samples, h, w] = field.shape() else { panic!("update_adj: {:?}", field.shape()) };
-        assert_eq!((adj_field.shape(), h, grad.len()), (field.shape(), grid.h, samples * grid.particles()));
+        let &[1, samples, h, w] = field.shape() else { panic!("update_adj: {:?}", field.shape()) };
+        assert_eq!(adj_field.shape(), [samples, h, w]);
+        assert_eq!((h, grad.len()), (grid.h, samples * grid.particles()));
         assert_eq!([scalar.len(), scale.len(), adj_scalar.len()], [samples; 3]);
         let params = Params { rows: size(h), columns: size(grid.w), stride: size(w), share };
         let tensors = [field, scalar, scale, grad, adj_field, adj_scalar];
@@ -55,7 +56,7 @@ impl UpdateAdj {
 /// What the step was made of, and where it led.
 #[derive(Clone, Copy, Debug)]
 pub struct UpdateAdjTensors<'a> {
-    /// Field head, shape [S, H, W'].
+    /// Field head, shape [1, S, H, W'].
     pub field: &'a Tensor,
     /// Scalar head, shape `[S]`.
     pub scalar: &'a Tensor,

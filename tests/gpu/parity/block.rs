@@ -1,13 +1,14 @@
 //! `block` against its formula: inverse rows, skip, bias and activation; and what it makes of its rows against the formulas
 //! of the kernels that do that alone.
 
-use super::operator::{MODES, activate, activations, config, copies, dense, layer, turn};
+use super::operator::{MODES, activate, activations, config, copies, dense, head, layer, turn};
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_unpadded, run,
     tensor, tunings,
 };
 use fnopt::kernels::Tuning;
-use fnopt::kernels::operator::{After, Block, BlockTensors};
+use fnopt::kernels::operator::block::{hidden_units, with_head};
+use fnopt::kernels::operator::{After, Block, BlockTensors, Layer, LayerSize};
 use fnopt::kernels::padded;
 use fnopt::network::tables;
 use fnopt::sim::Grid;
@@ -25,6 +26,11 @@ fn add_inverse_rows(y: &mut [f64], r: &[f32], modes_w: usize, grid: Grid) {
             *y += copies(m, w) * (r(2 * m) * cos - r(2 * m + 1) * sin);
         }
     }
+}
+
+/// Of a block on `grid`.
+fn size(grid: Grid, modes_w: usize) -> LayerSize {
+    LayerSize { row_quads: padded(grid.w) / 4, modes_w, channels: CHANNELS, lifting: None }
 }
 
 #[test]
@@ -46,8 +52,8 @@ fn blocks_of_all_tiles_match() {
                 let r = tensor("r", &[batch, grid.h, columns, CHANNELS], &r);
                 let y = poisoned("y", &[batch, CHANNELS, grid.h, w]);
                 let after = After { gelu, ..After::default() };
-                let kernel = Block::new(context(), &tuning, (w / 4, config.modes_w), after).unwrap();
-                let tensors = BlockTensors { x: &x_tensor, r: &r, y: &y, rows: None, rows_max: None };
+                let kernel = Block::new(context(), &tuning, size(grid, config.modes_w), after).unwrap();
+                let tensors = BlockTensors { x: &x_tensor, r: &r, y: &y, made: None, rows_max: None };
                 run(|schedule| kernel.push(schedule, &skip, (&table, grid.w), tensors));
                 let what = format!("block {} gelu {gelu} {batch} x {grid}", tuning.channels);
                 // A rounding for each of the 42 products, of sums about as large as the result.
@@ -92,7 +98,8 @@ fn blocks_that_take_rows_match() {
             for (grid, batch) in cases() {
                 let config = config(modes, CHANNELS);
                 let (columns, w) = (2 * config.modes_w, padded(grid.w));
-                assert!(Block::takes_rows(context(), &tuning, w / 4), "{grid} fits a workgroup");
+                let size = size(grid, config.modes_w);
+                assert!(Block::takes_rows(context(), &tuning, &size), "{grid} fits a workgroup");
                 let (_, x) = activations(batch, CHANNELS, grid, 0.5);
                 let (_, _, skip) = layer(CHANNELS, CHANNELS, tuning.channels);
                 let shape = [batch, grid.h, columns, CHANNELS];
@@ -104,14 +111,14 @@ fn blocks_that_take_rows_match() {
                 let [alone, y] = [(); 2].map(|()| poisoned("y", x.shape()));
                 let spectra = poisoned("rows", &shape);
                 let most = poisoned("rows_max", &[batch, grid.h, CHANNELS]);
-                let none = BlockTensors { x: &x, r: &r, y: &alone, rows: None, rows_max: None };
+                let none = BlockTensors { x: &x, r: &r, y: &alone, made: None, rows_max: None };
                 let (wanted, maxima) = (rows.then_some(&spectra), pool.then_some(&most));
-                let some = BlockTensors { y: &y, rows: wanted, rows_max: maxima, ..none };
+                let some = BlockTensors { y: &y, made: wanted, rows_max: maxima, ..none };
                 for (after, tables, tensors) in [
                     (After { gelu: true, ..After::default() }, &table, none),
-                    (After { gelu: true, rows, pool }, if rows { &both } else { &table }, some),
+                    (After { gelu: true, rows, pool, field: false }, if rows { &both } else { &table }, some),
                 ] {
-                    let kernel = Block::new(context(), &tuning, (w / 4, config.modes_w), after).unwrap();
+                    let kernel = Block::new(context(), &tuning, size, after).unwrap();
                     run(|schedule| kernel.push(schedule, &skip, (tables, grid.w), tensors));
                 }
                 let what = format!("block {} with rows {batch} x {grid}", tuning.channels);
@@ -124,6 +131,87 @@ fn blocks_that_take_rows_match() {
                 if pool {
                     assert_eq!(read(&most), expected_most, "{what}");
                 }
+            }
+        }
+    }
+}
+
+/// Blocks that end in the field head: the parts add up to the last layer of the block's output.
+#[test]
+fn blocks_with_the_field_head_match() {
+    let _turn = device();
+    for tuning in tunings() {
+        for (grid, batch) in cases() {
+            let config = config(MODES[0], CHANNELS);
+            let (columns, w) = (2 * config.modes_w, padded(grid.w));
+            let (_, x) = activations(batch, CHANNELS, grid, 0.5);
+            let (_, bias, skip) = layer(CHANNELS, CHANNELS, tuning.channels);
+            let (head, head_bias, _) = head(CHANNELS);
+            let shape = [batch, grid.h, columns, CHANNELS];
+            let r = tensor("r", &shape, &noise(shape.iter().product(), 21));
+            let table = tensor("table", &[columns, w], &tables::inverse_rows(&config, grid.w));
+            let y = poisoned("y", x.shape());
+            let alone = After { gelu: true, ..After::default() };
+            let [alone, joined] = [alone, After { field: true, ..alone }]
+                .map(|after| Block::new(context(), &tuning, size(grid, config.modes_w), after).unwrap());
+            let tensors = BlockTensors { x: &x, r: &r, y: &y, made: None, rows_max: None };
+            run(|schedule| alone.push(schedule, &skip, (&table, grid.w), tensors));
+            let with_head = with_head(&bias, (&head, head_bias));
+            let with_head = Layer {
+                bias: tensor("bias and head", &[with_head.len()], &with_head),
+                weight: skip.weight.clone(),
+            };
+            let parts = joined.field_parts();
+            let field = poisoned("field", &[parts, batch, grid.h, w]);
+            let tensors = BlockTensors { made: Some(&field), ..tensors };
+            run(|schedule| joined.push(schedule, &with_head, (&table, grid.w), tensors));
+            let expected = dense(&head, &[head_bias], &read_unpadded(&y, grid), grid.particles());
+            let found = read_unpadded(&field, grid);
+            let sum = |at: usize| found[at..].iter().step_by(expected.len()).sum::<f32>();
+            let sums: Vec<f32> = (0..expected.len()).map(sum).collect();
+            let what = format!("block {} with the field head in {parts} {batch} x {grid}", tuning.channels);
+            let atol = ROUNDING * (CHANNELS as f64).sqrt() * largest(&expected);
+            assert_close(&what, &sums, &expected, (atol, 0.0));
+        }
+    }
+}
+
+/// The two layers of the lifting in one: as the pointwise layers make them, and the rows' spectra of that.
+#[test]
+fn liftings_match() {
+    let _turn = device();
+    const HIDDEN: usize = 64;
+    for (tuning, inputs) in tunings().into_iter().flat_map(|tuning| [(tuning, 5), (tuning, 3)]) {
+        for (grid, batch) in cases() {
+            let config = config(MODES[0], CHANNELS);
+            let (columns, w) = (2 * config.modes_w, padded(grid.w));
+            let (x, x_tensor) = activations(batch, inputs, grid, 0.0);
+            let (inner, inner_bias) = (noise(HIDDEN * inputs, 15), noise(HIDDEN, 16));
+            let (weight, bias, outer) = layer(CHANNELS, HIDDEN, tuning.channels);
+            let mut hidden = dense(&inner, &inner_bias, &x, grid.particles());
+            activate(&mut hidden, true);
+            let hidden: Vec<f32> = hidden.iter().map(|&v| v as f32).collect();
+            let expected = dense(&weight, &bias, &hidden, grid.particles());
+            let units = hidden_units(&inner, &inner_bias);
+            let units = tensor("hidden units", &[HIDDEN, units.len() / HIDDEN], &units);
+            let table = tables::forward_rows(&config, grid.h, grid.w);
+            let table = tensor("table", &[w / 4, columns, 4], &table);
+            let y = poisoned("y", &[batch, CHANNELS, grid.h, w]);
+            let spectra = poisoned("rows", &[batch, grid.h, columns, CHANNELS]);
+            let size = LayerSize { lifting: Some([HIDDEN, inputs]), ..size(grid, config.modes_w) };
+            let rows = Block::takes_rows(context(), &tuning, &size);
+            let after = After { rows, ..After::default() };
+            let kernel = Block::new(context(), &tuning, size, after).unwrap();
+            let made = rows.then_some(&spectra);
+            let tensors = BlockTensors { x: &x_tensor, r: &units, y: &y, made, rows_max: None };
+            run(|schedule| kernel.push(schedule, &outer, (&table, grid.w), tensors));
+            let what = format!("lifting {} of {inputs} {batch} x {grid}", tuning.channels);
+            let atol = (8.0 * ROUNDING + 3e-7) * largest(&expected);
+            assert_close(&what, &read_unpadded(&y, grid), &expected, (atol, ROUNDING));
+            if rows {
+                let (expected, _) = of_rows(&read_unpadded(&y, grid), config.modes_w, grid);
+                let atol = ROUNDING * (grid.w as f64).sqrt() * largest(&expected);
+                assert_close(&what, &read(&spectra), &expected, (atol, 0.0));
             }
         }
     }

@@ -13,7 +13,7 @@ fn fields_match() {
     for (grid, batch) in cases() {
         let (x, x_tensor) = activations(batch, 48, grid, 0.5);
         let expected = dense(&weight, &[bias], &x, grid.particles());
-        let field = poisoned("field", &[batch, grid.h, padded(grid.w)]);
+        let field = poisoned("field", &[1, batch, grid.h, padded(grid.w)]);
         run(|schedule| kernel.push(schedule, &layer, &x_tensor, &field));
         let atol = 7.0 * ROUNDING * largest(&expected);
         let what = format!("project {batch} x {grid}");

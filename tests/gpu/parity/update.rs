@@ -30,7 +30,10 @@ fn learned_steps_match() {
         iterate.grad.write(context(), &grad);
         iterate.base.write(context(), &base);
         iterate.a.write(context(), &a);
-        let output = tensor("field", &[samples, grid.h, padded(grid.w)], &pad(&output, grid, f32::NAN));
+        // In parts whose sum is exact.
+        let parts =
+            [0.5, 0.25, 0.25].map(|part| output.iter().map(|v| part * v).collect::<Vec<_>>()).concat();
+        let output = tensor("field", &[3, samples, grid.h, padded(grid.w)], &pad(&parts, grid, f32::NAN));
         let scale = tensor("scale", &[samples], &scale);
         let hidden = poisoned("hidden", &[2, samples, n]);
         let from = UpdateTensors { field: &output, scale: &scale, hidden: &hidden };

@@ -33,10 +33,10 @@ fn normalised_cotangents_match() {
             let back = |(u, g): (&f64, &f64)| (pace * g / norm.max(1e-40)).clamp(-10.0, 10.0) * (1.0 - u * u);
             adj_field.extend(u.iter().zip(&g).map(back));
         }
-        let field = tensor("field", &[samples, grid.h, padded(grid.w)], &pad(&field, grid, f32::NAN));
+        let field = tensor("field", &[1, samples, grid.h, padded(grid.w)], &pad(&field, grid, f32::NAN));
         let [scalar, scale] = [&scalar, &scale].map(|v| tensor("samples", &[samples], v));
         let grad = tensor("grad", &[samples, n], &grad);
-        let to_field = poisoned("adj_field", field.shape());
+        let to_field = poisoned("adj_field", &field.shape()[1..]);
         let to_scalar = poisoned("adj_scalar", &[samples]);
         let from = UpdateAdjTensors { field: &field, scalar: &scalar, scale: &scale, grad: &grad };
         run(|schedule| kernel.push(schedule, grid, (from, share), (&to_field, &to_scalar)));
