@@ -28,9 +28,26 @@ fn optimizers() -> [Optimizer; 5] {
     [learned, gd, adam, Optimizer::lbfgs(), Optimizer::quasi_newton()]
 }
 
+/// The optimizers with the adapter's own tuning, and the learned one as on hardware, where one cloth's convolutions are divided in
+/// other ways than those of three.
+fn tuned() -> Vec<(Optimizer, Tuning)> {
+    let [own, hardware] = [Tuning::new(context()), Tuning { busy_groups: 60, ..sharings()[1] }];
+    let learned = Optimizer::Learned(starter().clone());
+    optimizers().map(|optimizer| (optimizer, own)).into_iter().chain([(learned, hardware)]).collect()
+}
+
 /// A solver on the device, in the given state.
 fn solver(model: &Model, optimizer: &Optimizer, iterations: usize, start: &State<f32>) -> Solver {
-    let options = SolverOptions { iterations, ..Default::default() };
+    solver_with(Tuning::new(context()), model, (optimizer, iterations), start)
+}
+
+fn solver_with(
+    tuning: Tuning,
+    model: &Model,
+    (optimizer, iterations): (&Optimizer, usize),
+    start: &State<f32>,
+) -> Solver {
+    let options = SolverOptions { iterations, tuning: Some(tuning) };
     let solver = Solver::new(context(), model, optimizer, &options).unwrap();
     solver.set_state(start);
     solver
@@ -160,8 +177,8 @@ fn twenty_classical_frames_agree_with_the_host() {
 fn frames_of_all_optimizers_agree_with_the_host() {
     let _turn = device();
     let (model, start, control) = varied_batch();
-    for optimizer in optimizers() {
-        let solver = solver(&model, &optimizer, 5, &start);
+    for (optimizer, tuning) in tuned() {
+        let solver = solver_with(tuning, &model, (&optimizer, 5), &start);
         let mut host = cpu::Solver::<f64>::new(&model, &optimizer, 5).unwrap();
         let mut expected = start.cast::<f64>();
         let double = Control {
@@ -207,15 +224,9 @@ fn frames_of_all_optimizers_agree_with_the_host() {
 fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
     let _turn = device();
     let (model, start, control) = varied_batch();
-    // The second divides a convolution of three cloths and one of one cloth in different ways.
-    let [own, hardware] = sharings();
-    let divided = Tuning { busy_groups: 60, ..hardware };
-    let learned = (Optimizer::Learned(starter().clone()), divided);
-    for (optimizer, tuning) in optimizers().map(|optimizer| (optimizer, own)).into_iter().chain([learned]) {
+    for (optimizer, tuning) in tuned() {
         let run = |model: &Model, optimizer: &Optimizer, start: &State<f32>, control: &Control<f32>| {
-            let options = SolverOptions { iterations: 4, tuning: Some(tuning) };
-            let solver = Solver::new(context(), model, optimizer, &options).unwrap();
-            solver.set_state(start);
+            let solver = solver_with(tuning, model, (optimizer, 4), start);
             step(&solver, control);
             step(&solver, control);
             step(&solver, control)
