@@ -109,6 +109,7 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
         // Time over work rises from corner to corner.
         let x = if chart.scale == Scale::Linear { high.x - widest - 24.0 } else { low.x + 8.0 };
         let (x, y) = (x, high.y + 10.0 + 1.8 * LABEL * k as f32);
+        line(image, [vec2(x, y), vec2(x + 20.0 + widest, y)], PAPER, 0.8 * LABEL);
         line(image, [vec2(x, y), vec2(x + 14.0, y)], COLOURS[k % COLOURS.len()], 1.2);
         text::write(image, &curve.label.to_uppercase(), [x + 20.0, y - LABEL / 2.0], LABEL);
     }

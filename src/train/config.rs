@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 /// | field | default |
 /// |---|---|
 /// | `seed`, `steps`, `log_every`, `average` | 1, 500000, 50, 0 |
-/// | `init` | fresh weights; else a safetensors file beside the configuration |
+/// | `init` | fresh weights; else a safetensors file beside the configuration, or several, whose mean is taken |
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
 /// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in a pool that is given `[32, 32]`, 10, 1000, 10 |
 /// | `[[pool]]` `sequence_length`, `every` | that of `[reset]`, 1 |
@@ -35,8 +35,8 @@ pub struct Config {
     pub log_every: u64,
     /// Decay of the running mean of the weights, which is then what is validated and kept; 0 for the weights themselves.
     pub average: f64,
-    /// Weights to begin with; none for fresh ones ([`super::initial_weights`]).
-    pub init: Option<PathBuf>,
+    /// Files of the weights to begin with, whose mean is taken; none for fresh ones ([`super::initial_weights`]).
+    pub init: Vec<PathBuf>,
     /// Sizes of the network.
     pub network: network::Config,
     /// The pools of cloths.
@@ -179,7 +179,7 @@ impl Default for Config {
             steps: 500_000,
             log_every: 50,
             average: 0.0,
-            init: None,
+            init: Vec::new(),
             network: network::Config::default(),
             pools: [1, 3, 10, 30].map(pool).to_vec(),
             motion: MotionRanges::default(),

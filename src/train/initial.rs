@@ -8,21 +8,33 @@ use crate::{Error, Result};
 use rand::RngExt;
 use rand::rngs::ChaCha8Rng;
 use std::f64::consts::TAU;
+use std::path::PathBuf;
 
-/// The weights that a run begins with: those in the file `init`, or fresh ones. Those of rank 0 on all ranks, as logarithms
-/// and cosines may differ in the last bit from machine to machine.
+/// The weights that a run begins with: the mean of those in the files `init`, or fresh ones. Those of rank 0 on all ranks, as
+/// logarithms and cosines may differ in the last bit from machine to machine.
 pub fn first_weights(config: &Config, ranks: &dyn Ranks) -> Result<Weights> {
-    let weights = match &config.init {
-        Some(path) => Weights::load(path)?,
-        None => initial_weights(config.network, config.seed),
+    let mut flat = match &config.init[..] {
+        [] => initial_weights(config.network, config.seed).flat(),
+        files => mean(config, files)?,
     };
-    if let Some(path) = config.init.as_ref().filter(|_| weights.config != config.network) {
-        let (expected, found) = (format!("{:?}", config.network), format!("{:?}", weights.config));
-        return Err(Error::invalid(path.display().to_string(), "network", expected, found));
-    }
-    let mut flat = weights.flat();
     ranks.broadcast(bytemuck::cast_slice_mut(&mut flat));
     Ok(Weights::from_flat(config.network, &flat))
+}
+
+/// The mean of the weights in these files.
+fn mean(config: &Config, files: &[PathBuf]) -> Result<Vec<f32>> {
+    let mut sums: Vec<f64> = Vec::new();
+    for path in files {
+        let weights = Weights::load(path)?;
+        if weights.config != config.network {
+            let (expected, found) = (format!("{:?}", config.network), format!("{:?}", weights.config));
+            return Err(Error::invalid(path.display().to_string(), "network", expected, found));
+        }
+        let flat = weights.flat();
+        sums.resize(flat.len(), 0.0);
+        sums.iter_mut().zip(&flat).for_each(|(sum, &w)| *sum += f64::from(w));
+    }
+    Ok(sums.iter().map(|sum| (sum / files.len() as f64) as f32).collect())
 }
 
 /// Random weights as the authors' implementation draws them (neuraloperator's and PyTorch's defaults).

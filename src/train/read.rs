@@ -37,13 +37,17 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
         "checkpoint",
     ])?;
     let base = Config::default();
-    let init = root.get("init").map(|n| n.text()).transpose()?;
+    let beside = |file: &Node<'_>| Ok(path.parent().unwrap_or(Path::new("")).join(file.text()?));
+    let files = |n: &Node<'_>| match n.items() {
+        Ok(several) => several.iter().map(beside).collect(),
+        Err(_) => Ok(vec![beside(n)?]),
+    };
     let config = Config {
         seed: root.get_or("seed", base.seed, whole)?,
         steps: root.get_or("steps", base.steps, above_zero)?,
         log_every: root.get_or("log_every", base.log_every, above_zero)?,
         average: root.get_or("average", base.average, decay)?,
-        init: init.map(|file| path.parent().unwrap_or(Path::new("")).join(file)),
+        init: root.get_or("init", base.init, files)?,
         network: root.get_or("network", base.network, network)?,
         pools: root.get_or("pool", base.pools, |n| n.items()?.iter().map(pool).collect())?,
         motion: root.get_or("motion", base.motion, motion)?,

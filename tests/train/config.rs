@@ -1,6 +1,6 @@
 //! Configurations: what they mean, and how bad ones are refused.
 
-use fnopt::train::{Config, Decay, Every, PoolConfig};
+use fnopt::train::{Alone, Config, Decay, Every, PoolConfig, first_weights, initial_weights};
 use std::path::Path;
 
 fn parse(text: &str) -> fnopt::Result<Config> {
@@ -52,7 +52,9 @@ fn every_field_can_be_set() {
     )
     .unwrap();
     assert_eq!((config.seed, config.steps, config.log_every, config.average), (9, 70, 5, 0.9));
-    assert_eq!(config.init.as_deref(), Some(Path::new("runs/given.safetensors")));
+    assert_eq!(config.init, [Path::new("runs/given.safetensors")]);
+    let several = parse("init = ['a.safetensors', '../b.safetensors']").unwrap();
+    assert_eq!(several.init, [Path::new("runs/a.safetensors"), Path::new("runs/../b.safetensors")]);
     assert_eq!((config.network.channels, config.network.lifting), (16, 256));
     let [pool] = &config.pools[..] else { panic!("one pool") };
     assert_eq!((pool.grid.h, pool.grid.w, pool.iterations, pool.cloths, pool.batch), (24, 40, 3, 4, 4));
@@ -88,6 +90,8 @@ fn bad_configurations_are_refused_by_field() {
         ("[motion]\nmoving = 1.5", &["motion.moving", "0 to 1"]),
         ("[motion]\ndamping = -0.1", &["motion.damping", "0 to 1"]),
         ("average = 1", &["average", "below 1"]),
+        ("init = 3", &["init", "text"]),
+        ("init = ['a', 3]", &["init[1]", "text"]),
         ("steps = 0", &["steps", "1 or more"]),
         ("steps = -5", &["steps", "1 or more", "-5"]),
         ("[schedule]\ndecay = \"cosin\"", &["schedule.decay", "cosine"]),
@@ -108,4 +112,26 @@ fn bad_configurations_are_refused_by_field() {
             assert!(message.contains(part), "{text}: no '{part}' in: {message}");
         }
     }
+}
+
+#[test]
+fn a_run_begins_with_the_mean_of_the_files_it_is_given() {
+    let mut config = parse("[network]\nlifting = 8\nchannels = 4\nprojection = 4\nlayers = 1").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let all = [1, 2, 3].map(|seed| initial_weights(config.network, seed));
+    for (k, weights) in all.iter().enumerate() {
+        config.init.push(folder.path().join(format!("{k}.safetensors")));
+        weights.save(&config.init[k]).unwrap();
+    }
+    let found = first_weights(&config, &Alone).unwrap().flat();
+    let all = all.map(|weights| weights.flat());
+    for (k, &found) in found.iter().enumerate() {
+        let mean = all.iter().map(|flat| f64::from(flat[k])).sum::<f64>() / 3.0;
+        assert_eq!(found, mean as f32);
+    }
+    config.init.truncate(1);
+    assert_eq!(first_weights(&config, &Alone).unwrap().flat(), all[0]);
+    config.network.layers = 2;
+    let error = first_weights(&config, &Alone).unwrap_err().to_string();
+    assert!(error.contains("0.safetensors") && error.contains("layers: 2"), "{error}");
 }

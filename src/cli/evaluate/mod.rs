@@ -16,7 +16,9 @@ use fnopt::network::Weights;
 use fnopt::sim::{Device, Grid, Material, Optimizer};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{IsTerminal, Write};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// Arguments of `fnopt evaluate`.
 #[derive(Debug, clap::Args)]
@@ -159,7 +161,8 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     Ok(Ending::Done)
 }
 
-/// Does the jobs whose scores are not there yet; tells whether all were done.
+/// Does the jobs whose scores are not there yet; tells whether all were done. Newton's method takes one core, so that as many of
+/// its jobs as there are cores run side by side; the others take all cores and have them to themselves.
 fn work(
     jobs: &[Job],
     sequences: &[Sequence],
@@ -170,29 +173,58 @@ fn work(
     let bar =
         ProgressBar::new(jobs.iter().map(frames).sum()).with_style(style.expect("the template is valid"));
     let interrupted = interrupt_flag();
-    let mut all = Vec::new();
-    for job in jobs {
+    let failed = AtomicBool::new(false);
+    // Nothing when it was interrupted.
+    let done = |job: &Job| -> Result<Option<Kept>> {
         if job.file.is_file() {
             bar.inc(frames(job));
-            all.push(Kept::read(&job.file)?);
-            continue;
+            return Ok(Some(Kept::read(&job.file)?));
         }
         let sequence = &sequences[job.sequence];
         bar.set_message(format!("{} {} {}", sequence.name, job.grid, job.entry.name));
         let tick = || {
             bar.inc(1);
-            go_on(&interrupted)
+            if failed.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { go_on(&interrupted) }
         };
         let Some((score, found)) = run(sequence, job.grid, &job.entry, (device, settings), tick)? else {
-            return Ok((all, false));
+            return Ok(None);
         };
         let snapshots = score.stable.then(|| snapshots(&found, usize::MAX));
         let kept = Kept { score, snapshots };
         kept.write(&job.file)?;
-        all.push(kept);
+        Ok(Some(kept))
+    };
+    let of_one_core = |&job: &usize| matches!(jobs[job].entry.optimizer, Optimizer::Newton);
+    let (side_by_side, alone): (Vec<usize>, Vec<usize>) = (0..jobs.len()).partition(of_one_core);
+    let next = AtomicUsize::new(0);
+    let mine = || -> Result<Vec<(usize, Kept)>> {
+        let mut all = Vec::new();
+        while let Some(&job) = side_by_side.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let kept = done(&jobs[job]).inspect_err(|_| failed.store(true, Ordering::Relaxed))?;
+            let Some(kept) = kept else { break };
+            all.push((job, kept));
+        }
+        Ok(all)
+    };
+    let cores = std::thread::available_parallelism().map_or(1, usize::from).min(side_by_side.len());
+    let shares: Vec<Result<Vec<_>>> = std::thread::scope(|scope| {
+        let threads: Vec<_> = (0..cores).map(|_| scope.spawn(mine)).collect();
+        threads.into_iter().map(|t| t.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
+    });
+    let mut all = Vec::new();
+    for share in shares {
+        all.extend(share?);
+    }
+    if all.len() == side_by_side.len() {
+        for job in alone {
+            let Some(kept) = done(&jobs[job])? else { break };
+            all.push((job, kept));
+        }
     }
     bar.finish_and_clear();
-    Ok((all, true))
+    all.sort_by_key(|&(job, _)| job);
+    let complete = all.len() == jobs.len();
+    Ok((all.into_iter().map(|(_, kept)| kept).collect(), complete))
 }
 
 impl Kept {
