@@ -65,7 +65,7 @@ fn every_field_can_be_set() {
     assert_eq!(config.optimizer.betas, [0.8, 0.99]);
     assert_eq!((config.schedule.warmup, &config.schedule.decay), (3, &Decay::Cosine { last: 1e-6 }));
     assert_eq!((config.checkpoint, config.validation.every), (Every::Steps(7), Every::Minutes(0.5)));
-    let shipped = include_str!("../../assets/training/shipped-5.toml");
+    let shipped = include_str!("../../assets/training/shipped-8.toml");
     assert!(parse(shipped).unwrap().pools.len() > 4);
 }
 
