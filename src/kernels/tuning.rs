@@ -60,10 +60,15 @@ impl Tuning {
         Self::stored(context).unwrap_or_else(|| Self::table(context))
     }
 
-    /// What was measured to be good for each kind of adapter: wide tiles and one row to a workgroup where every lane's load
-    /// is a branch and a move of its own (llvmpipe), smaller tiles and more invocations where there are thousands of
-    /// lanes to fill.
+    /// The table's entry for the adapter.
     pub fn table(context: &Context) -> Self {
+        Self::of(context.kind(), context.sharing())
+    }
+
+    /// What suits each kind of adapter: wide tiles and one row to a workgroup where every lane's load is a branch and a move of
+    /// its own (llvmpipe, measured); smaller tiles, shared operands and more invocations where there are thousands of lanes to
+    /// fill (by reckoning: no hardware has been measured yet).
+    pub fn of(kind: AdapterKind, sharing: Sharing) -> Self {
         let software = Self {
             channels: 32,
             pointwise_group: 64,
@@ -74,10 +79,10 @@ impl Tuning {
             rows_in_blocks: true,
             spectral_teams: 1,
             busy_groups: 1,
-            sharing: context.sharing(),
+            sharing,
             hidden_bytes: 256 << 20,
         };
-        match context.kind() {
+        match kind {
             AdapterKind::Software => software,
             AdapterKind::Hardware => Self {
                 channels: 8,

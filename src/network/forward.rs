@@ -27,7 +27,10 @@ pub struct Forward {
     pub scalar: Tensor,
     pub(super) hidden: Tensor,
     keep: Keep,
-    joined: Joined,
+    /// The last block with the field head behind its bias, where they are one.
+    head: Option<Layer>,
+    /// Both layers of the lifting in one, and the units of the first ([`block::hidden_units`]), where they are.
+    lifting: Option<(Block, Tensor)>,
     /// What each block does beside the linear part of its output.
     afters: Vec<After>,
     activations: Vec<Tensor>,
@@ -42,13 +45,13 @@ pub struct Forward {
     pub(super) kernels: Kernels,
 }
 
-/// Layers that are joined, where their weights do not change.
-#[derive(Debug, Default)]
+/// What layers that are joined read, where their weights do not change.
+#[derive(Default)]
 struct Joined {
-    /// The last block with the last layer of the field head: where the first one changes nothing ([`Weights::folded`]).
+    /// Of the last block and the last layer of the field head: where the first one changes nothing ([`Weights::folded`]).
     head: Option<Layer>,
-    /// The first layer of the lifting, for a kernel of both ([`block::hidden_units`]).
-    lifting: Option<Tensor>,
+    /// Of the first layer of the lifting, for a kernel of both.
+    units: Option<Tensor>,
 }
 
 #[derive(Debug)]
@@ -75,8 +78,6 @@ impl Spectra {
 pub(super) struct Kernels {
     pub dense: Pointwise,
     dense_gelu: Pointwise,
-    /// Both layers of the lifting.
-    lifting: Option<Block>,
     pub transform_rows: TransformRows,
     pub spectral: Spectral,
     /// One of each kind that the network has.
@@ -144,7 +145,7 @@ impl Forward {
         let plane = h * w;
         let lifted_bytes = context.storage().bytes() * config.lifting * plane;
         // Nothing is between the layers where they are joined.
-        let lifted_at_once = match joined.lifting {
+        let lifted_at_once = match joined.units {
             Some(_) => 0,
             None => (tuning.hidden_bytes / lifted_bytes).clamp(1, samples.max(1)),
         };
@@ -174,18 +175,18 @@ impl Forward {
         let size =
             LayerSize { row_quads: w / 4, modes_w: config.modes_w, channels: config.channels, lifting: None };
         let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
-        let joins_head = joined.head.is_some();
+        let Joined { head, units } = joined;
+        let joins_head = head.is_some();
         let afters: Vec<After> = (0..config.layers)
             .map(|block| after(&config, block, (keep, joins_head), rows_in_blocks))
             .collect();
-        let lifting = joined.lifting.as_ref().map(|_| {
-            let lifting = Some([config.lifting, config.inputs()]);
-            let size = LayerSize { lifting, ..size };
+        let lifting = |units| {
+            let size = LayerSize { lifting: Some([config.lifting, config.inputs()]), ..size };
             let rows = rows_in_blocks && Block::takes_rows(context, tuning, &size);
-            Block::new(context, tuning, size, After { rows, ..After::default() })
-        });
+            let kernel = Block::new(context, tuning, size, After { rows, ..After::default() });
+            kernel.map(|kernel| (kernel, units))
+        };
         let kernels = Kernels::new(context, &config, tuning, (samples, size), (keep, &afters))?;
-        let kernels = Kernels { lifting: lifting.transpose()?, ..kernels };
         let parts = if joins_head { kernels.block(afters[config.layers - 1]).field_parts() } else { 1 };
         let mut block_rows = tables::inverse_rows(&config, grid.w);
         if rows_in_blocks {
@@ -204,7 +205,8 @@ impl Forward {
             scalar: zeros("scalar", &[samples])?,
             hidden: stored("hidden", &[lifted_at_once, config.lifting, h, w])?,
             keep,
-            joined,
+            head,
+            lifting: units.map(lifting).transpose()?,
             activations,
             before_gelu,
             projected,
@@ -253,7 +255,7 @@ impl Forward {
                 made: if after.field { Some(&self.field) } else { after.rows.then_some(&s.rows) },
                 rows_max: after.pool.then_some(&self.rows_max),
             };
-            let head = self.joined.head.as_ref().filter(|_| after.field);
+            let head = self.head.as_ref().filter(|_| after.field);
             let layer = head.unwrap_or(&self.layers.skips[block]);
             k.block(after).push(schedule, layer, (&s.block_rows, self.grid.w), tensors);
             if let Some(before) = before {
@@ -269,7 +271,7 @@ impl Forward {
         }
         let [inner, outer] = &self.layers.projection;
         let y = slot(self.config.layers);
-        if self.joined.head.is_some() {
+        if self.head.is_some() {
             return;
         }
         match self.before_gelu.last() {
@@ -292,7 +294,7 @@ impl Forward {
     fn push_lifting(&self, schedule: &mut Schedule) -> bool {
         let (samples, at_once) = (self.embedded.shape()[0], self.hidden.shape()[0]);
         let (k, lifted) = (&self.kernels, &self.activations[0]);
-        if let (Some(kernel), Some(units)) = (&k.lifting, &self.joined.lifting) {
+        if let Some((kernel, units)) = &self.lifting {
             let (s, rows) = (&self.spectral, kernel.after().rows);
             let made = rows.then_some(&s.rows);
             let tensors = BlockTensors { x: &self.embedded, r: units, y: lifted, made, rows_max: None };
@@ -336,7 +338,7 @@ impl Joined {
         } else {
             None
         };
-        let lifting = if tuning.staged && keep != Keep::Adjoint {
+        let units = if tuning.staged && keep != Keep::Adjoint {
             let [inner, _] = &weights.lifting;
             let (weight, bias) = (
                 padded(&inner.weight, config.lifting * config.inputs()),
@@ -348,7 +350,7 @@ impl Joined {
         } else {
             None
         };
-        Ok(Self { head, lifting })
+        Ok(Self { head, units })
     }
 }
 
@@ -369,7 +371,6 @@ impl Kernels {
         Ok(Self {
             dense: Pointwise::new(context, tuning, false)?,
             dense_gelu: Pointwise::new(context, tuning, true)?,
-            lifting: None,
             transform_rows: TransformRows::new(context, tuning, config.modes_w)?,
             spectral: Spectral::new(context, tuning, config, samples, keep == Keep::Adjoint)?,
             blocks,

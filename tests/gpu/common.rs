@@ -1,6 +1,6 @@
 //! What the tests share: one device for all of them, tensors that betray what was not written, and comparisons.
 
-use fnopt::gpu::{AdapterChoice, Context, Schedule, Sharing, Storage, Tensor};
+use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Schedule, Sharing, Storage, Tensor};
 use fnopt::kernels::{Tuning, padded};
 use fnopt::sim::Grid;
 use std::sync::{LazyLock, Mutex, MutexGuard};
@@ -46,20 +46,11 @@ pub fn device() -> MutexGuard<'static, ()> {
 
 /// The tunings of both kinds of adapter, then the other widths of tile that the kernels allow.
 pub fn tunings() -> [Tuning; 4] {
-    let own = Tuning::new(context());
-    let unstaged = Tuning { staged: false, block_high: 1, block_deep: 1, ..own };
-    let loads = Tuning { sharing: Sharing::Loads, ..unstaged };
+    let software = Tuning::of(AdapterKind::Software, context().sharing());
+    let hardware = Tuning::of(AdapterKind::Hardware, Sharing::Loads);
     [
-        Tuning { channels: 32, block_wide: 64, spectral_teams: 1, busy_groups: 1, ..unstaged },
-        Tuning {
-            channels: 8,
-            block_wide: 32,
-            block_deep: 8,
-            staged: true,
-            spectral_teams: 4,
-            busy_groups: 128,
-            ..loads
-        },
+        software,
+        hardware,
         Tuning {
             channels: 16,
             block_wide: 32,
@@ -67,7 +58,7 @@ pub fn tunings() -> [Tuning; 4] {
             rows_in_blocks: false,
             spectral_teams: 2,
             busy_groups: 25,
-            ..unstaged
+            ..software
         },
         Tuning {
             channels: 4,
@@ -75,9 +66,10 @@ pub fn tunings() -> [Tuning; 4] {
             block_wide: 16,
             block_high: 4,
             block_deep: 2,
+            staged: false,
             spectral_teams: 2,
             busy_groups: 60,
-            ..loads
+            ..hardware
         },
     ]
 }

@@ -196,6 +196,7 @@ fn work(
     };
     let of_one_core = |&job: &usize| matches!(jobs[job].entry.optimizer, Optimizer::Newton);
     let (side_by_side, alone): (Vec<usize>, Vec<usize>) = (0..jobs.len()).partition(of_one_core);
+    // Threads of their own: a pool's would begin another sequence in the middle of a frame that waits, and its time with it.
     let next = AtomicUsize::new(0);
     let mine = || -> Result<Vec<(usize, Kept)>> {
         let mut all = Vec::new();

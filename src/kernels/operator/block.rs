@@ -148,7 +148,7 @@ impl Block {
     /// Compiles it; an error if the device's workgroups are too small.
     pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, after: After) -> Result<Self> {
         assert!(tuning.block_high == 1 || !tuning.staged, "what is staged is of one row");
-        let (columns, inputs) = (2 * layer.modes_w, layer.inputs());
+        assert!(!(after.field && after.whole_rows()), "the field takes the place of the output");
         let group = Group::new(context, tuning, &layer, after).ok_or_else(|| {
             let quads = layer.row_quads;
             Error::Device(format!("{}: rows of {quads} quads do not fit a workgroup", context.name()))
@@ -168,11 +168,10 @@ impl Block {
             ("MEMORY", group.memory as f64),
         ];
         // Where operands are broadcast, loads are dear, and a row is read once for all columns; else invocations share them.
-        let second = if tuning.sharing == Sharing::Broadcast { columns } else { 2 };
+        let second = if tuning.sharing == Sharing::Broadcast { 2 * layer.modes_w } else { 2 };
         let unroll = Unroll { second, ..tuning.unroll(tuning.channels) };
         let kernel = Kernel::new(context, &SOURCE, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
-        assert!(inputs > 0 && !(after.field && after.whole_rows()), "an output is made, or the field of it");
         let nothing = [nothing()?, nothing()?];
         Ok(Self { kernel, tile: tuning.channels, group, layer, after, nothing })
     }
