@@ -4,11 +4,13 @@ use super::Real;
 use super::cloth::{Frame, GradientRows, Trial, add_wind, end_frame, energy, gradient, shifts, stretch};
 use super::optim::norm;
 use crate::sim::{Control, EnergyTerms, Model, State};
+use rayon::prelude::*;
 
 /// The energies L(a) of a batch of cloths (paper section 3.2).
 pub struct Objective<T> {
     pub(super) trial: Trials<T>,
-    rows: GradientRows<T>,
+    /// Of each cloth.
+    rows: Vec<GradientRows<T>>,
     /// Gradient dL/da, shape [B, 3, H, W].
     pub(super) grad: Vec<T>,
     /// Its norm for each component of each cloth, shape [B, 3].
@@ -40,7 +42,7 @@ impl<T: Real> Objective<T> {
                 f: zeros(),
                 slots: model.handle_slots(),
             },
-            rows: GradientRows::new(model.grid),
+            rows: (0..model.batch()).map(|_| GradientRows::new(model.grid)).collect(),
             grad: zeros(),
             norms: vec![0.0; 3 * model.batch()],
         }
@@ -114,12 +116,14 @@ impl<T: Real> Objective<T> {
     pub fn evaluate(&mut self, state: &State<T>, control: &Control<T>) {
         self.place(state, control);
         let cloth = self.cloth_len();
-        for (b, grad) in self.grad.chunks_exact_mut(cloth).enumerate() {
-            gradient(&self.trial.cloth(state, b), &mut self.rows, grad);
-        }
-        for (norm_of, grad) in self.norms.iter_mut().zip(self.grad.chunks_exact(cloth / 3)) {
-            *norm_of = norm(grad);
-        }
+        let Self { trial, rows, grad, norms } = self;
+        let grads = grad.par_chunks_exact_mut(cloth).zip(norms.par_chunks_exact_mut(3));
+        grads.zip(rows).enumerate().for_each(|(b, ((grad, norms), rows))| {
+            gradient(&trial.cloth(state, b), rows, grad);
+            for (norm_of, grad) in norms.iter_mut().zip(grad.chunks_exact(cloth / 3)) {
+                *norm_of = norm(grad);
+            }
+        });
     }
 
     /// Energy terms of cloth `b` where the particles are.

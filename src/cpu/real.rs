@@ -1,8 +1,10 @@
 //! The two scalar types of the CPU path, and what the machine's vector registers do for them.
 
 use num_traits::Float;
+use pulp::bytemuck::{cast_slice, cast_slice_mut};
 use pulp::{Simd, WithSimd};
 use realfft::FftNum;
+use std::slice::{from_mut, from_ref};
 
 /// A real number the CPU path computes with: f64 is the definition of correct, f32 is the fast one.
 pub trait Real: Float + FftNum + Default + std::iter::Sum {
@@ -17,6 +19,29 @@ pub trait Real: Float + FftNum + Default + std::iter::Sum {
     fn splat<S: Simd>(simd: S, value: Self) -> Self::Lanes<S>;
     /// `a b + c`, fused where the machine can.
     fn fma<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>, c: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// `a + b`.
+    fn total<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// `a - b`.
+    fn difference<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// `a b`.
+    fn product<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// `a / b`.
+    fn quotient<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// The square root.
+    fn root<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// `then` where the first of a pair is greater than the second, else `other`.
+    fn where_above<S: Simd>(
+        simd: S,
+        pair: (Self::Lanes<S>, Self::Lanes<S>),
+        then: Self::Lanes<S>,
+        other: Self::Lanes<S>,
+    ) -> Self::Lanes<S>;
+    /// The angle in 0..=pi of a sine, which is not negative, and a cosine: `atan2(sine, cosine)`, whatever their length.
+    fn angle<S: Simd>(simd: S, sine: Self::Lanes<S>, cosine: Self::Lanes<S>) -> Self::Lanes<S>;
+    /// The first numbers of a slice, zeros where it has ended.
+    fn first<S: Simd>(simd: S, values: &[Self]) -> Self::Lanes<S>;
+    /// Overwrites the first numbers of a slice, as many as it has.
+    fn store<S: Simd>(simd: S, values: &mut [Self], lanes: Self::Lanes<S>);
     /// The larger of two, lane by lane.
     fn larger<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
     /// The sum of all lanes.
@@ -36,7 +61,8 @@ pub trait Real: Float + FftNum + Default + std::iter::Sum {
 }
 
 macro_rules! registers {
-    ($real:ty, $lanes:ident, $as:ident, $as_mut:ident, $splat:ident, $fma:ident, $max:ident, $sum:ident) => {
+    ($real:ty, $lanes:ident, $as:ident, $as_mut:ident, $splat:ident, $fma:ident, $max:ident, $across:ident,
+     $add:ident, $sub:ident, $mul:ident, $div:ident, $sqrt:ident, $above:ident, $select:ident, $load:ident, $store:ident) => {
         type Lanes<S: Simd> = S::$lanes;
 
         #[inline(always)]
@@ -61,7 +87,46 @@ macro_rules! registers {
         }
         #[inline(always)]
         fn across<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self {
-            simd.$sum(a)
+            simd.$across(a)
+        }
+        #[inline(always)]
+        fn total<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
+            simd.$add(a, b)
+        }
+        #[inline(always)]
+        fn difference<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
+            simd.$sub(a, b)
+        }
+        #[inline(always)]
+        fn product<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
+            simd.$mul(a, b)
+        }
+        #[inline(always)]
+        fn quotient<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
+            simd.$div(a, b)
+        }
+        #[inline(always)]
+        fn root<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self::Lanes<S> {
+            simd.$sqrt(a)
+        }
+        #[inline(always)]
+        fn where_above<S: Simd>(
+            simd: S,
+            (a, b): (Self::Lanes<S>, Self::Lanes<S>),
+            then: Self::Lanes<S>,
+            other: Self::Lanes<S>,
+        ) -> Self::Lanes<S> {
+            simd.$select(simd.$above(a, b), then, other)
+        }
+        #[inline(always)]
+        fn first<S: Simd>(simd: S, values: &[Self]) -> Self::Lanes<S> {
+            let whole = S::$as(values).0;
+            if whole.is_empty() { simd.$load(values) } else { whole[0] }
+        }
+        #[inline(always)]
+        fn store<S: Simd>(simd: S, values: &mut [Self], lanes: Self::Lanes<S>) {
+            let whole = S::$as_mut(values).0;
+            if whole.is_empty() { simd.$store(values, lanes) } else { whole[0] = lanes }
         }
         #[inline(always)]
         fn of(value: f64) -> Self {
@@ -83,7 +148,16 @@ impl Real for f64 {
         splat_f64s,
         mul_add_e_f64s,
         max_f64s,
-        reduce_sum_f64s
+        reduce_sum_f64s,
+        add_f64s,
+        sub_f64s,
+        mul_f64s,
+        div_f64s,
+        sqrt_f64s,
+        greater_than_f64s,
+        select_f64s,
+        partial_load_f64s,
+        partial_store_f64s
     );
 
     fn gelu(values: &mut [Self]) {
@@ -106,6 +180,16 @@ impl Real for f64 {
             *x = amplitude * (*x * factor).tanh();
         }
     }
+
+    #[inline(always)]
+    fn angle<S: Simd>(_: S, sine: S::f64s, cosine: S::f64s) -> S::f64s {
+        let mut angles = sine;
+        let all = cast_slice_mut::<S::f64s, f64>(from_mut(&mut angles));
+        for (angle, &cosine) in all.iter_mut().zip(cast_slice::<S::f64s, f64>(from_ref(&cosine))) {
+            *angle = angle.atan2(cosine);
+        }
+        angles
+    }
 }
 
 impl Real for f32 {
@@ -117,7 +201,16 @@ impl Real for f32 {
         splat_f32s,
         mul_add_e_f32s,
         max_f32s,
-        reduce_sum_f32s
+        reduce_sum_f32s,
+        add_f32s,
+        sub_f32s,
+        mul_f32s,
+        div_f32s,
+        sqrt_f32s,
+        greater_than_f32s,
+        select_f32s,
+        partial_load_f32s,
+        partial_store_f32s
     );
 
     fn gelu(values: &mut [Self]) {
@@ -130,6 +223,11 @@ impl Real for f32 {
 
     fn squash(values: &mut [Self], factor: Self, amplitude: Self) {
         pulp::Arch::new().dispatch(Map { values, function: Squash { factor, amplitude } });
+    }
+
+    #[inline(always)]
+    fn angle<S: Simd>(simd: S, sine: S::f32s, cosine: S::f32s) -> S::f32s {
+        angle(simd, sine, cosine)
     }
 }
 
@@ -166,6 +264,20 @@ const TANH_P: [f32; 6] =
     [1.0, 1.368_085_7e-1, 3.869_508_4e-3, 2.803_132e-5, 3.064_254_8e-8, -1.224_626_1e-11];
 const TANH_Q: [f32; 5] = [1.0, 4.701_419e-1, 2.725_015_8e-2, 3.940_714e-4, 1.289_035_7e-6];
 const TANH_LIMIT: f32 = 9.0;
+
+/// `atan t` is nearly `t + t u p(u)` with `u = t^2` for 0 <= t <= 1: minimax by the same method, 6e-9; the 1 is kept apart so
+/// that rounding does not eat the first coefficient. It is what the shaders compute.
+const ATAN: [f32; 9] = [
+    -1.136e-7,
+    -3.333_259_7e-1,
+    1.998_590_7e-1,
+    -1.416_122_9e-1,
+    1.049_894_4e-1,
+    -7.234_853_5e-2,
+    3.978_118e-2,
+    -1.440_133_2e-2,
+    2.456_718_2e-3,
+];
 
 /// A function of the numbers of a register. Neither closures nor iterator adapters appear in its body: they would not be
 /// compiled for the registers that are found at run time.
@@ -269,6 +381,21 @@ impl Lanewise for Squash {
     }
 }
 
+/// The arc tangent of the smaller over the larger, mirrored at 45 and at 90 degrees.
+#[inline(always)]
+fn angle<S: Simd>(simd: S, sine: S::f32s, cosine: S::f32s) -> S::f32s {
+    let c = simd.abs_f32s(cosine);
+    let (small, large) = (simd.min_f32s(sine, c), simd.max_f32s(sine, c));
+    let t = simd.div_f32s(small, simd.max_f32s(large, simd.splat_f32s(f32::MIN_POSITIVE)));
+    let p = horner(simd, simd.mul_f32s(t, t), &ATAN);
+    let acute = simd.mul_add_e_f32s(t, p, t);
+    let steep = simd.greater_than_f32s(sine, c);
+    let right =
+        simd.select_f32s(steep, simd.sub_f32s(simd.splat_f32s(std::f32::consts::FRAC_PI_2), acute), acute);
+    let obtuse = simd.less_than_f32s(cosine, simd.splat_f32s(0.0));
+    simd.select_f32s(obtuse, simd.sub_f32s(simd.splat_f32s(std::f32::consts::PI), right), right)
+}
+
 #[inline(always)]
 fn clamp<S: Simd>(simd: S, x: S::f32s, limit: f32) -> S::f32s {
     simd.min_f32s(simd.max_f32s(x, simd.splat_f32s(-limit)), simd.splat_f32s(limit))
@@ -350,6 +477,47 @@ mod tests {
         f32::gelu(&mut v);
         assert_eq!(v[..4], [0.0, 0.0, 40.0, 1e30]);
         assert!(v[4].is_nan());
+    }
+
+    /// Replaces each sine by its angle.
+    struct Angles<'a> {
+        sines: &'a mut [f32],
+        cosines: &'a [f32],
+    }
+
+    impl WithSimd for Angles<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) {
+            let width = f32::lanes::<S>(&[0.0; 16]).len();
+            for (sines, cosines) in self.sines.chunks_mut(16 / width).zip(self.cosines.chunks(16 / width)) {
+                let angle = f32::angle(simd, f32::first(simd, sines), f32::first(simd, cosines));
+                f32::store(simd, sines, angle);
+            }
+        }
+    }
+
+    #[test]
+    fn single_precision_angles_follow_the_arc_tangent() {
+        let turns = (0..=20_000).map(|k| f64::from(k) * std::f64::consts::PI / 20_000.0);
+        for length in [1.0, 1e-15, 1e15] {
+            let cosines: Vec<f32> = turns.clone().map(|t| (length * t.cos()) as f32).collect();
+            let mut angles: Vec<f32> = turns.clone().map(|t| (length * t.sin()).max(0.0) as f32).collect();
+            let sines = angles.clone();
+            pulp::Arch::new().dispatch(Angles { sines: &mut angles, cosines: &cosines });
+            for ((&sine, &cosine), angle) in sines.iter().zip(&cosines).zip(angles) {
+                let exact = f64::from(sine).atan2(f64::from(cosine));
+                let error = (f64::from(angle) - exact).abs();
+                assert!(error <= 2e-7 * exact, "atan2({sine:e}, {cosine:e}) = {angle}, not {exact}");
+            }
+        }
+        // Small angles keep their relative precision, and nothing has no angle.
+        let (mut angles, cosines) = ([1e-30f32, 1e-7, 0.0, 0.0, 0.0], [1.0, -1.0, 0.0, 2.0, -2.0]);
+        pulp::Arch::new().dispatch(Angles { sines: &mut angles, cosines: &cosines });
+        assert!((angles[0] - 1e-30).abs() < 2e-37, "{:e}", angles[0]);
+        let pi = std::f32::consts::PI;
+        assert_eq!(angles[1..], [pi - 1e-7, 0.0, 0.0, pi]);
     }
 
     #[test]

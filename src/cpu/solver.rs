@@ -39,6 +39,12 @@ impl<T: Real> Solver<T> {
     ///
     /// Panics when a length is not the model's.
     pub fn step(&mut self, state: &mut State<T>, control: &Control<T>) -> Vec<FrameStats> {
+        // As one task of the pool: from outside, each of the hundreds of parallel loops of a frame would wait for a thread
+        // of the pool to wake.
+        rayon::scope(|_| self.frame(state, control))
+    }
+
+    fn frame(&mut self, state: &mut State<T>, control: &Control<T>) -> Vec<FrameStats> {
         let objective = &mut self.objective;
         objective.begin_frame(state, control);
         objective.trial.a.fill(T::zero());

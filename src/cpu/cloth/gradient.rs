@@ -1,17 +1,43 @@
 //! The gradient `dL/da` of the energy, in two passes over the rows: first each row of cells writes the gradient with
 //! respect to its edges, every angle once; then each row of particles gathers those of the edges that meet there.
 //! Rows write apart from each other, so that the result does not depend on the number of threads.
+//!
+//! Both passes go along rows a register at a time. A stored row ends in edges of length zero, which contribute nothing: no
+//! loop needs a remainder or a last column. As in [`crate::cpu::real`], closures and iterator adapters stay out of these loops.
 
-use super::vector::{angle_gradient, length, scaled};
 use super::{Factors, Trial};
 use crate::cpu::Real;
+use crate::cpu::matmul::LANES;
 use crate::sim::Grid;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Gradients with respect to edges, as one row of cells leaves them: shape [H, 4, 3, W].
+/// Particles that one task is worth waking a thread for.
+const TASK: usize = 2048;
+
+/// Gradients with respect to edges, as one row of cells leaves them, and working memory.
 pub struct GradientRows<T> {
+    /// Shape [H, 4, 3, W'].
     edges: Vec<T>,
+    /// Of each task, which takes some rows.
+    tasks: Vec<Work<T>>,
     grid: Grid,
+    stored: Stored,
+}
+
+/// A row as it is stored: zero from its own length on.
+#[derive(Clone, Copy)]
+struct Stored {
+    /// Numbers from one row to the next, W'.
+    stride: usize,
+    /// Numbers that are computed: what begins one further on is inside too.
+    count: usize,
+}
+
+/// Edges of a row and of the next one, shape [3, W'].
+struct Work<T> {
+    vertical: [Vec<T>; 2],
+    horizontal: [Vec<T>; 2],
 }
 
 /// The vertical edges of this row, from its own stretch, shear and bend.
@@ -26,13 +52,27 @@ const NEXT_HORIZONTAL: usize = 3;
 impl<T: Real> GradientRows<T> {
     /// Working memory for cloths on this grid.
     pub fn new(grid: Grid) -> Self {
-        Self { edges: vec![T::zero(); 12 * grid.particles()], grid }
+        let count = grid.w.next_multiple_of(LANES);
+        let stored = Stored { stride: count + LANES, count };
+        let tasks = (grid.particles() / TASK).clamp(1, grid.h);
+        Self {
+            edges: vec![T::zero(); grid.h * 12 * stored.stride],
+            tasks: (0..tasks).map(|_| Work::new(stored.stride)).collect(),
+            grid,
+            stored,
+        }
     }
 
-    /// One component of the gradients that row `i` of cells left for one kind of edges, shape \[W\]; `None` outside.
-    fn left(&self, i: Option<usize>, kind: usize, component: usize) -> Option<&[T]> {
-        let w = self.grid.w;
-        i.map(|i| &self.edges[((i * 4 + kind) * 3 + component) * w..][..w])
+    /// Where one component of the gradients begins that row `i` of cells left for one kind of edges, shape \[W'\].
+    fn row(&self, i: usize, kind: usize, component: usize) -> usize {
+        ((i * 4 + kind) * 3 + component) * self.stored.stride
+    }
+}
+
+impl<T: Real> Work<T> {
+    fn new(stride: usize) -> Self {
+        let edges = || [(); 2].map(|()| vec![T::zero(); 3 * stride]);
+        Self { vertical: edges(), horizontal: edges() }
     }
 }
 
@@ -40,90 +80,261 @@ impl<T: Real> GradientRows<T> {
 pub fn gradient<T: Real>(trial: &Trial<'_, T>, rows: &mut GradientRows<T>, grad: &mut [T]) {
     let Grid { h, w } = trial.grid;
     assert_eq!(rows.grid, trial.grid, "working memory and cloth share a grid");
-    rows.edges.par_chunks_mut(12 * w).enumerate().for_each(|(i, edges)| edge_row(trial, i, edges));
+    let (stored, band) = (rows.stored, h.div_ceil(rows.tasks.len()));
+    let row = 12 * stored.stride;
+    rows.edges.par_chunks_mut(band * row).zip(&mut rows.tasks).enumerate().for_each(
+        |(task, (edges, work))| {
+            let rows = edges.chunks_exact_mut(row).zip(task * band..);
+            rows.for_each(|(edges, i)| Arch::new().dispatch(EdgeRow { trial, i, stored, edges, work }));
+        },
+    );
     let rows = &*rows;
-    let n = T::of((h * w) as f64);
-    grad.par_chunks_mut(w).enumerate().for_each(|(row, grad)| {
-        let (component, i) = (row / h, row % h);
-        let above = i.checked_sub(1);
-        let sources = [
-            (rows.left(Some(i), VERTICAL, component), -T::one()),
-            (rows.left(above, NEXT_VERTICAL, component), -T::one()),
-            (rows.left(above, VERTICAL, component), T::one()),
-            (rows.left(i.checked_sub(2), NEXT_VERTICAL, component), T::one()),
-        ];
-        grad.fill(T::zero());
-        for (source, sign) in sources {
-            for (grad, &edge) in grad.iter_mut().zip(source.unwrap_or(&[])) {
-                *grad = *grad + sign * edge;
-            }
-        }
-        for source in
-            [rows.left(Some(i), HORIZONTAL, component), rows.left(above, NEXT_HORIZONTAL, component)]
-        {
-            let source = source.unwrap_or(&[]);
-            for (j, &edge) in source.iter().take(w - 1).enumerate() {
-                grad[j] = grad[j] - edge;
-                grad[j + 1] = grad[j + 1] + edge;
-            }
-        }
-        let (a, f) = (&trial.a[row * w..][..w], &trial.f[row * w..][..w]);
-        for (j, grad) in grad.iter_mut().enumerate() {
-            let held = trial.slots[i * w + j] != 0;
-            let shape = if held { T::zero() } else { *grad };
-            *grad = shape + T::of(trial.grid.mass(i, j)) * (a[j] - f[j]) / n;
-        }
+    grad.par_chunks_mut(band * w).enumerate().for_each(|(task, grad)| {
+        // The bands of one component do not end where the next one begins.
+        let rows_of_task = grad.chunks_exact_mut(w).zip(task * band..);
+        rows_of_task.for_each(|(grad, row)| Arch::new().dispatch(ParticleRow { trial, rows, row, grad }));
     });
 }
 
-/// Fills `edges` [4, 3, W] with what row `i` of cells, and the edges that begin in row `i`, contribute.
-fn edge_row<T: Real>(trial: &Trial<'_, T>, i: usize, edges: &mut [T]) {
+/// Fills `edges` [4, 3, W'] with what row `i` of cells, and the edges that begin in row `i`, contribute.
+struct EdgeRow<'a, 'b, T> {
+    trial: &'a Trial<'b, T>,
+    i: usize,
+    stored: Stored,
+    edges: &'a mut [T],
+    work: &'a mut Work<T>,
+}
+
+impl<T: Real> WithSimd for EdgeRow<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { trial, i, stored, edges, work } = self;
+        let Grid { h, w } = trial.grid;
+        let Factors { vertical, horizontal, shear, bend } = trial.factors();
+        let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
+        let straight = Angles { simd, stored, rest: T::zero(), factor: bend };
+        let square = Angles { simd, stored, rest: T::of(std::f64::consts::FRAC_PI_2), factor: shear };
+        edges.fill(T::zero());
+        let block = 3 * stored.stride;
+        load(simd, trial, (i, 1, w - 1), stored, e);
+        stretch(simd, e, horizontal, stored, &mut edges[HORIZONTAL * block..]);
+        straight.add((&e[1..], e), edges, (HORIZONTAL * block + 1, HORIZONTAL * block));
+        if i + 1 == h {
+            return;
+        }
+        load(simd, trial, (i, w, w), stored, v);
+        stretch(simd, v, vertical, stored, &mut edges[VERTICAL * block..]);
+        load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
+        for right in 0..2 {
+            square.add((&v[right..], e), edges, (VERTICAL * block + right, HORIZONTAL * block));
+            square.add((&v[right..], next_e), edges, (VERTICAL * block + right, NEXT_HORIZONTAL * block));
+        }
+        if i + 2 == h {
+            return;
+        }
+        load(simd, trial, (i + 1, w, w), stored, next_v);
+        straight.add((next_v, v), edges, (NEXT_VERTICAL * block, VERTICAL * block));
+    }
+}
+
+/// Numbers in a register.
+#[inline(always)]
+fn width<T: Real, S: Simd>() -> usize {
+    size_of::<T::Lanes<S>>() / size_of::<T>()
+}
+
+/// The register that begins at a place.
+#[inline(always)]
+fn at<T: Real, S: Simd>(values: &[T], place: usize) -> T::Lanes<S> {
+    T::lanes::<S>(&values[place..])[0]
+}
+
+/// The registers at the same place of three components.
+#[inline(always)]
+fn vector_at<T: Real, S: Simd>(values: &[T], place: usize, stride: usize) -> [T::Lanes<S>; 3] {
+    [at::<T, S>(values, place), at::<T, S>(values, place + stride), at::<T, S>(values, place + 2 * stride)]
+}
+
+/// Adds `factor v` there.
+#[inline(always)]
+fn add_at<T: Real, S: Simd>(
+    simd: S,
+    values: &mut [T],
+    (place, stride): (usize, usize),
+    (v, factor): ([T::Lanes<S>; 3], T::Lanes<S>),
+) {
+    for component in 0..3 {
+        let to = &mut T::lanes_mut::<S>(&mut values[place + component * stride..])[0];
+        *to = T::fma(simd, v[component], factor, *to);
+    }
+}
+
+#[inline(always)]
+fn dot<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], w: [T::Lanes<S>; 3]) -> T::Lanes<S> {
+    T::fma(simd, u[0], w[0], T::fma(simd, u[1], w[1], T::product(simd, u[2], w[2])))
+}
+
+#[inline(always)]
+fn cross<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], w: [T::Lanes<S>; 3]) -> [T::Lanes<S>; 3] {
+    [
+        T::difference(simd, T::product(simd, u[1], w[2]), T::product(simd, u[2], w[1])),
+        T::difference(simd, T::product(simd, u[2], w[0]), T::product(simd, u[0], w[2])),
+        T::difference(simd, T::product(simd, u[0], w[1]), T::product(simd, u[1], w[0])),
+    ]
+}
+
+#[inline(always)]
+fn scaled<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], factor: T::Lanes<S>) -> [T::Lanes<S>; 3] {
+    [T::product(simd, u[0], factor), T::product(simd, u[1], factor), T::product(simd, u[2], factor)]
+}
+
+/// Sets `edges` [3, W'] to the edges from the first `count` particles of row `i` to those `step` further on.
+#[inline(always)]
+fn load<T: Real, S: Simd>(
+    simd: S,
+    trial: &Trial<'_, T>,
+    (i, step, count): (usize, usize, usize),
+    stored: Stored,
+    edges: &mut [T],
+) {
     let Grid { h, w } = trial.grid;
-    let Factors { vertical, horizontal, shear, bend } = trial.factors();
-    let right_angle = T::of(std::f64::consts::FRAC_PI_2);
-    edges.fill(T::zero());
-    let mut add = |kind: usize, j: usize, value: [T; 3], factor: T| {
-        for (component, value) in scaled(value, factor).into_iter().enumerate() {
-            let to = &mut edges[(kind * 3 + component) * w + j];
-            *to = *to + value;
-        }
-    };
-    for j in 0..w {
-        if i + 1 < h {
-            let e = trial.vertical(i, j);
-            add(VERTICAL, j, e, vertical * stretch_slope(e));
-            if i + 2 < h {
-                let (next, this) = angle_gradient(trial.vertical(i + 1, j), e, T::zero());
-                add(NEXT_VERTICAL, j, next, bend);
-                add(VERTICAL, j, this, bend);
-            }
-        }
-        if j + 1 < w {
-            let e = trial.horizontal(i, j);
-            add(HORIZONTAL, j, e, horizontal * stretch_slope(e));
-            if j + 2 < w {
-                let (next, this) = angle_gradient(trial.horizontal(i, j + 1), e, T::zero());
-                add(HORIZONTAL, j + 1, next, bend);
-                add(HORIZONTAL, j, this, bend);
-            }
-        }
-        if i + 1 < h && j + 1 < w {
-            for (k, u) in [(j, trial.vertical(i, j)), (j + 1, trial.vertical(i, j + 1))] {
-                for (kind, v) in
-                    [(HORIZONTAL, trial.horizontal(i, j)), (NEXT_HORIZONTAL, trial.horizontal(i + 1, j))]
-                {
-                    let (du, dv) = angle_gradient(u, v, right_angle);
-                    add(VERTICAL, k, du, shear);
-                    add(kind, j, dv, shear);
-                }
-            }
+    for component in 0..3 {
+        let from = (component * h + i) * w;
+        let (x, x_to) = (&trial.x[from..][..count], &trial.x[from + step..][..count]);
+        let (shift, shift_to) = (&trial.shift[from..][..count], &trial.shift[from + step..][..count]);
+        let edges = T::lanes_mut::<S>(&mut edges[component * stored.stride..][..stored.count]);
+        let mut place = 0;
+        for edge in edges {
+            let way = T::difference(simd, T::first(simd, &x_to[place..]), T::first(simd, &x[place..]));
+            let further =
+                T::difference(simd, T::first(simd, &shift_to[place..]), T::first(simd, &shift[place..]));
+            *edge = T::total(simd, way, further);
+            place = (place + width::<T, S>()).min(count);
         }
     }
 }
 
-/// The factor of `e` in the gradient of `(|e| - 1)^2`; 0 where the edge has no length and no direction.
+/// Adds to `to` the gradient of `factor (|e| - 1)^2`; 0 where an edge has no length and no direction.
 #[inline(always)]
-fn stretch_slope<T: Real>(e: [T; 3]) -> T {
-    let length = length(e);
-    if length > T::zero() { T::of(2.0) * (length - T::one()) / length } else { T::zero() }
+fn stretch<T: Real, S: Simd>(simd: S, edges: &[T], factor: T, stored: Stored, to: &mut [T]) {
+    let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
+    let twice = T::splat(simd, factor + factor);
+    for k in 0..stored.count / width::<T, S>() {
+        let place = k * width::<T, S>();
+        let e = vector_at::<T, S>(edges, place, stored.stride);
+        let length = T::root(simd, dot::<T, S>(simd, e, e));
+        let slope = T::quotient(simd, T::difference(simd, length, one), length);
+        // A length that is not a number is not above 0: its edge tells.
+        let slope = T::where_above(simd, (length, zero), T::product(simd, twice, slope), zero);
+        add_at(simd, to, (place, stored.stride), (e, slope));
+    }
+}
+
+/// The energy `factor (angle - rest)^2` of pairs of edges.
+#[derive(Clone, Copy)]
+struct Angles<T, S> {
+    simd: S,
+    stored: Stored,
+    rest: T,
+    factor: T,
+}
+
+impl<T: Real, S: Simd> Angles<T, S> {
+    /// Adds its gradients with respect to the edges `u` and `w` [3, W'] of each pair to the two places in `edges`.
+    ///
+    /// With `c = u x w` and the angle t, `dt/du = u x c / (|c| |u|^2)` and `dt/dw = c x w / (|c| |w|^2)`. For parallel
+    /// edges `(t - rest) / |c|` has the limit `1 / (u . w)` if rest = 0; elsewhere the direction is undefined and the
+    /// gradient taken to be 0, as it is for an edge without length.
+    #[inline(always)]
+    fn add(self, (u, w): (&[T], &[T]), edges: &mut [T], (to_u, to_w): (usize, usize)) {
+        let Self { simd, stored: Stored { stride, count }, rest, factor } = self;
+        let straight = if rest == T::zero() { T::one() } else { T::zero() };
+        let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
+        let (least, twice) = (T::splat(simd, T::min_positive_value()), T::splat(simd, factor + factor));
+        let (rest, straight) = (T::splat(simd, rest), T::splat(simd, straight));
+        for k in 0..count / width::<T, S>() {
+            let place = k * width::<T, S>();
+            let (u, w) = (vector_at::<T, S>(u, place, stride), vector_at::<T, S>(w, place, stride));
+            let c = cross::<T, S>(simd, u, w);
+            let (sine, cosine) = (T::root(simd, dot::<T, S>(simd, c, c)), dot::<T, S>(simd, u, w));
+            // One division for both: of the angle by the sine, or of 1 by the cosine.
+            let parallel = T::where_above(simd, (cosine, least), straight, zero);
+            let bent = T::difference(simd, T::angle(simd, sine, cosine), rest);
+            let above = T::where_above(simd, (sine, zero), bent, parallel);
+            let below = T::where_above(simd, (sine, zero), sine, T::larger(simd, cosine, least));
+            let ratio = T::product(simd, twice, T::quotient(simd, above, below));
+            // The smallest normal number keeps 0 / 0 out where an edge has no length, and multiplying by its inverse
+            // first keeps the product of two large factors out where it has hardly any.
+            let by_u = T::quotient(simd, one, T::larger(simd, dot::<T, S>(simd, u, u), least));
+            let by_w = T::quotient(simd, one, T::larger(simd, dot::<T, S>(simd, w, w), least));
+            let (along_u, along_w) = (cross::<T, S>(simd, u, c), cross::<T, S>(simd, c, w));
+            add_at(simd, edges, (to_u + place, stride), (scaled::<T, S>(simd, along_u, by_u), ratio));
+            add_at(simd, edges, (to_w + place, stride), (scaled::<T, S>(simd, along_w, by_w), ratio));
+        }
+    }
+}
+
+/// Gathers one component of one row of particles, `grad` \[W\], from the edges that meet there.
+struct ParticleRow<'a, 'b, T> {
+    trial: &'a Trial<'b, T>,
+    rows: &'a GradientRows<T>,
+    /// Number of the row, of all components.
+    row: usize,
+    grad: &'a mut [T],
+}
+
+impl<T: Real> WithSimd for ParticleRow<'_, '_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { trial, rows, row, grad } = self;
+        let Grid { h, w } = trial.grid;
+        let (component, i) = (row / h, row % h);
+        let (above, two_above) = (i.checked_sub(1), i.checked_sub(2));
+        let edges = |i: Option<usize>, kind: usize| i.map(|i| rows.row(i, kind, component));
+        // Edges that end here pull one way, those that begin here the other; what is in front of a row is zero.
+        let ends = [
+            edges(above, VERTICAL),
+            edges(two_above, NEXT_VERTICAL),
+            edges(Some(i), HORIZONTAL).map(|start| start - 1),
+            edges(above, NEXT_HORIZONTAL).map(|start| start - 1),
+        ];
+        let begins = [
+            edges(Some(i), VERTICAL),
+            edges(above, NEXT_VERTICAL),
+            edges(Some(i), HORIZONTAL),
+            edges(above, NEXT_HORIZONTAL),
+        ];
+        let (a, f) = (&trial.a[row * w..][..w], &trial.f[row * w..][..w]);
+        let inertia = T::of(trial.grid.mass(i, 1) / (h * w) as f64);
+        let factor = T::splat(simd, inertia);
+        for k in 0..w.div_ceil(width::<T, S>()) {
+            let place = k * width::<T, S>();
+            let mut sum = T::splat(simd, T::zero());
+            for kind in 0..4 {
+                if let Some(start) = ends[kind] {
+                    sum = T::total(simd, sum, at::<T, S>(&rows.edges, start + place));
+                }
+                if let Some(start) = begins[kind] {
+                    sum = T::difference(simd, sum, at::<T, S>(&rows.edges, start + place));
+                }
+            }
+            let work = T::difference(simd, T::first(simd, &a[place..]), T::first(simd, &f[place..]));
+            T::store(simd, &mut grad[place..], T::fma(simd, factor, work, sum));
+        }
+        // Particles of the first and the last column have half the mass of the others.
+        let half = inertia * T::of(0.5);
+        for j in [0, w - 1] {
+            grad[j] = grad[j] - half * (a[j] - f[j]);
+        }
+        let slots = &trial.slots[i * w..][..w];
+        if slots.iter().fold(0, |any, slot| any | slot) != 0 {
+            for (j, grad) in grad.iter_mut().enumerate().filter(|&(j, _)| slots[j] != 0) {
+                *grad = T::of(trial.grid.mass(i, j) / (h * w) as f64) * (a[j] - f[j]);
+            }
+        }
+    }
 }
