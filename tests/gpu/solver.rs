@@ -149,7 +149,8 @@ fn twenty_learned_frames_agree_with_the_host() {
     }
 }
 
-/// Gradient descent and L-BFGS do not amplify roundings like this: twenty frames agree to 1e-6 and 1e-3 of the side. (Adam does at
+/// Gradient descent hardly amplifies roundings: twenty frames agree to 1e-6 of the side. L-BFGS does, a hundredfold in ten frames: they
+/// agree to 1e-3 of the side or, as the learned ones, to ten times what last bits of the start do on the host. (Adam does at
 /// once: where a gradient is 0 but for roundings, its sign decides about a whole step. Quasi-Newton is 1.1e-3
 /// of the side apart after five frames.)
 #[test]
@@ -160,14 +161,22 @@ fn twenty_classical_frames_agree_with_the_host() {
     for (optimizer, tolerance) in [(Optimizer::gradient_descent(), 1e-6), (Optimizer::lbfgs(), 1e-3)] {
         let mut expected = setup.start.cast::<f32>();
         let solver = solver(&setup.model, &optimizer, 10, &expected);
-        let mut host = cpu::Solver::<f32>::new(&setup.model, &optimizer, 10).unwrap();
+        let host = || cpu::Solver::<f32>::new(&setup.model, &optimizer, 10).unwrap();
+        let (mut one, mut other) = (host(), host());
+        let mut nudged = expected.clone();
+        nudged.x.iter_mut().step_by(2).for_each(|x| *x = x.next_up());
+        let mut farthest = 0.0f64;
         for frame in 1..=20 {
             let control = setup.control(frame);
             let found = step(&solver, &control);
-            host.step(&mut expected, &control);
+            one.step(&mut expected, &control);
+            other.step(&mut nudged, &control);
+            farthest = farthest.max(apart(&nudged.x, &expected.x).1);
             let (_, most) = apart(&found.x, &expected.x);
-            println!("{}, frame {frame}: {most:.1e} at most", optimizer.name());
-            assert!(most < tolerance * side, "{}, frame {frame}: {most:e} edges", optimizer.name());
+            let name = optimizer.name();
+            println!("{name}, frame {frame}: {most:.1e} at most; by last bits {farthest:.1e}");
+            let allowed = (tolerance * side).max(10.0 * farthest);
+            assert!(most < allowed, "{name}, frame {frame}: {most:e} edges, not {allowed:e}");
         }
     }
 }
