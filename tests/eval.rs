@@ -1,5 +1,7 @@
 //! Measures against brute force and closed forms, sequences as they are read, and the tables.
 
+mod noise;
+
 use fnopt::eval;
 use fnopt::eval::fit::{Fit, Surface};
 use fnopt::eval::{
@@ -15,14 +17,8 @@ use std::path::{Path, PathBuf};
 
 /// Points without pattern in the unit cube.
 fn cloud(count: usize, seed: u64) -> Vec<[f64; 3]> {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut next = || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 53) as f64
-    };
-    (0..count).map(|_| [next(), next(), next()]).collect()
+    let points = noise::noise(3 * count, seed);
+    points.as_chunks().0.iter().map(|p: &[f64; 3]| p.map(|c| 0.5 * c + 0.5)).collect()
 }
 
 fn square(a: [f64; 3], b: [f64; 3]) -> f64 {

@@ -1,22 +1,11 @@
 //! The backward pass of the network: against differences, layer by layer, and the adjoint transform against its own
 //! definition.
 
+use crate::noise::noise;
 use fnopt::cpu::operator::{Adjoint, Network, Spectral, Transform};
 use fnopt::cpu::optim::{Hidden, UpdateAdjoint};
 use fnopt::network::{Config, Weights};
 use fnopt::sim::Grid;
-
-/// Numbers without pattern in -1..1.
-fn noise(len: usize, seed: u64) -> Vec<f64> {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut next = || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    };
-    (0..len).map(|_| next()).collect()
-}
 
 /// Numbers that stay exact in single precision when small multiples of [`STEP`] are added.
 fn weights(config: Config, seed: u64) -> Weights {

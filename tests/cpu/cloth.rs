@@ -1,6 +1,7 @@
 //! Energies and gradients: golden vectors, central differences and sheets whose energy is known in closed form.
 
-use crate::golden::{Golden, narrowed, noise, relative_error, widened};
+use crate::golden::{Golden, narrowed, relative_error, widened};
+use crate::noise::noise;
 use fnopt::cpu::cloth::{Frame, GradientRows, Trial, end_frame, energy, gradient, shifts, stretch};
 use fnopt::sim::{EnergyTerms, Grid, Material};
 

@@ -1,6 +1,7 @@
 //! The truncated transform against a library's full one.
 
-use crate::golden::{largest_difference, noise};
+use crate::golden::largest_difference;
+use crate::noise::noise;
 use fnopt::cpu::fft::{Fft2, Norm};
 use fnopt::cpu::operator::Transform;
 use fnopt::network::Config;

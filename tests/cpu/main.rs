@@ -7,6 +7,8 @@ mod fft;
 mod golden;
 mod network;
 mod newton;
+#[path = "../noise/mod.rs"]
+mod noise;
 mod reference;
 mod rollout;
 mod update_rule;

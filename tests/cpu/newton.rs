@@ -1,5 +1,6 @@
 //! The Hessian of the shape's energy, and Newton's method with it.
 
+use crate::noise::noise;
 use fnopt::cpu::cloth::{Block, GradientRows, Projection, Trial, gradient, hessian};
 use fnopt::cpu::{Newton, Reference, Solver};
 use fnopt::scene::Scene;
@@ -11,17 +12,6 @@ struct Sheet {
     x: Vec<f64>,
     zeros: Vec<f64>,
     slots: Vec<u32>,
-}
-
-fn noise(len: usize, seed: u64) -> Vec<f64> {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut next = || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    };
-    (0..len).map(|_| next()).collect()
 }
 
 impl Sheet {

@@ -1,6 +1,7 @@
 //! Whole frames: recorded rollouts, batches, repetition, and the classical optimizers.
 
-use crate::golden::{Golden, largest_difference, noise};
+use crate::golden::{Golden, largest_difference};
+use crate::noise::noise;
 use fnopt::cpu::{Real, Solver};
 use fnopt::network::Weights;
 use fnopt::sim::{Air, Cloth, Control, Grid, Material, Model, Optimizer, State};

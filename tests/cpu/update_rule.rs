@@ -48,7 +48,7 @@ fn vanishing_gradients_stay_finite() {
     for size in [0.0f32, 1e-42, 1e-38, 1e-20] {
         let mut rule = Update::<f32>::new(&weights(), grid, 3).unwrap();
         let (mut a, zero) = (vec![0.0; 3 * n], vec![0.0; 3 * n]);
-        let grad = narrowed(&crate::golden::noise(3 * n, 5)).iter().map(|g| g * size).collect::<Vec<_>>();
+        let grad = narrowed(&crate::noise::noise(3 * n, 5)).iter().map(|g| g * size).collect::<Vec<_>>();
         for grad in [&grad, &zero, &grad] {
             let norm = widened(grad).iter().map(|g| g * g).sum::<f64>().sqrt();
             rule.step(grad, &[norm; 3], &mut a);

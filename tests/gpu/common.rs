@@ -123,14 +123,7 @@ pub fn pad(rows: &[f32], grid: Grid, filler: f32) -> Vec<f32> {
 
 /// Numbers without pattern in -1..1.
 pub fn noise(len: usize, seed: u64) -> Vec<f32> {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    let mut next = || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 40) as f32 / (1u64 << 23) as f32 - 1.0
-    };
-    (0..len).map(|_| next()).collect()
+    crate::noise::noise(len, seed).into_iter().map(|v| v as f32).collect()
 }
 
 /// Single precision to double.

@@ -7,6 +7,8 @@ mod backward;
 mod common;
 mod forward;
 mod kernels;
+#[path = "../noise/mod.rs"]
+mod noise;
 mod parity;
 mod solver;
 mod train;

@@ -114,8 +114,9 @@ impl<T: Real> WithSimd for EdgeRow<'_, '_, T> {
         let Grid { h, w } = trial.grid;
         let Factors { vertical, horizontal, shear, bend } = trial.factors();
         let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
-        let straight = Angles { simd, stored, rest: T::zero(), factor: bend };
-        let square = Angles { simd, stored, rest: T::of(std::f64::consts::FRAC_PI_2), factor: shear };
+        let right = T::of(std::f64::consts::FRAC_PI_2);
+        let straight = Angles { simd, stored, rest: T::zero(), parallel: T::one(), factor: bend };
+        let square = Angles { simd, stored, rest: right, parallel: T::zero(), factor: shear };
         edges.fill(T::zero());
         let block = 3 * stored.stride;
         load(simd, trial, (i, 1, w - 1), stored, e);
@@ -238,6 +239,8 @@ struct Angles<T, S> {
     simd: S,
     stored: Stored,
     rest: T,
+    /// What `(angle - rest) (u . w) / |u x w|` is taken to be for parallel edges.
+    parallel: T,
     factor: T,
 }
 
@@ -249,18 +252,17 @@ impl<T: Real, S: Simd> Angles<T, S> {
     /// gradient taken to be 0, as it is for an edge without length.
     #[inline(always)]
     fn add(self, (u, w): (&[T], &[T]), edges: &mut [T], (to_u, to_w): (usize, usize)) {
-        let Self { simd, stored: Stored { stride, count }, rest, factor } = self;
-        let straight = if rest == T::zero() { T::one() } else { T::zero() };
+        let Self { simd, stored: Stored { stride, count }, rest, parallel, factor } = self;
         let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
         let (least, twice) = (T::splat(simd, T::min_positive_value()), T::splat(simd, factor + factor));
-        let (rest, straight) = (T::splat(simd, rest), T::splat(simd, straight));
+        let (rest, limit) = (T::splat(simd, rest), T::splat(simd, parallel));
         for k in 0..count / width::<T, S>() {
             let place = k * width::<T, S>();
             let (u, w) = (vector_at::<T, S>(u, place, stride), vector_at::<T, S>(w, place, stride));
             let c = cross::<T, S>(simd, u, w);
             let (sine, cosine) = (T::root(simd, dot::<T, S>(simd, c, c)), dot::<T, S>(simd, u, w));
             // One division for both: of the angle by the sine, or of 1 by the cosine.
-            let parallel = T::where_above(simd, (cosine, least), straight, zero);
+            let parallel = T::where_above(simd, (cosine, least), limit, zero);
             let bent = T::difference(simd, T::angle(simd, sine, cosine), rest);
             let above = T::where_above(simd, (sine, zero), bent, parallel);
             let below = T::where_above(simd, (sine, zero), sine, T::larger(simd, cosine, least));

@@ -178,16 +178,12 @@ mod tests {
     use super::*;
     use crate::network::Config;
     use crate::sim::{Cloth, Grid};
+    use rand::rngs::ChaCha8Rng;
+    use rand::{RngExt, SeedableRng};
 
     fn noise(len: usize, seed: u64, size: f64) -> Vec<f64> {
-        let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-        let mut next = || {
-            state ^= state << 13;
-            state ^= state >> 7;
-            state ^= state << 17;
-            (state >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-        };
-        (0..len).map(|_| size * next()).collect()
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        (0..len).map(|_| random.random_range(-size..size)).collect()
     }
 
     /// Two cloths in the middle of a frame.
