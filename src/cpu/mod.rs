@@ -4,9 +4,9 @@
 //! what runs where there is no GPU adapter.
 
 pub mod cloth;
+mod factored_hessian;
 pub mod fft;
 mod matmul;
-mod newton;
 mod objective;
 pub mod operator;
 pub mod optim;
@@ -15,8 +15,8 @@ mod reference;
 mod solver;
 pub mod train;
 
+pub use factored_hessian::FactoredHessian;
 pub use matmul::product_rate;
-pub use newton::Newton;
 pub use objective::Objective;
 pub use real::Real;
 pub use reference::{Minimum, Reference, Track};

@@ -377,7 +377,8 @@ impl Lanewise for Squash {
         let u = simd.mul_f32s(z, z);
         let p = simd.mul_f32s(z, horner(simd, u, &TANH_P));
         let tanh = clamp(simd, simd.div_f32s(p, horner(simd, u, &TANH_Q)), 1.0);
-        simd.mul_f32s(simd.splat_f32s(self.amplitude), tanh)
+        // Clamped, a NaN would have become a number.
+        simd.select_f32s(simd.equal_f32s(x, x), simd.mul_f32s(simd.splat_f32s(self.amplitude), tanh), x)
     }
 }
 
@@ -529,5 +530,8 @@ mod tests {
             let exact = 10.0 * (x as f64 * 0.5).tanh();
             assert!((y as f64 - exact).abs() <= 5e-7 * exact.abs(), "10 tanh({x} / 2) = {y}, not {exact}");
         }
+        let mut v = [f32::INFINITY, f32::NAN, -1e30];
+        f32::squash(&mut v, 0.5, 10.0);
+        assert!(v[0] == 10.0 && v[1].is_nan() && v[2] == -10.0, "{v:?}");
     }
 }

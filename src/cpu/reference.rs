@@ -4,8 +4,8 @@
 //! these count as 0, or the little that they add to inertia and external work would outweigh the rest in a quiet frame.
 
 use super::objective::Trials;
-use super::optim::{dot, norm};
-use super::{Newton, Objective, Solver};
+use super::optim::{History, RestHessian, dot, norm};
+use super::{FactoredHessian, Objective, Solver};
 use crate::Result;
 use crate::sim::{Control, Model, Optimizer, State};
 
@@ -13,16 +13,38 @@ use crate::sim::{Control, Model, Optimizer, State};
 const SUFFICIENT: f64 = 1e-4;
 /// Halvings of a step before the search gives up: no step gains any more.
 const HALVINGS: usize = 30;
+/// Steps that the Hessian at rest is good for: it costs next to nothing, and what comes after has less to undo.
+const AT_REST: usize = 10;
+/// As long as a step brings the gradient down to this share, the factors of an earlier iterate will do for the next.
+const FALLS: f64 = 0.6;
+/// Steps since then that correct them.
+const HISTORY: usize = 8;
 
 /// Finds the minimum of a frame of one cloth in double precision: Newton's method on the Hessian, projected where it is not
-/// positive definite, with line search.
+/// positive definite, with line search. Factors are most of its time: it begins with a few steps of the quasi-Newton method, and
+/// factors serve as the start of that method for as long as they do.
 pub struct Reference {
     objective: Objective<f64>,
-    newton: Newton,
+    hessian: FactoredHessian,
+    history: History<f64>,
+    rest: RestHessian<f64>,
     /// Norm of the gradient at which a frame counts as converged.
     pub tolerance: f64,
     /// Iterations after which it gives up.
     pub iterations: usize,
+}
+
+/// The inverse Hessian that a step begins with.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Inverse {
+    /// Of the sheet at rest.
+    AtRest,
+    /// To be made.
+    Missing,
+    /// Of this iterate.
+    Here,
+    /// Of an earlier iterate, corrected by the steps since.
+    Earlier,
 }
 
 /// What [`Reference::minimise`] found.
@@ -44,8 +66,11 @@ impl Reference {
     /// For one cloth, to |dL/da| <= 1e-8 in at most 200 iterations; an error when memory does not suffice.
     pub fn new(model: &Model) -> Result<Self> {
         assert_eq!(model.batch(), 1, "the reference is of one cloth");
-        let newton = Newton::new(model.grid)?;
-        Ok(Self { objective: Objective::new(model), newton, tolerance: 1e-8, iterations: 200 })
+        let hessian = FactoredHessian::new(model.grid)?;
+        let history = History::new(HISTORY, 3 * model.grid.particles());
+        let objective = Objective::new(model);
+        let rest = RestHessian::new(model.grid, &model.cloths[0]);
+        Ok(Self { objective, hessian, rest, history, tolerance: 1e-8, iterations: 200 })
     }
 
     /// L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`.
@@ -66,21 +91,39 @@ impl Reference {
         self.begin(state, control, a);
         let mut grad = self.gradient(state, control);
         let mut energy = self.energy_here(state, control);
-        let mut iterations = 0;
+        // What a frame finds shall not depend on the frames before it.
+        self.hessian.reset();
+        self.history.clear();
+        let (mut inverse, mut iterations) = (Inverse::AtRest, 0);
         while norm(&grad) > self.tolerance && iterations < self.iterations {
-            let Ok(direction) = self.newton.direction(&self.objective.trial.cloth(state, 0), &grad) else {
-                break;
-            };
-            let slope = dot(&grad, &direction);
-            let before = self.objective.trial.a.clone();
-            let step = self.search((energy, slope), &before, &direction, (state, control));
-            let Some(lower) = step else {
-                self.objective.trial.a.copy_from_slice(&before);
-                break;
+            if inverse == Inverse::Missing {
+                if self.hessian.factor(&self.objective.trial.cloth(state, 0)).is_err() {
+                    break;
+                }
+                self.history.clear();
+                inverse = Inverse::Here;
+            }
+            self.history.remember(&grad, 0.0);
+            match inverse {
+                Inverse::AtRest => self.history.turn(&grad, Some(&mut self.rest)),
+                _ => self.history.turn(&grad, Some(&mut self.hessian)),
+            }
+            let Some(lower) = self.search(energy, &grad, (state, control)) else {
+                if inverse == Inverse::Here {
+                    break;
+                }
+                inverse = Inverse::Missing;
+                continue;
             };
             energy = lower;
+            let before = norm(&grad);
             grad = self.gradient(state, control);
             iterations += 1;
+            inverse = match inverse {
+                Inverse::AtRest if iterations < AT_REST => Inverse::AtRest,
+                Inverse::Here | Inverse::Earlier if norm(&grad) <= FALLS * before => Inverse::Earlier,
+                _ => Inverse::Missing,
+            };
         }
         let gradient = norm(&grad);
         // A search that gave up has left the particles elsewhere.
@@ -94,25 +137,26 @@ impl Reference {
         self.objective.end_frame(state, control);
     }
 
-    /// Takes a step along `-direction` from `before` that lowers the energy enough; the energy there.
+    /// Takes a step against the direction that lowers the energy enough; the energy there. None, and no step, if there is none.
     fn search(
         &mut self,
-        (energy, slope): (f64, f64),
-        before: &[f64],
-        direction: &[f64],
+        energy: f64,
+        grad: &[f64],
         (state, control): (&State<f64>, &Control<f64>),
     ) -> Option<f64> {
+        let slope = dot(grad, &self.history.direction);
         // Close to the minimum a step gains less than the energy's own rounding.
         let rounding = 4.0 * f64::EPSILON * energy.abs();
-        let mut step = 1.0;
+        let before = self.objective.trial.a.clone();
+        let mut length = 1.0;
         for _ in 0..HALVINGS {
-            let moved = self.objective.trial.a.iter_mut().zip(before).zip(direction);
-            moved.for_each(|((a, &before), &d)| *a = before - step * d);
+            self.history.step(length, &mut self.objective.trial.a);
             let lower = self.energy_here(state, control);
-            if lower <= energy - SUFFICIENT * step * slope + rounding {
+            if lower <= energy - SUFFICIENT * length * slope + rounding {
                 return Some(lower);
             }
-            step *= 0.5;
+            self.objective.trial.a.copy_from_slice(&before);
+            length *= 0.5;
         }
         None
     }

@@ -2,6 +2,7 @@
 
 mod adjoint;
 mod checkpoint;
+mod classical;
 mod cloth;
 mod fft;
 mod golden;

@@ -2,7 +2,8 @@
 
 use crate::noise::noise;
 use fnopt::cpu::cloth::{Block, GradientRows, Projection, Trial, gradient, hessian};
-use fnopt::cpu::{Newton, Reference, Solver};
+use fnopt::cpu::optim::InverseHessian;
+use fnopt::cpu::{FactoredHessian, Reference, Solver};
 use fnopt::scene::Scene;
 use fnopt::sim::{Control, Grid, Material, Model, Optimizer, State};
 
@@ -91,9 +92,6 @@ fn the_projected_hessian_is_never_negative() {
         exact_lowest = exact_lowest.min(dot(&direction, &sheet.turned(Projection::NONE, &direction)));
         let all = noise(sheet.x.len(), seed);
         assert!(dot(&all, &sheet.turned(Projection::FULL, &all)) >= 0.0);
-        // What is exact is never above.
-        let exact = dot(&all, &sheet.turned(Projection::NONE, &all));
-        assert!(exact.is_finite());
     }
     assert!(lowest >= 0.0, "{lowest}");
     assert!(exact_lowest < 0.0, "the sheet has no compressed edge: {exact_lowest}");
@@ -107,7 +105,10 @@ fn the_direction_solves_the_system() {
     let held = |k: usize| sheet.slots[k % n] != 0;
     let mut grad = noise(3 * n, 5);
     (0..3 * n).filter(|&k| held(k)).for_each(|k| grad[k] = 0.0);
-    let direction = Newton::new(sheet.grid).unwrap().direction(&sheet.at(&sheet.x), &grad).unwrap();
+    let mut hessian = FactoredHessian::new(sheet.grid).unwrap();
+    hessian.factor(&sheet.at(&sheet.x)).unwrap();
+    let mut direction = grad.clone();
+    hessian.apply(&mut direction);
     assert!((0..3 * n).filter(|&k| held(k)).all(|k| direction[k] == 0.0));
     let inertia = |k: usize| sheet.grid.mass(k % n / sheet.grid.w, k % n % sheet.grid.w) / n as f64;
     // What is tried one after the other.
@@ -120,7 +121,7 @@ fn the_direction_solves_the_system() {
     assert!(solved, "no Hessian times the direction is the gradient");
 }
 
-/// Every frame of the default scene to |gradient| <= 1e-8.
+/// Frames of the default scene to |gradient| <= 1e-8: the first 60, `FRAMES=391` for all.
 #[test]
 fn frames_of_a_swinging_sheet_converge() {
     let setup = Scene::default().setup().unwrap();

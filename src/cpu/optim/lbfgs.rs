@@ -1,7 +1,7 @@
 //! Limited-memory BFGS by the two-loop recursion, with step 1 and a history that is cleared every frame; from a multiple of
 //! the identity, or from the Hessian at rest, with which it is the quasi-Newton method.
 
-use super::{FactoredRestHessian, InverseHessian, Minimizer, RestHessian};
+use super::{FactoredRestHessian, InverseHessian, Minimizer, RestHessian, dot};
 use crate::Result;
 use crate::cpu::Real;
 use crate::sim::Model;
@@ -9,24 +9,27 @@ use rayon::prelude::*;
 
 /// L-BFGS for a batch of cloths, each with its own history.
 pub struct Lbfgs<T> {
-    cloths: Vec<History<T>>,
+    cloths: Vec<(History<T>, Initial<T>)>,
     curvature: f64,
     /// Unknowns of one cloth.
     len: usize,
 }
+
+/// The inverse Hessian without history; the identity, scaled by the newest pair, if there is none.
+type Initial<T> = Option<Box<dyn InverseHessian<T>>>;
 
 /// What L-BFGS remembers of one cloth.
 pub(in crate::cpu) struct History<T> {
     /// Pairs of step s and gradient difference y with `1 / (s . y)`; only `pairs` of them, the oldest first, count.
     ring: Vec<Pair<T>>,
     pairs: usize,
-    pub last_grad: Vec<T>,
-    pub last_step: Vec<T>,
-    /// Whether `last_grad` and `last_step` are those of this frame.
+    /// The gradient at the last iterate, and the step from there.
+    last_grad: Vec<T>,
+    last_step: Vec<T>,
+    /// Whether there was such a step.
     started: bool,
+    /// What [`History::turn`] found.
     pub direction: Vec<T>,
-    /// The inverse Hessian without history; the identity, scaled by the newest pair, if there is none.
-    initial: Option<Box<dyn InverseHessian<T>>>,
 }
 
 struct Pair<T> {
@@ -38,20 +41,21 @@ struct Pair<T> {
 impl<T: Real> Lbfgs<T> {
     /// L-BFGS for `batch` cloths of `len` unknowns each, with at most `history` pairs of `s . y > curvature`.
     pub fn new(history: usize, curvature: f64, len: usize, batch: usize) -> Self {
-        Self { cloths: (0..batch).map(|_| History::new(history, len, None)).collect(), curvature, len }
+        let cloths = (0..batch).map(|_| (History::new(history, len), None)).collect();
+        Self { cloths, curvature, len }
     }
 
     /// The quasi-Newton method: the same for the cloths of `model`, from their Hessians at rest, which are `factored` or
     /// inverted by a cosine transform; an error when there is no memory for the factors.
     pub fn from_rest((history, curvature): (usize, f64), factored: bool, model: &Model) -> Result<Self> {
         let len = 3 * model.grid.particles();
-        let initial = |cloth| -> Result<Box<dyn InverseHessian<T>>> {
-            Ok(match factored {
+        let cloth = |cloth| -> Result<_> {
+            let initial: Box<dyn InverseHessian<T>> = match factored {
                 true => Box::new(FactoredRestHessian::new(model.grid, cloth)?),
                 false => Box::new(RestHessian::new(model.grid, cloth)),
-            })
+            };
+            Ok((History::new(history, len), Some(initial)))
         };
-        let cloth = |cloth| Ok(History::new(history, len, Some(initial(cloth)?)));
         Ok(Self { cloths: model.cloths.iter().map(cloth).collect::<Result<_>>()?, curvature, len })
     }
 }
@@ -64,31 +68,21 @@ impl<T: Real> Minimizer<T> for Lbfgs<T> {
     fn step(&mut self, grad: &[T], _norms: &[f64], a: &mut [T]) {
         let curvature = self.curvature;
         let batch = grad.par_chunks(self.len).zip(a.par_chunks_mut(self.len));
-        self.cloths.par_iter_mut().zip(batch).for_each(|(history, (grad, a))| {
-            if history.started {
-                history.remember(grad, curvature);
-            }
-            history.turn(grad);
-            for ((a, step), &d) in a.iter_mut().zip(&mut history.last_step).zip(&history.direction) {
-                *step = -d;
-                *a = *a - d;
-            }
-            history.last_grad.copy_from_slice(grad);
-            history.started = true;
+        self.cloths.par_iter_mut().zip(batch).for_each(|((history, initial), (grad, a))| {
+            history.remember(grad, curvature);
+            history.turn(grad, initial.as_deref_mut());
+            history.step(T::one(), a);
         });
     }
 
     fn reset(&mut self) {
-        for history in &mut self.cloths {
-            history.pairs = 0;
-            history.started = false;
-        }
+        self.cloths.iter_mut().for_each(|(history, _)| history.clear());
     }
 }
 
 impl<T: Real> History<T> {
     /// An empty history of at most `pairs` pairs for `len` unknowns.
-    pub fn new(pairs: usize, len: usize, initial: Option<Box<dyn InverseHessian<T>>>) -> Self {
+    pub fn new(pairs: usize, len: usize) -> Self {
         let zeros = || vec![T::zero(); len];
         let pair = |_| Pair { s: zeros(), y: zeros(), inverse: 0.0 };
         Self {
@@ -98,12 +92,21 @@ impl<T: Real> History<T> {
             last_step: zeros(),
             started: false,
             direction: zeros(),
-            initial,
         }
     }
 
-    /// Keeps the pair of the last step if its curvature suffices, in place of the oldest if the ring is full.
+    /// Forgets all pairs, and that there was a step.
+    pub fn clear(&mut self) {
+        self.pairs = 0;
+        self.started = false;
+    }
+
+    /// Keeps the pair of the last step, if there was one, that led to this gradient: if its curvature suffices, in place of the
+    /// oldest if the ring is full.
     pub fn remember(&mut self, grad: &[T], curvature: f64) {
+        if !self.started {
+            return;
+        }
         let product: f64 = (self.last_step.iter().zip(grad).zip(&self.last_grad))
             .map(|((&s, &g), &last)| s.f64() * (g - last).f64())
             .sum();
@@ -123,8 +126,9 @@ impl<T: Real> History<T> {
         }
     }
 
-    /// Sets `direction` to the inverse Hessian of the history times `grad`.
-    pub fn turn(&mut self, grad: &[T]) {
+    /// Sets `direction` to the inverse Hessian of the history, which begins with `initial`, times `grad`.
+    pub fn turn(&mut self, grad: &[T], initial: Option<&mut (dyn InverseHessian<T> + 'static)>) {
+        self.last_grad.copy_from_slice(grad);
         let pairs = &self.ring[..self.pairs];
         let direction = &mut self.direction;
         direction.copy_from_slice(grad);
@@ -133,7 +137,7 @@ impl<T: Real> History<T> {
             *weight = pair.inverse * dot(&pair.s, direction);
             add_scaled(direction, &pair.y, -*weight);
         }
-        if let Some(initial) = &mut self.initial {
+        if let Some(initial) = initial {
             initial.apply(direction);
         } else if let Some(newest) = pairs.last() {
             let gamma = T::of((newest.inverse * dot(&newest.y, &newest.y)).recip());
@@ -144,10 +148,15 @@ impl<T: Real> History<T> {
             add_scaled(direction, &pair.s, weight - correction);
         }
     }
-}
 
-pub(in crate::cpu) fn dot<T: Real>(u: &[T], w: &[T]) -> f64 {
-    u.iter().zip(w).map(|(&u, &w)| u.f64() * w.f64()).sum()
+    /// Goes against the direction: adds `-length direction` to `a`, the iterate that it was found for.
+    pub fn step(&mut self, length: T, a: &mut [T]) {
+        for ((a, step), &d) in a.iter_mut().zip(&mut self.last_step).zip(&self.direction) {
+            *step = -length * d;
+            *a = *a + *step;
+        }
+        self.started = true;
+    }
 }
 
 fn add_scaled<T: Real>(to: &mut [T], u: &[T], factor: f64) {

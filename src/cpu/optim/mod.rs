@@ -4,15 +4,16 @@ mod adam;
 mod gd;
 mod lbfgs;
 mod rest_hessian;
+mod sums;
 mod update;
 mod update_adj;
 
 pub use adam::Adam;
 pub use gd::GradientDescent;
+pub(super) use lbfgs::History;
 pub use lbfgs::Lbfgs;
-pub(super) use lbfgs::dot;
 pub use rest_hessian::{FactoredRestHessian, InverseHessian, RestHessian};
-pub(super) use update::norm;
+pub(super) use sums::{dot, norm};
 pub use update::{Hidden, Update};
 pub use update_adj::UpdateAdjoint;
 

@@ -8,6 +8,7 @@ use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;
 use faer::sparse::{SparseColMat, Triplet};
 use faer::{MatMut, Side};
+use rayon::prelude::*;
 use std::f64::consts::PI;
 
 /// What quasi-Newton methods take for the inverse Hessian before they know better.
@@ -29,7 +30,8 @@ pub struct RestHessian<T> {
     /// 1 / lambda, shape [H, stride], 0 in the padding.
     inverse: Vec<T>,
     handles: Vec<usize>,
-    scratch: [Vec<T>; 2],
+    /// Of each component.
+    scratch: [[Vec<T>; 2]; 3],
 }
 
 /// The orthonormal DCT-II of n points: row k, column i.
@@ -73,56 +75,42 @@ impl<T: Real> RestHessian<T> {
             columns_transposed: table(w, w, stride, &|j, l| cosine(w, l, j)),
             inverse: table(h, w, stride, &|k, l| eigenvalue(grid, cloth.material, (k, l)).recip()),
             handles: cloth.handles.clone(),
-            scratch: [(); 2].map(|_| vec![T::zero(); h * stride]),
+            scratch: [(); 3].map(|()| [(); 2].map(|()| vec![T::zero(); h * stride])),
         }
-    }
-
-    fn hold(&self, component: &mut [T]) {
-        self.handles.iter().for_each(|&p| component[p] = T::zero());
     }
 }
 
 impl<T: Real> InverseHessian<T> for RestHessian<T> {
     fn apply(&mut self, direction: &mut [T]) {
-        let Grid { h, w } = self.grid;
-        for component in direction.chunks_exact_mut(h * w) {
-            self.hold(component);
-            let [a, b] = &mut self.scratch;
-            for (row, values) in a.chunks_exact_mut(self.stride).zip(component.chunks_exact(w)) {
+        let Self { grid, stride, rows, columns, columns_transposed, inverse, handles, scratch } = self;
+        let (Grid { h, w }, stride) = (*grid, *stride);
+        let hold = |component: &mut [T]| handles.iter().for_each(|&p| component[p] = T::zero());
+        let along = |out: &mut [T], from: &[T], transposed: bool| {
+            let a =
+                Term { a: rows, a_stride: h, a_transposed: transposed, b: from, b_stride: stride, depth: h };
+            multiply(out, (h, stride), a);
+        };
+        let across = |out: &mut [T], from: &[T], table: &[T]| {
+            let a =
+                Term { a: from, a_stride: stride, a_transposed: false, b: table, b_stride: stride, depth: w };
+            multiply(out, (h, stride), a);
+        };
+        let components = direction.par_chunks_exact_mut(h * w).zip(scratch);
+        components.for_each(|(component, [a, b])| {
+            hold(component);
+            for (row, values) in a.chunks_exact_mut(stride).zip(component.chunks_exact(w)) {
                 row[..w].copy_from_slice(values);
             }
-            let along = |out: &mut [T], from: &[T], transposed: bool| {
-                let term = Term {
-                    a: &self.rows,
-                    a_stride: h,
-                    a_transposed: transposed,
-                    b: from,
-                    b_stride: self.stride,
-                    depth: h,
-                };
-                multiply(out, (h, self.stride), term);
-            };
-            let across = |out: &mut [T], from: &[T], table: &[T]| {
-                let term = Term {
-                    a: from,
-                    a_stride: self.stride,
-                    a_transposed: false,
-                    b: table,
-                    b_stride: self.stride,
-                    depth: w,
-                };
-                multiply(out, (h, self.stride), term);
-            };
             along(b, a, false);
-            across(a, b, &self.columns_transposed);
-            a.iter_mut().zip(&self.inverse).for_each(|(z, &inverse)| *z = *z * inverse);
-            across(b, a, &self.columns);
+            across(a, b, columns_transposed);
+            a.iter_mut().zip(&*inverse).for_each(|(z, &inverse)| *z = *z * inverse);
+            across(b, a, columns);
             along(a, b, true);
-            for (values, row) in component.chunks_exact_mut(w).zip(a.chunks_exact(self.stride)) {
+            for (values, row) in component.chunks_exact_mut(w).zip(a.chunks_exact(stride)) {
                 values.copy_from_slice(&row[..w]);
             }
-            self.hold(component);
-        }
+            hold(component);
+        });
     }
 }
 
@@ -133,7 +121,8 @@ impl<T: Real> InverseHessian<T> for RestHessian<T> {
 pub struct FactoredRestHessian {
     factors: Llt<usize, f64>,
     handles: Vec<usize>,
-    component: Vec<f64>,
+    /// Shape [3, H, W].
+    direction: Vec<f64>,
 }
 
 impl FactoredRestHessian {
@@ -172,7 +161,7 @@ impl FactoredRestHessian {
         let matrix = SparseColMat::<usize, f64>::try_new_from_triplets(particles, particles, &triplets)
             .map_err(|e| failed(&e))?;
         let factors = matrix.sp_cholesky(Side::Lower).map_err(|e| failed(&e))?;
-        Ok(Self { factors, handles: cloth.handles.clone(), component: vec![0.0; particles] })
+        Ok(Self { factors, handles: cloth.handles.clone(), direction: vec![0.0; 3 * particles] })
     }
 }
 
@@ -194,13 +183,13 @@ fn square_of_it(n: usize, a: usize, b: usize) -> f64 {
 
 impl<T: Real> InverseHessian<T> for FactoredRestHessian {
     fn apply(&mut self, direction: &mut [T]) {
-        let n = self.component.len();
-        for component in direction.chunks_exact_mut(n) {
-            self.component.iter_mut().zip(&*component).for_each(|(to, &from)| *to = from.f64());
-            self.handles.iter().for_each(|&p| self.component[p] = 0.0);
-            self.factors.solve_in_place(MatMut::from_column_major_slice_mut(&mut self.component, n, 1));
-            component.iter_mut().zip(&self.component).for_each(|(to, &from)| *to = T::of(from));
+        let n = direction.len() / 3;
+        self.direction.iter_mut().zip(&*direction).for_each(|(to, &from)| *to = from.f64());
+        for component in self.direction.chunks_exact_mut(n) {
+            self.handles.iter().for_each(|&p| component[p] = 0.0);
         }
+        self.factors.solve_in_place(MatMut::from_column_major_slice_mut(&mut self.direction, n, 3));
+        direction.iter_mut().zip(&self.direction).for_each(|(to, &from)| *to = T::of(from));
     }
 }
 

@@ -1,6 +1,6 @@
 //! The learned update rule (paper section 4): gradients in, a step out, with a memory of the step before.
 
-use super::Minimizer;
+use super::{Minimizer, norm};
 use crate::Result;
 use crate::cpu::Real;
 use crate::cpu::operator::Network;
@@ -117,9 +117,4 @@ impl<T: Real> Minimizer<T> for Update<T> {
     fn scales(&self) -> &[T] {
         &self.hidden.scale
     }
-}
-
-/// The Euclidean norm, in double precision, where the square of no single-precision number vanishes.
-pub(in crate::cpu) fn norm<T: Real>(values: &[T]) -> f64 {
-    values.iter().map(|v| v.f64() * v.f64()).sum::<f64>().sqrt()
 }

@@ -1,8 +1,8 @@
 //! The update rule with its backward passes: the one that training takes (paper section 3.3) through step, tanh, scale and
 //! network to the weights, where gradients, states and memory are constants; and the one to these, where the weights are.
 
-use super::Hidden;
-use super::update::{NORM_FLOOR, SQUASH, norm};
+use super::update::{NORM_FLOOR, SQUASH};
+use super::{Hidden, dot, norm};
 use crate::Result;
 use crate::cpu::Real;
 use crate::cpu::operator::Adjoint;
@@ -109,10 +109,10 @@ impl<T: Real> UpdateAdjoint<T> {
             let [now, before_it, stepped] = [0, 1, 2].map(|field| &adj_input[field * n..][..n]);
             adj_last_grad.copy_from_slice(before_it);
             adj_last_step.copy_from_slice(stepped);
-            let of_size = along(now, grad) + along(before_it, last_grad);
+            let of_size = dot(now, grad) + dot(before_it, last_grad);
             adj_grad.iter_mut().zip(now).for_each(|(to, &adj)| *to = *to + adj);
             size_adj(adj_grad, grad, sizes[0], of_size);
-            size_adj(adj_last_step, last_step, sizes[2], along(stepped, last_step));
+            size_adj(adj_last_step, last_step, sizes[2], dot(stepped, last_step));
             let ratio = after.scale[sample].f64() / before.scale[sample].f64();
             adj.scale[sample] = T::of(self.adj_scale[sample] * ratio);
         }
@@ -154,10 +154,6 @@ impl<T: Real> UpdateAdjoint<T> {
             },
         );
     }
-}
-
-fn along<T: Real>(a: &[T], b: &[T]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a.f64() * b.f64()).sum()
 }
 
 /// From the cotangent of what a field of this size became, `10 tanh(field / size / 10)`, to that of the field, its size apart.

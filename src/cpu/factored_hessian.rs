@@ -1,6 +1,7 @@
-//! The Newton step of a frame: the sparse Hessian, its Cholesky factors, and the direction they give.
+//! The sparse Hessian of a frame's energy and its Cholesky factors: a Newton step.
 
 use super::cloth::{Block, Projection, Trial, hessian};
+use crate::cpu::optim::InverseHessian;
 use crate::sim::Grid;
 use crate::{Error, Result};
 use faer::linalg::solvers::Solve;
@@ -17,22 +18,25 @@ const LEAST: f64 = 1.0 / 64.0;
 const STEP: f64 = 8.0;
 const EASE: f64 = 2.0;
 
-/// Newton directions of cloths on one grid, in double precision.
+/// The inverse Hessian of a cloth at a trial, by its Cholesky factors in double precision.
 ///
 /// The unknowns are the particles, component by component; the lower triangle of the Hessian has a fixed pattern, so that
 /// its symbolic factorisation is made once.
-pub struct Newton {
+pub struct FactoredHessian {
     grid: Grid,
     pattern: SymbolicSparseColMat<usize>,
     symbolic: SymbolicLlt<usize>,
     values: Vec<f64>,
+    /// Of the last trial that was factored.
+    factors: Option<Llt<usize, f64>>,
+    interleaved: Vec<f64>,
     /// What was needed last, eased.
     projection: Projection,
     /// Of each particle, which of its neighbours there are: place in the column, after its own entries.
     places: Vec<[Option<usize>; NEIGHBOURS.len()]>,
 }
 
-impl Newton {
+impl FactoredHessian {
     /// Analyses the pattern of a grid; an error when memory does not suffice.
     pub fn new(grid: Grid) -> Result<Self> {
         let n = grid.particles();
@@ -56,15 +60,28 @@ impl Newton {
         let values = vec![0.0; rows.len()];
         let pattern = SymbolicSparseColMat::new_checked(3 * n, 3 * n, starts, None, rows);
         let symbolic = SymbolicLlt::try_new(pattern.as_ref(), Side::Lower).map_err(unsolved)?;
-        Ok(Self { grid, pattern, symbolic, values, projection: Projection::NONE, places })
+        Ok(Self {
+            grid,
+            pattern,
+            symbolic,
+            values,
+            projection: Projection::NONE,
+            places,
+            factors: None,
+            interleaved: vec![0.0; 3 * n],
+        })
     }
 
-    /// The direction `H^-1 grad` at a trial, shape [3, H, W], of the Hessian with as little of its negative curvature left out
-    /// as makes it positive definite. `grad` is 0 at handles, and so is the direction.
+    /// Forgets how much of the negative curvature had to be left out.
+    pub fn reset(&mut self) {
+        self.projection = Projection::NONE;
+    }
+
+    /// Factors the Hessian at a trial with as little of its negative curvature left out as makes it positive definite.
     ///
     /// A full projection is always definite, and converges slowly: of a folded sheet much is compressed, and the projection
     /// is far stiffer there than the cloth.
-    pub fn direction(&mut self, trial: &Trial<'_, f64>, grad: &[f64]) -> Result<Vec<f64>> {
+    pub fn factor(&mut self, trial: &Trial<'_, f64>) -> Result<()> {
         loop {
             self.assemble(trial, self.projection);
             let matrix = SparseColMatRef::new(self.pattern.as_ref(), &self.values);
@@ -72,7 +89,8 @@ impl Newton {
             match Llt::try_new_with_symbolic(self.symbolic.clone(), matrix, Side::Lower) {
                 Ok(factors) => {
                     self.projection = Projection(if share > LEAST { share / EASE } else { 0.0 });
-                    return Ok(self.solve(&factors, grad));
+                    self.factors = Some(factors);
+                    return Ok(());
                 }
                 Err(_) if share < 1.0 => self.projection = Projection((share * STEP).clamp(LEAST, 1.0)),
                 Err(e) => return Err(unsolved(e)),
@@ -113,15 +131,18 @@ impl Newton {
             (0..3).for_each(|c| values[starts[3 * p + c]] += own);
         }
     }
+}
 
-    fn solve(&self, factors: &Llt<usize, f64>, grad: &[f64]) -> Vec<f64> {
+impl InverseHessian<f64> for FactoredHessian {
+    fn apply(&mut self, direction: &mut [f64]) {
         let n = self.grid.particles();
-        let mut interleaved: Vec<f64> = (0..3 * n).map(|k| grad[k % 3 * n + k / 3]).collect();
-        factors.solve_in_place(MatMut::from_column_major_slice_mut(&mut interleaved, 3 * n, 1));
-        (0..3 * n).map(|k| interleaved[k % n * 3 + k / n]).collect()
+        let factors = self.factors.as_ref().expect("factored before it is applied");
+        self.interleaved.iter_mut().enumerate().for_each(|(k, to)| *to = direction[k % 3 * n + k / 3]);
+        factors.solve_in_place(MatMut::from_column_major_slice_mut(&mut self.interleaved, 3 * n, 1));
+        direction.iter_mut().enumerate().for_each(|(k, to)| *to = self.interleaved[k % n * 3 + k / n]);
     }
 }
 
 fn unsolved(e: impl std::fmt::Debug) -> Error {
-    Error::Device(format!("cpu: the Newton step cannot be solved: {e:?}"))
+    Error::Device(format!("cpu: the Hessian cannot be factored: {e:?}"))
 }

@@ -1,0 +1,94 @@
+//! Steps of the classical optimizers that have closed forms.
+
+use crate::noise::noise;
+use fnopt::cpu::optim::{Adam, GradientDescent, Lbfgs, Minimizer};
+
+/// The iterates from `a` on, under the gradient `k a` with a steepness k for each unknown.
+fn iterates(
+    optimizer: &mut dyn Minimizer<f64>,
+    steepness: &[f64],
+    mut a: Vec<f64>,
+    steps: usize,
+) -> Vec<Vec<f64>> {
+    optimizer.begin_frame();
+    let mut all = vec![a.clone()];
+    for _ in 0..steps {
+        let grad: Vec<f64> = a.iter().zip(steepness).map(|(a, k)| k * a).collect();
+        optimizer.step(&grad, &[], &mut a);
+        all.push(a.clone());
+    }
+    all
+}
+
+fn apart(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+}
+
+#[test]
+fn gradient_descent_goes_along_the_gradient() {
+    let (rate, steepness) = (0.3, 0.5);
+    let all = iterates(&mut GradientDescent::new(rate), &[steepness; 12], noise(12, 1), 5);
+    for pair in all.windows(2) {
+        let expected: Vec<f64> = pair[0].iter().map(|a| a * (1.0 - rate * steepness)).collect();
+        assert!(apart(&pair[1], &expected) < 1e-15);
+    }
+}
+
+#[test]
+fn adam_begins_with_steps_of_its_rate() {
+    let (rate, betas, epsilon) = (0.01, [0.9, 0.999], 1e-8);
+    let steepness: Vec<f64> = noise(12, 2).iter().map(|k| 2.0 + k).collect();
+    let adam = &mut Adam::new([rate, betas[0], betas[1], epsilon], 12);
+    let all = iterates(adam, &steepness, noise(12, 1), 2);
+    // Both averages are of one gradient: the first step has the rate's size, whatever the gradient's.
+    let gradient = |k: usize, step: usize| steepness[k] * all[step][k];
+    let first = (0..12).map(|k| all[0][k] - rate * gradient(k, 0) / (gradient(k, 0).abs() + epsilon));
+    let first: Vec<f64> = first.collect();
+    assert!(apart(&all[1], &first) < 1e-12 * rate, "{:e}", apart(&all[1], &first));
+    // The second one weighs two gradients g and h: (b g + h) / (1 + b) over the root of the same of their squares.
+    let second = (0..12).map(|k| {
+        let (g, h) = (gradient(k, 0), gradient(k, 1));
+        let mean = (betas[0] * g + h) / (1.0 + betas[0]);
+        let square = (betas[1] * g * g + h * h) / (1.0 + betas[1]);
+        all[1][k] - rate * mean / (square.sqrt() + epsilon)
+    });
+    let second: Vec<f64> = second.collect();
+    assert!(apart(&all[2], &second) < 1e-12 * rate, "{:e}", apart(&all[2], &second));
+}
+
+#[test]
+fn lbfgs_learns_the_curvature_of_a_quadratic() {
+    let lbfgs = || Lbfgs::new(5, 1e-12, 12, 1);
+    // Of a sphere in one step.
+    let all = iterates(&mut lbfgs(), &[0.4; 12], noise(12, 1), 2);
+    let first: Vec<f64> = all[0].iter().map(|a| a * (1.0 - 0.4)).collect();
+    assert!(apart(&all[1], &first) < 1e-15, "without history the step is the gradient");
+    assert!(apart(&all[2], &[0.0; 12]) < 1e-15, "{:?}", all[2]);
+    // The inverse Hessian H is symmetric and maps the newest pair onto itself, H y = s: for any gradient g, y . H g = s . g.
+    let steepness: Vec<f64> = noise(12, 2).iter().map(|k| 1.0 + 0.5 * k).collect();
+    let all = iterates(&mut lbfgs(), &steepness, noise(12, 1), 9);
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let times = |a: &[f64]| a.iter().zip(&steepness).map(|(a, k)| a * k).collect::<Vec<_>>();
+    let minus = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>();
+    for three in all.windows(3) {
+        let (s, step) = (minus(&three[1], &three[0]), minus(&three[2], &three[1]));
+        let (y, g) = (times(&s), times(&three[1]));
+        let (found, expected) = (-dot(&y, &step), dot(&s, &g));
+        assert!(
+            (found - expected).abs() < 1e-12 * dot(&s, &s).sqrt() * dot(&g, &g).sqrt(),
+            "{found}, {expected}"
+        );
+    }
+}
+
+#[test]
+fn lbfgs_learns_nothing_from_a_pair_without_curvature() {
+    let (g, mut a) = (noise(12, 3), vec![0.0; 12]);
+    let mut optimizer = Lbfgs::new(5, 1e-12, 12, 1);
+    optimizer.begin_frame();
+    optimizer.step(&g, &[], &mut a);
+    // The gradient has not changed along the step.
+    optimizer.step(&g, &[], &mut a);
+    let twice: Vec<f64> = g.iter().map(|g| -2.0 * g).collect();
+    assert!(apart(&a, &twice) < 1e-15);
+}
