@@ -270,6 +270,10 @@ impl Scene {
         };
         self.positive("areal_mass_kg_m2", areal_mass_kg_m2)?;
         self.positive("frame_time_s", self.frame_time_s)?;
+        if !self.frame_time_s.recip().is_finite() {
+            let (expected, found) = ("a time of which a second has finitely many", self.frame_time_s);
+            return Err(Error::invalid(&self.origin, "frame_time_s", expected, format!("{found:e}")));
+        }
         self.positive("speed", self.speed)?;
         self.check_stiffness()?;
         self.not_negative("wind.density", self.wind.density)?;

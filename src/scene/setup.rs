@@ -209,14 +209,17 @@ impl Scene {
 
     /// The frames that the scene asks for, or those that it takes to the end of its motion, `steps` after the start.
     fn frame_count(&self, steps: f64, handles: usize) -> Result<usize> {
-        // A hair less, lest 390.00000000000006 become 391 steps.
-        let frames = self.frames.unwrap_or((steps - 1e-6).ceil().max(0.0) as usize + 1);
+        let (field, frames) = match self.frames {
+            Some(frames) => ("frames", frames),
+            // A hair less, lest 390.00000000000006 become 391 steps.
+            None => ("frame_time_s, speed", ((steps - 1e-6).ceil().max(0.0) as usize).saturating_add(1)),
+        };
         let most = MAX_FRAMES.min(MAX_HANDLE_POSITIONS / handles.max(1));
         if (1..=most).contains(&frames) {
             Ok(frames)
         } else {
             let expected = format!("1 to {most} frames with {handles} handles");
-            Err(Error::invalid(&self.origin, "frames", expected, frames))
+            Err(Error::invalid(&self.origin, field, expected, frames))
         }
     }
 

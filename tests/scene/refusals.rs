@@ -39,7 +39,12 @@ fn wrong_scenes_are_refused_with_the_place_and_what_was_expected() {
         (r#"{"frame_time_s": 0}"#, &["frame_time_s"]),
         (r#"{"frames": 0}"#, &["frames", "1 or more"]),
         (r#"{"frames": 1000000000}"#, &["frames", "1 to 1000000"]),
-        (r#"{"frame_time_s": 1e-300}"#, &["frames"]),
+        (
+            r#"{"frame_time_s": 1e-300}"#,
+            &["frame_time_s, speed", "1 to 1000000 frames", "18446744073709551615"],
+        ),
+        (r#"{"speed": 1e-300}"#, &["frame_time_s, speed", "1 to 1000000 frames"]),
+        (r#"{"frame_time_s": 1e-310, "frames": 3}"#, &["frame_time_s", "1e-310"]),
         (r#"{"speed": -2}"#, &["speed"]),
         (r#"{"up": "x"}"#, &["up", "\"y\" or \"z\""]),
         (r#"{"motion": "xy_v3"}"#, &["unknown motion 'xy_v3'", "xy_v2"]),
