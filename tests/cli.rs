@@ -42,6 +42,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
     write("mass.json", br#"{"mass_kg": 0}"#);
     write("free.json", br#"{"handles": []}"#);
     write("outside.json", br#"{"handles": [[40, 0]]}"#);
+    write("instant.json", br#"{"frame_time_s": 1e-300}"#);
     write("short.npy", b"\x93NUMPY");
     write("key.toml", b"[optimizer]\nrat = 1");
     write("range.toml", b"[[pool]]\nmaterial = { bend = [10, 1] }");
@@ -71,6 +72,11 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["rollout", "--device", "cpu", "--precision", "f16"], &["--precision", "f32 on cpu"]),
         (&["verify", ".", "--device", "cpu", "--precision", "f8"], &["--precision", "f16"]),
         (&["rollout", "--format", "obx"], &["obx"]),
+        (
+            &["rollout", "--format", "npy,npz", "--grid", "64", "64", "--frames", "1000000"],
+            &["--format", "npz", "less than 4 GiB", "1000000 frames of 64x64"],
+        ),
+        (&["rollout", "instant.json"], &["instant.json", "frame_time_s"]),
         (&["verify", "nowhere"], &["nowhere", "cannot read"]),
         (&["inspect", "key.json"], &["key.json"]),
         (&["bench", "--batch", "0"], &["--batch"]),
@@ -99,7 +105,7 @@ fn a_file_in_place_of_the_output_folder_is_named() {
 fn a_rollout_writes_what_it_says() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = [
-        "rollout", "--device", "cpu", "--grid", "16", "12", "--frames", "6", "--format", "npz,obj", "--json",
+        "rollout", "--device", "cpu", "--grid", "16", "12", "--frames", "6", "--format", "npz,pc2", "--json",
     ];
     let output = fnopt(folder.path(), &arguments);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
@@ -112,7 +118,13 @@ fn a_rollout_writes_what_it_says() {
     let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
     assert_eq!(report["per_frame"].as_array().unwrap().len(), 5);
     assert!(report["ms_per_frame"].as_f64().unwrap() > 0.0);
-    for picture in ["out/rollout.png", "out/rollout.gif", "out/rollout.npz"] {
+    assert_eq!(report["version"], env!("CARGO_PKG_VERSION"));
+    let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/fnopt.safetensors");
+    let sum = crc32fast::hash(&std::fs::read(weights).unwrap());
+    assert_eq!(report["weights_crc32"], format!("{sum:08x}"));
+    for picture in
+        ["out/rollout.png", "out/rollout.gif", "out/rollout.npz", "out/rollout.pc2", "out/rollout.obj"]
+    {
         assert!(folder.path().join(picture).metadata().unwrap().len() > 1000, "{picture}");
     }
 }
@@ -128,6 +140,61 @@ fn a_run_that_explodes_keeps_the_frames_before_and_a_replay() {
     for file in ["out/replay.npz", "out/rollout.npz", "out/report.json"] {
         assert!(folder.path().join(file).exists(), "{file}");
     }
+    // The replay is not taken for one of the next run, which is good.
+    let good = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "2", "--no-pictures"];
+    assert_eq!(fnopt(folder.path(), &good).status.code(), Some(0));
+    assert!(!folder.path().join("out/replay.npz").exists());
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_rollout_keeps_the_frames_so_far() {
+    use std::io::BufRead;
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_fnopt"))
+        .current_dir(folder.path())
+        .args(["rollout", "--device", "cpu", "--grid", "64", "64", "--no-pictures"])
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut log = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
+    // From the line that names the device on, the command listens.
+    assert!(log.by_ref().map(Result::unwrap).any(|line| line.starts_with("device: ")));
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    let told: Vec<String> = log.map(Result::unwrap).collect();
+    assert!(told.iter().any(|line| line.starts_with("interrupted after frame ")), "{told:?}");
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    let frames = report["frames"].as_u64().unwrap();
+    assert!((2..391).contains(&frames), "{frames} frames");
+    assert!(folder.path().join("out/rollout.npz").is_file());
+}
+
+#[cfg(unix)]
+#[test]
+fn paths_need_not_be_utf_8() {
+    use std::os::unix::ffi::OsStrExt;
+    let folder = tempfile::tempdir().unwrap();
+    let name = std::ffi::OsStr::from_bytes(b"caf\xe9");
+    let run = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_fnopt"))
+            .current_dir(folder.path())
+            .args(arguments)
+            .arg(name)
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
+        serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
+    };
+    let short = ["--device", "cpu", "--solver", "gd", "--frames", "2", "--no-pictures", "--json", "--out"];
+    assert_eq!(run(&[&["rollout"], &short[..]].concat())["frames"], 2);
+    assert!(folder.path().join(name).join("rollout.npz").is_file());
+    std::fs::remove_dir_all(folder.path().join(name)).unwrap();
+    let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/fnopt.safetensors");
+    std::fs::copy(weights, folder.path().join(name)).unwrap();
+    assert!(run(&["inspect", "--json"])["file"].as_str().unwrap().starts_with("caf"));
 }
 
 #[test]

@@ -16,7 +16,7 @@ const GRID: Grid = Grid { h: 9, w: 12 };
 /// A sheet that waves and moves sideways, y up.
 fn waving(grid: Grid, frames: usize) -> Trajectory {
     let mut trajectory = Trajectory::new(grid, 60.0);
-    trajectory.reserve(frames);
+    trajectory.reserve(frames).unwrap();
     for f in 0..frames {
         let time = f as f32 / 60.0;
         let at = |p: usize| {
@@ -38,6 +38,14 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
+fn frames_that_no_memory_holds_are_an_error() {
+    // 402 TB, more than a process can address.
+    let error = Trajectory::new(Grid { h: 4096, w: 4096 }, 60.0).reserve(1_000_000).unwrap_err().to_string();
+    assert!(error.contains("GiB for 1000000 frames of 4096x4096"), "{error}");
+    assert!(Trajectory::new(GRID, 60.0).reserve(usize::MAX).is_err());
+}
+
+#[test]
 fn positions_come_back_bit_for_bit_from_every_format_that_is_read() {
     let dir = tempfile::tempdir().unwrap();
     let written = waving(GRID, 5);
@@ -53,8 +61,16 @@ fn positions_come_back_bit_for_bit_from_every_format_that_is_read() {
             _ => assert!((read.velocities()[[3, 7, 0]] - 0.3).abs() < 1e-4),
         }
     }
+    // The mesh that a cache moves.
+    let mesh = dir.path().join("new/folder/cloth.obj");
+    written.write_mesh(&mesh).unwrap();
+    let mesh = read_obj(&mesh).unwrap();
+    assert_eq!((&mesh.positions[..], mesh.faces), (written.frame(0), GRID.faces()));
     // Nothing temporary is left.
-    assert_eq!(names(&dir.path().join("new/folder")), ["cloth.npy", "cloth.npz", "cloth.pc2", "cloth_obj"]);
+    assert_eq!(
+        names(&dir.path().join("new/folder")),
+        ["cloth.npy", "cloth.npz", "cloth.obj", "cloth.pc2", "cloth_obj"]
+    );
 }
 
 #[test]

@@ -37,7 +37,7 @@ pub fn run(args: &Args) -> Result<Ending> {
             Err(e) => serde_json::json!({ "error": e.to_string() }),
         };
         let all = serde_json::json!({
-            "file": args.file, "metadata": description.metadata, "tensors": tensors, "network": network,
+            "file": args.file.display().to_string(), "metadata": description.metadata, "tensors": tensors, "network": network,
         });
         writeln!(out, "{all:#}")?;
     } else {

@@ -138,6 +138,13 @@ pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
     }
 }
 
+/// Makes sure that a folder is there and can be written into, before anything is computed.
+pub fn writable_folder(folder: &Path) -> Result<()> {
+    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
+    tempfile::tempfile_in(folder).map_err(|e| Error::io(folder, "cannot write into the folder", e))?;
+    Ok(())
+}
+
 /// Whether to go on: not once Ctrl-C has set the flag.
 pub fn go_on(interrupted: &AtomicBool) -> ControlFlow<()> {
     if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }

@@ -1,13 +1,13 @@
 //! `fnopt rollout`: simulates a scene and writes what came of it.
 
 use super::device::InferenceArgs;
-use super::{Ending, SolverArgs, go_on, interrupt_flag, median};
+use super::{Ending, SolverArgs, go_on, interrupt_flag, median, writable_folder};
 use anyhow::Result;
+use fnopt::Error;
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{Motion, Scene, Setup, Stiffness, UpAxis};
-use fnopt::sim::{Frame, Grid, Material, Simulator, State};
-use fnopt::{Error, sim};
+use fnopt::sim::{Frame, FrameStats, Grid, Material, Optimizer, Simulator, State};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -51,48 +51,36 @@ pub struct Args {
 const WARM_UP: usize = 3;
 /// Name of the files that are written.
 const NAME: &str = "rollout";
+/// Name of the file of the last good state.
+const REPLAY: &str = "replay";
 
 pub fn run(args: &Args) -> Result<Ending> {
     let scene = args.scene()?;
     let setup = scene.setup()?;
+    tracing::info!("scene: {}, {} frames of {}", scene.origin, setup.frames(), setup.model.grid);
     let optimizer = args.solver.optimizer()?;
+    let trajectory = room(&args.format, &setup)?;
     let (device, line) = args.device.open()?;
+    let interrupted = interrupt_flag();
     eprintln!("{line}");
-    prepare(&args.out)?;
+    writable_folder(&args.out)?;
 
     let mut simulator = Simulator::new(&device, &setup.model, &optimizer, args.solver.iterations())?;
-    let mut run = Run::new(&setup, &device.name());
-    run.keep_start(&setup);
+    let (device, per_frame) = (device.name(), Vec::new());
+    let mut run =
+        Run { args, scene: &scene, setup: &setup, optimizer: &optimizer, device, trajectory, per_frame };
+    run.push(&setup.start.cast());
     simulator.set_state(&setup.start.cast());
-    let interrupted = interrupt_flag();
     let bar = progress(setup.frames() - 1);
     let controls = (1..setup.frames()).map(|f| setup.control(f));
     let outcome = simulator.rollout(controls, |frame| {
         bar.inc(1);
         bar.set_message(format!("energy {:.4}", frame.stats[0].energy.total()));
-        run.keep(&setup, &frame);
+        run.keep(&frame);
         go_on(&interrupted)
     });
     bar.finish_and_clear();
-    let ending = match outcome {
-        Ok(()) if run.per_frame.len() + 1 < setup.frames() => {
-            eprintln!("interrupted after frame {}; the frames so far are kept", run.per_frame.len());
-            Ending::Interrupted
-        }
-        Ok(()) => Ending::Done,
-        Err(error @ Error::NonFinite { .. }) => {
-            let replay = run.write_replay(&args.out)?;
-            eprintln!(
-                "error: {error}; the frames before it are kept, the last good state is {}",
-                replay.display()
-            );
-            Ending::NonFinite
-        }
-        Err(error) => return Err(error.into()),
-    };
-    let written = run.write(args, &scene, &setup, &optimizer)?;
-    run.summarise(args.json, &written)?;
-    Ok(ending)
+    run.end(outcome)
 }
 
 impl Args {
@@ -122,11 +110,13 @@ impl Args {
     }
 }
 
-/// Makes sure that the folder can be written before anything is computed.
-fn prepare(folder: &Path) -> fnopt::Result<()> {
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
-    tempfile::tempfile_in(folder).map_err(|e| Error::io(folder, "cannot write into the folder", e))?;
-    Ok(())
+/// An empty trajectory with room for all frames, which all formats hold.
+fn room(formats: &[Format], setup: &Setup) -> fnopt::Result<Trajectory> {
+    let (grid, frames) = (setup.model.grid, setup.frames());
+    formats.iter().try_for_each(|format| format.holds(grid, frames))?;
+    let mut trajectory = Trajectory::new(grid, 1.0 / setup.units.frame_time_s);
+    trajectory.reserve(frames)?;
+    Ok(trajectory)
 }
 
 /// A bar on stderr, hidden when that is no terminal.
@@ -135,8 +125,12 @@ fn progress(frames: usize) -> ProgressBar {
     ProgressBar::new(frames as u64).with_style(style.expect("the template is valid"))
 }
 
-/// What a run keeps of its frames.
-struct Run {
+/// A run and what it keeps of its frames.
+struct Run<'a> {
+    args: &'a Args,
+    scene: &'a Scene,
+    setup: &'a Setup,
+    optimizer: &'a Optimizer,
     device: String,
     trajectory: Trajectory,
     per_frame: Vec<PerFrame>,
@@ -148,22 +142,12 @@ struct PerFrame {
     ms: f64,
     energy_total: f64,
     #[serde(flatten)]
-    stats: sim::FrameStats,
+    stats: FrameStats,
 }
 
-impl Run {
-    fn new(setup: &Setup, device: &str) -> Self {
-        let mut trajectory = Trajectory::new(setup.model.grid, 1.0 / setup.units.frame_time_s);
-        trajectory.reserve(setup.frames());
-        Self { device: device.to_owned(), trajectory, per_frame: Vec::with_capacity(setup.frames()) }
-    }
-
-    fn keep_start(&mut self, setup: &Setup) {
-        self.push(setup, &setup.start.cast());
-    }
-
-    fn keep(&mut self, setup: &Setup, frame: &Frame) {
-        self.push(setup, &frame.state);
+impl Run<'_> {
+    fn keep(&mut self, frame: &Frame) {
+        self.push(&frame.state);
         let stats = frame.stats[0];
         self.per_frame.push(PerFrame {
             frame: frame.index,
@@ -173,10 +157,44 @@ impl Run {
         });
     }
 
-    fn push(&mut self, setup: &Setup, state: &State<f32>) {
+    fn push(&mut self, state: &State<f32>) {
         let single =
             |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
-        self.trajectory.push(&single(setup.vertices_m(&state.x)), &single(setup.velocities_m_s(&state.v)));
+        let (positions, velocities) = (self.setup.vertices_m(&state.x), self.setup.velocities_m_s(&state.v));
+        self.trajectory.push(&single(positions), &single(velocities));
+    }
+
+    /// Writes the frames, whatever ended the run, and tells how it ended.
+    fn end(&self, outcome: fnopt::Result<()>) -> Result<Ending> {
+        let written = match (self.write(), &outcome) {
+            (Ok(written), _) => written,
+            (Err(late), Ok(())) => return Err(late.into()),
+            (Err(late), Err(_)) => {
+                eprintln!("error: {late}");
+                Vec::new()
+            }
+        };
+        let last = self.per_frame.len();
+        let ending = match outcome {
+            Ok(()) if last + 1 < self.setup.frames() => {
+                eprintln!("interrupted after frame {last}; the frames so far are kept");
+                Ending::Interrupted
+            }
+            Ok(()) => Ending::Done,
+            Err(error @ Error::NonFinite { .. }) if !written.is_empty() => {
+                let replay = self.write_replay()?.display().to_string();
+                eprintln!("error: {error}; the frames before it are kept, the last good state is {replay}");
+                Ending::NonFinite
+            }
+            Err(error) => {
+                if !written.is_empty() {
+                    eprintln!("stopped after frame {last}; the frames so far are kept");
+                }
+                return Err(error.into());
+            }
+        };
+        self.summarise(&written)?;
+        Ok(ending)
     }
 
     /// Median time after the warm-up, or of all frames when there are no more.
@@ -186,7 +204,7 @@ impl Run {
     }
 
     /// The last good state as a trajectory of one frame.
-    fn write_replay(&self, folder: &Path) -> fnopt::Result<PathBuf> {
+    fn write_replay(&self) -> fnopt::Result<PathBuf> {
         let mut last = Trajectory::new(self.trajectory.grid(), self.trajectory.fps());
         let frame = self.trajectory.frames() - 1;
         let velocities: Vec<[f32; 3]> = self
@@ -197,59 +215,78 @@ impl Run {
             .map(|v| v.outer_iter().map(|p| [p[0], p[1], p[2]]).collect())
             .unwrap_or_default();
         last.push(self.trajectory.frame(frame), &velocities);
-        last.write(folder, "replay", Format::Npz)
+        last.write(&self.args.out, REPLAY, Format::Npz)
     }
 
-    fn write(
-        &self,
-        args: &Args,
-        scene: &Scene,
-        setup: &Setup,
-        optimizer: &sim::Optimizer,
-    ) -> fnopt::Result<Vec<PathBuf>> {
-        let mut written = Vec::new();
-        for &format in &args.format {
-            written.push(self.trajectory.write(&args.out, NAME, format)?);
+    /// Writes all files but the replay, and removes that of an earlier run: it would be taken for this one's.
+    fn write(&self) -> fnopt::Result<Vec<PathBuf>> {
+        let Args { out, format, no_pictures, .. } = self.args;
+        let replay = out.join(format!("{REPLAY}.npz"));
+        match std::fs::remove_file(&replay) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                return Err(Error::io(replay, "cannot remove", e));
+            }
+            _ => {}
         }
-        let report = serde_json::json!({
-            "settings": {
-                "scene": scene.to_json(),
-                "solver": optimizer.name(),
-                "iterations": args.solver.iterations(),
-                "checkpoint": args.solver.checkpoint,
-            },
-            "device": self.device,
-            "frames": self.trajectory.frames(),
-            "ms_per_frame": self.ms_per_frame(),
-            "per_frame": self.per_frame,
-        });
-        let path = args.out.join("report.json");
-        write_atomic(&path, |file| writeln!(file, "{report:#}"))?;
+        let mut written = Vec::new();
+        for &format in format {
+            written.push(self.trajectory.write(out, NAME, format)?);
+            if format == Format::Pc2 {
+                let mesh = out.join(format!("{NAME}.obj"));
+                self.trajectory.write_mesh(&mesh)?;
+                written.push(mesh);
+            }
+        }
+        let path = out.join("report.json");
+        write_atomic(&path, |file| writeln!(file, "{:#}", self.report()))?;
         written.push(path);
-        if !args.no_pictures {
-            let handles = &setup.model.cloths[0].handles;
-            let up = match setup.up {
+        if !no_pictures {
+            let handles = &self.setup.model.cloths[0].handles;
+            let up = match self.setup.up {
                 UpAxis::Y => [0.0, 1.0, 0.0],
                 UpAxis::Z => [0.0, 0.0, 1.0],
             };
             let view = View { up, ..Default::default() };
-            let picture = args.out.join(format!("{NAME}.png"));
+            let picture = out.join(format!("{NAME}.png"));
             let image = strip(&self.trajectory, handles, &StripOptions { view, ..Default::default() });
             write_png(&picture, &image)?;
-            let animation = args.out.join(format!("{NAME}.gif"));
+            let animation = out.join(format!("{NAME}.gif"));
             write_gif(&animation, &self.trajectory, handles, &GifOptions { view, ..Default::default() })?;
             written.extend([picture, animation]);
         }
         Ok(written)
     }
 
-    fn summarise(&self, json: bool, written: &[PathBuf]) -> Result<()> {
+    fn report(&self) -> serde_json::Value {
+        let SolverArgs { checkpoint, .. } = &self.args.solver;
+        let checksum = match self.optimizer {
+            Optimizer::Learned(weights) => Some(format!("{:08x}", crc32fast::hash(&weights.to_bytes()))),
+            _ => None,
+        };
+        serde_json::json!({
+            "version": env!("CARGO_PKG_VERSION"),
+            "settings": {
+                "scene": self.scene.to_json(),
+                "solver": self.optimizer.name(),
+                "iterations": self.args.solver.iterations(),
+                "checkpoint": checkpoint.as_ref().map(|path| path.display().to_string()),
+            },
+            "weights_crc32": checksum,
+            "device": self.device,
+            "frames": self.trajectory.frames(),
+            "ms_per_frame": self.ms_per_frame(),
+            "per_frame": self.per_frame,
+        })
+    }
+
+    fn summarise(&self, written: &[PathBuf]) -> Result<()> {
         let mut out = std::io::stdout().lock();
         let last = self.per_frame.last();
         let energy = last.map(|f| f.energy_total);
         let gradient = last.map(|f| f.stats.gradient_last);
         let stretch = self.per_frame.iter().map(|f| f.stats.stretch_largest).reduce(f64::max);
-        if json {
+        if self.args.json {
+            let written: Vec<_> = written.iter().map(|path| path.display().to_string()).collect();
             let summary = serde_json::json!({
                 "device": self.device, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
                 "energy": energy, "gradient": gradient, "largest_stretch": stretch, "written": written,
@@ -269,5 +306,39 @@ impl Run {
             writeln!(out, "wrote           {}", path.display())?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+    use fnopt::sim::Device;
+
+    #[derive(Parser)]
+    struct Alone {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn a_device_that_fails_in_mid_run_leaves_the_frames_before() {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().to_str().unwrap();
+        let Alone { args } = Alone::parse_from(["rollout", "--solver", "gd", "--no-pictures", "--out", out]);
+        let (scene, optimizer) = (args.scene().unwrap(), args.solver.optimizer().unwrap());
+        let setup = scene.setup().unwrap();
+        let trajectory = room(&args.format, &setup).unwrap();
+        let (args, scene, setup, optimizer) = (&args, &scene, &setup, &optimizer);
+        let mut run =
+            Run { args, scene, setup, optimizer, device: String::new(), trajectory, per_frame: Vec::new() };
+        run.push(&setup.start.cast());
+        let mut simulator = Simulator::new(&Device::Cpu, &setup.model, optimizer, 1).unwrap();
+        simulator.set_state(&setup.start.cast());
+        run.keep(&simulator.step(&setup.control(1)).unwrap());
+        let Err(error) = run.end(Err(Error::Device("lost".into()))) else { panic!("the run did not fail") };
+        assert_eq!(error.to_string(), "device: lost");
+        let kept = Trajectory::read(folder.path().join("rollout.npz"), &Default::default()).unwrap();
+        assert_eq!(kept.frames(), 2);
     }
 }

@@ -64,8 +64,9 @@ pub fn run(args: &Args) -> Result<Ending> {
         false => Some(best.store(&context)?),
     };
     if args.json {
+        let file = stored.map(|path| path.display().to_string());
         let result =
-            serde_json::json!({ "adapter": context.name(), "best": best, "file": stored, "tried": all });
+            serde_json::json!({ "adapter": context.name(), "best": best, "file": file, "tried": all });
         writeln!(out, "{result:#}")?;
         return Ok(Ending::Done);
     }

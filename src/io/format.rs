@@ -1,6 +1,6 @@
 //! The formats that a trajectory can be written in.
 
-use crate::{Error, Result};
+use crate::{Error, Result, sim::Grid};
 use std::{fmt, str::FromStr};
 
 /// A file format for a trajectory.
@@ -32,6 +32,21 @@ impl Format {
             Self::Pc2 => "pc2",
         }
     }
+
+    /// An error if a trajectory of this size does not fit into a file of this format.
+    pub fn holds(self, grid: Grid, frames: usize) -> Result<()> {
+        let bytes = (frames as u64).saturating_mul(12 * grid.particles() as u64);
+        // An entry of an archive has a length of 32 bits, and a header.
+        if self == Self::Npz && bytes >= u64::from(u32::MAX) - 256 {
+            let expected = "less than 4 GiB of positions (npy has no limit)";
+            let found = format!("{frames} frames of {grid}, {bytes} bytes");
+            return Err(Error::invalid("--format", self.name(), expected, found));
+        }
+        if self == Self::Pc2 && i32::try_from(frames).is_err() {
+            return Err(Error::invalid("--format", self.name(), "at most 2^31 - 1 frames", frames));
+        }
+        Ok(())
+    }
 }
 
 impl fmt::Display for Format {
@@ -60,5 +75,17 @@ mod tests {
         }
         let error = "npzz".parse::<Format>().unwrap_err().to_string();
         assert!(error.contains("unknown format 'npzz' (did you mean npz"), "{error}");
+    }
+
+    #[test]
+    fn what_is_too_long_for_a_format_is_told_beforehand() {
+        let grid = Grid { h: 1024, w: 1024 };
+        Format::Npz.holds(grid, 341).unwrap();
+        let error = Format::Npz.holds(grid, 342).unwrap_err().to_string();
+        assert!(error.contains("npz: expected less than 4 GiB") && error.contains("342 frames"), "{error}");
+        for format in [Format::Npy, Format::Obj, Format::Ply, Format::Pc2] {
+            format.holds(grid, 1_000_000).unwrap();
+        }
+        assert!(Format::Pc2.holds(grid, 1 << 31).is_err());
     }
 }

@@ -53,10 +53,15 @@ impl Trajectory {
         Self { grid, fps, positions: Vec::new(), velocities: Vec::new() }
     }
 
-    /// Makes room for `frames` more frames, so that pushing them moves nothing.
-    pub fn reserve(&mut self, frames: usize) {
-        self.positions.reserve_exact(frames * self.grid.particles());
-        self.velocities.reserve_exact(frames * self.grid.particles());
+    /// Makes room for `frames` more frames, so that pushing them moves nothing; an error if there is not enough memory.
+    pub fn reserve(&mut self, frames: usize) -> Result<()> {
+        let points = frames.saturating_mul(self.grid.particles());
+        let reserved = self.positions.try_reserve_exact(points);
+        reserved.and_then(|()| self.velocities.try_reserve_exact(points)).map_err(|_| {
+            let gib = 24.0 * points as f64 / f64::from(1 << 30);
+            let expected = format!("{gib:.1} GiB for {frames} frames of {}", self.grid);
+            Error::invalid("trajectory", "memory", expected, "less")
+        })
     }
 
     /// Appends a frame: positions \[m\] and velocities [m/s], shape [V, 3] each.
@@ -108,19 +113,13 @@ impl Trajectory {
 
     /// Writes the trajectory into the folder `dir` and tells where: the file `NAME.EXT`, or for OBJ and PLY the folder
     /// `NAME_EXT` with a file `00000.EXT` per frame. Each file appears when it is complete; files of frames that a longer
-    /// run left in such a folder are removed.
+    /// run left in such a folder are removed. An error if the format [cannot hold](Format::holds) it.
     pub fn write(&self, dir: impl AsRef<Path>, name: &str, format: Format) -> Result<PathBuf> {
         let file = dir.as_ref().join(format!("{name}.{format}"));
         let folder = dir.as_ref().join(format!("{name}_{format}"));
+        format.holds(self.grid, self.frames())?;
         match format {
-            Format::Npz => {
-                let bytes = size_of_val(self.positions.as_slice()) as u64;
-                if bytes >= u64::from(u32::MAX) - 256 {
-                    let (field, expected) = ("vertices_seq", "less than 4 GiB for npz (npy has no limit)");
-                    return Err(Error::invalid(file.display().to_string(), field, expected, bytes));
-                }
-                write_atomic(&file, |w| npz::write(self, w)).map(|()| file)
-            }
+            Format::Npz => write_atomic(&file, |w| npz::write(self, w)).map(|()| file),
             Format::Npy => {
                 let npy = |w: &mut _| self.positions().write_npy(w).map_err(io::Error::other);
                 write_atomic(&file, npy).map(|()| file)
@@ -128,6 +127,11 @@ impl Trajectory {
             Format::Pc2 => write_atomic(&file, |w| pc2::write(self, w)).map(|()| file),
             Format::Obj | Format::Ply => self.write_frames(folder, format),
         }
+    }
+
+    /// Writes frame 0 as an OBJ file: the mesh that a PC2 cache moves.
+    pub fn write_mesh(&self, path: impl AsRef<Path>) -> Result<()> {
+        write_atomic(path, |w| obj::write(self.grid, self.frame(0), w))
     }
 
     fn write_frames(&self, folder: PathBuf, format: Format) -> Result<PathBuf> {
