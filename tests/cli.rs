@@ -212,6 +212,13 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
     std::fs::write(&name, &bytes).unwrap();
     assert_eq!(fnopt(folder.path(), &["verify", ".", "--device", "cpu"]).status.code(), Some(1));
 
+    // One line for each array of each file, in both precisions; nothing is passed over.
+    let all = fnopt(folder.path(), &["verify", golden.to_str().unwrap(), "--device", "cpu"]);
+    assert_eq!(all.status.code(), Some(0), "{}", text(&all.stdout));
+    for stage in ["training_step", "adamw", "energy_crumpled", "repulsion_threshold0.5"] {
+        assert!(text(&all.stdout).contains(&format!("pass  {stage} ")), "no check of {stage}");
+    }
+
     let weights = golden.join("network_weights.safetensors");
     let output = fnopt(folder.path(), &["inspect", weights.to_str().unwrap(), "--json"]);
     let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();

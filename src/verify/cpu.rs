@@ -90,7 +90,7 @@ impl<T: Real> Stages for CpuStages<T> {
         Ok((double(&step), double(&update.hidden().scale)))
     }
 
-    fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<Option<TrainingOutput>> {
+    fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<TrainingOutput> {
         let model = Model { grid: case.grid, cloths: case.cloths.clone() };
         let batch = model.batch();
         let state = State { x: cast(&case.x), v: cast(&case.v) };
@@ -113,10 +113,10 @@ impl<T: Real> Stages for CpuStages<T> {
             &mut gradient,
         );
         let loss = outcomes.iter().map(|o| o.energy.total()).sum::<f64>() * share;
-        Ok(Some(TrainingOutput { loss, step: double(&hidden.last_step), gradient: double(&gradient) }))
+        Ok(TrainingOutput { loss, step: double(&hidden.last_step), gradient: double(&gradient) })
     }
 
-    fn adamw(&mut self, case: &AdamWCase) -> Result<Option<Vec<Vec<f64>>>> {
+    fn adamw(&mut self, case: &AdamWCase) -> Result<Vec<Vec<f64>>> {
         let mut weights = cast::<T>(&case.before);
         let settings = AdamWSettings { clip: case.clip, ..Default::default() };
         let mut adamw = AdamW::new(settings, weights.len());
@@ -125,7 +125,7 @@ impl<T: Real> Stages for CpuStages<T> {
             adamw.step(&mut weights, (&gradient, AdamW::norm(&gradient)), number, case.rate);
             double(&weights)
         });
-        Ok(Some(steps.collect()))
+        Ok(steps.collect())
     }
 
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>> {

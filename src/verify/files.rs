@@ -112,7 +112,7 @@ impl Checker<'_> {
             let expected = format!("{} fields", weights.config.fields);
             return Err(Error::invalid(self.file, "input", expected, fields));
         }
-        let grid = Grid { h, w };
+        let grid = Grid::new(h, w, self.file)?;
         let input = golden.shaped("input", &[samples, fields, h, w])?;
         let NetworkOutput { embedded, lifted, blocks, field, scalar } =
             self.stages.network(&weights, grid, input)?;
@@ -128,12 +128,12 @@ impl Checker<'_> {
     }
 
     fn update(&mut self, golden: &Golden) -> Result<()> {
-        let [samples, one, h, w] = golden.shape("grads")?;
-        let shape = [samples, one, h, w];
+        let [samples, _, h, w] = golden.shape("grads")?;
+        let (grid, shape) = (Grid::new(h, w, self.file)?, [samples, 1, h, w]);
         let per_sample = [samples, 1, 1, 1];
         let weights = self.weights("network_weights")?;
         let mut case = UpdateCase {
-            grid: Grid { h, w },
+            grid,
             grad: golden.shaped("grads", &shape)?.to_vec(),
             last_grad: golden.shaped("last_grads", &shape)?.to_vec(),
             last_step: golden.shaped("last_steps", &shape)?.to_vec(),
@@ -156,15 +156,20 @@ impl Checker<'_> {
     fn training_step(&mut self, path: &Path) -> Result<()> {
         let golden = &Golden::open(path)?;
         let [batch, _, h, w] = golden.shape("positions")?;
+        let grid = Grid::new(h, w, self.file)?;
         let [shape, samples] = [[batch, 3, h, w], [3 * batch, 1, h, w]];
+        if self.stages.precision() == Precision::Half {
+            self.verdict("training is in 32 bits", Outcome::Skipped);
+            return Ok(());
+        }
         let weights = self.weights("network_weights")?;
         let field = |name: &str, shape: &[usize]| Ok::<_, Error>(golden.shaped(name, shape)?.to_vec());
-        let cloths = cloths(golden, batch, Grid { h, w })?;
+        let cloths = cloths(golden, batch, grid)?;
         let (n, held) = (h * w, field("handle_positions", &shape)?);
         let handles =
             cloths.iter().enumerate().flat_map(|(b, c)| c.handles.iter().map(move |p| 3 * n * b + p));
         let case = TrainingCase {
-            grid: Grid { h, w },
+            grid,
             targets: handles.map(|at| [0, 1, 2].map(|k| held[at + k * n])).collect(),
             cloths,
             x: field("positions", &shape)?,
@@ -180,10 +185,7 @@ impl Checker<'_> {
             let (wanted, found) = (format!("{:?}", weights.config), format!("{:?}", expected.config));
             return Err(Error::invalid(self.file, "gradient.*", wanted, found));
         }
-        let Some(found) = self.stages.training_step(&weights, &case)? else {
-            self.verdict("this device does not train yet", Outcome::Skipped);
-            return Ok(());
-        };
+        let found = self.stages.training_step(&weights, &case)?;
         self.magnitude("loss", golden.shaped("loss", &[])?, &[found.loss], LOSS);
         self.magnitude("step", golden.shaped("step", &samples)?, &found.step, NETWORK);
         let mut rest = &found.gradient[..];
@@ -212,13 +214,15 @@ impl Checker<'_> {
             }
             Ok(all)
         };
+        let before = joined("before")?;
         let steps = (0..).take_while(|k| golden.has(&format!("grad{k}.{}", names[0]))).count();
+        if before.is_empty() || steps == 0 {
+            let (expected, found) = ("weights, and gradients of a step", format!("{steps} steps"));
+            return Err(Error::invalid(self.file, "before.*, grad0.*", expected, found));
+        }
         let gradients = (0..steps).map(|k| joined(&format!("grad{k}"))).collect::<Result<_>>()?;
-        let case = AdamWCase { before: joined("before")?, gradients, clip: ADAMW_CLIP, rate: ADAMW_RATE };
-        let Some(found) = self.stages.adamw(&case)? else {
-            self.verdict("this device does not train yet", Outcome::Skipped);
-            return Ok(());
-        };
+        let case = AdamWCase { before, gradients, clip: ADAMW_CLIP, rate: ADAMW_RATE };
+        let found = self.stages.adamw(&case)?;
         for (k, found) in found.iter().enumerate() {
             let name = format!("after{k}");
             self.magnitude(&name, &joined(&name)?, found, ADAMW);
@@ -227,8 +231,8 @@ impl Checker<'_> {
     }
 
     fn energy(&mut self, golden: &Golden) -> Result<()> {
-        let [batch, three, h, w] = golden.shape("positions")?;
-        let shape = [batch, three, h, w];
+        let [batch, _, h, w] = golden.shape("positions")?;
+        let (grid, shape) = (self.grid_with_cells(h, w)?, [batch, 3, h, w]);
         let field = |name: &str| golden.shaped(name, &shape);
         let mask = golden.shaped("handle_mask", &[batch, 1, h, w])?;
         let [x, v, a, held] = ["positions", "velocities", "accelerations", "handle_positions"].map(field);
@@ -237,8 +241,8 @@ impl Checker<'_> {
         let is_handle = |k: usize| mask[k / (3 * n) * n + k % n] != 0.0;
         let shift = |k: usize| if is_handle(k) { held[k] - x[k] } else { v[k] + a[k] };
         let case = EnergyCase {
-            grid: Grid { h, w },
-            cloths: cloths(golden, batch, Grid { h, w })?,
+            grid,
+            cloths: cloths(golden, batch, grid)?,
             x: x.to_vec(),
             shift: (0..x.len()).map(shift).collect(),
             a: a.to_vec(),
@@ -278,10 +282,22 @@ impl Checker<'_> {
             );
             return Ok(());
         }
-        let [frames, three, h, w] = golden.shape("positions")?;
+        let [frames, _, h, w] = golden.shape("positions")?;
         let [_, handles, _] = golden.shape("handle_targets")?;
         let [rows, _] = golden.shape("gradient_norms")?;
-        let shape = [frames, three, h, w];
+        let (grid, shape) = (Grid::new(h, w, self.file)?, [frames, 3, h, w]);
+        if handles > 2 {
+            return Err(Error::invalid(
+                self.file,
+                "handle_targets",
+                "the two corners or one of them",
+                handles,
+            ));
+        }
+        if !rows.is_multiple_of(frames) {
+            let expected = format!("as many rows for each of {frames} frames");
+            return Err(Error::invalid(self.file, "gradient_norms", expected, rows));
+        }
         // "rollout_starter_32x32" belongs to "checkpoint_starter".
         let checkpoint = self.file.trim_start_matches("rollout_").rsplit_once('_').map_or("", |n| n.0);
         let weights = Arc::new(self.weights(&format!("checkpoint_{checkpoint}"))?);
@@ -289,7 +305,7 @@ impl Checker<'_> {
         let gravity = golden.shaped("external_acceleration", &[3])?;
         let targets = golden.shaped("handle_targets", &[frames, handles, 3])?;
         let case = RolloutCase {
-            grid: Grid { h, w },
+            grid,
             cloth: Cloth {
                 material: Material { stretch: material[0], shear: material[1], bend: material[2] },
                 gravity: [gravity[0], gravity[1], gravity[2]],
@@ -333,13 +349,14 @@ impl Checker<'_> {
         Ok(())
     }
 
-    /// A metric of the host's, the same whatever the device.
+    /// A measure of the host's, the same whatever the device. It needs no gradient, so that of the file is not compared.
     fn repulsion(&mut self, golden: &Golden) -> Result<()> {
         let [_, h, w] = golden.shape("positions")?;
-        let (x, n) = (golden.shaped("positions", &[3, h, w])?, h * w);
+        let grid = self.grid_with_cells(h, w)?;
+        let (x, n) = (golden.shaped("positions", &[3, h, w])?, grid.particles());
         let points: Vec<[f64; 3]> = (0..n).map(|p| [x[p], x[n + p], x[2 * n + p]]).collect();
         let threshold = golden.shaped("threshold", &[])?[0];
-        let found = repulsion(&points, &Grid { h, w }.faces(), threshold);
+        let found = repulsion(&points, &grid.faces(), threshold);
         self.magnitude("energy", golden.shaped("energy", &[])?, &[found], ENERGY_DOUBLE);
         Ok(())
     }
@@ -351,6 +368,15 @@ impl Checker<'_> {
             Precision::Half => NETWORK_HALF,
         };
         self.magnitude(array, expected, found, tolerance);
+    }
+
+    /// A grid that has an energy; smaller ones than the network takes.
+    fn grid_with_cells(&self, h: usize, w: usize) -> Result<Grid> {
+        let grid = Grid { h, w };
+        match h.min(w) {
+            0 | 1 => Err(Error::invalid(self.file, "positions", "two particles or more a side", grid)),
+            _ => Ok(grid),
+        }
     }
 
     fn weights(&self, name: &str) -> Result<Weights> {
@@ -446,4 +472,81 @@ fn largest_error(expected: &[f64], found: &[f64]) -> f64 {
 
 fn ratio(error: f64, scale: f64) -> f64 {
     if error == 0.0 { 0.0 } else { error / scale }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use safetensors::tensor::{Dtype, TensorView, serialize_to_file};
+
+    /// Writes a file of arrays that are `value` everywhere and says why it fails.
+    fn failure(name: &str, arrays: &[(&str, &[usize])], value: f32) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+        let needed = match name.split('_').next() {
+            Some("rollout") => "checkpoint_starter.safetensors",
+            _ => "network_weights.safetensors",
+        };
+        std::fs::copy(golden.join(needed), folder.path().join(needed)).unwrap();
+        let bytes = |shape: &[usize]| value.to_le_bytes().repeat(shape.iter().product());
+        let data: Vec<_> = arrays.iter().map(|(name, shape)| (*name, shape.to_vec(), bytes(shape))).collect();
+        let view = |(name, shape, bytes)| (name, TensorView::new(Dtype::F32, shape, bytes).unwrap());
+        let views = data.iter().map(|(name, shape, bytes)| view((*name, shape.clone(), &bytes[..])));
+        serialize_to_file(views, None, &folder.path().join(name).with_extension("safetensors")).unwrap();
+        let mut failed = Vec::new();
+        verify_folder(folder.path(), &mut CpuStages::<f32>::new(), &mut |check| {
+            failed.extend((check.outcome == Outcome::Failed).then_some(check.array));
+        })
+        .unwrap();
+        failed.join("\n")
+    }
+
+    #[test]
+    fn files_of_wrong_shapes_and_counts_are_failed_checks() {
+        let energy = |three, h, w| -> String {
+            let state = [1, three, h, w];
+            let names = ["positions", "velocities", "accelerations", "handle_positions", "gradient"];
+            let mut arrays: Vec<(&str, &[usize])> = names.map(|name| (name, &state[..])).to_vec();
+            arrays.push(("external_accelerations", &state));
+            let mask = [1, 1, h, w];
+            arrays.push(("handle_mask", &mask));
+            arrays.extend(["stretching", "shearing", "bending"].map(|name| (name, &[1][..])));
+            failure("energy_x", &arrays, 1.0)
+        };
+        assert!(energy(4, 5, 5).contains("positions: expected shape [1, 3, 5, 5], found [1, 4, 5, 5]"));
+        assert!(energy(3, 1, 5).contains("two particles or more a side, found 1x5"));
+        // The smallest has an energy, with which this file has nothing to compare.
+        assert!(energy(3, 2, 2).contains("stretching_energy: expected an array of that name"));
+
+        let fields = ["grads", "last_grads", "last_steps", "step"].map(|name| (name, &[3, 2, 8, 8][..]));
+        let scales = ["scales", "new_scales"].map(|name| (name, &[3, 1, 1, 1][..]));
+        let told = failure("update_rule_x", &[&fields[..], &scales].concat(), 0.5);
+        assert!(told.contains("grads: expected shape [3, 1, 8, 8]"), "{told}");
+
+        let rollout = |three, handles, rows| {
+            let arrays: [(&str, &[usize]); 6] = [
+                ("positions", &[4, three, 8, 8]),
+                ("handle_targets", &[4, handles, 3]),
+                ("gradient_norms", &[rows, 3]),
+                ("material", &[3]),
+                ("external_acceleration", &[3]),
+                ("start", &[3, 8, 8]),
+            ];
+            failure("rollout_starter_8x8", &arrays, 1.0)
+        };
+        assert!(rollout(3, 3, 4).contains("handle_targets: expected the two corners"));
+        assert!(rollout(3, 2, 3).contains("gradient_norms: expected as many rows for each of 4 frames"));
+        assert!(rollout(3, 2, 5).contains("gradient_norms"));
+        assert!(rollout(2, 2, 4).contains("positions: expected shape [4, 3, 8, 8]"));
+
+        let repulsion = |h, value| {
+            let (of, one): (&[usize], &[usize]) = (&[3, h, 8], &[]);
+            failure("repulsion_x", &[("positions", of), ("threshold", one), ("energy", one)], value)
+        };
+        assert!(repulsion(1, 1.0).contains("two particles or more a side"));
+        assert!(repulsion(8, f32::NAN).contains("finite numbers, found NaN"));
+
+        assert!(failure("adamw", &[("before.a", &[2])], 1.0).contains("grad0"));
+        assert!(failure("network_forward_x", &[("input", &[1, 3, 2, 2])], 1.0).contains("8 to 4096"));
+    }
 }

@@ -25,6 +25,9 @@ impl Golden {
                 Dtype::F64 => view.data().chunks_exact(8).map(f64_at).collect(),
                 other => return Err(Error::invalid(&origin, name, "dtype F32 or F64", format!("{other:?}"))),
             };
+            if let Some(wrong) = values.iter().find(|v| !v.is_finite()) {
+                return Err(Error::invalid(&origin, name, "finite numbers", wrong));
+            }
             arrays.insert(name.to_owned(), (view.shape().to_vec(), values));
         }
         Ok(Self { origin, arrays })

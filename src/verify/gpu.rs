@@ -152,10 +152,7 @@ impl Stages for GpuStages {
         Ok((step, self.read(&scale)?[..wanted].to_vec()))
     }
 
-    fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<Option<TrainingOutput>> {
-        if self.precision() == Precision::Half {
-            return Ok(None);
-        }
+    fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<TrainingOutput> {
         let context = &self.context;
         let model = Model { grid: case.grid, cloths: case.cloths.clone() };
         let mut schedule = Schedule::new(context);
@@ -182,14 +179,14 @@ impl Stages for GpuStages {
         let terms = self.read(&loss.terms)?;
         let step = self.read(hidden)?.split_off(case.last_grad.len());
         let gradient = parameters.layout().to_host(&gradient.read(context)?);
-        Ok(Some(TrainingOutput {
+        Ok(TrainingOutput {
             loss: terms.chunks_exact(8).map(energy).sum::<f64>() / model.batch() as f64,
             step,
             gradient: gradient.into_iter().map(f64::from).collect(),
-        }))
+        })
     }
 
-    fn adamw(&mut self, case: &AdamWCase) -> Result<Option<Vec<Vec<f64>>>> {
+    fn adamw(&mut self, case: &AdamWCase) -> Result<Vec<Vec<f64>>> {
         let context = &self.context;
         let weights = self.upload("weights", &[case.before.len()], &case.before)?;
         let settings = AdamWSettings { clip: case.clip, ..Default::default() };
@@ -206,7 +203,7 @@ impl Stages for GpuStages {
             self.run(&step);
             self.read(&weights)
         });
-        steps.collect::<Result<_>>().map(Some)
+        steps.collect()
     }
 
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>> {

@@ -1,8 +1,9 @@
 //! Checks of every stage against golden files: vectors computed with the method's original implementation.
 //!
-//! A file's name says what it holds: `network_weights`, `network_forward_*`, `update_rule_*`, `energy_*`,
-//! `checkpoint_NAME`, `rollout_NAME_*`, `training_step*`, `adamw*`. Sizes are read from the arrays, so files of other grids and seeds check as well.
-//! Every array is compared on its own, so that an error points at one stage.
+//! A file's name says what it holds: `network_weights`, `network_forward_*`, `update_rule_*`, `energy_*`, `repulsion_*`,
+//! `checkpoint_NAME`, `rollout_NAME_*`, `training_step*`, `adamw*`. Sizes are read from the arrays, so files of other grids
+//! and seeds check as well. Every array is compared on its own, so that an error points at one stage. Of `repulsion_*`
+//! only the energy is: it is a measure here, and its gradient is not computed.
 
 mod cpu;
 mod files;
@@ -47,15 +48,11 @@ pub trait Stages {
     /// One application of the update rule: step [S, H, W] and new scales `[S]`.
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)>;
 
-    /// One training step's loss and gradient; `None` where the device does not train.
-    fn training_step(&mut self, _weights: &Weights, _case: &TrainingCase) -> Result<Option<TrainingOutput>> {
-        Ok(None)
-    }
+    /// One training step's loss and gradient; not in [`Precision::Half`].
+    fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<TrainingOutput>;
 
-    /// The weights after each of some steps of AdamW; `None` where the device does not train.
-    fn adamw(&mut self, _case: &AdamWCase) -> Result<Option<Vec<Vec<f64>>>> {
-        Ok(None)
-    }
+    /// The weights after each of some steps of AdamW.
+    fn adamw(&mut self, case: &AdamWCase) -> Result<Vec<Vec<f64>>>;
 
     /// Frames from a start at rest with a fresh hidden state.
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>>;
@@ -214,7 +211,7 @@ pub enum Outcome {
     Passed,
     /// Not within it, or damaged.
     Failed,
-    /// A stage that does not exist yet.
+    /// Nothing that can be checked on this device.
     Skipped,
 }
 
