@@ -236,7 +236,10 @@ fn a_training_run_fills_its_folder_and_resumes() {
     std::fs::write(folder.path().join("tiny.toml"), TINY).unwrap();
     let train = |arguments: &[&str]| {
         let output = fnopt(folder.path(), &[&["train", "--device", "cpu"], arguments].concat());
-        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let log = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(0), "{log}");
+        // Validation is told where there is no terminal for a bar as well.
+        assert!(log.contains(": hanging 9x12: "), "{log}");
         text(&output.stdout)
     };
     assert!(train(&["tiny.toml", "--out", "once"]).contains("4 steps of 4 done"));
@@ -255,6 +258,23 @@ fn a_training_run_fills_its_folder_and_resumes() {
         ["rollout", "--device", "cpu", "--frames", "3", "--checkpoint", "once/weights/last.safetensors"];
     let output = fnopt(folder.path(), &arguments);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+}
+
+#[cfg(not(feature = "mpi"))]
+#[test]
+fn several_processes_without_mpi_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, count, code) in
+        [("OMPI_COMM_WORLD_SIZE", "2", 2), ("SLURM_STEP_NUM_TASKS", "4", 2), ("SLURM_STEP_NUM_TASKS", "1", 0)]
+    {
+        std::fs::write(folder.path().join("tiny.toml"), TINY).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
+        command.current_dir(folder.path()).args(["train", "tiny.toml", "--device", "cpu", "--out", "run"]);
+        let output = command.env(name, count).output().unwrap();
+        let log = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{log}");
+        assert!(code == 0 || log.contains(name) && log.contains("without the feature mpi"), "{log}");
+    }
 }
 
 #[test]

@@ -145,10 +145,8 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>) {
     for SceneScore { scene, gap, largest_stretch, stable } in progress.validation.into_iter().flatten() {
         let stable = if *stable { "stable" } else { "UNSTABLE" };
         let gap = gap.map_or_else(String::new, |gap| format!(", energy gap {:.2} %", 100.0 * gap));
-        bar.println(format!(
-            "step {}: {scene}: {stable}{gap}, largest stretch {:.1} %",
-            progress.step,
-            100.0 * largest_stretch
-        ));
+        let (step, percent) = (progress.step, 100.0 * largest_stretch);
+        // Also where the bar is hidden, as in a batch job's log.
+        bar.suspend(|| eprintln!("step {step}: {scene}: {stable}{gap}, largest stretch {percent:.1} %"));
     }
 }

@@ -99,13 +99,11 @@ pub fn ranks() -> Result<Rc<dyn Ranks>> {
 /// [`Alone`]. An error if a launcher started several, which would all write the same files.
 #[cfg(not(feature = "mpi"))]
 pub fn ranks() -> Result<Rc<dyn Ranks>> {
-    for name in ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE"] {
-        match std::env::var(name) {
-            Ok(count) if count != "1" => {
-                let expected = "1, as this program was built without the feature mpi";
-                return Err(Error::invalid(name, "ranks", expected, count));
-            }
-            _ => {}
+    for name in ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"] {
+        let count = std::env::var(name).ok().and_then(|count| count.parse::<u64>().ok());
+        if let Some(several @ 2..) = count {
+            let expected = "1, as this program was built without the feature mpi";
+            return Err(Error::invalid(name, "ranks", expected, several));
         }
     }
     Ok(Rc::new(Alone))
