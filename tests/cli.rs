@@ -253,6 +253,16 @@ fn a_training_run_fills_its_folder_and_resumes() {
         std::fs::read(root.join("weights/last.safetensors")).unwrap()
     };
     assert!(weights("once") == weights("twice"), "a run in two sessions has other bits");
+    // One that begins with those weights is continued with its own configuration, and tells where they are.
+    std::fs::create_dir(folder.path().join("more")).unwrap();
+    let more = "init = '../once/weights/last.safetensors'\n".to_owned() + TINY;
+    std::fs::write(folder.path().join("more/more.toml"), more).unwrap();
+    train(&["more/more.toml", "--out", "third", "--steps", "2"]);
+    assert!(train(&["more/more.toml", "--resume", "third"]).contains("4 steps of 4 done"));
+    let card = std::fs::read(folder.path().join("third/weights/last.json")).unwrap();
+    let card: serde_json::Value = serde_json::from_slice(&card).unwrap();
+    let init = Path::new(card["config"]["init"][0].as_str().unwrap());
+    assert!(init.is_absolute() && init.is_file(), "{card}");
     // What it trained can be used.
     let arguments =
         ["rollout", "--device", "cpu", "--frames", "3", "--checkpoint", "once/weights/last.safetensors"];

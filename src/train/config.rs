@@ -29,7 +29,7 @@ use std::path::{Path, PathBuf};
 pub struct Config {
     /// Seed of all that is random.
     pub seed: u64,
-    /// Training steps of the whole run; the schedule is stretched over them.
+    /// Training steps of the whole run; a cosine is stretched over them, halvings stay where they are.
     pub steps: u64,
     /// Steps that a row of `metrics.csv` is the mean of.
     pub log_every: u64,
@@ -253,13 +253,20 @@ impl Default for ValidationConfig {
 }
 
 impl Config {
-    /// Reads a configuration file: its text, which a run keeps, and what it means.
+    /// Reads a configuration file: its text, which a run keeps, and what it means. Paths in the text are made absolute, so
+    /// that a copy of it in another folder names the same files.
     pub fn load(path: &Path) -> Result<(String, Self)> {
-        let bytes = io::read_bytes(path)?;
-        let origin = path.display().to_string();
-        let text = String::from_utf8(bytes).map_err(|e| Error::invalid(origin, "text", "UTF-8", e))?;
+        let text = Self::text(path)?;
+        Self::parse(&text, path)?;
+        let text = read::absolute_paths(text, path)?;
         let config = Self::parse(&text, path)?;
         Ok((text, config))
+    }
+
+    /// The text of a configuration file.
+    pub(super) fn text(path: &Path) -> Result<String> {
+        let origin = path.display().to_string();
+        String::from_utf8(io::read_bytes(path)?).map_err(|e| Error::invalid(origin, "text", "UTF-8", e))
     }
 
     /// Reads a configuration from TOML; `path` names it in errors, and its folder is where `init` is looked for.

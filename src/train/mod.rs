@@ -22,7 +22,7 @@
 //!
 //! | file | holds |
 //! |---|---|
-//! | `config.toml` | the exact configuration ([`Config`]) |
+//! | `config.toml` | the exact configuration ([`Config`]), its paths made absolute |
 //! | `metrics.csv` | means over `log_every` steps: loss, its terms and the log mean absolute gradient of each pool, gradient norm, speed |
 //! | `validation.csv` | each rollout of each validation |
 //! | `plot.png` | both as curves |

@@ -10,6 +10,8 @@ use crate::sim::{Grid, MAX_GRID, MIN_GRID};
 use crate::{Error, Result, network};
 use serde::{Serialize, Serializer};
 use std::path::Path;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
 
 /// The most particles in all pools: their arrays take 60 bytes each.
 const MAX_PARTICLES: usize = 1 << 28;
@@ -63,6 +65,43 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
         })?,
     };
     check(config, &origin)
+}
+
+/// The text of a configuration in the file `path`, with the paths of `init` made absolute; all else stays as it is.
+pub(super) fn absolute_paths(mut text: String, path: &Path) -> Result<String> {
+    let origin = path.display().to_string();
+    let folder = path.parent().unwrap_or(Path::new("")).join(".");
+    // As the file system has it, so that it is one however the file was reached.
+    let folder = folder.canonicalize().map_err(|e| Error::io(&folder, "cannot find", e))?;
+    let document = DeTable::parse(&text).map_err(|e| Error::invalid(&origin, "text", "TOML", e.message()))?;
+    let mut files = Vec::new();
+    let mut file = |value: &Spanned<DeValue<'_>>| {
+        files.extend(value.get_ref().as_str().map(|name| (value.span(), folder.join(name))));
+    };
+    if let Some(init) = document.get_ref().get("init") {
+        match init.get_ref() {
+            DeValue::Array(several) => several.iter().for_each(file),
+            _ => file(init),
+        }
+    }
+    // From the last to the first, so that the places of the others stay.
+    for (place, path) in files.into_iter().rev() {
+        let name = path
+            .to_str()
+            .ok_or_else(|| Error::invalid(&origin, "init", "a folder whose name is UTF-8", path.display()))?;
+        text.replace_range(place, &quoted(name));
+    }
+    Ok(text)
+}
+
+/// A text as a basic string of TOML.
+fn quoted(text: &str) -> String {
+    let escaped = |c: char| match c {
+        '"' | '\\' => format!("\\{c}"),
+        c if c.is_control() => format!("\\u{:04X}", u32::from(c)),
+        c => c.to_string(),
+    };
+    format!("\"{}\"", text.chars().map(escaped).collect::<String>())
 }
 
 /// What concerns several fields.

@@ -78,7 +78,7 @@ impl Run {
         // Before the folder: what is wrong with the configuration leaves no trace.
         Validation::new(&config.validation)?;
         let folder = if ranks.rank() == 0 { Folder::create(root, text)? } else { Folder::open(root) };
-        Self::open((config, text.to_owned()), folder, Counters::default(), (learner, ranks))
+        Self::open((config, shared(text, &*ranks)), folder, Counters::default(), (learner, ranks))
     }
 
     /// Continues the run in the folder `root`, on the learner that `learner` makes for its configuration. `given` is
@@ -90,7 +90,7 @@ impl Run {
         ranks: Rc<dyn Ranks>,
     ) -> Result<(Self, Vec<Error>)> {
         let folder = Folder::open(root);
-        let (_, config) = Config::load(&folder.config())?;
+        let config = Config::parse(&Config::text(&folder.config())?, &folder.config())?;
         let other = |found: &str| {
             let origin = folder.config().display().to_string();
             Err(Error::invalid(origin, "configuration", "the one that the run began with", found))
@@ -279,6 +279,14 @@ impl Run {
         };
         card.write(&path)
     }
+}
+
+/// Rank 0's text: the same folder may have another absolute path on another machine.
+fn shared(text: &str, ranks: &dyn Ranks) -> String {
+    let mut bytes = text.as_bytes().to_vec();
+    bytes.resize(ranks.first(bytes.len() as u64) as usize, 0);
+    ranks.broadcast(&mut bytes);
+    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 /// Tells when something is due again.

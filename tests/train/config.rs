@@ -118,6 +118,29 @@ fn bad_configurations_are_refused_by_field() {
 }
 
 #[test]
+fn the_text_of_a_file_names_the_same_files_from_anywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().canonicalize().unwrap();
+    let name = root.join("deep/some.toml");
+    std::fs::create_dir(root.join("deep")).unwrap();
+    let tail = "seed = 3 # init = 'x'\n[optimizer]\nrate = 1e-4\n";
+    for (init, files) in [
+        ("init = 'a.st' # kept\n", &["deep/a.st"][..]),
+        ("init = [ \"../b c.st\", # kept\n 'q\"\\u.st' ]\n", &["deep/../b c.st", "deep/q\"\\u.st"]),
+        ("# kept\n", &[]),
+    ] {
+        std::fs::write(&name, init.to_owned() + tail).unwrap();
+        // However the file is reached.
+        for path in [name.clone(), root.join("deep/../deep/some.toml")] {
+            let (text, config) = Config::load(&path).unwrap();
+            assert_eq!(config.init, files.iter().map(|file| root.join(file)).collect::<Vec<_>>());
+            assert!(text.contains("# kept") && text.ends_with(tail), "{text}");
+            assert_eq!(Config::parse(&text, Path::new("/another/folder.toml")).unwrap(), config);
+        }
+    }
+}
+
+#[test]
 fn a_run_begins_with_the_mean_of_the_files_it_is_given() {
     let mut config = parse("[network]\nlifting = 8\nchannels = 4\nprojection = 4\nlayers = 1").unwrap();
     let folder = tempfile::tempdir().unwrap();
