@@ -3,10 +3,10 @@
 use super::device::auto_choice;
 use super::{Ending, load_weights, median};
 use anyhow::Result;
-use fnopt::cpu;
 use fnopt::gpu::{AdapterChoice, AdapterSummary, Context, adapters};
 use fnopt::scene::Scene;
 use fnopt::sim::{Device, Grid, Optimizer, Simulator};
+use fnopt::{Error, cpu};
 use std::io::Write;
 use std::ops::ControlFlow;
 
@@ -31,9 +31,14 @@ struct Report {
     /// Largest error of the self-test [m].
     error_m: Option<f64>,
     passed: bool,
+    /// Whether it computes something wrong, or is the CPU path and does not run.
+    failed: bool,
     /// Milliseconds per frame by grid size.
     ms_per_frame: Vec<(usize, f64)>,
 }
+
+/// Error of the self-test [m] and milliseconds per frame by grid size.
+type Measured = (f64, Vec<(usize, f64)>);
 
 pub fn run(args: &Args) -> Result<Ending> {
     let found = adapters();
@@ -56,7 +61,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     for (i, adapter) in found.iter().enumerate() {
         let name = format!("adapter {i}, {}", adapter.info.name);
         reports.push(match &adapter.unusable {
-            Some(problem) => Report::failed(name, problem.clone()),
+            Some(problem) => Report::unusable(name, problem.clone()),
             None => examine(name, || Ok(Device::Gpu(Context::headless(&AdapterChoice::Index(i))?))),
         });
     }
@@ -69,21 +74,37 @@ pub fn run(args: &Args) -> Result<Ending> {
             print(&mut out, report)?;
         }
     }
-    // An adapter that cannot run fnopt is a fact; one that runs it wrongly is a failure.
-    let wrong = reports.iter().any(|r| !r.passed && r.error_m.is_some());
-    Ok(if wrong { Ending::CheckFailed } else { Ending::Done })
+    Ok(if reports.iter().any(|r| r.failed) { Ending::CheckFailed } else { Ending::Done })
 }
 
 impl Report {
-    fn failed(device: String, problem: String) -> Self {
-        Self { device, problem: Some(problem), error_m: None, passed: false, ms_per_frame: Vec::new() }
+    fn unusable(device: String, problem: String) -> Self {
+        let ms_per_frame = Vec::new();
+        Self { device, problem: Some(problem), error_m: None, passed: false, failed: false, ms_per_frame }
+    }
+
+    /// What came of the self-test (its error) and the timings. An adapter that cannot run fnopt is a fact; one that runs
+    /// it wrongly is a failure, and so is a CPU path that does not run.
+    fn of(device: String, on_cpu: bool, outcome: fnopt::Result<Measured>) -> Self {
+        match outcome {
+            Ok((error, ms_per_frame)) => {
+                let passed = error <= TOLERANCE_M;
+                Self { device, problem: None, error_m: Some(error), passed, failed: !passed, ms_per_frame }
+            }
+            Err(e) => {
+                let failed = on_cpu || matches!(e, Error::NonFinite { .. });
+                Self { failed, ..Self::unusable(device, e.to_string()) }
+            }
+        }
     }
 }
 
 /// Runs the self-test and the timings.
 fn examine(name: String, open: impl FnOnce() -> fnopt::Result<Device>) -> Report {
-    let run = || -> fnopt::Result<(f64, Vec<(usize, f64)>)> {
+    let mut on_cpu = false;
+    let run = || -> fnopt::Result<Measured> {
         let device = open()?;
+        on_cpu = matches!(device, Device::Cpu);
         let optimizer = Optimizer::learned(load_weights(None)?);
         let error = self_test(&device, &optimizer)?;
         let mut times = Vec::new();
@@ -92,13 +113,8 @@ fn examine(name: String, open: impl FnOnce() -> fnopt::Result<Device>) -> Report
         }
         Ok((error, times))
     };
-    match run() {
-        Ok((error, ms_per_frame)) => {
-            let passed = error <= TOLERANCE_M;
-            Report { device: name, problem: None, error_m: Some(error), passed, ms_per_frame }
-        }
-        Err(e) => Report::failed(name, e.to_string()),
-    }
+    let outcome = run();
+    Report::of(name, on_cpu, outcome)
 }
 
 /// Largest distance of a coordinate from where the CPU path in double precision has it after the first frame of the default
@@ -172,7 +188,8 @@ fn summary(adapter: &AdapterSummary) -> serde_json::Value {
 
 fn print(out: &mut impl Write, report: &Report) -> std::io::Result<()> {
     if let Some(problem) = &report.problem {
-        return writeln!(out, "{}: cannot run: {problem}", report.device);
+        let verdict = if report.failed { "SELF-TEST FAILED" } else { "cannot run" };
+        return writeln!(out, "{}: {verdict}: {problem}", report.device);
     }
     let verdict = if report.passed { "self-test passed" } else { "SELF-TEST FAILED" };
     write!(out, "{}: {verdict}", report.device)?;
@@ -183,4 +200,19 @@ fn print(out: &mut impl Write, report: &Report) -> std::io::Result<()> {
         write!(out, ", {n}x{n} {ms:.2} ms/frame")?;
     }
     writeln!(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_that_are_none_and_a_cpu_path_that_does_not_run_are_failures() {
+        let failed = |on_cpu, outcome| Report::of("device".into(), on_cpu, outcome).failed;
+        assert!(!failed(false, Ok((1e-6, Vec::new()))));
+        assert!(failed(false, Ok((1e-3, Vec::new()))) && failed(false, Ok((f64::NAN, Vec::new()))));
+        assert!(failed(false, Err(Error::NonFinite { frame: 1, cloth: 0 })));
+        assert!(!failed(false, Err(Error::Device("limits are too small".into()))));
+        assert!(failed(true, Err(Error::Device("anything".into()))));
+    }
 }
