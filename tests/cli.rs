@@ -22,6 +22,7 @@ fn refused(folder: &Path, arguments: &[&str], said: &[&str]) {
     for part in said {
         assert!(message.contains(part), "{arguments:?}: no '{part}' in: {message}");
     }
+    assert!(output.stdout.is_empty(), "{arguments:?}: {}", text(&output.stdout));
     let written = std::fs::read_dir(folder.join("out")).map_or(0, |entries| entries.count());
     assert_eq!(written, 0, "{arguments:?} left files behind");
 }
@@ -80,6 +81,11 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["verify", "nowhere"], &["nowhere", "cannot read"]),
         (&["inspect", "key.json"], &["key.json"]),
         (&["bench", "--batch", "0"], &["--batch"]),
+        (&["bench", "--batch", "100000"], &["--batch"]),
+        // Nothing is measured before all is checked.
+        (&["bench", "--device", "cpu", "--grid", "8,5", "--json"], &["--grid", "found 5"]),
+        (&["bench", "--device", "cpu", "--plot", "key.json/plot.png"], &["key.json", "cannot create"]),
+        (&["bench", "--device", "cpu", "--plot", "."], &[".: type", "a folder"]),
         (&["train", "none.toml"], &["none.toml", "cannot read"]),
         (&["train", "key.toml"], &["key.toml", "optimizer", "did you mean rate"]),
         (&["train", "range.toml"], &["range.toml", "pool[0].material.bend", "[smallest, largest]"]),

@@ -1,7 +1,7 @@
 //! `fnopt bench`: time of frames, of each kernel and of recording.
 
 use super::device::InferenceArgs;
-use super::{Ending, SolverArgs, median};
+use super::{Ending, SolverArgs, median, writable_file};
 use anyhow::Result;
 use fnopt::gpu::{Context, Profile};
 use fnopt::kernels::{Tuning, operator::pointwise};
@@ -20,8 +20,8 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', default_value = "32,64,100", value_name = "N,..")]
     grid: Vec<usize>,
     /// Cloths that advance together
-    #[arg(long, value_delimiter = ',', default_value = "1", value_name = "B,..")]
-    batch: Vec<usize>,
+    #[arg(long, value_delimiter = ',', default_value = "1", value_name = "B,..", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    batch: Vec<u32>,
     /// Frames that are timed, after three that are not
     #[arg(long, default_value_t = 10, value_name = "F", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
@@ -66,14 +66,19 @@ struct KernelRow {
 }
 
 pub fn run(args: &Args) -> Result<Ending> {
+    let grids: Vec<Grid> =
+        args.grid.iter().map(|&n| Grid::new(n, n, "--grid")).collect::<fnopt::Result<_>>()?;
     let optimizer = args.solver.optimizer()?;
+    if let Some(path) = &args.plot {
+        writable_file(path)?;
+    }
     let (device, line) = args.device.open()?;
     eprintln!("{line}");
     let mut rows = Vec::new();
     let mut out = std::io::stdout().lock();
-    for &n in &args.grid {
+    for &grid in &grids {
         for &batch in &args.batch {
-            let row = measure(args, &device, &optimizer, (Grid::new(n, n, "--grid")?, batch))?;
+            let row = measure(args, &device, &optimizer, (grid, batch as usize))?;
             if !args.json {
                 print(&mut out, &row)?;
             }
@@ -136,9 +141,6 @@ fn plot(rows: &[Row], product: f64) -> Image {
 }
 
 fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (Grid, usize)) -> Result<Row> {
-    if batch == 0 {
-        return Err(fnopt::Error::invalid("--batch", "batch", "at least 1", batch).into());
-    }
     let mut scene = Scene::default();
     scene.regrid(grid)?;
     let setups = Setup::batch(&vec![scene.setup()?; batch])?;

@@ -145,6 +145,14 @@ pub fn writable_folder(folder: &Path) -> Result<()> {
     Ok(())
 }
 
+/// [`writable_folder`] for the folder of a file, which must not be one itself.
+pub fn writable_file(path: &Path) -> Result<()> {
+    if path.is_dir() {
+        return Err(Error::invalid(path.display().to_string(), "type", "a file", "a folder"));
+    }
+    writable_folder(path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))
+}
+
 /// Whether to go on: not once Ctrl-C has set the flag.
 pub fn go_on(interrupted: &AtomicBool) -> ControlFlow<()> {
     if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
