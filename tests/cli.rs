@@ -231,6 +231,28 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
     assert_eq!(value["network"]["parameters"], 1_349_634);
 }
 
+#[test]
+fn what_is_logged_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = |filter: &str, code| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
+        command.current_dir(folder.path()).env("FNOPT_LOG", filter);
+        command.args(["rollout", "--device", "cpu", "--frames", "2", "--grid", "8", "8", "--no-pictures"]);
+        let output = command.output().unwrap();
+        assert_eq!(output.status.code(), Some(code), "{}", text(&output.stderr));
+        text(&output.stderr)
+    };
+    let told = log("info", 0);
+    for line in ["scene: ", "weights: those that come with the program, ", "device: cpu"] {
+        assert!(told.contains(line), "no '{line}' in: {told}");
+    }
+    assert!(!told.contains('\u{1b}'), "colours in a file: {told:?}");
+    assert!(!log("", 0).contains("scene: ") && !log("off", 0).contains("scene: "));
+    let refused = log("fnopt=loud", 2);
+    assert!(refused.contains("FNOPT_LOG") && refused.contains("fnopt=loud"), "{refused}");
+    assert!(log("inof", 2).contains("FNOPT_LOG: unknown level 'inof' (did you mean info"));
+}
+
 /// A run small enough to take no time, which validates on one small grid.
 const TINY: &str = "steps = 4\nnetwork = { lifting = 8, channels = 8, projection = 8 }\n\
     pool = [{ grid = [9, 12], iterations = 2, cloths = 3, batch = 2 }]\n\

@@ -2,6 +2,7 @@
 
 use clap::ValueEnum;
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Storage, adapters};
+use fnopt::kernels::Tuning;
 use fnopt::sim::Device;
 use fnopt::{Error, Result};
 
@@ -51,6 +52,10 @@ impl DeviceArgs {
             (.., AdapterKind::Software) => "best adapter, a software one",
         };
         let line = format!("device: {} ({why})", context.name());
+        match Tuning::path(&context).filter(|path| path.is_file()) {
+            Some(path) => tracing::info!("tuning file: {}", path.display()),
+            None => tracing::info!("tuning file: none for this adapter"),
+        }
         Ok((Device::Gpu(context), line))
     }
 }

@@ -15,16 +15,19 @@ use clap::{Parser, Subcommand};
 use fnopt::network::Weights;
 use fnopt::sim::Optimizer;
 use fnopt::{Error, Result};
+use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use tracing_subscriber::{EnvFilter, filter::LevelFilter};
 
 /// Neural cloth: simulates a cloth with a Fourier neural operator trained to be an optimizer.
 ///
 /// Exit codes: 0 done, 1 a check failed, 2 bad input or environment, 3 the simulation or the loss became non-finite,
-/// 130 interrupted (what was computed so far is written). Logs go to stderr (FNOPT_LOG=info for more).
+/// 130 interrupted (what was computed so far is written). Logs go to stderr;
+/// FNOPT_LOG=info also tells which scene, weights and tuning are used.
 #[derive(Debug, Parser)]
 #[command(name = "fnopt", version)]
 pub struct Cli {
@@ -43,6 +46,9 @@ enum Command {
     /// Find the material that brings the converged simulation closest to recorded trajectories
     FitMaterial(fit_material::Args),
     /// Check every stage against a folder of golden files
+    ///
+    /// On the CPU each file is checked in double and in single precision; --device auto adds a hardware adapter if there
+    /// is one.
     Verify(verify::Args),
     /// Show what this machine can run, test it and time it
     Doctor(doctor::Args),
@@ -64,6 +70,29 @@ pub enum Ending {
     NonFinite,
     /// Ctrl-C; what was computed so far is kept.
     Interrupted,
+}
+
+/// The environment's variable that says what is logged.
+const LOG: &str = "FNOPT_LOG";
+
+/// Begins to log what FNOPT_LOG asks for; without it warnings. What wgpu tells through another facade is not among it.
+pub fn log_to_stderr() -> Result<()> {
+    let wanted = std::env::var_os(LOG).filter(|wanted| !wanted.is_empty()).unwrap_or("warn".into());
+    let invalid = |found| Error::invalid(LOG, "filter", "a level such as info, or TARGET=LEVEL,..", found);
+    let text = wanted.to_str().ok_or_else(|| invalid(wanted.display().to_string()))?;
+    // A word that is no level would be the name of a module, of which there are none but ours.
+    let is_known = |word: &str| {
+        word.contains(['=', '[']) || word.starts_with("fnopt") || word.parse::<LevelFilter>().is_ok()
+    };
+    if let Some(word) = text.split(',').map(str::trim).find(|word| !is_known(word)) {
+        return Err(Error::unknown(LOG, "level", word, ["off", "error", "warn", "info", "debug", "trace"]));
+    }
+    let filter = EnvFilter::try_new(text).map_err(|e| invalid(format!("'{text}' ({e})")))?;
+    let colours =
+        std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty());
+    let log = tracing_subscriber::fmt().with_writer(std::io::stderr).with_ansi(colours);
+    log.with_target(false).without_time().with_env_filter(filter).init();
+    Ok(())
 }
 
 /// Runs the command line and tells how it ended.
@@ -132,10 +161,13 @@ impl SolverArgs {
 
 /// The weights in a file, or those that come with the program.
 pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
-    match path {
-        Some(path) => Weights::load(path),
-        None => Ok(Weights::shipped()),
-    }
+    let weights = match path {
+        Some(path) => Weights::load(path)?,
+        None => Weights::shipped(),
+    };
+    let from = path.map_or("those that come with the program".into(), |path| path.display().to_string());
+    tracing::info!("weights: {from}, {} parameters", weights.parameter_count());
+    Ok(weights)
 }
 
 /// Makes sure that a folder is there and can be written into, before anything is computed.

@@ -13,7 +13,6 @@ use std::path::PathBuf;
 pub struct Args {
     /// Folder of golden files (*.safetensors)
     folder: PathBuf,
-    /// On the CPU each file is checked in double and in single precision; auto adds a hardware adapter if there is one
     #[command(flatten)]
     device: InferenceArgs,
     /// Print JSON
