@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 ///
 /// | field | default |
 /// |---|---|
+/// | `notes` | nothing; a text for the model cards |
 /// | `seed`, `steps`, `log_every`, `average`, `lookahead` | 1, 500000, 50, 0, 0 |
 /// | `init` | fresh weights; else a safetensors file beside the configuration, or several, whose mean is taken |
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
@@ -27,6 +28,9 @@ use std::path::{Path, PathBuf};
 /// | `[checkpoint]` `every` | `{ minutes = 10 }`; or `{ steps = 1000 }` |
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Config {
+    /// What the run is for and what was learned on the way: told by its model cards.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub notes: String,
     /// Seed of all that is random.
     pub seed: u64,
     /// Training steps of the whole run; a cosine is stretched over them, halvings stay where they are.
@@ -180,6 +184,7 @@ impl Default for Config {
             seed: 1,
             steps: 500_000,
             log_every: 50,
+            notes: String::new(),
             average: 0.0,
             lookahead: 0.0,
             init: Vec::new(),

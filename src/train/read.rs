@@ -24,6 +24,7 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
     let document = parse_toml(&origin, text)?;
     let root = Node::root(&origin, &document);
     root.only(&[
+        "notes",
         "seed",
         "steps",
         "log_every",
@@ -46,6 +47,7 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
         Err(_) => Ok(vec![beside(n)?]),
     };
     let config = Config {
+        notes: root.get_or("notes", base.notes, |n| Ok(n.text()?.to_owned()))?,
         seed: root.get_or("seed", base.seed, whole)?,
         steps: root.get_or("steps", base.steps, above_zero)?,
         log_every: root.get_or("log_every", base.log_every, above_zero)?,

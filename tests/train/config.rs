@@ -26,6 +26,7 @@ fn every_field_can_be_set() {
         log_every = 5
         average = 0.9
         lookahead = 0.5
+        notes = "A try."
         init = "given.safetensors"
         checkpoint = { every = { steps = 7 } }
         [network]
@@ -54,6 +55,7 @@ fn every_field_can_be_set() {
     .unwrap();
     assert_eq!((config.seed, config.steps, config.log_every, config.average), (9, 70, 5, 0.9));
     assert_eq!(config.lookahead, 0.5);
+    assert_eq!(config.notes, "A try.");
     assert_eq!(config.init, [Path::new("runs/given.safetensors")]);
     let several = parse("init = ['a.safetensors', '../b.safetensors']").unwrap();
     assert_eq!(several.init, [Path::new("runs/a.safetensors"), Path::new("runs/../b.safetensors")]);
