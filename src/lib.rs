@@ -73,6 +73,7 @@ pub mod network;
 pub mod render;
 pub mod scene;
 pub mod sim;
+mod statistics;
 pub mod train;
 pub mod verify;
 

@@ -12,6 +12,7 @@ mod tune;
 mod verify;
 
 use clap::{Parser, Subcommand};
+use fnopt::eval::median;
 use fnopt::network::Weights;
 use fnopt::sim::Optimizer;
 use fnopt::{Error, Result};
@@ -203,15 +204,4 @@ pub fn interrupt_flag() -> Arc<AtomicBool> {
         tracing::warn!("Ctrl-C will not keep what was computed so far: {error}");
     }
     flag
-}
-
-/// Median of some numbers; NaN of none.
-pub fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    match sorted.len() {
-        0 => f64::NAN,
-        n if n % 2 == 1 => sorted[n / 2],
-        n => 0.5 * (sorted[n / 2 - 1] + sorted[n / 2]),
-    }
 }

@@ -8,6 +8,7 @@ use super::optim::{History, RestHessian, dot, norm};
 use super::{FactoredHessian, Objective, Solver};
 use crate::Result;
 use crate::sim::{Control, Model, Optimizer, State};
+use crate::statistics::median;
 
 /// A step must gain this share of what its slope promises (Armijo).
 const SUFFICIENT: f64 = 1e-4;
@@ -213,58 +214,43 @@ impl Track {
         Ok(Self { model: model.clone(), frames, probes })
     }
 
-    /// The energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` that `iterations` iterations of an optimizer leave in the frames with
-    /// a reference. Its memory goes along from frame to frame.
-    pub fn gaps(&self, optimizer: &Optimizer, iterations: usize) -> Result<Vec<f64>> {
+    /// The median of the energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` that `iterations` iterations of an optimizer leave in the
+    /// frames with a reference; infinite when one of them is no number, or there is none. Its memory goes along from frame
+    /// to frame.
+    pub fn median_gap(&self, optimizer: &Optimizer, iterations: usize) -> Result<f64> {
         let mut solver = Solver::<f32>::new(&self.model, optimizer, iterations)?;
-        self.gaps_of(|before, control| {
+        let gap = self.median_gap_of(|before, control| {
             solver.step(&mut before.clone(), control);
-            Ok(solver.accelerations().to_vec())
-        })
+            Ok(Some(solver.accelerations().to_vec()))
+        })?;
+        Ok(gap.expect("every frame has accelerations"))
     }
 
     /// The same of whatever computes the accelerations [3, H, W] of one frame after the other, from a state and a control.
-    pub fn gaps_of(
+    /// Where it gives none it ends everything; then there is no gap.
+    pub fn median_gap_of(
         &self,
-        mut accelerations: impl FnMut(&State<f32>, &Control<f32>) -> Result<Vec<f32>>,
-    ) -> Result<Vec<f64>> {
+        mut accelerations: impl FnMut(&State<f32>, &Control<f32>) -> Result<Option<Vec<f32>>>,
+    ) -> Result<Option<f64>> {
         let mut reference = Reference::new(&self.model)?;
         let mut probes = self.probes.iter().peekable();
         let mut gaps = Vec::with_capacity(self.probes.len());
         for (frame, (before, control)) in self.frames.iter().enumerate() {
-            let a = accelerations(before, control)?;
+            let Some(a) = accelerations(before, control)? else { return Ok(None) };
             if let Some(&(_, nothing, minimum)) = probes.next_if(|probe| probe.0 == frame) {
                 let a: Vec<f64> = a.into_iter().map(f64::from).collect();
                 let reached = reference.energy(&before.cast(), &control.cast(), &a);
                 gaps.push((reached - minimum) / (nothing - minimum));
             }
         }
-        Ok(gaps)
-    }
-
-    /// The median of [`Track::gaps`]; infinite when one of them is no number, or there is none.
-    pub fn median_gap(&self, optimizer: &Optimizer, iterations: usize) -> Result<f64> {
-        Ok(median(self.gaps(optimizer, iterations)?))
-    }
-
-    /// The median of [`Track::gaps_of`]; infinite when one of them is no number, or there is none.
-    pub fn median_gap_of(
-        &self,
-        accelerations: impl FnMut(&State<f32>, &Control<f32>) -> Result<Vec<f32>>,
-    ) -> Result<f64> {
-        Ok(median(self.gaps_of(accelerations)?))
+        let whole = !gaps.is_empty() && gaps.iter().all(|gap| gap.is_finite());
+        Ok(Some(if whole { median(&gaps) } else { f64::INFINITY }))
     }
 
     /// The cloth.
     pub fn model(&self) -> &Model {
         &self.model
     }
-}
-
-fn median(mut gaps: Vec<f64>) -> f64 {
-    gaps.sort_by(f64::total_cmp);
-    let whole = gaps.iter().all(|gap| gap.is_finite());
-    gaps.get(gaps.len() / 2).copied().filter(|_| whole).unwrap_or(f64::INFINITY)
 }
 
 /// Zeroes a field [3, H, W] at the handles.

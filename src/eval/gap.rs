@@ -1,22 +1,55 @@
 //! How close a solver comes to the minimum of a frame, on the device it runs on.
 
 use crate::Result;
-use crate::cpu::Track;
+use crate::cpu::{self, Track};
+use crate::scene::Setup;
 use crate::sim::{Device, Optimizer, Solver, SolverOptions};
+use std::ops::ControlFlow;
+
+/// Follows the converged frames of a scene, every `every`-th of which is probed. `tick` is called before each frame and may
+/// end everything; then there is nothing.
+pub fn track(
+    setup: &Setup,
+    every: usize,
+    mut tick: impl FnMut() -> ControlFlow<()>,
+) -> Result<Option<Track>> {
+    let mut ended = false;
+    let controls = (1..setup.frames()).map(|frame| setup.control(frame)).take_while(|_| {
+        ended = tick().is_break();
+        !ended
+    });
+    let every = every.min(setup.frames() - 1).max(1);
+    let track = Track::new(&setup.model, setup.start.clone(), controls, every)?;
+    Ok((!ended).then_some(track))
+}
 
 /// The median energy gap of an optimizer after `iterations` on the frames of `track`; infinite when one of them is no number.
+/// `tick` is called before each frame and may end everything; then there is nothing.
 pub fn median_gap(
     track: &Track,
     (optimizer, iterations): (&Optimizer, usize),
     device: &Device,
-) -> Result<f64> {
-    let Device::Gpu(context) = device else { return track.median_gap(optimizer, iterations) };
+    mut tick: impl FnMut() -> ControlFlow<()>,
+) -> Result<Option<f64>> {
+    let Device::Gpu(context) = device else {
+        let mut solver = cpu::Solver::<f32>::new(track.model(), optimizer, iterations)?;
+        return track.median_gap_of(|before, control| {
+            if tick().is_break() {
+                return Ok(None);
+            }
+            solver.step(&mut before.clone(), control);
+            Ok(Some(solver.accelerations().to_vec()))
+        });
+    };
     let options = SolverOptions { iterations, ..Default::default() };
     let solver = Solver::new(context, track.model(), optimizer, &options)?;
     track.median_gap_of(|before, control| {
+        if tick().is_break() {
+            return Ok(None);
+        }
         solver.place(before);
         solver.set_control(control);
         context.submit(|encoder| solver.record(encoder));
-        solver.accelerations().read(context)
+        solver.accelerations().read(context).map(Some)
     })
 }

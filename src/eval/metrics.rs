@@ -3,7 +3,6 @@
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
-use std::num::NonZero;
 
 /// A cloth as triangles: vertices \[m\] and the numbers of each triangle's corners.
 #[derive(Clone, Copy, Debug)]
@@ -88,12 +87,4 @@ pub fn repulsion(points: &[[f64; 3]], faces: &[[u32; 3]], delta: f64) -> f64 {
     };
     // An empty sum is a negative zero.
     points.iter().enumerate().map(of).fold(0.0, |sum, e| sum + e)
-}
-
-/// Mean and standard deviation (of the sample; 0 of a single number).
-pub fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
-    (mean, NonZero::new(values.len().saturating_sub(1)).map_or(0.0, |n| (square / n.get() as f64).sqrt()))
 }

@@ -17,8 +17,9 @@ mod stretch;
 pub mod suite;
 mod tables;
 
-pub use gap::median_gap;
-pub use metrics::{Surface, chamfer, mean_and_deviation, relative_error, repulsion};
+pub use crate::statistics::{mean_and_deviation, median};
+pub use gap::{median_gap, track};
+pub use metrics::{Surface, chamfer, relative_error, repulsion};
 pub use resampling::coarse;
 pub use score::{Entry, PerFrame, Physics, Score, Settings, compare, run, snapshots, vertex_errors};
 pub use sequence::Sequence;

@@ -1,6 +1,6 @@
 //! Frames carried from one grid to another, for comparison.
 
-use crate::sim::Grid;
+use crate::sim::{Grid, MIN_GRID};
 
 /// Rows of the grids on which `interpolation` works out accelerations and repulsion is judged: those of the paper's training.
 const COARSE_ROWS: usize = 32;
@@ -12,7 +12,7 @@ pub fn coarse(grid: Grid) -> Grid {
         return grid;
     }
     let edges = (grid.w - 1) as f64 * (COARSE_ROWS - 1) as f64 / (grid.h - 1) as f64;
-    Grid { h: COARSE_ROWS, w: (edges.round() as usize + 1).max(8) }
+    Grid { h: COARSE_ROWS, w: (edges.round() as usize + 1).max(MIN_GRID) }
 }
 
 /// Carries positions from one grid to the places of another's particles, bilinearly, corners on corners.

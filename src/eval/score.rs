@@ -2,7 +2,7 @@
 
 use super::metrics::{Surface, chamfer, relative_error, repulsion};
 use super::resampling::{Resampling, coarse};
-use super::{FreeEdges, Sequence};
+use super::{FreeEdges, Sequence, median};
 use crate::io::Trajectory;
 use crate::scene::Setup;
 use crate::sim::{Device, FrameStats, Grid, Material, Optimizer, Simulator};
@@ -134,6 +134,15 @@ pub(super) struct Simulated {
     pub ended_early: bool,
 }
 
+impl Simulated {
+    /// Median wall time of a frame \[ms\], without the first frames where there are more; none without frames.
+    pub fn ms_per_frame(&self) -> Option<f64> {
+        let times = &self.times_ms;
+        let settled = times.get(WARM_UP..).filter(|settled| !settled.is_empty()).unwrap_or(times);
+        (!settled.is_empty()).then(|| median(settled))
+    }
+}
+
 /// Simulates a sequence on a grid and judges it; the score and what was simulated. `tick` is called after each frame and may
 /// end everything; then there is nothing.
 pub fn run(
@@ -165,7 +174,7 @@ pub fn run(
         let mean = |of: &dyn Fn(&FrameStats) -> f64| {
             simulated.stats.iter().map(of).sum::<f64>() / simulated.stats.len() as f64
         };
-        score.ms_per_frame = Some(median(&simulated.times_ms));
+        score.ms_per_frame = simulated.ms_per_frame();
         // Those of another grid's cloth would say nothing.
         if own == grid {
             score.energy = Some(mean(&|s| s.energy.total()));
@@ -343,12 +352,4 @@ fn mean_speed(trajectory: &Trajectory, frame: usize) -> f64 {
     let (before, after) = (trajectory.frame(frame - 1), trajectory.frame(frame));
     let moved = before.iter().zip(after).map(|(&a, &b)| distance(a, b)).sum::<f64>();
     moved * trajectory.fps() / before.len() as f64
-}
-
-/// The median; the mean of the middle two of an even number. Without the first frames, where there are more.
-pub(super) fn median(times: &[f64]) -> f64 {
-    let mut times = times[if times.len() > WARM_UP { WARM_UP } else { 0 }..].to_vec();
-    times.sort_by(f64::total_cmp);
-    let n = times.len();
-    if n == 0 { 0.0 } else { 0.5 * (times[(n - 1) / 2] + times[n / 2]) }
 }

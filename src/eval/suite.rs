@@ -1,8 +1,9 @@
 //! How far a solver generalises: the default scene with other motions, handles, speeds, grids, materials or numbers of
 //! iterations, judged by itself, without another simulator.
 
-use super::score::{median, simulate};
-use super::{Cell, Entry, STRETCH_LIMIT, Table, median_gap};
+use super::gap::{median_gap, track};
+use super::score::simulate;
+use super::{Cell, Entry, STRETCH_LIMIT, Table};
 use crate::cpu::Track;
 use crate::io::Trajectory;
 use crate::scene::{BuiltIn, Handles, Motion, Placement, Scene, Setup, Start, Stiffness};
@@ -13,9 +14,6 @@ use std::ops::ControlFlow;
 
 /// Every so many frames is compared with its converged minimum.
 const PROBE_EVERY: usize = 10;
-
-/// Frames of a scene without a motion, as many as a motion takes.
-const STILL_FRAMES: usize = 391;
 
 /// What is varied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,8 +59,8 @@ pub struct CaseScore {
     /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; none where it was not
     /// asked for.
     pub gap: Option<f64>,
-    /// Median wall time of a frame \[ms\].
-    pub ms_per_frame: f64,
+    /// Median wall time of a frame \[ms\]; none when it diverged in the first.
+    pub ms_per_frame: Option<f64>,
 }
 
 impl CaseScore {
@@ -104,9 +102,7 @@ impl Suite {
                 for placement in Placement::ALL {
                     for (kind, start) in [("drape", Start::Settled), ("flat", Start::Flat)] {
                         let handles = Handles::Placement(placement);
-                        let frames = Some(STILL_FRAMES);
-                        let scene =
-                            Scene { handles, start, motion: Motion::Still, frames, ..Scene::default() };
+                        let scene = Scene { handles, start, motion: Motion::Still, ..Scene::default() };
                         push(format!("{} {kind}", placement.name()), scene);
                     }
                 }
@@ -169,21 +165,29 @@ impl<'a> Prepared<'a> {
         Ok(Self { case, setup, track: OnceCell::new() })
     }
 
-    /// Runs a solver; with its energy gap if asked for. Nothing when `tick`, called after each frame, ended it.
+    /// Runs a solver; with its energy gap if asked for. Nothing when `tick`, called in each frame, ended it.
     pub fn run(
         &self,
         (optimizer, iterations): (&Optimizer, usize),
         device: &Device,
         with_gap: bool,
-        tick: impl FnMut() -> ControlFlow<()>,
+        mut tick: impl FnMut() -> ControlFlow<()>,
     ) -> Result<Option<(CaseScore, Trajectory)>> {
         let (case, setup) = (self.case, &self.setup);
         let iterations = case.iterations.unwrap_or(iterations);
         let entry =
             Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations, coarse: false };
-        let simulated = simulate(setup, &entry, device, tick)?;
+        let simulated = simulate(setup, &entry, device, &mut tick)?;
         if simulated.ended_early {
             return Ok(None);
+        }
+        let mut gap = None;
+        if with_gap {
+            let Some(track) = self.track(&mut tick)? else { return Ok(None) };
+            gap = median_gap(track, (optimizer, iterations), device, tick)?;
+            if gap.is_none() {
+                return Ok(None);
+            }
         }
         let score = CaseScore {
             case: case.name.clone(),
@@ -191,25 +195,18 @@ impl<'a> Prepared<'a> {
             iterations,
             finite: simulated.stable,
             stretch_largest: simulated.stretch_largest,
-            gap: if with_gap {
-                Some(median_gap(self.track()?, (optimizer, iterations), device)?)
-            } else {
-                None
-            },
-            ms_per_frame: median(&simulated.times_ms),
+            gap,
+            ms_per_frame: simulated.ms_per_frame(),
         };
         Ok(Some((score, simulated.trajectory)))
     }
 
-    fn track(&self) -> Result<&Track> {
+    fn track(&self, tick: impl FnMut() -> ControlFlow<()>) -> Result<Option<&Track>> {
         if self.track.get().is_none() {
-            let Setup { model, start, .. } = &self.setup;
-            let frames = self.setup.frames();
-            let controls = (1..frames).map(|frame| self.setup.control(frame));
-            let track = Track::new(model, start.clone(), controls, PROBE_EVERY.min(frames - 1))?;
-            self.track.set(track).ok().expect("it was not set");
+            let Some(followed) = track(&self.setup, PROBE_EVERY, tick)? else { return Ok(None) };
+            self.track.set(followed).ok().expect("it was not set");
         }
-        Ok(self.track.get().expect("it was set"))
+        Ok(self.track.get())
     }
 }
 
@@ -230,7 +227,7 @@ pub fn table(title: &str, scores: &[CaseScore]) -> Table {
             sound.to_owned(),
             format!("{:.1}", 100.0 * s.stretch_largest),
             s.gap.map_or_else(String::new, |gap| format!("{:.2}", 100.0 * gap)),
-            format!("{:.1}", s.ms_per_frame),
+            s.ms_per_frame.map_or_else(String::new, |ms| format!("{ms:.1}")),
         ];
         (s.case.clone(), cells.map(cell).to_vec())
     };

@@ -10,6 +10,7 @@ use fnopt::scene::Scene;
 use fnopt::sim::{
     Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Solver, SolverOptions, State,
 };
+use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
@@ -336,8 +337,10 @@ fn half_precision_closes_the_gap_as_far() {
     let controls = (1..25).map(|frame| setup.control(frame));
     let track = Track::new(&setup.model, setup.start.clone(), controls, 4).unwrap();
     let optimizer = Optimizer::learned(Weights::shipped());
-    let median =
-        |context: &Context| median_gap(&track, (&optimizer, 10), &Device::Gpu(context.clone())).unwrap();
+    let median = |context: &Context| {
+        let on = Device::Gpu(context.clone());
+        median_gap(&track, (&optimizer, 10), &on, || ControlFlow::Continue(())).unwrap().unwrap()
+    };
     let host = track.median_gap(&optimizer, 10).unwrap();
     let (single, half) = (median(context()), median(&half));
     println!("median gap {host:.4} on the host, {single:.4} in f32, {half:.4} in f16");

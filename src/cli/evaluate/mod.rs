@@ -117,7 +117,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         for folder in &args.merge {
             all.extend(kept(folder)?);
         }
-        return args.write(&all, &[], &Device::Cpu).map(|()| Ending::Done);
+        return args.write(&all, &[], &Device::Cpu, &interrupt_flag()).map(|()| Ending::Done);
     }
     let settings = args.settings()?;
     let entries = args.entries()?;
@@ -151,10 +151,11 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         }
     }
     let jobs: Vec<Job> = jobs.into_iter().skip(index).step_by(count).collect();
-    let (mut all, complete) = work(&jobs, &sequences, (&device, &settings))?;
+    let interrupted = interrupt_flag();
+    let (mut all, complete) = work((&jobs, &sequences), (&device, &settings), &interrupted)?;
     all.extend(systems);
-    args.write(&all, &sequences, &device)?;
-    if !complete {
+    args.write(&all, &sequences, &device, &interrupted)?;
+    if !complete || go_on(&interrupted).is_break() {
         eprintln!("interrupted; the scores so far are kept in {}", args.out.display());
         return Ok(Ending::Interrupted);
     }
@@ -164,15 +165,14 @@ pub fn run_command(args: &Args) -> Result<Ending> {
 /// Does the jobs whose scores are not there yet; tells whether all were done. Newton's method takes one core, so that as many of
 /// its jobs as there are cores run side by side; the others take all cores and have them to themselves.
 fn work(
-    jobs: &[Job],
-    sequences: &[Sequence],
+    (jobs, sequences): (&[Job], &[Sequence]),
     (device, settings): (&Device, &Settings),
+    interrupted: &AtomicBool,
 ) -> Result<(Vec<Kept>, bool)> {
     let frames = |job: &Job| sequences[job.sequence].truth.frames().min(settings.frames) as u64 - 1;
     let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta} left  {msg}");
     let bar =
         ProgressBar::new(jobs.iter().map(frames).sum()).with_style(style.expect("the template is valid"));
-    let interrupted = interrupt_flag();
     let failed = AtomicBool::new(false);
     // Nothing when it was interrupted.
     let done = |job: &Job| -> Result<Option<Kept>> {
@@ -184,7 +184,7 @@ fn work(
         bar.set_message(format!("{} {} {}", sequence.name, job.grid, job.entry.name));
         let tick = || {
             bar.inc(1);
-            if failed.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { go_on(&interrupted) }
+            if failed.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { go_on(interrupted) }
         };
         let Some((score, found)) = run(sequence, job.grid, &job.entry, (device, settings), tick)? else {
             return Ok(None);
@@ -345,7 +345,13 @@ impl Args {
     }
 
     /// Prints the tables and writes what was asked for.
-    fn write(&self, all: &[Kept], sequences: &[Sequence], device: &Device) -> Result<()> {
+    fn write(
+        &self,
+        all: &[Kept],
+        sequences: &[Sequence],
+        device: &Device,
+        interrupted: &AtomicBool,
+    ) -> Result<()> {
         let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
         self.write_tables(&tables(&scores), &scores)?;
         if let Some(folder) = &self.plots {
@@ -353,13 +359,19 @@ impl Args {
             for sequence in sequences {
                 plots::error_maps(folder, sequence, (all, self.frames.unwrap_or(usize::MAX)))?;
             }
-            self.plot_convergence(folder, sequences, device)?;
+            self.plot_convergence(folder, sequences, device, interrupted)?;
         }
         Ok(())
     }
 
     /// The energy gap against the number of iterations of every solver, on the first frames of the first sequence.
-    fn plot_convergence(&self, folder: &Path, sequences: &[Sequence], device: &Device) -> Result<()> {
+    fn plot_convergence(
+        &self,
+        folder: &Path,
+        sequences: &[Sequence],
+        device: &Device,
+        interrupted: &AtomicBool,
+    ) -> Result<()> {
         let (Some(sequence), Some(text)) = (sequences.first(), self.grid.first()) else { return Ok(()) };
         let optimizers = self.entries()?.into_iter().map(|entry| entry.optimizer).collect();
         let frames = self.frames.unwrap_or(usize::MAX);
@@ -368,6 +380,7 @@ impl Args {
             (sequence, grid(text)?),
             (optimizers, frames),
             (&self.settings()?.physics, device),
+            || go_on(interrupted),
         )?)
     }
 

@@ -1,12 +1,12 @@
 //! The plots of `fnopt evaluate --plots`.
 
 use super::Kept;
-use fnopt::cpu::Track;
-use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshots, vertex_errors};
+use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshots, track, vertex_errors};
 use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
 use fnopt::sim::{Device, Grid, Optimizer};
 use fnopt::{Error, Result};
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::path::Path;
 
 /// Width and height of a chart \[px\].
@@ -15,6 +15,8 @@ const SIZE: (usize, usize) = (640, 420);
 const ITERATIONS: [usize; 9] = [1, 2, 3, 5, 8, 10, 15, 20, 30];
 /// Frames in which it is looked at, the start included.
 const CONVERGENCE_FRAMES: usize = 41;
+/// Every so many of them is compared with its minimum.
+const PROBE_EVERY: usize = 4;
 
 fn label(score: &Score) -> String {
     match score.iterations {
@@ -97,18 +99,18 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
 }
 
 /// The median energy gap of every optimizer after some numbers of iterations, on a converged simulation: its decimal
-/// logarithm, so that methods which differ by powers of ten fit on one chart.
+/// logarithm, so that methods which differ by powers of ten fit on one chart. None is drawn when `tick`, called in each
+/// frame, ends it.
 pub(super) fn convergence(
     folder: &Path,
     (sequence, grid): (&Sequence, Grid),
     (optimizers, frames): (Vec<Optimizer>, usize),
     (physics, device): (&Physics, &Device),
+    tick: impl Fn() -> ControlFlow<()>,
 ) -> Result<()> {
     let mut scene = sequence.scene(grid, physics)?;
     scene.frames = Some(sequence.truth.frames().min(frames).min(CONVERGENCE_FRAMES));
-    let setup = scene.setup()?;
-    let controls = (1..setup.frames()).map(|frame| setup.control(frame));
-    let track = Track::new(&setup.model, setup.start.clone(), controls, 4.min(setup.frames() - 1))?;
+    let Some(track) = track(&scene.setup()?, PROBE_EVERY, &tick)? else { return Ok(()) };
     let mut curves: Vec<Curve> = Vec::new();
     for optimizer in optimizers {
         // One that converges whatever the number of iterations has no curve, and neither has one twice.
@@ -117,8 +119,8 @@ pub(super) fn convergence(
         }
         let mut points = Vec::new();
         for n in ITERATIONS {
+            let Some(gap) = median_gap(&track, (&optimizer, n), device, &tick)? else { return Ok(()) };
             // Beyond the start it has diverged, and no more is to be seen.
-            let gap = median_gap(&track, (&optimizer, n), device)?;
             points.push([n as f64, if gap < 1.0 { gap.log10() } else { f64::NAN }]);
         }
         curves.push(Curve { label: optimizer.name().to_owned(), points });
