@@ -310,6 +310,106 @@ fn repulsion_is_judged_on_the_grid_of_the_paper() {
     assert!((fine[0] / coarse[0] - 1.0).abs() < 1e-3, "{} and {}", fine[0], coarse[0]);
 }
 
+/// Whatever its first frame looks like: there the corners are handles, which stretch the edges beside them.
+#[test]
+fn repulsion_counts_in_edges_at_rest() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let folded = |corner: f32| {
+        let mut trajectory = Trajectory::new(Grid { h: 32, w: 32 }, 60.0);
+        // Folded onto itself at half of its height, 0.2 edges apart.
+        let place = |p: usize| {
+            let (i, j) = (p / 32, p % 32);
+            let (down, side) = if i < 16 { (i, 0.0) } else { (31 - i, 0.2 / 31.0) };
+            [j as f32 / 31.0, down as f32 / 31.0, side]
+        };
+        let mut frame: Vec<_> = (0..1024).map(place).collect();
+        (0..3).for_each(|k| {
+            frame[0] = if k == 0 { [-corner, 0.0, 0.0] } else { place(0) };
+            trajectory.push(&frame, &frame);
+        });
+        compare(&sequence, "folded", &trajectory, &Settings { frames: 3, ..SETTINGS })
+            .unwrap()
+            .repulsion
+            .unwrap()
+    };
+    assert!(folded(0.0)[0] > 1.0);
+    assert_eq!(folded(0.5), folded(0.0));
+    // Neither is a trajectory without cells a reason to panic.
+    let mut point = Trajectory::new(Grid { h: 1, w: 1 }, 60.0);
+    (0..3).for_each(|_| point.push(&[[0.0; 3]], &[[0.0; 3]]));
+    let error =
+        compare(&sequence, "point", &point, &Settings { frames: 3, ..SETTINGS }).unwrap_err().to_string();
+    assert!(error.contains("point, xy_v2: grid: expected a cell or more"), "{error}");
+}
+
+/// Files without faces are on the truth's grid where they have as many vertices, else on a square one.
+#[test]
+fn others_are_on_the_grid_or_the_mesh_of_the_sequence() {
+    let folder = tempfile::tempdir().unwrap();
+    let to = folder.path().join("wide");
+    let grid = Grid { h: 9, w: 16 };
+    let mut wide = Trajectory::new(grid, 60.0);
+    let frame: Vec<[f32; 3]> =
+        (0..144).map(|p| [(p % 16) as f32 / 8.0, 0.0, (p / 16) as f32 / 8.0]).collect();
+    (0..3).for_each(|_| wide.push(&frame, &frame));
+    wide.write(&to, "cloth_pos", fnopt::io::Format::Npy).unwrap();
+    std::fs::write(to.join("meta.json"), r#"{"grid": [9, 16]}"#).unwrap();
+    let sequence = Sequence::load(folder.path(), "wide").unwrap();
+    let settings = Settings { frames: 3, ..SETTINGS };
+    for format in [fnopt::io::Format::Npy, fnopt::io::Format::Pc2] {
+        // 144 vertices could be 12x12 too.
+        let found = sequence.read_other(&wide.write(&to, "theirs", format).unwrap()).unwrap();
+        assert_eq!(found.grid(), grid);
+        assert_eq!(compare(&sequence, "theirs", &found, &settings).unwrap().e_3d, Some(0.0));
+    }
+    let mut square = Trajectory::new(Grid { h: 10, w: 10 }, 60.0);
+    (0..3).for_each(|_| square.push(&frame[..100], &frame[..100]));
+    let file = square.write(&to, "square", fnopt::io::Format::Npy).unwrap();
+    assert_eq!(sequence.read_other(&file).unwrap().grid(), Grid { h: 10, w: 10 });
+
+    let to = meshed(folder.path());
+    let sequence = Sequence::load(folder.path(), "meshed").unwrap();
+    let found = sequence.read_other(&to.join("cloth_pos.npy")).unwrap();
+    assert_eq!(found.grid().particles(), 1985);
+    let score = compare(&sequence, "theirs", &found, &Settings { frames: 20, ..SETTINGS }).unwrap();
+    // Two samples of one surface; and the truth was carried to the grid in the same way.
+    assert!(score.e_cd.unwrap() < 2e-3 && score.e_3d == Some(0.0), "{:?}, {:?}", score.e_cd, score.e_3d);
+    assert_eq!(
+        (score.grid.as_str(), sequence.on_grid(&found).unwrap().grid()),
+        ("45x45", Grid { h: 45, w: 45 })
+    );
+}
+
+/// Any file of a sequence makes it another.
+#[test]
+fn a_checksum_is_of_all_files() {
+    let folder = tempfile::tempdir().unwrap();
+    let to = folder.path().join("xy_v2");
+    std::fs::create_dir(&to).unwrap();
+    let files = ["cloth_pos.npy", "handles.npy", "start.npy", "meta.json"];
+    for file in files {
+        std::fs::copy(shipped().join("xy_v2").join(file), to.join(file)).unwrap();
+    }
+    let sum = || Sequence::load(folder.path(), "xy_v2").unwrap().checksum();
+    let whole = sum();
+    assert_eq!(whole, Sequence::load(&shipped(), "xy_v2").unwrap().checksum());
+    for file in files {
+        let bytes = std::fs::read(to.join(file)).unwrap();
+        let mut changed = bytes.clone();
+        // A digit in meta.json, the last bits of a number in the middle of the others.
+        let at = match file {
+            "meta.json" => bytes.windows(3).position(|w| w == b"187").unwrap(),
+            _ => (bytes.len() / 2) & !3,
+        };
+        changed[at] ^= 1;
+        std::fs::write(to.join(file), changed).unwrap();
+        assert_ne!(sum(), whole, "{file}");
+        std::fs::write(to.join(file), bytes).unwrap();
+    }
+    std::fs::remove_file(to.join("start.npy")).unwrap();
+    assert_ne!(sum(), whole);
+}
+
 #[test]
 fn a_solver_that_diverges_has_no_numbers() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
@@ -353,7 +453,7 @@ fn bad_sequences_are_refused_by_name() {
     std::fs::write(grid.join("meta.json"), r#"{"fps": -3}"#).unwrap();
     assert!(error("grid").contains("fps: expected a positive number"));
     std::fs::write(grid.join("meta.json"), "{").unwrap();
-    assert!(error("grid").contains("meta.json: text: expected JSON"));
+    assert!(error("grid").contains("meta.json: line 1, column 1: expected JSON"));
     std::fs::write(grid.join("meta.json"), r#"{"handle_vertices": "corner"}"#).unwrap();
     assert!(error("grid").contains("handle_vertices"));
     // Without handles.npy they are where their vertices are; start.npy has more digits than cloth_pos.npy.
@@ -377,6 +477,26 @@ fn bad_sequences_are_refused_by_name() {
     std::fs::remove_file(grid.join("meta.json")).unwrap();
     assert_eq!(Sequence::load(folder.path(), "grid").unwrap().grid(), Grid { h: 32, w: 32 });
     assert_eq!(Sequence::names(folder.path()).unwrap(), ["grid"]);
+    // What is misspelt, or no number, or of another number of frames, is not passed over.
+    let meta = copy("meta");
+    let said = |text: &str, said: &str| {
+        std::fs::write(meta.join("meta.json"), text).unwrap();
+        let error = error("meta");
+        assert!(error.contains("meta.json") && error.contains(said), "no '{said}' in {error}");
+    };
+    said(r#"{"wind": {"density": "1.2"}}"#, "wind.density: expected a number, found \"1.2\"");
+    said(r#"{"wind": {"densty": 1.2}}"#, "'densty' (did you mean density?)");
+    said(r#"{"wind": {"drag": -1}}"#, "wind.drag: expected a number, 0 or more");
+    said(r#"{"mass_per_area_kg_m": 1}"#, "did you mean mass_per_area_kg_m2?");
+    said(r#"{"obj_code": 3}"#, "obj_code: expected a text");
+    said(r#"{"gravity_m_s2": [0, -9.8]}"#, "gravity_m_s2: expected three numbers");
+    said(r#"{"handle_vertices": {"h0": 1, "h2": 2}}"#, "handle_vertices: expected a field h1");
+    std::fs::remove_file(meta.join("meta.json")).unwrap();
+    for shape in [(390, 2, 3), (392, 2, 3), (391, 1, 3), (391, 2, 2)] {
+        ndarray_npy::write_npy(meta.join("handles.npy"), &ndarray::Array3::<f32>::zeros(shape)).unwrap();
+        let error = error("meta");
+        assert!(error.contains("handles.npy: shape: expected [391, 2, 3]"), "{error}");
+    }
     let cut = copy("cut");
     let bytes = std::fs::read(cut.join("cloth_pos.npy")).unwrap();
     std::fs::write(cut.join("cloth_pos.npy"), &bytes[..bytes.len() - 2]).unwrap();
@@ -444,7 +564,12 @@ fn a_known_material_is_found_again() {
     // Errors of fewer frames are others, and damage is named.
     let shorter = Fit { settings: Settings { frames: 10, ..fit.settings }, ..fit.clone() };
     let refused = Surface::load(&file, &shorter).unwrap_err().to_string();
-    assert!(refused.contains("line 1: expected # made (10 frames) on 12x12"), "{refused}");
+    assert!(refused.contains("line 1: expected # made (10 frames, "), "{refused}");
+    // So are those of another file of the sequence.
+    std::fs::write(to.join("meta.json"), r#"{"gravity_m_s2": [0, -9.7, 0]}"#).unwrap();
+    let changed = [Sequence::load(folder.path(), "made").unwrap()];
+    let changed = Fit { sequences: &changed, ..fit.clone() };
+    assert!(Surface::load(&file, &changed).unwrap_err().to_string().contains("line 1: expected # made (20"));
     std::fs::write(&file, format!("# {}\nstretch\n1,2\n", fit.subject())).unwrap();
     let refused = Surface::load(&file, &fit).unwrap_err().to_string();
     assert!(refused.contains("line 3: expected seven numbers"), "{refused}");

@@ -93,9 +93,12 @@ fn key(point: &Point) -> String {
 }
 
 impl Fit<'_> {
-    /// What an error is of, for points to be compared: sequences, grid, frames and points.
+    /// What an error is of, for points to be compared: sequences with a checksum of their files, grid, frames and points.
     pub fn subject(&self) -> String {
-        let of = |s: &Sequence| format!("{} ({} frames)", s.name, s.truth.frames().min(self.settings.frames));
+        let of = |s: &Sequence| {
+            let frames = s.truth.frames().min(self.settings.frames);
+            format!("{} ({frames} frames, {:08x})", s.name, s.checksum())
+        };
         let sequences: Vec<String> = self.sequences.iter().map(of).collect();
         format!("{} on {} with {} points", sequences.join(" "), self.grid, self.settings.points)
     }

@@ -1,6 +1,6 @@
 //! Recorded cloths whose vertices are no grid: their mesh at rest, and the grid that stands in for it.
 
-use crate::io::read_obj;
+use crate::io::{Trajectory, read_obj};
 use crate::sim::{Grid, MIN_GRID};
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -136,5 +136,16 @@ impl Carrier {
             std::array::from_fn(|c| part(0, c) + part(1, c) + part(2, c))
         };
         self.0.iter().map(carry).collect()
+    }
+
+    /// A trajectory of the vertices as one of the particles of `grid`, for which this was made; without velocities.
+    pub fn trajectory(&self, vertices: &Trajectory, grid: Grid) -> Trajectory {
+        let mut carried = Trajectory::new(grid, vertices.fps());
+        for frame in 0..vertices.frames() {
+            let positions = self.apply(vertices.frame(frame)).into_iter().map(|p| p.map(|c| c as f32));
+            let positions: Vec<[f32; 3]> = positions.collect();
+            carried.push(&positions, &vec![[0.0; 3]; positions.len()]);
+        }
+        carried
     }
 }

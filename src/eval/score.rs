@@ -8,6 +8,7 @@ use crate::scene::Setup;
 use crate::sim::{Device, FrameStats, Grid, Material, Optimizer, Simulator};
 use crate::{Error, Result, io};
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -18,7 +19,7 @@ const DIVERGED: f64 = 3.0;
 const WARM_UP: usize = 3;
 /// Distance below which particles repel each other [edges of the 32x32 grid] (paper section 3.4).
 const REPULSION_DELTA: f64 = 0.5;
-/// Rows of edges that lengths of the repulsion refer to, whatever the grid.
+/// Edges along the height that lengths of the repulsion refer to, whatever the grid.
 const REPULSION_EDGES: f64 = 31.0;
 /// Seconds at the end over which the speed is averaged.
 const SETTLED_S: f64 = 0.5;
@@ -168,7 +169,7 @@ pub fn run(
     }
     let mut score = Score {
         iterations: if matches!(entry.optimizer, Optimizer::Newton) { 0 } else { entry.iterations },
-        ..judge(sequence, (&entry.name, &simulated.trajectory), simulated.stable, settings)
+        ..judge(sequence, (&entry.name, &simulated.trajectory), simulated.stable, settings)?
     };
     if score.stable {
         let mean = |of: &dyn Fn(&FrameStats) -> f64| {
@@ -220,14 +221,15 @@ pub fn vertex_errors((found, grid): (&[[f32; 3]], Grid), (truth, of_truth): (&[[
     found.iter().zip(truth).map(apart).collect()
 }
 
-/// Judges positions that another system made for a sequence, on whatever grid they have.
+/// Judges positions that another system made for a sequence, on whatever grid they have, or on the sequence's mesh
+/// ([`Sequence::read_other`]).
 pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &Settings) -> Result<Score> {
     let frames = sequence.truth.frames().min(settings.frames);
     if found.frames() < frames {
         let (origin, expected) = (format!("{name}, {}", sequence.name), format!("at least {frames}"));
         return Err(Error::invalid(origin, "frames", expected, found.frames()));
     }
-    Ok(judge(sequence, (name, found), true, settings))
+    judge(sequence, (name, found), true, settings)
 }
 
 /// Simulates a scene until it ends, diverges, or `tick` ends it.
@@ -276,9 +278,14 @@ fn judge(
     (name, found): (&str, &Trajectory),
     stable: bool,
     settings: &Settings,
-) -> Score {
+) -> Result<Score> {
     let truth = &sequence.truth;
     let frames = truth.frames().min(settings.frames);
+    let (recorded, found) = (found, &*sequence.on_grid(found)?);
+    if found.grid().h < 2 || found.grid().w < 2 {
+        let (origin, expected) = (format!("{name}, {}", sequence.name), "a cell or more");
+        return Err(Error::invalid(origin, "grid", expected, found.grid()));
+    }
     let mut score = Score {
         sequence: sequence.name.clone(),
         grid: found.grid().to_string(),
@@ -297,28 +304,30 @@ fn judge(
         per_frame: PerFrame::default(),
     };
     if !stable || frames < 2 {
-        return score;
+        return Ok(score);
     }
     let wide = |points: &[[f32; 3]]| points.iter().map(|p| p.map(f64::from)).collect::<Vec<_>>();
-    let faces = found.grid().faces();
+    let faces = match sequence.mesh_of(recorded) {
+        Some(mesh) => Cow::Borrowed(&mesh.faces[..]),
+        None => Cow::Owned(found.grid().faces()),
+    };
     let resampled = Resampling::new(found.grid(), truth.grid());
     let coarse = coarse(found.grid());
     let (coarsened, coarse_faces) = (Resampling::new(found.grid(), coarse), coarse.faces());
-    let edge = distance(found.frame(0)[0], found.frame(0)[1]).max(f64::MIN_POSITIVE);
-    let rest = f64::from(found.grid().h as u32 - 1) / REPULSION_EDGES;
+    let unit = sequence.side_m() / REPULSION_EDGES;
     let figures: Vec<[f64; 3]> = (1..frames)
         .into_par_iter()
         .map(|frame| {
             let (a, (b, of_truth)) = (wide(found.frame(frame)), sequence.surface(frame));
-            let seed = frame as u64;
+            let (seed, own) = (frame as u64, wide(recorded.frame(frame)));
             let clouds = [
-                Surface { points: &a, faces: &faces }.sample(settings.points, 2 * seed),
+                Surface { points: &own, faces: &faces }.sample(settings.points, 2 * seed),
                 Surface { points: &b, faces: &of_truth }.sample(settings.points, 2 * seed + 1),
             ];
             // In edges of a grid of 32 rows, and on such a grid, as its authors evaluate it: the particles of a finer one are
             // nearer to each other than `REPULSION_DELTA` in any fold.
             let scaled: Vec<[f64; 3]> =
-                coarsened.apply(&a).into_iter().map(|p| p.map(|c| c / (edge * rest))).collect();
+                coarsened.apply(&a).into_iter().map(|p| p.map(|c| c / unit)).collect();
             [
                 chamfer(&clouds[0], &clouds[1]),
                 relative_error(&resampled.apply(&a), &wide(truth.frame(frame))),
@@ -340,7 +349,7 @@ fn judge(
     let speeds: Vec<f64> = (frames - last..frames).map(|f| mean_speed(found, f)).collect();
     score.speed_at_end = Some(mean(&speeds));
     score.per_frame = per_frame;
-    score
+    Ok(score)
 }
 
 fn distance(a: [f32; 3], b: [f32; 3]) -> f64 {

@@ -2,24 +2,39 @@
 
 use super::Physics;
 use super::flat_mesh::FlatMesh;
-use crate::io::{ReadOptions, Trajectory};
+use crate::io::{Node, ReadOptions, Trajectory};
 use crate::scene::{Handles, Mass, Motion, Placement, Scene, Side, Start, StartFile, Stiffness, Wind};
 use crate::sim::Grid;
 use crate::{Error, Result, io};
-use serde_json::Value;
+use serde_json::{Map, Value};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 /// A recorded trajectory, in a folder:
 ///
-/// - `cloth_pos.npy` [frames, vertices, 3]: the positions \[m\], y up;
-/// - `meta.json`, if there is one: what is told of the cloth. Without `grid` in it, and without a mesh, the vertices are
-///   those of a square grid;
+/// - `cloth_pos.npy` [frames, vertices, 3]: the positions \[m\], y up. The only file that is required;
+/// - `meta.json`, if there is one: what is told of the cloth, see below. Without `grid` in it, and without a mesh, the
+///   vertices are those of a square grid;
 /// - `mesh.obj`, or the OBJ file that `obj_code` in `meta.json` names, in the folder or beside it, where the vertices are no
 ///   grid: the mesh at rest, a flat rectangle in two of the axes. `handle_vertices` must then be given;
-/// - `handles.npy` [frames, handles, 3], if there is one: where the handles are; else they are where their vertices are;
-/// - `start.npy` [vertices, 3], if there is one: the first frame with more digits than in `cloth_pos.npy`. Half of them are
-///   enough for a comparison, but not for edges.
+/// - `handles.npy` [frames, handles, 3], if there is one: where the handles are \[m\], in as many frames as `cloth_pos.npy` has;
+///   else they are where their vertices are;
+/// - `start.npy` [vertices, 3], if there is one: the first frame \[m\] with more digits than in `cloth_pos.npy`. Half of them
+///   are enough for a comparison, but not for edges.
+///
+/// `meta.json` is an object. What it does not tell is the default scene's; other keys are passed over, except those that are
+/// nearly one of these:
+///
+/// | key | value | unit | default |
+/// |---|---|---|---|
+/// | `fps` | frames per second | 1/s | 60 |
+/// | `grid` | `[H, W]`, particles along the height and the width | | square |
+/// | `obj_code` | name of the OBJ file of the mesh, without its ending | | `mesh` |
+/// | `side_length_m` | side along the height, on which the handles of a sheet that hangs by its corners lie | m | that of the mesh, or 1 |
+/// | `mass_per_area_kg_m2` | mass by area | kg/m^2 | 0.187 |
+/// | `gravity_m_s2` | `[x, y, z]` | m/s^2 | `[0, -9.8, 0]` |
+/// | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, 1, 0 |
+/// | `handle_vertices` | vertex numbers from 0, `[k, ..]` or `{"h0": k, ..}`, in the order of `handles.npy` | | (H-1, 0), (0, 0) |
 #[derive(Clone, Debug)]
 pub struct Sequence {
     /// Name of the folder.
@@ -33,6 +48,7 @@ pub struct Sequence {
     /// On the grid of the truth.
     handles: Handles,
     motion: Motion,
+    checksum: u32,
 }
 
 /// What `meta.json` tells.
@@ -44,12 +60,25 @@ struct Meta {
     /// Name of the OBJ file of the mesh, without its ending.
     obj_code: Option<String>,
     side_m: Option<f64>,
-    areal_mass: f64,
+    mass: Mass,
     gravity: [f64; 3],
     wind: Wind,
     /// Vertex numbers of the handles, in the order of `handles.npy`.
     handle_vertices: Option<Vec<usize>>,
 }
+
+/// The keys of `meta.json` that are read, and those of its `wind`.
+const FIELDS: [&str; 8] = [
+    "fps",
+    "grid",
+    "obj_code",
+    "side_length_m",
+    "mass_per_area_kg_m2",
+    "gravity_m_s2",
+    "wind",
+    "handle_vertices",
+];
+const WIND_FIELDS: [&str; 3] = ["velocity", "density", "drag"];
 
 impl Sequence {
     /// Names of the sequences in a folder of them, sorted.
@@ -88,8 +117,13 @@ impl Sequence {
     pub fn load(folder: &Path, name: &str) -> Result<Self> {
         let folder = folder.join(name);
         let meta = Meta::read(folder.join("meta.json"))?;
-        let path = folder.join("cloth_pos.npy");
-        let (truth, mesh, handles) = match meta.mesh_file(&folder) {
+        let [path, of_handles, of_start] =
+            ["cloth_pos.npy", "handles.npy", "start.npy"].map(|file| folder.join(file));
+        let obj = meta.mesh_file(&folder);
+        let others = [folder.join("meta.json"), of_handles.clone(), of_start];
+        let files = others.iter().chain(&obj).filter(|file| file.is_file());
+        let checksum = checksum(std::iter::once(&path).chain(files))?;
+        let (truth, mesh, handles) = match obj {
             None => {
                 let truth = Trajectory::read(&path, &ReadOptions { grid: meta.grid, fps: meta.fps })?;
                 let handles = match &meta.handle_vertices {
@@ -111,26 +145,32 @@ impl Sequence {
                 let mesh = FlatMesh::read(&obj, recorded.grid().particles(), vertices)?;
                 let grid = mesh.grid();
                 let carrier = mesh.carrier(grid)?;
-                let mut truth = Trajectory::new(grid, meta.fps);
-                for frame in 0..recorded.frames() {
-                    let positions = carrier.apply(recorded.frame(frame));
-                    let positions: Vec<_> = positions.into_iter().map(|p| p.map(|c| c as f32)).collect();
-                    truth.push(&positions, &vec![[0.0; 3]; positions.len()]);
-                }
+                let truth = carrier.trajectory(&recorded, grid);
                 let handles = Handles::Cells(vertices.iter().map(|&v| mesh.cell(grid, v)).collect());
                 (truth, Some((mesh, recorded)), handles)
             }
         };
         let recorded = mesh.as_ref().map_or(&truth, |(_, recorded)| recorded);
-        let file = folder.join("handles.npy");
-        let motion = match (&meta.handle_vertices, file.is_file()) {
-            (_, true) => Motion::File(file),
-            (Some(vertices), false) => Motion::Rows(rows(recorded, vertices, &meta.origin)?),
-            (None, false) => {
-                Motion::Rows(rows(recorded, &handles.on(truth.grid(), &meta.origin)?, &meta.origin)?)
-            }
+        let vertices = match &meta.handle_vertices {
+            Some(vertices) => vertices.clone(),
+            None => handles.on(truth.grid(), &meta.origin)?,
         };
-        Ok(Self { name: name.to_owned(), folder, meta, truth, mesh, handles, motion })
+        let motion = Motion::Rows(match of_handles.is_file() {
+            true => handle_rows(&of_handles, truth.frames(), vertices.len())?,
+            false => rows(recorded, &vertices, &meta.origin)?,
+        });
+        Ok(Self { name: name.to_owned(), folder, meta, truth, mesh, handles, motion, checksum })
+    }
+
+    /// A checksum of the bytes of all its files.
+    pub fn checksum(&self) -> u32 {
+        self.checksum
+    }
+
+    /// Length of the side along the height \[m\].
+    pub fn side_m(&self) -> f64 {
+        let of_mesh = || self.mesh.as_ref().map(|(mesh, _)| mesh.sides[0]);
+        self.meta.side_m.or_else(of_mesh).unwrap_or(Scene::default().side_m.height())
     }
 
     /// Density and drag of its air, and its frame time \[s\].
@@ -152,6 +192,39 @@ impl Sequence {
         (recorded.frame(frame).iter().map(|p| p.map(f64::from)).collect(), faces)
     }
 
+    /// Reads another system's trajectory of the cloth: an npz, npy or pc2 file or a folder of OBJ files. Its vertices are those of
+    /// the mesh, where there is one, or else of the grid that its faces tell, of the truth's, or of a square one. Those of
+    /// a mesh are a single row; [`Sequence::on_grid`] carries them to a grid.
+    pub fn read_other(&self, path: &Path) -> Result<Trajectory> {
+        let fps = self.truth.fps();
+        if let Some((_, recorded)) = &self.mesh {
+            let found = Trajectory::read_vertices(path, fps)?;
+            if found.grid() == recorded.grid() {
+                return Ok(found);
+            }
+        }
+        let told = || Trajectory::read(path, &ReadOptions { grid: None, fps });
+        let own = || Trajectory::read(path, &ReadOptions { grid: Some(self.grid()), fps });
+        match path.extension().is_some_and(|e| e == "npy" || e == "pc2") {
+            // Without faces, as many vertices as the truth has are taken to be on its grid, even where a square would do.
+            true => own().or_else(|_| told()),
+            false => told().or_else(|error| own().map_err(|_| error)),
+        }
+    }
+
+    /// A trajectory on a grid: itself, or where it is one of the vertices of the mesh, carried to the truth's grid.
+    pub fn on_grid<'a>(&self, found: &'a Trajectory) -> Result<Cow<'a, Trajectory>> {
+        match self.mesh_of(found) {
+            None => Ok(Cow::Borrowed(found)),
+            Some(mesh) => Ok(Cow::Owned(mesh.carrier(self.grid())?.trajectory(found, self.grid()))),
+        }
+    }
+
+    /// The mesh, where the vertices of a trajectory are a single row of as many.
+    pub(super) fn mesh_of(&self, found: &Trajectory) -> Option<&FlatMesh> {
+        self.mesh.as_ref().filter(|(_, recorded)| recorded.grid() == found.grid()).map(|(mesh, _)| mesh)
+    }
+
     /// Where the cloth starts on a grid. A mesh is carried to the grid at once, except to one that is finer than the truth's:
     /// the triangles would leave creases in it.
     fn start(&self, grid: Grid) -> Result<Start> {
@@ -168,12 +241,11 @@ impl Sequence {
 
     /// The scene that repeats it: from its first frame, with its handles, on a grid.
     pub fn scene(&self, grid: Grid, physics: &Physics) -> Result<Scene> {
-        let Meta { wind, side_m, areal_mass, gravity, .. } = self.meta;
-        let side_m = side_m.or(self.mesh.as_ref().map(|(mesh, _)| mesh.sides[0]));
+        let Meta { wind, mass, gravity, .. } = self.meta;
         let mut scene = Scene {
             grid: self.truth.grid(),
-            side_m: Side::Height(side_m.unwrap_or(Scene::default().side_m.height())),
-            mass: Mass::Areal(areal_mass),
+            side_m: Side::Height(self.side_m()),
+            mass,
             stiffness: Stiffness::Grid(physics.material),
             gravity,
             wind: Wind {
@@ -198,49 +270,41 @@ impl Meta {
     /// Reads `meta.json`; what is not told is the default scene's.
     fn read(path: PathBuf) -> Result<Self> {
         let origin = path.display().to_string();
-        let meta = if path.is_file() {
+        let document = if path.is_file() {
             let bytes = io::read_bytes(&path)?;
-            serde_json::from_slice(&bytes).map_err(|e| Error::invalid(&origin, "text", "JSON", e))?
+            io::parse_json(&origin, &String::from_utf8_lossy(&bytes))?
         } else {
             tracing::warn!("{origin}: not there; the cloth is taken to be the default scene's");
-            Value::Null
+            Value::Object(Map::new())
         };
-        let number = |key: &str| match meta.get(key) {
-            None => Ok(None),
-            Some(value) => match value.as_f64().filter(|v| v.is_finite() && *v > 0.0) {
-                None => Err(Error::invalid(&origin, key, "a positive number", value)),
-                number => Ok(number),
-            },
-        };
-        let vector = |node: Option<&Value>, field: &str, default: [f64; 3]| match node {
-            None => Ok(default),
-            Some(value) => serde_json::from_value(value.clone())
-                .map_err(|_| Error::invalid(&origin, field, "[x, y, z]", value)),
-        };
-        let grid = meta.get("grid").map(|value| {
-            let sides: [usize; 2] = serde_json::from_value(value.clone())
-                .map_err(|_| Error::invalid(&origin, "grid", "[H, W]", value))?;
-            Grid::new(sides[0], sides[1], &origin)
-        });
+        let node = Node::root(&origin, &document);
+        check_spelling(&node, &FIELDS)?;
         let default = Scene::default();
-        let wind = meta.get("wind");
-        let part = |key: &str, default: f64| {
-            wind.and_then(|w| w.get(key)).and_then(Value::as_f64).unwrap_or(default)
+        let wind = match node.get("wind") {
+            None => default.wind,
+            Some(wind) => {
+                check_spelling(&wind, &WIND_FIELDS)?;
+                Wind {
+                    velocity: wind.get_or("velocity", default.wind.velocity, Node::vector)?,
+                    density: wind.get_or("density", default.wind.density, not_negative)?,
+                    drag: wind.get_or("drag", default.wind.drag, not_negative)?,
+                }
+            }
+        };
+        let grid = |node: &Node| {
+            let [h, w] = node.array("[H, W]", Node::count)?;
+            Grid::new(h, w, node.origin).map(Some)
         };
         Ok(Self {
-            fps: number("fps")?.unwrap_or(60.0),
-            grid: grid.transpose()?,
-            obj_code: meta.get("obj_code").and_then(Value::as_str).map(str::to_owned),
-            side_m: number("side_length_m")?,
-            areal_mass: number("mass_per_area_kg_m2")?.unwrap_or(0.187),
-            gravity: vector(meta.get("gravity_m_s2"), "gravity_m_s2", default.gravity)?,
-            wind: Wind {
-                velocity: vector(wind.and_then(|w| w.get("velocity")), "wind.velocity", [0.0; 3])?,
-                density: part("density", default.wind.density),
-                drag: part("drag", default.wind.drag),
-            },
-            handle_vertices: handle_vertices(meta.get("handle_vertices"), &origin)?,
-            origin,
+            fps: node.get_or("fps", ReadOptions::default().fps, positive)?,
+            grid: node.get_or("grid", None, grid)?,
+            obj_code: node.get_or("obj_code", None, |n| Ok(Some(n.text()?.to_owned())))?,
+            side_m: node.get_or("side_length_m", None, |n| positive(n).map(Some))?,
+            mass: node.get_or("mass_per_area_kg_m2", default.mass, |n| positive(n).map(Mass::Areal))?,
+            gravity: node.get_or("gravity_m_s2", default.gravity, Node::vector)?,
+            wind,
+            handle_vertices: node.get_or("handle_vertices", None, |n| handle_vertices(n).map(Some))?,
+            origin: origin.clone(),
         })
     }
 
@@ -263,18 +327,68 @@ fn rows(recorded: &Trajectory, vertices: &[usize], origin: &str) -> Result<Vec<V
     Ok((0..recorded.frames()).map(row).collect())
 }
 
-/// The vertices of `{"h0": k, "h1": l, ..}` or `[k, l, ..]`, in this order.
-fn handle_vertices(node: Option<&Value>, origin: &str) -> Result<Option<Vec<usize>>> {
-    let Some(node) = node else { return Ok(None) };
-    let vertex = |value: &Value| value.as_u64().map(|v| v as usize);
-    let vertices: Option<Vec<usize>> = match node {
-        Value::Array(values) => values.iter().map(vertex).collect(),
-        Value::Object(named) => {
-            let of = |k: usize| named.get(&format!("h{k}")).and_then(vertex);
-            (0..named.len()).map(of).collect()
-        }
-        _ => None,
+/// Where the handles are in each frame, from a file of shape [`frames`, `handles`, 3].
+fn handle_rows(path: &Path, frames: usize, handles: usize) -> Result<Vec<Vec<[f64; 3]>>> {
+    let array = io::read_npy(path)?;
+    let bad = |field: String, expected: String, found: String| {
+        Err(Error::invalid(path.display().to_string(), field, expected, found))
     };
-    let expected = r#"vertex numbers, [k, ..] or {"h0": k, ..}"#;
-    vertices.map(Some).ok_or_else(|| Error::invalid(origin, "handle_vertices", expected, node))
+    if array.shape() != [frames, handles, 3] {
+        let expected = format!("[{frames}, {handles}, 3]: the frames of cloth_pos.npy, and its handles");
+        return bad("shape".into(), expected, format!("{:?}", array.shape()));
+    }
+    let at = |frame: usize, handle: usize| std::array::from_fn(|c| array[[frame, handle, c]]);
+    let rows: Vec<Vec<[f64; 3]>> =
+        (0..frames).map(|frame| (0..handles).map(|handle| at(frame, handle)).collect()).collect();
+    match rows.iter().position(|row| !row.as_flattened().iter().all(|v| v.is_finite())) {
+        None => Ok(rows),
+        Some(frame) => bad(format!("frame {frame}"), "finite numbers".into(), format!("{:?}", rows[frame])),
+    }
+}
+
+/// The vertices of `{"h0": k, "h1": l, ..}` or `[k, l, ..]`, in this order.
+fn handle_vertices(node: &Node) -> Result<Vec<usize>> {
+    match node.value {
+        Value::Array(_) => node.items()?.iter().map(Node::count).collect(),
+        Value::Object(named) => {
+            let of =
+                |k: usize| node.get(&format!("h{k}")).ok_or_else(|| node.invalid(format!("a field h{k}")));
+            (0..named.len()).map(|k| of(k)?.count()).collect()
+        }
+        _ => Err(node.invalid(r#"vertex numbers, [k, ..] or {"h0": k, ..}"#)),
+    }
+}
+
+fn positive(node: &Node) -> Result<f64> {
+    Some(node.number()?).filter(|&v| v > 0.0).ok_or_else(|| node.invalid("a positive number"))
+}
+
+fn not_negative(node: &Node) -> Result<f64> {
+    Some(node.number()?).filter(|&v| v >= 0.0).ok_or_else(|| node.invalid("a number, 0 or more"))
+}
+
+/// A key that is nearly one of those that are read is a mistake, not one of the others. Short names are near each other.
+fn check_spelling(node: &Node, fields: &[&str]) -> Result<()> {
+    let Some(object) = node.value.as_object() else { return Err(node.invalid("an object { .. }")) };
+    let near = |field: &str, key: &str| {
+        strsim::damerau_levenshtein(field, key) <= if field.len() > 4 { 2 } else { 1 }
+    };
+    for key in object.keys().filter(|key| !fields.contains(&key.as_str())) {
+        if fields.iter().any(|field| near(field, key)) {
+            return Err(Error::unknown(node.origin, "field", key, fields.iter().copied()));
+        }
+    }
+    Ok(())
+}
+
+/// A checksum of the names and bytes of files.
+fn checksum<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Result<u32> {
+    let mut sum = crc32fast::Hasher::new();
+    for file in files {
+        let bytes = io::read_bytes(file)?;
+        sum.update(file.file_name().unwrap_or_default().as_encoded_bytes());
+        sum.update(&(bytes.len() as u64).to_le_bytes());
+        sum.update(&bytes);
+    }
+    Ok(sum.finalize())
 }

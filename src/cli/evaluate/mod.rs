@@ -23,7 +23,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 /// Arguments of `fnopt evaluate`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Folder of sequences, each a folder with cloth_pos.npy, handles.npy and meta.json
+    /// Folder of sequences, each a folder with cloth_pos.npy and, where there are such, meta.json (what is told of the cloth),
+    /// handles.npy, start.npy, and mesh.obj where the vertices are no grid
     #[arg(long, default_value = "assets/ground_truth", value_name = "DIR")]
     ground_truth: PathBuf,
     /// Sequences, or cases of a suite, to take part [default: all]
@@ -60,7 +61,8 @@ pub struct Args {
     /// Points sampled from each surface for e_CD
     #[arg(long, default_value_t = 10_000, value_name = "N")]
     points: usize,
-    /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files; may be given more than once
+    /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or on the sequence's
+    /// mesh; may be given more than once
     #[arg(long, value_name = "NAME=DIR")]
     compare: Vec<String>,
     /// Folder of the scores; those that are there already are used again
@@ -131,10 +133,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let mut systems = Vec::new();
     for (name, folder) in args.systems()? {
         for sequence in &sequences {
-            let found = imported(&folder, sequence)?;
+            let found = sequence.read_other(&imported(&folder, sequence)?)?;
             let score = compare(sequence, &name, &found, &settings)?;
             let frames = sequence.truth.frames().min(settings.frames);
-            systems.push(Kept { score, snapshots: Some(snapshots(&found, frames)) });
+            systems.push(Kept { score, snapshots: Some(snapshots(&*sequence.on_grid(&found)?, frames)) });
         }
     }
     let (device, line) = args.device.open()?;
@@ -462,9 +464,7 @@ fn file_name(
     let mut sum = crc32fast::Hasher::new();
     let settings = serde_json::to_string(settings).expect("settings are plain data");
     sum.update(format!("{} {settings} {}", env!("CARGO_PKG_VERSION"), device.name()).as_bytes());
-    for frame in [0, sequence.truth.frames() - 1] {
-        sequence.truth.frame(frame).iter().flatten().for_each(|v| sum.update(&v.to_le_bytes()));
-    }
+    sum.update(&sequence.checksum().to_le_bytes());
     if let Optimizer::Learned(weights) = &entry.optimizer {
         weights.parameters().into_iter().flatten().for_each(|v| sum.update(&v.to_le_bytes()));
     }
@@ -489,16 +489,14 @@ fn kept(folder: &Path) -> fnopt::Result<Vec<Kept>> {
     files.iter().map(|file| Kept::read(file)).collect()
 }
 
-/// Another system's trajectory of a sequence.
-fn imported(folder: &Path, sequence: &Sequence) -> fnopt::Result<Trajectory> {
-    let options = ReadOptions { grid: None, fps: sequence.truth.fps() };
+/// The file or folder of another system's trajectory of a sequence.
+fn imported(folder: &Path, sequence: &Sequence) -> fnopt::Result<PathBuf> {
     let names = ["npz", "npy", "pc2"].map(|e| format!("{}.{e}", sequence.name));
     let inside = ["rollout.npz", "cloth_pos.npy"].map(|file| format!("{}/{file}", sequence.name));
     let all = names.into_iter().chain(inside).chain([sequence.name.clone()]).map(|name| folder.join(name));
     let found = all.into_iter().find(|path| path.exists());
-    let Some(path) = found else {
+    found.ok_or_else(|| {
         let expected = format!("{0}.npz, .npy or .pc2, or a folder {0} of OBJ files", sequence.name);
-        return Err(Error::invalid(folder.display().to_string(), "trajectory", expected, "none of them"));
-    };
-    Trajectory::read(path, &options)
+        Error::invalid(folder.display().to_string(), "trajectory", expected, "none of them")
+    })
 }
