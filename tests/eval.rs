@@ -5,7 +5,7 @@ mod noise;
 use fnopt::eval;
 use fnopt::eval::fit::{Fit, Surface};
 use fnopt::eval::{
-    Entry, Format, Physics, Sequence, Settings, chamfer, compare, mean_and_deviation, relative_error,
+    Entry, Format, Physics, Score, Sequence, Settings, chamfer, compare, mean_and_deviation, relative_error,
     repulsion, run, tables,
 };
 use fnopt::io::{ReadOptions, Trajectory};
@@ -421,7 +421,13 @@ fn a_solver_that_diverges_has_no_numbers() {
     assert!(!diverged.stable && diverged.e_cd.is_none() && diverged.ms_per_frame.is_none());
     let (good, _) =
         run(&sequence, sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
-    let tables = tables(&[good, diverged]);
+    // Many columns are written in parts.
+    let many: Vec<Score> = (1..12).map(|n| Score { iterations: 1000 * n, ..good.clone() }).collect();
+    for table in tables(&many) {
+        let text = table.write(Format::Text { bold: false });
+        assert!(text.lines().all(|line| line.chars().count() <= 120), "{text}");
+    }
+    let tables = tables(&[good.clone(), diverged]);
     let text = tables[0].write(Format::Text { bold: true });
     let row = text.lines().find(|line| line.starts_with("xy_v2")).unwrap();
     assert!(row.ends_with('-') && row.contains("\x1b[1m"), "{row}");
@@ -432,6 +438,15 @@ fn a_solver_that_diverges_has_no_numbers() {
     );
     let csv = tables[0].write(Format::Csv);
     assert!(csv.contains("sequence,newton,\"gd, N = 10\""), "{csv}");
+    // The means over the sequences, and what the energy is made of.
+    let of =
+        |title: &str| tables.iter().find(|t| t.title == title).unwrap().write(Format::Text { bold: false });
+    let overview = of("error and time");
+    assert!(overview.contains("±") && overview.contains("ms/frame"), "{overview}");
+    let energy = of("energy and stretch");
+    assert!(["bend", "inertia", "mean stretch"].iter().all(|head| energy.contains(head)), "{energy}");
+    let terms = good.energy_terms.unwrap();
+    assert!((terms.total() / good.energy.unwrap() - 1.0).abs() < 1e-9 && good.stretch_mean.unwrap() > 0.0);
 }
 
 #[test]

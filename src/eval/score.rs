@@ -5,7 +5,7 @@ use super::resampling::{Resampling, coarse};
 use super::{FreeEdges, Sequence, median};
 use crate::io::Trajectory;
 use crate::scene::Setup;
-use crate::sim::{Device, FrameStats, Grid, Material, Optimizer, Simulator};
+use crate::sim::{Device, EnergyTerms, FrameStats, Grid, Material, Optimizer, Simulator};
 use crate::{Error, Result, io};
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -85,12 +85,16 @@ pub struct Score {
     pub e_3d: Option<f64>,
     /// Median wall time of a frame \[ms\].
     pub ms_per_frame: Option<f64>,
-    /// Means over the frames of the total energy, and of |dL/da| at the last iteration (grid units).
+    /// Mean over the frames of the total energy (grid units).
     pub energy: Option<f64>,
-    /// See `energy`.
+    /// Means over the frames of its terms (grid units).
+    pub energy_terms: Option<EnergyTerms>,
+    /// Mean over the frames of |dL/da| at the last iteration (grid units).
     pub gradient: Option<f64>,
     /// Largest `|edge| - 1` of the edges away from handles.
     pub stretch_largest: Option<f64>,
+    /// Mean over the frames and all edges of `||edge| - 1|`.
+    pub stretch_mean: Option<f64>,
     /// Mean speed of the particles in the last half second [m/s]: how far the cloth has settled.
     pub speed_at_end: Option<f64>,
     /// Mean repulsion energy on [`coarse`] grids, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.1).
@@ -111,6 +115,14 @@ pub struct PerFrame {
 }
 
 impl Score {
+    /// Name of its column in tables: the solver and its iterations.
+    pub fn column(&self) -> String {
+        match self.iterations {
+            0 => self.solver.clone(),
+            n => format!("{}, N = {n}", self.solver),
+        }
+    }
+
     /// Reads a score that [`Score::write`] kept.
     pub fn read(path: &Path) -> Result<Self> {
         let bytes = io::read_bytes(path)?;
@@ -179,8 +191,16 @@ pub fn run(
         // Those of another grid's cloth would say nothing.
         if own == grid {
             score.energy = Some(mean(&|s| s.energy.total()));
+            score.energy_terms = Some(EnergyTerms {
+                stretch: mean(&|s| s.energy.stretch),
+                shear: mean(&|s| s.energy.shear),
+                bend: mean(&|s| s.energy.bend),
+                inertia: mean(&|s| s.energy.inertia),
+                external: mean(&|s| s.energy.external),
+            });
             score.gradient = Some(mean(&|s| s.gradient_last));
             score.stretch_largest = Some(simulated.stretch_largest);
+            score.stretch_mean = Some(mean(&|s| s.stretch_mean));
         }
     }
     Ok(Some((score, simulated.trajectory)))
@@ -297,8 +317,10 @@ fn judge(
         e_3d: None,
         ms_per_frame: None,
         energy: None,
+        energy_terms: None,
         gradient: None,
         stretch_largest: None,
+        stretch_mean: None,
         speed_at_end: None,
         repulsion: None,
         per_frame: PerFrame::default(),

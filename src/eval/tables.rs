@@ -2,6 +2,9 @@
 
 use super::{Score, mean_and_deviation};
 
+/// Columns of a terminal: a wider table is written in parts.
+const WIDTH: usize = 120;
+
 /// A table of texts, in which the best number of each row may be marked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
@@ -60,11 +63,11 @@ const FIGURES: [Figure; 4] = [
     },
 ];
 
-/// The tables of some scores: errors, gradient and stretch per sequence for each grid, with means and deviations; then error
-/// and time of every solver on every grid; and the repulsion.
+/// The tables of some scores: errors, gradient and stretch per sequence for each grid, with means and deviations; then, of every
+/// solver on every grid, error and time, the energy and how it is made up, and the repulsion.
 pub fn tables(scores: &[Score]) -> Vec<Table> {
     let grids = distinct(scores.iter().map(|s| s.grid.clone()));
-    let solvers = distinct(scores.iter().map(column));
+    let solvers = distinct(scores.iter().map(Score::column));
     let mut tables = Vec::new();
     for grid in &grids {
         let here: Vec<&Score> = scores.iter().filter(|s| s.grid == *grid).collect();
@@ -74,17 +77,18 @@ pub fn tables(scores: &[Score]) -> Vec<Table> {
             }
         }
     }
-    tables.push(overview(scores, &grids, &solvers));
-    tables.push(repulsion(scores, &grids, &solvers));
-    tables
-}
-
-/// Name of the column of a score: the solver and its iterations.
-fn column(score: &Score) -> String {
-    match score.iterations {
-        0 => score.solver.clone(),
-        n => format!("{}, N = {n}", score.solver),
+    let mut groups: Vec<Group> = Vec::new();
+    for (grid, solver) in grids.iter().flat_map(|grid| solvers.iter().map(move |solver| (grid, solver))) {
+        let scores: Vec<&Score> =
+            scores.iter().filter(|s| s.grid == *grid && s.column() == *solver).collect();
+        if !scores.is_empty() {
+            groups.push(Group { name: format!("{grid} {solver}"), scores });
+        }
     }
+    let summaries: [(&str, &[Mean]); 3] =
+        [("error and time", &ERROR_AND_TIME), ("energy and stretch", &ENERGY), ("repulsion and rest", &REST)];
+    tables.extend(summaries.map(|(title, means)| summary(title, &groups, means)));
+    tables
 }
 
 /// The values, each once, in the order of their first appearance.
@@ -101,7 +105,7 @@ fn distinct(values: impl Iterator<Item = String>) -> Vec<String> {
 fn per_sequence(figure: &Figure, grid: &str, scores: &[&Score], solvers: &[String]) -> Table {
     let sequences = distinct(scores.iter().map(|s| s.sequence.clone()));
     let value = |sequence: &str, solver: &str| -> Option<Option<f64>> {
-        let score = scores.iter().find(|s| s.sequence == sequence && column(s) == solver)?;
+        let score = scores.iter().find(|s| s.sequence == sequence && s.column() == solver)?;
         Some((figure.of)(score).filter(|_| score.stable).map(|v| figure.factor * v))
     };
     let row = |sequence: &String| {
@@ -127,55 +131,76 @@ fn per_sequence(figure: &Figure, grid: &str, scores: &[&Score], solvers: &[Strin
     Table { title: format!("{grid}: {}", figure.title), columns, rows }
 }
 
-/// Mean error and median time of each solver on each grid.
-fn overview(scores: &[Score], grids: &[String], solvers: &[String]) -> Table {
-    let mut columns = vec!["solver".to_owned()];
-    columns.extend(grids.iter().flat_map(|g| [format!("{g} e_CD x 10^3"), format!("{g} ms/frame")]));
-    let mean = |grid: &String, solver: &String, of: fn(&Score) -> Option<f64>| -> Option<Option<f64>> {
-        let here: Vec<&Score> = scores.iter().filter(|s| s.grid == *grid && column(s) == *solver).collect();
-        if here.is_empty() {
-            return None;
-        }
-        let values: Option<Vec<f64>> = here.iter().map(|s| of(s).filter(|_| s.stable)).collect();
-        Some(values.map(|values| mean_and_deviation(&values).0))
-    };
-    let row = |solver: &String| {
-        let of_grid = |grid: &String| {
-            let mut both = cells(&[mean(grid, solver, |s| s.e_cd.map(|e| 1e3 * e))], 2);
-            both.extend(cells(&[mean(grid, solver, |s| s.ms_per_frame)], 1));
-            both.iter_mut().for_each(|cell| cell.best = false);
-            both
-        };
-        (solver.clone(), grids.iter().flat_map(of_grid).collect())
-    };
-    Table { title: "error and time".into(), columns, rows: solvers.iter().map(row).collect() }
+/// The scores of one solver on one grid.
+struct Group<'a> {
+    name: String,
+    scores: Vec<&'a Score>,
 }
 
-/// Mean repulsion energy, shares of frames above 0.1 and 0.02, and the speed at the end.
-fn repulsion(scores: &[Score], grids: &[String], solvers: &[String]) -> Table {
-    let mut rows = Vec::new();
-    for grid in grids {
-        for solver in solvers {
-            let here: Vec<&Score> =
-                scores.iter().filter(|s| s.grid == *grid && column(s) == *solver).collect();
-            let mean = |of: &dyn Fn(&Score) -> Option<f64>| {
-                let values: Option<Vec<f64>> = here.iter().map(|s| of(s)).collect();
-                Some(values.filter(|v| !v.is_empty()).map(|v| mean_and_deviation(&v).0))
-            };
-            if here.is_empty() {
-                continue;
-            }
-            let mut row: Vec<Cell> = [0, 1, 2]
-                .into_iter()
-                .flat_map(|k| cells(&[mean(&|s| s.repulsion.map(|r| r[k]))], 3))
-                .collect();
-            row.extend(cells(&[mean(&|s| s.speed_at_end)], 3));
-            row.iter_mut().for_each(|cell| cell.best = false);
-            rows.push((format!("{grid} {solver}"), row));
+/// A mean over the sequences, and whether its deviation stands beside it.
+struct Mean {
+    figure: Figure,
+    deviation: bool,
+}
+
+const fn mean(
+    title: &'static str,
+    of: fn(&Score) -> Option<f64>,
+    (factor, digits): (f64, usize),
+    deviation: bool,
+) -> Mean {
+    Mean { figure: Figure { title, of, factor, digits }, deviation }
+}
+
+const ERROR_AND_TIME: [Mean; 3] = [
+    mean("e_CD x 10^3 [m^2]", |s| s.e_cd, (1e3, 2), true),
+    mean("e_3D x 10^2", |s| s.e_3d, (1e2, 2), true),
+    mean("ms/frame", |s| s.ms_per_frame, (1.0, 1), true),
+];
+
+/// In grid units.
+const ENERGY: [Mean; 7] = [
+    mean("energy", |s| s.energy, (1.0, 4), false),
+    mean("stretch", |s| s.energy_terms.map(|e| e.stretch), (1.0, 4), false),
+    mean("shear", |s| s.energy_terms.map(|e| e.shear), (1.0, 4), false),
+    mean("bend", |s| s.energy_terms.map(|e| e.bend), (1.0, 4), false),
+    mean("inertia", |s| s.energy_terms.map(|e| e.inertia), (1.0, 4), false),
+    mean("external", |s| s.energy_terms.map(|e| e.external), (1.0, 4), false),
+    mean("mean stretch x 10^2", |s| s.stretch_mean, (1e2, 2), false),
+];
+
+const REST: [Mean; 4] = [
+    mean("repulsion", |s| s.repulsion.map(|r| r[0]), (1.0, 3), false),
+    mean("share > 0.1", |s| s.repulsion.map(|r| r[1]), (1.0, 3), false),
+    mean("share > 0.02", |s| s.repulsion.map(|r| r[2]), (1.0, 3), false),
+    mean("speed at the end [m/s]", |s| s.speed_at_end, (1.0, 3), false),
+];
+
+/// Means over the sequences, all of which a solver must have passed.
+fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
+    let of_group = |group: &Group, Mean { figure, deviation }: &Mean| {
+        let values = group.scores.iter().map(|s| (figure.of)(s).filter(|_| s.stable));
+        // What no score can tell is left empty: another system has no time, and no energy.
+        let told = group.scores.iter().any(|s| !s.stable || (figure.of)(s).is_some());
+        let both = values.collect::<Option<Vec<f64>>>().map(|values| mean_and_deviation(&values));
+        let mut own = cells(&[told.then(|| both.map(|(mean, _)| figure.factor * mean))], figure.digits);
+        if *deviation {
+            let several =
+                both.filter(|_| group.scores.len() > 1).map(|(_, apart)| Some(figure.factor * apart));
+            own.extend(cells(&[several], figure.digits));
         }
-    }
-    let columns = ["solver", "repulsion", "share > 0.1", "share > 0.02", "speed at the end [m/s]"];
-    Table { title: "repulsion and rest".into(), columns: columns.map(str::to_owned).to_vec(), rows }
+        own
+    };
+    let heads = means
+        .iter()
+        .flat_map(|Mean { figure, deviation }| [figure.title].into_iter().chain(deviation.then_some("±")));
+    let columns = ["solver", "sequences"].into_iter().chain(heads).map(str::to_owned).collect();
+    let row = |group: &Group| {
+        let count = Cell { text: group.scores.len().to_string(), best: false };
+        let cells = means.iter().flat_map(|mean| of_group(group, mean));
+        (group.name.clone(), std::iter::once(count).chain(cells).collect())
+    };
+    Table { title: title.to_owned(), columns, rows: groups.iter().map(row).collect() }
 }
 
 /// Cells of a row of numbers, the smallest marked; empty where there was none, a dash where a solver diverged.
@@ -209,18 +234,30 @@ impl Table {
         }
         let mut text = format!("{}\n", self.title);
         let first = |name: &str| format!("{name:<width$}", width = widths[0]);
-        let heads = self.columns[1..].iter().zip(&widths[1..]).map(|(c, width)| format!("  {c:>width$}"));
-        text += &format!("{}{}\n", first(&self.columns[0]), heads.collect::<String>());
-        for (name, cells) in &self.rows {
-            text += &first(name);
-            for (cell, width) in cells.iter().zip(&widths[1..]) {
-                let padded = format!("{:>width$}", cell.text);
-                text += &match bold && cell.best {
-                    true => format!("  \x1b[1m{padded}\x1b[0m"),
-                    false => format!("  {padded}"),
-                };
+        let mut from = 1;
+        while from < widths.len() {
+            // As many columns as fit, one at least.
+            let mut until = from + 1;
+            let width = |until: usize| widths[0] + widths[from..until].iter().map(|w| w + 2).sum::<usize>();
+            while until < widths.len() && width(until + 1) <= WIDTH {
+                until += 1;
             }
-            text.push('\n');
+            let part = from..until;
+            let heads = self.columns[part.clone()].iter().zip(&widths[part.clone()]);
+            let heads = heads.map(|(c, width)| format!("  {c:>width$}")).collect::<String>();
+            text += &format!("{}{heads}\n", first(&self.columns[0]));
+            for (name, cells) in &self.rows {
+                text += &first(name);
+                for (cell, width) in cells[from - 1..until - 1].iter().zip(&widths[part.clone()]) {
+                    let padded = format!("{:>width$}", cell.text);
+                    text += &match bold && cell.best {
+                        true => format!("  \x1b[1m{padded}\x1b[0m"),
+                        false => format!("  {padded}"),
+                    };
+                }
+                text.push('\n');
+            }
+            from = until;
         }
         text
     }

@@ -1,7 +1,7 @@
 //! What a frame reports of each cloth.
 
 /// Energy terms of one cloth at the end of a frame, weighted as in the energy (specification section 3).
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct EnergyTerms {
     /// Stretch.
     pub stretch: f64,

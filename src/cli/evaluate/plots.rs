@@ -18,13 +18,6 @@ const CONVERGENCE_FRAMES: usize = 41;
 /// Every so many of them is compared with its minimum.
 const PROBE_EVERY: usize = 4;
 
-fn label(score: &Score) -> String {
-    match score.iterations {
-        0 => score.solver.clone(),
-        n => format!("{} n {n}", score.solver),
-    }
-}
-
 fn write(folder: &Path, name: &str, all: &[Chart]) -> Result<()> {
     if all.is_empty() {
         return Ok(());
@@ -48,7 +41,7 @@ fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Fi
     let mut curves: BTreeMap<(String, String), Vec<Curve>> = BTreeMap::new();
     for score in scores.iter().filter(|s| s.stable) {
         let points = of(score).iter().enumerate().map(|(f, &v)| [(f + 1) as f64, factor * v]);
-        let curve = Curve { label: label(score), points: points.collect() };
+        let curve = Curve { label: score.column(), points: points.collect() };
         curves.entry((score.sequence.clone(), score.grid.clone())).or_default().push(curve);
     }
     let chart = |((sequence, grid), curves)| Chart {
@@ -138,7 +131,7 @@ pub(super) fn error_maps(folder: &Path, sequence: &Sequence, (all, frames): (&[K
         let Some(found) = &kept.snapshots else { continue };
         let errors = |f| vertex_errors((found.frame(f), found.grid()), (truth.frame(f), truth.grid()));
         let map = ErrorMap {
-            label: label(&kept.score),
+            label: kept.score.column(),
             errors: (0..found.frames()).map(errors).collect(),
             frames: found.clone(),
         };
