@@ -386,13 +386,13 @@ fn an_evaluation_keeps_its_scores_and_merges_shares() {
     assert!(other.contains("arcsim"), "{other}");
 
     let clean = tempfile::tempdir().unwrap();
+    refused(clean.path(), &["evaluate", "--suite", "motion"], &["motion", "did you mean motions?"]);
     let refused = |arguments: &[&str], said: &[&str]| {
         refused(clean.path(), &[&["evaluate", "--ground-truth", truth], arguments].concat(), said);
     };
     refused(&["--solver", "newtn"], &["newtn", "did you mean newton?"]);
     refused(&["--solver", "fnopt:x"], &["--solver", "NAME:ITERATIONS"]);
     refused(&["--sequences", "xy_v3"], &["xy_v3", "did you mean xy_v2?"]);
-    refused(&["--suite", "motion"], &["motion", "did you mean motions?"]);
     refused(&["--grid", "4"], &["--grid", "8"]);
     refused(&["--shard", "2/2"], &["--shard", "0 to 1"]);
     refused(&["--material", "1,2"], &["--material", "three numbers or a file"]);

@@ -5,8 +5,8 @@ mod noise;
 use fnopt::eval;
 use fnopt::eval::fit::{Fit, Surface};
 use fnopt::eval::{
-    Entry, Format, Physics, Score, Sequence, Settings, chamfer, compare, mean_and_deviation, relative_error,
-    repulsion, run, tables,
+    Entry, Format, Physics, Score, Sequence, Settings, belong_together, chamfer, compare, mean_and_deviation,
+    relative_error, repulsion, run, tables,
 };
 use fnopt::io::{ReadOptions, Trajectory};
 use fnopt::scene::{Scene, Stiffness};
@@ -119,7 +119,8 @@ fn shipped() -> PathBuf {
 }
 
 const MATERIAL: Material = Material { stretch: 1000.0, shear: 8.0, bend: 0.5 };
-const PHYSICS: Physics = Physics { material: MATERIAL, density: None, drag: None, frame_time_s: None };
+const PHYSICS: Physics =
+    Physics { stiffness: Stiffness::Grid(MATERIAL), density: None, drag: None, frame_time_s: None };
 const SETTINGS: Settings = Settings { physics: PHYSICS, points: 1000, frames: 25 };
 
 fn newton() -> Entry {
@@ -408,6 +409,49 @@ fn a_checksum_is_of_all_files() {
     }
     std::fs::remove_file(to.join("start.npy")).unwrap();
     assert_ne!(sum(), whole);
+}
+
+#[test]
+fn only_scores_that_were_made_alike_stand_together() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let score = compare(&sequence, "itself", &sequence.truth, &SETTINGS).unwrap();
+    let other = |change: &dyn Fn(&mut Score)| {
+        let mut other = Score { sequence: "other".into(), ..score.clone() };
+        change(&mut other);
+        let (a, b) = (Path::new("a.json"), Path::new("b.json"));
+        belong_together(&[(a, &score), (b, &other)]).map_err(|e| e.to_string())
+    };
+    assert_eq!(other(&|_| ()), Ok(()));
+    // A column of its own may be of another device.
+    let elsewhere = |s: &mut Score| s.made_with.kind = Some("gpu".into());
+    assert_eq!(
+        other(&|s| {
+            elsewhere(s);
+            s.iterations = 3;
+        }),
+        Ok(())
+    );
+    let softer = Settings {
+        physics: Physics { stiffness: Stiffness::Grid(Material { bend: 0.1, ..MATERIAL }), ..PHYSICS },
+        ..SETTINGS
+    };
+    type Change<'a> = (&'a str, &'a dyn Fn(&mut Score));
+    let changes: [Change; 6] = [
+        ("version", &|s| s.made_with.version = "0".into()),
+        ("settings", &|s| s.made_with.settings = softer.to_json()),
+        ("device", &elsewhere),
+        ("weights", &|s| s.made_with.weights = Some(1)),
+        ("score", &|s| s.sequence = score.sequence.clone()),
+        ("truth", &|s| {
+            (s.sequence, s.grid) = (score.sequence.clone(), "64x64".into());
+            s.made_with.truth ^= 1;
+        }),
+    ];
+    for (field, change) in changes {
+        let error = other(change).unwrap_err();
+        let expected = [format!("b.json: {field}: expected"), "a.json".into()];
+        expected.iter().for_each(|part| assert!(error.contains(part), "no '{part}' in {error}"));
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The material that brings the converged simulation closest to recorded trajectories.
 
 use super::{Entry, Physics, Sequence, Settings, run};
+use crate::scene::Stiffness;
 use crate::sim::{Device, Grid, Material, Optimizer};
 use crate::{Error, Result, io};
 use rayon::prelude::*;
@@ -188,7 +189,7 @@ impl Fit<'_> {
     /// Mean e_CD over the sequences.
     fn error(&self, &[stretch, shear, bend, density, drag, frame_time]: &Point) -> Result<f64> {
         let physics = Physics {
-            material: Material { stretch, shear, bend },
+            stiffness: Stiffness::Grid(Material { stretch, shear, bend }),
             density: Some(density),
             drag: Some(drag),
             frame_time_s: Some(frame_time),

@@ -6,6 +6,7 @@
 //! Scores of all sequences, grids and entries -> Tables (text, Markdown, CSV)
 //! ```
 
+mod conditions;
 pub mod fit;
 mod flat_mesh;
 mod gap;
@@ -18,6 +19,7 @@ pub mod suite;
 mod tables;
 
 pub use crate::statistics::{mean_and_deviation, median};
+pub use conditions::{Conditions, belong_together};
 pub use gap::{median_gap, track};
 pub use metrics::{Surface, chamfer, relative_error, repulsion};
 pub use resampling::coarse;

@@ -2,10 +2,10 @@
 
 use super::metrics::{Surface, chamfer, relative_error, repulsion};
 use super::resampling::{Resampling, coarse};
-use super::{FreeEdges, Sequence, median};
+use super::{Conditions, FreeEdges, Sequence, median};
 use crate::io::Trajectory;
-use crate::scene::Setup;
-use crate::sim::{Device, EnergyTerms, FrameStats, Grid, Material, Optimizer, Simulator};
+use crate::scene::{Scene, Setup, Stiffness};
+use crate::sim::{Device, EnergyTerms, FrameStats, Grid, Optimizer, Simulator};
 use crate::{Error, Result, io};
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -40,11 +40,38 @@ pub struct Entry {
     pub coarse: bool,
 }
 
+impl Entry {
+    /// Where it runs when `device` was asked for: some optimizers only the CPU has.
+    pub fn device<'a>(&self, device: &'a Device) -> &'a Device {
+        match self.optimizer {
+            Optimizer::Newton | Optimizer::QuasiNewton { factored: true, .. } => &Device::Cpu,
+            _ => device,
+        }
+    }
+
+    /// Iterations as scores tell them: 0 of an optimizer that converges whatever their number.
+    fn told_iterations(&self) -> usize {
+        if matches!(self.optimizer, Optimizer::Newton) { 0 } else { self.iterations }
+    }
+
+    /// Name of its column in tables: the solver and its iterations.
+    pub fn column(&self) -> String {
+        column(&self.name, self.told_iterations())
+    }
+}
+
+fn column(solver: &str, iterations: usize) -> String {
+    match iterations {
+        0 => solver.to_owned(),
+        n => format!("{solver}, N = {n}"),
+    }
+}
+
 /// What a cloth is simulated with beside what its sequence tells.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Physics {
-    /// Energy coefficients (grid units).
-    pub material: Material,
+    /// Energy coefficients (grid units), or moduli, which are the same cloth on every grid.
+    pub stiffness: Stiffness,
     /// Density of the air [kg/m^3]; the sequence's where not given.
     pub density: Option<f64>,
     /// Drag of the air [N s/m^3]; the sequence's where not given.
@@ -54,7 +81,7 @@ pub struct Physics {
 }
 
 /// What all entries share.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// The cloth and the air.
     pub physics: Physics,
@@ -62,6 +89,22 @@ pub struct Settings {
     pub points: usize,
     /// Frames that are simulated, the start included; all of a sequence at most.
     pub frames: usize,
+}
+
+impl Settings {
+    /// The settings as a document: `material` as in a scene, null for what is the sequence's.
+    pub fn to_json(&self) -> serde_json::Value {
+        let Physics { stiffness, density, drag, frame_time_s } = self.physics;
+        let scene = Scene { stiffness, ..Scene::default() }.to_json();
+        serde_json::json!({
+            "material": scene["material"],
+            "density": density,
+            "drag": drag,
+            "frame_time_s": frame_time_s,
+            "points": self.points,
+            "frames": Some(self.frames).filter(|&frames| frames < usize::MAX),
+        })
+    }
 }
 
 /// How one solver did on one sequence. Without frames to judge, because it diverged, there are no numbers.
@@ -99,6 +142,8 @@ pub struct Score {
     pub speed_at_end: Option<f64>,
     /// Mean repulsion energy on [`coarse`] grids, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.1).
     pub repulsion: Option<[f64; 3]>,
+    /// What it was made with.
+    pub made_with: Conditions,
     /// Figures of every frame.
     pub per_frame: PerFrame,
 }
@@ -117,10 +162,7 @@ pub struct PerFrame {
 impl Score {
     /// Name of its column in tables: the solver and its iterations.
     pub fn column(&self) -> String {
-        match self.iterations {
-            0 => self.solver.clone(),
-            n => format!("{}, N = {n}", self.solver),
-        }
+        column(&self.solver, self.iterations)
     }
 
     /// Reads a score that [`Score::write`] kept.
@@ -156,8 +198,8 @@ impl Simulated {
     }
 }
 
-/// Simulates a sequence on a grid and judges it; the score and what was simulated. `tick` is called after each frame and may
-/// end everything; then there is nothing.
+/// Simulates a sequence on a grid and judges it; the score and what was simulated. An optimizer that only the CPU has runs
+/// there. `tick` is called after each frame and may end everything; then there is nothing.
 pub fn run(
     sequence: &Sequence,
     grid: Grid,
@@ -171,7 +213,7 @@ pub fn run(
         scene.setup()
     };
     let own = if entry.coarse { coarse(grid) } else { grid };
-    let mut simulated = simulate(&setup(own)?, entry, device, tick)?;
+    let mut simulated = simulate(&setup(own)?, entry, entry.device(device), tick)?;
     if simulated.ended_early {
         return Ok(None);
     }
@@ -180,7 +222,8 @@ pub fn run(
         simulated.trajectory = carried(&simulated.trajectory, grid, &start.vertices_m(&start.start.x));
     }
     let mut score = Score {
-        iterations: if matches!(entry.optimizer, Optimizer::Newton) { 0 } else { entry.iterations },
+        iterations: entry.told_iterations(),
+        made_with: Conditions::of(sequence, entry, (device, settings)),
         ..judge(sequence, (&entry.name, &simulated.trajectory), simulated.stable, settings)?
     };
     if score.stable {
@@ -323,6 +366,7 @@ fn judge(
         stretch_mean: None,
         speed_at_end: None,
         repulsion: None,
+        made_with: Conditions::new(sequence, settings),
         per_frame: PerFrame::default(),
     };
     if !stable || frames < 2 {

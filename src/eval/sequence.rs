@@ -3,7 +3,7 @@
 use super::Physics;
 use super::flat_mesh::FlatMesh;
 use crate::io::{Node, ReadOptions, Trajectory};
-use crate::scene::{Handles, Mass, Motion, Placement, Scene, Side, Start, StartFile, Stiffness, Wind};
+use crate::scene::{Handles, Mass, Motion, Placement, Scene, Side, Start, StartFile, Wind};
 use crate::sim::Grid;
 use crate::{Error, Result, io};
 use serde_json::{Map, Value};
@@ -246,7 +246,7 @@ impl Sequence {
             grid: self.truth.grid(),
             side_m: Side::Height(self.side_m()),
             mass,
-            stiffness: Stiffness::Grid(physics.material),
+            stiffness: physics.stiffness,
             gravity,
             wind: Wind {
                 density: physics.density.unwrap_or(wind.density),

@@ -52,6 +52,8 @@ pub struct CaseScore {
     pub grid: String,
     /// Iterations per frame.
     pub iterations: usize,
+    /// Name of the device that it ran on.
+    pub device: String,
     /// Whether all frames were finite and of about the right size.
     pub finite: bool,
     /// Largest `|edge| - 1` of the edges away from handles.
@@ -165,7 +167,8 @@ impl<'a> Prepared<'a> {
         Ok(Self { case, setup, track: OnceCell::new() })
     }
 
-    /// Runs a solver; with its energy gap if asked for. Nothing when `tick`, called in each frame, ended it.
+    /// Runs a solver, on the CPU where only that has it; with its energy gap if asked for. Nothing when `tick`, called in each
+    /// frame, ended it.
     pub fn run(
         &self,
         (optimizer, iterations): (&Optimizer, usize),
@@ -177,6 +180,7 @@ impl<'a> Prepared<'a> {
         let iterations = case.iterations.unwrap_or(iterations);
         let entry =
             Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations, coarse: false };
+        let device = entry.device(device);
         let simulated = simulate(setup, &entry, device, &mut tick)?;
         if simulated.ended_early {
             return Ok(None);
@@ -193,6 +197,7 @@ impl<'a> Prepared<'a> {
             case: case.name.clone(),
             grid: setup.model.grid.to_string(),
             iterations,
+            device: device.name(),
             finite: simulated.stable,
             stretch_largest: simulated.stretch_largest,
             gap,

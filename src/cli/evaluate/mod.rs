@@ -1,5 +1,7 @@
 //! `fnopt evaluate`: compares solvers with recorded trajectories.
 
+mod jobs;
+mod material;
 mod plots;
 mod suite;
 
@@ -8,17 +10,15 @@ use super::{Ending, go_on, interrupt_flag, load_weights};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::Suite;
-use fnopt::eval::{
-    Entry, Format, Physics, Score, Sequence, Settings, Table, compare, run, snapshots, tables,
-};
-use fnopt::io::{self, ReadOptions, Trajectory, write_atomic};
+use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, Table, compare, snapshots, tables};
+use fnopt::io::write_atomic;
 use fnopt::network::Weights;
-use fnopt::sim::{Device, Grid, Material, Optimizer};
-use indicatif::{ProgressBar, ProgressStyle};
+use fnopt::sim::{Device, Grid, Optimizer};
+use jobs::{Job, Kept, Plan};
 use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::AtomicBool;
 
 /// Arguments of `fnopt evaluate`.
 #[derive(Debug, clap::Args)]
@@ -33,8 +33,9 @@ pub struct Args {
     /// Grids to simulate on: rows, or rows and columns
     #[arg(long, value_delimiter = ',', default_value = "32", value_name = "N|HxW,..")]
     grid: Vec<String>,
-    /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton, newton, single-pass, which is fnopt:1, or interpolation, which is fnopt
-    /// on 32 rows carried to the grid; with iterations of their own after a colon
+    /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton, quasi-newton-exact and newton, which run on the CPU whatever the device,
+    /// single-pass, which is fnopt:1, or interpolation, which is fnopt on 32 rows carried to the grid; with iterations of
+    /// their own after a colon
     #[arg(
         long,
         value_delimiter = ',',
@@ -48,11 +49,12 @@ pub struct Args {
     /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Energy coefficients stretch, shear, bend, or a JSON file with them under "material" [default: those fitted to the
-    /// trajectories of assets/ground_truth, assets/materials/arcsim.json]; suites have their own
+    /// Energy coefficients stretch, shear, bend, or a JSON file with them, or with moduli, under "material" as in a scene, such
+    /// as fit-material writes; its "wind" and "frame_time_s" count too [default: the coefficients fitted to the
+    /// trajectories of assets/ground_truth, assets/materials/arcsim.json; in a suite the default scene's]
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
-    /// Density of the air [kg/m^3] [default: the sequence's]
+    /// Density of the air [kg/m^3] [default: the sequence's, or in a suite the default scene's]
     #[arg(long, value_name = "DENSITY")]
     wind: Option<f64>,
     /// Frames of each sequence, the start included [default: all]
@@ -72,12 +74,17 @@ pub struct Args {
     /// SLURM_ARRAY_TASK_COUNT where these are set]
     #[arg(long, value_name = "I/N")]
     shard: Option<String>,
-    /// Simulate nothing; make the tables of all scores in these folders
-    #[arg(long, value_name = "DIR", num_args = 1..)]
+    /// Simulate nothing; make the tables of all scores in these folders, which must have been made alike
+    #[arg(long, value_name = "DIR", num_args = 1.., conflicts_with_all = [
+        "ground_truth", "sequences", "grid", "solver", "iterations", "checkpoint", "material", "wind", "frames", "points",
+        "compare", "out", "shard", "device", "adapter", "precision",
+    ])]
     merge: Vec<PathBuf>,
     /// Instead of recorded trajectories, how far each solver generalises from the default scene: motions, handles, speeds,
     /// grids, materials or iterations; tables, and a picture of each case in --out
-    #[arg(long, value_name = "SUITE", conflicts_with_all = ["compare", "shard", "merge", "plots"])]
+    #[arg(long, value_name = "SUITE", conflicts_with_all = [
+        "compare", "shard", "merge", "plots", "points", "ground_truth",
+    ])]
     suite: Option<String>,
     /// Leave the energy gap out of a suite: its converged simulation takes most of the time
     #[arg(long, requires = "suite")]
@@ -91,47 +98,33 @@ pub struct Args {
     /// Tables as Markdown
     #[arg(long, value_name = "FILE")]
     markdown: Option<PathBuf>,
-    /// Folder for plots (PNG)
+    /// Folder for plots (PNG); with --merge those of the scores alone, without the errors on the cloth and the convergence
     #[arg(long, value_name = "DIR")]
     plots: Option<PathBuf>,
     #[command(flatten)]
     device: InferenceArgs,
 }
 
-/// A solver on a grid, to be run on a sequence.
-struct Job {
-    sequence: usize,
-    grid: Grid,
-    entry: Entry,
-    /// Where its score is kept; a few of its frames are kept beside it.
-    file: PathBuf,
-}
-
-/// A score and a few frames of what it is of, if they are there.
-struct Kept {
-    score: Score,
-    snapshots: Option<Trajectory>,
-}
-
 pub fn run_command(args: &Args) -> Result<Ending> {
     if !args.merge.is_empty() {
-        let mut all = Vec::new();
-        for folder in &args.merge {
-            all.extend(kept(folder)?);
+        let scores = jobs::merged(&args.merge)?;
+        if let Some(folder) = &args.plots {
+            plots::draw(folder, &scores)?;
         }
-        return args.write(&all, &[], &Device::Cpu, &interrupt_flag()).map(|()| Ending::Done);
+        args.write_tables(&tables(&scores), &scores)?;
+        return Ok(Ending::Done);
     }
     let settings = args.settings()?;
     let entries = args.entries()?;
     let grids: Vec<Grid> = args.grid.iter().map(|text| grid(text)).collect::<fnopt::Result<_>>()?;
     if let Some(name) = &args.suite {
-        return args.run_suite(Suite::named(name)?, &entries, &grids, settings.frames);
+        return args.run_suite(Suite::named(name)?, entries, &grids);
     }
     let sequences = Sequence::load_all(&args.ground_truth, args.sequences.as_deref())?;
     let (index, count) = args.shard()?;
     // Others' trajectories first: what is wrong with them is then said before the work, not after it.
     let mut systems = Vec::new();
-    for (name, folder) in args.systems()? {
+    for (name, folder) in args.systems(&entries)? {
         for sequence in &sequences {
             let found = sequence.read_other(&imported(&folder, sequence)?)?;
             let score = compare(sequence, &name, &found, &settings)?;
@@ -139,117 +132,22 @@ pub fn run_command(args: &Args) -> Result<Ending> {
             systems.push(Kept { score, snapshots: Some(snapshots(&*sequence.on_grid(&found)?, frames)) });
         }
     }
-    let (device, line) = args.device.open()?;
-    eprintln!("{line}");
+    let device = args.open(&entries)?;
+    let plan = Plan { sequences: &sequences, grids: &grids, entries: &entries, device: &device, settings };
+    let jobs: Vec<Job> = plan.jobs(&args.out)?.into_iter().skip(index).step_by(count).collect();
     std::fs::create_dir_all(&args.out).map_err(|e| Error::io(&args.out, "cannot create the folder", e))?;
 
-    let mut jobs = Vec::new();
-    for (sequence, loaded) in sequences.iter().enumerate() {
-        for &grid in &grids {
-            for entry in &entries {
-                let file = args.out.join(file_name(loaded, grid, entry, (&settings, &device))?);
-                jobs.push(Job { sequence, grid, entry: entry.clone(), file });
-            }
-        }
-    }
-    let jobs: Vec<Job> = jobs.into_iter().skip(index).step_by(count).collect();
     let interrupted = interrupt_flag();
-    let (mut all, complete) = work((&jobs, &sequences), (&device, &settings), &interrupted)?;
+    let (mut all, ending) = plan.work(&jobs, &interrupted);
     all.extend(systems);
-    args.write(&all, &sequences, &device, &interrupted)?;
-    if !complete || go_on(&interrupted).is_break() {
+    // What is finished is told however it ended.
+    let complete = matches!(ending, Ok(ControlFlow::Continue(())));
+    let written = if all.is_empty() { Ok(()) } else { args.write(&all, &plan, (complete, &interrupted)) };
+    if ending?.is_break() || go_on(&interrupted).is_break() {
         eprintln!("interrupted; the scores so far are kept in {}", args.out.display());
-        return Ok(Ending::Interrupted);
+        return written.map(|()| Ending::Interrupted);
     }
-    Ok(Ending::Done)
-}
-
-/// Does the jobs whose scores are not there yet; tells whether all were done. Newton's method takes one core, so that as many of
-/// its jobs as there are cores run side by side; the others take all cores and have them to themselves.
-fn work(
-    (jobs, sequences): (&[Job], &[Sequence]),
-    (device, settings): (&Device, &Settings),
-    interrupted: &AtomicBool,
-) -> Result<(Vec<Kept>, bool)> {
-    let frames = |job: &Job| sequences[job.sequence].truth.frames().min(settings.frames) as u64 - 1;
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta} left  {msg}");
-    let bar =
-        ProgressBar::new(jobs.iter().map(frames).sum()).with_style(style.expect("the template is valid"));
-    let failed = AtomicBool::new(false);
-    // Nothing when it was interrupted.
-    let done = |job: &Job| -> Result<Option<Kept>> {
-        if job.file.is_file() {
-            bar.inc(frames(job));
-            return Ok(Some(Kept::read(&job.file)?));
-        }
-        let sequence = &sequences[job.sequence];
-        bar.set_message(format!("{} {} {}", sequence.name, job.grid, job.entry.name));
-        let tick = || {
-            bar.inc(1);
-            if failed.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { go_on(interrupted) }
-        };
-        let Some((score, found)) = run(sequence, job.grid, &job.entry, (device, settings), tick)? else {
-            return Ok(None);
-        };
-        let snapshots = score.stable.then(|| snapshots(&found, usize::MAX));
-        let kept = Kept { score, snapshots };
-        kept.write(&job.file)?;
-        Ok(Some(kept))
-    };
-    let of_one_core = |&job: &usize| matches!(jobs[job].entry.optimizer, Optimizer::Newton);
-    let (side_by_side, alone): (Vec<usize>, Vec<usize>) = (0..jobs.len()).partition(of_one_core);
-    // Threads of their own: a pool's would begin another sequence in the middle of a frame that waits, and its time with it.
-    let next = AtomicUsize::new(0);
-    let mine = || -> Result<Vec<(usize, Kept)>> {
-        let mut all = Vec::new();
-        while let Some(&job) = side_by_side.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let kept = done(&jobs[job]).inspect_err(|_| failed.store(true, Ordering::Relaxed))?;
-            let Some(kept) = kept else { break };
-            all.push((job, kept));
-        }
-        Ok(all)
-    };
-    let cores = std::thread::available_parallelism().map_or(1, usize::from).min(side_by_side.len());
-    let shares: Vec<Result<Vec<_>>> = std::thread::scope(|scope| {
-        let threads: Vec<_> = (0..cores).map(|_| scope.spawn(mine)).collect();
-        threads.into_iter().map(|t| t.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
-    });
-    let mut all = Vec::new();
-    for share in shares {
-        all.extend(share?);
-    }
-    if all.len() == side_by_side.len() {
-        for job in alone {
-            let Some(kept) = done(&jobs[job])? else { break };
-            all.push((job, kept));
-        }
-    }
-    bar.finish_and_clear();
-    all.sort_by_key(|&(job, _)| job);
-    let complete = all.len() == jobs.len();
-    Ok((all.into_iter().map(|(_, kept)| kept).collect(), complete))
-}
-
-impl Kept {
-    /// The score in a file, and the frames beside it.
-    fn read(file: &Path) -> fnopt::Result<Self> {
-        let (score, frames) = (Score::read(file)?, file.with_extension("npy"));
-        let read = || {
-            let (h, w) = score.grid.split_once('x')?;
-            let grid = Some(Grid::new(h.parse().ok()?, w.parse().ok()?, "grid").ok()?);
-            frames.is_file().then(|| Trajectory::read(&frames, &ReadOptions { grid, fps: 1.0 }))
-        };
-        let snapshots = read().transpose()?;
-        Ok(Self { score, snapshots })
-    }
-
-    /// The score last: once it is there, all is.
-    fn write(&self, file: &Path) -> fnopt::Result<()> {
-        if let (Some(frames), Some(folder), Some(stem)) = (&self.snapshots, file.parent(), file.file_stem()) {
-            frames.write(folder, &stem.to_string_lossy(), io::Format::Npy)?;
-        }
-        self.score.write(file)
-    }
+    written.map(|()| Ending::Done)
 }
 
 impl Args {
@@ -257,9 +155,25 @@ impl Args {
         if self.points == 0 || self.frames.is_some_and(|frames| frames < 2) {
             return Err(Error::invalid("--points, --frames", "counts", "a point and two frames", "fewer"));
         }
-        let material = material(self.material.as_deref())?;
-        let physics = Physics { material, density: self.wind, drag: None, frame_time_s: None };
+        let physics = self.material.as_deref().map_or_else(material::fitted, material::read)?;
+        let physics = Physics { density: self.wind.or(physics.density), ..physics };
         Ok(Settings { physics, points: self.points, frames: self.frames.unwrap_or(usize::MAX) })
+    }
+
+    /// Opens the device and says which; solvers that only the CPU has run there.
+    fn open(&self, entries: &[Entry]) -> Result<Device> {
+        let (device, line) = self.device.open()?;
+        eprintln!("{line}");
+        let mut names: Vec<&str> = Vec::new();
+        if matches!(device, Device::Gpu(_)) {
+            let elsewhere = entries.iter().filter(|entry| matches!(entry.device(&device), Device::Cpu));
+            names.extend(elsewhere.map(|entry| &*entry.name));
+            names.dedup();
+        }
+        if !names.is_empty() {
+            eprintln!("on the CPU, as no other device has them: {}", names.join(", "));
+        }
+        Ok(device)
     }
 
     /// The solvers with each of their numbers of iterations.
@@ -306,9 +220,10 @@ impl Args {
         Ok(entries)
     }
 
-    /// Names and folders of the systems to compare with.
-    fn systems(&self) -> fnopt::Result<Vec<(String, PathBuf)>> {
-        let parse = |text: &String| {
+    /// Names and folders of the systems to compare with, whose names stand for no other column.
+    fn systems(&self, entries: &[Entry]) -> fnopt::Result<Vec<(String, PathBuf)>> {
+        let mut columns: Vec<String> = entries.iter().map(Entry::column).collect();
+        let mut parse = |text: &String| {
             let (name, folder) = text
                 .split_once('=')
                 .ok_or_else(|| Error::invalid("--compare", "system", "NAME=DIR", text))?;
@@ -316,9 +231,13 @@ impl Args {
             if !folder.is_dir() {
                 return Err(Error::invalid("--compare", name, "a folder", folder.display()));
             }
+            if columns.iter().any(|column| column == name) {
+                return Err(Error::invalid("--compare", name, "a name that no other column has", text));
+            }
+            columns.push(name.to_owned());
             Ok((name.to_owned(), folder))
         };
-        self.compare.iter().map(parse).collect()
+        self.compare.iter().map(&mut parse).collect()
     }
 
     /// Number of this share and number of shares.
@@ -346,103 +265,54 @@ impl Args {
         Ok((index, count))
     }
 
-    /// Prints the tables and writes what was asked for.
-    fn write(
-        &self,
-        all: &[Kept],
-        sequences: &[Sequence],
-        device: &Device,
-        interrupted: &AtomicBool,
-    ) -> Result<()> {
+    /// Writes what was asked for and prints the tables. Without `simulate` no more is simulated for the plots.
+    fn write(&self, all: &[Kept], plan: &Plan, (simulate, interrupted): (bool, &AtomicBool)) -> Result<()> {
         let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
-        self.write_tables(&tables(&scores), &scores)?;
-        if let Some(folder) = &self.plots {
+        let tables = tables(&scores);
+        self.write_files(&tables, &scores)?;
+        // The tables are printed whatever becomes of the plots.
+        let drawn = self.plots.as_ref().map_or(Ok(()), |folder| {
             plots::draw(folder, &scores)?;
-            for sequence in sequences {
-                plots::error_maps(folder, sequence, (all, self.frames.unwrap_or(usize::MAX)))?;
+            for sequence in plan.sequences {
+                plots::error_maps(folder, sequence, (all, plan.settings.frames))?;
             }
-            self.plot_convergence(folder, sequences, device, interrupted)?;
-        }
-        Ok(())
+            if simulate { plots::convergence(folder, plan, || go_on(interrupted)) } else { Ok(()) }
+        });
+        self.print(&tables)?;
+        Ok(drawn?)
     }
 
-    /// The energy gap against the number of iterations of every solver, on the first frames of the first sequence.
-    fn plot_convergence(
-        &self,
-        folder: &Path,
-        sequences: &[Sequence],
-        device: &Device,
-        interrupted: &AtomicBool,
-    ) -> Result<()> {
-        let (Some(sequence), Some(text)) = (sequences.first(), self.grid.first()) else { return Ok(()) };
-        let optimizers = self.entries()?.into_iter().map(|entry| entry.optimizer).collect();
-        let frames = self.frames.unwrap_or(usize::MAX);
-        Ok(plots::convergence(
-            folder,
-            (sequence, grid(text)?),
-            (optimizers, frames),
-            (&self.settings()?.physics, device),
-            || go_on(interrupted),
-        )?)
-    }
-
+    /// Writes the files that were asked for, then prints the tables: a reader that goes away takes no file along.
     fn write_tables(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> Result<()> {
-        let text = |format: Format| tables.iter().map(|t| t.write(format)).collect::<Vec<_>>().join("\n");
-        let mut out = std::io::stdout().lock();
-        let bold = out.is_terminal();
-        write!(out, "{}", text(Format::Text { bold }))?;
+        self.write_files(tables, scores)?;
+        self.print(tables)
+    }
+
+    fn write_files(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> fnopt::Result<()> {
         let into =
             |path: &Path, content: String| write_atomic(path, |file| file.write_all(content.as_bytes()));
         if let Some(path) = &self.csv {
-            into(path, text(Format::Csv))?;
+            into(path, text(tables, Format::Csv))?;
         }
         if let Some(path) = &self.markdown {
-            into(path, text(Format::Markdown))?;
+            into(path, text(tables, Format::Markdown))?;
         }
         if let Some(path) = &self.json {
             into(path, serde_json::to_string_pretty(scores).expect("scores are plain data"))?;
         }
         Ok(())
     }
+
+    fn print(&self, tables: &[Table]) -> Result<()> {
+        let mut out = std::io::stdout().lock();
+        let bold = out.is_terminal();
+        write!(out, "{}", text(tables, Format::Text { bold }))?;
+        Ok(())
+    }
 }
 
-/// The fitted material.
-const MATERIAL: &str = include_str!("../../../assets/materials/arcsim.json");
-
-/// Three numbers or a file of them; the fitted ones where nothing is given.
-fn material(text: Option<&str>) -> fnopt::Result<Material> {
-    let coefficients = match text {
-        None => of_file("the fitted material", MATERIAL.as_bytes())?,
-        Some(text) if text.contains(',') => {
-            let numbers: Vec<f64> = text.split(',').filter_map(|n| n.trim().parse().ok()).collect();
-            let three = <[f64; 3]>::try_from(numbers);
-            three
-                .map_err(|_| Error::invalid("--material", "coefficients", "three numbers or a file", text))?
-        }
-        Some(path) => {
-            let bytes = std::fs::read(path).map_err(|e| Error::io(path, "cannot read", e))?;
-            of_file(path, &bytes)?
-        }
-    };
-    if !coefficients.iter().all(|k| k.is_finite() && *k >= 0.0) {
-        let found = format!("{coefficients:?}");
-        return Err(Error::invalid("--material", "coefficients", "numbers that are not negative", found));
-    }
-    let [stretch, shear, bend] = coefficients;
-    Ok(Material { stretch, shear, bend })
-}
-
-/// Stretch, shear and bend under `material` of a JSON object.
-fn of_file(origin: &str, bytes: &[u8]) -> fnopt::Result<[f64; 3]> {
-    let bad = |field: String, expected: &str, found: String| Error::invalid(origin, field, expected, found);
-    let object: serde_json::Value =
-        serde_json::from_slice(bytes).map_err(|e| bad("text".into(), "JSON", e.to_string()))?;
-    let mut coefficients = [0.0; 3];
-    for (to, key) in coefficients.iter_mut().zip(["stretch", "shear", "bend"]) {
-        let value = &object["material"][key];
-        *to = value.as_f64().ok_or_else(|| bad(format!("material.{key}"), "a number", value.to_string()))?;
-    }
-    Ok(coefficients)
+fn text(tables: &[Table], format: Format) -> String {
+    tables.iter().map(|table| table.write(format)).collect::<Vec<_>>().join("\n")
 }
 
 /// `32` or `48x32`.
@@ -452,41 +322,6 @@ fn grid(text: &str) -> fnopt::Result<Grid> {
         (Ok(h), Ok(w)) => Grid::new(h, w, "--grid"),
         _ => Err(Error::invalid("--grid", "grid", "N or HxW", text)),
     }
-}
-
-/// The name of a score's file: what it is of, and a checksum of all that it depends on.
-fn file_name(
-    sequence: &Sequence,
-    grid: Grid,
-    entry: &Entry,
-    (settings, device): (&Settings, &Device),
-) -> fnopt::Result<String> {
-    let mut sum = crc32fast::Hasher::new();
-    let settings = serde_json::to_string(settings).expect("settings are plain data");
-    sum.update(format!("{} {settings} {}", env!("CARGO_PKG_VERSION"), device.name()).as_bytes());
-    sum.update(&sequence.checksum().to_le_bytes());
-    if let Optimizer::Learned(weights) = &entry.optimizer {
-        weights.parameters().into_iter().flatten().for_each(|v| sum.update(&v.to_le_bytes()));
-    }
-    let Entry { name, iterations, .. } = entry;
-    Ok(format!("{}_{grid}_{name}_{iterations}_{:08x}.json", sequence.name, sum.finalize()))
-}
-
-/// All scores that a folder keeps, in the order of their files' names.
-fn kept(folder: &Path) -> fnopt::Result<Vec<Kept>> {
-    let fail = |e| Error::io(folder, "cannot read the folder", e);
-    let mut files = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
-        if path.extension().is_some_and(|e| e == "json") {
-            files.push(path);
-        }
-    }
-    files.sort();
-    if files.is_empty() {
-        return Err(Error::invalid(folder.display().to_string(), "scores", "files of scores", "none"));
-    }
-    files.iter().map(|file| Kept::read(file)).collect()
 }
 
 /// The file or folder of another system's trajectory of a sequence.

@@ -1,9 +1,9 @@
 //! The plots of `fnopt evaluate --plots`.
 
-use super::Kept;
+use super::jobs::{Kept, Plan};
 use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshots, track, vertex_errors};
 use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
-use fnopt::sim::{Device, Grid, Optimizer};
+use fnopt::sim::Optimizer;
 use fnopt::{Error, Result};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -91,28 +91,25 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
     write(folder, "iterations.png", &charts)
 }
 
-/// The median energy gap of every optimizer after some numbers of iterations, on a converged simulation: its decimal
-/// logarithm, so that methods which differ by powers of ten fit on one chart. None is drawn when `tick`, called in each
-/// frame, ends it.
-pub(super) fn convergence(
-    folder: &Path,
-    (sequence, grid): (&Sequence, Grid),
-    (optimizers, frames): (Vec<Optimizer>, usize),
-    (physics, device): (&Physics, &Device),
-    tick: impl Fn() -> ControlFlow<()>,
-) -> Result<()> {
-    let mut scene = sequence.scene(grid, physics)?;
-    scene.frames = Some(sequence.truth.frames().min(frames).min(CONVERGENCE_FRAMES));
+/// The median energy gap of every optimizer after some numbers of iterations, on a converged simulation of the first frames of
+/// the first sequence on the first grid: its decimal logarithm, so that methods which differ by powers of ten fit on one
+/// chart. None is drawn when `tick`, called in each frame, ends it.
+pub(super) fn convergence(folder: &Path, plan: &Plan, tick: impl Fn() -> ControlFlow<()>) -> Result<()> {
+    let (Some(sequence), Some(&grid)) = (plan.sequences.first(), plan.grids.first()) else { return Ok(()) };
+    let mut scene = sequence.scene(grid, &plan.settings.physics)?;
+    scene.frames = Some(sequence.truth.frames().min(plan.settings.frames).min(CONVERGENCE_FRAMES));
     let Some(track) = track(&scene.setup()?, PROBE_EVERY, &tick)? else { return Ok(()) };
     let mut curves: Vec<Curve> = Vec::new();
-    for optimizer in optimizers {
+    for entry in plan.entries {
+        let optimizer = &entry.optimizer;
         // One that converges whatever the number of iterations has no curve, and neither has one twice.
         if matches!(optimizer, Optimizer::Newton) || curves.iter().any(|c| c.label == optimizer.name()) {
             continue;
         }
         let mut points = Vec::new();
         for n in ITERATIONS {
-            let Some(gap) = median_gap(&track, (&optimizer, n), device, &tick)? else { return Ok(()) };
+            let gap = median_gap(&track, (optimizer, n), entry.device(plan.device), &tick)?;
+            let Some(gap) = gap else { return Ok(()) };
             // Beyond the start it has diverged, and no more is to be seen.
             points.push([n as f64, if gap < 1.0 { gap.log10() } else { f64::NAN }]);
         }

@@ -1,71 +1,95 @@
 //! `fnopt evaluate --suite`: how far solvers generalise.
 
-use super::Args;
+use super::{Args, material};
 use crate::cli::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
-use fnopt::eval::{Entry, Table};
+use fnopt::eval::{Entry, Physics, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
 use fnopt::sim::Grid;
 use indicatif::{ProgressBar, ProgressStyle};
+use std::collections::BTreeSet;
+use std::time::Duration;
 
 impl Args {
-    /// The cases of a suite that take part.
-    fn cases(&self, suite: Suite, grid: Grid) -> fnopt::Result<Vec<Case>> {
-        let cases = suite.cases(grid)?;
-        let Some(names) = &self.sequences else { return Ok(cases) };
-        let known = || cases.iter().map(|case| case.name.as_str());
-        if let Some(name) = names.iter().find(|name| !known().any(|known| known == *name)) {
-            return Err(Error::unknown("--sequences", "case", name, known()));
+    /// The cases of a suite that take part, each once, with the cloth and the air that were asked for.
+    fn cases(&self, suite: Suite, grids: &[Grid]) -> fnopt::Result<Vec<Case>> {
+        let given = self.material.as_deref().map(material::read).transpose()?;
+        if let (Suite::Materials, Some(text)) = (suite, &self.material) {
+            let expected = "none with --suite materials, which has its own";
+            return Err(Error::invalid("--material", "coefficients", expected, text));
         }
-        Ok(cases.iter().filter(|case| names.contains(&case.name)).cloned().collect())
+        let all = grids.iter().map(|&grid| suite.cases(grid)).collect::<fnopt::Result<Vec<_>>>()?;
+        let mut cases = all.concat();
+        let mut known = BTreeSet::new();
+        // The suite of grids has the same ones whatever the grid.
+        cases.retain(|case| known.insert((case.name.clone(), case.scene.grid.to_string())));
+        if let Some(names) = &self.sequences {
+            let known = || cases.iter().map(|case| case.name.as_str());
+            if let Some(name) = names.iter().find(|name| !known().any(|known| known == *name)) {
+                return Err(Error::unknown("--sequences", "case", name, known()));
+            }
+            cases.retain(|case| names.contains(&case.name));
+        }
+        for Case { scene, .. } in &mut cases {
+            if let Some(Physics { stiffness, density, drag, frame_time_s }) = given {
+                scene.stiffness = stiffness;
+                scene.wind.density = density.unwrap_or(scene.wind.density);
+                scene.wind.drag = drag.unwrap_or(scene.wind.drag);
+                scene.frame_time_s = frame_time_s.unwrap_or(scene.frame_time_s);
+            }
+            scene.wind.density = self.wind.unwrap_or(scene.wind.density);
+            // What is wrong with a scene is said before the work.
+            scene.setup()?;
+        }
+        Ok(cases)
     }
 
     /// Runs the cases of a suite with each solver on each grid.
-    pub(super) fn run_suite(
-        &self,
-        suite: Suite,
-        entries: &[Entry],
-        grids: &[Grid],
-        frames: usize,
-    ) -> Result<Ending> {
+    pub(super) fn run_suite(&self, suite: Suite, mut entries: Vec<Entry>, grids: &[Grid]) -> Result<Ending> {
         if entries.iter().any(|entry| entry.coarse) {
             let expected = "solvers of the grid itself in a suite";
             return Err(Error::invalid("--solver", "interpolation", expected, "interpolation").into());
         }
-        let (device, line) = self.device.open()?;
-        eprintln!("{line}");
-        let cases = grids.iter().map(|&grid| self.cases(suite, grid)).collect::<fnopt::Result<Vec<_>>>()?;
-        let cases = cases.concat();
+        let mut known = BTreeSet::new();
+        // Where the suite sets the iterations, a solver with several numbers of them is one.
+        let iterations = |entry: &Entry| if suite == Suite::Iterations { 0 } else { entry.iterations };
+        entries.retain(|entry| known.insert((entry.name.clone(), iterations(entry))));
+        let cases = self.cases(suite, grids)?;
+        let device = self.open(&entries)?;
+        let frames = self.frames.unwrap_or(usize::MAX);
         let style = ProgressStyle::with_template("{bar:30} {pos}/{len} cases, {eta} left  {msg}");
         let bar = ProgressBar::new((cases.len() * entries.len()) as u64)
             .with_style(style.expect("the template is valid"));
+        bar.enable_steady_tick(Duration::from_millis(200));
         let interrupted = interrupt_flag();
         let tick = || go_on(&interrupted);
         // With the number of the entry: one solver may take part with several numbers of iterations.
         let mut scores: Vec<(usize, CaseScore)> = Vec::new();
-        let mut complete = true;
-        'cases: for case in &cases {
-            // All solvers of a case in turn: they share its converged frames.
-            let prepared = Prepared::new(case, frames)?;
-            for (number, entry) in entries.iter().enumerate() {
-                bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
-                let solver = (&entry.optimizer, entry.iterations);
-                let Some((score, trajectory)) = prepared.run(solver, &device, !self.no_gap, tick)? else {
-                    complete = false;
-                    break 'cases;
-                };
-                let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
-                let options = StripOptions { view, ..Default::default() };
-                let image = strip(&trajectory, &prepared.setup.model.cloths[0].handles, &options);
-                let CaseScore { grid, iterations, case, .. } = &score;
-                let file = format!("{}_{iterations}_{grid}_{case}.png", entry.name).replace(' ', "_");
-                write_png(self.out.join(file), &image)?;
-                scores.push((number, score));
-                bar.inc(1);
+        let mut work = || -> Result<bool> {
+            for case in &cases {
+                // All solvers of a case in turn: they share its converged frames.
+                let prepared = Prepared::new(case, frames)?;
+                for (number, entry) in entries.iter().enumerate() {
+                    bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
+                    let solver = (&entry.optimizer, entry.iterations);
+                    let Some((score, trajectory)) = prepared.run(solver, &device, !self.no_gap, tick)? else {
+                        return Ok(false);
+                    };
+                    let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
+                    let options = StripOptions { view, ..Default::default() };
+                    let image = strip(&trajectory, &prepared.setup.model.cloths[0].handles, &options);
+                    let CaseScore { grid, iterations, case, .. } = &score;
+                    let file = format!("{}_{iterations}_{grid}_{case}.png", entry.name).replace(' ', "_");
+                    scores.push((number, score.clone()));
+                    write_png(self.out.join(file), &image)?;
+                    bar.inc(1);
+                }
             }
-        }
+            Ok(true)
+        };
+        let ending = work();
         bar.finish_and_clear();
         let of = |(number, entry): (usize, &Entry)| {
             let own: Vec<CaseScore> =
@@ -77,7 +101,10 @@ impl Args {
             .iter()
             .map(|(number, score)| serde_json::json!({"solver": entries[*number].name, "score": score}))
             .collect();
-        self.write_tables(&tables, &named)?;
+        // What is finished is told however it ended.
+        let written = self.write_tables(&tables, &named);
+        let complete = ending?;
+        written?;
         if !complete {
             eprintln!("interrupted; the cases so far are above");
         }

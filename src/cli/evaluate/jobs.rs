@@ -1,0 +1,179 @@
+//! The simulations of an evaluation, and their scores in files.
+
+use crate::cli::go_on;
+use fnopt::eval::{Conditions, Entry, Score, Sequence, Settings, belong_together, run, snapshots};
+use fnopt::io::{self, ReadOptions, Trajectory};
+use fnopt::sim::{Device, Grid, Optimizer};
+use fnopt::{Error, Result};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::collections::BTreeSet;
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+/// What every solver is run on.
+pub struct Plan<'a> {
+    pub sequences: &'a [Sequence],
+    pub grids: &'a [Grid],
+    pub entries: &'a [Entry],
+    pub device: &'a Device,
+    pub settings: Settings,
+}
+
+/// A solver on a grid, to be run on a sequence.
+pub struct Job<'a> {
+    sequence: &'a Sequence,
+    grid: Grid,
+    entry: &'a Entry,
+    /// Where its score is kept; a few of its frames are kept beside it.
+    file: PathBuf,
+}
+
+/// A score and a few frames of what it is of, if they are there.
+pub struct Kept {
+    pub score: Score,
+    pub snapshots: Option<Trajectory>,
+}
+
+impl<'a> Plan<'a> {
+    /// All jobs, each once, with their files in a folder. Every scene is made once, so that what is wrong with one is said
+    /// before the work and not in the middle of it.
+    pub fn jobs(&self, folder: &Path) -> Result<Vec<Job<'a>>> {
+        let (mut jobs, mut known) = (Vec::new(), BTreeSet::new());
+        for sequence in self.sequences {
+            for &grid in self.grids {
+                sequence.scene(grid, &self.settings.physics)?.setup()?;
+                for entry in self.entries {
+                    // All that a score depends on is in its name, or in the checksum there.
+                    let sum = Conditions::of(sequence, entry, (self.device, &self.settings)).checksum();
+                    let Entry { name, iterations, .. } = entry;
+                    let file =
+                        folder.join(format!("{}_{grid}_{name}_{iterations}_{sum:08x}.json", sequence.name));
+                    if known.insert(file.clone()) {
+                        jobs.push(Job { sequence, grid, entry, file });
+                    }
+                }
+            }
+        }
+        Ok(jobs)
+    }
+
+    /// Does the jobs whose scores are not there yet: the scores, in the order of the jobs, and how it ended, which is early when
+    /// it was interrupted. Newton's method takes one core, so that as many of its jobs as there are cores run side by
+    /// side; the others take all cores and have them to themselves.
+    pub fn work(&self, jobs: &[Job], interrupted: &AtomicBool) -> (Vec<Kept>, Result<ControlFlow<()>>) {
+        let frames = |job: &Job| job.sequence.truth.frames().min(self.settings.frames) as u64 - 1;
+        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta} left  {msg}");
+        let bar =
+            ProgressBar::new(jobs.iter().map(frames).sum()).with_style(style.expect("the template is valid"));
+        bar.enable_steady_tick(Duration::from_millis(200));
+        let failed = AtomicBool::new(false);
+        let all: Mutex<Vec<(usize, Kept)>> = Mutex::default();
+        let done = |number: usize| -> Result<ControlFlow<()>> {
+            let job = &jobs[number];
+            let kept = if job.file.is_file() {
+                bar.inc(frames(job));
+                Kept::read(&job.file)?
+            } else {
+                let Job { sequence, grid, entry, file } = job;
+                bar.set_message(format!("{} {grid} {}", sequence.name, entry.name));
+                let tick = || {
+                    bar.inc(1);
+                    if failed.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { go_on(interrupted) }
+                };
+                let Some((score, found)) = run(sequence, *grid, entry, (self.device, &self.settings), tick)?
+                else {
+                    return Ok(ControlFlow::Break(()));
+                };
+                let snapshots = score.stable.then(|| snapshots(&found, usize::MAX));
+                let kept = Kept { score, snapshots };
+                kept.write(file)?;
+                kept
+            };
+            all.lock().unwrap_or_else(|e| e.into_inner()).push((number, kept));
+            Ok(ControlFlow::Continue(()))
+        };
+        let of_one_core = |&job: &usize| matches!(jobs[job].entry.optimizer, Optimizer::Newton);
+        let (side_by_side, alone): (Vec<usize>, Vec<usize>) = (0..jobs.len()).partition(of_one_core);
+        // Threads of their own: a pool's would begin another sequence in the middle of a frame that waits, and its time with it.
+        let next = AtomicUsize::new(0);
+        let mine = || -> Result<ControlFlow<()>> {
+            while let Some(&job) = side_by_side.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let ended = done(job).inspect_err(|_| failed.store(true, Ordering::Relaxed))?;
+                if ended.is_break() {
+                    return Ok(ended);
+                }
+            }
+            Ok(ControlFlow::Continue(()))
+        };
+        let cores = std::thread::available_parallelism().map_or(1, usize::from).min(side_by_side.len());
+        let shares: Vec<Result<ControlFlow<()>>> = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(mine)).collect();
+            threads.into_iter().map(|t| t.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
+        });
+        // One that failed ends the others early, and is what is told.
+        let joined = |a: Result<ControlFlow<()>>, b: Result<ControlFlow<()>>| match (a?, b?) {
+            (ControlFlow::Continue(()), b) => Ok(b),
+            (ended, _) => Ok(ended),
+        };
+        let mut ending = shares.into_iter().fold(Ok(ControlFlow::Continue(())), joined);
+        for job in alone {
+            if !matches!(ending, Ok(ControlFlow::Continue(()))) {
+                break;
+            }
+            ending = done(job);
+        }
+        bar.finish_and_clear();
+        let mut all = all.into_inner().unwrap_or_else(|e| e.into_inner());
+        all.sort_by_key(|&(number, _)| number);
+        (all.into_iter().map(|(_, kept)| kept).collect(), ending)
+    }
+}
+
+impl Kept {
+    /// The score in a file, and the frames beside it.
+    fn read(file: &Path) -> Result<Self> {
+        let (score, frames) = (Score::read(file)?, file.with_extension("npy"));
+        let read = || {
+            let (h, w) = score.grid.split_once('x')?;
+            let grid = Some(Grid::new(h.parse().ok()?, w.parse().ok()?, "grid").ok()?);
+            frames.is_file().then(|| Trajectory::read(&frames, &ReadOptions { grid, fps: 1.0 }))
+        };
+        let snapshots = read().transpose()?;
+        Ok(Self { score, snapshots })
+    }
+
+    /// The score last: once it is there, all is.
+    fn write(&self, file: &Path) -> Result<()> {
+        if let (Some(frames), Some(folder), Some(stem)) = (&self.snapshots, file.parent(), file.file_stem()) {
+            frames.write(folder, &stem.to_string_lossy(), io::Format::Npy)?;
+        }
+        self.score.write(file)
+    }
+}
+
+/// All scores that folders keep, in the order of the folders and of their files' names; they must belong together.
+pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
+    let mut files = Vec::new();
+    for folder in folders {
+        let fail = |e| Error::io(folder, "cannot read the folder", e);
+        let mut own = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(fail)? {
+            let path = entry.map_err(fail)?.path();
+            if path.extension().is_some_and(|e| e == "json") {
+                own.push(path);
+            }
+        }
+        if own.is_empty() {
+            return Err(Error::invalid(folder.display().to_string(), "scores", "files of scores", "none"));
+        }
+        own.sort();
+        files.extend(own);
+    }
+    let scores: Vec<Score> = files.iter().map(|file| Score::read(file)).collect::<Result<_>>()?;
+    let told: Vec<(&Path, &Score)> = files.iter().map(PathBuf::as_path).zip(&scores).collect();
+    belong_together(&told)?;
+    Ok(scores)
+}

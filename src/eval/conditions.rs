@@ -1,0 +1,106 @@
+//! What a score was made with, so that only scores that belong together are compared.
+
+use super::{Entry, Score, Sequence, Settings};
+use crate::gpu::Storage;
+use crate::sim::{Device, Optimizer};
+use crate::{Error, Result};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What a score was made with.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Conditions {
+    /// Version of this program.
+    pub version: String,
+    /// Checksum of the recorded trajectory's files ([`Sequence::checksum`]).
+    pub truth: u32,
+    /// Material, air, points and frames ([`Settings::to_json`]).
+    pub settings: serde_json::Value,
+    /// Name of the device that simulated; none of another system.
+    pub device: Option<String>,
+    /// Its kind and how it stores networks: `cpu`, `gpu`, or `gpu, f16`.
+    pub kind: Option<String>,
+    /// Checksum of the weights of a learned optimizer.
+    pub weights: Option<u32>,
+}
+
+impl Conditions {
+    /// Those of another system's trajectory.
+    pub(super) fn new(sequence: &Sequence, settings: &Settings) -> Self {
+        Self {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            truth: sequence.checksum(),
+            settings: settings.to_json(),
+            device: None,
+            kind: None,
+            weights: None,
+        }
+    }
+
+    /// Those of a solver on a device; one that only the CPU has runs there.
+    pub fn of(sequence: &Sequence, entry: &Entry, (device, settings): (&Device, &Settings)) -> Self {
+        let device = entry.device(device);
+        let kind = match device {
+            Device::Cpu => "cpu",
+            Device::Gpu(context) => match context.storage() {
+                Storage::F32 => "gpu",
+                Storage::F16 => "gpu, f16",
+            },
+        };
+        let weights = match &entry.optimizer {
+            Optimizer::Learned(weights) => {
+                let mut sum = crc32fast::Hasher::new();
+                weights.parameters().into_iter().flatten().for_each(|v| sum.update(&v.to_le_bytes()));
+                Some(sum.finalize())
+            }
+            _ => None,
+        };
+        let (device, kind) = (Some(device.name()), Some(kind.to_owned()));
+        Self { device, kind, weights, ..Self::new(sequence, settings) }
+    }
+
+    /// A checksum of all of them.
+    pub fn checksum(&self) -> u32 {
+        crc32fast::hash(&serde_json::to_vec(self).expect("conditions are plain data"))
+    }
+}
+
+/// Checks that scores, each with the file it comes from, belong in one table: made by one version with the same settings,
+/// each sequence the same, each column of a grid with the same weights on the same kind of device, and none there twice.
+pub fn belong_together(scores: &[(&Path, &Score)]) -> Result<()> {
+    /// What is told of a score, and must be the same in some of them.
+    type Told = fn(&Score) -> String;
+    let rules: [(&str, Told, Told); 5] = [
+        ("version", |_| String::new(), |s| s.made_with.version.clone()),
+        ("settings", |_| String::new(), |s| s.made_with.settings.to_string()),
+        ("truth", |s| s.sequence.clone(), |s| format!("{:08x}", s.made_with.truth)),
+        ("device", of_column, |s| s.made_with.kind.clone().unwrap_or_default()),
+        ("weights", of_column, |s| s.made_with.weights.map_or_else(String::new, |sum| format!("{sum:08x}"))),
+    ];
+    for (field, group, told) in rules {
+        let mut firsts: BTreeMap<String, (&Path, String)> = BTreeMap::new();
+        for &(path, score) in scores {
+            let found = told(score);
+            let (other, expected) = firsts.entry(group(score)).or_insert_with(|| (path, found.clone()));
+            if *expected != found {
+                let expected = format!("{expected}, as in {}", other.display());
+                return Err(Error::invalid(path.display().to_string(), field, expected, found));
+            }
+        }
+    }
+    let mut known: BTreeMap<String, &Path> = BTreeMap::new();
+    for &(path, score) in scores {
+        let what = format!("{} {}", score.sequence, of_column(score));
+        if let Some(other) = known.insert(what.clone(), path) {
+            let expected = format!("the only score of {what}");
+            let found = format!("another in {}", other.display());
+            return Err(Error::invalid(path.display().to_string(), "score", expected, found));
+        }
+    }
+    Ok(())
+}
+
+/// The grid and the column in which a score stands.
+fn of_column(score: &Score) -> String {
+    format!("{} {}", score.grid, score.column())
+}

@@ -1,0 +1,258 @@
+//! `fnopt evaluate` as a script meets it: devices, scores that are used again or put together,
+//! materials, files, and how they end early.
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
+    command.current_dir(folder).args(arguments).env("FNOPT_LOG", "off");
+    command
+}
+
+fn shipped() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth")
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// A few frames of the shipped sequence on a small grid.
+fn evaluate(folder: &Path, more: &[&str]) -> Output {
+    let truth = shipped();
+    let few = ["--frames", "4", "--points", "100", "--ground-truth", truth.to_str().unwrap()];
+    command(folder, &[&["evaluate"], &few[..], more].concat()).output().unwrap()
+}
+
+fn done(output: Output) -> (String, String) {
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    (text(&output.stdout), text(&output.stderr))
+}
+
+fn refused(output: Output, said: &[&str]) {
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    said.iter().for_each(|part| assert!(message.contains(part), "no '{part}' in: {message}"));
+}
+
+fn json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+/// The files of scores in a folder.
+fn scores(folder: &Path) -> Vec<PathBuf> {
+    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    files.filter(|path| path.extension().is_some_and(|e| e == "json")).collect()
+}
+
+/// On the software adapter that the tests need anyway.
+#[test]
+fn solvers_that_only_the_cpu_has_run_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let gpu = ["--adapter", "llvmpipe", "--grid", "8", "--solver", "newton,quasi-newton-exact:2,gd:2"];
+    let (_, log) = done(evaluate(folder.path(), &[&gpu[..], &["--json", "s.json", "--plots", "p"]].concat()));
+    assert!(log.contains("on the CPU, as no other device has them: newton, quasi-newton-exact"), "{log}");
+    assert!(folder.path().join("p/convergence.png").is_file());
+    let scores = json(&folder.path().join("s.json"));
+    let made_with = |k: usize, field: &str| scores[k]["made_with"][field].as_str().unwrap().to_owned();
+    for (k, device, kind) in [(0, "cpu", "cpu"), (1, "cpu", "cpu"), (2, "llvmpipe", "gpu")] {
+        assert!(made_with(k, "device").contains(device), "{scores}");
+        assert_eq!(made_with(k, "kind"), kind);
+    }
+    let suite = [
+        "evaluate",
+        "--suite",
+        "handles",
+        "--sequences",
+        "corners drape",
+        "--frames",
+        "3",
+        "--json",
+        "s.json",
+    ];
+    done(command(folder.path(), &[&suite[..], &gpu].concat()).output().unwrap());
+    let scores = json(&folder.path().join("s.json"));
+    assert!(scores[0]["score"]["device"].as_str().unwrap().starts_with("cpu"), "{scores}");
+}
+
+#[test]
+fn scores_are_those_of_the_files_that_are_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let to = at.join("truth/xy_v2");
+    std::fs::create_dir_all(&to).unwrap();
+    for file in ["cloth_pos.npy", "handles.npy", "start.npy", "meta.json"] {
+        std::fs::copy(shipped().join("xy_v2").join(file), to.join(file)).unwrap();
+    }
+    let run = || {
+        let arguments = ["--frames", "4", "--points", "100", "--ground-truth", "truth", "--grid", "8"];
+        let solver = ["--solver", "gd:3,lbfgs:3"];
+        command(at, &[&["evaluate"], &arguments[..], &solver].concat()).output().unwrap()
+    };
+    let (first, _) = done(run());
+    assert_eq!(done(run()).0, first);
+    let meta = std::fs::read_to_string(to.join("meta.json")).unwrap();
+    std::fs::write(to.join("meta.json"), meta.replace("0.187", "0.5")).unwrap();
+    assert_ne!(done(run()).0, first);
+    assert_eq!(scores(&at.join("out/evaluate")).len(), 4);
+    // One that cannot be read is told, after what is finished.
+    let damaged =
+        scores(&at.join("out/evaluate")).into_iter().filter(|f| f.to_string_lossy().contains("lbfgs"));
+    damaged.for_each(|file| std::fs::write(file, "{").unwrap());
+    let failed = run();
+    assert!(text(&failed.stdout).contains("8x8 gd, N = 3"), "{}", text(&failed.stdout));
+    refused(failed, &["lbfgs", "one that was kept"]);
+}
+
+#[test]
+fn only_scores_that_belong_together_are_merged() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let run = |out: &str, more: &[&str]| {
+        done(evaluate(at, &[&["--grid", "8", "--out", out, "--device", "cpu"], more].concat()));
+    };
+    run("a", &["--solver", "gd:3"]);
+    run("b", &["--solver", "lbfgs:3"]);
+    run("soft", &["--solver", "adam:3", "--material", "100,1,0.01"]);
+    run("again", &["--solver", "gd:3"]);
+    let merge =
+        |arguments: &[&str]| command(at, &[&["evaluate", "--merge"], arguments].concat()).output().unwrap();
+    let (tables, _) = done(merge(&["a", "b", "--plots", "p"]));
+    assert!(tables.contains("gd, N = 3") && tables.contains("lbfgs, N = 3"), "{tables}");
+    assert!(at.join("p/per_frame.png").is_file());
+    refused(merge(&["a", "soft"]), &["a/xy_v2_8x8_gd_3", "soft/xy_v2_8x8_adam_3", "settings"]);
+    refused(merge(&["a", "again"]), &["a/xy_v2_8x8_gd_3", "again/xy_v2_8x8_gd_3", "the only score of"]);
+    for option in [["--compare", "x=a"], ["--wind", "2"], ["--device", "cpu"], ["--solver", "gd"]] {
+        refused(merge(&[&["a"], &option[..]].concat()), &["cannot be used with", option[0]]);
+    }
+}
+
+#[test]
+fn a_material_is_what_a_scene_takes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let write = |name: &str, content: &str| std::fs::write(at.join(name), content).unwrap();
+    write(
+        "moduli.json",
+        r#"{"material": {"stretch_modulus": 300, "shear_modulus": 20, "bending_stiffness": 1e-5}}"#,
+    );
+    write("mixed.json", r#"{"material": {"stretch_modulus": 300, "shear": 2}}"#);
+    write("none.json", r#"{"units": "grid units"}"#);
+    write("air.json", r#"{"material": {"bend": 0.1}, "wind": {"density": 2}, "fitted_to": "something"}"#);
+    let with = |material: &str, more: &[&str]| {
+        evaluate(
+            at,
+            &[&["--grid", "8", "--solver", "gd:2", "--json", "s.json", "--material", material], more]
+                .concat(),
+        )
+    };
+    done(with("moduli.json", &[]));
+    assert_eq!(json(&at.join("s.json"))[0]["made_with"]["settings"]["material"]["stretch_modulus"], 300.0);
+    done(with("air.json", &[]));
+    let settings = json(&at.join("s.json"))[0]["made_with"]["settings"].clone();
+    assert_eq!((&settings["density"], &settings["drag"]), (&2.0.into(), &Value::Null));
+    assert_eq!(
+        (&settings["material"]["bend"], &settings["material"]["stretch"]),
+        (&0.1.into(), &1000.0.into())
+    );
+    done(with("air.json", &["--wind", "3"]));
+    assert_eq!(json(&at.join("s.json"))[0]["made_with"]["settings"]["density"], 3.0);
+    refused(with("1000,x,8,0.5", &[]), &["--material", "three numbers"]);
+    refused(with("mixed.json", &[]), &["mixed.json", "material.shear", "not both"]);
+    refused(with("none.json", &[]), &["none.json", "material"]);
+    refused(evaluate(at, &["--wind=-1"]), &["wind.density"]);
+}
+
+#[test]
+fn a_suite_honours_its_options_or_refuses_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let suite = |name: &str, more: &[&str]| {
+        let few = ["--frames", "3", "--no-gap", "--solver", "lbfgs:2", "--device", "cpu", "--json", "s.json"];
+        command(folder.path(), &[&["evaluate", "--suite", name], &few[..], more].concat()).output().unwrap()
+    };
+    let largest = |more: &[&str]| {
+        suite("speeds", &[&["--sequences", "speed 1", "--grid", "12"], more].concat());
+        json(&folder.path().join("s.json"))[0]["score"]["stretch_largest"].as_f64().unwrap()
+    };
+    let usual = largest(&[]);
+    assert_eq!(usual, largest(&["--material", "1000,8,0.5"]));
+    assert_ne!(usual, largest(&["--material", "10,8,0.5"]));
+    assert_ne!(usual, largest(&["--wind", "50"]));
+    // The suite of grids has its own, once.
+    suite("grids", &["--sequences", "48x32", "--grid", "32,64"]);
+    assert_eq!(json(&folder.path().join("s.json")).as_array().unwrap().len(), 1);
+    suite("iterations", &["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs:2,lbfgs:3"]);
+    assert_eq!(json(&folder.path().join("s.json")).as_array().unwrap().len(), 1);
+    refused(suite("materials", &["--material", "1,2,3"]), &["--material", "which has its own"]);
+    refused(suite("speeds", &["--points", "3"]), &["cannot be used with", "--points"]);
+    refused(suite("speeds", &["--ground-truth", "."]), &["cannot be used with", "--ground-truth"]);
+}
+
+/// A reader that reads nothing, as `| head -0`, leaves the files.
+#[test]
+fn files_are_there_when_nobody_reads_the_tables() {
+    let folder = tempfile::tempdir().unwrap();
+    let truth = shipped();
+    let few = ["--frames", "3", "--points", "100", "--grid", "8", "--solver", "gd:2", "--csv", "t.csv"];
+    let arguments = [&["evaluate", "--ground-truth", truth.to_str().unwrap()], &few[..]].concat();
+    let mut child = command(folder.path(), &arguments).stdout(Stdio::piped()).spawn().unwrap();
+    drop(child.stdout.take());
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+    let csv = std::fs::read_to_string(folder.path().join("t.csv")).unwrap();
+    assert!(csv.contains("mean stretch") && csv.contains("inertia"), "{csv}");
+}
+
+/// Waits for a child that was interrupted: it must end soon, and say how.
+#[cfg(unix)]
+fn ends_soon(mut child: Child) {
+    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+    let begun = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if begun.elapsed() > Duration::from_secs(20) {
+            child.kill().unwrap();
+            panic!("still at work 20 s after Ctrl-C");
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+}
+
+/// Each of these has minutes of Newton's method before it.
+#[cfg(unix)]
+#[test]
+fn ctrl_c_ends_whatever_is_simulated() {
+    let folder = tempfile::tempdir().unwrap();
+    let truth = shipped();
+    let truth = truth.to_str().unwrap();
+    let spawn = |arguments: &[&str]| {
+        let mut command = command(folder.path(), arguments);
+        command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+    };
+    let suite = spawn(&[
+        "evaluate",
+        "--suite",
+        "motions",
+        "--sequences",
+        "xy_v2",
+        "--solver",
+        "gd:1",
+        "--grid",
+        "64",
+    ]);
+    std::thread::sleep(Duration::from_secs(4));
+    ends_soon(suite);
+    // Between the plots of the scores and the one of the convergence.
+    let plots = ["--solver", "gd:1", "--grid", "64", "--frames", "41", "--plots", "p"];
+    let plots = spawn(&[&["evaluate", "--ground-truth", truth], &plots[..]].concat());
+    let (first, begun) = (folder.path().join("p/errors_xy_v2_64x64.png"), Instant::now());
+    while !first.is_file() {
+        assert!(begun.elapsed() < Duration::from_secs(100), "no plots");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    ends_soon(plots);
+    assert!(!folder.path().join("p/convergence.png").exists());
+}
