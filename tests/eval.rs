@@ -14,6 +14,7 @@ use fnopt::sim::{Device, Grid, Material, Optimizer, Simulator, State};
 use safetensors::SafeTensors;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Points without pattern in the unit cube.
 fn cloud(count: usize, seed: u64) -> Vec<[f64; 3]> {
@@ -604,17 +605,18 @@ fn a_known_material_is_found_again() {
     };
     let file = folder.path().join("fit.csv");
     let mut surface = Surface::load(&file, &fit).unwrap();
-    let mut calls = 0;
-    let mut few = |_: &Surface, _: usize| {
-        calls += 1;
-        Ok(if calls == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) })
+    // Ended in the middle: of two points a share is done, of which each has 19 frames.
+    let frames = AtomicUsize::new(0);
+    let few = || match frames.fetch_add(1, Ordering::Relaxed) {
+        40.. => ControlFlow::Break(()),
+        _ => ControlFlow::Continue(()),
     };
-    fit.search(&mut surface, &mut few).unwrap();
+    fit.search(&mut surface, few, |_, _| Ok(())).unwrap();
     surface.write(&file).unwrap();
     let mut again = Surface::load(&file, &fit).unwrap();
     assert_eq!(again, surface, "what was tried is known again");
     let known = again.sorted().len();
-    fit.search(&mut again, |_, _| Ok(ControlFlow::Continue(()))).unwrap();
+    fit.search(&mut again, || ControlFlow::Continue(()), |_, _| Ok(())).unwrap();
     assert!(again.sorted().len() > known);
     let ([stretch, shear, ..], error) = again.sorted()[0];
     assert!((stretch / 400.0 - 1.0).abs() < 1e-9 && (shear / 4.0 - 1.0).abs() < 1e-9, "{stretch}, {shear}");
@@ -632,4 +634,10 @@ fn a_known_material_is_found_again() {
     std::fs::write(&file, format!("# {}\nstretch\n1,2\n", fit.subject())).unwrap();
     let refused = Surface::load(&file, &fit).unwrap_err().to_string();
     assert!(refused.contains("line 3: expected seven numbers"), "{refused}");
+    std::fs::write(&file, format!("# {}\nstretch\n1,2,x,3,4,5,6,7\n", fit.subject())).unwrap();
+    assert!(Surface::load(&file, &fit).is_err(), "what is no number is not passed over");
+    let endless = Fit { levels: 1000, ..fit.clone() };
+    let refused = endless.search(&mut Surface::default(), || ControlFlow::Break(()), |_, _| Ok(()));
+    let refused = refused.unwrap_err().to_string();
+    assert!(refused.contains("--levels") && refused.contains("100000"), "{refused}");
 }

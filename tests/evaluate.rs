@@ -1,4 +1,4 @@
-//! `fnopt evaluate` as a script meets it: devices, scores that are used again or put together,
+//! `fnopt evaluate` and `fnopt fit-material` as a script meets them: devices, scores that are used again or put together,
 //! materials, files, and how they end early.
 
 use serde_json::Value;
@@ -191,6 +191,44 @@ fn a_suite_honours_its_options_or_refuses_them() {
     refused(suite("speeds", &["--ground-truth", "."]), &["cannot be used with", "--ground-truth"]);
 }
 
+#[test]
+fn a_fit_writes_a_material_that_an_evaluation_reads() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let truth = shipped();
+    let fit = |more: &[&str]| {
+        let few = [
+            "--frames",
+            "3",
+            "--points",
+            "100",
+            "--grid",
+            "8",
+            "8",
+            "--ground-truth",
+            truth.to_str().unwrap(),
+        ];
+        command(at, &[&["fit-material"], &few[..], more].concat()).output().unwrap()
+    };
+    let ranges =
+        ["--stretch", "100,400", "--shear", "5", "--bend", "0.1", "--density", "1,2", "--levels", "2"];
+    let (told, _) = done(fit(&[&ranges[..], &["--rounds", "0"]].concat()));
+    assert!(told.contains("out/fit.json"), "{told}");
+    let best = json(&at.join("out/fit.json"));
+    let lines = std::fs::read_to_string(at.join("out/fit.csv")).unwrap();
+    let first: Vec<f64> = lines.lines().nth(2).unwrap().split(',').map(|v| v.parse().unwrap()).collect();
+    assert_eq!(best["material"]["stretch"].as_f64().unwrap(), first[0]);
+    done(evaluate(
+        at,
+        &["--grid", "8", "--solver", "gd:2", "--json", "s.json", "--material", "out/fit.json"],
+    ));
+    let settings = json(&at.join("s.json"))[0]["made_with"]["settings"].clone();
+    assert_eq!(settings["material"]["stretch"], best["material"]["stretch"]);
+    assert_eq!((settings["density"].as_f64(), &settings["drag"]), (Some(first[3]), &Value::Null));
+    refused(fit(&["--levels", "50"]), &["--levels", "at most 100000 points"]);
+    refused(fit(&["--out", "fit.json"]), &["--out", "another ending"]);
+}
+
 /// A reader that reads nothing, as `| head -0`, leaves the files.
 #[test]
 fn files_are_there_when_nobody_reads_the_tables() {
@@ -245,6 +283,9 @@ fn ctrl_c_ends_whatever_is_simulated() {
     ]);
     std::thread::sleep(Duration::from_secs(4));
     ends_soon(suite);
+    let fit = spawn(&["fit-material", "--ground-truth", truth]);
+    std::thread::sleep(Duration::from_secs(2));
+    ends_soon(fit);
     // Between the plots of the scores and the one of the convergence.
     let plots = ["--solver", "gd:1", "--grid", "64", "--frames", "41", "--plots", "p"];
     let plots = spawn(&[&["evaluate", "--ground-truth", truth], &plots[..]].concat());

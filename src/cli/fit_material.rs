@@ -1,14 +1,18 @@
 //! `fnopt fit-material`: finds the material of recorded trajectories.
 
+use super::evaluate::material;
 use super::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
-use fnopt::eval::fit::{Fit, PARAMETERS, Surface};
+use fnopt::eval::fit::{Fit, PARAMETERS, Point, Surface};
 use fnopt::eval::{Physics, Sequence, Settings};
-use fnopt::sim::Grid;
+use fnopt::io::write_atomic;
+use fnopt::scene::Stiffness;
+use fnopt::sim::{Grid, Material};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// Points of the surface that are printed.
 const PRINTED: usize = 12;
@@ -55,12 +59,18 @@ pub struct Args {
     /// Rounds of refinement around the best point, the step halved in each
     #[arg(long, default_value_t = 3, value_name = "N")]
     rounds: usize,
-    /// File of the errors (CSV); what it holds already is not computed again
+    /// File of the errors (CSV); what it holds already is not computed again. The best set is written beside it, with the ending
+    /// json, as `evaluate --material` reads it
     #[arg(long, default_value = "out/fit.csv", value_name = "FILE")]
     out: PathBuf,
 }
 
 pub fn run(args: &Args) -> Result<Ending> {
+    let best = args.out.with_extension("json");
+    if best == args.out {
+        let expected = "another ending than that of the best set beside it";
+        return Err(Error::invalid("--out", "file", expected, args.out.display()).into());
+    }
     let sequences = Sequence::load_all(&args.ground_truth, args.sequences.as_deref())?;
     let ranges = args.ranges(sequences[0].air_and_frame_time())?;
     let fit = Fit {
@@ -82,18 +92,27 @@ pub fn run(args: &Args) -> Result<Ending> {
     let mut surface = Surface::load(&args.out, &fit)?;
     let style = ProgressStyle::with_template("{spinner} {pos} points tried, {elapsed}  {msg}");
     let bar = ProgressBar::new_spinner().with_style(style.expect("the template is valid"));
+    bar.set_position(surface.sorted().len() as u64);
+    bar.enable_steady_tick(Duration::from_millis(200));
     let interrupted = interrupt_flag();
-    let mut stopped = false;
-    fit.search(&mut surface, |surface, left| {
+    let tick = || go_on(&interrupted);
+    let outcome = fit.search(&mut surface, tick, |surface, left| {
         surface.write(&args.out)?;
         let sorted = surface.sorted();
         bar.set_position(sorted.len() as u64);
-        bar.set_message(format!("{left} to go in this round, best e_CD {:.3e}", sorted[0].1));
-        let flow = go_on(&interrupted);
-        stopped = flow.is_break();
-        Ok(flow)
-    })?;
+        let best = sorted.first().map_or(f64::INFINITY, |best| best.1);
+        bar.set_message(format!("{left} to go in this round, best e_CD {best:.3e}"));
+        Ok(())
+    });
     bar.finish_and_clear();
+    outcome?;
+    let found = surface.sorted().first().copied().filter(|(_, error)| error.is_finite());
+    if let Some((point, error)) = found {
+        let mut document = material::to_json(&args.physics(&point));
+        document["fitted_to"] = fit.subject().into();
+        document["e_CD"] = error.into();
+        write_atomic(&best, |file| writeln!(file, "{document:#}"))?;
+    }
     let mut out = std::io::stdout().lock();
     let heads: String = PARAMETERS.iter().map(|name| format!("{name:>12}")).collect();
     writeln!(out, "{heads}  e_CD x 10^3")?;
@@ -102,7 +121,10 @@ pub fn run(args: &Args) -> Result<Ending> {
         writeln!(out, "{values}{:>13.3}", 1e3 * error)?;
     }
     writeln!(out, "all {} points: {}", surface.sorted().len(), args.out.display())?;
-    if stopped {
+    if found.is_some() {
+        writeln!(out, "the best of them: {}", best.display())?;
+    }
+    if tick().is_break() {
         eprintln!("interrupted; run again to go on");
         return Ok(Ending::Interrupted);
     }
@@ -110,6 +132,16 @@ pub fn run(args: &Args) -> Result<Ending> {
 }
 
 impl Args {
+    /// A point as physics: air and frame time where they were asked for, else the sequences' own.
+    fn physics(&self, &[stretch, shear, bend, density, drag, frame_time]: &Point) -> Physics {
+        Physics {
+            stiffness: Stiffness::Grid(Material { stretch, shear, bend }),
+            density: self.density.as_ref().map(|_| density),
+            drag: self.drag.as_ref().map(|_| drag),
+            frame_time_s: self.frame_time.as_ref().map(|_| frame_time),
+        }
+    }
+
     /// Smallest and largest value of each parameter; `kept` are those of air and frame time that are not fitted.
     fn ranges(&self, kept: [f64; 3]) -> fnopt::Result<[[f64; 2]; 6]> {
         let range = |name: &str, given: Option<&Vec<f64>>, kept: f64| {

@@ -5,7 +5,7 @@ use crate::scene::Stiffness;
 use crate::sim::{Device, Grid, Material, Optimizer};
 use crate::{Error, Result, io};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -16,6 +16,9 @@ pub const PARAMETERS: [&str; 6] = ["stretch", "shear", "bend", "density", "drag"
 /// A value for each of [`PARAMETERS`]: energy coefficients (grid units), density of the air [kg/m^3], its drag
 /// [N s/m^3], and the frame time \[s\].
 pub type Point = [f64; 6];
+
+/// The most points of the coarse grid: months of work.
+const MOST_POINTS: usize = 100_000;
 
 /// A search: on a grid of points spaced by equal ratios, then around the best one in ever smaller steps.
 #[derive(Clone, Debug)]
@@ -39,8 +42,7 @@ pub struct Fit<'a> {
 pub struct Surface {
     /// What the errors are of ([`Fit::subject`]).
     subject: String,
-    /// By the point's numbers, written out.
-    errors: BTreeMap<String, (Point, f64)>,
+    errors: BTreeMap<Key, (Point, f64)>,
 }
 
 impl Surface {
@@ -61,8 +63,8 @@ impl Surface {
             return Err(bad(0, &format!("# {}, as in a search for the same", surface.subject), first));
         }
         for (number, line) in text.lines().enumerate().skip(2) {
-            let values: Vec<f64> = line.split(',').filter_map(|v| v.parse().ok()).collect();
-            let Ok([point @ .., error]) = <[f64; 7]>::try_from(values) else {
+            let values: Option<Vec<f64>> = line.split(',').map(|v| v.parse().ok()).collect();
+            let Some(Ok([point @ .., error])) = values.map(<[f64; 7]>::try_from) else {
                 return Err(bad(number, "seven numbers", line));
             };
             surface.errors.insert(key(&point), (point, error));
@@ -89,8 +91,11 @@ impl Surface {
     }
 }
 
-fn key(point: &Point) -> String {
-    point.map(|v| format!("{v:.5e}")).join(" ")
+/// A point in single precision: the same place, worked out in two ways, differs in the last bits.
+type Key = [u32; PARAMETERS.len()];
+
+fn key(point: &Point) -> Key {
+    point.map(|v| (v as f32).to_bits())
 }
 
 impl Fit<'_> {
@@ -104,14 +109,22 @@ impl Fit<'_> {
         format!("{} on {} with {} points", sequences.join(" "), self.grid, self.settings.points)
     }
 
-    /// Searches, going on from what `surface` knows already. `tried` is called with the surface after each few points and
-    /// may end the search.
+    /// Searches, going on from what `surface` knows already. `tried` is called with the surface and the number of points that
+    /// are left after each few points. `tick` is called after each frame and may end the search, whatever is half done
+    /// then being dropped.
     pub fn search(
         &self,
         surface: &mut Surface,
-        mut tried: impl FnMut(&Surface, usize) -> Result<ControlFlow<()>>,
+        tick: impl Fn() -> ControlFlow<()> + Sync,
+        mut tried: impl FnMut(&Surface, usize) -> Result<()>,
     ) -> Result<()> {
         let free: Vec<usize> = (0..6).filter(|&k| self.ranges[k][0] < self.ranges[k][1]).collect();
+        let count = self.levels.checked_pow(free.len() as u32).filter(|&count| count <= MOST_POINTS);
+        if count.is_none() {
+            let expected = format!("at most {MOST_POINTS} points in the coarse grid");
+            let found = format!("{} of each of {} parameters", self.levels, free.len());
+            return Err(Error::invalid("--levels", "values", expected, found));
+        }
         let ratio = |k: usize| (self.ranges[k][1] / self.ranges[k][0]).powf(1.0 / (self.levels - 1) as f64);
         let mut points = vec![self.ranges.map(|range| range[0])];
         for &k in &free {
@@ -126,7 +139,7 @@ impl Fit<'_> {
             };
             points = points.iter().flat_map(along).collect();
         }
-        if self.try_all(&points, surface, &mut tried)?.is_break() {
+        if self.try_all(&points, surface, (&tick, &mut tried))?.is_break() {
             return Ok(());
         }
         for round in 1..=self.rounds {
@@ -142,7 +155,7 @@ impl Fit<'_> {
                     })
                 });
                 let around: Vec<Point> = around.collect();
-                if self.try_all(&around, surface, &mut tried)?.is_break() {
+                if self.try_all(&around, surface, (&tick, &mut tried))?.is_break() {
                     return Ok(());
                 }
                 if self.best(surface)?.1 >= error {
@@ -159,35 +172,44 @@ impl Fit<'_> {
     }
 
     /// Tries those points that are new, as many at a time as there are threads.
-    fn try_all(
+    fn try_all<Tick, Tried>(
         &self,
         points: &[Point],
         surface: &mut Surface,
-        tried: &mut impl FnMut(&Surface, usize) -> Result<ControlFlow<()>>,
-    ) -> Result<ControlFlow<()>> {
-        let mut new: Vec<Point> = Vec::new();
-        for point in points {
-            let known = surface.errors.contains_key(&key(point)) || new.iter().any(|n| key(n) == key(point));
-            if !known {
-                new.push(*point);
-            }
-        }
+        (tick, tried): (&Tick, &mut Tried),
+    ) -> Result<ControlFlow<()>>
+    where
+        Tick: Fn() -> ControlFlow<()> + Sync,
+        Tried: FnMut(&Surface, usize) -> Result<()>,
+    {
+        let mut seen: BTreeSet<Key> = surface.errors.keys().copied().collect();
+        let new: Vec<Point> = points.iter().copied().filter(|point| seen.insert(key(point))).collect();
         let mut left = new.len();
         for some in new.chunks(rayon::current_num_threads()) {
-            let errors: Vec<f64> = some.par_iter().map(|p| self.error(p)).collect::<Result<_>>()?;
+            let errors: Vec<Option<f64>> =
+                some.par_iter().map(|p| self.error(p, tick)).collect::<Result<_>>()?;
+            let mut ended = false;
             for (point, error) in some.iter().zip(errors) {
-                surface.errors.insert(key(point), (*point, error));
+                match error {
+                    Some(error) => drop(surface.errors.insert(key(point), (*point, error))),
+                    None => ended = true,
+                }
             }
-            left -= some.len();
-            if tried(surface, left)?.is_break() {
+            left = left.saturating_sub(some.len());
+            tried(surface, left)?;
+            if ended {
                 return Ok(ControlFlow::Break(()));
             }
         }
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Mean e_CD over the sequences.
-    fn error(&self, &[stretch, shear, bend, density, drag, frame_time]: &Point) -> Result<f64> {
+    /// Mean e_CD over the sequences; nothing when `tick` ended it.
+    fn error(
+        &self,
+        &[stretch, shear, bend, density, drag, frame_time]: &Point,
+        tick: &(impl Fn() -> ControlFlow<()> + Sync),
+    ) -> Result<Option<f64>> {
         let physics = Physics {
             stiffness: Stiffness::Grid(Material { stretch, shear, bend }),
             density: Some(density),
@@ -199,10 +221,11 @@ impl Fit<'_> {
             Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1, coarse: false };
         let mut sum = 0.0;
         for sequence in self.sequences {
-            let tick = || ControlFlow::Continue(());
-            let score = run(sequence, self.grid, &entry, (&Device::Cpu, &settings), tick)?;
-            sum += score.and_then(|(score, _)| score.e_cd).unwrap_or(f64::INFINITY);
+            let Some((score, _)) = run(sequence, self.grid, &entry, (&Device::Cpu, &settings), tick)? else {
+                return Ok(None);
+            };
+            sum += score.e_cd.unwrap_or(f64::INFINITY);
         }
-        Ok(sum / self.sequences.len() as f64)
+        Ok(Some(sum / self.sequences.len() as f64))
     }
 }

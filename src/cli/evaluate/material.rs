@@ -56,3 +56,18 @@ fn parse(origin: &str, text: &str) -> Result<Physics> {
         frame_time_s: given("frame_time_s").map(|_| scene.frame_time_s),
     })
 }
+
+/// A material as a document that [`read`] reads back; the air and the frame time where they are given.
+pub fn to_json(physics: &Physics) -> Value {
+    let scene = Scene { stiffness: physics.stiffness, ..Scene::default() }.to_json();
+    let mut document = serde_json::json!({ "material": scene["material"] });
+    for (field, value) in [("density", physics.density), ("drag", physics.drag)] {
+        if let Some(value) = value {
+            document["wind"][field] = value.into();
+        }
+    }
+    if let Some(time) = physics.frame_time_s {
+        document["frame_time_s"] = time.into();
+    }
+    document
+}

@@ -1,7 +1,7 @@
 //! `fnopt evaluate`: compares solvers with recorded trajectories.
 
 mod jobs;
-mod material;
+pub mod material;
 mod plots;
 mod suite;
 
