@@ -101,6 +101,11 @@ impl<T: Real> Objective<T> {
         }
     }
 
+    /// Sets the accelerations \[edges / frame^2\] that are tried, shape [B, 3, H, W]. Panics when their number is not the model's.
+    pub fn set_accelerations(&mut self, a: &[T]) {
+        self.trial.a.copy_from_slice(a);
+    }
+
     /// Moves the particles to where the accelerations lead.
     pub fn place(&mut self, state: &State<T>, control: &Control<T>) {
         let cloth = self.cloth_len();

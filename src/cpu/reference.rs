@@ -82,7 +82,7 @@ impl Reference {
 
     fn begin(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) {
         self.objective.begin_frame(state, control);
-        self.objective.trial.a.copy_from_slice(a);
+        self.objective.set_accelerations(a);
         let Trials { model, a, .. } = &mut self.objective.trial;
         hold(model, a);
     }
@@ -156,7 +156,7 @@ impl Reference {
             if lower <= energy - SUFFICIENT * length * slope + rounding {
                 return Some(lower);
             }
-            self.objective.trial.a.copy_from_slice(&before);
+            self.objective.set_accelerations(&before);
             length *= 0.5;
         }
         None

@@ -1,8 +1,7 @@
 //! The arrays of a pool do what the solver does, one iteration at a time.
 
-use fnopt::cpu::cloth::{GradientRows, Trial, gradient, shifts};
 use fnopt::cpu::optim::{Minimizer, Update};
-use fnopt::cpu::{self, cloth};
+use fnopt::cpu::{self, Objective};
 use fnopt::network;
 use fnopt::sim::{Grid, Model, Optimizer, State};
 use fnopt::train::{Arrays, Batch, MotionRanges, Pool, PoolConfig, ResetRules, Script, initial_weights};
@@ -19,25 +18,13 @@ fn small_network() -> network::Weights {
 /// One iteration of the update rule on the cloths of a batch.
 fn iterate(batch: &Batch, drawn: &mut Arrays<f64>) {
     let (model, control) = (batch.model(GRID), batch.control());
-    let (n, slots) = (GRID.particles(), batch.model(GRID).handle_slots());
-    let zeros = vec![0.0; drawn.a.len()];
-    let (mut grad, mut rows, mut f) = (zeros.clone(), GradientRows::new(GRID), zeros);
-    for b in 0..model.batch() {
-        let (at, slots) = (3 * n * b..3 * n * (b + 1), &slots[n * b..][..n]);
-        for (f, g) in f[at.clone()].chunks_mut(n).zip(model.cloths[b].gravity) {
-            f.fill(g);
-        }
-        let (x, v, a) = (&drawn.state.x[at.clone()], &drawn.state.v[at.clone()], &drawn.a[at.clone()]);
-        let mut shift = vec![0.0; 3 * n];
-        shifts(cloth::Frame { slots, handles: &control.handles, a }, x, v, &mut shift);
-        let material = model.cloths[b].material;
-        let trial = Trial { grid: GRID, material, x, shift: &shift, a, f: &f[at.clone()], slots };
-        gradient(&trial, &mut rows, &mut grad[at]);
-    }
-    let norms: Vec<f64> = grad.chunks(n).map(|g| g.iter().map(|v| v * v).sum::<f64>().sqrt()).collect();
-    let mut update = Update::new(&small_network(), GRID, norms.len()).unwrap();
+    let mut objective = Objective::new(&model);
+    objective.begin_frame(&drawn.state, &control);
+    objective.set_accelerations(&drawn.a);
+    objective.evaluate(&drawn.state, &control);
+    let mut update = Update::new(&small_network(), GRID, objective.norms().len()).unwrap();
     *update.hidden_mut() = drawn.hidden.clone();
-    update.step(&grad, &norms, &mut drawn.a);
+    update.step(objective.grad(), objective.norms(), &mut drawn.a);
     drawn.hidden = update.hidden().clone();
 }
 

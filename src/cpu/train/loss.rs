@@ -97,7 +97,7 @@ impl<T: Real> Loss<T> {
     ) -> Vec<Outcome> {
         let Self { objective, update, adj_a, adj, lookahead } = self;
         objective.begin_frame(state, control);
-        objective.trial.a.copy_from_slice(a);
+        objective.set_accelerations(a);
         objective.evaluate(state, control);
         update.forward((&objective.grad, &objective.norms), hidden, &mut objective.trial.a);
         a.copy_from_slice(&objective.trial.a);
@@ -165,7 +165,7 @@ impl<T: Real> Lookahead<T> {
         adj_a.copy_from_slice(&objective.grad);
         adj.clear();
         update.pull_back(adj_a, adj, (memory, hidden), adj_grad);
-        objective.trial.a.copy_from_slice(a);
+        objective.set_accelerations(a);
         objective.hessian_product((state, control), adj_grad, product);
         for (adj, &more) in adj_a.iter_mut().zip(&*product) {
             *adj = *adj + more;
@@ -231,7 +231,7 @@ mod tests {
         };
         objective.begin_frame(&state, &control);
         let mut further = |a: &[f64], memory: &Hidden<f64>| {
-            objective.trial.a.copy_from_slice(a);
+            objective.set_accelerations(a);
             objective.evaluate(&state, &control);
             lookahead.cotangents(objective, (&state, &control), memory, adj);
             // The trial is back where it was; what came after it is where the last step leads.
