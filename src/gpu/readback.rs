@@ -38,16 +38,16 @@ impl Readback {
         Self { sources, free, recorded: Vec::new(), under_way: VecDeque::new(), bytes }
     }
 
-    /// Records the copies into a free slot; `None` when all slots are under way (call [`Readback::next`] first).
-    pub fn record(&mut self, encoder: &mut wgpu::CommandEncoder) -> Option<()> {
-        let slot = self.free.pop()?;
+    /// Records the copies into a free slot. Panics when all slots are under way ([`Readback::is_full`]): take one with
+    /// [`Readback::next`] first.
+    pub fn record(&mut self, encoder: &mut wgpu::CommandEncoder) {
+        let slot = self.free.pop().expect("a slot of the ring is free");
         let mut offset = 0;
         for source in &self.sources {
             encoder.copy_buffer_to_buffer(source.buffer(), source.offset(), &slot, offset, source.bytes());
             offset += source.bytes();
         }
         self.recorded.push(slot);
-        Some(())
     }
 
     /// Starts mapping what was recorded; call it after the encoder was submitted, with what the queue returned.
@@ -65,13 +65,8 @@ impl Readback {
         self.free.is_empty()
     }
 
-    /// Number of results that were submitted and not yet taken.
-    pub fn pending(&self) -> usize {
-        self.under_way.len()
-    }
-
-    /// The oldest result, waiting for it if need be; `None` when nothing is under way.
-    pub fn next(&mut self, context: &Context) -> Result<Option<Vec<u8>>> {
+    /// What `read` makes of the bytes of the oldest result, waiting for it if need be; `None` when nothing is under way.
+    pub fn next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
         let lost = |e: String| Error::Device(format!("{}: cannot read back: {e}", context.name()));
         let Some((slot, mapped, submission)) = self.under_way.pop_front() else { return Ok(None) };
         // Wait for this submission and no longer: later ones may still be computing.
@@ -80,10 +75,10 @@ impl Readback {
         let outcome = mapped.recv().map_err(|e| lost(e.to_string()))?;
         outcome.map_err(|e| lost(e.to_string()))?;
         let view = slot.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;
-        let data = view[..self.bytes as usize].to_vec();
+        let made = read(&view[..self.bytes as usize]);
         drop(view);
         slot.unmap();
         self.free.push(slot);
-        Ok(Some(data))
+        Ok(Some(made))
     }
 }

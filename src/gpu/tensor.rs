@@ -120,11 +120,10 @@ impl Tensor {
     /// Reads the whole content, waiting for everything submitted so far: for tests, start and end, not for frames.
     pub fn read<T: bytemuck::Pod>(&self, context: &Context) -> Result<Vec<T>> {
         let mut readback = super::Readback::new(context, &[self], 1);
-        let submission =
-            context.submit(|encoder| readback.record(encoder).expect("a fresh ring has a free slot"));
+        let submission = context.submit(|encoder| readback.record(encoder));
         readback.submitted(&submission);
-        let bytes = readback.next(context)?.expect("one read is under way");
-        Ok(bytemuck::pod_collect_to_vec(&bytes))
+        let content = readback.next(context, bytemuck::pod_collect_to_vec)?;
+        Ok(content.expect("one read is under way"))
     }
 
     /// The buffer, usable as storage, as a vertex buffer and for copies; the content starts at [`Tensor::offset`].

@@ -112,7 +112,7 @@ impl Simulator {
     /// Computes a frame for each control and hands it to `take`, which may end the rollout.
     ///
     /// On a GPU the next frame is computed while `take` looks at this one, so that ending early leaves the device's state up
-    /// to two frames further on; set a state before the next rollout. Fails with [`Error::NonFinite`] at the first
+    /// to one frame further on; set a state before the next rollout. Fails with [`Error::NonFinite`] at the first
     /// frame that is not finite; the frames before it were handed out.
     pub fn rollout(
         &mut self,
@@ -168,17 +168,16 @@ impl Backend {
                     solver.set_control(&control);
                     let submission = context.submit(|encoder| {
                         solver.record(encoder);
-                        readback.record(encoder).expect("a slot is free");
+                        readback.record(encoder);
                     });
                     readback.submitted(&submission);
                 }
-                let Some(bytes) = readback.next(context)? else { return Ok(None) };
-                let mut values: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
-                let (x, v) = (solver.positions().len(), solver.velocities().len());
-                let stats = solver.statistics(&values[x + v..]);
-                values.truncate(x + v);
-                let v = values.split_off(x);
-                Ok(Some((State { x: values, v }, stats)))
+                readback.next(context, |bytes| {
+                    let (x, rest) = bytes.split_at(solver.positions().bytes() as usize);
+                    let (v, stats) = rest.split_at(solver.velocities().bytes() as usize);
+                    let [x, v, stats]: [Vec<f32>; 3] = [x, v, stats].map(bytemuck::pod_collect_to_vec);
+                    (State { x, v }, solver.statistics(&stats))
+                })
             }
         }
     }
@@ -186,7 +185,7 @@ impl Backend {
     /// Lets frames that were begun ahead finish, so that the next rollout finds none of them.
     fn drain(&mut self) -> Result<()> {
         if let Self::Gpu { context, readback, .. } = self {
-            while readback.next(context)?.is_some() {}
+            while readback.next(context, |_| ())?.is_some() {}
         }
         Ok(())
     }

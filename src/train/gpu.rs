@@ -80,23 +80,6 @@ impl Room {
         self.loss.set_cloths(&batch.model(self.grid), &batch.control());
     }
 
-    /// What became of the cloths of the last step, from what was read back.
-    fn outcomes(&self, told: &[u8]) -> Vec<Outcome> {
-        let told: Vec<f32> = bytemuck::pod_collect_to_vec(told);
-        let batch = self.loss.batch();
-        let (terms, rest) = told.split_at(8 * batch);
-        let (sizes, scales) = rest.split_at(batch);
-        let outcome = |((t, &size), scale): ((&[f32], &f32), &[f32])| {
-            let [stretch, shear, bend, inertia, external] = [0, 1, 2, 3, 4].map(|k| f64::from(t[k]));
-            Outcome {
-                energy: EnergyTerms { stretch, shear, bend, inertia, external },
-                log_gradient: f64::from(size).ln(),
-                scale: [0, 1, 2].map(|k| f64::from(scale[k])),
-            }
-        };
-        terms.chunks_exact(8).zip(sizes).zip(scales.chunks_exact(3)).map(outcome).collect()
-    }
-
     /// The pool on the host.
     fn read(&self, context: &Context) -> Result<Arrays<f32>> {
         let mut arrays = Arrays::new(self.grid, self.scale.shape()[0]);
@@ -123,6 +106,22 @@ impl Room {
         self.fields.write(context, &fields);
         self.scale.write(context, &arrays.hidden.scale);
     }
+}
+
+/// What became of the cloths of the last step, `batch` of them, from what was read back.
+fn outcomes(told: &[u8], batch: usize) -> Vec<Outcome> {
+    let told: Vec<f32> = bytemuck::pod_collect_to_vec(told);
+    let (terms, rest) = told.split_at(8 * batch);
+    let (sizes, scales) = rest.split_at(batch);
+    let outcome = |((t, &size), scale): ((&[f32], &f32), &[f32])| {
+        let [stretch, shear, bend, inertia, external] = [0, 1, 2, 3, 4].map(|k| f64::from(t[k]));
+        Outcome {
+            energy: EnergyTerms { stretch, shear, bend, inertia, external },
+            log_gradient: f64::from(size).ln(),
+            scale: [0, 1, 2].map(|k| f64::from(scale[k])),
+        }
+    };
+    terms.chunks_exact(8).zip(sizes).zip(scales.chunks_exact(3)).map(outcome).collect()
 }
 
 impl GpuLearner {
@@ -183,19 +182,19 @@ impl Learner for GpuLearner {
             for batch in batches {
                 let room = &mut pools[batch.pool];
                 room.step.record(encoder);
-                room.readback.record(encoder).expect("a pool is drawn from once a step");
+                room.readback.record(encoder);
             }
             if ranks.count() == 1 {
                 self.norm.record(encoder);
-                self.told.record(encoder).expect("the ring's slot is free between steps");
+                self.told.record(encoder);
             }
         });
         let mut report = StepReport { outcomes: vec![Vec::new(); pools.len()], ..StepReport::default() };
         for batch in batches {
             let room = &mut pools[batch.pool];
             room.readback.submitted(&submission);
-            let told = room.readback.next(context)?.expect("one read is under way");
-            report.outcomes[batch.pool] = room.outcomes(&told);
+            let outcomes = room.readback.next(context, |told| outcomes(told, room.loss.batch()))?;
+            report.outcomes[batch.pool] = outcomes.expect("one read is under way");
         }
         let mut submission = submission;
         if ranks.count() > 1 {
@@ -205,13 +204,12 @@ impl Learner for GpuLearner {
             adamw.gradient.write(context, &gradient);
             submission = context.submit(|encoder| {
                 self.norm.record(encoder);
-                self.told.record(encoder).expect("the ring's slot is free between steps");
+                self.told.record(encoder);
             });
         }
         self.told.submitted(&submission);
-        let told = self.told.next(context)?.expect("one read is under way");
-        let norm_squared: f32 = bytemuck::pod_read_unaligned(&told);
-        report.gradient_norm = f64::from(norm_squared).sqrt();
+        let norm_squared: Option<f32> = self.told.next(context, bytemuck::pod_read_unaligned)?;
+        report.gradient_norm = f64::from(norm_squared.expect("one read is under way")).sqrt();
         if report.is_finite() {
             adamw.set_factors(report.gradient_norm, update.number, (update.rate, update.average));
             context.submit(|encoder| self.update.record(encoder));
