@@ -153,6 +153,7 @@ impl Checkpoint {
             let expected = format!("positive sizes and at most {MAX_LAYERS} layers");
             return Err(Error::invalid(&self.origin, field, expected, format!("{config:?}")));
         }
+        config.check_fields(&self.origin, field)?;
         Ok(config)
     }
 

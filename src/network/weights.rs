@@ -1,5 +1,7 @@
 //! Sizes and weights of the Fourier neural operator (paper section 4).
 
+use crate::{Error, Result};
+
 /// Sizes of the network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -22,11 +24,31 @@ pub struct Config {
 
 impl Default for Config {
     fn default() -> Self {
-        Self { fields: 3, lifting: 256, channels: 64, projection: 64, layers: 4, modes_h: 8, modes_w: 5 }
+        Self {
+            fields: Self::FIELDS,
+            lifting: 256,
+            channels: 64,
+            projection: 64,
+            layers: 4,
+            modes_h: 8,
+            modes_w: 5,
+        }
     }
 }
 
 impl Config {
+    /// Fields of the update rule: gradient, last gradient and last step.
+    pub const FIELDS: usize = 3;
+
+    /// An error unless the fields are those of the update rule; `origin` and `field` say where the configuration is from.
+    pub(crate) fn check_fields(&self, origin: &str, field: &str) -> Result<()> {
+        if self.fields == Self::FIELDS {
+            return Ok(());
+        }
+        let expected = format!("{} fields: gradient, last gradient and last step", Self::FIELDS);
+        Err(Error::invalid(origin, field, expected, self.fields))
+    }
+
     /// Input channels: the fields and two positional channels.
     pub fn inputs(&self) -> usize {
         self.fields + 2

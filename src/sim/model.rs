@@ -1,6 +1,7 @@
 //! What stays fixed during a run, what changes, and what a frame is driven by. Grid units throughout, z up.
 
 use super::Grid;
+use crate::{Error, Result};
 use num_traits::Float;
 
 /// Energy coefficients in grid units (section 3 of the specification; the paper's material parameters).
@@ -59,20 +60,44 @@ impl Model {
         self.cloths.len()
     }
 
+    /// An error if there is no cloth, or a handle is no particle of the grid or named twice.
+    pub fn check(&self) -> Result<()> {
+        let n = self.grid.particles();
+        if self.cloths.is_empty() {
+            return Err(Error::invalid("model", "cloths", "at least one", 0));
+        }
+        for (b, cloth) in self.cloths.iter().enumerate() {
+            let refused = |expected: String, p: usize| {
+                Err(Error::invalid("model", format!("handles of cloth {b}"), expected, p))
+            };
+            let mut seen = vec![false; n];
+            for &p in &cloth.handles {
+                match seen.get_mut(p) {
+                    None => {
+                        return refused(format!("particles 0 to {} of a grid of {}", n - 1, self.grid), p);
+                    }
+                    Some(true) => return refused("each particle once".into(), p),
+                    Some(seen) => *seen = true,
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// Number of handles of all cloths together.
     pub fn handles(&self) -> usize {
         self.cloths.iter().map(|c| c.handles.len()).sum()
     }
 
     /// Handle slot of every particle, shape [B, H, W]: 0 for a free particle, else 1 + the index of its position in
-    /// [`Control::handles`].
+    /// [`Control::handles`]. Panics when a handle is no particle of the grid ([`Model::check`]).
     pub fn handle_slots(&self) -> Vec<u32> {
         let n = self.grid.particles();
         let mut slots = vec![0; self.batch() * n];
         let mut next = 1;
         for (b, cloth) in self.cloths.iter().enumerate() {
             for &p in &cloth.handles {
-                slots[b * n + p] = next;
+                slots[b * n..][..n][p] = next;
                 next += 1;
             }
         }

@@ -98,6 +98,14 @@ impl Optimizer {
         }
     }
 
+    /// An error if the weights of a learned one are of a network that sees something else than the update rule's fields.
+    pub(super) fn check(&self) -> Result<()> {
+        match self {
+            Self::Learned(weights) => weights.config.check_fields("optimizer", "network"),
+            _ => Ok(()),
+        }
+    }
+
     /// The optimizer's name, one of [`Optimizer::NAMES`].
     pub fn name(&self) -> &'static str {
         match self {

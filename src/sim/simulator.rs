@@ -69,7 +69,11 @@ const IN_FLIGHT: usize = 2;
 
 impl Simulator {
     /// Makes a solver with `iterations` per frame; the cloths start at rest.
+    ///
+    /// An error if the model is not one ([`Model::check`]), or optimizer, grid or batch are not for this device.
     pub fn new(device: &Device, model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
+        model.check()?;
+        optimizer.check()?;
         let backend = match device {
             Device::Cpu => Backend::Cpu {
                 solver: Box::new(cpu::Solver::new(model, optimizer, iterations)?),

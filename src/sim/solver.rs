@@ -91,6 +91,8 @@ enum Rule {
 
 impl Solver {
     /// Makes buffers and kernels and builds the schedule of a frame. The cloths start at rest ([`State::rest`]).
+    ///
+    /// An error if the model is not one ([`Model::check`]), or optimizer, grid, batch or tuning are not for this device.
     pub fn new(
         context: &Context,
         model: &Model,
@@ -106,7 +108,11 @@ impl Solver {
         optimizer: &Optimizer,
         options: &SolverOptions,
     ) -> Result<Self> {
-        assert!(options.iterations > 0 && model.batch() > 0, "a frame needs a cloth and an iteration");
+        model.check()?;
+        optimizer.check()?;
+        if options.iterations == 0 {
+            return Err(Error::invalid("options", "iterations", "at least 1", 0));
+        }
         let tuning = options.tuning.unwrap_or_else(|| Tuning::new(context));
         let (grid, batch, n) = (model.grid, model.batch(), model.grid.particles());
         let samples = 3 * batch;

@@ -185,6 +185,18 @@ fn a_configuration_in_the_metadata_is_binding() {
     }
 }
 
+/// The update rule has three fields: a network of others has nothing to see.
+#[test]
+fn networks_of_other_fields_are_refused() {
+    let config = Config { fields: 4, ..tiny().config };
+    let weights = Weights::zeros(config);
+    let json = serde_json::to_string(&config).unwrap();
+    let expected = "expected 3 fields: gradient, last gradient and last step, found 4";
+    for (json, field) in [(Some(&json[..]), "metadata 'config'"), (None, "tensor shapes")] {
+        assert_eq!(error(&file(&raw(&weights), json)), format!("test.safetensors: {field}: {expected}"));
+    }
+}
+
 #[test]
 fn description_tells_each_tensor() {
     let description = Checkpoint::open(&path("network_weights")).unwrap().describe();
