@@ -49,7 +49,8 @@ pub struct Solver {
     cloths: Tensor,
     targets: Tensor,
     forces: Tensor,
-    /// Whether `forces` holds any.
+    /// Whether `cloths` holds any wind, and `forces` any force.
+    windy: AtomicBool,
     forced: AtomicBool,
     external: Tensor,
     iterate: Iterate,
@@ -154,6 +155,7 @@ impl Solver {
             cloths: Tensor::from_slice(context, "cloths", &[batch, 16], &cloths)?,
             targets: zeros("handle targets", &[model.handles(), 3])?,
             forces: field("forces")?,
+            windy: AtomicBool::new(false),
             forced: AtomicBool::new(false),
             external: field("external")?,
             iterate: Iterate::new(context, batch, &model.handle_slots())?,
@@ -263,17 +265,20 @@ impl Solver {
         let batch = self.model.batch();
         assert!(control.wind.is_empty() || control.wind.len() == batch, "one wind velocity for each cloth");
         // A control without wind or forces means none, whatever the one before it said.
-        let wind = |b: usize| control.wind.get(b).copied().unwrap_or_default();
-        let cloths = self.model.cloths.iter().enumerate();
-        let params: Vec<ClothParams> = cloths.map(|(b, c)| ClothParams::new(c, wind(b))).collect();
-        self.cloths.write(&self.context, &params);
+        let windy = !control.wind.is_empty();
+        if self.windy.swap(windy, Ordering::Relaxed) || windy {
+            let wind = |b: usize| control.wind.get(b).copied().unwrap_or_default();
+            let cloths = self.model.cloths.iter().enumerate();
+            let params: Vec<ClothParams> = cloths.map(|(b, c)| ClothParams::new(c, wind(b))).collect();
+            self.cloths.write(&self.context, &params);
+        }
         let forced = !control.forces.is_empty();
+        let was_forced = self.forced.swap(forced, Ordering::Relaxed);
         if forced {
             self.forces.write(&self.context, &control.forces);
-        } else if self.forced.load(Ordering::Relaxed) {
+        } else if was_forced {
             self.forces.write(&self.context, &vec![0f32; self.forces.len()]);
         }
-        self.forced.store(forced, Ordering::Relaxed);
     }
 
     /// The tensors that [`Solver::statistics`] reads, in the order it wants their bytes.
