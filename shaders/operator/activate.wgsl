@@ -1,14 +1,14 @@
 // GELU of each element: y = gelu(x).
 //
 // What `pointwise` and `block` do by themselves, for passes that keep what comes before it. x, y: quads.
-// One invocation: one quad. Workgroups: rows of up to 65535, of 64 invocations each.
+// One invocation: one quad. Workgroups: (quads / 64 along x, then y).
 // Adjoint: `gelu_adj`.
 
 struct Params {
     quads: u32,
-    row: u32, // invocations in a row of workgroups
     pad0: u32,
     pad1: u32,
+    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -16,8 +16,12 @@ struct Params {
 @group(0) @binding(2) var<storage, read_write> y: array<vec4f>;
 
 @compute @workgroup_size(64)
-fn activate(@builtin(global_invocation_id) id: vec3u) {
-    let at = id.y * params.row + id.x;
+fn activate(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let at = (group.y * groups.x + group.x) * 64u + lane;
     if at >= params.quads {
         return;
     }

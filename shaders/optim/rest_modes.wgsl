@@ -5,7 +5,7 @@
 // (H - k, l), cs = -Im(A - B) / 2 of (k, W - l), ss = Re(B - A) / 2 of (H - k, W - l). Each is divided by its
 // eigenvalue lambda (SPEC section 7), and what they make is the spectrum of the result:
 // conj(e_H(k) e_W(l)) (cc - ss - i (sc + cs)).
-// z, out: [3 B, H, W / 2 + 1] complex; cloths: [B]; rows: [H], columns: [W / 2 + 1], (cos, sin)(pi k / 2 n).
+// z, out: [3 B, H, W / 2 + 1] complex; cloths: [B]; row_turns: [H], column_turns: [W / 2 + 1], (cos, sin)(pi k / 2 n).
 // One invocation: one element of the spectrum. Workgroups: (H (W / 2 + 1) / 64, 3 B).
 // Adjoint: none, it is not trained.
 
@@ -18,8 +18,8 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> rows: array<vec2f>;
-@group(0) @binding(3) var<storage, read> columns: array<vec2f>;
+@group(0) @binding(2) var<storage, read> row_turns: array<vec2f>;
+@group(0) @binding(3) var<storage, read> column_turns: array<vec2f>;
 @group(0) @binding(4) var<storage, read> z: array<vec2f>;
 @group(0) @binding(5) var<storage, read_write> out: array<vec2f>;
 
@@ -47,15 +47,15 @@ fn rest_modes(@builtin(global_invocation_id) id: vec3u) {
     let material = cloths[id.y / 3u].material;
 
     let conj = vec2f(1.0, -1.0);
-    let e_h = conj * rows[k];
-    let e_w = conj * columns[l];
+    let e_h = conj * row_turns[k];
+    let e_w = conj * column_turns[l];
     let opposite = z[field + (params.rows - k) % params.rows * half + l];
     let a = times(times(e_h, e_w), z[field + id.x]);
     let b = times(times(e_h, conj * e_w), conj * opposite);
 
     // mu of k and of n - k, without the cancellation of 1 - cos.
-    let mu_h = 4.0 * rows[k] * rows[k];
-    let mu_w = 4.0 * columns[l] * columns[l];
+    let mu_h = 4.0 * row_turns[k] * row_turns[k];
+    let mu_w = 4.0 * column_turns[l] * column_turns[l];
     let cc = 0.5 * (a.x + b.x) / eigenvalue(vec2f(mu_h.y, mu_w.y), material);
     let sc = -0.5 * (a.y + b.y) / eigenvalue(vec2f(mu_h.x, mu_w.y), material);
     let cs = -0.5 * (a.y - b.y) / eigenvalue(vec2f(mu_h.y, mu_w.x), material);

@@ -75,8 +75,10 @@ pub struct Context {
 
 /// Storage buffers that a kernel may bind.
 const STORAGE_BUFFERS: u32 = 8;
-/// Largest workgroup that a kernel uses.
-const WORKGROUP_INVOCATIONS: u32 = 256;
+/// Most invocations of a workgroup that every device takes.
+pub(crate) const WORKGROUP_INVOCATIONS: u32 = 256;
+/// Most workgroups along an axis that every device takes.
+pub(crate) const WORKGROUPS: u32 = 65535;
 
 impl Context {
     /// Wraps the caller's device and queue; fails if the device's limits are too small for the kernels.
@@ -251,7 +253,7 @@ fn missing_limit(limits: &wgpu::Limits) -> Option<String> {
         ("invocations per workgroup", limits.max_compute_invocations_per_workgroup, WORKGROUP_INVOCATIONS),
         ("workgroup size along x", limits.max_compute_workgroup_size_x, WORKGROUP_INVOCATIONS),
         ("bytes of workgroup memory", limits.max_compute_workgroup_storage_size, 16 << 10),
-        ("workgroups per dimension", limits.max_compute_workgroups_per_dimension, 65535),
+        ("workgroups per dimension", limits.max_compute_workgroups_per_dimension, WORKGROUPS),
     ];
     let short = needs.into_iter().find(|(_, has, need)| has < need);
     short.map(|(what, has, need)| format!("expected at least {need} {what}, found {has}"))

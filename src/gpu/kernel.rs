@@ -1,7 +1,9 @@
 //! Compiled WGSL entry points.
 
+use super::context::WORKGROUPS;
 use super::{Context, Storage};
 use crate::{Error, Result};
+use std::sync::{Arc, OnceLock};
 
 /// The WGSL text of one kernel: the file itself, then the shared functions it calls.
 ///
@@ -23,7 +25,7 @@ pub struct Binding {
     pub name: String,
     /// Uniform, read-only or read-write storage.
     pub ty: wgpu::BufferBindingType,
-    /// Size in bytes of a uniform; 0 for storage, whose arrays are sized at run time.
+    /// Size in bytes, for an array that is sized at run time that of one element: the least that can be bound.
     pub size: u32,
     /// What the numbers of storage are; 32-bit for integers and structures, too.
     pub storage: Storage,
@@ -59,8 +61,8 @@ pub enum Sharing {
     Broadcast,
 }
 
-/// Lanes that [`Sharing::Broadcast`] spreads loads over.
-const LANES: usize = 8;
+/// Lanes that [`Sharing::Broadcast`] spreads loads over, all of a subgroup.
+pub(super) const LANES: usize = 8;
 
 impl Source {
     /// The whole text, unrolled: a line with `$c` is written once for each channel of the tile, with `$q` for the quad of
@@ -151,27 +153,31 @@ impl Source {
 
     /// The bindings of group 0 in order, by parsing `text` with naga.
     pub fn bindings(&self, text: &str) -> Result<Vec<Binding>> {
-        let module = naga::front::wgsl::parse_str(text)
-            .map_err(|e| Error::Device(format!("{}.wgsl: {}", self.name, e.emit_to_string(text))))?;
+        Ok(self.bindings_of(&self.parsed(text)?))
+    }
+
+    fn parsed(&self, text: &str) -> Result<naga::Module> {
+        naga::front::wgsl::parse_str(text)
+            .map_err(|e| Error::Device(format!("{}.wgsl: {}", self.name, e.emit_to_string(text))))
+    }
+
+    fn bindings_of(&self, module: &naga::Module) -> Vec<Binding> {
         let mut found: Vec<(u32, Binding)> = Vec::new();
         for (_, variable) in module.global_variables.iter() {
             let Some(place) = variable.binding else { continue };
-            let (ty, size) = match variable.space {
-                naga::AddressSpace::Uniform => {
-                    let size = module.types[variable.ty].inner.size(module.to_ctx());
-                    (wgpu::BufferBindingType::Uniform, size.next_multiple_of(16))
-                }
-                naga::AddressSpace::Storage { access } => {
-                    let read_only = !access.contains(naga::StorageAccess::STORE);
-                    (wgpu::BufferBindingType::Storage { read_only }, 0)
-                }
+            let ty = match variable.space {
+                naga::AddressSpace::Uniform => wgpu::BufferBindingType::Uniform,
+                naga::AddressSpace::Storage { access } => wgpu::BufferBindingType::Storage {
+                    read_only: !access.contains(naga::StorageAccess::STORE),
+                },
                 other => unreachable!("{}.wgsl binds a variable in {other:?}", self.name),
             };
+            let size = module.types[variable.ty].inner.size(module.to_ctx());
             let name = variable.name.clone().unwrap_or_default();
-            found.push((place.binding, Binding { name, ty, size, storage: storage(&module, variable.ty) }));
+            found.push((place.binding, Binding { name, ty, size, storage: storage(module, variable.ty) }));
         }
         found.sort_by_key(|f| f.0);
-        Ok(found.into_iter().map(|f| f.1).collect())
+        found.into_iter().map(|f| f.1).collect()
     }
 }
 
@@ -186,37 +192,89 @@ fn storage(module: &naga::Module, ty: naga::Handle<naga::Type>) -> Storage {
     }
 }
 
-/// A compute pipeline with its explicit layout; make it once, push it onto schedules as often as needed.
+/// A kernel of this crate, made once and pushed onto schedules as often as needed. It is compiled when it is dispatched for
+/// the first time: what a network or an optimizer does not use costs no pipeline.
 #[derive(Clone, Debug)]
-pub struct Kernel {
+pub(crate) struct Kernel {
     pub(super) name: &'static str,
-    pub(super) pipeline: wgpu::ComputePipeline,
-    pub(super) layout: wgpu::BindGroupLayout,
     pub(super) bindings: Vec<Binding>,
+    /// Invocations of a workgroup, where the text says them.
+    workgroup: Option<[u32; 3]>,
+    text: String,
+    constants: Vec<(&'static str, f64)>,
+    compiled: Arc<OnceLock<Compiled>>,
+}
+
+/// A pipeline with its explicit layout.
+#[derive(Debug)]
+pub(super) struct Compiled {
+    pub pipeline: wgpu::ComputePipeline,
+    pub layout: wgpu::BindGroupLayout,
 }
 
 impl Kernel {
-    /// Compiles `source` with `constants` for its overrides, its text unrolled.
+    /// Reads `source`, its text unrolled, to be compiled with `constants` for its overrides.
     pub fn new(
         context: &Context,
         source: &Source,
         unroll: impl Into<Unroll>,
-        constants: &[(&str, f64)],
+        constants: &[(&'static str, f64)],
     ) -> Result<Self> {
         let text = source.unrolled(Unroll { storage: context.storage(), ..unroll.into() });
-        let bindings = source.bindings(&text)?;
-        let device = &context.device;
-        let entries: Vec<_> = bindings
-            .iter()
-            .enumerate()
-            .map(|(i, b)| wgpu::BindGroupLayoutEntry {
-                binding: i as u32,
-                visibility: wgpu::ShaderStages::COMPUTE,
-                ty: wgpu::BindingType::Buffer { ty: b.ty, has_dynamic_offset: false, min_binding_size: None },
-                count: None,
-            })
-            .collect();
-        let label = Some(source.name);
+        let module = source.parsed(&text)?;
+        let entry = module.entry_points.first();
+        let literal = entry.filter(|e| e.workgroup_size_overrides.is_none());
+        Ok(Self {
+            name: source.name,
+            bindings: source.bindings_of(&module),
+            workgroup: literal.map(|e| e.workgroup_size),
+            text,
+            constants: constants.to_vec(),
+            compiled: Arc::default(),
+        })
+    }
+
+    /// Invocations of a workgroup along each axis.
+    ///
+    /// Panics for a kernel whose workgroup is a matter of its constants: whoever chooses them knows it.
+    pub fn workgroup(&self) -> [u32; 3] {
+        self.workgroup.unwrap_or_else(|| panic!("{}.wgsl leaves its workgroup open", self.name))
+    }
+
+    /// Workgroups that cover so many invocations along each axis.
+    pub fn groups(&self, invocations: [usize; 3]) -> [u32; 3] {
+        let group = self.workgroup();
+        let count = |axis: usize| invocations[axis].div_ceil(group[axis] as usize);
+        // More than fits is more than any device takes: the schedule refuses it.
+        [0, 1, 2].map(|axis| u32::try_from(count(axis)).unwrap_or(u32::MAX))
+    }
+
+    /// Workgroups that cover `count` elements of each of `batch` items, in rows that no device's limit cuts short: the kernel
+    /// numbers them along x, then y.
+    pub fn spread(&self, count: usize, batch: usize) -> [u32; 3] {
+        let [all, _, items] = self.groups([count, 1, batch]);
+        let across = all.clamp(1, WORKGROUPS);
+        [across, all.div_ceil(across), items]
+    }
+
+    pub(super) fn compiled(&self, context: &Context) -> &Compiled {
+        self.compiled.get_or_init(|| self.compile(&context.device))
+    }
+
+    fn compile(&self, device: &wgpu::Device) -> Compiled {
+        let entry = |(i, b): (usize, &Binding)| wgpu::BindGroupLayoutEntry {
+            binding: i as u32,
+            visibility: wgpu::ShaderStages::COMPUTE,
+            ty: wgpu::BindingType::Buffer {
+                ty: b.ty,
+                has_dynamic_offset: false,
+                // Known here, it is checked once for a bind group, else at every dispatch.
+                min_binding_size: std::num::NonZeroU64::new(b.size.into()),
+            },
+            count: None,
+        };
+        let entries: Vec<_> = self.bindings.iter().enumerate().map(entry).collect();
+        let label = Some(self.name);
         let layout =
             device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
         let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
@@ -224,40 +282,33 @@ impl Kernel {
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
-        let module = trusted_module(device, source.name, text);
+        let module = trusted_module(device, self.name, &self.text);
         let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label,
             layout: Some(&pipeline_layout),
             module: &module,
-            entry_point: Some(source.name),
+            entry_point: Some(self.name),
             compilation_options: wgpu::PipelineCompilationOptions {
-                constants,
+                constants: &self.constants,
                 // Kernels write workgroup memory before they read it.
                 zero_initialize_workgroup_memory: false,
             },
             cache: None,
         });
-        Ok(Self { name: source.name, pipeline, layout, bindings })
-    }
-
-    /// Name of the entry point.
-    pub fn name(&self) -> &'static str {
-        self.name
-    }
-
-    /// Bindings of group 0, in order.
-    pub fn bindings(&self) -> &[Binding] {
-        &self.bindings
+        Compiled { pipeline, layout }
     }
 }
 
 /// A shader module without naga's index clamps and loop counters, which cost up to ten times in the inner loops.
 #[allow(unsafe_code, reason = "the one exception; see SAFETY")]
-fn trusted_module(device: &wgpu::Device, name: &str, text: String) -> wgpu::ShaderModule {
+fn trusted_module(device: &wgpu::Device, name: &str, text: &str) -> wgpu::ShaderModule {
     let descriptor =
         wgpu::ShaderModuleDescriptor { label: Some(name), source: wgpu::ShaderSource::Wgsl(text.into()) };
-    // SAFETY: the text is a file of `shaders/`, compiled into this program; no caller can bring their own. Every loop
-    // there counts to a finite bound, and every index is bounded by the sizes in the parameters, which the host side
-    // of each kernel (`crate::kernels`) asserts against the shapes of the tensors it binds.
+    // SAFETY: the text is a file of `shaders/`, compiled into this program: `Kernel` is private to the crate, and no caller
+    // can bring their own. Every loop there counts to a finite bound. Indices that are computed are bounded by the sizes in
+    // the parameters, which the host side of each kernel (`crate::kernels`) asserts against the shapes of the tensors it
+    // binds. Indices that are data are not checked there: handle slots, the places of drawn cloths in their pool and the
+    // newest pair of L-BFGS are bounded by what writes them (`Model::check` and `Model::handle_slots`, `train::Pool`,
+    // `lbfgs.wgsl`), and callers who fill such tensors of `crate::kernels` by themselves must do the same.
     unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
 }

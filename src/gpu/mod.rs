@@ -1,6 +1,6 @@
 //! The GPU runtime, and the only module that knows wgpu. It knows no cloth.
 //!
-//! [`Context`] wraps the caller's device and queue (or makes its own), [`Tensor`] is a typed storage buffer, [`Kernel`]
+//! [`Context`] wraps the caller's device and queue (or makes its own), [`Tensor`] is a typed storage buffer, `Kernel`
 //! is a compiled WGSL entry point, [`Schedule`] is a list of dispatches with everything bound, [`Readback`] brings
 //! results to the host without stalling the queue, [`Profile`] measures dispatches where the adapter has timestamps.
 
@@ -12,8 +12,10 @@ mod schedule;
 mod storage;
 mod tensor;
 
+pub(crate) use context::WORKGROUP_INVOCATIONS;
 pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters};
-pub use kernel::{Binding, Kernel, Sharing, Source, Unroll};
+pub(crate) use kernel::Kernel;
+pub use kernel::{Binding, Sharing, Source, Unroll};
 pub use profile::Profile;
 pub use readback::Readback;
 pub use schedule::Schedule;

@@ -1,12 +1,15 @@
 //! Lists of dispatches with everything bound, recorded into a caller's encoder as often as needed.
 
 use super::{Context, Kernel, Profile, Tensor};
+use crate::{Error, Result};
 
 /// Dispatches and clears in order. Built once; recording it allocates nothing on our side.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     context: Context,
     steps: Vec<Step>,
+    /// The first dispatch that is more than the device takes.
+    refused: Option<String>,
 }
 
 #[derive(Clone, Debug)]
@@ -27,14 +30,14 @@ enum Step {
 impl Schedule {
     /// An empty schedule for the device of `context`.
     pub fn new(context: &Context) -> Self {
-        Self { context: context.clone(), steps: Vec::new() }
+        Self { context: context.clone(), steps: Vec::new(), refused: None }
     }
 
     /// Appends a dispatch: `params` becomes binding 0, `tensors` the bindings after it, in the WGSL's order.
     ///
     /// Panics when the number of tensors, what they store or the size of the parameters is not the kernel's: that is a defect
-    /// of the host side, not bad input.
-    pub fn dispatch<P: bytemuck::Pod>(
+    /// of the host side, not bad input. More workgroups than the device takes are refused by [`Schedule::finish`].
+    pub(crate) fn dispatch<P: bytemuck::Pod>(
         &mut self,
         kernel: &Kernel,
         params: &P,
@@ -51,10 +54,16 @@ impl Schedule {
         }
         let context = &self.context;
         let most = context.device.limits().max_compute_workgroups_per_dimension;
-        assert!(groups.iter().all(|&g| g <= most), "{}: {groups:?} workgroups", kernel.name);
+        if groups.iter().any(|&g| g > most) {
+            let wants = format!("{} on this grid and batch takes {groups:?} workgroups", kernel.name);
+            self.refused
+                .get_or_insert(format!("{}: {wants}, and it has {most} along an axis", context.name()));
+            return;
+        }
         if groups.contains(&0) {
             return;
         }
+        let compiled = kernel.compiled(context);
         let uniform = context.device.create_buffer(&wgpu::BufferDescriptor {
             label: Some(kernel.name),
             size: bytes.len() as u64,
@@ -70,10 +79,10 @@ impl Schedule {
             .collect();
         let bind_group = context.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(kernel.name),
-            layout: &kernel.layout,
+            layout: &compiled.layout,
             entries: &entries,
         });
-        let pipeline = kernel.pipeline.clone();
+        let pipeline = compiled.pipeline.clone();
         self.steps.push(Step::Dispatch { name: kernel.name, pipeline, bind_group, groups });
     }
 
@@ -83,9 +92,12 @@ impl Schedule {
         self.steps.push(Step::Clear { buffer: tensor.buffer().clone(), offset, bytes });
     }
 
-    /// Appends the steps of another schedule; they share its bind groups.
-    pub fn append(&mut self, other: &Schedule) {
-        self.steps.extend(other.steps.iter().cloned());
+    /// The schedule, complete; an error if one of its dispatches is of more workgroups than the device takes.
+    pub fn finish(self) -> Result<Self> {
+        match self.refused {
+            Some(why) => Err(Error::Device(why)),
+            None => Ok(self),
+        }
     }
 
     /// Number of dispatches.
@@ -109,7 +121,8 @@ impl Schedule {
     /// The dispatches of one kernel alone, to measure it.
     pub fn only(&self, kernel: &str) -> Self {
         let wanted = |s: &&Step| matches!(s, Step::Dispatch { name, .. } if *name == kernel);
-        Self { context: self.context.clone(), steps: self.steps.iter().filter(wanted).cloned().collect() }
+        let steps = self.steps.iter().filter(wanted).cloned().collect();
+        Self { context: self.context.clone(), steps, refused: None }
     }
 
     /// Records everything into the caller's encoder, dispatches that follow each other in one compute pass.

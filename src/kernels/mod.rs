@@ -80,17 +80,3 @@ pub fn padded(columns: usize) -> usize {
 pub(crate) fn size(n: usize) -> u32 {
     u32::try_from(n).expect("sizes are checked against the device's limits, which fit 32 bits")
 }
-
-/// Number of workgroups of `group` invocations that cover `n`.
-pub(crate) fn groups(n: usize, group: u32) -> u32 {
-    size(n).div_ceil(group)
-}
-
-/// Workgroups of 64 invocations, one to an element, in rows that no device's limit cuts short; and the invocations of a row.
-pub(crate) fn element_groups(n: usize) -> ([u32; 3], u32) {
-    /// Workgroups that every device takes along an axis.
-    const MOST: u32 = 65535;
-    let all = groups(n, 64);
-    let across = all.min(MOST);
-    ([across, all.div_ceil(across.max(1)), 1], 64 * across)
-}

@@ -1,6 +1,6 @@
 //! Sizes that suit an adapter: a table of good ones, and what was measured on the adapter at hand.
 
-use crate::gpu::{AdapterKind, Context, Sharing, Unroll};
+use crate::gpu::{AdapterKind, Context, Sharing, Unroll, WORKGROUP_INVOCATIONS};
 use crate::{Error, Result, io};
 use std::io::Write;
 use std::path::PathBuf;
@@ -137,9 +137,9 @@ impl Tuning {
         let staged = self.block_high == 1 || !self.staged;
         let shared = staged && in_rows && [Sharing::Loads, context.sharing()].contains(&self.sharing);
         let tile = self.channels >= 4 && self.channels.is_multiple_of(4);
-        let fits = |n: u32| (1..=Self::INVOCATIONS).contains(&n);
+        let fits = |n: u32| (1..=WORKGROUP_INVOCATIONS).contains(&n);
         let rows = self.block_wide.checked_mul(self.block_high);
-        let teams = (1..=Self::INVOCATIONS / 64).contains(&self.spectral_teams);
+        let teams = (1..=WORKGROUP_INVOCATIONS / 64).contains(&self.spectral_teams);
         let groups = fits(self.pointwise_group) && teams && self.block_high > 0 && rows.is_some_and(fits);
         let depth = (1..=16).contains(&self.block_deep);
         shared

@@ -199,7 +199,7 @@ impl Solver {
         Energy::new(context)?.push(&mut frame, grid, physics, (iterate, &parts));
         EnergySum::new(context)?.push(&mut frame, &parts, &self.terms);
         Integrate::new(context)?.push(&mut frame, state, iterate);
-        Ok(frame)
+        frame.finish()
     }
 
     /// Records one frame: from the state and control as they are when the encoder runs to the next state.

@@ -64,7 +64,7 @@ impl Room {
         Advance::new(context)?.push(&mut step, &drawn, state, iterate);
         Store::new(context)?.push(&mut step, grid, (&drawn, pool), loss.tensors());
         let readback = Readback::new(context, &[&loss.terms, &loss.sizes, loss.scale()], 1);
-        Ok(Self { grid, fields, scale, drawn, loss, step, readback })
+        Ok(Self { grid, fields, scale, drawn, loss, step: step.finish()?, readback })
     }
 
     /// Sets the cloths of the next step.
@@ -146,6 +146,7 @@ impl GpuLearner {
         let [mut norm, mut update] = [(); 2].map(|()| Schedule::new(context));
         adamw.push_norm(&mut norm)?;
         adamw.push_step(&mut update, &parameters.flat)?;
+        let [prepare, norm, update] = [prepare.finish()?, norm.finish()?, update.finish()?];
         let told = Readback::new(context, &[&adamw.norm_squared], 1);
         let (context, network) = (context.clone(), weights.config);
         Ok(Self { context, network, parameters, adamw, pools, prepare, norm, told, update })

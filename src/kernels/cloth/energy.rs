@@ -4,7 +4,7 @@ use super::Physics;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
-use crate::kernels::{common, groups, size};
+use crate::kernels::{common, size};
 use crate::sim::Grid;
 
 /// The WGSL.
@@ -29,9 +29,12 @@ pub struct Energy {
     kernel: Kernel,
 }
 
+/// Particles of a part: a workgroup's.
+const PART: usize = 64;
+
 /// Number of parts that the energy of one cloth is summed in.
 pub fn parts(grid: Grid) -> usize {
-    grid.particles().div_ceil(64)
+    grid.particles().div_ceil(PART)
 }
 
 impl Energy {
@@ -49,11 +52,11 @@ impl Energy {
         (iterate, parts): (&Iterate, &Tensor),
     ) {
         let Physics { cloths, external, x } = physics;
-        let batch = super::batch_of(grid, &iterate.a);
-        let count = groups(grid.particles(), 64);
-        assert_eq!(parts.shape(), [batch, count as usize, 8]);
-        let params = Params { rows: size(grid.h), columns: size(grid.w), groups: count, pad: 0 };
+        let batch = physics.batch(grid, iterate);
+        let count = self.kernel.groups([grid.particles(), batch, 1]);
+        assert_eq!(parts.shape(), [batch, count[0] as usize, 8]);
+        let params = Params { rows: size(grid.h), columns: size(grid.w), groups: count[0], pad: 0 };
         let tensors = [cloths, external, &iterate.a, x, &iterate.shift, parts];
-        schedule.dispatch(&self.kernel, &params, &tensors, [count, size(batch), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, groups, size};
+use crate::kernels::{common, size};
 use crate::sim::Grid;
 
 /// The WGSL.
@@ -20,7 +20,7 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// ExternalForce acceleration: gravity, forces and air.
+/// External acceleration: gravity, forces and air.
 #[derive(Clone, Debug)]
 pub struct ExternalForce {
     kernel: Kernel,
@@ -54,10 +54,11 @@ impl ExternalForce {
         external: &Tensor,
     ) {
         let ExternalForceTensors { cloths, x, v, forces } = tensors;
-        let batch = super::batch_of(grid, external);
-        assert_eq!((x.len(), v.len(), forces.len()), (external.len(), external.len(), external.len()));
+        let batch = external.len() / (3 * grid.particles());
+        assert_eq!([external, x, v, forces].map(Tensor::len), [batch * 3 * grid.particles(); 4]);
+        assert_eq!(cloths.bytes() as usize, batch * size_of::<super::ClothParams>());
         let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
-        let count = [groups(grid.w, 8), groups(grid.h, 8), size(batch)];
+        let count = self.kernel.groups([grid.w, grid.h, batch]);
         schedule.dispatch(&self.kernel, &params, &[cloths, x, v, forces, external], count);
     }
 }

@@ -4,7 +4,7 @@ use super::Physics;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::optim::Iterate;
-use crate::kernels::{common, groups, size};
+use crate::kernels::{common, size};
 use crate::sim::Grid;
 
 /// The WGSL.
@@ -37,11 +37,10 @@ impl Gradient {
     /// Sets `iterate.grad` at `iterate.a`.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: Physics<'_>, iterate: &Iterate) {
         let Physics { cloths, external, x } = physics;
-        let batch = super::batch_of(grid, &iterate.grad);
-        assert_eq!((external.len(), x.len()), (iterate.grad.len(), iterate.grad.len()));
+        let batch = physics.batch(grid, iterate);
         let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
         let tensors = [cloths, &iterate.slots, external, &iterate.a, x, &iterate.shift, &iterate.grad];
-        let count = [groups(grid.w, 8), groups(grid.h, 8), size(batch)];
+        let count = self.kernel.groups([grid.w, grid.h, batch]);
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }

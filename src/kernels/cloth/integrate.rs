@@ -4,7 +4,7 @@ use super::StateTensors;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::optim::Iterate;
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -36,6 +36,6 @@ impl Integrate {
         assert_eq!((x.len(), v.len()), (samples * n, samples * n));
         let params = Params { particles: size(n), pad: [0; 3] };
         let tensors = [&iterate.slots, targets, &iterate.shift, x, v];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
     }
 }

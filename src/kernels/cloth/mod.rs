@@ -15,6 +15,7 @@ pub use integrate::Integrate;
 pub use predict::Predict;
 
 use crate::gpu::Tensor;
+use crate::kernels::optim::Iterate;
 use crate::sim::{Cloth, Grid};
 
 /// What the energy of a trial depends on, beside the trial itself.
@@ -63,9 +64,12 @@ impl ClothParams {
     }
 }
 
-/// Number of cloths in a tensor [B, 3, n] of `grid`.
-fn batch_of(grid: Grid, tensor: &Tensor) -> usize {
-    let batch = tensor.len() / (3 * grid.particles());
-    assert_eq!(tensor.len(), batch * 3 * grid.particles(), "{grid} and {:?}", tensor.shape());
-    batch
+impl Physics<'_> {
+    /// Number of cloths, whose tensors fit each other and the trial.
+    fn batch(&self, grid: Grid, iterate: &Iterate) -> usize {
+        let (samples, n) = iterate.samples_and_particles();
+        assert_eq!((n, self.external.len(), self.x.len()), (grid.particles(), samples * n, samples * n));
+        assert_eq!(self.cloths.bytes() as usize, samples / 3 * size_of::<ClothParams>());
+        samples / 3
+    }
 }

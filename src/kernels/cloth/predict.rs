@@ -3,7 +3,7 @@
 use super::StateTensors;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -45,6 +45,6 @@ impl Predict {
         let params = Params { particles: size(n), pad: [0; 3] };
         let tensors =
             [state.x, state.v, &iterate.slots, state.targets, &iterate.base, &iterate.a, &iterate.shift];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
     }
 }

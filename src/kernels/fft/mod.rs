@@ -1,7 +1,7 @@
 //! The full two-dimensional real Fourier transform of a batch, of any size: [`RealFft2`] and the passes it is made of.
 //!
-//! The operator does not need it (it keeps few modes and uses [`crate::kernels::operator`]'s truncated transforms); it is
-//! here for whoever wants whole spectra on the device.
+//! The quasi-Newton method inverts the Hessian of a flat sheet with it ([`crate::kernels::optim::QuasiNewton`]). The operator
+//! keeps few modes and has truncated transforms of its own ([`crate::kernels::operator`]).
 
 pub mod join_spectra;
 pub mod pack_pairs;
@@ -19,8 +19,7 @@ pub use real_fft2::{MAX_LENGTH, RealFft2};
 pub use split_spectra::SplitSpectra;
 pub use unpack_pairs::UnpackPairs;
 
-use super::{groups, size};
-use crate::gpu::{Context, Tensor};
+use crate::gpu::Tensor;
 
 /// The fields that are transformed: `batch` of them, each of `h` rows of `w` numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,11 +79,4 @@ impl Pass {
         let needed = 2 * self.batch * self.elements();
         assert!(source.len() >= needed && result.len() >= needed, "{self:?}");
     }
-}
-
-/// Workgroups of 64 that cover `count` elements of each of `batch` items; the kernels number them along x, then y.
-fn spread(context: &Context, count: usize, batch: usize) -> [u32; 3] {
-    let all = groups(count, 64);
-    let wide = all.min(context.device.limits().max_compute_workgroups_per_dimension).max(1);
-    [wide, all.div_ceil(wide), size(batch)]
 }

@@ -1,6 +1,6 @@
 //! Host side of `shaders/fft/pack_pairs.wgsl`.
 
-use super::{Fields, spread};
+use super::Fields;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
@@ -21,14 +21,13 @@ struct Params {
 /// Two real rows as one complex row.
 #[derive(Clone, Debug)]
 pub struct PackPairs {
-    context: Context,
     kernel: Kernel,
 }
 
 impl PackPairs {
     /// Compiles it.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
     /// `z` [B, ceil(H / 2), W, 2] from `x` [B, H, W], times `scale`.
@@ -38,6 +37,6 @@ impl PackPairs {
         assert_eq!(x.shape(), [batch, h, w]);
         assert!(z.len() >= 2 * batch * fields.pairs() * w, "pack_pairs: {:?} for {fields:?}", z.shape());
         let params = Params { rows: size(h), columns: size(w), count: size(count), scale };
-        schedule.dispatch(&self.kernel, &params, &[x, z], spread(&self.context, count, batch));
+        schedule.dispatch(&self.kernel, &params, &[x, z], self.kernel.spread(count, batch));
     }
 }

@@ -1,6 +1,6 @@
 //! Host side of `shaders/fft/radix4.wgsl`.
 
-use super::{Pass, spread};
+use super::Pass;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
@@ -23,14 +23,13 @@ struct Params {
 /// A pass of radix 4.
 #[derive(Clone, Debug)]
 pub struct Radix4 {
-    context: Context,
     kernel: Kernel,
 }
 
 impl Radix4 {
     /// Compiles it.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
     /// `result` from `source`, both [batch, lines, length, inner, 2] or larger, with `table` [length, 2] of the roots
@@ -53,7 +52,7 @@ impl Radix4 {
             sign: pass.sign(),
             pad: [0; 3],
         };
-        let groups = spread(&self.context, count, pass.batch);
+        let groups = self.kernel.spread(count, pass.batch);
         schedule.dispatch(&self.kernel, &params, &[table, source, result], groups);
     }
 }

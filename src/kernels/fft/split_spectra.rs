@@ -1,6 +1,6 @@
 //! Host side of `shaders/fft/split_spectra.wgsl`.
 
-use super::{Fields, spread};
+use super::Fields;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
@@ -24,14 +24,13 @@ struct Params {
 /// The spectra of two real rows from that of their complex row.
 #[derive(Clone, Debug)]
 pub struct SplitSpectra {
-    context: Context,
     kernel: Kernel,
 }
 
 impl SplitSpectra {
     /// Compiles it.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
     /// `y` [B, H, W / 2 + 1, 2] from `z` [B, ceil(H / 2), W, 2]; both may be larger.
@@ -41,6 +40,6 @@ impl SplitSpectra {
         assert!(y.len() >= 2 * batch * h * fields.half(), "{:?} for {fields:?}", y.shape());
         assert!(z.len() >= 2 * batch * fields.pairs() * w, "split_spectra: {:?} for {fields:?}", z.shape());
         let params = Params { rows: size(h), columns: size(w), count: size(count), pad: 0 };
-        schedule.dispatch(&self.kernel, &params, &[z, y], spread(&self.context, count, batch));
+        schedule.dispatch(&self.kernel, &params, &[z, y], self.kernel.spread(count, batch));
     }
 }

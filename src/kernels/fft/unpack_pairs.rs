@@ -1,6 +1,6 @@
 //! Host side of `shaders/fft/unpack_pairs.wgsl`.
 
-use super::{Fields, spread};
+use super::Fields;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
@@ -24,14 +24,13 @@ struct Params {
 /// Complex rows as pairs of real ones.
 #[derive(Clone, Debug)]
 pub struct UnpackPairs {
-    context: Context,
     kernel: Kernel,
 }
 
 impl UnpackPairs {
     /// Compiles it.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { context: context.clone(), kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
     /// `x` [B, H, W] from `z` [B, ceil(H / 2), W, 2], times `scale`.
@@ -41,6 +40,6 @@ impl UnpackPairs {
         assert_eq!(x.shape(), [batch, h, w]);
         assert!(z.len() >= 2 * batch * fields.pairs() * w, "unpack_pairs: {:?} for {fields:?}", z.shape());
         let params = Params { rows: size(h), columns: size(w), count: size(count), scale };
-        schedule.dispatch(&self.kernel, &params, &[z, x], spread(&self.context, count, batch));
+        schedule.dispatch(&self.kernel, &params, &[z, x], self.kernel.spread(count, batch));
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, element_groups, size};
+use crate::kernels::{common, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -15,8 +15,7 @@ pub const SOURCE: Source = Source {
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     quads: u32,
-    row: u32,
-    pad: [u32; 2],
+    pad: [u32; 3],
 }
 
 /// GELU of each element.
@@ -34,8 +33,8 @@ impl Activate {
     /// `y = gelu(x)`, of one shape with padded rows.
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, y: &Tensor) {
         assert_eq!((x.shape(), x.len() % 4), (y.shape(), 0));
-        let (count, row) = element_groups(x.len() / 4);
-        let params = Params { quads: size(x.len() / 4), row, pad: [0; 2] };
-        schedule.dispatch(&self.kernel, &params, &[x, y], count);
+        let quads = x.len() / 4;
+        let params = Params { quads: size(quads), pad: [0; 3] };
+        schedule.dispatch(&self.kernel, &params, &[x, y], self.kernel.spread(quads, 1));
     }
 }

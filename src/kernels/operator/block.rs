@@ -1,8 +1,8 @@
 //! Host side of `shaders/operator/block.wgsl`.
 
 use super::Layer;
-use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll};
-use crate::kernels::{Tuning, common, groups, padded, size};
+use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll, WORKGROUP_INVOCATIONS};
+use crate::kernels::{Tuning, common, padded, size};
 use crate::{Error, Result};
 
 /// The WGSL.
@@ -114,7 +114,7 @@ impl Group {
         let tiles = layer.channels / tuning.channels;
         let depths = (1..=tuning.block_deep as usize).rev().filter(|&deep| tiles.is_multiple_of(deep));
         let fits = |g: &Self| {
-            let few = g.deep == 1 || g.lanes() <= Tuning::INVOCATIONS as usize;
+            let few = g.deep == 1 || g.lanes() <= WORKGROUP_INVOCATIONS as usize;
             few && g.lanes() <= most as usize && g.memory <= room
         };
         depths.map(of_depth).find(fits)
@@ -228,7 +228,7 @@ impl Block {
         };
         let Group { wide, high, deep, .. } = self.group;
         let tiles = samples * channels / self.tile;
-        let count = [groups(row_quads, size(wide)), groups(h, size(high)), size(tiles / deep)];
+        let count = [row_quads.div_ceil(wide), h.div_ceil(high), tiles / deep].map(size);
         let [nothing_made, no_maxima] = &self.nothing;
         let (made, rows_max) = (made.unwrap_or(nothing_made), rows_max.unwrap_or(no_maxima));
         let tensors = [weight, bias, tables, x, r, y, made, rows_max];

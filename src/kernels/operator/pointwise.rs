@@ -3,8 +3,7 @@
 use super::Layer;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{Tuning, common, groups, size};
-use std::time::Instant;
+use crate::kernels::{Tuning, common, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -29,19 +28,19 @@ struct Params {
 pub struct Pointwise {
     kernel: Kernel,
     tile: usize,
-    group: u32,
+    group: usize,
 }
 
 impl Pointwise {
     /// Compiles the layer, with GELU after it or without.
     pub fn new(context: &Context, tuning: &Tuning, gelu: bool) -> Result<Self> {
-        let group = tuning.pointwise_group;
-        let constants = [("GELU", f64::from(u8::from(gelu))), ("WORKGROUP", f64::from(group))];
+        let group = tuning.pointwise_group as usize;
+        let constants = [("GELU", f64::from(u8::from(gelu))), ("WORKGROUP", group as f64)];
         let kernel = Kernel::new(context, &SOURCE, tuning.unroll(tuning.channels), &constants)?;
         Ok(Self { kernel, tile: tuning.channels, group })
     }
 
-    /// `layer.weight` [O / tile, I, tile] (see [`tiled`]), `x` [S, I, H, W'], `y` [S, O, H, W'] with padded rows.
+    /// `layer.weight` [O / tile, I, tile] (see [`index`]), `x` [S, I, H, W'], `y` [S, O, H, W'] with padded rows.
     pub fn push(&self, schedule: &mut Schedule, layer: &Layer, x: &Tensor, y: &Tensor) {
         let all = Samples { count: x.shape()[0], x_first: 0, y_first: 0 };
         self.push_part(schedule, layer, (x, y), all);
@@ -71,35 +70,9 @@ impl Pointwise {
             y_first: size(part.y_first),
             pad: [0; 3],
         };
-        let count = [groups(quads, self.group), size(outputs / self.tile), size(part.count)];
+        let count = [quads.div_ceil(self.group), outputs / self.tile, part.count].map(size);
         schedule.dispatch(&self.kernel, &params, &[&layer.weight, &layer.bias, x, y], count);
     }
-}
-
-/// Operations per second that the kernel reaches when nothing else limits it: 64 channels to 64, on many positions, one
-/// dispatch after the other. Takes about a third of a second, and as long as compiling takes.
-pub fn product_rate(context: &Context, tuning: &Tuning) -> Result<f64> {
-    const SHAPE: [usize; 4] = [12, 64, 64, 64];
-    const DISPATCHES: usize = 10;
-    let [samples, channels, h, w] = SHAPE;
-    let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
-    let (x, y) = (stored("x", &SHAPE)?, stored("y", &SHAPE)?);
-    let weight = stored("weight", &[channels / tuning.channels, channels, tuning.channels])?;
-    let layer = Layer { weight, bias: Tensor::zeros(context, "bias", &[channels])? };
-    let kernel = Pointwise::new(context, tuning, false)?;
-    let mut schedule = Schedule::new(context);
-    (0..DISPATCHES).for_each(|_| kernel.push(&mut schedule, &layer, &x, &y));
-    let run = || {
-        let begun = Instant::now();
-        context.submit(|encoder| schedule.record(encoder));
-        context.wait().map(|()| begun.elapsed().as_secs_f64())
-    };
-    run()?;
-    let (begun, mut best) = (Instant::now(), f64::INFINITY);
-    while begun.elapsed().as_secs_f64() < 0.3 {
-        best = best.min(run()?);
-    }
-    Ok((2 * DISPATCHES * samples * channels * channels * h * w) as f64 / best)
 }
 
 /// Which samples of input and output a dispatch takes.
@@ -116,13 +89,4 @@ pub struct Samples {
 /// Where the weight from input `input` to output `output` lies in the order of the kernels, [O / tile, I, tile].
 pub fn index(output: usize, input: usize, (inputs, tile): (usize, usize)) -> usize {
     (output / tile * inputs + input) * tile + output % tile
-}
-
-/// A weight [O, I] in the order of the kernels.
-pub fn tiled(weight: &[f32], inputs: usize, tile: usize) -> Vec<f32> {
-    let mut ordered = vec![0.0; weight.len()];
-    for (k, &w) in weight.iter().enumerate() {
-        ordered[index(k / inputs, k % inputs, (inputs, tile))] = w;
-    }
-    ordered
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -46,7 +46,7 @@ impl PoolAdj {
         let params =
             Params { channels: size(channels), rows: size(h), stride: size(w), columns: size(columns) };
         let tensors = [weight, adj_scalar, rows_max, x, adj, pooled];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(channels, 64), size(samples), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([channels, samples, 1]));
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, padded, size};
+use crate::kernels::{padded, size};
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -40,7 +40,7 @@ impl PoolRows {
             row_quads: size(w / 4),
             columns: size(columns),
         };
-        let count = [groups(channels, 64), size(h), size(samples)];
+        let count = self.kernel.groups([channels, h, samples]);
         schedule.dispatch(&self.kernel, &params, &[x, rows_max], count);
     }
 }

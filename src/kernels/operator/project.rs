@@ -3,7 +3,7 @@
 use super::Layer;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -37,6 +37,6 @@ impl Project {
         let quads = h * w / 4;
         let params = Params { channels: size(channels), quads: size(quads), pad: [0; 2] };
         let tensors = [&layer.weight, &layer.bias, x, field];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(quads, 64), size(samples), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([quads, samples, 1]));
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -37,7 +37,7 @@ impl ProjectAdj {
         assert_eq!((adj_field.shape(), weight.len()), (&[samples, h, w][..], channels));
         let quads = h * w / 4;
         let params = Params { channels: size(channels), quads: size(quads), pad: [0; 2] };
-        let count = [groups(quads, 64), size(channels), size(samples)];
+        let count = self.kernel.groups([quads, channels, samples]);
         schedule.dispatch(&self.kernel, &params, &[weight, adj_field, adj], count);
     }
 }

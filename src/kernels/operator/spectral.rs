@@ -147,7 +147,7 @@ impl Spectral {
         Ok(Self { kernel, division, config: *config, keep, nothing })
     }
 
-    /// `weight` [modes, C, C, 2] (see [`by_mode`]).
+    /// `weight` [modes, C, C, 2] (see [`index`]).
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, tensors: SpectralTensors<'_>) {
         let SpectralTensors { table, r, inverse, spectrum } = tensors;
         let &[samples, h, columns, c] = r.shape() else { panic!("spectral: {:?}", r.shape()) };
@@ -173,16 +173,4 @@ impl Spectral {
 /// [modes, I, O, 2].
 pub fn index(mode: usize, (i, o): (usize, usize), (inputs, outputs): (usize, usize)) -> usize {
     2 * ((mode * inputs + i) * outputs + o)
-}
-
-/// A checkpoint's spectral weight [I, O, modes, 2] in the order of the kernel.
-pub fn by_mode(weight: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
-    let modes = weight.len() / (2 * inputs * outputs);
-    let mut ordered = vec![0.0; weight.len()];
-    for (k, pair) in weight.chunks_exact(2).enumerate() {
-        let (io, mode) = (k / modes, k % modes);
-        let at = index(mode, (io / outputs, io % outputs), (inputs, outputs));
-        ordered[at..at + 2].copy_from_slice(pair);
-    }
-    ordered
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -38,7 +38,7 @@ impl SpectralTranspose {
         };
         assert_eq!(turned.shape(), [modes, outputs, inputs, 2]);
         let params = Params { inputs: size(inputs), outputs: size(outputs), pad: [0; 2] };
-        let count = [groups(inputs, 64), size(outputs), size(modes)];
+        let count = self.kernel.groups([inputs, outputs, modes]);
         schedule.dispatch(&self.kernel, &params, &[weight, turned], count);
     }
 }

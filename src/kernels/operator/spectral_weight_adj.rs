@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{Tuning, groups, size};
+use crate::kernels::{Tuning, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -50,7 +50,7 @@ impl SpectralWeightAdj {
             modes: size(modes),
             samples: size(samples),
         };
-        let count = [groups(outputs, 64), size(modes), size(inputs / TILE)];
+        let count = self.kernel.groups([outputs, modes, inputs / TILE]);
         schedule.dispatch(&self.kernel, &params, &[x, adj, gradient], count);
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -34,6 +34,6 @@ impl SumParts {
         assert_eq!(len % 4, 0, "a gradient is whole quads");
         assert!(parts * len <= partial.len(), "{parts} parts of {len} in {:?}", partial.shape());
         let params = Params { stride: size(len / 4), parts: size(parts), pad: [0; 2] };
-        schedule.dispatch(&self.kernel, &params, &[partial, gradient], [groups(len / 4, 64), 1, 1]);
+        schedule.dispatch(&self.kernel, &params, &[partial, gradient], self.kernel.groups([len / 4, 1, 1]));
     }
 }

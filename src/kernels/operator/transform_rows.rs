@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{Tuning, groups, size};
+use crate::kernels::{Tuning, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -40,7 +40,7 @@ impl TransformRows {
         assert_eq!(table.shape(), [w / 4, self.columns, 4]);
         assert_eq!(r.shape(), [samples, h, self.columns, channels]);
         let params = Params { channels: size(channels), rows: size(h), row_quads: size(w / 4), pad: 0 };
-        let count = [groups(channels, 64), size(h), size(samples)];
+        let count = self.kernel.groups([channels, h, samples]);
         schedule.dispatch(&self.kernel, &params, &[table, x, r], count);
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -36,7 +36,7 @@ impl Transpose {
         assert_eq!(turned.shape(), [inputs / tile, outputs, tile]);
         assert_eq!(inputs % tile, 0, "inputs are whole tiles, too");
         let params = Params { outputs: size(outputs), inputs: size(inputs), tile: size(tile), pad: 0 };
-        let count = [groups(outputs * inputs, 64), 1, 1];
+        let count = self.kernel.groups([outputs * inputs, 1, 1]);
         schedule.dispatch(&self.kernel, &params, &[weight, turned], count);
     }
 }

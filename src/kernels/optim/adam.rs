@@ -3,7 +3,7 @@
 use super::Iterate;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -72,6 +72,6 @@ impl Adam {
         };
         let Iterate { grad, base, slots, a, shift } = iterate;
         let tensors = [grad, base, slots, moments, a, shift];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
     }
 }

@@ -3,7 +3,7 @@
 use super::{Iterate, LbfgsMemory};
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -36,8 +36,9 @@ impl CosineOrder {
     pub fn push(&self, schedule: &mut Schedule, iterate: &Iterate, memory: &LbfgsMemory, ordered: &Tensor) {
         let &[samples, h, w] = ordered.shape() else { panic!("cosine_order: {:?}", ordered.shape()) };
         assert_eq!(iterate.samples_and_particles(), (samples, h * w));
+        assert_eq!(memory.last.len(), 2 * samples * h * w);
         let params = Params { rows: size(h), columns: size(w), pad: [0; 2] };
         let tensors = [&iterate.slots, &memory.last, ordered];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(h * w, 64), size(samples), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([h * w, samples, 1]));
     }
 }

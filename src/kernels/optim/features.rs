@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, groups, padded, size};
+use crate::kernels::{common, padded, size};
 use crate::sim::Grid;
 
 /// The WGSL.
@@ -63,7 +63,7 @@ impl Features {
             pad: [0; 3],
         };
         let tensors = [from.grad, from.hidden, from.partial, embedded];
-        let count = [groups(w / 4, 8), groups(grid.h, 8), size(samples)];
+        let count = self.kernel.groups([w / 4, grid.h, samples]);
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }

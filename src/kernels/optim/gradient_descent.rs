@@ -3,7 +3,7 @@
 use super::Iterate;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
-use crate::kernels::{groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -37,7 +37,7 @@ impl GradientDescent {
         let (samples, n) = iterate.samples_and_particles();
         let params = Params { particles: size(n), rate: rate as f32, pad: [0; 2] };
         let Iterate { grad, base, slots, a, shift } = iterate;
-        let count = [groups(n, 64), size(samples), 1];
+        let count = self.kernel.groups([n, samples, 1]);
         schedule.dispatch(&self.kernel, &params, &[grad, base, slots, a, shift], count);
     }
 }

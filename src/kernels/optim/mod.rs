@@ -54,8 +54,12 @@ impl Iterate {
         })
     }
 
-    /// Number of samples, three to a cloth, and of particles.
+    /// Number of samples, three to a cloth, and of particles. Panics when the tensors do not fit each other.
     pub fn samples_and_particles(&self) -> (usize, usize) {
-        (3 * self.a.shape()[0], self.a.shape()[2])
+        let Self { grad, base, slots, a, shift } = self;
+        let &[batch, 3, n] = a.shape() else { panic!("an acceleration is [B, 3, n]: {:?}", a.shape()) };
+        assert_eq!([grad, base, shift].map(Tensor::len), [a.len(); 3]);
+        assert_eq!(slots.len(), batch * n);
+        (3 * batch, n)
     }
 }

@@ -21,6 +21,7 @@ struct Params {
 #[derive(Clone, Debug)]
 pub struct Norms {
     kernel: Kernel,
+    last_step: bool,
 }
 
 /// Number of parts that a sample of `particles` is summed in.
@@ -32,13 +33,15 @@ impl Norms {
     /// Compiles it; without `last_step` only the gradient is summed and `hidden` is not read.
     pub fn new(context: &Context, last_step: bool) -> Result<Self> {
         let constants = [("LAST_STEP", f64::from(u8::from(last_step)))];
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)? })
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, last_step })
     }
 
     /// `grad` [S, n], `hidden` [2, S, n], `partial` [S, parts, 2].
     pub fn push(&self, schedule: &mut Schedule, grad: &Tensor, hidden: &Tensor, partial: &Tensor) {
         let &[samples, parts, 2] = partial.shape() else { panic!("norms: {:?}", partial.shape()) };
         let particles = grad.len() / samples;
+        assert_eq!(grad.len(), samples * particles);
+        assert!(!self.last_step || hidden.len() == 2 * grad.len(), "norms: hidden {:?}", hidden.shape());
         let params =
             Params { particles: size(particles), parts: size(parts), samples: size(samples), pad: 0 };
         let count = [size(parts), size(samples), 1];

@@ -2,7 +2,8 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, groups, size};
+use crate::kernels::cloth::ClothParams;
+use crate::kernels::{common, size};
 use crate::sim::Grid;
 use std::f64::consts::PI;
 
@@ -26,8 +27,8 @@ struct Params {
 pub struct RestModes {
     grid: Grid,
     kernel: Kernel,
-    rows: Tensor,
-    columns: Tensor,
+    row_turns: Tensor,
+    column_turns: Tensor,
 }
 
 impl RestModes {
@@ -42,8 +43,8 @@ impl RestModes {
         Ok(Self {
             grid,
             kernel: Kernel::new(context, &SOURCE, 0, &[])?,
-            rows: table("rest_modes.rows", grid.h, grid.h)?,
-            columns: table("rest_modes.columns", grid.w, grid.w / 2 + 1)?,
+            row_turns: table("rest_modes.row_turns", grid.h, grid.h)?,
+            column_turns: table("rest_modes.column_turns", grid.w, grid.w / 2 + 1)?,
         })
     }
 
@@ -53,9 +54,9 @@ impl RestModes {
         let (samples, half) = (spectrum.shape()[0], w / 2 + 1);
         assert_eq!(spectrum.shape(), [samples, h, half, 2]);
         assert_eq!(out.shape(), spectrum.shape());
-        assert_eq!(3 * cloths.shape()[0], samples);
+        assert_eq!(3 * cloths.bytes() as usize, samples * size_of::<ClothParams>());
         let params = Params { rows: size(h), columns: size(w), pad: [0; 2] };
-        let tensors = [cloths, &self.rows, &self.columns, spectrum, out];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(h * half, 64), size(samples), 1]);
+        let tensors = [cloths, &self.row_turns, &self.column_turns, spectrum, out];
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([h * half, samples, 1]));
     }
 }

@@ -3,7 +3,7 @@
 use super::Iterate;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, groups, size};
+use crate::kernels::{common, size};
 use crate::sim::Grid;
 
 /// The WGSL.
@@ -52,12 +52,12 @@ impl Update {
         let &[parts, samples, h, w] = from.field.shape() else { panic!("update: {:?}", from.field.shape()) };
         let n = grid.particles();
         assert_eq!((h, from.scale.len(), from.hidden.len()), (grid.h, samples, 2 * samples * n));
-        assert_eq!(iterate.a.len(), samples * n);
+        assert_eq!(iterate.samples_and_particles(), (samples, n));
         let [rows, columns, row_quads] = [h, grid.w, w / 4].map(size);
         let params =
             Params { rows, columns, row_quads, samples: size(samples), parts: size(parts), pad: [0; 3] };
         let Iterate { grad, base, slots, a, shift } = iterate;
         let tensors = [from.field, from.scale, grad, base, slots, from.hidden, a, shift];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{element_groups, size};
+use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
@@ -79,8 +79,10 @@ impl AdamW {
         let Moments { mean, square, averaged } = moments;
         assert_eq!([gradient.len(), mean.len(), square.len(), averaged.len()], [n; 4]);
         assert_eq!(factors.bytes() as usize, size_of::<Factors>());
-        let (count, row) = element_groups(n);
+        let count = self.kernel.spread(n, 1);
+        let row = count[0] * self.kernel.workgroup()[0];
         let params = Params { n: size(n), row, pad: [0; 2] };
-        schedule.dispatch(&self.kernel, &params, &[factors, gradient, weight, mean, square, averaged], count);
+        let tensors = [factors, gradient, weight, mean, square, averaged];
+        schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }

@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::StateTensors;
 use crate::kernels::optim::Iterate;
-use crate::kernels::{common, groups, size};
+use crate::kernels::{common, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -35,10 +35,11 @@ impl Advance {
     /// Moves `state` by the shift of `iterate`, whose `a` it zeroes, where `drawn` \[B\] says so.
     pub fn push(&self, schedule: &mut Schedule, drawn: &Tensor, state: StateTensors<'_>, iterate: &Iterate) {
         let (samples, n) = iterate.samples_and_particles();
-        assert_eq!((drawn.shape()[0], state.x.len()), (samples / 3, samples * n));
+        assert_eq!((state.x.len(), state.v.len()), (samples * n, samples * n));
+        assert_eq!(drawn.bytes() as usize, samples / 3 * size_of::<super::Drawn>());
         let params = Params { particles: size(n), pad: [0; 3] };
         let Iterate { slots, a, shift, .. } = iterate;
         let tensors = [drawn, slots, state.targets, shift, state.x, state.v, a];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
     }
 }

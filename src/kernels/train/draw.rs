@@ -3,7 +3,7 @@
 use super::{BatchTensors, PoolTensors};
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, groups, size};
+use crate::kernels::{common, size};
 use crate::sim::Grid;
 
 /// The WGSL.
@@ -43,6 +43,11 @@ impl Draw {
         let params = Params { rows: size(grid.h), columns: size(grid.w), samples: size(samples), scale };
         let BatchTensors { x, v, a, hidden, scale } = batch;
         let tensors = [drawn, pool.fields, pool.scale, x, v, a, hidden, scale];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(grid.particles(), 64), size(samples), 1]);
+        schedule.dispatch(
+            &self.kernel,
+            &params,
+            &tensors,
+            self.kernel.groups([grid.particles(), samples, 1]),
+        );
     }
 }

@@ -3,7 +3,7 @@
 use super::{BatchTensors, PoolTensors};
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, groups, size};
+use crate::kernels::{common, size};
 use crate::sim::Grid;
 
 /// The WGSL.
@@ -46,6 +46,6 @@ impl Store {
         let params = Params { particles: size(n), samples: size(samples), pad: [0; 2] };
         let BatchTensors { x, v, a, hidden, scale } = batch;
         let tensors = [drawn, x, v, a, hidden, scale, pool.fields, pool.scale];
-        schedule.dispatch(&self.kernel, &params, &tensors, [groups(n, 64), size(samples), 1]);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
     }
 }

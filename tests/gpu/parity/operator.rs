@@ -3,7 +3,7 @@
 use crate::common::{noise, pad, tensor};
 use fnopt::cpu::Real;
 use fnopt::gpu::Tensor;
-use fnopt::kernels::operator::{Layer, pointwise::tiled};
+use fnopt::kernels::operator::{Layer, pointwise, spectral};
 use fnopt::kernels::padded;
 use fnopt::network::Config;
 use fnopt::sim::Grid;
@@ -25,6 +25,27 @@ pub fn activations(samples: usize, channels: usize, grid: Grid, filler: f32) -> 
     let shape = [samples, channels, grid.h, padded(grid.w)];
     let padded = tensor("x", &shape, &pad(&dense, grid, filler));
     (dense, padded)
+}
+
+/// A weight [O, I] in the order of the kernels.
+pub fn tiled(weight: &[f32], inputs: usize, tile: usize) -> Vec<f32> {
+    let mut ordered = vec![0.0; weight.len()];
+    for (k, &w) in weight.iter().enumerate() {
+        ordered[pointwise::index(k / inputs, k % inputs, (inputs, tile))] = w;
+    }
+    ordered
+}
+
+/// A checkpoint's spectral weight [I, O, modes, 2] in the order of the kernel.
+pub fn by_mode(weight: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
+    let modes = weight.len() / (2 * inputs * outputs);
+    let mut ordered = vec![0.0; weight.len()];
+    for (k, pair) in weight.chunks_exact(2).enumerate() {
+        let (io, mode) = (k / modes, k % modes);
+        let at = spectral::index(mode, (io / outputs, io % outputs), (inputs, outputs));
+        ordered[at..at + 2].copy_from_slice(pair);
+    }
+    ordered
 }
 
 /// A random layer: weight [outputs, inputs] and bias [outputs] for formulas, and tensors in tiles.

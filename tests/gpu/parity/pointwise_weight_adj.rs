@@ -1,12 +1,11 @@
 //! `pointwise_weight_adj` with `sum_parts` against the sum over all positions.
 
+use super::operator::tiled;
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run, tensor,
 };
 use fnopt::kernels::operator::{
-    Parts, PointwiseWeightAdj, SumParts,
-    pointwise::{Samples, tiled},
-    pointwise_weight_adj,
+    Parts, PointwiseWeightAdj, SumParts, pointwise::Samples, pointwise_weight_adj,
 };
 use fnopt::kernels::padded;
 use fnopt::sim::Grid;

@@ -1,13 +1,13 @@
 //! `spectral` against the CPU path's column transform and the formulas of product and inverse.
 
-use super::operator::{CHANNELS, MODES, config, turn};
+use super::operator::{CHANNELS, MODES, by_mode, config, turn};
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run, sharings, tensor,
     widened,
 };
 use fnopt::cpu::operator::Transform;
 use fnopt::kernels::Tuning;
-use fnopt::kernels::operator::{Spectral, SpectralTensors, spectral::by_mode};
+use fnopt::kernels::operator::{Spectral, SpectralTensors};
 use fnopt::network::{Config, tables};
 use fnopt::sim::Grid;
 

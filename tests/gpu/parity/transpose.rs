@@ -1,7 +1,8 @@
 //! `transpose` and `spectral_transpose` against their meaning: only places and signs change, so they are exact.
 
+use super::operator::{by_mode, tiled};
 use crate::common::{context, device, noise, poisoned, read, run, tensor};
-use fnopt::kernels::operator::{SpectralTranspose, Transpose, pointwise, spectral};
+use fnopt::kernels::operator::{SpectralTranspose, Transpose};
 
 #[test]
 fn weights_turn_over() {
@@ -11,10 +12,10 @@ fn weights_turn_over() {
         let weight = noise(outputs * inputs, 41);
         let turned: Vec<f32> =
             (0..inputs * outputs).map(|k| weight[k % outputs * inputs + k / outputs]).collect();
-        let from = tensor("w", &[outputs / tile, inputs, tile], &pointwise::tiled(&weight, inputs, tile));
+        let from = tensor("w", &[outputs / tile, inputs, tile], &tiled(&weight, inputs, tile));
         let to = poisoned("turned", &[inputs / tile, outputs, tile]);
         run(|schedule| kernel.push(schedule, &from, &to));
-        assert_eq!(read(&to), pointwise::tiled(&turned, outputs, tile), "{outputs} {inputs} {tile}");
+        assert_eq!(read(&to), tiled(&turned, outputs, tile), "{outputs} {inputs} {tile}");
     }
 }
 
@@ -30,8 +31,8 @@ fn spectral_weights_turn_over_and_are_conjugated() {
         let at = 2 * ((o * inputs + i) * modes + m);
         (turned[at], turned[at + 1]) = (pair[0], -pair[1]);
     }
-    let from = tensor("w", &[modes, inputs, outputs, 2], &spectral::by_mode(&weight, inputs, outputs));
+    let from = tensor("w", &[modes, inputs, outputs, 2], &by_mode(&weight, inputs, outputs));
     let to = poisoned("turned", &[modes, outputs, inputs, 2]);
     run(|schedule| kernel.push(schedule, &from, &to));
-    assert_eq!(read(&to), spectral::by_mode(&turned, outputs, inputs));
+    assert_eq!(read(&to), by_mode(&turned, outputs, inputs));
 }
