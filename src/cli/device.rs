@@ -45,6 +45,10 @@ impl DeviceArgs {
             (None, DeviceKind::Cpu) => return Ok(cpu("asked for")),
         };
         let context = Context::headless(&choice)?;
+        let context = match Tuning::measured(&context) {
+            Some(tuning) => context.with_tuning(tuning)?,
+            None => context,
+        };
         let why = match (&self.adapter, self.device, context.kind()) {
             (Some(_), ..) => "asked for",
             (_, DeviceKind::Auto, _) => "hardware adapter",

@@ -1,6 +1,7 @@
 //! A device and its queue, the caller's or a headless one of our own.
 
 use super::{Sharing, Storage};
+use crate::kernels::Tuning;
 use crate::{Error, Result};
 
 /// What kind of adapter a device runs on; tile sizes of the kernels follow it.
@@ -71,6 +72,7 @@ pub struct Context {
     kind: AdapterKind,
     name: String,
     storage: Storage,
+    tuning: Option<Tuning>,
 }
 
 /// Storage buffers that a kernel may bind.
@@ -91,7 +93,7 @@ impl Context {
             return Err(Error::Device(format!("{}: {missing}", info.name)));
         }
         let storage = Storage::default();
-        Ok(Self { device, queue, kind: kind(&info), name: describe(&info), storage })
+        Ok(Self { device, queue, kind: kind(&info), name: describe(&info), storage, tuning: None })
     }
 
     /// Opens a device of its own, without a window.
@@ -131,6 +133,19 @@ impl Context {
     /// How networks store their activations and weights.
     pub fn storage(&self) -> Storage {
         self.storage
+    }
+
+    /// The same device, on which the kernels are made with these tile sizes instead of the table's.
+    ///
+    /// An error where they do not work on it ([`Tuning::check`]).
+    pub fn with_tuning(&self, tuning: Tuning) -> Result<Self> {
+        tuning.check(self)?;
+        Ok(Self { tuning: Some(tuning), ..self.clone() })
+    }
+
+    /// The tile sizes that it was given.
+    pub fn tuning(&self) -> Option<Tuning> {
+        self.tuning
     }
 
     /// Hardware or software.

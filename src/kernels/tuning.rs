@@ -32,7 +32,8 @@ pub struct Tuning {
     pub busy_groups: usize,
     /// How operands that a subgroup shares are read.
     pub sharing: Sharing,
-    /// Largest size of the lifting's hidden layer \[bytes\]; more samples than fit are lifted in turn.
+    /// Largest size of the lifting's hidden layer \[bytes\], where the device binds as much; more samples than fit are lifted in
+    /// turn.
     pub hidden_bytes: usize,
 }
 
@@ -52,12 +53,9 @@ struct Stored {
 }
 
 impl Tuning {
-    /// Most invocations of a workgroup that every device takes.
-    pub const INVOCATIONS: u32 = 256;
-
-    /// The tuning that was measured on this adapter ([`crate::sim::tune`]), if one is stored; else [`Tuning::table`].
+    /// The tuning that the context was given, else [`Tuning::table`]'s ([`Context::with_tuning`]).
     pub fn new(context: &Context) -> Self {
-        Self::stored(context).unwrap_or_else(|| Self::table(context))
+        context.tuning().unwrap_or_else(|| Self::table(context))
     }
 
     /// The table's entry for the adapter.
@@ -130,6 +128,15 @@ impl Tuning {
         ]
     }
 
+    /// An error unless [`Tuning::works`].
+    pub fn check(&self, context: &Context) -> Result<()> {
+        if self.works(context) {
+            return Ok(());
+        }
+        let expected = format!("sizes that the kernels can be made with on {}", context.name());
+        Err(Error::invalid("options", "tuning", expected, format!("{self:?}")))
+    }
+
     /// Whether the kernels can be made with it on the adapter.
     pub fn works(&self, context: &Context) -> bool {
         // Subgroups share operands within one row, and so does what is staged.
@@ -156,7 +163,8 @@ impl Tuning {
     }
 
     /// Where the tuning of an adapter is stored: in the folder that `FNOPT_CACHE` names, else in `fnopt` of the user's cache
-    /// directory. None where there is no such directory.
+    /// directory. None where there is no such directory. Its name stands for the adapter, its driver and the version of this
+    /// package: builds of one version share it.
     pub fn path(context: &Context) -> Option<PathBuf> {
         let folder = match std::env::var_os(FOLDER) {
             Some(folder) => PathBuf::from(folder),
@@ -168,8 +176,9 @@ impl Tuning {
         Some(folder.join(format!("tuning_{:08x}.json", sum.finalize())))
     }
 
-    /// What is stored for the adapter. A file that is damaged or of something else counts as none, and is said.
-    fn stored(context: &Context) -> Option<Self> {
+    /// What was measured on the adapter ([`crate::sim::tune`]) and stored, for a program that wants it: hand it to
+    /// [`Context::with_tuning`]. A file that is damaged or of something else counts as none, and is said.
+    pub fn measured(context: &Context) -> Option<Self> {
         let path = Self::path(context)?;
         let bytes = std::fs::read(&path).ok()?;
         let stored: Option<Stored> = serde_json::from_slice(&bytes).ok();
@@ -181,7 +190,7 @@ impl Tuning {
         found
     }
 
-    /// Stores it for the adapter, to be found by [`Tuning::new`] from then on; the file.
+    /// Stores it for the adapter, to be found by [`Tuning::measured`] from then on; the file.
     pub fn store(&self, context: &Context) -> Result<PathBuf> {
         let nowhere = || Error::Device(format!("no cache directory to store a tuning in; set {FOLDER}"));
         let path = Self::path(context).ok_or_else(nowhere)?;

@@ -24,7 +24,8 @@ pub const INITIAL_SCALE: f32 = 0.05;
 pub struct SolverOptions {
     /// Iterations per frame (N), at least 1.
     pub iterations: usize,
-    /// Tile sizes; what suits the adapter when not given.
+    /// Tile sizes; those of the context when not given, which are the table's unless it was given others
+    /// ([`Context::with_tuning`]).
     pub tuning: Option<Tuning>,
 }
 
@@ -115,6 +116,7 @@ impl Solver {
             return Err(Error::invalid("options", "iterations", "at least 1", 0));
         }
         let tuning = options.tuning.unwrap_or_else(|| Tuning::new(context));
+        tuning.check(context)?;
         let (grid, batch, n) = (model.grid, model.batch(), model.grid.particles());
         let samples = 3 * batch;
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);

@@ -131,7 +131,8 @@ impl GpuLearner {
     }
 
     fn build(context: &Context, config: &Config, weights: &Weights) -> Result<Self> {
-        let tuning = Tuning::new(context);
+        // The table's, whatever was measured: a run that is resumed goes on to the same bits.
+        let tuning = Tuning::table(context);
         let parameters = Parameters::new(context, weights, &tuning)?;
         let adamw = DeviceAdamW::new(context, parameters.flat.len(), config.optimizer.settings())?;
         adamw.moments.averaged.write(context, &parameters.layout().to_device(&weights.flat()));
