@@ -1,5 +1,6 @@
 //! A device and its queue, the caller's or a headless one of our own.
 
+use super::kernel::LANES;
 use super::{Sharing, Storage};
 use crate::kernels::Tuning;
 use crate::{Error, Result};
@@ -165,9 +166,15 @@ impl Context {
 
     /// How kernels should read operands that a whole subgroup shares.
     pub fn sharing(&self) -> Sharing {
-        let wide_enough = self.device.adapter_info().subgroup_min_size >= 8;
-        let subgroups = self.device.features().contains(wgpu::Features::SUBGROUP) && wide_enough;
-        if subgroups && self.kind == AdapterKind::Software { Sharing::Broadcast } else { Sharing::Loads }
+        let info = self.device.adapter_info();
+        let lanes = [info.subgroup_min_size, info.subgroup_max_size];
+        sharing(self.kind, self.device.features(), lanes)
+    }
+
+    /// Bytes that one binding may have.
+    pub fn largest_binding(&self) -> u64 {
+        let limits = self.device.limits();
+        limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
     }
 
     /// Runs `build` and turns what the device then reports (invalid objects, no memory left) into an error.
@@ -254,6 +261,12 @@ fn kind(info: &wgpu::AdapterInfo) -> AdapterKind {
     }
 }
 
+/// Operands are broadcast where subgroups are as wide as the kernels take them to be: in a wider one the operands differ.
+fn sharing(kind: AdapterKind, features: wgpu::Features, lanes: [u32; 2]) -> Sharing {
+    let fits = features.contains(wgpu::Features::SUBGROUP) && lanes == [LANES as u32; 2];
+    if fits && kind == AdapterKind::Software { Sharing::Broadcast } else { Sharing::Loads }
+}
+
 fn describe(info: &wgpu::AdapterInfo) -> String {
     let driver = [info.driver.as_str(), info.driver_info.as_str()].join(" ");
     match driver.trim() {
@@ -272,4 +285,19 @@ fn missing_limit(limits: &wgpu::Limits) -> Option<String> {
     ];
     let short = needs.into_iter().find(|(_, has, need)| has < need);
     short.map(|(what, has, need)| format!("expected at least {need} {what}, found {has}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A subgroup of 16 lanes spans two steps of a row, whose operands differ.
+    #[test]
+    fn operands_are_broadcast_in_subgroups_of_one_width_only() {
+        let of = |lanes| sharing(AdapterKind::Software, wgpu::Features::SUBGROUP, lanes);
+        assert_eq!(of([8, 8]), Sharing::Broadcast);
+        for lanes in [[4, 4], [4, 8], [8, 16], [16, 16], [8, 128]] {
+            assert_eq!(of(lanes), Sharing::Loads, "{lanes:?}");
+        }
+    }
 }

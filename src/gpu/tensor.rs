@@ -30,8 +30,7 @@ impl Tensor {
 
     fn zeros_of(context: &Context, label: &'static str, shape: &[usize], storage: Storage) -> Result<Self> {
         let bytes = (storage.bytes() * shape.iter().product::<usize>().max(1)) as u64;
-        let limits = context.device.limits();
-        let most = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
+        let most = context.largest_binding();
         if bytes > most {
             return Err(Error::Device(format!(
                 "{}: tensor '{label}' of shape {shape:?} needs {bytes} bytes, the device binds at most {most}",

@@ -147,7 +147,10 @@ impl Forward {
         // Nothing is between the layers where they are joined.
         let lifted_at_once = match joined.units {
             Some(_) => 0,
-            None => (tuning.hidden_bytes / lifted_bytes).clamp(1, samples.max(1)),
+            None => {
+                let most = usize::try_from(context.largest_binding()).unwrap_or(usize::MAX);
+                (tuning.hidden_bytes.min(most) / lifted_bytes).clamp(1, samples.max(1))
+            }
         };
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);

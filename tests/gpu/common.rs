@@ -31,6 +31,18 @@ pub fn context() -> &'static Context {
     &CONTEXT
 }
 
+/// A device that binds at most so many bytes at once.
+pub fn narrow(bytes: u64) -> Context {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
+    let opened = pollster::block_on(async {
+        let adapter = instance.request_adapter(&Default::default()).await.unwrap();
+        let required_limits = wgpu::Limits { max_storage_buffer_binding_size: bytes, ..adapter.limits() };
+        adapter.request_device(&wgpu::DeviceDescriptor { required_limits, ..Default::default() }).await
+    });
+    let (device, queue) = opened.unwrap();
+    Context::new(device, queue).unwrap()
+}
+
 /// The same device with networks in 16 bits; without it, said, on an adapter that lacks them.
 pub fn half() -> Option<Context> {
     let half = context().with_storage(Storage::F16);

@@ -1,13 +1,13 @@
 //! The forward pass of the network: against the CPU path stage by stage, with every tile, and in parts.
 
 use crate::common::{
-    assert_close, context, device, half, largest, noise, pad, read, read_unpadded, tunings, widened,
+    assert_close, context, device, half, largest, narrow, noise, pad, read, read_unpadded, tunings, widened,
 };
 use crate::solver::starter;
 use fnopt::cpu::operator::{Network, Stage};
 use fnopt::gpu::{Context, Schedule, Storage, Tensor};
 use fnopt::kernels::Tuning;
-use fnopt::network::{Block, Config, Dense, Forward, Keep, Weights};
+use fnopt::network::{Backward, Block, Config, Dense, Forward, Keep, Parameters, Weights};
 use fnopt::sim::Grid;
 
 /// Random weights of about the size that keeps activations at about 1.
@@ -181,6 +181,29 @@ fn lifting_in_parts_gives_the_same_bits() {
         assert_eq!(parts.lifted, whole.lifted, "{hidden_bytes} bytes");
         assert_eq!((parts.field, parts.scalar), (whole.field.clone(), whole.scalar.clone()));
     }
+}
+
+/// Samples whose hidden layer is more than the device binds at once, though their activations are not: lifted in turn, too,
+/// forward and on the way back.
+#[test]
+fn lifting_takes_no_more_than_the_device_binds() {
+    let _turn = device();
+    let (grid, samples) = (Grid { h: 9, w: 14 }, 60);
+    let narrow = narrow(8 << 20);
+    let one = 4 * starter().config.lifting * grid.h * 16;
+    assert!((samples * one) as u64 > narrow.largest_binding());
+    let fields = noise(samples * 3 * grid.particles(), 121);
+    let tuning = Tuning::table(&narrow);
+    let keep = Keep::Blocks;
+    let parts = done_on(&narrow, starter(), &tuning, (grid, samples), (&fields, keep));
+    let whole = done(starter(), &tuning, (grid, samples), (&fields, keep));
+    let field = parts.field.read::<f32>(&narrow).unwrap();
+    assert_eq!(field, read(&whole.field));
+    let parameters = Parameters::new(&narrow, starter(), &tuning).unwrap();
+    let gradient = Tensor::zeros(&narrow, "gradient", parameters.flat.shape()).unwrap();
+    let shape = (grid, samples);
+    let forward = Forward::with_parameters(&narrow, &parameters, &tuning, shape, Keep::Adjoint).unwrap();
+    Backward::new(&narrow, &forward, &parameters, &gradient, &tuning).unwrap();
 }
 
 /// Networks whose activations and weights are stored in 16 bits, eleven of them significant: every output to a few of their
