@@ -183,7 +183,8 @@ impl Context {
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let built = build();
         let errors = [pollster::block_on(validation.pop()), pollster::block_on(memory.pop())];
-        match errors.into_iter().flatten().next() {
+        // Where memory ran out, objects are invalid for want of it.
+        match errors.into_iter().rev().flatten().next() {
             Some(e) => Err(Error::Device(format!("{}: {e}", self.name))),
             None => built,
         }

@@ -2,14 +2,26 @@
 
 use super::{Context, Kernel, Profile, Tensor};
 use crate::{Error, Result};
+use std::collections::HashMap;
 
 /// Dispatches and clears in order. Built once; recording it allocates nothing on our side.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     context: Context,
     steps: Vec<Step>,
+    /// The bind groups so far: dispatches that bind the same share one, and recording has fewer to keep track of.
+    bound: HashMap<Bound, wgpu::BindGroup>,
     /// The first dispatch that is more than the device takes.
     refused: Option<String>,
+}
+
+/// What a dispatch binds.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+struct Bound {
+    pipeline: wgpu::ComputePipeline,
+    params: Vec<u8>,
+    /// Buffer, offset and bytes of each tensor.
+    tensors: Vec<(wgpu::Buffer, u64, u64)>,
 }
 
 #[derive(Clone, Debug)]
@@ -30,7 +42,7 @@ enum Step {
 impl Schedule {
     /// An empty schedule for the device of `context`.
     pub fn new(context: &Context) -> Self {
-        Self { context: context.clone(), steps: Vec::new(), refused: None }
+        Self { context: context.clone(), steps: Vec::new(), bound: HashMap::new(), refused: None }
     }
 
     /// Appends a dispatch: `params` becomes binding 0, `tensors` the bindings after it, in the WGSL's order.
@@ -64,26 +76,40 @@ impl Schedule {
             return;
         }
         let compiled = kernel.compiled(context);
+        let pipeline = compiled.pipeline.clone();
+        let bound = Bound {
+            pipeline: pipeline.clone(),
+            params: bytes.to_vec(),
+            tensors: tensors.iter().map(|t| (t.buffer().clone(), t.offset(), t.bytes())).collect(),
+        };
+        let group = || Self::bind(context, (kernel.name, &compiled.layout), bytes, tensors);
+        let bind_group = self.bound.entry(bound).or_insert_with(group).clone();
+        self.steps.push(Step::Dispatch { name: kernel.name, pipeline, bind_group, groups });
+    }
+
+    /// A bind group of the parameters in a buffer of their own and the tensors.
+    fn bind(
+        context: &Context,
+        (name, layout): (&'static str, &wgpu::BindGroupLayout),
+        params: &[u8],
+        tensors: &[&Tensor],
+    ) -> wgpu::BindGroup {
+        let label = Some(name);
         let uniform = context.device.create_buffer(&wgpu::BufferDescriptor {
-            label: Some(kernel.name),
-            size: bytes.len() as u64,
+            label,
+            size: params.len() as u64,
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        context.queue.write_buffer(&uniform, 0, bytes);
+        context.queue.write_buffer(&uniform, 0, params);
         let resources =
             std::iter::once(uniform.as_entire_binding()).chain(tensors.iter().map(|t| t.binding()));
         let entries: Vec<_> = resources
             .enumerate()
             .map(|(i, resource)| wgpu::BindGroupEntry { binding: i as u32, resource })
             .collect();
-        let bind_group = context.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(kernel.name),
-            layout: &compiled.layout,
-            entries: &entries,
-        });
-        let pipeline = compiled.pipeline.clone();
-        self.steps.push(Step::Dispatch { name: kernel.name, pipeline, bind_group, groups });
+        let descriptor = wgpu::BindGroupDescriptor { label, layout, entries: &entries };
+        context.device.create_bind_group(&descriptor)
     }
 
     /// Appends zeroing the whole of a tensor.
@@ -122,7 +148,7 @@ impl Schedule {
     pub fn only(&self, kernel: &str) -> Self {
         let wanted = |s: &&Step| matches!(s, Step::Dispatch { name, .. } if *name == kernel);
         let steps = self.steps.iter().filter(wanted).cloned().collect();
-        Self { context: self.context.clone(), steps, refused: None }
+        Self { context: self.context.clone(), steps, bound: HashMap::new(), refused: None }
     }
 
     /// Records everything into the caller's encoder, dispatches that follow each other in one compute pass.

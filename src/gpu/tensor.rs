@@ -47,6 +47,8 @@ impl Tensor {
                 | wgpu::BufferUsages::VERTEX,
             mapped_at_creation: false,
         });
+        // wgpu would clear it before its first use, and until then look after that in every dispatch that binds it.
+        context.submit(|encoder| encoder.clear_buffer(&buffer, 0, None));
         Ok(Self { buffer, offset: 0, shape: shape.to_vec(), label, storage })
     }
 
