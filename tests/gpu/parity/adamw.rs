@@ -7,6 +7,8 @@ use fnopt::train::DeviceAdamW;
 #[test]
 fn updates_and_the_running_mean_match() {
     let _turn = device();
+    // Exact in single precision: its rounding would be most of what the running mean is off by.
+    let average = 0.875;
     // One part of the sum of squares, and several.
     for n in [61, 70_000] {
         let settings = AdamWSettings { clip: 0.5, ..Default::default() };
@@ -23,13 +25,13 @@ fn updates_and_the_running_mean_match() {
             let norm = AdamW::norm(&widened(&gradient));
             host.step(&mut weights, (&widened(&gradient), norm), number, 0.01);
             for (mean, weight) in averaged.iter_mut().zip(&weights) {
-                *mean = 0.9 * *mean + 0.1 * weight;
+                *mean = average * *mean + (1.0 - average) * weight;
             }
             adamw.gradient.write(context(), &gradient);
             run(|schedule| adamw.push_norm(schedule).unwrap());
             let squared = f64::from(read(&adamw.norm_squared)[0]);
             assert!((squared / (norm * norm) - 1.0).abs() < 1e-6, "{squared} and {}", norm * norm);
-            adamw.set_factors(norm, number, (0.01, 0.9));
+            adamw.set_factors(norm, number, (0.01, average));
             run(|schedule| adamw.push_step(schedule, &on_device).unwrap());
         }
         // Steps of 0.01 in which the roundings of a few operations show.
