@@ -5,14 +5,14 @@
 // w <- shrink w - pace m / (sqrt(v) / root + epsilon); mean of w <- average mean + (1 - average) w.
 // The host makes the factors in double precision: shorten = min(clip / (norm + 1e-6), 1), shrink = 1 - rate decay,
 // pace = rate / (1 - beta1^t), root = sqrt(1 - beta2^t). All vectors: [n].
-// One invocation: one weight. Workgroups: rows of up to 65535, of 64 invocations each.
+// One invocation: one weight. Workgroups: (n / 64 along x, then y).
 // Adjoint: none, it is the optimizer.
 
 struct Params {
     n: u32,
-    row: u32, // invocations in a row of workgroups
     pad0: u32,
     pad1: u32,
+    pad2: u32,
 }
 
 struct Factors {
@@ -39,8 +39,12 @@ struct Factors {
 @group(0) @binding(6) var<storage, read_write> averaged: array<f32>;
 
 @compute @workgroup_size(64)
-fn adamw(@builtin(global_invocation_id) id: vec3u) {
-    let k = id.y * params.row + id.x;
+fn adamw(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let k = (group.y * groups.x + group.x) * 64u + lane;
     if k >= params.n {
         return;
     }

@@ -12,8 +12,7 @@ pub const SOURCE: Source =
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     n: u32,
-    row: u32,
-    pad: [u32; 2],
+    pad: [u32; 3],
 }
 
 /// The factors of a step, made by the host in double precision: the content of a tensor of 12 elements.
@@ -79,10 +78,8 @@ impl AdamW {
         let Moments { mean, square, averaged } = moments;
         assert_eq!([gradient.len(), mean.len(), square.len(), averaged.len()], [n; 4]);
         assert_eq!(factors.bytes() as usize, size_of::<Factors>());
-        let count = self.kernel.spread(n, 1);
-        let row = count[0] * self.kernel.workgroup()[0];
-        let params = Params { n: size(n), row, pad: [0; 2] };
+        let params = Params { n: size(n), pad: [0; 3] };
         let tensors = [factors, gradient, weight, mean, square, averaged];
-        schedule.dispatch(&self.kernel, &params, &tensors, count);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, 1));
     }
 }
