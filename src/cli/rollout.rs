@@ -260,7 +260,7 @@ impl Run<'_> {
     fn report(&self) -> serde_json::Value {
         let SolverArgs { checkpoint, .. } = &self.args.solver;
         let checksum = match self.optimizer {
-            Optimizer::Learned(weights) => Some(format!("{:08x}", crc32fast::hash(&weights.to_bytes()))),
+            Optimizer::Learned(weights) => Some(format!("{:08x}", weights.checksum())),
             _ => None,
         };
         serde_json::json!({

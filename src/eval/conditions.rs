@@ -48,11 +48,7 @@ impl Conditions {
             },
         };
         let weights = match &entry.optimizer {
-            Optimizer::Learned(weights) => {
-                let mut sum = crc32fast::Hasher::new();
-                weights.parameters().into_iter().flatten().for_each(|v| sum.update(&v.to_le_bytes()));
-                Some(sum.finalize())
-            }
+            Optimizer::Learned(weights) => Some(weights.checksum()),
             _ => None,
         };
         let (device, kind) = (Some(device.name()), Some(kind.to_owned()));

@@ -328,6 +328,11 @@ impl Weights {
         io::replace(path, |w| w.write_all(&self.to_bytes()))
     }
 
+    /// CRC-32 of the file that [`Weights::save`] writes, to tell weights apart.
+    pub fn checksum(&self) -> u32 {
+        crc32fast::hash(&self.to_bytes())
+    }
+
     /// The checkpoint file that [`Weights::save`] writes.
     pub fn to_bytes(&self) -> Vec<u8> {
         let tensors: Vec<_> = self
