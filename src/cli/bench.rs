@@ -8,7 +8,7 @@ use fnopt::kernels::Tuning;
 use fnopt::kernels::operator::{Layer, Pointwise};
 use fnopt::render::{Chart, Curve, Image, Scale, charts, write_png};
 use fnopt::scene::{Scene, Setup};
-use fnopt::sim::{Device, Grid, Optimizer, Simulator, Solver, SolverOptions};
+use fnopt::sim::{Control, Device, Grid, Optimizer, Simulator, Solver, SolverOptions};
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -41,6 +41,8 @@ pub struct Args {
 
 /// Frames before the timed ones.
 const WARM_UP: usize = 3;
+/// Frames of one submission, to time those that nothing is read from.
+const TOGETHER: usize = 4;
 /// How often a frame is recorded to time that, if it takes no longer than so many seconds; five times at least.
 const RECORDINGS: (usize, f64) = (100, 1.0);
 
@@ -54,6 +56,8 @@ struct Row {
     cloth_frames_per_s: f64,
     /// Floating-point operations of the network alone; `null` for the classical optimizers.
     gflop_per_s: Option<f64>,
+    /// Per frame where one submission advances several; `null` on the CPU.
+    ms_together: Option<f64>,
     /// Recording one frame on the host; `null` on the CPU.
     encode_ms: Option<f64>,
     dispatches: Option<usize>,
@@ -199,6 +203,7 @@ fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (
         ms_least: times.iter().copied().fold(f64::INFINITY, f64::min),
         cloth_frames_per_s: 1e3 * batch as f64 / ms_per_frame,
         gflop_per_s: flop.map(|f| f / ms_per_frame * 1e-6),
+        ms_together: None,
         encode_ms: None,
         dispatches: None,
         kernels: Vec::new(),
@@ -209,6 +214,8 @@ fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (
         let solver = Solver::new(context, &setups.model, optimizer, &options)?;
         solver.set_state(&setups.start.cast());
         record_times(context, &solver, &mut row)?;
+        let controls: Vec<_> = (0..TOGETHER).map(|f| setups.control(1 + f % (setups.frames() - 1))).collect();
+        row.ms_together = Some(time_together(context, &solver, &controls)?);
     }
     Ok(row)
 }
@@ -239,6 +246,19 @@ fn record_times(context: &Context, solver: &Solver, row: &mut Row) -> Result<()>
     Ok(())
 }
 
+/// Milliseconds per frame where one submission advances several: nothing is read back or waited for in between.
+fn time_together(context: &Context, solver: &Solver, controls: &[Control<f32>]) -> Result<f64> {
+    let (_, seconds) = RECORDINGS;
+    let (begun, mut times) = (Instant::now(), Vec::new());
+    while times.len() < 2 || (times.len() < 20 && begun.elapsed().as_secs_f64() < seconds) {
+        let start = Instant::now();
+        context.submit(|encoder| solver.record_frames(encoder, controls));
+        context.wait()?;
+        times.push(start.elapsed().as_secs_f64() * 1e3 / controls.len() as f64);
+    }
+    Ok(median(&times))
+}
+
 fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
     let Row { grid, batch, iterations, ms_per_frame, ms_least, cloth_frames_per_s, .. } = row;
     write!(out, "{grid}x{grid} batch {batch}, {iterations} iterations: {ms_per_frame:.3} ms/frame")?;
@@ -249,6 +269,9 @@ fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
     writeln!(out)?;
     if let (Some(ms), Some(count)) = (row.encode_ms, row.dispatches) {
         writeln!(out, "  recording {ms:.3} ms, {count} dispatches")?;
+    }
+    if let Some(ms) = row.ms_together {
+        writeln!(out, "  {ms:.3} ms/frame where a submission is of {TOGETHER} frames")?;
     }
     let total: f64 = row.kernels.iter().map(|k| k.ms).sum();
     for k in &row.kernels {

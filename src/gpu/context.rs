@@ -4,6 +4,7 @@ use super::kernel::LANES;
 use super::{Sharing, Storage};
 use crate::kernels::Tuning;
 use crate::{Error, Result};
+use wgpu::util::DeviceExt;
 
 /// What kind of adapter a device runs on; tile sizes of the kernels follow it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -175,6 +176,16 @@ impl Context {
     pub fn largest_binding(&self) -> u64 {
         let limits = self.device.limits();
         limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
+    }
+
+    /// A buffer of these bytes, to copy from.
+    pub fn upload(&self, label: &'static str, contents: &[u8]) -> wgpu::Buffer {
+        let usage = wgpu::BufferUsages::COPY_SRC;
+        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
+            label: Some(label),
+            contents,
+            usage,
+        })
     }
 
     /// Runs `build` and turns what the device then reports (invalid objects, no memory left) into an error.

@@ -14,6 +14,7 @@ use crate::kernels::optim::{
 };
 use crate::network::{Forward, Keep, Weights};
 use crate::{Error, Result};
+use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Scale of a fresh hidden state (section 5 of the specification).
@@ -263,24 +264,54 @@ impl Solver {
     ///
     /// Panics when a length is not the model's.
     pub fn set_control(&self, control: &Control<f32>) {
-        self.targets.write(&self.context, &control.handles);
+        for (tensor, bytes) in self.changes(control) {
+            tensor.write(&self.context, &bytes);
+        }
+    }
+
+    /// Records a frame for each control, so that one submission advances them all; of the frames in between nothing is left.
+    /// The controls travel with the encoder: submit it before the next one is set or recorded.
+    ///
+    /// Panics when a length is not the model's.
+    pub fn record_frames(&self, encoder: &mut wgpu::CommandEncoder, controls: &[Control<f32>]) {
+        let changes: Vec<_> = controls.iter().map(|control| self.changes(control)).collect();
+        let contents: Vec<u8> =
+            changes.iter().flatten().flat_map(|(_, bytes)| bytes.iter().copied()).collect();
+        let uploads = self.context.upload("controls", &contents);
+        let mut from = 0;
+        for changes in changes {
+            for (tensor, bytes) in changes.iter().filter(|(_, bytes)| !bytes.is_empty()) {
+                let count = bytes.len() as u64;
+                encoder.copy_buffer_to_buffer(&uploads, from, tensor.buffer(), tensor.offset(), count);
+                from += count;
+            }
+            self.record(encoder);
+        }
+    }
+
+    /// The tensors that a control changes, after those before it, and what they hold then.
+    fn changes<'a>(&'a self, control: &'a Control<f32>) -> Vec<(&'a Tensor, Cow<'a, [u8]>)> {
         let batch = self.model.batch();
+        assert_eq!(control.handles.len(), self.model.handles(), "every handle needs a position");
         assert!(control.wind.is_empty() || control.wind.len() == batch, "one wind velocity for each cloth");
+        let mut changes = vec![(&self.targets, Cow::from(bytemuck::cast_slice(&control.handles)))];
         // A control without wind or forces means none, whatever the one before it said.
         let windy = !control.wind.is_empty();
         if self.windy.swap(windy, Ordering::Relaxed) || windy {
             let wind = |b: usize| control.wind.get(b).copied().unwrap_or_default();
             let cloths = self.model.cloths.iter().enumerate();
             let params: Vec<ClothParams> = cloths.map(|(b, c)| ClothParams::new(c, wind(b))).collect();
-            self.cloths.write(&self.context, &params);
+            changes.push((&self.cloths, bytemuck::cast_slice(&params).to_vec().into()));
         }
         let forced = !control.forces.is_empty();
         let was_forced = self.forced.swap(forced, Ordering::Relaxed);
         if forced {
-            self.forces.write(&self.context, &control.forces);
+            assert_eq!(control.forces.len(), self.forces.len(), "forces have shape [B, 3, H, W]");
+            changes.push((&self.forces, Cow::from(bytemuck::cast_slice(&control.forces))));
         } else if was_forced {
-            self.forces.write(&self.context, &vec![0f32; self.forces.len()]);
+            changes.push((&self.forces, vec![0; self.forces.bytes() as usize].into()));
         }
+        changes
     }
 
     /// The tensors that [`Solver::statistics`] reads, in the order it wants their bytes.

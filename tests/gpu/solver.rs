@@ -304,6 +304,28 @@ fn frames_are_recorded_into_a_hosts_encoder() {
     assert_same("second of two frames", &v, &apart.v);
 }
 
+/// One submission of several frames, each with a control of its own: wind and forces come and go.
+#[test]
+fn frames_of_one_submission_are_those_of_several() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let lifted = |by: f32| control.handles.iter().map(|&[x, y, z]| [x, y, z + by]).collect();
+    let calm = Control { handles: lifted(0.1), ..Control::default() };
+    let windy = Control { handles: lifted(0.2), forces: vec![], ..control.clone() };
+    let controls = [control.clone(), calm.clone(), windy, calm];
+    let solver = solver(&model, &Optimizer::Learned(starter().clone()), 2, &start);
+    let apart = controls.each_ref().map(|control| step(&solver, control));
+    assert!(apart.windows(2).all(|pair| pair[0].x != pair[1].x), "nothing moves");
+    for together in [1, 3, 4] {
+        solver.set_state(&start);
+        for controls in controls.chunks(together) {
+            context().submit(|encoder| solver.record_frames(encoder, controls));
+        }
+        assert_same("positions", &read(solver.positions()), &apart[3].x);
+        assert_same("velocities", &read(solver.velocities()), &apart[3].v);
+    }
+}
+
 /// A control without wind and forces used to leave those of the frame before in place.
 #[test]
 fn wind_and_forces_end_with_the_control_that_has_them() {
