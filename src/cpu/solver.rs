@@ -21,9 +21,12 @@ enum Method<T> {
 }
 
 impl<T: Real> Solver<T> {
-    /// A solver with `iterations` steps of the optimizer per frame; an error if the grid does not suit the network.
+    /// A solver with `iterations` steps of the optimizer per frame; an error if the model is not one ([`Model::check`]) or the
+    /// grid does not suit the network.
     pub fn new(model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         assert!(iterations > 0, "a frame needs an iteration");
+        model.check()?;
+        optimizer.check()?;
         let method = match optimizer {
             Optimizer::Newton => {
                 let alone = |cloth: &Cloth| Model { grid: model.grid, cloths: vec![cloth.clone()] };

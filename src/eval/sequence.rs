@@ -278,12 +278,12 @@ impl Meta {
             Value::Object(Map::new())
         };
         let node = Node::root(&origin, &document);
-        check_spelling(&node, &FIELDS)?;
+        node.no_misspelling(&FIELDS)?;
         let default = Scene::default();
         let wind = match node.get("wind") {
             None => default.wind,
             Some(wind) => {
-                check_spelling(&wind, &WIND_FIELDS)?;
+                wind.no_misspelling(&WIND_FIELDS)?;
                 Wind {
                     velocity: wind.get_or("velocity", default.wind.velocity, Node::vector)?,
                     density: wind.get_or("density", default.wind.density, not_negative)?,
@@ -365,20 +365,6 @@ fn positive(node: &Node) -> Result<f64> {
 
 fn not_negative(node: &Node) -> Result<f64> {
     Some(node.number()?).filter(|&v| v >= 0.0).ok_or_else(|| node.invalid("a number, 0 or more"))
-}
-
-/// A key that is nearly one of those that are read is a mistake, not one of the others. Short names are near each other.
-fn check_spelling(node: &Node, fields: &[&str]) -> Result<()> {
-    let Some(object) = node.value.as_object() else { return Err(node.invalid("an object { .. }")) };
-    let near = |field: &str, key: &str| {
-        strsim::damerau_levenshtein(field, key) <= if field.len() > 4 { 2 } else { 1 }
-    };
-    for key in object.keys().filter(|key| !fields.contains(&key.as_str())) {
-        if fields.iter().any(|field| near(field, key)) {
-            return Err(Error::unknown(node.origin, "field", key, fields.iter().copied()));
-        }
-    }
-    Ok(())
 }
 
 /// A checksum of the names and bytes of files.

@@ -28,17 +28,29 @@ impl<'a> Node<'a> {
 
     /// Fails unless this is an object whose keys are all among `known`.
     pub fn only(&self, known: &[&str]) -> Result<()> {
+        self.refuse(known, |_| true)
+    }
+
+    /// Fails unless this is an object whose other keys are none that is nearly one of `known`: that is a mistake.
+    pub fn no_misspelling(&self, known: &[&str]) -> Result<()> {
+        // Short names are near each other.
+        let reach = |name: &str| if name.len() > 4 { 2 } else { 1 };
+        self.refuse(known, |key| {
+            known.iter().any(|name| strsim::damerau_levenshtein(name, key) <= reach(name))
+        })
+    }
+
+    /// Fails unless this is an object without keys beside `known` that are `refused`.
+    fn refuse(&self, known: &[&str], refused: impl Fn(&str) -> bool) -> Result<()> {
         let object = self.value.as_object().ok_or_else(|| self.invalid("an object { .. }"))?;
-        match object.keys().find(|key| !known.contains(&key.as_str())) {
-            None => Ok(()),
-            Some(key) if self.path.is_empty() => {
-                Err(Error::unknown(self.origin, "field", key, known.iter().copied()))
-            }
-            Some(key) => {
-                let origin = format!("{}: {}", self.origin, self.path);
-                Err(Error::unknown(origin, "field", key, known.iter().copied()))
-            }
-        }
+        let Some(key) = object.keys().find(|key| !known.contains(&key.as_str()) && refused(key)) else {
+            return Ok(());
+        };
+        let origin = match self.path.as_str() {
+            "" => self.origin.to_owned(),
+            path => format!("{}: {path}", self.origin),
+        };
+        Err(Error::unknown(origin, "field", key, known.iter().copied()))
     }
 
     /// The member `key` of an object; a null counts as absent, so that it means the default.

@@ -4,9 +4,9 @@ use super::file::read_gravity;
 use super::obj::Mesh;
 use super::start::read_transform;
 use super::{Handles, Motion, Scene, Side, Start, StartFile, UpAxis};
+use crate::Result;
 use crate::io::Node;
 use crate::sim::Grid;
-use crate::{Error, Result};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -36,7 +36,7 @@ pub(super) fn recognise(document: &Value) -> bool {
 
 /// Reads one of the authors' scenes; see the documentation of [`super`].
 pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
-    check_spelling(node)?;
+    node.no_misspelling(&FIELDS)?;
     let file = node.get("mesh_file").ok_or_else(|| node.invalid("a field mesh_file"))?;
     let path = find(node, folder, file.text()?)?;
     let (mut grid, turned) = resolution(node)?;
@@ -63,17 +63,6 @@ pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
         origin: node.origin.to_owned(),
         ..default
     })
-}
-
-/// A key that is nearly one of those that are read is a mistake, not one of the others.
-fn check_spelling(node: &Node) -> Result<()> {
-    let keys = node.value.as_object().into_iter().flat_map(|object| object.keys());
-    for key in keys.filter(|key| !FIELDS.contains(&key.as_str())) {
-        if FIELDS.iter().any(|field| strsim::damerau_levenshtein(field, key) <= 2) {
-            return Err(Error::unknown(node.origin, "field", key, FIELDS));
-        }
-    }
-    Ok(())
 }
 
 /// The mesh beside the scene, or in its `dataset_dir`.

@@ -99,7 +99,7 @@ impl Optimizer {
     }
 
     /// An error if the weights of a learned one are of a network that sees something else than the update rule's fields.
-    pub(super) fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         match self {
             Self::Learned(weights) => weights.config.check_fields("optimizer", "network"),
             _ => Ok(()),

@@ -72,8 +72,6 @@ impl Simulator {
     ///
     /// An error if the model is not one ([`Model::check`]), or optimizer, grid or batch are not for this device.
     pub fn new(device: &Device, model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
-        model.check()?;
-        optimizer.check()?;
         let backend = match device {
             Device::Cpu => Backend::Cpu {
                 solver: Box::new(cpu::Solver::new(model, optimizer, iterations)?),
