@@ -6,6 +6,7 @@ use super::config::Config;
 use super::learner::{Batch, Learner, Outcome, StepReport, Update};
 use super::ranks::Ranks;
 use crate::Result;
+use crate::cpu::operator::LaidOut;
 use crate::cpu::train::{AdamW, Loss};
 use crate::network::{self, Weights};
 use crate::sim::{Cloth, Device, Model};
@@ -54,7 +55,7 @@ impl CpuLearner {
 
 impl Learner for CpuLearner {
     fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
-        let weights = self.weights()?;
+        let weights = LaidOut::new(&self.weights()?);
         self.gradient.fill(0.0);
         let mut report = StepReport { outcomes: vec![Vec::new(); self.pools.len()], ..StepReport::default() };
         for batch in batches {

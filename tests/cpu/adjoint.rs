@@ -2,7 +2,7 @@
 //! definition.
 
 use crate::noise::noise;
-use fnopt::cpu::operator::{Adjoint, Network, Spectral, Transform};
+use fnopt::cpu::operator::{Adjoint, LaidOut, Network, Spectral, Transform};
 use fnopt::cpu::optim::{Hidden, UpdateAdjoint};
 use fnopt::network::{Config, Weights};
 use fnopt::sim::Grid;
@@ -53,7 +53,7 @@ fn gradients_of_every_parameter_match_differences() {
             dot(network.field(), &adj_field) + dot(network.scalar(), &adj_scalar)
         };
         let mut adjoint = Adjoint::<f64>::new(&Weights::zeros(config), grid, samples).unwrap();
-        adjoint.set_weights(&weights);
+        adjoint.set_weights(&LaidOut::new(&weights));
         adjoint.forward(&input);
         assert!(
             (dot(adjoint.field(), &adj_field) + dot(adjoint.scalar(), &adj_scalar) - value(&weights)).abs()

@@ -9,7 +9,7 @@
 //! depend on the number of threads.
 
 use super::block::Skip;
-use super::lifting::{LiftingGradient, Turned};
+use super::lifting::{Fields, LiftingGradient, Turned};
 use super::network::{Kept, Layers, Network};
 use super::pointwise::{PointwiseGradient, straight};
 use super::projection::ProjectionGradient;
@@ -22,6 +22,7 @@ use crate::cpu::real::Real;
 use crate::network::{Config, Weights};
 use crate::sim::Grid;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Number of parts of a sum over the positions of all samples, at most.
 const PARTS: usize = 16;
@@ -30,9 +31,24 @@ const PARTS: usize = 16;
 pub struct Adjoint<T: Real> {
     network: Network<T>,
     transform: Transform<T>,
-    weights: AdjointWeights<T>,
+    weights: Arc<AdjointWeights<T>>,
     parts: Vec<Part<T>>,
     buffers: Buffers<T>,
+}
+
+/// Weights in the order that both ways through the network read them: laid out once, for all that share them.
+pub struct LaidOut<T> {
+    config: Config,
+    layers: Arc<Layers<T>>,
+    adjoint: Arc<AdjointWeights<T>>,
+}
+
+impl<T: Real> LaidOut<T> {
+    /// Of these weights.
+    pub fn new(weights: &Weights) -> Self {
+        let (layers, adjoint) = (Layers::new(weights), AdjointWeights::new(weights));
+        Self { config: weights.config, layers: Arc::new(layers), adjoint: Arc::new(adjoint) }
+    }
 }
 
 /// The weights as the adjoint stages read them.
@@ -142,7 +158,7 @@ impl<T: Real> Adjoint<T> {
         let count = rows.min(PARTS);
         let part = |p: usize| Part::new(&config, grid, rows * p / count..rows * (p + 1) / count);
         let transform = network.transform.adjoint();
-        let weights = AdjointWeights::new(weights);
+        let weights = Arc::new(AdjointWeights::new(weights));
         let zeros = |n: usize| vec![T::zero(); n];
         let spectral = weights.blocks.first();
         let buffers = Buffers {
@@ -157,10 +173,10 @@ impl<T: Real> Adjoint<T> {
     }
 
     /// Takes other weights of the same sizes.
-    pub fn set_weights(&mut self, weights: &Weights) {
+    pub fn set_weights(&mut self, weights: &LaidOut<T>) {
         assert_eq!(weights.config, self.network.config, "the sizes of a network stay");
-        self.network.layers = Layers::new(weights, self.network.grid);
-        self.weights = AdjointWeights::new(weights);
+        self.network.layers = weights.layers.clone();
+        self.weights = weights.adjoint.clone();
     }
 
     /// Runs the network on `input` [S, fields, H, W] and keeps what [`Adjoint::backward`] needs.
@@ -223,7 +239,8 @@ impl<T: Real> Adjoint<T> {
         let fields = input.par_chunks_exact(config.fields * n);
         adj_lifted.zip(fields).zip(adj_input.par_chunks_exact_mut(config.fields * n)).for_each_init(
             || LiftingGradient::new(&config),
-            |scratch, ((adj, fields), adj_fields)| {
+            |scratch, ((adj, values), adj_fields)| {
+                let fields = Fields { values, grid: *grid };
                 layers.lifting.backward_fields(adj, (fields, adj_fields), turned, scratch);
             },
         );
@@ -320,7 +337,8 @@ impl<T: Real> Adjoint<T> {
                         continue;
                     };
                     let fields = config.fields * grid.particles();
-                    let fields = (&input[b.sample * fields..][..fields], b.first * grid.w);
+                    let values = &input[b.sample * fields..][..fields];
+                    let fields = (Fields { values, grid: *grid }, b.first * grid.w);
                     layers.lifting.backward(adj_x, fields, &weights.lifting, &mut part.lifting);
                     continue;
                 }

@@ -11,8 +11,14 @@ use crate::sim::Grid;
 pub(super) struct Lifting<T> {
     hidden: Pointwise<T>,
     out: Pointwise<T>,
-    grid: Grid,
     fields: usize,
+}
+
+/// What one sample gives to the network, [fields, H, W].
+#[derive(Clone, Copy)]
+pub(super) struct Fields<'a, T> {
+    pub values: &'a [T],
+    pub grid: Grid,
 }
 
 /// Working memory of one task.
@@ -61,12 +67,12 @@ impl<T: Real> LiftingGradient<T> {
 }
 
 impl<T: Real> Lifting<T> {
-    pub fn new(weights: &Weights, grid: Grid) -> Self {
+    pub fn new(weights: &Weights) -> Self {
         let config = &weights.config;
         let [first, second] = &weights.lifting;
         let hidden = Pointwise::new(first, config.inputs(), config.inputs());
         let out = Pointwise::new(second, config.lifting, padded(config.lifting));
-        Self { hidden, out, grid, fields: config.fields }
+        Self { hidden, out, fields: config.fields }
     }
 
     pub fn scratch(&self) -> LiftingScratch<T> {
@@ -74,8 +80,8 @@ impl<T: Real> Lifting<T> {
         LiftingScratch { embedded: zeros(self.fields + 2), hidden: zeros(self.hidden.outputs()) }
     }
 
-    /// Lifts row `i` of a sample: `fields` [fields, H, W] to `out` [W, C].
-    pub fn row(&self, out: &mut [T], fields: &[T], i: usize, scratch: &mut LiftingScratch<T>) {
+    /// Lifts row `i` of a sample to `out` [W, C].
+    pub fn row(&self, out: &mut [T], fields: Fields<'_, T>, i: usize, scratch: &mut LiftingScratch<T>) {
         let inputs = self.fields + 2;
         for (segment, out) in out.chunks_mut(SEGMENT * self.out.outputs()).enumerate() {
             let positions = out.len() / self.out.outputs();
@@ -90,12 +96,12 @@ impl<T: Real> Lifting<T> {
         }
     }
 
-    /// Adds to the gradient, for the cotangents `adj_out` [positions, C] of the positions of `fields` [fields, H, W] from
-    /// number `first` on. The hidden layer is computed again.
+    /// Adds to the gradient, for the cotangents `adj_out` [positions, C] of the positions of a sample from number
+    /// `first` on. The hidden layer is computed again.
     pub fn backward(
         &self,
         adj_out: &[T],
-        (fields, first): (&[T], usize),
+        (fields, first): (Fields<'_, T>, usize),
         turned: &Turned<T>,
         gradient: &mut LiftingGradient<T>,
     ) {
@@ -114,12 +120,12 @@ impl<T: Real> Lifting<T> {
     pub fn backward_fields(
         &self,
         adj_out: &[T],
-        (fields, adj_fields): (&[T], &mut [T]),
+        (fields, adj_fields): (Fields<'_, T>, &mut [T]),
         turned: &Turned<T>,
         scratch: &mut LiftingGradient<T>,
     ) {
         let (c, inputs, hidden, n) =
-            (self.out.outputs(), self.fields + 2, self.hidden.outputs(), self.grid.particles());
+            (self.out.outputs(), self.fields + 2, self.hidden.outputs(), fields.grid.particles());
         let stored = padded(inputs);
         let mut adj_inputs = vec![T::zero(); ADJOINT_SEGMENT * stored];
         for (segment, adj_out) in adj_out.chunks(ADJOINT_SEGMENT * c).enumerate() {
@@ -150,7 +156,7 @@ impl<T: Real> Lifting<T> {
     fn backward_hidden<'a>(
         &self,
         adj_out: &[T],
-        (fields, first): (&[T], usize),
+        (fields, first): (Fields<'_, T>, usize),
         turned: &[T],
         scratch: &'a mut LiftingGradient<T>,
     ) -> &'a [T] {
@@ -158,7 +164,7 @@ impl<T: Real> Lifting<T> {
         let n = adj_out.len() / c;
         let embedded = &mut scratch.embedded[..n * inputs];
         for (k, at) in embedded.chunks_exact_mut(inputs).enumerate() {
-            self.embed(at, fields, (first + k) / self.grid.w, (first + k) % self.grid.w);
+            self.embed(at, fields, (first + k) / fields.grid.w, (first + k) % fields.grid.w);
         }
         let [values, slopes, adj] = scratch.scratch.each_mut().map(|s| &mut s[..n * hidden]);
         self.hidden.apply(values, embedded);
@@ -174,10 +180,10 @@ impl<T: Real> Lifting<T> {
     }
 
     /// The inputs of the network at (i, j): the fields, then `i / (H-1)` and `j / (W-1)`.
-    pub fn embed(&self, at: &mut [T], fields: &[T], i: usize, j: usize) {
-        let Grid { h, w } = self.grid;
+    pub fn embed(&self, at: &mut [T], fields: Fields<'_, T>, i: usize, j: usize) {
+        let Fields { values, grid: Grid { h, w } } = fields;
         for (c, at) in at[..self.fields].iter_mut().enumerate() {
-            *at = fields[(c * h + i) * w + j];
+            *at = values[(c * h + i) * w + j];
         }
         at[self.fields] = T::of(i as f64 / (h - 1) as f64);
         at[self.fields + 1] = T::of(j as f64 / (w - 1) as f64);

@@ -14,7 +14,7 @@ mod scalar_head;
 mod spectral;
 mod transform;
 
-pub use adjoint::Adjoint;
+pub use adjoint::{Adjoint, LaidOut};
 pub use network::{Network, Stage};
 pub use spectral::Spectral;
 pub use transform::Transform;

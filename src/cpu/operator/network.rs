@@ -1,7 +1,7 @@
 //! The whole network, from normalised fields to a field and a scalar per sample.
 
 use super::block::Skip;
-use super::lifting::Lifting;
+use super::lifting::{Fields, Lifting};
 use super::projection::Projection;
 use super::scalar_head::ScalarHead;
 use super::spectral::Spectral;
@@ -12,6 +12,7 @@ use crate::cpu::real::Real;
 use crate::network::{Config, Weights};
 use crate::sim::Grid;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// A point inside the network whose values [`Network::forward_observed`] shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -31,7 +32,7 @@ pub struct Network<T: Real> {
     /// Channels as they lie in memory.
     pub(super) channels: usize,
     pub(super) transform: Transform<T>,
-    pub(super) layers: Layers<T>,
+    pub(super) layers: Arc<Layers<T>>,
     pub(super) kept: Option<Kept<T>>,
     buffers: Buffers<T>,
 }
@@ -58,10 +59,10 @@ pub(super) struct Kept<T> {
 }
 
 impl<T: Real> Layers<T> {
-    pub fn new(weights: &Weights, grid: Grid) -> Self {
+    pub fn new(weights: &Weights) -> Self {
         let block = |block| (Spectral::new(&weights.config, block), Skip::new(&weights.config, block));
         Self {
-            lifting: Lifting::new(weights, grid),
+            lifting: Lifting::new(weights),
             blocks: weights.blocks.iter().map(block).collect(),
             projection: Projection::new(weights),
             scalar_head: ScalarHead::new(weights),
@@ -96,7 +97,7 @@ impl<T: Real> Network<T> {
         let config = weights.config;
         let channels = padded(config.channels);
         let transform = Transform::new(&config, grid, channels)?;
-        let layers = Layers::new(weights, grid);
+        let layers = Arc::new(Layers::new(weights));
         let zeros = |n: usize| vec![T::zero(); n];
         let n = grid.particles();
         let buffers = Buffers {
@@ -186,7 +187,8 @@ impl<T: Real> Network<T> {
         let samples = x.par_chunks_mut(h * row);
         let spectra = rows.par_chunks_mut(h * transform.row_len());
         let fields = input.par_chunks(input.len() / scalar.len());
-        samples.zip(spectra).zip(fields).for_each(|((x, spectra), fields)| {
+        samples.zip(spectra).zip(fields).for_each(|((x, spectra), values)| {
+            let fields = Fields { values, grid: Grid { h, w } };
             let bands = x.par_chunks_mut(band * row).zip(spectra.par_chunks_mut(band * transform.row_len()));
             bands.enumerate().for_each_init(
                 || lifting.scratch(),
@@ -219,7 +221,7 @@ impl<T: Real> Network<T> {
     /// of the next block, or the projection; and the maximum for the scalar head.
     fn finish_block(&mut self, index: usize) {
         let Grid { h, w } = self.grid;
-        let Layers { blocks, projection, scalar_head, .. } = &self.layers;
+        let Layers { blocks, projection, scalar_head, .. } = &*self.layers;
         let transform = &self.transform;
         let (c, row, row_len) = (self.channels, w * self.channels, transform.row_len());
         let band = band_rows(w);
@@ -284,7 +286,8 @@ impl<T: Real> Network<T> {
         let Grid { h, w } = self.grid;
         let (inputs, n) = (self.config.inputs(), h * w);
         let mut embedded = Vec::with_capacity(input.len() / self.config.fields * inputs);
-        for fields in input.chunks_exact(self.config.fields * n) {
+        for values in input.chunks_exact(self.config.fields * n) {
+            let fields = Fields { values, grid: self.grid };
             let mut positions = vec![T::zero(); n * inputs];
             for (p, at) in positions.chunks_exact_mut(inputs).enumerate() {
                 self.layers.lifting.embed(at, fields, p / w, p % w);

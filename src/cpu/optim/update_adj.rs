@@ -5,7 +5,7 @@ use super::update::{NORM_FLOOR, SQUASH};
 use super::{Hidden, dot, norm};
 use crate::Result;
 use crate::cpu::Real;
-use crate::cpu::operator::Adjoint;
+use crate::cpu::operator::{Adjoint, LaidOut};
 use crate::network::Weights;
 use crate::sim::Grid;
 use rayon::prelude::*;
@@ -50,7 +50,7 @@ impl<T: Real> UpdateAdjoint<T> {
     }
 
     /// Takes other weights of the same sizes.
-    pub fn set_weights(&mut self, weights: &Weights) {
+    pub fn set_weights(&mut self, weights: &LaidOut<T>) {
         self.network.set_weights(weights);
     }
 

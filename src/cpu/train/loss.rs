@@ -2,6 +2,7 @@
 //! learned optimizer, judged by the energies where it leads, and by those where another one would lead from there.
 
 use crate::Result;
+use crate::cpu::operator::LaidOut;
 use crate::cpu::optim::{Hidden, UpdateAdjoint, norm};
 use crate::cpu::{Objective, Real};
 use crate::network::Weights;
@@ -69,7 +70,7 @@ impl<T: Real> Loss<T> {
     }
 
     /// Takes other weights of the same sizes.
-    pub fn set_weights(&mut self, weights: &Weights) {
+    pub fn set_weights(&mut self, weights: &LaidOut<T>) {
         self.update.set_weights(weights);
         if let Some(lookahead) = &mut self.lookahead {
             lookahead.update.set_weights(weights);
