@@ -147,9 +147,9 @@ fn frames_on_the_device_are_as_exact_as_on_the_host() {
 /// Twenty frames of the default scene, each from where the last one ended.
 ///
 /// An optimizer that stops far from the minimum multiplies what differs at the start of a frame, the learned one by two or
-/// three, L-BFGS a hundredfold in ten frames: in single precision the host, too, is soon far from double precision. So a device,
-/// which rounds in every operation, is held to ten times the host's distance, on average and at most, where that is more
-/// than the share of the side given here; after one frame to that share. (Not adam: where a gradient is 0 but for roundings, its
+/// three, L-BFGS a hundredfold in ten frames: in single precision the host, too, is soon far from double precision. Gradient
+/// descent and L-BFGS keep within a share of the side, on average and at most; with the learned optimizer a device, which rounds
+/// in every operation, is held to ten times the host's distance where that is more, after one frame to the share. (Not adam: where a gradient is 0 but for roundings, its
 /// sign decides about a whole step. Quasi-Newton's distances are those of L-BFGS within five frames.)
 #[test]
 fn twenty_frames_drift_as_little_as_on_the_host() {
@@ -160,7 +160,7 @@ fn twenty_frames_drift_as_little_as_on_the_host() {
         (learned.clone(), 31, (1e-6, 1e-5)),
         (learned, 91, (1e-6, 1e-5)),
         (Optimizer::gradient_descent(), 1, (1e-7, 1e-6)),
-        (Optimizer::lbfgs(), 1, (1e-4, 1e-3)),
+        (Optimizer::lbfgs(), 1, (1e-3, 1e-3)),
     ] {
         let setup = Scene::default().setup().unwrap();
         let side = (setup.model.grid.h - 1) as f64;
@@ -181,7 +181,8 @@ fn twenty_frames_drift_as_little_as_on_the_host() {
                 "{what}: {:.1e}, {:.1e}; on the host {:.1e}, {:.1e}",
                 on_device.0, on_device.1, on_host.0, on_host.1
             );
-            let grown = if frame == first { (0.0, 0.0) } else { (10.0 * farthest.0, 10.0 * farthest.1) };
+            let times = if frame > first && optimizer.name() == "fnopt" { 10.0 } else { 0.0 };
+            let grown = (times * farthest.0, times * farthest.1);
             let allowed = ((mean * side).max(grown.0), (most * side).max(grown.1));
             assert!(
                 on_device.0 < allowed.0,
