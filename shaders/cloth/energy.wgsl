@@ -3,7 +3,7 @@
 // Each particle owns the edges, corner angles and bends that start at it. Every part holds eight sums:
 // stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of ||edge| - 1|, unused.
 // cloths: [B]; external, a, x, shift: [B, 3, H, W]; parts: [B, groups, 8].
-// One invocation: one particle; a workgroup adds up in a fixed order. Workgroups: (n / 64, B).
+// One invocation: one particle; a workgroup adds up in a fixed order. Workgroups: (n / 64 along x, then y, and B).
 // Adjoint: `gradient`.
 
 struct Params {
@@ -47,20 +47,22 @@ fn squared_angle(u: vec3f, w: vec3f, rest: f32) -> f32 {
 fn energy(
     @builtin(local_invocation_index) lane: u32,
     @builtin(workgroup_id) group: vec3u,
-    @builtin(global_invocation_id) id: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
 ) {
     let n = params.rows * params.columns;
-    let b = group.y;
+    let part = group.y * groups.x + group.x;
+    let p = part * 64u + lane;
+    let b = group.z;
     var term = vec4f();
     var other = vec4f(0.0, -1.0, 0.0, 0.0);
-    if id.x < n {
-        let i = id.x / params.columns;
-        let j = id.x % params.columns;
+    if p < n {
+        let i = p / params.columns;
+        let j = p % params.columns;
         let rows = f32(params.rows);
         let columns = f32(params.columns);
         let has_down = i + 1u < params.rows;
         let has_across = j + 1u < params.columns;
-        let at = b * 3u * n + id.x;
+        let at = b * 3u * n + p;
         x0 = vec3f(x[at], x[at + n], x[at + 2u * n]);
         shift0 = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
         var down = vec3f();
@@ -113,8 +115,8 @@ fn energy(
             others[lane] = vec4f(less.x + more.x, max(less.y, more.y), less.z + more.z, 0.0);
         }
     }
-    if lane == 0u {
-        let out = 2u * (b * params.groups + group.x);
+    if lane == 0u && part < params.groups {
+        let out = 2u * (b * params.groups + part);
         parts[out] = terms[0];
         parts[out + 1u] = others[0];
     }

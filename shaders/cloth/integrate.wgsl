@@ -2,7 +2,7 @@
 // is to be.
 //
 // slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; shift, x, v: [B, 3, n].
-// One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
 struct Params {
@@ -20,16 +20,20 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> v: array<f32>;
 
 @compute @workgroup_size(64)
-fn integrate(@builtin(global_invocation_id) id: vec3u) {
-    let p = id.x;
+fn integrate(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let p = (group.y * groups.x + group.x) * 64u + lane;
     if p >= params.particles {
         return;
     }
-    let at = id.y * params.particles + p;
-    let slot = slots[id.y / 3u * params.particles + p];
+    let at = group.z * params.particles + p;
+    let slot = slots[group.z / 3u * params.particles + p];
     var next = x[at] + shift[at];
     if slot != 0u {
-        next = targets[3u * (slot - 1u) + id.y % 3u];
+        next = targets[3u * (slot - 1u) + group.z % 3u];
     }
     v[at] = shift[at];
     x[at] = next;

@@ -2,7 +2,7 @@
 // shift of the trial, x(a) - x, starts there. In the middle of a frame (FRESH false) a stays, and is part of the shift.
 //
 // x, v, base, a, shift: [B, 3, n]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3].
-// One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
 struct Params {
@@ -24,16 +24,20 @@ struct Params {
 override FRESH: bool = true;
 
 @compute @workgroup_size(64)
-fn predict(@builtin(global_invocation_id) id: vec3u) {
-    let p = id.x;
+fn predict(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let p = (group.y * groups.x + group.x) * 64u + lane;
     if p >= params.particles {
         return;
     }
-    let at = id.y * params.particles + p;
-    let slot = slots[id.y / 3u * params.particles + p];
+    let at = group.z * params.particles + p;
+    let slot = slots[group.z / 3u * params.particles + p];
     var way = v[at];
     if slot != 0u {
-        way = targets[3u * (slot - 1u) + id.y % 3u] - x[at];
+        way = targets[3u * (slot - 1u) + group.z % 3u] - x[at];
     }
     base[at] = way;
     if FRESH {

@@ -3,7 +3,7 @@
 // m <- beta1 m + (1 - beta1) g, v <- beta2 v + (1 - beta2) g^2, a -= rate m / (1 - beta1^t) / (sqrt(v / (1 - beta2^t)) + epsilon).
 // At t = 1, the first iteration of a frame, the moments start from zero whatever they hold.
 // grad, base, a, shift: [B, 3, n]; moments: [B, 3, n, 2] = (m, v); slots: [B, n].
-// One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
 // Adjoint: none, it is not trained.
 
 struct Params {
@@ -26,12 +26,16 @@ struct Params {
 @group(0) @binding(6) var<storage, read_write> shift: array<f32>;
 
 @compute @workgroup_size(64)
-fn adam(@builtin(global_invocation_id) id: vec3u) {
-    let p = id.x;
+fn adam(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let p = (group.y * groups.x + group.x) * 64u + lane;
     if p >= params.particles {
         return;
     }
-    let at = id.y * params.particles + p;
+    let at = group.z * params.particles + p;
     let g = grad[at];
     let beta = vec2f(params.beta1, params.beta2);
     let before = select(moments[at], vec2f(), params.first != 0u);
@@ -40,5 +44,5 @@ fn adam(@builtin(global_invocation_id) id: vec3u) {
     let denominator = sqrt(now.y * params.correction2) + params.epsilon;
     let next = a[at] - params.rate * now.x * params.correction1 / denominator;
     a[at] = next;
-    shift[at] = base[at] + select(next, 0.0, slots[id.y / 3u * params.particles + p] != 0u);
+    shift[at] = base[at] + select(next, 0.0, slots[group.z / 3u * params.particles + p] != 0u);
 }

@@ -3,7 +3,7 @@
 //
 // Forward v[b, c, i, j] = q[b, c, i', j'], backward (BACK) q[b, c, i', j'] = v[b, c, i, j]; handles are 0 in both, because
 // they do not move. q: [B, 2, 3, H, W], of which the second half counts (see `lbfgs`); v: [3 B, H, W]; slots: [B, H W].
-// One invocation: one element. Workgroups: (H W / 64, 3 B).
+// One invocation: one element. Workgroups: (H W / 64 along x, then y, and 3 B).
 // Adjoint: none, it is not trained.
 
 struct Params {
@@ -26,18 +26,23 @@ fn place(i: u32, n: u32) -> u32 {
 }
 
 @compute @workgroup_size(64)
-fn cosine_order(@builtin(global_invocation_id) id: vec3u) {
+fn cosine_order(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
     let n = params.rows * params.columns;
-    if id.x >= n {
+    let element = (group.y * groups.x + group.x) * 64u + lane;
+    if element >= n {
         return;
     }
-    let row = place(id.x / params.columns, params.rows);
-    let column = place(id.x % params.columns, params.columns);
+    let row = place(element / params.columns, params.rows);
+    let column = place(element % params.columns, params.columns);
     let p = row * params.columns + column;
-    let cloth = id.y / 3u;
+    let cloth = group.z / 3u;
     let free = slots[cloth * n + p] == 0u;
-    let at = (3u * (2u * cloth + 1u) + id.y % 3u) * n + p;
-    let ordered = id.y * n + id.x;
+    let at = (3u * (2u * cloth + 1u) + group.z % 3u) * n + p;
+    let ordered = group.z * n + element;
     if BACK {
         q[at] = select(0.0, v[ordered], free);
     } else {

@@ -3,8 +3,8 @@
 // embedded[s] = [10 tanh(g / s_g / 10), 10 tanh(g_last / s_g / 10), 10 tanh(d_last / s_d / 10), i / (H-1), j / (W-1)]
 // with s_g = |g| / sqrt n, s_d = |d_last| / sqrt n. Norms are kept above 1e-30, so that a zero field stays zero.
 // grad: [S, H, W]; hidden: [2, S, H, W], last gradient and last step; partial_sums: [S, parts] (`norms`);
-// embedded: [S, 5, H, Q] quads, zero in the padding.
-// One invocation: one quad. Workgroups: (Q / 8, H / 8, S).
+// embedded: [s, 5, H, Q] quads, zero in the padding, of the s samples from `first` on.
+// One invocation: one quad. Workgroups: (Q / 8, H / 8, s).
 // Adjoint: none, the input of the network is a constant of the training step.
 
 struct Params {
@@ -13,9 +13,9 @@ struct Params {
     row_quads: u32, // Q
     parts: u32,
     samples: u32, // S
+    first: u32, // sample of S that is the first of embedded
     pad0: u32,
     pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -28,7 +28,7 @@ struct Params {
 fn features(@builtin(global_invocation_id) id: vec3u) {
     let quad = id.x;
     let row = id.y;
-    let sample = id.z;
+    let sample = params.first + id.z;
     if quad >= params.row_quads || row >= params.rows {
         return;
     }
@@ -56,7 +56,7 @@ fn features(@builtin(global_invocation_id) id: vec3u) {
     let inside = vec4u(0u, 1u, 2u, 3u) + 4u * quad < vec4u(params.columns);
     let down = f32(row) / f32(params.rows - 1u);
     let plane = params.rows * params.row_quads;
-    let out = sample * 5u * plane + row * params.row_quads + quad;
+    let out = id.z * 5u * plane + row * params.row_quads + quad;
     embedded[out] = StoredQuad(squash(g * inverse.x));
     embedded[out + plane] = StoredQuad(squash(last_grad * inverse.x));
     embedded[out + 2u * plane] = StoredQuad(squash(last_step * inverse.y));

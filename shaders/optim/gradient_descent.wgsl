@@ -1,6 +1,7 @@
 // Gradient descent: a -= rate grad, then the shift (see `update`).
 //
-// grad, base, a, shift: [B, 3, n]; slots: [B, n]. One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// grad, base, a, shift: [B, 3, n]; slots: [B, n].
+// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
 // Adjoint: none, it is not trained.
 
 struct Params {
@@ -18,13 +19,17 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> shift: array<f32>;
 
 @compute @workgroup_size(64)
-fn gradient_descent(@builtin(global_invocation_id) id: vec3u) {
-    let p = id.x;
+fn gradient_descent(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let p = (group.y * groups.x + group.x) * 64u + lane;
     if p >= params.particles {
         return;
     }
-    let at = id.y * params.particles + p;
+    let at = group.z * params.particles + p;
     let next = a[at] - params.rate * grad[at];
     a[at] = next;
-    shift[at] = base[at] + select(next, 0.0, slots[id.y / 3u * params.particles + p] != 0u);
+    shift[at] = base[at] + select(next, 0.0, slots[group.z / 3u * params.particles + p] != 0u);
 }

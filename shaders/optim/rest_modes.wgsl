@@ -6,7 +6,7 @@
 // eigenvalue lambda (SPEC section 7), and what they make is the spectrum of the result:
 // conj(e_H(k) e_W(l)) (cc - ss - i (sc + cs)).
 // z, out: [3 B, H, W / 2 + 1] complex; cloths: [B]; row_turns: [H], column_turns: [W / 2 + 1], (cos, sin)(pi k / 2 n).
-// One invocation: one element of the spectrum. Workgroups: (H (W / 2 + 1) / 64, 3 B).
+// One invocation: one element of the spectrum. Workgroups: (H (W / 2 + 1) / 64 along x, then y, and 3 B).
 // Adjoint: none, it is not trained.
 
 struct Params {
@@ -36,21 +36,26 @@ fn eigenvalue(mu: vec2f, material: vec4f) -> f32 {
 }
 
 @compute @workgroup_size(64)
-fn rest_modes(@builtin(global_invocation_id) id: vec3u) {
+fn rest_modes(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
     let half = params.columns / 2u + 1u;
-    if id.x >= params.rows * half {
+    let element = (group.y * groups.x + group.x) * 64u + lane;
+    if element >= params.rows * half {
         return;
     }
-    let k = id.x / half;
-    let l = id.x % half;
-    let field = id.y * params.rows * half;
-    let material = cloths[id.y / 3u].material;
+    let k = element / half;
+    let l = element % half;
+    let field = group.z * params.rows * half;
+    let material = cloths[group.z / 3u].material;
 
     let conj = vec2f(1.0, -1.0);
     let e_h = conj * row_turns[k];
     let e_w = conj * column_turns[l];
     let opposite = z[field + (params.rows - k) % params.rows * half + l];
-    let a = times(times(e_h, e_w), z[field + id.x]);
+    let a = times(times(e_h, e_w), z[field + element]);
     let b = times(times(e_h, conj * e_w), conj * opposite);
 
     // mu of k and of n - k, without the cancellation of 1 - cos.
@@ -60,5 +65,5 @@ fn rest_modes(@builtin(global_invocation_id) id: vec3u) {
     let sc = -0.5 * (a.y + b.y) / eigenvalue(vec2f(mu_h.x, mu_w.y), material);
     let cs = -0.5 * (a.y - b.y) / eigenvalue(vec2f(mu_h.y, mu_w.x), material);
     let ss = 0.5 * (b.x - a.x) / eigenvalue(vec2f(mu_h.x, mu_w.x), material);
-    out[field + id.x] = times(conj * times(e_h, e_w), vec2f(cc - ss, -(sc + cs)));
+    out[field + element] = times(conj * times(e_h, e_w), vec2f(cc - ss, -(sc + cs)));
 }

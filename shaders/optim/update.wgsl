@@ -1,9 +1,9 @@
 // The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
 //
 // Then the shift of the trial: x(a) - x = base + a, or base alone at a handle, whose way is prescribed.
-// field: [parts, S, H, Q] quads, to be added up; scale: [S]; grad, base, a, shift: [S, H, W] = [B, 3, H, W]; slots: [B, H, W];
-// hidden: [2, S, H, W], last gradient and last step.
-// One invocation: one particle's component. Workgroups: (n / 64, S).
+// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [S]; grad, base, a, shift: [S, H, W] =
+// [B, 3, H, W]; slots: [B, H, W]; hidden: [2, S, H, W], last gradient and last step.
+// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and s).
 // Adjoint: `update_adj`.
 
 struct Params {
@@ -12,9 +12,9 @@ struct Params {
     row_quads: u32, // Q
     samples: u32, // S
     parts: u32,
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
+    first: u32, // sample of S that is the first of field
+    in_field: u32, // s
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -28,18 +28,22 @@ struct Params {
 @group(0) @binding(8) var<storage, read_write> shift: array<f32>;
 
 @compute @workgroup_size(64)
-fn update(@builtin(global_invocation_id) id: vec3u) {
+fn update(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
     let n = params.rows * params.columns;
-    let p = id.x;
-    let sample = id.y;
+    let p = (group.y * groups.x + group.x) * 64u + lane;
+    let sample = params.first + group.z;
     if p >= n {
         return;
     }
     let at = sample * n + p;
-    let padded = (sample * params.rows + p / params.columns) * 4u * params.row_quads + p % params.columns;
+    let padded = (group.z * params.rows + p / params.columns) * 4u * params.row_quads + p % params.columns;
     var value = field[padded];
     for (var part = 1u; part < params.parts; part++) {
-        value += field[padded + part * params.samples * params.rows * 4u * params.row_quads];
+        value += field[padded + part * params.in_field * params.rows * 4u * params.row_quads];
     }
     let step = scale[sample] * tanh_exact(vec4f(value)).x;
     hidden[at] = grad[at];

@@ -70,6 +70,14 @@ impl Tensor {
         Self { buffer: self.buffer.clone(), shape: shape.to_vec(), offset, ..*self }
     }
 
+    /// The first `count` along the first axis; shares the buffer.
+    pub fn first(&self, count: usize) -> Self {
+        assert!(count <= self.shape[0], "the first {count} of '{}' {:?}", self.label, self.shape);
+        let mut shape = self.shape.clone();
+        shape[0] = count;
+        Self { buffer: self.buffer.clone(), shape, ..*self }
+    }
+
     /// A tensor that holds `data`, whose length must be that of `shape`.
     pub fn from_slice<T: bytemuck::Pod>(
         context: &Context,

@@ -32,9 +32,8 @@ pub struct Tuning {
     pub busy_groups: usize,
     /// How operands that a subgroup shares are read.
     pub sharing: Sharing,
-    /// Largest size of the lifting's hidden layer \[bytes\], where the device binds as much; more samples than fit are lifted in
-    /// turn.
-    pub hidden_bytes: usize,
+    /// Largest size of a layer's activations \[bytes\], where the device binds as much; more samples than fit take turns.
+    pub activation_bytes: usize,
 }
 
 /// Channel counts are padded to a multiple of this, the largest tile.
@@ -78,7 +77,7 @@ impl Tuning {
             spectral_teams: 1,
             busy_groups: 1,
             sharing,
-            hidden_bytes: 256 << 20,
+            activation_bytes: 256 << 20,
         };
         match kind {
             AdapterKind::Software => software,
@@ -105,6 +104,7 @@ impl Tuning {
         let places = [true, false].map(|rows_in_blocks| Self { rows_in_blocks, ..*self });
         let teams = [1, 2, 4].map(|spectral_teams| Self { spectral_teams, ..*self });
         let busy = [1, 8, 32, 128, 512].map(|busy_groups| Self { busy_groups, ..*self });
+        let turns = [4, 16, 64, 256, 1024].map(|mib| Self { activation_bytes: mib << 20, ..*self });
         let sharings = [Sharing::Loads, context.sharing()].map(|sharing| Self { sharing, ..*self });
         let others = |all: &[Self]| -> Vec<Self> {
             let mut found: Vec<Self> = Vec::new();
@@ -125,6 +125,7 @@ impl Tuning {
             others(&teams),
             others(&busy),
             others(&sharings),
+            others(&turns),
         ]
     }
 
@@ -154,7 +155,13 @@ impl Tuning {
             && groups
             && depth
             && CHANNEL_MULTIPLE.is_multiple_of(self.channels)
-            && self.hidden_bytes > 0
+            && self.activation_bytes > 0
+    }
+
+    /// Most samples of so many activations each that are as large as they may be; none if one is larger.
+    pub(crate) fn most_samples(&self, context: &Context, activations: usize) -> usize {
+        let binding = usize::try_from(context.largest_binding()).unwrap_or(usize::MAX);
+        self.activation_bytes.min(binding) / (context.storage().bytes() * activations)
     }
 
     /// The text of a kernel with a tile of this size.

@@ -143,14 +143,10 @@ impl Forward {
         check_modes(&config, grid)?;
         let (h, w) = (grid.h, padded(grid.w));
         let plane = h * w;
-        let lifted_bytes = context.storage().bytes() * config.lifting * plane;
         // Nothing is between the layers where they are joined.
         let lifted_at_once = match joined.units {
             Some(_) => 0,
-            None => {
-                let most = usize::try_from(context.largest_binding()).unwrap_or(usize::MAX);
-                (tuning.hidden_bytes.min(most) / lifted_bytes).clamp(1, samples.max(1))
-            }
+            None => tuning.most_samples(context, config.lifting * plane).clamp(1, samples.max(1)),
         };
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
@@ -236,55 +232,95 @@ impl Forward {
         })
     }
 
-    /// Appends a pass: from `embedded` to `field` and `scalar`, and to the persistent scales, if they are given.
+    /// How many of `samples` samples, three to a cloth, a pass should be of, so that the activations are no larger than the tuning
+    /// wants and the device binds: whole cloths in turns of nearly one length, or single samples where no cloth fits.
+    pub fn samples_at_once(
+        context: &Context,
+        config: Config,
+        tuning: &Tuning,
+        (grid, samples): (Grid, usize),
+    ) -> usize {
+        let config = Layout::new(config, tuning.channels).padded();
+        let widest = config.channels.max(config.projection);
+        let cloths = tuning.most_samples(context, widest * grid.h * padded(grid.w)) / 3;
+        if cloths == 0 {
+            return 1;
+        }
+        let turns = samples.div_ceil(3 * cloths).max(1);
+        samples.div_ceil(turns).next_multiple_of(3)
+    }
+
+    /// Appends a pass over all samples: from `embedded` to `field` and `scalar`, and to the persistent scales, if they are given.
     pub fn push(&self, schedule: &mut Schedule, scales: Option<Scales<'_>>) {
+        self.push_first(schedule, self.samples(), scales);
+    }
+
+    /// Number of samples (S).
+    pub fn samples(&self) -> usize {
+        self.embedded.shape()[0]
+    }
+
+    /// The field head of the first `samples` samples, shape [parts, samples, H, W'].
+    pub fn first_field(&self, samples: usize) -> Tensor {
+        let &[parts, _, h, w] = self.field.shape() else { unreachable!("the field has four axes") };
+        self.field.view(0, &[parts, samples, h, w])
+    }
+
+    /// Appends a pass over the first `samples` samples: a multiple of three if the number of all is one.
+    pub fn push_first(&self, schedule: &mut Schedule, samples: usize, scales: Option<Scales<'_>>) {
         let k = &self.kernels;
-        let slot = |i: usize| &self.activations[i % self.activations.len()];
-        let mut has_rows = self.push_lifting(schedule);
+        let first = |tensor: &Tensor| tensor.first(samples);
+        let slot = |i: usize| first(&self.activations[i % self.activations.len()]);
+        let (rows, inverse, rows_max) =
+            (first(&self.spectral.rows), first(&self.spectral.inverse), first(&self.rows_max));
+        let field = &self.first_field(samples);
+        let mut has_rows = self.push_lifting(schedule, samples);
         for block in 0..self.config.layers {
-            let (x, y) = (slot(block), slot(block + 1));
+            let (x, y) = (&slot(block), &slot(block + 1));
             let s = &self.spectral;
             let after = self.afters[block];
             if !has_rows {
-                k.transform_rows.push(schedule, &s.forward_rows, x, &s.rows);
+                k.transform_rows.push(schedule, &s.forward_rows, x, &rows);
             }
             has_rows = after.rows;
-            k.spectral.push(schedule, &self.layers.products[block], s.columns(s.modes.get(block)));
-            let before = self.before_gelu.get(block).filter(|_| block + 1 < self.config.layers);
+            let spectrum = s.modes.get(block).map(first);
+            let columns = SpectralTensors { r: &rows, inverse: &inverse, ..s.columns(spectrum.as_ref()) };
+            k.spectral.push(schedule, &self.layers.products[block], columns);
+            let before = self.before_gelu.get(block).filter(|_| block + 1 < self.config.layers).map(first);
             let tensors = BlockTensors {
                 x,
-                r: &s.inverse,
-                y: before.unwrap_or(y),
-                made: if after.field { Some(&self.field) } else { after.rows.then_some(&s.rows) },
-                rows_max: after.pool.then_some(&self.rows_max),
+                r: &inverse,
+                y: before.as_ref().unwrap_or(y),
+                made: if after.field { Some(field) } else { after.rows.then_some(&rows) },
+                rows_max: after.pool.then_some(&rows_max),
             };
             let head = self.head.as_ref().filter(|_| after.field);
             let layer = head.unwrap_or(&self.layers.skips[block]);
             k.block(after).push(schedule, layer, (&s.block_rows, self.grid.w), tensors);
-            if let Some(before) = before {
+            if let Some(before) = &before {
                 k.activate.push(schedule, before, y);
             }
             if block == self.config.scalar_block() {
                 if !after.pool {
-                    k.pool_rows.push(schedule, self.grid.w, y, &self.rows_max);
+                    k.pool_rows.push(schedule, self.grid.w, y, &rows_max);
                 }
-                let tensors = (&self.rows_max, &self.scalar);
+                let tensors = (&rows_max, &first(&self.scalar));
                 k.scalar_head.push(schedule, &self.layers.scalar, tensors, scales);
             }
         }
-        let [inner, outer] = &self.layers.projection;
-        let y = slot(self.config.layers);
         if self.head.is_some() {
             return;
         }
-        match self.before_gelu.last() {
+        let [inner, outer] = &self.layers.projection;
+        let (y, projected) = (&slot(self.config.layers), &first(&self.projected));
+        match self.before_gelu.last().map(first) {
             Some(before) => {
-                k.dense.push(schedule, inner, y, before);
-                k.activate.push(schedule, before, &self.projected);
+                k.dense.push(schedule, inner, y, &before);
+                k.activate.push(schedule, &before, projected);
             }
-            None => k.dense_gelu.push(schedule, inner, y, &self.projected),
+            None => k.dense_gelu.push(schedule, inner, y, projected),
         }
-        k.project.push(schedule, outer, &self.projected, &self.field);
+        k.project.push(schedule, outer, projected, field);
     }
 
     /// Output of the lifting (0) or of block `i - 1`, shape [S, C, H, W']; only where blocks are kept.
@@ -294,16 +330,17 @@ impl Forward {
     }
 
     /// Whether that makes the rows' spectra, too.
-    fn push_lifting(&self, schedule: &mut Schedule) -> bool {
-        let (samples, at_once) = (self.embedded.shape()[0], self.hidden.shape()[0]);
+    fn push_lifting(&self, schedule: &mut Schedule, samples: usize) -> bool {
         let (k, lifted) = (&self.kernels, &self.activations[0]);
         if let Some((kernel, units)) = &self.lifting {
             let (s, rows) = (&self.spectral, kernel.after().rows);
-            let made = rows.then_some(&s.rows);
-            let tensors = BlockTensors { x: &self.embedded, r: units, y: lifted, made, rows_max: None };
+            let [x, y, made] = [&self.embedded, lifted, &s.rows].map(|tensor| tensor.first(samples));
+            let tensors =
+                BlockTensors { x: &x, r: units, y: &y, made: rows.then_some(&made), rows_max: None };
             kernel.push(schedule, &self.layers.lifting[1], (&s.forward_rows, self.grid.w), tensors);
             return rows;
         }
+        let at_once = self.hidden.shape()[0];
         for first in (0..samples).step_by(at_once) {
             let count = at_once.min(samples - first);
             let [inner, outer] = &self.layers.lifting;

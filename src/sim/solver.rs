@@ -396,8 +396,10 @@ impl Rule {
         shape: (Grid, usize),
     ) -> Result<Self> {
         let (grid, samples) = shape;
+        let weights = &weights.folded();
+        let at_once = Forward::samples_at_once(context, weights.config, tuning, shape);
         Ok(Self::Learned {
-            forward: Box::new(Forward::new(context, &weights.folded(), tuning, shape, Keep::Nothing)?),
+            forward: Box::new(Forward::new(context, weights, tuning, (grid, at_once), Keep::Nothing)?),
             hidden: Tensor::zeros(context, "hidden state", &[2, samples, grid.particles()])?,
             scales: rows(context, "scales", iterations, samples)?,
         })
@@ -420,13 +422,16 @@ impl Rule {
                 Box::new(move |frame, iteration| {
                     let partial = &sum(frame, iteration, hidden);
                     let from = FeatureTensors { grad: &iterate.grad, hidden, partial };
-                    features.push(frame, grid, from, &forward.embedded);
                     let last = (iteration + solver.iterations - 1) % solver.iterations;
-                    let [before, after] = [last, iteration].map(|row| row * scales.shape()[1]);
-                    forward.push(frame, Some(Scales { tensor: scales, before, after }));
                     let scale = &row(scales, iteration, &[samples]);
-                    let from = UpdateTensors { field: &forward.field, scale, hidden };
-                    update.push(frame, grid, from, iterate);
+                    for first in (0..samples).step_by(forward.samples()) {
+                        let count = forward.samples().min(samples - first);
+                        features.push(frame, grid, from, (&forward.embedded.first(count), first));
+                        let [before, after] = [last, iteration].map(|row| row * scales.shape()[1] + first);
+                        forward.push_first(frame, count, Some(Scales { tensor: scales, before, after }));
+                        let from = UpdateTensors { field: &forward.first_field(count), first, scale, hidden };
+                        update.push(frame, grid, from, iterate);
+                    }
                 })
             }
             Self::GradientDescent { rate } => {

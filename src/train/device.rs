@@ -128,9 +128,9 @@ impl DeviceLoss {
         let partial = Tensor::zeros(context, "norm parts", &[samples, norms::parts(n), 2])?;
         Norms::new(context, true)?.push(schedule, &iterate.grad, hidden, &partial);
         let from = FeatureTensors { grad: &iterate.grad, hidden, partial: &partial };
-        Features::new(context)?.push(schedule, grid, from, &forward.embedded);
+        Features::new(context)?.push(schedule, grid, from, (&forward.embedded, 0));
         forward.push(schedule, Some(Scales::in_place(scale)));
-        let from = UpdateTensors { field: &forward.field, scale, hidden };
+        let from = UpdateTensors { field: &forward.field, first: 0, scale, hidden };
         Update::new(context)?.push(schedule, grid, from, iterate);
 
         gradient.push(schedule, grid, physics, iterate);

@@ -140,9 +140,9 @@ impl Stages for GpuStages {
             let forward = Forward::new(context, weights, &self.tuning, (grid, samples), Keep::Nothing)?;
             Norms::new(context, true)?.push(&mut schedule, &iterate.grad, &hidden, &partial);
             let from = FeatureTensors { grad: &iterate.grad, hidden: &hidden, partial: &partial };
-            Features::new(context)?.push(&mut schedule, grid, from, &forward.embedded);
+            Features::new(context)?.push(&mut schedule, grid, from, (&forward.embedded, 0));
             forward.push(&mut schedule, Some(Scales::in_place(&scale)));
-            let from = UpdateTensors { field: &forward.field, scale: &scale, hidden: &hidden };
+            let from = UpdateTensors { field: &forward.field, first: 0, scale: &scale, hidden: &hidden };
             Update::new(context)?.push(&mut schedule, grid, from, &iterate);
             Ok(())
         })?;

@@ -131,10 +131,10 @@ fn parts_and_passes_add_up() {
         twice.iter().zip(&whole).map(|(&t, &w)| f64::from(t) - 2.0 * f64::from(w)).collect();
     assert!(norm(&apart) < 1e-6 * norm(&widened(&whole)));
     let one = 4 * 64 * 9 * 16;
-    for hidden_bytes in [0, 2 * one] {
-        let parts = case.gradient(&weights, &Tuning { hidden_bytes, ..own }, 1);
+    for activation_bytes in [0, 2 * one] {
+        let parts = case.gradient(&weights, &Tuning { activation_bytes, ..own }, 1);
         let apart: Vec<f64> = parts.iter().zip(&whole).map(|(&p, &w)| f64::from(p) - f64::from(w)).collect();
-        assert!(norm(&apart) < 1e-6 * norm(&widened(&whole)), "{hidden_bytes} bytes");
+        assert!(norm(&apart) < 1e-6 * norm(&widened(&whole)), "{activation_bytes} bytes");
     }
     // Nothing goes through the channels that fill up a tile.
     let parameters = Parameters::new(context(), &weights, &own).unwrap();

@@ -176,9 +176,9 @@ fn lifting_in_parts_gives_the_same_bits() {
     let own = Tuning::new(context());
     let whole = forward(weights, &own, (grid, samples), &fields);
     let one = 4 * weights.config.lifting * grid.h * 16;
-    for hidden_bytes in [0, one, 2 * one, 5 * one, 9 * one - 1] {
-        let parts = forward(weights, &Tuning { hidden_bytes, ..own }, (grid, samples), &fields);
-        assert_eq!(parts.lifted, whole.lifted, "{hidden_bytes} bytes");
+    for activation_bytes in [0, one, 2 * one, 5 * one, 9 * one - 1] {
+        let parts = forward(weights, &Tuning { activation_bytes, ..own }, (grid, samples), &fields);
+        assert_eq!(parts.lifted, whole.lifted, "{activation_bytes} bytes");
         assert_eq!((parts.field, parts.scalar), (whole.field.clone(), whole.scalar.clone()));
     }
 }

@@ -1,16 +1,14 @@
 //! Whole frames: against the CPU path, repeated, in batches, in a host's encoder.
 
 use crate::common::{assert_close, context, device, half, largest, noise, sharings, widened};
-use crate::forward::random;
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
 use fnopt::gpu::{Context, Tensor};
 use fnopt::kernels::Tuning;
-use fnopt::network::{Config, Weights};
+use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{
-    Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Simulator, Solver,
-    SolverOptions, State,
+    Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Solver, SolverOptions, State,
 };
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -40,11 +38,11 @@ fn tuned() -> Vec<(Optimizer, Tuning)> {
 }
 
 /// A solver on the device, in the given state.
-fn solver(model: &Model, optimizer: &Optimizer, iterations: usize, start: &State<f32>) -> Solver {
+pub fn solver(model: &Model, optimizer: &Optimizer, iterations: usize, start: &State<f32>) -> Solver {
     solver_with(Tuning::new(context()), model, (optimizer, iterations), start)
 }
 
-fn solver_with(
+pub fn solver_with(
     tuning: Tuning,
     model: &Model,
     (optimizer, iterations): (&Optimizer, usize),
@@ -61,7 +59,7 @@ fn read(tensor: &Tensor) -> Vec<f32> {
 }
 
 /// Fails unless both have the same bits.
-fn assert_same(what: &str, found: &[f32], expected: &[f32]) {
+pub fn assert_same(what: &str, found: &[f32], expected: &[f32]) {
     let differ = found.iter().zip(expected).filter(|(f, e)| f.to_bits() != e.to_bits()).count();
     let most = found.iter().zip(expected).fold(0.0, |m: f32, (f, e)| m.max((f - e).abs()));
     assert_eq!(found.len(), expected.len(), "{what}");
@@ -70,19 +68,19 @@ fn assert_same(what: &str, found: &[f32], expected: &[f32]) {
 }
 
 /// The state after a frame.
-fn step(solver: &Solver, control: &Control<f32>) -> State<f32> {
+pub fn step(solver: &Solver, control: &Control<f32>) -> State<f32> {
     solver.set_control(control);
     context().submit(|encoder| solver.record(encoder));
     State { x: read(solver.positions()), v: read(solver.velocities()) }
 }
 
-fn statistics(solver: &Solver) -> Vec<FrameStats> {
+pub fn statistics(solver: &Solver) -> Vec<FrameStats> {
     let contents: Vec<f32> = solver.statistics_tensors().into_iter().flat_map(read).collect();
     solver.statistics(&contents)
 }
 
 /// Three different cloths in wind, and what drives them.
-fn varied_batch() -> (Model, State<f32>, Control<f32>) {
+pub fn varied_batch() -> (Model, State<f32>, Control<f32>) {
     let grid = Grid { h: 21, w: 18 };
     let n = grid.particles();
     let cloth = |b: usize| Cloth {
@@ -371,61 +369,6 @@ fn half_precision_closes_the_gap_as_far() {
     println!("median gap {host:.4} on the host, {single:.4} in f32, {half:.4} in f16");
     assert!((single - host).abs() < 0.1 * host, "{single} in f32, {host} on the host");
     assert!((half - single).abs() < 0.1 * single, "{half} in f16, {single} in f32");
-}
-
-/// What would make kernels read beyond their tensors, or cannot be dispatched, is refused before anything runs.
-#[test]
-fn what_the_device_cannot_do_is_refused() {
-    let _turn = device();
-    let grid = Grid { h: 8, w: 8 };
-    let cloth = Cloth { material: Material::default(), ..Cloth::default() };
-    let model = |grid: Grid, batch: usize| Model { grid, cloths: vec![cloth.clone(); batch] };
-    let gd = Optimizer::gradient_descent();
-    let refused = |model: &Model, optimizer: &Optimizer, options: &SolverOptions| {
-        Solver::new(context(), model, optimizer, options).unwrap_err().to_string()
-    };
-    let default = SolverOptions::default();
-
-    // One workgroup of 64 particles too many along x, and one sample along y.
-    for (grid, batch) in [(Grid { h: 2048, w: 2048 }, 1), (grid, 21846)] {
-        let error = refused(&model(grid, batch), &gd, &default);
-        assert!(error.contains("workgroups, and it has 65535 along an axis"), "{grid}, {batch}: {error}");
-    }
-
-    let own = Tuning::table(context());
-    for tuning in [Tuning { channels: 6, ..own }, Tuning { spectral_teams: 0, ..own }] {
-        let learned = Optimizer::Learned(starter().clone());
-        let error = refused(&model(grid, 1), &learned, &SolverOptions { tuning: Some(tuning), ..default });
-        assert!(error.contains("options: tuning: expected sizes"), "{error}");
-        assert!(context().with_tuning(tuning).is_err());
-    }
-    let error = refused(&model(grid, 1), &gd, &SolverOptions { iterations: 0, ..default });
-    assert!(error.contains("options: iterations: expected at least 1, found 0"), "{error}");
-
-    let weights = random(Config { fields: 2, ..starter().config });
-    let held = |handles: &[usize]| {
-        let held = Cloth { handles: handles.to_vec(), ..cloth.clone() };
-        Model { grid, cloths: vec![cloth.clone(), held, cloth.clone()] }
-    };
-    for device in [Device::Cpu, Device::Gpu(context().clone())] {
-        let refused = |model: &Model, optimizer: &Optimizer| {
-            Simulator::new(&device, model, optimizer, 1).err().expect("it is refused").to_string()
-        };
-        // A particle of the next cloth, and one twice.
-        assert_eq!(
-            refused(&held(&[3, 64]), &gd),
-            "model: handles of cloth 1: expected particles 0 to 63 of a grid of 8x8, found 64"
-        );
-        assert_eq!(
-            refused(&held(&[3, 5, 3]), &gd),
-            "model: handles of cloth 1: expected each particle once, found 3"
-        );
-        assert_eq!(
-            refused(&held(&[]), &Optimizer::learned(weights.clone())),
-            "optimizer: network: expected 3 fields: gradient, last gradient and last step, found 2"
-        );
-        assert!(refused(&model(grid, 0), &gd).contains("model: cloths: expected at least one"));
-    }
 }
 
 /// Kernels are made with the table's sizes unless a program asks for others, whatever is stored on this machine.

@@ -53,10 +53,10 @@ impl Energy {
     ) {
         let Physics { cloths, external, x } = physics;
         let batch = physics.batch(grid, iterate);
-        let count = self.kernel.groups([grid.particles(), batch, 1]);
-        assert_eq!(parts.shape(), [batch, count[0] as usize, 8]);
-        let params = Params { rows: size(grid.h), columns: size(grid.w), groups: count[0], pad: 0 };
+        let groups = self::parts(grid);
+        assert_eq!(parts.shape(), [batch, groups, 8]);
+        let params = Params { rows: size(grid.h), columns: size(grid.w), groups: size(groups), pad: 0 };
         let tensors = [cloths, external, &iterate.a, x, &iterate.shift, parts];
-        schedule.dispatch(&self.kernel, &params, &tensors, count);
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
     }
 }

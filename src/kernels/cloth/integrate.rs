@@ -36,6 +36,6 @@ impl Integrate {
         assert_eq!((x.len(), v.len()), (samples * n, samples * n));
         let params = Params { particles: size(n), pad: [0; 3] };
         let tensors = [&iterate.slots, targets, &iterate.shift, x, v];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }
 }

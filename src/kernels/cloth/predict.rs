@@ -45,6 +45,6 @@ impl Predict {
         let params = Params { particles: size(n), pad: [0; 3] };
         let tensors =
             [state.x, state.v, &iterate.slots, state.targets, &iterate.base, &iterate.a, &iterate.shift];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }
 }

@@ -72,6 +72,6 @@ impl Adam {
         };
         let Iterate { grad, base, slots, a, shift } = iterate;
         let tensors = [grad, base, slots, moments, a, shift];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }
 }

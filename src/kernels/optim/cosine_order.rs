@@ -39,6 +39,6 @@ impl CosineOrder {
         assert_eq!(memory.last.len(), 2 * samples * h * w);
         let params = Params { rows: size(h), columns: size(w), pad: [0; 2] };
         let tensors = [&iterate.slots, &memory.last, ordered];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([h * w, samples, 1]));
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(h * w, samples));
     }
 }

@@ -20,7 +20,8 @@ struct Params {
     row_quads: u32,
     parts: u32,
     samples: u32,
-    pad: [u32; 3],
+    first: u32,
+    pad: [u32; 2],
 }
 
 /// Input of the network from gradient and hidden state.
@@ -46,13 +47,21 @@ impl Features {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `embedded` [S, 5, H, W'].
-    pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: FeatureTensors<'_>, embedded: &Tensor) {
+    /// `embedded` [s, 5, H, W'], of the s samples from `first` on.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        from: FeatureTensors<'_>,
+        (embedded, first): (&Tensor, usize),
+    ) {
         let &[samples, parts, 2] = from.partial.shape() else {
             panic!("features: {:?}", from.partial.shape())
         };
         let w = padded(grid.w);
-        assert_eq!(embedded.shape(), [samples, 5, grid.h, w]);
+        let made = embedded.shape()[0];
+        assert_eq!(embedded.shape(), [made, 5, grid.h, w]);
+        assert!(first + made <= samples, "features: {made} samples from {first} on of {samples}");
         assert_eq!((from.grad.len(), from.hidden.len()), (samples * grid.particles(), 2 * from.grad.len()));
         let params = Params {
             rows: size(grid.h),
@@ -60,10 +69,11 @@ impl Features {
             row_quads: size(w / 4),
             parts: size(parts),
             samples: size(samples),
-            pad: [0; 3],
+            first: size(first),
+            pad: [0; 2],
         };
         let tensors = [from.grad, from.hidden, from.partial, embedded];
-        let count = self.kernel.groups([w / 4, grid.h, samples]);
+        let count = self.kernel.groups([w / 4, grid.h, made]);
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }

@@ -37,7 +37,7 @@ impl GradientDescent {
         let (samples, n) = iterate.samples_and_particles();
         let params = Params { particles: size(n), rate: rate as f32, pad: [0; 2] };
         let Iterate { grad, base, slots, a, shift } = iterate;
-        let count = self.kernel.groups([n, samples, 1]);
+        let count = self.kernel.spread(n, samples);
         schedule.dispatch(&self.kernel, &params, &[grad, base, slots, a, shift], count);
     }
 }

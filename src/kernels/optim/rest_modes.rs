@@ -57,6 +57,6 @@ impl RestModes {
         assert_eq!(3 * cloths.bytes() as usize, samples * size_of::<ClothParams>());
         let params = Params { rows: size(h), columns: size(w), pad: [0; 2] };
         let tensors = [cloths, &self.row_turns, &self.column_turns, spectrum, out];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([h * half, samples, 1]));
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(h * half, samples));
     }
 }

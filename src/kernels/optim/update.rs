@@ -21,7 +21,9 @@ struct Params {
     row_quads: u32,
     samples: u32,
     parts: u32,
-    pad: [u32; 3],
+    first: u32,
+    in_field: u32,
+    pad: u32,
 }
 
 /// The learned step.
@@ -33,8 +35,10 @@ pub struct Update {
 /// What the learned step is made of, beside the iterate.
 #[derive(Clone, Copy, Debug)]
 pub struct UpdateTensors<'a> {
-    /// Field head in parts to be added up, shape [parts, S, H, W'].
+    /// Field head in parts to be added up, shape [parts, s, H, W'].
     pub field: &'a Tensor,
+    /// The sample of S that is the field's first.
+    pub first: usize,
     /// Persistent scale, shape `[S]`.
     pub scale: &'a Tensor,
     /// Last gradient and last step, shape [2, S, n]: written.
@@ -47,17 +51,19 @@ impl Update {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Moves `iterate` by one learned step.
+    /// Moves the samples of `iterate` that the field is of by one learned step.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: UpdateTensors<'_>, iterate: &Iterate) {
-        let &[parts, samples, h, w] = from.field.shape() else { panic!("update: {:?}", from.field.shape()) };
-        let n = grid.particles();
-        assert_eq!((h, from.scale.len(), from.hidden.len()), (grid.h, samples, 2 * samples * n));
-        assert_eq!(iterate.samples_and_particles(), (samples, n));
+        let &[parts, in_field, h, w] = from.field.shape() else { panic!("update: {:?}", from.field.shape()) };
+        let (samples, n) = iterate.samples_and_particles();
+        assert_eq!((h, n), (grid.h, grid.particles()));
+        assert_eq!((from.scale.len(), from.hidden.len()), (samples, 2 * samples * n));
+        assert!(from.first + in_field <= samples, "update: {in_field} samples from {} on", from.first);
         let [rows, columns, row_quads] = [h, grid.w, w / 4].map(size);
+        let [samples, parts, first] = [samples, parts, from.first].map(size);
         let params =
-            Params { rows, columns, row_quads, samples: size(samples), parts: size(parts), pad: [0; 3] };
+            Params { rows, columns, row_quads, samples, parts, first, in_field: size(in_field), pad: 0 };
         let Iterate { grad, base, slots, a, shift } = iterate;
         let tensors = [from.field, from.scale, grad, base, slots, from.hidden, a, shift];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, in_field));
     }
 }

@@ -30,14 +30,17 @@ fn learned_steps_match() {
         iterate.grad.write(context(), &grad);
         iterate.base.write(context(), &base);
         iterate.a.write(context(), &a);
-        // In parts whose sum is exact.
-        let parts =
-            [0.5, 0.25, 0.25].map(|part| output.iter().map(|v| part * v).collect::<Vec<_>>()).concat();
-        let output = tensor("field", &[3, samples, grid.h, padded(grid.w)], &pad(&parts, grid, f32::NAN));
         let scale = tensor("scale", &[samples], &scale);
         let hidden = poisoned("hidden", &[2, samples, n]);
-        let from = UpdateTensors { field: &output, scale: &scale, hidden: &hidden };
-        run(|schedule| kernel.push(schedule, grid, from, &iterate));
+        for (first, count) in [(0, 1), (1, samples - 1)] {
+            let output = &output[first * n..][..count * n];
+            // In parts whose sum is exact.
+            let parts =
+                [0.5, 0.25, 0.25].map(|part| output.iter().map(|v| part * v).collect::<Vec<_>>()).concat();
+            let field = tensor("field", &[3, count, grid.h, padded(grid.w)], &pad(&parts, grid, f32::NAN));
+            let from = UpdateTensors { field: &field, first, scale: &scale, hidden: &hidden };
+            run(|schedule| kernel.push(schedule, grid, from, &iterate));
+        }
         let what = format!("update {batch} x {grid}");
         let hidden = read(&hidden);
         assert_eq!(hidden[..samples * n], grad, "the last gradient");

@@ -1,0 +1,148 @@
+//! Batches and grids that are more than a device takes at once, and what it does not take at all.
+
+use crate::common::{assert_close, context, device, narrow, sharings, widened};
+use crate::forward::random;
+use crate::solver::{assert_same, solver, solver_with, starter, statistics, step, varied_batch};
+use fnopt::cpu;
+use fnopt::kernels::Tuning;
+use fnopt::network::Config;
+use fnopt::sim::{
+    Cloth, Control, Device, Grid, Material, Model, Optimizer, Simulator, Solver, SolverOptions, State,
+};
+
+/// The network takes as many samples at once as the tuning and the device allow: single ones, whole cloths, or all.
+#[test]
+fn samples_in_turns_have_the_same_bits() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let optimizer = Optimizer::Learned(starter().clone());
+    // 18 columns are 20 with the padding.
+    let one = 4 * 64 * 21 * 20;
+    for table in [Tuning::table(context()), Tuning { busy_groups: 60, ..sharings()[1] }] {
+        let run = |activation_bytes: usize| {
+            let tuning = Tuning { activation_bytes: activation_bytes.max(1), ..table };
+            let solver = solver_with(tuning, &model, (&optimizer, 3), &start);
+            step(&solver, &control);
+            (step(&solver, &control), solver.frame().dispatches())
+        };
+        let (whole, few) = run(9 * one);
+        let mut dispatches = vec![few];
+        // A cloth at once, two and then one, one component, and more than fits.
+        for at_once in [3, 7, 2, 0] {
+            let (found, more) = run(at_once * one);
+            assert_same("positions", &found.x, &whole.x);
+            assert_same("velocities", &found.v, &whole.v);
+            dispatches.push(more);
+        }
+        let [one, three, two, nine, again] = dispatches[..] else { panic!("{dispatches:?}") };
+        assert!(one < two && two < three && three < nine && nine == again, "{dispatches:?}");
+    }
+}
+
+/// A batch whose activations are more than the device binds.
+#[test]
+fn batches_are_larger_than_a_binding() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let optimizer = Optimizer::Learned(starter().clone());
+    let (narrow, batch, n) = (narrow(8 << 20), 30, model.grid.particles());
+    let cloth = |batch: usize| {
+        let model = Model { grid: model.grid, cloths: vec![model.cloths[0].clone(); batch] };
+        let repeat = |values: &[f32]| values[..3 * n].repeat(batch);
+        let state = State { x: repeat(&start.x), v: repeat(&start.v) };
+        let handles = control.handles[..model.cloths[0].handles.len()].repeat(batch);
+        let wind = vec![control.wind[0]; batch];
+        (model, state, Control { handles, wind, forces: repeat(&control.forces) })
+    };
+    // 18 columns are 20 with the padding.
+    assert!((4 * 64 * 21 * 20 * 3 * batch) as u64 > narrow.largest_binding());
+    let (model, start, control) = cloth(batch);
+    let tuning = Tuning::table(&narrow);
+    let options = SolverOptions { iterations: 1, tuning: Some(tuning) };
+    let solver = Solver::new(&narrow, &model, &optimizer, &options).unwrap();
+    solver.set_state(&start);
+    solver.set_control(&control);
+    narrow.submit(|encoder| solver.record(encoder));
+    let all: Vec<f32> = solver.positions().read(&narrow).unwrap();
+    let (model, start, control) = cloth(1);
+    let one = step(&solver_with(tuning, &model, (&optimizer, 1), &start), &control);
+    for (b, found) in all.chunks_exact(3 * n).enumerate() {
+        assert_same(&format!("cloth {b}"), found, &one.x);
+    }
+}
+
+/// A grid of more particles than one row of workgroups has invocations.
+#[test]
+fn grids_are_larger_than_a_row_of_workgroups() {
+    let _turn = device();
+    let grid = Grid { h: 2048, w: 2051 };
+    let last = grid.particles() - 1;
+    let cloth = Cloth { handles: vec![0, last], gravity: [0.0, 0.0, -0.1], ..Cloth::default() };
+    let model = Model { grid, cloths: vec![cloth] };
+    let start = State::<f32>::rest(grid, 1);
+    let optimizer = Optimizer::gradient_descent();
+    let mut host = cpu::Solver::<f32>::new(&model, &optimizer, 1).unwrap();
+    let solver = solver(&model, &optimizer, 1, &start);
+    let mut control = Control { handles: solver.handles_of(&start), ..Control::default() };
+    control.handles[1][2] += 0.5;
+    let mut expected = start.clone();
+    let wanted = host.step(&mut expected, &control);
+    let found = step(&solver, &control);
+    assert_eq!(found.v[3 * last + 2], 0.5);
+    assert_close("velocities", &found.v, &widened(&expected.v), (1e-6, 1e-5));
+    let stats = &statistics(&solver)[0];
+    assert!((stats.stretch_largest - wanted[0].stretch_largest).abs() < 1e-5, "{stats:?}");
+}
+
+/// What would make kernels read beyond their tensors, or cannot be dispatched, is refused before anything runs.
+#[test]
+fn what_the_device_cannot_do_is_refused() {
+    let _turn = device();
+    let grid = Grid { h: 8, w: 8 };
+    let cloth = Cloth { material: Material::default(), ..Cloth::default() };
+    let model = |grid: Grid, batch: usize| Model { grid, cloths: vec![cloth.clone(); batch] };
+    let gd = Optimizer::gradient_descent();
+    let refused = |model: &Model, optimizer: &Optimizer, options: &SolverOptions| {
+        Solver::new(context(), model, optimizer, options).unwrap_err().to_string()
+    };
+    let default = SolverOptions::default();
+
+    // One sample too many along an axis.
+    let error = refused(&model(grid, 21846), &gd, &default);
+    assert!(error.contains("workgroups, and it has 65535 along an axis"), "{error}");
+
+    let own = Tuning::table(context());
+    for tuning in [Tuning { channels: 6, ..own }, Tuning { spectral_teams: 0, ..own }] {
+        let learned = Optimizer::Learned(starter().clone());
+        let error = refused(&model(grid, 1), &learned, &SolverOptions { tuning: Some(tuning), ..default });
+        assert!(error.contains("options: tuning: expected sizes"), "{error}");
+        assert!(context().with_tuning(tuning).is_err());
+    }
+    let error = refused(&model(grid, 1), &gd, &SolverOptions { iterations: 0, ..default });
+    assert!(error.contains("options: iterations: expected at least 1, found 0"), "{error}");
+
+    let weights = random(Config { fields: 2, ..starter().config });
+    let held = |handles: &[usize]| {
+        let held = Cloth { handles: handles.to_vec(), ..cloth.clone() };
+        Model { grid, cloths: vec![cloth.clone(), held, cloth.clone()] }
+    };
+    for device in [Device::Cpu, Device::Gpu(context().clone())] {
+        let refused = |model: &Model, optimizer: &Optimizer| {
+            Simulator::new(&device, model, optimizer, 1).err().expect("it is refused").to_string()
+        };
+        // A particle of the next cloth, and one twice.
+        assert_eq!(
+            refused(&held(&[3, 64]), &gd),
+            "model: handles of cloth 1: expected particles 0 to 63 of a grid of 8x8, found 64"
+        );
+        assert_eq!(
+            refused(&held(&[3, 5, 3]), &gd),
+            "model: handles of cloth 1: expected each particle once, found 3"
+        );
+        assert_eq!(
+            refused(&held(&[]), &Optimizer::learned(weights.clone())),
+            "optimizer: network: expected 3 fields: gradient, last gradient and last step, found 2"
+        );
+        assert!(refused(&model(grid, 0), &gd).contains("model: cloths: expected at least one"));
+    }
+}
