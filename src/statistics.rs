@@ -12,6 +12,14 @@ pub fn median(values: &[f64]) -> f64 {
     }
 }
 
+/// Frames before the times of a run count: drivers compile then, and caches fill.
+pub const WARM_UP: usize = 3;
+
+/// Median of the times of a run's frames after the warm-up, or of all frames where there are no more.
+pub fn median_time(times: &[f64]) -> f64 {
+    median(if times.len() > WARM_UP { &times[WARM_UP..] } else { times })
+}
+
 /// Mean and standard deviation (of the sample; 0 of a single number).
 pub fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
@@ -22,12 +30,19 @@ pub fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use super::median;
+    use super::{median, median_time};
 
     #[test]
     fn an_even_number_has_two_in_the_middle() {
         assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
         assert_eq!(median(&[4.0, 1.0, 3.0, 2.0]), 2.5);
         assert!(median(&[]).is_nan());
+    }
+
+    #[test]
+    fn the_first_times_count_where_there_are_no_others() {
+        assert_eq!(median_time(&[9.0, 8.0, 7.0]), 8.0);
+        assert_eq!(median_time(&[9.0, 8.0, 7.0, 1.0]), 1.0);
+        assert!(median_time(&[]).is_nan());
     }
 }

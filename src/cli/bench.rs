@@ -3,6 +3,7 @@
 use super::device::InferenceArgs;
 use super::{Ending, SolverArgs, median, writable_file};
 use anyhow::Result;
+use fnopt::eval::WARM_UP;
 use fnopt::gpu::{Context, Profile, Schedule, Tensor};
 use fnopt::kernels::Tuning;
 use fnopt::kernels::operator::{Layer, Pointwise};
@@ -39,8 +40,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Frames before the timed ones.
-const WARM_UP: usize = 3;
 /// Frames of one submission, to time those that nothing is read from.
 const TOGETHER: usize = 4;
 /// How often a frame is recorded to time that, if it takes no longer than so many seconds; five times at least.

@@ -1,9 +1,10 @@
 //! `fnopt rollout`: simulates a scene and writes what came of it.
 
 use super::device::InferenceArgs;
-use super::{Ending, SolverArgs, go_on, interrupt_flag, median, writable_folder};
+use super::{Ending, SolverArgs, go_on, interrupt_flag, writable_folder};
 use anyhow::Result;
 use fnopt::Error;
+use fnopt::eval::median_time;
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{Motion, Scene, Setup, Stiffness, UpAxis};
@@ -47,8 +48,6 @@ pub struct Args {
     json: bool,
 }
 
-/// Frames whose times do not count for the median.
-const WARM_UP: usize = 3;
 /// Name of the files that are written.
 const NAME: &str = "rollout";
 /// Name of the file of the last good state.
@@ -200,7 +199,7 @@ impl Run<'_> {
     /// Median time after the warm-up, or of all frames when there are no more.
     fn ms_per_frame(&self) -> f64 {
         let times: Vec<f64> = self.per_frame.iter().map(|f| f.ms).collect();
-        median(if times.len() > WARM_UP { &times[WARM_UP..] } else { &times })
+        median_time(&times)
     }
 
     /// The last good state as a trajectory of one frame.

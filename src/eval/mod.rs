@@ -18,7 +18,7 @@ mod stretch;
 pub mod suite;
 mod tables;
 
-pub use crate::statistics::{mean_and_deviation, median};
+pub use crate::statistics::{WARM_UP, mean_and_deviation, median, median_time};
 pub use conditions::{Conditions, belong_together};
 pub use gap::{median_gap, track};
 pub use metrics::{Surface, chamfer, relative_error, repulsion};

@@ -2,7 +2,7 @@
 
 use super::metrics::{Surface, chamfer, relative_error, repulsion};
 use super::resampling::{Resampling, coarse};
-use super::{Conditions, FreeEdges, Sequence, median};
+use super::{Conditions, FreeEdges, Sequence, median_time};
 use crate::io::Trajectory;
 use crate::scene::{Scene, Setup, Stiffness};
 use crate::sim::{Device, EnergyTerms, FrameStats, Grid, Optimizer, Simulator};
@@ -15,8 +15,6 @@ use std::path::Path;
 
 /// An edge away from the handles that is this much longer than at rest tells that a simulation diverged.
 const DIVERGED: f64 = 3.0;
-/// Frames left out of the median time.
-const WARM_UP: usize = 3;
 /// Distance below which particles repel each other [edges of the 32x32 grid] (paper section 3.4).
 const REPULSION_DELTA: f64 = 0.5;
 /// Edges along the height that lengths of the repulsion refer to, whatever the grid.
@@ -192,9 +190,7 @@ pub(super) struct Simulated {
 impl Simulated {
     /// Median wall time of a frame \[ms\], without the first frames where there are more; none without frames.
     pub fn ms_per_frame(&self) -> Option<f64> {
-        let times = &self.times_ms;
-        let settled = times.get(WARM_UP..).filter(|settled| !settled.is_empty()).unwrap_or(times);
-        (!settled.is_empty()).then(|| median(settled))
+        (!self.times_ms.is_empty()).then(|| median_time(&self.times_ms))
     }
 }
 

@@ -52,12 +52,17 @@ impl Grid {
 
     /// Triangles as particle numbers, two per cell, cut along the diagonal (i, j) - (i+1, j+1).
     pub fn faces(&self) -> Vec<[u32; 3]> {
-        let at = |i: usize, j: usize| (i * self.w + j) as u32;
-        let cell = |i: usize, j: usize| {
+        self.faces_in_turn().collect()
+    }
+
+    /// The same one by one.
+    pub(crate) fn faces_in_turn(self) -> impl Iterator<Item = [u32; 3]> {
+        let at = move |i: usize, j: usize| (i * self.w + j) as u32;
+        let cell = move |i: usize, j: usize| {
             let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));
             [[a, b, c], [a, c, d]]
         };
-        (0..self.h - 1).flat_map(|i| (0..self.w - 1).flat_map(move |j| cell(i, j))).collect()
+        (0..self.h - 1).flat_map(move |i| (0..self.w - 1).flat_map(move |j| cell(i, j)))
     }
 }
 

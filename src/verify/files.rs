@@ -1,5 +1,6 @@
 //! Which file checks what, and to which tolerance.
 
+use super::checker::{Checker, NETWORK, largest_error};
 use super::cpu::CpuStages;
 use super::golden::Golden;
 use super::{
@@ -13,10 +14,6 @@ use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Network stages against the array's largest magnitude: the vectors themselves are in single precision.
-const NETWORK: f64 = 2e-5;
-/// The same where activations and weights are stored in 16 bits, of which 11 are significant: a few of their roundings.
-const NETWORK_HALF: f64 = 2e-3;
 /// Energies in double precision, relative.
 const ENERGY_DOUBLE: f64 = 1e-9;
 /// Energies in single precision, relative.
@@ -68,13 +65,6 @@ pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn Fn
         }
     }
     Ok(())
-}
-
-struct Checker<'a> {
-    file: &'a str,
-    folder: &'a Path,
-    stages: &'a mut dyn Stages,
-    report: &'a mut dyn FnMut(Check),
 }
 
 impl Checker<'_> {
@@ -360,73 +350,6 @@ impl Checker<'_> {
         self.magnitude("energy", golden.shaped("energy", &[])?, &[found], ENERGY_DOUBLE);
         Ok(())
     }
-
-    /// Largest error of what the network computes against the array's largest magnitude.
-    fn network_magnitude(&mut self, array: &str, expected: &[f64], found: &[f64]) {
-        let tolerance = match self.stages.precision() {
-            Precision::Double | Precision::Single => NETWORK,
-            Precision::Half => NETWORK_HALF,
-        };
-        self.magnitude(array, expected, found, tolerance);
-    }
-
-    /// A grid that has an energy; smaller ones than the network takes.
-    fn grid_with_cells(&self, h: usize, w: usize) -> Result<Grid> {
-        let grid = Grid { h, w };
-        match h.min(w) {
-            0 | 1 => Err(Error::invalid(self.file, "positions", "two particles or more a side", grid)),
-            _ => Ok(grid),
-        }
-    }
-
-    fn weights(&self, name: &str) -> Result<Weights> {
-        Weights::load(&self.folder.join(name).with_extension("safetensors"))
-    }
-
-    /// Compares an array that only some files hold.
-    fn optional(&mut self, golden: &Golden, name: &str, shape: &[usize], found: &[f64]) -> Result<()> {
-        if golden.has(name) {
-            self.network_magnitude(name, golden.shaped(name, shape)?, found);
-        }
-        Ok(())
-    }
-
-    /// Largest error against the array's largest magnitude.
-    fn magnitude(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
-        let scale = expected.iter().fold(0.0, |m: f64, e| m.max(e.abs()));
-        let absolute = largest_error(expected, found);
-        self.compared(array, (absolute, ratio(absolute, scale)), tolerance);
-    }
-
-    /// Norm of the error against the norm of the array.
-    fn in_norm(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
-        let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
-        let error = norm(&mut expected.iter().zip(found).map(|(e, f)| f - e));
-        let relative = ratio(error, norm(&mut expected.iter().copied()));
-        self.compared(array, (largest_error(expected, found), relative), tolerance);
-    }
-
-    fn compared(&mut self, array: &str, (absolute, relative): (f64, f64), tolerance: f64) {
-        // A NaN is no pass: the comparison is false for it.
-        let outcome = if relative <= tolerance { Outcome::Passed } else { Outcome::Failed };
-        self.tell(array, (absolute, relative, tolerance), outcome);
-    }
-
-    fn verdict(&mut self, what: &str, outcome: Outcome) {
-        self.tell(what, (0.0, 0.0, 0.0), outcome);
-    }
-
-    fn tell(&mut self, array: &str, numbers: (f64, f64, f64), outcome: Outcome) {
-        (self.report)(Check {
-            file: self.file.to_owned(),
-            array: array.to_owned(),
-            device: self.stages.name(),
-            absolute: numbers.0,
-            relative: numbers.1,
-            tolerance: numbers.2,
-            outcome,
-        });
-    }
 }
 
 /// The cloths of a batch: material and handles.
@@ -457,21 +380,6 @@ fn nudged(x: &[f64]) -> Vec<f64> {
             if bits & 1 == 0 { x + half } else { x - half }
         })
         .collect()
-}
-
-/// Largest difference; infinite where a length or a number is wrong.
-fn largest_error(expected: &[f64], found: &[f64]) -> f64 {
-    if expected.len() != found.len() {
-        return f64::INFINITY;
-    }
-    expected.iter().zip(found).fold(0.0, |m: f64, (e, f)| {
-        let d = (e - f).abs();
-        if d.is_nan() { f64::INFINITY } else { m.max(d) }
-    })
-}
-
-fn ratio(error: f64, scale: f64) -> f64 {
-    if error == 0.0 { 0.0 } else { error / scale }
 }
 
 #[cfg(test)]

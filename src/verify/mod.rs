@@ -5,6 +5,7 @@
 //! and seeds check as well. Every array is compared on its own, so that an error points at one stage. Of `repulsion_*`
 //! only the energy is: it is a measure here, and its gradient is not computed.
 
+mod checker;
 mod cpu;
 mod files;
 mod golden;

@@ -1,0 +1,108 @@
+//! How what was computed is compared with what a golden file holds.
+
+use super::golden::Golden;
+use super::{Check, Outcome, Precision, Stages};
+use crate::network::Weights;
+use crate::sim::Grid;
+use crate::{Error, Result};
+use std::path::Path;
+
+/// Network stages against the array's largest magnitude: the vectors themselves are in single precision.
+pub(super) const NETWORK: f64 = 2e-5;
+/// The same where activations and weights are stored in 16 bits, of which 11 are significant: a few of their roundings.
+const NETWORK_HALF: f64 = 2e-3;
+/// Compares what stages compute with the arrays of a file, and tells of each.
+pub(super) struct Checker<'a> {
+    /// The file's name without its ending.
+    pub file: &'a str,
+    pub folder: &'a Path,
+    pub stages: &'a mut dyn Stages,
+    pub report: &'a mut dyn FnMut(Check),
+}
+
+impl Checker<'_> {
+    /// Largest error of what the network computes against the array's largest magnitude.
+    pub fn network_magnitude(&mut self, array: &str, expected: &[f64], found: &[f64]) {
+        let tolerance = match self.stages.precision() {
+            Precision::Double | Precision::Single => NETWORK,
+            Precision::Half => NETWORK_HALF,
+        };
+        self.magnitude(array, expected, found, tolerance);
+    }
+
+    /// A grid that has an energy; smaller ones than the network takes.
+    pub fn grid_with_cells(&self, h: usize, w: usize) -> Result<Grid> {
+        let grid = Grid { h, w };
+        match h.min(w) {
+            0 | 1 => Err(Error::invalid(self.file, "positions", "two particles or more a side", grid)),
+            _ => Ok(grid),
+        }
+    }
+
+    /// The weights of another file of the folder.
+    pub fn weights(&self, name: &str) -> Result<Weights> {
+        Weights::load(&self.folder.join(name).with_extension("safetensors"))
+    }
+
+    /// Compares an array that only some files hold.
+    pub fn optional(&mut self, golden: &Golden, name: &str, shape: &[usize], found: &[f64]) -> Result<()> {
+        if golden.has(name) {
+            self.network_magnitude(name, golden.shaped(name, shape)?, found);
+        }
+        Ok(())
+    }
+
+    /// Largest error against the array's largest magnitude.
+    pub fn magnitude(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
+        let scale = expected.iter().fold(0.0, |m: f64, e| m.max(e.abs()));
+        let absolute = largest_error(expected, found);
+        self.compared(array, (absolute, ratio(absolute, scale)), tolerance);
+    }
+
+    /// Norm of the error against the norm of the array.
+    pub fn in_norm(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
+        let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
+        let error = norm(&mut expected.iter().zip(found).map(|(e, f)| f - e));
+        let relative = ratio(error, norm(&mut expected.iter().copied()));
+        self.compared(array, (largest_error(expected, found), relative), tolerance);
+    }
+
+    /// Tells whether the relative error is within the tolerance.
+    pub fn compared(&mut self, array: &str, (absolute, relative): (f64, f64), tolerance: f64) {
+        // A NaN is no pass: the comparison is false for it.
+        let outcome = if relative <= tolerance { Outcome::Passed } else { Outcome::Failed };
+        self.tell(array, (absolute, relative, tolerance), outcome);
+    }
+
+    /// Tells what is no comparison.
+    pub fn verdict(&mut self, what: &str, outcome: Outcome) {
+        self.tell(what, (0.0, 0.0, 0.0), outcome);
+    }
+
+    fn tell(&mut self, array: &str, numbers: (f64, f64, f64), outcome: Outcome) {
+        (self.report)(Check {
+            file: self.file.to_owned(),
+            array: array.to_owned(),
+            device: self.stages.name(),
+            absolute: numbers.0,
+            relative: numbers.1,
+            tolerance: numbers.2,
+            outcome,
+        });
+    }
+}
+
+/// Largest difference; infinite where a length or a number is wrong.
+pub(super) fn largest_error(expected: &[f64], found: &[f64]) -> f64 {
+    if expected.len() != found.len() {
+        return f64::INFINITY;
+    }
+    expected.iter().zip(found).fold(0.0, |m: f64, (e, f)| {
+        let d = (e - f).abs();
+        if d.is_nan() { f64::INFINITY } else { m.max(d) }
+    })
+}
+
+fn ratio(error: f64, scale: f64) -> f64 {
+    if error == 0.0 { 0.0 } else { error / scale }
+}
