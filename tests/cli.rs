@@ -7,6 +7,7 @@ use std::process::{Command, Output};
 fn fnopt(folder: &Path, arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
     command.current_dir(folder).args(arguments).env("FNOPT_LOG", "off");
+    command.env("FNOPT_CACHE", folder.join("cache"));
     command.output().expect("the command starts")
 }
 
@@ -458,6 +459,48 @@ fn a_tuning_is_stored_for_its_adapter_and_used() {
         let (_, log) = run(&rollout);
         assert!(log.contains("no tuning of"), "{damage}: {log}");
     }
+}
+
+/// On the software adapter, whose cache holds next to nothing: the file is read and written like any other's.
+#[test]
+fn pipelines_are_stored_for_their_adapter_and_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = folder.path().join("cache");
+    let run = |cache: &Path| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
+        let rollout =
+            ["rollout", "--device", "gpu", "--adapter", "llvmpipe", "--solver", "gd", "--no-pictures"];
+        command.args(rollout).args(["--frames", "2", "--grid", "8", "8"]).current_dir(folder.path());
+        let output = command.env("FNOPT_CACHE", cache).env("FNOPT_LOG", "info").output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        text(&output.stderr)
+    };
+    let first = run(&cache);
+    assert!(first.contains("pipeline cache: ") && first.contains(", 0 bytes"), "{first}");
+    let entries: Vec<_> = std::fs::read_dir(&cache).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let [file] = &entries[..] else { panic!("{entries:?}") };
+    let name = file.file_name().unwrap().to_str().unwrap();
+    assert!(name.starts_with("pipelines_") && name.ends_with(".bin"), "{name}");
+    let stored = std::fs::read(file).unwrap();
+    let written = || std::fs::metadata(file).unwrap().modified().unwrap();
+
+    let before = written();
+    let again = run(&cache);
+    assert!(!again.contains(", 0 bytes") && !again.contains("WARN"), "{again}");
+    assert_eq!(written(), before, "nothing was new, and the file was written");
+
+    let mut changed = stored.clone();
+    changed[stored.len() / 2] ^= 1;
+    for damage in [&changed[..], &stored[..stored.len() - 1], b"", b"of something else"] {
+        std::fs::write(file, damage).unwrap();
+        let log = run(&cache);
+        assert!(log.contains("no pipelines of") && log.contains(", 0 bytes"), "{log}");
+        assert_eq!(std::fs::read(file).unwrap().len(), stored.len(), "it was not replaced");
+        assert!(!run(&cache).contains("no pipelines of"));
+    }
+    // Nowhere to store them.
+    let log = run(file);
+    assert!(log.contains("the next start will be as slow"), "{log}");
 }
 
 /// On the software adapter, which has f16.

@@ -8,6 +8,7 @@ use std::process::{Command, Output, Stdio};
 fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
     command.current_dir(folder).args(arguments).env("FNOPT_LOG", "off");
+    command.env("FNOPT_CACHE", folder.join("cache"));
     command
 }
 

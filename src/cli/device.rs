@@ -1,10 +1,11 @@
 //! `--device`, `--adapter` and `--precision`.
 
 use clap::ValueEnum;
-use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Storage, adapters};
+use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Storage};
 use fnopt::kernels::Tuning;
 use fnopt::sim::Device;
 use fnopt::{Error, Result};
+use std::sync::{Mutex, PoisonError};
 
 /// Where to run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -35,16 +36,16 @@ impl DeviceArgs {
         if let (DeviceKind::Cpu, Some(adapter)) = (self.device, &self.adapter) {
             return Err(Error::invalid("--adapter", "adapter", "none with --device cpu", adapter));
         }
-        let choice = match (&self.adapter, self.device) {
-            (Some(name), _) => AdapterChoice::parse(name),
-            (None, DeviceKind::Gpu) => AdapterChoice::Best,
-            (None, DeviceKind::Auto) => match auto_choice() {
-                Some(choice) => choice,
+        let context = match (&self.adapter, self.device) {
+            (Some(name), _) => Context::headless(&AdapterChoice::parse(name))?,
+            (None, DeviceKind::Gpu) => Context::headless(&AdapterChoice::Best)?,
+            (None, DeviceKind::Auto) => match Context::hardware()? {
+                Some(context) => context,
                 None => return Ok(cpu("no hardware adapter")),
             },
             (None, DeviceKind::Cpu) => return Ok(cpu("asked for")),
         };
-        let context = Context::headless(&choice)?;
+        let context = context.with_stored_pipelines()?;
         let context = match Tuning::measured(&context) {
             Some(tuning) => context.with_tuning(tuning)?,
             None => context,
@@ -60,7 +61,19 @@ impl DeviceArgs {
             Some(path) => tracing::info!("tuning file: {}", path.display()),
             None => tracing::info!("tuning file: none for this adapter"),
         }
+        *OPENED.lock().unwrap_or_else(PoisonError::into_inner) = Some(context.clone());
         Ok((Device::Gpu(context), line))
+    }
+}
+
+/// The context that [`DeviceArgs::open`] opened last.
+static OPENED: Mutex<Option<Context>> = Mutex::new(None);
+
+/// Stores the pipelines that the command has compiled, for the next one. It is no failure of the command where that fails.
+pub fn store_pipelines() {
+    let opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner).take();
+    if let Some(Err(error)) = opened.map(|context| context.store_pipelines()) {
+        tracing::warn!("the next start will be as slow as this one: {error}");
     }
 }
 
@@ -100,13 +113,6 @@ impl InferenceArgs {
             }
         }
     }
-}
-
-/// What `--device auto` opens: a usable hardware adapter, or nothing, which means the CPU.
-pub fn auto_choice() -> Option<AdapterChoice> {
-    let found =
-        adapters().into_iter().position(|a| a.kind() == AdapterKind::Hardware && a.unusable.is_none());
-    found.map(AdapterChoice::Index)
 }
 
 fn cpu(why: &str) -> (Device, String) {

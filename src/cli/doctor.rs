@@ -1,6 +1,5 @@
 //! `fnopt doctor`: what this machine can run.
 
-use super::device::auto_choice;
 use super::{Ending, load_weights, median};
 use anyhow::Result;
 use fnopt::gpu::{AdapterChoice, AdapterSummary, Context, adapters};
@@ -42,9 +41,9 @@ type Measured = (f64, Vec<(usize, f64)>);
 
 pub fn run(args: &Args) -> Result<Ending> {
     let found = adapters();
-    let auto = match auto_choice() {
-        Some(AdapterChoice::Index(i)) => format!("adapter {i}, {}", found[i].info.name),
-        _ => "the CPU path (no usable hardware adapter)".to_owned(),
+    let auto = match found.iter().position(AdapterSummary::is_usable_hardware) {
+        Some(i) => format!("adapter {i}, {}", found[i].info.name),
+        None => "the CPU path (no usable hardware adapter)".to_owned(),
     };
     let mut out = std::io::stdout().lock();
     if !args.json {

@@ -98,6 +98,8 @@ pub fn log_to_stderr() -> Result<()> {
 
 /// Runs the command line and tells how it ended.
 pub fn run(cli: Cli) -> ExitCode {
+    // What `tune` compiles beside the best is not needed again.
+    let stores = !matches!(cli.command, Command::Tune(_));
     let ending = match cli.command {
         Command::Rollout(args) => rollout::run(&args),
         Command::Train(args) => train::run(&args),
@@ -109,6 +111,9 @@ pub fn run(cli: Cli) -> ExitCode {
         Command::Bench(args) => bench::run(&args),
         Command::Tune(args) => tune::run(&args),
     };
+    if stores {
+        device::store_pipelines();
+    }
     match ending {
         Ok(Ending::Done) => ExitCode::SUCCESS,
         Ok(Ending::CheckFailed) => ExitCode::from(1),

@@ -1,9 +1,11 @@
 //! A device and its queue, the caller's or a headless one of our own.
 
+use super::cache::PipelineCache;
 use super::kernel::LANES;
 use super::{Sharing, Storage};
 use crate::kernels::Tuning;
 use crate::{Error, Result};
+use std::sync::Arc;
 use wgpu::util::DeviceExt;
 
 /// What kind of adapter a device runs on; tile sizes of the kernels follow it.
@@ -21,8 +23,6 @@ pub enum AdapterChoice {
     /// The best hardware adapter, or else a software one.
     #[default]
     Best,
-    /// The best hardware adapter only.
-    Hardware,
     /// The adapter at this place in the list of [`adapters`].
     Index(usize),
     /// The first adapter whose name, driver or backend contains this text, ignoring case.
@@ -60,6 +60,11 @@ impl AdapterSummary {
     pub fn kind(&self) -> AdapterKind {
         kind(&self.info)
     }
+
+    /// Whether [`Context::hardware`] takes it, if it is the first such.
+    pub fn is_usable_hardware(&self) -> bool {
+        self.kind() == AdapterKind::Hardware && self.unusable.is_none()
+    }
 }
 
 /// A wgpu device and queue with what the kernels must know of them.
@@ -75,6 +80,7 @@ pub struct Context {
     name: String,
     storage: Storage,
     tuning: Option<Tuning>,
+    pub(super) pipelines: Option<Arc<PipelineCache>>,
 }
 
 /// Storage buffers that a kernel may bind.
@@ -94,8 +100,8 @@ impl Context {
         if let Some(missing) = missing_limit(&device.limits()) {
             return Err(Error::Device(format!("{}: {missing}", info.name)));
         }
-        let storage = Storage::default();
-        Ok(Self { device, queue, kind: kind(&info), name: describe(&info), storage, tuning: None })
+        let (kind, name, storage) = (kind(&info), describe(&info), Storage::default());
+        Ok(Self { device, queue, kind, name, storage, tuning: None, pipelines: None })
     }
 
     /// Opens a device of its own, without a window.
@@ -105,9 +111,25 @@ impl Context {
 
     /// [`Context::headless`] for callers that already run an executor.
     pub async fn headless_async(choice: &AdapterChoice) -> Result<Self> {
-        let adapter = choose(all_adapters().await, choice)?;
-        let optional =
-            wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::SUBGROUP | wgpu::Features::SHADER_F16;
+        Self::open(choose(all_adapters().await, choice)?).await
+    }
+
+    /// [`Context::headless`] on the best hardware adapter; none where no usable one is.
+    pub fn hardware() -> Result<Option<Self>> {
+        pollster::block_on(async {
+            let usable = |a: &wgpu::Adapter| AdapterSummary::new(a).is_usable_hardware();
+            match all_adapters().await.into_iter().find(usable) {
+                Some(adapter) => Self::open(adapter).await.map(Some),
+                None => Ok(None),
+            }
+        })
+    }
+
+    async fn open(adapter: wgpu::Adapter) -> Result<Self> {
+        let optional = wgpu::Features::TIMESTAMP_QUERY
+            | wgpu::Features::SUBGROUP
+            | wgpu::Features::SHADER_F16
+            | wgpu::Features::PIPELINE_CACHE;
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("fnopt"),
             required_features: adapter.features() & optional,
@@ -240,9 +262,6 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
     let usable = |a: &wgpu::Adapter| missing_limit(&a.limits()).is_none();
     let at = match choice {
         AdapterChoice::Best => found.iter().position(usable),
-        AdapterChoice::Hardware => {
-            found.iter().position(|a| usable(a) && kind(&a.get_info()) == AdapterKind::Hardware)
-        }
         AdapterChoice::Index(i) => (*i < found.len()).then_some(*i),
         AdapterChoice::Name(name) => {
             let name = name.to_lowercase();
@@ -252,7 +271,6 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
     let Some(at) = at else {
         let wanted = match choice {
             AdapterChoice::Best => "no usable adapter".to_owned(),
-            AdapterChoice::Hardware => "no usable hardware adapter".to_owned(),
             AdapterChoice::Index(i) => format!("no adapter number {i}"),
             AdapterChoice::Name(name) => format!("no adapter named '{name}'"),
         };

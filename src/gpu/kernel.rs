@@ -258,10 +258,11 @@ impl Kernel {
     }
 
     pub(super) fn compiled(&self, context: &Context) -> &Compiled {
-        self.compiled.get_or_init(|| self.compile(&context.device))
+        self.compiled.get_or_init(|| self.compile(context))
     }
 
-    fn compile(&self, device: &wgpu::Device) -> Compiled {
+    fn compile(&self, context: &Context) -> Compiled {
+        let device = &context.device;
         let entry = |(i, b): (usize, &Binding)| wgpu::BindGroupLayoutEntry {
             binding: i as u32,
             visibility: wgpu::ShaderStages::COMPUTE,
@@ -293,14 +294,14 @@ impl Kernel {
                 // Kernels write workgroup memory before they read it.
                 zero_initialize_workgroup_memory: false,
             },
-            cache: None,
+            cache: context.pipeline_cache(),
         });
         Compiled { pipeline, layout }
     }
 }
 
 /// A shader module without naga's index clamps and loop counters, which cost up to ten times in the inner loops.
-#[allow(unsafe_code, reason = "the one exception; see SAFETY")]
+#[allow(unsafe_code, reason = "one of two exceptions; see SAFETY")]
 fn trusted_module(device: &wgpu::Device, name: &str, text: &str) -> wgpu::ShaderModule {
     let descriptor =
         wgpu::ShaderModuleDescriptor { label: Some(name), source: wgpu::ShaderSource::Wgsl(text.into()) };

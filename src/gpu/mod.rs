@@ -2,8 +2,10 @@
 //!
 //! [`Context`] wraps the caller's device and queue (or makes its own), [`Tensor`] is a typed storage buffer, `Kernel`
 //! is a compiled WGSL entry point, [`Schedule`] is a list of dispatches with everything bound, [`Readback`] brings
-//! results to the host without stalling the queue, [`Profile`] measures dispatches where the adapter has timestamps.
+//! results to the host without stalling the queue, [`Profile`] measures dispatches where the adapter has timestamps. Compiled
+//! pipelines outlast the process where the adapter has a cache for them ([`Context::with_stored_pipelines`]).
 
+mod cache;
 mod context;
 mod kernel;
 mod profile;
@@ -12,6 +14,7 @@ mod schedule;
 mod storage;
 mod tensor;
 
+pub(crate) use cache::CACHE_FOLDER;
 pub(crate) use context::WORKGROUP_INVOCATIONS;
 pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters};
 pub(crate) use kernel::Kernel;

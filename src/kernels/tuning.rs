@@ -1,6 +1,6 @@
 //! Sizes that suit an adapter: a table of good ones, and what was measured on the adapter at hand.
 
-use crate::gpu::{AdapterKind, Context, Sharing, Unroll, WORKGROUP_INVOCATIONS};
+use crate::gpu::{AdapterKind, CACHE_FOLDER, Context, Sharing, Unroll, WORKGROUP_INVOCATIONS};
 use crate::{Error, Result, io};
 use std::io::Write;
 use std::path::PathBuf;
@@ -38,9 +38,6 @@ pub struct Tuning {
 
 /// Channel counts are padded to a multiple of this, the largest tile.
 pub const CHANNEL_MULTIPLE: usize = 32;
-
-/// Variable of the environment that names the folder for what is measured, in place of the user's cache directory.
-const FOLDER: &str = "FNOPT_CACHE";
 
 /// A measured tuning as it is stored.
 #[derive(serde::Serialize, serde::Deserialize)]
@@ -173,14 +170,7 @@ impl Tuning {
     /// directory. None where there is no such directory. Its name stands for the adapter, its driver and the version of this
     /// package: builds of one version share it.
     pub fn path(context: &Context) -> Option<PathBuf> {
-        let folder = match std::env::var_os(FOLDER) {
-            Some(folder) => PathBuf::from(folder),
-            None => dirs::cache_dir()?.join("fnopt"),
-        };
-        let mut sum = crc32fast::Hasher::new();
-        sum.update(context.name().as_bytes());
-        sum.update(env!("CARGO_PKG_VERSION").as_bytes());
-        Some(folder.join(format!("tuning_{:08x}.json", sum.finalize())))
+        context.cache_file("tuning", "json")
     }
 
     /// What was measured on the adapter ([`crate::sim::tune`]) and stored, for a program that wants it: hand it to
@@ -199,11 +189,9 @@ impl Tuning {
 
     /// Stores it for the adapter, to be found by [`Tuning::measured`] from then on; the file.
     pub fn store(&self, context: &Context) -> Result<PathBuf> {
-        let nowhere = || Error::Device(format!("no cache directory to store a tuning in; set {FOLDER}"));
+        let nowhere =
+            || Error::Device(format!("no cache directory to store a tuning in; set {CACHE_FOLDER}"));
         let path = Self::path(context).ok_or_else(nowhere)?;
-        if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
-        }
         let (adapter, version) = (context.name().to_owned(), env!("CARGO_PKG_VERSION").to_owned());
         let json = serde_json::to_vec_pretty(&Stored { adapter, version, tuning: *self });
         let json = json.expect("a tuning is plain data");
