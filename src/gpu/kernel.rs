@@ -3,6 +3,7 @@
 use super::context::WORKGROUPS;
 use super::{Context, Storage};
 use crate::{Error, Result};
+use std::borrow::Cow;
 use std::sync::{Arc, OnceLock};
 
 /// The WGSL text of one kernel: the file itself, then the shared functions it calls.
@@ -192,24 +193,23 @@ fn storage(module: &naga::Module, ty: naga::Handle<naga::Type>) -> Storage {
     }
 }
 
-/// A kernel of this crate, made once and pushed onto schedules as often as needed. It is compiled when it is dispatched for
-/// the first time: what a network or an optimizer does not use costs no pipeline.
+/// A kernel of this crate, made once and pushed onto schedules as often as needed.
 #[derive(Clone, Debug)]
 pub(crate) struct Kernel {
-    pub(super) name: &'static str,
     pub(super) bindings: Vec<Binding>,
     /// Invocations of a workgroup, where the text says them.
     workgroup: Option<[u32; 3]>,
-    text: String,
-    constants: Vec<(&'static str, f64)>,
-    compiled: Arc<OnceLock<Compiled>>,
+    pub(super) program: Arc<Program>,
 }
 
-/// A pipeline with its explicit layout.
+/// What is compiled of a kernel, once and only when it is used: what a network or an optimizer does without costs no pipeline.
 #[derive(Debug)]
-pub(super) struct Compiled {
-    pub pipeline: wgpu::ComputePipeline,
+pub(super) struct Program {
+    pub name: &'static str,
     pub layout: wgpu::BindGroupLayout,
+    module: naga::Module,
+    constants: Vec<(&'static str, f64)>,
+    pipeline: OnceLock<wgpu::ComputePipeline>,
 }
 
 impl Kernel {
@@ -224,21 +224,23 @@ impl Kernel {
         let module = source.parsed(&text)?;
         let entry = module.entry_points.first();
         let literal = entry.filter(|e| e.workgroup_size_overrides.is_none());
-        Ok(Self {
+        let workgroup = literal.map(|e| e.workgroup_size);
+        let bindings = source.bindings_of(&module);
+        let program = Program {
             name: source.name,
-            bindings: source.bindings_of(&module),
-            workgroup: literal.map(|e| e.workgroup_size),
-            text,
+            layout: layout(&context.device, source.name, &bindings),
+            module,
             constants: constants.to_vec(),
-            compiled: Arc::default(),
-        })
+            pipeline: OnceLock::new(),
+        };
+        Ok(Self { bindings, workgroup, program: Arc::new(program) })
     }
 
     /// Invocations of a workgroup along each axis.
     ///
     /// Panics for a kernel whose workgroup is a matter of its constants: whoever chooses them knows it.
     pub fn workgroup(&self) -> [u32; 3] {
-        self.workgroup.unwrap_or_else(|| panic!("{}.wgsl leaves its workgroup open", self.name))
+        self.workgroup.unwrap_or_else(|| panic!("{}.wgsl leaves its workgroup open", self.program.name))
     }
 
     /// Workgroups that cover so many invocations along each axis.
@@ -256,37 +258,26 @@ impl Kernel {
         let across = all.clamp(1, WORKGROUPS);
         [across, all.div_ceil(across), items]
     }
+}
 
-    pub(super) fn compiled(&self, context: &Context) -> &Compiled {
-        self.compiled.get_or_init(|| self.compile(context))
+impl Program {
+    /// The pipeline, compiled where it is not yet.
+    pub fn pipeline(&self, context: &Context) -> &wgpu::ComputePipeline {
+        self.pipeline.get_or_init(|| self.compile(context))
     }
 
-    fn compile(&self, context: &Context) -> Compiled {
+    fn compile(&self, context: &Context) -> wgpu::ComputePipeline {
         let device = &context.device;
-        let entry = |(i, b): (usize, &Binding)| wgpu::BindGroupLayoutEntry {
-            binding: i as u32,
-            visibility: wgpu::ShaderStages::COMPUTE,
-            ty: wgpu::BindingType::Buffer {
-                ty: b.ty,
-                has_dynamic_offset: false,
-                // Known here, it is checked once for a bind group, else at every dispatch.
-                min_binding_size: std::num::NonZeroU64::new(b.size.into()),
-            },
-            count: None,
-        };
-        let entries: Vec<_> = self.bindings.iter().enumerate().map(entry).collect();
         let label = Some(self.name);
-        let layout =
-            device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label, entries: &entries });
-        let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        let layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
             label,
-            bind_group_layouts: &[Some(&layout)],
+            bind_group_layouts: &[Some(&self.layout)],
             immediate_size: 0,
         });
-        let module = trusted_module(device, self.name, &self.text);
-        let pipeline = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        let module = trusted_module(device, self.name, self.module.clone());
+        device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label,
-            layout: Some(&pipeline_layout),
+            layout: Some(&layout),
             module: &module,
             entry_point: Some(self.name),
             compilation_options: wgpu::PipelineCompilationOptions {
@@ -295,21 +286,38 @@ impl Kernel {
                 zero_initialize_workgroup_memory: false,
             },
             cache: context.pipeline_cache(),
-        });
-        Compiled { pipeline, layout }
+        })
     }
+}
+
+/// What a bind group of these bindings holds.
+fn layout(device: &wgpu::Device, name: &'static str, bindings: &[Binding]) -> wgpu::BindGroupLayout {
+    let entry = |(i, b): (usize, &Binding)| wgpu::BindGroupLayoutEntry {
+        binding: i as u32,
+        visibility: wgpu::ShaderStages::COMPUTE,
+        ty: wgpu::BindingType::Buffer {
+            ty: b.ty,
+            has_dynamic_offset: false,
+            // Known here, it is checked once for a bind group, else at every dispatch.
+            min_binding_size: std::num::NonZeroU64::new(b.size.into()),
+        },
+        count: None,
+    };
+    let entries: Vec<_> = bindings.iter().enumerate().map(entry).collect();
+    device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(name), entries: &entries })
 }
 
 /// A shader module without naga's index clamps and loop counters, which cost up to ten times in the inner loops.
 #[allow(unsafe_code, reason = "one of two exceptions; see SAFETY")]
-fn trusted_module(device: &wgpu::Device, name: &str, text: &str) -> wgpu::ShaderModule {
-    let descriptor =
-        wgpu::ShaderModuleDescriptor { label: Some(name), source: wgpu::ShaderSource::Wgsl(text.into()) };
-    // SAFETY: the text is a file of `shaders/`, compiled into this program: `Kernel` is private to the crate, and no caller
-    // can bring their own. Every loop there counts to a finite bound. Indices that are computed are bounded by the sizes in
-    // the parameters, which the host side of each kernel (`crate::kernels`) asserts against the shapes of the tensors it
-    // binds. Indices that are data are not checked there: handle slots, the places of drawn cloths in their pool and the
-    // newest pair of L-BFGS are bounded by what writes them (`Model::check` and `Model::handle_slots`, `train::Pool`,
+fn trusted_module(device: &wgpu::Device, name: &str, module: naga::Module) -> wgpu::ShaderModule {
+    // Parsed already, for the bindings.
+    let source = wgpu::ShaderSource::Naga(Cow::Owned(module));
+    let descriptor = wgpu::ShaderModuleDescriptor { label: Some(name), source };
+    // SAFETY: the text it was parsed from is a file of `shaders/`, compiled into this program: `Kernel` is private to the crate,
+    // and no caller can bring their own. Every loop there counts to a finite bound. Indices that are computed are bounded by
+    // the sizes in the parameters, which the host side of each kernel (`crate::kernels`) asserts against the shapes of the
+    // tensors it binds. Indices that are data are not checked there: handle slots, the places of drawn cloths in their pool and
+    // the newest pair of L-BFGS are bounded by what writes them (`Model::check` and `Model::handle_slots`, `train::Pool`,
     // `lbfgs.wgsl`), and callers who fill such tensors of `crate::kernels` by themselves must do the same.
     unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
 }

@@ -1,8 +1,11 @@
 //! Lists of dispatches with everything bound, recorded into a caller's encoder as often as needed.
 
+use super::kernel::Program;
 use super::{Context, Kernel, Profile, Tensor};
 use crate::{Error, Result};
+use rayon::prelude::*;
 use std::collections::HashMap;
+use std::sync::Arc;
 
 /// Dispatches and clears in order. Built once; recording it allocates nothing on our side.
 #[derive(Clone, Debug)]
@@ -18,7 +21,7 @@ pub struct Schedule {
 /// What a dispatch binds.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Bound {
-    pipeline: wgpu::ComputePipeline,
+    layout: wgpu::BindGroupLayout,
     params: Vec<u8>,
     /// Buffer, offset and bytes of each tensor.
     tensors: Vec<(wgpu::Buffer, u64, u64)>,
@@ -26,17 +29,8 @@ struct Bound {
 
 #[derive(Clone, Debug)]
 enum Step {
-    Dispatch {
-        name: &'static str,
-        pipeline: wgpu::ComputePipeline,
-        bind_group: wgpu::BindGroup,
-        groups: [u32; 3],
-    },
-    Clear {
-        buffer: wgpu::Buffer,
-        offset: u64,
-        bytes: u64,
-    },
+    Dispatch { program: Arc<Program>, bind_group: wgpu::BindGroup, groups: [u32; 3] },
+    Clear { buffer: wgpu::Buffer, offset: u64, bytes: u64 },
 }
 
 impl Schedule {
@@ -57,17 +51,18 @@ impl Schedule {
         groups: [u32; 3],
     ) {
         let bytes = bytemuck::bytes_of(params);
-        let expected = &kernel.bindings;
-        assert_eq!(expected.len(), 1 + tensors.len(), "bindings of {}: {expected:?}", kernel.name);
-        assert_eq!(expected[0].size as usize, bytes.len(), "size of the parameters of {}", kernel.name);
+        let (expected, program) = (&kernel.bindings, &kernel.program);
+        let name = program.name;
+        assert_eq!(expected.len(), 1 + tensors.len(), "bindings of {name}: {expected:?}");
+        assert_eq!(expected[0].size as usize, bytes.len(), "size of the parameters of {name}");
         for (binding, tensor) in expected[1..].iter().zip(tensors) {
-            let (kernel, label) = (kernel.name, tensor.label());
-            assert_eq!(binding.storage, tensor.storage(), "{kernel}: {} from '{label}'", binding.name);
+            let label = tensor.label();
+            assert_eq!(binding.storage, tensor.storage(), "{name}: {} from '{label}'", binding.name);
         }
         let context = &self.context;
         let most = context.device.limits().max_compute_workgroups_per_dimension;
         if groups.iter().any(|&g| g > most) {
-            let wants = format!("{} on this grid and batch takes {groups:?} workgroups", kernel.name);
+            let wants = format!("{name} on this grid and batch takes {groups:?} workgroups");
             self.refused
                 .get_or_insert(format!("{}: {wants}, and it has {most} along an axis", context.name()));
             return;
@@ -75,26 +70,19 @@ impl Schedule {
         if groups.contains(&0) {
             return;
         }
-        let compiled = kernel.compiled(context);
-        let pipeline = compiled.pipeline.clone();
         let bound = Bound {
-            pipeline: pipeline.clone(),
+            layout: program.layout.clone(),
             params: bytes.to_vec(),
             tensors: tensors.iter().map(|t| (t.buffer().clone(), t.offset(), t.bytes())).collect(),
         };
-        let group = || Self::bind(context, (kernel.name, &compiled.layout), bytes, tensors);
+        let group = || Self::bind(context, program, bytes, tensors);
         let bind_group = self.bound.entry(bound).or_insert_with(group).clone();
-        self.steps.push(Step::Dispatch { name: kernel.name, pipeline, bind_group, groups });
+        self.steps.push(Step::Dispatch { program: program.clone(), bind_group, groups });
     }
 
     /// A bind group of the parameters in a buffer of their own and the tensors.
-    fn bind(
-        context: &Context,
-        (name, layout): (&'static str, &wgpu::BindGroupLayout),
-        params: &[u8],
-        tensors: &[&Tensor],
-    ) -> wgpu::BindGroup {
-        let label = Some(name);
+    fn bind(context: &Context, program: &Program, params: &[u8], tensors: &[&Tensor]) -> wgpu::BindGroup {
+        let label = Some(program.name);
         let uniform = context.device.create_buffer(&wgpu::BufferDescriptor {
             label,
             size: params.len() as u64,
@@ -108,7 +96,7 @@ impl Schedule {
             .enumerate()
             .map(|(i, resource)| wgpu::BindGroupEntry { binding: i as u32, resource })
             .collect();
-        let descriptor = wgpu::BindGroupDescriptor { label, layout, entries: &entries };
+        let descriptor = wgpu::BindGroupDescriptor { label, layout: &program.layout, entries: &entries };
         context.device.create_bind_group(&descriptor)
     }
 
@@ -118,27 +106,41 @@ impl Schedule {
         self.steps.push(Step::Clear { buffer: tensor.buffer().clone(), offset, bytes });
     }
 
-    /// The schedule, complete; an error if one of its dispatches is of more workgroups than the device takes.
-    pub fn finish(self) -> Result<Self> {
-        match self.refused {
-            Some(why) => Err(Error::Device(why)),
-            None => Ok(self),
+    /// The schedule, complete, its kernels compiled on all threads of the current rayon pool; an error if one of its dispatches
+    /// is of more workgroups than the device takes.
+    pub fn finish(mut self) -> Result<Self> {
+        if let Some(why) = self.refused.take() {
+            return Err(Error::Device(why));
         }
+        let mut programs: Vec<&Arc<Program>> = self.programs().collect();
+        programs.sort_unstable_by_key(|program| Arc::as_ptr(program));
+        programs.dedup_by(|a, b| Arc::ptr_eq(a, b));
+        let context = &self.context;
+        // Each on its own is checked by the thread that compiles it: others do not see its errors.
+        let compile = |program: &Arc<Program>| context.checked(|| Ok(program.pipeline(context))).map(|_| ());
+        programs.into_par_iter().try_for_each(compile)?;
+        Ok(self)
+    }
+
+    /// What is dispatched, in order.
+    fn programs(&self) -> impl Iterator<Item = &Arc<Program>> {
+        self.steps.iter().filter_map(|step| match step {
+            Step::Dispatch { program, .. } => Some(program),
+            Step::Clear { .. } => None,
+        })
     }
 
     /// Number of dispatches.
     pub fn dispatches(&self) -> usize {
-        self.steps.iter().filter(|s| matches!(s, Step::Dispatch { .. })).count()
+        self.programs().count()
     }
 
     /// Names of the kernels, each once, in the order of their first dispatch.
     pub fn kernels(&self) -> Vec<&'static str> {
         let mut names = Vec::new();
-        for step in &self.steps {
-            if let Step::Dispatch { name, .. } = step
-                && !names.contains(name)
-            {
-                names.push(*name);
+        for program in self.programs() {
+            if !names.contains(&program.name) {
+                names.push(program.name);
             }
         }
         names
@@ -146,7 +148,7 @@ impl Schedule {
 
     /// The dispatches of one kernel alone, to measure it.
     pub fn only(&self, kernel: &str) -> Self {
-        let wanted = |s: &&Step| matches!(s, Step::Dispatch { name, .. } if *name == kernel);
+        let wanted = |s: &&Step| matches!(s, Step::Dispatch { program, .. } if program.name == kernel);
         let steps = self.steps.iter().filter(wanted).cloned().collect();
         Self { context: self.context.clone(), steps, bound: HashMap::new(), refused: None }
     }
@@ -161,10 +163,10 @@ impl Schedule {
                 continue;
             }
             let mut pass = encoder.begin_compute_pass(&Default::default());
-            while let Some(Step::Dispatch { pipeline, bind_group, groups, .. }) =
+            while let Some(Step::Dispatch { program, bind_group, groups }) =
                 steps.next_if(|s| matches!(s, Step::Dispatch { .. }))
             {
-                pass.set_pipeline(pipeline);
+                pass.set_pipeline(program.pipeline(&self.context));
                 pass.set_bind_group(0, bind_group, &[]);
                 pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
             }
@@ -176,17 +178,19 @@ impl Schedule {
     /// The passes keep dispatches from overlapping, so the sum is an upper bound of an untimed run's time.
     pub fn record_timed(&self, encoder: &mut wgpu::CommandEncoder, profile: &mut Profile) {
         for step in &self.steps {
-            let (name, pipeline, bind_group, groups) = match step {
-                Step::Dispatch { name, pipeline, bind_group, groups } => (name, pipeline, bind_group, groups),
+            let (program, bind_group, groups) = match step {
+                Step::Dispatch { program, bind_group, groups } => (program, bind_group, groups),
                 Step::Clear { buffer, offset, bytes } => {
                     encoder.clear_buffer(buffer, *offset, Some(*bytes));
                     continue;
                 }
             };
-            let timestamp_writes = profile.next(name);
-            let mut pass = encoder
-                .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(name), timestamp_writes });
-            pass.set_pipeline(pipeline);
+            let timestamp_writes = profile.next(program.name);
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some(program.name),
+                timestamp_writes,
+            });
+            pass.set_pipeline(program.pipeline(&self.context));
             pass.set_bind_group(0, bind_group, &[]);
             pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
         }
