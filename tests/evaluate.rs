@@ -108,6 +108,61 @@ fn scores_are_those_of_the_files_that_are_there() {
 }
 
 #[test]
+fn repeats_are_kept_and_merged_as_other_scores_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let run = |more: &[&str]| {
+        let few = ["--grid", "8", "--solver", "gd:3,lbfgs:3", "--device", "cpu", "--json", "s.json"];
+        evaluate(at, &[&few[..], more].concat())
+    };
+    let told = || json(&at.join("s.json")).as_array().unwrap().clone();
+    done(run(&[]));
+    let once = told();
+    assert!(once.iter().all(|score| score.get("over_repeats").is_none()));
+    let (repeated, _) = done(run(&["--repeats", "3"]));
+    assert!(repeated.contains("means over repeats") && repeated.contains("± repeats"), "{repeated}");
+    let all = told();
+    assert_eq!((all.len(), scores(&at.join("out/evaluate")).len()), (6, 6));
+    for (k, first) in once.iter().enumerate() {
+        // Its time too: it was not simulated again.
+        assert_eq!(
+            (&all[k]["per_frame"], &all[k]["ms_per_frame"]),
+            (&first["per_frame"], &first["ms_per_frame"])
+        );
+        let over = &all[k]["over_repeats"];
+        let mean = (0..3).map(|r| all[2 * r + k]["e_cd"].as_f64().unwrap()).sum::<f64>() / 3.0;
+        assert!(
+            over["repeats"] == 3 && (over["e_cd"][0].as_f64().unwrap() / mean - 1.0).abs() < 1e-9,
+            "{over}"
+        );
+        assert!(over["e_cd"][1].as_f64().unwrap() > 0.0);
+    }
+    let nudges: Vec<&Value> = all.iter().map(|score| &score["made_with"]["nudge"]["repeat"]).collect();
+    assert_eq!(nudges, [&Value::Null, &Value::Null, &1.into(), &1.into(), &2.into(), &2.into()]);
+    assert_eq!(done(run(&["--repeats", "3"])).0, repeated);
+    for share in ["0/2", "1/2"] {
+        done(run(&["--repeats", "3", "--shard", share, "--out", "shares"]));
+    }
+    assert_eq!(scores(&at.join("shares")).len(), 6);
+    let merged = command(at, &["evaluate", "--merge", "shares", "--json", "s.json"]).output().unwrap();
+    assert!(done(merged).0.contains("means over repeats"));
+    let over: Vec<Value> =
+        told().into_iter().filter_map(|mut s| s.get_mut("over_repeats").map(Value::take)).collect();
+    assert!(over.len() == 2 && over.iter().all(|over| over["repeats"] == 3), "{over:?}");
+    for count in ["0", "1001", "x"] {
+        refused(run(&["--repeats", count]), &["--repeats", count]);
+    }
+    refused(
+        command(at, &["evaluate", "--suite", "speeds", "--repeats", "2"]).output().unwrap(),
+        &["--repeats"],
+    );
+    refused(
+        command(at, &["evaluate", "--merge", "shares", "--repeats", "2"]).output().unwrap(),
+        &["--repeats"],
+    );
+}
+
+#[test]
 fn only_scores_that_belong_together_are_merged() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();

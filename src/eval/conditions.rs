@@ -1,6 +1,6 @@
 //! What a score was made with, so that only scores that belong together are compared.
 
-use super::{Entry, Score, Sequence, Settings};
+use super::{Entry, Nudge, Score, Sequence, Settings};
 use crate::gpu::Storage;
 use crate::sim::{Device, Optimizer};
 use crate::{Error, Result};
@@ -22,6 +22,9 @@ pub struct Conditions {
     pub kind: Option<String>,
     /// Checksum of the weights of a learned optimizer.
     pub weights: Option<u32>,
+    /// What moved the start, of a repeat beyond the first.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub nudge: Option<Nudge>,
 }
 
 impl Conditions {
@@ -34,11 +37,16 @@ impl Conditions {
             device: None,
             kind: None,
             weights: None,
+            nudge: None,
         }
     }
 
     /// Those of a solver on a device; one that only the CPU has runs there.
-    pub fn of(sequence: &Sequence, entry: &Entry, (device, settings): (&Device, &Settings)) -> Self {
+    pub fn of(
+        (sequence, nudge): (&Sequence, Option<Nudge>),
+        entry: &Entry,
+        (device, settings): (&Device, &Settings),
+    ) -> Self {
         let device = entry.device(device);
         let kind = match device {
             Device::Cpu => "cpu",
@@ -52,7 +60,7 @@ impl Conditions {
             _ => None,
         };
         let (device, kind) = (Some(device.name()), Some(kind.to_owned()));
-        Self { device, kind, weights, ..Self::new(sequence, settings) }
+        Self { device, kind, weights, nudge, ..Self::new(sequence, settings) }
     }
 
     /// A checksum of all of them.
@@ -86,7 +94,9 @@ pub fn belong_together(scores: &[(&Path, &Score)]) -> Result<()> {
     }
     let mut known: BTreeMap<String, &Path> = BTreeMap::new();
     for &(path, score) in scores {
-        let what = format!("{} {}", score.sequence, of_column(score));
+        let repeat =
+            score.made_with.nudge.map_or_else(String::new, |nudge| format!(", repeat {}", nudge.repeat));
+        let what = format!("{} {}{repeat}", score.sequence, of_column(score));
         if let Some(other) = known.insert(what.clone(), path) {
             let expected = format!("the only score of {what}");
             let found = format!("another in {}", other.display());

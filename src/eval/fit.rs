@@ -221,7 +221,8 @@ impl Fit<'_> {
             Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1, coarse: false };
         let mut sum = 0.0;
         for sequence in self.sequences {
-            let Some((score, _)) = run(sequence, self.grid, &entry, (&Device::Cpu, &settings), tick)? else {
+            let Some((score, _)) = run((sequence, None), self.grid, &entry, (&Device::Cpu, &settings), tick)?
+            else {
                 return Ok(None);
             };
             sum += score.e_cd.unwrap_or(f64::INFINITY);

@@ -2,7 +2,7 @@
 
 use super::metrics::{Surface, chamfer, relative_error, repulsion};
 use super::resampling::{Resampling, coarse};
-use super::{Conditions, FreeEdges, Sequence, median_time};
+use super::{Conditions, FreeEdges, Nudge, Sequence, median_time};
 use crate::io::Trajectory;
 use crate::scene::{Scene, Setup, Stiffness};
 use crate::sim::{Device, EnergyTerms, FrameStats, Grid, Optimizer, Simulator};
@@ -194,19 +194,24 @@ impl Simulated {
     }
 }
 
-/// Simulates a sequence on a grid and judges it; the score and what was simulated. An optimizer that only the CPU has runs
-/// there. `tick` is called after each frame and may end everything; then there is nothing.
+/// Simulates a sequence on a grid, from its recorded start or that of a repeat, and judges it; the score and what was
+/// simulated. An optimizer that only the CPU has runs there. `tick` is called after each frame and may end everything;
+/// then there is nothing.
 pub fn run(
-    sequence: &Sequence,
+    (sequence, nudge): (&Sequence, Option<Nudge>),
     grid: Grid,
     entry: &Entry,
     (device, settings): (&Device, &Settings),
     tick: impl FnMut() -> ControlFlow<()>,
 ) -> Result<Option<(Score, Trajectory)>> {
-    let setup = |grid| {
+    let setup = |grid| -> Result<Setup> {
         let mut scene = sequence.scene(grid, &settings.physics)?;
         scene.frames = Some(sequence.truth.frames().min(settings.frames));
-        scene.setup()
+        let mut setup = scene.setup()?;
+        if let Some(nudge) = nudge {
+            nudge.apply(&mut setup);
+        }
+        Ok(setup)
     };
     let own = if entry.coarse { coarse(grid) } else { grid };
     let mut simulated = simulate(&setup(own)?, entry, entry.device(device), tick)?;
@@ -219,7 +224,7 @@ pub fn run(
     }
     let mut score = Score {
         iterations: entry.told_iterations(),
-        made_with: Conditions::of(sequence, entry, (device, settings)),
+        made_with: Conditions::of((sequence, nudge), entry, (device, settings)),
         ..judge(sequence, (&entry.name, &simulated.trajectory), simulated.stable, settings)?
     };
     if score.stable {

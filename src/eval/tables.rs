@@ -1,5 +1,6 @@
 //! Scores as tables, shaped like the paper's.
 
+use super::repeats::mean_over_repeats;
 use super::{Score, mean_and_deviation};
 
 /// Columns of a terminal: a wider table is written in parts.
@@ -73,16 +74,18 @@ pub fn tables(scores: &[Score]) -> Vec<Table> {
         let here: Vec<&Score> = scores.iter().filter(|s| s.grid == *grid).collect();
         for figure in &FIGURES {
             if here.iter().any(|s| (figure.of)(s).is_some()) {
-                tables.push(per_sequence(figure, grid, &here, &solvers));
+                tables.extend(per_sequence(figure, grid, &here, &solvers));
             }
         }
     }
     let mut groups: Vec<Group> = Vec::new();
     for (grid, solver) in grids.iter().flat_map(|grid| solvers.iter().map(move |solver| (grid, solver))) {
-        let scores: Vec<&Score> =
-            scores.iter().filter(|s| s.grid == *grid && s.column() == *solver).collect();
-        if !scores.is_empty() {
-            groups.push(Group { name: format!("{grid} {solver}"), scores });
+        let own = || scores.iter().filter(|s| s.grid == *grid && s.column() == *solver);
+        let of_sequence = |name: &String| own().filter(|s| s.sequence == *name).collect();
+        let sequences: Vec<Vec<&Score>> =
+            distinct(own().map(|s| s.sequence.clone())).iter().map(of_sequence).collect();
+        if !sequences.is_empty() {
+            groups.push(Group { name: format!("{grid} {solver}"), sequences });
         }
     }
     let summaries: [(&str, &[Mean]); 3] =
@@ -102,39 +105,89 @@ fn distinct(values: impl Iterator<Item = String>) -> Vec<String> {
     found
 }
 
-fn per_sequence(figure: &Figure, grid: &str, scores: &[&Score], solvers: &[String]) -> Table {
+/// Rows are sequences, each a mean over its repeats; where there are several, a second table has their deviations.
+fn per_sequence(figure: &Figure, grid: &str, scores: &[&Score], solvers: &[String]) -> Vec<Table> {
     let sequences = distinct(scores.iter().map(|s| s.sequence.clone()));
-    let value = |sequence: &str, solver: &str| -> Option<Option<f64>> {
-        let score = scores.iter().find(|s| s.sequence == sequence && s.column() == solver)?;
-        Some((figure.of)(score).filter(|_| score.stable).map(|v| figure.factor * v))
+    let of = |sequence: &str, solver: &str| -> Option<Spread> {
+        let own = |s: &&&Score| s.sequence == sequence && s.column() == solver;
+        let repeats: Vec<&Score> = scores.iter().filter(own).copied().collect();
+        (!repeats.is_empty()).then(|| Spread::new(&repeats, figure))
     };
-    let row = |sequence: &String| {
-        let values: Vec<_> = solvers.iter().map(|solver| value(sequence, solver)).collect();
-        (sequence.clone(), cells(&values, figure.digits))
+    let spreads: Vec<Vec<Option<Spread>>> =
+        sequences.iter().map(|s| solvers.iter().map(|solver| of(s, solver)).collect()).collect();
+    let columns: Vec<String> = std::iter::once("sequence".into()).chain(solvers.iter().cloned()).collect();
+    let row = |(name, spreads): (&String, &Vec<Option<Spread>>)| {
+        let means: Vec<_> = spreads.iter().map(|s| s.map(|s| s.mean)).collect();
+        (name.clone(), cells(&means, figure.digits))
     };
-    let mut rows: Vec<_> = sequences.iter().map(row).collect();
+    let mut rows: Vec<_> = sequences.iter().zip(&spreads).map(row).collect();
     // Of the sequences, all of which a solver must have passed.
-    let summary = |solver: &String| -> Option<Option<(f64, f64)>> {
-        let values: Vec<Option<f64>> = sequences.iter().filter_map(|s| value(s, solver)).collect();
-        if values.is_empty() {
+    let summary = |solver: usize| -> Option<Option<(f64, f64)>> {
+        let means: Vec<Option<f64>> = spreads.iter().filter_map(|s| s[solver]).map(|s| s.mean).collect();
+        if means.is_empty() {
             return None;
         }
-        Some(values.into_iter().collect::<Option<Vec<f64>>>().map(|v| mean_and_deviation(&v)))
+        Some(means.into_iter().collect::<Option<Vec<f64>>>().map(|v| mean_and_deviation(&v)))
     };
-    let summaries: Vec<_> = solvers.iter().map(summary).collect();
+    let summaries: Vec<_> = (0..solvers.len()).map(summary).collect();
     let part = |of: fn((f64, f64)) -> f64| summaries.iter().map(|s| s.map(|s| s.map(of))).collect::<Vec<_>>();
     rows.push(("mean".into(), cells(&part(|s| s.0), figure.digits)));
-    let mut deviations = cells(&part(|s| s.1), figure.digits);
-    deviations.iter_mut().for_each(|cell| cell.best = false);
-    rows.push(("deviation".into(), deviations));
-    let columns = std::iter::once("sequence".into()).chain(solvers.iter().cloned()).collect();
-    Table { title: format!("{grid}: {}", figure.title), columns, rows }
+    rows.push(("deviation".into(), unmarked(&part(|s| s.1), figure.digits)));
+    let title = format!("{grid}: {}", figure.title);
+    if spreads.iter().flatten().flatten().all(|s| s.repeats < 2) {
+        return vec![Table { title, columns, rows }];
+    }
+    let row = |(name, spreads): (&String, &Vec<Option<Spread>>)| {
+        let deviations: Vec<_> = spreads.iter().map(|s| s.and_then(|s| s.told_deviation())).collect();
+        (name.clone(), unmarked(&deviations, figure.digits))
+    };
+    let mut of_repeats: Vec<_> = sequences.iter().zip(&spreads).map(row).collect();
+    let all: Vec<_> =
+        (0..solvers.len()).map(|solver| pooled(spreads.iter().filter_map(|s| s[solver]))).collect();
+    of_repeats.push(("root mean square".into(), unmarked(&all, figure.digits)));
+    vec![
+        Table { title: format!("{title}, means over repeats"), columns: columns.clone(), rows },
+        Table { title: format!("{title}, deviations over repeats"), columns, rows: of_repeats },
+    ]
+}
+
+/// A figure of the repeats of a solver on a sequence: how many, their mean and their deviation, which there are none of where
+/// one of them diverged.
+#[derive(Clone, Copy)]
+struct Spread {
+    repeats: usize,
+    mean: Option<f64>,
+    deviation: Option<f64>,
+}
+
+impl Spread {
+    fn new(repeats: &[&Score], figure: &Figure) -> Self {
+        let both = mean_over_repeats(repeats, figure.of);
+        Self {
+            repeats: repeats.len(),
+            mean: both.map(|(mean, _)| figure.factor * mean),
+            deviation: both.map(|(_, apart)| figure.factor * apart),
+        }
+    }
+
+    /// The deviation as a cell takes it: a single simulation tells nothing of it.
+    fn told_deviation(self) -> Option<Option<f64>> {
+        (self.repeats > 1).then_some(self.deviation)
+    }
+}
+
+/// The deviation over repeats, as the root of the mean of its squares over the sequences that were repeated.
+fn pooled(spreads: impl Iterator<Item = Spread>) -> Option<Option<f64>> {
+    let deviations: Vec<Option<f64>> = spreads.filter_map(Spread::told_deviation).collect();
+    let square = |v: Vec<f64>| (v.iter().map(|d| d * d).sum::<f64>() / v.len() as f64).sqrt();
+    (!deviations.is_empty()).then(|| deviations.into_iter().collect::<Option<Vec<f64>>>().map(square))
 }
 
 /// The scores of one solver on one grid.
 struct Group<'a> {
     name: String,
-    scores: Vec<&'a Score>,
+    /// The repeats of each sequence.
+    sequences: Vec<Vec<&'a Score>>,
 }
 
 /// A mean over the sequences, and whether its deviation stands beside it.
@@ -176,31 +229,47 @@ const REST: [Mean; 4] = [
     mean("speed at the end [m/s]", |s| s.speed_at_end, (1.0, 3), false),
 ];
 
-/// Means over the sequences, all of which a solver must have passed.
+/// Means over the sequences, all of which a solver must have passed; of repeated ones, of their means.
 fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
+    let repeated = groups.iter().flat_map(|group| &group.sequences).any(|repeats| repeats.len() > 1);
     let of_group = |group: &Group, Mean { figure, deviation }: &Mean| {
-        let values = group.scores.iter().map(|s| (figure.of)(s).filter(|_| s.stable));
+        let spreads: Vec<Spread> = group.sequences.iter().map(|s| Spread::new(s, figure)).collect();
         // What no score can tell is left empty: another system has no time, and no energy.
-        let told = group.scores.iter().any(|s| !s.stable || (figure.of)(s).is_some());
-        let both = values.collect::<Option<Vec<f64>>>().map(|values| mean_and_deviation(&values));
-        let mut own = cells(&[told.then(|| both.map(|(mean, _)| figure.factor * mean))], figure.digits);
+        let mut all = group.sequences.iter().flatten();
+        let told = all.any(|s| !s.stable || (figure.of)(s).is_some());
+        let both =
+            spreads.iter().map(|s| s.mean).collect::<Option<Vec<f64>>>().map(|v| mean_and_deviation(&v));
+        let mut own = vec![told.then(|| both.map(|(mean, _)| mean))];
         if *deviation {
-            let several =
-                both.filter(|_| group.scores.len() > 1).map(|(_, apart)| Some(figure.factor * apart));
-            own.extend(cells(&[several], figure.digits));
+            own.push(both.filter(|_| spreads.len() > 1).map(|(_, apart)| Some(apart)));
+            if repeated {
+                own.push(pooled(spreads.into_iter()).filter(|_| told));
+            }
         }
-        own
+        unmarked(&own, figure.digits)
     };
-    let heads = means
-        .iter()
-        .flat_map(|Mean { figure, deviation }| [figure.title].into_iter().chain(deviation.then_some("±")));
-    let columns = ["solver", "sequences"].into_iter().chain(heads).map(str::to_owned).collect();
+    let heads = means.iter().flat_map(|Mean { figure, deviation }| {
+        let deviations = [(*deviation, "±"), (*deviation && repeated, "± repeats")];
+        let told = deviations.into_iter().filter_map(|(told, head)| told.then_some(head));
+        std::iter::once(figure.title).chain(told)
+    });
+    let counts = ["sequences"].into_iter().chain(repeated.then_some("simulations"));
+    let columns = ["solver"].into_iter().chain(counts).chain(heads).map(str::to_owned).collect();
     let row = |group: &Group| {
-        let count = Cell { text: group.scores.len().to_string(), best: false };
+        let simulations = group.sequences.iter().map(Vec::len).sum::<usize>();
+        let counts = [group.sequences.len()].into_iter().chain(repeated.then_some(simulations));
+        let counts = counts.map(|count| Cell { text: count.to_string(), best: false });
         let cells = means.iter().flat_map(|mean| of_group(group, mean));
-        (group.name.clone(), std::iter::once(count).chain(cells).collect())
+        (group.name.clone(), counts.chain(cells).collect())
     };
     Table { title: title.to_owned(), columns, rows: groups.iter().map(row).collect() }
+}
+
+/// Cells of numbers of which none is the best.
+fn unmarked(values: &[Option<Option<f64>>], digits: usize) -> Vec<Cell> {
+    let mut cells = cells(values, digits);
+    cells.iter_mut().for_each(|cell| cell.best = false);
+    cells
 }
 
 /// Cells of a row of numbers, the smallest marked; empty where there was none, a dash where a solver diverged.

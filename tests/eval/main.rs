@@ -3,6 +3,7 @@
 mod metrics;
 #[path = "../noise/mod.rs"]
 mod noise;
+mod repeats;
 
 use crate::metrics::square;
 use fnopt::eval;
@@ -34,15 +35,17 @@ fn a_sequence_is_repeated_from_its_first_frame() {
     assert_eq!((sequence.truth.frames(), sequence.grid()), (391, Grid { h: 32, w: 32 }));
     for grid in [Grid { h: 32, w: 32 }, Grid { h: 20, w: 20 }] {
         let tick = || ControlFlow::Continue(());
-        let (score, _) = run(&sequence, grid, &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+        let (score, _) =
+            run((&sequence, None), grid, &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
         assert!(score.stable && score.frames == 24 && score.per_frame.e_cd.len() == 24);
         // The true cloth hangs at rest; ours, of the default material, sags by a few centimetres.
         let (e_cd, e_3d) = (score.e_cd.unwrap(), score.e_3d.unwrap());
         assert!(e_cd < 8e-3 && e_3d < 0.25, "{grid}: {e_cd}, {e_3d}");
         assert!(score.ms_per_frame.unwrap() > 0.0 && score.gradient.unwrap() < 1e-2);
     }
-    let stopped =
-        run(&sequence, sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), || ControlFlow::Break(()));
+    let stopped = run((&sequence, None), sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), || {
+        ControlFlow::Break(())
+    });
     assert!(stopped.unwrap().is_none());
 }
 
@@ -69,7 +72,7 @@ fn interpolation_is_the_coarse_simulation_between_its_particles() {
     let carried = Entry { name: "interpolation".into(), coarse: true, ..descent.clone() };
     let of = |n: usize, entry: &Entry| {
         let tick = || ControlFlow::Continue(());
-        run(&sequence, Grid { h: n, w: n }, entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap()
+        run((&sequence, None), Grid { h: n, w: n }, entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap()
     };
     let (_, coarse) = of(32, &descent);
     assert_eq!(of(32, &carried).1.frame(24), coarse.frame(24), "its own grid");
@@ -165,7 +168,9 @@ fn a_mesh_that_is_no_grid_is_carried_to_one() {
     let tick = || ControlFlow::Continue(());
     let settings = Settings { frames: 4, ..SETTINGS };
     let (score, _) =
-        run(&sequence, Grid { h: 16, w: 16 }, &newton(), (&Device::Cpu, &settings), tick).unwrap().unwrap();
+        run((&sequence, None), Grid { h: 16, w: 16 }, &newton(), (&Device::Cpu, &settings), tick)
+            .unwrap()
+            .unwrap();
     assert!(score.stable && score.e_cd.unwrap() < 8e-3);
 
     let refused = |file: &str, text: &str, said: &[&str]| {
@@ -362,10 +367,10 @@ fn a_solver_that_diverges_has_no_numbers() {
     let entry = Entry { name: "gd".into(), optimizer: descent, iterations: 10, coarse: false };
     let tick = || ControlFlow::Continue(());
     let (diverged, _) =
-        run(&sequence, sequence.grid(), &entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+        run((&sequence, None), sequence.grid(), &entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
     assert!(!diverged.stable && diverged.e_cd.is_none() && diverged.ms_per_frame.is_none());
     let (good, _) =
-        run(&sequence, sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+        run((&sequence, None), sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
     // Many columns are written in parts.
     let many: Vec<Score> = (1..12).map(|n| Score { iterations: 1000 * n, ..good.clone() }).collect();
     for table in tables(&many) {

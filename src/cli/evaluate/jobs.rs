@@ -1,7 +1,7 @@
 //! The simulations of an evaluation, and their scores in files.
 
 use crate::cli::go_on;
-use fnopt::eval::{Conditions, Entry, Score, Sequence, Settings, belong_together, run, snapshots};
+use fnopt::eval::{Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, run, snapshots};
 use fnopt::io::{self, ReadOptions, Trajectory};
 use fnopt::sim::{Device, Grid, Optimizer};
 use fnopt::{Error, Result};
@@ -20,11 +20,14 @@ pub struct Plan<'a> {
     pub entries: &'a [Entry],
     pub device: &'a Device,
     pub settings: Settings,
+    /// How often each is done, first from the recorded start, then from others that are all but the same.
+    pub repeats: u64,
 }
 
 /// A solver on a grid, to be run on a sequence.
 pub struct Job<'a> {
     sequence: &'a Sequence,
+    nudge: Option<Nudge>,
     grid: Grid,
     entry: &'a Entry,
     /// Where its score is kept; a few of its frames are kept beside it.
@@ -41,18 +44,24 @@ impl<'a> Plan<'a> {
     /// All jobs, each once, with their files in a folder. Every scene is made once, so that what is wrong with one is said
     /// before the work and not in the middle of it.
     pub fn jobs(&self, folder: &Path) -> Result<Vec<Job<'a>>> {
-        let (mut jobs, mut known) = (Vec::new(), BTreeSet::new());
         for sequence in self.sequences {
             for &grid in self.grids {
                 sequence.scene(grid, &self.settings.physics)?.setup()?;
-                for entry in self.entries {
+            }
+        }
+        let (mut jobs, mut known) = (Vec::new(), BTreeSet::new());
+        // All are done once before any is done again.
+        for nudge in (0..self.repeats).map(Nudge::of) {
+            for sequence in self.sequences {
+                for (&grid, entry) in self.grids.iter().flat_map(|g| self.entries.iter().map(move |e| (g, e)))
+                {
                     // All that a score depends on is in its name, or in the checksum there.
-                    let sum = Conditions::of(sequence, entry, (self.device, &self.settings)).checksum();
-                    let Entry { name, iterations, .. } = entry;
+                    let conditions = Conditions::of((sequence, nudge), entry, (self.device, &self.settings));
+                    let (Entry { name, iterations, .. }, sum) = (entry, conditions.checksum());
                     let file =
                         folder.join(format!("{}_{grid}_{name}_{iterations}_{sum:08x}.json", sequence.name));
                     if known.insert(file.clone()) {
-                        jobs.push(Job { sequence, grid, entry, file });
+                        jobs.push(Job { sequence, nudge, grid, entry, file });
                     }
                 }
             }
@@ -77,14 +86,14 @@ impl<'a> Plan<'a> {
                 bar.inc(frames(job));
                 Kept::read(&job.file)?
             } else {
-                let Job { sequence, grid, entry, file } = job;
+                let Job { sequence, nudge, grid, entry, file } = job;
                 bar.set_message(format!("{} {grid} {}", sequence.name, entry.name));
                 let tick = || {
                     bar.inc(1);
                     if failed.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { go_on(interrupted) }
                 };
-                let Some((score, found)) = run(sequence, *grid, entry, (self.device, &self.settings), tick)?
-                else {
+                let around = (self.device, &self.settings);
+                let Some((score, found)) = run((sequence, *nudge), *grid, entry, around, tick)? else {
                     return Ok(ControlFlow::Break(()));
                 };
                 let snapshots = score.stable.then(|| snapshots(&found, usize::MAX));

@@ -10,7 +10,9 @@ use super::{Ending, go_on, interrupt_flag, load_weights};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::Suite;
-use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, Table, compare, snapshots, tables};
+use fnopt::eval::{
+    Entry, Format, OverRepeats, Physics, Score, Sequence, Settings, Table, compare, snapshots, tables,
+};
 use fnopt::io::write_atomic;
 use fnopt::network::Weights;
 use fnopt::sim::{Device, Grid, Optimizer};
@@ -63,6 +65,11 @@ pub struct Args {
     /// Points sampled from each surface for e_CD
     #[arg(long, default_value_t = 10_000, value_name = "N")]
     points: usize,
+    /// Simulations of each sequence by each solver: the first from the recorded start, the others with every particle but the
+    /// handles moved by up to 1e-5 edges at random, alike for all solvers. Tables have the means, and the deviations over
+    /// repeats apart from those over sequences: which way a fold goes is chance
+    #[arg(long, default_value_t = 1, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=1000))]
+    repeats: u64,
     /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or on the sequence's
     /// mesh; may be given more than once
     #[arg(long, value_name = "NAME=DIR")]
@@ -77,13 +84,13 @@ pub struct Args {
     /// Simulate nothing; make the tables of all scores in these folders, which must have been made alike
     #[arg(long, value_name = "DIR", num_args = 1.., conflicts_with_all = [
         "ground_truth", "sequences", "grid", "solver", "iterations", "checkpoint", "material", "wind", "frames", "points",
-        "compare", "out", "shard", "device", "adapter", "precision",
+        "repeats", "compare", "out", "shard", "device", "adapter", "precision",
     ])]
     merge: Vec<PathBuf>,
     /// Instead of recorded trajectories, how far each solver generalises from the default scene: motions, handles, speeds,
     /// grids, materials or iterations; tables, and a picture of each case in --out
     #[arg(long, value_name = "SUITE", conflicts_with_all = [
-        "compare", "shard", "merge", "plots", "points", "ground_truth",
+        "repeats", "compare", "shard", "merge", "plots", "points", "ground_truth",
     ])]
     suite: Option<String>,
     /// Leave the energy gap out of a suite: its converged simulation takes most of the time
@@ -111,7 +118,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         if let Some(folder) = &args.plots {
             plots::draw(folder, &scores)?;
         }
-        args.write_tables(&tables(&scores), &scores)?;
+        args.write_tables(&tables(&scores), &documents(&scores))?;
         return Ok(Ending::Done);
     }
     let settings = args.settings()?;
@@ -133,7 +140,14 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         }
     }
     let device = args.open(&entries)?;
-    let plan = Plan { sequences: &sequences, grids: &grids, entries: &entries, device: &device, settings };
+    let plan = Plan {
+        sequences: &sequences,
+        grids: &grids,
+        entries: &entries,
+        device: &device,
+        settings,
+        repeats: args.repeats,
+    };
     let jobs: Vec<Job> = plan.jobs(&args.out)?.into_iter().skip(index).step_by(count).collect();
     std::fs::create_dir_all(&args.out).map_err(|e| Error::io(&args.out, "cannot create the folder", e))?;
 
@@ -269,7 +283,7 @@ impl Args {
     fn write(&self, all: &[Kept], plan: &Plan, (simulate, interrupted): (bool, &AtomicBool)) -> Result<()> {
         let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
         let tables = tables(&scores);
-        self.write_files(&tables, &scores)?;
+        self.write_files(&tables, &documents(&scores))?;
         // The tables are printed whatever becomes of the plots.
         let drawn = self.plots.as_ref().map_or(Ok(()), |folder| {
             plots::draw(folder, &scores)?;
@@ -309,6 +323,24 @@ impl Args {
         write!(out, "{}", text(tables, Format::Text { bold }))?;
         Ok(())
     }
+}
+
+/// A score as JSON tells it.
+#[derive(serde::Serialize)]
+struct Document<'a> {
+    #[serde(flatten)]
+    score: &'a Score,
+    /// Of the first of several repeats: the means over all of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    over_repeats: Option<OverRepeats>,
+}
+
+fn documents(scores: &[Score]) -> Vec<Document<'_>> {
+    let over_repeats = |score: &Score| {
+        let first = score.made_with.nudge.is_none();
+        first.then(|| OverRepeats::of(score, scores)).filter(|all| all.repeats > 1)
+    };
+    scores.iter().map(|score| Document { score, over_repeats: over_repeats(score) }).collect()
 }
 
 fn text(tables: &[Table], format: Format) -> String {

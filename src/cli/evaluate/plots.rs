@@ -34,12 +34,17 @@ pub(super) fn draw(folder: &Path, scores: &[Score]) -> Result<()> {
     iterations(folder, scores)
 }
 
+/// Whether a score is of the recorded start: frames are drawn of that alone.
+fn recorded_start(score: &Score) -> bool {
+    score.made_with.nudge.is_none()
+}
+
 /// What is plotted of a score: its name, a factor and the figures of the frames.
 type Figure = (&'static str, f64, fn(&Score) -> &Vec<f64>);
 
 fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Figure) -> Result<()> {
     let mut curves: BTreeMap<(String, String), Vec<Curve>> = BTreeMap::new();
-    for score in scores.iter().filter(|s| s.stable) {
+    for score in scores.iter().filter(|s| s.stable && recorded_start(s)) {
         let points = of(score).iter().enumerate().map(|(f, &v)| [(f + 1) as f64, factor * v]);
         let curve = Curve { label: score.column(), points: points.collect() };
         curves.entry((score.sequence.clone(), score.grid.clone())).or_default().push(curve);
@@ -122,7 +127,7 @@ pub(super) fn convergence(folder: &Path, plan: &Plan, tick: impl Fn() -> Control
 /// A few frames of a sequence and, for each grid, of all that simulated it, coloured by their distance from the truth.
 pub(super) fn error_maps(folder: &Path, sequence: &Sequence, (all, frames): (&[Kept], usize)) -> Result<()> {
     let truth = snapshots(&sequence.truth, frames);
-    let here = |kept: &&Kept| kept.score.sequence == sequence.name;
+    let here = |kept: &&Kept| kept.score.sequence == sequence.name && recorded_start(&kept.score);
     let mut grids: BTreeMap<&str, Vec<ErrorMap>> = BTreeMap::new();
     for kept in all.iter().filter(here) {
         let Some(found) = &kept.snapshots else { continue };
