@@ -75,7 +75,7 @@ fn solvers_that_only_the_cpu_has_run_there() {
     ];
     done(command(folder.path(), &[&suite[..], &gpu].concat()).output().unwrap());
     let scores = json(&folder.path().join("s.json"));
-    assert!(scores[0]["score"]["device"].as_str().unwrap().starts_with("cpu"), "{scores}");
+    assert!(scores[0]["score"]["made_with"]["device"].as_str().unwrap().starts_with("cpu"), "{scores}");
 }
 
 #[test]
@@ -244,6 +244,47 @@ fn a_suite_honours_its_options_or_refuses_them() {
     refused(suite("materials", &["--material", "1,2,3"]), &["--material", "which has its own"]);
     refused(suite("speeds", &["--points", "3"]), &["cannot be used with", "--points"]);
     refused(suite("speeds", &["--ground-truth", "."]), &["cannot be used with", "--ground-truth"]);
+}
+
+#[test]
+fn cases_of_a_suite_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let suite = |more: &[&str]| -> Vec<Value> {
+        let few = ["--sequences", "speed 1,speed 2", "--grid", "12", "--solver", "lbfgs:2,gd:2"];
+        let rest = ["--device", "cpu", "--json", "s.json"];
+        let arguments = [&["evaluate", "--suite", "speeds"], &few[..], &rest, more].concat();
+        done(command(at, &arguments).output().unwrap());
+        json(&at.join("s.json")).as_array().unwrap().iter().map(|s| s["score"].clone()).collect()
+    };
+    let usual = ["--frames", "3"];
+    let first = suite(&usual);
+    // Times would differ if anything were simulated again.
+    assert_eq!((first.len(), suite(&usual)), (4, first.clone()));
+    // What is damaged, or without a picture, is made again; the other two are those that were kept.
+    let [png, kept] = ["gd_2_12x12_speed_1.png", "cases/lbfgs_2_12x12_speed_1.json"].map(|file| {
+        let path = at.join("out/evaluate").join(file);
+        assert!(path.is_file(), "{file}");
+        path
+    });
+    std::fs::write(&kept, "{").unwrap();
+    std::fs::remove_file(&png).unwrap();
+    assert_eq!(suite(&usual)[2..], first[2..]);
+    assert!(png.is_file() && json(&kept)["case"] == "speed 1");
+    // All that a score depends on is looked at.
+    for other in [&["--material", "10,8,0.5"], &["--wind", "50"], &["--frames", "4"]] {
+        let others =
+            suite(&if other[0] == "--frames" { other.to_vec() } else { [&usual[..], other].concat() });
+        assert!(others.iter().zip(&first).all(|(other, first)| other["made_with"] != first["made_with"]));
+    }
+    assert_eq!(suite(&usual)[0]["stretch_largest"], first[0]["stretch_largest"]);
+    // One without the gap is not one with it.
+    let without = suite(&[&usual[..], &["--no-gap"]].concat());
+    assert!(
+        without[0]["gap"].is_null()
+            && suite(&usual)[0]["gap"] == first[0]["gap"]
+            && first[0]["gap"].is_number()
+    );
 }
 
 #[test]

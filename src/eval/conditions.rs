@@ -12,9 +12,9 @@ use std::path::Path;
 pub struct Conditions {
     /// Version of this program.
     pub version: String,
-    /// Checksum of the recorded trajectory's files ([`Sequence::checksum`]).
-    pub truth: u32,
-    /// Material, air, points and frames ([`Settings::to_json`]).
+    /// Checksum of the recorded trajectory's files ([`Sequence::checksum`]); none where a scene is simulated for itself.
+    pub truth: Option<u32>,
+    /// Material, air, points and frames ([`Settings::to_json`]), or all of a scene.
     pub settings: serde_json::Value,
     /// Name of the device that simulated; none of another system.
     pub device: Option<String>,
@@ -30,10 +30,14 @@ pub struct Conditions {
 impl Conditions {
     /// Those of another system's trajectory.
     pub(super) fn new(sequence: &Sequence, settings: &Settings) -> Self {
+        Self { truth: Some(sequence.checksum()), ..Self::of_settings(settings.to_json()) }
+    }
+
+    fn of_settings(settings: serde_json::Value) -> Self {
         Self {
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            truth: sequence.checksum(),
-            settings: settings.to_json(),
+            truth: None,
+            settings,
             device: None,
             kind: None,
             weights: None,
@@ -47,6 +51,15 @@ impl Conditions {
         entry: &Entry,
         (device, settings): (&Device, &Settings),
     ) -> Self {
+        Self { nudge, ..Self::new(sequence, settings).by(entry, device) }
+    }
+
+    /// Those of a solver on a scene of its own, of which `settings` tells all that matters.
+    pub(super) fn of_scene(settings: serde_json::Value, entry: &Entry, device: &Device) -> Self {
+        Self::of_settings(settings).by(entry, device)
+    }
+
+    fn by(self, entry: &Entry, device: &Device) -> Self {
         let device = entry.device(device);
         let kind = match device {
             Device::Cpu => "cpu",
@@ -60,7 +73,7 @@ impl Conditions {
             _ => None,
         };
         let (device, kind) = (Some(device.name()), Some(kind.to_owned()));
-        Self { device, kind, weights, nudge, ..Self::new(sequence, settings) }
+        Self { device, kind, weights, ..self }
     }
 
     /// A checksum of all of them.
@@ -74,12 +87,15 @@ impl Conditions {
 pub fn belong_together(scores: &[(&Path, &Score)]) -> Result<()> {
     /// What is told of a score, and must be the same in some of them.
     type Told = fn(&Score) -> String;
+    fn sum(sum: Option<u32>) -> String {
+        sum.map_or_else(String::new, |sum| format!("{sum:08x}"))
+    }
     let rules: [(&str, Told, Told); 5] = [
         ("version", |_| String::new(), |s| s.made_with.version.clone()),
         ("settings", |_| String::new(), |s| s.made_with.settings.to_string()),
-        ("truth", |s| s.sequence.clone(), |s| format!("{:08x}", s.made_with.truth)),
+        ("truth", |s| s.sequence.clone(), |s| sum(s.made_with.truth)),
         ("device", of_column, |s| s.made_with.kind.clone().unwrap_or_default()),
-        ("weights", of_column, |s| s.made_with.weights.map_or_else(String::new, |sum| format!("{sum:08x}"))),
+        ("weights", of_column, |s| sum(s.made_with.weights)),
     ];
     for (field, group, told) in rules {
         let mut firsts: BTreeMap<String, (&Path, String)> = BTreeMap::new();

@@ -165,16 +165,26 @@ impl Score {
 
     /// Reads a score that [`Score::write`] kept.
     pub fn read(path: &Path) -> Result<Self> {
-        let bytes = io::read_bytes(path)?;
-        let origin = path.display().to_string();
-        serde_json::from_slice(&bytes).map_err(|e| Error::invalid(origin, "score", "one that was kept", e))
+        read_kept(path)
     }
 
     /// Keeps the score as JSON.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let json = serde_json::to_vec(self).expect("scores are plain data");
-        io::write_atomic(path, |file| file.write_all(&json))
+        keep(path, self)
     }
+}
+
+/// A score of whatever kind that [`keep`] wrote.
+pub(super) fn read_kept<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T> {
+    let bytes = io::read_bytes(path)?;
+    let origin = path.display().to_string();
+    serde_json::from_slice(&bytes).map_err(|e| Error::invalid(origin, "score", "one that was kept", e))
+}
+
+/// Keeps a score of whatever kind as JSON.
+pub(super) fn keep(path: &Path, score: &impl serde::Serialize) -> Result<()> {
+    let json = serde_json::to_vec(score).expect("scores are plain data");
+    io::write_atomic(path, |file| file.write_all(&json))
 }
 
 /// What a simulation leaves to be judged.

@@ -2,8 +2,9 @@
 //! iterations, judged by itself, without another simulator.
 
 use super::gap::{median_gap, track};
-use super::score::simulate;
-use super::{Cell, Entry, STRETCH_LIMIT, Table};
+use super::score::{keep, read_kept, simulate};
+use super::tables::DIVERGED;
+use super::{Cell, Conditions, Entry, STRETCH_LIMIT, Table};
 use crate::cpu::Track;
 use crate::io::Trajectory;
 use crate::scene::{BuiltIn, Handles, Motion, Placement, Scene, Setup, Start, Stiffness};
@@ -11,6 +12,7 @@ use crate::sim::{Device, Grid, Material, Optimizer};
 use crate::{Error, Result};
 use std::cell::OnceCell;
 use std::ops::ControlFlow;
+use std::path::Path;
 
 /// Every so many frames is compared with its converged minimum.
 const PROBE_EVERY: usize = 10;
@@ -44,7 +46,7 @@ pub struct Case {
 }
 
 /// How a solver did in a case.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CaseScore {
     /// Name of the case.
     pub case: String,
@@ -52,20 +54,30 @@ pub struct CaseScore {
     pub grid: String,
     /// Iterations per frame.
     pub iterations: usize,
-    /// Name of the device that it ran on.
-    pub device: String,
     /// Whether all frames were finite and of about the right size.
     pub finite: bool,
     /// Largest `|edge| - 1` of the edges away from handles.
     pub stretch_largest: f64,
     /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; none where it was not
-    /// asked for.
+    /// asked for, or is no number.
     pub gap: Option<f64>,
     /// Median wall time of a frame \[ms\]; none when it diverged in the first.
     pub ms_per_frame: Option<f64>,
+    /// What it was made with; `settings` are the scene, its frames, and whether the gap was asked for.
+    pub made_with: Conditions,
 }
 
 impl CaseScore {
+    /// Reads a score that [`CaseScore::write`] kept.
+    pub fn read(path: &Path) -> Result<Self> {
+        read_kept(path)
+    }
+
+    /// Keeps the score as JSON.
+    pub fn write(&self, path: &Path) -> Result<()> {
+        keep(path, self)
+    }
+
     /// Whether the rollout was sound: finite, and no edge away from a handle beyond [`STRETCH_LIMIT`].
     pub fn sound(&self) -> bool {
         self.finite && self.stretch_largest <= STRETCH_LIMIT
@@ -151,6 +163,8 @@ impl Suite {
 /// A case made ready for any number of solvers.
 pub struct Prepared<'a> {
     case: &'a Case,
+    /// All that it is, and how many frames of it.
+    told: serde_json::Value,
     /// Its scene in grid units.
     pub setup: Setup,
     /// Its converged frames, computed when the first gap is measured.
@@ -164,22 +178,39 @@ impl<'a> Prepared<'a> {
         if setup.frames() > frames {
             setup = Scene { frames: Some(frames), ..case.scene.clone() }.setup()?;
         }
-        Ok(Self { case, setup, track: OnceCell::new() })
+        let told = serde_json::json!({ "scene": case.scene.to_json(), "frames": setup.frames() });
+        Ok(Self { case, told, setup, track: OnceCell::new() })
+    }
+
+    fn entry(&self, (optimizer, iterations): (&Optimizer, usize)) -> Entry {
+        let iterations = self.case.iterations.unwrap_or(iterations);
+        Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations, coarse: false }
+    }
+
+    /// What tells its score with a solver from those of other cases: the solver's name, its iterations, the grid and the case.
+    pub fn name(&self, solver: &str, iterations: usize) -> String {
+        let iterations = self.case.iterations.unwrap_or(iterations);
+        format!("{solver}_{iterations}_{}_{}", self.setup.model.grid, self.case.name)
+    }
+
+    /// What [`Prepared::run`] would make a score with, beside the iterations.
+    pub fn conditions(&self, optimizer: &Optimizer, device: &Device, with_gap: bool) -> Conditions {
+        let mut settings = self.told.clone();
+        settings["gap"] = with_gap.into();
+        Conditions::of_scene(settings, &self.entry((optimizer, 1)), device)
     }
 
     /// Runs a solver, on the CPU where only that has it; with its energy gap if asked for. Nothing when `tick`, called in each
     /// frame, ended it.
     pub fn run(
         &self,
-        (optimizer, iterations): (&Optimizer, usize),
+        solver: (&Optimizer, usize),
         device: &Device,
         with_gap: bool,
         mut tick: impl FnMut() -> ControlFlow<()>,
     ) -> Result<Option<(CaseScore, Trajectory)>> {
         let (case, setup) = (self.case, &self.setup);
-        let iterations = case.iterations.unwrap_or(iterations);
-        let entry =
-            Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations, coarse: false };
+        let (entry, made_with) = (self.entry(solver), self.conditions(solver.0, device, with_gap));
         let device = entry.device(device);
         let simulated = simulate(setup, &entry, device, &mut tick)?;
         if simulated.ended_early {
@@ -188,20 +219,20 @@ impl<'a> Prepared<'a> {
         let mut gap = None;
         if with_gap {
             let Some(track) = self.track(&mut tick)? else { return Ok(None) };
-            gap = median_gap(track, (optimizer, iterations), device, tick)?;
-            if gap.is_none() {
+            let Some(found) = median_gap(track, (solver.0, entry.iterations), device, tick)? else {
                 return Ok(None);
-            }
+            };
+            gap = Some(found).filter(|gap| gap.is_finite());
         }
         let score = CaseScore {
             case: case.name.clone(),
             grid: setup.model.grid.to_string(),
-            iterations,
-            device: device.name(),
+            iterations: entry.iterations,
             finite: simulated.stable,
             stretch_largest: simulated.stretch_largest,
             gap,
             ms_per_frame: simulated.ms_per_frame(),
+            made_with,
         };
         Ok(Some((score, simulated.trajectory)))
     }
@@ -231,7 +262,11 @@ pub fn table(title: &str, scores: &[CaseScore]) -> Table {
             s.iterations.to_string(),
             sound.to_owned(),
             format!("{:.1}", 100.0 * s.stretch_largest),
-            s.gap.map_or_else(String::new, |gap| format!("{:.2}", 100.0 * gap)),
+            match s.gap {
+                Some(gap) => format!("{:.2}", 100.0 * gap),
+                None if s.made_with.settings["gap"] == true => DIVERGED.to_owned(),
+                None => String::new(),
+            },
             s.ms_per_frame.map_or_else(String::new, |ms| format!("{ms:.1}")),
         ];
         (s.case.clone(), cells.map(cell).to_vec())

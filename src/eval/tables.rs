@@ -41,7 +41,7 @@ pub enum Format {
 }
 
 /// What stands where a solver diverged.
-const DIVERGED: &str = "-";
+pub(super) const DIVERGED: &str = "-";
 
 /// A figure of a score.
 struct Figure {

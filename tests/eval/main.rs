@@ -350,7 +350,7 @@ fn only_scores_that_were_made_alike_stand_together() {
         ("score", &|s| s.sequence = score.sequence.clone()),
         ("truth", &|s| {
             (s.sequence, s.grid) = (score.sequence.clone(), "64x64".into());
-            s.made_with.truth ^= 1;
+            s.made_with.truth = s.made_with.truth.map(|sum| sum ^ 1);
         }),
     ];
     for (field, change) in changes {

@@ -88,7 +88,7 @@ pub struct Args {
     ])]
     merge: Vec<PathBuf>,
     /// Instead of recorded trajectories, how far each solver generalises from the default scene: motions, handles, speeds,
-    /// grids, materials or iterations; tables, and a picture of each case in --out
+    /// grids, materials or iterations; tables, and a picture and the score of each case in --out, which are used again
     #[arg(long, value_name = "SUITE", conflicts_with_all = [
         "repeats", "compare", "shard", "merge", "plots", "points", "ground_truth",
     ])]

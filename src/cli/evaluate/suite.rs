@@ -7,9 +7,10 @@ use fnopt::Error;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
 use fnopt::eval::{Entry, Physics, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
-use fnopt::sim::Grid;
+use fnopt::sim::{Device, Grid};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
+use std::ops::ControlFlow;
 use std::time::Duration;
 
 impl Args {
@@ -46,6 +47,38 @@ impl Args {
         Ok(cases)
     }
 
+    /// The score of a solver in a case: the one that is kept, if it was made in the same way and its picture is there. One
+    /// file beside each picture: another material takes the place of both. Nothing when `tick` ended it.
+    fn score(
+        &self,
+        prepared: &Prepared,
+        entry: &Entry,
+        device: &Device,
+        tick: impl FnMut() -> ControlFlow<()>,
+    ) -> Result<Option<CaseScore>> {
+        let solver = (&entry.optimizer, entry.iterations);
+        let name = prepared.name(&entry.name, entry.iterations).replace(' ', "_");
+        let picture = self.out.join(format!("{name}.png"));
+        // Apart from the scores of sequences, which --merge reads.
+        let file = self.out.join("cases").join(format!("{name}.json"));
+        if file.is_file() && picture.is_file() {
+            let conditions = prepared.conditions(solver.0, device, !self.no_gap);
+            // What another version kept may have other fields.
+            if let Some(kept) = CaseScore::read(&file).ok().filter(|kept| kept.made_with == conditions) {
+                return Ok(Some(kept));
+            }
+        }
+        let Some((score, trajectory)) = prepared.run(solver, device, !self.no_gap, tick)? else {
+            return Ok(None);
+        };
+        let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
+        let options = StripOptions { view, ..Default::default() };
+        write_png(picture, &strip(&trajectory, &prepared.setup.model.cloths[0].handles, &options))?;
+        // The score last: once it is there, all is.
+        score.write(&file)?;
+        Ok(Some(score))
+    }
+
     /// Runs the cases of a suite with each solver on each grid.
     pub(super) fn run_suite(&self, suite: Suite, mut entries: Vec<Entry>, grids: &[Grid]) -> Result<Ending> {
         if entries.iter().any(|entry| entry.coarse) {
@@ -73,17 +106,8 @@ impl Args {
                 let prepared = Prepared::new(case, frames)?;
                 for (number, entry) in entries.iter().enumerate() {
                     bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
-                    let solver = (&entry.optimizer, entry.iterations);
-                    let Some((score, trajectory)) = prepared.run(solver, &device, !self.no_gap, tick)? else {
-                        return Ok(false);
-                    };
-                    let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
-                    let options = StripOptions { view, ..Default::default() };
-                    let image = strip(&trajectory, &prepared.setup.model.cloths[0].handles, &options);
-                    let CaseScore { grid, iterations, case, .. } = &score;
-                    let file = format!("{}_{iterations}_{grid}_{case}.png", entry.name).replace(' ', "_");
-                    scores.push((number, score.clone()));
-                    write_png(self.out.join(file), &image)?;
+                    let Some(score) = self.score(&prepared, entry, &device, tick)? else { return Ok(false) };
+                    scores.push((number, score));
                     bar.inc(1);
                 }
             }
@@ -106,7 +130,7 @@ impl Args {
         let complete = ending?;
         written?;
         if !complete {
-            eprintln!("interrupted; the cases so far are above");
+            eprintln!("interrupted; the cases so far are above, and kept in {}", self.out.display());
         }
         let sound = scores.iter().all(|(_, score)| score.sound());
         Ok(match (complete, sound) {
