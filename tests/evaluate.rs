@@ -185,6 +185,21 @@ fn only_scores_that_belong_together_are_merged() {
     }
 }
 
+/// A chart for each grid: two side by side, so that three need two rows.
+#[test]
+fn the_convergence_is_drawn_on_each_grid() {
+    let folder = tempfile::tempdir().unwrap();
+    let height = |grids: &str, plots: &str| {
+        done(evaluate(
+            folder.path(),
+            &["--device", "cpu", "--solver", "gd:1", "--grid", grids, "--plots", plots],
+        ));
+        let png = std::fs::read(folder.path().join(plots).join("convergence.png")).unwrap();
+        u32::from_be_bytes(png[20..24].try_into().unwrap())
+    };
+    assert_eq!(height("8,9,10", "three"), 2 * height("8", "one"));
+}
+
 #[test]
 fn a_material_is_what_a_scene_takes() {
     let folder = tempfile::tempdir().unwrap();

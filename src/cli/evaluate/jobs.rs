@@ -1,17 +1,16 @@
 //! The simulations of an evaluation, and their scores in files.
 
+use super::progress;
 use crate::cli::go_on;
 use fnopt::eval::{Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, run, snapshots};
 use fnopt::io::{self, ReadOptions, Trajectory};
 use fnopt::sim::{Device, Grid, Optimizer};
 use fnopt::{Error, Result};
-use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::time::Duration;
 
 /// What every solver is run on.
 pub struct Plan<'a> {
@@ -73,17 +72,14 @@ impl<'a> Plan<'a> {
     /// it was interrupted. Newton's method takes one core, so that as many of its jobs as there are cores run side by
     /// side; the others take all cores and have them to themselves.
     pub fn work(&self, jobs: &[Job], interrupted: &AtomicBool) -> (Vec<Kept>, Result<ControlFlow<()>>) {
-        let frames = |job: &Job| job.sequence.truth.frames().min(self.settings.frames) as u64 - 1;
-        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} frames, {eta} left  {msg}");
-        let bar =
-            ProgressBar::new(jobs.iter().map(frames).sum()).with_style(style.expect("the template is valid"));
-        bar.enable_steady_tick(Duration::from_millis(200));
+        let frames = |job: &Job| job.sequence.truth.frames().min(self.settings.frames) - 1;
+        let bar = progress(jobs.iter().map(frames).sum(), "frames");
         let failed = AtomicBool::new(false);
         let all: Mutex<Vec<(usize, Kept)>> = Mutex::default();
         let done = |number: usize| -> Result<ControlFlow<()>> {
             let job = &jobs[number];
             let kept = if job.file.is_file() {
-                bar.inc(frames(job));
+                bar.inc(frames(job) as u64);
                 Kept::read(&job.file)?
             } else {
                 let Job { sequence, nudge, grid, entry, file } = job;

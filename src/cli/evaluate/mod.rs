@@ -16,11 +16,13 @@ use fnopt::eval::{
 use fnopt::io::write_atomic;
 use fnopt::network::Weights;
 use fnopt::sim::{Device, Grid, Optimizer};
+use indicatif::{ProgressBar, ProgressStyle};
 use jobs::{Job, Kept, Plan};
 use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 /// Arguments of `fnopt evaluate`.
 #[derive(Debug, clap::Args)]
@@ -345,6 +347,15 @@ fn documents(scores: &[Score]) -> Vec<Document<'_>> {
 
 fn text(tables: &[Table], format: Format) -> String {
     tables.iter().map(|table| table.write(format)).collect::<Vec<_>>().join("\n")
+}
+
+/// A bar of so many frames, cases or the like.
+fn progress(length: usize, of: &str) -> ProgressBar {
+    let template = format!("{{bar:30}} {{pos}}/{{len}} {of}, {{eta}} left  {{msg}}");
+    let style = ProgressStyle::with_template(&template).expect("the template is valid");
+    let bar = ProgressBar::new(length as u64).with_style(style);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
 }
 
 /// `32` or `48x32`.

@@ -1,9 +1,10 @@
 //! The plots of `fnopt evaluate --plots`.
 
 use super::jobs::{Kept, Plan};
+use super::progress;
 use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshots, track, vertex_errors};
 use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
-use fnopt::sim::Optimizer;
+use fnopt::sim::{Grid, Optimizer};
 use fnopt::{Error, Result};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
@@ -96,14 +97,33 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
     write(folder, "iterations.png", &charts)
 }
 
-/// The median energy gap of every optimizer after some numbers of iterations, on a converged simulation of the first frames of
-/// the first sequence on the first grid: its decimal logarithm, so that methods which differ by powers of ten fit on one
-/// chart. None is drawn when `tick`, called in each frame, ends it.
+/// A chart of the convergence for each sequence and grid. Those that are finished are drawn when `tick`, called in each frame,
+/// ends it.
 pub(super) fn convergence(folder: &Path, plan: &Plan, tick: impl Fn() -> ControlFlow<()>) -> Result<()> {
-    let (Some(sequence), Some(&grid)) = (plan.sequences.first(), plan.grids.first()) else { return Ok(()) };
+    let bar = progress(plan.sequences.len() * plan.grids.len(), "charts of the convergence");
+    let mut charts = Vec::new();
+    let all = plan.sequences.iter().flat_map(|sequence| plan.grids.iter().map(move |&grid| (sequence, grid)));
+    for (sequence, grid) in all {
+        bar.set_message(format!("{} {grid}", sequence.name));
+        let Some(chart) = convergence_on(sequence, grid, plan, &tick)? else { break };
+        charts.push(chart);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    write(folder, "convergence.png", &charts)
+}
+
+/// The median energy gap of every optimizer after some numbers of iterations, on a converged simulation of the first frames of a
+/// sequence: its decimal logarithm, so that methods which differ by powers of ten fit on one chart.
+fn convergence_on(
+    sequence: &Sequence,
+    grid: Grid,
+    plan: &Plan,
+    tick: &impl Fn() -> ControlFlow<()>,
+) -> Result<Option<Chart>> {
     let mut scene = sequence.scene(grid, &plan.settings.physics)?;
     scene.frames = Some(sequence.truth.frames().min(plan.settings.frames).min(CONVERGENCE_FRAMES));
-    let Some(track) = track(&scene.setup()?, PROBE_EVERY, &tick)? else { return Ok(()) };
+    let Some(track) = track(&scene.setup()?, PROBE_EVERY, tick)? else { return Ok(None) };
     let mut curves: Vec<Curve> = Vec::new();
     for entry in plan.entries {
         let optimizer = &entry.optimizer;
@@ -113,15 +133,15 @@ pub(super) fn convergence(folder: &Path, plan: &Plan, tick: impl Fn() -> Control
         }
         let mut points = Vec::new();
         for n in ITERATIONS {
-            let gap = median_gap(&track, (optimizer, n), entry.device(plan.device), &tick)?;
-            let Some(gap) = gap else { return Ok(()) };
+            let gap = median_gap(&track, (optimizer, n), entry.device(plan.device), tick)?;
+            let Some(gap) = gap else { return Ok(None) };
             // Beyond the start it has diverged, and no more is to be seen.
             points.push([n as f64, if gap < 1.0 { gap.log10() } else { f64::NAN }]);
         }
         curves.push(Curve { label: optimizer.name().to_owned(), points });
     }
     let title = format!("{} {grid}: log10 of the energy gap by iterations", sequence.name);
-    write(folder, "convergence.png", &[Chart { title, curves, scale: Scale::Linear }])
+    Ok(Some(Chart { title, curves, scale: Scale::Linear }))
 }
 
 /// A few frames of a sequence and, for each grid, of all that simulated it, coloured by their distance from the truth.

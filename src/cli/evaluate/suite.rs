@@ -1,6 +1,6 @@
 //! `fnopt evaluate --suite`: how far solvers generalise.
 
-use super::{Args, material};
+use super::{Args, material, progress};
 use crate::cli::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
@@ -8,10 +8,8 @@ use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
 use fnopt::eval::{Entry, Physics, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
 use fnopt::sim::{Device, Grid};
-use indicatif::{ProgressBar, ProgressStyle};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
-use std::time::Duration;
 
 impl Args {
     /// The cases of a suite that take part, each once, with the cloth and the air that were asked for.
@@ -92,10 +90,7 @@ impl Args {
         let cases = self.cases(suite, grids)?;
         let device = self.open(&entries)?;
         let frames = self.frames.unwrap_or(usize::MAX);
-        let style = ProgressStyle::with_template("{bar:30} {pos}/{len} cases, {eta} left  {msg}");
-        let bar = ProgressBar::new((cases.len() * entries.len()) as u64)
-            .with_style(style.expect("the template is valid"));
-        bar.enable_steady_tick(Duration::from_millis(200));
+        let bar = progress(cases.len() * entries.len(), "cases");
         let interrupted = interrupt_flag();
         let tick = || go_on(&interrupted);
         // With the number of the entry: one solver may take part with several numbers of iterations.
