@@ -1,5 +1,6 @@
 //! Measures against brute force and closed forms.
 
+use crate::common::square;
 use crate::noise;
 use fnopt::eval;
 use fnopt::eval::{chamfer, mean_and_deviation, relative_error, repulsion};
@@ -11,10 +12,6 @@ use std::path::Path;
 fn cloud(count: usize, seed: u64) -> Vec<[f64; 3]> {
     let points = noise::noise(3 * count, seed);
     points.as_chunks().0.iter().map(|p: &[f64; 3]| p.map(|c| 0.5 * c + 0.5)).collect()
-}
-
-pub fn square(a: [f64; 3], b: [f64; 3]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
 }
 
 #[test]

@@ -1,0 +1,23 @@
+//! What the tests of evaluation share.
+
+use fnopt::eval::{Entry, Physics, Settings};
+use fnopt::scene::Stiffness;
+use fnopt::sim::{Material, Optimizer};
+use std::path::{Path, PathBuf};
+
+pub fn shipped() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth")
+}
+
+pub const MATERIAL: Material = Material { stretch: 1000.0, shear: 8.0, bend: 0.5 };
+pub const PHYSICS: Physics =
+    Physics { stiffness: Stiffness::Grid(MATERIAL), density: None, drag: None, frame_time_s: None };
+pub const SETTINGS: Settings = Settings { physics: PHYSICS, points: 1000, frames: 25 };
+
+pub fn newton() -> Entry {
+    Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1, coarse: false }
+}
+
+pub fn square(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
+}

@@ -1,0 +1,88 @@
+//! The search for a material.
+
+use crate::common::SETTINGS;
+use fnopt::eval::fit::{Fit, Surface};
+use fnopt::eval::{Sequence, Settings};
+use fnopt::io::Trajectory;
+use fnopt::scene::{Scene, Stiffness};
+use fnopt::sim::{Device, Grid, Material, Optimizer, Simulator, State};
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// A trajectory that Newton's method made with a known material: the fit finds it, also when it goes on from a file.
+#[test]
+fn a_known_material_is_found_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let to = folder.path().join("made");
+    std::fs::create_dir(&to).unwrap();
+    let truth = Material { stretch: 400.0, shear: 4.0, bend: 0.5 };
+    let mut scene = Scene { stiffness: Stiffness::Grid(truth), frames: Some(20), ..Scene::default() };
+    scene.regrid(Grid { h: 12, w: 12 }).unwrap();
+    let setup = scene.setup().unwrap();
+    let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::Newton, 1).unwrap();
+    simulator.set_state(&setup.start.cast());
+    let mut trajectory = Trajectory::new(setup.model.grid, 60.0);
+    let mut handles = Vec::new();
+    let mut push = |state: &State<f32>| {
+        let vertices: Vec<[f32; 3]> =
+            setup.vertices_m(&state.x).iter().map(|p| p.map(|c| c as f32)).collect();
+        handles.extend([vertices[11 * 12], vertices[0]].concat());
+        trajectory.push(&vertices, &vertices);
+    };
+    push(&setup.start.cast());
+    for frame in 1..20 {
+        push(&simulator.step(&setup.control(frame)).unwrap().state);
+    }
+    trajectory.write(&to, "cloth_pos", fnopt::io::Format::Npy).unwrap();
+    let handles = ndarray::Array3::from_shape_vec((20, 2, 3), handles).unwrap();
+    ndarray_npy::write_npy(to.join("handles.npy"), &handles).unwrap();
+
+    let sequences = [Sequence::load(folder.path(), "made").unwrap()];
+    let [density, drag, time] = sequences[0].air_and_frame_time();
+    let fit = Fit {
+        sequences: &sequences,
+        grid: Grid { h: 12, w: 12 },
+        settings: Settings { frames: 20, ..SETTINGS },
+        // The truth is on the way of the refinement: 100 * 16^(1/2).
+        ranges: [[100.0, 1600.0], [1.0, 16.0], [0.5; 2], [density; 2], [drag; 2], [time; 2]],
+        levels: 2,
+        rounds: 1,
+    };
+    let file = folder.path().join("fit.csv");
+    let mut surface = Surface::load(&file, &fit).unwrap();
+    // Ended in the middle: of two points a share is done, of which each has 19 frames.
+    let frames = AtomicUsize::new(0);
+    let few = || match frames.fetch_add(1, Ordering::Relaxed) {
+        40.. => ControlFlow::Break(()),
+        _ => ControlFlow::Continue(()),
+    };
+    fit.search(&mut surface, few, |_, _| Ok(())).unwrap();
+    surface.write(&file).unwrap();
+    let mut again = Surface::load(&file, &fit).unwrap();
+    assert_eq!(again, surface, "what was tried is known again");
+    let known = again.sorted().len();
+    fit.search(&mut again, || ControlFlow::Continue(()), |_, _| Ok(())).unwrap();
+    assert!(again.sorted().len() > known);
+    let ([stretch, shear, ..], error) = again.sorted()[0];
+    assert!((stretch / 400.0 - 1.0).abs() < 1e-9 && (shear / 4.0 - 1.0).abs() < 1e-9, "{stretch}, {shear}");
+    // What sampling two equal surfaces leaves.
+    assert!(error < 3e-3, "{error}");
+    // Errors of fewer frames are others, and damage is named.
+    let shorter = Fit { settings: Settings { frames: 10, ..fit.settings }, ..fit.clone() };
+    let refused = Surface::load(&file, &shorter).unwrap_err().to_string();
+    assert!(refused.contains("line 1: expected # made (10 frames, "), "{refused}");
+    // So are those of another file of the sequence.
+    std::fs::write(to.join("meta.json"), r#"{"gravity_m_s2": [0, -9.7, 0]}"#).unwrap();
+    let changed = [Sequence::load(folder.path(), "made").unwrap()];
+    let changed = Fit { sequences: &changed, ..fit.clone() };
+    assert!(Surface::load(&file, &changed).unwrap_err().to_string().contains("line 1: expected # made (20"));
+    std::fs::write(&file, format!("# {}\nstretch\n1,2\n", fit.subject())).unwrap();
+    let refused = Surface::load(&file, &fit).unwrap_err().to_string();
+    assert!(refused.contains("line 3: expected seven numbers"), "{refused}");
+    std::fs::write(&file, format!("# {}\nstretch\n1,2,x,3,4,5,6,7\n", fit.subject())).unwrap();
+    assert!(Surface::load(&file, &fit).is_err(), "what is no number is not passed over");
+    let endless = Fit { levels: 1000, ..fit.clone() };
+    let refused = endless.search(&mut Surface::default(), || ControlFlow::Break(()), |_, _| Ok(()));
+    let refused = refused.unwrap_err().to_string();
+    assert!(refused.contains("--levels") && refused.contains("100000"), "{refused}");
+}

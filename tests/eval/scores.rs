@@ -1,0 +1,182 @@
+//! Scores: of simulations, of others' trajectories, and which of them belong together.
+
+use crate::common::{MATERIAL, PHYSICS, SETTINGS, newton, shipped};
+use fnopt::eval;
+use fnopt::eval::{Entry, Physics, Score, Sequence, Settings, belong_together, compare, run};
+use fnopt::io::Trajectory;
+use fnopt::scene::Stiffness;
+use fnopt::sim::{Device, Grid, Material, Optimizer};
+use std::ops::ControlFlow;
+use std::path::Path;
+
+#[test]
+fn a_sequence_is_repeated_from_its_first_frame() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    assert_eq!((sequence.truth.frames(), sequence.grid()), (391, Grid { h: 32, w: 32 }));
+    for grid in [Grid { h: 32, w: 32 }, Grid { h: 20, w: 20 }] {
+        let tick = || ControlFlow::Continue(());
+        let (score, _) =
+            run((&sequence, None), grid, &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+        assert!(score.stable && score.frames == 24 && score.per_frame.e_cd.len() == 24);
+        // The true cloth hangs at rest; ours, of the default material, sags by a few centimetres.
+        let (e_cd, e_3d) = (score.e_cd.unwrap(), score.e_3d.unwrap());
+        assert!(e_cd < 8e-3 && e_3d < 0.25, "{grid}: {e_cd}, {e_3d}");
+        assert!(score.ms_per_frame.unwrap() > 0.0 && score.gradient.unwrap() < 1e-2);
+    }
+    let stopped = run((&sequence, None), sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), || {
+        ControlFlow::Break(())
+    });
+    assert!(stopped.unwrap().is_none());
+}
+
+#[test]
+fn the_truth_compared_with_itself_is_exact() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let score = compare(&sequence, "itself", &sequence.truth, &SETTINGS).unwrap();
+    assert_eq!(score.e_3d, Some(0.0));
+    // Two samples of one surface; more points come closer.
+    let more = Settings { points: 8000, ..SETTINGS };
+    let closer = compare(&sequence, "itself", &sequence.truth, &more).unwrap();
+    assert!(closer.e_cd.unwrap() < 0.3 * score.e_cd.unwrap() && score.e_cd.unwrap() < 2e-3);
+    let longer = Settings { frames: 500, ..SETTINGS };
+    assert_eq!(compare(&sequence, "itself", &sequence.truth, &longer).unwrap().frames, 390);
+    let short = Trajectory::new(sequence.grid(), 60.0);
+    let error = compare(&sequence, "short", &short, &SETTINGS).unwrap_err().to_string();
+    assert!(error.contains("short, xy_v2: frames: expected at least 25"), "{error}");
+}
+
+#[test]
+fn interpolation_is_the_coarse_simulation_between_its_particles() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let descent = Entry { name: "gd".into(), optimizer: Optimizer::adam(), iterations: 5, coarse: false };
+    let carried = Entry { name: "interpolation".into(), coarse: true, ..descent.clone() };
+    let of = |n: usize, entry: &Entry| {
+        let tick = || ControlFlow::Continue(());
+        run((&sequence, None), Grid { h: n, w: n }, entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap()
+    };
+    let (_, coarse) = of(32, &descent);
+    assert_eq!(of(32, &carried).1.frame(24), coarse.frame(24), "its own grid");
+    // Every other particle of 63 rows is one of 32.
+    let (score, fine) = of(63, &carried);
+    assert_eq!((score.grid.as_str(), score.gradient, score.stretch_largest), ("63x63", None, None));
+    for (p, found) in fine.frame(24).iter().enumerate().filter(|(p, _)| p / 63 % 2 == 0 && p % 63 % 2 == 0) {
+        let at = coarse.frame(24)[p / 63 / 2 * 32 + p % 63 / 2];
+        let apart = (0..3).map(|c| (found[c] - at[c]).abs()).fold(0.0, f32::max);
+        assert!(apart < 1e-5, "particle {p}: {found:?}, not {at:?}");
+    }
+    assert_eq!(eval::coarse(Grid { h: 63, w: 125 }), Grid { h: 32, w: 63 });
+}
+
+#[test]
+fn vertex_errors_are_distances_at_the_vertices() {
+    let place = |n: usize, off: f32| -> Vec<[f32; 3]> {
+        (0..n * n).map(|p| [(p % n) as f32 / (n - 1) as f32, (p / n) as f32 / (n - 1) as f32, off]).collect()
+    };
+    let (small, large) = (Grid { h: 9, w: 9 }, Grid { h: 20, w: 20 });
+    let errors = eval::vertex_errors((&place(20, 0.25), large), (&place(9, 0.0), small));
+    assert_eq!(errors.len(), 400);
+    assert!(errors.iter().all(|error| (error - 0.25).abs() < 1e-6));
+    let mut trajectory = Trajectory::new(small, 60.0);
+    (0..9).for_each(|k| trajectory.push(&place(9, k as f32), &place(9, 0.0)));
+    let kept = eval::snapshots(&trajectory, 9);
+    let heights: Vec<f32> = (0..kept.frames()).map(|f| kept.frame(f)[0][2]).collect();
+    assert_eq!(heights, [2.0, 4.0, 6.0, 8.0]);
+    assert_eq!(eval::snapshots(&trajectory, 5).frame(3)[0][2], 4.0);
+}
+
+#[test]
+fn repulsion_is_judged_on_the_grid_of_the_paper() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    // A sheet folded onto itself at half of its height, 0.2 edges of 32 rows apart.
+    let folded = |n: usize| {
+        let grid = Grid { h: n, w: n };
+        let mut trajectory = Trajectory::new(grid, 60.0);
+        let place = |p: usize| {
+            let [down, across] = [p / n, p % n].map(|k| k as f32 / (n - 1) as f32);
+            let side = if down > 0.5 { 0.2 / 31.0 } else { 0.0 };
+            [across, if down > 0.5 { 1.0 - down } else { down }, side]
+        };
+        let frame: Vec<_> = (0..n * n).map(place).collect();
+        (0..3).for_each(|_| trajectory.push(&frame, &frame));
+        compare(&sequence, "folded", &trajectory, &Settings { frames: 3, ..SETTINGS }).unwrap().repulsion
+    };
+    // Every other row and column of 63 is one of 32.
+    let [coarse, fine] = [32, 63].map(|n| folded(n).unwrap());
+    assert!(coarse[0] > 1.0 && coarse[1] == 1.0);
+    assert!((fine[0] / coarse[0] - 1.0).abs() < 1e-3, "{} and {}", fine[0], coarse[0]);
+}
+
+/// Whatever its first frame looks like: there the corners are handles, which stretch the edges beside them.
+#[test]
+fn repulsion_counts_in_edges_at_rest() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let folded = |corner: f32| {
+        let mut trajectory = Trajectory::new(Grid { h: 32, w: 32 }, 60.0);
+        // Folded onto itself at half of its height, 0.2 edges apart.
+        let place = |p: usize| {
+            let (i, j) = (p / 32, p % 32);
+            let (down, side) = if i < 16 { (i, 0.0) } else { (31 - i, 0.2 / 31.0) };
+            [j as f32 / 31.0, down as f32 / 31.0, side]
+        };
+        let mut frame: Vec<_> = (0..1024).map(place).collect();
+        (0..3).for_each(|k| {
+            frame[0] = if k == 0 { [-corner, 0.0, 0.0] } else { place(0) };
+            trajectory.push(&frame, &frame);
+        });
+        compare(&sequence, "folded", &trajectory, &Settings { frames: 3, ..SETTINGS })
+            .unwrap()
+            .repulsion
+            .unwrap()
+    };
+    assert!(folded(0.0)[0] > 1.0);
+    assert_eq!(folded(0.5), folded(0.0));
+    // Neither is a trajectory without cells a reason to panic.
+    let mut point = Trajectory::new(Grid { h: 1, w: 1 }, 60.0);
+    (0..3).for_each(|_| point.push(&[[0.0; 3]], &[[0.0; 3]]));
+    let error =
+        compare(&sequence, "point", &point, &Settings { frames: 3, ..SETTINGS }).unwrap_err().to_string();
+    assert!(error.contains("point, xy_v2: grid: expected a cell or more"), "{error}");
+}
+
+#[test]
+fn only_scores_that_were_made_alike_stand_together() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let score = compare(&sequence, "itself", &sequence.truth, &SETTINGS).unwrap();
+    let other = |change: &dyn Fn(&mut Score)| {
+        let mut other = Score { sequence: "other".into(), ..score.clone() };
+        change(&mut other);
+        let (a, b) = (Path::new("a.json"), Path::new("b.json"));
+        belong_together(&[(a, &score), (b, &other)]).map_err(|e| e.to_string())
+    };
+    assert_eq!(other(&|_| ()), Ok(()));
+    // A column of its own may be of another device.
+    let elsewhere = |s: &mut Score| s.made_with.kind = Some("gpu".into());
+    assert_eq!(
+        other(&|s| {
+            elsewhere(s);
+            s.iterations = 3;
+        }),
+        Ok(())
+    );
+    let softer = Settings {
+        physics: Physics { stiffness: Stiffness::Grid(Material { bend: 0.1, ..MATERIAL }), ..PHYSICS },
+        ..SETTINGS
+    };
+    type Change<'a> = (&'a str, &'a dyn Fn(&mut Score));
+    let changes: [Change; 6] = [
+        ("version", &|s| s.made_with.version = "0".into()),
+        ("settings", &|s| s.made_with.settings = softer.to_json()),
+        ("device", &elsewhere),
+        ("weights", &|s| s.made_with.weights = Some(1)),
+        ("score", &|s| s.sequence = score.sequence.clone()),
+        ("truth", &|s| {
+            (s.sequence, s.grid) = (score.sequence.clone(), "64x64".into());
+            s.made_with.truth = s.made_with.truth.map(|sum| sum ^ 1);
+        }),
+    ];
+    for (field, change) in changes {
+        let error = other(change).unwrap_err();
+        let expected = [format!("b.json: {field}: expected"), "a.json".into()];
+        expected.iter().for_each(|part| assert!(error.contains(part), "no '{part}' in {error}"));
+    }
+}

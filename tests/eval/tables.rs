@@ -1,0 +1,93 @@
+//! Tables of scores.
+
+use crate::common::{SETTINGS, newton, shipped};
+use fnopt::eval::{Entry, Format, Nudge, OverRepeats, Score, Sequence, compare, run, tables};
+use fnopt::sim::{Device, Optimizer};
+use std::ops::ControlFlow;
+
+#[test]
+fn a_solver_that_diverges_has_no_numbers() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let descent = Optimizer::GradientDescent { rate: 1e3 };
+    let entry = Entry { name: "gd".into(), optimizer: descent, iterations: 10, coarse: false };
+    let tick = || ControlFlow::Continue(());
+    let (diverged, _) =
+        run((&sequence, None), sequence.grid(), &entry, (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+    assert!(!diverged.stable && diverged.e_cd.is_none() && diverged.ms_per_frame.is_none());
+    let (good, _) =
+        run((&sequence, None), sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
+    // Many columns are written in parts.
+    let many: Vec<Score> = (1..12).map(|n| Score { iterations: 1000 * n, ..good.clone() }).collect();
+    for table in tables(&many) {
+        let text = table.write(Format::Text { bold: false });
+        assert!(text.lines().all(|line| line.chars().count() <= 120), "{text}");
+    }
+    let tables = tables(&[good.clone(), diverged]);
+    let text = tables[0].write(Format::Text { bold: true });
+    let row = text.lines().find(|line| line.starts_with("xy_v2")).unwrap();
+    assert!(row.ends_with('-') && row.contains("\x1b[1m"), "{row}");
+    let markdown = tables[0].write(Format::Markdown);
+    assert!(
+        markdown.contains("| sequence | newton | gd, N = 10 |") && markdown.contains("| - |"),
+        "{markdown}"
+    );
+    let csv = tables[0].write(Format::Csv);
+    assert!(csv.contains("sequence,newton,\"gd, N = 10\""), "{csv}");
+    // The means over the sequences, and what the energy is made of.
+    let of =
+        |title: &str| tables.iter().find(|t| t.title == title).unwrap().write(Format::Text { bold: false });
+    let overview = of("error and time");
+    assert!(overview.contains("±") && overview.contains("ms/frame"), "{overview}");
+    let energy = of("energy and stretch");
+    assert!(["bend", "inertia", "mean stretch"].iter().all(|head| energy.contains(head)), "{energy}");
+    let terms = good.energy_terms.unwrap();
+    assert!((terms.total() / good.energy.unwrap() - 1.0).abs() < 1e-9 && good.stretch_mean.unwrap() > 0.0);
+}
+
+/// Deviations over repeats are told apart from those over sequences.
+#[test]
+fn tables_have_means_over_repeats() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let itself = compare(&sequence, "arcsim", &sequence.truth, &SETTINGS).unwrap();
+    let score = |name: &str, repeat: u64, e_cd: f64| {
+        let mut score =
+            Score { sequence: name.into(), solver: newton().name, e_cd: Some(1e-3 * e_cd), ..itself.clone() };
+        score.made_with.nudge = Nudge::of(repeat);
+        score
+    };
+    let mut scores =
+        vec![score("a", 0, 1.0), score("b", 0, 5.0), score("a", 1, 3.0), score("b", 1, 5.0), itself.clone()];
+    let written = |scores: &[Score]| -> Vec<String> {
+        tables(scores).iter().map(|table| table.write(Format::Csv)).collect()
+    };
+    let csv = written(&scores);
+    assert_eq!(
+        csv[0],
+        "# 32x32: e_CD x 10^3 [m^2], means over repeats\nsequence,newton,arcsim\na,2.00,\nb,5.00,\n\
+         xy_v2,,"
+            .to_owned()
+            + &format!("{:.2}\n", 1e3 * itself.e_cd.unwrap())
+            + &format!("mean,3.50,{:.2}\ndeviation,2.12,0.00\n", 1e3 * itself.e_cd.unwrap())
+    );
+    // Of 1 and 3 it is the root of 2; what was simulated once has none.
+    assert_eq!(
+        csv[1],
+        "# 32x32: e_CD x 10^3 [m^2], deviations over repeats\nsequence,newton,arcsim\na,1.41,\nb,0.00,\n\
+         xy_v2,,\nroot mean square,1.00,\n"
+    );
+    let overview = csv.iter().find(|text| text.starts_with("# error and time")).unwrap();
+    assert!(overview.contains("solver,sequences,simulations,e_CD x 10^3 [m^2],±,± repeats,"), "{overview}");
+    assert!(overview.contains("32x32 newton,2,4,3.50,2.12,1.00,"), "{overview}");
+    let told = OverRepeats::of(&scores[0], &scores);
+    assert_eq!((told.repeats, told.gradient), (2, None));
+    let [mean, deviation] = told.e_cd.unwrap();
+    assert!((mean - 2e-3).abs() < 1e-12 && (deviation - 2f64.sqrt() * 1e-3).abs() < 1e-12);
+    // One repeat that diverged leaves no number.
+    scores[2] = Score { stable: false, e_cd: None, ..scores[2].clone() };
+    let csv = written(&scores);
+    assert!(csv[0].contains("\na,-,\n") && csv[0].contains("\nmean,-,"), "{}", csv[0]);
+    assert!(csv[1].contains("\na,-,\nb,0.00,\n") && csv[1].contains("square,-,"), "{}", csv[1]);
+    // Without repeats nothing is told of them.
+    scores.retain(|s| s.made_with.nudge.is_none());
+    assert!(written(&scores).iter().all(|text| !text.contains("repeats")));
+}
