@@ -17,6 +17,7 @@ mod score;
 mod sequence;
 mod stretch;
 pub mod suite;
+mod table;
 mod tables;
 
 pub use crate::statistics::{WARM_UP, mean_and_deviation, median, median_time};
@@ -28,4 +29,5 @@ pub use resampling::coarse;
 pub use score::{Entry, PerFrame, Physics, Score, Settings, compare, run, snapshots, vertex_errors};
 pub use sequence::Sequence;
 pub use stretch::{FreeEdges, STRETCH_LIMIT};
-pub use tables::{Cell, Format, Table, tables};
+pub use table::{Cell, Format, Table};
+pub use tables::tables;

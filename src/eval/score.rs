@@ -58,7 +58,8 @@ impl Entry {
     }
 }
 
-fn column(solver: &str, iterations: usize) -> String {
+/// A name, and iterations where they mean something.
+pub(super) fn column(solver: &str, iterations: usize) -> String {
     match iterations {
         0 => solver.to_owned(),
         n => format!("{solver}, N = {n}"),

@@ -1,44 +1,8 @@
 //! Scores as tables, shaped like the paper's.
 
 use super::repeats::mean_over_repeats;
-use super::{Score, mean_and_deviation};
-
-/// Columns of a terminal: a wider table is written in parts.
-const WIDTH: usize = 120;
-
-/// A table of texts, in which the best number of each row may be marked.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Table {
-    /// What it shows.
-    pub title: String,
-    /// Heads of the columns, that of the row names first.
-    pub columns: Vec<String>,
-    /// Name and cells of each row.
-    pub rows: Vec<(String, Vec<Cell>)>,
-}
-
-/// A cell of a table.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Cell {
-    /// What it says.
-    pub text: String,
-    /// Whether it is the best of its row.
-    pub best: bool,
-}
-
-/// How a table is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Format {
-    /// Aligned columns; the best in bold where asked for.
-    Text {
-        /// Whether escapes for bold are understood.
-        bold: bool,
-    },
-    /// Markdown, the best in bold.
-    Markdown,
-    /// Comma-separated values, the title as a comment.
-    Csv,
-}
+use super::score::column;
+use super::{Cell, Score, Table, mean_and_deviation};
 
 /// What stands where a solver diverged.
 pub(super) const DIVERGED: &str = "-";
@@ -64,39 +28,96 @@ const FIGURES: [Figure; 4] = [
     },
 ];
 
-/// The tables of some scores: errors, gradient and stretch per sequence for each grid, with means and deviations; then, of every
-/// solver on every grid, error and time, the energy and how it is made up, and the repulsion.
+/// The tables of some scores: errors, gradient and stretch per sequence for each grid, with means and deviations; where there
+/// are several grids or numbers of iterations, errors and times by them; then, of every solver on every grid, error and time,
+/// the energy and how it is made up, and the repulsion.
 pub fn tables(scores: &[Score]) -> Vec<Table> {
-    let grids = distinct(scores.iter().map(|s| s.grid.clone()));
-    let solvers = distinct(scores.iter().map(Score::column));
+    let groups = groups(scores);
     let mut tables = Vec::new();
-    for grid in &grids {
-        let here: Vec<&Score> = scores.iter().filter(|s| s.grid == *grid).collect();
+    for grid in distinct(groups.iter().map(|group| group.grid.clone())) {
+        let here: Vec<&Group> = groups.iter().filter(|group| group.grid == grid).collect();
         for figure in &FIGURES {
-            if here.iter().any(|s| (figure.of)(s).is_some()) {
-                tables.extend(per_sequence(figure, grid, &here, &solvers));
+            if here.iter().any(|group| group.scores().any(|s| (figure.of)(s).is_some())) {
+                tables.extend(per_sequence(figure, &grid, &here));
             }
         }
     }
-    let mut groups: Vec<Group> = Vec::new();
-    for (grid, solver) in grids.iter().flat_map(|grid| solvers.iter().map(move |solver| (grid, solver))) {
-        let own = || scores.iter().filter(|s| s.grid == *grid && s.column() == *solver);
-        let of_sequence = |name: &String| own().filter(|s| s.sequence == *name).collect();
-        let sequences: Vec<Vec<&Score>> =
-            distinct(own().map(|s| s.sequence.clone())).iter().map(of_sequence).collect();
-        if !sequences.is_empty() {
-            groups.push(Group { name: format!("{grid} {solver}"), sequences });
-        }
-    }
+    tables.extend(by_iterations_and_grid(&groups));
     let summaries: [(&str, &[Mean]); 3] =
         [("error and time", &ERROR_AND_TIME), ("energy and stretch", &ENERGY), ("repulsion and rest", &REST)];
     tables.extend(summaries.map(|(title, means)| summary(title, &groups, means)));
     tables
 }
 
+/// The scores of one solver on one grid.
+struct Group<'a> {
+    grid: String,
+    solver: String,
+    iterations: usize,
+    /// Name and repeats of each sequence.
+    sequences: Vec<(String, Vec<&'a Score>)>,
+}
+
+impl<'a> Group<'a> {
+    /// Name of the solver's column: with its iterations, where they mean something.
+    fn column(&self) -> String {
+        column(&self.solver, self.iterations)
+    }
+
+    fn scores(&self) -> impl Iterator<Item = &'a Score> {
+        self.sequences.iter().flat_map(|(_, repeats)| repeats.iter().copied())
+    }
+
+    /// A figure of a sequence, if there are scores of it.
+    fn spread(&self, sequence: &str, figure: &Figure) -> Option<Spread> {
+        let (_, repeats) = self.sequences.iter().find(|(name, _)| name == sequence)?;
+        Some(Spread::new(repeats, figure))
+    }
+
+    /// A figure of every sequence.
+    fn spreads(&self, figure: &Figure) -> impl Iterator<Item = Spread> {
+        self.sequences.iter().map(|(_, repeats)| Spread::new(repeats, figure))
+    }
+
+    /// Mean of a figure over the sequences, and the deviation where there are several. What no score can tell is left empty:
+    /// another system has no time, and no energy.
+    fn mean_and_deviation(&self, figure: &Figure) -> [Option<Option<f64>>; 2] {
+        let told = self.scores().any(|s| !s.stable || (figure.of)(s).is_some());
+        let both = over_sequences(self.spreads(figure)).filter(|_| told);
+        let apart = both.flatten().filter(|_| self.sequences.len() > 1).map(|(_, apart)| Some(apart));
+        [both.map(|both| both.map(|(mean, _)| mean)), apart]
+    }
+}
+
+/// Scores by grid and solver, in the order of their first appearance.
+fn groups(scores: &[Score]) -> Vec<Group<'_>> {
+    let grids = distinct(scores.iter().map(|s| s.grid.clone()));
+    let solvers = distinct(scores.iter().map(|s| (s.solver.clone(), s.iterations)));
+    let mut groups = Vec::new();
+    for (grid, (solver, iterations)) in grids.iter().flat_map(|grid| solvers.iter().map(move |s| (grid, s))) {
+        let of_group = |s: &&Score| (&s.grid, &s.solver, &s.iterations) == (grid, solver, iterations);
+        let own: Vec<&Score> = scores.iter().filter(of_group).collect();
+        let repeats = |name: String| {
+            let repeats = own.iter().copied().filter(|s| s.sequence == name).collect();
+            (name, repeats)
+        };
+        let sequences: Vec<_> =
+            distinct(own.iter().map(|s| s.sequence.clone())).into_iter().map(repeats).collect();
+        if !sequences.is_empty() {
+            groups.push(Group {
+                grid: grid.clone(),
+                solver: solver.clone(),
+                iterations: *iterations,
+                sequences,
+            });
+        }
+    }
+    groups
+}
+
 /// The values, each once, in the order of their first appearance.
-fn distinct(values: impl Iterator<Item = String>) -> Vec<String> {
-    let mut found: Vec<String> = Vec::new();
+fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
+    let mut found: Vec<T> = Vec::new();
     for value in values {
         if !found.contains(&value) {
             found.push(value);
@@ -105,50 +126,145 @@ fn distinct(values: impl Iterator<Item = String>) -> Vec<String> {
     found
 }
 
-/// Rows are sequences, each a mean over its repeats; where there are several, a second table has their deviations.
-fn per_sequence(figure: &Figure, grid: &str, scores: &[&Score], solvers: &[String]) -> Vec<Table> {
-    let sequences = distinct(scores.iter().map(|s| s.sequence.clone()));
-    let of = |sequence: &str, solver: &str| -> Option<Spread> {
-        let own = |s: &&&Score| s.sequence == sequence && s.column() == solver;
-        let repeats: Vec<&Score> = scores.iter().filter(own).copied().collect();
-        (!repeats.is_empty()).then(|| Spread::new(&repeats, figure))
-    };
-    let spreads: Vec<Vec<Option<Spread>>> =
-        sequences.iter().map(|s| solvers.iter().map(|solver| of(s, solver)).collect()).collect();
-    let columns: Vec<String> = std::iter::once("sequence".into()).chain(solvers.iter().cloned()).collect();
-    let row = |(name, spreads): (&String, &Vec<Option<Spread>>)| {
-        let means: Vec<_> = spreads.iter().map(|s| s.map(|s| s.mean)).collect();
-        (name.clone(), cells(&means, figure.digits))
-    };
-    let mut rows: Vec<_> = sequences.iter().zip(&spreads).map(row).collect();
-    // Of the sequences, all of which a solver must have passed.
-    let summary = |solver: usize| -> Option<Option<(f64, f64)>> {
-        let means: Vec<Option<f64>> = spreads.iter().filter_map(|s| s[solver]).map(|s| s.mean).collect();
-        if means.is_empty() {
-            return None;
-        }
-        Some(means.into_iter().collect::<Option<Vec<f64>>>().map(|v| mean_and_deviation(&v)))
-    };
-    let summaries: Vec<_> = (0..solvers.len()).map(summary).collect();
-    let part = |of: fn((f64, f64)) -> f64| summaries.iter().map(|s| s.map(|s| s.map(of))).collect::<Vec<_>>();
-    rows.push(("mean".into(), cells(&part(|s| s.0), figure.digits)));
-    rows.push(("deviation".into(), unmarked(&part(|s| s.1), figure.digits)));
-    let title = format!("{grid}: {}", figure.title);
-    if spreads.iter().flatten().flatten().all(|s| s.repeats < 2) {
-        return vec![Table { title, columns, rows }];
+/// A figure by sequence, of each of some groups.
+struct BySequence {
+    digits: usize,
+    groups: usize,
+    rows: Vec<(String, Vec<Option<Spread>>)>,
+}
+
+impl BySequence {
+    fn new(figure: &Figure, groups: &[&Group]) -> Self {
+        let names = |group: &&Group| group.sequences.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+        let row = |name: String| {
+            let spreads = groups.iter().map(|group| group.spread(&name, figure)).collect();
+            (name, spreads)
+        };
+        let rows = distinct(groups.iter().flat_map(names)).into_iter().map(row).collect();
+        Self { digits: figure.digits, groups: groups.len(), rows }
     }
-    let row = |(name, spreads): (&String, &Vec<Option<Spread>>)| {
-        let deviations: Vec<_> = spreads.iter().map(|s| s.and_then(|s| s.told_deviation())).collect();
-        (name.clone(), unmarked(&deviations, figure.digits))
+
+    /// Something of the sequences of each group.
+    fn of_groups<T>(&self, of: fn(&mut dyn Iterator<Item = Spread>) -> T) -> Vec<T> {
+        let spreads = |group| self.rows.iter().filter_map(move |(_, spreads)| spreads[group]);
+        (0..self.groups).map(|group| of(&mut spreads(group))).collect()
+    }
+
+    /// Means over the repeats of each sequence, then their mean and deviation.
+    fn means(&self) -> Vec<(String, Vec<Cell>)> {
+        let row = |(name, spreads): &(String, Vec<Option<Spread>>)| {
+            let means: Vec<_> = spreads.iter().map(|s| s.map(|s| s.mean)).collect();
+            (name.clone(), cells(&means, self.digits))
+        };
+        let all = self.of_groups(|spreads| over_sequences(spreads));
+        let part = |of: fn((f64, f64)) -> f64| all.iter().map(|s| s.map(|s| s.map(of))).collect::<Vec<_>>();
+        let (mean, deviation) = (part(|s| s.0), part(|s| s.1));
+        let last = [
+            ("mean".into(), cells(&mean, self.digits)),
+            ("deviation".into(), unmarked(&deviation, self.digits)),
+        ];
+        self.rows.iter().map(row).chain(last).collect()
+    }
+
+    /// Deviations over the repeats of each sequence, then the root mean square; nothing where there is one of each.
+    fn deviations(&self) -> Option<Vec<(String, Vec<Cell>)>> {
+        let all = self.of_groups(|spreads| pooled(spreads));
+        all.iter().any(Option::is_some).then(|| {
+            let row = |(name, spreads): &(String, Vec<Option<Spread>>)| {
+                let told: Vec<_> = spreads.iter().map(|s| s.and_then(Spread::told_deviation)).collect();
+                (name.clone(), unmarked(&told, self.digits))
+            };
+            let last = ("root mean square".into(), unmarked(&all, self.digits));
+            self.rows.iter().map(row).chain([last]).collect()
+        })
+    }
+}
+
+/// Rows are sequences, each a mean over its repeats; where there are several, a second table has their deviations.
+fn per_sequence(figure: &Figure, grid: &str, groups: &[&Group]) -> Vec<Table> {
+    let columns =
+        || std::iter::once("sequence".into()).chain(groups.iter().map(|group| group.column())).collect();
+    let (figures, title) = (BySequence::new(figure, groups), format!("{grid}: {}", figure.title));
+    let rows = figures.means();
+    match figures.deviations() {
+        None => vec![Table { title, columns: columns(), rows }],
+        Some(deviations) => vec![
+            Table { title: format!("{title}, means over repeats"), columns: columns(), rows },
+            Table {
+                title: format!("{title}, deviations over repeats"),
+                columns: columns(),
+                rows: deviations,
+            },
+        ],
+    }
+}
+
+/// Of each solver with several grids or numbers of iterations the errors by sequence (as the paper's Table 8); then times and
+/// errors of all solvers (as its Table 7).
+fn by_iterations_and_grid(groups: &[Group]) -> Vec<Table> {
+    let mut tables = Vec::new();
+    for solver in distinct(groups.iter().map(|group| &group.solver)) {
+        let mut own: Vec<&Group> = groups.iter().filter(|group| group.solver == *solver).collect();
+        if own.len() > 1 {
+            // The order of the grids stays.
+            let grids = distinct(own.iter().map(|group| &group.grid));
+            own.sort_by_key(|group| (grids.iter().position(|grid| **grid == group.grid), group.iterations));
+            tables.push(both_errors(solver, &own));
+        }
+    }
+    if !tables.is_empty() {
+        tables.push(times_and_errors(groups));
+    }
+    tables
+}
+
+/// Both errors of a solver by sequence, those of the vertices in parentheses.
+fn both_errors(solver: &str, groups: &[&Group]) -> Table {
+    let [e_cd, e_3d] = [&FIGURES[0], &FIGURES[1]];
+    let pair = |(a, b): (Cell, Cell)| {
+        let text =
+            if a.text.is_empty() || a.text == DIVERGED { a.text } else { format!("{} ({})", a.text, b.text) };
+        Cell { text, best: false }
     };
-    let mut of_repeats: Vec<_> = sequences.iter().zip(&spreads).map(row).collect();
-    let all: Vec<_> =
-        (0..solvers.len()).map(|solver| pooled(spreads.iter().filter_map(|s| s[solver]))).collect();
-    of_repeats.push(("root mean square".into(), unmarked(&all, figure.digits)));
-    vec![
-        Table { title: format!("{title}, means over repeats"), columns: columns.clone(), rows },
-        Table { title: format!("{title}, deviations over repeats"), columns, rows: of_repeats },
-    ]
+    let row = |((name, a), (_, b)): ((String, Vec<Cell>), (String, Vec<Cell>))| {
+        (name, a.into_iter().zip(b).map(pair).collect())
+    };
+    let [a, b] = [e_cd, e_3d].map(|figure| BySequence::new(figure, groups).means());
+    let heads = groups.iter().map(|group| column(&group.grid, group.iterations));
+    Table {
+        title: format!("{solver}: {} ({})", e_cd.title, e_3d.title),
+        columns: std::iter::once("sequence".into()).chain(heads).collect(),
+        rows: a.into_iter().zip(b).map(row).collect(),
+    }
+}
+
+/// Means and deviations of time and error, by solver and iterations down and by grid across.
+fn times_and_errors(groups: &[Group]) -> Table {
+    let figures = [&ERROR_AND_TIME[2].figure, &ERROR_AND_TIME[0].figure];
+    let grids = distinct(groups.iter().map(|group| &group.grid));
+    let heads = figures.iter().flat_map(|figure| {
+        grids.iter().flat_map(move |grid| [format!("{grid} {}", figure.title), "±".into()])
+    });
+    let solvers = distinct(groups.iter().map(|group| &group.solver));
+    let place = |solver: &String| solvers.iter().position(|known| *known == solver);
+    let mut all =
+        distinct(groups.iter().map(|group| (place(&group.solver), group.iterations, group.column())));
+    all.sort();
+    let row = |(_, _, name): (Option<usize>, usize, String)| {
+        let of = |figure: &Figure, grid: &String| {
+            let group = groups.iter().find(|group| group.grid == *grid && group.column() == name);
+            let both = group.map_or([None; 2], |group| group.mean_and_deviation(figure));
+            unmarked(&both, figure.digits)
+        };
+        let cells =
+            figures.iter().flat_map(|figure| grids.iter().flat_map(|grid| of(figure, grid))).collect();
+        (name, cells)
+    };
+    Table {
+        title: "time and error by iterations and grid".into(),
+        columns: std::iter::once("solver".into()).chain(heads).collect(),
+        rows: all.into_iter().map(row).collect(),
+    }
 }
 
 /// A figure of the repeats of a solver on a sequence: how many, their mean and their deviation, which there are none of where
@@ -176,18 +292,18 @@ impl Spread {
     }
 }
 
+/// Mean and deviation over sequences, all of which a solver must have passed; nothing of no sequence.
+fn over_sequences(spreads: impl Iterator<Item = Spread>) -> Option<Option<(f64, f64)>> {
+    let means: Vec<Option<f64>> = spreads.map(|s| s.mean).collect();
+    let all = || means.iter().copied().collect::<Option<Vec<f64>>>();
+    (!means.is_empty()).then(|| all().map(|means| mean_and_deviation(&means)))
+}
+
 /// The deviation over repeats, as the root of the mean of its squares over the sequences that were repeated.
 fn pooled(spreads: impl Iterator<Item = Spread>) -> Option<Option<f64>> {
     let deviations: Vec<Option<f64>> = spreads.filter_map(Spread::told_deviation).collect();
     let square = |v: Vec<f64>| (v.iter().map(|d| d * d).sum::<f64>() / v.len() as f64).sqrt();
     (!deviations.is_empty()).then(|| deviations.into_iter().collect::<Option<Vec<f64>>>().map(square))
-}
-
-/// The scores of one solver on one grid.
-struct Group<'a> {
-    name: String,
-    /// The repeats of each sequence.
-    sequences: Vec<Vec<&'a Score>>,
 }
 
 /// A mean over the sequences, and whether its deviation stands beside it.
@@ -231,22 +347,13 @@ const REST: [Mean; 4] = [
 
 /// Means over the sequences, all of which a solver must have passed; of repeated ones, of their means.
 fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
-    let repeated = groups.iter().flat_map(|group| &group.sequences).any(|repeats| repeats.len() > 1);
+    let repeated = groups.iter().flat_map(|group| &group.sequences).any(|(_, repeats)| repeats.len() > 1);
     let of_group = |group: &Group, Mean { figure, deviation }: &Mean| {
-        let spreads: Vec<Spread> = group.sequences.iter().map(|s| Spread::new(s, figure)).collect();
-        // What no score can tell is left empty: another system has no time, and no energy.
-        let mut all = group.sequences.iter().flatten();
-        let told = all.any(|s| !s.stable || (figure.of)(s).is_some());
-        let both =
-            spreads.iter().map(|s| s.mean).collect::<Option<Vec<f64>>>().map(|v| mean_and_deviation(&v));
-        let mut own = vec![told.then(|| both.map(|(mean, _)| mean))];
-        if *deviation {
-            own.push(both.filter(|_| spreads.len() > 1).map(|(_, apart)| Some(apart)));
-            if repeated {
-                own.push(pooled(spreads.into_iter()).filter(|_| told));
-            }
-        }
-        unmarked(&own, figure.digits)
+        let [mean, apart] = group.mean_and_deviation(figure);
+        let of_repeats = pooled(group.spreads(figure)).filter(|_| mean.is_some());
+        let shown = [(true, mean), (*deviation, apart), (*deviation && repeated, of_repeats)];
+        let shown: Vec<_> = shown.into_iter().filter_map(|(shown, value)| shown.then_some(value)).collect();
+        unmarked(&shown, figure.digits)
     };
     let heads = means.iter().flat_map(|Mean { figure, deviation }| {
         let deviations = [(*deviation, "±"), (*deviation && repeated, "± repeats")];
@@ -256,11 +363,10 @@ fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
     let counts = ["sequences"].into_iter().chain(repeated.then_some("simulations"));
     let columns = ["solver"].into_iter().chain(counts).chain(heads).map(str::to_owned).collect();
     let row = |group: &Group| {
-        let simulations = group.sequences.iter().map(Vec::len).sum::<usize>();
-        let counts = [group.sequences.len()].into_iter().chain(repeated.then_some(simulations));
+        let counts = [group.sequences.len()].into_iter().chain(repeated.then_some(group.scores().count()));
         let counts = counts.map(|count| Cell { text: count.to_string(), best: false });
         let cells = means.iter().flat_map(|mean| of_group(group, mean));
-        (group.name.clone(), counts.chain(cells).collect())
+        (format!("{} {}", group.grid, group.column()), counts.chain(cells).collect())
     };
     Table { title: title.to_owned(), columns, rows: groups.iter().map(row).collect() }
 }
@@ -281,78 +387,4 @@ fn cells(values: &[Option<Option<f64>>], digits: usize) -> Vec<Cell> {
         Some(Some(v)) => Cell { text: format!("{v:.digits$}"), best: values.len() > 1 && *v == smallest },
     };
     values.iter().map(cell).collect()
-}
-
-impl Table {
-    /// The table as text.
-    pub fn write(&self, format: Format) -> String {
-        match format {
-            Format::Text { bold } => self.aligned(bold),
-            Format::Markdown => self.markdown(),
-            Format::Csv => self.csv(),
-        }
-    }
-
-    fn aligned(&self, bold: bool) -> String {
-        let mut widths: Vec<usize> = self.columns.iter().map(|c| c.chars().count()).collect();
-        for (name, cells) in &self.rows {
-            widths[0] = widths[0].max(name.chars().count());
-            for (width, cell) in widths[1..].iter_mut().zip(cells) {
-                *width = (*width).max(cell.text.chars().count());
-            }
-        }
-        let mut text = format!("{}\n", self.title);
-        let first = |name: &str| format!("{name:<width$}", width = widths[0]);
-        let mut from = 1;
-        while from < widths.len() {
-            // As many columns as fit, one at least.
-            let mut until = from + 1;
-            let width = |until: usize| widths[0] + widths[from..until].iter().map(|w| w + 2).sum::<usize>();
-            while until < widths.len() && width(until + 1) <= WIDTH {
-                until += 1;
-            }
-            let part = from..until;
-            let heads = self.columns[part.clone()].iter().zip(&widths[part.clone()]);
-            let heads = heads.map(|(c, width)| format!("  {c:>width$}")).collect::<String>();
-            text += &format!("{}{heads}\n", first(&self.columns[0]));
-            for (name, cells) in &self.rows {
-                text += &first(name);
-                for (cell, width) in cells[from - 1..until - 1].iter().zip(&widths[part.clone()]) {
-                    let padded = format!("{:>width$}", cell.text);
-                    text += &match bold && cell.best {
-                        true => format!("  \x1b[1m{padded}\x1b[0m"),
-                        false => format!("  {padded}"),
-                    };
-                }
-                text.push('\n');
-            }
-            from = until;
-        }
-        text
-    }
-
-    fn markdown(&self) -> String {
-        let mut text = format!("**{}**\n\n| {} |\n", self.title, self.columns.join(" | "));
-        text += &format!("|---|{}\n", "---:|".repeat(self.columns.len() - 1));
-        for (name, cells) in &self.rows {
-            let marked = |c: &Cell| if c.best { format!("**{}**", c.text) } else { c.text.clone() };
-            text += &format!("| {name} | {} |\n", cells.iter().map(marked).collect::<Vec<_>>().join(" | "));
-        }
-        text
-    }
-
-    fn csv(&self) -> String {
-        let quoted = |field: &str| match field.contains([',', '"']) {
-            true => format!("\"{}\"", field.replace('"', "\"\"")),
-            false => field.to_owned(),
-        };
-        let line = |fields: Vec<String>| format!("{}\n", fields.join(","));
-        let mut text = format!("# {}\n", self.title);
-        text += &line(self.columns.iter().map(|c| quoted(c)).collect());
-        for (name, cells) in &self.rows {
-            let fields = std::iter::once(name.as_str()).chain(cells.iter().map(|c| c.text.as_str()));
-            text += &line(fields.map(quoted).collect());
-        }
-        text
-    }
 }

@@ -91,3 +91,57 @@ fn tables_have_means_over_repeats() {
     scores.retain(|s| s.made_with.nudge.is_none());
     assert!(written(&scores).iter().all(|text| !text.contains("repeats")));
 }
+
+/// As in the paper's Tables 7 and 8, where there are several grids or numbers of iterations.
+#[test]
+fn errors_stand_by_iterations_and_grid() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let itself = compare(&sequence, "itself", &sequence.truth, &SETTINGS).unwrap();
+    let score = |name: &str, (grid, iterations): (&str, usize), e_cd: f64| Score {
+        sequence: name.into(),
+        grid: grid.into(),
+        solver: "lbfgs".into(),
+        iterations,
+        e_cd: Some(1e-3 * e_cd),
+        e_3d: Some(1e-2 * (e_cd + 1.0)),
+        ms_per_frame: Some(iterations as f64),
+        ..itself.clone()
+    };
+    let mut scores = Vec::new();
+    // The order of merged files, by name: 10 before 5.
+    for (grid, error) in [("32x32", 0.0), ("64x64", 4.0)] {
+        for (name, more) in [("a", 1.0), ("b", 3.0)] {
+            for iterations in [10, 5] {
+                scores.push(score(name, (grid, iterations), error + more + 10.0 / iterations as f64));
+            }
+        }
+    }
+    scores.push(Score { stable: false, e_cd: None, e_3d: None, ..score("b", ("64x64", 20), 0.0) });
+    let newton = Score { solver: "newton".into(), ..score("a", ("32x32", 0), 1.0) };
+    scores.push(newton.clone());
+    let written = |scores: &[Score], start: &str| {
+        let all = tables(scores);
+        all.iter().map(|table| table.write(Format::Csv)).find(|text| text.starts_with(start))
+    };
+    assert_eq!(
+        written(&scores, "# lbfgs: ").unwrap(),
+        "# lbfgs: e_CD x 10^3 [m^2] (e_3D x 10^2)\n\
+         sequence,\"32x32, N = 5\",\"32x32, N = 10\",\"64x64, N = 5\",\"64x64, N = 10\",\"64x64, N = 20\"\n\
+         a,3.00 (4.00),2.00 (3.00),7.00 (8.00),6.00 (7.00),\n\
+         b,5.00 (6.00),4.00 (5.00),9.00 (10.00),8.00 (9.00),-\n\
+         mean,4.00 (5.00),3.00 (4.00),8.00 (9.00),7.00 (8.00),-\n\
+         deviation,1.41 (1.41),1.41 (1.41),1.41 (1.41),1.41 (1.41),-\n"
+    );
+    assert_eq!(
+        written(&scores, "# time and error").unwrap(),
+        "# time and error by iterations and grid\n\
+         solver,32x32 ms/frame,±,64x64 ms/frame,±,32x32 e_CD x 10^3 [m^2],±,64x64 e_CD x 10^3 [m^2],±\n\
+         \"lbfgs, N = 5\",5.0,0.0,5.0,0.0,4.00,1.41,8.00,1.41\n\
+         \"lbfgs, N = 10\",10.0,0.0,10.0,0.0,3.00,1.41,7.00,1.41\n\
+         \"lbfgs, N = 20\",,,-,,,,-,\n\
+         newton,0.0,,,,1.00,,,\n"
+    );
+    // One number of iterations on one grid has neither.
+    assert_eq!(written(&scores, "# newton: "), None);
+    assert_eq!(written(&[newton, scores[0].clone()], "# time and error"), None);
+}

@@ -1,0 +1,112 @@
+//! A table of texts, and how it is written.
+
+/// Columns of a terminal: a wider table is written in parts.
+const WIDTH: usize = 120;
+
+/// A table of texts, in which the best number of each row may be marked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Table {
+    /// What it shows.
+    pub title: String,
+    /// Heads of the columns, that of the row names first.
+    pub columns: Vec<String>,
+    /// Name and cells of each row.
+    pub rows: Vec<(String, Vec<Cell>)>,
+}
+
+/// A cell of a table.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cell {
+    /// What it says.
+    pub text: String,
+    /// Whether it is the best of its row.
+    pub best: bool,
+}
+
+/// How a table is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Aligned columns; the best in bold where asked for.
+    Text {
+        /// Whether escapes for bold are understood.
+        bold: bool,
+    },
+    /// Markdown, the best in bold.
+    Markdown,
+    /// Comma-separated values, the title as a comment.
+    Csv,
+}
+
+impl Table {
+    /// The table as text.
+    pub fn write(&self, format: Format) -> String {
+        match format {
+            Format::Text { bold } => self.aligned(bold),
+            Format::Markdown => self.markdown(),
+            Format::Csv => self.csv(),
+        }
+    }
+
+    fn aligned(&self, bold: bool) -> String {
+        let mut widths: Vec<usize> = self.columns.iter().map(|c| c.chars().count()).collect();
+        for (name, cells) in &self.rows {
+            widths[0] = widths[0].max(name.chars().count());
+            for (width, cell) in widths[1..].iter_mut().zip(cells) {
+                *width = (*width).max(cell.text.chars().count());
+            }
+        }
+        let mut text = format!("{}\n", self.title);
+        let first = |name: &str| format!("{name:<width$}", width = widths[0]);
+        let mut from = 1;
+        while from < widths.len() {
+            // As many columns as fit, one at least.
+            let mut until = from + 1;
+            let width = |until: usize| widths[0] + widths[from..until].iter().map(|w| w + 2).sum::<usize>();
+            while until < widths.len() && width(until + 1) <= WIDTH {
+                until += 1;
+            }
+            let part = from..until;
+            let heads = self.columns[part.clone()].iter().zip(&widths[part.clone()]);
+            let heads = heads.map(|(c, width)| format!("  {c:>width$}")).collect::<String>();
+            text += &format!("{}{heads}\n", first(&self.columns[0]));
+            for (name, cells) in &self.rows {
+                text += &first(name);
+                for (cell, width) in cells[from - 1..until - 1].iter().zip(&widths[part.clone()]) {
+                    let padded = format!("{:>width$}", cell.text);
+                    text += &match bold && cell.best {
+                        true => format!("  \x1b[1m{padded}\x1b[0m"),
+                        false => format!("  {padded}"),
+                    };
+                }
+                text.push('\n');
+            }
+            from = until;
+        }
+        text
+    }
+
+    fn markdown(&self) -> String {
+        let mut text = format!("**{}**\n\n| {} |\n", self.title, self.columns.join(" | "));
+        text += &format!("|---|{}\n", "---:|".repeat(self.columns.len() - 1));
+        for (name, cells) in &self.rows {
+            let marked = |c: &Cell| if c.best { format!("**{}**", c.text) } else { c.text.clone() };
+            text += &format!("| {name} | {} |\n", cells.iter().map(marked).collect::<Vec<_>>().join(" | "));
+        }
+        text
+    }
+
+    fn csv(&self) -> String {
+        let quoted = |field: &str| match field.contains([',', '"']) {
+            true => format!("\"{}\"", field.replace('"', "\"\"")),
+            false => field.to_owned(),
+        };
+        let line = |fields: Vec<String>| format!("{}\n", fields.join(","));
+        let mut text = format!("# {}\n", self.title);
+        text += &line(self.columns.iter().map(|c| quoted(c)).collect());
+        for (name, cells) in &self.rows {
+            let fields = std::iter::once(name.as_str()).chain(cells.iter().map(|c| c.text.as_str()));
+            text += &line(fields.map(quoted).collect());
+        }
+        text
+    }
+}
