@@ -1,5 +1,5 @@
-//! Repeats of a simulation from starts that are all but the same: which way a fold goes is chance, and worth more than most
-//! optimizers.
+//! Repeats of a simulation from starts that are all but the same. Where a solver stops short of convergence, a fold may go
+//! another way after a difference as small as rounding, and then one simulation tells little of the solver.
 
 use super::{Score, mean_and_deviation};
 use crate::scene::Setup;

@@ -69,7 +69,7 @@ pub struct Args {
     points: usize,
     /// Simulations of each sequence by each solver: the first from the recorded start, the others with every particle but the
     /// handles moved by up to 1e-5 edges at random, alike for all solvers. Tables have the means, and the deviations over
-    /// repeats apart from those over sequences: which way a fold goes is chance
+    /// repeats apart from those over sequences: where a solver stops short of convergence, which way a fold goes is chance
     #[arg(long, default_value_t = 1, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=1000))]
     repeats: u64,
     /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or on the sequence's
