@@ -11,7 +11,7 @@ use crate::kernels::{Tuning, padded};
 use crate::sim::Grid;
 use crate::{Error, Result};
 
-/// The network on a device, for `samples` samples of one grid: [`Forward::embedded`] in, [`Forward::field`] and
+/// The network on a device, for some samples of one grid: [`Forward::embedded`] in, [`Forward::field`] and
 /// [`Forward::scalar`] out.
 ///
 /// Inside, rows are padded to quads of columns ([`padded`]); the padding holds finite numbers that nothing reads.
@@ -88,6 +88,19 @@ pub(super) struct Kernels {
     project: Project,
 }
 
+/// What a network on a device is made for.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan {
+    /// Particles of a sample.
+    pub grid: Grid,
+    /// Samples of a pass (S), three to a cloth.
+    pub samples: usize,
+    /// Tile sizes.
+    pub tuning: Tuning,
+    /// What is kept of the activations.
+    pub keep: Keep,
+}
+
 /// What is kept of the activations between the layers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
@@ -99,47 +112,44 @@ pub enum Keep {
     Adjoint,
 }
 
+impl Plan {
+    /// The same for as many samples in turn as activations no larger than the tuning wants and the device binds are of: whole
+    /// cloths in turns of nearly one length, or single samples where no cloth fits.
+    pub fn in_turns(&self, context: &Context, config: Config) -> Self {
+        let config = Layout::new(config, self.tuning.channels).padded();
+        let widest = config.channels.max(config.projection);
+        let cloths = self.tuning.most_samples(context, widest * self.grid.h * padded(self.grid.w)) / 3;
+        let samples = match cloths {
+            0 => 1,
+            _ => self.samples.div_ceil(self.samples.div_ceil(3 * cloths).max(1)).next_multiple_of(3),
+        };
+        Self { samples, ..*self }
+    }
+}
+
 impl Forward {
-    /// Uploads the weights and makes what a pass over `samples` samples needs.
-    pub fn new(
-        context: &Context,
-        weights: &Weights,
-        tuning: &Tuning,
-        shape: (Grid, usize),
-        keep: Keep,
-    ) -> Result<Self> {
+    /// Uploads the weights and makes what a pass needs.
+    pub fn new(context: &Context, weights: &Weights, plan: &Plan) -> Result<Self> {
         // The backward pass is in single precision.
-        let storage = if keep == Keep::Adjoint { Storage::F32 } else { context.storage() };
+        let storage = if plan.keep == Keep::Adjoint { Storage::F32 } else { context.storage() };
         let context = &context.with_storage(storage)?;
-        let layout = Layout::new(weights.config, tuning.channels);
+        let layout = Layout::new(weights.config, plan.tuning.channels);
         let layers = layout.stored_layers(context, weights)?;
-        let joined = Joined::new(context, (&layout, &layers), weights, (tuning, keep))?;
-        Self::build(context, (&layout, layers), tuning, shape, (keep, joined))
+        let joined = Joined::new(context, weights, (layout.padded(), &layers), plan)?;
+        Self::build(context, layout.padded(), layers, joined, plan)
     }
 
     /// The same on weights that are on the device already, and may change there; in single precision, whatever the context's
     /// networks are stored in.
-    pub fn with_parameters(
-        context: &Context,
-        parameters: &Parameters,
-        tuning: &Tuning,
-        shape: (Grid, usize),
-        keep: Keep,
-    ) -> Result<Self> {
+    pub fn with_parameters(context: &Context, parameters: &Parameters, plan: &Plan) -> Result<Self> {
         let context = &context.with_storage(Storage::F32)?;
-        let layers = parameters.layout().layers(&parameters.flat);
-        Self::build(context, (parameters.layout(), layers), tuning, shape, (keep, Joined::default()))
+        let layout = parameters.layout();
+        Self::build(context, layout.padded(), layout.layers(&parameters.flat), Joined::default(), plan)
     }
 
-    fn build(
-        context: &Context,
-        (layout, layers): (&Layout, Layers),
-        tuning: &Tuning,
-        shape: (Grid, usize),
-        (keep, joined): (Keep, Joined),
-    ) -> Result<Self> {
-        let (grid, samples) = shape;
-        let config = layout.padded();
+    /// `config` is that of the padded layers.
+    fn build(context: &Context, config: Config, layers: Layers, joined: Joined, plan: &Plan) -> Result<Self> {
+        let &Plan { grid, samples, ref tuning, keep } = plan;
         check_modes(&config, grid)?;
         let (h, w) = (grid.h, padded(grid.w));
         let plane = h * w;
@@ -176,16 +186,15 @@ impl Forward {
         let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
         let Joined { head, units } = joined;
         let joins_head = head.is_some();
-        let afters: Vec<After> = (0..config.layers)
-            .map(|block| after(&config, block, (keep, joins_head), rows_in_blocks))
-            .collect();
+        let afters: Vec<After> =
+            (0..config.layers).map(|block| after(&config, block, keep, joins_head, rows_in_blocks)).collect();
         let lifting = |units| {
             let size = LayerSize { lifting: Some([config.lifting, config.inputs()]), ..size };
             let rows = rows_in_blocks && Block::takes_rows(context, tuning, &size);
             let kernel = Block::new(context, tuning, size, After { rows, ..After::default() });
             kernel.map(|kernel| (kernel, units))
         };
-        let kernels = Kernels::new(context, &config, tuning, (samples, size), (keep, &afters))?;
+        let kernels = Kernels::new(context, &config, size, &afters, plan)?;
         let parts = if joins_head { kernels.block(afters[config.layers - 1]).field_parts() } else { 1 };
         let mut block_rows = tables::inverse_rows(&config, grid.w);
         if rows_in_blocks {
@@ -230,24 +239,6 @@ impl Forward {
             kernels,
             afters,
         })
-    }
-
-    /// How many of `samples` samples, three to a cloth, a pass should be of, so that the activations are no larger than the tuning
-    /// wants and the device binds: whole cloths in turns of nearly one length, or single samples where no cloth fits.
-    pub fn samples_at_once(
-        context: &Context,
-        config: Config,
-        tuning: &Tuning,
-        (grid, samples): (Grid, usize),
-    ) -> usize {
-        let config = Layout::new(config, tuning.channels).padded();
-        let widest = config.channels.max(config.projection);
-        let cloths = tuning.most_samples(context, widest * grid.h * padded(grid.w)) / 3;
-        if cloths == 0 {
-            return 1;
-        }
-        let turns = samples.div_ceil(3 * cloths).max(1);
-        samples.div_ceil(turns).next_multiple_of(3)
     }
 
     /// Appends a pass over all samples: from `embedded` to `field` and `scalar`, and to the persistent scales, if they are given.
@@ -354,20 +345,19 @@ impl Forward {
 }
 
 impl Joined {
-    /// What can be joined of `weights`, whose layers are on the device.
+    /// What can be joined of `weights`, whose layers are on the device, padded as `config` tells.
     fn new(
         context: &Context,
-        (layout, layers): (&Layout, &Layers),
         weights: &Weights,
-        (tuning, keep): (&Tuning, Keep),
+        (config, layers): (Config, &Layers),
+        plan: &Plan,
     ) -> Result<Self> {
-        let config = layout.padded();
         let padded = |values: &[f32], len: usize| {
             let mut values = values.to_vec();
             values.resize(len, 0.0);
             values
         };
-        let head = if keep == Keep::Nothing && weights.is_folded() {
+        let head = if plan.keep == Keep::Nothing && weights.is_folded() {
             let last = weights.blocks.len() - 1;
             let [_, outer] = &weights.projection;
             let [bias, head] =
@@ -378,7 +368,7 @@ impl Joined {
         } else {
             None
         };
-        let units = if tuning.staged && keep != Keep::Adjoint {
+        let units = if plan.tuning.staged && plan.keep != Keep::Adjoint {
             let [inner, _] = &weights.lifting;
             let (weight, bias) = (
                 padded(&inner.weight, config.lifting * config.inputs()),
@@ -398,10 +388,11 @@ impl Kernels {
     fn new(
         context: &Context,
         config: &Config,
-        tuning: &Tuning,
-        (samples, size): (usize, LayerSize),
-        (keep, afters): (Keep, &[After]),
+        size: LayerSize,
+        afters: &[After],
+        plan: &Plan,
     ) -> Result<Self> {
+        let &Plan { samples, ref tuning, keep, .. } = plan;
         let mut blocks: Vec<Block> = Vec::new();
         for &after in afters {
             if blocks.iter().all(|b| b.after() != after) {
@@ -429,7 +420,7 @@ impl Kernels {
 }
 
 /// What a block of the network does beside the linear part of its output.
-fn after(config: &Config, block: usize, (keep, joins_head): (Keep, bool), rows_in_blocks: bool) -> After {
+fn after(config: &Config, block: usize, keep: Keep, joins_head: bool, rows_in_blocks: bool) -> After {
     let last = block + 1 == config.layers;
     After {
         gelu: if last { joins_head } else { keep != Keep::Adjoint },

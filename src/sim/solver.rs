@@ -12,7 +12,7 @@ use crate::kernels::optim::{
     Adam, AdamSettings, FeatureTensors, Features, GradientDescent, Iterate, Lbfgs, LbfgsMemory, Norms,
     QuasiNewton, Update, UpdateTensors, norms,
 };
-use crate::network::{Forward, Keep, Weights};
+use crate::network::{Forward, Keep, Plan, Weights};
 use crate::{Error, Result};
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -396,10 +396,10 @@ impl Rule {
         shape: (Grid, usize),
     ) -> Result<Self> {
         let (grid, samples) = shape;
-        let weights = &weights.folded();
-        let at_once = Forward::samples_at_once(context, weights.config, tuning, shape);
+        let plan = Plan { grid, samples, tuning: *tuning, keep: Keep::Nothing };
+        let plan = plan.in_turns(context, weights.config);
         Ok(Self::Learned {
-            forward: Box::new(Forward::new(context, weights, tuning, (grid, at_once), Keep::Nothing)?),
+            forward: Box::new(Forward::new(context, &weights.folded(), &plan)?),
             hidden: Tensor::zeros(context, "hidden state", &[2, samples, grid.particles()])?,
             scales: rows(context, "scales", iterations, samples)?,
         })

@@ -14,7 +14,7 @@ use crate::kernels::optim::{
     FeatureTensors, Features, Iterate, Norms, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors, norms,
 };
 use crate::kernels::train::{AdamW, BatchTensors, Factors, GradientSize, Moments, Squares, squares};
-use crate::network::{Backward, Forward, Keep, Parameters, Transposed};
+use crate::network::{Backward, Forward, Keep, Parameters, Plan, Transposed};
 use crate::sim::{Control, Grid, Model};
 
 /// The loss of a batch of B cloths on one grid, and its gradient over the weights (paper section 3.3): one iteration of the
@@ -56,7 +56,8 @@ impl DeviceLoss {
         let (samples, n) = (3 * batch, grid.particles());
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let field = |label| zeros(label, &[batch, 3, n]);
-        let forward = Forward::with_parameters(context, parameters, tuning, (grid, samples), Keep::Adjoint)?;
+        let plan = Plan { grid, samples, tuning: *tuning, keep: Keep::Adjoint };
+        let forward = Forward::with_parameters(context, parameters, &plan)?;
         let backward = Backward::new(context, &forward, parameters, gradient, tuning)?;
         Ok(Self {
             context: context.clone(),

@@ -12,7 +12,7 @@ use crate::kernels::operator::Scales;
 use crate::kernels::optim::{FeatureTensors, Features, Iterate, Norms, Update, UpdateTensors, norms};
 use crate::kernels::train::BatchTensors;
 use crate::kernels::{Tuning, padded};
-use crate::network::{Forward, Keep, Parameters, Transposed, Weights};
+use crate::network::{Forward, Keep, Parameters, Plan, Transposed, Weights};
 use crate::sim::{Control, EnergyTerms, Grid, Model, Optimizer, Solver, SolverOptions, State};
 use crate::train::{DeviceAdamW, DeviceLoss};
 use std::sync::Arc;
@@ -69,8 +69,8 @@ impl Stages for GpuStages {
     fn network(&mut self, weights: &Weights, grid: Grid, input: &[f64]) -> Result<NetworkOutput> {
         let context = &self.context;
         let samples = input.len() / (weights.config.fields * grid.particles());
-        let forward = context
-            .checked(|| Forward::new(context, weights, &self.tuning, (grid, samples), Keep::Blocks))?;
+        let plan = Plan { grid, samples, tuning: self.tuning, keep: Keep::Blocks };
+        let forward = context.checked(|| Forward::new(context, weights, &plan))?;
         forward.embedded.write_narrowed(context, &embed(&single(input), weights.config.fields, grid));
         let mut schedule = Schedule::new(context);
         forward.push(&mut schedule, None);
@@ -137,7 +137,8 @@ impl Stages for GpuStages {
         let partial = Tensor::zeros(context, "partial", &[samples, norms::parts(n), 2])?;
         let mut schedule = Schedule::new(context);
         context.checked(|| {
-            let forward = Forward::new(context, weights, &self.tuning, (grid, samples), Keep::Nothing)?;
+            let plan = Plan { grid, samples, tuning: self.tuning, keep: Keep::Nothing };
+            let forward = Forward::new(context, weights, &plan)?;
             Norms::new(context, true)?.push(&mut schedule, &iterate.grad, &hidden, &partial);
             let from = FeatureTensors { grad: &iterate.grad, hidden: &hidden, partial: &partial };
             Features::new(context)?.push(&mut schedule, grid, from, (&forward.embedded, 0));

@@ -6,7 +6,7 @@ use crate::solver::starter;
 use fnopt::cpu::operator::Adjoint;
 use fnopt::gpu::{Schedule, Tensor};
 use fnopt::kernels::Tuning;
-use fnopt::network::{Backward, Config, Forward, Keep, Parameters, Transposed, Weights};
+use fnopt::network::{Backward, Config, Forward, Keep, Parameters, Plan, Transposed, Weights};
 use fnopt::sim::Grid;
 
 /// Fields and cotangents of a pass.
@@ -31,8 +31,8 @@ impl Case {
         let ran = context.checked(|| {
             let parameters = Parameters::new(context, weights, tuning)?;
             let gradient = Tensor::zeros(context, "gradient", parameters.flat.shape())?;
-            let shape = (grid, self.samples);
-            let forward = Forward::with_parameters(context, &parameters, tuning, shape, Keep::Adjoint)?;
+            let plan = Plan { grid, samples: self.samples, tuning: *tuning, keep: Keep::Adjoint };
+            let forward = Forward::with_parameters(context, &parameters, &plan)?;
             let backward = Backward::new(context, &forward, &parameters, &gradient, tuning)?;
             let transposed = Transposed::new(context, &parameters)?;
             forward.embedded.write(context, &pad(&self.embedded(&weights.config), grid, 0.0));

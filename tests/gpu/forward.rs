@@ -7,7 +7,7 @@ use crate::solver::starter;
 use fnopt::cpu::operator::{Network, Stage};
 use fnopt::gpu::{Context, Schedule, Storage, Tensor};
 use fnopt::kernels::Tuning;
-use fnopt::network::{Backward, Block, Config, Dense, Forward, Keep, Parameters, Weights};
+use fnopt::network::{Backward, Block, Config, Dense, Forward, Keep, Parameters, Plan, Weights};
 use fnopt::sim::Grid;
 
 /// Random weights of about the size that keeps activations at about 1.
@@ -61,8 +61,9 @@ fn done_on(
     shape: (Grid, usize),
     (fields, keep): (&[f32], Keep),
 ) -> Forward {
-    let (grid, _) = shape;
-    let pass = context.checked(|| Forward::new(context, weights, tuning, shape, keep)).unwrap();
+    let (grid, samples) = shape;
+    let plan = Plan { grid, samples, tuning: *tuning, keep };
+    let pass = context.checked(|| Forward::new(context, weights, &plan)).unwrap();
     let n = grid.particles();
     let mut embedded = Vec::new();
     for fields in fields.chunks_exact(weights.config.fields * n) {
@@ -201,8 +202,8 @@ fn lifting_takes_no_more_than_the_device_binds() {
     assert_eq!(field, read(&whole.field));
     let parameters = Parameters::new(&narrow, starter(), &tuning).unwrap();
     let gradient = Tensor::zeros(&narrow, "gradient", parameters.flat.shape()).unwrap();
-    let shape = (grid, samples);
-    let forward = Forward::with_parameters(&narrow, &parameters, &tuning, shape, Keep::Adjoint).unwrap();
+    let plan = Plan { grid, samples, tuning, keep: Keep::Adjoint };
+    let forward = Forward::with_parameters(&narrow, &parameters, &plan).unwrap();
     Backward::new(&narrow, &forward, &parameters, &gradient, &tuning).unwrap();
 }
 
