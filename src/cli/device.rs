@@ -33,13 +33,21 @@ pub struct DeviceArgs {
 impl DeviceArgs {
     /// Opens the device and says in one line which and why.
     pub fn open(&self) -> Result<(Device, String)> {
+        self.open_in_turn(0)
+    }
+
+    /// The same for one of several processes on this machine, which share its hardware adapters out unless one is asked for.
+    pub fn open_in_turn(&self, turn: usize) -> Result<(Device, String)> {
         if let (DeviceKind::Cpu, Some(adapter)) = (self.device, &self.adapter) {
             return Err(Error::invalid("--adapter", "adapter", "none with --device cpu", adapter));
         }
         let context = match (&self.adapter, self.device) {
             (Some(name), _) => Context::headless(&AdapterChoice::parse(name))?,
-            (None, DeviceKind::Gpu) => Context::headless(&AdapterChoice::Best)?,
-            (None, DeviceKind::Auto) => match Context::hardware()? {
+            (None, DeviceKind::Gpu) => match Context::hardware(turn)? {
+                Some(context) => context,
+                None => Context::headless(&AdapterChoice::Best)?,
+            },
+            (None, DeviceKind::Auto) => match Context::hardware(turn)? {
                 Some(context) => context,
                 None => return Ok(cpu("no hardware adapter")),
             },

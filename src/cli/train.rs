@@ -114,7 +114,7 @@ impl Args {
 
     /// The device of this rank.
     fn opened(&self, ranks: &dyn Ranks) -> fnopt::Result<Device> {
-        let (device, line) = self.device.open()?;
+        let (device, line) = self.device.open_in_turn(ranks.on_machine())?;
         let line = match ranks.count() {
             1 => format!("{line}\n"),
             count => format!("rank {} of {count}: {line}\n", ranks.rank()),

@@ -114,12 +114,17 @@ impl Context {
         Self::open(choose(all_adapters().await, choice)?).await
     }
 
-    /// [`Context::headless`] on the best hardware adapter; none where no usable one is.
-    pub fn hardware() -> Result<Option<Self>> {
+    /// [`Context::headless`] on the best hardware adapter; none where no usable one is. Of several processes on a machine, each
+    /// with a `turn` of its own from 0, the next takes the next adapter of the best kind, and around again.
+    pub fn hardware(turn: usize) -> Result<Option<Self>> {
         pollster::block_on(async {
-            let usable = |a: &wgpu::Adapter| AdapterSummary::new(a).is_usable_hardware();
-            match all_adapters().await.into_iter().find(usable) {
-                Some(adapter) => Self::open(adapter).await.map(Some),
+            let mut found = all_adapters().await;
+            let usable = |a: &wgpu::Adapter| {
+                let summary = AdapterSummary::new(a);
+                summary.is_usable_hardware().then_some((summary.info.device_type, summary.info.backend))
+            };
+            match in_turn(&found.iter().map(usable).collect::<Vec<_>>(), turn) {
+                Some(at) => Self::open(found.swap_remove(at)).await.map(Some),
                 None => Ok(None),
             }
         })
@@ -284,6 +289,13 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
     Ok(found.swap_remove(at))
 }
 
+/// The place of the `turn`-th of those that are of the first's kind, around and around.
+fn in_turn<T: PartialEq>(kinds: &[Option<T>], turn: usize) -> Option<usize> {
+    let best = kinds.iter().flatten().next()?;
+    let alike = (0..kinds.len()).filter(|&at| kinds[at].as_ref() == Some(best));
+    alike.clone().nth(turn % alike.count())
+}
+
 fn kind(info: &wgpu::AdapterInfo) -> AdapterKind {
     match info.device_type {
         wgpu::DeviceType::Cpu => AdapterKind::Software,
@@ -329,5 +341,15 @@ mod tests {
         for lanes in [[4, 4], [4, 8], [8, 16], [16, 16], [8, 128]] {
             assert_eq!(of(lanes), Sharing::Loads, "{lanes:?}");
         }
+    }
+
+    /// Of two discrete adapters, an unusable one between them, and an integrated one: the discrete ones in turn.
+    #[test]
+    fn processes_take_the_adapters_of_the_best_kind_in_turn() {
+        let kinds = [Some("discrete"), None, Some("discrete"), Some("integrated")];
+        let taken = [0, 1, 2, 3].map(|turn| in_turn(&kinds, turn));
+        assert_eq!(taken, [0, 2, 0, 2].map(Some));
+        assert_eq!(in_turn(&kinds[3..], 5), Some(0));
+        assert_eq!(in_turn(&kinds[1..2], 0), None);
     }
 }

@@ -12,6 +12,7 @@ use std::fmt::Display;
 /// the same machines; so runs repeat to the same bits there.
 pub(super) struct Mpi {
     world: SimpleCommunicator,
+    on_machine: usize,
     // Ends MPI when dropped, so it comes last.
     _universe: Universe,
 }
@@ -20,7 +21,9 @@ impl Mpi {
     /// Joins the job; nothing if MPI was started before. Only this thread may use it.
     pub fn new() -> Option<Self> {
         let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)?;
-        Some(Self { world: universe.world(), _universe: universe })
+        let world = universe.world();
+        let on_machine = world.split_shared(world.rank()).rank() as usize;
+        Some(Self { world, on_machine, _universe: universe })
     }
 }
 
@@ -31,6 +34,10 @@ impl Ranks for Mpi {
 
     fn count(&self) -> usize {
         self.world.size() as usize
+    }
+
+    fn on_machine(&self) -> usize {
+        self.on_machine
     }
 
     fn sum(&self, values: &mut [f32]) {

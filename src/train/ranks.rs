@@ -11,13 +11,16 @@ use std::rc::Rc;
 /// alone measures, writes the files of the run and decides when something ends ([`Ranks::decide`]); the others only write
 /// their part of each checkpoint.
 ///
-/// All methods but `rank`, `count`, `seed` and `abort` must be called by all ranks, in the same order.
+/// All methods but `rank`, `count`, `on_machine`, `seed` and `abort` must be called by all ranks, in the same order.
 pub trait Ranks {
     /// The number of this rank.
     fn rank(&self) -> usize;
 
     /// How many ranks there are.
     fn count(&self) -> usize;
+
+    /// The number of this rank among those on its machine, who share its adapters out.
+    fn on_machine(&self) -> usize;
 
     /// Replaces `values`, of one length on all ranks, by their sums over the ranks: the same bits on each.
     fn sum(&self, values: &mut [f32]);
@@ -76,6 +79,10 @@ impl Ranks for Alone {
 
     fn count(&self) -> usize {
         1
+    }
+
+    fn on_machine(&self) -> usize {
+        0
     }
 
     fn sum(&self, _: &mut [f32]) {}

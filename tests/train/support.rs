@@ -136,6 +136,10 @@ impl Ranks for Thread {
         self.to.len()
     }
 
+    fn on_machine(&self) -> usize {
+        self.rank
+    }
+
     fn sum(&self, values: &mut [f32]) {
         let brought = self.exchange(bytemuck::cast_slice(values));
         values.fill(0.0);
