@@ -166,9 +166,8 @@ impl Tuning {
         Unroll { sharing: self.sharing, ..tile.into() }
     }
 
-    /// Where the tuning of an adapter is stored: in the folder that `FNOPT_CACHE` names, else in `fnopt` of the user's cache
-    /// directory. None where there is no such directory. Its name stands for the adapter, its driver and the version of this
-    /// package: builds of one version share it.
+    /// Where the tuning of an adapter is stored, in the folder that `FNOPT_CACHE` names, else in `fnopt` of the user's cache
+    /// directory; none where there is no such directory.
     pub fn path(context: &Context) -> Option<PathBuf> {
         context.cache_file("tuning", "json")
     }
