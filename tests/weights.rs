@@ -52,7 +52,7 @@ fn ten_iterations_come_close_to_the_minimum() {
         scene.regrid(Grid { h: n, w: n }).unwrap();
         let setup = scene.setup().unwrap();
         let controls = (1..=frames).map(|frame| setup.control(frame));
-        let track = Track::new(&setup.model, setup.start.clone(), controls, 4).unwrap();
+        let track = Track::new(&setup.model, setup.start.clone(), controls).unwrap();
         let gap = |optimizer| track.median_gap(&optimizer, 10).unwrap();
         let (learned, classical) = (gap(learned()), gap(Optimizer::quasi_newton()));
         println!("{n}x{n}: {learned:.4}, quasi-newton {classical:.4}");

@@ -182,32 +182,26 @@ pub struct Track {
     model: Model,
     /// The state before each frame and what drives it.
     frames: Vec<(State<f32>, Control<f32>)>,
-    /// Energies in some of the frames: number of the frame, L at a = 0, L at the minimum.
+    /// Energies in the frames that converged: number of the frame, L at a = 0, L at the minimum.
     probes: Vec<(usize, f64, f64)>,
 }
 
 impl Track {
-    /// Follows one cloth from `start` through the frames of `controls`, every `every`-th of which is probed, unless it does not
-    /// converge.
+    /// Follows one cloth from `start` through the frames of `controls`.
     pub fn new(
         model: &Model,
         start: State<f64>,
         controls: impl IntoIterator<Item = Control<f64>>,
-        every: usize,
     ) -> Result<Self> {
         let mut reference = Reference::new(model)?;
         let (mut state, mut frames, mut probes) = (start, Vec::new(), Vec::new());
         let still = vec![0.0; state.x.len()];
         for (frame, control) in controls.into_iter().enumerate() {
             frames.push((state.cast(), control.cast()));
+            let nothing = reference.energy(&state, &control, &still);
             let minimum = reference.minimise(&state, &control, &still);
-            if (frame + 1) % every == 0 && minimum.converged {
-                let nothing = reference.energy(&state, &control, &still);
-                if nothing > minimum.energy {
-                    probes.push((frame, nothing, minimum.energy));
-                }
-                reference.begin(&state, &control, &minimum.a);
-                reference.objective.place(&state, &control);
+            if minimum.converged && nothing > minimum.energy {
+                probes.push((frame, nothing, minimum.energy));
             }
             reference.end_frame(&mut state, &control);
         }

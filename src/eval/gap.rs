@@ -6,20 +6,14 @@ use crate::scene::Setup;
 use crate::sim::{Device, Optimizer, Solver, SolverOptions};
 use std::ops::ControlFlow;
 
-/// Follows the converged frames of a scene, every `every`-th of which is probed. `tick` is called before each frame and may
-/// end everything; then there is nothing.
-pub fn track(
-    setup: &Setup,
-    every: usize,
-    mut tick: impl FnMut() -> ControlFlow<()>,
-) -> Result<Option<Track>> {
+/// Follows the converged frames of a scene. `tick` is called before each frame and may end everything; then there is nothing.
+pub fn track(setup: &Setup, mut tick: impl FnMut() -> ControlFlow<()>) -> Result<Option<Track>> {
     let mut ended = false;
     let controls = (1..setup.frames()).map(|frame| setup.control(frame)).take_while(|_| {
         ended = tick().is_break();
         !ended
     });
-    let every = every.min(setup.frames() - 1).max(1);
-    let track = Track::new(&setup.model, setup.start.clone(), controls, every)?;
+    let track = Track::new(&setup.model, setup.start.clone(), controls)?;
     Ok((!ended).then_some(track))
 }
 

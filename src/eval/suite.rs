@@ -14,9 +14,6 @@ use std::cell::OnceCell;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-/// Every frame is compared with its converged minimum: all are simulated anyway, and medians of a tenth of them spread by a tenth.
-const PROBE_EVERY: usize = 1;
-
 /// What is varied.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Suite {
@@ -239,7 +236,7 @@ impl<'a> Prepared<'a> {
 
     fn track(&self, tick: impl FnMut() -> ControlFlow<()>) -> Result<Option<&Track>> {
         if self.track.get().is_none() {
-            let Some(followed) = track(&self.setup, PROBE_EVERY, tick)? else { return Ok(None) };
+            let Some(followed) = track(&self.setup, tick)? else { return Ok(None) };
             self.track.set(followed).ok().expect("it was not set");
         }
         Ok(self.track.get())

@@ -10,8 +10,6 @@ use crate::sim::{Grid, Optimizer, State};
 use crate::{Result, cpu};
 use std::cell::OnceCell;
 
-/// Every so many frames of a track has a converged minimum to compare with.
-const PROBE_EVERY: usize = 5;
 /// What an unstable scene counts for in the score, in energy gaps: more than any gap of a stable one.
 const UNSTABLE_GAP: f64 = 10.0;
 
@@ -100,7 +98,7 @@ impl Judged {
         let gap = || {
             if self.track.get().is_none() {
                 let controls = (1..=frames).map(|frame| self.setup.control(frame));
-                let track = Track::new(model, start.clone(), controls, PROBE_EVERY.min(frames))?;
+                let track = Track::new(model, start.clone(), controls)?;
                 self.track.set(track).ok().expect("it was not set");
             }
             self.track.get().expect("it was set").median_gap(optimizer, iterations)

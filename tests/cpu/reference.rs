@@ -85,10 +85,10 @@ fn waves_of_a_flat_sheet_are_turned_into_themselves() {
 }
 
 /// The frames from `first` on of the way of `xy_v2`.
-fn track(grid: Grid, frames: std::ops::Range<usize>, every: usize) -> Track {
+fn track(grid: Grid, frames: std::ops::Range<usize>) -> Track {
     let setup = scene(grid.h, grid.w);
     let controls = frames.map(|frame| setup.control(frame));
-    Track::new(&setup.model, setup.start.clone(), controls, every).unwrap()
+    Track::new(&setup.model, setup.start.clone(), controls).unwrap()
 }
 
 #[test]
@@ -108,7 +108,7 @@ fn the_reference_is_the_minimum() {
 
 #[test]
 fn optimizers_close_a_part_of_the_gap() {
-    let track = track(Grid { h: 32, w: 32 }, 1..41, 5);
+    let track = track(Grid { h: 32, w: 32 }, 1..41);
     let gap = |optimizer, iterations| track.median_gap(&optimizer, iterations).unwrap();
     let quasi_newton = [10, 15, 20].map(|iterations| gap(Optimizer::quasi_newton(), iterations));
     // Handles that are held exactly.

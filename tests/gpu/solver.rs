@@ -358,7 +358,7 @@ fn half_precision_closes_the_gap_as_far() {
     let Some(half) = half() else { return };
     let setup = Scene::default().setup().unwrap();
     let controls = (1..25).map(|frame| setup.control(frame));
-    let track = Track::new(&setup.model, setup.start.clone(), controls, 4).unwrap();
+    let track = Track::new(&setup.model, setup.start.clone(), controls).unwrap();
     let optimizer = Optimizer::learned(Weights::shipped());
     let median = |context: &Context| {
         let on = Device::Gpu(context.clone());

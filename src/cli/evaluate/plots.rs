@@ -16,8 +16,6 @@ const SIZE: (usize, usize) = (640, 420);
 const ITERATIONS: [usize; 9] = [1, 2, 3, 5, 8, 10, 15, 20, 30];
 /// Frames in which it is looked at, the start included.
 const CONVERGENCE_FRAMES: usize = 41;
-/// Every so many of them is compared with its minimum.
-const PROBE_EVERY: usize = 4;
 
 fn write(folder: &Path, name: &str, all: &[Chart]) -> Result<()> {
     if all.is_empty() {
@@ -123,7 +121,7 @@ fn convergence_on(
 ) -> Result<Option<Chart>> {
     let mut scene = sequence.scene(grid, &plan.settings.physics)?;
     scene.frames = Some(sequence.truth.frames().min(plan.settings.frames).min(CONVERGENCE_FRAMES));
-    let Some(track) = track(&scene.setup()?, PROBE_EVERY, tick)? else { return Ok(None) };
+    let Some(track) = track(&scene.setup()?, tick)? else { return Ok(None) };
     let mut curves: Vec<Curve> = Vec::new();
     for entry in plan.entries {
         let optimizer = &entry.optimizer;
