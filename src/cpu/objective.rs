@@ -131,40 +131,6 @@ impl<T: Real> Objective<T> {
         });
     }
 
-    /// The product of the second derivatives of each cloth's energy with `v` [B, 3, H, W], into `product`: by central
-    /// differences of the gradient, whose step is the cube root of the machine's epsilon, in edges. Particles, gradient and
-    /// norms are then those of the last trial, no longer those of the iterate.
-    pub fn hessian_product(
-        &mut self,
-        (state, control): (&State<T>, &Control<T>),
-        v: &[T],
-        product: &mut [T],
-    ) {
-        let cloth = self.cloth_len();
-        let a = self.trial.a.clone();
-        let largest = |v: &[T]| v.iter().fold(T::zero(), |largest, v| largest.max(v.abs()));
-        // Where v is zero so is the product.
-        let step = |v: &[T]| T::epsilon().cbrt() / largest(v).max(T::min_positive_value());
-        let steps: Vec<T> = v.chunks_exact(cloth).map(step).collect();
-        for sign in [T::one(), -T::one()] {
-            let trials = self.trial.a.chunks_exact_mut(cloth).zip(a.chunks_exact(cloth));
-            for ((to, a), (v, &step)) in trials.zip(v.chunks_exact(cloth).zip(&steps)) {
-                for ((to, &a), &v) in to.iter_mut().zip(a).zip(v) {
-                    *to = a + sign * step * v;
-                }
-            }
-            self.evaluate(state, control);
-            for ((to, grad), &step) in
-                product.chunks_exact_mut(cloth).zip(self.grad.chunks_exact(cloth)).zip(&steps)
-            {
-                for (to, &grad) in to.iter_mut().zip(grad) {
-                    *to = if sign > T::zero() { grad } else { (*to - grad) / (step + step) };
-                }
-            }
-        }
-        self.trial.a = a;
-    }
-
     /// Energy terms of cloth `b` where the particles are.
     pub fn energy(&self, state: &State<T>, b: usize) -> EnergyTerms {
         energy(&self.trial.cloth(state, b))

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 /// | field | default |
 /// |---|---|
 /// | `notes` | nothing; a text for the model cards |
-/// | `seed`, `steps`, `log_every`, `average`, `lookahead` | 1, 500000, 50, 0, 0 |
+/// | `seed`, `steps`, `log_every`, `average` | 1, 500000, 50, 0 |
 /// | `init` | fresh weights; else a safetensors file beside the configuration, or several, whose mean is taken |
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
 /// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in a pool that is given `[32, 32]`, 10, 1000, 10 |
@@ -39,8 +39,6 @@ pub struct Config {
     pub log_every: u64,
     /// Decay of the running mean of the weights, which is then what is validated and kept; 0 for the weights themselves.
     pub average: f64,
-    /// Weight of the energy one iteration further on, beside that where a step leads; 0 in the paper. On the CPU path only.
-    pub lookahead: f64,
     /// Files of the weights to begin with, whose mean is taken; none for fresh ones ([`super::initial_weights`]).
     pub init: Vec<PathBuf>,
     /// Sizes of the network.
@@ -186,7 +184,6 @@ impl Default for Config {
             log_every: 50,
             notes: String::new(),
             average: 0.0,
-            lookahead: 0.0,
             init: Vec::new(),
             network: network::Config::default(),
             pools: [1, 3, 10, 30].map(pool).to_vec(),

@@ -34,11 +34,7 @@ impl CpuLearner {
         let room = |pool: &super::PoolConfig| {
             let model = Model { grid: pool.grid, cloths: vec![Cloth::default(); pool.batch] };
             let drawn = Arrays::new(pool.grid, pool.batch);
-            Ok(Room {
-                all: Arrays::of_pool(pool),
-                drawn,
-                loss: Loss::with_lookahead(weights, &model, config.lookahead)?,
-            })
+            Ok(Room { all: Arrays::of_pool(pool), drawn, loss: Loss::new(weights, &model)? })
         };
         let flat = weights.flat();
         let adamw = AdamW::new(config.optimizer.settings(), flat.len());
@@ -63,11 +59,9 @@ impl Learner for CpuLearner {
             all.draw(batch, drawn);
             loss.set_weights(&weights);
             loss.set_model(&batch.model(drawn.grid()));
-            let ends: Vec<bool> = batch.cloths.iter().map(|drawn| drawn.advance).collect();
             let share = 1.0 / batch.cloths.len() as f64;
             let Arrays { state, a, hidden, .. } = &mut *drawn;
-            let outcomes =
-                loss.step((state, &batch.control()), (a, hidden), (&ends, share), &mut self.gradient);
+            let outcomes = loss.step((state, &batch.control()), (a, hidden), share, &mut self.gradient);
             let scales = hidden.scale.chunks_exact(3).map(|s| [s[0], s[1], s[2]].map(f64::from));
             let told = outcomes.iter().zip(scales).map(|(outcome, scale)| Outcome {
                 energy: outcome.energy,

@@ -5,9 +5,9 @@ use super::config::Config;
 use super::cpu::CpuLearner;
 use super::gpu::GpuLearner;
 use super::ranks::Ranks;
+use crate::Result;
 use crate::network::Weights;
 use crate::sim::{Cloth, Control, Device, EnergyTerms, Grid, Model, cast};
-use crate::{Error, Result};
 use num_traits::Float;
 
 /// The device's side of training: the weights, AdamW's memory and the arrays of all pools.
@@ -17,8 +17,7 @@ pub trait Learner {
     /// 1. where `start` is given, x is the sheet at rest, rotated; v and a are 0 and the optimizer's memory is fresh;
     /// 2. g = dL/da at a; the update rule makes a step; a <- a + step; the memory is kept;
     /// 3. the loss is the sum over batches of the mean over the batch of L at the new a. It goes back through step, tanh,
-    ///    scale and network only, with the gradient-normalising rule. With a [lookahead](Config::lookahead), the energy
-    ///    after another iteration of the frame counts too ([`crate::cpu::train::Loss::step`]);
+    ///    scale and network only, with the gradient-normalising rule;
     /// 4. where `advance` is set, the frame ends: v <- v + a, x <- x + v, handles at their targets with velocity 0, a <- 0,
     ///    and v loses the share `damping`.
     ///
@@ -126,14 +125,10 @@ impl StepReport {
     }
 }
 
-/// The learner of a device, beginning with `weights`; an error if the device cannot do what the configuration asks for.
+/// The learner of a device, beginning with `weights`.
 pub fn learner(device: &Device, config: &Config, weights: &Weights) -> Result<Box<dyn Learner>> {
     match device {
         Device::Cpu => Ok(Box::new(CpuLearner::new(config, weights)?)),
-        Device::Gpu(_) if config.lookahead > 0.0 => {
-            let expected = "0 on a GPU; `--device cpu` looks ahead";
-            Err(Error::invalid("the configuration", "lookahead", expected, config.lookahead))
-        }
         Device::Gpu(context) => Ok(Box::new(GpuLearner::new(context, config, weights)?)),
     }
 }

@@ -109,7 +109,7 @@ impl<T: Real> Stages for CpuStages<T> {
         let outcomes = Loss::<T>::new(weights, &model)?.step(
             (&state, &control),
             (&mut cast(&case.a), &mut hidden),
-            (&vec![true; batch], share),
+            share,
             &mut gradient,
         );
         let loss = outcomes.iter().map(|o| o.energy.total()).sum::<f64>() * share;

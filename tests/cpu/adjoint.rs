@@ -3,7 +3,6 @@
 
 use crate::noise::noise;
 use fnopt::cpu::operator::{Adjoint, LaidOut, Network, Spectral, Transform};
-use fnopt::cpu::optim::{Hidden, UpdateAdjoint};
 use fnopt::network::{Config, Weights};
 use fnopt::sim::Grid;
 
@@ -175,65 +174,4 @@ fn the_adjoint_product_is_the_conjugate_transpose() {
     };
     let (left, right) = (product(&wx, &y_modes), product(&wy, &x_modes));
     assert!((left - right).abs() < 1e-10 * left.abs(), "{left} and {right}");
-}
-
-/// What a step does to a memory, seen through cotangents: `<adj_a, step> + <adj, memory after>`.
-fn seen(adj_a: &[f64], adj: &Hidden<f64>, step: &[f64], after: &Hidden<f64>) -> f64 {
-    dot(adj_a, step)
-        + dot(&adj.last_grad, &after.last_grad)
-        + dot(&adj.last_step, &after.last_step)
-        + dot(&adj.scale, &after.scale)
-}
-
-#[test]
-fn an_iteration_is_pulled_back_to_its_gradient_and_its_memory() {
-    for (number, Case { config, grid, samples }) in cases().into_iter().enumerate() {
-        let (weights, n) = (weights(config, 1), grid.particles());
-        let memory = |seed: u64| Hidden {
-            last_grad: noise(samples * n, seed),
-            last_step: noise(samples * n, seed + 1),
-            scale: noise(samples, seed + 2).iter().map(|s| 0.3 + 0.2 * s).collect(),
-        };
-        let (grad, before) = (noise(samples * n, 20), memory(21));
-        let (adj_a, adj) = (noise(samples * n, 30), memory(31));
-        let mut update = UpdateAdjoint::<f64>::new(&weights, grid, samples).unwrap();
-        let mut run = |grad: &[f64], before: &Hidden<f64>| {
-            let mut after = before.clone();
-            let norms: Vec<f64> = grad.chunks_exact(n).map(|g| dot(g, g).sqrt()).collect();
-            let mut step = vec![0.0; grad.len()];
-            update.forward((grad, &norms), &mut after, &mut step);
-            (step, after)
-        };
-        let (ways, along) = (noise(samples * n, 40), memory(41));
-        let moved = |x: &[f64], way: &[f64], t: f64| -> Vec<f64> {
-            x.iter().zip(way).map(|(x, way)| x + t * way).collect()
-        };
-        let mut at = |t: [f64; 4]| {
-            let before = Hidden {
-                last_grad: moved(&before.last_grad, &along.last_grad, t[1]),
-                last_step: moved(&before.last_step, &along.last_step, t[2]),
-                scale: moved(&before.scale, &along.scale, t[3]),
-            };
-            let (step, after) = run(&moved(&grad, &ways, t[0]), &before);
-            seen(&adj_a, &adj, &step, &after)
-        };
-        let slopes = [0, 1, 2, 3].map(|k| {
-            let mut along = |step: f64| at([0, 1, 2, 3].map(|other| if other == k { step } else { 0.0 }));
-            let h = 1e-4;
-            (8.0 * (along(h) - along(-h)) - (along(2.0 * h) - along(-2.0 * h))) / (12.0 * h)
-        });
-        let (_, after) = run(&grad, &before);
-        let (mut adj, mut adj_grad) = (adj, vec![0.0; samples * n]);
-        update.pull_back(&adj_a, &mut adj, (&before, &after), &mut adj_grad);
-        let found = [
-            dot(&adj_grad, &ways),
-            dot(&adj.last_grad, &along.last_grad),
-            dot(&adj.last_step, &along.last_step),
-            dot(&adj.scale, &along.scale),
-        ];
-        for (found, expected) in found.into_iter().zip(slopes) {
-            let error = (found - expected).abs() / expected.abs();
-            assert!(error < 1e-6, "case {number}: {found}, not {expected}");
-        }
-    }
 }

@@ -50,15 +50,6 @@ fn gpu() -> Device {
 }
 
 #[test]
-fn looking_ahead_is_refused_by_name() {
-    let _turn = device();
-    let config = Config { lookahead: 0.5, ..config() };
-    let weights = first_weights(&config, &Alone).unwrap();
-    let error = learner(&gpu(), &config, &weights).err().unwrap().to_string();
-    assert!(error.contains("lookahead") && error.contains("--device cpu"), "{error}");
-}
-
-#[test]
 fn steps_are_those_of_the_cpu() {
     let _turn = device();
     let config = config();

@@ -25,7 +25,6 @@ fn every_field_can_be_set() {
         steps = 70
         log_every = 5
         average = 0.9
-        lookahead = 0.5
         notes = "A try."
         init = "given.safetensors"
         checkpoint = { every = { steps = 7 } }
@@ -54,7 +53,6 @@ fn every_field_can_be_set() {
     )
     .unwrap();
     assert_eq!((config.seed, config.steps, config.log_every, config.average), (9, 70, 5, 0.9));
-    assert_eq!(config.lookahead, 0.5);
     assert_eq!(config.notes, "A try.");
     assert_eq!(config.init, [Path::new("runs/given.safetensors")]);
     let several = parse("init = ['a.safetensors', '../b.safetensors']").unwrap();
@@ -94,7 +92,6 @@ fn bad_configurations_are_refused_by_field() {
         ("[motion]\nmoving = 1.5", &["motion.moving", "0 to 1"]),
         ("[motion]\ndamping = -0.1", &["motion.damping", "0 to 1"]),
         ("average = 1", &["average", "below 1"]),
-        ("lookahead = -0.5", &["lookahead", "-0.5"]),
         ("init = 3", &["init", "text"]),
         ("init = ['a', 3]", &["init[1]", "text"]),
         ("steps = 0", &["steps", "1 or more"]),

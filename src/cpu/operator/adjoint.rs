@@ -2,14 +2,13 @@
 //!
 //! The adjoint of a block is built like a block: transform along the rows and the columns, spectral product, inverse, skip,
 //! with the adjoint of each ([`Transform::adjoint`], [`Spectral::adjoint`], [`Skip::adjoint`]) in the reverse order, so it
-//! runs through the same stages. The network's inputs are constants where the gradient over
-//! the weights is taken: nothing goes back beyond the lifting then.
+//! runs through the same stages. The network's inputs are constants of training: nothing goes back beyond the lifting.
 //!
 //! A sum over positions is taken in [`PARTS`] parts, each in order, that are then added in order: the result does not
 //! depend on the number of threads.
 
 use super::block::Skip;
-use super::lifting::{Fields, LiftingGradient, Turned};
+use super::lifting::{Fields, LiftingGradient};
 use super::network::{Kept, Layers, Network};
 use super::pointwise::{PointwiseGradient, straight};
 use super::projection::ProjectionGradient;
@@ -54,7 +53,8 @@ impl<T: Real> LaidOut<T> {
 /// The weights as the adjoint stages read them.
 struct AdjointWeights<T> {
     blocks: Vec<(Spectral<T>, Skip<T>)>,
-    lifting: Turned<T>,
+    /// Weight of the second layer of the lifting, shape [C, lifting].
+    lifting: Vec<T>,
     /// Weight of the first layer of the projection, shape [projection, C].
     projection: Vec<T>,
 }
@@ -88,7 +88,7 @@ impl<T: Real> AdjointWeights<T> {
         let block = |block| (Spectral::adjoint(config, block), Skip::adjoint(config, block));
         Self {
             blocks: weights.blocks.iter().map(block).collect(),
-            lifting: Turned::new(weights),
+            lifting: straight(&weights.lifting[1].weight, config.channels, config.lifting),
             projection: straight(&weights.projection[0].weight, config.projection, config.channels),
         }
     }
@@ -204,8 +204,8 @@ impl<T: Real> Adjoint<T> {
         self.parts.iter_mut().for_each(Part::clear);
         self.heads(adj_field, adj_scalar);
         for index in (0..config.layers).rev() {
-            self.mix(index, Some(&mut *slices.blocks[index][0]));
-            self.finish_block(index, adj_scalar, Some(input));
+            self.mix(index, slices.blocks[index][0]);
+            self.finish_block(index, input, adj_scalar);
         }
         let kept = self.network.kept.as_ref().expect("made to keep");
         let [weight, bias] = &mut slices.scalar;
@@ -215,35 +215,6 @@ impl<T: Real> Adjoint<T> {
         let (first, others) = self.parts.split_first_mut().expect("a part at least");
         others.iter().for_each(|part| first.merge(part));
         slices.add(first);
-    }
-
-    /// The cotangents `adj_input` [S, fields, H, W] of the `input` of the last run, for those of what came out, as in
-    /// [`Adjoint::backward`].
-    pub fn backward_input(
-        &mut self,
-        input: &[T],
-        (adj_field, adj_scalar): (&[T], &[T]),
-        adj_input: &mut [T],
-    ) {
-        let config = self.network.config;
-        assert_eq!(adj_field.len(), self.field().len(), "adj_field has shape [S, 1, H, W]");
-        assert_eq!(adj_scalar.len(), self.scalar().len(), "adj_scalar has shape [S]");
-        self.heads(adj_field, adj_scalar);
-        for index in (0..config.layers).rev() {
-            self.mix(index, None);
-            self.finish_block(index, adj_scalar, None);
-        }
-        let Network { grid, channels, layers, .. } = &self.network;
-        let (n, turned) = (grid.particles(), &self.weights.lifting);
-        let adj_lifted = self.buffers.adj_y.par_chunks_exact(n * channels);
-        let fields = input.par_chunks_exact(config.fields * n);
-        adj_lifted.zip(fields).zip(adj_input.par_chunks_exact_mut(config.fields * n)).for_each_init(
-            || LiftingGradient::new(&config),
-            |scratch, ((adj, values), adj_fields)| {
-                let fields = Fields { values, grid: *grid };
-                layers.lifting.backward_fields(adj, (fields, adj_fields), turned, scratch);
-            },
-        );
     }
 
     /// Backward through the field head, and through the scalar head if it is at the last block; sets the cotangents of the
@@ -275,9 +246,8 @@ impl<T: Real> Adjoint<T> {
         });
     }
 
-    /// The adjoint of the columns and of the spectral product of block `index`, whose gradient is added to `gradient`
-    /// where one is wanted.
-    fn mix(&mut self, index: usize, gradient: Option<&mut [T]>) {
+    /// The adjoint of the columns and of the spectral product of block `index`, whose gradient is added to `gradient`.
+    fn mix(&mut self, index: usize, gradient: &mut [T]) {
         let transform = &self.transform;
         let Buffers { rows, sums, modes, spectral, matrices, .. } = &mut self.buffers;
         let sample = self.network.grid.h * transform.row_len();
@@ -288,15 +258,12 @@ impl<T: Real> Adjoint<T> {
         });
         let product = &self.weights.blocks[index].0;
         product.apply(modes, sums, transform, spectral);
-        if let Some(gradient) = gradient {
-            let kept = self.network.kept.as_ref().expect("made to keep");
-            product.add_gradient(gradient, (&kept.modes[index], spectral), matrices);
-        }
+        let kept = self.network.kept.as_ref().expect("made to keep");
+        product.add_gradient(gradient, (&kept.modes[index], spectral), matrices);
     }
 
-    /// The rest of block `index`, and the GELU before it or the lifting. The gradients of the weights are wanted where the
-    /// network's `input` is given; else the cotangents of what is lifted are left in place of those of the block's output.
-    fn finish_block(&mut self, index: usize, adj_scalar: &[T], input: Option<&[T]>) {
+    /// The rest of block `index`, and the GELU before it or the lifting.
+    fn finish_block(&mut self, index: usize, input: &[T], adj_scalar: &[T]) {
         let Network { config, grid, channels, layers, kept, .. } = &self.network;
         let (h, row, samples) = (grid.h, grid.w * channels, adj_scalar.len());
         let kept = kept.as_ref().expect("made to keep");
@@ -319,9 +286,7 @@ impl<T: Real> Adjoint<T> {
                 if index > 0 {
                     T::gelu_and_slope(x, slopes);
                 }
-                if input.is_some() {
-                    part.skips[index].add(x, adj_y);
-                }
+                part.skips[index].add(x, adj_y);
                 transform.column_inverse(
                     spectra,
                     b.first,
@@ -332,10 +297,6 @@ impl<T: Real> Adjoint<T> {
                     skip.row(adj_x, adj_y, z, transform);
                 }
                 if index == 0 {
-                    let Some(input) = input else {
-                        adj_y.copy_from_slice(adj_x);
-                        continue;
-                    };
                     let fields = config.fields * grid.particles();
                     let values = &input[b.sample * fields..][..fields];
                     let fields = (Fields { values, grid: *grid }, b.first * grid.w);

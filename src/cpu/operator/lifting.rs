@@ -1,6 +1,6 @@
 //! Lifting: normalised fields and positions to channels, through a hidden layer that never leaves the cache.
 
-use super::pointwise::{Pointwise, PointwiseGradient, straight};
+use super::pointwise::{Pointwise, PointwiseGradient};
 use super::{ADJOINT_SEGMENT, SEGMENT, padded};
 use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
@@ -33,25 +33,6 @@ pub(super) struct LiftingGradient<T> {
     pub out: PointwiseGradient<T>,
     embedded: Vec<T>,
     scratch: [Vec<T>; 3],
-}
-
-/// The weights of both layers as the way back reads them.
-pub(super) struct Turned<T> {
-    /// Of the first layer, shape [hidden, fields + 2 padded].
-    hidden: Vec<T>,
-    /// Of the second, shape [C, hidden].
-    out: Vec<T>,
-}
-
-impl<T: Real> Turned<T> {
-    pub fn new(weights: &Weights) -> Self {
-        let config = &weights.config;
-        let [first, second] = &weights.lifting;
-        Self {
-            hidden: straight(&first.weight, config.lifting, config.inputs()),
-            out: straight(&second.weight, config.channels, config.lifting),
-        }
-    }
 }
 
 impl<T: Real> LiftingGradient<T> {
@@ -97,86 +78,43 @@ impl<T: Real> Lifting<T> {
     }
 
     /// Adds to the gradient, for the cotangents `adj_out` [positions, C] of the positions of a sample from number
-    /// `first` on. The hidden layer is computed again.
+    /// `first` on. The hidden layer is computed again; its inputs are constants of training, so that nothing goes further
+    /// back. `turned` is the weight of the second layer [C, hidden].
     pub fn backward(
         &self,
         adj_out: &[T],
         (fields, first): (Fields<'_, T>, usize),
-        turned: &Turned<T>,
+        turned: &[T],
         gradient: &mut LiftingGradient<T>,
     ) {
         let (c, inputs, hidden) = (self.out.outputs(), self.fields + 2, self.hidden.outputs());
         for (segment, adj_out) in adj_out.chunks(ADJOINT_SEGMENT * c).enumerate() {
             let n = adj_out.len() / c;
-            let fields = (fields, first + segment * ADJOINT_SEGMENT);
-            self.backward_hidden(adj_out, fields, &turned.out, gradient);
-            let LiftingGradient { hidden: inner, out, embedded, scratch: [values, _, adj] } = gradient;
-            out.add(&values[..n * hidden], adj_out);
-            inner.add(&embedded[..n * inputs], &adj[..n * hidden]);
-        }
-    }
-
-    /// The cotangents of the fields of one sample [fields, H, W], for those of its positions after the lifting [H W, C].
-    pub fn backward_fields(
-        &self,
-        adj_out: &[T],
-        (fields, adj_fields): (Fields<'_, T>, &mut [T]),
-        turned: &Turned<T>,
-        scratch: &mut LiftingGradient<T>,
-    ) {
-        let (c, inputs, hidden, n) =
-            (self.out.outputs(), self.fields + 2, self.hidden.outputs(), fields.grid.particles());
-        let stored = padded(inputs);
-        let mut adj_inputs = vec![T::zero(); ADJOINT_SEGMENT * stored];
-        for (segment, adj_out) in adj_out.chunks(ADJOINT_SEGMENT * c).enumerate() {
-            let first = segment * ADJOINT_SEGMENT;
-            let rows = adj_out.len() / c;
-            let adj = self.backward_hidden(adj_out, (fields, first), &turned.out, scratch);
-            let out = &mut adj_inputs[..rows * stored];
+            let embedded = &mut gradient.embedded[..n * inputs];
+            for (k, at) in embedded.chunks_exact_mut(inputs).enumerate() {
+                let p = first + segment * ADJOINT_SEGMENT + k;
+                self.embed(at, fields, p / fields.grid.w, p % fields.grid.w);
+            }
+            let [values, slopes, adj] = gradient.scratch.each_mut().map(|s| &mut s[..n * hidden]);
+            self.hidden.apply(values, embedded);
+            T::gelu_and_slope(values, slopes);
+            gradient.out.add(values, adj_out);
             product(
-                Target { out, stride: stored, rows, columns: stored, start: Start::Zero },
+                Target { out: adj, stride: hidden, rows: n, columns: hidden, start: Start::Zero },
                 &[Term {
-                    a: adj,
-                    a_stride: hidden,
+                    a: adj_out,
+                    a_stride: c,
                     a_transposed: false,
-                    b: &turned.hidden,
-                    b_stride: stored,
-                    depth: hidden,
+                    b: turned,
+                    b_stride: hidden,
+                    depth: c,
                 }],
             );
-            for (k, adj) in adj_inputs[..rows * stored].chunks_exact(stored).enumerate() {
-                for (field, &adj) in adj[..self.fields].iter().enumerate() {
-                    adj_fields[field * n + first + k] = adj;
-                }
+            for (adj, &slope) in adj.iter_mut().zip(&*slopes) {
+                *adj = *adj * slope;
             }
+            gradient.hidden.add(embedded, adj);
         }
-    }
-
-    /// The cotangents of some positions before the GELU of the hidden layer, which is computed again.
-    fn backward_hidden<'a>(
-        &self,
-        adj_out: &[T],
-        (fields, first): (Fields<'_, T>, usize),
-        turned: &[T],
-        scratch: &'a mut LiftingGradient<T>,
-    ) -> &'a [T] {
-        let (c, inputs, hidden) = (self.out.outputs(), self.fields + 2, self.hidden.outputs());
-        let n = adj_out.len() / c;
-        let embedded = &mut scratch.embedded[..n * inputs];
-        for (k, at) in embedded.chunks_exact_mut(inputs).enumerate() {
-            self.embed(at, fields, (first + k) / fields.grid.w, (first + k) % fields.grid.w);
-        }
-        let [values, slopes, adj] = scratch.scratch.each_mut().map(|s| &mut s[..n * hidden]);
-        self.hidden.apply(values, embedded);
-        T::gelu_and_slope(values, slopes);
-        product(
-            Target { out: adj, stride: hidden, rows: n, columns: hidden, start: Start::Zero },
-            &[Term { a: adj_out, a_stride: c, a_transposed: false, b: turned, b_stride: hidden, depth: c }],
-        );
-        for (adj, &slope) in adj.iter_mut().zip(&*slopes) {
-            *adj = *adj * slope;
-        }
-        adj
     }
 
     /// The inputs of the network at (i, j): the fields, then `i / (H-1)` and `j / (W-1)`.

@@ -9,7 +9,7 @@ use crate::sim::{Grid, INITIAL_SCALE};
 use rayon::prelude::*;
 
 /// Amplitude that the normalised fields are squashed to, `10 tanh(. / 10)`.
-pub(super) const SQUASH: f64 = 10.0;
+const SQUASH: f64 = 10.0;
 /// Floor of a norm; below the smallest normal f32, hence used in double precision only.
 pub(super) const NORM_FLOOR: f64 = 1e-40;
 
@@ -36,9 +36,10 @@ impl<T: Real> Update<T> {
     /// A fresh update rule; an error if the grid is too small for the kept modes.
     pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
         let len = samples * grid.particles();
-        let mut hidden = Hidden::zeros(len, samples);
-        hidden.scale.fill(T::of(INITIAL_SCALE.into()));
-        Ok(Self { network: Network::new(weights, grid, samples)?, hidden, input: vec![T::zero(); 3 * len] })
+        let zeros = |n| vec![T::zero(); n];
+        let scale = vec![T::of(INITIAL_SCALE.into()); samples];
+        let hidden = Hidden { last_grad: zeros(len), last_step: zeros(len), scale };
+        Ok(Self { network: Network::new(weights, grid, samples)?, hidden, input: zeros(3 * len) })
     }
 
     /// What it remembers.
@@ -53,19 +54,6 @@ impl<T: Real> Update<T> {
 }
 
 impl<T: Real> Hidden<T> {
-    /// All zero, also the scale: cotangents of a memory, for gradients of `len` numbers and this many samples.
-    pub fn zeros(len: usize, samples: usize) -> Self {
-        let zeros = |n| vec![T::zero(); n];
-        Self { last_grad: zeros(len), last_step: zeros(len), scale: zeros(samples) }
-    }
-
-    /// Back to [`Hidden::zeros`].
-    pub fn clear(&mut self) {
-        self.last_grad.fill(T::zero());
-        self.last_step.fill(T::zero());
-        self.scale.fill(T::zero());
-    }
-
     /// Writes the network's input for the gradient `grad`: each field over the gradient's, or the last step's, root mean
     /// square, squashed.
     pub(super) fn normalise(&self, input: &mut [T], grad: &[T], norms: &[f64]) {
@@ -110,7 +98,8 @@ impl<T: Real> Minimizer<T> for Update<T> {
     }
 
     fn reset(&mut self) {
-        self.hidden.clear();
+        self.hidden.last_grad.fill(T::zero());
+        self.hidden.last_step.fill(T::zero());
         self.hidden.scale.fill(T::of(INITIAL_SCALE.into()));
     }
 
