@@ -16,8 +16,6 @@ const SUFFICIENT: f64 = 1e-4;
 const HALVINGS: usize = 30;
 /// Steps that the Hessian at rest is good for: it costs next to nothing, and what comes after has less to undo.
 const AT_REST: usize = 10;
-/// As long as a step brings the gradient down to this share, the factors of an earlier iterate will do for the next.
-const FALLS: f64 = 0.6;
 /// Steps since then that correct them.
 const HISTORY: usize = 8;
 
@@ -122,7 +120,8 @@ impl Reference {
             iterations += 1;
             inverse = match inverse {
                 Inverse::AtRest if iterations < AT_REST => Inverse::AtRest,
-                Inverse::Here | Inverse::Earlier if norm(&grad) <= FALLS * before => Inverse::Earlier,
+                // Factors cost as much as a dozen steps: as long as a step brings the gradient down at all, they will do.
+                Inverse::Here | Inverse::Earlier if norm(&grad) <= before => Inverse::Earlier,
                 _ => Inverse::Missing,
             };
         }
