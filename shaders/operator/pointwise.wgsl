@@ -7,13 +7,13 @@
 
 struct Params {
     inputs: u32, // I
-    quads: u32, // H Q, quads of one plane
     outputs: u32, // O
-    x_first: u32, // first sample of x
-    y_first: u32, // first sample of y
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
+    quads: u32, // of a plane, that are taken
+    x_plane: u32, // quads of a plane of x
+    y_plane: u32, // quads of a plane of y
+    x_first: u32, // first quad of x that is taken
+    y_first: u32, // where it goes in y
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -30,24 +30,24 @@ fn pointwise(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) gr
     // Invocations beyond the last quad take part in what a subgroup shares.
     let p = min(id.x, params.quads - 1u);
     let tile = group.y;
-    let first = (params.x_first + group.z) * params.inputs * params.quads + p;
+    let first = params.x_first + group.z * params.inputs * params.x_plane + p;
     var at = tile * params.inputs * $m;
     var y$c = vec4f();
     for (var i = 0u; i < params.inputs; i++) {
-        let v = vec4f(x[first + i * params.quads]);
+        let v = vec4f(x[first + i * params.x_plane]);
         let w$q = $same(vec4f(weight[at + $q]));
         y$c += w$q.$e * v;
         at += $m;
     }
-    let out = ((params.y_first + group.z) * params.outputs + tile * $n) * params.quads + p;
+    let out = params.y_first + (group.z * params.outputs + tile * $n) * params.y_plane + p;
     let b$q = $same(bias[tile * $m + $q]);
     y$c += b$q.$e;
     if id.x >= params.quads {
         return;
     }
     if GELU {
-        y[out + $c * params.quads] = StoredQuad(gelu(y$c));
+        y[out + $c * params.y_plane] = StoredQuad(gelu(y$c));
     } else {
-        y[out + $c * params.quads] = StoredQuad(y$c);
+        y[out + $c * params.y_plane] = StoredQuad(y$c);
     }
 }

@@ -236,8 +236,8 @@ impl Backward {
             // Samples of the whole as input, of what is lifted at once as output; and the other way round.
             let into = pointwise::Samples { count, x_first: first, y_first: 0 };
             let back = pointwise::Samples { count, x_first: 0, y_first: first };
-            dense.push_part(schedule, inner, (&forward.embedded, hidden), into);
-            dense.push_part(schedule, &transposed.lifting, (adj, &self.adj_hidden), into);
+            dense.push_samples(schedule, inner, (&forward.embedded, hidden), into);
+            dense.push_samples(schedule, &transposed.lifting, (adj, &self.adj_hidden), into);
             self.kernels.gelu_adj.push(schedule, hidden, &self.adj_hidden);
             self.push_weights(schedule, (hidden, adj), back, outer_gradient);
             self.push_weights(schedule, (&forward.embedded, &self.adj_hidden), into, inner_gradient);

@@ -5,7 +5,8 @@ use super::{Config, Layout, Parameters, Weights, tables};
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::operator::{
     Activate, After, Block, BlockTensors, Layer, LayerSize, Pointwise, PoolRows, Project, ScalarHead, Scales,
-    Spectral, SpectralTensors, TransformRows, block, pointwise,
+    Spectral, SpectralTensors, TransformRows, block,
+    pointwise::{Rows, Samples},
 };
 use crate::kernels::{Tuning, padded};
 use crate::sim::Grid;
@@ -25,6 +26,8 @@ pub struct Forward {
     pub field: Tensor,
     /// Output of the scalar head, shape `[S]`.
     pub scalar: Tensor,
+    /// Hidden layer of the lifting, shape [samples, lifting, rows, W']: of as many samples as are lifted at once, and of as many
+    /// of their rows, which are all unless not even one sample is small enough.
     pub(super) hidden: Tensor,
     keep: Keep,
     /// The last block with the field head behind its bias, where they are one.
@@ -153,10 +156,13 @@ impl Forward {
         check_modes(&config, grid)?;
         let (h, w) = (grid.h, padded(grid.w));
         let plane = h * w;
-        // Nothing is between the layers where they are joined.
-        let lifted_at_once = match joined.units {
-            Some(_) => 0,
-            None => tuning.most_samples(context, config.lifting * plane).clamp(1, samples.max(1)),
+        let most = |len: usize| tuning.most_samples(context, config.lifting * len);
+        let hidden = match (&joined.units, most(plane)) {
+            // Nothing is between the layers where they are joined.
+            (Some(_), _) => [0, h],
+            // The backward pass takes whole samples.
+            (None, 0) if keep != Keep::Adjoint => [1, most(w).clamp(1, h)],
+            (None, whole) => [whole.clamp(1, samples.max(1)), h],
         };
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
@@ -211,7 +217,7 @@ impl Forward {
             embedded: stored("embedded", &[samples, config.inputs(), h, w])?,
             field: zeros("field", &[parts, samples, h, w])?,
             scalar: zeros("scalar", &[samples])?,
-            hidden: stored("hidden", &[lifted_at_once, config.lifting, h, w])?,
+            hidden: stored("hidden", &[hidden[0], config.lifting, hidden[1], w])?,
             keep,
             head,
             lifting: units.map(lifting).transpose()?,
@@ -331,14 +337,21 @@ impl Forward {
             kernel.push(schedule, &self.layers.lifting[1], (&s.forward_rows, self.grid.w), tensors);
             return rows;
         }
-        let at_once = self.hidden.shape()[0];
+        let [inner, outer] = &self.layers.lifting;
+        let (h, &[at_once, _, rows_at_once, _]) = (self.grid.h, self.hidden.shape()) else {
+            unreachable!("the hidden layer has four axes")
+        };
         for first in (0..samples).step_by(at_once) {
             let count = at_once.min(samples - first);
-            let [inner, outer] = &self.layers.lifting;
-            let into = pointwise::Samples { count, x_first: first, y_first: 0 };
-            k.dense_gelu.push_part(schedule, inner, (&self.embedded, &self.hidden), into);
-            let from = pointwise::Samples { count, x_first: 0, y_first: first };
-            k.dense.push_part(schedule, outer, (&self.hidden, lifted), from);
+            let into = Samples { count, x_first: first, y_first: 0 };
+            let from = Samples { count, x_first: 0, y_first: first };
+            for first in (0..h).step_by(rows_at_once) {
+                let count = rows_at_once.min(h - first);
+                let into = (into, Rows { count, x_first: first, y_first: 0 });
+                let from = (from, Rows { count, x_first: 0, y_first: first });
+                k.dense_gelu.push_rows(schedule, inner, (&self.embedded, &self.hidden), into);
+                k.dense.push_rows(schedule, outer, (&self.hidden, lifted), from);
+            }
         }
         false
     }

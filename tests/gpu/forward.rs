@@ -167,7 +167,8 @@ fn networks_of_other_sizes_match_the_host() {
     }
 }
 
-/// Samples that do not fit the lifting's hidden layer at once are lifted in turn, to the same bits.
+/// Samples that do not fit the lifting's hidden layer at once are lifted in turn, and rows of a sample that does not, to the
+/// same bits.
 #[test]
 fn lifting_in_parts_gives_the_same_bits() {
     let _turn = device();
@@ -177,7 +178,7 @@ fn lifting_in_parts_gives_the_same_bits() {
     let own = Tuning::new(context());
     let whole = forward(weights, &own, (grid, samples), &fields);
     let one = 4 * weights.config.lifting * grid.h * 16;
-    for activation_bytes in [0, one, 2 * one, 5 * one, 9 * one - 1] {
+    for activation_bytes in [0, one / 9, one / 2, one, 2 * one, 5 * one, 9 * one - 1] {
         let parts = forward(weights, &Tuning { activation_bytes, ..own }, (grid, samples), &fields);
         assert_eq!(parts.lifted, whole.lifted, "{activation_bytes} bytes");
         assert_eq!((parts.field, parts.scalar), (whole.field.clone(), whole.scalar.clone()));
@@ -205,6 +206,20 @@ fn lifting_takes_no_more_than_the_device_binds() {
     let plan = Plan { grid, samples, tuning, keep: Keep::Adjoint };
     let forward = Forward::with_parameters(&narrow, &parameters, &plan).unwrap();
     Backward::new(&narrow, &forward, &parameters, &gradient, &tuning).unwrap();
+}
+
+/// A sample whose hidden layer alone is more than the device binds at once.
+#[test]
+fn grids_are_larger_than_a_binding_of_the_hidden_layer() {
+    let _turn = device();
+    let (grid, samples) = (Grid { h: 101, w: 90 }, 1);
+    let narrow = narrow(8 << 20);
+    assert!((4 * starter().config.lifting * grid.h * 92) as u64 > narrow.largest_binding());
+    let fields = noise(samples * 3 * grid.particles(), 122);
+    let (tuning, keep) = (Tuning::table(&narrow), Keep::Nothing);
+    let parts = done_on(&narrow, starter(), &tuning, (grid, samples), (&fields, keep));
+    let whole = done(starter(), &tuning, (grid, samples), (&fields, keep));
+    assert_eq!(parts.field.read::<f32>(&narrow).unwrap(), read(&whole.field));
 }
 
 /// Networks whose activations and weights are stored in 16 bits, eleven of them significant: every output to a few of their

@@ -4,8 +4,12 @@ use super::operator::{activate, activations, dense, layer};
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, largest, poisoned, read, read_unpadded, run, tunings,
 };
-use fnopt::kernels::operator::{Pointwise, pointwise::Samples};
+use fnopt::kernels::operator::{
+    Pointwise,
+    pointwise::{Rows, Samples},
+};
 use fnopt::kernels::padded;
+use fnopt::sim::Grid;
 
 /// One rounding for each of the inputs' products, whose sum is a few times larger than they are; and the activation, whose
 /// polynomial is good to 4e-7 of its argument.
@@ -38,9 +42,9 @@ fn layers_of_all_tiles_match() {
     }
 }
 
-/// The lifting takes some samples at a time, from and to any place.
+/// The lifting takes some samples or rows at a time, from and to any place.
 #[test]
-fn parts_of_the_samples_are_taken_alone() {
+fn parts_of_the_samples_and_rows_are_taken_alone() {
     let _turn = device();
     let (tuning, grid) = (tunings()[0], crate::common::GRIDS[1]);
     let (x, x_tensor) = activations(5, 5, grid, 0.5);
@@ -50,7 +54,7 @@ fn parts_of_the_samples_are_taken_alone() {
     let y = poisoned("y", &[4, 32, grid.h, padded(grid.w)]);
     let kernel = Pointwise::new(context(), &tuning, false).unwrap();
     let part = Samples { count: 2, x_first: 2, y_first: 1 };
-    run(|schedule| kernel.push_part(schedule, &layer, (&x_tensor, &y), part));
+    run(|schedule| kernel.push_samples(schedule, &layer, (&x_tensor, &y), part));
     let found = read_unpadded(&y, grid);
     let sample = 32 * n;
     assert_close("part", &found[sample..3 * sample], &expected, tolerance(5, &expected, false));
@@ -58,6 +62,24 @@ fn parts_of_the_samples_are_taken_alone() {
         found[..sample].iter().chain(&found[3 * sample..]).all(|y| y.is_nan()),
         "other samples were written"
     );
+
+    // Three rows from the third on, to a plane of four.
+    let (w, few) = (grid.w, Grid { h: 4, ..grid });
+    let y = poisoned("y", &[4, 32, few.h, padded(w)]);
+    let rows = Rows { count: 3, x_first: 2, y_first: 1 };
+    run(|schedule| kernel.push_rows(schedule, &layer, (&x_tensor, &y), (part, rows)));
+    let found = read_unpadded(&y, few);
+    let planes = found.chunks_exact(few.particles()).enumerate();
+    for (k, plane) in planes {
+        let (sample, untouched) = (k / 32, |y: &[f32]| y.iter().all(|y| y.is_nan()));
+        if (1..3).contains(&sample) {
+            let expected = &expected[(k - 32) * n..][2 * w..5 * w];
+            assert_close("rows", &plane[w..], expected, tolerance(5, expected, false));
+            assert!(untouched(&plane[..w]), "another row was written");
+        } else {
+            assert!(untouched(plane), "another sample was written");
+        }
+    }
 }
 
 /// Far from zero the activation is its argument or nothing.
