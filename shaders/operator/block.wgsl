@@ -165,8 +165,10 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         // [DEEP, HIGH, WIDE]: the first invocation of a quad adds up.
         memory[index] = sum;
         workgroupBarrier();
-        for (var other = 1u; other < DEEP; other++) {
-            sum += memory[index + other * WIDE * HIGH];
+        if local.z == 0u {
+            for (var other = 1u; other < DEEP; other++) {
+                sum += memory[index + other * WIDE * HIGH];
+            }
         }
         let part = tile / DEEP;
         if part == 0u {

@@ -61,9 +61,12 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
     var gamma = 1.0;
     var alpha: array<f32, 32>;
 
+    // 1 / y's of the newest pair.
+    var newest_rho = 0.0;
     if params.first == 0u || PART == 2u {
         count = u32(pairs[book]);
         newest = u32(pairs[book + 1u]);
+        newest_rho = pairs[book + 2u + newest];
     }
     if PART != 2u {
         // The pair of the last step; in the first iteration there is none and nothing of it is kept.
@@ -79,8 +82,10 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         if keep {
             newest = (newest + 1u) % HISTORY;
             count = min(count + 1u, HISTORY);
+            // Written for the dispatches after this one; no other invocation of this one reads what one has written.
+            newest_rho = 1.0 / sums.x;
             if lane == 0u {
-                pairs[book + 2u + newest] = 1.0 / sums.x;
+                pairs[book + 2u + newest] = newest_rho;
             }
         }
         let pair = ring + newest * 2u * n;
@@ -93,7 +98,6 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
             last[previous_grad + e] = g;
             last[q + e] = g;
         }
-        storageBarrier();
 
         for (var k = 0u; k < HISTORY; k++) {
             let slot = (newest + HISTORY - k) % HISTORY;
@@ -107,7 +111,7 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
             }
             sum = total(lane, sum);
             if k < count {
-                let rho = pairs[book + 2u + slot];
+                let rho = select(pairs[book + 2u + slot], newest_rho, k == 0u);
                 alpha[k] = rho * sum.x;
                 if k == 0u {
                     gamma = 1.0 / (rho * sum.y);
@@ -149,7 +153,7 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         }
         sum = total(lane, sum);
         if k < count {
-            let beta = pairs[book + 2u + slot] * sum.x;
+            let beta = select(pairs[book + 2u + slot], newest_rho, k == 0u) * sum.x;
             for (var e = lane; e < n; e += LANES) {
                 last[q + e] += (alpha[k] - beta) * history[s + e];
             }

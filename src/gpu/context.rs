@@ -5,6 +5,7 @@ use super::kernel::LANES;
 use super::{Sharing, Storage};
 use crate::kernels::Tuning;
 use crate::{Error, Result};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use wgpu::util::DeviceExt;
 
@@ -199,10 +200,11 @@ impl Context {
         sharing(self.kind, self.device.features(), lanes)
     }
 
-    /// Bytes that one binding may have.
+    /// Bytes that one binding may have: whole vec4, which 32 bits can count.
     pub fn largest_binding(&self) -> u64 {
         let limits = self.device.limits();
-        limits.max_buffer_size.min(limits.max_storage_buffer_binding_size)
+        let most = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
+        most.min(u32::MAX.into()) & !15
     }
 
     /// A buffer of these bytes, to copy from.
@@ -215,14 +217,17 @@ impl Context {
         })
     }
 
-    /// Runs `build` and turns what the device then reports (invalid objects, no memory left) into an error.
+    /// Runs `build` and turns what the device then reports (invalid objects, kernels that its driver does not compile, no memory
+    /// left) into an error.
     pub fn checked<T>(&self, build: impl FnOnce() -> Result<T>) -> Result<T> {
-        let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
-        let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
+        use wgpu::ErrorFilter::{Internal, OutOfMemory, Validation};
+        // Where memory ran out or a driver failed, objects are invalid because of it: their own errors are told last.
+        let scopes = [OutOfMemory, Internal, Validation].map(|filter| self.device.push_error_scope(filter));
         let built = build();
-        let errors = [pollster::block_on(validation.pop()), pollster::block_on(memory.pop())];
-        // Where memory ran out, objects are invalid for want of it.
-        match errors.into_iter().rev().flatten().next() {
+        let mut errors: Vec<_> =
+            scopes.into_iter().rev().map(|scope| pollster::block_on(scope.pop())).collect();
+        errors.reverse();
+        match errors.into_iter().flatten().next() {
             Some(e) => Err(Error::Device(format!("{}: {e}", self.name))),
             None => built,
         }
@@ -237,9 +242,19 @@ impl Context {
 
     /// Waits until everything submitted so far is done.
     pub fn wait(&self) -> Result<()> {
-        match self.device.poll(wgpu::PollType::wait_indefinitely()) {
-            Ok(_) => Ok(()),
-            Err(e) => Err(Error::Device(format!("{}: lost while waiting: {e}", self.name))),
+        self.poll(wgpu::PollType::wait_indefinitely())
+    }
+
+    /// Waits for what `until` tells.
+    pub(super) fn poll(&self, until: wgpu::PollType) -> Result<()> {
+        let lost = |why: &dyn std::fmt::Display| {
+            Err(Error::Device(format!("{}: lost while waiting: {why}", self.name)))
+        };
+        // wgpu panics where a device is gone; whoever waits may have frames to keep.
+        match catch_unwind(AssertUnwindSafe(|| self.device.poll(until))) {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(e)) => lost(&e),
+            Err(_) => lost(&"it is gone"),
         }
     }
 }

@@ -71,7 +71,7 @@ impl Readback {
         let Some((slot, mapped, submission)) = self.under_way.pop_front() else { return Ok(None) };
         // Wait for this submission and no longer: later ones may still be computing.
         let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
-        context.device.poll(poll).map_err(|e| lost(e.to_string()))?;
+        context.poll(poll)?;
         let outcome = mapped.recv().map_err(|e| lost(e.to_string()))?;
         outcome.map_err(|e| lost(e.to_string()))?;
         let view = slot.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;

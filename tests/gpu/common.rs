@@ -31,11 +31,13 @@ pub fn context() -> &'static Context {
     &CONTEXT
 }
 
-/// A device that binds at most so many bytes at once.
+/// A device of the same adapter that binds at most so many bytes at once.
 pub fn narrow(bytes: u64) -> Context {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
     let opened = pollster::block_on(async {
-        let adapter = instance.request_adapter(&Default::default()).await.unwrap();
+        let own = context().device.adapter_info();
+        let adapters = instance.enumerate_adapters(wgpu::Backends::all()).await;
+        let adapter = adapters.into_iter().find(|adapter| adapter.get_info() == own).unwrap();
         let required_limits = wgpu::Limits { max_storage_buffer_binding_size: bytes, ..adapter.limits() };
         adapter.request_device(&wgpu::DeviceDescriptor { required_limits, ..Default::default() }).await
     });

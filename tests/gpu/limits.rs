@@ -94,6 +94,21 @@ fn grids_are_larger_than_a_row_of_workgroups() {
     assert!((stats.stretch_largest - wanted[0].stretch_largest).abs() < 1e-5, "{stats:?}");
 }
 
+/// In mid-run: an error that a program can keep its frames on.
+#[test]
+fn a_device_that_is_lost_is_an_error() {
+    let _turn = device();
+    let lost = narrow(128 << 20);
+    let (model, start, control) = varied_batch();
+    let on = Device::Gpu(lost.clone());
+    let mut simulator = Simulator::new(&on, &model, &Optimizer::gradient_descent(), 1).unwrap();
+    simulator.set_state(&start);
+    simulator.step(&control).unwrap();
+    lost.device.destroy();
+    let error = simulator.step(&control).unwrap_err().to_string();
+    assert!(error.starts_with("device: "), "{error}");
+}
+
 /// What would make kernels read beyond their tensors, or cannot be dispatched, is refused before anything runs.
 #[test]
 fn what_the_device_cannot_do_is_refused() {

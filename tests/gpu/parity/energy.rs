@@ -52,6 +52,36 @@ fn energies_and_stretch_match() {
     }
 }
 
+/// Particles that coincide, and edges without a length.
+#[test]
+fn degenerate_cloths_have_finite_energies() {
+    let _turn = device();
+    let (kernel, sum) = (Energy::new(context()).unwrap(), EnergySum::new(context()).unwrap());
+    let grid = Grid { h: 8, w: 9 };
+    let model = model(grid, 1);
+    let (n, mut x) = (grid.particles(), State::<f32>::rest(grid, 1).x);
+    for c in 0..3 {
+        x[c * n + 1] = x[c * n];
+        x[c * n + 4 * grid.w + 4] = x[c * n + 4 * grid.w + 3];
+        x[c * n + 5 * grid.w + 3] = x[c * n + 4 * grid.w + 3];
+    }
+    let iterate = iterate(&model);
+    let zero = vec![0.0; x.len()];
+    iterate.shift.write(context(), &zero);
+    iterate.a.write(context(), &zero);
+    let (cloths, external) = (constants(&model), upload("external", &model, &zero));
+    let start = upload("x", &model, &x);
+    let physics = Physics { cloths: &cloths, external: &external, x: &start };
+    let (partial, terms) = (poisoned("parts", &[1, parts(grid), 8]), poisoned("terms", &[1, 8]));
+    run(|schedule| {
+        kernel.push(schedule, grid, physics, (&iterate, &partial));
+        sum.push(schedule, &partial, &terms);
+    });
+    let e = energy(&Doubles::new(&model, [&x, &zero, &zero, &zero]).cloth(0));
+    let expected = [e.stretch, e.shear, e.bend, e.inertia];
+    assert_close("energy of coinciding particles", &read(&terms)[..4], &expected, (1e-9, 16.0 * ROUNDING));
+}
+
 /// More parts than a workgroup has invocations: each takes several in turn.
 #[test]
 fn many_parts_are_all_summed() {
