@@ -10,7 +10,7 @@ fn main() -> ExitCode {
     match cli::log_to_stderr() {
         Ok(()) => cli::run(cli),
         Err(error) => {
-            eprintln!("error: {error}");
+            cli::output::tell!("error: {error}");
             ExitCode::from(2)
         }
     }

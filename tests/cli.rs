@@ -45,7 +45,11 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
     write("free.json", br#"{"handles": []}"#);
     write("outside.json", br#"{"handles": [[40, 0]]}"#);
     write("instant.json", br#"{"frame_time_s": 1e-300}"#);
+    write("brief.json", br#"{"frame_time_s": 1e-45, "motion": "none", "frames": 3}"#);
+    write("wide.json", br#"{"side_m": 1e39}"#);
     write("short.npy", b"\x93NUMPY");
+    std::fs::create_dir_all(at.join("taken/rollout.npz")).unwrap();
+    write("large.toml", b"network = { channels = 4096, modes_h = 4096, modes_w = 2049 }");
     write("key.toml", b"[optimizer]\nrat = 1");
     write("range.toml", b"[[pool]]\nmaterial = { bend = [10, 1] }");
     write("start.toml", b"init = 'missing.safetensors'");
@@ -79,16 +83,25 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
             &["--format", "npz", "less than 4 GiB", "1000000 frames of 64x64"],
         ),
         (&["rollout", "instant.json"], &["instant.json", "frame_time_s"]),
+        // Finite, but not in single precision.
+        (&["rollout", "brief.json"], &["brief.json", "frame_time_s", "single precision"]),
+        (&["rollout", "wide.json"], &["wide.json", "side_m", "single precision"]),
+        (&["rollout", "--out", "taken"], &["taken/rollout.npz", "a folder"]),
         (&["verify", "nowhere"], &["nowhere", "cannot read"]),
         (&["inspect", "key.json"], &["key.json"]),
         (&["bench", "--batch", "0"], &["--batch"]),
         (&["bench", "--batch", "100000"], &["--batch"]),
+        (
+            &["bench", "--device", "cpu", "--solver", "gd", "--grid", "4096", "--batch", "5", "--json"],
+            &["--batch", "at most 4 of 4096x4096"],
+        ),
         // Nothing is measured before all is checked.
         (&["bench", "--device", "cpu", "--grid", "8,5", "--json"], &["--grid", "found 5"]),
         (&["bench", "--device", "cpu", "--plot", "key.json/plot.png"], &["key.json", "cannot create"]),
         (&["bench", "--device", "cpu", "--plot", "."], &[".: type", "a folder"]),
         (&["train", "none.toml"], &["none.toml", "cannot read"]),
         (&["train", "key.toml"], &["key.toml", "optimizer", "did you mean rate"]),
+        (&["train", "large.toml"], &["large.toml", "network", "parameters"]),
         (&["train", "range.toml"], &["range.toml", "pool[0].material.bend", "[smallest, largest]"]),
         (&["train", "start.toml"], &["missing.safetensors", "cannot read"]),
         (&["train", "sizes.toml"], &["checkpoint_starter.safetensors", "network", "channels: 32"]),
@@ -151,6 +164,28 @@ fn a_run_that_explodes_keeps_the_frames_before_and_a_replay() {
     let good = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "2", "--no-pictures"];
     assert_eq!(fnopt(folder.path(), &good).status.code(), Some(0));
     assert!(!folder.path().join("out/replay.npz").exists());
+}
+
+/// A reader that has had enough, and a log that cannot be written, change nothing about how a command ends.
+#[test]
+fn exit_codes_do_not_hang_on_who_listens() {
+    let folder = tempfile::tempdir().unwrap();
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/adamw.safetensors");
+    let rollout = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "3", "--no-pictures"];
+    let cases: [(&[&str], i32); 3] = [
+        (&rollout, 0),
+        // No network, and nothing at all.
+        (&["inspect", golden.to_str().unwrap()], 1),
+        (&["inspect", "missing.safetensors"], 2),
+    ];
+    for (arguments, code) in cases {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
+        command.current_dir(folder.path()).args(arguments);
+        command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        drop((child.stdout.take(), child.stderr.take()));
+        assert_eq!(child.wait().unwrap().code(), Some(code), "{arguments:?}");
+    }
 }
 
 #[cfg(unix)]

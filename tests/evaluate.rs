@@ -233,7 +233,25 @@ fn a_material_is_what_a_scene_takes() {
     refused(with("1000,x,8,0.5", &[]), &["--material", "three numbers"]);
     refused(with("mixed.json", &[]), &["mixed.json", "material.shear", "not both"]);
     refused(with("none.json", &[]), &["none.json", "material"]);
+    write("misspelt.json", r#"{"material": {"bend": 0.1}, "wnd": {"density": 2}}"#);
+    refused(with("misspelt.json", &[]), &["misspelt.json", "wnd", "did you mean wind?"]);
     refused(evaluate(at, &["--wind=-1"]), &["wind.density"]);
+}
+
+/// Before anything is simulated.
+#[test]
+fn what_would_never_end_or_cannot_be_written_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let of = |more: &[&str]| evaluate(folder.path(), &[&["--grid", "8", "--out", "scores"], more].concat());
+    refused(of(&["--solver", "gd:18446744073709551615"]), &["--iterations", "gd", "1 to 100000"]);
+    let truth = shipped();
+    let many = ["evaluate", "--ground-truth", truth.to_str().unwrap(), "--points", "1000000000000"];
+    refused(command(folder.path(), &many).output().unwrap(), &["--points", "10000000"]);
+    std::fs::create_dir(folder.path().join("tables.csv")).unwrap();
+    std::fs::write(folder.path().join("taken"), "").unwrap();
+    refused(of(&["--csv", "tables.csv"]), &["tables.csv", "a folder"]);
+    refused(evaluate(folder.path(), &["--out", "taken/scores"]), &["taken", "cannot create"]);
+    assert!(scores(&folder.path().join("scores")).is_empty());
 }
 
 #[test]

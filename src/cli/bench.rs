@@ -1,14 +1,14 @@
 //! `fnopt bench`: time of frames, of each kernel and of recording.
 
 use super::device::InferenceArgs;
-use super::{Ending, SolverArgs, median, writable_file};
+use super::output::{output, tell};
+use super::{Ending, SolverArgs, default_scenes, median, writable_file};
 use anyhow::Result;
 use fnopt::eval::WARM_UP;
 use fnopt::gpu::{Context, Profile, Schedule, Tensor};
 use fnopt::kernels::Tuning;
 use fnopt::kernels::operator::{Layer, Pointwise};
 use fnopt::render::{Chart, Curve, Image, Scale, charts, write_png};
-use fnopt::scene::{Scene, Setup};
 use fnopt::sim::{Control, Device, Grid, Optimizer, Simulator, Solver, SolverOptions};
 use std::io::Write;
 use std::ops::ControlFlow;
@@ -79,9 +79,9 @@ pub fn run(args: &Args) -> Result<Ending> {
         writable_file(path)?;
     }
     let (device, line) = args.device.open()?;
-    eprintln!("{line}");
+    tell!("{line}");
     let mut rows = Vec::new();
-    let mut out = std::io::stdout().lock();
+    let mut out = output();
     for &grid in &grids {
         for &batch in &args.batch {
             let row = measure(args, &device, &optimizer, (grid, batch as usize))?;
@@ -89,6 +89,9 @@ pub fn run(args: &Args) -> Result<Ending> {
                 print(&mut out, &row)?;
             }
             rows.push(row);
+            if out.is_closed() && args.plot.is_none() {
+                return Ok(Ending::Done);
+            }
         }
     }
     let product = product_rate(&device)?;
@@ -174,9 +177,7 @@ fn plot(rows: &[Row], product: f64) -> Image {
 }
 
 fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (Grid, usize)) -> Result<Row> {
-    let mut scene = Scene::default();
-    scene.regrid(grid)?;
-    let setups = Setup::batch(&vec![scene.setup()?; batch])?;
+    let setups = default_scenes(grid, batch)?;
     let (frames, iterations) = (args.frames as usize, args.solver.iterations());
     let mut simulator = Simulator::new(device, &setups.model, optimizer, iterations)?;
     simulator.set_state(&setups.start.cast());

@@ -1,5 +1,6 @@
 //! `fnopt doctor`: what this machine can run.
 
+use super::output::output;
 use super::{Ending, load_weights, median};
 use anyhow::Result;
 use fnopt::gpu::{AdapterChoice, AdapterSummary, Context, adapters};
@@ -45,7 +46,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         Some(i) => format!("adapter {i}, {}", found[i].info.name),
         None => "the CPU path (no usable hardware adapter)".to_owned(),
     };
-    let mut out = std::io::stdout().lock();
+    let mut out = output();
     if !args.json {
         writeln!(out, "fnopt {}", env!("CARGO_PKG_VERSION"))?;
         if found.is_empty() {

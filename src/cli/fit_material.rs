@@ -1,7 +1,7 @@
 //! `fnopt fit-material`: finds the material of recorded trajectories.
 
-use super::evaluate::material;
-use super::{Ending, go_on, interrupt_flag};
+use super::output::{output, tell};
+use super::{Ending, MOST_POINTS, go_on, interrupt_flag, writable_file};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::fit::{Fit, PARAMETERS, Point, Surface};
@@ -33,7 +33,7 @@ pub struct Args {
     #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(2..))]
     frames: Option<u32>,
     /// Points sampled from each surface
-    #[arg(long, default_value_t = 3000, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = 3000, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_POINTS))]
     points: u32,
     /// Range of the stretch coefficient; one number to keep it
     #[arg(long, value_delimiter = ',', default_value = "300,10000", value_name = "LOW,HIGH")]
@@ -57,8 +57,8 @@ pub struct Args {
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=50))]
     levels: u32,
     /// Rounds of refinement around the best point, the step halved in each
-    #[arg(long, default_value_t = 3, value_name = "N")]
-    rounds: usize,
+    #[arg(long, default_value_t = 3, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=30))]
+    rounds: u32,
     /// File of the errors (CSV); what it holds already is not computed again. The best set is written beside it, with the ending
     /// json, as `evaluate --material` reads it
     #[arg(long, default_value = "out/fit.csv", value_name = "FILE")]
@@ -84,11 +84,10 @@ pub fn run(args: &Args) -> Result<Ending> {
         },
         ranges,
         levels: args.levels as usize,
-        rounds: args.rounds,
+        rounds: args.rounds as usize,
     };
-    if let Some(folder) = args.out.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-        std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
-    }
+    writable_file(&args.out)?;
+    writable_file(&best)?;
     let mut surface = Surface::load(&args.out, &fit)?;
     let style = ProgressStyle::with_template("{spinner} {pos} points tried, {elapsed}  {msg}");
     let bar = ProgressBar::new_spinner().with_style(style.expect("the template is valid"));
@@ -108,12 +107,12 @@ pub fn run(args: &Args) -> Result<Ending> {
     outcome?;
     let found = surface.sorted().first().copied().filter(|(_, error)| error.is_finite());
     if let Some((point, error)) = found {
-        let mut document = material::to_json(&args.physics(&point));
+        let mut document = args.physics(&point).to_json();
         document["fitted_to"] = fit.subject().into();
         document["e_CD"] = error.into();
         write_atomic(&best, |file| writeln!(file, "{document:#}"))?;
     }
-    let mut out = std::io::stdout().lock();
+    let mut out = output();
     let heads: String = PARAMETERS.iter().map(|name| format!("{name:>12}")).collect();
     writeln!(out, "{heads}  e_CD x 10^3")?;
     for (point, error) in surface.sorted().iter().take(PRINTED) {
@@ -125,7 +124,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         writeln!(out, "the best of them: {}", best.display())?;
     }
     if tick().is_break() {
-        eprintln!("interrupted; run again to go on");
+        tell!("interrupted; run again to go on");
         return Ok(Ending::Interrupted);
     }
     Ok(Ending::Done)

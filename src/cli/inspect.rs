@@ -1,6 +1,7 @@
 //! `fnopt inspect`: what a checkpoint holds.
 
 use super::Ending;
+use super::output::output;
 use anyhow::Result;
 use fnopt::network::Checkpoint;
 use std::io::Write;
@@ -20,7 +21,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     let checkpoint = Checkpoint::open(&args.file)?;
     let description = checkpoint.describe();
     let weights = checkpoint.weights();
-    let mut out = std::io::stdout().lock();
+    let mut out = output();
     if args.json {
         let tensors: Vec<_> = description
             .tensors

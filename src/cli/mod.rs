@@ -6,6 +6,7 @@ mod doctor;
 mod evaluate;
 mod fit_material;
 mod inspect;
+pub mod output;
 mod rollout;
 mod train;
 mod tune;
@@ -14,8 +15,10 @@ mod verify;
 use clap::{Parser, Subcommand};
 use fnopt::eval::median;
 use fnopt::network::Weights;
-use fnopt::sim::Optimizer;
+use fnopt::scene::{Batch, Scene, Setup};
+use fnopt::sim::{Grid, Optimizer};
 use fnopt::{Error, Result};
+use output::tell;
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -73,6 +76,13 @@ pub enum Ending {
     Interrupted,
 }
 
+/// Points that are sampled from a surface at most.
+const MOST_POINTS: i64 = 10_000_000;
+/// Iterations of a frame at most.
+const MOST_ITERATIONS: i64 = 100_000;
+/// Particles of all cloths that are timed together at most: the host keeps some 200 bytes of each.
+const MOST_PARTICLES: usize = 1 << 26;
+
 /// The environment's variable that says what is logged.
 const LOG: &str = "FNOPT_LOG";
 
@@ -91,7 +101,8 @@ pub fn log_to_stderr() -> Result<()> {
     let filter = EnvFilter::try_new(text).map_err(|e| invalid(format!("'{text}' ({e})")))?;
     let colours =
         std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|v| v.is_empty());
-    let log = tracing_subscriber::fmt().with_writer(std::io::stderr).with_ansi(colours);
+    let log =
+        tracing_subscriber::fmt().with_writer(std::io::stderr).with_ansi(colours).log_internal_errors(false);
     log.with_target(false).without_time().with_env_filter(filter).init();
     Ok(())
 }
@@ -120,12 +131,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Ok(Ending::NonFinite) => ExitCode::from(3),
         Ok(Ending::Interrupted) => ExitCode::from(130),
         Err(error) => {
-            // A reader that went away (`fnopt inspect X | head`) is no failure of ours.
-            let broken = error.downcast_ref::<std::io::Error>();
-            if broken.is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe) {
-                return ExitCode::SUCCESS;
-            }
-            eprintln!("error: {error}");
+            tell!("error: {error}");
             ExitCode::from(if matches!(error.downcast_ref(), Some(Error::NonFinite { .. })) { 3 } else { 2 })
         }
     }
@@ -142,7 +148,7 @@ pub struct SolverArgs {
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Iterations per frame
-    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_ITERATIONS))]
     iterations: u32,
 }
 
@@ -174,6 +180,17 @@ pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
     let from = path.map_or("those that come with the program".into(), |path| path.display().to_string());
     tracing::info!("weights: {from}, {} parameters", weights.parameter_count());
     Ok(weights)
+}
+
+/// The default scene on a grid, as many times as there are cloths.
+pub fn default_scenes(grid: Grid, batch: usize) -> Result<Batch> {
+    let most = MOST_PARTICLES / grid.particles();
+    if batch > most {
+        return Err(Error::invalid("--batch", "cloths", format!("at most {most} of {grid}"), batch));
+    }
+    let mut scene = Scene::default();
+    scene.regrid(grid)?;
+    Setup::batch(&vec![scene.setup()?; batch])
 }
 
 /// Makes sure that a folder is there and can be written into, before anything is computed.

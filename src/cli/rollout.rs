@@ -1,7 +1,8 @@
 //! `fnopt rollout`: simulates a scene and writes what came of it.
 
 use super::device::InferenceArgs;
-use super::{Ending, SolverArgs, go_on, interrupt_flag, writable_folder};
+use super::output::{output, tell};
+use super::{Ending, SolverArgs, go_on, interrupt_flag, writable_file, writable_folder};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::median_time;
@@ -50,6 +51,8 @@ pub struct Args {
 
 /// Name of the files that are written.
 const NAME: &str = "rollout";
+/// Name of the report.
+const REPORT: &str = "report.json";
 /// Name of the file of the last good state.
 const REPLAY: &str = "replay";
 
@@ -61,8 +64,9 @@ pub fn run(args: &Args) -> Result<Ending> {
     let trajectory = room(&args.format, &setup)?;
     let (device, line) = args.device.open()?;
     let interrupted = interrupt_flag();
-    eprintln!("{line}");
+    tell!("{line}");
     writable_folder(&args.out)?;
+    args.files().iter().try_for_each(|file| writable_file(file))?;
 
     let mut simulator = Simulator::new(&device, &setup.model, &optimizer, args.solver.iterations())?;
     let (device, per_frame) = (device.name(), Vec::new());
@@ -106,6 +110,17 @@ impl Args {
             scene.frames = self.frames;
         }
         Ok(scene)
+    }
+
+    /// The files that will be written, frames in folders of their own aside.
+    fn files(&self) -> Vec<PathBuf> {
+        let ending = |format: &Format| match format {
+            Format::Obj | Format::Ply => None,
+            single => Some(single.name()),
+        };
+        let pictures: &[&str] = if self.no_pictures { &[] } else { &["png", "gif"] };
+        let named = self.format.iter().filter_map(ending).chain(pictures.iter().copied());
+        named.map(|ending| self.out.join(format!("{NAME}.{ending}"))).chain([self.out.join(REPORT)]).collect()
     }
 }
 
@@ -169,25 +184,25 @@ impl Run<'_> {
             (Ok(written), _) => written,
             (Err(late), Ok(())) => return Err(late.into()),
             (Err(late), Err(_)) => {
-                eprintln!("error: {late}");
+                tell!("error: {late}");
                 Vec::new()
             }
         };
         let last = self.per_frame.len();
         let ending = match outcome {
             Ok(()) if last + 1 < self.setup.frames() => {
-                eprintln!("interrupted after frame {last}; the frames so far are kept");
+                tell!("interrupted after frame {last}; the frames so far are kept");
                 Ending::Interrupted
             }
             Ok(()) => Ending::Done,
             Err(error @ Error::NonFinite { .. }) if !written.is_empty() => {
                 let replay = self.write_replay()?.display().to_string();
-                eprintln!("error: {error}; the frames before it are kept, the last good state is {replay}");
+                tell!("error: {error}; the frames before it are kept, the last good state is {replay}");
                 Ending::NonFinite
             }
             Err(error) => {
                 if !written.is_empty() {
-                    eprintln!("stopped after frame {last}; the frames so far are kept");
+                    tell!("stopped after frame {last}; the frames so far are kept");
                 }
                 return Err(error.into());
             }
@@ -236,7 +251,7 @@ impl Run<'_> {
                 written.push(mesh);
             }
         }
-        let path = out.join("report.json");
+        let path = out.join(REPORT);
         write_atomic(&path, |file| writeln!(file, "{:#}", self.report()))?;
         written.push(path);
         if !no_pictures {
@@ -279,7 +294,7 @@ impl Run<'_> {
     }
 
     fn summarise(&self, written: &[PathBuf]) -> Result<()> {
-        let mut out = std::io::stdout().lock();
+        let mut out = output();
         let last = self.per_frame.last();
         let energy = last.map(|f| f.energy_total);
         let gradient = last.map(|f| f.stats.gradient_last);

@@ -1,6 +1,7 @@
 //! `fnopt train`: trains weights in a folder.
 
 use super::device::DeviceArgs;
+use super::output::{output, tell};
 use super::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::network::Weights;
@@ -89,10 +90,10 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
 /// Says how the run ended; `line` says where it is.
 fn tell(end: End, line: &str) -> std::io::Result<()> {
     match end {
-        End::Done => writeln!(std::io::stdout(), "{line}")?,
-        End::Interrupted => eprintln!("interrupted: {line}; continue with --resume"),
+        End::Done => writeln!(output(), "{line}")?,
+        End::Interrupted => tell!("interrupted: {line}; continue with --resume"),
         End::NonFinite => {
-            eprintln!("error: the loss became non-finite and stayed so: {line}; the weights are those before")
+            tell!("error: the loss became non-finite and stayed so: {line}; the weights are those before")
         }
     }
     Ok(())
@@ -104,10 +105,10 @@ impl Args {
             |config: &Config| learner(&self.opened(&**ranks)?, config, &Weights::zeros(config.network));
         let (run, passed_over) = Run::resume(folder, given.as_ref(), learner, ranks.clone())?;
         for error in passed_over {
-            eprintln!("warning: passed over a damaged checkpoint: {error}");
+            tell!("warning: passed over a damaged checkpoint: {error}");
         }
         if ranks.rank() == 0 {
-            eprintln!("continuing after step {}", run.step());
+            tell!("continuing after step {}", run.step());
         }
         Ok(run)
     }
@@ -116,11 +117,10 @@ impl Args {
     fn opened(&self, ranks: &dyn Ranks) -> fnopt::Result<Device> {
         let (device, line) = self.device.open_in_turn(ranks.on_machine())?;
         let line = match ranks.count() {
-            1 => format!("{line}\n"),
-            count => format!("rank {} of {count}: {line}\n", ranks.rank()),
+            1 => line,
+            count => format!("rank {} of {count}: {line}", ranks.rank()),
         };
-        // In one piece, or the lines of several ranks would mix.
-        eprint!("{line}");
+        tell!("{line}");
         Ok(device)
     }
 }
@@ -147,6 +147,6 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>) {
         let gap = gap.map_or_else(String::new, |gap| format!(", energy gap {:.2} %", 100.0 * gap));
         let (step, percent) = (progress.step, 100.0 * largest_stretch);
         // Also where the bar is hidden, as in a batch job's log.
-        bar.suspend(|| eprintln!("step {step}: {scene}: {stable}{gap}, largest stretch {percent:.1} %"));
+        bar.suspend(|| tell!("step {step}: {scene}: {stable}{gap}, largest stretch {percent:.1} %"));
     }
 }

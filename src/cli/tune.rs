@@ -1,11 +1,11 @@
 //! `fnopt tune`: finds the tile sizes that suit the adapter at hand.
 
 use super::device::{DeviceArgs, DeviceKind};
-use super::{Ending, SolverArgs, go_on, interrupt_flag};
+use super::output::{output, tell};
+use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::kernels::Tuning;
-use fnopt::scene::{Scene, Setup};
 use fnopt::sim::{Device, Grid, tune};
 use std::io::Write;
 use std::ops::ControlFlow;
@@ -37,13 +37,11 @@ pub fn run(args: &Args) -> Result<Ending> {
     let (Device::Gpu(context), line) = device.open()? else {
         return Err(Error::Device("the CPU path has nothing to tune".into()).into());
     };
-    eprintln!("{line}");
-    let mut scene = Scene::default();
-    scene.regrid(Grid::new(args.grid, args.grid, "--grid")?)?;
-    let setups = Setup::batch(&vec![scene.setup()?; args.batch as usize])?;
+    tell!("{line}");
+    let setups = default_scenes(Grid::new(args.grid, args.grid, "--grid")?, args.batch as usize)?;
     let (optimizer, start) = (args.solver.optimizer()?, setups.start.cast());
     let interrupted = interrupt_flag();
-    let mut out = std::io::stdout().lock();
+    let mut out = output();
     let mut all = Vec::new();
     let mut failed = Ok(());
     let mut tried = |tuning: &Tuning, ms: f64| {
@@ -56,7 +54,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     let best = tune(&context, (&setups.model, &start), &optimizer, args.solver.iterations(), &mut tried)?;
     failed?;
     if go_on(&interrupted).is_break() {
-        eprintln!("interrupted; nothing is stored");
+        tell!("interrupted; nothing is stored");
         return Ok(Ending::Interrupted);
     }
     let stored = match args.dry_run {

@@ -2,6 +2,7 @@
 
 use super::Ending;
 use super::device::{DeviceKind, InferenceArgs};
+use super::output::{output, tell};
 use anyhow::Result;
 use fnopt::sim::Device;
 use fnopt::verify::{Check, CpuStages, GpuStages, Outcome, Stages, verify_folder};
@@ -22,7 +23,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<Ending> {
     let (device, line) = args.device.open()?;
-    eprintln!("{line}");
+    tell!("{line}");
     let mut stages: Vec<Box<dyn Stages>> = Vec::new();
     if matches!(device, Device::Cpu)
         || args.device.on.device == DeviceKind::Auto && args.device.on.adapter.is_none()
@@ -34,7 +35,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         stages.push(Box::new(GpuStages::new(context)));
     }
     let mut checks: Vec<Check> = Vec::new();
-    let mut out = std::io::stdout().lock();
+    let mut out = output();
     for stages in &mut stages {
         let mut written = Ok(());
         verify_folder(&args.folder, stages.as_mut(), &mut |check| {

@@ -1,10 +1,11 @@
 //! One solver on one sequence: what it cost and how far from the truth it was.
 
 use super::metrics::{Surface, chamfer, relative_error, repulsion};
+use super::physics::Physics;
 use super::resampling::{Resampling, coarse};
 use super::{Conditions, FreeEdges, Nudge, Sequence, median_time};
 use crate::io::Trajectory;
-use crate::scene::{Scene, Setup, Stiffness};
+use crate::scene::{Scene, Setup};
 use crate::sim::{Device, EnergyTerms, FrameStats, Grid, Optimizer, Simulator};
 use crate::{Error, Result, io};
 use rayon::prelude::*;
@@ -64,19 +65,6 @@ pub(super) fn column(solver: &str, iterations: usize) -> String {
         0 => solver.to_owned(),
         n => format!("{solver}, N = {n}"),
     }
-}
-
-/// What a cloth is simulated with beside what its sequence tells.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Physics {
-    /// Energy coefficients (grid units), or moduli, which are the same cloth on every grid.
-    pub stiffness: Stiffness,
-    /// Density of the air [kg/m^3]; the sequence's where not given.
-    pub density: Option<f64>,
-    /// Drag of the air [N s/m^3]; the sequence's where not given.
-    pub drag: Option<f64>,
-    /// Frame time \[s\]; the sequence's where not given.
-    pub frame_time_s: Option<f64>,
 }
 
 /// What all entries share.

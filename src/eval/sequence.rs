@@ -151,6 +151,7 @@ impl Sequence {
             }
         };
         let recorded = mesh.as_ref().map_or(&truth, |(_, recorded)| recorded);
+        check(&truth, recorded, &path)?;
         let vertices = match &meta.handle_vertices {
             Some(vertices) => vertices.clone(),
             None => handles.on(truth.grid(), &meta.origin)?,
@@ -314,6 +315,25 @@ impl Meta {
         let beside = named.flat_map(|name| [folder.join(&name), folder.join("..").join(&name)]);
         let mut files = std::iter::once(folder.join("mesh.obj")).chain(beside);
         files.find(|file| self.grid.is_none() && file.is_file())
+    }
+}
+
+/// A recording of a cloth that moves: errors are measured on its triangles, and relative to its size.
+fn check(truth: &Trajectory, recorded: &Trajectory, path: &Path) -> Result<()> {
+    let invalid = |field: &str, expected: &str, found: &dyn std::fmt::Display| {
+        Err(Error::invalid(path.display().to_string(), field, expected, found))
+    };
+    let grid = truth.grid();
+    if truth.frames() < 2 {
+        return invalid("frames", "at least 2", &truth.frames());
+    }
+    if grid.h < 2 || grid.w < 2 {
+        return invalid("vertices", "those of a grid of at least 2x2", &grid);
+    }
+    let nowhere = |&frame: &usize| recorded.frame(frame).as_flattened().iter().all(|&v| v == 0.0);
+    match (0..recorded.frames()).find(nowhere) {
+        Some(frame) => invalid(&format!("frame {frame}"), "positions", &"zeros only"),
+        None => Ok(()),
     }
 }
 

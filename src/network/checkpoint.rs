@@ -355,7 +355,7 @@ impl Weights {
 
     /// Number of real parameters; a complex one counts twice.
     pub fn parameter_count(&self) -> usize {
-        self.named_tensors().iter().map(|(_, _, values)| values.len()).sum()
+        self.config.parameter_count()
     }
 
     /// Every tensor under the authors' name, with the authors' shape.

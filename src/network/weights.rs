@@ -73,6 +73,15 @@ impl Config {
         2.0 * (pointwise * n + self.layers as f64 * block)
     }
 
+    /// Number of real parameters; a complex one counts twice.
+    pub fn parameter_count(&self) -> usize {
+        let Self { lifting, channels: c, projection, layers, .. } = *self;
+        let dense = |inputs: usize, outputs: usize| (inputs + 1) * outputs;
+        let heads = dense(c, projection) + dense(projection, 1) + dense(c, 1);
+        let block = c * c * 2 * self.modes() + dense(c, c);
+        dense(self.inputs(), lifting) + dense(lifting, c) + layers * block + heads
+    }
+
     /// Index of the block whose output feeds the scalar head: the one before the last (0 if there is one block only).
     pub fn scalar_block(&self) -> usize {
         self.layers.saturating_sub(2)

@@ -223,24 +223,31 @@ impl Scene {
         }
     }
 
-    /// Numbers that are finite in SI units may not be so in grid units.
+    /// Numbers that are finite in SI units may not be so in grid units, nor in single precision, in which frames are computed
+    /// and written.
     fn check_finite(&self, setup: &Setup) -> Result<()> {
-        let cloth = &setup.model.cloths[0];
+        let single = |v: f64| (v as f32).is_finite();
+        let (cloth, units) = (&setup.model.cloths[0], &setup.units);
         let material = [cloth.material.stretch, cloth.material.shear, cloth.material.bend];
         let wind = [cloth.air.density, cloth.air.drag].into_iter().chain(setup.wind);
-        let fields: [(&str, bool); 5] = [
-            ("material", material.iter().all(|v| v.is_finite())),
-            ("gravity", cloth.gravity.iter().all(|v| v.is_finite())),
-            ("wind", wind.into_iter().all(f64::is_finite)),
-            ("start", setup.start.x.iter().all(|v| v.is_finite())),
-            ("motion", setup.handles.iter().flatten().flatten().all(|v| v.is_finite())),
+        let start = setup.vertices_m(&setup.start.x);
+        let fields: [(&str, bool); 6] = [
+            (
+                "side_m, frame_time_s",
+                [units.length_m, units.length_m / units.frame_time_s].into_iter().all(single),
+            ),
+            ("material", material.into_iter().all(single)),
+            ("gravity", cloth.gravity.into_iter().all(single)),
+            ("wind", wind.into_iter().all(single)),
+            ("start", setup.start.x.iter().chain(start.as_flattened()).all(|&v| single(v))),
+            ("motion", setup.handles.iter().flatten().flatten().all(|&v| single(v))),
         ];
         match fields.iter().find(|(_, finite)| !finite) {
             None => Ok(()),
             Some((name, _)) => Err(Error::invalid(
                 &self.origin,
                 *name,
-                "values that stay finite in grid units",
+                "values that stay finite in grid units and in single precision",
                 "an overflow",
             )),
         }

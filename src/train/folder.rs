@@ -3,6 +3,7 @@
 use super::checkpoint::Checkpoint;
 use super::ranks::Ranks;
 use crate::{Error, Result, io};
+use std::fs::{File, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -13,9 +14,11 @@ const KEPT: usize = 3;
 const NONE: u64 = u64::MAX;
 
 /// Paths inside the folder of a run.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(super) struct Folder {
     root: PathBuf,
+    /// Locked for as long as it is open, by the process that writes into the folder.
+    lock: Option<File>,
 }
 
 /// A file among the checkpoints: what a rank had to save after a step.
@@ -26,13 +29,19 @@ struct Saved {
 }
 
 impl Folder {
-    /// Begins a run in a folder, which is made if it is not there; refuses one that holds
-    /// checkpoints.
+    /// Begins a run in a folder, which is made if it is not there; refuses one that holds checkpoints or weights.
     pub fn create(root: &Path, config: &str) -> Result<Self> {
-        let folder = Self { root: root.to_owned() };
-        if let Some(Saved { path, .. }) = folder.checkpoints()?.first() {
-            let expected = "none in the folder of a new run (--resume continues an old one)";
-            return Err(Error::invalid(root.display().to_string(), "checkpoints", expected, path.display()));
+        let mut folder = Self::open(root);
+        std::fs::create_dir_all(root).map_err(|e| Error::io(root, "cannot create the folder", e))?;
+        folder.claim()?;
+        let checkpoint = folder.checkpoints()?.into_iter().map(|saved| saved.path).next();
+        let weights =
+            ["best", "last"].map(|name| folder.weights(name)).into_iter().find(|path| path.exists());
+        for (what, found) in [("checkpoints", checkpoint), ("weights", weights)] {
+            if let Some(path) = found {
+                let expected = "none in the folder of a new run (--resume continues an old one)";
+                return Err(Error::invalid(root.display().to_string(), what, expected, path.display()));
+            }
         }
         io::write_atomic(folder.config(), |file| file.write_all(config.as_bytes()))?;
         Ok(folder)
@@ -40,7 +49,26 @@ impl Folder {
 
     /// The folder of a run that was begun.
     pub fn open(root: &Path) -> Self {
-        Self { root: root.to_owned() }
+        Self { root: root.to_owned(), lock: None }
+    }
+
+    /// Keeps other processes from training in the folder until it is dropped.
+    pub fn claim(&mut self) -> Result<()> {
+        let path = self.root.join("run.lock");
+        let file = File::create(&path).map_err(|e| Error::io(&path, "cannot create", e))?;
+        match file.try_lock() {
+            Ok(()) => self.lock = Some(file),
+            Err(TryLockError::WouldBlock) => {
+                let origin = self.root.display().to_string();
+                let (expected, found) = ("no other process that trains in it", "one that does");
+                return Err(Error::invalid(origin, "run.lock", expected, found));
+            }
+            // Some shared file systems have no locks.
+            Err(TryLockError::Error(e)) => {
+                tracing::warn!("{}: {e}; nothing keeps another process from training there", path.display());
+            }
+        }
+        Ok(())
     }
 
     /// The configuration.

@@ -7,6 +7,7 @@ use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator, CommunicatorCollectives, Root};
 use std::fmt::Display;
+use std::io::Write;
 
 /// The ranks of an MPI job. MPI adds in an order of its own, which does not change from run to run with as many ranks on
 /// the same machines; so runs repeat to the same bits there.
@@ -51,7 +52,8 @@ impl Ranks for Mpi {
 
     fn abort(&self, error: &dyn Display) {
         if self.count() > 1 {
-            eprintln!("error on rank {}: {error}", self.rank());
+            let line = format!("error on rank {}: {error}\n", self.rank());
+            let _ = std::io::stderr().write_all(line.as_bytes());
             self.world.abort(2);
         }
     }

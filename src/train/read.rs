@@ -15,6 +15,8 @@ use toml::de::{DeTable, DeValue};
 
 /// The most particles in all pools: their arrays take 60 bytes each.
 const MAX_PARTICLES: usize = 1 << 28;
+/// Parameters of a network at most.
+const MAX_PARAMETERS: usize = 1 << 28;
 /// The largest size of a layer.
 const MAX_CHANNELS: usize = 4096;
 
@@ -121,6 +123,11 @@ fn check(config: Config, origin: &str) -> Result<Config> {
     if particles > MAX_PARTICLES {
         let expected = format!("at most {MAX_PARTICLES} particles in all pools");
         return Err(Error::invalid(origin, "pool", expected, particles));
+    }
+    let parameters = config.network.parameter_count();
+    if parameters > MAX_PARAMETERS {
+        let expected = format!("sizes that make at most {MAX_PARAMETERS} parameters");
+        return Err(Error::invalid(origin, "network", expected, parameters));
     }
     let network::Config { modes_h, modes_w, .. } = config.network;
     let named = |name: String, grids: Vec<Grid>| grids.into_iter().map(move |grid| (name.clone(), grid));

@@ -89,14 +89,17 @@ impl Run {
         learner: impl FnOnce(&Config) -> Result<Box<dyn Learner>>,
         ranks: Rc<dyn Ranks>,
     ) -> Result<(Self, Vec<Error>)> {
-        let folder = Folder::open(root);
+        let mut folder = Folder::open(root);
         let config = Config::parse(&Config::text(&folder.config())?, &folder.config())?;
+        let origin = folder.config().display().to_string();
         let other = |found: &str| {
-            let origin = folder.config().display().to_string();
-            Err(Error::invalid(origin, "configuration", "the one that the run began with", found))
+            Err(Error::invalid(&origin, "configuration", "the one that the run began with", found))
         };
         if given.is_some_and(|given| *given != config) {
             return other("another than the one given with --resume");
+        }
+        if ranks.rank() == 0 {
+            folder.claim()?;
         }
         let (Checkpoint { config: text, counters, tensors }, passed_over) = folder.newest(&*ranks)?;
         if Config::parse(&text, &folder.config())? != config {
@@ -162,7 +165,8 @@ impl Run {
         let mut validate = Clock::new(self.config.validation.every);
         let mut checkpoint = Clock::new(self.config.checkpoint);
         let (first, before) = (self.counters.step, self.counters.seconds);
-        let (mut skipped, mut saved) = (0, first);
+        // A run that is new has nothing to be resumed from yet.
+        let (mut skipped, mut saved) = (0, (first > 0).then_some(first));
         let end = loop {
             if self.counters.step >= steps {
                 break End::Done;
@@ -180,10 +184,14 @@ impl Run {
             }
             let last = self.ranks.decide(step == steps || session.is_due(step));
             let validated = self.ranks.decide(last || validate.restart_if_due(step));
-            let improved = validated && self.validate()?;
-            if self.ranks.decide(improved || checkpoint.restart_if_due(step)) {
+            if validated {
+                // Should it fail, no step is lost.
                 self.save()?;
-                saved = step;
+                self.validate()?;
+            }
+            if validated || self.ranks.decide(checkpoint.restart_if_due(step)) {
+                self.save()?;
+                saved = Some(step);
             }
             let records = self.records.as_ref().filter(|_| validated);
             let validation = records.map(|records| records.scores(step));
@@ -196,7 +204,7 @@ impl Run {
             }
         };
         match end {
-            _ if self.counters.step == saved => {}
+            _ if saved == Some(self.counters.step) => {}
             // The checkpoints before may be of a better state than one that only makes such steps.
             End::NonFinite => {
                 self.flush()?;
@@ -235,16 +243,15 @@ impl Run {
         self.records.iter_mut().try_for_each(|records| records.flush(step, seconds, rate))
     }
 
-    /// Rolls the scenes out; keeps the weights if they are the best so far, and tells whether they are. Only rank 0 does.
-    fn validate(&mut self) -> Result<bool> {
-        let Some(records) = &mut self.records else { return Ok(false) };
+    /// Rolls the scenes out; keeps the weights if they are the best so far. Only rank 0 does.
+    fn validate(&mut self) -> Result<()> {
+        let Some(records) = &mut self.records else { return Ok(()) };
         let score = records.validate(self.counters.step, &self.learner.averaged()?)?;
-        let improved = self.counters.best.is_none_or(|best| score < best);
-        if improved {
+        if self.counters.best.is_none_or(|best| score < best) {
             self.counters.best = Some(score);
             self.write_weights("best")?;
         }
-        Ok(improved)
+        Ok(())
     }
 
     /// Writes the whole state of this rank; on rank 0 also the last weights and the plot.

@@ -166,6 +166,27 @@ fn a_checksum_is_of_all_files() {
     assert_ne!(sum(), whole);
 }
 
+/// What errors are measured on must be there, and relative to something.
+#[test]
+fn recordings_of_nothing_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let to = folder.path().join("short");
+    std::fs::create_dir(&to).unwrap();
+    let refused = |shape: (usize, usize, usize), zero: Option<usize>, meta: &str, said: &str| {
+        let mut frames = ndarray::Array3::from_shape_fn(shape, |(_, p, c)| (p + c) as f32);
+        if let Some(frame) = zero {
+            frames.index_axis_mut(ndarray::Axis(0), frame).fill(0.0);
+        }
+        ndarray_npy::write_npy(to.join("cloth_pos.npy"), &frames).unwrap();
+        std::fs::write(to.join("meta.json"), meta).unwrap();
+        let error = Sequence::load(folder.path(), "short").unwrap_err().to_string();
+        assert!(error.contains("cloth_pos.npy") && error.contains(said), "{error}");
+    };
+    refused((1, 64, 3), None, "{}", "frames: expected at least 2, found 1");
+    refused((2, 1, 3), None, r#"{"handle_vertices": [0]}"#, "vertices: expected those of a grid");
+    refused((3, 64, 3), Some(1), "{}", "frame 1: expected positions, found zeros only");
+}
+
 #[test]
 fn bad_sequences_are_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();

@@ -166,6 +166,7 @@ fn a_damaged_checkpoint_is_passed_over_and_told() {
     let told: Vec<String> = passed_over.iter().map(ToString::to_string).collect();
     assert!(told.len() == 2 && told[0].contains("step-00000006") && told[1].contains("checksum"), "{told:?}");
     std::fs::write(&all[0], "").unwrap();
+    drop(run);
     let message = resume(folder.path()).err().expect("no checkpoint is left").to_string();
     assert!(message.contains("checkpoints") && message.contains("a whole one"), "{message}");
 }
@@ -239,11 +240,46 @@ fn an_interrupted_run_and_one_out_of_time_can_be_resumed() {
         }
     };
     assert_eq!(run.train(&Limits::default(), stop(3)).unwrap(), End::Interrupted);
+    drop(run);
     let (mut run, _) = resume(folder.path()).unwrap();
     assert_eq!(run.step(), 3);
     let limits = Limits { steps: None, minutes: Some(1e-9) };
     assert_eq!(run.train(&limits, stop(0)).unwrap(), End::Done);
     assert_eq!(run.step(), 4);
+}
+
+#[test]
+fn a_folder_is_of_one_run_and_of_one_process_at_a_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let refused = |run: fnopt::Result<()>, said: &str| {
+        let error = run.expect_err("it is refused").to_string();
+        assert!(error.contains(said), "{error}");
+    };
+    let again =
+        || Run::create(folder.path(), CONFIG, config(), Box::new(Fake::new(&config())), Rc::new(Alone));
+    let mut run = fresh(folder.path());
+    refused(again().map(drop), "no other process that trains in it");
+    // Nothing was done yet, and that can be resumed.
+    train(&mut run, 0);
+    refused(resume(folder.path()).map(drop), "no other process that trains in it");
+    drop(run);
+    assert_eq!(resume(folder.path()).unwrap().0.step(), 0);
+    refused(again().map(drop), "checkpoints");
+    std::fs::remove_dir_all(folder.path().join("checkpoints")).unwrap();
+    refused(again().map(drop), "last.safetensors");
+}
+
+#[test]
+fn no_step_is_lost_where_validation_fails() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = fresh(folder.path());
+    // Validation is due after four steps and cannot keep the weights that it finds best.
+    std::fs::create_dir_all(folder.path().join("weights/best.safetensors")).unwrap();
+    let limits = Limits { steps: Some(6), minutes: None };
+    let error = run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err().to_string();
+    assert!(error.contains("best.safetensors"), "{error}");
+    drop(run);
+    assert_eq!(resume(folder.path()).unwrap().0.step(), 4);
 }
 
 #[test]
@@ -258,6 +294,7 @@ fn the_last_good_checkpoint_survives_one_that_cannot_be_written() {
     let error = run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err().to_string();
     assert!(error.contains("step-00000004") && error.contains("cannot write"), "{error}");
     assert_eq!(checkpoints(folder.path()).len(), 2, "no half-written file is left");
+    drop(run);
     let (run, passed_over) = resume(folder.path()).unwrap();
     assert_eq!((run.step(), passed_over.len()), (2, 1));
 }

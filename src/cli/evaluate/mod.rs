@@ -6,7 +6,10 @@ mod plots;
 mod suite;
 
 use super::device::InferenceArgs;
-use super::{Ending, go_on, interrupt_flag, load_weights};
+use super::{
+    Ending, MOST_ITERATIONS, MOST_POINTS, go_on, interrupt_flag, load_weights, writable_file, writable_folder,
+};
+use crate::cli::output::{output, tell};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::Suite;
@@ -65,8 +68,8 @@ pub struct Args {
     #[arg(long, value_name = "F")]
     frames: Option<usize>,
     /// Points sampled from each surface for e_CD
-    #[arg(long, default_value_t = 10_000, value_name = "N")]
-    points: usize,
+    #[arg(long, default_value_t = 10_000, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_POINTS))]
+    points: u32,
     /// Simulations of each sequence by each solver: the first from the recorded start, the others with every particle but the
     /// handles moved by up to 1e-5 edges at random, alike for all solvers. Tables have the means, and the deviations over
     /// repeats apart from those over sequences: where a solver stops short of convergence, which way a fold goes is chance
@@ -117,6 +120,7 @@ pub struct Args {
 pub fn run_command(args: &Args) -> Result<Ending> {
     if !args.merge.is_empty() {
         let scores = jobs::merged(&args.merge)?;
+        args.writable()?;
         if let Some(folder) = &args.plots {
             plots::draw(folder, &scores)?;
         }
@@ -151,7 +155,8 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         repeats: args.repeats,
     };
     let jobs: Vec<Job> = plan.jobs(&args.out)?.into_iter().skip(index).step_by(count).collect();
-    std::fs::create_dir_all(&args.out).map_err(|e| Error::io(&args.out, "cannot create the folder", e))?;
+    writable_folder(&args.out)?;
+    args.writable()?;
 
     let interrupted = interrupt_flag();
     let (mut all, ending) = plan.work(&jobs, &interrupted);
@@ -160,7 +165,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let complete = matches!(ending, Ok(ControlFlow::Continue(())));
     let written = if all.is_empty() { Ok(()) } else { args.write(&all, &plan, (complete, &interrupted)) };
     if ending?.is_break() || go_on(&interrupted).is_break() {
-        eprintln!("interrupted; the scores so far are kept in {}", args.out.display());
+        tell!("interrupted; the scores so far are kept in {}", args.out.display());
         return written.map(|()| Ending::Interrupted);
     }
     written.map(|()| Ending::Done)
@@ -168,18 +173,25 @@ pub fn run_command(args: &Args) -> Result<Ending> {
 
 impl Args {
     fn settings(&self) -> fnopt::Result<Settings> {
-        if self.points == 0 || self.frames.is_some_and(|frames| frames < 2) {
-            return Err(Error::invalid("--points, --frames", "counts", "a point and two frames", "fewer"));
+        if let Some(frames) = self.frames.filter(|&frames| frames < 2) {
+            return Err(Error::invalid("--frames", "frames", "at least 2", frames));
         }
         let physics = self.material.as_deref().map_or_else(material::fitted, material::read)?;
         let physics = Physics { density: self.wind.or(physics.density), ..physics };
-        Ok(Settings { physics, points: self.points, frames: self.frames.unwrap_or(usize::MAX) })
+        Ok(Settings { physics, points: self.points as usize, frames: self.frames.unwrap_or(usize::MAX) })
+    }
+
+    /// Makes sure, before the work, that the files which are asked for can be written after it.
+    fn writable(&self) -> fnopt::Result<()> {
+        let files = self.json.iter().chain(&self.csv).chain(&self.markdown);
+        files.into_iter().try_for_each(|file| writable_file(file))?;
+        self.plots.iter().try_for_each(|folder| writable_folder(folder))
     }
 
     /// Opens the device and says which; solvers that only the CPU has run there.
     fn open(&self, entries: &[Entry]) -> Result<Device> {
         let (device, line) = self.device.open()?;
-        eprintln!("{line}");
+        tell!("{line}");
         let mut names: Vec<&str> = Vec::new();
         if matches!(device, Device::Gpu(_)) {
             let elsewhere = entries.iter().filter(|entry| matches!(entry.device(&device), Device::Cpu));
@@ -187,7 +199,7 @@ impl Args {
             names.dedup();
         }
         if !names.is_empty() {
-            eprintln!("on the CPU, as no other device has them: {}", names.join(", "));
+            tell!("on the CPU, as no other device has them: {}", names.join(", "));
         }
         Ok(device)
     }
@@ -222,8 +234,10 @@ impl Args {
                 (None, Optimizer::Newton) => vec![1],
                 (None, _) => self.iterations.clone(),
             };
-            if all.contains(&0) {
-                return Err(Error::invalid("--iterations", name, "at least one", 0));
+            let allowed = 1..=MOST_ITERATIONS as usize;
+            if let Some(n) = all.iter().find(|n| !allowed.contains(n)) {
+                let expected = format!("1 to {MOST_ITERATIONS} iterations");
+                return Err(Error::invalid("--iterations", name, expected, n));
             }
             let of = |iterations| Entry {
                 name: name.to_owned(),
@@ -298,10 +312,11 @@ impl Args {
         Ok(drawn?)
     }
 
-    /// Writes the files that were asked for, then prints the tables: a reader that goes away takes no file along.
+    /// Writes the files that were asked for and prints the tables, neither of which takes the other along when it fails.
     fn write_tables(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> Result<()> {
-        self.write_files(tables, scores)?;
-        self.print(tables)
+        let written = self.write_files(tables, scores);
+        self.print(tables)?;
+        Ok(written?)
     }
 
     fn write_files(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> fnopt::Result<()> {
@@ -320,8 +335,8 @@ impl Args {
     }
 
     fn print(&self, tables: &[Table]) -> Result<()> {
-        let mut out = std::io::stdout().lock();
-        let bold = out.is_terminal();
+        let mut out = output();
+        let bold = std::io::stdout().is_terminal();
         write!(out, "{}", text(tables, Format::Text { bold }))?;
         Ok(())
     }

@@ -1,7 +1,8 @@
 //! `fnopt evaluate --suite`: how far solvers generalise.
 
 use super::{Args, material, progress};
-use crate::cli::{Ending, go_on, interrupt_flag};
+use crate::cli::output::tell;
+use crate::cli::{Ending, go_on, interrupt_flag, writable_folder};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
@@ -89,6 +90,8 @@ impl Args {
         entries.retain(|entry| known.insert((entry.name.clone(), iterations(entry))));
         let cases = self.cases(suite, grids)?;
         let device = self.open(&entries)?;
+        writable_folder(&self.out)?;
+        self.writable()?;
         let frames = self.frames.unwrap_or(usize::MAX);
         let bar = progress(cases.len() * entries.len(), "cases");
         let interrupted = interrupt_flag();
@@ -125,7 +128,7 @@ impl Args {
         let complete = ending?;
         written?;
         if !complete {
-            eprintln!("interrupted; the cases so far are above, and kept in {}", self.out.display());
+            tell!("interrupted; the cases so far are above, and kept in {}", self.out.display());
         }
         let sound = scores.iter().all(|(_, score)| score.sound());
         Ok(match (complete, sound) {

@@ -7,10 +7,10 @@ use super::scalar_head::ScalarHead;
 use super::spectral::Spectral;
 use super::transform::{ModeParts, Transform};
 use super::{band_rows, padded};
-use crate::Result;
 use crate::cpu::real::Real;
 use crate::network::{Config, Weights};
 use crate::sim::Grid;
+use crate::{Error, Result};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -91,6 +91,17 @@ struct Buffers<T> {
     scalar: Vec<T>,
 }
 
+/// Room for activations [positions, channels], by far the largest of what a pass needs.
+fn activation<T: Real>(positions: usize, channels: usize) -> Result<Vec<T>> {
+    let mut room = Vec::new();
+    room.try_reserve_exact(positions * channels).map_err(|_| {
+        let gib = (positions * channels * size_of::<T>()) as f64 / f64::from(1 << 30);
+        Error::Device(format!("cpu: no memory for {gib:.1} GiB of activations"))
+    })?;
+    room.resize(positions * channels, T::zero());
+    Ok(room)
+}
+
 impl<T: Real> Network<T> {
     /// Lays the weights out for `samples` samples on `grid`; an error if the grid is too small for the kept modes.
     pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
@@ -100,9 +111,10 @@ impl<T: Real> Network<T> {
         let layers = Arc::new(Layers::new(weights));
         let zeros = |n: usize| vec![T::zero(); n];
         let n = grid.particles();
+        let activation = || activation(samples * n, channels);
         let buffers = Buffers {
-            x: zeros(samples * n * channels),
-            y: zeros(samples * n * channels),
+            x: activation()?,
+            y: activation()?,
             rows: zeros(samples * grid.h * transform.row_len()),
             sums: zeros(samples * transform.column_len()),
             modes: zeros(config.modes() * 4 * samples * channels),

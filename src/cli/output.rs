@@ -1,0 +1,56 @@
+//! What a command tells: results on stdout, all else on stderr. That nobody listens changes nothing about how it ends.
+
+use std::io::{ErrorKind, Result, StdoutLock, Write};
+
+/// Prints a line on stderr, in one piece. A log whose disk is full, or a terminal that was closed, is no reason to end hours
+/// of work.
+macro_rules! tell {
+    ($($line:tt)*) => {{
+        let line = format!($($line)*) + "\n";
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
+    }};
+}
+pub(crate) use tell;
+
+/// The standard output, until its reader has had enough (`fnopt inspect X | head`): what comes after that goes nowhere.
+pub struct Output {
+    to: StdoutLock<'static>,
+    closed: bool,
+}
+
+/// Takes the standard output.
+pub fn output() -> Output {
+    Output { to: std::io::stdout().lock(), closed: false }
+}
+
+impl Output {
+    /// Whether nobody reads it any more.
+    pub fn is_closed(&self) -> bool {
+        self.closed
+    }
+
+    fn done(&mut self, written: Result<usize>, all: usize) -> Result<usize> {
+        match written {
+            Err(e) if e.kind() == ErrorKind::BrokenPipe => {
+                self.closed = true;
+                Ok(all)
+            }
+            other => other,
+        }
+    }
+}
+
+impl Write for Output {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize> {
+        if self.closed {
+            return Ok(bytes.len());
+        }
+        let written = self.to.write(bytes);
+        self.done(written, bytes.len())
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        let flushed = self.to.flush().map(|()| 0);
+        self.done(flushed, 0).map(|_| ())
+    }
+}
