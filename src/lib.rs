@@ -26,8 +26,8 @@
 //!
 //! There are two devices and one meaning. [`cpu`] holds every stage in plain Rust, in single or double precision; in
 //! double precision it defines what is correct. [`kernels`] and `shaders/` hold the same stages as WGSL on [`gpu`], the only
-//! module that knows wgpu. [`sim::Solver`] records a frame into a command encoder that the caller owns and never submits,
-//! polls or maps; [`sim::Simulator`] is the convenience on top.
+//! module that makes wgpu's objects. [`sim::Solver`] records a frame into a command encoder that the caller owns, which submits,
+//! polls and maps nothing; [`sim::Simulator`] is the convenience on top.
 //!
 //! # One frame
 //!

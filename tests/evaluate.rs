@@ -233,6 +233,8 @@ fn a_material_is_what_a_scene_takes() {
     refused(with("1000,x,8,0.5", &[]), &["--material", "three numbers"]);
     refused(with("mixed.json", &[]), &["mixed.json", "material.shear", "not both"]);
     refused(with("none.json", &[]), &["none.json", "material"]);
+    write("windy.json", r#"{"material": {"bend": 0.1}, "wind": {"velocity": [1, 0, 0]}}"#);
+    refused(with("windy.json", &[]), &["windy.json", "wind.velocity"]);
     write("misspelt.json", r#"{"material": {"bend": 0.1}, "wnd": {"density": 2}}"#);
     refused(with("misspelt.json", &[]), &["misspelt.json", "wnd", "did you mean wind?"]);
     refused(evaluate(at, &["--wind=-1"]), &["wind.density"]);

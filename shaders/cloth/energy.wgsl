@@ -1,4 +1,4 @@
-// Energy terms and stretch of a cloth, summed over part of its particles (specification sections 3 and 8).
+// Energy terms and stretch of a cloth, summed over part of its particles (`sim::EnergyTerms`).
 //
 // Each particle owns the edges, corner angles and bends that start at it. Every part holds eight sums:
 // stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of ||edge| - 1|, unused.

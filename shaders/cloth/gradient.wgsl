@@ -1,4 +1,4 @@
-// Gradient of the frame's energy with respect to the acceleration: grad = dL/da (specification section 3).
+// Gradient of the frame's energy with respect to the acceleration: grad = dL/da (`sim::EnergyTerms`).
 //
 // dx/da = 1 at a free particle and 0 at a handle, so there only inertia and the external term count.
 // cloths: [B]; slots: [B, H, W]; external, a, x, shift, grad: [B, 3, H, W].

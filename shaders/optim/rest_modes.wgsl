@@ -3,7 +3,7 @@
 // With A = e_H(k) e_W(l) z[k, l] and B = e_H(k) conj(e_W(l)) conj(z[-k, l]), e_n(k) = exp(-i pi k / 2 n), the spectrum z of
 // a field in `cosine_order` holds four modes of its cosine transform: cc = Re(A + B) / 2 of (k, l), sc = -Im(A + B) / 2 of
 // (H - k, l), cs = -Im(A - B) / 2 of (k, W - l), ss = Re(B - A) / 2 of (H - k, W - l). Each is divided by its
-// eigenvalue lambda (SPEC section 7), and what they make is the spectrum of the result:
+// eigenvalue lambda, and what they make is the spectrum of the result:
 // conj(e_H(k) e_W(l)) (cc - ss - i (sc + cs)).
 // z, out: [3 B, H, W / 2 + 1] complex; cloths: [B]; row_turns: [H], column_turns: [W / 2 + 1], (cos, sin)(pi k / 2 n).
 // One invocation: one element of the spectrum. Workgroups: (H (W / 2 + 1) / 64 along x, then y, and 3 B).

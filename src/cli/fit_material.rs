@@ -91,13 +91,13 @@ pub fn run(args: &Args) -> Result<Ending> {
     let mut surface = Surface::load(&args.out, &fit)?;
     let style = ProgressStyle::with_template("{spinner} {pos} points tried, {elapsed}  {msg}");
     let bar = ProgressBar::new_spinner().with_style(style.expect("the template is valid"));
-    bar.set_position(surface.sorted().len() as u64);
+    bar.set_position(fit.found(&surface).len() as u64);
     bar.enable_steady_tick(Duration::from_millis(200));
     let interrupted = interrupt_flag();
     let tick = || go_on(&interrupted);
     let outcome = fit.search(&mut surface, tick, |surface, left| {
         surface.write(&args.out)?;
-        let sorted = surface.sorted();
+        let sorted = fit.found(surface);
         bar.set_position(sorted.len() as u64);
         let best = sorted.first().map_or(f64::INFINITY, |best| best.1);
         bar.set_message(format!("{left} to go in this round, best e_CD {best:.3e}"));
@@ -105,7 +105,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     });
     bar.finish_and_clear();
     outcome?;
-    let found = surface.sorted().first().copied().filter(|(_, error)| error.is_finite());
+    let found = fit.found(&surface).first().copied().filter(|(_, error)| error.is_finite());
     if let Some((point, error)) = found {
         let mut document = args.physics(&point).to_json();
         document["fitted_to"] = fit.subject().into();
@@ -115,7 +115,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     let mut out = output();
     let heads: String = PARAMETERS.iter().map(|name| format!("{name:>12}")).collect();
     writeln!(out, "{heads}  e_CD x 10^3")?;
-    for (point, error) in surface.sorted().iter().take(PRINTED) {
+    for (point, error) in fit.found(&surface).iter().take(PRINTED) {
         let values: String = point.iter().map(|v| format!("{v:>12.5}")).collect();
         writeln!(out, "{values}{:>13.3}", 1e3 * error)?;
     }

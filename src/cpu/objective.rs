@@ -131,6 +131,19 @@ impl<T: Real> Objective<T> {
         });
     }
 
+    /// Sets the accelerations of the handles to those that minimise their terms of the energy, the external ones: nothing else
+    /// depends on them, as handles go where they are told.
+    pub(super) fn settle_handles(&mut self) {
+        let Trials { model, a, f, .. } = &mut self.trial;
+        let n = model.grid.particles();
+        for (b, cloth) in model.cloths.iter().enumerate() {
+            let fields = (3 * b * n..3 * (b + 1) * n).step_by(n);
+            for at in fields.flat_map(|first| cloth.handles.iter().map(move |&p| first + p)) {
+                a[at] = f[at];
+            }
+        }
+    }
+
     /// Energy terms of cloth `b` where the particles are.
     pub fn energy(&self, state: &State<T>, b: usize) -> EnergyTerms {
         energy(&self.trial.cloth(state, b))

@@ -6,9 +6,9 @@
 use super::objective::Trials;
 use super::optim::{History, RestHessian, dot, norm};
 use super::{FactoredHessian, Objective, Solver};
-use crate::Result;
 use crate::sim::{Control, Model, Optimizer, State};
 use crate::statistics::median;
+use crate::{Error, Result};
 
 /// A step must gain this share of what its slope promises (Armijo).
 const SUFFICIENT: f64 = 1e-4;
@@ -62,9 +62,13 @@ pub struct Minimum {
 }
 
 impl Reference {
-    /// For one cloth, to |dL/da| <= 1e-8 in at most 200 iterations; an error when memory does not suffice.
+    /// For one cloth, to |dL/da| <= 1e-8 in at most 200 iterations; an error if the model is not one ([`Model::check`]) or of
+    /// several cloths, or when memory does not suffice.
     pub fn new(model: &Model) -> Result<Self> {
-        assert_eq!(model.batch(), 1, "the reference is of one cloth");
+        model.check()?;
+        if model.batch() != 1 {
+            return Err(Error::invalid("model", "cloths", "one", model.batch()));
+        }
         let hessian = FactoredHessian::new(model.grid)?;
         let history = History::new(HISTORY, 3 * model.grid.particles());
         let objective = Objective::new(model);

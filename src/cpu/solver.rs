@@ -2,8 +2,8 @@
 
 use super::optim::{Minimizer, minimizer, norm};
 use super::{Objective, Real, Reference};
-use crate::Result;
 use crate::sim::{Cloth, Control, FrameStats, Iterations, Model, Optimizer, State};
+use crate::{Error, Result};
 
 /// Advances a batch of cloths frame by frame.
 pub struct Solver<T: Real> {
@@ -21,10 +21,12 @@ enum Method<T> {
 }
 
 impl<T: Real> Solver<T> {
-    /// A solver with `iterations` steps of the optimizer per frame; an error if the model is not one ([`Model::check`]) or the
-    /// grid does not suit the network.
+    /// A solver with `iterations` steps of the optimizer per frame, at least one; an error if the model is not one
+    /// ([`Model::check`]) or the grid does not suit the network.
     pub fn new(model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
-        assert!(iterations > 0, "a frame needs an iteration");
+        if iterations == 0 {
+            return Err(Error::invalid("options", "iterations", "at least 1", 0));
+        }
         model.check()?;
         optimizer.check()?;
         let method = match optimizer {
@@ -77,6 +79,7 @@ impl<T: Real> Solver<T> {
                         *a = T::of(minimum);
                     }
                 }
+                objective.settle_handles();
                 objective.evaluate(state, control);
                 self.log.gradient_norms.extend(&objective.norms);
             }

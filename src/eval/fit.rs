@@ -166,8 +166,20 @@ impl Fit<'_> {
         Ok(())
     }
 
+    /// The points of a surface that are in the ranges, with their errors, the best first: an earlier search may have had others.
+    pub fn found(&self, surface: &Surface) -> Vec<(Point, f64)> {
+        let inside = |point: &Point| {
+            let in_range = |(&v, range): (&f64, &[f64; 2])| {
+                // As in the file, where a point comes from.
+                (range[0] as f32..=range[1] as f32).contains(&(v as f32))
+            };
+            point.iter().zip(&self.ranges).all(in_range)
+        };
+        surface.sorted().into_iter().filter(|(point, _)| inside(point)).collect()
+    }
+
     fn best(&self, surface: &Surface) -> Result<(Point, f64)> {
-        let best = surface.sorted().first().copied().filter(|best| best.1.is_finite());
+        let best = self.found(surface).first().copied().filter(|best| best.1.is_finite());
         best.ok_or_else(|| Error::invalid("fit", "ranges", "a point that does not diverge", "none"))
     }
 

@@ -23,9 +23,10 @@ pub struct Physics {
 }
 
 impl Physics {
-    /// A document's `material`, and the air and the frame time that it gives, all as in a scene. Other fields are notes, unless
-    /// they look like one of these misspelt.
-    pub fn parse(origin: &str, text: &str) -> Result<Self> {
+    /// A document's `material`, and the air's `density` and `drag` in `wind` and the `frame_time_s` where it gives them, all as in
+    /// a scene; how the air moves is no matter of the material. Other fields are notes, unless they look like one of these
+    /// misspelt.
+    pub fn parse(text: &str, origin: &str) -> Result<Self> {
         let document = io::parse_json(origin, text)?;
         Node::root(origin, &document).no_misspelling(&FIELDS)?;
         let given = |field: &str| document.get(field).filter(|value| !value.is_null());
@@ -36,6 +37,9 @@ impl Physics {
         let scene: Map<String, Value> = FIELDS.iter().filter_map(part).collect();
         let scene = Scene::parse(&Value::Object(scene).to_string(), origin, Path::new(""))?;
         let of_wind = |field: &str| given("wind").is_some_and(|wind| wind.get(field).is_some());
+        if of_wind("velocity") {
+            return Err(Error::invalid(origin, "wind.velocity", "density and drag only", "a velocity"));
+        }
         Ok(Self {
             stiffness: scene.stiffness,
             density: of_wind("density").then_some(scene.wind.density),

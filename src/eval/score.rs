@@ -226,7 +226,7 @@ pub fn run(
         made_with: Conditions::of((sequence, nudge), entry, (device, settings)),
         ..judge(sequence, (&entry.name, &simulated.trajectory), simulated.stable, settings)?
     };
-    if score.stable {
+    if score.stable && !simulated.stats.is_empty() {
         let mean = |of: &dyn Fn(&FrameStats) -> f64| {
             simulated.stats.iter().map(of).sum::<f64>() / simulated.stats.len() as f64
         };

@@ -1,4 +1,4 @@
-//! The GPU runtime, and the only module that knows wgpu. It knows no cloth.
+//! The GPU runtime, and the only module that makes wgpu's objects. It knows no cloth.
 //!
 //! [`Context`] wraps the caller's device and queue (or makes its own), [`Tensor`] is a typed storage buffer, `Kernel`
 //! is a compiled WGSL entry point, [`Schedule`] is a list of dispatches with everything bound, [`Readback`] brings

@@ -7,6 +7,9 @@ use std::{
     path::Path,
 };
 
+/// What the name of a file begins with until all of it is written.
+pub(crate) const UNFINISHED: &str = ".writing-";
+
 /// Writes a file through `fill`, so that `path` holds either what it held before or all of the new content.
 ///
 /// The bytes go to a temporary file in the same folder, which takes the name `path` when `fill` has succeeded and is
@@ -29,7 +32,7 @@ pub(crate) fn replace(
     let path = path.as_ref();
     let written = (|| {
         let mut builder = tempfile::Builder::new();
-        builder.prefix(".writing-");
+        builder.prefix(UNFINISHED);
         // Temporary files are private by default; the finished file is to be as readable as any other the user makes.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));

@@ -170,6 +170,9 @@ impl Trajectory {
                 format!("{:?}", parts.shape),
             ));
         };
+        if !(options.fps.is_finite() && options.fps > 0.0) {
+            return Err(Error::invalid(origin, "fps", "a number above 0", options.fps));
+        }
         if frames == 0 || vertices == 0 {
             let found = format!("{frames} frames of {vertices}");
             return Err(Error::invalid(origin, "shape", "at least one frame and vertex", found));

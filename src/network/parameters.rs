@@ -76,6 +76,11 @@ pub(super) struct GradientLayer {
 }
 
 impl Layout {
+    /// Output channels of a tile, which the order of the parameters follows.
+    pub fn tile(&self) -> usize {
+        self.tile
+    }
+
     /// For a network of these sizes and kernels of this tile.
     pub fn new(config: Config, tile: usize) -> Self {
         let up = |n: usize| n.next_multiple_of(CHANNEL_MULTIPLE);

@@ -283,6 +283,12 @@ impl Scene {
                 return Err(Error::invalid(&self.origin, field, "finite numbers", format!("{vector:?}")));
             }
         }
+        let of = match &self.start {
+            Start::Vertices(of, _) => Some(*of),
+            Start::File(file) => file.grid,
+            _ => None,
+        };
+        of.map(|of| Grid::new(of.h, of.w, &self.origin)).transpose()?;
         if let Start::Vertices(of, points) = &self.start
             && points.len() != of.particles()
         {

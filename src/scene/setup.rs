@@ -258,6 +258,7 @@ impl Scene {
     /// nearest particle, and a start state from a file is resampled.
     pub fn regrid(&mut self, grid: Grid) -> Result<()> {
         let old = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
+        let grid = Grid::new(grid.h, grid.w, &self.origin)?;
         self.mass.scale_area(grid.aspect() / old.aspect());
         self.side_m = super::Side::Height(self.side_m.height());
         self.handles = Handles::regrid(&self.handles, old, grid);

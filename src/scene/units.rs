@@ -1,4 +1,4 @@
-//! From SI units at the surface to grid units inside, and back (sections 1 and 3 of the specification).
+//! From SI units at the surface to grid units inside, and back (paper section 3.2).
 
 use crate::sim::{Air, Material};
 

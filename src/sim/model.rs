@@ -4,7 +4,7 @@ use super::Grid;
 use crate::{Error, Result};
 use num_traits::Float;
 
-/// Energy coefficients in grid units (section 3 of the specification; the paper's material parameters).
+/// Energy coefficients in grid units (the paper's material parameters; [`EnergyTerms`](super::EnergyTerms) has the energy).
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Material {
     /// Stretch coefficient `k_stretch`.

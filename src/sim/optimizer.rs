@@ -1,11 +1,12 @@
 //! What minimises the energy of a frame.
 
+use crate::kernels::optim::lbfgs::MAX_HISTORY;
 use crate::network::Weights;
 use crate::{Error, Result};
 use std::sync::Arc;
 
-/// An optimizer of the frame's energy; all of them start from `a = 0` and, but for Newton's method, see nothing but its
-/// gradient.
+/// An optimizer of the frame's energy; all of them start from `a = 0` and, but for the quasi-Newton and Newton's methods, see
+/// nothing but its gradient.
 #[derive(Clone, Debug)]
 pub enum Optimizer {
     /// The learned optimizer (paper sections 3.3 and 4).
@@ -28,7 +29,7 @@ pub enum Optimizer {
     },
     /// L-BFGS, two-loop recursion with step 1, its history cleared every frame.
     Lbfgs {
-        /// Number of pairs remembered.
+        /// Number of pairs remembered, 1 to 32.
         history: usize,
         /// A pair is kept when `y.s` exceeds this.
         curvature: f64,
@@ -36,7 +37,7 @@ pub enum Optimizer {
     /// L-BFGS that starts from the Hessian of the sheet at rest, with step 1 (after Liu, Bouaziz and Kavan 2017): the
     /// classical method to compare with.
     QuasiNewton {
-        /// Number of pairs remembered.
+        /// Number of pairs remembered, 1 to 32.
         history: usize,
         /// A pair is kept when `y.s` exceeds this.
         curvature: f64,
@@ -98,10 +99,17 @@ impl Optimizer {
         }
     }
 
-    /// An error if the weights of a learned one are of a network that sees something else than the update rule's fields.
+    /// An error if the weights of a learned one are of a network that sees something else than the update rule's fields, or a
+    /// history is too long for the kernels.
     pub(crate) fn check(&self) -> Result<()> {
-        match self {
-            Self::Learned(weights) => weights.config.check_fields("optimizer", "network"),
+        match *self {
+            Self::Learned(ref weights) => weights.config.check_fields("optimizer", "network"),
+            Self::Lbfgs { history, .. } | Self::QuasiNewton { history, .. }
+                if !(1..=MAX_HISTORY).contains(&history) =>
+            {
+                let expected = format!("1 to {MAX_HISTORY} pairs");
+                Err(Error::invalid("optimizer", "history", expected, history))
+            }
             _ => Ok(()),
         }
     }

@@ -90,10 +90,13 @@ impl Simulator {
     }
 
     /// Replaces the state, forgets what the optimizer remembers and counts frames from 0 again.
+    ///
+    /// Panics when a length is not the model's.
     pub fn set_state(&mut self, start: &State<f32>) {
         self.frame = 0;
         match &mut self.backend {
             Backend::Cpu { solver, state } => {
+                assert_eq!((start.x.len(), start.v.len()), (state.x.len(), state.v.len()), "[B, 3, H, W]");
                 solver.reset();
                 state.clone_from(start);
             }
@@ -101,7 +104,8 @@ impl Simulator {
         }
     }
 
-    /// Computes one frame and waits for it; fails with [`Error::NonFinite`] when it is not finite.
+    /// Computes one frame and waits for it; fails with [`Error::NonFinite`] when it is not finite. Panics when a length of the
+    /// control is not the model's.
     pub fn step(&mut self, control: &Control<f32>) -> Result<Frame> {
         let mut result = None;
         self.rollout(std::iter::once(control.clone()), |frame| {

@@ -17,7 +17,7 @@ use crate::{Error, Result};
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Scale of a fresh hidden state (section 5 of the specification).
+/// Scale of a fresh hidden state (paper section 3.3).
 pub const INITIAL_SCALE: f32 = 0.05;
 
 /// How a frame is solved.
@@ -38,8 +38,9 @@ impl Default for SolverOptions {
 
 /// A solver on the caller's device: buffers, kernels and the recorded dispatches of a frame.
 ///
-/// [`Solver::record`] puts one frame into an encoder that the caller owns; nothing here submits, polls or maps, and
-/// nothing is allocated or bound while a frame is recorded. The positions stay in a buffer that can be bound as a
+/// [`Solver::new`] fills buffers through the caller's queue and waits for the kernels to be compiled. After that
+/// [`Solver::record`] puts one frame into an encoder that the caller owns: it submits, polls and maps nothing, and
+/// nothing is allocated or bound. The positions stay in a buffer that can be bound as a
 /// vertex buffer ([`Solver::positions`]).
 #[derive(Debug)]
 pub struct Solver {
@@ -142,7 +143,7 @@ impl Solver {
             Optimizer::QuasiNewton { factored: true, .. } | Optimizer::Newton => {
                 let found = format!("{}, which lacks it; the CPU path has it", context.name());
                 return Err(Error::invalid(
-                    "--solver",
+                    "optimizer",
                     optimizer.name(),
                     "a device that has this optimizer",
                     found,
@@ -174,7 +175,7 @@ impl Solver {
         Ok(solver)
     }
 
-    /// The dispatches of one frame, in the order of section 2 of the specification.
+    /// The dispatches of one frame, in the order that the crate's documentation tells.
     fn schedule(&self) -> Result<Schedule> {
         let (context, grid) = (&self.context, self.model.grid);
         let mut frame = Schedule::new(context);
@@ -247,6 +248,8 @@ impl Solver {
     }
 
     /// Replaces the state and leaves the optimizer what it remembers, ahead of whatever is submitted next.
+    ///
+    /// Panics when a length is not the model's, as [`Solver::set_state`] does.
     pub fn place(&self, state: &State<f32>) {
         self.x.write(&self.context, &state.x);
         self.v.write(&self.context, &state.v);

@@ -1,17 +1,20 @@
 //! What a frame reports of each cloth.
 
-/// Energy terms of one cloth at the end of a frame, weighted as in the energy (specification section 3).
+/// The terms of the energy L of one cloth that a frame minimises, at its end (paper section 3.2, in grid units).
+///
+/// They are taken at the trial positions `x + v + a`, the handles where they are told to be; e are the edges between
+/// neighbours there, m a particle's mass ([`Grid::mass`](super::Grid::mass)) and f the external force on it by its mass.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct EnergyTerms {
-    /// Stretch.
+    /// Stretch: `k_stretch` times the mean of `(|e| - 1)^2` over the vertical edges, and that over the horizontal ones.
     pub stretch: f64,
-    /// Shear.
+    /// Shear: `k_shear / (H W)` times the sum of `(angle - pi / 2)^2` over the four corners of each cell.
     pub shear: f64,
-    /// Bend.
+    /// Bend: `k_bend / (H W)` times the sum of `angle^2` over the pairs of edges in a line that share a particle.
     pub bend: f64,
-    /// Inertia.
+    /// Inertia: `1 / (2 H W)` times the sum of `m |a|^2`.
     pub inertia: f64,
-    /// External forces; negative when they do work.
+    /// External forces: `-1 / (H W)` times the sum of `m a.f`; negative when they do work.
     pub external: f64,
 }
 

@@ -46,6 +46,9 @@ pub(super) struct Counters {
     pub step: u64,
     /// Of them, steps that changed the weights.
     pub updates: u64,
+    /// Steps in a row up to here that did not; older files do not say.
+    #[serde(default)]
+    pub skipped_in_a_row: u32,
     /// Score of the best weights so far.
     pub best: Option<f64>,
     /// Time spent \[s\], in all sessions.

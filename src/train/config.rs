@@ -164,7 +164,7 @@ pub enum Every {
 /// Rollouts of fixed scenes by which weights are judged ([`super::Validation`]).
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ValidationConfig {
-    /// How often; at the end of each session in any case.
+    /// How often; also where a session reaches its limit or the end of the run, but not where it is interrupted.
     pub every: Every,
     /// Frames of each rollout.
     pub frames: usize,

@@ -57,7 +57,10 @@ impl Folder {
         let path = self.root.join("run.lock");
         let file = File::create(&path).map_err(|e| Error::io(&path, "cannot create", e))?;
         match file.try_lock() {
-            Ok(()) => self.lock = Some(file),
+            Ok(()) => {
+                self.lock = Some(file);
+                self.remove_leftovers()?;
+            }
             Err(TryLockError::WouldBlock) => {
                 let origin = self.root.display().to_string();
                 let (expected, found) = ("no other process that trains in it", "one that does");
@@ -67,6 +70,18 @@ impl Folder {
             Err(TryLockError::Error(e)) => {
                 tracing::warn!("{}: {e}; nothing keeps another process from training there", path.display());
             }
+        }
+        Ok(())
+    }
+
+    /// Removes what a process that was killed while it wrote a checkpoint has left.
+    fn remove_leftovers(&self) -> Result<()> {
+        let Ok(entries) = std::fs::read_dir(self.checkpoint_dir()) else { return Ok(()) };
+        let unfinished = |path: &PathBuf| {
+            path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(io::UNFINISHED))
+        };
+        for path in entries.flatten().map(|entry| entry.path()).filter(unfinished) {
+            std::fs::remove_file(&path).map_err(|e| Error::io(path, "cannot remove", e))?;
         }
         Ok(())
     }

@@ -227,6 +227,10 @@ impl Learner for GpuLearner {
         Ok(Weights::from_flat(self.network, &self.download(&self.adamw.moments.averaged)?))
     }
 
+    fn order(&self) -> u64 {
+        self.parameters.layout().tile() as u64
+    }
+
     fn device(&self) -> String {
         self.context.name().to_owned()
     }

@@ -38,6 +38,11 @@ pub trait Learner {
     /// Name of the device, for people.
     fn device(&self) -> String;
 
+    /// What tells the orders apart that learners have gradients in: alike where they can be added up.
+    fn order(&self) -> u64 {
+        0
+    }
+
     /// Continues from what [`Learner::save`] gave.
     fn load(&mut self, saved: &Tensors) -> Result<()>;
 }

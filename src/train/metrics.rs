@@ -78,6 +78,8 @@ impl Metrics {
     /// not drawn from.
     pub fn flush(&mut self, step: u64, seconds: f64, rate: f64) -> Result<()> {
         if self.used + self.skipped == 0 {
+            // What took time since the last row was no training.
+            self.since = Instant::now();
             return Ok(());
         }
         let speed = (self.used + self.skipped) as f64 / self.since.elapsed().as_secs_f64();

@@ -27,6 +27,7 @@
 //! | `validation.csv` | each rollout of each validation |
 //! | `plot.png` | both as curves |
 //! | `checkpoints/` | the last three whole states of the run, to resume from with as many ranks; a file for each rank |
+//! | `run.lock` | nothing; locked by the process that trains in the folder, and of no meaning afterwards |
 //! | `weights/best.safetensors`, `last.safetensors` | weights (averaged, if that is on), each with a model card in JSON |
 //!
 //! # Several ranks

@@ -124,6 +124,13 @@ impl Run {
             pool.restore(slots, "checkpoint")?;
         }
         counters.ranks = ranks.count();
+        // The sums of gradients mean something only where all vectors have one order.
+        let order = learner.order();
+        let alike = ranks.first(order) == order;
+        if !ranks.all(alike) {
+            let expected = "devices of one kind, whose gradients have one order";
+            return Err(Error::invalid("ranks", "devices", expected, "several kinds"));
+        }
         let records = || {
             let validation = Validation::new(&config.validation)?;
             Records::open(&folder, &config, validation, counters.step)
@@ -152,8 +159,9 @@ impl Run {
         self.learner.averaged()
     }
 
-    /// Trains until the end of the run, a limit, or until `watch`, which sees every step, breaks off. Whatever the end,
-    /// the folder holds the weights, and what is needed to resume. All ranks end at the same step: rank 0's clock and
+    /// Trains until the end of the run, a limit, or until `watch`, which sees every step, breaks off. The folder then holds
+    /// the weights and what is needed to resume; after [`End::NonFinite`] what is needed to resume before those steps, if
+    /// there was a checkpoint, and after an error whatever was saved before it. All ranks end at the same step: rank 0's clock and
     /// `watch` count.
     pub fn train(
         &mut self,
@@ -166,7 +174,7 @@ impl Run {
         let mut checkpoint = Clock::new(self.config.checkpoint);
         let (first, before) = (self.counters.step, self.counters.seconds);
         // A run that is new has nothing to be resumed from yet.
-        let (mut skipped, mut saved) = (0, (first > 0).then_some(first));
+        let mut saved = (first > 0).then_some(first);
         let end = loop {
             if self.counters.step >= steps {
                 break End::Done;
@@ -175,21 +183,30 @@ impl Run {
             let step = self.counters.step;
             self.counters.seconds = before + session.since.elapsed().as_secs_f64();
             self.records.iter_mut().for_each(|records| records.add(&report));
-            skipped = if report.is_finite() { 0 } else { skipped + 1 };
-            if skipped == MOST_SKIPPED {
+            let skipped = if report.is_finite() { 0 } else { self.counters.skipped_in_a_row + 1 };
+            self.counters.skipped_in_a_row = skipped;
+            if skipped >= MOST_SKIPPED {
                 break End::NonFinite;
             }
             if step.is_multiple_of(self.config.log_every) {
                 self.flush()?;
             }
             let last = self.ranks.decide(step == steps || session.is_due(step));
-            let validated = self.ranks.decide(last || validate.restart_if_due(step));
+            let validated = self.ranks.decide(last || validate.is_due(step));
+            let improved = match validated.then(|| self.validate()).transpose() {
+                Ok(improved) => improved.unwrap_or(false),
+                Err(error) => {
+                    // No step is lost; with other ranks, which wait elsewhere, all end as they are.
+                    if self.ranks.count() == 1 {
+                        self.save()?;
+                    }
+                    return Err(error);
+                }
+            };
             if validated {
-                // Should it fail, no step is lost.
-                self.save()?;
-                self.validate()?;
+                validate.restart();
             }
-            if validated || self.ranks.decide(checkpoint.restart_if_due(step)) {
+            if self.ranks.decide(improved || checkpoint.restart_if_due(step)) {
                 self.save()?;
                 saved = Some(step);
             }
@@ -243,15 +260,16 @@ impl Run {
         self.records.iter_mut().try_for_each(|records| records.flush(step, seconds, rate))
     }
 
-    /// Rolls the scenes out; keeps the weights if they are the best so far. Only rank 0 does.
-    fn validate(&mut self) -> Result<()> {
-        let Some(records) = &mut self.records else { return Ok(()) };
+    /// Rolls the scenes out; keeps the weights if they are the best so far, and tells whether they are. Only rank 0 does.
+    fn validate(&mut self) -> Result<bool> {
+        let Some(records) = &mut self.records else { return Ok(false) };
         let score = records.validate(self.counters.step, &self.learner.averaged()?)?;
-        if self.counters.best.is_none_or(|best| score < best) {
-            self.counters.best = Some(score);
+        let improved = self.counters.best.is_none_or(|best| score < best);
+        if improved {
             self.write_weights("best")?;
+            self.counters.best = Some(score);
         }
-        Ok(())
+        Ok(improved)
     }
 
     /// Writes the whole state of this rank; on rank 0 also the last weights and the plot.
@@ -319,8 +337,13 @@ impl Clock {
     fn restart_if_due(&mut self, step: u64) -> bool {
         let due = self.is_due(step);
         if due {
-            self.since = Instant::now();
+            self.restart();
         }
         due
+    }
+
+    /// Begins the time anew.
+    fn restart(&mut self) {
+        self.since = Instant::now();
     }
 }

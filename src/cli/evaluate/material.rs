@@ -10,14 +10,14 @@ const FITTED: &str = include_str!("../../../assets/materials/arcsim.json");
 
 /// The fitted material.
 pub fn fitted() -> Result<Physics> {
-    Physics::parse("the fitted material", FITTED)
+    Physics::parse(FITTED, "the fitted material")
 }
 
 /// Three energy coefficients, or a file.
 pub fn read(text: &str) -> Result<Physics> {
     if !text.contains(',') {
         let content = std::fs::read_to_string(text).map_err(|e| Error::io(text, "cannot read", e))?;
-        return Physics::parse(text, &content);
+        return Physics::parse(&content, text);
     }
     let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
     let Some(Ok(coefficients)) = numbers.map(<[f64; 3]>::try_from) else {

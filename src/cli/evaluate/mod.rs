@@ -57,7 +57,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Energy coefficients stretch, shear, bend, or a JSON file with them, or with moduli, under "material" as in a scene, such
-    /// as fit-material writes; its "wind" and "frame_time_s" count too [default: the coefficients fitted to the
+    /// as fit-material writes; density and drag of its "wind" and its "frame_time_s" count too [default: the coefficients fitted to the
     /// trajectories of assets/ground_truth, assets/materials/arcsim.json; in a suite the default scene's]
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
@@ -220,6 +220,14 @@ impl Args {
                 ),
             };
             let (known, own) = match name {
+                "single-pass" if own.is_some_and(|n: usize| n != 1) => {
+                    return Err(Error::invalid(
+                        "--solver",
+                        name,
+                        "no iterations, as it is a single one",
+                        text,
+                    ));
+                }
                 "single-pass" => ("fnopt", Some(1)),
                 "interpolation" => ("fnopt", own),
                 _ => (name, own),

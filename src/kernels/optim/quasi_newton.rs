@@ -8,7 +8,7 @@ use crate::kernels::fft::{Fields, RealFft2};
 use crate::sim::Grid;
 
 /// L-BFGS with the initial inverse Hessian `P C^T diag(1 / lambda) C P`: the cosine transform C (DCT-II) of a sheet nearly
-/// diagonalises its Hessian at rest, P zeroes the handles (after Liu, Bouaziz and Kavan 2017; SPEC section 7).
+/// diagonalises its Hessian at rest, P zeroes the handles (after Liu, Bouaziz and Kavan 2017).
 ///
 /// The cosine transform is a Fourier transform of the field in another order.
 #[derive(Clone, Debug)]
