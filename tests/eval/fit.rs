@@ -85,4 +85,10 @@ fn a_known_material_is_found_again() {
     let refused = endless.search(&mut Surface::default(), || ControlFlow::Break(()), |_, _| Ok(()));
     let refused = refused.unwrap_err().to_string();
     assert!(refused.contains("--levels") && refused.contains("100000"), "{refused}");
+    // Points of another search are kept and not taken.
+    let elsewhere =
+        Fit { ranges: [[800.0, 1600.0], fit.ranges[1], [0.5; 2], [density; 2], [drag; 2], [time; 2]], ..fit };
+    let found = elsewhere.found(&again);
+    assert!(!found.is_empty() && found.len() < again.sorted().len());
+    assert!(found.iter().all(|(point, _)| point[0] >= 800.0), "{found:?}");
 }

@@ -231,6 +231,22 @@ fn steps_that_are_not_finite_are_skipped_and_ten_in_a_row_end_the_run() {
 }
 
 #[test]
+fn steps_that_are_not_finite_count_over_sessions() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = create(folder.path(), Fake::new(&config()).broken_at(1..50));
+    assert_eq!(train(&mut run, 8), End::Done);
+    drop(run);
+    // What a process that was killed has left goes, too.
+    let unfinished = folder.path().join("checkpoints/.writing-abc");
+    std::fs::write(&unfinished, "half").unwrap();
+    let learner = |config: &Config| Ok(Box::new(Fake::new(config).broken_at(0..50)) as Box<dyn Learner>);
+    let (mut run, _) = Run::resume(folder.path(), None, learner, Rc::new(Alone)).unwrap();
+    assert!(!unfinished.exists());
+    assert_eq!(run.train(&Limits::default(), |_| ControlFlow::Continue(())).unwrap(), End::NonFinite);
+    assert_eq!((run.step(), run.skipped()), (11, 10));
+}
+
+#[test]
 fn an_interrupted_run_and_one_out_of_time_can_be_resumed() {
     let folder = tempfile::tempdir().unwrap();
     let mut run = fresh(folder.path());
