@@ -35,7 +35,8 @@ fn samples_in_turns_have_the_same_bits() {
             dispatches.push(more);
         }
         let [one, three, two, nine, again] = dispatches[..] else { panic!("{dispatches:?}") };
-        assert!(one < two && two < three && three < nine && nine == again, "{dispatches:?}");
+        // Where not even one component fits, its lifting is divided further.
+        assert!(one < two && two < three && three < nine && nine <= again, "{dispatches:?}");
     }
 }
 
