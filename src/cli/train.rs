@@ -78,7 +78,7 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
     let line =
         format!("{} steps of {} done{skipped}; {folder} holds the run", run.step(), run.config().steps);
     if first {
-        tell(end, &line)?;
+        say_end(end, &line)?;
     }
     Ok(match end {
         End::Done => Ending::Done,
@@ -88,7 +88,7 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
 }
 
 /// Says how the run ended; `line` says where it is.
-fn tell(end: End, line: &str) -> std::io::Result<()> {
+fn say_end(end: End, line: &str) -> std::io::Result<()> {
     match end {
         End::Done => writeln!(output(), "{line}")?,
         End::Interrupted => tell!("interrupted: {line}; continue with --resume"),

@@ -221,13 +221,11 @@ impl Context {
     /// left) into an error.
     pub fn checked<T>(&self, build: impl FnOnce() -> Result<T>) -> Result<T> {
         use wgpu::ErrorFilter::{Internal, OutOfMemory, Validation};
-        // Where memory ran out or a driver failed, objects are invalid because of it: their own errors are told last.
+        // Where memory ran out or a driver failed, objects are invalid because of it: these scopes are outside theirs.
         let scopes = [OutOfMemory, Internal, Validation].map(|filter| self.device.push_error_scope(filter));
         let built = build();
-        let mut errors: Vec<_> =
-            scopes.into_iter().rev().map(|scope| pollster::block_on(scope.pop())).collect();
-        errors.reverse();
-        match errors.into_iter().flatten().next() {
+        // All are popped, the innermost first; the outermost error is told.
+        match scopes.into_iter().rev().filter_map(|scope| pollster::block_on(scope.pop())).last() {
             Some(e) => Err(Error::Device(format!("{}: {e}", self.name))),
             None => built,
         }

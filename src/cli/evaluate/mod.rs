@@ -6,10 +6,10 @@ mod plots;
 mod suite;
 
 use super::device::InferenceArgs;
+use super::output::{output, tell};
 use super::{
     Ending, MOST_ITERATIONS, MOST_POINTS, go_on, interrupt_flag, load_weights, writable_file, writable_folder,
 };
-use crate::cli::output::{output, tell};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::Suite;
