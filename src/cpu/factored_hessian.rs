@@ -4,10 +4,12 @@ use super::cloth::{Block, Projection, Trial, hessian};
 use crate::cpu::optim::InverseHessian;
 use crate::sim::Grid;
 use crate::{Error, Result};
-use faer::linalg::solvers::Solve;
-use faer::sparse::linalg::solvers::{Llt, SymbolicLlt};
+use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::sparse::linalg::cholesky::{
+    CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
+};
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
-use faer::{MatMut, Side};
+use faer::{Conj, MatMut, Par, Side};
 
 /// Particles that come after a particle in the grid and share a term with it: rows and columns from there.
 const NEIGHBOURS: [(usize, isize); 6] = [(0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
@@ -21,18 +23,20 @@ const LEAST: f64 = 1.0 / 64.0;
 const STEP: f64 = 8.0;
 const EASE: f64 = 2.0;
 
-/// The inverse Hessian of a cloth at a trial, by its Cholesky factors in double precision.
+/// The inverse Hessian of a cloth at a trial, by its Cholesky factors in single precision: a step is measured on the energy
+/// itself, and what rounding adds to one is undone by the next.
 ///
 /// The unknowns are the particles, component by component; the lower triangle of the Hessian has a fixed pattern, so that
-/// its symbolic factorisation is made once.
+/// its symbolic factorisation and all memory are made once.
 pub struct FactoredHessian {
     grid: Grid,
     pattern: SymbolicSparseColMat<usize>,
-    symbolic: SymbolicLlt<usize>,
-    values: Vec<f64>,
+    symbolic: SymbolicCholesky<usize>,
+    values: Vec<f32>,
     /// Of the last trial that was factored.
-    factors: Option<Llt<usize, f64>>,
-    interleaved: Vec<f64>,
+    factors: Vec<f32>,
+    workspace: MemBuffer,
+    interleaved: Vec<f32>,
     /// What was needed last, eased.
     projection: Projection,
     /// Of each particle, which of its neighbours there are: place in the column, after its own entries.
@@ -62,16 +66,26 @@ impl FactoredHessian {
         }
         let values = vec![0.0; rows.len()];
         let pattern = SymbolicSparseColMat::new_checked(3 * n, 3 * n, starts, None, rows);
-        let symbolic = SymbolicLlt::try_new(pattern.as_ref(), Side::Lower).map_err(unsolved)?;
+        let (order, params) = (SymmetricOrdering::Amd, CholeskySymbolicParams::default());
+        let symbolic =
+            factorize_symbolic_cholesky(pattern.as_ref(), Side::Lower, order, params).map_err(unsolved)?;
+        let mut factors = Vec::new();
+        factors.try_reserve_exact(symbolic.len_val()).map_err(unsolved)?;
+        factors.resize(symbolic.len_val(), 0.0);
+        let workspace = StackReq::or(
+            symbolic.factorize_numeric_llt_scratch::<f32>(Par::Seq, Default::default()),
+            symbolic.solve_in_place_scratch::<f32>(1, Par::Seq),
+        );
         Ok(Self {
             grid,
             pattern,
             symbolic,
             values,
+            factors,
+            workspace: MemBuffer::try_new(workspace).map_err(unsolved)?,
+            interleaved: vec![0.0; 3 * n],
             projection: FIRST,
             places,
-            factors: None,
-            interleaved: vec![0.0; 3 * n],
         })
     }
 
@@ -89,10 +103,18 @@ impl FactoredHessian {
             self.assemble(trial, self.projection);
             let matrix = SparseColMatRef::new(self.pattern.as_ref(), &self.values);
             let Projection(share) = self.projection;
-            match Llt::try_new_with_symbolic(self.symbolic.clone(), matrix, Side::Lower) {
-                Ok(factors) => {
+            let factored = self.symbolic.factorize_numeric_llt(
+                &mut self.factors,
+                matrix,
+                Side::Lower,
+                Default::default(),
+                Par::Seq,
+                MemStack::new(&mut self.workspace),
+                Default::default(),
+            );
+            match factored {
+                Ok(_) => {
                     self.projection = Projection(if share > LEAST { share / EASE } else { 0.0 });
-                    self.factors = Some(factors);
                     return Ok(());
                 }
                 Err(_) if share < 1.0 => self.projection = Projection((share * STEP).clamp(LEAST, 1.0)),
@@ -120,10 +142,12 @@ impl FactoredHessian {
             });
             for (column, &start) in starts[3 * q..3 * q + 3].iter().enumerate() {
                 match place {
-                    None => (column..3).for_each(|row| values[start + row - column] += block[row][column]),
+                    None => {
+                        (column..3).for_each(|row| values[start + row - column] += block[row][column] as f32)
+                    }
                     Some(place) => {
                         let first = start + 3 - column + 3 * place;
-                        (0..3).for_each(|row| values[first + row] += block[row][column]);
+                        (0..3).for_each(|row| values[first + row] += block[row][column] as f32);
                     }
                 }
             }
@@ -131,7 +155,7 @@ impl FactoredHessian {
         hessian(trial, projection, &mut add);
         for p in 0..n {
             let own = if free(p) { grid.mass(p / grid.w, p % grid.w) / n as f64 } else { 1.0 };
-            (0..3).for_each(|c| values[starts[3 * p + c]] += own);
+            (0..3).for_each(|c| values[starts[3 * p + c]] += own as f32);
         }
     }
 }
@@ -139,10 +163,14 @@ impl FactoredHessian {
 impl InverseHessian<f64> for FactoredHessian {
     fn apply(&mut self, direction: &mut [f64]) {
         let n = self.grid.particles();
-        let factors = self.factors.as_ref().expect("factored before it is applied");
-        self.interleaved.iter_mut().enumerate().for_each(|(k, to)| *to = direction[k % 3 * n + k / 3]);
-        factors.solve_in_place(MatMut::from_column_major_slice_mut(&mut self.interleaved, 3 * n, 1));
-        direction.iter_mut().enumerate().for_each(|(k, to)| *to = self.interleaved[k % n * 3 + k / n]);
+        self.interleaved.iter_mut().enumerate().for_each(|(k, to)| *to = direction[k % 3 * n + k / 3] as f32);
+        LltRef::new(&self.symbolic, &self.factors).solve_in_place_with_conj(
+            Conj::No,
+            MatMut::from_column_major_slice_mut(&mut self.interleaved, 3 * n, 1),
+            Par::Seq,
+            MemStack::new(&mut self.workspace),
+        );
+        direction.iter_mut().enumerate().for_each(|(k, to)| *to = self.interleaved[k % n * 3 + k / n].into());
     }
 }
 
