@@ -71,7 +71,8 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["rollout", "--motion", "xz_v3"], &["--motion", "did you mean xyz_v3"]),
         (&["rollout", "--motion", "short.npy"], &["short.npy"]),
         (&["rollout", "--material", "1,2"], &["--material", "three numbers"]),
-        (&["rollout", "--material", "nan,2,3"], &["finite"]),
+        (&["rollout", "--material", "nan,2,3"], &["--material", "finite"]),
+        (&["rollout", "--material", "mass.json"], &["mass.json", "material"]),
         (&["rollout", "--solver", "bfgs"], &["--solver", "did you mean lbfgs"]),
         (&["rollout", "--adapter", "no such adapter"], &["no adapter named 'no such adapter'"]),
         (&["rollout", "--device", "cpu", "--adapter", "0"], &["--adapter"]),
@@ -147,6 +148,37 @@ fn a_rollout_writes_what_it_says() {
     {
         assert!(folder.path().join(picture).metadata().unwrap().len() > 1000, "{picture}");
     }
+}
+
+#[test]
+fn a_rollout_takes_a_material_from_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let soft = r#"{"material": {"stretch_modulus": 280, "shear_modulus": 28, "bending_stiffness": 1e-5},
+        "wind": {"density": 0.5}, "frame_time_s": 0.01, "fitted_to": "nothing"}"#;
+    std::fs::write(folder.path().join("soft.json"), soft).unwrap();
+    let arguments = [
+        "rollout",
+        "--device",
+        "cpu",
+        "--grid",
+        "8",
+        "8",
+        "--frames",
+        "2",
+        "--solver",
+        "gd",
+        "--no-pictures",
+        "--material",
+        "soft.json",
+    ];
+    let output = fnopt(folder.path(), &arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    let scene = &report["settings"]["scene"];
+    assert_eq!(scene["material"]["stretch_modulus"], 280.0, "{report}");
+    assert_eq!(scene["wind"]["density"], 0.5);
+    assert_eq!(scene["frame_time_s"], 0.01);
 }
 
 #[test]

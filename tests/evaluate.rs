@@ -356,7 +356,7 @@ fn a_fit_writes_a_material_that_an_evaluation_reads() {
     let settings = json(&at.join("s.json"))[0]["made_with"]["settings"].clone();
     assert_eq!(settings["material"]["stretch"], best["material"]["stretch"]);
     assert_eq!((settings["density"].as_f64(), &settings["drag"]), (Some(first[3]), &Value::Null));
-    refused(fit(&["--levels", "50"]), &["--levels", "at most 100000 points"]);
+    refused(fit(&["--levels", "50"]), &["levels", "at most 100000 points"]);
     refused(fit(&["--out", "fit.json"]), &["--out", "another ending"]);
 }
 

@@ -6,6 +6,7 @@ mod doctor;
 mod evaluate;
 mod fit_material;
 mod inspect;
+mod material;
 pub mod output;
 mod rollout;
 mod train;
@@ -155,7 +156,8 @@ pub struct SolverArgs {
 impl SolverArgs {
     /// The optimizer, its weights read and checked.
     pub fn optimizer(&self) -> Result<Optimizer> {
-        let optimizer = Optimizer::named(&self.solver, || load_weights(self.checkpoint.as_deref()))?;
+        let weights = || load_weights(self.checkpoint.as_deref());
+        let optimizer = Optimizer::named(&self.solver, "--solver", weights)?;
         match (&optimizer, &self.checkpoint) {
             (Optimizer::Learned(_), _) | (_, None) => Ok(optimizer),
             (_, Some(path)) => {

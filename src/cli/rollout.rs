@@ -2,14 +2,14 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, tell};
-use super::{Ending, SolverArgs, go_on, interrupt_flag, writable_file, writable_folder};
+use super::{Ending, SolverArgs, go_on, interrupt_flag, material, writable_file, writable_folder};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::median_time;
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
-use fnopt::scene::{Motion, Scene, Setup, Stiffness, UpAxis};
-use fnopt::sim::{Frame, FrameStats, Grid, Material, Optimizer, Simulator, State};
+use fnopt::scene::{Motion, Scene, Setup, UpAxis};
+use fnopt::sim::{Frame, FrameStats, Grid, Optimizer, Simulator, State};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -25,9 +25,10 @@ pub struct Args {
     /// Particles along the height and the width
     #[arg(long, num_args = 2, value_names = ["H", "W"])]
     grid: Option<Vec<usize>>,
-    /// Grid coefficients of stretch, shear and bend
-    #[arg(long, value_delimiter = ',', value_name = "KS,KH,KB")]
-    material: Option<Vec<f64>>,
+    /// Energy coefficients stretch, shear, bend, or a JSON file with them, or with moduli, under "material" as in a scene; density
+    /// and drag of its "wind" and its "frame_time_s" count too
+    #[arg(long, value_name = "KS,KH,KB|FILE")]
+    material: Option<String>,
     /// Frames to simulate, the start included
     #[arg(long, value_name = "F")]
     frames: Option<usize>,
@@ -99,12 +100,8 @@ impl Args {
         if let Some(motion) = &self.motion {
             scene.motion = Motion::parse(motion, "--motion", Path::new(""))?;
         }
-        if let Some(material) = &self.material {
-            let &[stretch, shear, bend] = &material[..] else {
-                let found = format!("{} numbers", material.len());
-                return Err(Error::invalid("--material", "coefficients", "three numbers", found).into());
-            };
-            scene.stiffness = Stiffness::Grid(Material { stretch, shear, bend });
+        if let Some(text) = &self.material {
+            material::read(text)?.apply(&mut scene);
         }
         if self.frames.is_some() {
             scene.frames = self.frames;
@@ -127,7 +124,7 @@ impl Args {
 /// An empty trajectory with room for all frames, which all formats hold.
 fn room(formats: &[Format], setup: &Setup) -> fnopt::Result<Trajectory> {
     let (grid, frames) = (setup.model.grid, setup.frames());
-    formats.iter().try_for_each(|format| format.holds(grid, frames))?;
+    formats.iter().try_for_each(|format| format.holds(grid, frames, "--format"))?;
     let mut trajectory = Trajectory::new(grid, 1.0 / setup.units.frame_time_s);
     trajectory.reserve(frames)?;
     Ok(trajectory)

@@ -123,7 +123,7 @@ impl Fit<'_> {
         if count.is_none() {
             let expected = format!("at most {MOST_POINTS} points in the coarse grid");
             let found = format!("{} of each of {} parameters", self.levels, free.len());
-            return Err(Error::invalid("--levels", "values", expected, found));
+            return Err(Error::invalid("fit", "levels", expected, found));
         }
         let ratio = |k: usize| (self.ranges[k][1] / self.ranges[k][0]).powf(1.0 / (self.levels - 1) as f64);
         let mut points = vec![self.ranges.map(|range| range[0])];

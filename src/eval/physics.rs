@@ -48,6 +48,14 @@ impl Physics {
         })
     }
 
+    /// Gives a scene this material, and the air and the frame time where they are told.
+    pub fn apply(&self, scene: &mut Scene) {
+        scene.stiffness = self.stiffness;
+        scene.wind.density = self.density.unwrap_or(scene.wind.density);
+        scene.wind.drag = self.drag.unwrap_or(scene.wind.drag);
+        scene.frame_time_s = self.frame_time_s.unwrap_or(scene.frame_time_s);
+    }
+
     /// The document that [`Physics::parse`] reads back; the air and the frame time where they are given.
     pub fn to_json(&self) -> Value {
         let scene = Scene { stiffness: self.stiffness, ..Scene::default() }.to_json();

@@ -85,8 +85,8 @@ impl Suite {
     /// Names of the suites.
     pub const NAMES: [&str; 6] = ["motions", "handles", "speeds", "grids", "materials", "iterations"];
 
-    /// The suite of that name.
-    pub fn named(name: &str) -> Result<Self> {
+    /// The suite of that name; its `origin` is told in errors.
+    pub fn named(name: &str, origin: &str) -> Result<Self> {
         Ok(match name {
             "motions" => Self::Motions,
             "handles" => Self::Handles,
@@ -94,7 +94,7 @@ impl Suite {
             "grids" => Self::Grids,
             "materials" => Self::Materials,
             "iterations" => Self::Iterations,
-            other => return Err(Error::unknown("--suite", "suite", other, Self::NAMES)),
+            other => return Err(Error::unknown(origin, "suite", other, Self::NAMES)),
         })
     }
 

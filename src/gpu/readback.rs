@@ -2,22 +2,23 @@
 
 use super::{Context, Tensor};
 use crate::{Error, Result};
+use futures::channel::oneshot::{self, Canceled};
 use std::collections::VecDeque;
-use std::sync::mpsc::{Receiver, channel};
 
-type Mapped = Receiver<Result<(), wgpu::BufferAsyncError>>;
+type Mapping = Result<(), wgpu::BufferAsyncError>;
 
 /// A ring of host-visible buffers, each of which takes a copy of the same tensors.
 ///
 /// A frame is recorded with [`Readback::record`] into the encoder that computes it; after the submission
-/// [`Readback::submitted`] starts the mapping, and [`Readback::next`] hands out the results in order. With two slots
-/// or more the device computes a frame while the host reads the one before it.
+/// [`Readback::submitted`] starts the mapping, and [`Readback::next`] hands out the results in order, or
+/// [`Readback::try_next`] what has arrived. With two slots or more the device computes a frame while the host reads the one
+/// before it.
 #[derive(Debug)]
 pub struct Readback {
     sources: Vec<Tensor>,
     free: Vec<wgpu::Buffer>,
     recorded: Vec<wgpu::Buffer>,
-    under_way: VecDeque<(wgpu::Buffer, Mapped, wgpu::SubmissionIndex)>,
+    under_way: VecDeque<(wgpu::Buffer, oneshot::Receiver<Mapping>, wgpu::SubmissionIndex)>,
     bytes: u64,
 }
 
@@ -53,7 +54,7 @@ impl Readback {
     /// Starts mapping what was recorded; call it after the encoder was submitted, with what the queue returned.
     pub fn submitted(&mut self, submission: &wgpu::SubmissionIndex) {
         for slot in self.recorded.drain(..) {
-            let (done, mapped) = channel();
+            let (done, mapped) = oneshot::channel();
             // A receiver that is gone means that the ring was dropped: nothing is left to tell.
             slot.map_async(wgpu::MapMode::Read, .., move |r| drop(done.send(r)));
             self.under_way.push_back((slot, mapped, submission.clone()));
@@ -67,18 +68,37 @@ impl Readback {
 
     /// What `read` makes of the bytes of the oldest result, waiting for it if need be; `None` when nothing is under way.
     pub fn next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
-        let lost = |e: String| Error::Device(format!("{}: cannot read back: {e}", context.name()));
         let Some((slot, mapped, submission)) = self.under_way.pop_front() else { return Ok(None) };
         // Wait for this submission and no longer: later ones may still be computing.
         let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
         context.poll(poll)?;
-        let outcome = mapped.recv().map_err(|e| lost(e.to_string()))?;
-        outcome.map_err(|e| lost(e.to_string()))?;
+        self.take(context, slot, pollster::block_on(mapped), read).map(Some)
+    }
+
+    /// As [`Readback::next`] without waiting: `None` as well while the oldest result has not arrived.
+    pub fn try_next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
+        context.poll(wgpu::PollType::Poll)?;
+        let Some((_, mapped, _)) = self.under_way.front_mut() else { return Ok(None) };
+        let Some(mapping) = mapped.try_recv().transpose() else { return Ok(None) };
+        let (slot, ..) = self.under_way.pop_front().expect("the oldest is there");
+        self.take(context, slot, mapping, read).map(Some)
+    }
+
+    /// What `read` makes of a slot that was mapped, which is free then.
+    fn take<T>(
+        &mut self,
+        context: &Context,
+        slot: wgpu::Buffer,
+        mapping: Result<Mapping, Canceled>,
+        read: impl FnOnce(&[u8]) -> T,
+    ) -> Result<T> {
+        let lost = |e: String| Error::Device(format!("{}: cannot read back: {e}", context.name()));
+        mapping.map_err(|e| lost(e.to_string()))?.map_err(|e| lost(e.to_string()))?;
         let view = slot.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;
         let made = read(&view[..self.bytes as usize]);
         drop(view);
         slot.unmap();
         self.free.push(slot);
-        Ok(Some(made))
+        Ok(made)
     }
 }

@@ -33,17 +33,17 @@ impl Format {
         }
     }
 
-    /// An error if a trajectory of this size does not fit into a file of this format.
-    pub fn holds(self, grid: Grid, frames: usize) -> Result<()> {
+    /// An error of `origin` if a trajectory of this size does not fit into a file of this format.
+    pub fn holds(self, grid: Grid, frames: usize, origin: &str) -> Result<()> {
         let bytes = (frames as u64).saturating_mul(12 * grid.particles() as u64);
         // An entry of an archive has a length of 32 bits, and a header.
         if self == Self::Npz && bytes >= u64::from(u32::MAX) - 256 {
             let expected = "less than 4 GiB of positions (npy has no limit)";
             let found = format!("{frames} frames of {grid}, {bytes} bytes");
-            return Err(Error::invalid("--format", self.name(), expected, found));
+            return Err(Error::invalid(origin, self.name(), expected, found));
         }
         if self == Self::Pc2 && i32::try_from(frames).is_err() {
-            return Err(Error::invalid("--format", self.name(), "at most 2^31 - 1 frames", frames));
+            return Err(Error::invalid(origin, self.name(), "at most 2^31 - 1 frames", frames));
         }
         Ok(())
     }
@@ -60,7 +60,7 @@ impl FromStr for Format {
 
     fn from_str(name: &str) -> Result<Self> {
         let known = Self::ALL.into_iter().find(|f| f.name().eq_ignore_ascii_case(name.trim()));
-        known.ok_or_else(|| Error::unknown("--format", "format", name, Self::ALL.map(Self::name)))
+        known.ok_or_else(|| Error::unknown("trajectory", "format", name, Self::ALL.map(Self::name)))
     }
 }
 
@@ -80,12 +80,12 @@ mod tests {
     #[test]
     fn what_is_too_long_for_a_format_is_told_beforehand() {
         let grid = Grid { h: 1024, w: 1024 };
-        Format::Npz.holds(grid, 341).unwrap();
-        let error = Format::Npz.holds(grid, 342).unwrap_err().to_string();
+        Format::Npz.holds(grid, 341, "--format").unwrap();
+        let error = Format::Npz.holds(grid, 342, "--format").unwrap_err().to_string();
         assert!(error.contains("npz: expected less than 4 GiB") && error.contains("342 frames"), "{error}");
         for format in [Format::Npy, Format::Obj, Format::Ply, Format::Pc2] {
-            format.holds(grid, 1_000_000).unwrap();
+            format.holds(grid, 1_000_000, "--format").unwrap();
         }
-        assert!(Format::Pc2.holds(grid, 1 << 31).is_err());
+        assert!(Format::Pc2.holds(grid, 1 << 31, "--format").is_err());
     }
 }

@@ -85,8 +85,9 @@ impl Optimizer {
         Self::QuasiNewton { history: 5, curvature: 1e-12, factored: true }
     }
 
-    /// The classical optimizer of that name with the paper's settings, or the learned one made by `weights`.
-    pub fn named(name: &str, weights: impl FnOnce() -> Result<Weights>) -> Result<Self> {
+    /// The classical optimizer of that name with the paper's settings, or the learned one made by `weights`; `origin` of the
+    /// name is told in errors.
+    pub fn named(name: &str, origin: &str, weights: impl FnOnce() -> Result<Weights>) -> Result<Self> {
         match name {
             "fnopt" => Ok(Self::learned(weights()?)),
             "gd" => Ok(Self::gradient_descent()),
@@ -95,7 +96,7 @@ impl Optimizer {
             "quasi-newton" => Ok(Self::quasi_newton()),
             "quasi-newton-exact" => Ok(Self::quasi_newton_exact()),
             "newton" => Ok(Self::Newton),
-            other => Err(Error::unknown("--solver", "solver", other, Self::NAMES)),
+            other => Err(Error::unknown(origin, "solver", other, Self::NAMES)),
         }
     }
 

@@ -84,7 +84,7 @@ fn a_known_material_is_found_again() {
     let endless = Fit { levels: 1000, ..fit.clone() };
     let refused = endless.search(&mut Surface::default(), || ControlFlow::Break(()), |_, _| Ok(()));
     let refused = refused.unwrap_err().to_string();
-    assert!(refused.contains("--levels") && refused.contains("100000"), "{refused}");
+    assert!(refused.contains("fit: levels") && refused.contains("100000"), "{refused}");
     // Points of another search are kept and not taken.
     let elsewhere =
         Fit { ranges: [[800.0, 1600.0], fit.ranges[1], [0.5; 2], [density; 2], [drag; 2], [time; 2]], ..fit };

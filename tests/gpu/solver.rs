@@ -3,7 +3,7 @@
 use crate::common::{assert_close, context, device, half, largest, noise, sharings, widened};
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
-use fnopt::gpu::{Context, Tensor};
+use fnopt::gpu::{Context, Readback, Tensor};
 use fnopt::kernels::Tuning;
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
@@ -326,6 +326,38 @@ fn frames_of_one_submission_are_those_of_several() {
 }
 
 /// A control without wind and forces used to leave those of the frame before in place.
+#[test]
+fn a_ring_hands_out_frames_in_order_waiting_or_not() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let solver = solver(&model, &Optimizer::gradient_descent(), 2, &start);
+    let mut readback = Readback::new(context(), &[solver.positions()], 3);
+    let positions = |bytes: &[u8]| bytemuck::pod_collect_to_vec::<u8, f32>(bytes);
+    assert!(readback.try_next(context(), positions).unwrap().is_none());
+    let frames = [(); 3].map(|()| {
+        solver.set_control(&control);
+        let submission = context().submit(|encoder| {
+            solver.record(encoder);
+            readback.record(encoder);
+        });
+        readback.submitted(&submission);
+        read(solver.positions())
+    });
+    assert!(readback.is_full());
+    let mut arrived = || loop {
+        if let Some(frame) = readback.try_next(context(), positions).unwrap() {
+            return frame;
+        }
+        std::thread::yield_now();
+    };
+    assert_same("the first frame", &arrived(), &frames[0]);
+    assert_same("the second frame", &arrived(), &frames[1]);
+    let last = readback.next(context(), positions).unwrap();
+    assert_same("the last frame", &last.unwrap(), &frames[2]);
+    assert!(!readback.is_full());
+    assert!(readback.next(context(), positions).unwrap().is_none());
+}
+
 #[test]
 fn wind_and_forces_end_with_the_control_that_has_them() {
     let _turn = device();

@@ -1,14 +1,14 @@
 //! `fnopt evaluate`: compares solvers with recorded trajectories.
 
 mod jobs;
-pub mod material;
 mod plots;
 mod suite;
 
 use super::device::InferenceArgs;
 use super::output::{output, tell};
 use super::{
-    Ending, MOST_ITERATIONS, MOST_POINTS, go_on, interrupt_flag, load_weights, writable_file, writable_folder,
+    Ending, MOST_ITERATIONS, MOST_POINTS, go_on, interrupt_flag, load_weights, material, writable_file,
+    writable_folder,
 };
 use anyhow::Result;
 use fnopt::Error;
@@ -131,7 +131,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let entries = args.entries()?;
     let grids: Vec<Grid> = args.grid.iter().map(|text| grid(text)).collect::<fnopt::Result<_>>()?;
     if let Some(name) = &args.suite {
-        return args.run_suite(Suite::named(name)?, entries, &grids);
+        return args.run_suite(Suite::named(name, "--suite")?, entries, &grids);
     }
     let sequences = Sequence::load_all(&args.ground_truth, args.sequences.as_deref())?;
     let (index, count) = args.shard()?;
@@ -236,7 +236,7 @@ impl Args {
                 Some(weights) => Ok(weights.clone()),
                 None => Ok(weights.insert(load_weights(self.checkpoint.as_deref())?).clone()),
             };
-            let optimizer = Optimizer::named(known, &mut load)?;
+            let optimizer = Optimizer::named(known, "--solver", &mut load)?;
             let all = match (own, &optimizer) {
                 (Some(n), _) => vec![n],
                 (None, Optimizer::Newton) => vec![1],

@@ -1,12 +1,12 @@
 //! `fnopt evaluate --suite`: how far solvers generalise.
 
-use super::{Args, material, progress};
+use super::{Args, progress};
 use crate::cli::output::tell;
-use crate::cli::{Ending, go_on, interrupt_flag, writable_folder};
+use crate::cli::{Ending, go_on, interrupt_flag, material, writable_folder};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
-use fnopt::eval::{Entry, Physics, Table};
+use fnopt::eval::{Entry, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
 use fnopt::sim::{Device, Grid};
 use std::collections::BTreeSet;
@@ -33,11 +33,8 @@ impl Args {
             cases.retain(|case| names.contains(&case.name));
         }
         for Case { scene, .. } in &mut cases {
-            if let Some(Physics { stiffness, density, drag, frame_time_s }) = given {
-                scene.stiffness = stiffness;
-                scene.wind.density = density.unwrap_or(scene.wind.density);
-                scene.wind.drag = drag.unwrap_or(scene.wind.drag);
-                scene.frame_time_s = frame_time_s.unwrap_or(scene.frame_time_s);
+            if let Some(physics) = given {
+                physics.apply(scene);
             }
             scene.wind.density = self.wind.unwrap_or(scene.wind.density);
             // What is wrong with a scene is said before the work.

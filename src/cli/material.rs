@@ -6,7 +6,7 @@ use fnopt::sim::Material;
 use fnopt::{Error, Result};
 
 /// The fitted material.
-const FITTED: &str = include_str!("../../../assets/materials/arcsim.json");
+const FITTED: &str = include_str!("../../assets/materials/arcsim.json");
 
 /// The fitted material.
 pub fn fitted() -> Result<Physics> {
@@ -24,7 +24,12 @@ pub fn read(text: &str) -> Result<Physics> {
         return Err(Error::invalid("--material", "coefficients", "three numbers or a file", text));
     };
     if !coefficients.iter().all(|k| k.is_finite() && *k >= 0.0) {
-        return Err(Error::invalid("--material", "coefficients", "numbers that are not negative", text));
+        return Err(Error::invalid(
+            "--material",
+            "coefficients",
+            "finite numbers that are not negative",
+            text,
+        ));
     }
     let [stretch, shear, bend] = coefficients;
     Ok(Physics { stiffness: Stiffness::Grid(Material { stretch, shear, bend }), ..Physics::default() })
