@@ -43,6 +43,9 @@ pub enum Error {
     /// No device can do the work: no adapter, or one whose limits are too small.
     #[error("device: {0}")]
     Device(String),
+    /// The device was lost on the way: what is on it is gone, and the work can begin anew on another.
+    #[error("device: {0}")]
+    Lost(String),
     /// The simulation left the finite numbers.
     #[error("frame {frame}: cloth {cloth} became non-finite")]
     NonFinite {

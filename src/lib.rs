@@ -20,7 +20,7 @@
 //!
 //! ```text
 //! scene::Scene (SI units) -> scene::Setup: sim::Model (grid, material, air, handles) + sim::State (x, v), grid units
-//! sim::Control (this frame's handles, wind, forces) -> sim::Solver or cpu::Solver -> the next State
+//! sim::Control (this frame's handles, wind, external accelerations) -> sim::Solver or cpu::Solver -> the next State
 //! sim::Simulator: submits, reads back -> io::Trajectory, render::strip; or the caller's own use of the position buffer
 //! ```
 //!
@@ -34,7 +34,7 @@
 //! [`sim::Simulator::step`] sets the control and records the schedule that [`sim::Solver::new`] built:
 //!
 //! 1. [`kernels::cloth::Predict`]: a = 0 moves the particles by their velocity, the handles to their targets;
-//!    [`kernels::cloth::ExternalForce`]: gravity, the caller's forces and the air's drag.
+//!    [`kernels::cloth::ExternalForce`]: gravity, the control's accelerations and the air's drag.
 //! 2. N times (paper section 3.3): [`kernels::cloth::Gradient`] gives dL/da; [`kernels::optim::Norms`] and
 //!    [`kernels::optim::Features`] normalise it; [`network::Forward`] runs the network (section 4): lifting, four Fourier
 //!    blocks of truncated transform, spectral product and inverse, the field head, and the scalar head

@@ -17,11 +17,16 @@ const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 const SIZE: u32 = 256;
 
 impl Host {
-    /// Opens a device with all that its adapter allows: the default limits bind 128 MiB at most.
+    /// Opens a device with all that its adapter allows: the default limits bind 128 MiB at most, and without features there is no
+    /// half precision, no timing and no pipeline cache.
     pub fn open(shader: &str) -> Result<Self, Box<dyn std::error::Error>> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
         let adapter = pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default()))?;
-        let descriptor = wgpu::DeviceDescriptor { required_limits: adapter.limits(), ..Default::default() };
+        let descriptor = wgpu::DeviceDescriptor {
+            required_features: adapter.features() & Context::optional_features(),
+            required_limits: adapter.limits(),
+            ..Default::default()
+        };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))?;
         let pipeline = pipeline(&device, shader);
         let target = device.create_texture(&wgpu::TextureDescriptor {

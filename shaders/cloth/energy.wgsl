@@ -2,7 +2,7 @@
 //
 // Each particle owns the edges, corner angles and bends that start at it. Every part holds eight sums:
 // stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of ||edge| - 1|, unused.
-// cloths: [B]; external, a, x, shift: [B, 3, H, W]; parts: [B, groups, 8].
+// cloths: [B]; external_acceleration, a, x, shift: [B, 3, H, W]; parts: [B, groups, 8].
 // One invocation: one particle; a workgroup adds up in a fixed order. Workgroups: (n / 64 along x, then y, and B).
 // Adjoint: `gradient`.
 

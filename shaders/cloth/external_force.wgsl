@@ -1,9 +1,9 @@
-// External acceleration: gravity, the caller's forces, and the air's pressure and friction on each triangle.
+// External acceleration: gravity, what the caller gives, and the air's pressure and friction on each triangle.
 //
 // With v_rel = wind - mean velocity of a triangle's corners and v_n = n . v_rel, the triangle receives
 // density area |v_n| v_n n + drag area (v_rel - v_n n), one third to each corner, divided by the corner's mass.
 // Triangles as in `Grid::faces`: each cell is cut along (i, j) - (i+1, j+1). Evaluated at the start of the frame.
-// cloths: [B]; x, v, forces, external: [B, 3, H, W].
+// cloths: [B]; x, v, given, external_acceleration: [B, 3, H, W].
 // One invocation: one particle, which gathers from the up to six triangles around it. Workgroups: (W / 8, H / 8, B).
 // Adjoint: none, external forces are constants of the training step.
 
@@ -18,7 +18,7 @@ struct Params {
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
 @group(0) @binding(2) var<storage, read> x: array<f32>;
 @group(0) @binding(3) var<storage, read> v: array<f32>;
-@group(0) @binding(4) var<storage, read> forces: array<f32>;
+@group(0) @binding(4) var<storage, read> given: array<f32>;
 @group(0) @binding(5) var<storage, read_write> external_acceleration: array<f32>;
 
 fn position(b: u32, i: i32, j: i32) -> vec3f {
@@ -71,7 +71,7 @@ fn external_force(@builtin(global_invocation_id) id: vec3u) {
     let j = i32(id.x);
     let n = params.rows * params.columns;
     let at = b * 3u * n + id.y * params.columns + id.x;
-    var f = cloths[b].gravity.xyz + vec3f(forces[at], forces[at + n], forces[at + 2u * n]);
+    var f = cloths[b].gravity.xyz + vec3f(given[at], given[at + n], given[at + 2u * n]);
     if cloths[b].air.x != 0.0 || cloths[b].air.y != 0.0 {
         let air = lower(b, i, j) + upper(b, i, j)
             + lower(b, i - 1, j) + lower(b, i - 1, j - 1)

@@ -1,7 +1,7 @@
 // Gradient of the frame's energy with respect to the acceleration: grad = dL/da (`sim::EnergyTerms`).
 //
 // dx/da = 1 at a free particle and 0 at a handle, so there only inertia and the external term count.
-// cloths: [B]; slots: [B, H, W]; external, a, x, shift, grad: [B, 3, H, W].
+// cloths: [B]; slots: [B, H, W]; external_acceleration, a, x, shift, grad: [B, 3, H, W].
 // One invocation: one particle, which gathers from the edges, corner angles and bends it takes part in; nothing is
 // scattered, so the order of every sum is fixed. Workgroups: (W / 8, H / 8, B).
 // Adjoint: none, the gradient is an input of the training step and a constant there.

@@ -76,7 +76,7 @@ impl<T: Real> Objective<T> {
         3 * self.trial.model.grid.particles()
     }
 
-    /// Starts a frame: gravity, wind and the forces of `control` stay the same during it. Panics when a length is not the
+    /// Starts a frame: gravity, wind and the external accelerations of `control` stay the same during it. Panics when a length is not the
     /// model's.
     pub fn begin_frame(&mut self, state: &State<T>, control: &Control<T>) {
         let Trials { model, f, .. } = &mut self.trial;
@@ -85,15 +85,18 @@ impl<T: Real> Objective<T> {
         assert!(state.x.len() == len && state.v.len() == len, "a state has shape [B, 3, H, W]");
         assert_eq!(control.handles.len(), model.handles(), "every handle needs a position");
         assert!(control.wind.is_empty() || control.wind.len() == batch, "wind has shape [B]");
-        assert!(control.forces.is_empty() || control.forces.len() == len, "forces have shape [B, 3, H, W]");
+        assert!(
+            control.external.is_empty() || control.external.len() == len,
+            "external has shape [B, 3, H, W]"
+        );
         for (b, (f, setting)) in f.chunks_exact_mut(cloth).zip(&model.cloths).enumerate() {
             for (f, &g) in f.chunks_exact_mut(cloth / 3).zip(&setting.gravity) {
                 f.fill(T::of(g));
             }
             let at = b * cloth..(b + 1) * cloth;
-            if !control.forces.is_empty() {
-                for (f, &force) in f.iter_mut().zip(&control.forces[at.clone()]) {
-                    *f = *f + force;
+            if !control.external.is_empty() {
+                for (f, &given) in f.iter_mut().zip(&control.external[at.clone()]) {
+                    *f = *f + given;
                 }
             }
             let wind = control.wind.get(b).copied().unwrap_or([T::zero(); 3]);

@@ -139,7 +139,7 @@ fn part<T: Real>(
     let control = Control {
         handles: control.handles[handles].iter().map(point).collect(),
         wind: control.wind.get(b).map(point).into_iter().collect(),
-        forces: if control.forces.is_empty() { Vec::new() } else { wide(&control.forces) },
+        external: if control.external.is_empty() { Vec::new() } else { wide(&control.external) },
     };
     (state, control)
 }

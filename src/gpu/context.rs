@@ -1,7 +1,7 @@
 //! A device and its queue, the caller's or a headless one of our own.
 
 use super::cache::PipelineCache;
-use super::kernel::LANES;
+use super::kernel::{Kernels, LANES};
 use super::{Sharing, Storage};
 use crate::kernels::Tuning;
 use crate::{Error, Result};
@@ -82,6 +82,7 @@ pub struct Context {
     storage: Storage,
     tuning: Option<Tuning>,
     pub(super) pipelines: Option<Arc<PipelineCache>>,
+    pub(super) kernels: Kernels,
 }
 
 /// Storage buffers that a kernel may bind.
@@ -95,14 +96,23 @@ impl Context {
     /// Wraps the caller's device and queue; fails if the device's limits are too small for the kernels.
     ///
     /// Ask for the adapter's own limits when making the device: WebGPU's defaults allow the kernels to run, but bind
-    /// at most 128 MiB at once.
+    /// at most 128 MiB at once. [`Context::optional_features`] are used where the device has them.
     pub fn new(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = device.adapter_info();
         if let Some(missing) = missing_limit(&device.limits()) {
             return Err(Error::Device(format!("{}: {missing}", info.name)));
         }
         let (kind, name, storage) = (kind(&info), describe(&info), Storage::default());
-        Ok(Self { device, queue, kind, name, storage, tuning: None, pipelines: None })
+        Ok(Self {
+            device,
+            queue,
+            kind,
+            name,
+            storage,
+            tuning: None,
+            pipelines: None,
+            kernels: Kernels::default(),
+        })
     }
 
     /// Opens a device of its own, without a window.
@@ -131,14 +141,20 @@ impl Context {
         })
     }
 
-    async fn open(adapter: wgpu::Adapter) -> Result<Self> {
-        let optional = wgpu::Features::TIMESTAMP_QUERY
+    /// What a device may have beyond WebGPU's defaults for more to be possible: timestamps ([`Profile`](super::Profile)), subgroups
+    /// ([`Sharing::Broadcast`]), 16-bit floating point ([`Storage::F16`]) and a pipeline cache
+    /// ([`Context::with_stored_pipelines`]). Ask for those that the adapter offers.
+    pub fn optional_features() -> wgpu::Features {
+        wgpu::Features::TIMESTAMP_QUERY
             | wgpu::Features::SUBGROUP
             | wgpu::Features::SHADER_F16
-            | wgpu::Features::PIPELINE_CACHE;
+            | wgpu::Features::PIPELINE_CACHE
+    }
+
+    async fn open(adapter: wgpu::Adapter) -> Result<Self> {
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("fnopt"),
-            required_features: adapter.features() & optional,
+            required_features: adapter.features() & Self::optional_features(),
             required_limits: adapter.limits(),
             memory_hints: wgpu::MemoryHints::Performance,
             ..Default::default()
@@ -218,7 +234,7 @@ impl Context {
     }
 
     /// Runs `build` and turns what the device then reports (invalid objects, kernels that its driver does not compile, no memory
-    /// left) into an error.
+    /// left) into an error, and so a device that is lost by then.
     pub fn checked<T>(&self, build: impl FnOnce() -> Result<T>) -> Result<T> {
         use wgpu::ErrorFilter::{Internal, OutOfMemory, Validation};
         // Where memory ran out or a driver failed, objects are invalid because of it: these scopes are outside theirs.
@@ -227,7 +243,8 @@ impl Context {
         // All are popped, the innermost first; the outermost error is told.
         match scopes.into_iter().rev().filter_map(|scope| pollster::block_on(scope.pop())).last() {
             Some(e) => Err(Error::Device(format!("{}: {e}", self.name))),
-            None => built,
+            // What is made on a lost device is invalid, and no scope is told.
+            None => self.poll(wgpu::PollType::Poll).and(built),
         }
     }
 
@@ -246,9 +263,9 @@ impl Context {
     /// Waits for what `until` tells.
     pub(super) fn poll(&self, until: wgpu::PollType) -> Result<()> {
         let lost = |why: &dyn std::fmt::Display| {
-            Err(Error::Device(format!("{}: lost while waiting: {why}", self.name)))
+            Err(Error::Lost(format!("{}: lost while waiting: {why}", self.name)))
         };
-        // wgpu panics where a device is gone; whoever waits may have frames to keep.
+        // wgpu panics where a device is gone; whoever waits may have frames to keep. (A program that aborts on panics ends here.)
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(until))) {
             Ok(Ok(_)) => Ok(()),
             Ok(Err(e)) => lost(&e),

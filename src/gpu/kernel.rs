@@ -1,10 +1,11 @@
-//! Compiled WGSL entry points.
+//! WGSL entry points.
 
 use super::context::WORKGROUPS;
 use super::{Context, Storage};
 use crate::{Error, Result};
 use std::borrow::Cow;
-use std::sync::{Arc, OnceLock};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 /// The WGSL text of one kernel: the file itself, then the shared functions it calls.
 ///
@@ -57,7 +58,7 @@ impl From<usize> for Unroll {
 pub enum Sharing {
     /// Every invocation loads them: hardware serves equal addresses at once.
     Loads,
-    /// Eight invocations load one of eight each and pass them on ([`wgpu::Features::SUBGROUP`]; subgroups of at least
+    /// Eight invocations load one of eight each and pass them on ([`wgpu::Features::SUBGROUP`]; subgroups of exactly
     /// eight): software drivers load lane by lane, so that this is an eighth of the loads.
     Broadcast,
 }
@@ -202,6 +203,25 @@ pub(crate) struct Kernel {
     pub(super) program: Arc<Program>,
 }
 
+/// The kernels that were made on a device, by their text and their constants, so that all solvers there share them: a pipeline
+/// takes tens of milliseconds to compile.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Kernels(Arc<Mutex<HashMap<Made, Kernel>>>);
+
+/// The text of a kernel, and the bits of its constants.
+type Made = (String, Vec<(&'static str, u64)>);
+
+impl Kernels {
+    /// Forgets them all: one that did not compile must not be what the next solver gets.
+    pub fn clear(&self) {
+        self.lock().clear();
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<Made, Kernel>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 /// What is compiled of a kernel, once and only when it is used: what a network or an optimizer does without costs no pipeline.
 #[derive(Debug)]
 pub(super) struct Program {
@@ -213,7 +233,8 @@ pub(super) struct Program {
 }
 
 impl Kernel {
-    /// Reads `source`, its text unrolled, to be compiled with `constants` for its overrides.
+    /// Reads `source`, its text unrolled, to be compiled with `constants` for its overrides; the same one again where it was
+    /// made before on this device.
     pub fn new(
         context: &Context,
         source: &Source,
@@ -221,7 +242,12 @@ impl Kernel {
         constants: &[(&'static str, f64)],
     ) -> Result<Self> {
         let text = source.unrolled(Unroll { storage: context.storage(), ..unroll.into() });
-        let module = source.parsed(&text)?;
+        let bits = constants.iter().map(|&(name, value)| (name, value.to_bits())).collect();
+        let made: Made = (text, bits);
+        if let Some(known) = context.kernels.lock().get(&made) {
+            return Ok(known.clone());
+        }
+        let module = source.parsed(&made.0)?;
         let entry = module.entry_points.first();
         let literal = entry.filter(|e| e.workgroup_size_overrides.is_none());
         let workgroup = literal.map(|e| e.workgroup_size);
@@ -233,7 +259,9 @@ impl Kernel {
             constants: constants.to_vec(),
             pipeline: OnceLock::new(),
         };
-        Ok(Self { bindings, workgroup, program: Arc::new(program) })
+        let kernel = Self { bindings, workgroup, program: Arc::new(program) };
+        context.kernels.lock().insert(made, kernel.clone());
+        Ok(kernel)
     }
 
     /// Invocations of a workgroup along each axis.

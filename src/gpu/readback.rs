@@ -51,6 +51,11 @@ impl Readback {
         self.recorded.push(slot);
     }
 
+    /// Forgets what was recorded into an encoder that is dropped instead of submitted.
+    pub fn discard(&mut self) {
+        self.free.append(&mut self.recorded);
+    }
+
     /// Starts mapping what was recorded; call it after the encoder was submitted, with what the queue returned.
     pub fn submitted(&mut self, submission: &wgpu::SubmissionIndex) {
         for slot in self.recorded.drain(..) {
@@ -92,7 +97,7 @@ impl Readback {
         mapping: Result<Mapping, Canceled>,
         read: impl FnOnce(&[u8]) -> T,
     ) -> Result<T> {
-        let lost = |e: String| Error::Device(format!("{}: cannot read back: {e}", context.name()));
+        let lost = |e: String| Error::Lost(format!("{}: cannot read back: {e}", context.name()));
         mapping.map_err(|e| lost(e.to_string()))?.map_err(|e| lost(e.to_string()))?;
         let view = slot.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;
         let made = read(&view[..self.bytes as usize]);

@@ -118,7 +118,8 @@ impl Schedule {
         let context = &self.context;
         // Each on its own is checked by the thread that compiles it: others do not see its errors.
         let compile = |program: &Arc<Program>| context.checked(|| Ok(program.pipeline(context))).map(|_| ());
-        programs.into_par_iter().try_for_each(compile)?;
+        let compiled = programs.into_par_iter().try_for_each(compile);
+        compiled.inspect_err(|_| context.kernels.clear())?;
         Ok(self)
     }
 
@@ -153,7 +154,7 @@ impl Schedule {
         Self { context: self.context.clone(), steps, bound: HashMap::new(), refused: None }
     }
 
-    /// Records everything into the caller's encoder, dispatches that follow each other in one compute pass.
+    /// Records everything into the caller's encoder; kernels are compiled here where [`Schedule::finish`] did not. Dispatches that follow each other in one compute pass.
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
         let mut steps = self.steps.iter().peekable();
         while let Some(step) = steps.peek() {

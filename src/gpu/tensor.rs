@@ -99,6 +99,19 @@ impl Tensor {
         }
     }
 
+    /// Replaces the content from element `first` on, ahead of whatever is submitted next; of single precision only.
+    pub fn write_at(&self, context: &Context, first: usize, data: &[f32]) {
+        assert_eq!(self.storage, Storage::F32, "tensor '{}'", self.label);
+        assert!(first + data.len() <= self.len(), "tensor '{}' has shape {:?}", self.label, self.shape);
+        if !data.is_empty() {
+            context.queue.write_buffer(
+                &self.buffer,
+                self.offset + 4 * first as u64,
+                bytemuck::cast_slice(data),
+            );
+        }
+    }
+
     /// Replaces the whole content by these numbers, narrowed to what the tensor stores.
     pub fn write_narrowed(&self, context: &Context, data: &[f32]) {
         match self.storage {

@@ -65,7 +65,7 @@ fn control<T: Float>(handles: &[Vec<[f64; 3]>], wind: &[[f64; 3]], frame: usize)
     Control {
         handles: row.iter().map(|p| p.map(cast)).collect(),
         wind: wind.iter().map(|w| w.map(cast)).collect(),
-        forces: Vec::new(),
+        external: Vec::new(),
     }
 }
 

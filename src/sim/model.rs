@@ -144,8 +144,8 @@ impl<T: Float> Control<T> {
     /// The same control in another precision.
     pub fn cast<U: Float>(&self) -> Control<U> {
         let points = |points: &[[T; 3]]| points.iter().map(|p| p.map(cast)).collect();
-        let forces = self.forces.iter().map(|&f| cast(f)).collect();
-        Control { handles: points(&self.handles), wind: points(&self.wind), forces }
+        let external = self.external.iter().map(|&f| cast(f)).collect();
+        Control { handles: points(&self.handles), wind: points(&self.wind), external }
     }
 }
 
@@ -156,6 +156,7 @@ pub struct Control<T> {
     pub handles: Vec<[T; 3]>,
     /// Wind velocity of each cloth [edges / frame], shape `[B]`; empty for still air.
     pub wind: Vec<[T; 3]>,
-    /// External acceleration of each particle beside gravity and air [edges / frame^2], shape [B, 3, H, W]; empty for none.
-    pub forces: Vec<T>,
+    /// External acceleration of each particle beside gravity and air [edges / frame^2], shape [B, 3, H, W]; empty for none. A
+    /// force counts divided by the particle's mass; [`Units::acceleration`](crate::scene::Units::acceleration) converts.
+    pub external: Vec<T>,
 }

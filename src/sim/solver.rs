@@ -1,6 +1,6 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
-use super::{Control, EnergyTerms, FrameStats, Grid, Iterations, Model, Optimizer, State};
+use super::{Cloth, Control, EnergyTerms, FrameStats, Grid, Iterations, Model, Optimizer, State};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
@@ -51,10 +51,10 @@ pub struct Solver {
     v: Tensor,
     cloths: Tensor,
     targets: Tensor,
-    forces: Tensor,
-    /// Whether `cloths` holds any wind, and `forces` any force.
+    given: Tensor,
+    /// Whether `cloths` holds any wind, and `given` any acceleration.
     windy: AtomicBool,
-    forced: AtomicBool,
+    accelerated: AtomicBool,
     external: Tensor,
     iterate: Iterate,
     rule: Rule,
@@ -123,7 +123,6 @@ impl Solver {
         let samples = 3 * batch;
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let field = |label| zeros(label, &[batch, 3, n]);
-        let cloths: Vec<ClothParams> = model.cloths.iter().map(|c| ClothParams::new(c, [0.0; 3])).collect();
         let rule = match *optimizer {
             Optimizer::Learned(ref weights) => {
                 Rule::learned(context, weights, (&tuning, options.iterations), (grid, samples))?
@@ -156,11 +155,11 @@ impl Solver {
             iterations: options.iterations,
             x: field("positions")?,
             v: field("velocities")?,
-            cloths: Tensor::from_slice(context, "cloths", &[batch, 16], &cloths)?,
+            cloths: Tensor::from_slice(context, "cloths", &[batch, 16], &params(model, &[]))?,
             targets: zeros("handle targets", &[model.handles(), 3])?,
-            forces: field("forces")?,
+            given: field("given accelerations")?,
             windy: AtomicBool::new(false),
-            forced: AtomicBool::new(false),
+            accelerated: AtomicBool::new(false),
             external: field("external")?,
             iterate: Iterate::new(context, batch, &model.handle_slots())?,
             norms: rows(context, "norms", options.iterations, samples * norms::parts(n) * 2)?,
@@ -179,7 +178,7 @@ impl Solver {
     fn schedule(&self) -> Result<Schedule> {
         let (context, grid) = (&self.context, self.model.grid);
         let mut frame = Schedule::new(context);
-        let Self { x, v, cloths, targets, forces, external, iterate, .. } = self;
+        let Self { x, v, cloths, targets, given, external, iterate, .. } = self;
         let batch = self.model.batch();
 
         let state = StateTensors { x, v, targets };
@@ -187,7 +186,7 @@ impl Solver {
         ExternalForce::new(context)?.push(
             &mut frame,
             grid,
-            ExternalForceTensors { cloths, x, v, forces },
+            ExternalForceTensors { cloths, x, v, given },
             external,
         );
 
@@ -247,6 +246,42 @@ impl Solver {
         self.reset_memory();
     }
 
+    /// [`Solver::set_state`] of cloth `b` alone: the others go on. Panics when a length is not that of one cloth, or there is no
+    /// such cloth.
+    pub fn set_cloth_state(&self, b: usize, state: &State<f32>) {
+        let (batch, n) = (self.model.batch(), self.model.grid.particles());
+        assert!(b < batch, "cloth {b} of {batch}");
+        assert_eq!((state.x.len(), state.v.len()), (3 * n, 3 * n), "[3, H, W]");
+        self.x.write_at(&self.context, 3 * b * n, &state.x);
+        self.v.write_at(&self.context, 3 * b * n, &state.v);
+        if let Rule::Learned { hidden, scales, .. } = &self.rule {
+            for half in [0, 3 * batch * n] {
+                hidden.write_at(&self.context, half + 3 * b * n, &vec![0.0; 3 * n]);
+            }
+            for row in (0..scales.len()).step_by(scales.shape()[1]) {
+                scales.write_at(&self.context, row + 3 * b, &[INITIAL_SCALE; 3]);
+            }
+        }
+    }
+
+    /// Gives the cloths other materials, gravity or air, ahead of whatever is submitted next. Wind ends, until a control tells
+    /// it again.
+    ///
+    /// An error if there are more or fewer cloths or they have other handles: those take a new solver.
+    pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
+        let model = Model { grid: self.model.grid, cloths: cloths.to_vec() };
+        model.check()?;
+        let handles = |model: &Model| model.cloths.iter().map(|c| c.handles.clone()).collect::<Vec<_>>();
+        if handles(&model) != handles(&self.model) {
+            let found = "other cloths or handles";
+            return Err(Error::invalid("model", "handles", "those that the solver was made for", found));
+        }
+        self.model = model;
+        self.windy.store(false, Ordering::Relaxed);
+        self.cloths.write(&self.context, &params(&self.model, &[]));
+        Ok(())
+    }
+
     /// Replaces the state and leaves the optimizer what it remembers, ahead of whatever is submitted next.
     ///
     /// Panics when a length is not the model's, as [`Solver::set_state`] does.
@@ -298,21 +333,19 @@ impl Solver {
         assert_eq!(control.handles.len(), self.model.handles(), "every handle needs a position");
         assert!(control.wind.is_empty() || control.wind.len() == batch, "one wind velocity for each cloth");
         let mut changes = vec![(&self.targets, Cow::from(bytemuck::cast_slice(&control.handles)))];
-        // A control without wind or forces means none, whatever the one before it said.
+        // A control without wind or accelerations means none, whatever the one before it said.
         let windy = !control.wind.is_empty();
         if self.windy.swap(windy, Ordering::Relaxed) || windy {
-            let wind = |b: usize| control.wind.get(b).copied().unwrap_or_default();
-            let cloths = self.model.cloths.iter().enumerate();
-            let params: Vec<ClothParams> = cloths.map(|(b, c)| ClothParams::new(c, wind(b))).collect();
+            let params = params(&self.model, &control.wind);
             changes.push((&self.cloths, bytemuck::cast_slice(&params).to_vec().into()));
         }
-        let forced = !control.forces.is_empty();
-        let was_forced = self.forced.swap(forced, Ordering::Relaxed);
-        if forced {
-            assert_eq!(control.forces.len(), self.forces.len(), "forces have shape [B, 3, H, W]");
-            changes.push((&self.forces, Cow::from(bytemuck::cast_slice(&control.forces))));
-        } else if was_forced {
-            changes.push((&self.forces, vec![0; self.forces.bytes() as usize].into()));
+        let accelerated = !control.external.is_empty();
+        let was_accelerated = self.accelerated.swap(accelerated, Ordering::Relaxed);
+        if accelerated {
+            assert_eq!(control.external.len(), self.given.len(), "external has shape [B, 3, H, W]");
+            changes.push((&self.given, Cow::from(bytemuck::cast_slice(&control.external))));
+        } else if was_accelerated {
+            changes.push((&self.given, vec![0; self.given.bytes() as usize].into()));
         }
         changes
     }
@@ -376,6 +409,12 @@ impl Solver {
         let cloths = self.model.cloths.iter().enumerate();
         cloths.flat_map(|(b, c)| c.handles.iter().map(move |&p| at(b, p))).collect()
     }
+}
+
+/// The constants of the cloths in this wind, still air where it is empty.
+fn params(model: &Model, wind: &[[f32; 3]]) -> Vec<ClothParams> {
+    let wind = |b: usize| wind.get(b).copied().unwrap_or_default();
+    model.cloths.iter().enumerate().map(|(b, cloth)| ClothParams::new(cloth, wind(b))).collect()
 }
 
 /// A row for each iteration, of at least `len` elements, that a kernel can bind by itself.

@@ -30,7 +30,7 @@ pub struct DeviceLoss {
     cloths: Tensor,
     targets: Tensor,
     /// Accelerations of the caller's [edges / frame^2], shape [B, 3, n].
-    pub forces: Tensor,
+    pub given: Tensor,
     external: Tensor,
     iterate: Iterate,
     hidden: Tensor,
@@ -67,7 +67,7 @@ impl DeviceLoss {
             v: field("velocities")?,
             cloths: zeros("cloths", &[batch, 16])?,
             targets: zeros("handle targets", &[batch * MAX_HANDLES, 3])?,
-            forces: field("forces")?,
+            given: field("given accelerations")?,
             external: field("external")?,
             iterate: Iterate::new(context, batch, &vec![0; batch * n])?,
             hidden: zeros("hidden state", &[2, samples, n])?,
@@ -117,11 +117,11 @@ impl DeviceLoss {
     /// energies is added to the vector given. `transposed` holds the weights.
     pub fn push(&self, schedule: &mut Schedule, transposed: &Transposed) -> Result<()> {
         let (context, grid) = (&self.context, self.grid);
-        let Self { x, v, cloths, forces, external, iterate, hidden, scale, forward, backward, .. } = self;
+        let Self { x, v, cloths, given, external, iterate, hidden, scale, forward, backward, .. } = self;
         let (samples, n) = iterate.samples_and_particles();
         let (state, _) = self.state();
         Predict::in_a_frame(context)?.push(schedule, state, iterate);
-        let from = ExternalForceTensors { cloths, x, v, forces };
+        let from = ExternalForceTensors { cloths, x, v, given };
         ExternalForce::new(context)?.push(schedule, grid, from, external);
         let physics = Physics { cloths, external, x };
         let gradient = Gradient::new(context)?;

@@ -96,7 +96,7 @@ impl<T: Real> Stages for CpuStages<T> {
         let state = State { x: cast(&case.x), v: cast(&case.v) };
         let control = Control {
             handles: case.targets.iter().map(|p| p.map(T::of)).collect(),
-            forces: cast(&case.external),
+            external: cast(&case.external),
             ..Default::default()
         };
         let mut hidden = Hidden {

@@ -169,7 +169,7 @@ impl Stages for GpuStages {
         })?;
         let handles = case.targets.iter().map(|p| p.map(|c| c as f32)).collect();
         loss.set_cloths(&model, &Control { handles, ..Default::default() });
-        loss.forces.write(context, &single(&case.external));
+        loss.given.write(context, &single(&case.external));
         let BatchTensors { x, v, a, hidden, scale } = loss.tensors();
         for (tensor, values) in [(x, &case.x), (v, &case.v), (a, &case.a), (scale, &case.scale)] {
             tensor.write(context, &single(values));

@@ -129,8 +129,8 @@ fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
         handles.extend(cloth.handles.iter().map(|p| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p] + 0.1)));
     }
     let wind = vec![[0.1, 0.0, 0.2], [0.0; 3], [-0.2, 0.1, 0.0]];
-    let forces = noise(9 * n, 7).iter().map(|&f| 0.02 * f as f32).collect();
-    (model, state, Control { handles, wind, forces })
+    let external = noise(9 * n, 7).iter().map(|&f| 0.02 * f as f32).collect();
+    (model, state, Control { handles, wind, external })
 }
 
 fn run(model: &Model, optimizer: &Optimizer, mut state: State<f32>, control: &Control<f32>) -> State<f32> {
@@ -163,7 +163,7 @@ fn a_run_repeats_bit_for_bit_and_batches_equal_single_cloths() {
             let control = Control {
                 handles: mine.to_vec(),
                 wind: vec![control.wind[b]],
-                forces: control.forces[at.clone()].to_vec(),
+                external: control.external[at.clone()].to_vec(),
             };
             let single = State { x: state.x[at.clone()].to_vec(), v: state.v[at.clone()].to_vec() };
             let model = Model { grid: model.grid, cloths: vec![cloth.clone()] };

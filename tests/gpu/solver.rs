@@ -97,8 +97,8 @@ pub fn varied_batch() -> (Model, State<f32>, Control<f32>) {
         handles.extend(cloth.handles.iter().map(|p| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p] + 0.1)));
     }
     let wind = vec![[0.1, 0.0, 0.2], [0.0; 3], [-0.2, 0.1, 0.0]];
-    let forces = noise(9 * n, 7).iter().map(|f| 0.02 * f).collect();
-    (model, state, Control { handles, wind, forces })
+    let external = noise(9 * n, 7).iter().map(|f| 0.02 * f).collect();
+    (model, state, Control { handles, wind, external })
 }
 
 /// Root mean square and largest of the differences [edges].
@@ -193,7 +193,7 @@ fn twenty_frames_drift_as_little_as_on_the_host() {
     }
 }
 
-/// Frames of all optimizers, for cloths that differ, in wind and under forces: state, energies, norms, stretch, scales.
+/// Frames of all optimizers, for cloths that differ, in wind and under external: state, energies, norms, stretch, scales.
 #[test]
 fn frames_of_all_optimizers_agree_with_the_host() {
     let _turn = device();
@@ -205,7 +205,7 @@ fn frames_of_all_optimizers_agree_with_the_host() {
         let double = Control {
             handles: control.handles.iter().map(|p| p.map(f64::from)).collect(),
             wind: control.wind.iter().map(|p| p.map(f64::from)).collect(),
-            forces: widened(&control.forces),
+            external: widened(&control.external),
         };
         for frame in 0..3 {
             let found = step(&solver, &control);
@@ -265,7 +265,7 @@ fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
             let control = Control {
                 handles: mine.to_vec(),
                 wind: vec![control.wind[b]],
-                forces: control.forces[at.clone()].to_vec(),
+                external: control.external[at.clone()].to_vec(),
             };
             let single = State { x: start.x[at.clone()].to_vec(), v: start.v[at.clone()].to_vec() };
             let model = Model { grid: model.grid, cloths: vec![cloth.clone()] };
@@ -310,7 +310,7 @@ fn frames_of_one_submission_are_those_of_several() {
     let (model, start, control) = varied_batch();
     let lifted = |by: f32| control.handles.iter().map(|&[x, y, z]| [x, y, z + by]).collect();
     let calm = Control { handles: lifted(0.1), ..Control::default() };
-    let windy = Control { handles: lifted(0.2), forces: vec![], ..control.clone() };
+    let windy = Control { handles: lifted(0.2), external: vec![], ..control.clone() };
     let controls = [control.clone(), calm.clone(), windy, calm];
     let solver = solver(&model, &Optimizer::Learned(starter().clone()), 2, &start);
     let apart = controls.each_ref().map(|control| step(&solver, control));
@@ -325,7 +325,6 @@ fn frames_of_one_submission_are_those_of_several() {
     }
 }
 
-/// A control without wind and forces used to leave those of the frame before in place.
 #[test]
 fn a_ring_hands_out_frames_in_order_waiting_or_not() {
     let _turn = device();
@@ -334,6 +333,9 @@ fn a_ring_hands_out_frames_in_order_waiting_or_not() {
     let mut readback = Readback::new(context(), &[solver.positions()], 3);
     let positions = |bytes: &[u8]| bytemuck::pod_collect_to_vec::<u8, f32>(bytes);
     assert!(readback.try_next(context(), positions).unwrap().is_none());
+    let mut dropped = context().device.create_command_encoder(&Default::default());
+    readback.record(&mut dropped);
+    readback.discard();
     let frames = [(); 3].map(|()| {
         solver.set_control(&control);
         let submission = context().submit(|encoder| {
@@ -358,12 +360,47 @@ fn a_ring_hands_out_frames_in_order_waiting_or_not() {
     assert!(readback.next(context(), positions).unwrap().is_none());
 }
 
+/// What a host changes while the others go on: the state of one cloth, and materials. The bits are those of solvers that were
+/// made so.
+#[test]
+fn single_cloths_begin_anew_and_materials_change() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let n = model.grid.particles();
+    for optimizer in [Optimizer::Learned(starter().clone()), Optimizer::quasi_newton()] {
+        let whole = solver(&model, &optimizer, 2, &start);
+        let first = step(&whole, &control);
+        // The second cloth goes back to its start, the others are where they are.
+        let at = 3 * n..6 * n;
+        whole.set_cloth_state(1, &State { x: start.x[at.clone()].to_vec(), v: start.v[at.clone()].to_vec() });
+        let again = step(&whole, &control);
+        assert_same("the cloth that began anew", &again.x[at.clone()], &first.x[at.clone()]);
+        assert_ne!(again.x[..3 * n], first.x[..3 * n]);
+
+        let mut other = model.clone();
+        other.cloths[0].material.stretch *= 3.0;
+        other.cloths[2].gravity[1] += 0.01;
+        let mut changed = solver(&model, &optimizer, 2, &start);
+        changed.set_control(&control);
+        changed.set_cloths(&other.cloths).unwrap();
+        let made = solver(&other, &optimizer, 2, &start);
+        let (changed_frame, made_frame) = (step(&changed, &control), step(&made, &control));
+        assert_same("other cloths", &changed_frame.x, &made_frame.x);
+        assert_ne!(made_frame.x[..3 * n], first.x[..3 * n]);
+
+        other.cloths[0].handles[0] += 1;
+        let refused = changed.set_cloths(&other.cloths).unwrap_err().to_string();
+        assert!(refused.contains("handles"), "{refused}");
+    }
+}
+
+/// A control without wind and forces used to leave those of the frame before in place.
 #[test]
 fn wind_and_forces_end_with_the_control_that_has_them() {
     let _turn = device();
     let (model, start, control) = varied_batch();
     let solver = solver(&model, &Optimizer::gradient_descent(), 3, &start);
-    let calm = Control { wind: vec![], forces: vec![], ..control.clone() };
+    let calm = Control { wind: vec![], external: vec![], ..control.clone() };
     let expected = step(&solver, &calm);
     solver.set_state(&start);
     assert!(step(&solver, &control).x != expected.x, "wind and forces do nothing");
@@ -410,4 +447,17 @@ fn a_context_keeps_its_tuning() {
     let tuned = context().with_tuning(other).unwrap();
     assert_eq!(Tuning::new(&tuned), other);
     assert_eq!(Tuning::new(context()), Tuning::table(context()));
+}
+
+/// What hosts move between threads, and share.
+#[test]
+fn handles_to_the_device_go_between_threads() {
+    fn moves<T: Send>() {}
+    fn is_shared<T: Send + Sync>() {}
+    is_shared::<Context>();
+    is_shared::<Solver>();
+    is_shared::<Readback>();
+    is_shared::<fnopt::gpu::Schedule>();
+    moves::<fnopt::sim::Simulator>();
+    moves::<cpu::Solver<f32>>();
 }

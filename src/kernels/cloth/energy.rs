@@ -38,7 +38,7 @@ pub fn parts(grid: Grid) -> usize {
 }
 
 impl Energy {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -22,7 +22,7 @@ pub struct EnergySum {
 }
 
 impl EnergySum {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

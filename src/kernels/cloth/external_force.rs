@@ -20,7 +20,7 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// External acceleration: gravity, forces and air.
+/// External acceleration: gravity, what the caller gives, and air.
 #[derive(Clone, Debug)]
 pub struct ExternalForce {
     kernel: Kernel,
@@ -35,12 +35,12 @@ pub struct ExternalForceTensors<'a> {
     pub x: &'a Tensor,
     /// Velocities, shape [B, 3, H, W].
     pub v: &'a Tensor,
-    /// The caller's accelerations, shape [B, 3, H, W].
-    pub forces: &'a Tensor,
+    /// Accelerations that the caller gives, shape [B, 3, H, W].
+    pub given: &'a Tensor,
 }
 
 impl ExternalForce {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
@@ -53,12 +53,12 @@ impl ExternalForce {
         tensors: ExternalForceTensors<'_>,
         external: &Tensor,
     ) {
-        let ExternalForceTensors { cloths, x, v, forces } = tensors;
+        let ExternalForceTensors { cloths, x, v, given } = tensors;
         let batch = external.len() / (3 * grid.particles());
-        assert_eq!([external, x, v, forces].map(Tensor::len), [batch * 3 * grid.particles(); 4]);
+        assert_eq!([external, x, v, given].map(Tensor::len), [batch * 3 * grid.particles(); 4]);
         assert_eq!(cloths.bytes() as usize, batch * size_of::<super::ClothParams>());
         let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
         let count = self.kernel.groups([grid.w, grid.h, batch]);
-        schedule.dispatch(&self.kernel, &params, &[cloths, x, v, forces, external], count);
+        schedule.dispatch(&self.kernel, &params, &[cloths, x, v, given, external], count);
     }
 }

@@ -29,7 +29,7 @@ pub struct Gradient {
 }
 
 impl Gradient {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

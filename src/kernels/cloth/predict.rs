@@ -23,12 +23,12 @@ pub struct Predict {
 }
 
 impl Predict {
-    /// Compiles it for the start of frames.
+    /// Makes it for the start of frames.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Compiles it for the middle of frames, where a is what it is.
+    /// Makes it for the middle of frames, where a is what it is.
     pub fn in_a_frame(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("FRESH", 0.0)])? })
     }

@@ -28,7 +28,7 @@ pub struct JoinSpectra {
 }
 
 impl JoinSpectra {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -25,7 +25,7 @@ pub struct PackPairs {
 }
 
 impl PackPairs {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -27,7 +27,7 @@ pub struct Radix4 {
 }
 
 impl Radix4 {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -28,7 +28,7 @@ pub struct RadixPrime {
 }
 
 impl RadixPrime {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

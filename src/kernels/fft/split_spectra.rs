@@ -28,7 +28,7 @@ pub struct SplitSpectra {
 }
 
 impl SplitSpectra {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -25,7 +25,7 @@ pub struct Activate {
 }
 
 impl Activate {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

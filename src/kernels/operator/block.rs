@@ -145,7 +145,7 @@ impl Block {
         tuning.rows_in_blocks && Group::new(context, tuning, layer, after).is_some()
     }
 
-    /// Compiles it; an error if the device's workgroups are too small.
+    /// Makes it; an error if the device's workgroups are too small.
     pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, after: After) -> Result<Self> {
         assert!(tuning.block_high == 1 || !tuning.staged, "what is staged is of one row");
         assert!(!(after.field && after.whole_rows()), "the field takes the place of the output");

@@ -27,7 +27,7 @@ pub struct HeadWeightAdj {
 }
 
 impl HeadWeightAdj {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -57,7 +57,7 @@ pub fn parts(quads: usize) -> usize {
 }
 
 impl PointwiseWeightAdj {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -49,7 +49,7 @@ impl<'a> Scales<'a> {
 }
 
 impl ScalarHead {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         let kernel = |rescale: f64| Kernel::new(context, &SOURCE, 0, &[("RESCALE", rescale)]);
         let nothing = Tensor::zeros(context, "no scale", &[1])?;

@@ -110,7 +110,7 @@ pub struct SpectralTensors<'a> {
 }
 
 impl Spectral {
-    /// Compiles it for the modes and channels of a padded `config` and for `samples` samples, whose spectra it keeps or not.
+    /// Makes it for the modes and channels of a padded `config` and for `samples` samples, whose spectra it keeps or not.
     ///
     /// An error if the spectrum of a column does not fit the device's workgroup memory.
     pub fn new(

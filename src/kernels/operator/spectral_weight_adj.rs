@@ -30,7 +30,7 @@ pub struct SpectralWeightAdj {
 }
 
 impl SpectralWeightAdj {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context, tuning: &Tuning) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(TILE), &[])? })
     }

@@ -23,7 +23,7 @@ pub struct SumParts {
 }
 
 impl SumParts {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

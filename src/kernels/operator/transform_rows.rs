@@ -28,7 +28,7 @@ pub struct TransformRows {
 }
 
 impl TransformRows {
-    /// Compiles it for `modes_w` kept columns.
+    /// Makes it for `modes_w` kept columns.
     pub fn new(context: &Context, tuning: &Tuning, modes_w: usize) -> Result<Self> {
         let columns = 2 * modes_w;
         Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(columns), &[])?, columns })

@@ -24,7 +24,7 @@ pub struct Transpose {
 }
 
 impl Transpose {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -27,7 +27,7 @@ pub struct CosineOrder {
 }
 
 impl CosineOrder {
-    /// Compiles it for one direction.
+    /// Makes it for one direction.
     pub fn new(context: &Context, back: bool) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("BACK", f64::from(u8::from(back)))])? })
     }

@@ -42,7 +42,7 @@ pub struct FeatureTensors<'a> {
 }
 
 impl Features {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -27,7 +27,7 @@ pub struct GradientDescent {
 }
 
 impl GradientDescent {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

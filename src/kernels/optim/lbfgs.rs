@@ -65,7 +65,7 @@ impl LbfgsMemory {
 pub const MAX_HISTORY: usize = 32;
 
 impl Lbfgs {
-    /// Compiles it for a history of up to [`MAX_HISTORY`] pairs, kept when `y.s > curvature`.
+    /// Makes it for a history of up to [`MAX_HISTORY`] pairs, kept when `y.s > curvature`.
     pub fn new(context: &Context, history: usize, curvature: f64) -> Result<Self> {
         Self::part(context, history, curvature, Part::Whole)
     }

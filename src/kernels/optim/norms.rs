@@ -30,7 +30,7 @@ pub fn parts(particles: usize) -> usize {
 }
 
 impl Norms {
-    /// Compiles it; without `last_step` only the gradient is summed and `hidden` is not read.
+    /// Makes it; without `last_step` only the gradient is summed and `hidden` is not read.
     pub fn new(context: &Context, last_step: bool) -> Result<Self> {
         let constants = [("LAST_STEP", f64::from(u8::from(last_step)))];
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, last_step })

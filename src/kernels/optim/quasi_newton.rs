@@ -26,7 +26,7 @@ pub struct QuasiNewton {
 }
 
 impl QuasiNewton {
-    /// Compiles it for `batch` cloths of a grid and a history of up to [`super::lbfgs::MAX_HISTORY`] pairs.
+    /// Makes it for `batch` cloths of a grid and a history of up to [`super::lbfgs::MAX_HISTORY`] pairs.
     pub fn new(
         context: &Context,
         history: usize,

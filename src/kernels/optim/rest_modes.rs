@@ -32,7 +32,7 @@ pub struct RestModes {
 }
 
 impl RestModes {
-    /// Compiles it and makes the tables of a grid.
+    /// Makes it and the tables of a grid.
     pub fn new(context: &Context, grid: Grid) -> Result<Self> {
         // Devices disagree on sines and cosines, so they come from here, in double precision.
         let table = |label, length: usize, count: usize| {

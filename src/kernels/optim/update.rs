@@ -46,7 +46,7 @@ pub struct UpdateTensors<'a> {
 }
 
 impl Update {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -61,7 +61,7 @@ pub struct AdamW {
 }
 
 impl AdamW {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -27,7 +27,7 @@ pub struct Advance {
 }
 
 impl Advance {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -26,7 +26,7 @@ pub struct Draw {
 }
 
 impl Draw {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -25,7 +25,7 @@ pub struct GradientSize {
 }
 
 impl GradientSize {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -32,7 +32,7 @@ pub fn parts(n: usize) -> usize {
 }
 
 impl Squares {
-    /// Compiles it.
+    /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         let kernel =
             |square: bool| Kernel::new(context, &SOURCE, 0, &[("SQUARE", f64::from(u8::from(square)))]);
