@@ -251,9 +251,34 @@ fn what_would_never_end_or_cannot_be_written_is_refused() {
     refused(command(folder.path(), &many).output().unwrap(), &["--points", "10000000"]);
     std::fs::create_dir(folder.path().join("tables.csv")).unwrap();
     std::fs::write(folder.path().join("taken"), "").unwrap();
+    // The sheet that was recorded is square.
+    refused(of(&["--grid", "48x32"]), &["xy_v2", "grid", "48x48", "found 48x32"]);
     refused(of(&["--csv", "tables.csv"]), &["tables.csv", "a folder"]);
     refused(evaluate(folder.path(), &["--out", "taken/scores"]), &["taken", "cannot create"]);
     assert!(scores(&folder.path().join("scores")).is_empty());
+}
+
+/// Arrays of Slurm may begin anywhere and count in steps.
+#[test]
+fn a_task_of_an_array_does_its_share_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let array = |id: &str, count: &str| {
+        let truth = shipped();
+        let few = ["--grid", "8", "--solver", "gd:1,gd:2,gd:3", "--frames", "3", "--device", "cpu"];
+        let whose = ["evaluate", "--ground-truth", truth.to_str().unwrap()];
+        let mut command = command(folder.path(), &[&whose[..], &few].concat());
+        let of_slurm = [("ID", id), ("MIN", "1"), ("STEP", "2"), ("COUNT", count)];
+        command.envs(of_slurm.map(|(name, value)| (format!("SLURM_ARRAY_TASK_{name}"), value)));
+        command.output().unwrap()
+    };
+    for (id, share) in [("1", 0), ("3", 1), ("5", 2)] {
+        let output = array(id, "3");
+        let told = text(&output.stderr);
+        done(output);
+        assert!(told.contains(&format!("share {share} of 3")), "{told}");
+        assert_eq!(scores(&folder.path().join("out/evaluate")).len(), share + 1);
+    }
+    refused(array("7", "3"), &["SLURM_ARRAY_TASK_ID", "0 to 2"]);
 }
 
 #[test]
@@ -263,19 +288,30 @@ fn a_suite_honours_its_options_or_refuses_them() {
         let few = ["--frames", "3", "--no-gap", "--solver", "lbfgs:2", "--device", "cpu", "--json", "s.json"];
         command(folder.path(), &[&["evaluate", "--suite", name], &few[..], more].concat()).output().unwrap()
     };
+    // The scores, which are of this run and of no other.
+    let scores = |name: &str, more: &[&str]| {
+        let file = folder.path().join("s.json");
+        let _ = std::fs::remove_file(&file);
+        let output = suite(name, more);
+        assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
+        json(&file).as_array().unwrap().clone()
+    };
     let largest = |more: &[&str]| {
-        suite("speeds", &[&["--sequences", "speed 1", "--grid", "12"], more].concat());
-        json(&folder.path().join("s.json"))[0]["score"]["stretch_largest"].as_f64().unwrap()
+        let scores = scores("speeds", &[&["--sequences", "speed 1", "--grid", "12"], more].concat());
+        assert_eq!(scores[0]["score"]["case"], "speed 1");
+        scores[0]["score"]["stretch_largest"].as_f64().unwrap()
     };
     let usual = largest(&[]);
     assert_eq!(usual, largest(&["--material", "1000,8,0.5"]));
     assert_ne!(usual, largest(&["--material", "10,8,0.5"]));
     assert_ne!(usual, largest(&["--wind", "50"]));
     // The suite of grids has its own, once.
-    suite("grids", &["--sequences", "48x32", "--grid", "32,64"]);
-    assert_eq!(json(&folder.path().join("s.json")).as_array().unwrap().len(), 1);
-    suite("iterations", &["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs:2,lbfgs:3"]);
-    assert_eq!(json(&folder.path().join("s.json")).as_array().unwrap().len(), 1);
+    let of_grids = scores("grids", &["--sequences", "48x32", "--grid", "32,64"]);
+    assert_eq!((of_grids.len(), &of_grids[0]["score"]["grid"]), (1, &"48x32".into()));
+    let five = ["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs:2,lbfgs:3"];
+    let of_five = scores("iterations", &five);
+    assert_eq!((of_five.len(), &of_five[0]["score"]["iterations"]), (1, &5.into()));
+    refused(suite("iterations", &["--solver", "single-pass"]), &["--solver", "single-pass"]);
     refused(suite("materials", &["--material", "1,2,3"]), &["--material", "which has its own"]);
     refused(suite("speeds", &["--points", "3"]), &["cannot be used with", "--points"]);
     refused(suite("speeds", &["--ground-truth", "."]), &["cannot be used with", "--ground-truth"]);

@@ -72,7 +72,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         return Err(Error::invalid("--out", "file", expected, args.out.display()).into());
     }
     let sequences = Sequence::load_all(&args.ground_truth, args.sequences.as_deref())?;
-    let ranges = args.ranges(sequences[0].air_and_frame_time())?;
+    let ranges = args.ranges(args.kept(&sequences)?)?;
     let fit = Fit {
         sequences: &sequences,
         grid: Grid::new(args.grid[0], args.grid[1], "--grid")?,
@@ -139,6 +139,22 @@ impl Args {
             drag: self.drag.as_ref().map(|_| drag),
             frame_time_s: self.frame_time.as_ref().map(|_| frame_time),
         }
+    }
+
+    /// Air and frame time of the sequences, which must be alike where they are not fitted: a point has one value of each.
+    fn kept(&self, sequences: &[Sequence]) -> fnopt::Result<[f64; 3]> {
+        let first = sequences[0].air_and_frame_time();
+        let fitted = [&self.density, &self.drag, &self.frame_time].map(Option::is_some);
+        for sequence in sequences {
+            let own = sequence.air_and_frame_time();
+            let names = ["density", "drag", "frame-time"];
+            let differs = |&k: &usize| !fitted[k] && own[k] != first[k];
+            if let Some(k) = (0..names.len()).find(differs) {
+                let expected = format!("{}, as in {}, or --{}", first[k], sequences[0].name, names[k]);
+                return Err(Error::invalid(&sequence.name, names[k], expected, own[k]));
+            }
+        }
+        Ok(first)
     }
 
     /// Smallest and largest value of each parameter; `kept` are those of air and frame time that are not fitted.

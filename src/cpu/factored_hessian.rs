@@ -5,6 +5,7 @@ use crate::cpu::optim::InverseHessian;
 use crate::sim::Grid;
 use crate::{Error, Result};
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
+use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
 };
@@ -22,6 +23,9 @@ const LEAST: f64 = 1.0 / 64.0;
 /// By how much the share grows when it was not enough, and shrinks after it was.
 const STEP: f64 = 8.0;
 const EASE: f64 = 2.0;
+
+/// The least pivot of a definite matrix, beside its largest element.
+const ROUNDING: f32 = 1e-6;
 
 /// The inverse Hessian of a cloth at a trial, by its Cholesky factors in single precision: a step is measured on the energy
 /// itself, and what rounding adds to one is undone by the next.
@@ -103,11 +107,20 @@ impl FactoredHessian {
             self.assemble(trial, self.projection);
             let matrix = SparseColMatRef::new(self.pattern.as_ref(), &self.values);
             let Projection(share) = self.projection;
+            // Without its negative curvature a matrix is definite, and a pivot that is not is so by rounding alone.
+            let largest = self.values.iter().fold(0.0, |most: f32, v| most.max(v.abs()));
+            let regularization = match share < 1.0 {
+                true => LltRegularization::default(),
+                false => LltRegularization {
+                    dynamic_regularization_delta: ROUNDING * largest,
+                    dynamic_regularization_epsilon: ROUNDING * largest,
+                },
+            };
             let factored = self.symbolic.factorize_numeric_llt(
                 &mut self.factors,
                 matrix,
                 Side::Lower,
-                Default::default(),
+                regularization,
                 Par::Seq,
                 MemStack::new(&mut self.workspace),
                 Default::default(),

@@ -149,13 +149,15 @@ impl Reference {
         (state, control): (&State<f64>, &Control<f64>),
     ) -> Option<f64> {
         let slope = dot(grad, &self.history.direction);
-        // Close to the minimum a step gains less than the energy's own rounding.
-        let rounding = 4.0 * f64::EPSILON * energy.abs();
         let before = self.objective.trial.a.clone();
         let mut length = 1.0;
         for _ in 0..HALVINGS {
             self.history.step(length, &mut self.objective.trial.a);
-            let lower = self.energy_here(state, control);
+            self.objective.place(state, control);
+            let terms = self.objective.energy(state, 0);
+            let lower = terms.total();
+            // Close to the minimum a step gains less than the terms are rounded by, of which external work is negative.
+            let rounding = 4.0 * f64::EPSILON * terms.magnitude();
             if lower <= energy - SUFFICIENT * length * slope + rounding {
                 return Some(lower);
             }

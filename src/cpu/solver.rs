@@ -1,6 +1,7 @@
 //! The frame on the CPU (paper sections 3.2 and 3.3).
 
 use super::optim::{Minimizer, minimizer, norm};
+use super::reference::Minimum;
 use super::{Objective, Real, Reference};
 use crate::sim::{Cloth, Control, FrameStats, Iterations, Model, Optimizer, State};
 use crate::{Error, Result};
@@ -75,6 +76,12 @@ impl<T: Real> Solver<T> {
                     let (state, control) = part(state, control, (b, cloth), handles..handles + count);
                     handles += count;
                     let minimum = reference.minimise(&state, &control, &still);
+                    if !minimum.converged {
+                        let Minimum { iterations, gradient, .. } = minimum;
+                        tracing::warn!(
+                            "cloth {b}: |gradient| {gradient:.1e} after {iterations} iterations of newton"
+                        );
+                    }
                     for (a, minimum) in objective.trial.a[b * cloth..].iter_mut().zip(minimum.a) {
                         *a = T::of(minimum);
                     }

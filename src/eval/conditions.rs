@@ -7,10 +7,19 @@ use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
+/// Counts the changes after which solvers come to other results, beside the version: scores of other counts stand in no table
+/// together, and are not used again.
+const REVISION: u32 = 2;
+
+/// The version that scores tell.
+pub(super) fn version() -> String {
+    format!("{}+{REVISION}", env!("CARGO_PKG_VERSION"))
+}
+
 /// What a score was made with.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Conditions {
-    /// Version of this program.
+    /// Version of this program, and of what its solvers come to.
     pub version: String,
     /// Checksum of the recorded trajectory's files ([`Sequence::checksum`]); none where a scene is simulated for itself.
     pub truth: Option<u32>,
@@ -35,7 +44,7 @@ impl Conditions {
 
     fn of_settings(settings: serde_json::Value) -> Self {
         Self {
-            version: env!("CARGO_PKG_VERSION").to_owned(),
+            version: version(),
             truth: None,
             settings,
             device: None,
@@ -76,9 +85,11 @@ impl Conditions {
         Self { device, kind, weights, ..self }
     }
 
-    /// A checksum of all of them.
+    /// A checksum of all that the results depend on: on a CPU not of the number of threads.
     pub fn checksum(&self) -> u32 {
-        crc32fast::hash(&serde_json::to_vec(self).expect("conditions are plain data"))
+        let device = self.device.clone().filter(|_| self.kind.as_deref() != Some("cpu"));
+        let told = Self { device, ..self.clone() };
+        crc32fast::hash(&serde_json::to_vec(&told).expect("conditions are plain data"))
     }
 }
 

@@ -1,6 +1,6 @@
 //! The material that brings the converged simulation closest to recorded trajectories.
 
-use super::{Entry, Physics, Sequence, Settings, run};
+use super::{Entry, Physics, Sequence, Settings, conditions, run};
 use crate::scene::Stiffness;
 use crate::sim::{Device, Grid, Material, Optimizer};
 use crate::{Error, Result, io};
@@ -106,7 +106,8 @@ impl Fit<'_> {
             format!("{} ({frames} frames, {:08x})", s.name, s.checksum())
         };
         let sequences: Vec<String> = self.sequences.iter().map(of).collect();
-        format!("{} on {} with {} points", sequences.join(" "), self.grid, self.settings.points)
+        let (names, points, version) = (sequences.join(" "), self.settings.points, conditions::version());
+        format!("{names} on {} with {points} points by {version}", self.grid)
     }
 
     /// Searches, going on from what `surface` knows already. `tried` is called with the surface and the number of points that

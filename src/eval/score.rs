@@ -292,7 +292,18 @@ pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &S
         let (origin, expected) = (format!("{name}, {}", sequence.name), format!("at least {frames}"));
         return Err(Error::invalid(origin, "frames", expected, found.frames()));
     }
-    judge(sequence, (name, found), true, settings)
+    let rate = sequence.truth.fps();
+    if (found.fps() / rate - 1.0).abs() > 1e-3 {
+        let (origin, expected) = (format!("{name}, {}", sequence.name), format!("{rate} frames per second"));
+        return Err(Error::invalid(origin, "fps", expected, found.fps()));
+    }
+    // What is further away than the cloth could be stretched to has exploded, as a solver of our own would have.
+    let reach = DIVERGED * sequence.side_m() * (1.0 + sequence.grid().aspect());
+    let near = |frame: usize| {
+        let centre = sequence.truth.frame(frame)[0];
+        found.frame(frame).iter().all(|&p| distance(p, centre) < reach)
+    };
+    judge(sequence, (name, found), (0..frames).all(near), settings)
 }
 
 /// Simulates a scene until it ends, diverges, or `tick` ends it.

@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 ///   grid: the mesh at rest, a flat rectangle in two of the axes. `handle_vertices` must then be given;
 /// - `handles.npy` [frames, handles, 3], if there is one: where the handles are \[m\], in as many frames as `cloth_pos.npy` has;
 ///   else they are where their vertices are;
-/// - `start.npy` [vertices, 3], if there is one: the first frame \[m\] with more digits than in `cloth_pos.npy`. Half of them
+/// - `start.npy` [vertices, 3], if there is one and the vertices are a grid: the first frame \[m\] with more digits than in `cloth_pos.npy`. Half of them
 ///   are enough for a comparison, but not for edges.
 ///
 /// `meta.json` is an object. What it does not tell is the default scene's; other keys are passed over, except those that are
@@ -130,6 +130,7 @@ impl Sequence {
                     Some(vertices) => Handles::Vertices(vertices.clone()),
                     None => Handles::Placement(Placement::Corners),
                 };
+                handles.on(truth.grid(), &meta.origin)?;
                 (truth, None, handles)
             }
             Some(obj) => {
@@ -242,19 +243,15 @@ impl Sequence {
 
     /// The scene that repeats it: from its first frame, with its handles, on a grid.
     pub fn scene(&self, grid: Grid, physics: &Physics) -> Result<Scene> {
+        self.check_shape(grid)?;
         let Meta { wind, mass, gravity, .. } = self.meta;
         let mut scene = Scene {
             grid: self.truth.grid(),
             side_m: Side::Height(self.side_m()),
             mass,
-            stiffness: physics.stiffness,
             gravity,
-            wind: Wind {
-                density: physics.density.unwrap_or(wind.density),
-                drag: physics.drag.unwrap_or(wind.drag),
-                ..wind
-            },
-            frame_time_s: physics.frame_time_s.unwrap_or(1.0 / self.truth.fps()),
+            wind,
+            frame_time_s: 1.0 / self.truth.fps(),
             frames: Some(self.truth.frames()),
             start: self.start(grid)?,
             handles: self.handles.clone(),
@@ -262,8 +259,20 @@ impl Sequence {
             origin: self.folder.display().to_string(),
             ..Scene::default()
         };
+        physics.apply(&mut scene);
         scene.regrid(grid)?;
         Ok(scene)
+    }
+
+    /// Refuses a grid on which, its cells being square, the cloth would be another one by more than a column.
+    fn check_shape(&self, grid: Grid) -> Result<()> {
+        let own = self.grid();
+        let columns = 1.0 + (grid.h - 1) as f64 * (own.w - 1) as f64 / (own.h - 1) as f64;
+        if (columns - grid.w as f64).abs() <= 1.0 {
+            return Ok(());
+        }
+        let expected = format!("{}x{:.0}, as its cloth has {own}", grid.h, columns);
+        Err(Error::invalid(self.folder.display().to_string(), "grid", expected, grid))
     }
 }
 

@@ -68,10 +68,11 @@ impl<'a> Group<'a> {
         self.sequences.iter().flat_map(|(_, repeats)| repeats.iter().copied())
     }
 
-    /// A figure of a sequence, if there are scores of it.
+    /// A figure of a sequence, if there are scores of it that can tell it or diverged.
     fn spread(&self, sequence: &str, figure: &Figure) -> Option<Spread> {
         let (_, repeats) = self.sequences.iter().find(|(name, _)| name == sequence)?;
-        Some(Spread::new(repeats, figure))
+        let told = repeats.iter().any(|s| !s.stable || (figure.of)(s).is_some());
+        told.then(|| Spread::new(repeats, figure))
     }
 
     /// A figure of every sequence.
@@ -157,12 +158,15 @@ impl BySequence {
             (name.clone(), cells(&means, self.digits))
         };
         let all = self.of_groups(|spreads| over_sequences(spreads));
-        let part = |of: fn((f64, f64)) -> f64| all.iter().map(|s| s.map(|s| s.map(of))).collect::<Vec<_>>();
-        let (mean, deviation) = (part(|s| s.0), part(|s| s.1));
-        let last = [
-            ("mean".into(), cells(&mean, self.digits)),
-            ("deviation".into(), unmarked(&deviation, self.digits)),
-        ];
+        let counts = self.of_groups(|spreads| spreads.count());
+        let mean: Vec<_> = all.iter().map(|s| s.map(|s| s.map(|(mean, _)| mean))).collect();
+        // A single sequence tells nothing of a deviation.
+        let several = all.iter().zip(&counts).map(|(s, &count)| s.filter(|_| count > 1));
+        let deviation: Vec<_> = several.map(|s| s.map(|s| s.map(|(_, apart)| apart))).collect();
+        // Means over different sequences do not compete.
+        let alike = counts.iter().filter(|&&count| count > 0).all(|count| *count == self.rows.len());
+        let mean = if alike { cells(&mean, self.digits) } else { unmarked(&mean, self.digits) };
+        let last = [("mean".into(), mean), ("deviation".into(), unmarked(&deviation, self.digits))];
         self.rows.iter().map(row).chain(last).collect()
     }
 

@@ -29,7 +29,8 @@ pub fn vertex_normals(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<[f32; 3
 /// The grid whose `vertices`, numbered row by row, these triangles connect; None if they do not look like one.
 ///
 /// With H W vertices and 2 (H-1)(W-1) triangles, H and W are the two roots of a quadratic; which is which shows in the
-/// first triangle, whose sides join neighbours in a row (difference 1) and in a column (difference W).
+/// first triangle, whose sides join neighbours in a row (difference 1) and in a column (difference W). Its third side may
+/// look like one in a column where H and W differ by one: each triangle must be within a cell.
 pub(super) fn grid_of(vertices: usize, faces: &[[u32; 3]]) -> Option<Grid> {
     let [a, b, c] = faces.first()?.map(i64::from);
     let sides = [(a - b).abs(), (b - c).abs(), (c - a).abs()];
@@ -37,7 +38,14 @@ pub(super) fn grid_of(vertices: usize, faces: &[[u32; 3]]) -> Option<Grid> {
     let fits = |g: &Grid| {
         g.h > 1 && g.w > 1 && g.particles() == vertices && 2 * (g.h - 1) * (g.w - 1) == faces.len()
     };
-    sides.into_iter().map(|w| grid(w as usize)).find(fits)
+    let within_cells = |g: &Grid| {
+        let span = |of: fn(usize, usize) -> usize, face: &[u32; 3]| {
+            let [a, b, c] = face.map(|k| of(k as usize, g.w));
+            a.max(b).max(c) - a.min(b).min(c)
+        };
+        faces.iter().all(|face| span(|k, w| k / w, face) == 1 && span(|k, w| k % w, face) == 1)
+    };
+    sides.into_iter().map(|w| grid(w as usize)).find(|g| fits(g) && within_cells(g))
 }
 
 /// Texture coordinates of a grid, shape [V, 2]: `u = j / (W - 1)`, `v = i / (H - 1)`.
@@ -64,12 +72,22 @@ mod tests {
 
     #[test]
     fn the_grid_follows_from_the_triangles() {
-        for (h, w) in [(8, 8), (8, 13), (13, 8), (31, 33)] {
+        for (h, w) in [(8, 8), (8, 13), (13, 8), (31, 33), (8, 9), (9, 8)] {
             let grid = Grid { h, w };
             assert_eq!(grid_of(h * w, &grid.faces()), Some(grid));
             // The other diagonal, as other programs cut.
             let other: Vec<_> = grid.faces().iter().map(|f| f.map(|k| (h * w) as u32 - 1 - k)).collect();
             assert_eq!(grid_of(h * w, &other), Some(grid));
+            // Cut either way, with the diagonal first.
+            let cells = (0..(h - 1) * (w - 1)).map(|k| (k / (w - 1) * w + k % (w - 1)) as u32);
+            let (right, down) = (1, w as u32);
+            let falling = cells
+                .clone()
+                .flat_map(|a| [[a, a + down + right, a + down], [a, a + right, a + down + right]]);
+            let rising =
+                cells.flat_map(|a| [[a + down, a + right, a], [a + right, a + down, a + down + right]]);
+            assert_eq!(grid_of(h * w, &falling.collect::<Vec<_>>()), Some(grid), "{grid}");
+            assert_eq!(grid_of(h * w, &rising.collect::<Vec<_>>()), Some(grid), "{grid}");
             assert_eq!(grid_of(h * w + 1, &grid.faces()), None);
         }
         assert_eq!(grid_of(0, &[]), None);

@@ -16,14 +16,16 @@ enum Element {
     F64,
     I32,
     I64,
+    U32,
+    U64,
 }
 
 impl Element {
     fn bytes(self) -> usize {
         match self {
             Self::F16 => 2,
-            Self::F32 | Self::I32 => 4,
-            Self::F64 | Self::I64 => 8,
+            Self::F32 | Self::I32 | Self::U32 => 4,
+            Self::F64 | Self::I64 | Self::U64 => 8,
         }
     }
 
@@ -35,6 +37,8 @@ impl Element {
             Self::F64 => "<f8",
             Self::I32 => "<i4",
             Self::I64 => "<i8",
+            Self::U32 => "<u4",
+            Self::U64 => "<u8",
         }
     }
 }
@@ -90,7 +94,15 @@ impl<R: Read> Array<R> {
             "<f8" => Element::F64,
             "<i4" => Element::I32,
             "<i8" => Element::I64,
-            _ => return Err(bad("dtype", "'<f2', '<f4', '<f8', '<i4' or '<i8'", &format!("'{descr}'"))),
+            "<u4" => Element::U32,
+            "<u8" => Element::U64,
+            _ => {
+                return Err(bad(
+                    "dtype",
+                    "'<f2', '<f4', '<f8', '<i4', '<i8', '<u4' or '<u8'",
+                    &format!("'{descr}'"),
+                ));
+            }
         };
         let bytes = shape.iter().try_fold(element.bytes(), |n, &axis| n.checked_mul(axis));
         let there = size.saturating_sub(start_len + header_len);
@@ -133,6 +145,8 @@ impl<R: Read> Array<R> {
                 Element::F64 => words(chunk).for_each(|b| sink(f64::from_le_bytes(b))),
                 Element::I32 => words(chunk).for_each(|b| sink(i32::from_le_bytes(b).into())),
                 Element::I64 => words(chunk).for_each(|b| sink(i64::from_le_bytes(b) as f64)),
+                Element::U32 => words(chunk).for_each(|b| sink(u32::from_le_bytes(b).into())),
+                Element::U64 => words(chunk).for_each(|b| sink(u64::from_le_bytes(b) as f64)),
             }
         }
         Ok(())

@@ -40,6 +40,8 @@ impl<T: Float + FromStr> Polygons<T> {
 
     fn parse(bytes: &[u8], origin: &str) -> Result<Self> {
         let mut found = Self { origin: origin.to_owned(), positions: Vec::new(), faces: Vec::new() };
+        // Some programs begin with a byte-order mark.
+        let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         for (k, line) in bytes.split(|&b| b == b'\n').enumerate() {
             // Comments and the names of materials may be in any encoding; all else is ASCII.
             let line = String::from_utf8_lossy(line);

@@ -127,7 +127,7 @@ impl<R: Read + Seek> Archive<R> {
             return Err(Error::invalid(&self.origin, name, format!("{size} bytes"), "the end of the file"));
         }
         self.reader.seek(SeekFrom::Start(start)).map_err(|e| Error::io(&self.origin, "cannot read", e))?;
-        Ok((Checked { reader: &mut self.reader, left: size, state: !0, crc }, size))
+        Ok((Checked { reader: &mut self.reader, left: size, sum: crc32fast::Hasher::new(), crc }, size))
     }
 }
 
@@ -168,7 +168,7 @@ fn central_entry(bytes: &[u8]) -> Option<(Entry, usize)> {
 pub(super) struct Checked<'a, R> {
     reader: &'a mut R,
     left: u64,
-    state: u32,
+    sum: crc32fast::Hasher,
     crc: u32,
 }
 
@@ -177,29 +177,10 @@ impl<R: Read> Read for Checked<'_, R> {
         let n = self.left.min(buffer.len() as u64) as usize;
         let n = self.reader.read(&mut buffer[..n])?;
         self.left -= n as u64;
-        for &byte in &buffer[..n] {
-            self.state = CRC_TABLE[usize::from(self.state as u8 ^ byte)] ^ (self.state >> 8);
-        }
-        if self.left == 0 && n > 0 && !self.state != self.crc {
+        self.sum.update(&buffer[..n]);
+        if self.left == 0 && n > 0 && self.sum.clone().finalize() != self.crc {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "bytes that do not match their checksum"));
         }
         Ok(n)
     }
 }
-
-/// CRC-32 (polynomial 0xEDB88320, reflected) of each byte.
-const CRC_TABLE: [u32; 256] = {
-    let mut table = [0; 256];
-    let mut k = 0;
-    while k < 256 {
-        let mut c = k as u32;
-        let mut bit = 0;
-        while bit < 8 {
-            c = if c & 1 == 1 { 0xEDB8_8320 ^ (c >> 1) } else { c >> 1 };
-            bit += 1;
-        }
-        table[k] = c;
-        k += 1;
-    }
-    table
-};

@@ -62,6 +62,7 @@ impl Model {
 
     /// An error if there is no cloth, or a handle is no particle of the grid or named twice.
     pub fn check(&self) -> Result<()> {
+        Grid::new(self.grid.h, self.grid.w, "model")?;
         let n = self.grid.particles();
         if self.cloths.is_empty() {
             return Err(Error::invalid("model", "cloths", "at least one", 0));

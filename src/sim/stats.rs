@@ -23,6 +23,11 @@ impl EnergyTerms {
     pub fn total(&self) -> f64 {
         self.stretch + self.shear + self.bend + self.inertia + self.external
     }
+
+    /// The sum of the terms' magnitudes: external work may cancel the others.
+    pub(crate) fn magnitude(&self) -> f64 {
+        self.stretch + self.shear + self.bend + self.inertia + self.external.abs()
+    }
 }
 
 /// Statistics of one cloth in one frame.

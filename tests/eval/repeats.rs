@@ -9,7 +9,7 @@ use std::path::Path;
 #[test]
 fn a_nudge_is_of_the_stated_size_and_leaves_handles_alone() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
-    let recorded = sequence.scene(Grid { h: 24, w: 20 }, &PHYSICS).unwrap().setup().unwrap();
+    let recorded = sequence.scene(Grid { h: 24, w: 24 }, &PHYSICS).unwrap().setup().unwrap();
     assert_eq!(Nudge::of(0), None);
     let nudged = |repeat: u64| {
         let mut setup = recorded.clone();
@@ -22,15 +22,15 @@ fn a_nudge_is_of_the_stated_size_and_leaves_handles_alone() {
     let handles = &recorded.model.cloths[0].handles;
     let mut sum = 0.0;
     for (k, ((a, b), x)) in first.iter().zip(&second).zip(&recorded.start.x).enumerate() {
-        if handles.contains(&(k % 480)) {
-            assert_eq!((a, b), (x, x), "handle {}", k % 480);
+        if handles.contains(&(k % 576)) {
+            assert_eq!((a, b), (x, x), "handle {}", k % 576);
         } else {
             assert!(a != b && (a - x).abs() <= 1.0001e-5, "{a}, {b}, {x}");
             sum += (a - x).abs();
         }
     }
     // Half of the largest, as of uniform numbers.
-    let mean = sum / (3 * (480 - handles.len())) as f64;
+    let mean = sum / (3 * (576 - handles.len())) as f64;
     assert!((mean / 5e-6 - 1.0).abs() < 0.1, "{mean}");
 }
 

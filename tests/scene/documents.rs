@@ -10,7 +10,10 @@ fn every_example_loads_sets_up_and_survives_a_round_trip() {
     for entry in std::fs::read_dir(assets("scenes")).unwrap() {
         let path = entry.unwrap().path();
         let scene = Scene::load(&path).unwrap_or_else(|e| panic!("{e}"));
-        let setup = scene.setup().unwrap_or_else(|e| panic!("{e}"));
+        scene.setup().unwrap_or_else(|e| panic!("{e}"));
+        // A number of seventeen digits, which a careless reader is off by one in the last of.
+        let scene = Scene { speed: 5.0 * 5f64.sqrt(), ..scene };
+        let setup = scene.setup().unwrap();
         let folder = tempfile::tempdir().unwrap();
         let saved = folder.path().join("saved.json");
         scene.save(&saved).unwrap();

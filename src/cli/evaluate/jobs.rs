@@ -102,7 +102,8 @@ impl<'a> Plan<'a> {
         };
         let of_one_core = |&job: &usize| matches!(jobs[job].entry.optimizer, Optimizer::Newton);
         let (side_by_side, alone): (Vec<usize>, Vec<usize>) = (0..jobs.len()).partition(of_one_core);
-        // Threads of their own: a pool's would begin another sequence in the middle of a frame that waits, and its time with it.
+        // Threads of their own, each a pool of one: those of a common one would begin another sequence in the middle of a frame
+        // that waits, and its time with it.
         let next = AtomicUsize::new(0);
         let mine = || -> Result<ControlFlow<()>> {
             while let Some(&job) = side_by_side.get(next.fetch_add(1, Ordering::Relaxed)) {
@@ -115,7 +116,11 @@ impl<'a> Plan<'a> {
         };
         let cores = std::thread::available_parallelism().map_or(1, usize::from).min(side_by_side.len());
         let shares: Vec<Result<ControlFlow<()>>> = std::thread::scope(|scope| {
-            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(mine)).collect();
+            let alone = || match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+                Ok(pool) => pool.install(mine),
+                Err(_) => mine(),
+            };
+            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(alone)).collect();
             threads.into_iter().map(|t| t.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
         });
         // One that failed ends the others early, and is what is told.

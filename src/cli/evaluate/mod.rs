@@ -37,7 +37,7 @@ pub struct Args {
     /// Sequences, or cases of a suite, to take part [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
-    /// Grids to simulate on: rows, or rows and columns
+    /// Grids to simulate on: NxN, or rows and columns, of the shape that the cloth has
     #[arg(long, value_delimiter = ',', default_value = "32", value_name = "N|HxW,..")]
     grid: Vec<String>,
     /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton, quasi-newton-exact and newton, which run on the CPU whatever the device,
@@ -121,11 +121,9 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     if !args.merge.is_empty() {
         let scores = jobs::merged(&args.merge)?;
         args.writable()?;
-        if let Some(folder) = &args.plots {
-            plots::draw(folder, &scores)?;
-        }
+        let drawn = args.plots.as_ref().map_or(Ok(()), |folder| plots::draw(folder, &scores));
         args.write_tables(&tables(&scores), &documents(&scores))?;
-        return Ok(Ending::Done);
+        return Ok(drawn.map(|()| Ending::Done)?);
     }
     let settings = args.settings()?;
     let entries = args.entries()?;
@@ -162,7 +160,8 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let (mut all, ending) = plan.work(&jobs, &interrupted);
     all.extend(systems);
     // What is finished is told however it ended.
-    let complete = matches!(ending, Ok(ControlFlow::Continue(())));
+    // The convergence belongs to no share.
+    let complete = matches!(ending, Ok(ControlFlow::Continue(()))) && count == 1;
     let written = if all.is_empty() { Ok(()) } else { args.write(&all, &plan, (complete, &interrupted)) };
     if ending?.is_break() || go_on(&interrupted).is_break() {
         tell!("interrupted; the scores so far are kept in {}", args.out.display());
@@ -238,8 +237,9 @@ impl Args {
             };
             let optimizer = Optimizer::named(known, "--solver", &mut load)?;
             let all = match (own, &optimizer) {
+                // It converges, whatever it is told.
+                (_, Optimizer::Newton) => vec![1],
                 (Some(n), _) => vec![n],
-                (None, Optimizer::Newton) => vec![1],
                 (None, _) => self.iterations.clone(),
             };
             let allowed = 1..=MOST_ITERATIONS as usize;
@@ -278,27 +278,22 @@ impl Args {
         self.compare.iter().map(&mut parse).collect()
     }
 
-    /// Number of this share and number of shares.
+    /// Number of this share and number of shares; says which it is where nobody gave it.
     fn shard(&self) -> fnopt::Result<(usize, usize)> {
-        let of_slurm = || {
-            let number = |name: &str| std::env::var(name).ok()?.parse::<usize>().ok();
-            let first = number("SLURM_ARRAY_TASK_MIN").unwrap_or(0);
-            Some((number("SLURM_ARRAY_TASK_ID")?.checked_sub(first)?, number("SLURM_ARRAY_TASK_COUNT")?))
-        };
-        let (index, count) = match &self.shard {
-            None => of_slurm().unwrap_or((0, 1)),
-            Some(text) => text
-                .split_once('/')
-                .and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)))
-                .ok_or_else(|| Error::invalid("--shard", "share", "I/N, as in 0/4", text))?,
+        let (origin, (index, count)) = match &self.shard {
+            None => ("SLURM_ARRAY_TASK_ID", share_of_slurm().unwrap_or((0, 1))),
+            Some(text) => {
+                let parts = text.split_once('/').and_then(|(i, n)| Some((i.parse().ok()?, n.parse().ok()?)));
+                let invalid = || Error::invalid("--shard", "share", "I/N, as in 0/4", text);
+                ("--shard", parts.ok_or_else(invalid)?)
+            }
         };
         if index >= count {
-            return Err(Error::invalid(
-                "--shard",
-                "share",
-                format!("0 to {} of {count}", count.max(1) - 1),
-                index,
-            ));
+            let expected = format!("0 to {} of {count}", count.max(1) - 1);
+            return Err(Error::invalid(origin, "share", expected, index));
+        }
+        if count > 1 && self.shard.is_none() {
+            tell!("share {index} of {count}, as SLURM_ARRAY_TASK_ID says; --merge makes the tables of all");
         }
         Ok((index, count))
     }
@@ -306,9 +301,8 @@ impl Args {
     /// Writes what was asked for and prints the tables. Without `simulate` no more is simulated for the plots.
     fn write(&self, all: &[Kept], plan: &Plan, (simulate, interrupted): (bool, &AtomicBool)) -> Result<()> {
         let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
-        let tables = tables(&scores);
-        self.write_files(&tables, &documents(&scores))?;
-        // The tables are printed whatever becomes of the plots.
+        let written = self.write_tables(&tables(&scores), &documents(&scores));
+        // The tables are there whatever becomes of the plots.
         let drawn = self.plots.as_ref().map_or(Ok(()), |folder| {
             plots::draw(folder, &scores)?;
             for sequence in plan.sequences {
@@ -316,8 +310,7 @@ impl Args {
             }
             if simulate { plots::convergence(folder, plan, || go_on(interrupted)) } else { Ok(()) }
         });
-        self.print(&tables)?;
-        Ok(drawn?)
+        written.and(Ok(drawn?))
     }
 
     /// Writes the files that were asked for and prints the tables, neither of which takes the other along when it fails.
@@ -379,6 +372,13 @@ fn progress(length: usize, of: &str) -> ProgressBar {
     let bar = ProgressBar::new(length as u64).with_style(style);
     bar.enable_steady_tick(Duration::from_millis(200));
     bar
+}
+
+/// The number of this task in an array of Slurm's, from 0, and how many there are.
+fn share_of_slurm() -> Option<(usize, usize)> {
+    let number = |name: &str| std::env::var(format!("SLURM_ARRAY_TASK_{name}")).ok()?.parse::<usize>().ok();
+    let (first, step) = (number("MIN").unwrap_or(0), number("STEP").unwrap_or(1).max(1));
+    Some((number("ID")?.checked_sub(first)? / step, number("COUNT")?))
 }
 
 /// `32` or `48x32`.

@@ -56,22 +56,23 @@ fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Fi
     write(folder, file, &curves.into_iter().map(chart).collect::<Vec<_>>())
 }
 
-/// Means over the sequences of a grid and solver, by the number of iterations: of the error (x 1000) and the time \[ms\].
+/// Means over the sequences of a grid and solver, by the number of iterations: of the error (x 1000) and the time \[ms\]. No
+/// point where the solver diverged in one of them.
 fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
-    /// Error and time of every sequence, by the number of iterations.
-    type Figures = BTreeMap<usize, Vec<[f64; 2]>>;
+    /// Error and time of every sequence, by the number of iterations; none of one that diverged.
+    type Figures = BTreeMap<usize, Vec<Option<[f64; 2]>>>;
     let mut of: BTreeMap<(String, String), Figures> = BTreeMap::new();
-    for score in scores.iter().filter(|s| s.stable && s.iterations > 0) {
-        if let (Some(e), Some(ms)) = (score.e_cd, score.ms_per_frame) {
-            let of_solver = of.entry((score.grid.clone(), score.solver.clone())).or_default();
-            of_solver.entry(score.iterations).or_default().push([1e3 * e, ms]);
-        }
+    for score in scores.iter().filter(|s| s.iterations > 0) {
+        let of_solver = of.entry((score.grid.clone(), score.solver.clone())).or_default();
+        let both = score.e_cd.zip(score.ms_per_frame).map(|(e, ms)| [1e3 * e, ms]);
+        of_solver.entry(score.iterations).or_default().push(both);
     }
     let mut grids: BTreeMap<String, [Vec<Curve>; 2]> = BTreeMap::new();
     for ((grid, solver), means) in of {
         for (k, curves) in grids.entry(grid).or_default().iter_mut().enumerate() {
             let mean = |v: &[[f64; 2]]| v.iter().map(|v| v[k]).sum::<f64>() / v.len() as f64;
-            let points = means.iter().map(|(&n, v)| [n as f64, mean(v)]).collect();
+            let whole = |v: &[Option<[f64; 2]>]| v.iter().copied().collect::<Option<Vec<_>>>();
+            let points = means.iter().filter_map(|(&n, v)| Some([n as f64, mean(&whole(v)?)])).collect();
             curves.push(Curve { label: solver.clone(), points });
         }
     }

@@ -8,7 +8,7 @@ use fnopt::Error;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
 use fnopt::eval::{Entry, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
-use fnopt::sim::{Device, Grid};
+use fnopt::sim::{Device, Grid, Optimizer};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
@@ -80,6 +80,12 @@ impl Args {
         if entries.iter().any(|entry| entry.coarse) {
             let expected = "solvers of the grid itself in a suite";
             return Err(Error::invalid("--solver", "interpolation", expected, "interpolation").into());
+        }
+        let fixed =
+            |entry: &&Entry| entry.name == "single-pass" || matches!(entry.optimizer, Optimizer::Newton);
+        if let (Suite::Iterations, Some(entry)) = (suite, entries.iter().find(fixed)) {
+            let expected = "solvers with a number of iterations in this suite";
+            return Err(Error::invalid("--solver", "iterations", expected, &entry.name).into());
         }
         let mut known = BTreeSet::new();
         // Where the suite sets the iterations, a solver with several numbers of them is one.
