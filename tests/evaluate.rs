@@ -306,11 +306,13 @@ fn a_suite_honours_its_options_or_refuses_them() {
     assert_ne!(usual, largest(&["--material", "10,8,0.5"]));
     assert_ne!(usual, largest(&["--wind", "50"]));
     // The suite of grids has its own, once.
-    let of_grids = scores("grids", &["--sequences", "48x32", "--grid", "32,64"]);
+    let of_grids = scores("grids", &["--sequences", "48x32"]);
     assert_eq!((of_grids.len(), &of_grids[0]["score"]["grid"]), (1, &"48x32".into()));
     let five = ["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs:2,lbfgs:3"];
     let of_five = scores("iterations", &five);
     assert_eq!((of_five.len(), &of_five[0]["score"]["iterations"]), (1, &5.into()));
+    refused(suite("grids", &["--grid", "32,64"]), &["--grid", "has its own"]);
+    refused(suite("iterations", &["--iterations", "3"]), &["--iterations", "has its own"]);
     refused(suite("iterations", &["--solver", "single-pass"]), &["--solver", "single-pass"]);
     refused(suite("materials", &["--material", "1,2,3"]), &["--material", "which has its own"]);
     refused(suite("speeds", &["--points", "3"]), &["cannot be used with", "--points"]);

@@ -27,6 +27,7 @@ struct Params {
 @group(0) @binding(8) var<storage, read_write> shift: array<f32>;
 
 const LANES: u32 = 256u;
+const MAX_HISTORY: u32 = 32u;
 override HISTORY: u32 = 5;
 override CURVATURE: f32 = 1e-12;
 // 0: the whole step; 1: what comes before the initial H; 2: what comes after it.
@@ -59,7 +60,7 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
     var count = 0u;
     var newest = HISTORY - 1u;
     var gamma = 1.0;
-    var alpha: array<f32, 32>;
+    var alpha: array<f32, MAX_HISTORY>;
 
     // 1 / y's of the newest pair.
     var newest_rho = 0.0;

@@ -2,7 +2,7 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, tell};
-use super::{Ending, SolverArgs, default_scenes, median, writable_file};
+use super::{Ending, SolverArgs, default_scenes, grids, median, writable_file};
 use anyhow::Result;
 use fnopt::eval::WARM_UP;
 use fnopt::gpu::{Context, Profile, Schedule, Tensor};
@@ -18,9 +18,9 @@ use std::time::Instant;
 /// Arguments of `fnopt bench`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Sizes of square grids
-    #[arg(long, value_delimiter = ',', default_value = "32,64,100", value_name = "N,..")]
-    grid: Vec<usize>,
+    /// Grids
+    #[arg(long, value_delimiter = ',', default_value = "32,64,100", value_name = "N|HxW,..")]
+    grid: Vec<String>,
     /// Cloths that advance together
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "B,..", value_parser = clap::value_parser!(u32).range(1..=4096))]
     batch: Vec<u32>,
@@ -47,7 +47,9 @@ const RECORDINGS: (usize, f64) = (100, 1.0);
 
 #[derive(serde::Serialize)]
 struct Row {
-    grid: usize,
+    grid: String,
+    #[serde(skip)]
+    particles: usize,
     batch: usize,
     iterations: usize,
     ms_per_frame: f64,
@@ -72,8 +74,7 @@ struct KernelRow {
 }
 
 pub fn run(args: &Args) -> Result<Ending> {
-    let grids: Vec<Grid> =
-        args.grid.iter().map(|&n| Grid::new(n, n, "--grid")).collect::<fnopt::Result<_>>()?;
+    let grids = grids(&args.grid)?;
     let optimizer = args.solver.optimizer()?;
     if let Some(path) = &args.plot {
         writable_file(path)?;
@@ -146,7 +147,7 @@ fn product_rate_on(context: &Context) -> Result<f64> {
 
 /// Time and speed over the particles of all cloths, for each number of cloths, beside the matrix product's.
 fn plot(rows: &[Row], product: f64) -> Image {
-    let particles = |row: &Row| (row.grid * row.grid * row.batch) as f64;
+    let particles = |row: &Row| (row.particles * row.batch) as f64;
     let mut batches: Vec<usize> = rows.iter().map(|row| row.batch).collect();
     batches.sort_unstable();
     batches.dedup();
@@ -196,7 +197,8 @@ fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (
         _ => None,
     };
     let mut row = Row {
-        grid: grid.h,
+        grid: grid.to_string(),
+        particles: grid.particles(),
         batch,
         iterations,
         ms_per_frame,
@@ -261,7 +263,7 @@ fn time_together(context: &Context, solver: &Solver, controls: &[Control<f32>]) 
 
 fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
     let Row { grid, batch, iterations, ms_per_frame, ms_least, cloth_frames_per_s, .. } = row;
-    write!(out, "{grid}x{grid} batch {batch}, {iterations} iterations: {ms_per_frame:.3} ms/frame")?;
+    write!(out, "{grid} batch {batch}, {iterations} iterations: {ms_per_frame:.3} ms/frame")?;
     write!(out, " (least {ms_least:.3}), {cloth_frames_per_s:.1} cloth-frames/s")?;
     if let Some(rate) = row.gflop_per_s {
         write!(out, ", {rate:.1} GFLOP/s")?;

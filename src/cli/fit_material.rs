@@ -1,14 +1,14 @@
 //! `fnopt fit-material`: finds the material of recorded trajectories.
 
 use super::output::{output, tell};
-use super::{Ending, MOST_POINTS, go_on, interrupt_flag, writable_file};
+use super::{Ending, MOST_POINTS, go_on, interrupt_flag, one_grid, writable_file};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::fit::{Fit, PARAMETERS, Point, Surface};
 use fnopt::eval::{Physics, Sequence, Settings};
 use fnopt::io::write_atomic;
 use fnopt::scene::Stiffness;
-use fnopt::sim::{Grid, Material};
+use fnopt::sim::Material;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::PathBuf;
@@ -26,9 +26,9 @@ pub struct Args {
     /// Sequences whose mean error counts [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
-    /// Rows and columns of the grid that is simulated on
-    #[arg(long, num_args = 2, value_names = ["H", "W"], default_values = ["32", "32"])]
-    grid: Vec<usize>,
+    /// Grid that is simulated on
+    #[arg(long, num_args = 1..=2, value_name = "N|HxW|H W", default_value = "32")]
+    grid: Vec<String>,
     /// Frames of each sequence, the start included [default: all]
     #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(2..))]
     frames: Option<u32>,
@@ -75,7 +75,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     let ranges = args.ranges(args.kept(&sequences)?)?;
     let fit = Fit {
         sequences: &sequences,
-        grid: Grid::new(args.grid[0], args.grid[1], "--grid")?,
+        grid: one_grid(&args.grid)?,
         settings: Settings {
             // Replaced by those of each point.
             physics: Physics::default(),

@@ -184,6 +184,25 @@ pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
     Ok(weights)
 }
 
+/// A grid as options give it: `32` for 32x32, or `48x32`.
+pub fn grid(text: &str) -> fnopt::Result<Grid> {
+    let (h, w) = text.split_once('x').unwrap_or((text, text));
+    match (h.parse(), w.parse()) {
+        (Ok(h), Ok(w)) => Grid::new(h, w, "--grid"),
+        _ => Err(Error::invalid("--grid", "grid", "N or HxW", text)),
+    }
+}
+
+/// Several of them.
+pub fn grids(texts: &[String]) -> fnopt::Result<Vec<Grid>> {
+    texts.iter().map(|text| grid(text)).collect()
+}
+
+/// A single one, whose height and width may also be two values.
+pub fn one_grid(values: &[String]) -> fnopt::Result<Grid> {
+    grid(&values.join("x"))
+}
+
 /// The default scene on a grid, as many times as there are cloths.
 pub fn default_scenes(grid: Grid, batch: usize) -> Result<Batch> {
     let most = MOST_PARTICLES / grid.particles();

@@ -2,14 +2,14 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, tell};
-use super::{Ending, SolverArgs, go_on, interrupt_flag, material, writable_file, writable_folder};
+use super::{Ending, SolverArgs, go_on, interrupt_flag, material, one_grid, writable_file, writable_folder};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::median_time;
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{Motion, Scene, Setup, UpAxis};
-use fnopt::sim::{Frame, FrameStats, Grid, Optimizer, Simulator, State};
+use fnopt::sim::{Frame, FrameStats, Optimizer, Simulator, State};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -22,9 +22,10 @@ pub struct Args {
     /// Motion of the handles: a built-in name such as xy_v2, yz, rot_h0, updown_opp, `none`, or a .npy of [frames, handles, 3] metres
     #[arg(long, value_name = "M")]
     motion: Option<String>,
-    /// Particles along the height and the width
-    #[arg(long, num_args = 2, value_names = ["H", "W"])]
-    grid: Option<Vec<usize>>,
+    /// Particles along the height and the width. Energy coefficients stay, with which a finer grid is a softer cloth; moduli make it
+    /// the same
+    #[arg(long, num_args = 1..=2, value_name = "N|HxW|H W")]
+    grid: Option<Vec<String>>,
     /// Energy coefficients stretch, shear, bend, or a JSON file with them, or with moduli, under "material" as in a scene; density
     /// and drag of its "wind" and its "frame_time_s" count too
     #[arg(long, value_name = "KS,KH,KB|FILE")]
@@ -95,7 +96,7 @@ impl Args {
             None => Scene::default(),
         };
         if let Some(grid) = &self.grid {
-            scene.regrid(Grid::new(grid[0], grid[1], "--grid")?)?;
+            scene.regrid(one_grid(grid)?)?;
         }
         if let Some(motion) = &self.motion {
             scene.motion = Motion::parse(motion, "--motion", Path::new(""))?;
@@ -311,7 +312,7 @@ impl Run<'_> {
             writeln!(out, "ms/frame        {:.2}", self.ms_per_frame())?;
             writeln!(out, "energy          {energy:.5} (last frame, grid units)")?;
             writeln!(out, "|gradient|      {gradient:.2e} (last iteration of the last frame)")?;
-            writeln!(out, "largest stretch {:.1} %", 100.0 * stretch)?;
+            writeln!(out, "largest stretch {:.1} % (of all edges, those at handles too)", 100.0 * stretch)?;
         }
         for path in written {
             writeln!(out, "wrote           {}", path.display())?;

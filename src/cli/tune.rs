@@ -2,20 +2,20 @@
 
 use super::device::{DeviceArgs, DeviceKind};
 use super::output::{output, tell};
-use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag};
+use super::{Ending, SolverArgs, default_scenes, go_on, grid, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::kernels::Tuning;
-use fnopt::sim::{Device, Grid, tune};
+use fnopt::sim::{Device, tune};
 use std::io::Write;
 use std::ops::ControlFlow;
 
 /// Arguments of `fnopt tune`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Rows and columns of the cloths that are timed
-    #[arg(long, default_value_t = 64, value_name = "N")]
-    grid: usize,
+    /// Grid of the cloths that are timed; what is found serves all grids, batches and precisions of the adapter
+    #[arg(long, default_value = "64", value_name = "N|HxW")]
+    grid: String,
     /// Cloths that advance together
     #[arg(long, default_value_t = 1, value_name = "B", value_parser = clap::value_parser!(u32).range(1..=4096))]
     batch: u32,
@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         return Err(Error::Device("the CPU path has nothing to tune".into()).into());
     };
     tell!("{line}");
-    let setups = default_scenes(Grid::new(args.grid, args.grid, "--grid")?, args.batch as usize)?;
+    let setups = default_scenes(grid(&args.grid)?, args.batch as usize)?;
     let (optimizer, start) = (args.solver.optimizer()?, setups.start.cast());
     let interrupted = interrupt_flag();
     let mut out = output();
@@ -77,12 +77,13 @@ pub fn run(args: &Args) -> Result<Ending> {
 
 fn describe(tuning: &Tuning) -> String {
     let Tuning { channels, pointwise_group, block_wide, block_high, block_deep, staged, .. } = tuning;
-    let Tuning { rows_in_blocks, spectral_teams, busy_groups, sharing, .. } = tuning;
+    let Tuning { rows_in_blocks, spectral_teams, busy_groups, sharing, activation_bytes, .. } = tuning;
+    let turns = activation_bytes >> 20;
     let rows = if *rows_in_blocks { "in blocks" } else { "apart" };
     let staged = if *staged { " staged" } else { "" };
     format!(
         "tile {channels}, block {block_wide}x{block_high}x{block_deep}{staged}, group {pointwise_group}, rows {rows}, teams {spectral_teams}, \
-         busy {busy_groups}, {sharing:?}"
+         busy {busy_groups}, {sharing:?}, turns of {turns} MiB"
     )
     .to_lowercase()
 }

@@ -232,3 +232,11 @@ fn every_kernel_has_its_host_side_twin_and_parity_test() {
         assert!(modules.contains(&format!("mod {test};")), "parity/{test}.rs is not compiled");
     }
 }
+
+/// The array that is not bounded by a tensor's size: the host refuses longer histories.
+#[test]
+fn the_longest_history_is_the_same_on_both_sides() {
+    let longest = fnopt::kernels::optim::lbfgs::MAX_HISTORY;
+    let source = fnopt::kernels::optim::lbfgs::SOURCE.wgsl;
+    assert!(source.contains(&format!("const MAX_HISTORY: u32 = {longest}u;")), "{longest}");
+}

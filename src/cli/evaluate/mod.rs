@@ -7,8 +7,8 @@ mod suite;
 use super::device::InferenceArgs;
 use super::output::{output, tell};
 use super::{
-    Ending, MOST_ITERATIONS, MOST_POINTS, go_on, interrupt_flag, load_weights, material, writable_file,
-    writable_folder,
+    Ending, MOST_ITERATIONS, MOST_POINTS, go_on, grids, interrupt_flag, load_weights, material,
+    writable_file, writable_folder,
 };
 use anyhow::Result;
 use fnopt::Error;
@@ -18,7 +18,7 @@ use fnopt::eval::{
 };
 use fnopt::io::write_atomic;
 use fnopt::network::Weights;
-use fnopt::sim::{Device, Grid, Optimizer};
+use fnopt::sim::{Device, Optimizer};
 use indicatif::{ProgressBar, ProgressStyle};
 use jobs::{Job, Kept, Plan};
 use std::io::{IsTerminal, Write};
@@ -26,6 +26,9 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
+
+/// The file that is standard output.
+const STDOUT: &str = "-";
 
 /// Arguments of `fnopt evaluate`.
 #[derive(Debug, clap::Args)]
@@ -37,9 +40,9 @@ pub struct Args {
     /// Sequences, or cases of a suite, to take part [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
-    /// Grids to simulate on: NxN, or rows and columns, of the shape that the cloth has
-    #[arg(long, value_delimiter = ',', default_value = "32", value_name = "N|HxW,..")]
-    grid: Vec<String>,
+    /// Grids to simulate on, of the shape that the cloth has [default: 32]
+    #[arg(long, value_delimiter = ',', value_name = "N|HxW,..")]
+    grid: Option<Vec<String>>,
     /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton, quasi-newton-exact and newton, which run on the CPU whatever the device,
     /// single-pass, which is fnopt:1, or interpolation, which is fnopt on 32 rows carried to the grid; with iterations of
     /// their own after a colon
@@ -50,9 +53,9 @@ pub struct Args {
         value_name = "NAME[:N],.."
     )]
     solver: Vec<String>,
-    /// Iterations per frame of the solvers without their own
-    #[arg(long, value_delimiter = ',', default_value = "10", value_name = "N,..")]
-    iterations: Vec<usize>,
+    /// Iterations per frame of the solvers without their own [default: 10]
+    #[arg(long, value_delimiter = ',', value_name = "N,..")]
+    iterations: Option<Vec<usize>>,
     /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
@@ -62,7 +65,7 @@ pub struct Args {
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
     /// Density of the air [kg/m^3] [default: the sequence's, or in a suite the default scene's]
-    #[arg(long, value_name = "DENSITY")]
+    #[arg(long, value_name = "DENSITY", visible_alias = "density")]
     wind: Option<f64>,
     /// Frames of each sequence, the start included [default: all]
     #[arg(long, value_name = "F")]
@@ -101,8 +104,8 @@ pub struct Args {
     /// Leave the energy gap out of a suite: its converged simulation takes most of the time
     #[arg(long, requires = "suite")]
     no_gap: bool,
-    /// Scores as JSON
-    #[arg(long, value_name = "FILE")]
+    /// Scores as JSON, into a file or, without one, in place of the tables
+    #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
     json: Option<PathBuf>,
     /// Tables as CSV
     #[arg(long, value_name = "FILE")]
@@ -127,7 +130,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     }
     let settings = args.settings()?;
     let entries = args.entries()?;
-    let grids: Vec<Grid> = args.grid.iter().map(|text| grid(text)).collect::<fnopt::Result<_>>()?;
+    let grids = grids(args.grid.as_deref().unwrap_or(&["32".into()]))?;
     if let Some(name) = &args.suite {
         return args.run_suite(Suite::named(name, "--suite")?, entries, &grids);
     }
@@ -183,7 +186,7 @@ impl Args {
     /// Makes sure, before the work, that the files which are asked for can be written after it.
     fn writable(&self) -> fnopt::Result<()> {
         let files = self.json.iter().chain(&self.csv).chain(&self.markdown);
-        files.into_iter().try_for_each(|file| writable_file(file))?;
+        files.filter(|file| **file != Path::new(STDOUT)).try_for_each(|file| writable_file(file))?;
         self.plots.iter().try_for_each(|folder| writable_folder(folder))
     }
 
@@ -240,7 +243,7 @@ impl Args {
                 // It converges, whatever it is told.
                 (_, Optimizer::Newton) => vec![1],
                 (Some(n), _) => vec![n],
-                (None, _) => self.iterations.clone(),
+                (None, _) => self.iterations.clone().unwrap_or(vec![10]),
             };
             let allowed = 1..=MOST_ITERATIONS as usize;
             if let Some(n) = all.iter().find(|n| !allowed.contains(n)) {
@@ -316,7 +319,11 @@ impl Args {
     /// Writes the files that were asked for and prints the tables, neither of which takes the other along when it fails.
     fn write_tables(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> Result<()> {
         let written = self.write_files(tables, scores);
-        self.print(tables)?;
+        if self.json.as_deref() == Some(Path::new(STDOUT)) {
+            writeln!(output(), "{}", serde_json::to_string_pretty(scores).expect("scores are plain data"))?;
+        } else {
+            self.print(tables)?;
+        }
         Ok(written?)
     }
 
@@ -329,7 +336,7 @@ impl Args {
         if let Some(path) = &self.markdown {
             into(path, text(tables, Format::Markdown))?;
         }
-        if let Some(path) = &self.json {
+        if let Some(path) = self.json.as_ref().filter(|path| **path != Path::new(STDOUT)) {
             into(path, serde_json::to_string_pretty(scores).expect("scores are plain data"))?;
         }
         Ok(())
@@ -379,15 +386,6 @@ fn share_of_slurm() -> Option<(usize, usize)> {
     let number = |name: &str| std::env::var(format!("SLURM_ARRAY_TASK_{name}")).ok()?.parse::<usize>().ok();
     let (first, step) = (number("MIN").unwrap_or(0), number("STEP").unwrap_or(1).max(1));
     Some((number("ID")?.checked_sub(first)? / step, number("COUNT")?))
-}
-
-/// `32` or `48x32`.
-fn grid(text: &str) -> fnopt::Result<Grid> {
-    let (h, w) = text.split_once('x').unwrap_or((text, text));
-    match (h.parse(), w.parse()) {
-        (Ok(h), Ok(w)) => Grid::new(h, w, "--grid"),
-        _ => Err(Error::invalid("--grid", "grid", "N or HxW", text)),
-    }
 }
 
 /// The file or folder of another system's trajectory of a sequence.

@@ -77,6 +77,15 @@ impl Args {
 
     /// Runs the cases of a suite with each solver on each grid.
     pub(super) fn run_suite(&self, suite: Suite, mut entries: Vec<Entry>, grids: &[Grid]) -> Result<Ending> {
+        for (own, given, option) in [
+            (Suite::Grids, self.grid.is_some(), "--grid"),
+            (Suite::Iterations, self.iterations.is_some(), "--iterations"),
+        ] {
+            if suite == own && given {
+                let expected = "none with a suite that has its own";
+                return Err(Error::invalid("--suite", option, expected, "some").into());
+            }
+        }
         if entries.iter().any(|entry| entry.coarse) {
             let expected = "solvers of the grid itself in a suite";
             return Err(Error::invalid("--solver", "interpolation", expected, "interpolation").into());
