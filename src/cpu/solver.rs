@@ -5,6 +5,7 @@ use super::reference::Minimum;
 use super::{Objective, Real, Reference};
 use crate::sim::{Cloth, Control, FrameStats, Iterations, Model, Optimizer, State};
 use crate::{Error, Result};
+use rayon::prelude::*;
 
 /// Advances a batch of cloths frame by frame.
 pub struct Solver<T: Real> {
@@ -70,12 +71,20 @@ impl<T: Real> Solver<T> {
                 objective.evaluate(state, control);
                 self.log.gradient_norms.extend(&objective.norms);
                 let cloth = objective.cloth_len();
-                let (mut handles, still) = (0, vec![0.0; cloth]);
-                for (b, reference) in references.iter_mut().enumerate() {
-                    let count = objective.trial.model.cloths[b].handles.len();
-                    let (state, control) = part(state, control, (b, cloth), handles..handles + count);
-                    handles += count;
-                    let minimum = reference.minimise(&state, &control, &still);
+                let cloths = objective.trial.model.cloths.iter();
+                let ends: Vec<usize> = cloths
+                    .scan(0, |end, c| {
+                        *end += c.handles.len();
+                        Some(*end)
+                    })
+                    .collect();
+                let minimise = |(b, reference): (usize, &mut Reference)| {
+                    let begin = if b == 0 { 0 } else { ends[b - 1] };
+                    let (state, control) = part(state, control, (b, cloth), begin..ends[b]);
+                    reference.minimise(&state, &control, &vec![0.0; cloth])
+                };
+                let minima: Vec<Minimum> = references.par_iter_mut().enumerate().map(minimise).collect();
+                for (b, minimum) in minima.into_iter().enumerate() {
                     if !minimum.converged {
                         let Minimum { iterations, gradient, .. } = minimum;
                         tracing::warn!(
