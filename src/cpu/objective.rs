@@ -76,8 +76,8 @@ impl<T: Real> Objective<T> {
         3 * self.trial.model.grid.particles()
     }
 
-    /// Starts a frame: gravity, wind and the external accelerations of `control` stay the same during it. Panics when a length is not the
-    /// model's.
+    /// Starts a frame: gravity, wind and the external accelerations of `control` stay the same during it. Panics when a length is
+    /// not the model's.
     pub fn begin_frame(&mut self, state: &State<T>, control: &Control<T>) {
         let Trials { model, f, .. } = &mut self.trial;
         let (grid, batch, cloth) = (model.grid, model.batch(), 3 * model.grid.particles());

@@ -19,8 +19,8 @@ use std::path::{Path, PathBuf};
 ///   grid: the mesh at rest, a flat rectangle in two of the axes. `handle_vertices` must then be given;
 /// - `handles.npy` [frames, handles, 3], if there is one: where the handles are \[m\], in as many frames as `cloth_pos.npy` has;
 ///   else they are where their vertices are;
-/// - `start.npy` [vertices, 3], if there is one and the vertices are a grid: the first frame \[m\] with more digits than in `cloth_pos.npy`. Half of them
-///   are enough for a comparison, but not for edges.
+/// - `start.npy` [vertices, 3], if there is one and the vertices are a grid: the first frame \[m\] with more digits than in
+///   `cloth_pos.npy`. Half of them are enough for a comparison, but not for edges.
 ///
 /// `meta.json` is an object. What it does not tell is the default scene's; other keys are passed over, except those that are
 /// nearly one of these:

@@ -229,7 +229,8 @@ pub(super) struct Program {
     pub layout: wgpu::BindGroupLayout,
     module: naga::Module,
     constants: Vec<(&'static str, f64)>,
-    pipeline: OnceLock<wgpu::ComputePipeline>,
+    /// Or why it cannot be compiled, which all that wait for it are told.
+    pipeline: OnceLock<Result<wgpu::ComputePipeline, String>>,
 }
 
 impl Kernel {
@@ -289,9 +290,15 @@ impl Kernel {
 }
 
 impl Program {
-    /// The pipeline, compiled where it is not yet.
-    pub fn pipeline(&self, context: &Context) -> &wgpu::ComputePipeline {
-        self.pipeline.get_or_init(|| self.compile(context))
+    /// The pipeline, compiled where it is not yet; an error where that fails.
+    pub fn pipeline(&self, context: &Context) -> Result<&wgpu::ComputePipeline> {
+        // Checked by the thread that compiles it: others do not see its errors.
+        let compiled = || match context.checked(|| Ok(self.compile(context))) {
+            Ok(pipeline) => Ok(pipeline),
+            Err(Error::Device(why) | Error::Lost(why)) => Err(why),
+            Err(other) => Err(other.to_string()),
+        };
+        self.pipeline.get_or_init(compiled).as_ref().map_err(|why| Error::Device(why.clone()))
     }
 
     fn compile(&self, context: &Context) -> wgpu::ComputePipeline {

@@ -1,9 +1,10 @@
 //! The GPU runtime, and the only module that makes wgpu's objects. It knows no cloth.
 //!
 //! [`Context`] wraps the caller's device and queue (or makes its own), [`Tensor`] is a typed storage buffer, `Kernel`
-//! is a WGSL entry point, compiled when it is first used, [`Schedule`] is a list of dispatches with everything bound, [`Readback`] brings
-//! results to the host without stalling the queue, [`Profile`] measures dispatches where the adapter has timestamps. Compiled
-//! pipelines outlast the process where the adapter has a cache for them ([`Context::with_stored_pipelines`]).
+//! is a WGSL entry point, compiled when it is first used and shared by all solvers of a device, [`Schedule`] is a list of
+//! dispatches with everything bound, [`Readback`] brings results to the host without stalling the queue, [`Profile`] measures
+//! dispatches where the adapter has timestamps. Compiled pipelines outlast the process where the adapter has a cache for them
+//! ([`Context::with_stored_pipelines`]).
 
 mod cache;
 mod context;

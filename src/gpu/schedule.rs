@@ -116,8 +116,7 @@ impl Schedule {
         programs.sort_unstable_by_key(|program| Arc::as_ptr(program));
         programs.dedup_by(|a, b| Arc::ptr_eq(a, b));
         let context = &self.context;
-        // Each on its own is checked by the thread that compiles it: others do not see its errors.
-        let compile = |program: &Arc<Program>| context.checked(|| Ok(program.pipeline(context))).map(|_| ());
+        let compile = |program: &Arc<Program>| program.pipeline(context).map(|_| ());
         let compiled = programs.into_par_iter().try_for_each(compile);
         compiled.inspect_err(|_| context.kernels.clear())?;
         Ok(self)
@@ -129,6 +128,10 @@ impl Schedule {
             Step::Dispatch { program, .. } => Some(program),
             Step::Clear { .. } => None,
         })
+    }
+
+    fn pipeline<'a>(&self, program: &'a Program) -> &'a wgpu::ComputePipeline {
+        program.pipeline(&self.context).unwrap_or_else(|e| panic!("{}.wgsl: {e}", program.name))
     }
 
     /// Number of dispatches.
@@ -154,7 +157,9 @@ impl Schedule {
         Self { context: self.context.clone(), steps, bound: HashMap::new(), refused: None }
     }
 
-    /// Records everything into the caller's encoder; kernels are compiled here where [`Schedule::finish`] did not. Dispatches that follow each other in one compute pass.
+    /// Records everything into the caller's encoder, dispatches that follow each other in one compute pass.
+    ///
+    /// Kernels are compiled here where [`Schedule::finish`] did not; panics where that fails.
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
         let mut steps = self.steps.iter().peekable();
         while let Some(step) = steps.peek() {
@@ -167,7 +172,7 @@ impl Schedule {
             while let Some(Step::Dispatch { program, bind_group, groups }) =
                 steps.next_if(|s| matches!(s, Step::Dispatch { .. }))
             {
-                pass.set_pipeline(program.pipeline(&self.context));
+                pass.set_pipeline(self.pipeline(program));
                 pass.set_bind_group(0, bind_group, &[]);
                 pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
             }
@@ -191,7 +196,7 @@ impl Schedule {
                 label: Some(program.name),
                 timestamp_writes,
             });
-            pass.set_pipeline(program.pipeline(&self.context));
+            pass.set_pipeline(self.pipeline(program));
             pass.set_bind_group(0, bind_group, &[]);
             pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
         }
