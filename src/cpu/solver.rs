@@ -71,19 +71,19 @@ impl<T: Real> Solver<T> {
                 objective.evaluate(state, control);
                 self.log.gradient_norms.extend(&objective.norms);
                 let cloth = objective.cloth_len();
-                let cloths = objective.trial.model.cloths.iter();
-                let ends: Vec<usize> = cloths
-                    .scan(0, |end, c| {
-                        *end += c.handles.len();
-                        Some(*end)
+                let (mut end, still) = (0, vec![0.0; cloth]);
+                let cloths = objective.trial.model.cloths.iter().enumerate();
+                let parts: Vec<_> = cloths
+                    .map(|(b, setting)| {
+                        let begin = end;
+                        end += setting.handles.len();
+                        part(state, control, (b, cloth), begin..end)
                     })
                     .collect();
-                let minimise = |(b, reference): (usize, &mut Reference)| {
-                    let begin = if b == 0 { 0 } else { ends[b - 1] };
-                    let (state, control) = part(state, control, (b, cloth), begin..ends[b]);
-                    reference.minimise(&state, &control, &vec![0.0; cloth])
-                };
-                let minima: Vec<Minimum> = references.par_iter_mut().enumerate().map(minimise).collect();
+                let each = references.par_iter_mut().zip(&parts);
+                let minima: Vec<Minimum> = each
+                    .map(|(reference, (state, control))| reference.minimise(state, control, &still))
+                    .collect();
                 for (b, minimum) in minima.into_iter().enumerate() {
                     if !minimum.converged {
                         let Minimum { iterations, gradient, .. } = minimum;

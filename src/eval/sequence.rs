@@ -267,7 +267,7 @@ impl Sequence {
     /// Refuses a grid on which, its cells being square, the cloth would be another one by more than a column.
     fn check_shape(&self, grid: Grid) -> Result<()> {
         let own = self.grid();
-        let columns = 1.0 + (grid.h - 1) as f64 * (own.w - 1) as f64 / (own.h - 1) as f64;
+        let columns = 1.0 + (grid.h - 1) as f64 * own.aspect();
         if (columns - grid.w as f64).abs() <= 1.0 {
             return Ok(());
         }

@@ -193,7 +193,7 @@ fn twenty_frames_drift_as_little_as_on_the_host() {
     }
 }
 
-/// Frames of all optimizers, for cloths that differ, in wind and under external: state, energies, norms, stretch, scales.
+/// Frames of all optimizers, for cloths that differ, in wind and under external accelerations: state, energies, norms, stretch, scales.
 #[test]
 fn frames_of_all_optimizers_agree_with_the_host() {
     let _turn = device();

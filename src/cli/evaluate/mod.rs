@@ -319,10 +319,9 @@ impl Args {
     /// Writes the files that were asked for and prints the tables, neither of which takes the other along when it fails.
     fn write_tables(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> Result<()> {
         let written = self.write_files(tables, scores);
-        if self.json.as_deref() == Some(Path::new(STDOUT)) {
-            writeln!(output(), "{}", serde_json::to_string_pretty(scores).expect("scores are plain data"))?;
-        } else {
-            self.print(tables)?;
+        match self.json.as_deref() {
+            Some(path) if path == Path::new(STDOUT) => writeln!(output(), "{}", as_json(scores))?,
+            _ => self.print(tables)?,
         }
         Ok(written?)
     }
@@ -337,7 +336,7 @@ impl Args {
             into(path, text(tables, Format::Markdown))?;
         }
         if let Some(path) = self.json.as_ref().filter(|path| **path != Path::new(STDOUT)) {
-            into(path, serde_json::to_string_pretty(scores).expect("scores are plain data"))?;
+            into(path, as_json(scores))?;
         }
         Ok(())
     }
@@ -366,6 +365,10 @@ fn documents(scores: &[Score]) -> Vec<Document<'_>> {
         first.then(|| OverRepeats::of(score, scores)).filter(|all| all.repeats > 1)
     };
     scores.iter().map(|score| Document { score, over_repeats: over_repeats(score) }).collect()
+}
+
+fn as_json(scores: &[impl serde::Serialize]) -> String {
+    serde_json::to_string_pretty(scores).expect("scores are plain data")
 }
 
 fn text(tables: &[Table], format: Format) -> String {

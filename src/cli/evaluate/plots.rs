@@ -72,8 +72,11 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
         for (k, curves) in grids.entry(grid).or_default().iter_mut().enumerate() {
             let mean = |v: &[[f64; 2]]| v.iter().map(|v| v[k]).sum::<f64>() / v.len() as f64;
             let whole = |v: &[Option<[f64; 2]>]| v.iter().copied().collect::<Option<Vec<_>>>();
-            let points = means.iter().filter_map(|(&n, v)| Some([n as f64, mean(&whole(v)?)])).collect();
-            curves.push(Curve { label: solver.clone(), points });
+            let points: Vec<_> =
+                means.iter().filter_map(|(&n, v)| Some([n as f64, mean(&whole(v)?)])).collect();
+            if !points.is_empty() {
+                curves.push(Curve { label: solver.clone(), points });
+            }
         }
     }
     let charts: Vec<Chart> = grids
