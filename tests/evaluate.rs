@@ -200,6 +200,54 @@ fn the_convergence_is_drawn_on_each_grid() {
     assert_eq!(height("8,9,10", "three"), 2 * height("8", "one"));
 }
 
+/// Newton's method takes no number of iterations, but to be asked for one is no error; with several, the others are drawn by them.
+#[test]
+fn numbers_of_iterations_are_columns_and_curves() {
+    let folder = tempfile::tempdir().unwrap();
+    let solvers = ["--device", "cpu", "--grid", "8", "--solver", "newton:3,gd:7,lbfgs"];
+    let more = ["--iterations", "2,4", "--json", "--plots", "p"];
+    let (printed, _) = done(evaluate(folder.path(), &[&solvers[..], &more].concat()));
+    let scores: Value = serde_json::from_str(&printed).expect("standard output is the scores and no more");
+    let column =
+        |score: &Value| (score["solver"].as_str().unwrap().to_owned(), score["iterations"].as_u64().unwrap());
+    let mut columns: Vec<_> = scores.as_array().unwrap().iter().map(column).collect();
+    columns.sort();
+    let expected = [("gd", 7), ("lbfgs", 2), ("lbfgs", 4), ("newton", 0)].map(|(s, n)| (s.to_owned(), n));
+    assert_eq!(columns, expected);
+    let png = std::fs::read(folder.path().join("p/iterations.png")).unwrap();
+    let size = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());
+    assert!(size(16) > size(20), "error and time stand side by side");
+}
+
+/// As many as there are cores: what each of them comes to does not depend on the others.
+#[test]
+fn jobs_side_by_side_come_to_what_they_come_to_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |out: &str, threads: &str, solvers: &str| {
+        let more = ["--device", "cpu", "--grid", "8,12", "--solver", solvers, "--json", "--out", out];
+        let truth = shipped();
+        let few = ["--frames", "4", "--points", "100", "--ground-truth", truth.to_str().unwrap()];
+        let mut command = command(folder.path(), &[&["evaluate"], &few[..], &more].concat());
+        let (printed, _) = done(command.env("RAYON_NUM_THREADS", threads).output().unwrap());
+        let scores: Vec<Value> = serde_json::from_str(&printed).unwrap();
+        let figures = |s: &Value| {
+            [&s["grid"], &s["solver"], &s["e_cd"], &s["energy"], &s["gradient"]].map(Value::clone)
+        };
+        let devices: Vec<_> =
+            scores.iter().map(|s| s["made_with"]["device"].as_str().unwrap().to_owned()).collect();
+        (scores.iter().map(figures).collect::<Vec<_>>(), devices)
+    };
+    let all = "newton,fnopt:2,lbfgs:3,adam:5";
+    let (together, devices) = told("together", "3", all);
+    // Eight jobs on three threads: one each.
+    assert!(devices.iter().all(|device| device == "cpu, 1 threads"), "{devices:?}");
+    assert_eq!(told("one", "1", all).0, together);
+    // Two jobs on five threads: two each.
+    let (alone, devices) = told("alone", "5", "fnopt:2");
+    assert!(devices.iter().all(|device| device == "cpu, 2 threads"), "{devices:?}");
+    assert!(alone.iter().all(|figures| together.contains(figures)), "{alone:?} in {together:?}");
+}
+
 #[test]
 fn a_material_is_what_a_scene_takes() {
     let folder = tempfile::tempdir().unwrap();
@@ -395,6 +443,20 @@ fn a_fit_writes_a_material_that_an_evaluation_reads() {
     assert_eq!(settings["material"]["stretch"], best["material"]["stretch"]);
     assert_eq!((settings["density"].as_f64(), &settings["drag"]), (Some(first[3]), &Value::Null));
     refused(fit(&["--levels", "50"]), &["levels", "at most 100000 points"]);
+    // A point has one air for all sequences: it is asked for, or theirs must be the same.
+    for (name, density) in [("thin", "0.5"), ("thick", "1.5")] {
+        let to = at.join("airs").join(name);
+        std::fs::create_dir_all(&to).unwrap();
+        for file in ["cloth_pos.npy", "handles.npy", "start.npy"] {
+            std::fs::copy(shipped().join("xy_v2").join(file), to.join(file)).unwrap();
+        }
+        let mut meta = json(&shipped().join("xy_v2/meta.json"));
+        meta["wind"]["density"] = density.parse::<f64>().unwrap().into();
+        std::fs::write(to.join("meta.json"), meta.to_string()).unwrap();
+    }
+    let airs = ["fit-material", "--ground-truth", "airs", "--frames", "3", "--points", "100", "--grid", "8"];
+    let refusal = command(at, &airs).output().unwrap();
+    refused(refusal, &["thin", "density", "as in thick, or --density", "0.5"]);
     refused(fit(&["--out", "fit.json"]), &["--out", "another ending"]);
 }
 

@@ -6,8 +6,8 @@ use fnopt::{
     render::{GifOptions, Image, StripOptions, View, strip, write_gif, write_png},
     sim::Grid,
 };
-use ndarray::{ArrayD, array};
-use ndarray_npy::NpzReader;
+use ndarray::{Array2, ArrayD, array};
+use ndarray_npy::{NpzReader, NpzWriter};
 use proptest::prelude::*;
 use std::{fs, path::Path};
 
@@ -139,6 +139,34 @@ fn arrays_in_both_orders_are_read_as_f64() {
             .to_string()
             .contains("dtype: expected '<f2', '<f4' or '<f8', found '<i4'")
     );
+}
+
+/// Whatever program wrote them: NumPy's unsigned numbers of faces, and an OBJ that begins with a byte-order mark.
+#[test]
+fn files_of_other_programs_are_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let original = waving(GRID, 2);
+    let path = dir.path().join("theirs.npz");
+    let mut npz = NpzWriter::new(fs::File::create(&path).unwrap());
+    npz.add_array("vertices_seq", &original.positions()).unwrap();
+    let faces: Vec<[u32; 3]> = original.grid().faces();
+    npz.add_array("faces", &Array2::from(faces.clone())).unwrap();
+    npz.finish().unwrap();
+    let found = Trajectory::read(&path, &ReadOptions::default()).unwrap();
+    assert_eq!((found.grid(), found.positions()), (GRID, original.positions()));
+    let mut npz = NpzWriter::new(fs::File::create(&path).unwrap());
+    npz.add_array("vertices_seq", &original.positions()).unwrap();
+    let long: Vec<[u64; 3]> = faces.iter().map(|f| f.map(u64::from)).collect();
+    npz.add_array("faces", &Array2::from(long)).unwrap();
+    npz.finish().unwrap();
+    assert_eq!(Trajectory::read(&path, &ReadOptions::default()).unwrap().grid(), GRID);
+
+    let mesh = dir.path().join("mesh.obj");
+    original.write_mesh(&mesh).unwrap();
+    let plain = read_obj(&mesh).unwrap();
+    fs::write(&mesh, [b"\xef\xbb\xbf".to_vec(), fs::read(&mesh).unwrap()].concat()).unwrap();
+    let marked = read_obj(&mesh).unwrap();
+    assert_eq!((marked.positions, marked.faces), (plain.positions, plain.faces));
 }
 
 #[test]

@@ -143,14 +143,15 @@ impl FactoredHessian {
         let starts = pattern.col_ptr();
         values.fill(0.0);
         let free = |p: usize| trial.slots[p] == 0;
+        // How far on in the grid: no two are the same where rows have more than three particles.
+        let ahead = NEIGHBOURS.map(|(down, across)| (down * grid.w).wrapping_add_signed(across));
         let mut add = |p: usize, q: usize, block: &Block| {
             if p < q || !free(p) || !free(q) {
                 return;
             }
             // Of column q: rows from q's own component down, then those of its neighbours.
             let place = (p != q).then(|| {
-                let (down, across) = (p / grid.w - q / grid.w, (p % grid.w) as isize - (q % grid.w) as isize);
-                let kind = NEIGHBOURS.iter().position(|&neighbour| neighbour == (down, across));
+                let kind = ahead.iter().position(|&ahead| ahead == p - q);
                 kind.and_then(|kind| places[q][kind]).expect("particles of a term are neighbours")
             });
             for (column, &start) in starts[3 * q..3 * q + 3].iter().enumerate() {

@@ -125,13 +125,21 @@ impl<T: Real> Objective<T> {
         self.place(state, control);
         let cloth = self.cloth_len();
         let Self { trial, rows, grad, norms } = self;
-        let grads = grad.par_chunks_exact_mut(cloth).zip(norms.par_chunks_exact_mut(3));
-        grads.zip(rows).enumerate().for_each(|(b, ((grad, norms), rows))| {
+        let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
             gradient(&trial.cloth(state, b), rows, grad);
             for (norm_of, grad) in norms.iter_mut().zip(grad.chunks_exact(cloth / 3)) {
                 *norm_of = norm(grad);
             }
-        });
+        };
+        match &mut rows[..] {
+            // One cloth is no reason to wake a thread.
+            [rows] => of_cloth(0, grad, norms, rows),
+            rows => {
+                let grads = grad.par_chunks_exact_mut(cloth).zip(norms.par_chunks_exact_mut(3));
+                let each = grads.zip(rows).enumerate();
+                each.for_each(|(b, ((grad, norms), rows))| of_cloth(b, grad, norms, rows));
+            }
+        }
     }
 
     /// Sets the accelerations of the handles to those that minimise their terms of the energy, the external ones: nothing else

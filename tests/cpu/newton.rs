@@ -123,6 +123,25 @@ fn the_direction_solves_the_system() {
     assert!(least < 1e-5, "no Hessian times the direction is the gradient: {residuals:?}");
 }
 
+/// Of a sheet that nothing holds, and that is ten billion times as stiff as heavy, rounding leaves no trace of the mass that
+/// makes the Hessian definite; there is a direction all the same, and it leads down.
+#[test]
+fn pivots_lost_to_rounding_are_replaced() {
+    let material = Material { stretch: 1e10, shear: 1e8, bend: 1e8 };
+    for w in 8..24 {
+        let sheet = Sheet::new(Grid { h: 9, w }, 0.05);
+        let stiff = Trial { material, ..sheet.at(&sheet.x) };
+        let mut grad = vec![0.0; sheet.x.len()];
+        gradient(&stiff, &mut GradientRows::new(sheet.grid), &mut grad);
+        let mut hessian = FactoredHessian::new(sheet.grid).unwrap();
+        hessian.factor(&stiff).unwrap_or_else(|e| panic!("9x{w}: {e}"));
+        let mut direction = grad.clone();
+        hessian.apply(&mut direction);
+        assert!(direction.iter().all(|d| d.is_finite()), "9x{w}");
+        assert!(dot(&direction, &grad) > 0.0, "9x{w}: {}", dot(&direction, &grad));
+    }
+}
+
 /// Frames of the default scene to |gradient| <= 1e-8: the first 60, `FRAMES=391` for all.
 #[test]
 fn frames_of_a_swinging_sheet_converge() {

@@ -2,7 +2,7 @@
 
 use crate::common::{MATERIAL, PHYSICS, SETTINGS, newton, shipped};
 use fnopt::eval;
-use fnopt::eval::{Entry, Physics, Score, Sequence, Settings, belong_together, compare, run};
+use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, belong_together, compare, run, tables};
 use fnopt::io::Trajectory;
 use fnopt::scene::Stiffness;
 use fnopt::sim::{Device, Grid, Material, Optimizer};
@@ -43,6 +43,32 @@ fn the_truth_compared_with_itself_is_exact() {
     let short = Trajectory::new(sequence.grid(), 60.0);
     let error = compare(&sequence, "short", &short, &SETTINGS).unwrap_err().to_string();
     assert!(error.contains("short, xy_v2: frames: expected at least 25"), "{error}");
+    // Frames of other times are not the same frames.
+    let mut slow = Trajectory::new(sequence.grid(), 30.0);
+    (0..25).for_each(|f| slow.push(sequence.truth.frame(f), sequence.truth.frame(f)));
+    let error = compare(&sequence, "slow", &slow, &SETTINGS).unwrap_err().to_string();
+    assert!(error.contains("slow, xy_v2: fps: expected 60 frames per second, found 30"), "{error}");
+}
+
+/// Another system's cloth that is miles away has diverged, as one of our own solvers would have: tables have a dash, no number.
+#[test]
+fn a_trajectory_that_exploded_has_diverged() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let moved = |metres: f32| {
+        let mut trajectory = Trajectory::new(sequence.grid(), 60.0);
+        for f in 0..25 {
+            let mut frame = sequence.truth.frame(f).to_vec();
+            frame[500][1] -= if f == 20 { metres } else { 0.0 };
+            trajectory.push(&frame, &frame);
+        }
+        compare(&sequence, "theirs", &trajectory, &SETTINGS).unwrap()
+    };
+    let near = moved(0.1);
+    assert!(near.stable && near.e_cd.is_some());
+    let far = moved(1e3);
+    assert!(!far.stable && far.e_cd.is_none() && far.e_3d.is_none());
+    let overview = tables(&[far]).iter().map(|t| t.write(Format::Csv)).collect::<String>();
+    assert!(overview.contains("\n32x32 theirs,1,-,,-,,"), "{overview}");
 }
 
 #[test]

@@ -4,8 +4,9 @@ use super::progress;
 use crate::cli::go_on;
 use fnopt::eval::{Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, run, snapshots};
 use fnopt::io::{self, ReadOptions, Trajectory};
-use fnopt::sim::{Device, Grid, Optimizer};
+use fnopt::sim::{Device, Grid};
 use fnopt::{Error, Result};
+use std::cmp::Reverse;
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -69,8 +70,8 @@ impl<'a> Plan<'a> {
     }
 
     /// Does the jobs whose scores are not there yet: the scores, in the order of the jobs, and how it ended, which is early when
-    /// it was interrupted. Newton's method takes one core, so that as many of its jobs as there are cores run side by
-    /// side; the others take all cores and have them to themselves.
+    /// it was interrupted. Those of the CPU run side by side, as many as there are cores or jobs, on as many cores each as that
+    /// leaves: one frame after the other keeps several cores far less busy. A GPU's have it to themselves, one by one.
     pub fn work(&self, jobs: &[Job], interrupted: &AtomicBool) -> (Vec<Kept>, Result<ControlFlow<()>>) {
         let frames = |job: &Job| job.sequence.truth.frames().min(self.settings.frames) - 1;
         let bar = progress(jobs.iter().map(frames).sum(), "frames");
@@ -100,9 +101,16 @@ impl<'a> Plan<'a> {
             all.lock().unwrap_or_else(|e| e.into_inner()).push((number, kept));
             Ok(ControlFlow::Continue(()))
         };
-        let of_one_core = |&job: &usize| matches!(jobs[job].entry.optimizer, Optimizer::Newton);
-        let (side_by_side, alone): (Vec<usize>, Vec<usize>) = (0..jobs.len()).partition(of_one_core);
-        // Threads of their own, each a pool of one: those of a common one would begin another sequence in the middle of a frame
+        let on_cpu = |&job: &usize| matches!(jobs[job].entry.device(self.device), Device::Cpu);
+        let (mut side_by_side, alone): (Vec<usize>, Vec<usize>) = (0..jobs.len()).partition(on_cpu);
+        // The longest first, so that at the end no core waits long for another; what repeats adds comes last anyhow.
+        side_by_side.sort_by_key(|&job| {
+            let Job { nudge, grid, .. } = &jobs[job];
+            (nudge.map_or(0, |nudge| nudge.repeat), Reverse(grid.particles()))
+        });
+        let cores = rayon::current_num_threads();
+        let workers = cores.min(side_by_side.len()).max(1);
+        // Threads of their own, each with a pool: those of a common one would begin another sequence in the middle of a frame
         // that waits, and its time with it.
         let next = AtomicUsize::new(0);
         let mine = || -> Result<ControlFlow<()>> {
@@ -114,13 +122,12 @@ impl<'a> Plan<'a> {
             }
             Ok(ControlFlow::Continue(()))
         };
-        let cores = std::thread::available_parallelism().map_or(1, usize::from).min(side_by_side.len());
         let shares: Vec<Result<ControlFlow<()>>> = std::thread::scope(|scope| {
-            let alone = || match rayon::ThreadPoolBuilder::new().num_threads(1).build() {
+            let in_pool = || match rayon::ThreadPoolBuilder::new().num_threads(cores / workers).build() {
                 Ok(pool) => pool.install(mine),
                 Err(_) => mine(),
             };
-            let threads: Vec<_> = (0..cores).map(|_| scope.spawn(alone)).collect();
+            let threads: Vec<_> = (0..workers).map(|_| scope.spawn(in_pool)).collect();
             threads.into_iter().map(|t| t.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
         });
         // One that failed ends the others early, and is what is told.

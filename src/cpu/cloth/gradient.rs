@@ -12,8 +12,8 @@ use crate::sim::Grid;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Particles that one task is worth waking a thread for.
-const TASK: usize = 2048;
+/// Particles that one task is worth waking a thread for, which takes as long as two thousand of them.
+const TASK: usize = 8192;
 
 /// Gradients with respect to edges, as one row of cells leaves them, and working memory.
 pub struct GradientRows<T> {
@@ -34,7 +34,7 @@ struct Stored {
     count: usize,
 }
 
-/// Edges of a row and of the next one, shape [3, W'].
+/// Edges of a row and of the next one, shape [4, W']: behind the components of an edge is what it takes to divide by its square.
 struct Work<T> {
     vertical: [Vec<T>; 2],
     horizontal: [Vec<T>; 2],
@@ -71,7 +71,7 @@ impl<T: Real> GradientRows<T> {
 
 impl<T: Real> Work<T> {
     fn new(stride: usize) -> Self {
-        let edges = || [(); 2].map(|()| vec![T::zero(); 3 * stride]);
+        let edges = || [(); 2].map(|()| vec![T::zero(); 4 * stride]);
         Self { vertical: edges(), horizontal: edges() }
     }
 }
@@ -82,18 +82,25 @@ pub fn gradient<T: Real>(trial: &Trial<'_, T>, rows: &mut GradientRows<T>, grad:
     assert_eq!(rows.grid, trial.grid, "working memory and cloth share a grid");
     let (stored, band) = (rows.stored, h.div_ceil(rows.tasks.len()));
     let row = 12 * stored.stride;
-    rows.edges.par_chunks_mut(band * row).zip(&mut rows.tasks).enumerate().for_each(
-        |(task, (edges, work))| {
-            let rows = edges.chunks_exact_mut(row).zip(task * band..);
-            rows.for_each(|(edges, i)| Arch::new().dispatch(EdgeRow { trial, i, stored, edges, work }));
-        },
-    );
+    let edges_of_task = |(task, (edges, work)): (usize, (&mut [T], &mut Work<T>))| {
+        let rows = edges.chunks_exact_mut(row).zip(task * band..);
+        rows.for_each(|(edges, i)| Arch::new().dispatch(EdgeRow { trial, i, stored, edges, work }));
+    };
+    let GradientRows { edges, tasks, .. } = &mut *rows;
+    match &mut tasks[..] {
+        [work] => edges_of_task((0, (edges, work))),
+        tasks => edges.par_chunks_mut(band * row).zip(tasks).enumerate().for_each(edges_of_task),
+    }
     let rows = &*rows;
-    grad.par_chunks_mut(band * w).enumerate().for_each(|(task, grad)| {
+    let particles_of_task = |(task, grad): (usize, &mut [T])| {
         // The bands of one component do not end where the next one begins.
         let rows_of_task = grad.chunks_exact_mut(w).zip(task * band..);
         rows_of_task.for_each(|(grad, row)| Arch::new().dispatch(ParticleRow { trial, rows, row, grad }));
-    });
+    };
+    match rows.tasks.len() {
+        1 => particles_of_task((0, grad)),
+        _ => grad.par_chunks_mut(band * w).enumerate().for_each(particles_of_task),
+    }
 }
 
 /// Fills `edges` [4, 3, W'] with what row `i` of cells, and the edges that begin in row `i`, contribute.
@@ -191,7 +198,8 @@ fn scaled<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], factor: T::Lanes<S>) -
     [T::product(simd, u[0], factor), T::product(simd, u[1], factor), T::product(simd, u[2], factor)]
 }
 
-/// Sets `edges` [3, W'] to the edges from the first `count` particles of row `i` to those `step` further on.
+/// Sets `edges` [4, W'] to the edges from the first `count` particles of row `i` to those `step` further on, and to one over
+/// their squares: an edge takes part in six angles, and divisions are most of the time of an angle.
 #[inline(always)]
 fn load<T: Real, S: Simd>(
     simd: S,
@@ -214,6 +222,14 @@ fn load<T: Real, S: Simd>(
             *edge = T::total(simd, way, further);
             place = (place + width::<T, S>()).min(count);
         }
+    }
+    let (one, least) = (T::splat(simd, T::one()), T::splat(simd, T::min_positive_value()));
+    for k in 0..stored.count / width::<T, S>() {
+        let place = k * width::<T, S>();
+        let e = vector_at::<T, S>(edges, place, stored.stride);
+        // The smallest normal number keeps 0 / 0 out where an edge has no length.
+        let square = T::larger(simd, dot::<T, S>(simd, e, e), least);
+        T::lanes_mut::<S>(&mut edges[3 * stored.stride + place..])[0] = T::quotient(simd, one, square);
     }
 }
 
@@ -245,7 +261,7 @@ struct Angles<T, S> {
 }
 
 impl<T: Real, S: Simd> Angles<T, S> {
-    /// Adds its gradients with respect to the edges `u` and `w` [3, W'] of each pair to the two places in `edges`.
+    /// Adds its gradients with respect to the edges `u` and `w` [4, W'] of each pair to the two places in `edges`.
     ///
     /// With `c = u x w` and the angle t, `dt/du = u x c / (|c| |u|^2)` and `dt/dw = c x w / (|c| |w|^2)`. For parallel
     /// edges `(t - rest) / |c|` has the limit `1 / (u . w)` if rest = 0; elsewhere the direction is undefined and the
@@ -253,11 +269,12 @@ impl<T: Real, S: Simd> Angles<T, S> {
     #[inline(always)]
     fn add(self, (u, w): (&[T], &[T]), edges: &mut [T], (to_u, to_w): (usize, usize)) {
         let Self { simd, stored: Stored { stride, count }, rest, parallel, factor } = self;
-        let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
-        let (least, twice) = (T::splat(simd, T::min_positive_value()), T::splat(simd, factor + factor));
+        let (zero, least) = (T::splat(simd, T::zero()), T::splat(simd, T::min_positive_value()));
+        let twice = T::splat(simd, factor + factor);
         let (rest, limit) = (T::splat(simd, rest), T::splat(simd, parallel));
         for k in 0..count / width::<T, S>() {
             let place = k * width::<T, S>();
+            let (by_u, by_w) = (at::<T, S>(u, place + 3 * stride), at::<T, S>(w, place + 3 * stride));
             let (u, w) = (vector_at::<T, S>(u, place, stride), vector_at::<T, S>(w, place, stride));
             let c = cross::<T, S>(simd, u, w);
             let (sine, cosine) = (T::root(simd, dot::<T, S>(simd, c, c)), dot::<T, S>(simd, u, w));
@@ -267,10 +284,7 @@ impl<T: Real, S: Simd> Angles<T, S> {
             let above = T::where_above(simd, (sine, zero), bent, parallel);
             let below = T::where_above(simd, (sine, zero), sine, T::larger(simd, cosine, least));
             let ratio = T::product(simd, twice, T::quotient(simd, above, below));
-            // The smallest normal number keeps 0 / 0 out where an edge has no length, and multiplying by its inverse
-            // first keeps the product of two large factors out where it has hardly any.
-            let by_u = T::quotient(simd, one, T::larger(simd, dot::<T, S>(simd, u, u), least));
-            let by_w = T::quotient(simd, one, T::larger(simd, dot::<T, S>(simd, w, w), least));
+            // Dividing by the square first keeps the product of two large factors out where an edge has hardly any length.
             let (along_u, along_w) = (cross::<T, S>(simd, u, c), cross::<T, S>(simd, c, w));
             add_at(simd, edges, (to_u + place, stride), (scaled::<T, S>(simd, along_u, by_u), ratio));
             add_at(simd, edges, (to_w + place, stride), (scaled::<T, S>(simd, along_w, by_w), ratio));

@@ -2,6 +2,7 @@
 
 use super::Minimizer;
 use crate::cpu::Real;
+use pulp::{Arch, Simd, WithSimd};
 
 /// `a <- a - rate m / (sqrt(v) + epsilon)` with the corrected moments m and v of the frame's gradients.
 pub struct Adam<T> {
@@ -30,21 +31,64 @@ impl<T: Real> Minimizer<T> for Adam<T> {
 
     fn step(&mut self, grad: &[T], _norms: &[f64], a: &mut [T]) {
         self.steps += 1;
-        let (beta1, beta2) = (T::of(self.beta1), T::of(self.beta2));
-        let rate = T::of(self.rate / (1.0 - self.beta1.powi(self.steps)));
-        let root = T::of((1.0 - self.beta2.powi(self.steps)).sqrt().recip());
-        let epsilon = T::of(self.epsilon);
-        let moments = self.mean.iter_mut().zip(&mut self.square);
-        for ((a, &g), (mean, square)) in a.iter_mut().zip(grad).zip(moments) {
-            *mean = beta1 * *mean + (T::one() - beta1) * g;
-            *square = beta2 * *square + (T::one() - beta2) * g * g;
-            *a = *a - rate * *mean / (root * square.sqrt() + epsilon);
-        }
+        let Self { mean, square, .. } = self;
+        let root = (1.0 - self.beta2.powi(self.steps)).sqrt().recip();
+        Arch::new().dispatch(Step {
+            betas: [self.beta1, self.beta2].map(T::of),
+            rate: T::of(self.rate / (1.0 - self.beta1.powi(self.steps))),
+            root: T::of(root),
+            epsilon: T::of(self.epsilon),
+            grad,
+            mean,
+            square,
+            a,
+        });
     }
 
     fn reset(&mut self) {
         self.mean.fill(T::zero());
         self.square.fill(T::zero());
         self.steps = 0;
+    }
+}
+
+/// One step of all unknowns, a register at a time.
+struct Step<'a, T> {
+    betas: [T; 2],
+    /// The rate, with the correction of the mean.
+    rate: T,
+    /// The correction of the root of the mean square.
+    root: T,
+    epsilon: T,
+    grad: &'a [T],
+    mean: &'a mut [T],
+    square: &'a mut [T],
+    a: &'a mut [T],
+}
+
+impl<T: Real> WithSimd for Step<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { betas: [beta1, beta2], rate, root, epsilon, grad, mean, square, a } = self;
+        let [new1, new2] = [T::splat(simd, T::one() - beta1), T::splat(simd, T::one() - beta2)];
+        let [beta1, beta2] = [T::splat(simd, beta1), T::splat(simd, beta2)];
+        let [rate, root, epsilon] = [T::splat(simd, rate), T::splat(simd, root), T::splat(simd, epsilon)];
+        let mut place = 0;
+        while place < a.len() {
+            let g = T::first(simd, &grad[place..]);
+            let old = T::product(simd, beta1, T::first(simd, &mean[place..]));
+            let m = T::total(simd, old, T::product(simd, new1, g));
+            let old = T::product(simd, beta2, T::first(simd, &square[place..]));
+            let v = T::total(simd, old, T::product(simd, T::product(simd, new2, g), g));
+            T::store(simd, &mut mean[place..], m);
+            T::store(simd, &mut square[place..], v);
+            let below = T::total(simd, T::product(simd, root, T::root(simd, v)), epsilon);
+            let way = T::quotient(simd, T::product(simd, rate, m), below);
+            let next = T::difference(simd, T::first(simd, &a[place..]), way);
+            T::store(simd, &mut a[place..], next);
+            place += size_of::<T::Lanes<S>>() / size_of::<T>();
+        }
     }
 }
