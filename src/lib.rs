@@ -1,13 +1,16 @@
 //! `fnopt` simulates cloth on the GPU with FNOpt (Chen, Tran and Parashar, WACV 2026): a Fourier neural operator that was
 //! trained, from physics alone, to be an *optimizer*. Each frame it minimises the backward-Euler energy of the cloth in
-//! about ten iterations; trained on coarse grids it runs on any grid, with any handles and motions.
+//! about ten iterations, with any handles and motions. The weights that ship were trained on grids from 24x40 to 128x128; others
+//! run, too.
 //!
 //! ```
+//! use fnopt::network::Weights;
 //! use fnopt::scene::Scene;
 //! use fnopt::sim::{Device, Optimizer, Simulator};
 //!
 //! let setup = Scene::default().setup()?; // a sheet hanging from two corners, grid units inside
-//! let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::lbfgs(), 10)?;
+//! let optimizer = Optimizer::learned(Weights::shipped());
+//! let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, 10)?;
 //! simulator.set_state(&setup.start.cast());
 //! for frame in 1..4 {
 //!     let frame = simulator.step(&setup.control(frame))?;
@@ -31,7 +34,8 @@
 //!
 //! # One frame
 //!
-//! [`sim::Simulator::step`] sets the control and records the schedule that [`sim::Solver::new`] built:
+//! [`sim::Simulator::step`] sets the control and, on a GPU, records the schedule that [`sim::Solver::new`] built; without one
+//! [`cpu::Solver::step`] runs the same stages ([`cpu::cloth`], [`cpu::operator`], [`cpu::optim`]):
 //!
 //! 1. [`kernels::cloth::Predict`]: a = 0 moves the particles by their velocity, the handles to their targets;
 //!    [`kernels::cloth::ExternalForce`]: gravity, the control's accelerations and the air's drag.
@@ -51,11 +55,11 @@
 //! |---|---|
 //! | [`scene`] | scene files, motions, materials, conversion into grid units |
 //! | [`sim`] | model, state, control, solver, simulator |
-//! | [`network`] | sizes, weights, checkpoints, the forward pass as dispatches |
+//! | [`network`] | sizes, weights, checkpoints, the forward and the backward pass as dispatches |
 //! | [`gpu`] | context, tensors, kernels, schedules, readback; knows no cloth |
 //! | [`kernels`] | the host side of each file in `shaders/`, in the same tree |
-//! | [`cpu`] | the same stages without a GPU |
-//! | [`eval`] | measures of a simulation's frames |
+//! | [`cpu`] | the same stages without a GPU, and the converged minimum of a frame |
+//! | [`eval`] | comparisons with recorded trajectories, suites, fits of materials |
 //! | [`io`], [`render`] | trajectories and meshes in files; pictures |
 //! | [`train`] | pools of cloths, the run loop and its files; imports the above |
 //! | [`verify`] | every stage against golden files |

@@ -2,7 +2,7 @@
 //
 // embedded[s] = [10 tanh(g / s_g / 10), 10 tanh(g_last / s_g / 10), 10 tanh(d_last / s_d / 10), i / (H-1), j / (W-1)]
 // with s_g = |g| / sqrt n, s_d = |d_last| / sqrt n. Norms are kept above 1e-30, so that a zero field stays zero.
-// grad: [S, H, W]; hidden: [2, S, H, W], last gradient and last step; partial_sums: [S, parts] (`norms`);
+// grad: [S, H, W]; hidden: [2, S, H, W], last gradient and last step; partial_sums: [S, parts] from `first_sum` on (`norms`);
 // embedded: [s, 5, H, Q] quads, zero in the padding, of the s samples from `first` on.
 // One invocation: one quad. Workgroups: (Q / 8, H / 8, s).
 // Adjoint: none, the input of the network is a constant of the training step.
@@ -14,8 +14,8 @@ struct Params {
     parts: u32,
     samples: u32, // S
     first: u32, // sample of S that is the first of embedded
-    pad0: u32,
-    pad1: u32,
+    first_sum: u32, // sum that is the first of partial_sums
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -34,7 +34,7 @@ fn features(@builtin(global_invocation_id) id: vec3u) {
     }
     var squares = vec2f();
     for (var k = 0u; k < params.parts; k++) {
-        squares += partial_sums[sample * params.parts + k];
+        squares += partial_sums[params.first_sum + sample * params.parts + k];
     }
     let n = params.rows * params.columns;
     let inverse = sqrt(f32(n)) / max(sqrt(squares), vec2f(1e-30));

@@ -1,7 +1,7 @@
 // The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
 //
 // Then the shift of the trial: x(a) - x = base + a, or base alone at a handle, whose way is prescribed.
-// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [S]; grad, base, a, shift: [S, H, W] =
+// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [S] from `first_scale` on; grad, base, a, shift: [S, H, W] =
 // [B, 3, H, W]; slots: [B, H, W]; hidden: [2, S, H, W], last gradient and last step.
 // One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and s).
 // Adjoint: `update_adj`.
@@ -14,7 +14,7 @@ struct Params {
     parts: u32,
     first: u32, // sample of S that is the first of field
     in_field: u32, // s
-    pad: u32,
+    first_scale: u32, // element that is the first of scale
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -45,7 +45,7 @@ fn update(
     for (var part = 1u; part < params.parts; part++) {
         value += field[padded + part * params.in_field * params.rows * 4u * params.row_quads];
     }
-    let step = scale[sample] * tanh_exact(vec4f(value)).x;
+    let step = scale[params.first_scale + sample] * tanh_exact(vec4f(value)).x;
     hidden[at] = grad[at];
     hidden[params.samples * n + at] = step;
     let next = a[at] + step;

@@ -30,8 +30,8 @@ use tracing_subscriber::{EnvFilter, filter::LevelFilter};
 
 /// Neural cloth: simulates a cloth with a Fourier neural operator trained to be an optimizer.
 ///
-/// Exit codes: 0 done, 1 a check failed, 2 bad input or environment, 3 the simulation or the loss became non-finite,
-/// 130 interrupted (what was computed so far is written). Logs go to stderr;
+/// Exit codes: 0 done, 1 a check failed (verify, doctor, inspect, evaluate --suite), 2 bad input or environment, 3 the simulation or the loss became non-finite,
+/// 130 interrupted (what is finished is kept, but for tune). Logs go to stderr;
 /// FNOPT_LOG=info also tells which scene, weights and tuning are used.
 #[derive(Debug, Parser)]
 #[command(name = "fnopt", version)]

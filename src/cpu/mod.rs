@@ -1,4 +1,5 @@
-//! The CPU path: the stages of a frame in plain Rust, generic over [`Real`].
+//! The CPU path: the stages of a frame and of a training step in plain Rust, generic over [`Real`], and the converged minimum of a
+//! frame ([`Reference`]).
 //!
 //! In f64 it is the definition of correct against which every shader is tested; in f32, threaded and vectorised, it is
 //! what runs where there is no GPU adapter.

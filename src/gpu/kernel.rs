@@ -332,7 +332,8 @@ fn layout(device: &wgpu::Device, name: &'static str, bindings: &[Binding]) -> wg
         visibility: wgpu::ShaderStages::COMPUTE,
         ty: wgpu::BindingType::Buffer {
             ty: b.ty,
-            has_dynamic_offset: false,
+            // Parameters of many dispatches are in one buffer.
+            has_dynamic_offset: b.ty == wgpu::BufferBindingType::Uniform,
             // Known here, it is checked once for a bind group, else at every dispatch.
             min_binding_size: std::num::NonZeroU64::new(b.size.into()),
         },

@@ -14,29 +14,50 @@ pub struct Schedule {
     steps: Vec<Step>,
     /// The bind groups so far: dispatches that bind the same share one, and recording has fewer to keep track of.
     bound: HashMap<Bound, wgpu::BindGroup>,
+    /// Where the parameters of the next dispatch go.
+    uniforms: Option<Uniforms>,
     /// The first dispatch that is more than the device takes.
     refused: Option<String>,
 }
 
-/// What a dispatch binds.
+/// What a dispatch binds, its parameters at an offset of their own.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Bound {
     layout: wgpu::BindGroupLayout,
-    params: Vec<u8>,
+    uniforms: wgpu::Buffer,
     /// Buffer, offset and bytes of each tensor.
     tensors: Vec<(wgpu::Buffer, u64, u64)>,
 }
 
+/// A buffer of the parameters of many dispatches: bound at different offsets it is one buffer to keep track of.
+#[derive(Clone, Debug)]
+struct Uniforms {
+    buffer: wgpu::Buffer,
+    /// Offset of all parameters that are in it \[bytes\].
+    known: HashMap<Vec<u8>, u32>,
+    /// First byte that is free.
+    end: u32,
+}
+
+/// Size of such a buffer \[bytes\]: a frame's parameters fit, a schedule that has more takes another.
+const UNIFORMS: u32 = 1 << 15;
+
 #[derive(Clone, Debug)]
 enum Step {
-    Dispatch { program: Arc<Program>, bind_group: wgpu::BindGroup, groups: [u32; 3] },
+    Dispatch { program: Arc<Program>, bind_group: wgpu::BindGroup, params: u32, groups: [u32; 3] },
     Clear { buffer: wgpu::Buffer, offset: u64, bytes: u64 },
 }
 
 impl Schedule {
     /// An empty schedule for the device of `context`.
     pub fn new(context: &Context) -> Self {
-        Self { context: context.clone(), steps: Vec::new(), bound: HashMap::new(), refused: None }
+        Self {
+            context: context.clone(),
+            steps: Vec::new(),
+            bound: HashMap::new(),
+            uniforms: None,
+            refused: None,
+        }
     }
 
     /// Appends a dispatch: `params` becomes binding 0, `tensors` the bindings after it, in the WGSL's order.
@@ -70,28 +91,28 @@ impl Schedule {
         if groups.contains(&0) {
             return;
         }
+        let (uniforms, params) = Uniforms::place(&mut self.uniforms, context, bytes);
         let bound = Bound {
             layout: program.layout.clone(),
-            params: bytes.to_vec(),
+            uniforms: uniforms.clone(),
             tensors: tensors.iter().map(|t| (t.buffer().clone(), t.offset(), t.bytes())).collect(),
         };
-        let group = || Self::bind(context, program, bytes, tensors);
+        let group = || Self::bind(context, program, (&uniforms, bytes.len()), tensors);
         let bind_group = self.bound.entry(bound).or_insert_with(group).clone();
-        self.steps.push(Step::Dispatch { program: program.clone(), bind_group, groups });
+        self.steps.push(Step::Dispatch { program: program.clone(), bind_group, params, groups });
     }
 
-    /// A bind group of the parameters in a buffer of their own and the tensors.
-    fn bind(context: &Context, program: &Program, params: &[u8], tensors: &[&Tensor]) -> wgpu::BindGroup {
+    /// A bind group of so many bytes of parameters, wherever they begin in a buffer, and the tensors.
+    fn bind(
+        context: &Context,
+        program: &Program,
+        (uniforms, bytes): (&wgpu::Buffer, usize),
+        tensors: &[&Tensor],
+    ) -> wgpu::BindGroup {
         let label = Some(program.name);
-        let uniform = context.device.create_buffer(&wgpu::BufferDescriptor {
-            label,
-            size: params.len() as u64,
-            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
-            mapped_at_creation: false,
-        });
-        context.queue.write_buffer(&uniform, 0, params);
-        let resources =
-            std::iter::once(uniform.as_entire_binding()).chain(tensors.iter().map(|t| t.binding()));
+        let size = std::num::NonZeroU64::new(bytes as u64);
+        let params = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: uniforms, offset: 0, size });
+        let resources = std::iter::once(params).chain(tensors.iter().map(|t| t.binding()));
         let entries: Vec<_> = resources
             .enumerate()
             .map(|(i, resource)| wgpu::BindGroupEntry { binding: i as u32, resource })
@@ -154,7 +175,7 @@ impl Schedule {
     pub fn only(&self, kernel: &str) -> Self {
         let wanted = |s: &&Step| matches!(s, Step::Dispatch { program, .. } if program.name == kernel);
         let steps = self.steps.iter().filter(wanted).cloned().collect();
-        Self { context: self.context.clone(), steps, bound: HashMap::new(), refused: None }
+        Self { steps, ..Self::new(&self.context) }
     }
 
     /// Records everything into the caller's encoder, dispatches that follow each other in one compute pass.
@@ -169,11 +190,11 @@ impl Schedule {
                 continue;
             }
             let mut pass = encoder.begin_compute_pass(&Default::default());
-            while let Some(Step::Dispatch { program, bind_group, groups }) =
+            while let Some(Step::Dispatch { program, bind_group, params, groups }) =
                 steps.next_if(|s| matches!(s, Step::Dispatch { .. }))
             {
                 pass.set_pipeline(self.pipeline(program));
-                pass.set_bind_group(0, bind_group, &[]);
+                pass.set_bind_group(0, bind_group, &[*params]);
                 pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
             }
         }
@@ -184,8 +205,10 @@ impl Schedule {
     /// The passes keep dispatches from overlapping, so the sum is an upper bound of an untimed run's time.
     pub fn record_timed(&self, encoder: &mut wgpu::CommandEncoder, profile: &mut Profile) {
         for step in &self.steps {
-            let (program, bind_group, groups) = match step {
-                Step::Dispatch { program, bind_group, groups } => (program, bind_group, groups),
+            let (program, bind_group, params, groups) = match step {
+                Step::Dispatch { program, bind_group, params, groups } => {
+                    (program, bind_group, params, groups)
+                }
                 Step::Clear { buffer, offset, bytes } => {
                     encoder.clear_buffer(buffer, *offset, Some(*bytes));
                     continue;
@@ -197,9 +220,38 @@ impl Schedule {
                 timestamp_writes,
             });
             pass.set_pipeline(self.pipeline(program));
-            pass.set_bind_group(0, bind_group, &[]);
+            pass.set_bind_group(0, bind_group, &[*params]);
             pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
         }
         profile.resolve(encoder);
+    }
+}
+
+impl Uniforms {
+    /// The buffer that holds `params`, in which they are or are written now, and their offset; `last` is the one in use.
+    fn place(last: &mut Option<Self>, context: &Context, params: &[u8]) -> (wgpu::Buffer, u32) {
+        let step = context.device.limits().min_uniform_buffer_offset_alignment;
+        let bytes = params.len() as u32;
+        if last.as_ref().is_none_or(|uniforms| uniforms.end + bytes > UNIFORMS) {
+            *last = Some(Self::new(context));
+        }
+        let Some(Self { buffer, known, end }) = last else { unreachable!("it was made") };
+        let offset = *known.entry(params.to_vec()).or_insert_with(|| {
+            context.queue.write_buffer(buffer, u64::from(*end), params);
+            std::mem::replace(end, (*end + bytes).next_multiple_of(step))
+        });
+        (buffer.clone(), offset)
+    }
+
+    fn new(context: &Context) -> Self {
+        let buffer = context.device.create_buffer(&wgpu::BufferDescriptor {
+            label: Some("parameters"),
+            size: UNIFORMS.into(),
+            usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+            mapped_at_creation: false,
+        });
+        // As with tensors: else wgpu would look after it in every dispatch.
+        context.submit(|encoder| encoder.clear_buffer(&buffer, 0, None));
+        Self { buffer, known: HashMap::new(), end: 0 }
     }
 }

@@ -70,6 +70,14 @@ impl Tensor {
         Self { buffer: self.buffer.clone(), shape: shape.to_vec(), offset, ..*self }
     }
 
+    /// The whole buffer of a view of single precision, and the element of it that the view begins with: kernels that run on many
+    /// views of one tensor bind it as one, and take where to begin as a parameter.
+    pub(crate) fn whole(&self) -> (Self, usize) {
+        assert_eq!(self.storage, Storage::F32, "a view of '{}'", self.label);
+        let shape = vec![(self.buffer.size() / 4) as usize];
+        (Self { buffer: self.buffer.clone(), offset: 0, shape, ..*self }, (self.offset / 4) as usize)
+    }
+
     /// The first `count` along the first axis; shares the buffer.
     pub fn first(&self, count: usize) -> Self {
         assert!(count <= self.shape[0], "the first {count} of '{}' {:?}", self.label, self.shape);

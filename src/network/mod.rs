@@ -1,5 +1,5 @@
 //! The network as data: its sizes ([`Config`]), its weights ([`Weights`]) and the files that hold them; and its forward
-//! pass as dispatches ([`Forward`]).
+//! ([`Forward`]) and backward pass ([`Backward`]) as dispatches. What the CPU does in their place is in [`crate::cpu::operator`].
 
 mod backward;
 mod checkpoint;

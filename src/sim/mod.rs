@@ -1,4 +1,5 @@
-//! The simulation: what is simulated ([`Model`], [`State`], [`Control`]) and what advances it.
+//! The simulation: what is simulated ([`Model`], [`State`], [`Control`]) and what advances it: an [`Optimizer`], in a [`Solver`]
+//! that records GPU frames into its caller's encoder, or in a [`Simulator`] that runs on any device and reads back.
 
 mod grid;
 mod model;

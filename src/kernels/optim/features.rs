@@ -21,7 +21,8 @@ struct Params {
     parts: u32,
     samples: u32,
     first: u32,
-    pad: [u32; 2],
+    first_sum: u32,
+    pad: u32,
 }
 
 /// Input of the network from gradient and hidden state.
@@ -63,6 +64,7 @@ impl Features {
         assert_eq!(embedded.shape(), [made, 5, grid.h, w]);
         assert!(first + made <= samples, "features: {made} samples from {first} on of {samples}");
         assert_eq!((from.grad.len(), from.hidden.len()), (samples * grid.particles(), 2 * from.grad.len()));
+        let (partial, first_sum) = &from.partial.whole();
         let params = Params {
             rows: size(grid.h),
             columns: size(grid.w),
@@ -70,9 +72,10 @@ impl Features {
             parts: size(parts),
             samples: size(samples),
             first: size(first),
-            pad: [0; 2],
+            first_sum: size(first_sum / 2),
+            pad: 0,
         };
-        let tensors = [from.grad, from.hidden, from.partial, embedded];
+        let tensors = [from.grad, from.hidden, partial, embedded];
         let count = self.kernel.groups([w / 4, grid.h, made]);
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }

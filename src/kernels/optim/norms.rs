@@ -14,7 +14,7 @@ struct Params {
     particles: u32,
     parts: u32,
     samples: u32,
-    pad: u32,
+    first: u32,
 }
 
 /// Partial sums of squares of gradient and last step.
@@ -42,8 +42,13 @@ impl Norms {
         let particles = grad.len() / samples;
         assert_eq!(grad.len(), samples * particles);
         assert!(!self.last_step || hidden.len() == 2 * grad.len(), "norms: hidden {:?}", hidden.shape());
-        let params =
-            Params { particles: size(particles), parts: size(parts), samples: size(samples), pad: 0 };
+        let (partial, first) = &partial.whole();
+        let params = Params {
+            particles: size(particles),
+            parts: size(parts),
+            samples: size(samples),
+            first: size(first / 2),
+        };
         let count = [size(parts), size(samples), 1];
         schedule.dispatch(&self.kernel, &params, &[grad, hidden, partial], count);
     }

@@ -23,7 +23,7 @@ struct Params {
     parts: u32,
     first: u32,
     in_field: u32,
-    pad: u32,
+    first_scale: u32,
 }
 
 /// The learned step.
@@ -60,10 +60,11 @@ impl Update {
         assert!(from.first + in_field <= samples, "update: {in_field} samples from {} on", from.first);
         let [rows, columns, row_quads] = [h, grid.w, w / 4].map(size);
         let [samples, parts, first] = [samples, parts, from.first].map(size);
-        let params =
-            Params { rows, columns, row_quads, samples, parts, first, in_field: size(in_field), pad: 0 };
+        let (scale, first_scale) = &from.scale.whole();
+        let [in_field, first_scale] = [in_field, *first_scale].map(size);
+        let params = Params { rows, columns, row_quads, samples, parts, first, in_field, first_scale };
         let Iterate { grad, base, slots, a, shift } = iterate;
-        let tensors = [from.field, from.scale, grad, base, slots, from.hidden, a, shift];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, in_field));
+        let tensors = [from.field, scale, grad, base, slots, from.hidden, a, shift];
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, from.field.shape()[1]));
     }
 }
