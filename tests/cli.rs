@@ -69,6 +69,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["rollout", "none.json"], &["none.json", "cannot read"]),
         (&["rollout", "--grid", "4", "32"], &["--grid", "8 to 4096", "found 4"]),
         (&["rollout", "--grid", "48,32"], &["--grid", "N or HxW", "48,32"]),
+        (&["rollout", "--grid", "48", "scene.json"], &["--grid", "a file goes before it", "48 scene.json"]),
         (&["tune", "--grid", "8x5"], &["--grid", "found 5"]),
         (&["rollout", "--motion", "xz_v3"], &["--motion", "did you mean xyz_v3"]),
         (&["rollout", "--motion", "short.npy"], &["short.npy"]),

@@ -1,7 +1,8 @@
 // Partial sums of squares for the norms of a sample: partial_sums[s, k] = (sum g^2, sum d^2) over the k-th part of its particles.
 //
 // grad: [S, n]; hidden: [2, S, n], of which the second half, the last step, is read (the first is the last gradient);
-// partial_sums: [S, parts, 2] from sum `first` on. Without an update rule (LAST_STEP false) the second sum is 0 and nothing is read for it.
+// partial_sums: [S, parts, 2] from sum `first` on. Without an update rule (LAST_STEP false) the second sum is 0 and nothing is
+// read for it.
 // One workgroup: one part; its invocations add up in a fixed order. Workgroups: (parts, S).
 // Adjoint: none, the norms are constants of the training step (paper section 3.3).
 

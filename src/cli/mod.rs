@@ -30,8 +30,8 @@ use tracing_subscriber::{EnvFilter, filter::LevelFilter};
 
 /// Neural cloth: simulates a cloth with a Fourier neural operator trained to be an optimizer.
 ///
-/// Exit codes: 0 done, 1 a check failed (verify, doctor, inspect, evaluate --suite), 2 bad input or environment, 3 the simulation or the loss became non-finite,
-/// 130 interrupted (what is finished is kept, but for tune). Logs go to stderr;
+/// Exit codes: 0 done, 1 a check failed (verify, doctor, inspect, evaluate --suite), 2 bad input or environment,
+/// 3 the simulation or the loss became non-finite, 130 interrupted (what is finished is kept, but for tune). Logs go to stderr;
 /// FNOPT_LOG=info also tells which scene, weights and tuning are used.
 #[derive(Debug, Parser)]
 #[command(name = "fnopt", version)]
@@ -200,6 +200,12 @@ pub fn grids(texts: &[String]) -> fnopt::Result<Vec<Grid>> {
 
 /// A single one, whose height and width may also be two values.
 pub fn one_grid(values: &[String]) -> fnopt::Result<Grid> {
+    if let [_, width] = values
+        && width.parse::<usize>().is_err()
+    {
+        let expected = "N, HxW or H W; the name of a file goes before it";
+        return Err(Error::invalid("--grid", "grid", expected, values.join(" ")));
+    }
     grid(&values.join("x"))
 }
 

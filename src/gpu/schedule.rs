@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 /// Dispatches and clears in order. Built once; recording it allocates nothing on our side.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Schedule {
     context: Context,
     steps: Vec<Step>,
@@ -30,7 +30,7 @@ struct Bound {
 }
 
 /// A buffer of the parameters of many dispatches: bound at different offsets it is one buffer to keep track of.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 struct Uniforms {
     buffer: wgpu::Buffer,
     /// Offset of all parameters that are in it \[bytes\].
@@ -39,7 +39,7 @@ struct Uniforms {
     end: u32,
 }
 
-/// Size of such a buffer \[bytes\]: a frame's parameters fit, a schedule that has more takes another.
+/// Size of such a buffer \[bytes\]: the parameters of a frame of ten iterations fit, more take further buffers.
 const UNIFORMS: u32 = 1 << 15;
 
 #[derive(Clone, Debug)]
@@ -230,13 +230,14 @@ impl Schedule {
 impl Uniforms {
     /// The buffer that holds `params`, in which they are or are written now, and their offset; `last` is the one in use.
     fn place(last: &mut Option<Self>, context: &Context, params: &[u8]) -> (wgpu::Buffer, u32) {
-        let step = context.device.limits().min_uniform_buffer_offset_alignment;
         let bytes = params.len() as u32;
-        if last.as_ref().is_none_or(|uniforms| uniforms.end + bytes > UNIFORMS) {
-            *last = Some(Self::new(context));
-        }
-        let Some(Self { buffer, known, end }) = last else { unreachable!("it was made") };
+        let takes = |uniforms: &Self| uniforms.known.contains_key(params) || uniforms.end + bytes <= UNIFORMS;
+        let Self { buffer, known, end } = match last {
+            Some(uniforms) if takes(uniforms) => uniforms,
+            _ => last.insert(Self::new(context)),
+        };
         let offset = *known.entry(params.to_vec()).or_insert_with(|| {
+            let step = context.device.limits().min_uniform_buffer_offset_alignment;
             context.queue.write_buffer(buffer, u64::from(*end), params);
             std::mem::replace(end, (*end + bytes).next_multiple_of(step))
         });

@@ -417,7 +417,7 @@ fn params(model: &Model, wind: &[[f32; 3]]) -> Vec<ClothParams> {
     model.cloths.iter().enumerate().map(|(b, cloth)| ClothParams::new(cloth, wind(b))).collect()
 }
 
-/// A row for each iteration, of at least `len` elements, that a kernel can bind by itself.
+/// A row for each iteration, of at least `len` elements, that can be a tensor of its own ([`row`]).
 fn rows(context: &Context, label: &'static str, iterations: usize, len: usize) -> Result<Tensor> {
     Tensor::zeros(context, label, &[iterations, len.next_multiple_of(Tensor::VIEW_ALIGNMENT)])
 }

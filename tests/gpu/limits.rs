@@ -1,10 +1,12 @@
 //! Batches and grids that are more than a device takes at once, and what it does not take at all.
 
-use crate::common::{assert_close, context, device, narrow, sharings, widened};
+use crate::common::{assert_close, context, device, narrow, read, run, sharings, tensor, widened};
 use crate::forward::random;
 use crate::solver::{assert_same, solver, solver_with, starter, statistics, step, varied_batch};
 use fnopt::cpu;
+use fnopt::gpu::Tensor;
 use fnopt::kernels::Tuning;
+use fnopt::kernels::optim::{GradientDescent, Iterate};
 use fnopt::network::Config;
 use fnopt::sim::{
     Cloth, Control, Device, Grid, Material, Model, Optimizer, Simulator, Solver, SolverOptions, State,
@@ -38,6 +40,24 @@ fn samples_in_turns_have_the_same_bits() {
         // Where not even one component fits, its lifting is divided further.
         assert!(one < two && two < three && three < nine && nine <= again, "{dispatches:?}");
     }
+}
+
+/// The parameters of a schedule are in one buffer, and in another where that is full; those that are there already are used again.
+#[test]
+fn a_schedule_has_more_parameters_than_one_buffer_holds() {
+    let _turn = device();
+    let kernel = GradientDescent::new(context()).unwrap();
+    let n = 64;
+    let [grad, base, a, shift] = [1.0, 0.0, 0.0, f32::NAN].map(|v| tensor("field", &[1, 3, n], &[v; 192]));
+    let slots = Tensor::from_slice(context(), "slots", &[1, n], &vec![0u32; n]).unwrap();
+    let iterate = Iterate { grad, base, slots, a, shift };
+    // Whole numbers, so that their sum is exact; all of them twice.
+    run(|schedule| {
+        for rate in (1..=3000).chain(1..=3000) {
+            kernel.push(schedule, f64::from(rate), &iterate);
+        }
+    });
+    assert_eq!(read(&iterate.a), [-9_003_000.0; 192]);
 }
 
 /// A batch whose activations are more than the device binds.

@@ -2,6 +2,7 @@
 
 use super::progress;
 use crate::cli::go_on;
+use crate::cli::output::tell;
 use fnopt::eval::{Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, run, snapshots};
 use fnopt::io::{self, ReadOptions, Trajectory};
 use fnopt::sim::{Device, Grid};
@@ -101,51 +102,81 @@ impl<'a> Plan<'a> {
             all.lock().unwrap_or_else(|e| e.into_inner()).push((number, kept));
             Ok(ControlFlow::Continue(()))
         };
+        let (kept, missing): (Vec<usize>, Vec<usize>) =
+            (0..jobs.len()).partition(|&job| jobs[job].file.is_file());
         let on_cpu = |&job: &usize| matches!(jobs[job].entry.device(self.device), Device::Cpu);
-        let (mut side_by_side, alone): (Vec<usize>, Vec<usize>) = (0..jobs.len()).partition(on_cpu);
-        // The longest first, so that at the end no core waits long for another; what repeats adds comes last anyhow.
+        let (mut side_by_side, on_gpu): (Vec<usize>, Vec<usize>) = missing.into_iter().partition(on_cpu);
+        // The finest grids first, so that at the end no core waits long for another; but once all, before any is repeated.
         side_by_side.sort_by_key(|&job| {
             let Job { nudge, grid, .. } = &jobs[job];
             (nudge.map_or(0, |nudge| nudge.repeat), Reverse(grid.particles()))
         });
-        let cores = rayon::current_num_threads();
-        let workers = cores.min(side_by_side.len()).max(1);
-        // Threads of their own, each with a pool: those of a common one would begin another sequence in the middle of a frame
-        // that waits, and its time with it.
-        let next = AtomicUsize::new(0);
-        let mine = || -> Result<ControlFlow<()>> {
-            while let Some(&job) = side_by_side.get(next.fetch_add(1, Ordering::Relaxed)) {
-                let ended = done(job).inspect_err(|_| failed.store(true, Ordering::Relaxed))?;
-                if ended.is_break() {
-                    return Ok(ended);
+        let in_turn = |numbers: &[usize]| {
+            let mut ending = Ok(ControlFlow::Continue(()));
+            for &job in numbers.iter() {
+                ending = done(job);
+                if !matches!(ending, Ok(ControlFlow::Continue(()))) {
+                    break;
                 }
             }
-            Ok(ControlFlow::Continue(()))
+            ending
         };
-        let shares: Vec<Result<ControlFlow<()>>> = std::thread::scope(|scope| {
-            let in_pool = || match rayon::ThreadPoolBuilder::new().num_threads(cores / workers).build() {
-                Ok(pool) => pool.install(mine),
-                Err(_) => mine(),
-            };
-            let threads: Vec<_> = (0..workers).map(|_| scope.spawn(in_pool)).collect();
-            threads.into_iter().map(|t| t.join().unwrap_or_else(|e| std::panic::resume_unwind(e))).collect()
-        });
         // One that failed ends the others early, and is what is told.
         let joined = |a: Result<ControlFlow<()>>, b: Result<ControlFlow<()>>| match (a?, b?) {
             (ControlFlow::Continue(()), b) => Ok(b),
             (ended, _) => Ok(ended),
         };
-        let mut ending = shares.into_iter().fold(Ok(ControlFlow::Continue(())), joined);
-        for job in alone {
-            if !matches!(ending, Ok(ControlFlow::Continue(()))) {
-                break;
+        let continues = |ending: &Result<ControlFlow<()>>| matches!(ending, Ok(ControlFlow::Continue(())));
+        let mut ending = in_turn(&kept);
+        if continues(&ending) && !side_by_side.is_empty() {
+            let (cores, count) = (rayon::current_num_threads(), side_by_side.len());
+            let (workers, threads) = (cores.min(count), cores / cores.min(count));
+            if workers > 1 {
+                tell!("{count} simulations, {workers} side by side on {threads} of {cores} threads each");
             }
-            ending = done(job);
+            let next = AtomicUsize::new(0);
+            let mine = || {
+                while let Some(job) = side_by_side.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let ended = in_turn(std::slice::from_ref(job));
+                    failed.fetch_or(ended.is_err(), Ordering::Relaxed);
+                    if !continues(&ended) {
+                        return ended;
+                    }
+                }
+                Ok(ControlFlow::Continue(()))
+            };
+            // Threads of their own, each with a pool: those of a common one would begin another sequence in the middle of a frame
+            // that waits, and its time with it.
+            let in_pool = || {
+                let _guard = Unwinding(&failed);
+                match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
+                    Ok(pool) => pool.install(mine),
+                    Err(_) => mine(),
+                }
+            };
+            ending = std::thread::scope(|scope| {
+                let workers: Vec<_> = (0..workers).map(|_| scope.spawn(in_pool)).collect();
+                let ended =
+                    workers.into_iter().map(|w| w.join().unwrap_or_else(|e| std::panic::resume_unwind(e)));
+                ended.fold(Ok(ControlFlow::Continue(())), joined)
+            });
+        }
+        if continues(&ending) {
+            ending = in_turn(&on_gpu);
         }
         bar.finish_and_clear();
         let mut all = all.into_inner().unwrap_or_else(|e| e.into_inner());
         all.sort_by_key(|&(number, _)| number);
         (all.into_iter().map(|(_, kept)| kept).collect(), ending)
+    }
+}
+
+/// Tells the others to end when the thread that holds it panics.
+struct Unwinding<'a>(&'a AtomicBool);
+
+impl Drop for Unwinding<'_> {
+    fn drop(&mut self) {
+        self.0.fetch_or(std::thread::panicking(), Ordering::Relaxed);
     }
 }
 

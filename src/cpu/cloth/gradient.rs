@@ -12,7 +12,7 @@ use crate::sim::Grid;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Particles that one task is worth waking a thread for, which takes as long as two thousand of them.
+/// Particles of a task, at least: to wake a thread for it takes as long as about two thousand of them, twice in a gradient.
 const TASK: usize = 8192;
 
 /// Gradients with respect to edges, as one row of cells leaves them, and working memory.

@@ -72,6 +72,7 @@ impl Features {
             parts: size(parts),
             samples: size(samples),
             first: size(first),
+            // Views begin at an even element.
             first_sum: size(first_sum / 2),
             pad: 0,
         };

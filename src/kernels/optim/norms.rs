@@ -47,6 +47,7 @@ impl Norms {
             particles: size(particles),
             parts: size(parts),
             samples: size(samples),
+            // Views begin at an even element.
             first: size(first / 2),
         };
         let count = [size(parts), size(samples), 1];

@@ -58,13 +58,19 @@ impl Update {
         assert_eq!((h, n), (grid.h, grid.particles()));
         assert_eq!((from.scale.len(), from.hidden.len()), (samples, 2 * samples * n));
         assert!(from.first + in_field <= samples, "update: {in_field} samples from {} on", from.first);
-        let [rows, columns, row_quads] = [h, grid.w, w / 4].map(size);
-        let [samples, parts, first] = [samples, parts, from.first].map(size);
         let (scale, first_scale) = &from.scale.whole();
-        let [in_field, first_scale] = [in_field, *first_scale].map(size);
-        let params = Params { rows, columns, row_quads, samples, parts, first, in_field, first_scale };
+        let params = Params {
+            rows: size(h),
+            columns: size(grid.w),
+            row_quads: size(w / 4),
+            samples: size(samples),
+            parts: size(parts),
+            first: size(from.first),
+            in_field: size(in_field),
+            first_scale: size(*first_scale),
+        };
         let Iterate { grad, base, slots, a, shift } = iterate;
         let tensors = [from.field, scale, grad, base, slots, from.hidden, a, shift];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, from.field.shape()[1]));
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, in_field));
     }
 }

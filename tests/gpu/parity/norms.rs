@@ -31,11 +31,14 @@ fn partial_sums_of_squares_match() {
                 // Any tensor may stand there: nothing is read of it.
                 poisoned("hidden", &[1])
             };
-            let partial = poisoned("partial", &[samples, count, 2]);
+            // A view, as the rows of a solver's iterations are.
+            let rows = poisoned("partial", &[192 + 2 * samples * count]);
+            let partial = rows.view(192, &[samples, count, 2]);
             run(|schedule| kernel.push(schedule, &grad, &hidden, &partial));
             // Up to 32 squares in turn, then six sums of sums.
             let what = format!("norms {batch} x {grid}");
             assert_close(&what, &read(&partial), &expected, (0.0, 6.0 * ROUNDING));
+            assert!(read(&rows)[..192].iter().all(|v| v.is_nan()), "{what} wrote in front of its view");
         }
     }
 }

@@ -30,7 +30,8 @@ fn learned_steps_match() {
         iterate.grad.write(context(), &grad);
         iterate.base.write(context(), &base);
         iterate.a.write(context(), &a);
-        let scale = tensor("scale", &[samples], &scale);
+        let scale =
+            tensor("scale", &[64 + samples], &[vec![f32::NAN; 64], scale].concat()).view(64, &[samples]);
         let hidden = poisoned("hidden", &[2, samples, n]);
         for (first, count) in [(0, 1), (1, samples - 1)] {
             let output = &output[first * n..][..count * n];
