@@ -14,6 +14,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
+/// How work ended: whether to go on, or why it failed.
+type Ended = Result<ControlFlow<()>>;
+
 /// What every solver is run on.
 pub struct Plan<'a> {
     pub sequences: &'a [Sequence],
@@ -73,12 +76,12 @@ impl<'a> Plan<'a> {
     /// Does the jobs whose scores are not there yet: the scores, in the order of the jobs, and how it ended, which is early when
     /// it was interrupted. Those of the CPU run side by side, as many as there are cores or jobs, on as many cores each as that
     /// leaves: one frame after the other keeps several cores far less busy. A GPU's have it to themselves, one by one.
-    pub fn work(&self, jobs: &[Job], interrupted: &AtomicBool) -> (Vec<Kept>, Result<ControlFlow<()>>) {
+    pub fn work(&self, jobs: &[Job], interrupted: &AtomicBool) -> (Vec<Kept>, Ended) {
         let frames = |job: &Job| job.sequence.truth.frames().min(self.settings.frames) - 1;
         let bar = progress(jobs.iter().map(frames).sum(), "frames");
         let failed = AtomicBool::new(false);
         let all: Mutex<Vec<(usize, Kept)>> = Mutex::default();
-        let done = |number: usize| -> Result<ControlFlow<()>> {
+        let done = |number: usize| -> Ended {
             let job = &jobs[number];
             let kept = if job.file.is_file() {
                 bar.inc(frames(job) as u64);
@@ -104,71 +107,67 @@ impl<'a> Plan<'a> {
         };
         let (kept, missing): (Vec<usize>, Vec<usize>) =
             (0..jobs.len()).partition(|&job| jobs[job].file.is_file());
-        let on_cpu = |&job: &usize| matches!(jobs[job].entry.device(self.device), Device::Cpu);
-        let (mut side_by_side, on_gpu): (Vec<usize>, Vec<usize>) = missing.into_iter().partition(on_cpu);
+        let of_cpu = |&job: &usize| matches!(jobs[job].entry.device(self.device), Device::Cpu);
+        let (mut on_cpu, on_gpu): (Vec<usize>, Vec<usize>) = missing.into_iter().partition(of_cpu);
         // The finest grids first, so that at the end no core waits long for another; but once all, before any is repeated.
-        side_by_side.sort_by_key(|&job| {
+        on_cpu.sort_by_key(|&job| {
             let Job { nudge, grid, .. } = &jobs[job];
             (nudge.map_or(0, |nudge| nudge.repeat), Reverse(grid.particles()))
         });
-        let in_turn = |numbers: &[usize]| {
-            let mut ending = Ok(ControlFlow::Continue(()));
-            for &job in numbers.iter() {
-                ending = done(job);
-                if !matches!(ending, Ok(ControlFlow::Continue(()))) {
-                    break;
-                }
-            }
-            ending
-        };
-        // One that failed ends the others early, and is what is told.
-        let joined = |a: Result<ControlFlow<()>>, b: Result<ControlFlow<()>>| match (a?, b?) {
-            (ControlFlow::Continue(()), b) => Ok(b),
-            (ended, _) => Ok(ended),
-        };
-        let continues = |ending: &Result<ControlFlow<()>>| matches!(ending, Ok(ControlFlow::Continue(())));
-        let mut ending = in_turn(&kept);
-        if continues(&ending) && !side_by_side.is_empty() {
-            let (cores, count) = (rayon::current_num_threads(), side_by_side.len());
-            let (workers, threads) = (cores.min(count), cores / cores.min(count));
-            if workers > 1 {
-                tell!("{count} simulations, {workers} side by side on {threads} of {cores} threads each");
-            }
-            let next = AtomicUsize::new(0);
-            let mine = || {
-                while let Some(job) = side_by_side.get(next.fetch_add(1, Ordering::Relaxed)) {
-                    let ended = in_turn(std::slice::from_ref(job));
-                    failed.fetch_or(ended.is_err(), Ordering::Relaxed);
-                    if !continues(&ended) {
-                        return ended;
-                    }
-                }
-                Ok(ControlFlow::Continue(()))
-            };
-            // Threads of their own, each with a pool: those of a common one would begin another sequence in the middle of a frame
-            // that waits, and its time with it.
-            let in_pool = || {
-                let _guard = Unwinding(&failed);
-                match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
-                    Ok(pool) => pool.install(mine),
-                    Err(_) => mine(),
-                }
-            };
-            ending = std::thread::scope(|scope| {
-                let workers: Vec<_> = (0..workers).map(|_| scope.spawn(in_pool)).collect();
-                let ended =
-                    workers.into_iter().map(|w| w.join().unwrap_or_else(|e| std::panic::resume_unwind(e)));
-                ended.fold(Ok(ControlFlow::Continue(())), joined)
-            });
-        }
-        if continues(&ending) {
-            ending = in_turn(&on_gpu);
-        }
+        let ending = in_turn(&kept, done)
+            .and_then(|ended| then(ended, || side_by_side(&on_cpu, &failed, &done)))
+            .and_then(|ended| then(ended, || in_turn(&on_gpu, done)));
         bar.finish_and_clear();
         let mut all = all.into_inner().unwrap_or_else(|e| e.into_inner());
         all.sort_by_key(|&(number, _)| number);
         (all.into_iter().map(|(_, kept)| kept).collect(), ending)
     }
+}
+
+/// Goes on with `next` unless it has ended.
+fn then(ended: ControlFlow<()>, next: impl FnOnce() -> Ended) -> Ended {
+    if ended.is_break() { Ok(ended) } else { next() }
+}
+
+/// Does one job after the other, until one fails or ends everything.
+fn in_turn(jobs: &[usize], done: impl Fn(usize) -> Ended) -> Ended {
+    jobs.iter().try_fold(ControlFlow::Continue(()), |ended, &job| then(ended, || done(job)))
+}
+
+/// Does jobs on threads of their own, each with a pool of its share of the cores: those of a common one would begin another
+/// job in the middle of a frame that waits, and its time with it. One that fails sets `failed`, which ends the others, and is told.
+fn side_by_side(jobs: &[usize], failed: &AtomicBool, done: &(impl Fn(usize) -> Ended + Sync)) -> Ended {
+    let (cores, count) = (rayon::current_num_threads(), jobs.len());
+    let workers = cores.min(count);
+    let threads = cores / workers.max(1);
+    if workers > 1 {
+        tell!("{count} simulations, {workers} side by side on {threads} of {cores} threads each");
+    }
+    let next = AtomicUsize::new(0);
+    let mine = || {
+        while let Some(&job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let ended = done(job).inspect_err(|_| failed.store(true, Ordering::Relaxed))?;
+            if ended.is_break() {
+                return Ok(ended);
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    };
+    let in_pool = || {
+        let _guard = Unwinding(failed);
+        match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
+            Ok(pool) => pool.install(mine),
+            Err(_) => mine(),
+        }
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..workers).map(|_| scope.spawn(in_pool)).collect();
+        let mut all = workers.into_iter().map(|w| w.join().unwrap_or_else(|e| std::panic::resume_unwind(e)));
+        // What failed is told, not that others ended early because of it.
+        all.try_fold(ControlFlow::Continue(()), |ended, next| {
+            next.map(|next| if ended.is_break() { ended } else { next })
+        })
+    })
 }
 
 /// Tells the others to end when the thread that holds it panics.
