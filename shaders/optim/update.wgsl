@@ -1,8 +1,8 @@
 // The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
 //
 // Then the shift of the trial: x(a) - x = base + a, or base alone at a handle, whose way is prescribed.
-// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [S] from `first_scale` on; grad, base, a, shift: [S, H, W] =
-// [B, 3, H, W]; slots: [B, H, W]; hidden: [2, S, H, W], last gradient and last step.
+// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [S] from `first_scale` on;
+// grad, base, a, shift: [S, H, W] = [B, 3, H, W]; slots: [B, H, W]; hidden: [2, S, H, W], last gradient and last step.
 // One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and s).
 // Adjoint: `update_adj`.
 
