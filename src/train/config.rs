@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 /// | `init` | fresh weights; else a safetensors file beside the configuration, or several, whose mean is taken |
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
 /// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in a pool that is given `[32, 32]`, 10, 1000, 10 |
-/// | `[[pool]]` `sequence_length`, `every` | that of `[reset]`, 1 |
+/// | `[[pool]]` `sequence_length`, `corners`, `every` | that of `[reset]`, that of `[motion]`, 1 |
 /// | `[pool.material]` `stretch`, `shear`, `bend` | `[100, 1000]`, `[1, 100]`, `[0.01, 10]` |
 /// | `[motion]` `moving`, `rotation`, `amplitude`, `frequency`, `pinch`, `gravity`, `aligned`, `corners`, `more_handles`, `damping` | 0.8, 0.0628, 10, 0.2, 0.4, 0.125, 0, 1, 0.5, 0 |
 /// | `[reset]` `energy`, `sequence_length`, `scale` | 20000, 1000, no bounds |
@@ -77,6 +77,9 @@ pub struct PoolConfig {
     /// Frames that a cloth of this pool lives on average; none for [`ResetRules::sequence_length`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequence_length: Option<u64>,
+    /// How many cloths of this pool are held by the two corners; none for [`MotionRanges::corners`].
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub corners: Option<f64>,
     /// Only one step in so many draws from this pool: for fine grids, which cost the most.
     pub every: u64,
 }
@@ -116,7 +119,8 @@ pub struct MotionRanges {
     /// Probability that a sheet starts unrotated, with gravity along an axis: as users' scenes do, where whole components
     /// of the first gradient are zero.
     pub aligned: f64,
-    /// Probability that the first handles are the two corners; else they are one random particle.
+    /// Probability that the first handles are the two corners; else they are one random particle. A pool may have
+    /// [one](PoolConfig::corners) of its own.
     pub corners: f64,
     /// Probability of each further handle, a random particle.
     pub more_handles: f64,
@@ -200,7 +204,16 @@ impl Default for Config {
 impl Default for PoolConfig {
     fn default() -> Self {
         let (grid, material) = (Grid { h: 32, w: 32 }, MaterialRanges::default());
-        Self { grid, iterations: 10, cloths: 1000, batch: 10, material, sequence_length: None, every: 1 }
+        Self {
+            grid,
+            iterations: 10,
+            cloths: 1000,
+            batch: 10,
+            material,
+            sequence_length: None,
+            corners: None,
+            every: 1,
+        }
     }
 }
 

@@ -165,7 +165,7 @@ fn network(node: &Node<'_>) -> Result<network::Config> {
 }
 
 fn pool(node: &Node<'_>) -> Result<PoolConfig> {
-    node.only(&["grid", "iterations", "cloths", "batch", "material", "sequence_length", "every"])?;
+    node.only(&["grid", "iterations", "cloths", "batch", "material", "sequence_length", "corners", "every"])?;
     let base = PoolConfig::default();
     let cloths = node.get_or("cloths", base.cloths, |n| count(n, 1, 1 << 24))?;
     Ok(PoolConfig {
@@ -182,6 +182,7 @@ fn pool(node: &Node<'_>) -> Result<PoolConfig> {
             })
         })?,
         sequence_length: node.get_or("sequence_length", None, |n| above_zero(n).map(Some))?,
+        corners: node.get_or("corners", None, |n| share(n).map(Some))?,
         every: node.get_or("every", base.every, above_zero)?,
     })
 }

@@ -61,7 +61,8 @@ impl Script {
         let pinch_frequency = around_zero(&mut random, motion.frequency);
         let moves = if random.random_bool(motion.moving) { 1.0 } else { 0.0 };
         let gravity = direction(&mut random);
-        let handles = handles(&mut random, grid, motion);
+        let corners = config.corners.unwrap_or(motion.corners);
+        let handles = handles(&mut random, grid, corners, motion.more_handles);
         let (angles, gravity) = match random.random_bool(motion.aligned) {
             true => (DVec3::ZERO, along_an_axis(gravity)),
             false => (angles, gravity),
@@ -107,12 +108,12 @@ impl Script {
 }
 
 /// The corners (0, 0) and (H-1, 0), or one particle; then, while a coin says so, one more.
-fn handles(random: &mut ChaCha8Rng, grid: Grid, motion: &MotionRanges) -> Vec<usize> {
-    let mut handles = match random.random_bool(motion.corners) {
+fn handles(random: &mut ChaCha8Rng, grid: Grid, corners: f64, more: f64) -> Vec<usize> {
+    let mut handles = match random.random_bool(corners) {
         true => vec![0, (grid.h - 1) * grid.w],
         false => vec![random.random_range(0..grid.particles())],
     };
-    while handles.len() < MAX_HANDLES && random.random_bool(motion.more_handles) {
+    while handles.len() < MAX_HANDLES && random.random_bool(more) {
         let p = random.random_range(0..grid.particles());
         if !handles.contains(&p) {
             handles.push(p);

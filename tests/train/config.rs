@@ -34,6 +34,7 @@ fn every_field_can_be_set() {
         grid = [24, 40]
         iterations = 3
         cloths = 4
+        corners = 0.75
         material = { bend = [0.1, 0.1] }
         [motion]
         pinch = 0
@@ -61,6 +62,7 @@ fn every_field_can_be_set() {
     let [pool] = &config.pools[..] else { panic!("one pool") };
     assert_eq!((pool.grid.h, pool.grid.w, pool.iterations, pool.cloths, pool.batch), (24, 40, 3, 4, 4));
     assert_eq!(pool.material.bend, [0.1, 0.1]);
+    assert_eq!((pool.corners, pool.sequence_length), (Some(0.75), None));
     assert_eq!(pool.material.stretch, PoolConfig::default().material.stretch);
     assert_eq!((config.motion.pinch, config.motion.aligned, config.motion.corners), (0.0, 0.25, 0.5));
     assert_eq!(config.reset.scale, Some([1e-5, 2.0]));
@@ -80,6 +82,7 @@ fn bad_configurations_are_refused_by_field() {
         ("pool = []", &["pool", "at least one"]),
         ("[[pool]]\ngrid = [4, 32]", &["pool[0].grid", "8 to 4096"]),
         ("[[pool]]\ncloths = 3\nbatch = 4", &["pool[0].batch", "1 to 3", "found 4"]),
+        ("[[pool]]\ncorners = 2", &["pool[0].corners", "0 to 1"]),
         ("[[pool]]\nevery = 0", &["pool[0].every", "1 or more"]),
         ("[[pool]]\nevery = 2\n[[pool]]\nevery = 3", &["pool", "one with every = 1"]),
         ("[[pool]]\niterations = 0", &["pool[0].iterations", "found 0"]),

@@ -181,6 +181,19 @@ fn sheets_along_the_axes_and_held_anywhere_are_drawn_when_asked_for() {
 }
 
 #[test]
+fn a_pool_may_be_held_in_a_way_of_its_own() {
+    // The motion says two corners, the pool a single particle anywhere; material and start stay.
+    let motion = MotionRanges { more_handles: 0.0, ..Default::default() };
+    let anywhere = PoolConfig { corners: Some(0.0), ..config(1, 50, 1) };
+    for (slot, corners) in scripts(motion, 50).into_iter().enumerate() {
+        let script = Script::new(11, &motion, (0, &anywhere), (slot, 0));
+        assert_eq!((corners.cloth.handles.len(), script.cloth.handles.len()), (2, 1));
+        assert_eq!(script.cloth.material, corners.cloth.material);
+        assert_eq!(script.start(), corners.start());
+    }
+}
+
+#[test]
 fn lives_are_damped_when_asked_for_and_else_the_same() {
     let [free, damped] =
         [0.0, 0.05].map(|damping| scripts(MotionRanges { damping, ..Default::default() }, 200));
