@@ -49,6 +49,10 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
     write("wide.json", br#"{"side_m": 1e39}"#);
     write("short.npy", b"\x93NUMPY");
     std::fs::create_dir_all(at.join("taken/rollout.npz")).unwrap();
+    std::fs::create_dir_all(at.join("mesh/rollout.obj")).unwrap();
+    std::fs::create_dir(at.join("frames")).unwrap();
+    write("frames/rollout_obj", b"");
+    write("few.toml", b"steps = 4");
     write("large.toml", b"network = { channels = 4096, modes_h = 4096, modes_w = 2049 }");
     write("key.toml", b"[optimizer]\nrat = 1");
     write("range.toml", b"[[pool]]\nmaterial = { bend = [10, 1] }");
@@ -91,6 +95,10 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["rollout", "brief.json"], &["brief.json", "frame_time_s", "single precision"]),
         (&["rollout", "wide.json"], &["wide.json", "side_m", "single precision"]),
         (&["rollout", "--out", "taken"], &["taken/rollout.npz", "a folder"]),
+        (&["rollout", "--out", "mesh", "--format", "pc2"], &["mesh/rollout.obj", "a folder"]),
+        (&["rollout", "--out", "frames", "--format", "npz,obj"], &["frames/rollout_obj", "cannot create"]),
+        (&["evaluate", "--solver", "gd"], &["--ground-truth", "assets/ground_truth", "root of a checkout"]),
+        (&["train", "few.toml", "--steps", "5"], &["--steps", "at most 4", "found 5"]),
         (&["verify", "nowhere"], &["nowhere", "cannot read"]),
         (&["inspect", "key.json"], &["key.json"]),
         (&["bench", "--batch", "0"], &["--batch"]),

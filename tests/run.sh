@@ -1,24 +1,24 @@
 #!/usr/bin/env bash
-# Runs all tests. They need a Vulkan driver, a software one is enough: where none is found, Mesa's is installed.
+# Runs all tests. They need a software Vulkan driver, also beside a GPU's: where none is found, Mesa's is installed.
 # Arguments are passed on to `cargo test`, as in `tests/run.sh --test cli`.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 has_driver() {
     [[ -n "${VK_DRIVER_FILES:-}${VK_ICD_FILENAMES:-}" ]] && return
-    compgen -G '/usr/share/vulkan/icd.d/*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/*.json' >/dev/null
+    compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/lvp_icd*.json' >/dev/null
 }
 
 if [[ "$(uname -s)" == Linux ]] && ! has_driver; then
     as_root=()
     ((EUID == 0)) || as_root=(sudo)
     if command -v apt-get >/dev/null && { ((EUID == 0)) || command -v sudo >/dev/null; }; then
-        echo "no Vulkan driver found: installing Mesa's software driver"
+        echo "no software Vulkan driver found: installing Mesa's software driver"
         "${as_root[@]}" apt-get update -qq
         "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
             mesa-vulkan-drivers libvulkan1
     else
-        echo "no Vulkan driver found: install the Vulkan loader and a driver, for example Mesa's software driver" \
+        echo "no software Vulkan driver found: install the Vulkan loader and Mesa's software driver" \
             "(Debian and Ubuntu: mesa-vulkan-drivers libvulkan1; Fedora: mesa-vulkan-drivers vulkan-loader;" \
             "Arch: vulkan-swrast vulkan-icd-loader)" >&2
         exit 2

@@ -2,7 +2,7 @@
 // of the positions of one sample, bias[o] = sum_p adj[s, o, p]. `sum_parts` adds the parts up in order.
 //
 // x: [S, I, H, Q] quads; adj: [S, O, H, Q] quads, zero where a row is padded; partial: [samples * parts, stride] quads of
-// outputs: weights in the layer's order [O / tile, I, tile], the bias from `bias` on.
+// outputs: weights in the layer's order [O / tile, I, tile], the bias from `bias` on, and zeros between them.
 // One workgroup: 32 outputs by 32 inputs, 4 by 4 to an invocation; 32 positions at a time go through workgroup memory,
 // positions first, channels in quads. Workgroups: (O / 32 * I / 32, parts, samples).
 // Adjoint: none, it is one (towards the weight; towards x it is `pointwise` with the `transpose`d weight).
@@ -85,10 +85,16 @@ fn pointwise_weight_adj(
         }
         workgroupBarrier();
     }
+    let part = (group.z * params.parts + group.y) * params.stride;
+    if group.x == 0u {
+        // The norm of the gradient is over these, too.
+        for (var k = params.inputs * params.outputs / 4u + lane; k < params.bias; k += 64u) {
+            partial[part + k] = vec4f();
+        }
+    }
     if 4u * out_quad >= params.outputs {
         return;
     }
-    let part = (group.z * params.parts + group.y) * params.stride;
     if in_quad == 0u {
         partial[part + params.bias + out_quad] = bias;
     }

@@ -1,7 +1,9 @@
 //! `fnopt fit-material`: finds the material of recorded trajectories.
 
 use super::output::{output, tell};
-use super::{Ending, MOST_POINTS, go_on, interrupt_flag, one_grid, writable_file};
+use super::{
+    Ending, MOST_POINTS, SHIPPED_SEQUENCES, go_on, interrupt_flag, one_grid, sequences, writable_file,
+};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::fit::{Fit, PARAMETERS, Point, Surface};
@@ -21,7 +23,7 @@ const PRINTED: usize = 12;
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Folder of sequences, as for evaluate
-    #[arg(long, default_value = "assets/ground_truth", value_name = "DIR")]
+    #[arg(long, default_value = SHIPPED_SEQUENCES, value_name = "DIR")]
     ground_truth: PathBuf,
     /// Sequences whose mean error counts [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
@@ -71,7 +73,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         let expected = "another ending than that of the best set beside it";
         return Err(Error::invalid("--out", "file", expected, args.out.display()).into());
     }
-    let sequences = Sequence::load_all(&args.ground_truth, args.sequences.as_deref())?;
+    let sequences = sequences(&args.ground_truth, args.sequences.as_deref())?;
     let ranges = args.ranges(args.kept(&sequences)?)?;
     let fit = Fit {
         sequences: &sequences,

@@ -14,12 +14,14 @@ mod tune;
 mod verify;
 
 use clap::{Parser, Subcommand};
-use fnopt::eval::median;
+use fnopt::eval::{Sequence, median};
 use fnopt::network::Weights;
 use fnopt::scene::{Batch, Scene, Setup};
 use fnopt::sim::{Grid, Optimizer};
 use fnopt::{Error, Result};
 use output::tell;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::flag as signals;
 use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -209,6 +211,23 @@ pub fn one_grid(values: &[String]) -> fnopt::Result<Grid> {
     grid(&values.join("x"))
 }
 
+/// Where the sequence that ships is, in a checkout's root.
+pub const SHIPPED_SEQUENCES: &str = "assets/ground_truth";
+
+/// The sequences of a folder: those that are named, or all of them.
+pub fn sequences(folder: &Path, named: Option<&[String]>) -> fnopt::Result<Vec<Sequence>> {
+    if folder == Path::new(SHIPPED_SEQUENCES) && !folder.exists() {
+        let expected = "a folder of sequences; the one that ships is in the root of a checkout";
+        return Err(Error::invalid(
+            "--ground-truth",
+            "folder",
+            expected,
+            format!("no {SHIPPED_SEQUENCES} here"),
+        ));
+    }
+    Sequence::load_all(folder, named)
+}
+
 /// The default scene on a grid, as many times as there are cloths.
 pub fn default_scenes(grid: Grid, batch: usize) -> Result<Batch> {
     let most = MOST_PARTICLES / grid.particles();
@@ -240,17 +259,17 @@ pub fn go_on(interrupted: &AtomicBool) -> ControlFlow<()> {
     if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
-/// Set by Ctrl-C; a second one ends the process as usual.
+/// Set by Ctrl-C, and by SIGTERM, with which batch systems and launchers end what they started; a second one ends the process
+/// at once.
 pub fn interrupt_flag() -> Arc<AtomicBool> {
     let flag = Arc::new(AtomicBool::new(false));
-    let seen = flag.clone();
-    let installed = ctrlc::set_handler(move || {
-        if seen.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+    for signal in [SIGINT, SIGTERM] {
+        // In this order: the first one finds the flag unset.
+        let installed = signals::register_conditional_shutdown(signal, 130, flag.clone())
+            .and_then(|_| signals::register(signal, flag.clone()));
+        if let Err(error) = installed {
+            tracing::warn!("signal {signal} will not keep what was computed so far: {error}");
         }
-    });
-    if let Err(error) = installed {
-        tracing::warn!("Ctrl-C will not keep what was computed so far: {error}");
     }
     flag
 }

@@ -69,6 +69,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     tell!("{line}");
     writable_folder(&args.out)?;
     args.files().iter().try_for_each(|file| writable_file(file))?;
+    args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
 
     let mut simulator = Simulator::new(&device, &setup.model, &optimizer, args.solver.iterations())?;
     let (device, per_frame) = (device.name(), Vec::new());
@@ -95,11 +96,11 @@ impl Args {
             Some(path) => Scene::load(path)?,
             None => Scene::default(),
         };
-        if let Some(grid) = &self.grid {
-            scene.regrid(one_grid(grid)?)?;
-        }
         if let Some(motion) = &self.motion {
             scene.motion = Motion::parse(motion, "--motion", Path::new(""))?;
+        }
+        if let Some(grid) = &self.grid {
+            scene.regrid(one_grid(grid)?)?;
         }
         if let Some(text) = &self.material {
             material::read(text)?.apply(&mut scene);
@@ -110,15 +111,29 @@ impl Args {
         Ok(scene)
     }
 
-    /// The files that will be written, frames in folders of their own aside.
+    /// The files that will be written, or may be, frames in folders of their own aside.
     fn files(&self) -> Vec<PathBuf> {
-        let ending = |format: &Format| match format {
-            Format::Obj | Format::Ply => None,
-            single => Some(single.name()),
+        let endings = |format: &Format| match format {
+            Format::Obj | Format::Ply => vec![],
+            // With the mesh that it moves.
+            Format::Pc2 => vec!["pc2", "obj"],
+            single => vec![single.name()],
         };
         let pictures: &[&str] = if self.no_pictures { &[] } else { &["png", "gif"] };
-        let named = self.format.iter().filter_map(ending).chain(pictures.iter().copied());
-        named.map(|ending| self.out.join(format!("{NAME}.{ending}"))).chain([self.out.join(REPORT)]).collect()
+        let named = self.format.iter().flat_map(endings).chain(pictures.iter().copied());
+        let named = named.map(|ending| self.out.join(format!("{NAME}.{ending}")));
+        named.chain([self.out.join(REPORT), self.replay()]).collect()
+    }
+
+    /// The folders of frames that will be written.
+    fn folders(&self) -> Vec<PathBuf> {
+        let frames = |format: &&Format| matches!(format, Format::Obj | Format::Ply);
+        self.format.iter().filter(frames).map(|format| self.out.join(format!("{NAME}_{format}"))).collect()
+    }
+
+    /// Where the last good state is kept when a simulation becomes non-finite.
+    fn replay(&self) -> PathBuf {
+        self.out.join(format!("{REPLAY}.npz"))
     }
 }
 
@@ -178,14 +193,12 @@ impl Run<'_> {
 
     /// Writes the frames, whatever ended the run, and tells how it ended.
     fn end(&self, outcome: fnopt::Result<()>) -> Result<Ending> {
-        let written = match (self.write(), &outcome) {
-            (Ok(written), _) => written,
-            (Err(late), Ok(())) => return Err(late.into()),
-            (Err(late), Err(_)) => {
-                tell!("error: {late}");
-                Vec::new()
-            }
-        };
+        let (written, trouble) = self.write();
+        match (trouble, &outcome) {
+            (None, _) => {}
+            (Some(late), Ok(())) => return Err(late.into()),
+            (Some(late), Err(_)) => tell!("error: {late}"),
+        }
         let last = self.per_frame.len();
         let ending = match outcome {
             Ok(()) if last + 1 < self.setup.frames() => {
@@ -230,43 +243,60 @@ impl Run<'_> {
         last.write(&self.args.out, REPLAY, Format::Npz)
     }
 
-    /// Writes all files but the replay, and removes that of an earlier run: it would be taken for this one's.
-    fn write(&self) -> fnopt::Result<Vec<PathBuf>> {
-        let Args { out, format, no_pictures, .. } = self.args;
-        let replay = out.join(format!("{REPLAY}.npz"));
+    /// Writes all files but the replay, and removes that of an earlier run: it would be taken for this one's. What cannot be
+    /// written keeps nothing else from it; the files, and the first trouble.
+    fn write(&self) -> (Vec<PathBuf>, Option<Error>) {
+        let frames = self.args.format.iter().map(|&format| self.write_frames(format));
+        let report = std::iter::once_with(|| self.write_report());
+        let pictures = (!self.args.no_pictures).then(|| std::iter::once_with(|| self.write_pictures()));
+        let (mut written, mut trouble) = (Vec::new(), self.remove_replay().err());
+        for result in frames.chain(report).chain(pictures.into_iter().flatten()) {
+            match result {
+                Ok(paths) => written.extend(paths),
+                Err(error) => trouble = trouble.or(Some(error)),
+            }
+        }
+        (written, trouble)
+    }
+
+    fn remove_replay(&self) -> fnopt::Result<()> {
+        let replay = self.args.replay();
         match std::fs::remove_file(&replay) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                return Err(Error::io(replay, "cannot remove", e));
-            }
-            _ => {}
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(replay, "cannot remove", e)),
+            _ => Ok(()),
         }
-        let mut written = Vec::new();
-        for &format in format {
-            written.push(self.trajectory.write(out, NAME, format)?);
-            if format == Format::Pc2 {
-                let mesh = out.join(format!("{NAME}.obj"));
-                self.trajectory.write_mesh(&mesh)?;
-                written.push(mesh);
-            }
-        }
-        let path = out.join(REPORT);
-        write_atomic(&path, |file| writeln!(file, "{:#}", self.report()))?;
-        written.push(path);
-        if !no_pictures {
-            let handles = &self.setup.model.cloths[0].handles;
-            let up = match self.setup.up {
-                UpAxis::Y => [0.0, 1.0, 0.0],
-                UpAxis::Z => [0.0, 0.0, 1.0],
-            };
-            let view = View { up, ..Default::default() };
-            let picture = out.join(format!("{NAME}.png"));
-            let image = strip(&self.trajectory, handles, &StripOptions { view, ..Default::default() });
-            write_png(&picture, &image)?;
-            let animation = out.join(format!("{NAME}.gif"));
-            write_gif(&animation, &self.trajectory, handles, &GifOptions { view, ..Default::default() })?;
-            written.extend([picture, animation]);
+    }
+
+    fn write_frames(&self, format: Format) -> fnopt::Result<Vec<PathBuf>> {
+        let out = &self.args.out;
+        let mut written = vec![self.trajectory.write(out, NAME, format)?];
+        if format == Format::Pc2 {
+            let mesh = out.join(format!("{NAME}.obj"));
+            self.trajectory.write_mesh(&mesh)?;
+            written.push(mesh);
         }
         Ok(written)
+    }
+
+    fn write_report(&self) -> fnopt::Result<Vec<PathBuf>> {
+        let path = self.args.out.join(REPORT);
+        write_atomic(&path, |file| writeln!(file, "{:#}", self.report()))?;
+        Ok(vec![path])
+    }
+
+    fn write_pictures(&self) -> fnopt::Result<Vec<PathBuf>> {
+        let (out, handles) = (&self.args.out, &self.setup.model.cloths[0].handles);
+        let up = match self.setup.up {
+            UpAxis::Y => [0.0, 1.0, 0.0],
+            UpAxis::Z => [0.0, 0.0, 1.0],
+        };
+        let view = View { up, ..Default::default() };
+        let picture = out.join(format!("{NAME}.png"));
+        let image = strip(&self.trajectory, handles, &StripOptions { view, ..Default::default() });
+        write_png(&picture, &image)?;
+        let animation = out.join(format!("{NAME}.gif"));
+        write_gif(&animation, &self.trajectory, handles, &GifOptions { view, ..Default::default() })?;
+        Ok(vec![picture, animation])
     }
 
     fn report(&self) -> serde_json::Value {

@@ -4,6 +4,7 @@ use super::device::DeviceArgs;
 use super::output::{output, tell};
 use super::{Ending, go_on, interrupt_flag};
 use anyhow::Result;
+use fnopt::Error;
 use fnopt::network::Weights;
 use fnopt::sim::Device;
 use fnopt::train::{Config, End, Limits, Progress, Ranks, Run, SceneScore, first_weights, learner, ranks};
@@ -48,12 +49,17 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
     let first = ranks.rank() == 0;
     let given = args.config.as_deref().map(Config::load).transpose()?;
     let mut run = match &args.resume {
-        Some(folder) => args.resumed(folder, given.map(|(_, config)| config), ranks)?,
+        Some(folder) => {
+            let run = args.resumed(folder, given.map(|(_, config)| config), ranks)?;
+            args.check(run.config())?;
+            run
+        }
         None => {
             let (text, config) = match given {
                 Some(given) => given,
                 None => (PAPER.to_owned(), Config::parse(PAPER, Path::new(PAPER_NAME))?),
             };
+            args.check(&config)?;
             let weights = first_weights(&config, &**ranks)?;
             let learner = learner(&args.opened(&**ranks)?, &config, &weights)?;
             Run::create(&args.out, &text, config, learner, ranks.clone())?
@@ -100,6 +106,17 @@ fn say_end(end: End, line: &str) -> std::io::Result<()> {
 }
 
 impl Args {
+    /// An error if the run has fewer steps than are asked for.
+    fn check(&self, config: &Config) -> fnopt::Result<()> {
+        match self.steps {
+            Some(steps) if steps > config.steps => {
+                let expected = format!("at most {}, the steps of the configuration", config.steps);
+                Err(Error::invalid("options", "--steps", expected, steps))
+            }
+            _ => Ok(()),
+        }
+    }
+
     fn resumed(&self, folder: &Path, given: Option<Config>, ranks: &Rc<dyn Ranks>) -> Result<Run> {
         let learner =
             |config: &Config| learner(&self.opened(&**ranks)?, config, &Weights::zeros(config.network));

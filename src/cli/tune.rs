@@ -2,7 +2,7 @@
 
 use super::device::{DeviceArgs, DeviceKind};
 use super::output::{output, tell};
-use super::{Ending, SolverArgs, default_scenes, go_on, grid, interrupt_flag};
+use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag, one_grid};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::kernels::Tuning;
@@ -14,8 +14,8 @@ use std::ops::ControlFlow;
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Grid of the cloths that are timed; what is found serves all grids, batches and precisions of the adapter
-    #[arg(long, default_value = "64", value_name = "N|HxW")]
-    grid: String,
+    #[arg(long, num_args = 1..=2, default_value = "64", value_name = "N|HxW|H W")]
+    grid: Vec<String>,
     /// Cloths that advance together
     #[arg(long, default_value_t = 1, value_name = "B", value_parser = clap::value_parser!(u32).range(1..=4096))]
     batch: u32,
@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         return Err(Error::Device("the CPU path has nothing to tune".into()).into());
     };
     tell!("{line}");
-    let setups = default_scenes(grid(&args.grid)?, args.batch as usize)?;
+    let setups = default_scenes(one_grid(&args.grid)?, args.batch as usize)?;
     let (optimizer, start) = (args.solver.optimizer()?, setups.start.cast());
     let interrupted = interrupt_flag();
     let mut out = output();

@@ -36,7 +36,8 @@ impl Physics {
         let part = |&field: &&str| given(field).map(|value| (field.to_owned(), value.clone()));
         let scene: Map<String, Value> = FIELDS.iter().filter_map(part).collect();
         let scene = Scene::parse(&Value::Object(scene).to_string(), origin, Path::new(""))?;
-        let of_wind = |field: &str| given("wind").is_some_and(|wind| wind.get(field).is_some());
+        let of_wind =
+            |field: &str| given("wind").is_some_and(|wind| wind.get(field).is_some_and(|v| !v.is_null()));
         if of_wind("velocity") {
             return Err(Error::invalid(origin, "wind.velocity", "density and drag only", "a velocity"));
         }

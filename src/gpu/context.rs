@@ -24,7 +24,7 @@ pub enum AdapterChoice {
     /// The best hardware adapter, or else a software one.
     #[default]
     Best,
-    /// The adapter at this place in the list of [`adapters`].
+    /// The adapter at this place in the list of [`adapters`], or else the first one whose name contains the number.
     Index(usize),
     /// The first adapter whose name, driver or backend contains this text, ignoring case.
     Name(String),
@@ -297,16 +297,13 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
     let usable = |a: &wgpu::Adapter| missing_limit(&a.limits()).is_none();
     let at = match choice {
         AdapterChoice::Best => found.iter().position(usable),
-        AdapterChoice::Index(i) => (*i < found.len()).then_some(*i),
-        AdapterChoice::Name(name) => {
-            let name = name.to_lowercase();
-            names.iter().position(|n| n.to_lowercase().contains(&name))
-        }
+        AdapterChoice::Index(i) => (*i < found.len()).then_some(*i).or_else(|| named(&names, &i.to_string())),
+        AdapterChoice::Name(name) => named(&names, name),
     };
     let Some(at) = at else {
         let wanted = match choice {
             AdapterChoice::Best => "no usable adapter".to_owned(),
-            AdapterChoice::Index(i) => format!("no adapter number {i}"),
+            AdapterChoice::Index(i) => format!("no adapter with number or name {i}"),
             AdapterChoice::Name(name) => format!("no adapter named '{name}'"),
         };
         let there = if names.is_empty() {
@@ -317,6 +314,12 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
         return Err(Error::Device(format!("{wanted}; {there}")));
     };
     Ok(found.swap_remove(at))
+}
+
+/// The place of the first name that contains this text, ignoring case.
+fn named(names: &[String], text: &str) -> Option<usize> {
+    let text = text.to_lowercase();
+    names.iter().position(|name| name.to_lowercase().contains(&text))
 }
 
 /// The place of the `turn`-th of those that are of the first's kind, around and around.

@@ -118,7 +118,8 @@ fn brief(value: &Value) -> String {
 
 /// Parses a JSON document; the error tells line and column.
 pub(crate) fn parse_json(origin: &str, text: &str) -> Result<Value> {
-    serde_json::from_str(text).map_err(|e| {
+    // Some editors begin a file with a byte-order mark.
+    serde_json::from_str(text.trim_start_matches('\u{feff}')).map_err(|e| {
         let place = format!("line {}, column {}", e.line(), e.column());
         let message = e.to_string();
         let found = message.split(" at line").next().unwrap_or_default();

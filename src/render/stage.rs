@@ -47,6 +47,11 @@ pub(super) enum Size {
     Height(usize),
 }
 
+/// The greatest common factor of two numbers.
+fn common_factor(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { common_factor(b, a % b) }
+}
+
 impl Stage {
     /// Prepares pictures with `samples * samples` samples per pixel.
     pub fn new(trajectory: &Trajectory, handles: &[usize], view: &View, size: Size, samples: usize) -> Self {
@@ -59,8 +64,12 @@ impl Stage {
         let (low, high) = range(all.clone().map(|&p| up.dot(Vec3::from(p))));
         let floor = low - FLOOR * (high - low);
         let on_floor = |p: Vec3| p + up * (floor - up.dot(p));
-        // Of a long or fine trajectory a part will do: what is left out lies within the margin of what is not.
-        let stride = (trajectory.frames() * grid.particles() / ENOUGH) | 1;
+        // Of a long or fine trajectory a part will do: what is left out lies within the margin of what is not. A stride that shares
+        // no factor with the number of particles takes others in each frame.
+        let mut stride = (trajectory.frames() * grid.particles() / ENOUGH) | 1;
+        while common_factor(stride, grid.particles()) > 1 {
+            stride += 2;
+        }
         let points: Vec<Vec3> =
             all.step_by(stride).map(|&p| Vec3::from(p)).flat_map(|p| [p, on_floor(p)]).collect();
 
@@ -168,6 +177,23 @@ mod tests {
         trajectory.push(positions, positions);
         let view = View { azimuth: Some(azimuth), elevation: Some(0.0), ..View::default() };
         Stage::new(&trajectory, &[0, 5], &view, Size::Fixed(200, 160), 2)
+    }
+
+    #[test]
+    fn no_column_of_a_long_run_is_left_out_of_the_picture() {
+        // As many points as would be sampled with a stride of 15, which is a factor of their number.
+        let grid = Grid { h: 45, w: 45 };
+        let positions = sheet(grid);
+        let mut trajectory = Trajectory::new(grid, 60.0);
+        while trajectory.frames() * grid.particles() / ENOUGH < 14 {
+            trajectory.push(&positions, &positions);
+        }
+        let view = View { azimuth: Some(0.0), elevation: Some(0.0), ..View::default() };
+        let stage = Stage::new(&trajectory, &[], &view, Size::Fixed(200, 160), 1);
+        for &p in &positions {
+            let at = stage.camera.project(Vec3::from(p));
+            assert!((0.0..200.0).contains(&at.x) && (0.0..160.0).contains(&at.y), "{p:?} is drawn at {at}");
+        }
     }
 
     #[test]

@@ -2,6 +2,8 @@
 
 use crate::sim::Grid;
 use crate::{Error, Result};
+use std::collections::HashSet;
+use std::hash::Hash;
 
 /// Named places of one or two handles. `h0` and `h1` are the first and the second handle, as rotations name them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -115,18 +117,25 @@ impl Handles {
         Ok(particles)
     }
 
-    /// The same places of the sheet on another grid: each listed handle moves to the nearest particle.
-    pub(super) fn regrid(&self, from: Grid, to: Grid) -> Self {
+    /// The same places of the sheet on another grid: each listed handle moves to the nearest particle. With `merge`, those that
+    /// come to the same one are one from then on.
+    pub(super) fn regrid(&self, from: Grid, to: Grid, merge: bool) -> Self {
         // Exact in whole numbers: round(k (n' - 1) / (n - 1)).
         let move_to = |k: usize, n: usize, m: usize| (2 * k.min(n) * (m - 1) + n - 1) / (2 * (n - 1));
         let cell = |[i, j]: [usize; 2]| [move_to(i, from.h, to.h), move_to(j, from.w, to.w)];
         match self {
             Handles::Placement(placement) => Handles::Placement(*placement),
-            Handles::Cells(cells) => Handles::Cells(cells.iter().copied().map(cell).collect()),
+            Handles::Cells(cells) => Handles::Cells(moved(cells.iter().copied().map(cell), merge)),
             Handles::Vertices(vertices) => {
-                let moved = vertices.iter().map(|p| cell([p / from.w, p % from.w]));
-                Handles::Vertices(moved.map(|[i, j]| i * to.w + j).collect())
+                let cells = vertices.iter().map(|p| cell([p / from.w, p % from.w]));
+                Handles::Vertices(moved(cells.map(|[i, j]| i * to.w + j), merge))
             }
         }
     }
+}
+
+/// All of `places`, or each of them once.
+fn moved<T: Copy + Eq + Hash>(places: impl Iterator<Item = T>, once: bool) -> Vec<T> {
+    let mut seen = HashSet::new();
+    places.filter(|&place| !once || seen.insert(place)).collect()
 }

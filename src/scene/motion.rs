@@ -132,7 +132,7 @@ impl Motion {
     pub fn parse(text: &str, origin: &str, folder: &Path) -> Result<Self> {
         if text == STILL {
             Ok(Motion::Still)
-        } else if text.ends_with(".npy") {
+        } else if text.to_ascii_lowercase().ends_with(".npy") {
             Ok(Motion::File(folder.join(text)))
         } else if let Some(built_in) = BuiltIn::named(text) {
             Ok(Motion::BuiltIn(built_in))

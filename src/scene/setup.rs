@@ -10,6 +10,8 @@ use num_traits::Float;
 /// The longest run, and the most handle positions, that a scene may ask for: far above any use, well inside memory.
 const MAX_FRAMES: usize = 1_000_000;
 const MAX_HANDLE_POSITIONS: usize = 50_000_000;
+/// Spacing of the numbers in single precision \[edges\] beyond which frames suffer from where the cloth is.
+const COARSEST: f64 = 1e-3;
 /// Frames of a scene whose handles stay, where it does not say how many: as many as the built-in motions have.
 const STILL_FRAMES: usize = 391;
 
@@ -170,6 +172,15 @@ impl Scene {
             up: self.up,
         };
         self.check_finite(&setup)?;
+        let farthest = setup.start.x.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        if farthest * f64::from(f32::EPSILON) > COARSEST {
+            let away = farthest * units.length_m;
+            tracing::warn!(
+                "{}: the cloth lies {away:.0} m from the origin, where single precision tells apart what is {:.3} edges apart",
+                self.origin,
+                farthest * f64::from(f32::EPSILON)
+            );
+        }
         Ok(setup)
     }
 
@@ -255,13 +266,15 @@ impl Scene {
 
     /// The same scene on another grid: the side along the height stays and cells are square, so the width follows, and
     /// so does the total mass; grid coefficients stay as they are, moduli stay the sheet's; listed handles move to the
-    /// nearest particle, and a start state from a file is resampled.
+    /// nearest particle, several to one if no recording moves them, and a start state from a file is resampled.
     pub fn regrid(&mut self, grid: Grid) -> Result<()> {
         let old = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
         let grid = Grid::new(grid.h, grid.w, &self.origin)?;
         self.mass.scale_area(grid.aspect() / old.aspect());
         self.side_m = super::Side::Height(self.side_m.height());
-        self.handles = Handles::regrid(&self.handles, old, grid);
+        // A recording has a row for each handle.
+        let recorded = matches!(self.motion, Motion::File(_) | Motion::Rows(_));
+        self.handles = Handles::regrid(&self.handles, old, grid, !recorded);
         if let super::Start::File(file) = &mut self.start {
             file.grid.get_or_insert(old);
         }

@@ -30,6 +30,17 @@ pub(super) struct Card<'a> {
 }
 
 impl Card<'_> {
+    /// The validation that the card beside the weights in `path` tells; none without whole weights and card, or if there was none.
+    pub(super) fn validation(path: &Path) -> Option<Vec<SceneScore>> {
+        #[derive(serde::Deserialize)]
+        struct Told {
+            validation: Vec<SceneScore>,
+        }
+        let card = std::fs::read(path.with_extension("json")).ok().filter(|_| path.is_file())?;
+        let Told { validation } = serde_json::from_slice(&card).ok()?;
+        Some(validation).filter(|scores| !scores.is_empty())
+    }
+
     /// Writes the card as JSON beside the weights in `path`.
     pub(super) fn write(&self, path: &Path) -> Result<()> {
         let json = serde_json::to_string_pretty(self).map_err(std::io::Error::other);

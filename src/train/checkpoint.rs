@@ -49,8 +49,6 @@ pub(super) struct Counters {
     /// Steps in a row up to here that did not; older files do not say.
     #[serde(default)]
     pub skipped_in_a_row: u32,
-    /// Score of the best weights so far.
-    pub best: Option<f64>,
     /// Time spent \[s\], in all sessions.
     pub seconds: f64,
     /// Ranks that train together; files from before there could be several do not say.

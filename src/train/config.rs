@@ -35,7 +35,7 @@ pub struct Config {
     pub seed: u64,
     /// Training steps of the whole run; a cosine is stretched over them, halvings stay where they are.
     pub steps: u64,
-    /// Steps that a row of `metrics.csv` is the mean of.
+    /// Steps that a row of `metrics.csv` is the mean of, if no checkpoint comes between.
     pub log_every: u64,
     /// Decay of the running mean of the weights, which is then what is validated and kept; 0 for the weights themselves.
     pub average: f64,

@@ -124,7 +124,9 @@ impl Folder {
         }
         checkpoint.write(&path)?;
         let files = self.checkpoints()?;
-        let kept: Vec<u64> = files.iter().filter(|f| f.rank == 0).map(|f| f.step).take(KEPT).collect();
+        // Newer ones were passed over as damaged.
+        let whole = files.iter().filter(|f| f.rank == 0 && f.step <= checkpoint.counters.step);
+        let kept: Vec<u64> = whole.map(|f| f.step).take(KEPT).collect();
         for Saved { path, .. } in files.iter().filter(|file| !kept.contains(&file.step)) {
             std::fs::remove_file(path).map_err(|e| Error::io(path, "cannot remove", e))?;
         }

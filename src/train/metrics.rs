@@ -5,7 +5,7 @@ use super::learner::{Outcome, StepReport};
 use super::table::Table;
 use crate::Result;
 use std::path::PathBuf;
-use std::time::Instant;
+use std::time::Duration;
 
 /// What is told of each pool.
 const OF_POOL: [&str; 7] = ["loss", "stretch", "shear", "bend", "inertia", "external", "log_gradient"];
@@ -29,7 +29,10 @@ pub(super) struct Metrics {
     drawn: Vec<u64>,
     /// Steps that were skipped since the last row.
     skipped: u64,
-    since: Instant,
+    /// The learning rate of the last step.
+    rate: f64,
+    /// The time that the steps took, without what came between them.
+    took: Duration,
 }
 
 impl Metrics {
@@ -43,11 +46,13 @@ impl Metrics {
         let sums = vec![0.0; 2 + OF_POOL.len() * pools.len()];
         let table = Table::open(path, columns, step)?;
         let drawn = vec![0; pools.len()];
-        Ok(Self { table, sums, used: 0, drawn, skipped: 0, since: Instant::now() })
+        Ok(Self { table, sums, used: 0, drawn, skipped: 0, rate: 0.0, took: Duration::ZERO })
     }
 
-    /// Adds a step; one that was skipped is only counted.
-    pub fn add(&mut self, report: &StepReport) {
+    /// Adds a step that was taken with this learning rate and took this long; one that was skipped is only counted.
+    pub fn add(&mut self, report: &StepReport, rate: f64, took: Duration) {
+        self.rate = rate;
+        self.took += took;
         if !report.is_finite() {
             self.skipped += 1;
             return;
@@ -76,15 +81,13 @@ impl Metrics {
 
     /// Writes the row of the steps up to `step`, if there were any, and begins the next. Nothing is told of a pool that was
     /// not drawn from.
-    pub fn flush(&mut self, step: u64, seconds: f64, rate: f64) -> Result<()> {
+    pub fn flush(&mut self, step: u64, seconds: f64) -> Result<()> {
         if self.used + self.skipped == 0 {
-            // What took time since the last row was no training.
-            self.since = Instant::now();
             return Ok(());
         }
-        let speed = (self.used + self.skipped) as f64 / self.since.elapsed().as_secs_f64();
+        let speed = (self.used + self.skipped) as f64 / self.took.as_secs_f64();
         let mut row = vec![step.to_string(), format!("{seconds:.1}"), format!("{speed:.3}")];
-        row.extend([format!("{rate:.6e}"), self.skipped.to_string()]);
+        row.extend([format!("{:.6e}", self.rate), self.skipped.to_string()]);
         let counts = self.drawn.iter().flat_map(|&drawn| [drawn; OF_POOL.len()]);
         let means = self.sums.iter().zip([self.used; 2].into_iter().chain(counts));
         row.extend(means.map(|(sum, count)| match count {
@@ -94,7 +97,7 @@ impl Metrics {
         self.table.push(&row)?;
         self.sums.fill(0.0);
         self.drawn.fill(0);
-        (self.used, self.skipped, self.since) = (0, 0, Instant::now());
+        (self.used, self.skipped, self.took) = (0, 0, Duration::ZERO);
         Ok(())
     }
 

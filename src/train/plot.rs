@@ -11,11 +11,12 @@ const SIZE: (usize, usize) = (1200, 900);
 
 /// Draws loss and log gradient of each pool, the gradient norm, and the validation of each scene, over the steps.
 pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -> Result<Image> {
-    let rows = metrics.rows()?;
+    let text = metrics.text()?;
     let curve = |column: &str, label: String| {
         let at = metrics.columns().iter().position(|name| name == column);
-        let points = rows.iter().filter_map(|row| Some([row[0].parse().ok()?, row[at?].parse().ok()?]));
-        Curve { label, points: points.collect() }
+        let point =
+            |row: &str| Some([row.split(',').next()?.parse().ok()?, row.split(',').nth(at?)?.parse().ok()?]);
+        Curve { label, points: metrics.rows(&text).filter_map(point).collect() }
     };
     let of_pools = |what: &str| -> Vec<Curve> {
         let pools = pools.iter().enumerate();
@@ -27,11 +28,13 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
             .collect()
     };
     let mut scenes: Vec<Curve> = Vec::new();
-    for row in validations.rows()? {
-        let (Ok(step), Ok(value)) = (row[0].parse(), row[2].parse()) else { continue };
-        match scenes.iter_mut().find(|curve| curve.label == row[1]) {
+    let text = validations.text()?;
+    for row in validations.rows(&text) {
+        let values: Vec<&str> = row.split(',').collect();
+        let (Ok(step), Ok(value)) = (values[0].parse(), values[2].parse()) else { continue };
+        match scenes.iter_mut().find(|curve| curve.label == values[1]) {
             Some(curve) => curve.points.push([step, value]),
-            None => scenes.push(Curve { label: row[1].clone(), points: vec![[step, value]] }),
+            None => scenes.push(Curve { label: values[1].into(), points: vec![[step, value]] }),
         }
     }
     let norm = vec![curve("gradient_norm", "gradient norm".into())];

@@ -57,7 +57,8 @@ impl Pool {
         &self.config
     }
 
-    /// Whether training step `step` draws from this pool. Pools that are drawn from equally seldom take turns.
+    /// Whether training step `step` draws from this pool. Pools that are drawn from equally seldom and follow each other take
+    /// turns.
     pub fn takes_part(&self, step: u64) -> bool {
         (step + self.index as u64).is_multiple_of(self.config.every)
     }

@@ -15,6 +15,8 @@ use toml::de::{DeTable, DeValue};
 
 /// The most particles in all pools: their arrays take 60 bytes each.
 const MAX_PARTICLES: usize = 1 << 28;
+/// The most cloths in all pools.
+const MAX_CLOTHS: usize = 1 << 20;
 /// Parameters of a network at most.
 const MAX_PARAMETERS: usize = 1 << 28;
 /// The largest size of a layer.
@@ -123,6 +125,16 @@ fn check(config: Config, origin: &str) -> Result<Config> {
     if particles > MAX_PARTICLES {
         let expected = format!("at most {MAX_PARTICLES} particles in all pools");
         return Err(Error::invalid(origin, "pool", expected, particles));
+    }
+    // How far each of them is goes into the header of a checkpoint.
+    let cloths: usize = config.pools.iter().map(|p| p.cloths).sum();
+    if cloths > MAX_CLOTHS {
+        return Err(Error::invalid(
+            origin,
+            "pool",
+            format!("at most {MAX_CLOTHS} cloths in all pools"),
+            cloths,
+        ));
     }
     let parameters = config.network.parameter_count();
     if parameters > MAX_PARAMETERS {

@@ -1,5 +1,6 @@
 //! What rank 0 alone measures and writes while a run goes on: means over steps, validation rollouts, the plot.
 
+use super::card::Card;
 use super::config::Config;
 use super::folder::Folder;
 use super::learner::StepReport;
@@ -9,6 +10,7 @@ use super::table::Table;
 use super::validation::{SceneScore, Validation};
 use crate::network::Weights;
 use crate::{Result, render};
+use std::time::Duration;
 
 /// Columns of `validation.csv`.
 const VALIDATION_COLUMNS: [&str; 5] = ["step", "scene", "gap", "largest_stretch", "stable"];
@@ -20,6 +22,8 @@ pub(super) struct Records {
     validations: Table,
     /// The last validation and its step.
     scores: (u64, Vec<SceneScore>),
+    /// Score of the weights that are kept as the best; none if there are none.
+    pub best: Option<f64>,
 }
 
 impl Records {
@@ -28,17 +32,18 @@ impl Records {
         let metrics = Metrics::open(folder.metrics(), &config.pools, step)?;
         let columns = VALIDATION_COLUMNS.map(str::to_owned).to_vec();
         let validations = Table::open(folder.validation(), columns, step)?;
-        Ok(Self { metrics, validation, validations, scores: (step, Vec::new()) })
+        let best = Card::validation(&folder.weights("best")).map(|scores| Validation::score(&scores));
+        Ok(Self { metrics, validation, validations, scores: (step, Vec::new()), best })
     }
 
-    /// Adds a step.
-    pub fn add(&mut self, report: &StepReport) {
-        self.metrics.add(report);
+    /// Adds a step, the learning rate it was taken with and the time it took.
+    pub fn add(&mut self, report: &StepReport, rate: f64, took: Duration) {
+        self.metrics.add(report, rate, took);
     }
 
     /// Writes the means over the steps up to `step`, if there were any since the last.
-    pub fn flush(&mut self, step: u64, seconds: f64, rate: f64) -> Result<()> {
-        self.metrics.flush(step, seconds, rate)
+    pub fn flush(&mut self, step: u64, seconds: f64) -> Result<()> {
+        self.metrics.flush(step, seconds)
     }
 
     /// Rolls the scenes out with the weights after `step` steps, and gives their score.

@@ -78,7 +78,14 @@ impl Run {
         // Before the folder: what is wrong with the configuration leaves no trace.
         Validation::new(&config.validation)?;
         let folder = if ranks.rank() == 0 { Folder::create(root, text)? } else { Folder::open(root) };
-        Self::open((config, shared(text, &*ranks)), folder, Counters::default(), (learner, ranks))
+        let text = shared(text, &*ranks);
+        // Weights are found elsewhere on another machine; those of rank 0 count.
+        let first = Config { init: config.init.clone(), ..Config::parse(&text, &folder.config())? };
+        if !ranks.all(first == config) {
+            let expected = "the same one on all ranks";
+            return Err(Error::invalid("ranks", "configuration", expected, "several"));
+        }
+        Self::open((config, text), folder, Counters::default(), (learner, ranks))
     }
 
     /// Continues the run in the folder `root`, on the learner that `learner` makes for its configuration. `given` is
@@ -168,7 +175,7 @@ impl Run {
         limits: &Limits,
         mut watch: impl FnMut(&Progress<'_>) -> ControlFlow<()>,
     ) -> Result<End> {
-        let steps = limits.steps.unwrap_or(u64::MAX).min(self.config.steps);
+        let steps = self.ranks.first(limits.steps.unwrap_or(u64::MAX)).min(self.config.steps);
         let session = Clock::new(limits.minutes.map_or(Every::Steps(u64::MAX), Every::Minutes));
         let mut validate = Clock::new(self.config.validation.every);
         let mut checkpoint = Clock::new(self.config.checkpoint);
@@ -182,33 +189,32 @@ impl Run {
             let report = self.advance()?;
             let step = self.counters.step;
             self.counters.seconds = before + session.since.elapsed().as_secs_f64();
-            self.records.iter_mut().for_each(|records| records.add(&report));
             let skipped = if report.is_finite() { 0 } else { self.counters.skipped_in_a_row + 1 };
             self.counters.skipped_in_a_row = skipped;
             if skipped >= MOST_SKIPPED {
                 break End::NonFinite;
             }
-            if step.is_multiple_of(self.config.log_every) {
-                self.flush()?;
+            if step.is_multiple_of(self.config.log_every)
+                && let Err(error) = self.flush()
+            {
+                // No step is lost; with other ranks, which wait elsewhere, all end as they are.
+                if self.ranks.count() == 1 {
+                    self.keep()?;
+                }
+                return Err(error);
             }
             let last = self.ranks.decide(step == steps || session.is_due(step));
             let validated = self.ranks.decide(last || validate.is_due(step));
-            let improved = match validated.then(|| self.validate()).transpose() {
-                Ok(improved) => improved.unwrap_or(false),
-                Err(error) => {
-                    // No step is lost; with other ranks, which wait elsewhere, all end as they are.
-                    if self.ranks.count() == 1 {
-                        self.save()?;
-                    }
-                    return Err(error);
-                }
-            };
-            if validated {
-                validate.restart();
-            }
-            if self.ranks.decide(improved || checkpoint.restart_if_due(step)) {
+            // A validation takes a while and may fail: what was computed is safe before. A state that makes steps that are
+            // not finite would push out better ones.
+            if self.ranks.decide(validated || checkpoint.is_due(step)) && skipped == 0 {
                 self.save()?;
                 saved = Some(step);
+                checkpoint.restart();
+            }
+            if validated {
+                self.validate()?;
+                validate.restart();
             }
             let records = self.records.as_ref().filter(|_| validated);
             let validation = records.map(|records| records.scores(step));
@@ -234,13 +240,15 @@ impl Run {
 
     /// One training step.
     fn advance(&mut self) -> Result<StepReport> {
+        let began = Instant::now();
         let step = self.counters.step;
         let pools = self.pools.iter().filter(|pool| pool.takes_part(step));
         let batches: Vec<Batch> = pools.map(|pool| pool.draw(step)).collect();
         let number = self.counters.updates + 1;
         // A mean over a long time begins as one over a short time, or it would remember the first weights for long.
         let average = self.config.average.min(number as f64 / (number + 9) as f64);
-        let update = Update { number, rate: self.rate(), average };
+        let rate = self.config.schedule.rate(self.config.optimizer.rate, step, self.config.steps);
+        let update = Update { number, rate, average };
         let report = self.learner.step(&batches, update, &*self.ranks)?;
         for batch in &batches {
             self.pools[batch.pool].record(batch, &report.outcomes[batch.pool]);
@@ -248,42 +256,48 @@ impl Run {
         self.pools.iter_mut().for_each(|pool| pool.rotate(step));
         self.counters.step += 1;
         self.counters.updates += u64::from(report.is_finite());
+        self.records.iter_mut().for_each(|records| records.add(&report, rate, began.elapsed()));
         Ok(report)
     }
 
-    fn rate(&self) -> f64 {
-        self.config.schedule.rate(self.config.optimizer.rate, self.counters.step, self.config.steps)
-    }
-
     fn flush(&mut self) -> Result<()> {
-        let (step, seconds, rate) = (self.counters.step, self.counters.seconds, self.rate());
-        self.records.iter_mut().try_for_each(|records| records.flush(step, seconds, rate))
+        let (step, seconds) = (self.counters.step, self.counters.seconds);
+        self.records.iter_mut().try_for_each(|records| records.flush(step, seconds))
     }
 
-    /// Rolls the scenes out; keeps the weights if they are the best so far, and tells whether they are. Only rank 0 does.
-    fn validate(&mut self) -> Result<bool> {
-        let Some(records) = &mut self.records else { return Ok(false) };
+    /// Rolls the scenes out and keeps the weights if they are the best so far. Only rank 0 does.
+    fn validate(&mut self) -> Result<()> {
+        let Some(records) = &mut self.records else { return Ok(()) };
         let score = records.validate(self.counters.step, &self.learner.averaged()?)?;
-        let improved = self.counters.best.is_none_or(|best| score < best);
-        if improved {
+        if records.best.is_none_or(|best| score < best) {
             self.write_weights("best")?;
-            self.counters.best = Some(score);
+            self.records.iter_mut().for_each(|records| records.best = Some(score));
         }
-        Ok(improved)
+        self.show()
     }
 
-    /// Writes the whole state of this rank; on rank 0 also the last weights and the plot.
+    /// Writes the whole state of this rank; on rank 0 also what is shown of it.
     fn save(&mut self) -> Result<()> {
+        self.keep()?;
         self.flush()?;
+        self.show()
+    }
+
+    /// Writes the last weights, with the validation if there was one after this step, and the plot. Only rank 0 does.
+    fn show(&self) -> Result<()> {
+        self.write_weights("last")?;
+        self.records.iter().try_for_each(|records| records.plot(&self.folder, &self.config))
+    }
+
+    /// Writes the whole state of this rank.
+    fn keep(&self) -> Result<()> {
         let pools = self.pools.iter().map(|pool| pool.slots().to_vec()).collect();
         let checkpoint = Checkpoint {
             config: self.text.clone(),
             counters: Counters { pools, ..self.counters.clone() },
             tensors: self.learner.save()?,
         };
-        self.folder.keep(&checkpoint, &*self.ranks)?;
-        self.write_weights("last")?;
-        self.records.iter().try_for_each(|records| records.plot(&self.folder, &self.config))
+        self.folder.keep(&checkpoint, &*self.ranks)
     }
 
     fn write_weights(&self, name: &str) -> Result<()> {
@@ -331,15 +345,6 @@ impl Clock {
             Every::Steps(steps) => step > 0 && step.is_multiple_of(steps),
             Every::Minutes(minutes) => self.since.elapsed().as_secs_f64() >= 60.0 * minutes,
         }
-    }
-
-    /// [`Clock::is_due`]; if so, the time begins anew.
-    fn restart_if_due(&mut self, step: u64) -> bool {
-        let due = self.is_due(step);
-        if due {
-            self.restart();
-        }
-        due
     }
 
     /// Begins the time anew.

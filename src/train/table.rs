@@ -16,15 +16,12 @@ impl Table {
     /// are given up.
     pub fn open(path: PathBuf, columns: Vec<String>, step: u64) -> Result<Self> {
         let table = Self { path, columns };
-        let is_kept = |row: &Vec<String>| row[0].parse().is_ok_and(|at: u64| at <= step);
-        let kept: Vec<Vec<String>> = if table.path.exists() {
-            table.rows()?.into_iter().filter(is_kept).collect()
-        } else {
-            Vec::new()
-        };
+        let text = if table.path.exists() { table.text()? } else { String::new() };
+        let is_kept =
+            |row: &&str| row.split(',').next().is_some_and(|at| at.parse().is_ok_and(|at: u64| at <= step));
         io::write_atomic(&table.path, |file| {
             writeln!(file, "{}", table.columns.join(","))?;
-            kept.iter().try_for_each(|row| writeln!(file, "{}", row.join(",")))
+            table.rows(&text).filter(is_kept).try_for_each(|row| writeln!(file, "{row}"))
         })?;
         Ok(table)
     }
@@ -33,8 +30,13 @@ impl Table {
     pub fn push(&self, row: &[String]) -> Result<()> {
         assert_eq!(row.len(), self.columns.len(), "a row has every column");
         let append = || {
-            let mut file = std::fs::OpenOptions::new().append(true).open(&self.path)?;
-            file.write_all(format!("{}\n", row.join(",")).as_bytes())
+            // A file that was taken away begins anew.
+            let mut file = std::fs::OpenOptions::new().create(true).append(true).open(&self.path)?;
+            let titles = match file.metadata()?.len() {
+                0 => format!("{}\n", self.columns.join(",")),
+                _ => String::new(),
+            };
+            file.write_all(format!("{titles}{}\n", row.join(",")).as_bytes())
         };
         append().map_err(|e| Error::io(&self.path, "cannot write", e))
     }
@@ -44,12 +46,15 @@ impl Table {
         &self.columns
     }
 
-    /// All whole rows of a file with these columns.
-    pub fn rows(&self) -> Result<Vec<Vec<String>>> {
-        let bytes = io::read_bytes(&self.path)?;
-        let text = String::from_utf8_lossy(&bytes);
-        let mut lines = text.lines().map(|line| line.split(',').map(str::to_owned).collect::<Vec<_>>());
-        let same = lines.next().is_some_and(|columns| columns == self.columns);
-        Ok(if same { lines.filter(|row| row.len() == self.columns.len()).collect() } else { Vec::new() })
+    /// What the file holds.
+    pub fn text(&self) -> Result<String> {
+        Ok(String::from_utf8_lossy(&io::read_bytes(&self.path)?).into_owned())
+    }
+
+    /// All whole rows of a file with these columns, commas between the values.
+    pub fn rows<'a>(&self, text: &'a str) -> impl Iterator<Item = &'a str> {
+        let (titles, count) = (self.columns.join(","), self.columns.len());
+        let same = text.lines().next() == Some(&titles);
+        text.lines().skip(1).filter(move |row| same && row.split(',').count() == count)
     }
 }

@@ -32,7 +32,7 @@ struct Judged {
 }
 
 /// How weights did in one scene.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SceneScore {
     /// Name of the scene, such as `hanging 64x64`.
     pub scene: String,

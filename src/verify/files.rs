@@ -327,7 +327,11 @@ impl Checker<'_> {
             let mut rounding = 0.0_f64;
             let frame = |(k, expected): (usize, &[f64])| {
                 rounding = rounding.max(largest_error(part(&exact[k]), part(&rounded[k])));
-                let tolerance = (ROLLOUT_FIRST * DRIFT.powi(k as i32)).max(case.iterations as f64 * rounding);
+                // Where the exact rollout is no number there is nothing to agree with.
+                let tolerance = match rounding.is_finite() {
+                    true => (ROLLOUT_FIRST * DRIFT.powi(k as i32)).max(case.iterations as f64 * rounding),
+                    false => f64::NAN,
+                };
                 (k + 1, largest_error(expected, part(&found[k])), tolerance)
             };
             // One line for the array: the frame that comes closest to its tolerance.

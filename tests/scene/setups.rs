@@ -196,3 +196,18 @@ fn placements_are_inside_every_grid() {
         }
     }
 }
+
+#[test]
+fn listed_handles_that_come_to_one_particle_are_one_unless_a_recording_moves_them() {
+    let row = |h: usize| (0..h).map(|i| [i, 0]).collect::<Vec<_>>();
+    let mut scene = Scene { handles: Handles::Cells(row(32)), ..Scene::default() };
+    scene.regrid(Grid { h: 16, w: 16 }).unwrap();
+    assert_eq!(scene.handles, Handles::Cells(row(16)));
+    assert_eq!(scene.setup().unwrap().model.cloths[0].handles.len(), 16);
+    let rows = vec![vec![[0.0; 3]; 32]; 2];
+    let mut scene =
+        Scene { handles: Handles::Cells(row(32)), motion: Motion::Rows(rows), ..Scene::default() };
+    scene.regrid(Grid { h: 16, w: 16 }).unwrap();
+    let error = scene.setup().unwrap_err().to_string();
+    assert!(error.contains("not yet listed"), "{error}");
+}

@@ -88,6 +88,7 @@ fn bad_configurations_are_refused_by_field() {
         ("[[pool]]\niterations = 0", &["pool[0].iterations", "found 0"]),
         ("[[pool]]\nmaterial = { bend = [10, 0.01] }", &["pool[0].material.bend", "[smallest, largest]"]),
         ("[[pool]]\nmaterial = { bend = [-1, 1] }", &["pool[0].material.bend", "above 0"]),
+        ("[[pool]]\ngrid = [8, 8]\ncloths = 2_000_000", &["pool", "at most 1048576 cloths"]),
         ("[[pool]]\ngrid = [4000, 4000]", &["pool", "particles in all pools"]),
         ("[optimizer]\nrate = -1", &["optimizer.rate", "above 0", "-1"]),
         ("[optimizer]\nrate = nan", &["optimizer.rate", "finite"]),

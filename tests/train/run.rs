@@ -142,8 +142,6 @@ fn a_resumed_run_has_the_bits_of_an_unbroken_one() {
         let (_, header) = safetensors::SafeTensors::read_metadata(&bytes).unwrap();
         let counters = header.metadata().as_ref().unwrap()["counters"].clone();
         let mut counters: serde_json::Value = serde_json::from_str(&counters).unwrap();
-        // Sessions end with a validation, which may find other weights the best.
-        counters["best"] = 0.into();
         counters["seconds"] = 0.into();
         (tensors, counters)
     };
@@ -228,6 +226,10 @@ fn steps_that_are_not_finite_are_skipped_and_ten_in_a_row_end_the_run() {
     });
     assert_eq!((end.unwrap(), run.step(), run.skipped()), (End::NonFinite, 12, 10));
     assert!(Some(last()) == good, "the weights are not those of the last good step");
+    // Nor is what to resume from.
+    let names: Vec<_> =
+        checkpoints(folder.path()).iter().map(|p| p.file_name().unwrap().to_owned()).collect();
+    assert_eq!(names, ["step-00000002.safetensors"]);
 }
 
 #[test]
@@ -296,6 +298,45 @@ fn no_step_is_lost_where_validation_fails() {
     assert!(error.contains("best.safetensors"), "{error}");
     drop(run);
     assert_eq!(resume(folder.path()).unwrap().0.step(), 4);
+}
+
+#[test]
+fn no_step_is_lost_where_metrics_cannot_be_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = fresh(folder.path());
+    let metrics = folder.path().join("metrics.csv");
+    std::fs::remove_file(&metrics).unwrap();
+    train(&mut run, 1);
+    // A file that was taken away begins anew; a folder in its place ends the session after the next row.
+    assert!(lines(metrics.clone())[0].starts_with("step,") && lines(metrics.clone())[1].starts_with("1,"));
+    std::fs::remove_file(&metrics).unwrap();
+    std::fs::create_dir(&metrics).unwrap();
+    let error = run.train(&Limits::default(), |_| ControlFlow::Continue(())).unwrap_err().to_string();
+    assert!(error.contains("metrics.csv"), "{error}");
+    drop(run);
+    std::fs::remove_dir(&metrics).unwrap();
+    assert_eq!(resume(folder.path()).unwrap().0.step(), 2);
+}
+
+#[test]
+fn the_best_weights_are_those_that_the_folder_holds() {
+    let folder = tempfile::tempdir().unwrap();
+    train(&mut fresh(folder.path()), 2);
+    let best = folder.path().join("weights/best.json");
+    let card = std::fs::read_to_string(&best).unwrap();
+    let mut card: serde_json::Value = serde_json::from_str(&card).unwrap();
+    // Better than any: they stay.
+    for scene in card["validation"].as_array_mut().unwrap() {
+        (scene["gap"], scene["stable"], scene["largest_stretch"]) = (0.into(), true.into(), 0.1.into());
+    }
+    let kept = serde_json::to_string(&card).unwrap();
+    std::fs::write(&best, &kept).unwrap();
+    train(&mut resume(folder.path()).unwrap().0, 4);
+    assert_eq!(std::fs::read_to_string(&best).unwrap(), kept);
+    // Without them the next are.
+    std::fs::remove_file(folder.path().join("weights/best.safetensors")).unwrap();
+    train(&mut resume(folder.path()).unwrap().0, 6);
+    assert_ne!(std::fs::read_to_string(&best).unwrap(), kept);
 }
 
 #[test]

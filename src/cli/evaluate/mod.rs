@@ -7,8 +7,8 @@ mod suite;
 use super::device::InferenceArgs;
 use super::output::{output, tell};
 use super::{
-    Ending, MOST_ITERATIONS, MOST_POINTS, go_on, grids, interrupt_flag, load_weights, material,
-    writable_file, writable_folder,
+    Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, go_on, grids, interrupt_flag, load_weights,
+    material, sequences, writable_file, writable_folder,
 };
 use anyhow::Result;
 use fnopt::Error;
@@ -35,7 +35,7 @@ const STDOUT: &str = "-";
 pub struct Args {
     /// Folder of sequences, each a folder with cloth_pos.npy and, where there are such, meta.json (what is told of the cloth),
     /// handles.npy, start.npy, and mesh.obj where the vertices are no grid
-    #[arg(long, default_value = "assets/ground_truth", value_name = "DIR")]
+    #[arg(long, default_value = SHIPPED_SEQUENCES, value_name = "DIR")]
     ground_truth: PathBuf,
     /// Sequences, or cases of a suite, to take part [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
@@ -134,7 +134,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     if let Some(name) = &args.suite {
         return args.run_suite(Suite::named(name, "--suite")?, entries, &grids);
     }
-    let sequences = Sequence::load_all(&args.ground_truth, args.sequences.as_deref())?;
+    let sequences = sequences(&args.ground_truth, args.sequences.as_deref())?;
     let (index, count) = args.shard()?;
     // Others' trajectories first: what is wrong with them is then said before the work, not after it.
     let mut systems = Vec::new();
