@@ -232,14 +232,7 @@ impl Run<'_> {
     fn write_replay(&self) -> fnopt::Result<PathBuf> {
         let mut last = Trajectory::new(self.trajectory.grid(), self.trajectory.fps());
         let frame = self.trajectory.frames() - 1;
-        let velocities: Vec<[f32; 3]> = self
-            .trajectory
-            .velocities()
-            .outer_iter()
-            .nth(frame)
-            .map(|v| v.outer_iter().map(|p| [p[0], p[1], p[2]]).collect())
-            .unwrap_or_default();
-        last.push(self.trajectory.frame(frame), &velocities);
+        last.push(self.trajectory.frame(frame), self.trajectory.frame_velocities(frame));
         last.write(&self.args.out, REPLAY, Format::Npz)
     }
 

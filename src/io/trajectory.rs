@@ -96,6 +96,12 @@ impl Trajectory {
         &self.positions[frame * vertices..][..vertices]
     }
 
+    /// Velocities of one frame [m/s], shape [V, 3].
+    pub fn frame_velocities(&self, frame: usize) -> &[[f32; 3]] {
+        let vertices = self.grid.particles();
+        &self.velocities[frame * vertices..][..vertices]
+    }
+
     /// Positions \[m\], shape [F, V, 3].
     pub fn positions(&self) -> ArrayView3<'_, f32> {
         self.view(&self.positions)

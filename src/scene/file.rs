@@ -230,7 +230,7 @@ fn read_start(node: &Node, folder: &Path) -> Result<Start> {
             grid: node.get_or("grid", None, |n| read_grid(n).map(Some))?,
             transform: node.get_or("transform", None, |n| read_transform(n).map(Some))?,
         })),
-        _ => Err(file.invalid("the path of an .obj or .npy file")),
+        _ => Err(file.invalid("the path of an .obj, .npy or .npz file")),
     }
 }
 

@@ -34,7 +34,7 @@
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
 //! | `frame_time_s` | time of a frame | s | `1/60` |
 //! | `frames` | number of frames, the start included | | as many as the motion takes; 391 without a motion |
-//! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj` or `.npy`, `{"file", "grid", "transform"}`, or the positions themselves, `{"vertices": [[x, y, z], ..], "grid"}` | m | `"settled"` |
+//! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj`, `.npy` or `.npz`, `{"file", "grid", "transform"}`, or the positions themselves, `{"vertices": [[x, y, z], ..], "grid"}` | m | `"settled"` |
 //! | `handles` | a placement, pairs `[[i, j], ..]`, or vertex numbers `[k, ..]` with `k = i W + j` | | `"corners"` |
 //! | `motion` | a built-in name, `"none"`, the path of a `.npy`, or the positions themselves, `[[[x, y, z], ..], ..]`: for each frame time those of all handles | m | `"xy_v2"` |
 //! | `speed` | how many times faster the motion is played | | `1` |
@@ -48,10 +48,11 @@
 //! particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up. `hanging` is a vertical plane whose upper edge, j = 0, is
 //! `(0, 0.5, z)` times the side. An OBJ has vertex `i W + j` for particle (i, j), and its faces, if it has any, cover each
 //! cell by two triangles or one quadrilateral. A `.npy` (`f2`, `f4` or `f8`) has shape [H, W, 3] or [H W, 3], or
-//! that of a trajectory, [frames, H W, 3], whose first frame is taken.
+//! that of a trajectory, [frames, H W, 3], whose first frame is taken. Of a `.npz` as a rollout writes it (`rollout.npz`, `replay.npz`)
+//! it is the last frame, with its velocities, so that a run goes on from there.
 //! `grid` is the file's own grid where it is not the scene's: the sheet is then resampled. `transform` is applied to the
 //! file's positions: a 4x4 or 3x4 matrix in rows, a translation `[x, y, z]`, or
-//! `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}` in this order. Velocities are zero.
+//! `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}` in this order. Velocities are zero but for a `.npz`.
 //!
 //! **Handles.** Placements, h0 first: `corners` (H-1, 0), (0, 0); `diagonal` (H-1, W-1), (0, 0); `mid-edge` (H-1, W/2),
 //! (0, W/2); `corner-center` (H-1, 0), (H/2, W/2); `single-mid-edge` (H/2, 0); `single-center` (H/2, W/2);
@@ -211,7 +212,7 @@ pub struct Scene {
     pub frame_time_s: f64,
     /// Number of frames, the start included; none for as many as the motion takes.
     pub frames: Option<usize>,
-    /// Where the cloth starts, at rest.
+    /// Where the cloth starts.
     pub start: Start,
     /// The particles whose positions are given.
     pub handles: Handles,

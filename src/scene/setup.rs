@@ -142,7 +142,7 @@ impl Scene {
         let units = self.check()?;
         let grid = self.grid;
         let particles = self.handles.on(grid, &self.origin)?;
-        let mut points = self.start.on(grid, &units, self.up)?;
+        let [mut points, velocities] = self.start.on(grid, &units, self.up)?;
         let at_start: Vec<[f64; 3]> = particles.iter().map(|&p| points[p]).collect();
         let handles = self.trajectory(&units, &at_start)?;
         // A recording's first row is where the handles are at the start; for a built-in motion this changes nothing.
@@ -162,9 +162,8 @@ impl Scene {
             air: units.air(self.wind.density, self.wind.drag),
             handles: particles,
         };
-        let x = field(&points);
         let setup = Setup {
-            start: State { v: vec![0.0; x.len()], x },
+            start: State { x: field(&points), v: field(&velocities) },
             model: Model { grid, cloths: vec![cloth] },
             handles,
             wind: units.velocity(self.up.to_z_up(self.wind.velocity)),
@@ -250,7 +249,10 @@ impl Scene {
             ("material", material.into_iter().all(single)),
             ("gravity", cloth.gravity.into_iter().all(single)),
             ("wind", wind.into_iter().all(single)),
-            ("start", setup.start.x.iter().chain(start.as_flattened()).all(|&v| single(v))),
+            (
+                "start",
+                setup.start.x.iter().chain(&setup.start.v).chain(start.as_flattened()).all(|&v| single(v)),
+            ),
             ("motion", setup.handles.iter().flatten().flatten().all(|&v| single(v))),
         ];
         match fields.iter().find(|(_, finite)| !finite) {
@@ -275,7 +277,9 @@ impl Scene {
         // A recording has a row for each handle.
         let recorded = matches!(self.motion, Motion::File(_) | Motion::Rows(_));
         self.handles = Handles::regrid(&self.handles, old, grid, !recorded);
-        if let super::Start::File(file) = &mut self.start {
+        if let super::Start::File(file) = &mut self.start
+            && !file.is_trajectory()
+        {
             file.grid.get_or_insert(old);
         }
         self.grid = grid;

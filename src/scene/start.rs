@@ -1,10 +1,10 @@
-//! Where the cloth is at frame 0, at rest.
+//! Where the cloth is at frame 0, and how it moves.
 
 use super::obj::Mesh;
 use super::points;
 use super::surface::Surface;
 use super::units::{Units, UpAxis};
-use crate::io::Node;
+use crate::io::{Node, ReadOptions, Trajectory};
 use crate::sim::Grid;
 use crate::{Error, Result, io};
 use std::path::{Path, PathBuf};
@@ -16,15 +16,16 @@ pub type Transform = [[f64; 4]; 3];
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartFile {
     /// An OBJ file, vertex `i W + j` being particle (i, j), or a `.npy` of shape [H, W, 3] or [H W, 3], or of a trajectory
-    /// [frames, H W, 3], whose first frame is taken; the scene's axes \[m\].
+    /// [frames, H W, 3], whose first frame is taken; the scene's axes \[m\]. Or a `.npz` of a trajectory, as a rollout writes it:
+    /// its last frame with the velocities there, so that another run goes on from it.
     pub path: PathBuf,
-    /// The grid of the file; none for the scene's. Where they differ the sheet is resampled.
+    /// The grid of the file; none for the scene's, or that of the faces in a `.npz`. Where they differ the sheet is resampled.
     pub grid: Option<Grid>,
     /// What is applied to the file's positions.
     pub transform: Option<Transform>,
 }
 
-/// The start state of a scene. Velocities are zero.
+/// The start state of a scene. Velocities are zero but for those in a `.npz`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Start {
     /// `settled`: a drape that hangs from its corners (H-1, 0) and (0, 0), which are 0.9 of the side apart.
@@ -46,12 +47,12 @@ const NAMES: [&str; 3] = ["settled", "flat", "hanging"];
 
 fn is_file(text: &str) -> bool {
     let text = text.to_ascii_lowercase();
-    text.ends_with(".obj") || text.ends_with(".npy")
+    [".obj", ".npy", ".npz"].iter().any(|ending| text.ends_with(ending))
 }
 
 impl Start {
-    /// The start state that a text names: a built-in one, or the path of an `.obj` or `.npy` file, taken relative to
-    /// `folder`. `origin` is the file or option that gave the text.
+    /// The start state that a text names: a built-in one, or the path of an `.obj`, `.npy` or `.npz` file, taken
+    /// relative to `folder`. `origin` is the file or option that gave the text.
     pub fn parse(text: &str, origin: &str, folder: &Path) -> Result<Self> {
         match text {
             "settled" => Ok(Start::Settled),
@@ -61,7 +62,7 @@ impl Start {
                 Ok(Start::File(StartFile { path: folder.join(text), grid: None, transform: None }))
             }
             _ => {
-                let known = NAMES.iter().copied().chain(["FILE.obj", "FILE.npy"]);
+                let known = NAMES.iter().copied().chain(["FILE.obj", "FILE.npy", "FILE.npz"]);
                 Err(Error::unknown(origin, "start state", text, known))
             }
         }
@@ -77,36 +78,56 @@ impl Start {
         }
     }
 
-    /// Positions of the particles of `grid`, in the order of their numbers; grid units, z up.
-    pub(super) fn on(&self, grid: Grid, units: &Units, up: UpAxis) -> Result<Vec<[f64; 3]>> {
-        match self {
+    /// Positions and velocities of the particles of `grid`, in the order of their numbers; grid units, z up.
+    pub(super) fn on(&self, grid: Grid, units: &Units, up: UpAxis) -> Result<[Vec<[f64; 3]>; 2]> {
+        let points = match self {
             Start::Settled => {
                 // Stored for a height of 1 m, which is H - 1 edges.
                 let edges = |p: [f64; 3]| UpAxis::Y.to_z_up(p).map(|c| c * (grid.h - 1) as f64);
-                Ok(Surface::settled(grid)?.points.into_iter().map(edges).collect())
+                Surface::settled(grid)?.points.into_iter().map(edges).collect()
             }
-            Start::Flat => Ok((0..grid.particles()).map(|p| grid.rest(p)).collect()),
+            Start::Flat => (0..grid.particles()).map(|p| grid.rest(p)).collect(),
             // In the axes of the drape: with y up, i runs along +z and the upper edge is half a side above the origin.
             Start::Hanging => {
                 let half = (grid.h - 1) as f64 / 2.0;
                 let upright = |p: usize| [0.0, half - (p / grid.w) as f64, half - (p % grid.w) as f64];
-                Ok((0..grid.particles()).map(upright).collect())
+                (0..grid.particles()).map(upright).collect()
             }
             Start::File(file) => {
-                let inside = |p: [f64; 3]| units.position(up.to_z_up(file.transformed(p)));
-                Ok(file.read(grid)?.regrid(grid).points.into_iter().map(inside).collect())
+                let (sheet, velocities) = file.read(grid)?;
+                let inside = |p: [f64; 3]| units.position(up.to_z_up(file.transformed(p, 1.0)));
+                let points: Vec<[f64; 3]> = sheet.regrid(grid).points.into_iter().map(inside).collect();
+                if let Some(velocities) = velocities {
+                    let inside = |v: [f64; 3]| units.velocity(up.to_z_up(file.transformed(v, 0.0)));
+                    return Ok([points, velocities.regrid(grid).points.into_iter().map(inside).collect()]);
+                }
+                points
             }
             Start::Vertices(of, points) => {
                 let sheet = Surface { grid: *of, points: points.clone() }.regrid(grid);
-                Ok(sheet.points.into_iter().map(|p| units.position(up.to_z_up(p))).collect())
+                sheet.points.into_iter().map(|p| units.position(up.to_z_up(p))).collect()
             }
-        }
+        };
+        let still = vec![[0.0; 3]; points.len()];
+        Ok([points, still])
     }
 }
 
 impl StartFile {
-    /// The sheet in the file, on its own grid, before the transform.
-    fn read(&self, scene_grid: Grid) -> Result<Surface> {
+    /// The sheet in the file, on its own grid, before the transform, and its velocities [m/s] where it has some.
+    fn read(&self, scene_grid: Grid) -> Result<(Surface, Option<Surface>)> {
+        if self.is_trajectory() {
+            let trajectory =
+                Trajectory::read(&self.path, &ReadOptions { grid: self.grid, ..Default::default() })?;
+            let Grid { h, w } = trajectory.grid();
+            let grid = Grid::new(h, w, &self.path.display().to_string())?;
+            let last = trajectory.frames() - 1;
+            let sheet = |points: &[[f32; 3]]| Surface {
+                grid,
+                points: points.iter().map(|p| p.map(f64::from)).collect(),
+            };
+            return Ok((sheet(trajectory.frame(last)), Some(sheet(trajectory.frame_velocities(last)))));
+        }
         let grid = self.grid.unwrap_or(scene_grid);
         let origin = self.path.display().to_string();
         let points = match self.path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase) {
@@ -127,13 +148,19 @@ impl StartFile {
                 points.truncate(n);
                 points
             }
-            _ => return Err(Error::invalid(origin, "start", "an .obj or .npy file", "another ending")),
+            _ => return Err(Error::invalid(origin, "start", "an .obj, .npy or .npz file", "another ending")),
         };
-        Ok(Surface { grid, points })
+        Ok((Surface { grid, points }, None))
     }
 
-    fn transformed(&self, p: [f64; 3]) -> [f64; 3] {
-        let row = |r: [f64; 4]| r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + r[3];
+    /// Whether it is a trajectory that knows its grid and its velocities.
+    pub(super) fn is_trajectory(&self) -> bool {
+        self.path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz"))
+    }
+
+    /// A position (`weight` 1) or a velocity (0) after the transform.
+    fn transformed(&self, p: [f64; 3], weight: f64) -> [f64; 3] {
+        let row = |r: [f64; 4]| r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + weight * r[3];
         self.transform.map_or(p, |t| t.map(row))
     }
 }

@@ -1,6 +1,7 @@
 //! What a scene makes: starts, grids, handles, motions and batches of them.
 
 use crate::common::{assets, distance, edges, expect_refusal, mean, parse, read};
+use fnopt::io::{Format, Trajectory};
 use fnopt::scene::{Handles, Mass, Motion, Placement, Scene, Setup, Start, Stiffness, UpAxis};
 use fnopt::sim::{Grid, Material};
 
@@ -210,4 +211,44 @@ fn listed_handles_that_come_to_one_particle_are_one_unless_a_recording_moves_the
     scene.regrid(Grid { h: 16, w: 16 }).unwrap();
     let error = scene.setup().unwrap_err().to_string();
     assert!(error.contains("not yet listed"), "{error}");
+}
+
+#[test]
+fn a_run_goes_on_from_where_another_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    let grid = Grid { h: 12, w: 17 };
+    let mut scene = Scene { motion: Motion::Still, ..Scene::default() };
+    scene.regrid(grid).unwrap();
+    let setup = scene.setup().unwrap();
+    let single = |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
+    let still = vec![[0.0; 3]; grid.particles()];
+    // It falls and is carried along.
+    let speed = |p: usize| [0.25, -1.0, p as f32 / 64.0];
+    let moving: Vec<_> = (0..grid.particles()).map(speed).collect();
+    let mut trajectory = Trajectory::new(grid, 60.0);
+    trajectory.push(&still, &still);
+    trajectory.push(&single(setup.vertices_m(&setup.start.x)), &moving);
+    trajectory.write(folder.path(), "rollout", Format::Npz).unwrap();
+    let path = folder.path().join("rollout.npz").display().to_string().replace('\\', "/");
+    let text = |start: &str| format!(r#"{{"grid": [12, 17], "motion": "none", "start": {start}}}"#);
+    let next = parse(&text(&format!("{path:?}"))).unwrap().setup().unwrap();
+    let apart =
+        next.start.x.iter().zip(&setup.start.x).fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
+    assert!(apart < 1e-5, "{apart} edges");
+    assert_eq!(single(next.velocities_m_s(&next.start.v)), moving);
+    // Turned about y by a quarter, velocities too, but not shifted.
+    let turned = text(&format!(
+        r#"{{"file": {path:?}, "transform": {{"rotate": [90, 0, 1, 0], "translate": [5, 0, 0]}}}}"#
+    ));
+    let turned = parse(&turned).unwrap().setup().unwrap();
+    for (found, p) in turned.velocities_m_s(&turned.start.v).into_iter().zip(&moving) {
+        let expected = [p[2], p[1], -p[0]].map(f64::from);
+        assert!(distance(found, expected) < 1e-9, "{found:?}, not {expected:?}");
+    }
+    // On a grid of its own it is resampled.
+    let mut finer = parse(&text(&format!("{path:?}"))).unwrap();
+    finer.regrid(Grid { h: 23, w: 33 }).unwrap();
+    let finer = finer.setup().unwrap();
+    let falls = finer.velocities_m_s(&finer.start.v).iter().all(|v| (v[1] + 1.0).abs() < 1e-6);
+    assert!(falls && finer.start.x.len() == 3 * 23 * 33);
 }
