@@ -10,7 +10,7 @@ struct Params {
     rows: u32, // H
     columns: u32, // W
     groups: u32,
-    pad: u32,
+    zero: u32, // 0
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -29,13 +29,12 @@ var<workgroup> others: array<vec4f, 64>; // external, largest stretch, sum of |s
 var<private> x0: vec3f;
 var<private> shift0: vec3f;
 
-// Where particle (i, j) is, seen from the particle of this invocation (x0, shift0). Differences of neighbouring
-// coordinates are exact or nearly so; absolute positions would round the stiff edges by the size of the coordinates.
+// Where particle (i, j) is, seen from the particle of this invocation (x0, shift0).
 fn position(b: u32, i: u32, j: u32) -> vec3f {
     let n = params.rows * params.columns;
     let at = b * 3u * n + i * params.columns + j;
     let way = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
-    return (vec3f(x[at], x[at + n], x[at + 2u * n]) - x0) + (way - shift0);
+    return offset(vec3f(x[at], x[at + n], x[at + 2u * n]), x0, way, shift0, params.zero);
 }
 
 fn squared_angle(u: vec3f, w: vec3f, rest: f32) -> f32 {

@@ -9,8 +9,8 @@
 struct Params {
     rows: u32, // H
     columns: u32, // W
-    pad0: u32,
-    pad1: u32,
+    zero: u32, // 0
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -27,13 +27,12 @@ const RIGHT_ANGLE: f32 = 1.5707963267948966;
 var<private> x0: vec3f;
 var<private> shift0: vec3f;
 
-// Where particle (i, j) is, seen from the particle of this invocation (x0, shift0). Differences of neighbouring
-// coordinates are exact or nearly so; absolute positions would round the stiff edges by the size of the coordinates.
+// Where particle (i, j) is, seen from the particle of this invocation (x0, shift0).
 fn position(b: u32, i: i32, j: i32) -> vec3f {
     let n = params.rows * params.columns;
     let at = b * 3u * n + u32(i) * params.columns + u32(j);
     let way = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
-    return (vec3f(x[at], x[at + n], x[at + 2u * n]) - x0) + (way - shift0);
+    return offset(vec3f(x[at], x[at + n], x[at + 2u * n]), x0, way, shift0, params.zero);
 }
 
 fn inside(i: i32, j: i32) -> bool {

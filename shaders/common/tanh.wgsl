@@ -12,5 +12,6 @@ fn tanh_exact(x: vec4f) -> vec4f {
     let near = x + x * u * p;
     // The exponent is bounded: at 20 the result is 1 already, and some drivers do not return from infinity.
     let far = 1.0 - 2.0 / (exp(2.0 * min(abs(x), vec4f(20.0))) + 1.0);
-    return select(sign(x) * far, near, abs(x) < vec4f(0.65));
+    // What is no number stays so: it is near by the first comparison that is false for it.
+    return select(near, sign(x) * far, abs(x) >= vec4f(0.65));
 }

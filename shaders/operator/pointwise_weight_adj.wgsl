@@ -37,8 +37,9 @@ fn pointwise_weight_adj(
 ) {
     let across = (params.inputs + 31u) / 32u;
     // What this invocation loads: four channels of one quad of positions; what it sums: quads `out_quad` and `in_quad`.
-    let channels = lane / 8u;
-    let quad = lane % 8u;
+    // Neighbouring invocations load other channels, so that they store side by side.
+    let channels = lane % 8u;
+    let quad = lane / 8u;
     let out_quad = group.x / across * 8u + lane / 8u;
     let in_quad = group.x % across * 8u + lane % 8u;
     let x_channel = group.x % across * 32u + 4u * channels;

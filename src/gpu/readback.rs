@@ -73,10 +73,11 @@ impl Readback {
 
     /// What `read` makes of the bytes of the oldest result, waiting for it if need be; `None` when nothing is under way.
     pub fn next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
-        let Some((slot, mapped, submission)) = self.under_way.pop_front() else { return Ok(None) };
+        let Some((_, _, submission)) = self.under_way.front() else { return Ok(None) };
         // Wait for this submission and no longer: later ones may still be computing.
-        let poll = wgpu::PollType::Wait { submission_index: Some(submission), timeout: None };
+        let poll = wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: None };
         context.poll(poll)?;
+        let (slot, mapped, _) = self.under_way.pop_front().expect("the oldest is there");
         self.take(context, slot, pollster::block_on(mapped), read).map(Some)
     }
 
@@ -89,7 +90,7 @@ impl Readback {
         self.take(context, slot, mapping, read).map(Some)
     }
 
-    /// What `read` makes of a slot that was mapped, which is free then.
+    /// What `read` makes of a slot that was mapped. The slot is free then, whatever comes of it.
     fn take<T>(
         &mut self,
         context: &Context,
@@ -97,13 +98,15 @@ impl Readback {
         mapping: Result<Mapping, Canceled>,
         read: impl FnOnce(&[u8]) -> T,
     ) -> Result<T> {
-        let lost = |e: String| Error::Lost(format!("{}: cannot read back: {e}", context.name()));
-        mapping.map_err(|e| lost(e.to_string()))?.map_err(|e| lost(e.to_string()))?;
-        let view = slot.get_mapped_range(..).map_err(|e| lost(e.to_string()))?;
-        let made = read(&view[..self.bytes as usize]);
-        drop(view);
-        slot.unmap();
+        let mapped = mapping.map_err(|e| e.to_string()).and_then(|mapped| mapped.map_err(|e| e.to_string()));
+        let made = mapped.and_then(|()| {
+            let view = slot.get_mapped_range(..).map_err(|e| e.to_string())?;
+            let made = read(&view[..self.bytes as usize]);
+            drop(view);
+            slot.unmap();
+            Ok(made)
+        });
         self.free.push(slot);
-        Ok(made)
+        made.map_err(|e| Error::Lost(format!("{}: cannot read back: {e}", context.name())))
     }
 }

@@ -92,7 +92,12 @@ impl Tuning {
 
     /// The tunings that differ from this one in one respect and work on the adapter, by respect.
     pub fn neighbours(&self, context: &Context) -> Vec<Vec<Self>> {
-        let channels = [4, 8, 16, 32].map(|channels| Self { channels, ..*self });
+        // With as many channels to a workgroup as before, too: where it has fewer, what it stages serves less.
+        let channels = [4, 8, 16, 32].map(|channels| {
+            let block_deep = (self.channels * self.block_deep as usize / channels).clamp(1, 16) as u32;
+            [Self { channels, ..*self }, Self { channels, block_deep, ..*self }]
+        });
+        let channels = channels.as_flattened();
         let groups = [32, 64, 128, 256].map(|pointwise_group| Self { pointwise_group, ..*self });
         let shapes = [(8, 8), (16, 4), (16, 8), (32, 1), (32, 4), (64, 1)];
         let shapes = shapes.map(|(block_wide, block_high)| Self { block_wide, block_high, ..*self });
@@ -113,7 +118,7 @@ impl Tuning {
             found
         };
         vec![
-            others(&channels),
+            others(channels),
             others(&depths),
             others(&staged),
             others(&shapes),

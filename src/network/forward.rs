@@ -15,7 +15,7 @@ use crate::{Error, Result};
 /// The network on a device, for some samples of one grid: [`Forward::embedded`] in, [`Forward::field`] and
 /// [`Forward::scalar`] out.
 ///
-/// Inside, rows are padded to quads of columns ([`padded`]); the padding holds finite numbers that nothing reads.
+/// Inside, rows are padded to quads of columns ([`padded`]); the padding holds numbers that count as nothing, and must be finite.
 #[derive(Debug)]
 pub struct Forward {
     pub(super) config: Config,

@@ -11,7 +11,7 @@ use crate::sim::Grid;
 pub const SOURCE: Source = Source {
     name: "energy",
     wgsl: include_str!("../../../shaders/cloth/energy.wgsl"),
-    common: &[common::CLOTH, common::ANGLE],
+    common: &[common::CLOTH, common::ANGLE, common::OFFSET],
 };
 
 #[repr(C)]
@@ -20,7 +20,7 @@ struct Params {
     rows: u32,
     columns: u32,
     groups: u32,
-    pad: u32,
+    zero: u32,
 }
 
 /// Energy terms, summed over workgroups.
@@ -55,7 +55,7 @@ impl Energy {
         let batch = physics.batch(grid, iterate);
         let groups = self::parts(grid);
         assert_eq!(parts.shape(), [batch, groups, 8]);
-        let params = Params { rows: size(grid.h), columns: size(grid.w), groups: size(groups), pad: 0 };
+        let params = Params { rows: size(grid.h), columns: size(grid.w), groups: size(groups), zero: 0 };
         let tensors = [cloths, external, &iterate.a, x, &iterate.shift, parts];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
     }

@@ -11,7 +11,7 @@ use crate::sim::Grid;
 pub const SOURCE: Source = Source {
     name: "gradient",
     wgsl: include_str!("../../../shaders/cloth/gradient.wgsl"),
-    common: &[common::CLOTH, common::ANGLE],
+    common: &[common::CLOTH, common::ANGLE, common::OFFSET],
 };
 
 #[repr(C)]
@@ -19,7 +19,8 @@ pub const SOURCE: Source = Source {
 struct Params {
     rows: u32,
     columns: u32,
-    pad: [u32; 2],
+    zero: u32,
+    pad: u32,
 }
 
 /// Gradient of the energy with respect to the acceleration.
@@ -38,7 +39,7 @@ impl Gradient {
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: Physics<'_>, iterate: &Iterate) {
         let Physics { cloths, external, x } = physics;
         let batch = physics.batch(grid, iterate);
-        let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
+        let params = Params { rows: size(grid.h), columns: size(grid.w), zero: 0, pad: 0 };
         let tensors = [cloths, &iterate.slots, external, &iterate.a, x, &iterate.shift, &iterate.grad];
         let count = self.kernel.groups([grid.w, grid.h, batch]);
         schedule.dispatch(&self.kernel, &params, &tensors, count);

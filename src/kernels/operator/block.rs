@@ -140,9 +140,11 @@ pub struct Block {
 
 impl Block {
     /// Whether a whole row fits a workgroup, as [`After::rows`] and [`After::pool`] want it, and whether the tuning wants it there.
+    /// A lifting's must fit with all channels: each workgroup of a part of them would make the hidden layer anew.
     pub fn takes_rows(context: &Context, tuning: &Tuning, layer: &LayerSize) -> bool {
         let after = After { rows: true, pool: true, ..After::default() };
-        tuning.rows_in_blocks && Group::new(context, tuning, layer, after).is_some()
+        let suits = |g: Group| layer.lifting.is_none() || g.deep * tuning.channels == layer.channels;
+        tuning.rows_in_blocks && Group::new(context, tuning, layer, after).is_some_and(suits)
     }
 
     /// Makes it; an error if the device's workgroups are too small.

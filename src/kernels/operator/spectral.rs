@@ -15,6 +15,9 @@ const TILE: usize = 3;
 /// Output channels that a workgroup may have, the most first.
 const ACROSS: [usize; 4] = [64, 32, 16, 8];
 
+/// Most bytes of a workgroup whose sums are divided: beyond, too few of them are at work on a processor at once.
+const ROOM: usize = 32 << 10;
+
 /// Most rows of the inverse per invocation: few enough to share them out, enough to read a column's modes seldom.
 const STRIP: usize = 8;
 
@@ -56,12 +59,12 @@ impl Division {
         let busy = |d: &&Self| samples / d.tile * d.groups(config) >= tuning.busy_groups;
         let chosen = *fit.iter().find(busy).or(fit.last())?;
         let spare = |pieces: usize| if pieces < chosen.lanes { parts } else { 1 };
-        let divided = Self {
-            row_parts: spare(chosen.tile * config.channels),
-            input_parts: spare(config.modes_h * chosen.across),
-            ..chosen
-        };
-        Some(if divided.bytes(config) <= room { divided } else { chosen })
+        let rows = spare(chosen.tile * config.channels);
+        let inputs = spare(config.modes_h * chosen.across);
+        let divided = [(rows, inputs), (1, inputs), (rows, 1)];
+        let divided = divided.map(|(row_parts, input_parts)| Self { row_parts, input_parts, ..chosen });
+        let small = |division: &Self| division.bytes(config) <= room.min(ROOM);
+        Some(divided.into_iter().find(small).unwrap_or(chosen))
     }
 
     /// Workgroups for one tile of samples.

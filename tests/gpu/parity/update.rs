@@ -6,6 +6,7 @@ use crate::common::{
 };
 use fnopt::kernels::optim::{Update, UpdateTensors};
 use fnopt::kernels::padded;
+use fnopt::sim::Grid;
 
 #[test]
 fn learned_steps_match() {
@@ -48,5 +49,24 @@ fn learned_steps_match() {
         assert_close(&what, &hidden[samples * n..], &step, (1e-36, 8.0 * ROUNDING));
         assert_close(&what, &read(&iterate.a), &next, (8.0 * ROUNDING, ROUNDING));
         assert_close(&what, &read(&iterate.shift), &shift, (8.0 * ROUNDING, ROUNDING));
+    }
+}
+
+/// Or a frame that is lost would look finite.
+#[test]
+fn what_is_no_number_stays_so() {
+    let _turn = device();
+    let grid = Grid { h: 8, w: 8 };
+    let iterate = iterate(&model(grid, 1));
+    let zeros = vec![0.0f32; 3 * 64];
+    [&iterate.grad, &iterate.base, &iterate.a].iter().for_each(|tensor| tensor.write(context(), &zeros));
+    let output: Vec<f32> = (0..3 * 64).map(|k| [0.1, f32::NAN, 9.0][k % 3]).collect();
+    let field = tensor("field", &[1, 3, 8, 8], &output);
+    let scale = tensor("scale", &[3], &[1.0; 3]);
+    let hidden = poisoned("hidden", &[2, 3, 64]);
+    let from = UpdateTensors { field: &field, first: 0, scale: &scale, hidden: &hidden };
+    run(|schedule| Update::new(context()).unwrap().push(schedule, grid, from, &iterate));
+    for (k, (a, output)) in read(&iterate.a).into_iter().zip(output).enumerate() {
+        assert_eq!(a.is_nan(), output.is_nan(), "{k}: {a} of {output}");
     }
 }
