@@ -86,10 +86,6 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["rollout", "--device", "cpu", "--precision", "f16"], &["--precision", "f32 on cpu"]),
         (&["verify", ".", "--device", "cpu", "--precision", "f8"], &["--precision", "f16"]),
         (&["rollout", "--format", "obx"], &["obx"]),
-        (
-            &["rollout", "--format", "npy,npz", "--grid", "64", "64", "--frames", "1000000"],
-            &["--format", "npz", "less than 4 GiB", "1000000 frames of 64x64"],
-        ),
         (&["rollout", "instant.json"], &["instant.json", "frame_time_s"]),
         // Finite, but not in single precision.
         (&["rollout", "brief.json"], &["brief.json", "frame_time_s", "single precision"]),

@@ -368,6 +368,11 @@ fn an_animation_runs_in_real_time_and_shows_what_a_picture_shows() {
     };
     assert!(error(middle, &dense[74]) < 1.5, "{}", error(middle, &dense[74]));
     assert!(error(middle, &frames[0]) > 3.0);
+    // Fewer pictures of a long run, in the same time.
+    write_gif(&b, &trajectory, &[0, 11], &GifOptions { most: 40, ..options }).unwrap();
+    let (frames, seconds) = play(&b);
+    assert_eq!(frames.len(), 38);
+    assert!((seconds - 38.0 * 4.0 / 60.0).abs() < 0.02, "{seconds} s");
 }
 
 #[test]

@@ -8,7 +8,7 @@ use fnopt::Error;
 use fnopt::eval::median_time;
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
-use fnopt::scene::{Motion, Scene, Setup, UpAxis};
+use fnopt::scene::{Motion, Scene, Setup};
 use fnopt::sim::{Frame, FrameStats, Optimizer, Simulator, State};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
@@ -140,7 +140,7 @@ impl Args {
 /// An empty trajectory with room for all frames, which all formats hold.
 fn room(formats: &[Format], setup: &Setup) -> fnopt::Result<Trajectory> {
     let (grid, frames) = (setup.model.grid, setup.frames());
-    formats.iter().try_for_each(|format| format.holds(grid, frames, "--format"))?;
+    formats.iter().try_for_each(|format| format.holds(frames, "--format"))?;
     let mut trajectory = Trajectory::new(grid, 1.0 / setup.units.frame_time_s);
     trajectory.reserve(frames)?;
     Ok(trajectory)
@@ -279,10 +279,7 @@ impl Run<'_> {
 
     fn write_pictures(&self) -> fnopt::Result<Vec<PathBuf>> {
         let (out, handles) = (&self.args.out, &self.setup.model.cloths[0].handles);
-        let up = match self.setup.up {
-            UpAxis::Y => [0.0, 1.0, 0.0],
-            UpAxis::Z => [0.0, 0.0, 1.0],
-        };
+        let up = self.setup.up.down(-1.0).map(|c| c as f32);
         let view = View { up, ..Default::default() };
         let picture = out.join(format!("{NAME}.png"));
         let image = strip(&self.trajectory, handles, &StripOptions { view, ..Default::default() });

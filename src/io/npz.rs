@@ -2,6 +2,7 @@
 
 use super::{Trajectory, mesh, npy::Array, open, trajectory::Parts, zip::Archive};
 use crate::{Error, Result};
+use ::zip::{CompressionMethod, write::SimpleFileOptions};
 use ndarray::{Array2, aview0};
 use ndarray_npy::NpzWriter;
 use std::{
@@ -17,9 +18,18 @@ const RATE: &str = "fps";
 
 /// Writes all of a trajectory, array by array, without a second copy of the large ones.
 pub(super) fn write(trajectory: &Trajectory, writer: impl Write + Seek) -> io::Result<()> {
+    // With a header an array is a little longer.
+    let bytes = 4 * trajectory.positions().len() as u64 + 1024;
+    write_arrays(trajectory, writer, bytes > u64::from(u32::MAX))
+}
+
+/// [`write`] with lengths of 64 bits or of 32, which more programs read.
+fn write_arrays(trajectory: &Trajectory, writer: impl Write + Seek, large: bool) -> io::Result<()> {
     let faces: Vec<[i32; 3]> = trajectory.grid().faces().iter().map(|f| f.map(|k| k as i32)).collect();
     let coordinates = mesh::texture_coordinates(trajectory.grid());
-    let mut npz = NpzWriter::new(writer);
+    let options =
+        SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(large);
+    let mut npz = NpzWriter::new_with_options(writer, options);
     let written = (|| {
         npz.add_array(POSITIONS, &trajectory.positions())?;
         npz.add_array(VELOCITIES, &trajectory.velocities())?;
@@ -79,4 +89,24 @@ fn array<'a, R: io::Read + Seek>(
 ) -> Result<Array<impl io::Read + 'a>, Error> {
     let (reader, size) = archive.entry(&format!("{name}.npy"))?;
     Array::open(reader, size, format!("{}: {name}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::io::ReadOptions;
+    use crate::sim::Grid;
+
+    #[test]
+    fn archives_of_long_entries_are_read_too() {
+        let mut trajectory = Trajectory::new(Grid { h: 3, w: 4 }, 24.0);
+        for frame in 0..5 {
+            let points: Vec<[f32; 3]> = (0..12).map(|p| [p as f32, frame as f32, 0.5]).collect();
+            trajectory.push(&points, &points);
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("long.npz");
+        write_arrays(&trajectory, std::fs::File::create(&path).unwrap(), true).unwrap();
+        assert_eq!(Trajectory::read(&path, &ReadOptions::default()).unwrap(), trajectory);
+    }
 }

@@ -123,7 +123,7 @@ impl Trajectory {
     pub fn write(&self, dir: impl AsRef<Path>, name: &str, format: Format) -> Result<PathBuf> {
         let file = dir.as_ref().join(format!("{name}.{format}"));
         let folder = dir.as_ref().join(format!("{name}_{format}"));
-        format.holds(self.grid, self.frames(), &file.display().to_string())?;
+        format.holds(self.frames(), &file.display().to_string())?;
         match format {
             Format::Npz => write_atomic(&file, |w| npz::write(self, w)).map(|()| file),
             Format::Npy => {

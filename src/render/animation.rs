@@ -24,13 +24,15 @@ pub struct GifOptions {
     pub size: usize,
     /// The most frames per second [1/s]; frames are left out to keep below, and time stays real.
     pub max_fps: f64,
+    /// The most pictures, at least 1: of a longer run more frames are left out.
+    pub most: usize,
     /// The direction of view.
     pub view: View,
 }
 
 impl Default for GifOptions {
     fn default() -> Self {
-        Self { size: 320, max_fps: 30.0, view: View::default() }
+        Self { size: 320, max_fps: 30.0, most: 1800, view: View::default() }
     }
 }
 
@@ -50,9 +52,10 @@ pub fn write_gif(
     options: &GifOptions,
 ) -> Result<()> {
     assert!((1..=4096).contains(&options.size), "an animation is 1 to 4096 pixels wide");
-    assert!(options.max_fps > 0.0, "an animation has frames");
+    assert!(options.max_fps > 0.0 && options.most > 0, "an animation has frames");
     let stage = Stage::new(trajectory, handles, &options.view, Size::Fixed(options.size, options.size), 2);
     let every = (trajectory.fps() / options.max_fps).ceil().max(1.0) as usize;
+    let every = every.max(trajectory.frames().div_ceil(options.most));
     let shown: Vec<usize> = (0..trajectory.frames()).step_by(every).collect();
     let draw = |&frame: &usize| stage.draw(trajectory.frame(frame));
     let swatches: Vec<Image> = match shown.len().div_ceil(SWATCHES) {
