@@ -1,14 +1,20 @@
 //! The energy of a cloth at a trial acceleration (paper section 3.2).
 
-use super::vector::{angle, at, dot, length};
+use super::rows::{Stored, cross, dot, load, vector_at, width};
+use super::vector;
 use super::{Factors, Trial};
 use crate::cpu::Real;
 use crate::sim::{EnergyTerms, Grid};
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
+use std::f64::consts::FRAC_PI_2;
 
 /// The five terms of the energy of one cloth, summed in double precision row by row.
 pub fn energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTerms {
-    let rows: Vec<EnergyTerms> = (0..trial.grid.h).into_par_iter().map(|i| row(trial, i)).collect();
+    let stored = Stored::new(trial.grid.w);
+    let row = |work: &mut Work<T>, i| Arch::new().dispatch(Row { trial, i, stored, work });
+    let rows: Vec<EnergyTerms> =
+        (0..trial.grid.h).into_par_iter().map_init(|| Work::new(stored.stride), row).collect();
     let sum = |term: fn(&EnergyTerms) -> f64| rows.iter().map(term).sum();
     EnergyTerms {
         stretch: sum(|r| r.stretch),
@@ -19,40 +25,128 @@ pub fn energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTerms {
     }
 }
 
+/// Edges of a row and of the next one, shape [3, W'], and the squares that are added up, shape \[W'\].
+struct Work<T> {
+    vertical: [Vec<T>; 2],
+    horizontal: [Vec<T>; 2],
+    squares: Vec<T>,
+}
+
+impl<T: Real> Work<T> {
+    fn new(stride: usize) -> Self {
+        let edges = || [(); 2].map(|()| vec![T::zero(); 3 * stride]);
+        Self { vertical: edges(), horizontal: edges(), squares: vec![T::zero(); stride] }
+    }
+}
+
 /// What row `i` of particles and row `i` of cells contribute.
-fn row<T: Real>(trial: &Trial<'_, T>, i: usize) -> EnergyTerms {
+struct Row<'a, 'b, T> {
+    trial: &'a Trial<'b, T>,
+    i: usize,
+    stored: Stored,
+    work: &'a mut Work<T>,
+}
+
+impl<T: Real> WithSimd for Row<'_, '_, T> {
+    type Output = EnergyTerms;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> EnergyTerms {
+        let Self { trial, i, stored, work } = self;
+        let Grid { h, w } = trial.grid;
+        let Factors { vertical, horizontal, shear, bend } = trial.factors();
+        let [vertical, horizontal, shear, bend] = [vertical.f64(), horizontal.f64(), shear.f64(), bend.f64()];
+        let Work { vertical: [v, next_v], horizontal: [e, next_e], squares } = work;
+        let mut sums = Squares { simd, stored, squares };
+        let mut sum = external_terms(trial, i);
+        load(simd, trial, (i, 1, w - 1), stored, e);
+        sum.stretch += horizontal * sums.of_lengths(e, w - 1);
+        sum.bend += bend * sums.of_angles((&e[1..], e), 0.0, w - 2);
+        if i + 1 == h {
+            return sum;
+        }
+        load(simd, trial, (i, w, w), stored, v);
+        sum.stretch += vertical * sums.of_lengths(v, w);
+        load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
+        for right in 0..2 {
+            for e in [&e[..], &next_e[..]] {
+                sum.shear += shear * sums.of_angles((&v[right..], e), FRAC_PI_2, w - 1);
+            }
+        }
+        if i + 2 == h {
+            return sum;
+        }
+        load(simd, trial, (i + 1, w, w), stored, next_v);
+        sum.bend += bend * sums.of_angles((next_v, v), 0.0, w);
+        sum
+    }
+}
+
+/// Sums of squares over the first edges, or pairs of edges, of a row: squared in the precision of the cloth, added up in double.
+struct Squares<'a, T, S> {
+    simd: S,
+    stored: Stored,
+    /// Shape \[W'\].
+    squares: &'a mut [T],
+}
+
+impl<T: Real, S: Simd> Squares<'_, T, S> {
+    /// `(|e| - 1)^2`.
+    #[inline(always)]
+    fn of_lengths(&mut self, edges: &[T], len: usize) -> f64 {
+        let Self { simd, stored, .. } = *self;
+        let one = T::splat(simd, T::one());
+        for k in 0..stored.count / width::<T, S>() {
+            let place = k * width::<T, S>();
+            let e = vector_at::<T, S>(edges, place, stored.stride);
+            let length = T::root(simd, dot::<T, S>(simd, e, e));
+            self.keep(place, T::difference(simd, length, one));
+        }
+        self.sum(len)
+    }
+
+    /// `(angle - rest)^2` between u and w, with the angle `atan2(|u x w|, u . w)`: unlike the arc cosine it keeps small angles.
+    #[inline(always)]
+    fn of_angles(&mut self, (u, w): (&[T], &[T]), rest: f64, len: usize) -> f64 {
+        let Self { simd, stored, .. } = *self;
+        let rest = T::splat(simd, T::of(rest));
+        for k in 0..stored.count / width::<T, S>() {
+            let place = k * width::<T, S>();
+            let u = vector_at::<T, S>(u, place, stored.stride);
+            let w = vector_at::<T, S>(w, place, stored.stride);
+            let c = cross::<T, S>(simd, u, w);
+            let sine = T::root(simd, dot::<T, S>(simd, c, c));
+            let angle = T::angle(simd, sine, dot::<T, S>(simd, u, w));
+            self.keep(place, T::difference(simd, angle, rest));
+        }
+        self.sum(len)
+    }
+
+    #[inline(always)]
+    fn keep(&mut self, place: usize, v: T::Lanes<S>) {
+        T::lanes_mut::<S>(&mut self.squares[place..])[0] = T::product(self.simd, v, v);
+    }
+
+    #[inline(always)]
+    fn sum(&self, len: usize) -> f64 {
+        let mut sum = 0.0;
+        for square in &self.squares[..len] {
+            sum += square.f64();
+        }
+        sum
+    }
+}
+
+/// Inertia and external work of row `i`.
+fn external_terms<T: Real>(trial: &Trial<'_, T>, i: usize) -> EnergyTerms {
     let Grid { h, w } = trial.grid;
     let n = h * w;
-    let Factors { vertical, horizontal, shear, bend } = trial.factors();
-    let square = |v: T| v.f64() * v.f64();
-    let right_angle = T::of(std::f64::consts::FRAC_PI_2);
     let mut sum = EnergyTerms::default();
     for j in 0..w {
-        if i + 1 < h {
-            let e = trial.vertical(i, j);
-            sum.stretch += vertical.f64() * square(length(e) - T::one());
-            if i + 2 < h {
-                sum.bend += bend.f64() * square(angle(trial.vertical(i + 1, j), e));
-            }
-        }
-        if j + 1 < w {
-            let e = trial.horizontal(i, j);
-            sum.stretch += horizontal.f64() * square(length(e) - T::one());
-            if j + 2 < w {
-                sum.bend += bend.f64() * square(angle(trial.horizontal(i, j + 1), e));
-            }
-        }
-        if i + 1 < h && j + 1 < w {
-            for u in [trial.vertical(i, j), trial.vertical(i, j + 1)] {
-                for v in [trial.horizontal(i, j), trial.horizontal(i + 1, j)] {
-                    sum.shear += shear.f64() * square(angle(u, v) - right_angle);
-                }
-            }
-        }
         let mass = trial.grid.mass(i, j) / n as f64;
-        let (a, f) = (at(trial.a, n, i * w + j), at(trial.f, n, i * w + j));
-        sum.inertia += 0.5 * mass * dot(a, a).f64();
-        sum.external -= mass * dot(a, f).f64();
+        let (a, f) = (vector::at(trial.a, n, i * w + j), vector::at(trial.f, n, i * w + j));
+        sum.inertia += 0.5 * mass * vector::dot(a, a).f64();
+        sum.external -= mass * vector::dot(a, f).f64();
     }
     sum
 }

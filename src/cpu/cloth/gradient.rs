@@ -2,12 +2,11 @@
 //! respect to its edges, every angle once; then each row of particles gathers those of the edges that meet there.
 //! Rows write apart from each other, so that the result does not depend on the number of threads.
 //!
-//! Both passes go along rows a register at a time. A stored row ends in edges of length zero, which contribute nothing: no
-//! loop needs a remainder or a last column. As in [`crate::cpu::real`], closures and iterator adapters stay out of these loops.
+//! Both passes go along [rows](super::rows) a register at a time; the edges of length zero at their ends contribute nothing.
 
+use super::rows::{Stored, at, cross, dot, load, vector_at, width};
 use super::{Factors, Trial};
 use crate::cpu::Real;
-use crate::cpu::matmul::LANES;
 use crate::sim::Grid;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
@@ -23,15 +22,6 @@ pub struct GradientRows<T> {
     tasks: Vec<Work<T>>,
     grid: Grid,
     stored: Stored,
-}
-
-/// A row as it is stored: zero from its own length on.
-#[derive(Clone, Copy)]
-struct Stored {
-    /// Numbers from one row to the next, W'.
-    stride: usize,
-    /// Numbers that are computed: what begins one further on is inside too.
-    count: usize,
 }
 
 /// Edges of a row and of the next one, shape [4, W']: behind the components of an edge is what it takes to divide by its square.
@@ -52,8 +42,7 @@ const NEXT_HORIZONTAL: usize = 3;
 impl<T: Real> GradientRows<T> {
     /// Working memory for cloths on this grid.
     pub fn new(grid: Grid) -> Self {
-        let count = grid.w.next_multiple_of(LANES);
-        let stored = Stored { stride: count + LANES, count };
+        let stored = Stored::new(grid.w);
         let tasks = (grid.particles() / TASK).clamp(1, grid.h);
         Self {
             edges: vec![T::zero(); grid.h * 12 * stored.stride],
@@ -127,14 +116,17 @@ impl<T: Real> WithSimd for EdgeRow<'_, '_, T> {
         edges.fill(T::zero());
         let block = 3 * stored.stride;
         load(simd, trial, (i, 1, w - 1), stored, e);
+        invert(simd, stored, e);
         stretch(simd, e, horizontal, stored, &mut edges[HORIZONTAL * block..]);
         straight.add((&e[1..], e), edges, (HORIZONTAL * block + 1, HORIZONTAL * block));
         if i + 1 == h {
             return;
         }
         load(simd, trial, (i, w, w), stored, v);
+        invert(simd, stored, v);
         stretch(simd, v, vertical, stored, &mut edges[VERTICAL * block..]);
         load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
+        invert(simd, stored, next_e);
         for right in 0..2 {
             square.add((&v[right..], e), edges, (VERTICAL * block + right, HORIZONTAL * block));
             square.add((&v[right..], next_e), edges, (VERTICAL * block + right, NEXT_HORIZONTAL * block));
@@ -143,26 +135,9 @@ impl<T: Real> WithSimd for EdgeRow<'_, '_, T> {
             return;
         }
         load(simd, trial, (i + 1, w, w), stored, next_v);
+        invert(simd, stored, next_v);
         straight.add((next_v, v), edges, (NEXT_VERTICAL * block, VERTICAL * block));
     }
-}
-
-/// Numbers in a register.
-#[inline(always)]
-fn width<T: Real, S: Simd>() -> usize {
-    size_of::<T::Lanes<S>>() / size_of::<T>()
-}
-
-/// The register that begins at a place.
-#[inline(always)]
-fn at<T: Real, S: Simd>(values: &[T], place: usize) -> T::Lanes<S> {
-    T::lanes::<S>(&values[place..])[0]
-}
-
-/// The registers at the same place of three components.
-#[inline(always)]
-fn vector_at<T: Real, S: Simd>(values: &[T], place: usize, stride: usize) -> [T::Lanes<S>; 3] {
-    [at::<T, S>(values, place), at::<T, S>(values, place + stride), at::<T, S>(values, place + 2 * stride)]
 }
 
 /// Adds `factor v` there.
@@ -180,49 +155,14 @@ fn add_at<T: Real, S: Simd>(
 }
 
 #[inline(always)]
-fn dot<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], w: [T::Lanes<S>; 3]) -> T::Lanes<S> {
-    T::fma(simd, u[0], w[0], T::fma(simd, u[1], w[1], T::product(simd, u[2], w[2])))
-}
-
-#[inline(always)]
-fn cross<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], w: [T::Lanes<S>; 3]) -> [T::Lanes<S>; 3] {
-    [
-        T::difference(simd, T::product(simd, u[1], w[2]), T::product(simd, u[2], w[1])),
-        T::difference(simd, T::product(simd, u[2], w[0]), T::product(simd, u[0], w[2])),
-        T::difference(simd, T::product(simd, u[0], w[1]), T::product(simd, u[1], w[0])),
-    ]
-}
-
-#[inline(always)]
 fn scaled<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], factor: T::Lanes<S>) -> [T::Lanes<S>; 3] {
     [T::product(simd, u[0], factor), T::product(simd, u[1], factor), T::product(simd, u[2], factor)]
 }
 
-/// Sets `edges` [4, W'] to the edges from the first `count` particles of row `i` to those `step` further on, and to one over
-/// their squares: an edge takes part in six angles, and divisions are most of the time of an angle.
+/// Sets what is behind the components of `edges` [4, W'] to one over their squares: an edge takes part in six angles, and divisions
+/// are most of the time of an angle.
 #[inline(always)]
-fn load<T: Real, S: Simd>(
-    simd: S,
-    trial: &Trial<'_, T>,
-    (i, step, count): (usize, usize, usize),
-    stored: Stored,
-    edges: &mut [T],
-) {
-    let Grid { h, w } = trial.grid;
-    for component in 0..3 {
-        let from = (component * h + i) * w;
-        let (x, x_to) = (&trial.x[from..][..count], &trial.x[from + step..][..count]);
-        let (shift, shift_to) = (&trial.shift[from..][..count], &trial.shift[from + step..][..count]);
-        let edges = T::lanes_mut::<S>(&mut edges[component * stored.stride..][..stored.count]);
-        let mut place = 0;
-        for edge in edges {
-            let way = T::difference(simd, T::first(simd, &x_to[place..]), T::first(simd, &x[place..]));
-            let further =
-                T::difference(simd, T::first(simd, &shift_to[place..]), T::first(simd, &shift[place..]));
-            *edge = T::total(simd, way, further);
-            place = (place + width::<T, S>()).min(count);
-        }
-    }
+fn invert<T: Real, S: Simd>(simd: S, stored: Stored, edges: &mut [T]) {
     let (one, least) = (T::splat(simd, T::one()), T::splat(simd, T::min_positive_value()));
     for k in 0..stored.count / width::<T, S>() {
         let place = k * width::<T, S>();

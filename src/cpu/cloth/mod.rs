@@ -4,6 +4,7 @@ mod energy;
 mod gradient;
 mod hessian;
 mod integrate;
+mod rows;
 mod stretch;
 mod vector;
 mod wind;

@@ -1,4 +1,4 @@
-//! Vectors of three components, and the angle between two edges.
+//! Vectors of three components.
 
 use crate::cpu::Real;
 
@@ -36,10 +36,4 @@ pub(super) fn cross<T: Real>(u: [T; 3], w: [T; 3]) -> [T; 3] {
 #[inline(always)]
 pub(super) fn length<T: Real>(u: [T; 3]) -> T {
     dot(u, u).sqrt()
-}
-
-/// The angle between two edges, `atan2(|u x w|, u . w)`: unlike the arc cosine it keeps small angles.
-#[inline(always)]
-pub(super) fn angle<T: Real>(u: [T; 3], w: [T; 3]) -> T {
-    length(cross(u, w)).atan2(dot(u, w))
 }
