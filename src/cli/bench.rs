@@ -79,7 +79,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     if let Some(path) = &args.plot {
         writable_file(path)?;
     }
-    let (device, line) = args.device.open()?;
+    let (device, line) = args.device.open_for(&optimizer)?;
     tell!("{line}");
     let mut rows = Vec::new();
     let mut out = output();

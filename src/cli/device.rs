@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Storage};
 use fnopt::kernels::Tuning;
-use fnopt::sim::Device;
+use fnopt::sim::{Device, Optimizer};
 use fnopt::{Error, Result};
 use std::sync::{Mutex, PoisonError};
 
@@ -108,7 +108,20 @@ pub struct InferenceArgs {
 impl InferenceArgs {
     /// Opens the device and says in one line which and why.
     pub fn open(&self) -> Result<(Device, String)> {
-        let (device, line) = self.on.open()?;
+        self.store(self.on.open()?)
+    }
+
+    /// The same for an optimizer: `auto` is the CPU for one that runs there alone.
+    pub fn open_for(&self, optimizer: &Optimizer) -> Result<(Device, String)> {
+        match (self.on.device, &self.on.adapter) {
+            (DeviceKind::Auto, None) if !optimizer.runs_on_gpu() => {
+                self.store(cpu("the solver runs there alone"))
+            }
+            _ => self.open(),
+        }
+    }
+
+    fn store(&self, (device, line): (Device, String)) -> Result<(Device, String)> {
         match (device, self.precision) {
             (device, Precision::F32) => Ok((device, line)),
             (Device::Gpu(context), Precision::F16) => {

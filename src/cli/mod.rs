@@ -143,7 +143,7 @@ pub fn run(cli: Cli) -> ExitCode {
 /// Which optimizer, with which weights.
 #[derive(Debug, clap::Args)]
 pub struct SolverArgs {
-    /// Optimizer of each frame: fnopt (learned), gd, adam, lbfgs, quasi-newton; on the CPU also quasi-newton-exact, and newton,
+    /// Optimizer of each frame: fnopt (learned), gd, adam, lbfgs, quasi-newton; on the CPU alone quasi-newton-exact, and newton,
     /// which converges whatever the number of iterations
     #[arg(long, default_value = "fnopt", value_name = "S")]
     solver: String,

@@ -64,7 +64,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     tracing::info!("scene: {}, {} frames of {}", scene.origin, setup.frames(), setup.model.grid);
     let optimizer = args.solver.optimizer()?;
     let trajectory = room(&args.format, &setup)?;
-    let (device, line) = args.device.open()?;
+    let (device, line) = args.device.open_for(&optimizer)?;
     let interrupted = interrupt_flag();
     tell!("{line}");
     writable_folder(&args.out)?;

@@ -42,10 +42,7 @@ pub struct Entry {
 impl Entry {
     /// Where it runs when `device` was asked for: some optimizers only the CPU has.
     pub fn device<'a>(&self, device: &'a Device) -> &'a Device {
-        match self.optimizer {
-            Optimizer::Newton | Optimizer::QuasiNewton { factored: true, .. } => &Device::Cpu,
-            _ => device,
-        }
+        if self.optimizer.runs_on_gpu() { device } else { &Device::Cpu }
     }
 
     /// Iterations as scores tell them: 0 of an optimizer that converges whatever their number.

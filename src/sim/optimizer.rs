@@ -115,6 +115,11 @@ impl Optimizer {
         }
     }
 
+    /// Whether a GPU has kernels for it; the others run on the CPU path alone.
+    pub fn runs_on_gpu(&self) -> bool {
+        !matches!(self, Self::Newton | Self::QuasiNewton { factored: true, .. })
+    }
+
     /// The optimizer's name, one of [`Optimizer::NAMES`].
     pub fn name(&self) -> &'static str {
         match self {

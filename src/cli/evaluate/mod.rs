@@ -60,8 +60,8 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Energy coefficients stretch, shear, bend, or a JSON file with them, or with moduli, under "material" as in a scene, such
-    /// as fit-material writes; density and drag of its "wind" and its "frame_time_s" count too [default: the coefficients fitted to the
-    /// trajectories of assets/ground_truth, assets/materials/arcsim.json; in a suite the default scene's]
+    /// as fit-material writes; density and drag of its "wind" and its "frame_time_s" count too [default: the moduli fitted to three
+    /// trajectories of ARCSim, assets/materials/arcsim.json; in a suite the default scene's]
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
     /// Density of the air [kg/m^3] [default: the sequence's, or in a suite the default scene's]
