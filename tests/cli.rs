@@ -1,18 +1,14 @@
 //! The command as a script meets it: exit codes, messages, files.
 
+mod command;
+
+use command::{command, text};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Output, Stdio};
 
 /// Runs the command in `folder`.
 fn fnopt(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
-    command.current_dir(folder).args(arguments).env("FNOPT_LOG", "off");
-    command.env("FNOPT_CACHE", folder.join("cache"));
-    command.output().expect("the command starts")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
+    command(folder, arguments).env("FNOPT_LOG", "off").output().expect("the command starts")
 }
 
 /// Runs the command, which must refuse its input, say all of `said`, and write nothing into `out`.
@@ -218,39 +214,67 @@ fn exit_codes_do_not_hang_on_who_listens() {
         (&["inspect", "missing.safetensors"], 2),
     ];
     for (arguments, code) in cases {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
-        command.current_dir(folder.path()).args(arguments);
-        command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped());
-        let mut child = command.spawn().unwrap();
+        let mut command = command(folder.path(), arguments);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         drop((child.stdout.take(), child.stderr.take()));
         assert_eq!(child.wait().unwrap().code(), Some(code), "{arguments:?}");
+        if cfg!(target_os = "linux") {
+            let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+            let ended = command.env("FNOPT_LOG", "info").stdout(Stdio::null()).stderr(full).status().unwrap();
+            assert_eq!(ended.code(), Some(code), "{arguments:?}, a full log");
+        }
     }
+}
+
+/// What fails to be written after the frames are there takes nothing else with it.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    // No file beyond 1000 blocks of 512 bytes: the archive is larger, the positions alone are not.
+    let limited = format!(
+        "ulimit -f 1000; trap '' XFSZ; exec '{}' rollout --device cpu --solver gd --frames 30 --no-pictures --format npz,npy",
+        env!("CARGO_BIN_EXE_fnopt")
+    );
+    let output =
+        std::process::Command::new("sh").args(["-c", &limited]).current_dir(folder.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("rollout.npz: cannot write"), "{}", text(&output.stderr));
+    let out = folder.path().join("out");
+    let kept = fnopt::io::Trajectory::read(out.join("rollout.npy"), &Default::default());
+    let told = fnopt::io::ReadOptions { grid: Some(fnopt::sim::Grid { h: 32, w: 32 }), ..Default::default() };
+    let kept = kept.or_else(|_| fnopt::io::Trajectory::read(out.join("rollout.npy"), &told)).unwrap();
+    assert_eq!(kept.frames(), 30);
+    let mut names: Vec<_> =
+        std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    assert_eq!(names, ["report.json", "rollout.npy"]);
 }
 
 #[cfg(unix)]
 #[test]
 fn an_interrupted_rollout_keeps_the_frames_so_far() {
     use std::io::BufRead;
-    let folder = tempfile::tempdir().unwrap();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_fnopt"))
-        .current_dir(folder.path())
-        .args(["rollout", "--device", "cpu", "--grid", "64", "64", "--no-pictures"])
-        .stderr(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut log = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
-    // From the line that names the device on, the command listens.
-    assert!(log.by_ref().map(Result::unwrap).any(|line| line.starts_with("device: ")));
-    let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(sent.success());
-    let told: Vec<String> = log.map(Result::unwrap).collect();
-    assert!(told.iter().any(|line| line.starts_with("interrupted after frame ")), "{told:?}");
-    assert_eq!(child.wait().unwrap().code(), Some(130));
-    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
-    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
-    let frames = report["frames"].as_u64().unwrap();
-    assert!((2..391).contains(&frames), "{frames} frames");
-    assert!(folder.path().join("out/rollout.npz").is_file());
+    for signal in ["-INT", "-TERM"] {
+        let folder = tempfile::tempdir().unwrap();
+        let rollout = ["rollout", "--device", "cpu", "--grid", "64", "64", "--no-pictures"];
+        let mut child = command(folder.path(), &rollout).stderr(Stdio::piped()).spawn().unwrap();
+        let mut log = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
+        // From the line that names the device on, the command listens.
+        assert!(log.by_ref().map(Result::unwrap).any(|line| line.starts_with("device: ")));
+        command::send(signal, &child);
+        let told: Vec<String> = log.map(Result::unwrap).collect();
+        assert!(told.iter().any(|line| line.starts_with("interrupted after frame ")), "{told:?}");
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{signal}");
+        let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+        let frames = report["frames"].as_u64().unwrap() as usize;
+        assert!((2..391).contains(&frames), "{frames} frames");
+        assert_eq!(report["per_frame"].as_array().unwrap().len(), frames - 1);
+        let kept = folder.path().join("out/rollout.npz");
+        let kept = fnopt::io::Trajectory::read(kept, &Default::default()).unwrap();
+        assert_eq!(kept.frames(), frames, "{signal}");
+    }
 }
 
 #[cfg(unix)]
@@ -260,12 +284,7 @@ fn paths_need_not_be_utf_8() {
     let folder = tempfile::tempdir().unwrap();
     let name = std::ffi::OsStr::from_bytes(b"caf\xe9");
     let run = |arguments: &[&str]| {
-        let output = Command::new(env!("CARGO_BIN_EXE_fnopt"))
-            .current_dir(folder.path())
-            .args(arguments)
-            .arg(name)
-            .output()
-            .unwrap();
+        let output = command(folder.path(), arguments).arg(name).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
         serde_json::from_slice::<serde_json::Value>(&output.stdout).unwrap()
     };
@@ -310,10 +329,8 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
 fn what_is_logged_is_asked_for() {
     let folder = tempfile::tempdir().unwrap();
     let log = |filter: &str, code| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
-        command.current_dir(folder.path()).env("FNOPT_LOG", filter);
-        command.args(["rollout", "--device", "cpu", "--frames", "2", "--grid", "8", "8", "--no-pictures"]);
-        let output = command.output().unwrap();
+        let rollout = ["rollout", "--device", "cpu", "--frames", "2", "--grid", "8", "8", "--no-pictures"];
+        let output = command(folder.path(), &rollout).env("FNOPT_LOG", filter).output().unwrap();
         assert_eq!(output.status.code(), Some(code), "{}", text(&output.stderr));
         text(&output.stderr)
     };
@@ -381,9 +398,8 @@ fn several_processes_without_mpi_are_refused() {
         [("OMPI_COMM_WORLD_SIZE", "2", 2), ("SLURM_STEP_NUM_TASKS", "4", 2), ("SLURM_STEP_NUM_TASKS", "1", 0)]
     {
         std::fs::write(folder.path().join("tiny.toml"), TINY).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
-        command.current_dir(folder.path()).args(["train", "tiny.toml", "--device", "cpu", "--out", "run"]);
-        let output = command.env(name, count).output().unwrap();
+        let train = ["train", "tiny.toml", "--device", "cpu", "--out", "run"];
+        let output = command(folder.path(), &train).env(name, count).output().unwrap();
         let log = text(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{log}");
         assert!(code == 0 || log.contains(name) && log.contains("without the feature mpi"), "{log}");
@@ -406,28 +422,28 @@ fn a_training_run_that_stays_non_finite_ends_with_3() {
 fn an_interrupted_training_run_keeps_what_is_done() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("long.toml"), TINY.replace("steps = 4", "steps = 1000000")).unwrap();
-    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_fnopt"))
-        .current_dir(folder.path())
-        .args(["train", "long.toml", "--device", "cpu", "--out", "run"])
-        .stderr(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
+    let train = ["train", "long.toml", "--device", "cpu", "--out", "run"];
+    let mut child = command(folder.path(), &train).stderr(Stdio::piped()).spawn().unwrap();
     // The first checkpoint would come after minutes; metrics come early.
     let metrics = folder.path().join("run/metrics.csv");
     let begun = std::time::Instant::now();
     while std::fs::read_to_string(&metrics).map_or(0, |text| text.lines().count()) < 2 {
-        assert!(begun.elapsed().as_secs() < 60, "no metrics within a minute");
+        if begun.elapsed().as_secs() > 60 {
+            child.kill().unwrap();
+            panic!("no metrics within a minute");
+        }
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
-    let sent = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(sent.success() && child.wait().unwrap().code() == Some(130));
+    // As Slurm, `timeout` and `kill` end what they started.
+    command::send("-TERM", &child);
+    assert_eq!(child.wait().unwrap().code(), Some(130));
     let output = fnopt(folder.path(), &["train", "--resume", "run", "--device", "cpu", "--minutes", "0.001"]);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("continuing after step"), "{}", text(&output.stderr));
 }
 
 #[test]
-fn an_evaluation_keeps_its_scores_and_merges_shares() {
+fn an_evaluation_keeps_its_scores() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let truth = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth");
@@ -448,13 +464,6 @@ fn an_evaluation_keeps_its_scores_and_merges_shares() {
     }
     // Times would differ if anything were simulated again.
     assert_eq!(evaluate(&[]), whole);
-    let lines =
-        |text: &str| text.lines().filter(|l| l.starts_with("xy_v2")).map(str::len).collect::<Vec<_>>();
-    for share in ["0/2", "1/2"] {
-        evaluate(&["--out", "shares", "--shard", share]);
-    }
-    let merged = fnopt(at, &["evaluate", "--merge", "shares"]);
-    assert_eq!(lines(&text(&merged.stdout)), lines(&whole));
 
     // Another system, here the truth itself, stands beside them.
     let other = evaluate(&["--compare", &format!("arcsim={truth}")]);
@@ -506,10 +515,8 @@ fn a_tuning_is_stored_for_its_adapter_and_used() {
     let folder = tempfile::tempdir().unwrap();
     let cache = folder.path().join("cache");
     let run = |arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
         let arguments = [arguments, &["--adapter", "llvmpipe", "--iterations", "1"]].concat();
-        command.current_dir(folder.path()).args(&arguments).env("FNOPT_CACHE", &cache);
-        let output = command.output().expect("the command starts");
+        let output = command(folder.path(), &arguments).output().expect("the command starts");
         assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
         (text(&output.stdout), text(&output.stderr))
     };
@@ -541,10 +548,10 @@ fn pipelines_are_stored_for_their_adapter_and_read_again() {
     let folder = tempfile::tempdir().unwrap();
     let cache = folder.path().join("cache");
     let run = |cache: &Path| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
         let rollout =
             ["rollout", "--device", "gpu", "--adapter", "llvmpipe", "--solver", "gd", "--no-pictures"];
-        command.args(rollout).args(["--frames", "2", "--grid", "8", "8"]).current_dir(folder.path());
+        let mut command = command(folder.path(), &rollout);
+        command.args(["--frames", "2", "--grid", "8", "8"]);
         let output = command.env("FNOPT_CACHE", cache).env("FNOPT_LOG", "info").output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
         text(&output.stderr)

@@ -1,23 +1,21 @@
 //! `fnopt evaluate` and `fnopt fit-material` as a script meets them: devices, scores that are used again or put together,
 //! materials, files, and how they end early.
 
+mod command;
+
+use command::text;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 fn command(folder: &Path, arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
-    command.current_dir(folder).args(arguments).env("FNOPT_LOG", "off");
-    command.env("FNOPT_CACHE", folder.join("cache"));
+    let mut command = command::command(folder, arguments);
+    command.env("FNOPT_LOG", "off");
     command
 }
 
 fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth")
-}
-
-fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
 }
 
 /// A few frames of the shipped sequence on a small grid.
@@ -479,10 +477,99 @@ fn files_are_there_when_nobody_reads_the_tables() {
     assert!(csv.contains("mean stretch") && csv.contains("inertia"), "{csv}");
 }
 
+/// The figures of shares that are put together are those of one run over all, score by score.
+#[test]
+fn shares_together_are_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let figures = |printed: &str| {
+        let scores: Vec<Value> = serde_json::from_str(printed).unwrap();
+        let of = |score: &Value| {
+            let told = ["sequence", "grid", "solver", "iterations", "e_cd", "e_3d", "energy", "gradient"];
+            told.map(|key| score[key].to_string())
+        };
+        let mut all: Vec<_> = scores.iter().map(of).collect();
+        all.sort();
+        all
+    };
+    let run = |more: &[&str]| {
+        let few = ["--device", "cpu", "--grid", "8,9", "--solver", "gd:3,lbfgs:3,adam:3", "--json"];
+        done(evaluate(folder.path(), &[&few[..], more].concat())).0
+    };
+    let whole = figures(&run(&["--out", "whole"]));
+    assert_eq!(whole.len(), 6);
+    for share in ["0/4", "1/4", "2/4", "3/4"] {
+        run(&["--out", "shares", "--shard", share]);
+    }
+    let merged = command(folder.path(), &["evaluate", "--merge", "shares", "--json"]).output().unwrap();
+    assert_eq!(figures(&done(merged).0), whole);
+}
+
+/// A solver that is added later runs on as many threads as those before it, whose times are kept.
+#[test]
+fn times_in_one_table_are_of_as_many_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let truth = shipped();
+    let devices = |solvers: &str| {
+        let few =
+            ["evaluate", "--device", "cpu", "--grid", "8", "--frames", "4", "--points", "100", "--json"];
+        let more = ["--ground-truth", truth.to_str().unwrap(), "--solver", solvers];
+        let mut command = command(folder.path(), &[&few[..], &more].concat());
+        let printed = done(command.env("RAYON_NUM_THREADS", "2").output().unwrap()).0;
+        let scores: Vec<Value> = serde_json::from_str(&printed).unwrap();
+        scores.iter().map(|score| score["made_with"]["device"].to_string()).collect::<Vec<_>>()
+    };
+    let two = devices("gd:2,lbfgs:2");
+    assert_eq!(two[0], two[1]);
+    assert_eq!(devices("gd:2,lbfgs:2,adam:2"), vec![two[0].clone(); 3]);
+}
+
+#[test]
+fn what_would_be_ignored_or_spoil_the_scores_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let needless = ["--solver", "gd:1", "--checkpoint", "missing.safetensors"];
+    refused(evaluate(at, &needless), &["--checkpoint", "a solver that has weights", "missing.safetensors"]);
+    let among = ["--solver", "gd:1", "--grid", "8", "--json", "out/evaluate/all.json"];
+    refused(evaluate(at, &among), &["--json", "outside --out"]);
+    let mut task = command(at, &["evaluate", "--suite", "motions"]);
+    task.env("SLURM_ARRAY_TASK_ID", "1").env("SLURM_ARRAY_TASK_COUNT", "4");
+    refused(task.output().unwrap(), &["--suite", "not shared out", "4 of them"]);
+}
+
+/// The truth itself as another system's result, in each format that is read.
+#[test]
+fn other_systems_come_in_every_format() {
+    use fnopt::io::{Format, Trajectory};
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let truth = fnopt::eval::Sequence::load(&shipped(), "xy_v2").unwrap().truth;
+    let mut few = Trajectory::new(truth.grid(), truth.fps());
+    (0..4).for_each(|f| few.push(truth.frame(f), truth.frame_velocities(f)));
+    let mut arguments = vec!["--json", "--solver", "gd:1", "--grid", "8"];
+    let formats = [("a", Format::Npz), ("b", Format::Npy), ("c", Format::Pc2), ("d", Format::Obj)];
+    for (name, format) in formats {
+        let written = few.write(at.join(name), "xy_v2", format).unwrap();
+        if format == Format::Obj {
+            std::fs::rename(written, at.join("d/xy_v2")).unwrap();
+        }
+    }
+    for named in ["a=a", "b=b", "c=c", "d=d"] {
+        arguments.extend(["--compare", named]);
+    }
+    let scores: Vec<Value> = serde_json::from_str(&done(evaluate(at, &arguments)).0).unwrap();
+    let exact = scores.iter().filter(|score| score["e_3d"] == 0.0);
+    let mut names: Vec<&str> = exact.map(|score| score["solver"].as_str().unwrap()).collect();
+    names.sort_unstable();
+    assert_eq!(names, ["a", "b", "c", "d"], "{scores:?}");
+    refused(evaluate(at, &["--compare", "a=a", "--compare", "a=b"]), &["--compare", "no other column"]);
+    refused(evaluate(at, &["--compare", "a"]), &["--compare", "NAME=DIR"]);
+}
+
 #[cfg(target_os = "linux")]
 mod interrupted {
+    use super::command::send;
     use super::{command, shipped};
-    use std::process::{Child, Command, Stdio};
+    use std::process::{Child, Stdio};
     use std::time::{Duration, Instant};
 
     /// Waits until a child listens to Ctrl-C, and a little more, so that it is at work.
@@ -506,8 +593,7 @@ mod interrupted {
 
     /// Waits for a child that was interrupted: it must end soon, and say how.
     fn ends_soon(mut child: Child) {
-        let sent = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-        assert!(sent.success());
+        send("-INT", &child);
         let begun = Instant::now();
         while child.try_wait().unwrap().is_none() {
             if begun.elapsed() > Duration::from_secs(20) {
@@ -545,10 +631,13 @@ mod interrupted {
         ends_soon(at_work(fit));
         // Between the plots of the scores and the one of the convergence.
         let plots = ["--solver", "gd:1", "--grid", "64", "--frames", "41", "--plots", "p"];
-        let plots = spawn(&[&["evaluate", "--ground-truth", truth], &plots[..]].concat());
+        let mut plots = spawn(&[&["evaluate", "--ground-truth", truth], &plots[..]].concat());
         let (first, begun) = (folder.path().join("p/errors_xy_v2_64x64.png"), Instant::now());
         while !first.is_file() {
-            assert!(begun.elapsed() < Duration::from_secs(100), "no plots");
+            if begun.elapsed() > Duration::from_secs(100) {
+                plots.kill().unwrap();
+                panic!("no plots");
+            }
             std::thread::sleep(Duration::from_millis(20));
         }
         ends_soon(plots);

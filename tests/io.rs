@@ -96,7 +96,16 @@ fn a_ply_file_has_its_header_and_length() {
     let header = str::from_utf8(&bytes[..end]).unwrap();
     assert!(header.starts_with("ply\nformat binary_little_endian 1.0\nelement vertex 108\n"));
     assert_eq!(bytes.len() - end, 108 * 24 + 176 * 13);
-    let normal = [12, 16, 20].map(|k| f32::from_le_bytes(bytes[end + k..][..4].try_into().unwrap()));
+    assert!(header.contains("float x\nproperty float y\nproperty float z\nproperty float nx\n"), "{header}");
+    let float = |at: usize| f32::from_le_bytes(bytes[end + at..][..4].try_into().unwrap());
+    for (p, expected) in waving(GRID, 2).frame(1).iter().enumerate() {
+        assert_eq!([0, 4, 8].map(|k| float(24 * p + k)), *expected, "vertex {p}");
+    }
+    for (k, face) in GRID.faces().iter().enumerate() {
+        let record = &bytes[end + 108 * 24 + 13 * k..][..13];
+        assert_eq!((record[0], &record[1..]), (3, bytemuck::cast_slice::<u32, u8>(face)), "face {k}");
+    }
+    let normal = [12, 16, 20].map(float);
     assert!((normal.map(|x| x * x).iter().sum::<f32>() - 1.0).abs() < 1e-5);
 }
 

@@ -98,7 +98,10 @@ pub fn run(args: &Args) -> Result<Ending> {
     let interrupted = interrupt_flag();
     let tick = || go_on(&interrupted);
     let outcome = fit.search(&mut surface, tick, |surface, left| {
-        surface.write(&args.out)?;
+        // With what another search has found since.
+        let mut all = Surface::load(&args.out, &fit)?;
+        all.add(surface);
+        all.write(&args.out)?;
         let sorted = fit.found(surface);
         bar.set_position(sorted.len() as u64);
         let best = sorted.first().map_or(f64::INFINITY, |best| best.1);

@@ -72,6 +72,12 @@ impl Surface {
         Ok(surface)
     }
 
+    /// Adds the points of another search for the same.
+    pub fn add(&mut self, other: &Self) {
+        assert_eq!(self.subject, other.subject, "errors of one thing");
+        self.errors.extend(&other.errors);
+    }
+
     /// Writes all errors as CSV, the smallest first.
     pub fn write(&self, path: &Path) -> Result<()> {
         let line = |(point, error): &(Point, f64)| {

@@ -46,7 +46,7 @@ impl Entry {
     }
 
     /// Iterations as scores tell them: 0 of an optimizer that converges whatever their number.
-    fn told_iterations(&self) -> usize {
+    pub(super) fn told_iterations(&self) -> usize {
         if matches!(self.optimizer, Optimizer::Newton) { 0 } else { self.iterations }
     }
 

@@ -209,7 +209,7 @@ impl Sequence {
         let own = || Trajectory::read(path, &ReadOptions { grid: Some(self.grid()), fps });
         match path.extension().is_some_and(|e| e == "npy" || e == "pc2") {
             // Without faces, as many vertices as the truth has are taken to be on its grid, even where a square would do.
-            true => own().or_else(|_| told()),
+            true => own().or_else(|error| told().map_err(|_| error)),
             false => told().or_else(|error| own().map_err(|_| error)),
         }
     }

@@ -224,7 +224,7 @@ impl<'a> Prepared<'a> {
         let score = CaseScore {
             case: case.name.clone(),
             grid: setup.model.grid.to_string(),
-            iterations: entry.iterations,
+            iterations: entry.told_iterations(),
             finite: simulated.stable,
             stretch_largest: simulated.stretch_largest,
             gap,
@@ -256,7 +256,7 @@ pub fn table(title: &str, scores: &[CaseScore]) -> Table {
         };
         let cells = [
             s.grid.clone(),
-            s.iterations.to_string(),
+            Some(s.iterations).filter(|&n| n > 0).map_or_else(String::new, |n| n.to_string()),
             sound.to_owned(),
             format!("{:.1}", 100.0 * s.stretch_largest),
             match s.gap {

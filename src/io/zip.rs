@@ -184,3 +184,56 @@ impl<R: Read> Read for Checked<'_, R> {
         Ok(n)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers, each with the number of its bytes.
+    fn record(numbers: &[(u64, usize)]) -> Vec<u8> {
+        numbers.iter().flat_map(|&(number, bytes)| number.to_le_bytes()[..bytes].to_vec()).collect()
+    }
+
+    /// An archive of one entry `a` all of whose sizes and places stand in fields of 64 bits, and where its directory begins.
+    fn large_archive(data: &[u8]) -> (Vec<u8>, usize) {
+        let (elsewhere, crc, size) =
+            (u64::from(u32::MAX), u64::from(crc32fast::hash(data)), data.len() as u64);
+        // Signature, version, flags, method and time; checksum and sizes; lengths of the name and the extra fields.
+        let what = [(crc, 4), (elsewhere, 4), (elsewhere, 4), (1, 2)];
+        let mut file = record(&[(LOCAL.into(), 4), (45, 2), (0, 8)]);
+        file.extend(record(&[&what[..], &[(0, 2)]].concat()));
+        file.extend([b"a", data].concat());
+        let directory = file.len();
+        file.extend(record(&[(CENTRAL.into(), 4), (45, 2), (45, 2), (0, 8)]));
+        file.extend(record(&[&what[..], &[(28, 2), (0, 8), (0, 2), (elsewhere, 4)]].concat()));
+        file.push(b'a');
+        file.extend(record(&[(1, 2), (24, 2), (size, 8), (size, 8), (0, 8)]));
+        let (begin, end) = (directory as u64, file.len() as u64);
+        file.extend(record(&[(END64.into(), 4), (44, 8), (45, 2), (45, 2), (0, 8), (1, 8), (1, 8)]));
+        file.extend(record(&[(end - begin, 8), (begin, 8)]));
+        file.extend(record(&[(END64_LOCATOR.into(), 4), (0, 4), (end, 8), (1, 4)]));
+        file.extend(record(&[
+            (END.into(), 4),
+            (0, 4),
+            (1, 2),
+            (1, 2),
+            (elsewhere, 4),
+            (elsewhere, 4),
+            (0, 2),
+        ]));
+        (file, directory)
+    }
+
+    #[test]
+    fn sizes_and_places_of_64_bits_are_read_and_compressed_entries_refused() {
+        let (mut file, directory) = large_archive(b"data");
+        let open = |file: &[u8]| Archive::open(io::Cursor::new(file.to_vec()), file.len() as u64, "x".into());
+        let mut data = Vec::new();
+        open(&file).unwrap().entry("a").unwrap().0.read_to_end(&mut data).unwrap();
+        assert_eq!(data, b"data");
+        // Its method, which is then not to store.
+        file[directory + 10] = 8;
+        let error = open(&file).unwrap().entry("a").err().expect("a compressed entry").to_string();
+        assert!(error.contains("numpy.savez") && error.contains("a compressed one"), "{error}");
+    }
+}

@@ -140,6 +140,10 @@ impl Simulator {
             if take(frame).is_break() {
                 return self.backend.drain();
             }
+            // On a GPU the next frame is under way meanwhile.
+            if let Backend::Cpu { .. } = self.backend {
+                begun = Instant::now();
+            }
         }
     }
 }

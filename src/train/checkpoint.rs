@@ -197,6 +197,10 @@ mod tests {
                 assert_eq!(read.config, "seed = 3", "byte {at}");
                 assert_eq!(read.counters, example().counters, "byte {at}");
                 assert_eq!(read.tensors.get("a", &[3]).unwrap(), [0.1, 0.2, 0.3], "byte {at}");
+                let b = |c: &Checkpoint| {
+                    c.tensors.get("b", &[2, 2]).unwrap().iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+                };
+                assert_eq!(b(&read), b(&example()), "byte {at}");
             }
             std::fs::write(&path, &good[..at]).unwrap();
             assert!(Checkpoint::read(&path).is_err(), "cut at {at}");

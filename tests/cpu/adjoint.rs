@@ -3,6 +3,7 @@
 
 use crate::noise::noise;
 use fnopt::cpu::operator::{Adjoint, LaidOut, Network, Spectral, Transform};
+use fnopt::cpu::optim::{Hidden, UpdateAdjoint};
 use fnopt::network::{Config, Weights};
 use fnopt::sim::Grid;
 
@@ -174,4 +175,33 @@ fn the_adjoint_product_is_the_conjugate_transpose() {
     };
     let (left, right) = (product(&wx, &y_modes), product(&wy, &x_modes));
     assert!((left - right).abs() < 1e-10 * left.abs(), "{left} and {right}");
+}
+
+/// Every cloth weighs the same whatever the size of its cotangents, and one in equilibrium weighs nothing.
+#[test]
+fn cotangents_of_the_update_rule_are_normalised_sample_by_sample() {
+    let Case { config, grid, .. } = cases()[0];
+    let (weights, n) = (weights(config, 6), grid.particles());
+    let single = |values: Vec<f64>| values.into_iter().map(|v| v as f32).collect::<Vec<f32>>();
+    let (grad, adj_step) = (single(noise(n, 7)), single(noise(n, 8)));
+    let norm = grad.iter().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
+    // The gradient over the weights of as many equal samples as there are sizes of cotangents.
+    let gradient = |sizes: &[f32]| {
+        let count = sizes.len();
+        let mut rule = UpdateAdjoint::<f32>::new(&weights, grid, count).unwrap();
+        let zeros = || vec![0.0; count * n];
+        let mut hidden = Hidden { last_grad: zeros(), last_step: zeros(), scale: vec![0.05; count] };
+        rule.forward((&grad.repeat(count), &vec![norm; count]), &mut hidden, &mut zeros());
+        let adj_steps: Vec<f32> =
+            sizes.iter().flat_map(|size| adj_step.iter().map(move |a| size * a)).collect();
+        let mut gradient = vec![0f32; weights.parameter_count()];
+        rule.backward(&adj_steps, &hidden, &mut gradient);
+        gradient.into_iter().map(f64::from).collect::<Vec<_>>()
+    };
+    let one = gradient(&[1.0]);
+    assert!(dot(&one, &one) > 0.0);
+    for sizes in [&[1e6][..], &[1e-30], &[1.0, 0.0], &[0.0, 1.0]] {
+        let apart: Vec<f64> = gradient(sizes).iter().zip(&one).map(|(a, b)| a - b).collect();
+        assert!(dot(&apart, &apart).sqrt() < 1e-5 * dot(&one, &one).sqrt(), "{sizes:?}");
+    }
 }

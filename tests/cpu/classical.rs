@@ -1,5 +1,6 @@
 //! Steps of the classical optimizers that have closed forms.
 
+use crate::golden::largest_difference as apart;
 use crate::noise::noise;
 use fnopt::cpu::optim::{Adam, GradientDescent, Lbfgs, Minimizer};
 
@@ -18,10 +19,6 @@ fn iterates(
         all.push(a.clone());
     }
     all
-}
-
-fn apart(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
 #[test]

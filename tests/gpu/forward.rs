@@ -126,9 +126,10 @@ fn check(weights: &Weights, (grid, samples): (Grid, usize)) {
 #[test]
 fn folded_networks_match_the_host() {
     let _turn = device();
-    let (grid, samples) = (Grid { h: 31, w: 33 }, 3);
+    let (samples, wide) = (3, Grid { h: 8, w: 131 });
     let config = Config { lifting: 20, channels: 12, projection: 12, layers: 2, ..Config::default() };
-    for weights in [(**starter()).clone(), random(config)] {
+    let grid = Grid { h: 31, w: 33 };
+    for (weights, grid) in [((**starter()).clone(), grid), (random(config), grid), (random(config), wide)] {
         let fields: Vec<f32> = noise(samples * 3 * grid.particles(), 121).iter().map(|v| 3.0 * v).collect();
         let mut host = Network::<f64>::new(&weights, grid, samples).unwrap();
         host.forward(&widened(&fields));
@@ -146,6 +147,16 @@ fn a_trained_network_matches_the_host() {
     let _turn = device();
     for shape in [(Grid { h: 8, w: 8 }, 3), (Grid { h: 31, w: 33 }, 3), (Grid { h: 48, w: 32 }, 9)] {
         check(starter(), shape);
+    }
+}
+
+/// Rows that take a second workgroup where they are staged, that are too long for a lifting with all channels in one, and too
+/// long for any workgroup.
+#[test]
+fn rows_longer_than_a_workgroup_match_the_host() {
+    let _turn = device();
+    for w in [131, 1037] {
+        check(starter(), (Grid { h: 8, w }, 2));
     }
 }
 

@@ -129,6 +129,8 @@ fn frames_on_the_device_are_as_exact_as_on_the_host() {
             let found = step(&solver, &setup.control(frame));
             single.reset();
             single.step(&mut start, &setup.control(frame));
+            let finite = |x: &[f32]| x.iter().all(|x| x.is_finite());
+            assert!(finite(&found.x) && finite(&start.x), "{}, frame {frame}", optimizer.name());
             on_device = on_device.max(apart(&found.x, &exact.x).0);
             on_host = on_host.max(apart(&start.x, &exact.x).0);
             start = exact.cast();

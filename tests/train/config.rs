@@ -1,6 +1,7 @@
 //! Configurations: what they mean, and how bad ones are refused.
 
 use fnopt::train::{Alone, Config, Decay, Every, PoolConfig, first_weights, initial_weights};
+use proptest::prelude::*;
 use std::path::Path;
 
 fn parse(text: &str) -> fnopt::Result<Config> {
@@ -69,7 +70,7 @@ fn every_field_can_be_set() {
     assert_eq!(config.optimizer.betas, [0.8, 0.99]);
     assert_eq!((config.schedule.warmup, &config.schedule.decay), (3, &Decay::Cosine { last: 1e-6 }));
     assert_eq!((config.checkpoint, config.validation.every), (Every::Steps(7), Every::Minutes(0.5)));
-    let shipped = include_str!("../../assets/training/shipped-8.toml");
+    let shipped = include_str!("../../assets/training/shipped-13.toml");
     assert!(parse(shipped).unwrap().pools.len() > 4);
 }
 
@@ -140,6 +141,31 @@ fn the_text_of_a_file_names_the_same_files_from_anywhere() {
             assert!(text.contains("# kept") && text.ends_with(tail), "{text}");
             assert_eq!(Config::parse(&text, Path::new("/another/folder.toml")).unwrap(), config);
         }
+    }
+}
+
+proptest! {
+    #[test]
+    fn changed_configurations_never_panic(
+        at in any::<prop::sample::Index>(), text in "[\\[\\]{}\"',=.0-9a-z_ \n-]{0,12}"
+    ) {
+        let mut toml = include_str!("../../assets/training/shipped-9.toml").to_owned();
+        let from = toml.floor_char_boundary(at.index(toml.len()));
+        let to = toml.floor_char_boundary((from + text.len()).min(toml.len()));
+        toml.replace_range(from..to, &text);
+        let _ = parse(&toml);
+    }
+
+    #[test]
+    fn any_file_name_is_found_from_anywhere(name in "[^/\\x00-\\x1f\\x7f]{1,20}") {
+        prop_assume!(name != "." && name != "..");
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path().canonicalize().unwrap();
+        let quoted = name.replace('\\', "\\\\").replace('"', "\\\"");
+        std::fs::write(root.join("c.toml"), format!("init = \"{quoted}\"\n")).unwrap();
+        let (text, config) = Config::load(&root.join("c.toml")).unwrap();
+        prop_assert_eq!(&config.init, &[root.join(&name)]);
+        prop_assert_eq!(Config::parse(&text, Path::new("/another/c.toml")).unwrap(), config);
     }
 }
 

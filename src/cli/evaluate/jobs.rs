@@ -3,7 +3,9 @@
 use super::progress;
 use crate::cli::go_on;
 use crate::cli::output::tell;
-use fnopt::eval::{Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, run, snapshots};
+use fnopt::eval::{
+    Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, coarse, run, snapshots,
+};
 use fnopt::io::{self, ReadOptions, Trajectory};
 use fnopt::sim::{Device, Grid};
 use fnopt::{Error, Result};
@@ -51,6 +53,12 @@ impl<'a> Plan<'a> {
         for sequence in self.sequences {
             for &grid in self.grids {
                 sequence.scene(grid, &self.settings.physics)?.setup()?;
+                let coarser = coarse(grid);
+                let scene = || sequence.scene(coarser, &self.settings.physics)?.setup();
+                if self.entries.iter().any(|entry| entry.coarse) && scene().is_err() {
+                    let expected = format!("a coarser grid of the shape of {grid}");
+                    return Err(Error::invalid("--solver", "interpolation", expected, coarser));
+                }
             }
         }
         let (mut jobs, mut known) = (Vec::new(), BTreeSet::new());
@@ -74,8 +82,9 @@ impl<'a> Plan<'a> {
     }
 
     /// Does the jobs whose scores are not there yet: the scores, in the order of the jobs, and how it ended, which is early when
-    /// it was interrupted. Those of the CPU run side by side, as many as there are cores or jobs, on as many cores each as that
-    /// leaves: one frame after the other keeps several cores far less busy. A GPU's have it to themselves, one by one.
+    /// it was interrupted. Those of the CPU run side by side, as many as there are cores, on one each, or on as many as the whole
+    /// plan's jobs leave, whichever of them are still missing: so their times are alike. One frame after the other keeps
+    /// several cores far less busy. A GPU's have it to themselves, one by one.
     pub fn work(&self, jobs: &[Job], interrupted: &AtomicBool) -> (Vec<Kept>, Ended) {
         let frames = |job: &Job| job.sequence.truth.frames().min(self.settings.frames) - 1;
         let bar = progress(jobs.iter().map(frames).sum(), "frames");
@@ -115,12 +124,18 @@ impl<'a> Plan<'a> {
             (nudge.map_or(0, |nudge| nudge.repeat), Reverse(grid.particles()))
         });
         let ending = in_turn(&kept, done)
-            .and_then(|ended| then(ended, || side_by_side(&on_cpu, &failed, &done)))
+            .and_then(|ended| then(ended, || side_by_side((&on_cpu, self.on_cpu()), &failed, &done)))
             .and_then(|ended| then(ended, || in_turn(&on_gpu, done)));
         bar.finish_and_clear();
         let mut all = all.into_inner().unwrap_or_else(|e| e.into_inner());
         all.sort_by_key(|&(number, _)| number);
         (all.into_iter().map(|(_, kept)| kept).collect(), ending)
+    }
+
+    /// Number of the jobs that run on the CPU, whatever share of them is to be done here.
+    fn on_cpu(&self) -> usize {
+        let entries = self.entries.iter().filter(|entry| matches!(entry.device(self.device), Device::Cpu));
+        self.sequences.len() * self.grids.len() * entries.count() * self.repeats as usize
     }
 }
 
@@ -134,12 +149,17 @@ fn in_turn(jobs: &[usize], done: impl Fn(usize) -> Ended) -> Ended {
     jobs.iter().try_fold(ControlFlow::Continue(()), |ended, &job| then(ended, || done(job)))
 }
 
-/// Does jobs on threads of their own, each with a pool of its share of the cores: those of a common one would begin another
-/// job in the middle of a frame that waits, and its time with it. One that fails sets `failed`, which ends the others, and is told.
-fn side_by_side(jobs: &[usize], failed: &AtomicBool, done: &(impl Fn(usize) -> Ended + Sync)) -> Ended {
+/// Does jobs, of `all` that there are, on threads of their own, each with a pool of its share of the cores: those of a common one
+/// would begin another job in the middle of a frame that waits, and its time with it. One that fails sets `failed`, which ends the
+/// others, and is told.
+fn side_by_side(
+    (jobs, all): (&[usize], usize),
+    failed: &AtomicBool,
+    done: &(impl Fn(usize) -> Ended + Sync),
+) -> Ended {
     let (cores, count) = (rayon::current_num_threads(), jobs.len());
-    let workers = cores.min(count);
-    let threads = cores / workers.max(1);
+    let threads = cores / cores.min(all).max(1);
+    let workers = (cores / threads).min(count);
     if workers > 1 {
         tell!("{count} simulations, {workers} side by side on {threads} of {cores} threads each");
     }

@@ -132,6 +132,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let entries = args.entries()?;
     let grids = grids(args.grid.as_deref().unwrap_or(&["32".into()]))?;
     if let Some(name) = &args.suite {
+        if let Some((_, count)) = share_of_slurm().filter(|&(_, count)| count > 1) {
+            let found = format!("{count} of them (SLURM_ARRAY_TASK_COUNT)");
+            return Err(Error::invalid("--suite", "tasks", "one, as a suite is not shared out", found).into());
+        }
         return args.run_suite(Suite::named(name, "--suite")?, entries, &grids);
     }
     let sequences = sequences(&args.ground_truth, args.sequences.as_deref())?;
@@ -157,6 +161,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     };
     let jobs: Vec<Job> = plan.jobs(&args.out)?.into_iter().skip(index).step_by(count).collect();
     writable_folder(&args.out)?;
+    args.apart()?;
     args.writable()?;
 
     let interrupted = interrupt_flag();
@@ -188,6 +193,19 @@ impl Args {
         let files = self.json.iter().chain(&self.csv).chain(&self.markdown);
         files.filter(|file| **file != Path::new(STDOUT)).try_for_each(|file| writable_file(file))?;
         self.plots.iter().try_for_each(|folder| writable_folder(folder))
+    }
+
+    /// An error if the JSON of all scores would lie among the scores, which `--merge` reads.
+    fn apart(&self) -> fnopt::Result<()> {
+        let Some(file) = self.json.as_ref().filter(|file| **file != Path::new(STDOUT)) else { return Ok(()) };
+        let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        match (folder.canonicalize(), self.out.canonicalize()) {
+            (Ok(folder), Ok(out)) if folder == out => {
+                let expected = "a file outside --out, where the scores are";
+                Err(Error::invalid("--json", "file", expected, file.display()))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Opens the device and says which; solvers that only the CPU has run there.
@@ -258,7 +276,18 @@ impl Args {
             };
             entries.extend(all.into_iter().map(of));
         }
-        Ok(entries)
+        match &self.checkpoint {
+            Some(path) if weights.is_none() => {
+                let expected = "a solver that has weights, such as fnopt";
+                Err(Error::invalid(
+                    "--checkpoint",
+                    "solver",
+                    expected,
+                    format!("none for {}", path.display()),
+                ))
+            }
+            _ => Ok(entries),
+        }
     }
 
     /// Names and folders of the systems to compare with, whose names stand for no other column.

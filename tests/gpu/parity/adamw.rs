@@ -1,6 +1,6 @@
 //! `squares` and `adamw` against the CPU path.
 
-use crate::common::{ROUNDING, assert_close, context, device, noise, read, run, tensor, widened};
+use crate::common::{ROUNDING, assert_close, context, device, largest, noise, read, run, tensor, widened};
 use fnopt::cpu::train::{AdamW, AdamWSettings};
 use fnopt::train::DeviceAdamW;
 
@@ -38,7 +38,9 @@ fn updates_and_the_running_mean_match() {
         let tolerance = (1e-7, 4.0 * ROUNDING);
         assert_close(&format!("adamw {n}"), &read(&on_device), &weights, tolerance);
         assert_close(&format!("adamw {n}, mean"), &read(&adamw.moments.averaged), &averaged, tolerance);
+        // Gradients of either sign cancel; squares do not.
+        let tolerance = (8.0 * ROUNDING * largest(&host.mean), 4.0 * ROUNDING);
         assert_close("mean gradient", &read(&adamw.moments.mean), &host.mean, tolerance);
-        assert_close("mean square", &read(&adamw.moments.square), &host.square, tolerance);
+        assert_close("mean square", &read(&adamw.moments.square), &host.square, (0.0, 16.0 * ROUNDING));
     }
 }

@@ -16,7 +16,7 @@ fn normalised_cotangents_match() {
         let scalar = noise(samples, 122);
         let scale: Vec<f32> = (0..samples).map(|s| 0.05 * (s + 1) as f32).collect();
         let mut grad = noise(samples * n, 123);
-        // Sample 1 has all its gradient at one particle, which the clamp cuts; sample 2 is in equilibrium.
+        // Sample 1 has all its gradient at one particle; sample 2 is in equilibrium.
         grad[n..2 * n].fill(0.0);
         grad[n + n / 2] = -7.0;
         grad[2 * n..3 * n].fill(0.0);
