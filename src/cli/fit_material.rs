@@ -110,6 +110,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     });
     bar.finish_and_clear();
     outcome?;
+    surface.add(&Surface::load(&args.out, &fit)?);
     let found = fit.found(&surface).first().copied().filter(|(_, error)| error.is_finite());
     if let Some((point, error)) = found {
         let mut document = args.physics(&point).to_json();

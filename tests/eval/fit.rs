@@ -66,6 +66,8 @@ fn a_known_material_is_found_again() {
     let known = again.sorted().len();
     fit.search(&mut again, || ControlFlow::Continue(()), |_, _| Ok(())).unwrap();
     assert!(again.sorted().len() > known);
+    surface.add(&again);
+    assert_eq!(surface, again, "what another search has found is known, too");
     let ([stretch, shear, ..], error) = again.sorted()[0];
     assert!((stretch / 400.0 - 1.0).abs() < 1e-9 && (shear / 4.0 - 1.0).abs() < 1e-9, "{stretch}, {shear}");
     // What sampling two equal surfaces leaves.

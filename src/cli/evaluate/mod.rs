@@ -161,7 +161,6 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     };
     let jobs: Vec<Job> = plan.jobs(&args.out)?.into_iter().skip(index).step_by(count).collect();
     writable_folder(&args.out)?;
-    args.apart()?;
     args.writable()?;
 
     let interrupted = interrupt_flag();
@@ -190,22 +189,24 @@ impl Args {
 
     /// Makes sure, before the work, that the files which are asked for can be written after it.
     fn writable(&self) -> fnopt::Result<()> {
-        let files = self.json.iter().chain(&self.csv).chain(&self.markdown);
-        files.filter(|file| **file != Path::new(STDOUT)).try_for_each(|file| writable_file(file))?;
+        // --merge reads every JSON file of a folder of scores.
+        if let Some(file) = self.json_file() {
+            let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+            let folder = folder.canonicalize().ok();
+            let mut kept = self.merge.iter().chain([&self.out]).map(|scores| scores.canonicalize().ok());
+            if folder.is_some() && kept.any(|scores| scores == folder) {
+                let expected = "a file outside the folders of scores";
+                return Err(Error::invalid("--json", "file", expected, file.display()));
+            }
+        }
+        let tables = self.csv.iter().chain(&self.markdown).map(PathBuf::as_path);
+        self.json_file().into_iter().chain(tables).try_for_each(writable_file)?;
         self.plots.iter().try_for_each(|folder| writable_folder(folder))
     }
 
-    /// An error if the JSON of all scores would lie among the scores, which `--merge` reads.
-    fn apart(&self) -> fnopt::Result<()> {
-        let Some(file) = self.json.as_ref().filter(|file| **file != Path::new(STDOUT)) else { return Ok(()) };
-        let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-        match (folder.canonicalize(), self.out.canonicalize()) {
-            (Ok(folder), Ok(out)) if folder == out => {
-                let expected = "a file outside --out, where the scores are";
-                Err(Error::invalid("--json", "file", expected, file.display()))
-            }
-            _ => Ok(()),
-        }
+    /// The file that the scores are written to as JSON, unless they are printed.
+    fn json_file(&self) -> Option<&Path> {
+        self.json.as_deref().filter(|file| *file != Path::new(STDOUT))
     }
 
     /// Opens the device and says which; solvers that only the CPU has run there.
@@ -364,7 +365,7 @@ impl Args {
         if let Some(path) = &self.markdown {
             into(path, text(tables, Format::Markdown))?;
         }
-        if let Some(path) = self.json.as_ref().filter(|path| **path != Path::new(STDOUT)) {
+        if let Some(path) = self.json_file() {
             into(path, as_json(scores))?;
         }
         Ok(())

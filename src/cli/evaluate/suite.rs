@@ -6,7 +6,7 @@ use crate::cli::{Ending, go_on, interrupt_flag, material, writable_folder};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
-use fnopt::eval::{Conditions, Entry, Table};
+use fnopt::eval::{Entry, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
 use fnopt::sim::{Device, Grid, Optimizer};
 use std::collections::BTreeSet;
@@ -60,9 +60,9 @@ impl Args {
         if file.is_file() && picture.is_file() {
             // On a CPU the number of threads does not count.
             let wanted = prepared.conditions(solver.0, device, !self.no_gap).checksum();
-            let alike = |made_with: &Conditions| made_with.checksum() == wanted;
             // What another version kept may have other fields.
-            if let Some(kept) = CaseScore::read(&file).ok().filter(|kept| alike(&kept.made_with)) {
+            if let Some(kept) = CaseScore::read(&file).ok().filter(|kept| kept.made_with.checksum() == wanted)
+            {
                 return Ok(Some(kept));
             }
         }

@@ -1,0 +1,95 @@
+//! The command as tests start it.
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output};
+
+/// What the command reads of its caller: a test that runs in a job of a cluster must not become a part of that job.
+const INHERITED: [&str; 9] = [
+    "SLURM_ARRAY_TASK_ID",
+    "SLURM_ARRAY_TASK_COUNT",
+    "SLURM_ARRAY_TASK_MIN",
+    "SLURM_ARRAY_TASK_STEP",
+    "SLURM_STEP_NUM_TASKS",
+    "OMPI_COMM_WORLD_SIZE",
+    "PMI_SIZE",
+    "RAYON_NUM_THREADS",
+    "FNOPT_LOG",
+];
+
+/// The command in `folder`, where its cache is, too.
+pub fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
+    command.current_dir(folder).args(arguments).env("FNOPT_CACHE", folder.join("cache"));
+    INHERITED.iter().for_each(|name| {
+        command.env_remove(name);
+    });
+    command
+}
+
+/// Sends a signal, such as `-INT`.
+pub fn send(signal: &str, child: &Child) {
+    let sent = Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+    assert!(sent.success());
+}
+
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).into_owned()
+}
+
+/// The same, without a log.
+pub fn quiet(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = command(folder, arguments);
+    command.env("FNOPT_LOG", "off");
+    command
+}
+
+/// Runs it.
+pub fn fnopt(folder: &Path, arguments: &[&str]) -> Output {
+    quiet(folder, arguments).output().expect("the command starts")
+}
+
+/// Runs the command, which must refuse its input, say all of `said`, and write nothing into `out`.
+pub fn refused_cleanly(folder: &Path, arguments: &[&str], said: &[&str]) {
+    let output = fnopt(folder, arguments);
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {message}");
+    for part in said {
+        assert!(message.contains(part), "{arguments:?}: no '{part}' in: {message}");
+    }
+    assert!(output.stdout.is_empty(), "{arguments:?}: {}", text(&output.stdout));
+    let written = std::fs::read_dir(folder.join("out")).map_or(0, |entries| entries.count());
+    assert_eq!(written, 0, "{arguments:?} left files behind");
+}
+
+pub fn shipped() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth")
+}
+
+/// A few frames of the shipped sequence on a small grid.
+pub fn evaluate(folder: &Path, more: &[&str]) -> Output {
+    let truth = shipped();
+    let few = ["--frames", "4", "--points", "100", "--ground-truth", truth.to_str().unwrap()];
+    quiet(folder, &[&["evaluate"], &few[..], more].concat()).output().unwrap()
+}
+
+pub fn done(output: Output) -> (String, String) {
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    (text(&output.stdout), text(&output.stderr))
+}
+
+pub fn refused(output: Output, said: &[&str]) {
+    let message = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{message}");
+    said.iter().for_each(|part| assert!(message.contains(part), "no '{part}' in: {message}"));
+}
+
+pub fn json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
+}
+
+/// The files of scores in a folder.
+pub fn scores(folder: &Path) -> Vec<PathBuf> {
+    let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    files.filter(|path| path.extension().is_some_and(|e| e == "json")).collect()
+}

@@ -1,0 +1,138 @@
+//! Adapters: tunings, pipelines, precision, and solvers that only the CPU has. On the software adapter that the tests need anyway.
+
+use super::command::{command, done, evaluate, fnopt, json, quiet, text};
+use std::path::Path;
+
+/// Whether or not there is a GPU that `auto` would take.
+#[test]
+fn a_solver_that_only_the_cpu_has_runs_there_unasked() {
+    let folder = tempfile::tempdir().unwrap();
+    let newton = ["rollout", "--solver", "newton", "--frames", "2", "--grid", "8x8", "--no-pictures"];
+    let output = fnopt(folder.path(), &newton);
+    let log = text(&output.stderr);
+    assert!(output.status.success() && log.contains("the solver runs there alone"), "{log}");
+}
+
+#[test]
+fn a_tuning_is_stored_for_its_adapter_and_used() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = folder.path().join("cache");
+    let run = |arguments: &[&str]| {
+        let arguments = [arguments, &["--adapter", "llvmpipe", "--iterations", "1"]].concat();
+        let output = command(folder.path(), &arguments).output().expect("the command starts");
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
+        (text(&output.stdout), text(&output.stderr))
+    };
+    let (dry, _) = run(&["tune", "--grid", "8", "--dry-run"]);
+    assert!(dry.contains("best: tile ") && !cache.exists(), "{dry}");
+    let (tuned, _) = run(&["tune", "--grid", "8", "--json"]);
+    let tuned: serde_json::Value = serde_json::from_str(&tuned).unwrap();
+    let times: Vec<f64> =
+        tuned["tried"].as_array().unwrap().iter().map(|t| t["ms"].as_f64().unwrap()).collect();
+    assert!(times.len() > 5 && times.iter().all(|&ms| ms > 0.0), "{times:?}");
+    let file = tuned["file"].as_str().unwrap();
+    let stored: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+    assert_eq!(stored["tuning"], tuned["best"]);
+
+    let rollout = ["rollout", "--device", "gpu", "--frames", "2", "--no-pictures"];
+    let (_, log) = run(&rollout);
+    assert!(!log.contains("no tuning of"), "{log}");
+    // What is damaged, or asks for what the kernels cannot do, is said and passed over.
+    for damage in ["{", &stored.to_string().replace("\"channels\":", "\"channels\":3")] {
+        std::fs::write(file, damage).unwrap();
+        let (_, log) = run(&rollout);
+        assert!(log.contains("no tuning of"), "{damage}: {log}");
+    }
+}
+
+/// On the software adapter, whose cache holds next to nothing: the file is read and written like any other's.
+#[test]
+fn pipelines_are_stored_for_their_adapter_and_read_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let cache = folder.path().join("cache");
+    let run = |cache: &Path| {
+        let rollout =
+            ["rollout", "--device", "gpu", "--adapter", "llvmpipe", "--solver", "gd", "--no-pictures"];
+        let mut command = command(folder.path(), &rollout);
+        command.args(["--frames", "2", "--grid", "8", "8"]);
+        let output = command.env("FNOPT_CACHE", cache).env("FNOPT_LOG", "info").output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        text(&output.stderr)
+    };
+    let first = run(&cache);
+    assert!(first.contains("pipeline cache: ") && first.contains(", 0 bytes"), "{first}");
+    let entries: Vec<_> = std::fs::read_dir(&cache).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let [file] = &entries[..] else { panic!("{entries:?}") };
+    let name = file.file_name().unwrap().to_str().unwrap();
+    assert!(name.starts_with("pipelines_") && name.ends_with(".bin"), "{name}");
+    let stored = std::fs::read(file).unwrap();
+    let written = || std::fs::metadata(file).unwrap().modified().unwrap();
+
+    let before = written();
+    let again = run(&cache);
+    assert!(!again.contains(", 0 bytes") && !again.contains("WARN"), "{again}");
+    assert_eq!(written(), before, "nothing was new, and the file was written");
+
+    let mut changed = stored.clone();
+    changed[stored.len() / 2] ^= 1;
+    for damage in [&changed[..], &stored[..stored.len() - 1], b"", b"of something else"] {
+        std::fs::write(file, damage).unwrap();
+        let log = run(&cache);
+        assert!(log.contains("no pipelines of") && log.contains(", 0 bytes"), "{log}");
+        assert_eq!(std::fs::read(file).unwrap().len(), stored.len(), "it was not replaced");
+        assert!(!run(&cache).contains("no pipelines of"));
+    }
+    // Nowhere to store them.
+    let log = run(file);
+    assert!(log.contains("the next start will be as slow"), "{log}");
+}
+
+/// On the software adapter, which has f16.
+#[test]
+fn networks_run_in_half_precision() {
+    let folder = tempfile::tempdir().unwrap();
+    let on = ["--device", "gpu", "--adapter", "llvmpipe", "--precision", "f16"];
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
+    for (arguments, said) in [
+        (
+            &["rollout", "--frames", "3", "--grid", "12", "8", "--no-pictures", "--json"][..],
+            "the network in f16",
+        ),
+        (&["bench", "--grid", "8", "--frames", "1", "--json"], "the network in f16"),
+        (&["verify", golden.to_str().unwrap()], "gpu f16"),
+    ] {
+        let output = fnopt(folder.path(), &[arguments, &on].concat());
+        assert_eq!(output.status.code(), Some(0), "{arguments:?}: {}", text(&output.stderr));
+        assert!(text(&output.stdout).contains(said), "{arguments:?}: {}", text(&output.stdout));
+    }
+}
+
+/// On the software adapter that the tests need anyway.
+#[test]
+fn solvers_that_only_the_cpu_has_run_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let gpu = ["--adapter", "llvmpipe", "--grid", "8", "--solver", "newton,quasi-newton-exact:2,gd:2"];
+    let (_, log) = done(evaluate(folder.path(), &[&gpu[..], &["--json", "s.json", "--plots", "p"]].concat()));
+    assert!(log.contains("on the CPU, as no other device has them: newton, quasi-newton-exact"), "{log}");
+    assert!(folder.path().join("p/convergence.png").is_file());
+    let scores = json(&folder.path().join("s.json"));
+    let made_with = |k: usize, field: &str| scores[k]["made_with"][field].as_str().unwrap().to_owned();
+    for (k, device, kind) in [(0, "cpu", "cpu"), (1, "cpu", "cpu"), (2, "llvmpipe", "gpu")] {
+        assert!(made_with(k, "device").contains(device), "{scores}");
+        assert_eq!(made_with(k, "kind"), kind);
+    }
+    let suite = [
+        "evaluate",
+        "--suite",
+        "handles",
+        "--sequences",
+        "corners drape",
+        "--frames",
+        "3",
+        "--json",
+        "s.json",
+    ];
+    done(quiet(folder.path(), &[&suite[..], &gpu].concat()).output().unwrap());
+    let scores = json(&folder.path().join("s.json"));
+    assert!(scores[0]["score"]["made_with"]["device"].as_str().unwrap().starts_with("cpu"), "{scores}");
+}

@@ -1,0 +1,12 @@
+//! The command as a script meets it: exit codes, messages, files.
+
+mod command;
+mod devices;
+mod evaluate;
+mod every_command;
+#[cfg(target_os = "linux")]
+mod interrupted;
+mod rollout;
+mod scores;
+mod suite;
+mod train;

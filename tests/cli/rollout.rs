@@ -1,0 +1,141 @@
+//! `fnopt rollout`: what it writes, and what it keeps when it ends early.
+
+use super::command::{command, fnopt, refused_cleanly, send, text};
+use std::path::Path;
+use std::process::Stdio;
+
+#[test]
+fn a_file_in_place_of_the_output_folder_is_named() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("taken"), "").unwrap();
+    refused_cleanly(
+        folder.path(),
+        &["rollout", "--device", "cpu", "--out", "taken/x"],
+        &["taken", "cannot create"],
+    );
+}
+
+#[test]
+fn a_rollout_writes_what_it_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = [
+        "rollout", "--device", "cpu", "--grid", "16", "12", "--frames", "6", "--format", "npz,pc2", "--json",
+    ];
+    let output = fnopt(folder.path(), &arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(summary["frames"], 6);
+    for path in summary["written"].as_array().unwrap() {
+        assert!(folder.path().join(path.as_str().unwrap()).exists(), "{path}");
+    }
+    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    assert_eq!(report["per_frame"].as_array().unwrap().len(), 5);
+    assert!(report["ms_per_frame"].as_f64().unwrap() > 0.0);
+    assert_eq!(report["version"], env!("CARGO_PKG_VERSION"));
+    let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/fnopt.safetensors");
+    let sum = crc32fast::hash(&std::fs::read(weights).unwrap());
+    assert_eq!(report["weights_crc32"], format!("{sum:08x}"));
+    for picture in
+        ["out/rollout.png", "out/rollout.gif", "out/rollout.npz", "out/rollout.pc2", "out/rollout.obj"]
+    {
+        assert!(folder.path().join(picture).metadata().unwrap().len() > 1000, "{picture}");
+    }
+}
+
+#[test]
+fn a_rollout_takes_a_material_from_a_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let soft = r#"{"material": {"stretch_modulus": 280, "shear_modulus": 28, "bending_stiffness": 1e-5},
+        "wind": {"density": 0.5}, "frame_time_s": 0.01, "fitted_to": "nothing"}"#;
+    std::fs::write(folder.path().join("soft.json"), soft).unwrap();
+    let arguments = [
+        "rollout",
+        "--device",
+        "cpu",
+        "--grid",
+        "8",
+        "8",
+        "--frames",
+        "2",
+        "--solver",
+        "gd",
+        "--no-pictures",
+        "--material",
+        "soft.json",
+    ];
+    let output = fnopt(folder.path(), &arguments);
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    let scene = &report["settings"]["scene"];
+    assert_eq!(scene["material"]["stretch_modulus"], 280.0, "{report}");
+    assert_eq!(scene["wind"]["density"], 0.5);
+    assert_eq!(scene["frame_time_s"], 0.01);
+}
+
+#[test]
+fn a_run_that_explodes_keeps_the_frames_before_and_a_replay() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments =
+        ["rollout", "--device", "cpu", "--solver", "gd", "--material", "1e30,8,0.5", "--frames", "30"];
+    let output = fnopt(folder.path(), &arguments);
+    assert_eq!(output.status.code(), Some(3), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("non-finite"));
+    for file in ["out/replay.npz", "out/rollout.npz", "out/report.json"] {
+        assert!(folder.path().join(file).exists(), "{file}");
+    }
+    // The replay is not taken for one of the next run, which is good.
+    let good = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "2", "--no-pictures"];
+    assert_eq!(fnopt(folder.path(), &good).status.code(), Some(0));
+    assert!(!folder.path().join("out/replay.npz").exists());
+}
+
+/// What fails to be written after the frames are there takes nothing else with it.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    // No file beyond 1000 blocks of 512 bytes: the archive is larger, the positions alone are not.
+    let limited = format!(
+        "ulimit -f 1000; trap '' XFSZ; exec '{}' rollout --device cpu --solver gd --frames 30 --no-pictures --format npz,npy",
+        env!("CARGO_BIN_EXE_fnopt")
+    );
+    let output =
+        std::process::Command::new("sh").args(["-c", &limited]).current_dir(folder.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("rollout.npz: cannot write"), "{}", text(&output.stderr));
+    let out = folder.path().join("out");
+    let kept = fnopt::io::Trajectory::read(out.join("rollout.npy"), &Default::default()).unwrap();
+    assert_eq!(kept.frames(), 30);
+    let mut names: Vec<_> =
+        std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    assert_eq!(names, ["report.json", "rollout.npy"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupted_rollout_keeps_the_frames_so_far() {
+    use std::io::BufRead;
+    for signal in ["-INT", "-TERM"] {
+        let folder = tempfile::tempdir().unwrap();
+        let rollout = ["rollout", "--device", "cpu", "--grid", "64", "64", "--no-pictures"];
+        let mut child = command(folder.path(), &rollout).stderr(Stdio::piped()).spawn().unwrap();
+        let mut log = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
+        // From the line that names the device on, the command listens.
+        assert!(log.by_ref().map(Result::unwrap).any(|line| line.starts_with("device: ")));
+        send(signal, &child);
+        let told: Vec<String> = log.map(Result::unwrap).collect();
+        assert!(told.iter().any(|line| line.starts_with("interrupted after frame ")), "{told:?}");
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{signal}");
+        let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+        let frames = report["frames"].as_u64().unwrap() as usize;
+        assert!((2..391).contains(&frames), "{frames} frames");
+        assert_eq!(report["per_frame"].as_array().unwrap().len(), frames - 1);
+        let kept = folder.path().join("out/rollout.npz");
+        let kept = fnopt::io::Trajectory::read(kept, &Default::default()).unwrap();
+        assert_eq!(kept.frames(), frames, "{signal}");
+    }
+}

@@ -1,0 +1,256 @@
+//! Scores of `fnopt evaluate`: kept, used again, shared out and put together.
+
+use super::command::{done, evaluate, fnopt, json, quiet, refused, refused_cleanly, scores, shipped, text};
+use serde_json::Value;
+use std::path::Path;
+
+#[test]
+fn an_evaluation_keeps_its_scores() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let truth = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth");
+    let truth = truth.to_str().unwrap();
+    let evaluate = |more: &[&str]| {
+        let short =
+            ["--frames", "6", "--points", "200", "--solver", "newton,gd,lbfgs", "--ground-truth", truth];
+        let output = fnopt(at, &[&["evaluate"], &short[..], more].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    let whole = evaluate(&["--plots", "plots", "--markdown", "t.md", "--csv", "t.csv", "--json", "t.json"]);
+    for file in ["per_frame", "repulsion", "iterations", "convergence", "errors_xy_v2_32x32"] {
+        assert!(at.join(format!("plots/{file}.png")).is_file(), "{file}");
+    }
+    for (file, says) in [("t.md", "| xy_v2 |"), ("t.csv", "xy_v2,"), ("t.json", "\"sequence\": \"xy_v2\"")] {
+        assert!(std::fs::read_to_string(at.join(file)).unwrap().contains(says), "{file}");
+    }
+    // Times would differ if anything were simulated again.
+    assert_eq!(evaluate(&[]), whole);
+
+    // Another system, here the truth itself, stands beside them.
+    let other = evaluate(&["--compare", &format!("arcsim={truth}")]);
+    assert!(other.contains("arcsim"), "{other}");
+
+    let clean = tempfile::tempdir().unwrap();
+    refused_cleanly(clean.path(), &["evaluate", "--suite", "motion"], &["motion", "did you mean motions?"]);
+    let refused_cleanly = |arguments: &[&str], said: &[&str]| {
+        refused_cleanly(clean.path(), &[&["evaluate", "--ground-truth", truth], arguments].concat(), said);
+    };
+    refused_cleanly(&["--solver", "newtn"], &["newtn", "did you mean newton?"]);
+    refused_cleanly(&["--solver", "fnopt:x"], &["--solver", "NAME:ITERATIONS"]);
+    refused_cleanly(&["--sequences", "xy_v3"], &["xy_v3", "did you mean xy_v2?"]);
+    refused_cleanly(&["--grid", "4"], &["--grid", "8"]);
+    refused_cleanly(&["--shard", "2/2"], &["--shard", "0 to 1"]);
+    refused_cleanly(&["--material", "1,2"], &["--material", "three numbers or a file"]);
+    refused_cleanly(&["--material", "1,2,-3"], &["--material", "not negative"]);
+    std::fs::write(clean.path().join("m.json"), r#"{"material": {"stretch": 1, "shear": "8"}}"#).unwrap();
+    refused_cleanly(&["--material", "m.json"], &["m.json", "material.shear", "a number"]);
+    refused_cleanly(&["--compare", "ours=nowhere"], &["--compare", "a folder"]);
+    std::fs::create_dir(clean.path().join("empty")).unwrap();
+    refused_cleanly(&["--compare", "ours=empty"], &["empty", "xy_v2.npz"]);
+}
+
+#[test]
+fn scores_are_those_of_the_files_that_are_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let to = at.join("truth/xy_v2");
+    std::fs::create_dir_all(&to).unwrap();
+    for file in ["cloth_pos.npy", "handles.npy", "start.npy", "meta.json"] {
+        std::fs::copy(shipped().join("xy_v2").join(file), to.join(file)).unwrap();
+    }
+    let run = || {
+        let arguments = ["--frames", "4", "--points", "100", "--ground-truth", "truth", "--grid", "8"];
+        let solver = ["--solver", "gd:3,lbfgs:3"];
+        quiet(at, &[&["evaluate"], &arguments[..], &solver].concat()).output().unwrap()
+    };
+    let (first, _) = done(run());
+    assert_eq!(done(run()).0, first);
+    let meta = std::fs::read_to_string(to.join("meta.json")).unwrap();
+    std::fs::write(to.join("meta.json"), meta.replace("0.187", "0.5")).unwrap();
+    assert_ne!(done(run()).0, first);
+    assert_eq!(scores(&at.join("out/evaluate")).len(), 4);
+    // One that cannot be read is told, after what is finished.
+    let damaged =
+        scores(&at.join("out/evaluate")).into_iter().filter(|f| f.to_string_lossy().contains("lbfgs"));
+    damaged.for_each(|file| std::fs::write(file, "{").unwrap());
+    let failed = run();
+    assert!(text(&failed.stdout).contains("8x8 gd, N = 3"), "{}", text(&failed.stdout));
+    refused(failed, &["lbfgs", "one that was kept"]);
+}
+
+#[test]
+fn repeats_are_kept_and_merged_as_other_scores_are() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let run = |more: &[&str]| {
+        let few = ["--grid", "8", "--solver", "gd:3,lbfgs:3", "--device", "cpu", "--json", "s.json"];
+        evaluate(at, &[&few[..], more].concat())
+    };
+    let told = || json(&at.join("s.json")).as_array().unwrap().clone();
+    done(run(&[]));
+    let once = told();
+    assert!(once.iter().all(|score| score.get("over_repeats").is_none()));
+    let (repeated, _) = done(run(&["--repeats", "3"]));
+    assert!(repeated.contains("means over repeats") && repeated.contains("± repeats"), "{repeated}");
+    let all = told();
+    assert_eq!((all.len(), scores(&at.join("out/evaluate")).len()), (6, 6));
+    for (k, first) in once.iter().enumerate() {
+        // Its time too: it was not simulated again.
+        assert_eq!(
+            (&all[k]["per_frame"], &all[k]["ms_per_frame"]),
+            (&first["per_frame"], &first["ms_per_frame"])
+        );
+        let over = &all[k]["over_repeats"];
+        let mean = (0..3).map(|r| all[2 * r + k]["e_cd"].as_f64().unwrap()).sum::<f64>() / 3.0;
+        assert!(
+            over["repeats"] == 3 && (over["e_cd"][0].as_f64().unwrap() / mean - 1.0).abs() < 1e-9,
+            "{over}"
+        );
+        assert!(over["e_cd"][1].as_f64().unwrap() > 0.0);
+    }
+    let nudges: Vec<&Value> = all.iter().map(|score| &score["made_with"]["nudge"]["repeat"]).collect();
+    assert_eq!(nudges, [&Value::Null, &Value::Null, &1.into(), &1.into(), &2.into(), &2.into()]);
+    assert_eq!(done(run(&["--repeats", "3"])).0, repeated);
+    for share in ["0/2", "1/2"] {
+        done(run(&["--repeats", "3", "--shard", share, "--out", "shares"]));
+    }
+    assert_eq!(scores(&at.join("shares")).len(), 6);
+    let merged = quiet(at, &["evaluate", "--merge", "shares", "--json", "s.json"]).output().unwrap();
+    assert!(done(merged).0.contains("means over repeats"));
+    let over: Vec<Value> =
+        told().into_iter().filter_map(|mut s| s.get_mut("over_repeats").map(Value::take)).collect();
+    assert!(over.len() == 2 && over.iter().all(|over| over["repeats"] == 3), "{over:?}");
+    for count in ["0", "1001", "x"] {
+        refused(run(&["--repeats", count]), &["--repeats", count]);
+    }
+    refused(
+        quiet(at, &["evaluate", "--suite", "speeds", "--repeats", "2"]).output().unwrap(),
+        &["--repeats"],
+    );
+    refused(
+        quiet(at, &["evaluate", "--merge", "shares", "--repeats", "2"]).output().unwrap(),
+        &["--repeats"],
+    );
+}
+
+#[test]
+fn only_scores_that_belong_together_are_merged() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let run = |out: &str, more: &[&str]| {
+        done(evaluate(at, &[&["--grid", "8", "--out", out, "--device", "cpu"], more].concat()));
+    };
+    run("a", &["--solver", "gd:3"]);
+    run("b", &["--solver", "lbfgs:3"]);
+    run("soft", &["--solver", "adam:3", "--material", "100,1,0.01"]);
+    run("again", &["--solver", "gd:3"]);
+    let merge =
+        |arguments: &[&str]| quiet(at, &[&["evaluate", "--merge"], arguments].concat()).output().unwrap();
+    let (tables, _) = done(merge(&["a", "b", "--plots", "p"]));
+    assert!(tables.contains("gd, N = 3") && tables.contains("lbfgs, N = 3"), "{tables}");
+    assert!(at.join("p/per_frame.png").is_file());
+    refused(merge(&["a", "soft"]), &["a/xy_v2_8x8_gd_3", "soft/xy_v2_8x8_adam_3", "settings"]);
+    refused(merge(&["a", "again"]), &["a/xy_v2_8x8_gd_3", "again/xy_v2_8x8_gd_3", "the only score of"]);
+    for option in [["--compare", "x=a"], ["--wind", "2"], ["--device", "cpu"], ["--solver", "gd"]] {
+        refused(merge(&[&["a"], &option[..]].concat()), &["cannot be used with", option[0]]);
+    }
+}
+
+/// As many as there are cores: what each of them comes to does not depend on the others.
+#[test]
+fn jobs_side_by_side_come_to_what_they_come_to_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |out: &str, threads: &str, solvers: &str| {
+        let more = ["--device", "cpu", "--grid", "8,12", "--solver", solvers, "--json", "--out", out];
+        let truth = shipped();
+        let few = ["--frames", "4", "--points", "100", "--ground-truth", truth.to_str().unwrap()];
+        let mut command = quiet(folder.path(), &[&["evaluate"], &few[..], &more].concat());
+        let (printed, _) = done(command.env("RAYON_NUM_THREADS", threads).output().unwrap());
+        let scores: Vec<Value> = serde_json::from_str(&printed).unwrap();
+        let figures = |s: &Value| {
+            [&s["grid"], &s["solver"], &s["e_cd"], &s["energy"], &s["gradient"]].map(Value::clone)
+        };
+        let devices: Vec<_> =
+            scores.iter().map(|s| s["made_with"]["device"].as_str().unwrap().to_owned()).collect();
+        (scores.iter().map(figures).collect::<Vec<_>>(), devices)
+    };
+    let all = "newton,fnopt:2,lbfgs:3,adam:5";
+    let (together, devices) = told("together", "3", all);
+    // Eight jobs on three threads: one each.
+    assert_eq!(devices, ["cpu, 1 threads"; 8]);
+    assert_eq!(told("one", "1", all).0, together);
+    // Two jobs on five threads: two each.
+    let (alone, devices) = told("alone", "5", "fnopt:2");
+    assert_eq!(devices, ["cpu, 2 threads"; 2]);
+    assert!(alone.iter().all(|figures| together.contains(figures)), "{alone:?} in {together:?}");
+}
+
+/// Arrays of Slurm may begin anywhere and count in steps.
+#[test]
+fn a_task_of_an_array_does_its_share_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let array = |id: &str, count: &str| {
+        let truth = shipped();
+        let few = ["--grid", "8", "--solver", "gd:1,gd:2,gd:3", "--frames", "3", "--device", "cpu"];
+        let whose = ["evaluate", "--ground-truth", truth.to_str().unwrap()];
+        let mut command = quiet(folder.path(), &[&whose[..], &few].concat());
+        let of_slurm = [("ID", id), ("MIN", "1"), ("STEP", "2"), ("COUNT", count)];
+        command.envs(of_slurm.map(|(name, value)| (format!("SLURM_ARRAY_TASK_{name}"), value)));
+        command.output().unwrap()
+    };
+    for (id, share) in [("1", 0), ("3", 1), ("5", 2)] {
+        let output = array(id, "3");
+        let told = text(&output.stderr);
+        done(output);
+        assert!(told.contains(&format!("share {share} of 3")), "{told}");
+        assert_eq!(scores(&folder.path().join("out/evaluate")).len(), share + 1);
+    }
+    refused(array("7", "3"), &["SLURM_ARRAY_TASK_ID", "0 to 2"]);
+}
+
+/// The figures of shares that are put together are those of one run over all, score by score.
+#[test]
+fn shares_together_are_the_whole() {
+    let folder = tempfile::tempdir().unwrap();
+    let figures = |printed: &str| {
+        let scores: Vec<Value> = serde_json::from_str(printed).unwrap();
+        let of = |score: &Value| {
+            let told = ["sequence", "grid", "solver", "iterations", "e_cd", "e_3d", "energy", "gradient"];
+            told.map(|key| score[key].to_string())
+        };
+        let mut all: Vec<_> = scores.iter().map(of).collect();
+        all.sort();
+        all
+    };
+    let run = |more: &[&str]| {
+        let few = ["--device", "cpu", "--grid", "8,9", "--solver", "gd:3,lbfgs:3,adam:3", "--json"];
+        done(evaluate(folder.path(), &[&few[..], more].concat())).0
+    };
+    let whole = figures(&run(&["--out", "whole"]));
+    assert_eq!(whole.len(), 6);
+    for share in ["0/4", "1/4", "2/4", "3/4"] {
+        run(&["--out", "shares", "--shard", share]);
+    }
+    let merged = quiet(folder.path(), &["evaluate", "--merge", "shares", "--json"]).output().unwrap();
+    assert_eq!(figures(&done(merged).0), whole);
+}
+
+/// A solver that is added later runs on as many threads as those before it, whose times are kept.
+#[test]
+fn times_in_one_table_are_of_as_many_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    let truth = shipped();
+    let devices = |solvers: &str| {
+        let few =
+            ["evaluate", "--device", "cpu", "--grid", "8", "--frames", "4", "--points", "100", "--json"];
+        let more = ["--ground-truth", truth.to_str().unwrap(), "--solver", solvers];
+        let mut command = quiet(folder.path(), &[&few[..], &more].concat());
+        let printed = done(command.env("RAYON_NUM_THREADS", "2").output().unwrap()).0;
+        let scores: Vec<Value> = serde_json::from_str(&printed).unwrap();
+        scores.iter().map(|score| score["made_with"]["device"].to_string()).collect::<Vec<_>>()
+    };
+    let two = devices("gd:2,lbfgs:2");
+    assert_eq!(two[0], two[1]);
+    assert_eq!(devices("gd:2,lbfgs:2,adam:2"), vec![two[0].clone(); 3]);
+}

@@ -1,0 +1,104 @@
+//! `fnopt evaluate --suite`.
+
+use super::command::{done, fnopt, json, quiet, refused, text};
+use serde_json::Value;
+
+#[test]
+fn a_suite_fails_when_a_case_is_not_sound() {
+    let folder = tempfile::tempdir().unwrap();
+    let suite = |solver: &str| {
+        let arguments = ["--suite", "handles", "--sequences", "corners flat", "--grid", "12", "--no-gap"];
+        fnopt(folder.path(), &[&["evaluate", "--frames", "30", "--solver", solver], &arguments[..]].concat())
+    };
+    let good = suite("newton");
+    assert_eq!(good.status.code(), Some(0), "{}", text(&good.stderr));
+    let picture = folder.path().join("out/evaluate/newton_1_12x12_corners_flat.png");
+    assert!(picture.is_file());
+    assert_eq!(suite("interpolation").status.code(), Some(2));
+    // Two numbers of iterations are two tables.
+    let both = suite("lbfgs:50,lbfgs:100");
+    let rows = text(&both.stdout).lines().filter(|line| line.starts_with("corners flat")).count();
+    assert_eq!(rows, 2, "{}", text(&both.stdout));
+    // The classical method diverges from a flat sheet on so coarse a grid.
+    let bad = suite("quasi-newton:10");
+    assert_eq!(bad.status.code(), Some(1), "{}", text(&bad.stdout));
+}
+
+#[test]
+fn a_suite_honours_its_options_or_refuses_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let suite = |name: &str, more: &[&str]| {
+        let few = ["--frames", "3", "--no-gap", "--solver", "lbfgs:2", "--device", "cpu", "--json", "s.json"];
+        quiet(folder.path(), &[&["evaluate", "--suite", name], &few[..], more].concat()).output().unwrap()
+    };
+    // The scores, which are of this run and of no other.
+    let scores = |name: &str, more: &[&str]| {
+        let file = folder.path().join("s.json");
+        let _ = std::fs::remove_file(&file);
+        let output = suite(name, more);
+        assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
+        json(&file).as_array().unwrap().clone()
+    };
+    let largest = |more: &[&str]| {
+        let scores = scores("speeds", &[&["--sequences", "speed 1", "--grid", "12"], more].concat());
+        assert_eq!(scores[0]["score"]["case"], "speed 1");
+        scores[0]["score"]["stretch_largest"].as_f64().unwrap()
+    };
+    let usual = largest(&[]);
+    assert_eq!(usual, largest(&["--material", "1000,8,0.5"]));
+    assert_ne!(usual, largest(&["--material", "10,8,0.5"]));
+    assert_ne!(usual, largest(&["--wind", "50"]));
+    // The suite of grids has its own, once.
+    let of_grids = scores("grids", &["--sequences", "48x32"]);
+    assert_eq!((of_grids.len(), &of_grids[0]["score"]["grid"]), (1, &"48x32".into()));
+    let five = ["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs:2,lbfgs:3"];
+    let of_five = scores("iterations", &five);
+    assert_eq!((of_five.len(), &of_five[0]["score"]["iterations"]), (1, &5.into()));
+    refused(suite("grids", &["--grid", "32,64"]), &["--grid", "has its own"]);
+    refused(suite("iterations", &["--iterations", "3"]), &["--iterations", "has its own"]);
+    refused(suite("iterations", &["--solver", "single-pass"]), &["--solver", "single-pass"]);
+    refused(suite("materials", &["--material", "1,2,3"]), &["--material", "which has its own"]);
+    refused(suite("speeds", &["--points", "3"]), &["cannot be used with", "--points"]);
+    refused(suite("speeds", &["--ground-truth", "."]), &["cannot be used with", "--ground-truth"]);
+}
+
+#[test]
+fn cases_of_a_suite_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let suite = |more: &[&str]| -> Vec<Value> {
+        let few = ["--sequences", "speed 1,speed 2", "--grid", "12", "--solver", "lbfgs:2,gd:2"];
+        let rest = ["--device", "cpu", "--json", "s.json"];
+        let arguments = [&["evaluate", "--suite", "speeds"], &few[..], &rest, more].concat();
+        done(quiet(at, &arguments).output().unwrap());
+        json(&at.join("s.json")).as_array().unwrap().iter().map(|s| s["score"].clone()).collect()
+    };
+    let usual = ["--frames", "3"];
+    let first = suite(&usual);
+    // Times would differ if anything were simulated again.
+    assert_eq!((first.len(), suite(&usual)), (4, first.clone()));
+    // What is damaged, or without a picture, is made again; the other two are those that were kept.
+    let [png, kept] = ["gd_2_12x12_speed_1.png", "cases/lbfgs_2_12x12_speed_1.json"].map(|file| {
+        let path = at.join("out/evaluate").join(file);
+        assert!(path.is_file(), "{file}");
+        path
+    });
+    std::fs::write(&kept, "{").unwrap();
+    std::fs::remove_file(&png).unwrap();
+    assert_eq!(suite(&usual)[2..], first[2..]);
+    assert!(png.is_file() && json(&kept)["case"] == "speed 1");
+    // All that a score depends on is looked at.
+    for other in [&["--material", "10,8,0.5"], &["--wind", "50"], &["--frames", "4"]] {
+        let others =
+            suite(&if other[0] == "--frames" { other.to_vec() } else { [&usual[..], other].concat() });
+        assert!(others.iter().zip(&first).all(|(other, first)| other["made_with"] != first["made_with"]));
+    }
+    assert_eq!(suite(&usual)[0]["stretch_largest"], first[0]["stretch_largest"]);
+    // One without the gap is not one with it.
+    let without = suite(&[&usual[..], &["--no-gap"]].concat());
+    assert!(
+        without[0]["gap"].is_null()
+            && suite(&usual)[0]["gap"] == first[0]["gap"]
+            && first[0]["gap"].is_number()
+    );
+}
