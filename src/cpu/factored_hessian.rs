@@ -1,20 +1,18 @@
 //! The sparse Hessian of a frame's energy and its Cholesky factors: a Newton step.
 
-use super::cloth::{Block, Projection, Trial, hessian};
+use super::cloth::{Hessian, Projection, Trial, neighbours};
 use crate::cpu::optim::InverseHessian;
 use crate::sim::Grid;
 use crate::{Error, Result};
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::sparse::linalg::SymbolicSupernodalParams;
+use faer::sparse::linalg::amd;
 use faer::sparse::linalg::cholesky::{
     CholeskySymbolicParams, LltRef, SymbolicCholesky, SymmetricOrdering, factorize_symbolic_cholesky,
 };
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, MatMut, Par, Side};
-
-/// Particles that come after a particle in the grid and share a term with it: rows and columns from there.
-const NEIGHBOURS: [(usize, isize); 6] = [(0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
 
 /// The share of the negative curvature that is left out at first: less is rarely enough far from the minimum, and to find that
 /// out costs as much as factors that are of use.
@@ -35,41 +33,44 @@ const ROUNDING: f32 = 1e-6;
 /// The inverse Hessian of a cloth at a trial, by its Cholesky factors in single precision: a step is measured on the energy
 /// itself, and what rounding adds to one is undone by the next.
 ///
-/// The unknowns are the particles, component by component; the lower triangle of the Hessian has a fixed pattern, so that
-/// its symbolic factorisation and all memory are made once.
+/// The unknowns are the components of one particle after the other, particles in an order that leaves the factors sparse (minimum
+/// degree). The pattern is the same at every trial, so that its symbolic factorisation and all memory are made once.
 pub struct FactoredHessian {
     grid: Grid,
+    hessian: Hessian,
+    /// Particles by their place among the unknowns.
+    order: Vec<usize>,
+    /// The lower triangle, and where in the Hessian each of its numbers is.
     pattern: SymbolicSparseColMat<usize>,
-    symbolic: SymbolicCholesky<usize>,
+    sources: Vec<u32>,
     values: Vec<f32>,
+    symbolic: SymbolicCholesky<usize>,
     /// Of the last trial that was factored.
     factors: Vec<f32>,
     workspace: MemBuffer,
-    interleaved: Vec<f32>,
+    unknowns: Vec<f32>,
     /// What was needed last, eased.
     projection: Projection,
-    /// Of each particle, which of its neighbours there are: place in the column, after its own entries.
-    places: Vec<[Option<usize>; NEIGHBOURS.len()]>,
 }
 
 impl FactoredHessian {
     /// Analyses the pattern of a grid; an error when memory does not suffice.
     pub fn new(grid: Grid) -> Result<Self> {
         let n = grid.particles();
-        let mut places = vec![[None; NEIGHBOURS.len()]; n];
-        let (mut starts, mut rows) = (vec![0], Vec::new());
-        for (p, places) in places.iter_mut().enumerate() {
-            let mut others = Vec::new();
-            for (place, &(down, across)) in places.iter_mut().zip(&NEIGHBOURS) {
-                let (i, j) = (p / grid.w + down, (p % grid.w).checked_add_signed(across));
-                if let Some(j) = j.filter(|&j| j < grid.w && i < grid.h) {
-                    *place = Some(others.len());
-                    others.push(i * grid.w + j);
+        let hessian = Hessian::new(grid);
+        let (order, places) = minimum_degree(grid)?;
+        let (mut starts, mut rows, mut sources) = (vec![0], Vec::new(), Vec::new());
+        for (at, &q) in order.iter().enumerate() {
+            let mut others: Vec<usize> = neighbours(grid, q).map(|p| places[p]).filter(|&p| p > at).collect();
+            others.sort_unstable();
+            for column in 0..3 {
+                let own = (column..3).map(|row| (at, row));
+                let all = own.chain(others.iter().flat_map(|&p| (0..3).map(move |row| (p, row))));
+                for (place, row) in all {
+                    rows.push(3 * place + row);
+                    let source = hessian.place((order[place], row), (q, column));
+                    sources.push(source.expect("neighbours share a term") as u32);
                 }
-            }
-            for component in 0..3 {
-                rows.extend((component..3).map(|c| 3 * p + c));
-                rows.extend(others.iter().flat_map(|q| (0..3).map(move |c| 3 * q + c)));
                 starts.push(rows.len());
             }
         }
@@ -77,9 +78,11 @@ impl FactoredHessian {
         let pattern = SymbolicSparseColMat::new_checked(3 * n, 3 * n, starts, None, rows);
         let supernodal_params = SymbolicSupernodalParams { relax: Some(RELAX) };
         let params = CholeskySymbolicParams { supernodal_params, ..Default::default() };
-        let order = SymmetricOrdering::Amd;
-        let symbolic =
-            factorize_symbolic_cholesky(pattern.as_ref(), Side::Lower, order, params).map_err(unsolved)?;
+        // Without an ordering of its own it takes the upper triangle, and factors the lower one.
+        let upper = pattern.as_ref().transpose().to_col_major().map_err(unsolved)?;
+        let ordering = SymmetricOrdering::Identity;
+        let symbolic = factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, ordering, params);
+        let symbolic = symbolic.map_err(unsolved)?;
         let mut factors = Vec::new();
         factors.try_reserve_exact(symbolic.len_val()).map_err(unsolved)?;
         factors.resize(symbolic.len_val(), 0.0);
@@ -89,14 +92,16 @@ impl FactoredHessian {
         );
         Ok(Self {
             grid,
+            hessian,
+            order,
             pattern,
-            symbolic,
+            sources,
             values,
+            symbolic,
             factors,
             workspace: MemBuffer::try_new(workspace).map_err(unsolved)?,
-            interleaved: vec![0.0; 3 * n],
+            unknowns: vec![0.0; 3 * n],
             projection: FIRST,
-            places,
         })
     }
 
@@ -143,40 +148,24 @@ impl FactoredHessian {
         }
     }
 
-    /// Fills the lower triangle; a handle's rows and columns are those of the unit matrix.
+    /// Sets the lower triangle; a handle's rows and columns are those of the unit matrix.
     fn assemble(&mut self, trial: &Trial<'_, f64>, projection: Projection) {
-        let (grid, n) = (self.grid, self.grid.particles());
-        let Self { pattern, values, places, .. } = self;
-        let starts = pattern.col_ptr();
-        values.fill(0.0);
-        let free = |p: usize| trial.slots[p] == 0;
-        // How far on in the grid: no two are the same where rows have more than three particles.
-        let ahead = NEIGHBOURS.map(|(down, across)| (down * grid.w).wrapping_add_signed(across));
-        let mut add = |p: usize, q: usize, block: &Block| {
-            if p < q || !free(p) || !free(q) {
-                return;
-            }
-            // Of column q: rows from q's own component down, then those of its neighbours.
-            let place = (p != q).then(|| {
-                let kind = ahead.iter().position(|&ahead| ahead == p - q);
-                kind.and_then(|kind| places[q][kind]).expect("particles of a term are neighbours")
-            });
-            for (column, &start) in starts[3 * q..3 * q + 3].iter().enumerate() {
-                match place {
-                    None => {
-                        (column..3).for_each(|row| values[start + row - column] += block[row][column] as f32)
-                    }
-                    Some(place) => {
-                        let first = start + 3 - column + 3 * place;
-                        (0..3).for_each(|row| values[first + row] += block[row][column] as f32);
-                    }
-                }
-            }
-        };
-        hessian(trial, projection, &mut add);
+        let Self { grid, hessian, .. } = self;
+        let (grid, n) = (*grid, grid.particles());
+        hessian.fill(trial, projection);
         for p in 0..n {
-            let own = if free(p) { grid.mass(p / grid.w, p % grid.w) / n as f64 } else { 1.0 };
-            (0..3).for_each(|c| values[starts[3 * p + c]] += own as f32);
+            if trial.slots[p] == 0 {
+                let mass = grid.mass(p / grid.w, p % grid.w) / n as f64;
+                (0..3).for_each(|c| *hessian.at_mut((p, c), (p, c)) += mass);
+                continue;
+            }
+            for (row, column) in (0..9).map(|k| (k / 3, k % 3)) {
+                neighbours(grid, p).for_each(|q| *hessian.at_mut((p, row), (q, column)) = 0.0);
+                *hessian.at_mut((p, row), (p, column)) = f64::from(u8::from(row == column));
+            }
+        }
+        for (value, &source) in self.values.iter_mut().zip(&self.sources) {
+            *value = hessian.values()[source as usize] as f32;
         }
     }
 }
@@ -184,15 +173,38 @@ impl FactoredHessian {
 impl InverseHessian<f64> for FactoredHessian {
     fn apply(&mut self, direction: &mut [f64]) {
         let n = self.grid.particles();
-        self.interleaved.iter_mut().enumerate().for_each(|(k, to)| *to = direction[k % 3 * n + k / 3] as f32);
+        let Self { order, unknowns, .. } = self;
+        for (to, &p) in unknowns.chunks_exact_mut(3).zip(order.iter()) {
+            (0..3).for_each(|c| to[c] = direction[c * n + p] as f32);
+        }
         LltRef::new(&self.symbolic, &self.factors).solve_in_place_with_conj(
             Conj::No,
-            MatMut::from_column_major_slice_mut(&mut self.interleaved, 3 * n, 1),
+            MatMut::from_column_major_slice_mut(unknowns, 3 * n, 1),
             Par::Seq,
             MemStack::new(&mut self.workspace),
         );
-        direction.iter_mut().enumerate().for_each(|(k, to)| *to = self.interleaved[k % n * 3 + k / n].into());
+        for (from, &p) in unknowns.chunks_exact(3).zip(order.iter()) {
+            (0..3).for_each(|c| direction[c * n + p] = from[c].into());
+        }
     }
+}
+
+/// Particles in an order of few fill-ins, and the place of each.
+fn minimum_degree(grid: Grid) -> Result<(Vec<usize>, Vec<usize>)> {
+    let n = grid.particles();
+    let (mut starts, mut rows) = (vec![0], Vec::new());
+    for q in 0..n {
+        rows.extend(neighbours(grid, q).filter(|&p| p > q));
+        starts.push(rows.len());
+    }
+    let scratch = amd::order_scratch::<usize>(n, rows.len());
+    let pattern = SymbolicSparseColMat::new_checked(n, n, starts, None, rows);
+    let mut memory = MemBuffer::try_new(scratch).map_err(unsolved)?;
+    let (mut order, mut places) = (vec![0; n], vec![0; n]);
+    let stack = MemStack::new(&mut memory);
+    amd::order(&mut order, &mut places, pattern.as_ref(), amd::Control::default(), stack)
+        .map_err(unsolved)?;
+    Ok((order, places))
 }
 
 fn unsolved(e: impl std::fmt::Debug) -> Error {

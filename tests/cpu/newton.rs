@@ -1,7 +1,7 @@
 //! The Hessian of the shape's energy, and Newton's method with it.
 
 use crate::noise::noise;
-use fnopt::cpu::cloth::{Block, GradientRows, Projection, Trial, gradient, hessian};
+use fnopt::cpu::cloth::{GradientRows, Hessian, Projection, Trial, gradient};
 use fnopt::cpu::optim::InverseHessian;
 use fnopt::cpu::{FactoredHessian, Reference, Solver};
 use fnopt::scene::{Scene, Stiffness};
@@ -44,12 +44,14 @@ impl Sheet {
     fn turned(&self, projection: Projection, direction: &[f64]) -> Vec<f64> {
         let n = self.grid.particles();
         let mut turned = vec![0.0; direction.len()];
-        hessian(&self.at(&self.x), projection, |p, q, block: &Block| {
-            for (row, line) in block.iter().enumerate() {
+        let mut hessian = Hessian::new(self.grid);
+        hessian.fill(&self.at(&self.x), projection);
+        for (p, q) in (0..n).flat_map(|p| (0..n).map(move |q| (p, q))) {
+            for (row, line) in hessian.block(p, q).iter().enumerate() {
                 let product = line.iter().enumerate().map(|(column, b)| b * direction[column * n + q]);
                 turned[row * n + p] += product.sum::<f64>();
             }
-        });
+        }
         turned
     }
 }

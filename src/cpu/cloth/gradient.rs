@@ -4,7 +4,7 @@
 //!
 //! Both passes go along [rows](super::rows) a register at a time; the edges of length zero at their ends contribute nothing.
 
-use super::rows::{Stored, at, cross, dot, load, vector_at, width};
+use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
 use super::{Factors, Trial};
 use crate::cpu::Real;
 use crate::sim::Grid;
@@ -152,11 +152,6 @@ fn add_at<T: Real, S: Simd>(
         let to = &mut T::lanes_mut::<S>(&mut values[place + component * stride..])[0];
         *to = T::fma(simd, v[component], factor, *to);
     }
-}
-
-#[inline(always)]
-fn scaled<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], factor: T::Lanes<S>) -> [T::Lanes<S>; 3] {
-    [T::product(simd, u[0], factor), T::product(simd, u[1], factor), T::product(simd, u[2], factor)]
 }
 
 /// Sets what is behind the components of `edges` [4, W'] to one over their squares: an edge takes part in six angles, and divisions

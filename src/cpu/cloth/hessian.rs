@@ -1,8 +1,15 @@
-//! The Hessian of the energy with respect to positions, term by term.
+//! The Hessian of the shape's energy (stretch, shear, bend) with respect to positions, along [rows](super::rows) a register at a
+//! time.
+//!
+//! A particle shares terms with twelve others, and only those blocks are computed term by term: energy does not change when the
+//! whole cloth moves, so that a particle's own block is minus the sum of its others.
 
-use super::vector::{cross, dot, length, scaled};
+use super::rows::{Stored, cross, dot, load, scaled, vector_at, width};
 use super::{Factors, Trial};
+use crate::cpu::Real;
+use crate::cpu::matmul::LANES;
 use crate::sim::Grid;
+use pulp::{Arch, Simd, WithSimd};
 use std::f64::consts::FRAC_PI_2;
 
 /// A block of the Hessian: second derivatives with respect to the positions of two particles.
@@ -18,150 +25,432 @@ impl Projection {
     /// Never less than zero along any direction.
     pub const FULL: Self = Self(1.0);
 
-    /// `value` without this share of what is below zero.
-    fn of(self, value: f64) -> f64 {
-        value - self.0 * value.min(0.0)
+    /// Numbers without this share of what is below zero.
+    #[inline(always)]
+    fn of<S: Simd>(self, simd: S, value: S::f64s) -> S::f64s {
+        let below = simd.min_f64s(value, simd.splat_f64s(0.0));
+        simd.mul_add_e_f64s(simd.splat_f64s(-self.0), below, value)
     }
 }
+
+/// Particles that come after a particle in the grid and share a term with it: rows and columns from there.
+const NEIGHBOURS: [(isize, isize); 6] = [(0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
+
+/// Where the block with each of them begins, in planes of W' numbers.
+const RIGHT: usize = 0;
+const RIGHT_TWICE: usize = 9;
+const DOWN_LEFT: usize = 18;
+const DOWN: usize = 27;
+const DOWN_RIGHT: usize = 36;
+const DOWN_TWICE: usize = 45;
+/// Where the lower triangle of a particle's own block does, row by row.
+const OWN: usize = 54;
+const PLANES: usize = 60;
 
 /// Sines below this are those of parallel edges.
 const PARALLEL: f64 = 1e-9;
 
-/// Calls `add(p, q, block)` with what each term of the shape's energy (stretch, shear, bend) contributes to the block of
-/// particles p and q, for both orders of a pair; handles are not left out.
-pub fn hessian(trial: &Trial<'_, f64>, projection: Projection, mut add: impl FnMut(usize, usize, &Block)) {
-    let Grid { h, w } = trial.grid;
-    let Factors { vertical, horizontal, shear, bend } = trial.factors();
-    let edge = |p: usize, q: usize| Edge { ends: [p, q], vector: trial.edge(p, q) };
-    let down = |i: usize, j: usize| edge(i * w + j, (i + 1) * w + j);
-    let across = |i: usize, j: usize| edge(i * w + j, i * w + j + 1);
-    let mut stretched = |e: Edge, factor: f64| {
-        let block = stretch_block(e.vector, factor, projection);
-        spread((&e, &e), &block, &mut add);
-    };
-    for i in 0..h {
-        for j in 0..w {
+/// The Hessian of one cloth.
+pub struct Hessian {
+    grid: Grid,
+    stored: Stored,
+    /// Shape [H, 60, W'], after some zeros: of each particle, the blocks with its neighbours that come after it, the
+    /// neighbour's component first, and the lower triangle of its own.
+    values: Vec<f64>,
+    work: Work,
+}
+
+/// Edges of a row and of the next one, shape [4, W']: directions and, behind them, one over the length; zeros where there is none.
+struct Work {
+    vertical: [Vec<f64>; 2],
+    horizontal: [Vec<f64>; 2],
+}
+
+impl Hessian {
+    /// Zeros, for cloths on this grid.
+    pub fn new(grid: Grid) -> Self {
+        let stored = Stored::new(grid.w);
+        let edges = || [(); 2].map(|()| vec![0.0; 4 * stored.stride]);
+        Self {
+            grid,
+            stored,
+            values: vec![0.0; LANES + grid.h * PLANES * stored.stride],
+            work: Work { vertical: edges(), horizontal: edges() },
+        }
+    }
+
+    /// Computes it at a trial; handles are not left out.
+    pub fn fill(&mut self, trial: &Trial<'_, f64>, projection: Projection) {
+        assert_eq!(self.grid, trial.grid, "working memory and cloth share a grid");
+        Arch::new().dispatch(Fill { trial, projection, hessian: self });
+    }
+
+    /// All numbers: see [`Hessian::place`].
+    pub fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// The derivative with respect to components of two particles, to change; panics where they share no term.
+    pub fn at_mut(&mut self, one: (usize, usize), other: (usize, usize)) -> &mut f64 {
+        let place = self.place(one, other).expect("the particles share a term");
+        &mut self.values[place]
+    }
+
+    /// Where in [`Hessian::values`] the derivative with respect to a component of one particle and a component of another one is;
+    /// none where they share no term.
+    pub fn place(&self, (p, row): (usize, usize), (q, column): (usize, usize)) -> Option<usize> {
+        let ((p, row), (q, column)) = if p < q { ((q, column), (p, row)) } else { ((p, row), (q, column)) };
+        let w = self.grid.w;
+        let (i, j) = (q / w, q % w);
+        let plane = if p == q {
+            let (low, high) = (row.min(column), row.max(column));
+            OWN + high * (high + 1) / 2 + low
+        } else {
+            let way = ((p / w - i) as isize, (p % w) as isize - j as isize);
+            9 * NEIGHBOURS.iter().position(|&neighbour| neighbour == way)? + 3 * row + column
+        };
+        Some(LANES + (i * PLANES + plane) * self.stored.stride + j)
+    }
+
+    /// The block of two particles, zeros where they share no term.
+    pub fn block(&self, p: usize, q: usize) -> Block {
+        let entry = |row, column| self.place((p, row), (q, column)).map_or(0.0, |place| self.values[place]);
+        [0, 1, 2].map(|row| [0, 1, 2].map(|column| entry(row, column)))
+    }
+}
+
+/// The other particles that share a term with particle `p`.
+pub fn neighbours(grid: Grid, p: usize) -> impl Iterator<Item = usize> {
+    let Grid { h, w } = grid;
+    let ways = NEIGHBOURS.into_iter().flat_map(|(down, across)| [(down, across), (-down, -across)]);
+    ways.filter_map(move |(down, across)| {
+        let (i, j) = ((p / w).checked_add_signed(down)?, (p % w).checked_add_signed(across)?);
+        (i < h && j < w).then_some(i * w + j)
+    })
+}
+
+struct Fill<'a, 'b> {
+    trial: &'a Trial<'b, f64>,
+    projection: Projection,
+    hessian: &'a mut Hessian,
+}
+
+impl WithSimd for Fill<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { trial, projection, hessian } = self;
+        let Hessian { grid: Grid { h, w }, stored, values, work } = hessian;
+        let (h, w, stored) = (*h, *w, *stored);
+        let Factors { vertical, horizontal, shear, bend } = trial.factors();
+        let terms = Terms { simd, stored, projection };
+        let straight = Angle { rest: 0.0, parallel: 1.0, factor: bend };
+        let square = Angle { rest: FRAC_PI_2, parallel: 0.0, factor: shear };
+        let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
+        // Where the block of a kind begins of the particles of a row.
+        let row = PLANES * stored.stride;
+        values[LANES..][..row].fill(0.0);
+        for i in 0..h {
+            let here = LANES + i * row;
+            let next = here + row;
+            load(simd, trial, (i, 1, w - 1), stored, e);
+            terms.direct(e);
+            terms.stretch(e, horizontal, (values, terms.at(here, RIGHT)));
+            terms.angle(
+                straight,
+                (&e[1..], e),
+                values,
+                [terms.at(here, RIGHT) + 1, terms.at(here, RIGHT)],
+                [
+                    (terms.at(here, RIGHT), Mixed::Plus),
+                    (terms.at(here, RIGHT) + 1, Mixed::Plus),
+                    (terms.at(here, RIGHT_TWICE), Mixed::Minus),
+                ],
+            );
             if i + 1 < h {
-                stretched(down(i, j), vertical);
+                values[next..][..row].fill(0.0);
+                load(simd, trial, (i, w, w), stored, v);
+                terms.direct(v);
+                terms.stretch(v, vertical, (values, terms.at(here, DOWN)));
+                load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
+                terms.direct(next_e);
+                let (down, right, below) =
+                    (terms.at(here, DOWN), terms.at(here, RIGHT), terms.at(next, RIGHT));
+                let (down_left, down_right) = (terms.at(here, DOWN_LEFT) + 1, terms.at(here, DOWN_RIGHT));
+                // The four corners of each cell: two edges share a particle, and three pairs of their ends are left.
+                terms.angle(
+                    square,
+                    (v, e),
+                    values,
+                    [down, right],
+                    [(down_left, Mixed::Plus), (right, Mixed::MinusTransposed), (down, Mixed::Minus)],
+                );
+                terms.angle(
+                    square,
+                    (&v[1..], e),
+                    values,
+                    [down + 1, right],
+                    [(right, Mixed::Plus), (down + 1, Mixed::Plus), (down_right, Mixed::Minus)],
+                );
+                terms.angle(
+                    square,
+                    (v, next_e),
+                    values,
+                    [down, below],
+                    [
+                        (down, Mixed::PlusTransposed),
+                        (below, Mixed::PlusTransposed),
+                        (down_right, Mixed::MinusTransposed),
+                    ],
+                );
+                terms.angle(
+                    square,
+                    (&v[1..], next_e),
+                    values,
+                    [down + 1, below],
+                    [
+                        (down_left, Mixed::PlusTransposed),
+                        (down + 1, Mixed::MinusTransposed),
+                        (below, Mixed::Minus),
+                    ],
+                );
             }
-            if j + 1 < w {
-                stretched(across(i, j), horizontal);
+            if i + 2 < h {
+                load(simd, trial, (i + 1, w, w), stored, next_v);
+                terms.direct(next_v);
+                terms.angle(
+                    straight,
+                    (next_v, v),
+                    values,
+                    [terms.at(next, DOWN), terms.at(here, DOWN)],
+                    [
+                        (terms.at(here, DOWN), Mixed::Plus),
+                        (terms.at(next, DOWN), Mixed::Plus),
+                        (terms.at(here, DOWN_TWICE), Mixed::Minus),
+                    ],
+                );
+            }
+            terms.own(values, i, here);
+        }
+    }
+}
+
+/// How the block of two edges enters that of two particles: an edge is its second end minus its first, and the particle that
+/// comes later in the grid, whose components are the rows, may be one of either edge.
+#[derive(Clone, Copy, PartialEq)]
+enum Mixed {
+    Plus,
+    Minus,
+    PlusTransposed,
+    MinusTransposed,
+}
+
+/// An angle's energy `factor (t - rest)^2`.
+#[derive(Clone, Copy)]
+struct Angle {
+    rest: f64,
+    /// What `(t - rest) / sin t` is taken to be for parallel edges.
+    parallel: f64,
+    factor: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Terms<S> {
+    simd: S,
+    stored: Stored,
+    projection: Projection,
+}
+
+impl<S: Simd> Terms<S> {
+    /// Where a plane of a row begins.
+    #[inline(always)]
+    fn at(self, row: usize, plane: usize) -> usize {
+        row + plane * self.stored.stride
+    }
+
+    /// Makes edges [4, W'] directions, and sets what is behind them.
+    #[inline(always)]
+    fn direct(self, edges: &mut [f64]) {
+        let Self { simd, stored: Stored { stride, count }, .. } = self;
+        let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
+        for k in 0..count / width::<f64, S>() {
+            let place = k * width::<f64, S>();
+            let e = vector_at::<f64, S>(edges, place, stride);
+            let length = simd.sqrt_f64s(dot::<f64, S>(simd, e, e));
+            let inverse = f64::where_above(simd, (length, zero), simd.div_f64s(one, length), zero);
+            for component in 0..3 {
+                let to = &mut edges[place + component * stride..];
+                f64::lanes_mut::<S>(to)[0] = simd.mul_f64s(e[component], inverse);
+            }
+            f64::lanes_mut::<S>(&mut edges[place + 3 * stride..])[0] = inverse;
+        }
+    }
+
+    /// Second derivatives of `factor (|e| - 1)^2`: 2 along the edge, and 2 (1 - 1 / |e|) across it, which is negative for a
+    /// compressed one. The block of an edge's ends is minus that of the edge.
+    #[inline(always)]
+    fn stretch(self, edges: &[f64], factor: f64, (values, to): (&mut [f64], usize)) {
+        let Self { simd, stored: Stored { stride, count }, projection } = self;
+        let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
+        let twice = simd.splat_f64s(-2.0 * factor);
+        for k in 0..count / width::<f64, S>() {
+            let place = k * width::<f64, S>();
+            let d = vector_at::<f64, S>(edges, place, stride);
+            let inverse = f64::lanes::<S>(&edges[place + 3 * stride..])[0];
+            let across = projection.of(simd, simd.sub_f64s(one, inverse));
+            let along = simd.mul_f64s(twice, simd.sub_f64s(one, across));
+            let across = f64::where_above(simd, (inverse, zero), simd.mul_f64s(twice, across), zero);
+            for row in 0..3 {
+                let scaled = simd.mul_f64s(along, d[row]);
+                for column in 0..3 {
+                    let to = &mut values[to + place + (3 * row + column) * stride..];
+                    let to = &mut f64::lanes_mut::<S>(to)[0];
+                    *to = simd.mul_add_e_f64s(scaled, d[column], *to);
+                    if row == column {
+                        *to = simd.add_f64s(*to, across);
+                    }
+                }
             }
         }
     }
-    let mut bent = |u: Edge, w: Edge, (rest, factor): (f64, f64)| {
-        let [uu, uw, ww] = angle_blocks((u.vector, w.vector), rest, factor, projection);
-        spread((&u, &u), &uu, &mut add);
-        spread((&w, &w), &ww, &mut add);
-        spread((&u, &w), &uw, &mut add);
-        spread((&w, &u), &transposed(&uw), &mut add);
-    };
-    for i in 0..h {
-        for j in 0..w {
-            if i + 2 < h {
-                bent(down(i + 1, j), down(i, j), (0.0, bend));
-            }
-            if j + 2 < w {
-                bent(across(i, j + 1), across(i, j), (0.0, bend));
-            }
-            if i + 1 < h && j + 1 < w {
-                for k in [j, j + 1] {
-                    for l in [i, i + 1] {
-                        bent(down(i, k), across(l, j), (FRAC_PI_2, shear));
+
+    /// Second derivatives of an angle's energy between edges u and w, with respect to u twice and w twice (minus these to the
+    /// blocks of their ends, `own`), and u and w (`mixed`).
+    ///
+    /// With the unit normal n of their plane, m_u the unit vector across u towards w, and m_w that across w towards u,
+    /// `dt/du = -m_u / |u|`, `d2t/du2 = (cot t nn' + m_u u' + u m_u') / |u|^2` (u of length 1) and `d2t/du dw = -nn' / (|u| |w|
+    /// sin t)`. The part along n of the whole is `s [[cos t, -1], [-1, cos t]]` with `s = (t - rest) / sin t`, whose eigenvalues
+    /// are `s (cos t + 1)` and `s (cos t - 1)`; the projection keeps the positive ones and leaves the products of m and u out.
+    #[inline(always)]
+    fn angle(
+        self,
+        Angle { rest, parallel, factor }: Angle,
+        (edges_u, edges_w): (&[f64], &[f64]),
+        values: &mut [f64],
+        own: [usize; 2],
+        mixed: [(usize, Mixed); 3],
+    ) {
+        let Self { simd, stored: Stored { stride, count }, projection } = self;
+        let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
+        let (limit, least) = (simd.splat_f64s(PARALLEL), simd.splat_f64s(f64::MIN_POSITIVE));
+        let (twice, half) = (simd.splat_f64s(2.0 * factor), simd.splat_f64s(0.5));
+        let (rest, parallel) = (simd.splat_f64s(rest), simd.splat_f64s(parallel));
+        let kept = simd.splat_f64s(1.0 - projection.0);
+        for k in 0..count / width::<f64, S>() {
+            let place = k * width::<f64, S>();
+            let by_u = f64::lanes::<S>(&edges_u[place + 3 * stride..])[0];
+            let by_w = f64::lanes::<S>(&edges_w[place + 3 * stride..])[0];
+            let u = vector_at::<f64, S>(edges_u, place, stride);
+            let w = vector_at::<f64, S>(edges_w, place, stride);
+            let c = cross::<f64, S>(simd, u, w);
+            let (sine, cosine) = (simd.sqrt_f64s(dot::<f64, S>(simd, c, c)), dot::<f64, S>(simd, u, w));
+            let delta = simd.sub_f64s(f64::angle(simd, sine, cosine), rest);
+            // Between parallel edges every normal will do.
+            let any = any_normal(simd, u);
+            let across = simd.sqrt_f64s(dot::<f64, S>(simd, any, any));
+            let length = simd.max_f64s(f64::where_above(simd, (sine, limit), sine, across), least);
+            let inverse = simd.div_f64s(one, length);
+            let parallel = f64::where_above(simd, (cosine, zero), parallel, zero);
+            let s = f64::where_above(simd, (sine, limit), simd.mul_f64s(delta, inverse), parallel);
+            // An edge without length has no angle with any other.
+            let inverse = f64::where_above(simd, (by_w, zero), inverse, zero);
+            let n = [
+                f64::where_above(simd, (sine, limit), c[0], any[0]),
+                f64::where_above(simd, (sine, limit), c[1], any[1]),
+                f64::where_above(simd, (sine, limit), c[2], any[2]),
+            ];
+            let n = scaled::<f64, S>(simd, n, inverse);
+            let (m_u, m_w) = (cross::<f64, S>(simd, n, u), cross::<f64, S>(simd, w, n));
+            let sum = projection.of(simd, simd.mul_f64s(s, simd.sub_f64s(cosine, one)));
+            let difference = projection.of(simd, simd.mul_f64s(s, simd.add_f64s(cosine, one)));
+            let normal = simd.mul_f64s(half, simd.add_f64s(sum, difference));
+            let radial = simd.mul_f64s(kept, delta);
+            for (to, m, e, by) in [(own[0], m_u, u, by_u), (own[1], m_w, w, by_w)] {
+                let factor = simd.mul_f64s(twice, simd.mul_f64s(by, by));
+                let (normal, radial) = (simd.mul_f64s(factor, normal), simd.mul_f64s(factor, radial));
+                for row in 0..3 {
+                    let of_m = simd.mul_add_e_f64s(factor, m[row], simd.mul_f64s(radial, e[row]));
+                    let (of_n, of_e) = (simd.mul_f64s(normal, n[row]), simd.mul_f64s(radial, m[row]));
+                    for column in 0..3 {
+                        let sum = simd.mul_f64s(of_m, m[column]);
+                        let sum = simd.mul_add_e_f64s(of_n, n[column], sum);
+                        let sum = simd.mul_add_e_f64s(of_e, e[column], sum);
+                        let to = &mut values[to + place + (3 * row + column) * stride..];
+                        let to = &mut f64::lanes_mut::<S>(to)[0];
+                        *to = simd.sub_f64s(*to, sum);
                     }
+                }
+            }
+            let factor = simd.mul_f64s(twice, simd.mul_f64s(by_u, by_w));
+            let normal = simd.mul_f64s(factor, simd.mul_f64s(half, simd.sub_f64s(sum, difference)));
+            for row in 0..3 {
+                let (of_m, of_n) = (simd.mul_f64s(factor, m_u[row]), simd.mul_f64s(normal, n[row]));
+                for column in 0..3 {
+                    let entry = simd.mul_add_e_f64s(of_n, n[column], simd.mul_f64s(of_m, m_w[column]));
+                    for (to, how) in mixed {
+                        let plane = match how {
+                            Mixed::Plus | Mixed::Minus => 3 * row + column,
+                            Mixed::PlusTransposed | Mixed::MinusTransposed => 3 * column + row,
+                        };
+                        let to = &mut f64::lanes_mut::<S>(&mut values[to + place + plane * stride..])[0];
+                        *to = match how {
+                            Mixed::Plus | Mixed::PlusTransposed => simd.add_f64s(*to, entry),
+                            Mixed::Minus | Mixed::MinusTransposed => simd.sub_f64s(*to, entry),
+                        };
+                    }
+                }
+            }
+        }
+    }
+
+    /// Sets the own blocks of the particles of row `i`, which begins `here`, from their blocks with all others.
+    #[inline(always)]
+    fn own(self, values: &mut [f64], i: usize, here: usize) {
+        let Self { simd, stored: Stored { stride, count }, .. } = self;
+        let row = PLANES * stride;
+        let above = |rows: usize, plane: usize| self.at(here.saturating_sub(rows * row), plane);
+        // With particles that come before: those of this row, which begins with zeros, of the row above and of that above it.
+        let before = [
+            above(0, RIGHT) - 1,
+            above(0, RIGHT_TWICE) - 2,
+            above(1, DOWN_LEFT) + 1,
+            above(1, DOWN),
+            above(1, DOWN_RIGHT) - 1,
+            above(2, DOWN_TWICE),
+        ];
+        let before = &before[..[2, 5, 6][i.min(2)]];
+        for k in 0..count / width::<f64, S>() {
+            let place = k * width::<f64, S>();
+            let mut plane = 0;
+            for row in 0..3 {
+                for column in 0..=row {
+                    let (mine, theirs) = (3 * row + column, 3 * column + row);
+                    let mut sum = simd.splat_f64s(0.0);
+                    for kind in 0..NEIGHBOURS.len() {
+                        let after = self.at(here, 9 * kind + theirs) + place;
+                        sum = simd.sub_f64s(sum, f64::lanes::<S>(&values[after..])[0]);
+                    }
+                    for start in before {
+                        let before = start + mine * stride + place;
+                        sum = simd.sub_f64s(sum, f64::lanes::<S>(&values[before..])[0]);
+                    }
+                    f64::lanes_mut::<S>(&mut values[self.at(here, OWN + plane) + place..])[0] = sum;
+                    plane += 1;
                 }
             }
         }
     }
 }
 
-/// An edge from one particle to another.
-struct Edge {
-    ends: [usize; 2],
-    vector: [f64; 3],
-}
-
-/// Adds the block of two edges to the blocks of their ends: an edge is its second end minus its first.
-fn spread((u, w): (&Edge, &Edge), block: &Block, add: &mut impl FnMut(usize, usize, &Block)) {
-    let opposite = block.map(|row| row.map(|v| -v));
-    let [[u0, u1], [w0, w1]] = [u.ends, w.ends];
-    add(u0, w0, block);
-    add(u1, w1, block);
-    add(u0, w1, &opposite);
-    add(u1, w0, &opposite);
-}
-
-/// Second derivatives of `factor (|e| - 1)^2`: 2 along the edge, and 2 (1 - 1 / |e|) across it, which is negative for a
-/// compressed one.
-fn stretch_block(e: [f64; 3], factor: f64, projection: Projection) -> Block {
-    let l = length(e);
-    if l == 0.0 {
-        return [[0.0; 3]; 3];
-    }
-    let across = projection.of(1.0 - 1.0 / l);
-    let d = scaled(e, 1.0 / l);
-    let mut block = scaled_outer(d, d, 2.0 * factor * (1.0 - across));
-    (0..3).for_each(|k| block[k][k] += 2.0 * factor * across);
-    block
-}
-
-/// Second derivatives of `factor (t - rest)^2`, t the angle between u and w: with respect to u twice, u and w, w twice.
-///
-/// With the unit normal n of their plane, m_u the unit vector across u towards w, and m_w that across w towards u,
-/// `dt/du = -m_u / |u|`, `d2t/du2 = (cot t nn' + m_u u' + u m_u') / |u|^2` (u of length 1) and `d2t/du dw = -nn' / (|u| |w|
-/// sin t)`. The part along n of the whole is `s [[cos t, -1], [-1, cos t]]` with `s = (t - rest) / sin t`, whose eigenvalues
-/// are `s (cos t + 1)` and `s (cos t - 1)`; the projection keeps the positive ones and leaves the products of m and u out.
-fn angle_blocks((u, w): ([f64; 3], [f64; 3]), rest: f64, factor: f64, projection: Projection) -> [Block; 3] {
-    let (lu, lw) = (length(u), length(w));
-    if lu == 0.0 || lw == 0.0 {
-        return [[[0.0; 3]; 3]; 3];
-    }
-    let (u, w) = (scaled(u, 1.0 / lu), scaled(w, 1.0 / lw));
-    let c = cross(u, w);
-    let (sine, cosine) = (length(c), dot(u, w));
-    let delta = sine.atan2(cosine) - rest;
-    // Between parallel edges every normal will do; there (t - 0) / sin t is 1.
-    let (n, s) = match sine > PARALLEL {
-        true => (scaled(c, 1.0 / sine), delta / sine),
-        false if rest == 0.0 && cosine > 0.0 => (any_normal(u), 1.0),
-        false => (any_normal(u), 0.0),
-    };
-    let (mu, mw) = (cross(n, u), cross(w, n));
-    let [sum, difference] = [s * (cosine - 1.0), s * (cosine + 1.0)].map(|value| projection.of(value));
-    let radial = (1.0 - projection.0) * delta;
-    let own = |m: [f64; 3], e: [f64; 3], l: f64| {
-        let factor = 2.0 * factor / (l * l);
-        let mut block = scaled_outer(m, m, factor);
-        add_outer(&mut block, n, n, factor * 0.5 * (sum + difference));
-        add_outer(&mut block, m, e, factor * radial);
-        add_outer(&mut block, e, m, factor * radial);
-        block
-    };
-    let both = 2.0 * factor / (lu * lw);
-    let mut mixed = scaled_outer(mu, mw, both);
-    add_outer(&mut mixed, n, n, both * 0.5 * (sum - difference));
-    [own(mu, u, lu), mixed, own(mw, w, lw)]
-}
-
-/// A unit vector across the unit vector `u`.
-fn any_normal(u: [f64; 3]) -> [f64; 3] {
-    let axis = if u[0].abs() < 0.7 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
-    let c = cross(u, axis);
-    scaled(c, 1.0 / length(c))
-}
-
-fn scaled_outer(u: [f64; 3], w: [f64; 3], factor: f64) -> Block {
-    u.map(|u| w.map(|w| factor * u * w))
-}
-
-fn add_outer(block: &mut Block, u: [f64; 3], w: [f64; 3], factor: f64) {
-    for (row, u) in block.iter_mut().zip(u) {
-        for (to, w) in row.iter_mut().zip(w) {
-            *to += factor * u * w;
-        }
-    }
-}
-
-fn transposed(block: &Block) -> Block {
-    [0, 1, 2].map(|k| [0, 1, 2].map(|l| block[l][k]))
+/// A vector across the unit vectors `u`, not of length 1.
+#[inline(always)]
+fn any_normal<S: Simd>(simd: S, u: [S::f64s; 3]) -> [S::f64s; 3] {
+    let zero = simd.splat_f64s(0.0);
+    let level = (simd.splat_f64s(0.7), simd.abs_f64s(u[0]));
+    [
+        f64::where_above(simd, level, zero, simd.neg_f64s(u[2])),
+        f64::where_above(simd, level, u[2], zero),
+        f64::where_above(simd, level, simd.neg_f64s(u[1]), u[0]),
+    ]
 }

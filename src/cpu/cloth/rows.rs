@@ -58,6 +58,15 @@ pub(super) fn cross<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], w: [T::Lanes
     ]
 }
 
+#[inline(always)]
+pub(super) fn scaled<T: Real, S: Simd>(
+    simd: S,
+    u: [T::Lanes<S>; 3],
+    factor: T::Lanes<S>,
+) -> [T::Lanes<S>; 3] {
+    [T::product(simd, u[0], factor), T::product(simd, u[1], factor), T::product(simd, u[2], factor)]
+}
+
 /// Sets `edges` [3, W'] to the edges from the first `count` particles of row `i` to those `step` further on; there are as many
 /// particles behind `step`.
 #[inline(always)]
