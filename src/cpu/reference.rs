@@ -78,22 +78,15 @@ impl Reference {
 
     /// L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`.
     pub fn energy(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) -> f64 {
-        self.begin(state, control, a);
-        self.energy_here(state, control)
-    }
-
-    fn begin(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) {
-        self.objective.begin_frame(state, control);
-        self.objective.set_accelerations(a);
-        let Trials { model, a, .. } = &mut self.objective.trial;
-        hold(model, a);
+        begin(&mut self.objective, state, control, a);
+        energy_here(&mut self.objective, state, control)
     }
 
     /// The minimum of the frame that `control` drives from `state`, searched from the accelerations `a` [3, H, W].
     pub fn minimise(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) -> Minimum {
-        self.begin(state, control, a);
+        begin(&mut self.objective, state, control, a);
         let mut grad = self.gradient(state, control);
-        let mut energy = self.energy_here(state, control);
+        let mut energy = energy_here(&mut self.objective, state, control);
         // What a frame finds shall not depend on the frames before it.
         self.hessian.reset();
         self.history.clear();
@@ -167,11 +160,6 @@ impl Reference {
         None
     }
 
-    fn energy_here(&mut self, state: &State<f64>, control: &Control<f64>) -> f64 {
-        self.objective.place(state, control);
-        self.objective.energy(state, 0).total()
-    }
-
     /// The gradient over the free particles, 0 at handles.
     fn gradient(&mut self, state: &State<f64>, control: &Control<f64>) -> Vec<f64> {
         self.objective.evaluate(state, control);
@@ -231,14 +219,16 @@ impl Track {
         &self,
         mut accelerations: impl FnMut(&State<f32>, &Control<f32>) -> Result<Option<Vec<f32>>>,
     ) -> Result<Option<f64>> {
-        let mut reference = Reference::new(&self.model)?;
+        let mut objective = Objective::new(&self.model);
         let mut probes = self.probes.iter().peekable();
         let mut gaps = Vec::with_capacity(self.probes.len());
         for (frame, (before, control)) in self.frames.iter().enumerate() {
             let Some(a) = accelerations(before, control)? else { return Ok(None) };
             if let Some(&(_, nothing, minimum)) = probes.next_if(|probe| probe.0 == frame) {
                 let a: Vec<f64> = a.into_iter().map(f64::from).collect();
-                let reached = reference.energy(&before.cast(), &control.cast(), &a);
+                let (state, control) = (before.cast(), control.cast());
+                begin(&mut objective, &state, &control, &a);
+                let reached = energy_here(&mut objective, &state, &control);
                 gaps.push((reached - minimum) / (nothing - minimum));
             }
         }
@@ -250,6 +240,20 @@ impl Track {
     pub fn model(&self) -> &Model {
         &self.model
     }
+}
+
+/// Begins a frame at the accelerations `a` [3, H, W].
+fn begin(objective: &mut Objective<f64>, state: &State<f64>, control: &Control<f64>, a: &[f64]) {
+    objective.begin_frame(state, control);
+    objective.set_accelerations(a);
+    let Trials { model, a, .. } = &mut objective.trial;
+    hold(model, a);
+}
+
+/// L where the accelerations lead.
+fn energy_here(objective: &mut Objective<f64>, state: &State<f64>, control: &Control<f64>) -> f64 {
+    objective.place(state, control);
+    objective.energy(state, 0).total()
 }
 
 /// Zeroes a field [3, H, W] at the handles.
