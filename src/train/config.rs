@@ -1,7 +1,7 @@
 //! The configuration of a training run.
 
 use super::read;
-use super::schedule::{Decay, Schedule};
+use super::schedule::{Decay, RateSchedule};
 use crate::cpu::train::AdamWSettings;
 use crate::sim::Grid;
 use crate::{Error, Result, io, network};
@@ -53,7 +53,7 @@ pub struct Config {
     /// AdamW.
     pub optimizer: AdamWOptions,
     /// The learning rate from step to step.
-    pub schedule: Schedule,
+    pub schedule: RateSchedule,
     /// Validation rollouts.
     pub validation: ValidationConfig,
     /// When the state of the run is written.
@@ -145,14 +145,9 @@ pub struct ResetRules {
 pub struct AdamWOptions {
     /// Learning rate.
     pub rate: f64,
-    /// Decays of the means of the gradient and of its square.
-    pub betas: [f64; 2],
-    /// Added to the denominator.
-    pub epsilon: f64,
-    /// Decoupled weight decay.
-    pub weight_decay: f64,
-    /// Largest norm of the gradient over all weights.
-    pub clip: f64,
+    /// All else.
+    #[serde(flatten)]
+    pub settings: AdamWSettings,
 }
 
 /// How often something is done.
@@ -194,7 +189,7 @@ impl Default for Config {
             motion: MotionRanges::default(),
             reset: ResetRules::default(),
             optimizer: AdamWOptions::default(),
-            schedule: Schedule { warmup: 0, decay: Decay::Halvings(vec![125_000, 250_000, 375_000]) },
+            schedule: RateSchedule { warmup: 0, decay: Decay::Halvings(vec![125_000, 250_000, 375_000]) },
             validation: ValidationConfig::default(),
             checkpoint: Every::Minutes(10.0),
         }
@@ -246,17 +241,9 @@ impl Default for ResetRules {
     }
 }
 
-impl AdamWOptions {
-    /// As the optimizer takes them.
-    pub fn settings(&self) -> AdamWSettings {
-        let [beta1, beta2] = self.betas;
-        AdamWSettings { beta1, beta2, epsilon: self.epsilon, decay: self.weight_decay, clip: self.clip }
-    }
-}
-
 impl Default for AdamWOptions {
     fn default() -> Self {
-        Self { rate: 1e-3, betas: [0.9, 0.999], epsilon: 1e-8, weight_decay: 0.01, clip: 1.0 }
+        Self { rate: 1e-3, settings: AdamWSettings::default() }
     }
 }
 

@@ -37,7 +37,7 @@ impl CpuLearner {
             Ok(Room { all: Arrays::of_pool(pool), drawn, loss: Loss::new(weights, &model)? })
         };
         let flat = weights.flat();
-        let adamw = AdamW::new(config.optimizer.settings(), flat.len());
+        let adamw = AdamW::new(config.optimizer.settings, flat.len());
         Ok(Self {
             network: weights.config,
             pools: config.pools.iter().map(room).collect::<Result<_>>()?,

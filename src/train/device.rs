@@ -199,7 +199,7 @@ impl DeviceAdamW {
     /// Sets the factors of update number `number`, from 1 on, for a gradient of this norm; `average` is the decay of the
     /// running mean of the weights. Ahead of whatever is submitted next.
     pub fn set_factors(&self, norm: f64, number: u64, (rate, average): (f64, f64)) {
-        let AdamWSettings { beta1, beta2, epsilon, .. } = self.settings;
+        let AdamWSettings { betas: [beta1, beta2], epsilon, .. } = self.settings;
         let AdamWFactors { shorten, shrink, pace, root } = self.settings.factors(norm, number, rate);
         let factors = Factors {
             shorten: shorten as f32,

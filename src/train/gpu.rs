@@ -134,7 +134,7 @@ impl GpuLearner {
         // The table's, whatever was measured: a run that is resumed goes on to the same bits.
         let tuning = Tuning::table(context);
         let parameters = Parameters::new(context, weights, &tuning)?;
-        let adamw = DeviceAdamW::new(context, parameters.flat.len(), config.optimizer.settings())?;
+        let adamw = DeviceAdamW::new(context, parameters.flat.len(), config.optimizer.settings)?;
         adamw.moments.averaged.write(context, &parameters.layout().to_device(&weights.flat()));
         let transposed = Transposed::new(context, &parameters)?;
         let mut prepare = Schedule::new(context);

@@ -72,6 +72,6 @@ pub use learner::{Batch, Drawn, Learner, Outcome, StepReport, Update, learner};
 pub use pool::{MAX_HANDLES, Pool};
 pub use ranks::{Alone, Ranks, ranks};
 pub use run::{End, Limits, Progress, Run};
-pub use schedule::{Decay, Schedule};
+pub use schedule::{Decay, RateSchedule};
 pub use script::Script;
 pub use validation::{SceneScore, Validation};

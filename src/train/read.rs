@@ -4,7 +4,8 @@ use super::config::{
     AdamWOptions, Config, Every, MaterialRanges, MotionRanges, PoolConfig, Range, ResetRules,
     ValidationConfig,
 };
-use super::schedule::{Decay, Schedule};
+use super::schedule::{Decay, RateSchedule};
+use crate::cpu::train::AdamWSettings;
 use crate::io::{Node, parse_toml};
 use crate::sim::{Grid, MAX_GRID, MIN_GRID};
 use crate::{Error, Result, network};
@@ -231,17 +232,17 @@ fn reset(node: &Node<'_>) -> Result<ResetRules> {
 
 fn optimizer(node: &Node<'_>) -> Result<AdamWOptions> {
     node.only(&["rate", "betas", "epsilon", "weight_decay", "clip"])?;
-    let base = AdamWOptions::default();
-    Ok(AdamWOptions {
-        rate: node.get_or("rate", base.rate, positive)?,
+    let AdamWOptions { rate, settings: base } = AdamWOptions::default();
+    let settings = AdamWSettings {
         betas: node.get_or("betas", base.betas, |n| n.array("two numbers [b1, b2]", decay))?,
         epsilon: node.get_or("epsilon", base.epsilon, positive)?,
         weight_decay: node.get_or("weight_decay", base.weight_decay, not_negative)?,
         clip: node.get_or("clip", base.clip, positive)?,
-    })
+    };
+    Ok(AdamWOptions { rate: node.get_or("rate", rate, positive)?, settings })
 }
 
-fn schedule(node: &Node<'_>) -> Result<Schedule> {
+fn schedule(node: &Node<'_>) -> Result<RateSchedule> {
     node.only(&["warmup", "decay"])?;
     let read_decay = |node: &Node<'_>| {
         if node.value.as_str() == Some("none") {
@@ -263,7 +264,7 @@ fn schedule(node: &Node<'_>) -> Result<Schedule> {
             _ => Err(node.invalid(expected)),
         }
     };
-    Ok(Schedule {
+    Ok(RateSchedule {
         warmup: node.get_or("warmup", 0, whole)?,
         decay: node.get_or("decay", Config::default().schedule.decay, read_decay)?,
     })

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 /// How the learning rate changes during a run.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
-pub struct Schedule {
+pub struct RateSchedule {
     /// Steps over which the rate rises linearly at the beginning; 0 for none.
     pub warmup: u64,
     /// What becomes of it afterwards.
@@ -28,7 +28,7 @@ pub enum Decay {
     },
 }
 
-impl Schedule {
+impl RateSchedule {
     /// The learning rate of step `step` of `steps`, counted from 0, where the full rate is `rate`.
     pub fn rate(&self, rate: f64, step: u64, steps: u64) -> f64 {
         if step < self.warmup {
@@ -52,12 +52,12 @@ mod tests {
 
     #[test]
     fn the_rate_rises_and_falls_as_told() {
-        let paper = Schedule { warmup: 0, decay: Decay::Halvings(vec![10, 20, 30]) };
+        let paper = RateSchedule { warmup: 0, decay: Decay::Halvings(vec![10, 20, 30]) };
         let rates = [0, 9, 10, 19, 20, 30, 1000].map(|step| paper.rate(8.0, step, 40));
         assert_eq!(rates, [8.0, 8.0, 4.0, 4.0, 2.0, 1.0, 1.0]);
-        let cosine = Schedule { warmup: 4, decay: Decay::Cosine { last: 2.0 } };
+        let cosine = RateSchedule { warmup: 4, decay: Decay::Cosine { last: 2.0 } };
         let rates = [0, 1, 3, 4, 12, 20, 30].map(|step| cosine.rate(8.0, step, 20));
         assert_eq!(rates, [2.0, 4.0, 8.0, 8.0, 5.0, 2.0, 2.0]);
-        assert_eq!(Schedule::default().rate(3.0, 7, 8), 3.0);
+        assert_eq!(RateSchedule::default().rate(3.0, 7, 8), 3.0);
     }
 }

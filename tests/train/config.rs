@@ -67,7 +67,7 @@ fn every_field_can_be_set() {
     assert_eq!(pool.material.stretch, PoolConfig::default().material.stretch);
     assert_eq!((config.motion.pinch, config.motion.aligned, config.motion.corners), (0.0, 0.25, 0.5));
     assert_eq!(config.reset.scale, Some([1e-5, 2.0]));
-    assert_eq!(config.optimizer.betas, [0.8, 0.99]);
+    assert_eq!(config.optimizer.settings.betas, [0.8, 0.99]);
     assert_eq!((config.schedule.warmup, &config.schedule.decay), (3, &Decay::Cosine { last: 1e-6 }));
     assert_eq!((config.checkpoint, config.validation.every), (Every::Steps(7), Every::Minutes(0.5)));
     let shipped = include_str!("../../assets/training/shipped-13.toml");

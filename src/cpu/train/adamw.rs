@@ -7,16 +7,14 @@ use rayon::prelude::*;
 const CHUNK: usize = 1 << 14;
 
 /// Settings of AdamW, on any device.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct AdamWSettings {
-    /// Decay of the mean gradient.
-    pub beta1: f64,
-    /// Decay of the mean squared gradient.
-    pub beta2: f64,
+    /// Decays of the means of the gradient and of its square.
+    pub betas: [f64; 2],
     /// Added to the denominator.
     pub epsilon: f64,
     /// Weight decay, times the rate and apart from the gradient.
-    pub decay: f64,
+    pub weight_decay: f64,
     /// Largest norm of a gradient; a longer one is shortened.
     pub clip: f64,
 }
@@ -38,7 +36,7 @@ pub struct AdamWFactors {
 impl Default for AdamWSettings {
     /// The paper's: decays 0.9 and 0.999, weight decay 0.01, gradients clipped to 1.
     fn default() -> Self {
-        Self { beta1: 0.9, beta2: 0.999, epsilon: 1e-8, decay: 0.01, clip: 1.0 }
+        Self { betas: [0.9, 0.999], epsilon: 1e-8, weight_decay: 0.01, clip: 1.0 }
     }
 }
 
@@ -46,12 +44,13 @@ impl AdamWSettings {
     /// Update number `number`, from 1 on, with a gradient of this norm.
     pub fn factors(&self, norm: f64, number: u64, rate: f64) -> AdamWFactors {
         let number = i32::try_from(number).unwrap_or(i32::MAX);
+        let [first, second] = self.betas.map(|beta| 1.0 - beta.powi(number));
         AdamWFactors {
             // The small number is PyTorch's.
             shorten: (self.clip / (norm + 1e-6)).min(1.0),
-            shrink: 1.0 - rate * self.decay,
-            pace: rate / (1.0 - self.beta1.powi(number)),
-            root: (1.0 - self.beta2.powi(number)).sqrt(),
+            shrink: 1.0 - rate * self.weight_decay,
+            pace: rate / first,
+            root: second.sqrt(),
         }
     }
 }
@@ -82,11 +81,11 @@ impl<T: Real> AdamW<T> {
 
     /// Moves `weights` by update number `number`, from 1 on, given the gradient and its norm.
     pub fn step(&mut self, weights: &mut [T], (gradient, norm): (&[T], f64), number: u64, rate: f64) {
-        let AdamWSettings { beta1, beta2, epsilon, .. } = self.settings;
+        let AdamWSettings { betas, epsilon, .. } = self.settings;
         let AdamWFactors { shorten, shrink, pace, root } = self.settings.factors(norm, number, rate);
         let [shorten, shrink, pace, root, epsilon] = [shorten, shrink, pace, root, epsilon].map(T::of);
-        let [keep1, keep2] = [beta1, beta2].map(T::of);
-        let [add1, add2] = [1.0 - beta1, 1.0 - beta2].map(T::of);
+        let [keep1, keep2] = betas.map(T::of);
+        let [add1, add2] = betas.map(|beta| T::of(1.0 - beta));
         let memory = self.mean.par_chunks_mut(CHUNK).zip(self.square.par_chunks_mut(CHUNK));
         let all = weights.par_chunks_mut(CHUNK).zip(gradient.par_chunks(CHUNK)).zip(memory);
         all.for_each(|((weights, gradient), (mean, square))| {
