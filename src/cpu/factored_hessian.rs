@@ -1,6 +1,6 @@
 //! The sparse Hessian of a frame's energy and its Cholesky factors: a Newton step.
 
-use super::cloth::{Hessian, Projection, Trial, neighbours};
+use super::cloth::{AFTER, Hessian, Projection, Trial, neighbours};
 use crate::cpu::optim::InverseHessian;
 use crate::sim::Grid;
 use crate::{Error, Result};
@@ -57,32 +57,41 @@ impl FactoredHessian {
     /// Analyses the pattern of a grid; an error when memory does not suffice.
     pub fn new(grid: Grid) -> Result<Self> {
         let n = grid.particles();
-        let hessian = Hessian::new(grid);
+        let hessian = Hessian::new(grid).map_err(unsolved)?;
         let (order, places) = minimum_degree(grid)?;
         let (mut starts, mut rows, mut sources) = (vec![0], Vec::new(), Vec::new());
-        for (at, &q) in order.iter().enumerate() {
-            let mut others: Vec<usize> = neighbours(grid, q).map(|p| places[p]).filter(|&p| p > at).collect();
-            others.sort_unstable();
+        // Of a component: the lower half of what it shares with its own particle and with the others.
+        let most = 3 * n * (2 + 3 * AFTER);
+        rows.try_reserve_exact(most).map_err(unsolved)?;
+        sources.try_reserve_exact(most).map_err(unsolved)?;
+        for (place, &q) in order.iter().enumerate() {
+            let mut later: Vec<usize> = neighbours(grid, q).map(|p| places[p]).collect();
+            later.retain(|&other| other > place);
+            later.sort_unstable();
             for column in 0..3 {
-                let own = (column..3).map(|row| (at, row));
-                let all = own.chain(others.iter().flat_map(|&p| (0..3).map(move |row| (p, row))));
-                for (place, row) in all {
-                    rows.push(3 * place + row);
-                    let source = hessian.place((order[place], row), (q, column));
-                    sources.push(source.expect("neighbours share a term") as u32);
+                let own = (column..3).map(|row| (place, row));
+                let others = later.iter().flat_map(|&other| (0..3).map(move |row| (other, row)));
+                for (other, row) in own.chain(others) {
+                    rows.push(3 * other + row);
+                    let source = hessian.place((order[other], row), (q, column));
+                    let source = source.expect("neighbours share a term");
+                    sources.push(u32::try_from(source).expect("the largest grid has a billion numbers"));
                 }
                 starts.push(rows.len());
             }
         }
-        let values = vec![0.0; rows.len()];
+        let mut values = Vec::new();
+        values.try_reserve_exact(rows.len()).map_err(unsolved)?;
+        values.resize(rows.len(), 0.0);
         let pattern = SymbolicSparseColMat::new_checked(3 * n, 3 * n, starts, None, rows);
         let supernodal_params = SymbolicSupernodalParams { relax: Some(RELAX) };
         let params = CholeskySymbolicParams { supernodal_params, ..Default::default() };
-        // Without an ordering of its own it takes the upper triangle, and factors the lower one.
-        let upper = pattern.as_ref().transpose().to_col_major().map_err(unsolved)?;
-        let ordering = SymmetricOrdering::Identity;
-        let symbolic = factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, ordering, params);
-        let symbolic = symbolic.map_err(unsolved)?;
+        let symbolic = {
+            // With the identity for an ordering faer analyses the upper triangle; what it factors is the lower one as it is.
+            let upper = pattern.as_ref().transpose().to_col_major().map_err(unsolved)?;
+            let ordering = SymmetricOrdering::Identity;
+            factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, ordering, params).map_err(unsolved)?
+        };
         let mut factors = Vec::new();
         factors.try_reserve_exact(symbolic.len_val()).map_err(unsolved)?;
         factors.resize(symbolic.len_val(), 0.0);

@@ -34,6 +34,18 @@ impl Sheet {
         }
     }
 
+    /// The direction of steepest descent and that of a Newton step.
+    fn directions(&self, hessian: &mut FactoredHessian) -> [Vec<f64>; 2] {
+        hessian.reset();
+        hessian.factor(&self.at(&self.x)).unwrap();
+        let mut grad = self.gradient(&self.x);
+        let n = self.grid.particles();
+        (0..3 * n).filter(|k| self.slots[k % n] != 0).for_each(|k| grad[k] = 0.0);
+        let mut direction = grad.clone();
+        hessian.apply(&mut direction);
+        [grad, direction]
+    }
+
     fn gradient(&self, x: &[f64]) -> Vec<f64> {
         let mut grad = vec![0.0; x.len()];
         gradient(&self.at(x), &mut GradientRows::new(self.grid), &mut grad);
@@ -44,8 +56,13 @@ impl Sheet {
     fn turned(&self, projection: Projection, direction: &[f64]) -> Vec<f64> {
         let n = self.grid.particles();
         let mut turned = vec![0.0; direction.len()];
-        let mut hessian = Hessian::new(self.grid);
+        let mut hessian = Hessian::new(self.grid).unwrap();
+        // Nothing is left of another trial.
+        let elsewhere: Vec<f64> =
+            self.x.iter().zip(noise(self.x.len(), 9)).map(|(x, d)| x + 0.3 * d).collect();
+        hessian.fill(&self.at(&elsewhere), Projection(0.5));
         hessian.fill(&self.at(&self.x), projection);
+        assert!(hessian.values().iter().all(|v| v.is_finite()));
         for (p, q) in (0..n).flat_map(|p| (0..n).map(move |q| (p, q))) {
             for (row, line) in hessian.block(p, q).iter().enumerate() {
                 let product = line.iter().enumerate().map(|(column, b)| b * direction[column * n + q]);
@@ -63,8 +80,11 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 #[test]
 fn the_hessian_is_the_derivative_of_the_gradient() {
     // Crumpled, nearly flat, and flat, where angles are 0.
-    for (crumpled, tolerance) in [(0.2, 1e-7), (1e-3, 1e-5), (0.0, 1e-5)] {
-        let sheet = Sheet::new(Grid { h: 9, w: 12 }, crumpled);
+    let cases = [(0.2, 1e-7), (1e-3, 1e-5), (0.0, 1e-5)];
+    // Rows that end within a register, and with one.
+    let grids = [(9, 12), (8, 8), (10, 15), (8, 16), (11, 17)].map(|(h, w)| Grid { h, w });
+    for ((crumpled, tolerance), grid) in cases.into_iter().flat_map(|case| grids.map(|grid| (case, grid))) {
+        let sheet = Sheet::new(grid, crumpled);
         let direction = noise(sheet.x.len(), 2);
         let moved = |step: f64| {
             let x: Vec<f64> = sheet.x.iter().zip(&direction).map(|(x, d)| x + step * d).collect();
@@ -76,7 +96,7 @@ fn the_hessian_is_the_derivative_of_the_gradient() {
         let found = sheet.turned(Projection::NONE, &direction);
         let apart: Vec<f64> = found.iter().zip(&difference).map(|(f, d)| f - d).collect();
         let error = (dot(&apart, &apart) / dot(&difference, &difference)).sqrt();
-        assert!(error < tolerance, "crumpled by {crumpled}: {error:.1e}");
+        assert!(error < tolerance, "{grid}, crumpled by {crumpled}: {error:.1e}");
     }
 }
 
@@ -99,10 +119,71 @@ fn the_projected_hessian_is_never_negative() {
     assert!(exact_lowest < 0.0, "the sheet has no compressed edge: {exact_lowest}");
 }
 
+/// Particles that coincide: their edge has no direction, and no angle with any other.
+#[test]
+fn edges_without_length_leave_the_rest_as_it_is() {
+    let grid = Grid { h: 9, w: 13 };
+    let n = grid.particles();
+    for (p, q) in [(0, 1), (0, grid.w), (40, 41), (40, 40 + grid.w), (n - 2, n - 1), (n - 1 - grid.w, n - 1)]
+    {
+        let mut sheet = Sheet::new(grid, 0.1);
+        (0..3).for_each(|c| sheet.x[c * n + q] = sheet.x[c * n + p]);
+        for seed in 11..14 {
+            let all = noise(sheet.x.len(), seed);
+            assert!(dot(&all, &sheet.turned(Projection::FULL, &all)) >= 0.0, "{p} on {q}");
+        }
+        let [grad, direction] = sheet.directions(&mut FactoredHessian::new(grid).unwrap());
+        assert!(dot(&direction, &grad) > 0.0, "{p} on {q}");
+    }
+}
+
+/// What is left out grows with the share, term by term.
+#[test]
+fn a_share_of_the_negative_curvature_is_left_out() {
+    let sheet = Sheet::new(Grid { h: 9, w: 11 }, 0.4);
+    let direction = noise(sheet.x.len(), 21);
+    let [none, part, full] = [0.0, 0.25, 1.0].map(|share| sheet.turned(Projection(share), &direction));
+    let size = dot(&full, &full).sqrt();
+    for ((none, part), full) in none.iter().zip(part).zip(full) {
+        assert!((part - (0.75 * none + 0.25 * full)).abs() < 1e-12 * size);
+    }
+}
+
+/// Factors depend on the trial alone, not on those before it: neither on its handles nor on one that is no number.
+#[test]
+fn factors_are_made_anew() {
+    let grid = Grid { h: 17, w: 32 };
+    let mut reused = FactoredHessian::new(grid).unwrap();
+    let mut broken = Sheet::new(grid, 0.1);
+    for p in [0, 31, 200, grid.particles() - 1] {
+        for value in [f64::NAN, f64::INFINITY] {
+            broken.x[p] = value;
+            assert!(reused.factor(&broken.at(&broken.x)).is_err(), "{value} at {p}");
+            broken.x[p] = 0.0;
+        }
+    }
+    for (seed, handles) in [(1, vec![]), (2, vec![0, 31]), (3, (0..32).collect()), (4, vec![5, 6, 38, 300])] {
+        let mut sheet = Sheet::new(grid, 0.05 * seed as f64);
+        handles.into_iter().for_each(|p: usize| sheet.slots[p] = 1);
+        let again = sheet.directions(&mut reused);
+        assert_eq!(again, sheet.directions(&mut FactoredHessian::new(grid).unwrap()), "sheet {seed}");
+    }
+}
+
+/// On a grid whose factors are made number by number, and on those where it is done block by block.
 #[test]
 fn the_direction_solves_the_system() {
-    let mut sheet = Sheet::new(Grid { h: 8, w: 11 }, 0.05);
-    (sheet.slots[3], sheet.slots[50]) = (1, 2);
+    for (h, w) in [(8, 11), (24, 33), (32, 32)] {
+        solves_the_system(Grid { h, w });
+    }
+}
+
+fn solves_the_system(grid: Grid) {
+    let mut sheet = Sheet::new(grid, 0.05);
+    // At two corners, at a border, and inside.
+    for (slot, p) in [0, 3, 4 * grid.w + 6, grid.particles() - 1].into_iter().enumerate() {
+        sheet.slots[p] = slot as u32 + 1;
+    }
     let n = sheet.grid.particles();
     let held = |k: usize| sheet.slots[k % n] != 0;
     let mut grad = noise(3 * n, 5);
@@ -122,7 +203,7 @@ fn the_direction_solves_the_system() {
         (dot(&apart, &apart) / dot(&grad, &grad)).sqrt()
     });
     let least = residuals.into_iter().fold(f64::INFINITY, f64::min);
-    assert!(least < 1e-5, "no Hessian times the direction is the gradient: {residuals:?}");
+    assert!(least < 1e-5, "{grid}: no Hessian times the direction is the gradient: {residuals:?}");
 }
 
 /// Of a sheet that nothing holds, and that is ten billion times as stiff as heavy, rounding leaves no trace of the mass that

@@ -4,12 +4,13 @@
 //! A particle shares terms with twelve others, and only those blocks are computed term by term: energy does not change when the
 //! whole cloth moves, so that a particle's own block is minus the sum of its others.
 
-use super::rows::{Stored, cross, dot, load, scaled, vector_at, width};
+use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
 use super::{Factors, Trial};
 use crate::cpu::Real;
 use crate::cpu::matmul::LANES;
 use crate::sim::Grid;
 use pulp::{Arch, Simd, WithSimd};
+use std::collections::TryReserveError;
 use std::f64::consts::FRAC_PI_2;
 
 /// A block of the Hessian: second derivatives with respect to the positions of two particles.
@@ -33,8 +34,11 @@ impl Projection {
     }
 }
 
+/// Number of particles that come after a particle in the grid and share a term with it.
+pub const AFTER: usize = 6;
+
 /// Particles that come after a particle in the grid and share a term with it: rows and columns from there.
-const NEIGHBOURS: [(isize, isize); 6] = [(0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
+const NEIGHBOURS: [(isize, isize); AFTER] = [(0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
 
 /// Where the block with each of them begins, in planes of W' numbers.
 const RIGHT: usize = 0;
@@ -55,7 +59,8 @@ pub struct Hessian {
     grid: Grid,
     stored: Stored,
     /// Shape [H, 60, W'], after some zeros: of each particle, the blocks with its neighbours that come after it, the
-    /// neighbour's component first, and the lower triangle of its own.
+    /// neighbour's component first, and the lower triangle of its own. Behind the particles of a row each plane is zero, and so
+    /// is what is in front of one.
     values: Vec<f64>,
     work: Work,
 }
@@ -67,16 +72,14 @@ struct Work {
 }
 
 impl Hessian {
-    /// Zeros, for cloths on this grid.
-    pub fn new(grid: Grid) -> Self {
+    /// Zeros, for cloths on this grid; an error when memory does not suffice.
+    pub fn new(grid: Grid) -> std::result::Result<Self, TryReserveError> {
         let stored = Stored::new(grid.w);
         let edges = || [(); 2].map(|()| vec![0.0; 4 * stored.stride]);
-        Self {
-            grid,
-            stored,
-            values: vec![0.0; LANES + grid.h * PLANES * stored.stride],
-            work: Work { vertical: edges(), horizontal: edges() },
-        }
+        let (len, mut values) = (LANES + grid.h * PLANES * stored.stride, Vec::new());
+        values.try_reserve_exact(len)?;
+        values.resize(len, 0.0);
+        Ok(Self { grid, stored, values, work: Work { vertical: edges(), horizontal: edges() } })
     }
 
     /// Computes it at a trial; handles are not left out.
@@ -148,36 +151,37 @@ impl WithSimd for Fill<'_, '_> {
         let straight = Angle { rest: 0.0, parallel: 1.0, factor: bend };
         let square = Angle { rest: FRAC_PI_2, parallel: 0.0, factor: shear };
         let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
-        // Where the block of a kind begins of the particles of a row.
+        let (mut v, mut next_v, mut e, mut next_e) = (v, next_v, e, next_e);
         let row = PLANES * stored.stride;
         values[LANES..][..row].fill(0.0);
+        load(simd, trial, (0, 1, w - 1), stored, e);
+        terms.direct(e);
+        load(simd, trial, (0, w, w), stored, v);
+        terms.direct(v);
         for i in 0..h {
             let here = LANES + i * row;
             let next = here + row;
-            load(simd, trial, (i, 1, w - 1), stored, e);
-            terms.direct(e);
-            terms.stretch(e, horizontal, (values, terms.at(here, RIGHT)));
+            terms.stretch(e, horizontal, (values, terms.plane(here, RIGHT)));
             terms.angle(
                 straight,
                 (&e[1..], e),
                 values,
-                [terms.at(here, RIGHT) + 1, terms.at(here, RIGHT)],
+                [terms.plane(here, RIGHT) + 1, terms.plane(here, RIGHT)],
                 [
-                    (terms.at(here, RIGHT), Mixed::Plus),
-                    (terms.at(here, RIGHT) + 1, Mixed::Plus),
-                    (terms.at(here, RIGHT_TWICE), Mixed::Minus),
+                    (terms.plane(here, RIGHT), Mixed::Plus),
+                    (terms.plane(here, RIGHT) + 1, Mixed::Plus),
+                    (terms.plane(here, RIGHT_TWICE), Mixed::Minus),
                 ],
             );
             if i + 1 < h {
                 values[next..][..row].fill(0.0);
-                load(simd, trial, (i, w, w), stored, v);
-                terms.direct(v);
-                terms.stretch(v, vertical, (values, terms.at(here, DOWN)));
+                terms.stretch(v, vertical, (values, terms.plane(here, DOWN)));
                 load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
                 terms.direct(next_e);
                 let (down, right, below) =
-                    (terms.at(here, DOWN), terms.at(here, RIGHT), terms.at(next, RIGHT));
-                let (down_left, down_right) = (terms.at(here, DOWN_LEFT) + 1, terms.at(here, DOWN_RIGHT));
+                    (terms.plane(here, DOWN), terms.plane(here, RIGHT), terms.plane(next, RIGHT));
+                let (down_left, down_right) =
+                    (terms.plane(here, DOWN_LEFT) + 1, terms.plane(here, DOWN_RIGHT));
                 // The four corners of each cell: two edges share a particle, and three pairs of their ends are left.
                 terms.angle(
                     square,
@@ -223,22 +227,24 @@ impl WithSimd for Fill<'_, '_> {
                     straight,
                     (next_v, v),
                     values,
-                    [terms.at(next, DOWN), terms.at(here, DOWN)],
+                    [terms.plane(next, DOWN), terms.plane(here, DOWN)],
                     [
-                        (terms.at(here, DOWN), Mixed::Plus),
-                        (terms.at(next, DOWN), Mixed::Plus),
-                        (terms.at(here, DOWN_TWICE), Mixed::Minus),
+                        (terms.plane(here, DOWN), Mixed::Plus),
+                        (terms.plane(next, DOWN), Mixed::Plus),
+                        (terms.plane(here, DOWN_TWICE), Mixed::Minus),
                     ],
                 );
             }
             terms.own(values, i, here);
+            std::mem::swap(&mut v, &mut next_v);
+            std::mem::swap(&mut e, &mut next_e);
         }
     }
 }
 
 /// How the block of two edges enters that of two particles: an edge is its second end minus its first, and the particle that
 /// comes later in the grid, whose components are the rows, may be one of either edge.
-#[derive(Clone, Copy, PartialEq)]
+#[derive(Clone, Copy)]
 enum Mixed {
     Plus,
     Minus,
@@ -250,7 +256,7 @@ enum Mixed {
 #[derive(Clone, Copy)]
 struct Angle {
     rest: f64,
-    /// What `(t - rest) / sin t` is taken to be for parallel edges.
+    /// What `(t - rest) / sin t` is taken to be for parallel edges; for opposite ones it is 0.
     parallel: f64,
     factor: f64,
 }
@@ -263,10 +269,10 @@ struct Terms<S> {
 }
 
 impl<S: Simd> Terms<S> {
-    /// Where a plane of a row begins.
+    /// Where a plane of the row of particles that starts there begins.
     #[inline(always)]
-    fn at(self, row: usize, plane: usize) -> usize {
-        row + plane * self.stored.stride
+    fn plane(self, start: usize, plane: usize) -> usize {
+        start + plane * self.stored.stride
     }
 
     /// Makes edges [4, W'] directions, and sets what is behind them.
@@ -297,16 +303,16 @@ impl<S: Simd> Terms<S> {
         for k in 0..count / width::<f64, S>() {
             let place = k * width::<f64, S>();
             let d = vector_at::<f64, S>(edges, place, stride);
-            let inverse = f64::lanes::<S>(&edges[place + 3 * stride..])[0];
+            let inverse = at::<f64, S>(edges, place + 3 * stride);
             let across = projection.of(simd, simd.sub_f64s(one, inverse));
             let along = simd.mul_f64s(twice, simd.sub_f64s(one, across));
             let across = f64::where_above(simd, (inverse, zero), simd.mul_f64s(twice, across), zero);
             for row in 0..3 {
-                let scaled = simd.mul_f64s(along, d[row]);
+                let of_d = simd.mul_f64s(along, d[row]);
                 for column in 0..3 {
                     let to = &mut values[to + place + (3 * row + column) * stride..];
                     let to = &mut f64::lanes_mut::<S>(to)[0];
-                    *to = simd.mul_add_e_f64s(scaled, d[column], *to);
+                    *to = simd.mul_add_e_f64s(of_d, d[column], *to);
                     if row == column {
                         *to = simd.add_f64s(*to, across);
                     }
@@ -315,8 +321,8 @@ impl<S: Simd> Terms<S> {
         }
     }
 
-    /// Second derivatives of an angle's energy between edges u and w, with respect to u twice and w twice (minus these to the
-    /// blocks of their ends, `own`), and u and w (`mixed`).
+    /// Second derivatives of an angle's energy between edges u and w: with respect to u twice and w twice, minus these to the blocks
+    /// of the two ends of u and of w (`ends`), and with respect to u and w, to blocks of an end of each (`mixed`).
     ///
     /// With the unit normal n of their plane, m_u the unit vector across u towards w, and m_w that across w towards u,
     /// `dt/du = -m_u / |u|`, `d2t/du2 = (cot t nn' + m_u u' + u m_u') / |u|^2` (u of length 1) and `d2t/du dw = -nn' / (|u| |w|
@@ -328,7 +334,7 @@ impl<S: Simd> Terms<S> {
         Angle { rest, parallel, factor }: Angle,
         (edges_u, edges_w): (&[f64], &[f64]),
         values: &mut [f64],
-        own: [usize; 2],
+        ends: [usize; 2],
         mixed: [(usize, Mixed); 3],
     ) {
         let Self { simd, stored: Stored { stride, count }, projection } = self;
@@ -339,8 +345,8 @@ impl<S: Simd> Terms<S> {
         let kept = simd.splat_f64s(1.0 - projection.0);
         for k in 0..count / width::<f64, S>() {
             let place = k * width::<f64, S>();
-            let by_u = f64::lanes::<S>(&edges_u[place + 3 * stride..])[0];
-            let by_w = f64::lanes::<S>(&edges_w[place + 3 * stride..])[0];
+            let by_u = at::<f64, S>(edges_u, place + 3 * stride);
+            let by_w = at::<f64, S>(edges_w, place + 3 * stride);
             let u = vector_at::<f64, S>(edges_u, place, stride);
             let w = vector_at::<f64, S>(edges_w, place, stride);
             let c = cross::<f64, S>(simd, u, w);
@@ -353,7 +359,7 @@ impl<S: Simd> Terms<S> {
             let inverse = simd.div_f64s(one, length);
             let parallel = f64::where_above(simd, (cosine, zero), parallel, zero);
             let s = f64::where_above(simd, (sine, limit), simd.mul_f64s(delta, inverse), parallel);
-            // An edge without length has no angle with any other.
+            // An edge without length has no angle with any other: of such a u there is no normal anyway.
             let inverse = f64::where_above(simd, (by_w, zero), inverse, zero);
             let n = [
                 f64::where_above(simd, (sine, limit), c[0], any[0]),
@@ -366,7 +372,7 @@ impl<S: Simd> Terms<S> {
             let difference = projection.of(simd, simd.mul_f64s(s, simd.add_f64s(cosine, one)));
             let normal = simd.mul_f64s(half, simd.add_f64s(sum, difference));
             let radial = simd.mul_f64s(kept, delta);
-            for (to, m, e, by) in [(own[0], m_u, u, by_u), (own[1], m_w, w, by_w)] {
+            for (to, m, e, by) in [(ends[0], m_u, u, by_u), (ends[1], m_w, w, by_w)] {
                 let factor = simd.mul_f64s(twice, simd.mul_f64s(by, by));
                 let (normal, radial) = (simd.mul_f64s(factor, normal), simd.mul_f64s(factor, radial));
                 for row in 0..3 {
@@ -408,9 +414,9 @@ impl<S: Simd> Terms<S> {
     #[inline(always)]
     fn own(self, values: &mut [f64], i: usize, here: usize) {
         let Self { simd, stored: Stored { stride, count }, .. } = self;
-        let row = PLANES * stride;
-        let above = |rows: usize, plane: usize| self.at(here.saturating_sub(rows * row), plane);
-        // With particles that come before: those of this row, which begins with zeros, of the row above and of that above it.
+        let length = PLANES * stride;
+        let above = |rows: usize, plane: usize| self.plane(here.saturating_sub(rows * length), plane);
+        // With particles that come before: those of this row, of the row above and of that above it.
         let before = [
             above(0, RIGHT) - 1,
             above(0, RIGHT_TWICE) - 2,
@@ -428,14 +434,14 @@ impl<S: Simd> Terms<S> {
                     let (mine, theirs) = (3 * row + column, 3 * column + row);
                     let mut sum = simd.splat_f64s(0.0);
                     for kind in 0..NEIGHBOURS.len() {
-                        let after = self.at(here, 9 * kind + theirs) + place;
-                        sum = simd.sub_f64s(sum, f64::lanes::<S>(&values[after..])[0]);
+                        let after = self.plane(here, 9 * kind + theirs) + place;
+                        sum = simd.sub_f64s(sum, at::<f64, S>(values, after));
                     }
                     for start in before {
                         let before = start + mine * stride + place;
-                        sum = simd.sub_f64s(sum, f64::lanes::<S>(&values[before..])[0]);
+                        sum = simd.sub_f64s(sum, at::<f64, S>(values, before));
                     }
-                    f64::lanes_mut::<S>(&mut values[self.at(here, OWN + plane) + place..])[0] = sum;
+                    f64::lanes_mut::<S>(&mut values[self.plane(here, OWN + plane) + place..])[0] = sum;
                     plane += 1;
                 }
             }

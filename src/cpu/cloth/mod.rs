@@ -11,7 +11,7 @@ mod wind;
 
 pub use energy::energy;
 pub use gradient::{GradientRows, gradient};
-pub use hessian::{Block, Hessian, Projection, neighbours};
+pub use hessian::{AFTER, Block, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};
 pub use stretch::stretch;
 pub use wind::add_wind;
