@@ -2,7 +2,7 @@
 //
 // Each particle owns the edges, corner angles and bends that start at it. Every part holds eight sums:
 // stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of ||edge| - 1|, unused.
-// cloths: [B]; external_acceleration, a, x, shift: [B, 3, H, W]; parts: [B, groups, 8].
+// cloths: [B]; slots: [B, H, W]; external_acceleration, a, base, x: [B, 3, H, W]; parts: [B, groups, 8].
 // One invocation: one particle; a workgroup adds up in a fixed order. Workgroups: (n / 64 along x, then y, and B).
 // Adjoint: `gradient`.
 
@@ -15,26 +15,21 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> external_acceleration: array<f32>;
-@group(0) @binding(3) var<storage, read> a: array<f32>;
-@group(0) @binding(4) var<storage, read> x: array<f32>;
-@group(0) @binding(5) var<storage, read> shift: array<f32>;
-@group(0) @binding(6) var<storage, read_write> parts: array<vec4f>;
+@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(3) var<storage, read> external_acceleration: array<f32>;
+@group(0) @binding(4) var<storage, read> a: array<f32>;
+@group(0) @binding(5) var<storage, read> base: array<f32>;
+@group(0) @binding(6) var<storage, read> x: array<f32>;
+@group(0) @binding(7) var<storage, read_write> parts: array<vec4f>;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
 var<workgroup> terms: array<vec4f, 64>; // stretch, shear, bend, inertia
 var<workgroup> others: array<vec4f, 64>; // external, largest stretch, sum of |stretch|, unused
 
-var<private> x0: vec3f;
-var<private> shift0: vec3f;
-
-// Where particle (i, j) is, seen from the particle of this invocation (x0, shift0).
-fn position(b: u32, i: u32, j: u32) -> vec3f {
-    let n = params.rows * params.columns;
-    let at = b * 3u * n + i * params.columns + j;
-    let way = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
-    return offset(vec3f(x[at], x[at + n], x[at + 2u * n]), x0, way, shift0, params.zero);
+// Where particle (i, j) is, seen from `own`.
+fn position(b: u32, i: u32, j: u32, own: Trial) -> vec3f {
+    return offset(trial(b, i * params.columns + j, params.rows * params.columns), own, params.zero);
 }
 
 fn squared_angle(u: vec3f, w: vec3f, rest: f32) -> f32 {
@@ -62,38 +57,37 @@ fn energy(
         let has_down = i + 1u < params.rows;
         let has_across = j + 1u < params.columns;
         let at = b * 3u * n + p;
-        x0 = vec3f(x[at], x[at + n], x[at + 2u * n]);
-        shift0 = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
+        let own = trial(b, p, n);
         var down = vec3f();
         var across = vec3f();
         if has_down {
-            down = position(b, i + 1u, j);
+            down = position(b, i + 1u, j, own);
             let off = length(down) - 1.0;
             term.x += off * off / ((rows - 1.0) * columns);
             other.y = max(other.y, off);
             other.z += abs(off);
             if i + 2u < params.rows {
-                term.z += squared_angle(down, position(b, i + 2u, j) - down, 0.0);
+                term.z += squared_angle(down, position(b, i + 2u, j, own) - down, 0.0);
             }
         }
         if has_across {
-            across = position(b, i, j + 1u);
+            across = position(b, i, j + 1u, own);
             let off = length(across) - 1.0;
             term.x += off * off / (rows * (columns - 1.0));
             other.y = max(other.y, off);
             other.z += abs(off);
             if j + 2u < params.columns {
-                term.z += squared_angle(across, position(b, i, j + 2u) - across, 0.0);
+                term.z += squared_angle(across, position(b, i, j + 2u, own) - across, 0.0);
             }
         }
         if has_down && has_across {
-            let corner = position(b, i + 1u, j + 1u);
+            let corner = position(b, i + 1u, j + 1u, own);
             let far_v = corner - across;
             let far_h = corner - down;
             term.y += squared_angle(down, across, RIGHT_ANGLE) + squared_angle(down, far_h, RIGHT_ANGLE)
                 + squared_angle(far_v, across, RIGHT_ANGLE) + squared_angle(far_v, far_h, RIGHT_ANGLE);
         }
-        let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
+        let acceleration = own.a;
         let f = vec3f(external_acceleration[at], external_acceleration[at + n], external_acceleration[at + 2u * n]);
         let m = mass(i, j, params.rows, params.columns);
         term.w = 0.5 * m * dot(acceleration, acceleration);

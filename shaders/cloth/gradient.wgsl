@@ -1,16 +1,24 @@
-// Gradient of the frame's energy with respect to the acceleration: grad = dL/da (`sim::EnergyTerms`).
+// Gradient of the frame's energy with respect to the acceleration, grad = dL/da (`sim::EnergyTerms`), and partial sums of its
+// squares: partial_sums[s, k] = (sum g^2, sum d^2) over the k-th part of a sample's particles, where d is the last step.
 //
 // dx/da = 1 at a free particle and 0 at a handle, so there only inertia and the external term count.
-// cloths: [B]; slots: [B, H, W]; external_acceleration, a, x, shift, grad: [B, 3, H, W].
+// cloths: [B]; slots: [B, H, W]; external_acceleration, a, base, x: [B, 3, H, W]; fields: grad [B, 3, H, W] = [S, H, W], and with
+// LAST_STEP from element `last_step` on the last step [S, H, W], else the second sum is 0; partial_sums: [S, parts] from sum
+// `first_sum` on.
 // One invocation: one particle, which gathers from the edges, corner angles and bends it takes part in; nothing is
-// scattered, so the order of every sum is fixed. Workgroups: (W / 8, H / 8, B).
-// Adjoint: none, the gradient is an input of the training step and a constant there.
+// scattered, so the order of every sum is fixed. A workgroup takes tiles of 8 x 8 particles in turn, which are its part.
+// Workgroups: (parts, B).
+// Adjoint: none, the gradient is an input of the training step and a constant there, and so are the norms (paper section 3.3).
 
 struct Params {
     rows: u32, // H
     columns: u32, // W
+    parts: u32,
+    first_sum: u32,
+    last_step: u32,
     zero: u32, // 0
-    pad: u32,
+    pad0: u32,
+    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -18,116 +26,148 @@ struct Params {
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
 @group(0) @binding(3) var<storage, read> external_acceleration: array<f32>;
 @group(0) @binding(4) var<storage, read> a: array<f32>;
-@group(0) @binding(5) var<storage, read> x: array<f32>;
-@group(0) @binding(6) var<storage, read> shift: array<f32>;
-@group(0) @binding(7) var<storage, read_write> grad: array<f32>;
+@group(0) @binding(5) var<storage, read> base: array<f32>;
+@group(0) @binding(6) var<storage, read> x: array<f32>;
+@group(0) @binding(7) var<storage, read_write> fields: array<f32>;
+@group(0) @binding(8) var<storage, read_write> partial_sums: array<f32>;
+
+override LAST_STEP: bool = false;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
-var<private> x0: vec3f;
-var<private> shift0: vec3f;
-
-// Where particle (i, j) is, seen from the particle of this invocation (x0, shift0).
-fn position(b: u32, i: i32, j: i32) -> vec3f {
-    let n = params.rows * params.columns;
-    let at = b * 3u * n + u32(i) * params.columns + u32(j);
-    let way = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
-    return offset(vec3f(x[at], x[at + n], x[at + 2u * n]), x0, way, shift0, params.zero);
-}
-
-fn inside(i: i32, j: i32) -> bool {
-    return i >= 0 && j >= 0 && i < i32(params.rows) && j < i32(params.columns);
-}
-
-// d(|q - p| - 1)^2 / dp; nothing where q is outside.
-fn stretch(b: u32, p: vec3f, i: i32, j: i32) -> vec3f {
-    if !inside(i, j) {
+// Where particle (i, j) is, seen from `own`; anywhere if there is none.
+fn position(b: u32, i: i32, j: i32, own: Trial) -> vec3f {
+    if i < 0 || j < 0 || i >= i32(params.rows) || j >= i32(params.columns) {
         return vec3f();
     }
-    let edge = position(b, i, j) - p;
+    let p = u32(i) * params.columns + u32(j);
+    return offset(trial(b, p, params.rows * params.columns), own, params.zero);
+}
+
+// d(|edge| - 1)^2 / dp for the edge from p, if it exists.
+fn stretch(edge: vec3f, exists: bool) -> vec3f {
     let l = max(length(edge), 1e-30);
-    return -2.0 * (l - 1.0) / l * edge;
+    return select(vec3f(), -2.0 * (l - 1.0) / l * edge, exists);
 }
 
-// d/dp of the four squared corner angles of the cell whose corner opposite to p is (i, j); p = (i0, j0).
-fn shear(b: u32, p: vec3f, i0: i32, j0: i32, i: i32, j: i32) -> vec3f {
-    if !inside(i, j) {
+// d/dp of the four squared corner angles of a cell, if it exists; its other corners are seen from p, `corner` opposite to it.
+fn shear(down: vec3f, across: vec3f, corner: vec3f, exists: bool) -> vec3f {
+    if !exists {
         return vec3f();
     }
-    // Edges through p along either axis, and those opposite to them; all point away from p's side, which leaves
-    // (angle - pi / 2)^2 as it is.
-    let down = position(b, i, j0);
-    let across = position(b, i0, j);
-    let corner = position(b, i, j);
-    let near_v = down - p;
+    // Edges along either axis through p and opposite to it; all point away from p's side, which leaves (angle - pi / 2)^2 as it is.
     let far_v = corner - across;
-    let near_h = across - p;
     let far_h = corner - down;
-    let at_p = angle_gradient(near_v, near_h, RIGHT_ANGLE);
-    let at_down = angle_gradient(near_v, far_h, RIGHT_ANGLE);
-    let at_across = angle_gradient(far_v, near_h, RIGHT_ANGLE);
+    let at_p = angle_gradient(down, across, RIGHT_ANGLE);
+    let at_down = angle_gradient(down, far_h, RIGHT_ANGLE);
+    let at_across = angle_gradient(far_v, across, RIGHT_ANGLE);
     return -(at_p.u + at_p.w + at_down.u + at_across.w);
 }
 
-// d/dp of the squared bends along one axis that p takes part in; (di, dj) is the axis.
-fn bend(b: u32, p: vec3f, i: i32, j: i32, di: i32, dj: i32) -> vec3f {
-    let before = inside(i - di, j - dj);
-    let after = inside(i + di, j + dj);
+// d/dp of the squared bends along one axis that p takes part in, as the k-th of `count` particles; the two before it and the two
+// after it are seen from p.
+fn bend(before: array<vec3f, 2>, after: array<vec3f, 2>, k: i32, count: i32) -> vec3f {
     var sum = vec3f();
-    var back = vec3f();
-    var ahead = vec3f();
-    if before {
-        back = p - position(b, i - di, j - dj);
-        if inside(i - 2 * di, j - 2 * dj) {
-            let previous = position(b, i - di, j - dj) - position(b, i - 2 * di, j - 2 * dj);
-            sum += angle_gradient(previous, back, 0.0).w;
-        }
+    let back = -before[0];
+    let ahead = after[0];
+    if k >= 2 {
+        sum += angle_gradient(before[0] - before[1], back, 0.0).w;
     }
-    if after {
-        ahead = position(b, i + di, j + dj) - p;
-        if inside(i + 2 * di, j + 2 * dj) {
-            let next = position(b, i + 2 * di, j + 2 * dj) - position(b, i + di, j + dj);
-            sum -= angle_gradient(ahead, next, 0.0).u;
-        }
+    if k + 2 < count {
+        sum -= angle_gradient(ahead, after[1] - after[0], 0.0).u;
     }
-    if before && after {
+    if k >= 1 && k + 1 < count {
         let here = angle_gradient(back, ahead, 0.0);
         sum += here.u - here.w;
     }
     return sum;
 }
 
-@compute @workgroup_size(8, 8)
-fn gradient(@builtin(global_invocation_id) id: vec3u) {
-    if id.x >= params.columns || id.y >= params.rows {
-        return;
-    }
-    let b = id.z;
-    let i = i32(id.y);
-    let j = i32(id.x);
+// The gradient at particle (i, j) of cloth b.
+fn gradient_at(b: u32, i: i32, j: i32) -> vec3f {
+    let last_row = i32(params.rows) - 1;
+    let last_column = i32(params.columns) - 1;
     let rows = f32(params.rows);
     let columns = f32(params.columns);
     let count = rows * columns;
     let n = params.rows * params.columns;
-    let flat = id.y * params.columns + id.x;
-    let at = b * 3u * n + flat;
-    let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
+    let p = u32(i) * params.columns + u32(j);
+    let own = trial(b, p, n);
+    let at = b * 3u * n + p;
     let f = vec3f(external_acceleration[at], external_acceleration[at + n], external_acceleration[at + 2u * n]);
-    var sum = mass(id.y, id.x, params.rows, params.columns) / count * (acceleration - f);
-    if slots[b * n + flat] == 0u {
-        x0 = vec3f(x[at], x[at + n], x[at + 2u * n]);
-        shift0 = vec3f(shift[at], shift[at + n], shift[at + 2u * n]);
-        let p = vec3f();
+    var sum = mass(u32(i), u32(j), params.rows, params.columns) / count * (own.a - f);
+    if !own.held {
         let material = cloths[b].material;
-        let vertical = stretch(b, p, i - 1, j) + stretch(b, p, i + 1, j);
-        let horizontal = stretch(b, p, i, j - 1) + stretch(b, p, i, j + 1);
+        let up = position(b, i - 1, j, own);
+        let down = position(b, i + 1, j, own);
+        let left = position(b, i, j - 1, own);
+        let right = position(b, i, j + 1, own);
+        let vertical = stretch(up, i > 0) + stretch(down, i < last_row);
+        let horizontal = stretch(left, j > 0) + stretch(right, j < last_column);
         sum += material.x * (vertical / ((rows - 1.0) * columns) + horizontal / (rows * (columns - 1.0)));
-        let corners = shear(b, p, i, j, i - 1, j - 1) + shear(b, p, i, j, i - 1, j + 1)
-            + shear(b, p, i, j, i + 1, j - 1) + shear(b, p, i, j, i + 1, j + 1);
-        let bends = bend(b, p, i, j, 1, 0) + bend(b, p, i, j, 0, 1);
+        let corners = shear(up, left, position(b, i - 1, j - 1, own), i > 0 && j > 0)
+            + shear(up, right, position(b, i - 1, j + 1, own), i > 0 && j < last_column)
+            + shear(down, left, position(b, i + 1, j - 1, own), i < last_row && j > 0)
+            + shear(down, right, position(b, i + 1, j + 1, own), i < last_row && j < last_column);
+        let above = array(up, position(b, i - 2, j, own));
+        let below = array(down, position(b, i + 2, j, own));
+        let before = array(left, position(b, i, j - 2, own));
+        let behind = array(right, position(b, i, j + 2, own));
+        let bends = bend(above, below, i, i32(params.rows)) + bend(before, behind, j, i32(params.columns));
         sum += (material.y * corners + material.z * bends) / count;
     }
-    grad[at] = sum.x;
-    grad[at + n] = sum.y;
-    grad[at + 2u * n] = sum.z;
+    return sum;
+}
+
+// The six sums of every invocation, then of every eighth of them.
+var<workgroup> sums: array<f32, 384>;
+var<workgroup> eighths: array<f32, 48>;
+
+@compute @workgroup_size(64)
+fn gradient(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
+    let b = group.y;
+    let n = params.rows * params.columns;
+    let across = (params.columns + 7u) / 8u;
+    let tiles = across * ((params.rows + 7u) / 8u);
+    var gradients = vec3f();
+    var steps = vec3f();
+    for (var tile = group.x; tile < tiles; tile += params.parts) {
+        let i = tile / across * 8u + lane / 8u;
+        let j = tile % across * 8u + lane % 8u;
+        if i < params.rows && j < params.columns {
+            let at = b * 3u * n + i * params.columns + j;
+            let g = gradient_at(b, i32(i), i32(j));
+            fields[at] = g.x;
+            fields[at + n] = g.y;
+            fields[at + 2u * n] = g.z;
+            gradients += g * g;
+            if LAST_STEP {
+                let step = params.last_step + at;
+                let d = vec3f(fields[step], fields[step + n], fields[step + 2u * n]);
+                steps += d * d;
+            }
+        }
+    }
+    for (var c = 0u; c < 3u; c++) {
+        sums[(2u * c) * 64u + lane] = gradients[c];
+        sums[(2u * c + 1u) * 64u + lane] = steps[c];
+    }
+    workgroupBarrier();
+    if lane < 48u {
+        let first = lane * 8u;
+        var sum = sums[first];
+        for (var k = 1u; k < 8u; k++) {
+            sum += sums[first + k];
+        }
+        eighths[lane] = sum;
+    }
+    workgroupBarrier();
+    if lane < 6u {
+        let first = lane * 8u;
+        var sum = eighths[first];
+        for (var k = 1u; k < 8u; k++) {
+            sum += eighths[first + k];
+        }
+        partial_sums[2u * (params.first_sum + (3u * b + lane / 2u) * params.parts + group.x) + lane % 2u] = sum;
+    }
 }

@@ -1,7 +1,7 @@
-// End of a frame, backward Euler: the accepted shift is the velocity, v = shift, x += shift; a handle is exactly where it
-// is to be.
+// End of a frame, backward Euler: what the trial moves a particle by is its velocity, v = base + a, x += v; a handle moves by its
+// base and is exactly where it is to be.
 //
-// slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; shift, x, v: [B, 3, n].
+// slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; base, a, x, v: [B, 3, n].
 // One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
@@ -15,9 +15,10 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> slots: array<u32>;
 @group(0) @binding(2) var<storage, read> targets: array<f32>;
-@group(0) @binding(3) var<storage, read> shift: array<f32>;
-@group(0) @binding(4) var<storage, read_write> x: array<f32>;
-@group(0) @binding(5) var<storage, read_write> v: array<f32>;
+@group(0) @binding(3) var<storage, read> base: array<f32>;
+@group(0) @binding(4) var<storage, read> a: array<f32>;
+@group(0) @binding(5) var<storage, read_write> x: array<f32>;
+@group(0) @binding(6) var<storage, read_write> v: array<f32>;
 
 @compute @workgroup_size(64)
 fn integrate(
@@ -31,10 +32,11 @@ fn integrate(
     }
     let at = group.z * params.particles + p;
     let slot = slots[group.z / 3u * params.particles + p];
-    var next = x[at] + shift[at];
+    let shift = base[at] + select(a[at], 0.0, slot != 0u);
+    var next = x[at] + shift;
     if slot != 0u {
         next = targets[3u * (slot - 1u) + group.z % 3u];
     }
-    v[at] = shift[at];
+    v[at] = shift;
     x[at] = next;
 }

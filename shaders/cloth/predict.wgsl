@@ -1,7 +1,7 @@
-// Start of a frame: a = 0 moves the particles by base = v, or at a handle by the way to its prescribed position; the
-// shift of the trial, x(a) - x, starts there. In the middle of a frame (FRESH false) a stays, and is part of the shift.
+// Start of a frame: a = 0 moves the particles by base = v, or at a handle by the way to its prescribed position. In the middle
+// of a frame (FRESH false) a stays.
 //
-// x, v, base, a, shift: [B, 3, n]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3].
+// x, v, base, a: [B, 3, n]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3].
 // One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
@@ -19,7 +19,6 @@ struct Params {
 @group(0) @binding(4) var<storage, read> targets: array<f32>;
 @group(0) @binding(5) var<storage, read_write> base: array<f32>;
 @group(0) @binding(6) var<storage, read_write> a: array<f32>;
-@group(0) @binding(7) var<storage, read_write> shift: array<f32>;
 
 override FRESH: bool = true;
 
@@ -42,8 +41,5 @@ fn predict(
     base[at] = way;
     if FRESH {
         a[at] = 0.0;
-        shift[at] = way;
-    } else {
-        shift[at] = way + select(a[at], 0.0, slot != 0u);
     }
 }

@@ -4,8 +4,9 @@
 // imaginary parts of the kept columns: table[2 m, j] = f cos(2 pi m j / W), table[2 m + 1, j] = -f sin(2 pi m j / W) with
 // f = 1 for column 0 and for the Nyquist column of an even W, else 2. To the sum, the rows of r are more inputs whose
 // weights differ from row to row.
-// LIFTING: y[s, o, i, j] = act(sum_u skip[o, u] gelu(sum_e r[u, e] x[s, e, i, j] + r[u, E]) + bias[o]): the hidden units u are the
-// inputs, made on the way from the E channels of x.
+// Lifting: y[s, o, i, j] = act(sum_u skip[o, u] gelu(sum_e r[u, e] x[s, e, i, j] + r[u, E]) + bias[o]): the hidden units u are the
+// inputs, made on the way from the E channels of x. Which of both it is, and what it binds beside what is told here, is told by the texts
+// of `shaders/parts` that are appended.
 // With ROWS, the rows' spectra of y for the next block, as `transform_rows` makes them: made[s, i, k, o] = sum_j y[s, o, i, j]
 // forward[j, k]; with POOL, its largest values, as `pool_rows` does: rows_max[s, i, o] = max_j y[s, o, i, j]. Either wants a
 // whole row in a workgroup, WIDE >= Q. With FIELD, instead of y the last layer of the field head, as `project` makes it, in parts to
@@ -30,19 +31,22 @@ struct Params {
     width: u32, // W
     samples: u32, // S
     embedded: u32, // E
+    all_samples: u32, // of the fields, of which `first` is the first of S; this and the rest as in `feature`
+    pad0: u32,
+    pad1: u32,
+    pad2: u32,
+    first: u32,
+    hidden: u32,
+    parts: u32,
+    first_sum: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> skip: array<StoredQuad>;
 @group(0) @binding(2) var<storage, read> bias: array<vec4f>;
 @group(0) @binding(3) var<storage, read> tables: array<vec4f>;
-@group(0) @binding(4) var<storage, read> x: array<StoredQuad>;
-@group(0) @binding(5) var<storage, read> r: array<vec4f>;
-@group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
-@group(0) @binding(7) var<storage, read_write> made: array<f32>;
-@group(0) @binding(8) var<storage, read_write> rows_max: array<f32>;
+@group(0) @binding(4) var<storage, read> r: array<vec4f>;
 
-override LIFTING: bool = false;
 override GELU: bool = true;
 override ROWS: bool = false;
 override POOL: bool = false;
@@ -56,33 +60,6 @@ override CHUNK: u32 = 1;
 override MEMORY: u32 = 1;
 
 var<workgroup> memory: array<vec4f, MEMORY>;
-
-// Input i at a quad of a row, of the inputs that have one weight for all rows.
-fn input(sample: u32, i: u32, row: u32, quad: u32) -> vec4f {
-    let plane = params.rows * params.row_quads;
-    let at = row * params.row_quads + quad;
-    if !LIFTING {
-        return vec4f(x[(sample * params.inputs + i) * plane + at]);
-    }
-    let first = sample * params.embedded * plane + at;
-    let quads = params.embedded / 4u + 1u;
-    var sum = vec4f();
-    for (var q = 0u; q < quads; q++) {
-        let w = r[i * quads + q];
-        let e = 4u * q;
-        sum += w.x * embedded(first, e, plane) + w.y * embedded(first, e + 1u, plane)
-            + w.z * embedded(first, e + 2u, plane) + w.w * embedded(first, e + 3u, plane);
-    }
-    return gelu(sum);
-}
-
-// Channel e of the lifting's input; behind the last one, what the bias is multiplied by.
-fn embedded(first: u32, e: u32, plane: u32) -> vec4f {
-    if e < params.embedded {
-        return vec4f(x[first + e * plane]);
-    }
-    return vec4f(select(0.0, 1.0, e == params.embedded));
-}
 
 // Subgroups want workgroups of one dimension.
 @compute @workgroup_size(WIDE * HIGH * DEEP)
@@ -102,6 +79,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         // Inputs [CHUNK, WIDE], then their weights [CHUNK, DEEP, tile].
         let all = params.inputs + columns;
         let first_tile = tile - local.z;
+        prepare(sample, row, group.x * WIDE, index);
         for (var begin = 0u; begin < all; begin += CHUNK) {
             workgroupBarrier();
             for (var k = index; k < CHUNK * WIDE; k += WIDE * DEEP) {
@@ -232,7 +210,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
             let inside = vec4u(0u, 1u, 2u, 3u) + 4u * last < vec4u(params.width);
             most = max(most, select(vec4f(v.x), v, inside));
             if wanted {
-                rows_max[out_row * params.channels + channel] = max(max(most.x, most.y), max(most.z, most.w));
+                keep_largest(out_row * params.channels + channel, max(max(most.x, most.y), max(most.z, most.w)));
             }
         }
     }

@@ -1,10 +1,10 @@
 // Scalar head: scalar[s] = bias + sum_c weight[c] max_i rows_max[s, i, c]; and, with RESCALE, the persistent scale of the sample:
-// scale <- scale exp(2 tanh(scalar / 2) - 1) (update rule of the paper's section 3.3).
+// scale <- scale exp(2 tanh(scalar / 2) - 1) (update rule of the paper's section 3.3). Where one workgroup to a sample would keep
+// all others waiting, `update` does this.
 //
 // rows_max: [S, H, C]; weight: [C]; bias: [1]; scalar: [S]; scale: from element `before` on [S], to be written from element `after`
-// on. H is at least the number of teams.
-// One workgroup: one sample; its invocations take channels in turn, 64 of them at once, and each team of 64 its share of the rows.
-// Sums are added up in a fixed order. Workgroups: (S).
+// on. H is at least 4.
+// One workgroup: one sample. Workgroups: (S).
 // Adjoint: `pool_adj` (x), `head_weight_adj` (weight, bias), `update_adj` (the scale).
 
 struct Params {
@@ -23,48 +23,14 @@ struct Params {
 
 override RESCALE: bool = true;
 
-const TEAMS: u32 = 4;
-
-var<workgroup> held: array<array<f32, 64>, TEAMS>;
-
-@compute @workgroup_size(64, TEAMS)
-fn scalar_head(@builtin(local_invocation_id) local: vec3u, @builtin(workgroup_id) group: vec3u) {
+@compute @workgroup_size(64, 4)
+fn scalar_head(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) group: vec3u) {
     let sample = group.x;
-    let lane = local.x;
-    let team = local.y;
-    var sum = 0.0;
-    for (var begin = 0u; begin < params.channels; begin += 64u) {
-        let channel = min(begin + lane, params.channels - 1u);
-        let first = sample * params.rows * params.channels + channel;
-        var most = rows_max[first + team * params.channels];
-        for (var i = team + TEAMS; i < params.rows; i += TEAMS) {
-            most = max(most, rows_max[first + i * params.channels]);
-        }
-        held[team][lane] = most;
-        workgroupBarrier();
-        if team == 0u && begin + lane < params.channels {
-            for (var other = 1u; other < TEAMS; other++) {
-                most = max(most, held[other][lane]);
-            }
-            sum += weight[channel] * most;
-        }
-        workgroupBarrier();
-    }
-    if team == 0u {
-        held[0][lane] = sum;
-    }
-    for (var half = 32u; half > 0u; half /= 2u) {
-        workgroupBarrier();
-        if team == 0u && lane < half {
-            held[0][lane] += held[0][lane + half];
-        }
-    }
-    if team == 0u && lane == 0u {
-        let value = held[0][0] + bias[0];
+    let value = scalar_of(sample, params.rows, params.channels, index);
+    if index == 0u {
         scalar[sample] = value;
         if RESCALE {
-            let half = tanh_exact(vec4f(0.5 * value)).x;
-            scale[params.after + sample] = scale[params.before + sample] * exp(2.0 * half - 1.0);
+            scale[params.after + sample] = rescaled(scale[params.before + sample], value);
         }
     }
 }

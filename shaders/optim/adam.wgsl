@@ -1,8 +1,8 @@
-// Adam with bias correction, then the shift (see `update`).
+// Adam with bias correction.
 //
 // m <- beta1 m + (1 - beta1) g, v <- beta2 v + (1 - beta2) g^2, a -= rate m / (1 - beta1^t) / (sqrt(v / (1 - beta2^t)) + epsilon).
 // At t = 1, the first iteration of a frame, the moments start from zero whatever they hold.
-// grad, base, a, shift: [B, 3, n]; moments: [B, 3, n, 2] = (m, v); slots: [B, n].
+// grad, a: [B, 3, n]; moments: [B, 3, n, 2] = (m, v).
 // One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
 // Adjoint: none, it is not trained.
 
@@ -19,11 +19,8 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> grad: array<f32>;
-@group(0) @binding(2) var<storage, read> base: array<f32>;
-@group(0) @binding(3) var<storage, read> slots: array<u32>;
-@group(0) @binding(4) var<storage, read_write> moments: array<vec2f>;
-@group(0) @binding(5) var<storage, read_write> a: array<f32>;
-@group(0) @binding(6) var<storage, read_write> shift: array<f32>;
+@group(0) @binding(2) var<storage, read_write> moments: array<vec2f>;
+@group(0) @binding(3) var<storage, read_write> a: array<f32>;
 
 @compute @workgroup_size(64)
 fn adam(
@@ -42,7 +39,5 @@ fn adam(
     let now = beta * before + (1.0 - beta) * vec2f(g, g * g);
     moments[at] = now;
     let denominator = sqrt(now.y * params.correction2) + params.epsilon;
-    let next = a[at] - params.rate * now.x * params.correction1 / denominator;
-    a[at] = next;
-    shift[at] = base[at] + select(next, 0.0, slots[group.z / 3u * params.particles + p] != 0u);
+    a[at] -= params.rate * now.x * params.correction1 / denominator;
 }

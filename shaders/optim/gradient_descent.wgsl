@@ -1,6 +1,6 @@
-// Gradient descent: a -= rate grad, then the shift (see `update`).
+// Gradient descent: a -= rate grad.
 //
-// grad, base, a, shift: [B, 3, n]; slots: [B, n].
+// grad, a: [B, 3, n].
 // One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
 // Adjoint: none, it is not trained.
 
@@ -13,10 +13,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> grad: array<f32>;
-@group(0) @binding(2) var<storage, read> base: array<f32>;
-@group(0) @binding(3) var<storage, read> slots: array<u32>;
-@group(0) @binding(4) var<storage, read_write> a: array<f32>;
-@group(0) @binding(5) var<storage, read_write> shift: array<f32>;
+@group(0) @binding(2) var<storage, read_write> a: array<f32>;
 
 @compute @workgroup_size(64)
 fn gradient_descent(
@@ -29,7 +26,5 @@ fn gradient_descent(
         return;
     }
     let at = group.z * params.particles + p;
-    let next = a[at] - params.rate * grad[at];
-    a[at] = next;
-    shift[at] = base[at] + select(next, 0.0, slots[group.z / 3u * params.particles + p] != 0u);
+    a[at] -= params.rate * grad[at];
 }

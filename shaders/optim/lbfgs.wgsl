@@ -1,11 +1,11 @@
-// Limited-memory BFGS (two-loop recursion), then the shift (see `update`).
+// Limited-memory BFGS (two-loop recursion).
 //
 // With pairs s = a_k - a_(k-1), y = g_k - g_(k-1), kept when y.s > CURVATURE: q = H g, a -= q, where H starts from
 // gamma = s.y / y.y of the newest pair (1 without one). The history is cleared in the first iteration of a frame.
 // With another initial H than gamma the recursion is done in two dispatches, between which that is applied to q (PART).
-// grad, base, a, shift: [B, 3 n]; slots: [B, n]; history: [B, HISTORY, 2, 3 n] = (s, y); last: [B, 2, 3 n], the last
-// gradient and the last step, or q between the two; pairs: [B, 2 HISTORY + 2], the number of pairs, the place of the
-// newest, each pair's 1 / y.s, and the first loop's alpha, from the newest on.
+// grad, a: [B, 3 n]; history: [B, HISTORY, 2, 3 n] = (s, y); last: [B, 2, 3 n], the last gradient and the last step, or q
+// between the two; pairs: [B, 2 HISTORY + 2], the number of pairs, the place of the newest, each pair's 1 / y.s, and the first
+// loop's alpha, from the newest on.
 // One workgroup: one cloth; its invocations take elements in turn and add up in a fixed order. Workgroups: (B).
 // Adjoint: none, it is not trained.
 
@@ -18,13 +18,10 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> grad: array<f32>;
-@group(0) @binding(2) var<storage, read> base: array<f32>;
-@group(0) @binding(3) var<storage, read> slots: array<u32>;
-@group(0) @binding(4) var<storage, read_write> history: array<f32>;
-@group(0) @binding(5) var<storage, read_write> last: array<f32>;
-@group(0) @binding(6) var<storage, read_write> pairs: array<f32>;
-@group(0) @binding(7) var<storage, read_write> a: array<f32>;
-@group(0) @binding(8) var<storage, read_write> shift: array<f32>;
+@group(0) @binding(2) var<storage, read_write> history: array<f32>;
+@group(0) @binding(3) var<storage, read_write> last: array<f32>;
+@group(0) @binding(4) var<storage, read_write> pairs: array<f32>;
+@group(0) @binding(5) var<storage, read_write> a: array<f32>;
 
 const LANES: u32 = 256u;
 const MAX_HISTORY: u32 = 32u;
@@ -164,9 +161,6 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
     for (var e = lane; e < n; e += LANES) {
         let step = -last[q + e];
         last[q + e] = step;
-        let next = a[first + e] + step;
-        a[first + e] = next;
-        let particle = group.x * params.particles + e % params.particles;
-        shift[first + e] = base[first + e] + select(next, 0.0, slots[particle] != 0u);
+        a[first + e] += step;
     }
 }

@@ -1,9 +1,11 @@
 // The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
 //
-// Then the shift of the trial: x(a) - x = base + a, or base alone at a handle, whose way is prescribed.
-// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [S] from `first_scale` on;
-// grad, base, a, shift: [S, H, W] = [B, 3, H, W]; slots: [B, H, W]; hidden: [2, S, H, W], last gradient and last step.
-// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and s).
+// With HEAD the scale is made on the way, from the rows' largest values, as `scalar_head` does: every workgroup makes that of its
+// sample, and the first of them keeps it.
+// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [S] from element `after` on, with HEAD made
+// of those from element `before` on; rows_max: [s, H, C]; weight: [C]; bias: [1]; fields: grad [S, H, W] = [B, 3, H, W], and from
+// element `hidden` on last gradient and last step, each like it; a: [S, H, W].
+// One invocation: some particles' components. Workgroups: (at most n / 256, s).
 // Adjoint: `update_adj`.
 
 struct Params {
@@ -14,41 +16,53 @@ struct Params {
     parts: u32,
     first: u32, // sample of S that is the first of field
     in_field: u32, // s
-    first_scale: u32, // element that is the first of scale
+    hidden: u32,
+    channels: u32, // C
+    before: u32,
+    after: u32,
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> field: array<f32>;
-@group(0) @binding(2) var<storage, read> scale: array<f32>;
-@group(0) @binding(3) var<storage, read> grad: array<f32>;
-@group(0) @binding(4) var<storage, read> base: array<f32>;
-@group(0) @binding(5) var<storage, read> slots: array<u32>;
-@group(0) @binding(6) var<storage, read_write> hidden: array<f32>;
+@group(0) @binding(2) var<storage, read> rows_max: array<f32>;
+@group(0) @binding(3) var<storage, read> weight: array<f32>;
+@group(0) @binding(4) var<storage, read> bias: array<f32>;
+@group(0) @binding(5) var<storage, read_write> scale: array<f32>;
+@group(0) @binding(6) var<storage, read_write> fields: array<f32>;
 @group(0) @binding(7) var<storage, read_write> a: array<f32>;
-@group(0) @binding(8) var<storage, read_write> shift: array<f32>;
 
-@compute @workgroup_size(64)
+override HEAD: bool = false;
+
+@compute @workgroup_size(64, 4)
 fn update(
-    @builtin(local_invocation_index) lane: u32,
+    @builtin(local_invocation_index) index: u32,
     @builtin(workgroup_id) group: vec3u,
     @builtin(num_workgroups) groups: vec3u,
 ) {
     let n = params.rows * params.columns;
-    let p = (group.y * groups.x + group.x) * 64u + lane;
-    let sample = params.first + group.z;
-    if p >= n {
-        return;
+    let sample = params.first + group.y;
+    var pace = 0.0;
+    if HEAD {
+        let value = scalar_of(group.y, params.rows, params.channels, index);
+        pace = rescaled(scale[params.before + sample], value);
+        if group.x == 0u && index == 0u {
+            scale[params.after + sample] = pace;
+        }
+    } else {
+        pace = scale[params.after + sample];
     }
-    let at = sample * n + p;
-    let padded = (group.z * params.rows + p / params.columns) * 4u * params.row_quads + p % params.columns;
-    var value = field[padded];
-    for (var part = 1u; part < params.parts; part++) {
-        value += field[padded + part * params.in_field * params.rows * 4u * params.row_quads];
+    for (var p = group.x * 256u + index; p < n; p += groups.x * 256u) {
+        let at = sample * n + p;
+        let row = group.y * params.rows + p / params.columns;
+        let padded = row * 4u * params.row_quads + p % params.columns;
+        var value = field[padded];
+        for (var part = 1u; part < params.parts; part++) {
+            value += field[padded + part * params.in_field * params.rows * 4u * params.row_quads];
+        }
+        let step = pace * tanh_exact(vec4f(value)).x;
+        fields[params.hidden + at] = fields[at];
+        fields[params.hidden + params.samples * n + at] = step;
+        a[at] += step;
     }
-    let step = scale[params.first_scale + sample] * tanh_exact(vec4f(value)).x;
-    hidden[at] = grad[at];
-    hidden[params.samples * n + at] = step;
-    let next = a[at] + step;
-    a[at] = next;
-    shift[at] = base[at] + select(next, 0.0, slots[sample / 3u * n + p] != 0u);
 }

@@ -1,7 +1,7 @@
-// Ends the frame of those cloths of a batch that are through their iterations: x += shift, v = keep shift, a = 0; a handle is
-// where it is to be, with velocity 0 (paper section 3.3: as in the authors' pools, not as in a rollout).
+// Ends the frame of those cloths of a batch that are through their iterations: x += base + a, v = keep (base + a), a = 0; a
+// handle is where it is to be, with velocity 0 (paper section 3.3: as in the authors' pools, not as in a rollout).
 //
-// drawn: [B]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; shift, x, v, a: [B, 3, n].
+// drawn: [B]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; base, x, v, a: [B, 3, n].
 // One invocation: one particle's component. Workgroups: (n / 64, 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
@@ -16,7 +16,7 @@ struct Params {
 @group(0) @binding(1) var<storage, read> drawn: array<Drawn>;
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
 @group(0) @binding(3) var<storage, read> targets: array<f32>;
-@group(0) @binding(4) var<storage, read> shift: array<f32>;
+@group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read_write> x: array<f32>;
 @group(0) @binding(6) var<storage, read_write> v: array<f32>;
 @group(0) @binding(7) var<storage, read_write> a: array<f32>;
@@ -30,8 +30,9 @@ fn advance(@builtin(global_invocation_id) id: vec3u) {
     let at = id.y * params.particles + p;
     let slot = slots[id.y / 3u * params.particles + p];
     if slot == 0u {
-        v[at] = drawn[id.y / 3u].keep * shift[at];
-        x[at] += shift[at];
+        let shift = base[at] + a[at];
+        v[at] = drawn[id.y / 3u].keep * shift;
+        x[at] += shift;
     } else {
         v[at] = 0.0;
         x[at] = targets[3u * (slot - 1u) + id.y % 3u];

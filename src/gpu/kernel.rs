@@ -16,7 +16,8 @@ pub struct Source {
     pub name: &'static str,
     /// Text of the file.
     pub wgsl: &'static str,
-    /// Texts of files that hold only functions and constants.
+    /// Texts of files that hold only functions and constants (`shaders/common`), or what goes with the kernel's bindings
+    /// (`shaders/parts`).
     pub common: &'static [&'static str],
 }
 

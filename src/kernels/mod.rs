@@ -20,8 +20,18 @@ pub(crate) mod common {
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
-    pub const OFFSET: &str = include_str!("../../shaders/common/offset.wgsl");
     pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");
+}
+
+/// Texts that go with what a kernel binds: what kernels share that bind the same, and what kernels of one file differ in.
+pub(crate) mod parts {
+    pub const BLOCK_INPUTS: &str = include_str!("../../shaders/parts/block_inputs.wgsl");
+    pub const FEATURES: &str = include_str!("../../shaders/parts/features.wgsl");
+    pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/parts/lifted_embedding.wgsl");
+    pub const LIFTED_FIELDS: &str = include_str!("../../shaders/parts/lifted_fields.wgsl");
+    pub const LIFTING_INPUTS: &str = include_str!("../../shaders/parts/lifting_inputs.wgsl");
+    pub const SCALAR_HEAD: &str = include_str!("../../shaders/parts/scalar_head.wgsl");
+    pub const TRIAL: &str = include_str!("../../shaders/parts/trial.wgsl");
 }
 
 /// Every kernel, with a tile it is unrolled to somewhere (0 where it has none).
@@ -32,7 +42,6 @@ pub const ALL: &[(&Source, usize)] = &[
     (&cloth::energy::SOURCE, 0),
     (&cloth::energy_sum::SOURCE, 0),
     (&cloth::integrate::SOURCE, 0),
-    (&optim::norms::SOURCE, 0),
     (&optim::features::SOURCE, 0),
     (&optim::update::SOURCE, 0),
     (&optim::gradient_descent::SOURCE, 0),
@@ -44,6 +53,8 @@ pub const ALL: &[(&Source, usize)] = &[
     (&operator::transform_rows::SOURCE, 10),
     (&operator::spectral::SOURCE, 5),
     (&operator::block::SOURCE, 16),
+    (&operator::block::LIFTING, 16),
+    (&operator::block::LIFTING_OF_FIELDS, 16),
     (&operator::pool_rows::SOURCE, 0),
     (&operator::scalar_head::SOURCE, 0),
     (&operator::project::SOURCE, 0),

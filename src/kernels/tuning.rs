@@ -19,8 +19,10 @@ pub struct Tuning {
     pub block_high: u32,
     /// Most tiles of output channels per workgroup of a block.
     pub block_deep: u32,
-    /// Whether the inputs and weights of a block go through workgroup memory, and the lifting's two layers are one dispatch: each
-    /// is read once for all channels of a workgroup, and an invocation waits for few readings instead of one for each input.
+    /// Whether the inputs and weights of a block go through workgroup memory: each is read once for all channels of a workgroup,
+    /// and an invocation waits for few readings instead of one for each input. What is little work beside that is repeated in every
+    /// workgroup then, instead of a dispatch that all the others wait for: features and both layers of the lifting are one, and
+    /// so are scalar head and step.
     pub staged: bool,
     /// Whether blocks transform their rows for the next one where a row fits a workgroup: fewer dispatches, which is what a
     /// frame of few cloths waits for, and one reading less.

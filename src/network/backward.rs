@@ -9,8 +9,9 @@ use super::{Forward, Parameters, tables};
 use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::operator::{
-    After, BlockTensors, GeluAdj, HeadWeightAdj, Layer, Parts, PointwiseWeightAdj, PoolAdj, PoolAdjTensors,
-    ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose, pointwise, pointwise_weight_adj,
+    After, BlockTensors, GeluAdj, HeadWeightAdj, Inputs, Layer, Parts, PointwiseWeightAdj, PoolAdj,
+    PoolAdjTensors, ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose, pointwise,
+    pointwise_weight_adj,
 };
 use crate::kernels::{Tuning, padded};
 
@@ -213,7 +214,8 @@ impl Backward {
         k.spectral.push(schedule, &transposed.products[block], s.columns(Some(&self.adj_spectrum)));
         let to = &self.gradient.products[block];
         self.kernels.spectral_weight_adj.push(schedule, &s.modes[block], &self.adj_spectrum, to);
-        let tensors = BlockTensors { x: adj_y, r: &s.inverse, y: adj_x, made: None, rows_max: None };
+        let tensors =
+            BlockTensors { x: Inputs::Stored(adj_y), r: &s.inverse, y: adj_x, made: None, rows_max: None };
         let tables = (&self.forward_rows_adj, forward.grid.w);
         k.block(After::default()).push(schedule, &transposed.skips[block], tables, tensors);
         let all = pointwise::Samples { count: self.adj_scalar.len(), x_first: 0, y_first: 0 };

@@ -4,15 +4,16 @@ use super::parameters::Layers;
 use super::{Config, Layout, Parameters, Weights, tables};
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::operator::{
-    Activate, After, Block, BlockTensors, Layer, LayerSize, Pointwise, PoolRows, Project, ScalarHead, Scales,
-    Spectral, SpectralTensors, TransformRows, block,
+    Activate, After, Block, BlockTensors, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
+    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, block,
     pointwise::{Rows, Samples},
 };
+use crate::kernels::optim::{Features, Fields};
 use crate::kernels::{Tuning, padded};
 use crate::sim::Grid;
 use crate::{Error, Result};
 
-/// The network on a device, for some samples of one grid: [`Forward::embedded`] in, [`Forward::field`] and
+/// The network on a device, for some samples of one grid: [`Forward::embedded`] in, or what it is made of; [`Forward::field`] and
 /// [`Forward::scalar`] out.
 ///
 /// Inside, rows are padded to quads of columns ([`padded`]); the padding holds numbers that count as nothing, and must be finite.
@@ -32,8 +33,8 @@ pub struct Forward {
     keep: Keep,
     /// The last block with the field head behind its bias, where they are one.
     head: Option<Layer>,
-    /// Both layers of the lifting in one, and the units of the first ([`block::hidden_units`]), where they are.
-    lifting: Option<(Block, Tensor)>,
+    /// Both layers of the lifting in one, where they are.
+    lifting: Option<Lifted>,
     /// What each block does beside the linear part of its output.
     afters: Vec<After>,
     activations: Vec<Tensor>,
@@ -55,6 +56,26 @@ struct Joined {
     head: Option<Layer>,
     /// Of the first layer of the lifting, for a kernel of both.
     units: Option<Tensor>,
+}
+
+/// Both layers of the lifting in one dispatch.
+#[derive(Debug)]
+struct Lifted {
+    of_embedded: Block,
+    of_fields: Block,
+    /// The first layer, see [`block::hidden_units`].
+    units: Tensor,
+}
+
+/// What becomes of the scalar head in a pass.
+#[derive(Clone, Copy, Debug)]
+pub enum Head<'a> {
+    /// It goes to [`Forward::scalar`].
+    Alone,
+    /// That, and it changes the persistent scales of the samples.
+    Rescaling(Scales<'a>),
+    /// Whoever takes the step makes it of the rows' maxima ([`Forward::pooled`]).
+    Left,
 }
 
 #[derive(Debug)]
@@ -85,6 +106,7 @@ pub(super) struct Kernels {
     pub spectral: Spectral,
     /// One of each kind that the network has.
     blocks: Vec<Block>,
+    features: Features,
     activate: Activate,
     pool_rows: PoolRows,
     scalar_head: ScalarHead,
@@ -194,11 +216,14 @@ impl Forward {
         let joins_head = head.is_some();
         let afters: Vec<After> =
             (0..config.layers).map(|block| after(&config, block, keep, joins_head, rows_in_blocks)).collect();
-        let lifting = |units| {
-            let size = LayerSize { lifting: Some([config.lifting, config.inputs()]), ..size };
+        let lifting = |of_fields| {
+            let lifting = Lifting { hidden: config.lifting, inputs: config.inputs(), of_fields };
+            let size = LayerSize { lifting: Some(lifting), ..size };
             let rows = rows_in_blocks && Block::takes_rows(context, tuning, &size);
-            let kernel = Block::new(context, tuning, size, After { rows, ..After::default() });
-            kernel.map(|kernel| (kernel, units))
+            Block::new(context, tuning, size, After { rows, ..After::default() })
+        };
+        let lifted = |units| -> Result<_> {
+            Ok(Lifted { of_embedded: lifting(false)?, of_fields: lifting(true)?, units })
         };
         let kernels = Kernels::new(context, &config, size, &afters, plan)?;
         let parts = if joins_head { kernels.block(afters[config.layers - 1]).field_parts() } else { 1 };
@@ -220,7 +245,7 @@ impl Forward {
             hidden: stored("hidden", &[hidden[0], config.lifting, hidden[1], w])?,
             keep,
             head,
-            lifting: units.map(lifting).transpose()?,
+            lifting: units.map(lifted).transpose()?,
             activations,
             before_gelu,
             projected,
@@ -247,9 +272,9 @@ impl Forward {
         })
     }
 
-    /// Appends a pass over all samples: from `embedded` to `field` and `scalar`, and to the persistent scales, if they are given.
-    pub fn push(&self, schedule: &mut Schedule, scales: Option<Scales<'_>>) {
-        self.push_first(schedule, self.samples(), scales);
+    /// Appends a pass over all samples, see [`Forward::push_first`].
+    pub fn push(&self, schedule: &mut Schedule, from: Option<Fields<'_>>, head: Head<'_>) {
+        self.push_first(schedule, self.samples(), from, head);
     }
 
     /// Number of samples (S).
@@ -263,15 +288,27 @@ impl Forward {
         self.field.view(0, &[parts, samples, h, w])
     }
 
-    /// Appends a pass over the first `samples` samples: a multiple of three if the number of all is one.
-    pub fn push_first(&self, schedule: &mut Schedule, samples: usize, scales: Option<Scales<'_>>) {
+    /// The scalar head's layer, and the rows' maxima that a pass leaves of the first `samples` samples, shape [samples, H, C].
+    pub fn pooled(&self, samples: usize) -> (&Layer, Tensor) {
+        (&self.layers.scalar, self.rows_max.first(samples))
+    }
+
+    /// Appends a pass over the first `samples` samples, a multiple of three if the number of all is one: from the fields that their
+    /// input is made of, else from `embedded`, which holds them, to `field` and what is wanted of the scalar head.
+    pub fn push_first(
+        &self,
+        schedule: &mut Schedule,
+        samples: usize,
+        from: Option<Fields<'_>>,
+        head: Head<'_>,
+    ) {
         let k = &self.kernels;
         let first = |tensor: &Tensor| tensor.first(samples);
         let slot = |i: usize| first(&self.activations[i % self.activations.len()]);
         let (rows, inverse, rows_max) =
             (first(&self.spectral.rows), first(&self.spectral.inverse), first(&self.rows_max));
         let field = &self.first_field(samples);
-        let mut has_rows = self.push_lifting(schedule, samples);
+        let mut has_rows = self.push_lifting(schedule, samples, from);
         for block in 0..self.config.layers {
             let (x, y) = (&slot(block), &slot(block + 1));
             let s = &self.spectral;
@@ -285,14 +322,14 @@ impl Forward {
             k.spectral.push(schedule, &self.layers.products[block], columns);
             let before = self.before_gelu.get(block).filter(|_| block + 1 < self.config.layers).map(first);
             let tensors = BlockTensors {
-                x,
+                x: Inputs::Stored(x),
                 r: &inverse,
                 y: before.as_ref().unwrap_or(y),
                 made: if after.field { Some(field) } else { after.rows.then_some(&rows) },
                 rows_max: after.pool.then_some(&rows_max),
             };
-            let head = self.head.as_ref().filter(|_| after.field);
-            let layer = head.unwrap_or(&self.layers.skips[block]);
+            let with_head = self.head.as_ref().filter(|_| after.field);
+            let layer = with_head.unwrap_or(&self.layers.skips[block]);
             k.block(after).push(schedule, layer, (&s.block_rows, self.grid.w), tensors);
             if let Some(before) = &before {
                 k.activate.push(schedule, before, y);
@@ -302,7 +339,14 @@ impl Forward {
                     k.pool_rows.push(schedule, self.grid.w, y, &rows_max);
                 }
                 let tensors = (&rows_max, &first(&self.scalar));
-                k.scalar_head.push(schedule, &self.layers.scalar, tensors, scales);
+                let mut scalar = |scales| {
+                    k.scalar_head.push(schedule, &self.layers.scalar, tensors, scales);
+                };
+                match head {
+                    Head::Alone => scalar(None),
+                    Head::Rescaling(scales) => scalar(Some(scales)),
+                    Head::Left => {}
+                }
             }
         }
         if self.head.is_some() {
@@ -327,15 +371,23 @@ impl Forward {
     }
 
     /// Whether that makes the rows' spectra, too.
-    fn push_lifting(&self, schedule: &mut Schedule, samples: usize) -> bool {
+    fn push_lifting(&self, schedule: &mut Schedule, samples: usize, from: Option<Fields<'_>>) -> bool {
         let (k, lifted) = (&self.kernels, &self.activations[0]);
-        if let Some((kernel, units)) = &self.lifting {
-            let (s, rows) = (&self.spectral, kernel.after().rows);
-            let [x, y, made] = [&self.embedded, lifted, &s.rows].map(|tensor| tensor.first(samples));
-            let tensors =
-                BlockTensors { x: &x, r: units, y: &y, made: rows.then_some(&made), rows_max: None };
-            kernel.push(schedule, &self.layers.lifting[1], (&s.forward_rows, self.grid.w), tensors);
+        if let Some(Lifted { of_embedded, of_fields, units }) = &self.lifting {
+            let [embedded, y, made] =
+                [&self.embedded, lifted, &self.spectral.rows].map(|tensor| tensor.first(samples));
+            let (kernel, x) = match from {
+                Some(fields) => (of_fields, Inputs::Fields(fields)),
+                None => (of_embedded, Inputs::Stored(&embedded)),
+            };
+            let rows = kernel.after().rows;
+            let tensors = BlockTensors { x, r: units, y: &y, made: rows.then_some(&made), rows_max: None };
+            let tables = (&self.spectral.forward_rows, self.grid.w);
+            kernel.push(schedule, &self.layers.lifting[1], tables, tensors);
             return rows;
+        }
+        if let Some(fields) = from {
+            k.features.push(schedule, self.grid, fields, &self.embedded.first(samples));
         }
         let [inner, outer] = &self.layers.lifting;
         let (h, &[at_once, _, rows_at_once, _]) = (self.grid.h, self.hidden.shape()) else {
@@ -418,6 +470,7 @@ impl Kernels {
             transform_rows: TransformRows::new(context, tuning, config.modes_w)?,
             spectral: Spectral::new(context, tuning, config, samples, keep == Keep::Adjoint)?,
             blocks,
+            features: Features::new(context)?,
             activate: Activate::new(context)?,
             pool_rows: PoolRows::new(context)?,
             scalar_head: ScalarHead::new(context)?,

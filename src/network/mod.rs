@@ -10,6 +10,6 @@ mod weights;
 
 pub use backward::{Backward, Transposed};
 pub use checkpoint::{Checkpoint, Description, TensorSummary};
-pub use forward::{Forward, Keep, Plan};
+pub use forward::{Forward, Head, Keep, Plan};
 pub use parameters::{Layout, Parameters};
 pub use weights::{Block, Config, Dense, Weights};

@@ -2,6 +2,7 @@
 //! that records GPU frames into its caller's encoder, or in a [`Simulator`] that runs on any device and reads back.
 
 mod grid;
+mod learned;
 mod model;
 mod optimizer;
 mod simulator;
@@ -10,6 +11,7 @@ mod stats;
 mod tune;
 
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
+pub(crate) use learned::Learned;
 pub(crate) use model::cast;
 pub use model::{Air, Cloth, Control, Material, Model, State};
 pub use optimizer::Optimizer;

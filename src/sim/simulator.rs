@@ -80,8 +80,8 @@ impl Simulator {
             Device::Gpu(context) => {
                 let options = SolverOptions { iterations, ..Default::default() };
                 let solver = Solver::new(context, model, optimizer, &options)?;
-                let [terms, norms] = solver.statistics_tensors();
-                let sources = [solver.positions(), solver.velocities(), terms, norms];
+                let [terms, first, last] = solver.statistics_tensors();
+                let sources = [solver.positions(), solver.velocities(), terms, first, last];
                 let readback = context.checked(|| Ok(Readback::new(context, &sources, IN_FLIGHT)))?;
                 Backend::Gpu { context: context.clone(), solver: Box::new(solver), readback }
             }

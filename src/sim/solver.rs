@@ -1,18 +1,15 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
+use super::learned::Learned;
 use super::{Cloth, Control, EnergyTerms, FrameStats, Grid, Iterations, Model, Optimizer, State};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
     ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate, Physics,
-    Predict, StateTensors, energy,
+    Predict, StateTensors, energy, gradient,
 };
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{
-    Adam, AdamSettings, FeatureTensors, Features, GradientDescent, Iterate, Lbfgs, LbfgsMemory, Norms,
-    QuasiNewton, Update, UpdateTensors, norms,
-};
-use crate::network::{Forward, Keep, Plan, Weights};
+use crate::kernels::optim::{Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, QuasiNewton};
 use crate::{Error, Result};
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -58,8 +55,10 @@ pub struct Solver {
     external: Tensor,
     iterate: Iterate,
     rule: Rule,
-    /// Partial sums of squares of the gradient in each iteration, rows of [S, parts, 2], see [`rows`].
-    norms: Tensor,
+    /// Partial sums of squares of gradient and last step in each iteration, rows of [S, parts, 2], see [`rows`].
+    sums: Tensor,
+    /// Those of the gradient in the first and the last iteration.
+    ends: [Tensor; 2],
     /// Energy terms and stretch, shape [B, 8].
     terms: Tensor,
     frame: Schedule,
@@ -70,8 +69,7 @@ pub struct Solver {
 enum Rule {
     /// `scales` holds the persistent scale after each iteration, rows of `[S]`; the next frame begins with the last row.
     Learned {
-        forward: Box<Forward>,
-        hidden: Tensor,
+        step: Box<Learned>,
         scales: Tensor,
     },
     GradientDescent {
@@ -125,7 +123,8 @@ impl Solver {
         let field = |label| zeros(label, &[batch, 3, n]);
         let rule = match *optimizer {
             Optimizer::Learned(ref weights) => {
-                Rule::learned(context, weights, (&tuning, options.iterations), (grid, samples))?
+                let step = Box::new(Learned::new(context, weights, &tuning, (grid, samples))?);
+                Rule::Learned { step, scales: rows(context, "scales", options.iterations, samples)? }
             }
             Optimizer::GradientDescent { rate } => Rule::GradientDescent { rate },
             Optimizer::Adam { rate, beta1, beta2, epsilon } => Rule::Adam {
@@ -149,6 +148,14 @@ impl Solver {
                 ));
             }
         };
+        let slots = model.handle_slots();
+        let iterate = match rule {
+            Rule::Learned { .. } => Iterate::with_hidden(context, batch, &slots)?,
+            _ => Iterate::new(context, batch, &slots)?,
+        };
+        let of_squares = [samples, gradient::parts(grid), 2];
+        let sums = rows(context, "sums of squares", options.iterations, of_squares.iter().product())?;
+        let ends = [0, options.iterations - 1].map(|iteration| row(&sums, iteration, &of_squares));
         let mut solver = Self {
             context: context.clone(),
             model: model.clone(),
@@ -161,8 +168,9 @@ impl Solver {
             windy: AtomicBool::new(false),
             accelerated: AtomicBool::new(false),
             external: field("external")?,
-            iterate: Iterate::new(context, batch, &model.handle_slots())?,
-            norms: rows(context, "norms", options.iterations, samples * norms::parts(n) * 2)?,
+            iterate,
+            sums,
+            ends,
             terms: zeros("energy terms", &[batch, 8])?,
             rule,
             frame: Schedule::new(context),
@@ -194,8 +202,9 @@ impl Solver {
         let gradient = Gradient::new(context)?;
         let mut step = self.rule.kernels(context, self)?;
         for iteration in 0..self.iterations {
-            gradient.push(&mut frame, grid, physics, iterate);
-            step(&mut frame, iteration);
+            let sums = row(&self.sums, iteration, self.ends[0].shape());
+            gradient.push(&mut frame, grid, physics, (iterate, &sums));
+            step(&mut frame, iteration, &sums);
         }
 
         let parts = Tensor::zeros(context, "energy parts", &[batch, energy::parts(grid), 8])?;
@@ -254,7 +263,7 @@ impl Solver {
         assert_eq!((state.x.len(), state.v.len()), (3 * n, 3 * n), "[3, H, W]");
         self.x.write_at(&self.context, 3 * b * n, &state.x);
         self.v.write_at(&self.context, 3 * b * n, &state.v);
-        if let Rule::Learned { hidden, scales, .. } = &self.rule {
+        if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
             for half in [0, 3 * batch * n] {
                 hidden.write_at(&self.context, half + 3 * b * n, &vec![0.0; 3 * n]);
             }
@@ -292,7 +301,7 @@ impl Solver {
 
     /// Forgets what the optimizer remembers from frame to frame: the hidden state of the learned one.
     pub fn reset_memory(&self) {
-        if let Rule::Learned { hidden, scales, .. } = &self.rule {
+        if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
             hidden.write(&self.context, &vec![0f32; hidden.len()]);
             scales.write(&self.context, &vec![INITIAL_SCALE; scales.len()]);
         }
@@ -351,28 +360,27 @@ impl Solver {
     }
 
     /// The tensors that [`Solver::statistics`] reads, in the order it wants their bytes.
-    pub fn statistics_tensors(&self) -> [&Tensor; 2] {
-        [&self.terms, &self.norms]
+    pub fn statistics_tensors(&self) -> [&Tensor; 3] {
+        let [first, last] = &self.ends;
+        [&self.terms, first, last]
     }
 
     /// Statistics of the last frame, one for each cloth, from the contents of [`Solver::statistics_tensors`], one after the other.
     pub fn statistics(&self, contents: &[f32]) -> Vec<FrameStats> {
         let Grid { h, w } = self.model.grid;
         let edges = ((h - 1) * w + h * (w - 1)) as f64;
-        let (terms, norms) = contents.split_at(self.terms.len());
-        let samples = 3 * self.model.batch();
-        let gradients = self.gradient_norms(norms);
-        let of_cloth = |iteration: usize, b: usize| {
-            let components = &gradients[iteration * samples + 3 * b..][..3];
-            components.iter().map(|g| g * g).sum::<f64>().sqrt()
-        };
+        let (terms, ends) = contents.split_at(self.terms.len());
+        let ends = self.gradient_norms(ends);
+        let (first, last) = ends.split_at(3 * self.model.batch());
+        let of_cloth =
+            |norms: &[f64], b: usize| norms[3 * b..][..3].iter().map(|g| g * g).sum::<f64>().sqrt();
         let stats = |(b, t): (usize, &[f32])| {
             let [stretch, shear, bend, inertia, external, largest, sum] =
                 [0, 1, 2, 3, 4, 5, 6].map(|k| f64::from(t[k]));
             FrameStats {
                 energy: EnergyTerms { stretch, shear, bend, inertia, external },
-                gradient_first: of_cloth(0, b),
-                gradient_last: of_cloth(self.iterations - 1, b),
+                gradient_first: of_cloth(first, b),
+                gradient_last: of_cloth(last, b),
                 stretch_largest: largest,
                 stretch_mean: sum / edges,
             }
@@ -380,15 +388,10 @@ impl Solver {
         terms.chunks_exact(8).enumerate().map(stats).collect()
     }
 
-    /// Norms of the gradient in every iteration, from their partial sums of squares; shape [N, S].
-    fn gradient_norms(&self, norms: &[f32]) -> Vec<f64> {
-        let per_sample = 2 * norms::parts(self.model.grid.particles());
+    /// Norms of the gradients of samples from their partial sums of squares, [.., parts, 2].
+    fn gradient_norms(&self, sums: &[f32]) -> Vec<f64> {
         let norm = |parts: &[f32]| parts.iter().step_by(2).map(|&s| f64::from(s)).sum::<f64>().sqrt();
-        let of_iteration = |row: &[f32]| {
-            let samples = row.chunks_exact(per_sample).take(3 * self.model.batch());
-            samples.map(norm).collect::<Vec<_>>()
-        };
-        norms.chunks_exact(self.norms.shape()[1]).flat_map(of_iteration).collect()
+        sums.chunks_exact(2 * gradient::parts(self.model.grid)).map(norm).collect()
     }
 
     /// What the optimizer did in the last frame; waits for the device, so it is for checks and not for frames.
@@ -399,7 +402,10 @@ impl Solver {
                 scales.extend(row[..3 * self.model.batch()].iter().map(|&s| f64::from(s)));
             }
         }
-        Ok(Iterations { gradient_norms: self.gradient_norms(&self.norms.read(&self.context)?), scales })
+        let (sums, of_row) = (self.sums.read::<f32>(&self.context)?, self.ends[0].len());
+        let rows = sums.chunks_exact(self.sums.shape()[1]);
+        let gradient_norms = rows.flat_map(|row| self.gradient_norms(&row[..of_row])).collect();
+        Ok(Iterations { gradient_norms, scales })
     }
 
     /// Handle positions in `state` [B, 3, n], in the order of [`Control::handles`].
@@ -427,84 +433,40 @@ fn row(rows: &Tensor, iteration: usize, shape: &[usize]) -> Tensor {
     rows.view(iteration * rows.shape()[1], shape)
 }
 
-/// Appends what turns the gradient of an iteration into the next iterate.
-type Step<'a> = Box<dyn FnMut(&mut Schedule, usize) + 'a>;
+/// Appends what turns the gradient of an iteration and its sums of squares into the next iterate.
+type Step<'a> = Box<dyn FnMut(&mut Schedule, usize, &Tensor) + 'a>;
 
 impl Rule {
-    fn learned(
-        context: &Context,
-        weights: &Weights,
-        (tuning, iterations): (&Tuning, usize),
-        shape: (Grid, usize),
-    ) -> Result<Self> {
-        let (grid, samples) = shape;
-        let plan = Plan { grid, samples, tuning: *tuning, keep: Keep::Nothing };
-        let plan = plan.in_turns(context, weights.config);
-        Ok(Self::Learned {
-            forward: Box::new(Forward::new(context, &weights.folded(), &plan)?),
-            hidden: Tensor::zeros(context, "hidden state", &[2, samples, grid.particles()])?,
-            scales: rows(context, "scales", iterations, samples)?,
-        })
-    }
-
     fn kernels<'a>(&'a self, context: &Context, solver: &'a Solver) -> Result<Step<'a>> {
         let (iterate, grid) = (&solver.iterate, solver.model.grid);
-        let (samples, n) = iterate.samples_and_particles();
-        let sums = Norms::new(context, matches!(self, Self::Learned { .. }))?;
-        // The partial sums of each iteration are kept for the statistics.
-        let sum = move |frame: &mut Schedule, iteration: usize, hidden: &Tensor| {
-            let partial = row(&solver.norms, iteration, &[samples, norms::parts(n), 2]);
-            sums.push(frame, &iterate.grad, hidden, &partial);
-            partial
-        };
+        let (_, n) = iterate.samples_and_particles();
         Ok(match self {
-            Self::Learned { forward, hidden, scales } => {
-                let features = Features::new(context)?;
-                let update = Update::new(context)?;
-                Box::new(move |frame, iteration| {
-                    let partial = &sum(frame, iteration, hidden);
-                    let from = FeatureTensors { grad: &iterate.grad, hidden, partial };
-                    let last = (iteration + solver.iterations - 1) % solver.iterations;
-                    let scale = &row(scales, iteration, &[samples]);
-                    for first in (0..samples).step_by(forward.samples()) {
-                        let count = forward.samples().min(samples - first);
-                        features.push(frame, grid, from, (&forward.embedded.first(count), first));
-                        let [before, after] = [last, iteration].map(|row| row * scales.shape()[1] + first);
-                        forward.push_first(frame, count, Some(Scales { tensor: scales, before, after }));
-                        let from = UpdateTensors { field: &forward.first_field(count), first, scale, hidden };
-                        update.push(frame, grid, from, iterate);
-                    }
-                })
-            }
+            Self::Learned { step, scales } => Box::new(move |frame, iteration, sums| {
+                let last = (iteration + solver.iterations - 1) % solver.iterations;
+                let [before, after] = [last, iteration].map(|row| row * scales.shape()[1]);
+                step.push(frame, (iterate, sums), Scales { tensor: scales, before, after });
+            }),
             Self::GradientDescent { rate } => {
                 let kernel = GradientDescent::new(context)?;
-                Box::new(move |frame, iteration| {
-                    sum(frame, iteration, &iterate.a);
-                    kernel.push(frame, *rate, iterate);
-                })
+                Box::new(move |frame, _, _| kernel.push(frame, *rate, iterate))
             }
             Self::Adam { settings, moments } => {
                 let kernel = Adam::new(context)?;
-                Box::new(move |frame, iteration| {
-                    sum(frame, iteration, &iterate.a);
-                    kernel.push(frame, *settings, iteration, (iterate, moments));
+                Box::new(move |frame, iteration, _| {
+                    kernel.push(frame, *settings, iteration, (iterate, moments))
                 })
             }
             Self::Lbfgs { history, curvature, memory } => {
                 let kernel = Lbfgs::new(context, *history, *curvature)?;
-                kernel.check_size(context, grid.particles())?;
-                Box::new(move |frame, iteration| {
-                    sum(frame, iteration, &iterate.a);
-                    kernel.push(frame, iteration, iterate, memory);
-                })
+                kernel.check_size(context, n)?;
+                Box::new(move |frame, iteration, _| kernel.push(frame, iteration, iterate, memory))
             }
             Self::QuasiNewton { history, curvature, memory } => {
                 let batch = solver.model.batch();
                 let plan = QuasiNewton::new(context, *history, *curvature, (grid, batch))?;
-                plan.check_size(context, grid.particles())?;
-                Box::new(move |frame, iteration| {
-                    sum(frame, iteration, &iterate.a);
-                    plan.push(frame, iteration, (iterate, &solver.cloths), memory);
+                plan.check_size(context, n)?;
+                Box::new(move |frame, iteration, _| {
+                    plan.push(frame, iteration, (iterate, &solver.cloths), memory)
                 })
             }
         })

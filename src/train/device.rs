@@ -7,14 +7,12 @@ use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
     ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Physics, Predict,
-    StateTensors, energy,
+    StateTensors, energy, gradient,
 };
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{
-    FeatureTensors, Features, Iterate, Norms, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors, norms,
-};
+use crate::kernels::optim::{Fields, Iterate, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors};
 use crate::kernels::train::{AdamW, BatchTensors, Factors, GradientSize, Moments, Squares, squares};
-use crate::network::{Backward, Forward, Keep, Parameters, Plan, Transposed};
+use crate::network::{Backward, Forward, Head, Keep, Parameters, Plan, Transposed};
 use crate::sim::{Control, Grid, Model};
 
 /// The loss of a batch of B cloths on one grid, and its gradient over the weights (paper section 3.3): one iteration of the
@@ -33,7 +31,6 @@ pub struct DeviceLoss {
     pub given: Tensor,
     external: Tensor,
     iterate: Iterate,
-    hidden: Tensor,
     scale: Tensor,
     /// Energy terms at the new a, as [`EnergySum`] gives them, shape [B, 8].
     pub terms: Tensor,
@@ -69,8 +66,7 @@ impl DeviceLoss {
             targets: zeros("handle targets", &[batch * MAX_HANDLES, 3])?,
             given: field("given accelerations")?,
             external: field("external")?,
-            iterate: Iterate::new(context, batch, &vec![0; batch * n])?,
-            hidden: zeros("hidden state", &[2, samples, n])?,
+            iterate: Iterate::with_hidden(context, batch, &vec![0; batch * n])?,
             scale: zeros("scale", &[samples])?,
             terms: zeros("energy terms", &[batch, 8])?,
             sizes: zeros("gradient sizes", &[batch])?,
@@ -86,8 +82,9 @@ impl DeviceLoss {
 
     /// What the step begins with and changes.
     pub fn tensors(&self) -> BatchTensors<'_> {
-        let Self { x, v, hidden, scale, .. } = self;
-        BatchTensors { x, v, a: &self.iterate.a, hidden, scale }
+        let Self { x, v, scale, iterate: Iterate { a, hidden, .. }, .. } = self;
+        let hidden = hidden.as_ref().expect("it was made with a hidden state");
+        BatchTensors { x, v, a, hidden, scale }
     }
 
     /// Scale of the next step of each sample, shape `[3 B]`.
@@ -117,24 +114,22 @@ impl DeviceLoss {
     /// energies is added to the vector given. `transposed` holds the weights.
     pub fn push(&self, schedule: &mut Schedule, transposed: &Transposed) -> Result<()> {
         let (context, grid) = (&self.context, self.grid);
-        let Self { x, v, cloths, given, external, iterate, hidden, scale, forward, backward, .. } = self;
-        let (samples, n) = iterate.samples_and_particles();
+        let Self { x, v, cloths, given, external, iterate, scale, forward, backward, .. } = self;
+        let (samples, _) = iterate.samples_and_particles();
         let (state, _) = self.state();
         Predict::in_a_frame(context)?.push(schedule, state, iterate);
         let from = ExternalForceTensors { cloths, x, v, given };
         ExternalForce::new(context)?.push(schedule, grid, from, external);
         let physics = Physics { cloths, external, x };
-        let gradient = Gradient::new(context)?;
-        gradient.push(schedule, grid, physics, iterate);
-        let partial = Tensor::zeros(context, "norm parts", &[samples, norms::parts(n), 2])?;
-        Norms::new(context, true)?.push(schedule, &iterate.grad, hidden, &partial);
-        let from = FeatureTensors { grad: &iterate.grad, hidden, partial: &partial };
-        Features::new(context)?.push(schedule, grid, from, (&forward.embedded, 0));
-        forward.push(schedule, Some(Scales::in_place(scale)));
-        let from = UpdateTensors { field: &forward.field, first: 0, scale, hidden };
+        let kernel = Gradient::new(context)?;
+        let sums = &Tensor::zeros(context, "sums of squares", &[samples, gradient::parts(grid), 2])?;
+        kernel.push(schedule, grid, physics, (iterate, sums));
+        let (fields, scales) = (Fields { iterate, sums, first: 0 }, Scales::in_place(scale));
+        forward.push(schedule, Some(fields), Head::Rescaling(scales));
+        let from = UpdateTensors { field: &forward.field, first: 0, scales, head: None };
         Update::new(context)?.push(schedule, grid, from, iterate);
 
-        gradient.push(schedule, grid, physics, iterate);
+        kernel.push(schedule, grid, physics, (iterate, sums));
         let parts = Tensor::zeros(context, "energy parts", &[self.batch, energy::parts(grid), 8])?;
         Energy::new(context)?.push(schedule, grid, physics, (iterate, &parts));
         EnergySum::new(context)?.push(schedule, &parts, &self.terms);

@@ -53,7 +53,12 @@ impl<T: Real> Stages for CpuStages<T> {
         let model = Model { grid: case.grid, cloths: case.cloths.clone() };
         let n = case.grid.particles();
         let slots = model.handle_slots();
-        let [x, shift, a, f] = [&case.x, &case.shift, &case.a, &case.external].map(|v| cast::<T>(v));
+        let [x, base, a, f] = [&case.x, &case.base, &case.a, &case.external].map(|v| cast::<T>(v));
+        let moved = |k: usize| match slots[k / (3 * n) * n + k % n] {
+            0 => base[k] + a[k],
+            _ => base[k],
+        };
+        let shift: Vec<T> = (0..x.len()).map(moved).collect();
         let mut rows = GradientRows::new(case.grid);
         let (mut terms, mut gradients) = (Vec::new(), Vec::new());
         for (b, cloth) in model.cloths.iter().enumerate() {

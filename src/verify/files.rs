@@ -229,12 +229,12 @@ impl Checker<'_> {
         let (x, v, a, held) = (x?, v?, a?, held?);
         let n = h * w;
         let is_handle = |k: usize| mask[k / (3 * n) * n + k % n] != 0.0;
-        let shift = |k: usize| if is_handle(k) { held[k] - x[k] } else { v[k] + a[k] };
+        let base = |k: usize| if is_handle(k) { held[k] - x[k] } else { v[k] };
         let case = EnergyCase {
             grid,
             cloths: cloths(golden, batch, grid)?,
             x: x.to_vec(),
-            shift: (0..x.len()).map(shift).collect(),
+            base: (0..x.len()).map(base).collect(),
             a: a.to_vec(),
             external: field("external_accelerations")?.to_vec(),
         };

@@ -7,13 +7,13 @@ use super::{
 use crate::Result;
 use crate::cpu::train::AdamWSettings;
 use crate::gpu::{Context, Schedule, Storage, Tensor};
-use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, Physics, energy};
+use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, Physics, energy, gradient};
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{FeatureTensors, Features, Iterate, Norms, Update, UpdateTensors, norms};
+use crate::kernels::optim::Iterate;
 use crate::kernels::train::BatchTensors;
 use crate::kernels::{Tuning, padded};
-use crate::network::{Forward, Keep, Parameters, Plan, Transposed, Weights};
-use crate::sim::{Control, EnergyTerms, Grid, Model, Optimizer, Solver, SolverOptions, State};
+use crate::network::{Forward, Head, Keep, Parameters, Plan, Transposed, Weights};
+use crate::sim::{Control, EnergyTerms, Grid, Learned, Model, Optimizer, Solver, SolverOptions, State};
 use crate::train::{DeviceAdamW, DeviceLoss};
 use std::sync::Arc;
 
@@ -73,7 +73,7 @@ impl Stages for GpuStages {
         let forward = context.checked(|| Forward::new(context, weights, &plan))?;
         forward.embedded.write_narrowed(context, &embed(&single(input), weights.config.fields, grid));
         let mut schedule = Schedule::new(context);
-        forward.push(&mut schedule, None);
+        forward.push(&mut schedule, None, Head::Alone);
         self.run(&schedule);
         // Channels that were added to fill a tile come last in each sample.
         let channels = |i: usize| -> Result<Vec<f64>> {
@@ -98,7 +98,7 @@ impl Stages for GpuStages {
         let (batch, n) = (model.batch(), grid.particles());
         let iterate = Iterate::new(context, batch, &model.handle_slots())?;
         iterate.a.write(context, &single(&case.a));
-        iterate.shift.write(context, &single(&case.shift));
+        iterate.base.write(context, &single(&case.base));
         let params: Vec<_> = model.cloths.iter().map(|c| ClothParams::new(c, [0.0; 3])).collect();
         let cloths = Tensor::from_slice(context, "cloths", &[batch, 16], &params)?;
         let external = self.upload("external", &[batch, 3, n], &case.external)?;
@@ -108,7 +108,8 @@ impl Stages for GpuStages {
         let terms = Tensor::zeros(context, "terms", &[batch, 8])?;
         let mut schedule = Schedule::new(context);
         context.checked(|| {
-            Gradient::new(context)?.push(&mut schedule, grid, physics, &iterate);
+            let sums = Tensor::zeros(context, "sums of squares", &[3 * batch, gradient::parts(grid), 2])?;
+            Gradient::new(context)?.push(&mut schedule, grid, physics, (&iterate, &sums));
             Energy::new(context)?.push(&mut schedule, grid, physics, (&iterate, &parts));
             EnergySum::new(context)?.push(&mut schedule, &parts, &terms);
             Ok(())
@@ -129,28 +130,37 @@ impl Stages for GpuStages {
         let filled = |values: &[f64], per: usize| -> Vec<f32> {
             single(values).into_iter().cycle().take(samples * per).collect()
         };
-        let iterate = Iterate::new(context, batch, &vec![0; batch * n])?;
-        iterate.grad.write(context, &filled(&case.grad, n));
-        let hidden = [filled(&case.last_grad, n), filled(&case.last_step, n)].concat();
-        let hidden = Tensor::from_slice(context, "hidden", &[2, samples, n], &hidden)?;
-        let scale = Tensor::from_slice(context, "scale", &[samples], &filled(&case.scale, 1))?;
-        let partial = Tensor::zeros(context, "partial", &[samples, norms::parts(n), 2])?;
+        let iterate = Iterate::with_hidden(context, batch, &vec![0; batch * n])?;
+        let [grad, last_step] = [&case.grad, &case.last_step].map(|field| filled(field, n));
+        iterate.grad.write(context, &grad);
+        let hidden = iterate.hidden.as_ref().expect("it was made with a hidden state");
+        hidden.write(context, &[filled(&case.last_grad, n), last_step.clone()].concat());
+        // The kernel of the gradient would have summed them: all in the first part.
+        let square = |field: &[f32]| field.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() as f32;
+        let parts = gradient::parts(grid);
+        let mut squares = vec![0.0; samples * parts * 2];
+        let fields = grad.chunks_exact(n).zip(last_step.chunks_exact(n));
+        for (sums, (grad, last_step)) in squares.chunks_exact_mut(2 * parts).zip(fields) {
+            sums[..2].copy_from_slice(&[square(grad), square(last_step)]);
+        }
+        let sums = Tensor::from_slice(context, "sums of squares", &[samples, parts, 2], &squares)?;
+        // Before and after the step.
+        let scales = Tensor::zeros(context, "scales", &[2, samples])?;
+        scales.write_at(context, 0, &filled(&case.scale, 1));
         let mut schedule = Schedule::new(context);
         context.checked(|| {
-            let plan = Plan { grid, samples, tuning: self.tuning, keep: Keep::Nothing };
-            let forward = Forward::new(context, weights, &plan)?;
-            Norms::new(context, true)?.push(&mut schedule, &iterate.grad, &hidden, &partial);
-            let from = FeatureTensors { grad: &iterate.grad, hidden: &hidden, partial: &partial };
-            Features::new(context)?.push(&mut schedule, grid, from, (&forward.embedded, 0));
-            forward.push(&mut schedule, Some(Scales::in_place(&scale)));
-            let from = UpdateTensors { field: &forward.field, first: 0, scale: &scale, hidden: &hidden };
-            Update::new(context)?.push(&mut schedule, grid, from, &iterate);
+            let step = Learned::new(context, weights, &self.tuning, (grid, samples))?;
+            step.push(
+                &mut schedule,
+                (&iterate, &sums),
+                Scales { tensor: &scales, before: 0, after: samples },
+            );
             Ok(())
         })?;
         self.run(&schedule);
         // From a = 0 the step is the acceleration.
         let step = self.read(&iterate.a)?[..wanted * n].to_vec();
-        Ok((step, self.read(&scale)?[..wanted].to_vec()))
+        Ok((step, self.read(&scales)?[samples..][..wanted].to_vec()))
     }
 
     fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<TrainingOutput> {

@@ -83,8 +83,8 @@ pub struct EnergyCase {
     pub cloths: Vec<Cloth>,
     /// Positions at the start of the frame, shape [B, 3, H, W].
     pub x: Vec<f64>,
-    /// What the trial moves them by, shape [B, 3, H, W].
-    pub shift: Vec<f64>,
+    /// What no acceleration moves them by, shape [B, 3, H, W]: the trial moves free particles by `base + a`, handles by `base`.
+    pub base: Vec<f64>,
     /// Accelerations, shape [B, 3, H, W].
     pub a: Vec<f64>,
     /// External accelerations, shape [B, 3, H, W].

@@ -6,7 +6,7 @@ use crate::solver::starter;
 use fnopt::cpu::operator::Adjoint;
 use fnopt::gpu::{Schedule, Tensor};
 use fnopt::kernels::Tuning;
-use fnopt::network::{Backward, Config, Forward, Keep, Parameters, Plan, Transposed, Weights};
+use fnopt::network::{Backward, Config, Forward, Head, Keep, Parameters, Plan, Transposed, Weights};
 use fnopt::sim::Grid;
 
 /// Fields and cotangents of a pass.
@@ -40,7 +40,7 @@ impl Case {
             backward.adj_scalar.write(context, &self.adj_scalar);
             let mut schedule = Schedule::new(context);
             transposed.push(&mut schedule);
-            forward.push(&mut schedule, None);
+            forward.push(&mut schedule, None, Head::Alone);
             backward.push(&mut schedule, &forward, &transposed);
             for _ in 0..passes {
                 context.submit(|encoder| schedule.record(encoder));

@@ -7,7 +7,7 @@ use crate::solver::starter;
 use fnopt::cpu::operator::{Network, Stage};
 use fnopt::gpu::{Context, Schedule, Storage, Tensor};
 use fnopt::kernels::Tuning;
-use fnopt::network::{Backward, Block, Config, Dense, Forward, Keep, Parameters, Plan, Weights};
+use fnopt::network::{Backward, Block, Config, Dense, Forward, Head, Keep, Parameters, Plan, Weights};
 use fnopt::sim::Grid;
 
 /// Random weights of about the size that keeps activations at about 1.
@@ -73,7 +73,7 @@ fn done_on(
     }
     pass.embedded.write_narrowed(context, &pad(&embedded, grid, 0.0));
     let mut schedule = Schedule::new(context);
-    pass.push(&mut schedule, None);
+    pass.push(&mut schedule, None, Head::Alone);
     context.submit(|encoder| schedule.record(encoder));
     pass
 }

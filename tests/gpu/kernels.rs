@@ -33,7 +33,6 @@ const TWINS: &[(&str, &str)] = &[
     ("external_force", "cloth/wind"),
     ("predict", "cloth/integrate"),
     ("energy_sum", "cloth/energy"),
-    ("norms", "optim/update"),
     ("features", "optim/update"),
     ("gradient_descent", "optim/gd"),
     ("cosine_order", "optim/rest_hessian"),
@@ -68,13 +67,17 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Files with this ending below a folder, as `folder/stem`, those of `common` left out.
+/// Files with this ending below a folder, as `folder/stem`, those of `common` and `parts` left out.
 fn stems(folder: &str, ending: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for entry in std::fs::read_dir(root().join(folder)).unwrap() {
         let entry = entry.unwrap();
         let name = entry.file_name().into_string().unwrap();
-        for file in std::fs::read_dir(entry.path()).into_iter().flatten().filter(|_| name != "common") {
+        for file in std::fs::read_dir(entry.path())
+            .into_iter()
+            .flatten()
+            .filter(|_| !["common", "parts"].contains(&&*name))
+        {
             let file = file.unwrap().file_name().into_string().unwrap();
             found.extend(file.strip_suffix(ending).map(|stem| format!("{name}/{stem}")));
         }
@@ -106,10 +109,11 @@ fn tiles(source: &Source, tile: usize) -> Vec<usize> {
 
 #[test]
 fn every_file_is_in_the_table_once() {
-    let listed: Vec<String> = ALL.iter().map(|(source, _)| place(source)).collect();
-    let unique: BTreeSet<String> = listed.iter().cloned().collect();
+    let listed: Vec<_> = ALL.iter().map(|(source, _)| (place(source), source.common)).collect();
+    let unique: BTreeSet<_> = listed.iter().collect();
     assert_eq!(listed.len(), unique.len(), "a kernel is listed twice");
-    assert_eq!(unique, stems("shaders", ".wgsl"));
+    let files: BTreeSet<String> = listed.into_iter().map(|(place, _)| place).collect();
+    assert_eq!(files, stems("shaders", ".wgsl"));
     for (source, _) in ALL {
         let file = std::fs::read_to_string(root().join(format!("shaders/{}.wgsl", place(source)))).unwrap();
         assert_eq!(file, source.wgsl, "{} includes another file", source.name);
@@ -205,10 +209,20 @@ fn headers_tell_purpose_threads_and_adjoint() {
     }
 }
 
+/// The texts of a folder of `shaders`.
+fn texts(folder: &str) -> Vec<String> {
+    let files = std::fs::read_dir(root().join("shaders").join(folder)).unwrap();
+    files.map(|file| std::fs::read_to_string(file.unwrap().path()).unwrap()).collect()
+}
+
 #[test]
 fn shared_texts_hold_functions_only() {
+    let (common, parts) = (texts("common"), texts("parts"));
+    let used = |text: &String| ALL.iter().any(|(source, _)| source.common.contains(&&**text));
+    assert!(common.iter().chain(&parts).all(used), "a text that no kernel calls");
     for (source, tile) in ALL {
-        for text in source.common {
+        for &text in source.common.iter().filter(|text| !parts.iter().any(|part| part == *text)) {
+            assert!(common.iter().any(|known| known == text), "{}: {text}", source.name);
             let module = naga::front::wgsl::parse_str(text).unwrap();
             assert!(module.global_variables.is_empty() && module.entry_points.is_empty(), "{}", source.name);
         }

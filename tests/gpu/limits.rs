@@ -48,9 +48,9 @@ fn a_schedule_has_more_parameters_than_one_buffer_holds() {
     let _turn = device();
     let kernel = GradientDescent::new(context()).unwrap();
     let n = 64;
-    let [grad, base, a, shift] = [1.0, 0.0, 0.0, f32::NAN].map(|v| tensor("field", &[1, 3, n], &[v; 192]));
+    let [grad, base, a] = [1.0, 0.0, 0.0].map(|v| tensor("field", &[1, 3, n], &[v; 192]));
     let slots = Tensor::from_slice(context(), "slots", &[1, n], &vec![0u32; n]).unwrap();
-    let iterate = Iterate { grad, base, slots, a, shift };
+    let iterate = Iterate { grad, hidden: None, base, slots, a };
     // Whole numbers, so that their sum is exact; all of them twice.
     run(|schedule| {
         for rate in (1..=3000).chain(1..=3000) {
@@ -184,4 +184,14 @@ fn what_the_device_cannot_do_is_refused() {
         );
         assert!(refused(&model(grid, 0), &gd).contains("model: cloths: expected at least one"));
     }
+}
+
+/// What one cloth waits for on hardware: eleven dispatches to an iteration, five for the rest of the frame.
+#[test]
+fn a_frame_is_few_dispatches() {
+    let _turn = device();
+    let (model, start, _) = varied_batch();
+    let optimizer = Optimizer::Learned(starter().clone());
+    let solver = solver_with(sharings()[1], &model, (&optimizer, 10), &start);
+    assert_eq!(solver.frame().dispatches(), 10 * 11 + 5);
 }

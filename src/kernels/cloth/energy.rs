@@ -4,14 +4,14 @@ use super::Physics;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
-use crate::kernels::{common, size};
+use crate::kernels::{common, parts, size};
 use crate::sim::Grid;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "energy",
     wgsl: include_str!("../../../shaders/cloth/energy.wgsl"),
-    common: &[common::CLOTH, common::ANGLE, common::OFFSET],
+    common: &[common::CLOTH, common::ANGLE, parts::TRIAL],
 };
 
 #[repr(C)]
@@ -56,7 +56,8 @@ impl Energy {
         let groups = self::parts(grid);
         assert_eq!(parts.shape(), [batch, groups, 8]);
         let params = Params { rows: size(grid.h), columns: size(grid.w), groups: size(groups), zero: 0 };
-        let tensors = [cloths, external, &iterate.a, x, &iterate.shift, parts];
+        let Iterate { slots, a, base, .. } = iterate;
+        let tensors = [cloths, slots, external, a, base, x, parts];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
     }
 }

@@ -2,16 +2,16 @@
 
 use super::Physics;
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source};
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
-use crate::kernels::{common, size};
+use crate::kernels::{common, parts, size};
 use crate::sim::Grid;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "gradient",
     wgsl: include_str!("../../../shaders/cloth/gradient.wgsl"),
-    common: &[common::CLOTH, common::ANGLE, common::OFFSET],
+    common: &[common::CLOTH, common::ANGLE, parts::TRIAL],
 };
 
 #[repr(C)]
@@ -19,29 +19,63 @@ pub const SOURCE: Source = Source {
 struct Params {
     rows: u32,
     columns: u32,
+    parts: u32,
+    first_sum: u32,
+    last_step: u32,
     zero: u32,
-    pad: u32,
+    pad: [u32; 2],
 }
 
-/// Gradient of the energy with respect to the acceleration.
+/// Gradient of the energy with respect to the acceleration, and partial sums of squares for its norm and that of the last step.
 #[derive(Clone, Debug)]
 pub struct Gradient {
-    kernel: Kernel,
+    alone: Kernel,
+    with_last_step: Kernel,
+}
+
+/// Most parts that a sample is summed in: whoever wants a sum adds them up.
+const MAX_PARTS: usize = 256;
+
+/// Number of parts that the squares of a sample are summed in.
+pub fn parts(grid: Grid) -> usize {
+    let Grid { h, w } = grid;
+    (h.div_ceil(8) * w.div_ceil(8)).min(MAX_PARTS)
 }
 
 impl Gradient {
     /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+        let kernel = |last_step: f64| Kernel::new(context, &SOURCE, 0, &[("LAST_STEP", last_step)]);
+        Ok(Self { alone: kernel(0.0)?, with_last_step: kernel(1.0)? })
     }
 
-    /// Sets `iterate.grad` at `iterate.a`.
-    pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: Physics<'_>, iterate: &Iterate) {
+    /// Sets `iterate.grad` at `iterate.a`, and `sums` [S, parts, 2] to the partial sums of squares of gradient and last step, which
+    /// is 0 where the iterate has no hidden state.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        physics: Physics<'_>,
+        (iterate, sums): (&Iterate, &Tensor),
+    ) {
         let Physics { cloths, external, x } = physics;
         let batch = physics.batch(grid, iterate);
-        let params = Params { rows: size(grid.h), columns: size(grid.w), zero: 0, pad: 0 };
-        let tensors = [cloths, &iterate.slots, external, &iterate.a, x, &iterate.shift, &iterate.grad];
-        let count = self.kernel.groups([grid.w, grid.h, batch]);
-        schedule.dispatch(&self.kernel, &params, &tensors, count);
+        assert_eq!(sums.shape(), [3 * batch, parts(grid), 2]);
+        let (sums, first) = &sums.whole();
+        let (fields, hidden) = &iterate.fields();
+        let params = Params {
+            rows: size(grid.h),
+            columns: size(grid.w),
+            parts: size(parts(grid)),
+            // Views begin at an even element.
+            first_sum: size(first / 2),
+            last_step: size(hidden.unwrap_or(0) + iterate.grad.len()),
+            zero: 0,
+            pad: [0; 2],
+        };
+        let Iterate { slots, a, base, .. } = iterate;
+        let kernel = if hidden.is_some() { &self.with_last_step } else { &self.alone };
+        let tensors = [cloths, slots, external, a, base, x, fields, sums];
+        schedule.dispatch(kernel, &params, &tensors, [size(parts(grid)), size(batch), 1]);
     }
 }

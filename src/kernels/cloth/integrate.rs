@@ -35,7 +35,7 @@ impl Integrate {
         let StateTensors { x, v, targets } = state;
         assert_eq!((x.len(), v.len()), (samples * n, samples * n));
         let params = Params { particles: size(n), pad: [0; 3] };
-        let tensors = [&iterate.slots, targets, &iterate.shift, x, v];
+        let tensors = [&iterate.slots, targets, &iterate.base, &iterate.a, x, v];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }
 }

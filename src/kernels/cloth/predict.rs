@@ -33,7 +33,7 @@ impl Predict {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("FRESH", 0.0)])? })
     }
 
-    /// Sets base and shift of `iterate`, and its a to 0 at the start of a frame.
+    /// Sets the base of `iterate`, and its a to 0 at the start of a frame.
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -43,8 +43,7 @@ impl Predict {
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((state.x.len(), state.v.len()), (samples * n, samples * n));
         let params = Params { particles: size(n), pad: [0; 3] };
-        let tensors =
-            [state.x, state.v, &iterate.slots, state.targets, &iterate.base, &iterate.a, &iterate.shift];
+        let tensors = [state.x, state.v, &iterate.slots, state.targets, &iterate.base, &iterate.a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }
 }

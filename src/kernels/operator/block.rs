@@ -2,14 +2,27 @@
 
 use super::Layer;
 use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll, WORKGROUP_INVOCATIONS};
-use crate::kernels::{Tuning, common, padded, size};
+use crate::kernels::optim::features::{self, Fields, Place};
+use crate::kernels::{Tuning, common, padded, parts, size};
+use crate::sim::Grid;
 use crate::{Error, Result};
+use bytemuck::Zeroable;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "block",
     wgsl: include_str!("../../../shaders/operator/block.wgsl"),
-    common: &[common::GELU],
+    common: &[common::GELU, parts::BLOCK_INPUTS],
+};
+
+/// The WGSL of the lifting.
+pub const LIFTING: Source =
+    Source { common: &[common::GELU, parts::LIFTING_INPUTS, parts::LIFTED_EMBEDDING], ..SOURCE };
+
+/// The WGSL of the lifting of what it embeds itself.
+pub const LIFTING_OF_FIELDS: Source = Source {
+    common: &[common::GELU, parts::LIFTING_INPUTS, parts::LIFTED_FIELDS, parts::FEATURES, common::TANH],
+    ..SOURCE
 };
 
 /// Workgroup memory for inputs and weights on their way, where that is not needed for rows: enough for few turns, and for several
@@ -27,6 +40,9 @@ struct Params {
     width: u32,
     samples: u32,
     embedded: u32,
+    all_samples: u32,
+    pad: [u32; 3],
+    place: Place,
 }
 
 /// What a layer does beside the linear part of its output.
@@ -58,14 +74,25 @@ pub struct LayerSize {
     pub modes_w: usize,
     /// Channels of the output (C).
     pub channels: usize,
-    /// Hidden units and input channels of the lifting; none for a block.
-    pub lifting: Option<[usize; 2]>,
+    /// What a lifting has more of; none for a block.
+    pub lifting: Option<Lifting>,
+}
+
+/// Sizes of a lifting.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lifting {
+    /// Hidden units.
+    pub hidden: usize,
+    /// Input channels (E).
+    pub inputs: usize,
+    /// Whether it embeds them itself, from fields: with inputs and weights through workgroup memory only ([`Tuning::staged`]).
+    pub of_fields: bool,
 }
 
 impl LayerSize {
     /// Inputs that are summed: channels and columns of spectra, or hidden units.
     fn inputs(&self) -> usize {
-        self.lifting.map_or(self.channels + 2 * self.modes_w, |[hidden, _]| hidden)
+        self.lifting.map_or(self.channels + 2 * self.modes_w, |lifting| lifting.hidden)
     }
 }
 
@@ -75,8 +102,11 @@ struct Group {
     wide: usize,
     high: usize,
     deep: usize,
-    /// Inputs that are staged at a time.
+    /// Inputs that are staged at a time, and quads that take that.
     chunk: usize,
+    staged: usize,
+    /// Quads of what a lifting of fields embeds.
+    embedded: usize,
     /// Quads of its memory.
     memory: usize,
 }
@@ -96,26 +126,29 @@ impl Group {
         let [wide, high] =
             if after.whole_rows() { [row, (wide * high / row).clamp(1, high)] } else { [wide, high] };
         let quads = tuning.channels / 4;
+        let of_fields = layer.lifting.filter(|lifting| lifting.of_fields);
+        let (embedded, sums) =
+            of_fields.map_or((0, 0), |lifting| (lifting.inputs * wide, features::SUMS_BYTES / 16));
         let of_depth = |deep: usize| {
             let held = match after {
                 _ if after.whole_rows() => high * deep * tuning.channels * (layer.row_quads | 1),
                 _ if after.field => wide * high * deep,
                 _ => 1,
             };
-            let (mut chunk, mut memory) = (1, held);
+            let (mut chunk, mut staged) = (1, 0);
             if tuning.staged {
                 let input = wide + deep * quads;
-                let at_once = (held.max(STAGE_BYTES / 16) / input).max(1);
+                let at_once = (held.max(STAGE_BYTES / 16).saturating_sub(embedded) / input).max(1);
                 chunk = layer.inputs().div_ceil(layer.inputs().div_ceil(at_once));
-                memory = held.max(chunk * input);
+                staged = chunk * input;
             }
-            Self { wide, high, deep, chunk, memory }
+            Self { wide, high, deep, chunk, staged, embedded, memory: held.max(staged + embedded) }
         };
         let tiles = layer.channels / tuning.channels;
         let depths = (1..=tuning.block_deep as usize).rev().filter(|&deep| tiles.is_multiple_of(deep));
         let fits = |g: &Self| {
             let few = g.deep == 1 || g.lanes() <= WORKGROUP_INVOCATIONS as usize;
-            few && g.lanes() <= most as usize && g.memory <= room
+            few && g.lanes() <= most as usize && g.memory + sums <= room
         };
         depths.map(of_depth).find(fits)
     }
@@ -156,8 +189,12 @@ impl Block {
             Error::Device(format!("{}: rows of {quads} quads do not fit a workgroup", context.name()))
         })?;
         let flag = |flag: bool| f64::from(u8::from(flag));
-        let constants = [
-            ("LIFTING", flag(layer.lifting.is_some())),
+        let source = match layer.lifting {
+            None => SOURCE,
+            Some(Lifting { of_fields: false, .. }) => LIFTING,
+            Some(Lifting { of_fields: true, .. }) => LIFTING_OF_FIELDS,
+        };
+        let mut constants = vec![
             ("GELU", flag(after.gelu)),
             ("ROWS", flag(after.rows)),
             ("POOL", flag(after.pool)),
@@ -169,10 +206,15 @@ impl Block {
             ("CHUNK", group.chunk as f64),
             ("MEMORY", group.memory as f64),
         ];
+        if let Some(Lifting { inputs, of_fields: true, .. }) = layer.lifting {
+            assert!(tuning.staged, "a lifting embeds into workgroup memory");
+            assert_eq!(inputs, features::CHANNELS);
+            constants.extend([("EMBEDDED", group.embedded as f64), ("AHEAD", group.staged as f64)]);
+        }
         // Where operands are broadcast, loads are dear, and a row is read once for all columns; else invocations share them.
         let second = if tuning.sharing == Sharing::Broadcast { 2 * layer.modes_w } else { 2 };
         let unroll = Unroll { second, ..tuning.unroll(tuning.channels) };
-        let kernel = Kernel::new(context, &SOURCE, unroll, &constants)?;
+        let kernel = Kernel::new(context, &source, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
         let nothing = [nothing()?, nothing()?];
         Ok(Self { kernel, tile: tuning.channels, group, layer, after, nothing })
@@ -201,14 +243,27 @@ impl Block {
         let BlockTensors { x, r, y, made, rows_max } = tensors;
         let (after, LayerSize { row_quads, channels, lifting, .. }) = (self.after, self.layer);
         let columns = 2 * self.layer.modes_w;
-        let &[samples, from, h, w] = x.shape() else { panic!("block: {:?}", x.shape()) };
+        let &[samples, _, h, w] = y.shape() else { panic!("block: {:?}", y.shape()) };
         assert_eq!((w / 4, padded(width)), (row_quads, w));
-        let [inputs, embedded] = lifting.unwrap_or([channels, 0]);
+        let (inputs, embedded) = lifting.map_or((channels, 0), |lifting| (lifting.hidden, lifting.inputs));
         let of_block = usize::from(lifting.is_none());
         match lifting {
-            Some(_) => assert_eq!((r.shape(), from), (&[inputs, padded(embedded + 1)][..], embedded)),
-            None => assert_eq!((r.shape(), from), (&[samples, h, columns, channels][..], channels)),
+            Some(_) => assert_eq!(r.shape(), [inputs, padded(embedded + 1)]),
+            None => assert_eq!(r.shape(), [samples, h, columns, channels]),
         }
+        let of_fields = lifting.is_some_and(|lifting| lifting.of_fields);
+        let (bound, all_samples, place) = match x {
+            Inputs::Stored(x) => {
+                let from = if lifting.is_some() { embedded } else { channels };
+                assert_eq!((x.shape(), of_fields), (&[samples, from, h, w][..], false));
+                (vec![x.clone()], 0, Place::zeroed())
+            }
+            Inputs::Fields(fields) => {
+                assert!(of_fields, "the kernel was made for another input");
+                let (bound, place) = fields.bound(Grid { h, w: width }, samples);
+                (bound.to_vec(), fields.sums.shape()[0], place)
+            }
+        };
         assert!(tables.len() >= columns * w * (of_block + usize::from(after.rows)));
         assert_eq!(y.shape(), [samples, channels, h, w]);
         assert_eq!(weight.shape(), [channels / self.tile, inputs, self.tile]);
@@ -227,22 +282,39 @@ impl Block {
             width: size(width),
             samples: size(samples),
             embedded: size(embedded),
+            all_samples: size(all_samples),
+            pad: [0; 3],
+            place,
         };
         let Group { wide, high, deep, .. } = self.group;
         let tiles = samples * channels / self.tile;
         let count = [row_quads.div_ceil(wide), h.div_ceil(high), tiles / deep].map(size);
         let [nothing_made, no_maxima] = &self.nothing;
         let (made, rows_max) = (made.unwrap_or(nothing_made), rows_max.unwrap_or(no_maxima));
-        let tensors = [weight, bias, tables, x, r, y, made, rows_max];
+        let mut tensors = vec![weight, bias, tables, r];
+        tensors.extend(&bound);
+        tensors.extend([y, made]);
+        if lifting.is_none() {
+            tensors.push(rows_max);
+        }
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
+}
+
+/// The input of a layer.
+#[derive(Clone, Copy, Debug)]
+pub enum Inputs<'a> {
+    /// Shape [S, C, H, W'], of a lifting [S, E, H, W'].
+    Stored(&'a Tensor),
+    /// What a lifting embeds itself.
+    Fields(Fields<'a>),
 }
 
 /// What a layer reads and writes.
 #[derive(Clone, Copy, Debug)]
 pub struct BlockTensors<'a> {
-    /// Input, shape [S, C, H, W'], of the lifting [S, E, H, W'].
-    pub x: &'a Tensor,
+    /// Input.
+    pub x: Inputs<'a>,
     /// Inverse columns of the spectral product, shape [S, H, 2 modes_w, C]; of the lifting its first layer, see [`hidden_units`].
     pub r: &'a Tensor,
     /// Output, shape [S, C, H, W']; not written where the field is made.

@@ -70,8 +70,7 @@ impl Adam {
             correction1: (1.0 / (1.0 - beta1.powi(t))) as f32,
             correction2: (1.0 / (1.0 - beta2.powi(t))) as f32,
         };
-        let Iterate { grad, base, slots, a, shift } = iterate;
-        let tensors = [grad, base, slots, moments, a, shift];
+        let tensors = [&iterate.grad, moments, &iterate.a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }
 }

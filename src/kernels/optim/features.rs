@@ -1,16 +1,24 @@
 //! Host side of `shaders/optim/features.wgsl`.
 
+use super::Iterate;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, padded, size};
+use crate::kernels::cloth::gradient;
+use crate::kernels::{common, padded, parts, size};
 use crate::sim::Grid;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "features",
     wgsl: include_str!("../../../shaders/optim/features.wgsl"),
-    common: &[common::TANH],
+    common: &[parts::FEATURES, common::TANH],
 };
+
+/// Channels of the network's input: gradient, last gradient, last step, and the position.
+pub const CHANNELS: usize = 5;
+
+/// Workgroup memory for the sums of the fields' squares.
+pub(crate) const SUMS_BYTES: usize = 4 * 32;
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
@@ -18,11 +26,51 @@ struct Params {
     rows: u32,
     columns: u32,
     row_quads: u32,
-    parts: u32,
     samples: u32,
-    first: u32,
-    first_sum: u32,
-    pad: u32,
+    place: Place,
+}
+
+/// Where a kernel finds what the features of its samples are made of.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
+pub(crate) struct Place {
+    pub first: u32,
+    pub hidden: u32,
+    pub parts: u32,
+    pub first_sum: u32,
+}
+
+/// What the features of some samples are made of.
+#[derive(Clone, Copy, Debug)]
+pub struct Fields<'a> {
+    /// Gradient and hidden state.
+    pub iterate: &'a Iterate,
+    /// Partial sums of their squares, shape [S, parts, 2] ([`gradient::parts`]).
+    pub sums: &'a Tensor,
+    /// The first of the samples.
+    pub first: usize,
+}
+
+impl Fields<'_> {
+    /// What a kernel binds of it, fields and sums, and where it finds that of `count` samples of a grid.
+    pub(crate) fn bound(&self, grid: Grid, count: usize) -> ([Tensor; 2], Place) {
+        let (samples, n) = self.iterate.samples_and_particles();
+        assert_eq!((n, self.sums.shape()), (grid.particles(), &[samples, gradient::parts(grid), 2][..]));
+        assert!(
+            self.first + count <= samples,
+            "features: {count} samples from {} on of {samples}",
+            self.first
+        );
+        let ((fields, hidden), (sums, first_sum)) = (self.iterate.fields_with_hidden(), self.sums.whole());
+        let place = Place {
+            first: size(self.first),
+            hidden: size(hidden),
+            parts: size(gradient::parts(grid)),
+            // Views begin at an even element.
+            first_sum: size(first_sum / 2),
+        };
+        ([fields, sums], place)
+    }
 }
 
 /// Input of the network from gradient and hidden state.
@@ -31,53 +79,26 @@ pub struct Features {
     kernel: Kernel,
 }
 
-/// What the features are made of.
-#[derive(Clone, Copy, Debug)]
-pub struct FeatureTensors<'a> {
-    /// Gradient, shape [S, n].
-    pub grad: &'a Tensor,
-    /// Last gradient and last step, shape [2, S, n].
-    pub hidden: &'a Tensor,
-    /// Partial sums of squares, shape [S, parts, 2].
-    pub partial: &'a Tensor,
-}
-
 impl Features {
     /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `embedded` [s, 5, H, W'], of the s samples from `first` on.
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        grid: Grid,
-        from: FeatureTensors<'_>,
-        (embedded, first): (&Tensor, usize),
-    ) {
-        let &[samples, parts, 2] = from.partial.shape() else {
-            panic!("features: {:?}", from.partial.shape())
-        };
-        let w = padded(grid.w);
-        let made = embedded.shape()[0];
-        assert_eq!(embedded.shape(), [made, 5, grid.h, w]);
-        assert!(first + made <= samples, "features: {made} samples from {first} on of {samples}");
-        assert_eq!((from.grad.len(), from.hidden.len()), (samples * grid.particles(), 2 * from.grad.len()));
-        let (partial, first_sum) = &from.partial.whole();
+    /// `embedded` [s, 5, H, W'], of s samples.
+    pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: Fields<'_>, embedded: &Tensor) {
+        let (w, made) = (padded(grid.w), embedded.shape()[0]);
+        assert_eq!(embedded.shape(), [made, CHANNELS, grid.h, w]);
+        let ([fields, sums], place) = from.bound(grid, made);
+        let (samples, _) = from.iterate.samples_and_particles();
         let params = Params {
             rows: size(grid.h),
             columns: size(grid.w),
             row_quads: size(w / 4),
-            parts: size(parts),
             samples: size(samples),
-            first: size(first),
-            // Views begin at an even element.
-            first_sum: size(first_sum / 2),
-            pad: 0,
+            place,
         };
-        let tensors = [from.grad, from.hidden, partial, embedded];
         let count = self.kernel.groups([w / 4, grid.h, made]);
-        schedule.dispatch(&self.kernel, &params, &tensors, count);
+        schedule.dispatch(&self.kernel, &params, &[&fields, &sums, embedded], count);
     }
 }

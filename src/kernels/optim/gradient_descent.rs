@@ -36,8 +36,7 @@ impl GradientDescent {
     pub fn push(&self, schedule: &mut Schedule, rate: f64, iterate: &Iterate) {
         let (samples, n) = iterate.samples_and_particles();
         let params = Params { particles: size(n), rate: rate as f32, pad: [0; 2] };
-        let Iterate { grad, base, slots, a, shift } = iterate;
         let count = self.kernel.spread(n, samples);
-        schedule.dispatch(&self.kernel, &params, &[grad, base, slots, a, shift], count);
+        schedule.dispatch(&self.kernel, &params, &[&iterate.grad, &iterate.a], count);
     }
 }

@@ -98,9 +98,8 @@ impl Lbfgs {
         assert_eq!(memory.history.shape(), [batch, self.history, 2, 3 * n]);
         assert_eq!((memory.last.len(), memory.pairs.len()), (batch * 6 * n, batch * (2 * self.history + 2)));
         let params = Params { particles: size(n), first: u32::from(iteration == 0), pad: [0; 2] };
-        let Iterate { grad, base, slots, a, shift } = iterate;
         let LbfgsMemory { history, last, pairs } = memory;
-        let tensors = [grad, base, slots, history, last, pairs, a, shift];
+        let tensors = [&iterate.grad, history, last, pairs, &iterate.a];
         schedule.dispatch(&self.kernel, &params, &tensors, [size(batch), 1, 1]);
     }
 }

@@ -3,14 +3,15 @@
 use super::Iterate;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, size};
+use crate::kernels::operator::{Layer, Scales};
+use crate::kernels::{common, parts, size};
 use crate::sim::Grid;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "update",
     wgsl: include_str!("../../../shaders/optim/update.wgsl"),
-    common: &[common::TANH],
+    common: &[parts::SCALAR_HEAD, common::TANH],
 };
 
 #[repr(C)]
@@ -23,13 +24,20 @@ struct Params {
     parts: u32,
     first: u32,
     in_field: u32,
-    first_scale: u32,
+    hidden: u32,
+    channels: u32,
+    before: u32,
+    after: u32,
+    pad: u32,
 }
 
 /// The learned step.
 #[derive(Clone, Debug)]
 pub struct Update {
-    kernel: Kernel,
+    alone: Kernel,
+    with_head: Kernel,
+    /// What is bound where there is no head.
+    nothing: Tensor,
 }
 
 /// What the learned step is made of, beside the iterate.
@@ -39,38 +47,63 @@ pub struct UpdateTensors<'a> {
     pub field: &'a Tensor,
     /// The sample of S that is the field's first.
     pub first: usize,
-    /// Persistent scale, shape `[S]`.
-    pub scale: &'a Tensor,
-    /// Last gradient and last step, shape [2, S, n]: written.
-    pub hidden: &'a Tensor,
+    /// Persistent scales of all S samples.
+    pub scales: Scales<'a>,
+    /// The scalar head and its rows' maxima [s, H, C], to make the scales after the pass of those before it in another place; none
+    /// where they are made.
+    pub head: Option<(&'a Layer, &'a Tensor)>,
 }
+
+/// Most workgroups to a sample: with a head each of them makes the scale.
+const MAX_GROUPS: usize = 64;
 
 impl Update {
     /// Makes it.
     pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+        let kernel = |head: f64| Kernel::new(context, &SOURCE, 0, &[("HEAD", head)]);
+        Ok(Self {
+            alone: kernel(0.0)?,
+            with_head: kernel(1.0)?,
+            nothing: Tensor::zeros(context, "no head", &[1])?,
+        })
     }
 
     /// Moves the samples of `iterate` that the field is of by one learned step.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: UpdateTensors<'_>, iterate: &Iterate) {
-        let &[parts, in_field, h, w] = from.field.shape() else { panic!("update: {:?}", from.field.shape()) };
+        let UpdateTensors { field, first, scales, head } = from;
+        let &[parts, in_field, h, w] = field.shape() else { panic!("update: {:?}", field.shape()) };
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((h, n), (grid.h, grid.particles()));
-        assert_eq!((from.scale.len(), from.hidden.len()), (samples, 2 * samples * n));
-        assert!(from.first + in_field <= samples, "update: {in_field} samples from {} on", from.first);
-        let (scale, first_scale) = &from.scale.whole();
+        assert!(first + in_field <= samples, "update: {in_field} samples from {first} on");
+        let Scales { tensor, before, after } = scales;
+        assert!(before.max(after) + samples <= tensor.len(), "update: scales {:?}", tensor.shape());
+        let channels = head.map_or(0, |(layer, _)| layer.weight.len());
+        if let Some((layer, rows_max)) = head {
+            assert_eq!((rows_max.shape(), layer.bias.len()), (&[in_field, h, channels][..], 1));
+            assert!(before.abs_diff(after) >= samples, "workgroups read scales that another one writes");
+        }
+        let (fields, hidden) = iterate.fields_with_hidden();
         let params = Params {
             rows: size(h),
             columns: size(grid.w),
             row_quads: size(w / 4),
             samples: size(samples),
             parts: size(parts),
-            first: size(from.first),
+            first: size(first),
             in_field: size(in_field),
-            first_scale: size(*first_scale),
+            hidden: size(hidden),
+            channels: size(channels),
+            before: size(before),
+            after: size(after),
+            pad: 0,
         };
-        let Iterate { grad, base, slots, a, shift } = iterate;
-        let tensors = [from.field, scale, grad, base, slots, from.hidden, a, shift];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, in_field));
+        let nothing = &self.nothing;
+        let (kernel, rows_max, weight, bias) = match head {
+            Some((layer, rows_max)) => (&self.with_head, rows_max, &layer.weight, &layer.bias),
+            None => (&self.alone, nothing, nothing, nothing),
+        };
+        let tensors = [field, rows_max, weight, bias, tensor, &fields, &iterate.a];
+        let groups = n.div_ceil(256).clamp(1, MAX_GROUPS);
+        schedule.dispatch(kernel, &params, &tensors, [size(groups), size(in_field), 1]);
     }
 }

@@ -32,14 +32,14 @@ impl Advance {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Moves `state` by the shift of `iterate`, whose `a` it zeroes, where `drawn` \[B\] says so.
+    /// Moves `state` to where `iterate` leads, whose `a` it zeroes, where `drawn` \[B\] says so.
     pub fn push(&self, schedule: &mut Schedule, drawn: &Tensor, state: StateTensors<'_>, iterate: &Iterate) {
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((state.x.len(), state.v.len()), (samples * n, samples * n));
         assert_eq!(drawn.bytes() as usize, samples / 3 * size_of::<super::Drawn>());
         let params = Params { particles: size(n), pad: [0; 3] };
-        let Iterate { slots, a, shift, .. } = iterate;
-        let tensors = [drawn, slots, state.targets, shift, state.x, state.v, a];
+        let Iterate { slots, a, base, .. } = iterate;
+        let tensors = [drawn, slots, state.targets, base, state.x, state.v, a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
     }
 }

@@ -1,6 +1,7 @@
 //! `block` against its formula: inverse rows, skip, bias and activation; and what it makes of its rows against the formulas
 //! of the kernels that do that alone.
 
+use super::features::sums;
 use super::operator::{MODES, activate, activations, config, copies, dense, head, layer, turn};
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_unpadded, run,
@@ -8,7 +9,8 @@ use crate::common::{
 };
 use fnopt::kernels::Tuning;
 use fnopt::kernels::operator::block::{hidden_units, with_head};
-use fnopt::kernels::operator::{After, Block, BlockTensors, Layer, LayerSize};
+use fnopt::kernels::operator::{After, Block, BlockTensors, Inputs, Layer, LayerSize, Lifting};
+use fnopt::kernels::optim::{Features, Fields, Iterate};
 use fnopt::kernels::padded;
 use fnopt::network::tables;
 use fnopt::sim::Grid;
@@ -53,7 +55,8 @@ fn blocks_of_all_tiles_match() {
                 let y = poisoned("y", &[batch, CHANNELS, grid.h, w]);
                 let after = After { gelu, ..After::default() };
                 let kernel = Block::new(context(), &tuning, size(grid, config.modes_w), after).unwrap();
-                let tensors = BlockTensors { x: &x_tensor, r: &r, y: &y, made: None, rows_max: None };
+                let tensors =
+                    BlockTensors { x: Inputs::Stored(&x_tensor), r: &r, y: &y, made: None, rows_max: None };
                 run(|schedule| kernel.push(schedule, &skip, (&table, grid.w), tensors));
                 let what = format!("block {} gelu {gelu} {batch} x {grid}", tuning.channels);
                 // A rounding for each of the 42 products, of sums about as large as the result.
@@ -111,7 +114,8 @@ fn blocks_that_take_rows_match() {
                 let [alone, y] = [(); 2].map(|()| poisoned("y", x.shape()));
                 let spectra = poisoned("rows", &shape);
                 let most = poisoned("rows_max", &[batch, grid.h, CHANNELS]);
-                let none = BlockTensors { x: &x, r: &r, y: &alone, made: None, rows_max: None };
+                let none =
+                    BlockTensors { x: Inputs::Stored(&x), r: &r, y: &alone, made: None, rows_max: None };
                 let (wanted, maxima) = (rows.then_some(&spectra), pool.then_some(&most));
                 let some = BlockTensors { y: &y, made: wanted, rows_max: maxima, ..none };
                 for (after, tables, tensors) in [
@@ -154,7 +158,7 @@ fn blocks_with_the_field_head_match() {
             let alone = After { gelu: true, ..After::default() };
             let [alone, joined] = [alone, After { field: true, ..alone }]
                 .map(|after| Block::new(context(), &tuning, size(grid, config.modes_w), after).unwrap());
-            let tensors = BlockTensors { x: &x, r: &r, y: &y, made: None, rows_max: None };
+            let tensors = BlockTensors { x: Inputs::Stored(&x), r: &r, y: &y, made: None, rows_max: None };
             run(|schedule| alone.push(schedule, &skip, (&table, grid.w), tensors));
             let with_head = with_head(&bias, (&head, head_bias));
             let with_head = Layer {
@@ -199,12 +203,14 @@ fn liftings_match() {
             let table = tensor("table", &[w / 4, columns, 4], &table);
             let y = poisoned("y", &[batch, CHANNELS, grid.h, w]);
             let spectra = poisoned("rows", &[batch, grid.h, columns, CHANNELS]);
-            let size = LayerSize { lifting: Some([HIDDEN, inputs]), ..size(grid, config.modes_w) };
+            let lifting = Lifting { hidden: HIDDEN, inputs, of_fields: false };
+            let size = LayerSize { lifting: Some(lifting), ..size(grid, config.modes_w) };
             let rows = Block::takes_rows(context(), &tuning, &size);
             let after = After { rows, ..After::default() };
             let kernel = Block::new(context(), &tuning, size, after).unwrap();
             let made = rows.then_some(&spectra);
-            let tensors = BlockTensors { x: &x_tensor, r: &units, y: &y, made, rows_max: None };
+            let tensors =
+                BlockTensors { x: Inputs::Stored(&x_tensor), r: &units, y: &y, made, rows_max: None };
             run(|schedule| kernel.push(schedule, &outer, (&table, grid.w), tensors));
             let what = format!("lifting {} of {inputs} {batch} x {grid}", tuning.channels);
             let atol = (8.0 * ROUNDING + 3e-7) * largest(&expected);
@@ -218,4 +224,63 @@ fn liftings_match() {
         }
     }
     assert!(with_rows > 0, "no lifting transforms its rows");
+}
+
+/// Liftings that embed what they lift: what they make of the features that another kernel embeds.
+#[test]
+fn liftings_of_fields_match() {
+    let _turn = device();
+    const HIDDEN: usize = 64;
+    let features = Features::new(context()).unwrap();
+    let mut with_rows = 0;
+    for tuning in tunings().into_iter().filter(|tuning| tuning.staged) {
+        for (grid, batch) in cases() {
+            let config = config(MODES[0], CHANNELS);
+            let (columns, w, n, samples) = (2 * config.modes_w, padded(grid.w), grid.particles(), 3 * batch);
+            let iterate = Iterate::with_hidden(context(), batch, &vec![0; batch * n]).unwrap();
+            let [grad, hidden] = [noise(samples * n, 17), noise(2 * samples * n, 18)];
+            iterate.grad.write(context(), &grad);
+            iterate.hidden.as_ref().unwrap().write(context(), &hidden);
+            let squares = sums(grid, samples, [&grad, &hidden[samples * n..]]);
+            let shape = [samples, squares.len() / samples / 2, 2];
+            // A view, as the rows of a solver's iterations are.
+            let rows = tensor("sums", &[64 + squares.len()], &[vec![f32::NAN; 64], squares].concat());
+            let sums = &rows.view(64, &shape);
+            let inner = hidden_units(&noise(HIDDEN * 5, 15), &noise(HIDDEN, 16));
+            let units = tensor("hidden units", &[HIDDEN, inner.len() / HIDDEN], &inner);
+            let (_, _, outer) = layer(CHANNELS, HIDDEN, tuning.channels);
+            let table = tables::forward_rows(&config, grid.h, grid.w);
+            let table = tensor("table", &[w / 4, columns, 4], &table);
+            for (first, count) in [(0, samples), (1, samples - 2)] {
+                let from = Fields { iterate: &iterate, sums, first };
+                let embedded = poisoned("embedded", &[count, 5, grid.h, w]);
+                run(|schedule| features.push(schedule, grid, from, &embedded));
+                let results = [Inputs::Stored(&embedded), Inputs::Fields(from)].map(|x| {
+                    let of_fields = matches!(x, Inputs::Fields(_));
+                    let lifting = Lifting { hidden: HIDDEN, inputs: 5, of_fields };
+                    let size = LayerSize { lifting: Some(lifting), ..size(grid, config.modes_w) };
+                    let rows = Block::takes_rows(context(), &tuning, &size);
+                    let kernel =
+                        Block::new(context(), &tuning, size, After { rows, ..After::default() }).unwrap();
+                    let y = poisoned("y", &[count, CHANNELS, grid.h, w]);
+                    let spectra = poisoned("rows", &[count, grid.h, columns, CHANNELS]);
+                    let made = rows.then_some(&spectra);
+                    let tensors = BlockTensors { x, r: &units, y: &y, made, rows_max: None };
+                    run(|schedule| kernel.push(schedule, &outer, (&table, grid.w), tensors));
+                    with_rows += usize::from(rows && of_fields);
+                    (read(&y), if rows { read(&spectra) } else { Vec::new() })
+                });
+                let [(y, spectra), (found, found_spectra)] = results;
+                let what = format!("lifting of fields {} {first} {batch} x {grid}", tuning.channels);
+                let wide = |values: &[f32]| values.iter().map(|&v| f64::from(v)).collect::<Vec<_>>();
+                let close = |found: &[f32], expected: &[f32]| {
+                    let expected = wide(expected);
+                    assert_close(&what, found, &expected, (8.0 * ROUNDING * largest(&expected), 0.0));
+                };
+                close(&found, &y);
+                close(&found_spectra, &spectra[..found_spectra.len()]);
+            }
+        }
+    }
+    assert!(with_rows > 0, "no lifting of fields transforms its rows");
 }

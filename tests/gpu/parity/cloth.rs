@@ -54,10 +54,33 @@ pub fn constants(model: &Model) -> Tensor {
 pub fn iterate(model: &Model) -> Iterate {
     let iterate = Iterate::new(context(), model.batch(), &model.handle_slots()).unwrap();
     let nan = vec![f32::NAN; iterate.a.len()];
-    for tensor in [&iterate.grad, &iterate.base, &iterate.a, &iterate.shift] {
+    for tensor in [&iterate.grad, &iterate.base, &iterate.a] {
         tensor.write(context(), &nan);
     }
     iterate
+}
+
+/// The same with a hidden state, of NaN, too.
+pub fn iterate_with_hidden(model: &Model) -> Iterate {
+    let slots = model.handle_slots();
+    let with_hidden = Iterate::with_hidden(context(), model.batch(), &slots).unwrap();
+    let iterate = Iterate { grad: with_hidden.grad, hidden: with_hidden.hidden, ..iterate(model) };
+    iterate.grad.write(context(), &vec![f32::NAN; iterate.grad.len()]);
+    hidden(&iterate).write(context(), &vec![f32::NAN; hidden(&iterate).len()]);
+    iterate
+}
+
+/// The hidden state of an iterate that has one.
+pub fn hidden(iterate: &Iterate) -> &Tensor {
+    iterate.hidden.as_ref().unwrap()
+}
+
+/// What a trial moves the particles by.
+pub fn shift(model: &Model, base: &[f32], a: &[f32]) -> Vec<f64> {
+    let (slots, n) = (model.handle_slots(), model.grid.particles());
+    let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
+    let moved = |k: usize| f64::from(base[k]) + if free(k) { f64::from(a[k]) } else { 0.0 };
+    (0..base.len()).map(moved).collect()
 }
 
 /// A field of NaN.
@@ -76,9 +99,10 @@ pub struct Doubles {
 }
 
 impl Doubles {
-    /// Positions, shifts, accelerations and external accelerations, each [B, 3, n].
+    /// Positions, what no acceleration moves them by, accelerations and external accelerations, each [B, 3, n].
     pub fn new(model: &Model, fields: [&[f32]; 4]) -> Self {
-        let [x, shift, a, f] = fields.map(widened);
+        let shift = shift(model, fields[1], fields[2]);
+        let [x, _, a, f] = fields.map(widened);
         Self { model: model.clone(), slots: model.handle_slots(), x, shift, a, f }
     }
 

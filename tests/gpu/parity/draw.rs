@@ -84,17 +84,18 @@ fn frames_end_where_they_are_due() {
     let kernel = Advance::new(context()).unwrap();
     let model = model(GRID, 3);
     let (n, slots, targets) = (GRID.particles(), model.handle_slots(), targets(&model));
-    let [x, v, a, shift] = [151, 152, 153, 154].map(|seed| field(&model, 1.0, seed));
+    let [x, v, a, base] = [151, 152, 153, 154].map(|seed| field(&model, 1.0, seed));
     let [mut next_x, mut next_v, mut next_a] = [x.clone(), v.clone(), a.clone()];
     for k in 6 * n..9 * n {
         let slot = slots[2 * n + k % n] as usize;
         next_a[k] = 0.0;
-        next_v[k] = if slot == 0 { 0.75 * shift[k] } else { 0.0 };
-        next_x[k] = if slot == 0 { x[k] + shift[k] } else { targets[slot - 1][k / n % 3] };
+        let shift = base[k] + a[k];
+        next_v[k] = if slot == 0 { 0.75 * shift } else { 0.0 };
+        next_x[k] = if slot == 0 { x[k] + shift } else { targets[slot - 1][k / n % 3] };
     }
     let iterate = iterate(&model);
     iterate.a.write(context(), &a);
-    iterate.shift.write(context(), &shift);
+    iterate.base.write(context(), &base);
     let [x, v] = [x, v].map(|values| upload("state", &model, &values));
     let targets = tensor("targets", &[model.handles(), 3], targets.as_flattened());
     let drawn = drawn();

@@ -22,8 +22,8 @@ fn energies_and_stretch_match() {
         ] {
             let (a, f) = (field(&model, 0.1, 73), field(&model, 0.1, 74));
             let iterate = iterate(&model);
-            let shift = field(&model, if name == "crumpled" { 0.1 } else { 0.0 }, 79);
-            iterate.shift.write(context(), &shift);
+            let base = field(&model, if name == "crumpled" { 0.1 } else { 0.0 }, 79);
+            iterate.base.write(context(), &base);
             iterate.a.write(context(), &a);
             let (cloths, external) = (constants(&model), upload("external", &model, &f));
             let start = upload("x", &model, &x);
@@ -34,7 +34,7 @@ fn energies_and_stretch_match() {
                 kernel.push(schedule, grid, physics, (&iterate, &partial));
                 sum.push(schedule, &partial, &terms);
             });
-            let doubles = Doubles::new(&model, [&x, &shift, &a, &f]);
+            let doubles = Doubles::new(&model, [&x, &base, &a, &f]);
             for (b, found) in read(&terms).chunks_exact(8).enumerate() {
                 let e = energy(&doubles.cloth(b));
                 let (largest, mean) = stretch(&doubles.cloth(b));
@@ -67,7 +67,7 @@ fn degenerate_cloths_have_finite_energies() {
     }
     let iterate = iterate(&model);
     let zero = vec![0.0; x.len()];
-    iterate.shift.write(context(), &zero);
+    iterate.base.write(context(), &zero);
     iterate.a.write(context(), &zero);
     let (cloths, external) = (constants(&model), upload("external", &model, &zero));
     let start = upload("x", &model, &x);

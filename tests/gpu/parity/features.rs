@@ -4,7 +4,8 @@ use crate::common::{
     ROUNDING, assert_close, cases, context, device, noise, poisoned, read, read_unpadded, run, tensor,
     widened,
 };
-use fnopt::kernels::optim::{FeatureTensors, Features, Norms, norms::parts};
+use fnopt::kernels::cloth::gradient::parts;
+use fnopt::kernels::optim::{Features, Fields, Iterate};
 use fnopt::kernels::padded;
 use fnopt::sim::Grid;
 
@@ -16,13 +17,19 @@ fn squashed(field: &[f32], of: &[f32]) -> Vec<f64> {
     field.iter().map(|&v| 10.0 * (f64::from(v) / rms / 10.0).tanh()).collect()
 }
 
-fn check(
-    kernels: &(Norms, Features),
-    (grid, samples): (Grid, usize),
-    grad: &[f32],
-    hidden: &[f32],
-    what: &str,
-) {
+/// Partial sums of squares of two fields [S, n], shape [S, parts, 2], dealt out particle by particle.
+pub fn sums(grid: Grid, samples: usize, fields: [&[f32]; 2]) -> Vec<f32> {
+    let (n, count) = (grid.particles(), parts(grid));
+    let mut sums = vec![0.0; samples * count * 2];
+    for (which, field) in fields.into_iter().enumerate() {
+        for (k, &v) in field.iter().enumerate() {
+            sums[2 * (k / n * count + k % n % count) + which] += f64::from(v) * f64::from(v);
+        }
+    }
+    sums.into_iter().map(|sum| sum as f32).collect()
+}
+
+fn check(kernel: &Features, (grid, samples): (Grid, usize), grad: &[f32], hidden: &[f32], what: &str) {
     let n = grid.particles();
     let mut expected = Vec::new();
     for s in 0..samples {
@@ -34,15 +41,17 @@ fn check(
         expected.extend((0..n).map(|p| (p / grid.w) as f64 / (grid.h - 1) as f64));
         expected.extend((0..n).map(|p| (p % grid.w) as f64 / (grid.w - 1) as f64));
     }
-    let grad = tensor("grad", &[samples, n], grad);
-    let hidden = tensor("hidden", &[2, samples, n], hidden);
-    let partial = poisoned("partial", &[128 + 2 * samples * parts(n)]).view(128, &[samples, parts(n), 2]);
+    let slots = vec![0; samples / 3 * n];
+    let iterate = Iterate::with_hidden(context(), samples / 3, &slots).unwrap();
+    iterate.grad.write(context(), grad);
+    iterate.hidden.as_ref().unwrap().write(context(), hidden);
+    let squares = sums(grid, samples, [grad, &hidden[samples * n..]]);
+    let rows = tensor("rows", &[128 + squares.len()], &[vec![f32::NAN; 128], squares].concat());
+    let sums = &rows.view(128, &[samples, parts(grid), 2]);
     for (first, count) in [(0, samples), (1, samples - 2)] {
         let embedded = poisoned("embedded", &[count, 5, grid.h, padded(grid.w)]);
         run(|schedule| {
-            kernels.0.push(schedule, &grad, &hidden, &partial);
-            let from = FeatureTensors { grad: &grad, hidden: &hidden, partial: &partial };
-            kernels.1.push(schedule, grid, from, (&embedded, first));
+            kernel.push(schedule, grid, Fields { iterate: &iterate, sums, first }, &embedded);
         });
         let expected = &expected[5 * n * first..][..5 * n * count];
         // Roundings of the norm and of tanh, a few each.
@@ -56,7 +65,7 @@ fn check(
 #[test]
 fn normalised_fields_and_positions_match() {
     let _turn = device();
-    let kernels = (Norms::new(context(), true).unwrap(), Features::new(context()).unwrap());
+    let kernel = Features::new(context()).unwrap();
     for (grid, batch) in cases() {
         let (samples, n) = (3 * batch, grid.particles());
         // Samples of very different sizes; cubes, so that some elements are saturated.
@@ -65,7 +74,7 @@ fn normalised_fields_and_positions_match() {
             |len, seed| noise(len, seed).into_iter().enumerate().map(move |(k, v)| size(k / n) * v.powi(9));
         let grad: Vec<f32> = spiky(samples * n, 91).collect();
         let hidden: Vec<f32> = spiky(2 * samples * n, 92).collect();
-        check(&kernels, (grid, samples), &grad, &hidden, &format!("features {batch} x {grid}"));
+        check(&kernel, (grid, samples), &grad, &hidden, &format!("features {batch} x {grid}"));
     }
 }
 
@@ -73,10 +82,10 @@ fn normalised_fields_and_positions_match() {
 #[test]
 fn zero_fields_stay_zero() {
     let _turn = device();
-    let kernels = (Norms::new(context(), true).unwrap(), Features::new(context()).unwrap());
+    let kernel = Features::new(context()).unwrap();
     let (grid, samples) = (crate::common::GRIDS[1], 3);
     let n = grid.particles();
     let mut grad = noise(samples * n, 93);
     grad[..n].fill(0.0);
-    check(&kernels, (grid, samples), &grad, &vec![0.0; 2 * samples * n], "features of zero");
+    check(&kernel, (grid, samples), &grad, &vec![0.0; 2 * samples * n], "features of zero");
 }

@@ -1,20 +1,24 @@
 //! `gradient` against the CPU path.
 
-use super::cloth::{Doubles, constants, crumpled, field, iterate, model, upload};
-use crate::common::{ROUNDING, assert_close, cases, context, device, largest, read, run};
+use super::cloth::{
+    Doubles, constants, crumpled, field, hidden, iterate, iterate_with_hidden, model, upload,
+};
+use crate::common::{ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run};
 use fnopt::cpu::cloth::{GradientRows, gradient};
-use fnopt::kernels::cloth::{Gradient, Physics};
-use fnopt::sim::{Model, State};
+use fnopt::kernels::cloth::{Gradient, Physics, gradient::parts};
+use fnopt::sim::{Grid, Model, State};
 
-/// The gradient on the device, and in double precision, for positions, shifts, accelerations and external accelerations.
+/// The gradient on the device, and in double precision, for positions, what no acceleration moves them by, accelerations and
+/// external accelerations.
 fn both(kernel: &Gradient, model: &Model, fields: [&[f32]; 4]) -> (Vec<f32>, Vec<f64>) {
     let iterate = iterate(model);
-    let [x, shift, a, f] = fields;
-    iterate.shift.write(context(), shift);
+    let [x, base, a, f] = fields;
+    iterate.base.write(context(), base);
     iterate.a.write(context(), a);
     let (cloths, external, x) = (constants(model), upload("external", model, f), upload("x", model, x));
     let physics = Physics { cloths: &cloths, external: &external, x: &x };
-    run(|schedule| kernel.push(schedule, model.grid, physics, &iterate));
+    let sums = poisoned("sums", &[3 * model.batch(), parts(model.grid), 2]);
+    run(|schedule| kernel.push(schedule, model.grid, physics, (&iterate, &sums)));
     let doubles = Doubles::new(model, fields);
     let mut rows = GradientRows::new(model.grid);
     let mut expected = vec![0.0; a.len()];
@@ -31,9 +35,9 @@ fn gradients_of_crumpled_cloths_match() {
     for (grid, batch) in cases() {
         let model = model(grid, batch);
         for amplitude in [0.02, 0.4] {
-            let (x, shift) = (crumpled(&model, amplitude), field(&model, 0.1 * amplitude, 79));
-            let (a, f) = (field(&model, 0.1, 73), field(&model, 0.1, 74));
-            let (found, expected) = both(&kernel, &model, [&x, &shift, &a, &f]);
+            let (x, base) = (crumpled(&model, amplitude), field(&model, 0.1 * amplitude, 79));
+            let (a, f) = (field(&model, 0.1 * amplitude, 73), field(&model, 0.1, 74));
+            let (found, expected) = both(&kernel, &model, [&x, &base, &a, &f]);
             // Stretch dominates: four edges of nearly unit length, each rounded, times the coefficient over the edges.
             let edges = ((grid.h - 1) * grid.w) as f64;
             let atol = 8.0 * ROUNDING * 1000.0 / edges;
@@ -52,7 +56,11 @@ fn rest_has_no_gradient_but_inertia() {
         let model = model(grid, batch);
         let x = State::<f32>::rest(grid, batch).x;
         let (a, f) = (field(&model, 0.1, 73), field(&model, 0.1, 74));
-        let (found, expected) = both(&kernel, &model, [&x, &vec![0.0; x.len()], &a, &f]);
+        // The sheet stays at rest: what the acceleration moves it by is taken out again.
+        let (slots, n) = (model.handle_slots(), grid.particles());
+        let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
+        let base: Vec<f32> = (0..a.len()).map(|k| if free(k) { -a[k] } else { 0.0 }).collect();
+        let (found, expected) = both(&kernel, &model, [&x, &base, &a, &f]);
         // A right angle differs from the constant for it by a rounding.
         let count = grid.particles() as f64;
         let atol = 100.0 * ROUNDING / count;
@@ -86,5 +94,56 @@ fn degenerate_cloths_have_finite_gradients() {
         let (found, expected) = both(&kernel, &model, [&x, &zero, &zero, &zero]);
         let atol = 8.0 * ROUNDING * 1000.0 / ((grid.h - 1) * grid.w) as f64;
         assert_close(&format!("gradient folded {batch} x {grid}"), &found, &expected, (atol, 8.0 * ROUNDING));
+    }
+}
+
+/// The sums of squares that the gradient leaves for its norm and that of the last step, on grids with as many parts as tiles, and
+/// on one with fewer.
+#[test]
+fn partial_sums_of_squares_match() {
+    let _turn = device();
+    let kernel = Gradient::new(context()).unwrap();
+    let large = Grid { h: 130, w: 139 };
+    assert!(parts(large) < large.h.div_ceil(8) * large.w.div_ceil(8), "some parts are of several tiles");
+    for ((grid, batch), with_hidden) in
+        cases().chain([(large, 2)]).flat_map(|case| [(case, true), (case, false)])
+    {
+        let (model, n, count) = (model(grid, batch), grid.particles(), parts(grid));
+        let samples = 3 * batch;
+        let last_step = noise(samples * n, 82);
+        let iterate = if with_hidden {
+            let iterate = iterate_with_hidden(&model);
+            hidden(&iterate).write_at(context(), samples * n, &last_step);
+            iterate
+        } else {
+            iterate(&model)
+        };
+        iterate.base.write(context(), &field(&model, 0.1, 79));
+        iterate.a.write(context(), &field(&model, 0.1, 73));
+        let (cloths, external) = (constants(&model), upload("external", &model, &field(&model, 0.1, 74)));
+        let x = upload("x", &model, &crumpled(&model, 0.1));
+        let physics = Physics { cloths: &cloths, external: &external, x: &x };
+        // A view, as the rows of a solver's iterations are.
+        let rows = poisoned("sums", &[192 + 2 * samples * count]);
+        let sums = rows.view(192, &[samples, count, 2]);
+        run(|schedule| kernel.push(schedule, grid, physics, (&iterate, &sums)));
+        // Tiles of 8 x 8 particles, dealt out to the parts.
+        let across = grid.w.div_ceil(8);
+        let part = |p: usize| (p / grid.w / 8 * across + p % grid.w / 8) % count;
+        let mut expected = vec![0.0; 2 * samples * count];
+        for (k, (&g, &d)) in read(&iterate.grad).iter().zip(&last_step).enumerate() {
+            let at = 2 * (k / n * count + part(k % n));
+            expected[at] += f64::from(g) * f64::from(g);
+            expected[at + 1] += if with_hidden { f64::from(d) * f64::from(d) } else { 0.0 };
+        }
+        let what = format!("sums {with_hidden} {batch} x {grid}");
+        // A few squares in turn, then eight sums and eight of those.
+        assert_close(&what, &read(&sums), &expected, (0.0, 16.0 * ROUNDING));
+        assert!(read(&rows)[..192].iter().all(|v| v.is_nan()), "{what} wrote in front of its view");
+        if with_hidden {
+            let memory = read(hidden(&iterate));
+            assert!(memory[..samples * n].iter().all(|v| v.is_nan()), "{what} changed the last gradient");
+            assert_eq!(memory[samples * n..], last_step, "{what} changed the last step");
+        }
     }
 }

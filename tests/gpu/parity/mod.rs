@@ -19,7 +19,6 @@ mod gradient_size;
 mod head_weight_adj;
 mod integrate;
 mod lbfgs;
-mod norms;
 mod operator;
 mod pointwise;
 mod pointwise_weight_adj;

@@ -1,0 +1,19 @@
+
+// What a Fourier block takes and makes.
+@group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
+@group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
+@group(0) @binding(7) var<storage, read_write> made: array<f32>;
+@group(0) @binding(8) var<storage, read_write> rows_max: array<f32>;
+
+const LIFTING: bool = false;
+
+fn prepare(_sample: u32, _row: u32, _first_quad: u32, _index: u32) {}
+
+// Input i at a quad of a row, of the inputs that have one weight for all rows.
+fn input(sample: u32, i: u32, row: u32, quad: u32) -> vec4f {
+    return vec4f(x[((sample * params.inputs + i) * params.rows + row) * params.row_quads + quad]);
+}
+
+fn keep_largest(at: u32, largest: f32) {
+    rows_max[at] = largest;
+}

@@ -1,0 +1,57 @@
+
+// The network's input, from what a kernel binds as `fields` (gradient [S, H, W], and from element `hidden` on last gradient and last
+// step, each [S, H, W]) and as `partial_sums` of their squares, [S, parts, 2] (`gradient`).
+
+// Where the fields of a sample are.
+struct FieldsOf {
+    sample: u32, // of S
+    samples: u32, // S
+    rows: u32, // H
+    columns: u32, // W
+    hidden: u32,
+    parts: u32,
+    first_sum: u32,
+}
+
+// Sixteen sums of parts for either of two.
+var<workgroup> sums_of_parts: array<f32, 32>;
+
+// sqrt n / |g| and sqrt n / |d| of a sample. All of a workgroup, `lanes` of them, take part. Norms are kept above 1e-30, so that a
+// zero field stays zero.
+fn inverse_sizes(at: FieldsOf, index: u32, lanes: u32) -> vec2f {
+    for (var k = index; k < 32u; k += lanes) {
+        var sum = 0.0;
+        for (var part = k / 2u; part < at.parts; part += 16u) {
+            sum += partial_sums[2u * (at.first_sum + at.sample * at.parts + part) + k % 2u];
+        }
+        sums_of_parts[k] = sum;
+    }
+    workgroupBarrier();
+    var squares = vec2f();
+    for (var k = 0u; k < 32u; k += 2u) {
+        squares += vec2f(sums_of_parts[k], sums_of_parts[k + 1u]);
+    }
+    return sqrt(f32(at.rows * at.columns)) / max(sqrt(squares), vec2f(1e-30));
+}
+
+// Channel e at a quad of a row; zero beyond the last column.
+fn feature(at: FieldsOf, inverse: vec2f, e: u32, row: u32, quad: u32) -> vec4f {
+    let columns = vec4u(0u, 1u, 2u, 3u) + 4u * quad;
+    let inside = columns < vec4u(at.columns);
+    if e == 3u {
+        return select(vec4f(), vec4f(f32(row) / f32(at.rows - 1u)), inside);
+    }
+    if e == 4u {
+        return select(vec4f(), vec4f(columns) / f32(at.columns - 1u), inside);
+    }
+    let n = at.rows * at.columns;
+    let field = select(at.hidden + (e - 1u) * at.samples * n, 0u, e == 0u);
+    let first = field + at.sample * n + row * at.columns + 4u * quad;
+    var v = vec4f();
+    for (var k = 0u; k < 4u; k++) {
+        if inside[k] {
+            v[k] = fields[first + k];
+        }
+    }
+    return 10.0 * tanh_exact(0.1 * v * select(inverse.x, inverse.y, e == 2u));
+}

@@ -1,0 +1,11 @@
+
+// What is lifted, as a kernel has embedded it.
+@group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
+@group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
+@group(0) @binding(7) var<storage, read_write> made: array<f32>;
+
+fn prepare(_sample: u32, _row: u32, _first_quad: u32, _index: u32) {}
+
+fn channel(sample: u32, e: u32, row: u32, quad: u32) -> vec4f {
+    return vec4f(x[((sample * params.embedded + e) * params.rows + row) * params.row_quads + quad]);
+}

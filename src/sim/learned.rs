@@ -1,0 +1,57 @@
+//! The learned optimizer on a device: what turns a gradient into the next iterate.
+
+use super::Grid;
+use crate::Result;
+use crate::gpu::{Context, Schedule, Tensor};
+use crate::kernels::Tuning;
+use crate::kernels::operator::Scales;
+use crate::kernels::optim::{Fields, Iterate, Update, UpdateTensors};
+use crate::network::{Forward, Head, Keep, Plan, Weights};
+
+/// Network and update rule for the samples of a batch, in turns where their activations do not fit at once.
+#[derive(Debug)]
+pub(crate) struct Learned {
+    grid: Grid,
+    forward: Forward,
+    update: Update,
+    /// Whether the scalar head is made with the step: a dispatch less, for work that is done again in every workgroup.
+    joins_head: bool,
+}
+
+impl Learned {
+    /// Uploads the weights and makes what an iteration of `samples` samples needs.
+    pub fn new(context: &Context, weights: &Weights, tuning: &Tuning, shape: (Grid, usize)) -> Result<Self> {
+        let (grid, samples) = shape;
+        let plan = Plan { grid, samples, tuning: *tuning, keep: Keep::Nothing };
+        let plan = plan.in_turns(context, weights.config);
+        let forward = Forward::new(context, &weights.folded(), &plan)?;
+        Ok(Self { grid, forward, update: Update::new(context)?, joins_head: tuning.staged })
+    }
+
+    /// Appends the step of `iterate`, from its gradient, whose partial sums of squares are in `sums` [S, parts, 2], and its hidden
+    /// state, both of which it changes; `scales` are those of all samples.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        (iterate, sums): (&Iterate, &Tensor),
+        Scales { tensor, before, after }: Scales<'_>,
+    ) {
+        let (samples, _) = iterate.samples_and_particles();
+        // What all workgroups of a step read, none of them may write.
+        let joins_head = self.joins_head && before != after;
+        for first in (0..samples).step_by(self.forward.samples()) {
+            let count = self.forward.samples().min(samples - first);
+            let of_turn = Scales { tensor, before: before + first, after: after + first };
+            let head = if joins_head { Head::Left } else { Head::Rescaling(of_turn) };
+            self.forward.push_first(schedule, count, Some(Fields { iterate, sums, first }), head);
+            let (layer, rows_max) = self.forward.pooled(count);
+            let from = UpdateTensors {
+                field: &self.forward.first_field(count),
+                first,
+                scales: Scales { tensor, before, after },
+                head: joins_head.then_some((layer, &rows_max)),
+            };
+            self.update.push(schedule, self.grid, from, iterate);
+        }
+    }
+}
