@@ -5,8 +5,9 @@
 // f = 1 for column 0 and for the Nyquist column of an even W, else 2. To the sum, the rows of r are more inputs whose
 // weights differ from row to row.
 // Lifting: y[s, o, i, j] = act(sum_u skip[o, u] gelu(sum_e r[u, e] x[s, e, i, j] + r[u, E]) + bias[o]): the hidden units u are the
-// inputs, made on the way from the E channels of x. Which of both it is, and what it binds beside what is told here, is told by the texts
-// of `shaders/parts` that are appended.
+// inputs, made on the way from the E channels of x, or of what they are embedded from. Which of these it is, and what it binds
+// beside what is told here, is told by the pieces that are appended (`shaders/pieces`: block_inputs; or lifting_inputs, and
+// lifted_embedding or lifted_fields).
 // With ROWS, the rows' spectra of y for the next block, as `transform_rows` makes them: made[s, i, k, o] = sum_j y[s, o, i, j]
 // forward[j, k]; with POOL, its largest values, as `pool_rows` does: rows_max[s, i, o] = max_j y[s, o, i, j]. Either wants a
 // whole row in a workgroup, WIDE >= Q. With FIELD, instead of y the last layer of the field head, as `project` makes it, in parts to
@@ -31,7 +32,7 @@ struct Params {
     width: u32, // W
     samples: u32, // S
     embedded: u32, // E
-    all_samples: u32, // of the fields, of which `first` is the first of S; this and the rest as in `feature`
+    all_samples: u32, // of the fields, of which `first` is the first of S; this and the rest are for `shaders/pieces/features.wgsl`
     pad0: u32,
     pad1: u32,
     pad2: u32,

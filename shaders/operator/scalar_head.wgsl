@@ -3,7 +3,7 @@
 // all others waiting, `update` does this.
 //
 // rows_max: [S, H, C]; weight: [C]; bias: [1]; scalar: [S]; scale: from element `before` on [S], to be written from element `after`
-// on. H is at least 4.
+// on. H is at least TEAMS.
 // One workgroup: one sample. Workgroups: (S).
 // Adjoint: `pool_adj` (x), `head_weight_adj` (weight, bias), `update_adj` (the scale).
 
@@ -23,7 +23,7 @@ struct Params {
 
 override RESCALE: bool = true;
 
-@compute @workgroup_size(64, 4)
+@compute @workgroup_size(64, TEAMS)
 fn scalar_head(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) group: vec3u) {
     let sample = group.x;
     let value = scalar_of(sample, params.rows, params.channels, index);

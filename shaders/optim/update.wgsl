@@ -2,7 +2,7 @@
 //
 // With HEAD the scale is made on the way, from the rows' largest values, as `scalar_head` does: every workgroup makes that of its
 // sample, and the first of them keeps it.
-// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [S] from element `after` on, with HEAD made
+// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [s] from element `after` on, with HEAD made
 // of those from element `before` on; rows_max: [s, H, C]; weight: [C]; bias: [1]; fields: grad [S, H, W] = [B, 3, H, W], and from
 // element `hidden` on last gradient and last step, each like it; a: [S, H, W].
 // One invocation: some particles' components. Workgroups: (at most n / 256, s).
@@ -34,7 +34,7 @@ struct Params {
 
 override HEAD: bool = false;
 
-@compute @workgroup_size(64, 4)
+@compute @workgroup_size(64, TEAMS)
 fn update(
     @builtin(local_invocation_index) index: u32,
     @builtin(workgroup_id) group: vec3u,
@@ -45,14 +45,14 @@ fn update(
     var pace = 0.0;
     if HEAD {
         let value = scalar_of(group.y, params.rows, params.channels, index);
-        pace = rescaled(scale[params.before + sample], value);
+        pace = rescaled(scale[params.before + group.y], value);
         if group.x == 0u && index == 0u {
-            scale[params.after + sample] = pace;
+            scale[params.after + group.y] = pace;
         }
     } else {
-        pace = scale[params.after + sample];
+        pace = scale[params.after + group.y];
     }
-    for (var p = group.x * 256u + index; p < n; p += groups.x * 256u) {
+    for (var p = group.x * 64u * TEAMS + index; p < n; p += groups.x * 64u * TEAMS) {
         let at = sample * n + p;
         let row = group.y * params.rows + p / params.columns;
         let padded = row * 4u * params.row_quads + p % params.columns;

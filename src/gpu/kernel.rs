@@ -17,8 +17,8 @@ pub struct Source {
     /// Text of the file.
     pub wgsl: &'static str,
     /// Texts of files that hold only functions and constants (`shaders/common`), or what goes with the kernel's bindings
-    /// (`shaders/parts`).
-    pub common: &'static [&'static str],
+    /// (`shaders/pieces`).
+    pub appended: &'static [&'static str],
 }
 
 /// A resource of group 0, read off the WGSL.
@@ -121,7 +121,7 @@ impl Source {
             let name = storage.name();
             text.push_str(&format!("alias StoredQuad = vec4<{name}>; alias StoredPair = vec2<{name}>;\n"));
         }
-        for part in self.common {
+        for part in self.appended {
             text.push_str(part);
         }
         text

@@ -6,7 +6,8 @@ use crate::{Error, Result};
 /// A storage buffer with a shape, of 32-bit elements or of numbers as a network stores them ([`Storage`]).
 ///
 /// Nearly every tensor is a buffer of its own: wgpu refuses one buffer bound both for reading and for writing, even where
-/// the ranges do not meet. What is only read together, such as the weights of all layers, may be views of one buffer.
+/// the ranges do not meet. What is only read together, such as the weights of all layers, may be views of one buffer, and so may what
+/// every kernel that writes some of it binds as a whole ([`crate::kernels::optim::Iterate::hidden`]).
 #[derive(Clone, Debug)]
 pub struct Tensor {
     buffer: wgpu::Buffer,

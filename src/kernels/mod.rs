@@ -24,14 +24,14 @@ pub(crate) mod common {
 }
 
 /// Texts that go with what a kernel binds: what kernels share that bind the same, and what kernels of one file differ in.
-pub(crate) mod parts {
-    pub const BLOCK_INPUTS: &str = include_str!("../../shaders/parts/block_inputs.wgsl");
-    pub const FEATURES: &str = include_str!("../../shaders/parts/features.wgsl");
-    pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/parts/lifted_embedding.wgsl");
-    pub const LIFTED_FIELDS: &str = include_str!("../../shaders/parts/lifted_fields.wgsl");
-    pub const LIFTING_INPUTS: &str = include_str!("../../shaders/parts/lifting_inputs.wgsl");
-    pub const SCALAR_HEAD: &str = include_str!("../../shaders/parts/scalar_head.wgsl");
-    pub const TRIAL: &str = include_str!("../../shaders/parts/trial.wgsl");
+pub(crate) mod pieces {
+    pub const BLOCK_INPUTS: &str = include_str!("../../shaders/pieces/block_inputs.wgsl");
+    pub const FEATURES: &str = include_str!("../../shaders/pieces/features.wgsl");
+    pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/pieces/lifted_embedding.wgsl");
+    pub const LIFTED_FIELDS: &str = include_str!("../../shaders/pieces/lifted_fields.wgsl");
+    pub const LIFTING_INPUTS: &str = include_str!("../../shaders/pieces/lifting_inputs.wgsl");
+    pub const SCALAR_HEAD: &str = include_str!("../../shaders/pieces/scalar_head.wgsl");
+    pub const TRIAL: &str = include_str!("../../shaders/pieces/trial.wgsl");
 }
 
 /// Every kernel, with a tile it is unrolled to somewhere (0 where it has none).

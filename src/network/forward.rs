@@ -21,11 +21,12 @@ use crate::{Error, Result};
 pub struct Forward {
     pub(super) config: Config,
     pub(super) grid: Grid,
-    /// Input channels, shape [S, 5, H, W']: the normalised fields, then `i / (H-1)` and `j / (W-1)`; zero in the padding.
+    /// Input channels, shape [S, 5, H, W']: the normalised fields, then `i / (H-1)` and `j / (W-1)`; zero in the padding. A pass from
+    /// fields writes them only where the lifting does not embed them itself.
     pub embedded: Tensor,
     /// Output of the field head in parts to be added up, shape [parts, S, H, W']; one part unless [`Keep::Nothing`] is kept.
     pub field: Tensor,
-    /// Output of the scalar head, shape `[S]`.
+    /// Output of the scalar head, shape `[S]`; not written where it is left ([`Head::Left`]).
     pub scalar: Tensor,
     /// Hidden layer of the lifting, shape [samples, lifting, rows, W']: of as many samples as are lifted at once, and of as many
     /// of their rows, which are all unless not even one sample is small enough.

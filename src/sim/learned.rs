@@ -30,25 +30,21 @@ impl Learned {
 
     /// Appends the step of `iterate`, from its gradient, whose partial sums of squares are in `sums` [S, parts, 2], and its hidden
     /// state, both of which it changes; `scales` are those of all samples.
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        (iterate, sums): (&Iterate, &Tensor),
-        Scales { tensor, before, after }: Scales<'_>,
-    ) {
+    pub fn push(&self, schedule: &mut Schedule, (iterate, sums): (&Iterate, &Tensor), scales: Scales<'_>) {
         let (samples, _) = iterate.samples_and_particles();
         // What all workgroups of a step read, none of them may write.
-        let joins_head = self.joins_head && before != after;
+        let joins_head = self.joins_head && scales.before != scales.after;
         for first in (0..samples).step_by(self.forward.samples()) {
             let count = self.forward.samples().min(samples - first);
-            let of_turn = Scales { tensor, before: before + first, after: after + first };
-            let head = if joins_head { Head::Left } else { Head::Rescaling(of_turn) };
+            let Scales { tensor, before, after } = scales;
+            let scales = Scales { tensor, before: before + first, after: after + first };
+            let head = if joins_head { Head::Left } else { Head::Rescaling(scales) };
             self.forward.push_first(schedule, count, Some(Fields { iterate, sums, first }), head);
             let (layer, rows_max) = self.forward.pooled(count);
             let from = UpdateTensors {
                 field: &self.forward.first_field(count),
                 first,
-                scales: Scales { tensor, before, after },
+                scales,
                 head: joins_head.then_some((layer, &rows_max)),
             };
             self.update.push(schedule, self.grid, from, iterate);

@@ -82,9 +82,8 @@ impl DeviceLoss {
 
     /// What the step begins with and changes.
     pub fn tensors(&self) -> BatchTensors<'_> {
-        let Self { x, v, scale, iterate: Iterate { a, hidden, .. }, .. } = self;
-        let hidden = hidden.as_ref().expect("it was made with a hidden state");
-        BatchTensors { x, v, a, hidden, scale }
+        let Self { x, v, scale, iterate, .. } = self;
+        BatchTensors { x, v, a: &iterate.a, hidden: iterate.hidden_state(), scale }
     }
 
     /// Scale of the next step of each sample, shape `[3 B]`.

@@ -133,8 +133,7 @@ impl Stages for GpuStages {
         let iterate = Iterate::with_hidden(context, batch, &vec![0; batch * n])?;
         let [grad, last_step] = [&case.grad, &case.last_step].map(|field| filled(field, n));
         iterate.grad.write(context, &grad);
-        let hidden = iterate.hidden.as_ref().expect("it was made with a hidden state");
-        hidden.write(context, &[filled(&case.last_grad, n), last_step.clone()].concat());
+        iterate.hidden_state().write(context, &[filled(&case.last_grad, n), last_step.clone()].concat());
         // The kernel of the gradient would have summed them: all in the first part.
         let square = |field: &[f32]| field.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() as f32;
         let parts = gradient::parts(grid);

@@ -67,7 +67,7 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Files with this ending below a folder, as `folder/stem`, those of `common` and `parts` left out.
+/// Files with this ending below a folder, as `folder/stem`, those of `common` and `pieces` left out.
 fn stems(folder: &str, ending: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for entry in std::fs::read_dir(root().join(folder)).unwrap() {
@@ -76,7 +76,7 @@ fn stems(folder: &str, ending: &str) -> BTreeSet<String> {
         for file in std::fs::read_dir(entry.path())
             .into_iter()
             .flatten()
-            .filter(|_| !["common", "parts"].contains(&&*name))
+            .filter(|_| !["common", "pieces"].contains(&&*name))
         {
             let file = file.unwrap().file_name().into_string().unwrap();
             found.extend(file.strip_suffix(ending).map(|stem| format!("{name}/{stem}")));
@@ -109,7 +109,7 @@ fn tiles(source: &Source, tile: usize) -> Vec<usize> {
 
 #[test]
 fn every_file_is_in_the_table_once() {
-    let listed: Vec<_> = ALL.iter().map(|(source, _)| (place(source), source.common)).collect();
+    let listed: Vec<_> = ALL.iter().map(|(source, _)| (place(source), source.appended)).collect();
     let unique: BTreeSet<_> = listed.iter().collect();
     assert_eq!(listed.len(), unique.len(), "a kernel is listed twice");
     let files: BTreeSet<String> = listed.into_iter().map(|(place, _)| place).collect();
@@ -217,11 +217,11 @@ fn texts(folder: &str) -> Vec<String> {
 
 #[test]
 fn shared_texts_hold_functions_only() {
-    let (common, parts) = (texts("common"), texts("parts"));
-    let used = |text: &String| ALL.iter().any(|(source, _)| source.common.contains(&&**text));
-    assert!(common.iter().chain(&parts).all(used), "a text that no kernel calls");
+    let (common, pieces) = (texts("common"), texts("pieces"));
+    let used = |text: &String| ALL.iter().any(|(source, _)| source.appended.contains(&&**text));
+    assert!(common.iter().chain(&pieces).all(used), "a text that no kernel calls");
     for (source, tile) in ALL {
-        for &text in source.common.iter().filter(|text| !parts.iter().any(|part| part == *text)) {
+        for &text in source.appended.iter().filter(|text| !pieces.iter().any(|piece| piece == *text)) {
             assert!(common.iter().any(|known| known == text), "{}: {text}", source.name);
             let module = naga::front::wgsl::parse_str(text).unwrap();
             assert!(module.global_variables.is_empty() && module.entry_points.is_empty(), "{}", source.name);

@@ -5,8 +5,11 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
 /// The WGSL.
-pub const SOURCE: Source =
-    Source { name: "energy_sum", wgsl: include_str!("../../../shaders/cloth/energy_sum.wgsl"), common: &[] };
+pub const SOURCE: Source = Source {
+    name: "energy_sum",
+    wgsl: include_str!("../../../shaders/cloth/energy_sum.wgsl"),
+    appended: &[],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

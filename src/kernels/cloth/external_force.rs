@@ -9,7 +9,7 @@ use crate::sim::Grid;
 pub const SOURCE: Source = Source {
     name: "external_force",
     wgsl: include_str!("../../../shaders/cloth/external_force.wgsl"),
-    common: &[common::CLOTH],
+    appended: &[common::CLOTH],
 };
 
 #[repr(C)]

@@ -4,14 +4,14 @@ use super::Physics;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
-use crate::kernels::{common, parts, size};
+use crate::kernels::{common, pieces, size};
 use crate::sim::Grid;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "gradient",
     wgsl: include_str!("../../../shaders/cloth/gradient.wgsl"),
-    common: &[common::CLOTH, common::ANGLE, parts::TRIAL],
+    appended: &[common::CLOTH, common::ANGLE, pieces::TRIAL],
 };
 
 #[repr(C)]

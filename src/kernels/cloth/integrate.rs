@@ -8,7 +8,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "integrate", wgsl: include_str!("../../../shaders/cloth/integrate.wgsl"), common: &[] };
+    Source { name: "integrate", wgsl: include_str!("../../../shaders/cloth/integrate.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

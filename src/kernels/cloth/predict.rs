@@ -7,7 +7,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "predict", wgsl: include_str!("../../../shaders/cloth/predict.wgsl"), common: &[] };
+    Source { name: "predict", wgsl: include_str!("../../../shaders/cloth/predict.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

@@ -9,7 +9,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "join_spectra",
     wgsl: include_str!("../../../shaders/fft/join_spectra.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

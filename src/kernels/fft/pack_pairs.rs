@@ -7,7 +7,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "pack_pairs", wgsl: include_str!("../../../shaders/fft/pack_pairs.wgsl"), common: &[] };
+    Source { name: "pack_pairs", wgsl: include_str!("../../../shaders/fft/pack_pairs.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

@@ -7,7 +7,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "radix4", wgsl: include_str!("../../../shaders/fft/radix4.wgsl"), common: &[] };
+    Source { name: "radix4", wgsl: include_str!("../../../shaders/fft/radix4.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

@@ -6,8 +6,11 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
 /// The WGSL.
-pub const SOURCE: Source =
-    Source { name: "radix_prime", wgsl: include_str!("../../../shaders/fft/radix_prime.wgsl"), common: &[] };
+pub const SOURCE: Source = Source {
+    name: "radix_prime",
+    wgsl: include_str!("../../../shaders/fft/radix_prime.wgsl"),
+    appended: &[],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

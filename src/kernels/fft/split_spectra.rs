@@ -9,7 +9,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "split_spectra",
     wgsl: include_str!("../../../shaders/fft/split_spectra.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

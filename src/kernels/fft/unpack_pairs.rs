@@ -9,7 +9,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "unpack_pairs",
     wgsl: include_str!("../../../shaders/fft/unpack_pairs.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

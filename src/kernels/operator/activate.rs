@@ -8,7 +8,7 @@ use crate::kernels::{common, size};
 pub const SOURCE: Source = Source {
     name: "activate",
     wgsl: include_str!("../../../shaders/operator/activate.wgsl"),
-    common: &[common::GELU],
+    appended: &[common::GELU],
 };
 
 #[repr(C)]

@@ -3,7 +3,7 @@
 use super::Layer;
 use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll, WORKGROUP_INVOCATIONS};
 use crate::kernels::optim::features::{self, Fields, Place};
-use crate::kernels::{Tuning, common, padded, parts, size};
+use crate::kernels::{Tuning, common, padded, pieces, size};
 use crate::sim::Grid;
 use crate::{Error, Result};
 use bytemuck::Zeroable;
@@ -12,16 +12,16 @@ use bytemuck::Zeroable;
 pub const SOURCE: Source = Source {
     name: "block",
     wgsl: include_str!("../../../shaders/operator/block.wgsl"),
-    common: &[common::GELU, parts::BLOCK_INPUTS],
+    appended: &[common::GELU, pieces::BLOCK_INPUTS],
 };
 
 /// The WGSL of the lifting.
 pub const LIFTING: Source =
-    Source { common: &[common::GELU, parts::LIFTING_INPUTS, parts::LIFTED_EMBEDDING], ..SOURCE };
+    Source { appended: &[common::GELU, pieces::LIFTING_INPUTS, pieces::LIFTED_EMBEDDING], ..SOURCE };
 
 /// The WGSL of the lifting of what it embeds itself.
 pub const LIFTING_OF_FIELDS: Source = Source {
-    common: &[common::GELU, parts::LIFTING_INPUTS, parts::LIFTED_FIELDS, parts::FEATURES, common::TANH],
+    appended: &[common::GELU, pieces::LIFTING_INPUTS, pieces::LIFTED_FIELDS, pieces::FEATURES, common::TANH],
     ..SOURCE
 };
 
@@ -91,7 +91,7 @@ pub struct Lifting {
 
 impl LayerSize {
     /// Inputs that are summed: channels and columns of spectra, or hidden units.
-    fn inputs(&self) -> usize {
+    fn summed(&self) -> usize {
         self.lifting.map_or(self.channels + 2 * self.modes_w, |lifting| lifting.hidden)
     }
 }
@@ -106,15 +106,14 @@ struct Group {
     chunk: usize,
     staged: usize,
     /// Quads of what a lifting of fields embeds.
-    embedded: usize,
+    embedded_quads: usize,
     /// Quads of its memory.
     memory: usize,
 }
 
 impl Group {
     /// The group of a layer, with as many tiles of channels as the tuning allows and fit; none if a row is too long for the device.
-    fn new(context: &Context, tuning: &Tuning, layer: &LayerSize, after: After) -> Option<Self> {
-        let limits = context.device.limits();
+    fn new(limits: &wgpu::Limits, tuning: &Tuning, layer: &LayerSize, after: After) -> Option<Self> {
         let room = limits.max_compute_workgroup_storage_size as usize / 16;
         let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
         // Subgroups that share operands want steps of the narrowest lanes there are.
@@ -127,7 +126,7 @@ impl Group {
             if after.whole_rows() { [row, (wide * high / row).clamp(1, high)] } else { [wide, high] };
         let quads = tuning.channels / 4;
         let of_fields = layer.lifting.filter(|lifting| lifting.of_fields);
-        let (embedded, sums) =
+        let (embedded_quads, sums) =
             of_fields.map_or((0, 0), |lifting| (lifting.inputs * wide, features::SUMS_BYTES / 16));
         let of_depth = |deep: usize| {
             let held = match after {
@@ -138,11 +137,20 @@ impl Group {
             let (mut chunk, mut staged) = (1, 0);
             if tuning.staged {
                 let input = wide + deep * quads;
-                let at_once = (held.max(STAGE_BYTES / 16).saturating_sub(embedded) / input).max(1);
-                chunk = layer.inputs().div_ceil(layer.inputs().div_ceil(at_once));
+                let at_once =
+                    (held.max(STAGE_BYTES / 16).saturating_sub(embedded_quads + sums) / input).max(1);
+                chunk = layer.summed().div_ceil(layer.summed().div_ceil(at_once));
                 staged = chunk * input;
             }
-            Self { wide, high, deep, chunk, staged, embedded, memory: held.max(staged + embedded) }
+            Self {
+                wide,
+                high,
+                deep,
+                chunk,
+                staged,
+                embedded_quads,
+                memory: held.max(staged + embedded_quads),
+            }
         };
         let tiles = layer.channels / tuning.channels;
         let depths = (1..=tuning.block_deep as usize).rev().filter(|&deep| tiles.is_multiple_of(deep));
@@ -175,16 +183,21 @@ impl Block {
     /// Whether a whole row fits a workgroup, as [`After::rows`] and [`After::pool`] want it, and whether the tuning wants it there.
     /// A lifting's must fit with all channels: each workgroup of a part of them would make the hidden layer anew.
     pub fn takes_rows(context: &Context, tuning: &Tuning, layer: &LayerSize) -> bool {
+        Self::rows_fit(&context.device.limits(), tuning, layer) && tuning.rows_in_blocks
+    }
+
+    fn rows_fit(limits: &wgpu::Limits, tuning: &Tuning, layer: &LayerSize) -> bool {
         let after = After { rows: true, pool: true, ..After::default() };
         let suits = |g: Group| layer.lifting.is_none() || g.deep * tuning.channels == layer.channels;
-        tuning.rows_in_blocks && Group::new(context, tuning, layer, after).is_some_and(suits)
+        Group::new(limits, tuning, layer, after).is_some_and(suits)
     }
 
     /// Makes it; an error if the device's workgroups are too small.
     pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, after: After) -> Result<Self> {
         assert!(tuning.block_high == 1 || !tuning.staged, "what is staged is of one row");
         assert!(!(after.field && after.whole_rows()), "the field takes the place of the output");
-        let group = Group::new(context, tuning, &layer, after).ok_or_else(|| {
+        assert!(layer.lifting.is_none() || !after.pool, "only blocks pool");
+        let group = Group::new(&context.device.limits(), tuning, &layer, after).ok_or_else(|| {
             let quads = layer.row_quads;
             Error::Device(format!("{}: rows of {quads} quads do not fit a workgroup", context.name()))
         })?;
@@ -209,7 +222,7 @@ impl Block {
         if let Some(Lifting { inputs, of_fields: true, .. }) = layer.lifting {
             assert!(tuning.staged, "a lifting embeds into workgroup memory");
             assert_eq!(inputs, features::CHANNELS);
-            constants.extend([("EMBEDDED", group.embedded as f64), ("AHEAD", group.staged as f64)]);
+            constants.extend([("EMBEDDED", group.embedded_quads as f64), ("AHEAD", group.staged as f64)]);
         }
         // Where operands are broadcast, loads are dear, and a row is read once for all columns; else invocations share them.
         let second = if tuning.sharing == Sharing::Broadcast { 2 * layer.modes_w } else { 2 };
@@ -344,4 +357,41 @@ pub fn hidden_units(weight: &[f32], bias: &[f32]) -> Vec<f32> {
         unit[inputs] = bias;
     }
     units
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gpu::AdapterKind;
+
+    /// A lifting that embeds on its way has the workgroups of one that does not, and rows fit as far as the README tells.
+    #[test]
+    fn workgroups_hold_what_a_lifting_embeds() {
+        let tuning = Tuning::of(AdapterKind::Hardware, Sharing::Loads);
+        for (kib, columns) in [(16, 60), (32, 124)] {
+            let limits = wgpu::Limits {
+                max_compute_workgroup_storage_size: kib << 10,
+                max_compute_invocations_per_workgroup: WORKGROUP_INVOCATIONS,
+                max_compute_workgroup_size_x: WORKGROUP_INVOCATIONS,
+                ..Default::default()
+            };
+            for row_quads in 2..=256 {
+                let size = |of_fields| {
+                    let lifting = Lifting { hidden: 256, inputs: features::CHANNELS, of_fields };
+                    LayerSize { row_quads, modes_w: 5, channels: 64, lifting: Some(lifting) }
+                };
+                let [embedded, of_fields] = [false, true].map(size);
+                assert_eq!(
+                    Block::rows_fit(&limits, &tuning, &of_fields),
+                    4 * row_quads <= columns,
+                    "{row_quads}"
+                );
+                let depth = |layer, rows| {
+                    Group::new(&limits, &tuning, layer, After { rows, ..After::default() }).map(|g| g.deep)
+                };
+                assert_eq!(depth(&of_fields, false), depth(&embedded, false), "{row_quads} quads, {kib} KiB");
+                assert_eq!(depth(&of_fields, false), Some(8), "{row_quads} quads, {kib} KiB");
+            }
+        }
+    }
 }

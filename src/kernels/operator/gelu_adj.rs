@@ -8,7 +8,7 @@ use crate::kernels::{common, size};
 pub const SOURCE: Source = Source {
     name: "gelu_adj",
     wgsl: include_str!("../../../shaders/operator/gelu_adj.wgsl"),
-    common: &[common::GELU],
+    appended: &[common::GELU],
 };
 
 #[repr(C)]

@@ -8,7 +8,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "head_weight_adj",
     wgsl: include_str!("../../../shaders/operator/head_weight_adj.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

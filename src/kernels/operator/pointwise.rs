@@ -9,7 +9,7 @@ use crate::kernels::{Tuning, common, size};
 pub const SOURCE: Source = Source {
     name: "pointwise",
     wgsl: include_str!("../../../shaders/operator/pointwise.wgsl"),
-    common: &[common::GELU],
+    appended: &[common::GELU],
 };
 
 #[repr(C)]

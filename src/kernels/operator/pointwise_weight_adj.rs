@@ -9,7 +9,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "pointwise_weight_adj",
     wgsl: include_str!("../../../shaders/operator/pointwise_weight_adj.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

@@ -6,7 +6,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "pool_adj", wgsl: include_str!("../../../shaders/operator/pool_adj.wgsl"), common: &[] };
+    Source { name: "pool_adj", wgsl: include_str!("../../../shaders/operator/pool_adj.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

@@ -5,8 +5,11 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{padded, size};
 
 /// The WGSL.
-pub const SOURCE: Source =
-    Source { name: "pool_rows", wgsl: include_str!("../../../shaders/operator/pool_rows.wgsl"), common: &[] };
+pub const SOURCE: Source = Source {
+    name: "pool_rows",
+    wgsl: include_str!("../../../shaders/operator/pool_rows.wgsl"),
+    appended: &[],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

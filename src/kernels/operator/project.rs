@@ -7,7 +7,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "project", wgsl: include_str!("../../../shaders/operator/project.wgsl"), common: &[] };
+    Source { name: "project", wgsl: include_str!("../../../shaders/operator/project.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

@@ -8,7 +8,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "project_adj",
     wgsl: include_str!("../../../shaders/operator/project_adj.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

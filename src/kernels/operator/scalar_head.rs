@@ -3,13 +3,13 @@
 use super::Layer;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, parts, size};
+use crate::kernels::{common, pieces, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "scalar_head",
     wgsl: include_str!("../../../shaders/operator/scalar_head.wgsl"),
-    common: &[parts::SCALAR_HEAD, common::TANH],
+    appended: &[pieces::SCALAR_HEAD, common::TANH],
 };
 
 #[repr(C)]

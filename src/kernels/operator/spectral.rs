@@ -7,7 +7,7 @@ use crate::{Error, Result};
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "spectral", wgsl: include_str!("../../../shaders/operator/spectral.wgsl"), common: &[] };
+    Source { name: "spectral", wgsl: include_str!("../../../shaders/operator/spectral.wgsl"), appended: &[] };
 
 /// Samples that share one reading of the weights: the three components of a cloth.
 const TILE: usize = 3;

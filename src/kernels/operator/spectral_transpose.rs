@@ -8,7 +8,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "spectral_transpose",
     wgsl: include_str!("../../../shaders/operator/spectral_transpose.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

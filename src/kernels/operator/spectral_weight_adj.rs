@@ -8,7 +8,7 @@ use crate::kernels::{Tuning, size};
 pub const SOURCE: Source = Source {
     name: "spectral_weight_adj",
     wgsl: include_str!("../../../shaders/operator/spectral_weight_adj.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

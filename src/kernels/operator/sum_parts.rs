@@ -5,8 +5,11 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
 /// The WGSL.
-pub const SOURCE: Source =
-    Source { name: "sum_parts", wgsl: include_str!("../../../shaders/operator/sum_parts.wgsl"), common: &[] };
+pub const SOURCE: Source = Source {
+    name: "sum_parts",
+    wgsl: include_str!("../../../shaders/operator/sum_parts.wgsl"),
+    appended: &[],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

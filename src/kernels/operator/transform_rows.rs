@@ -8,7 +8,7 @@ use crate::kernels::{Tuning, size};
 pub const SOURCE: Source = Source {
     name: "transform_rows",
     wgsl: include_str!("../../../shaders/operator/transform_rows.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

@@ -5,8 +5,11 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
 /// The WGSL.
-pub const SOURCE: Source =
-    Source { name: "transpose", wgsl: include_str!("../../../shaders/operator/transpose.wgsl"), common: &[] };
+pub const SOURCE: Source = Source {
+    name: "transpose",
+    wgsl: include_str!("../../../shaders/operator/transpose.wgsl"),
+    appended: &[],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

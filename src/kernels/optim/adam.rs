@@ -7,7 +7,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "adam", wgsl: include_str!("../../../shaders/optim/adam.wgsl"), common: &[] };
+    Source { name: "adam", wgsl: include_str!("../../../shaders/optim/adam.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

@@ -9,7 +9,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "cosine_order",
     wgsl: include_str!("../../../shaders/optim/cosine_order.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

@@ -4,14 +4,14 @@ use super::Iterate;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::gradient;
-use crate::kernels::{common, padded, parts, size};
+use crate::kernels::{common, padded, pieces, size};
 use crate::sim::Grid;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "features",
     wgsl: include_str!("../../../shaders/optim/features.wgsl"),
-    common: &[parts::FEATURES, common::TANH],
+    appended: &[pieces::FEATURES, common::TANH],
 };
 
 /// Channels of the network's input: gradient, last gradient, last step, and the position.
@@ -61,10 +61,10 @@ impl Fields<'_> {
             "features: {count} samples from {} on of {samples}",
             self.first
         );
-        let ((fields, hidden), (sums, first_sum)) = (self.iterate.fields_with_hidden(), self.sums.whole());
+        let ((fields, hidden), (sums, first_sum)) = (self.iterate.fields(), self.sums.whole());
         let place = Place {
             first: size(self.first),
-            hidden: size(hidden),
+            hidden: size(hidden.expect("features are made of a hidden state, too")),
             parts: size(gradient::parts(grid)),
             // Views begin at an even element.
             first_sum: size(first_sum / 2),

@@ -9,7 +9,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "gradient_descent",
     wgsl: include_str!("../../../shaders/optim/gradient_descent.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

@@ -9,7 +9,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "lbfgs", wgsl: include_str!("../../../shaders/optim/lbfgs.wgsl"), common: &[] };
+    Source { name: "lbfgs", wgsl: include_str!("../../../shaders/optim/lbfgs.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

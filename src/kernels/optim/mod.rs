@@ -28,8 +28,8 @@ use crate::gpu::{Context, Tensor};
 pub struct Iterate {
     /// Gradient of the energy with respect to `a`, shape [B, 3, n].
     pub grad: Tensor,
-    /// What the learned optimizer remembers: last gradient and last step, shape [2, S, n]. It lies in one buffer with `grad`, so that
-    /// a kernel can bind both as one, whichever of them it writes.
+    /// What the learned optimizer remembers: last gradient and last step, shape [2, S, n]. It lies in one buffer with `grad`, for
+    /// kernels that write one of them to bind both as one.
     pub hidden: Option<Tensor>,
     /// What `a = 0` moves the particles by: the velocity, or the way of a handle, shape [B, 3, n]. A trial moves free particles
     /// by `base + a`, and handles by `base`.
@@ -43,25 +43,30 @@ pub struct Iterate {
 impl Iterate {
     /// Tensors for the cloths whose handle slots are `slots` [B, n].
     pub fn new(context: &Context, batch: usize, slots: &[u32]) -> Result<Self> {
-        let n = slots.len() / batch;
-        let field = |label| Tensor::zeros(context, label, &[batch, 3, n]);
-        Ok(Self {
-            grad: field("grad")?,
-            hidden: None,
-            base: field("base")?,
-            slots: Tensor::from_slice(context, "slots", &[batch, n], slots)?,
-            a: field("a")?,
-        })
+        let grad = Tensor::zeros(context, "grad", &[batch, 3, slots.len() / batch])?;
+        Self::of(context, slots, grad, None)
     }
 
     /// The same with a hidden state, of zeros.
     pub fn with_hidden(context: &Context, batch: usize, slots: &[u32]) -> Result<Self> {
-        let iterate = Self::new(context, batch, slots)?;
-        let (samples, n) = iterate.samples_and_particles();
+        let (samples, n) = (3 * batch, slots.len() / batch);
         let first = (samples * n).next_multiple_of(Tensor::VIEW_ALIGNMENT);
         let fields = Tensor::zeros(context, "grad and hidden state", &[first + 2 * samples * n])?;
-        let grad = fields.view(0, &[batch, 3, n]);
-        Ok(Self { grad, hidden: Some(fields.view(first, &[2, samples, n])), ..iterate })
+        let hidden = fields.view(first, &[2, samples, n]);
+        Self::of(context, slots, fields.view(0, &[batch, 3, n]), Some(hidden))
+    }
+
+    fn of(context: &Context, slots: &[u32], grad: Tensor, hidden: Option<Tensor>) -> Result<Self> {
+        let &[batch, _, n] = grad.shape() else { unreachable!("a gradient has three axes") };
+        let base = Tensor::zeros(context, "base", grad.shape())?;
+        let a = Tensor::zeros(context, "a", grad.shape())?;
+        let slots = Tensor::from_slice(context, "slots", &[batch, n], slots)?;
+        Ok(Self { grad, hidden, base, slots, a })
+    }
+
+    /// The hidden state of an iterate that has one.
+    pub fn hidden_state(&self) -> &Tensor {
+        self.hidden.as_ref().expect("the iterate of a learned optimizer has a hidden state")
     }
 
     /// Number of samples, three to a cloth, and of particles. Panics when the tensors do not fit each other.
@@ -84,11 +89,5 @@ impl Iterate {
             "gradient and hidden state are in one buffer"
         );
         (fields, Some(first))
-    }
-
-    /// The same where there must be a hidden state.
-    pub(crate) fn fields_with_hidden(&self) -> (Tensor, usize) {
-        let (fields, hidden) = self.fields();
-        (fields, hidden.expect("the iterate of a learned optimizer has a hidden state"))
     }
 }

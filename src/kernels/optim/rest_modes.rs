@@ -11,7 +11,7 @@ use std::f64::consts::PI;
 pub const SOURCE: Source = Source {
     name: "rest_modes",
     wgsl: include_str!("../../../shaders/optim/rest_modes.wgsl"),
-    common: &[common::CLOTH],
+    appended: &[common::CLOTH],
 };
 
 #[repr(C)]

@@ -4,14 +4,14 @@ use super::Iterate;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::operator::{Layer, Scales};
-use crate::kernels::{common, parts, size};
+use crate::kernels::{common, pieces, size};
 use crate::sim::Grid;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "update",
     wgsl: include_str!("../../../shaders/optim/update.wgsl"),
-    common: &[parts::SCALAR_HEAD, common::TANH],
+    appended: &[pieces::SCALAR_HEAD, common::TANH],
 };
 
 #[repr(C)]
@@ -47,7 +47,7 @@ pub struct UpdateTensors<'a> {
     pub field: &'a Tensor,
     /// The sample of S that is the field's first.
     pub first: usize,
-    /// Persistent scales of all S samples.
+    /// Persistent scales of the s samples.
     pub scales: Scales<'a>,
     /// The scalar head and its rows' maxima [s, H, C], to make the scales after the pass of those before it in another place; none
     /// where they are made.
@@ -76,13 +76,15 @@ impl Update {
         assert_eq!((h, n), (grid.h, grid.particles()));
         assert!(first + in_field <= samples, "update: {in_field} samples from {first} on");
         let Scales { tensor, before, after } = scales;
-        assert!(before.max(after) + samples <= tensor.len(), "update: scales {:?}", tensor.shape());
+        assert!(before.max(after) + in_field <= tensor.len(), "update: scales {:?}", tensor.shape());
         let channels = head.map_or(0, |(layer, _)| layer.weight.len());
         if let Some((layer, rows_max)) = head {
             assert_eq!((rows_max.shape(), layer.bias.len()), (&[in_field, h, channels][..], 1));
-            assert!(before.abs_diff(after) >= samples, "workgroups read scales that another one writes");
+            assert!(before.abs_diff(after) >= in_field, "workgroups read scales that another one writes");
+            let [_, teams, _] = self.with_head.workgroup();
+            assert!(h >= teams as usize, "update: a row for each team");
         }
-        let (fields, hidden) = iterate.fields_with_hidden();
+        let (fields, hidden) = iterate.fields();
         let params = Params {
             rows: size(h),
             columns: size(grid.w),
@@ -91,7 +93,7 @@ impl Update {
             parts: size(parts),
             first: size(first),
             in_field: size(in_field),
-            hidden: size(hidden),
+            hidden: size(hidden.expect("the learned step has a hidden state")),
             channels: size(channels),
             before: size(before),
             after: size(after),

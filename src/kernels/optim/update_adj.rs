@@ -9,7 +9,7 @@ use crate::sim::Grid;
 pub const SOURCE: Source = Source {
     name: "update_adj",
     wgsl: include_str!("../../../shaders/optim/update_adj.wgsl"),
-    common: &[common::TANH],
+    appended: &[common::TANH],
 };
 
 #[repr(C)]

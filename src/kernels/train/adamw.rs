@@ -6,7 +6,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "adamw", wgsl: include_str!("../../../shaders/train/adamw.wgsl"), common: &[] };
+    Source { name: "adamw", wgsl: include_str!("../../../shaders/train/adamw.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

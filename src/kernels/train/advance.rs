@@ -10,7 +10,7 @@ use crate::kernels::{common, size};
 pub const SOURCE: Source = Source {
     name: "advance",
     wgsl: include_str!("../../../shaders/train/advance.wgsl"),
-    common: &[common::DRAWN],
+    appended: &[common::DRAWN],
 };
 
 #[repr(C)]

@@ -7,8 +7,11 @@ use crate::kernels::{common, size};
 use crate::sim::Grid;
 
 /// The WGSL.
-pub const SOURCE: Source =
-    Source { name: "draw", wgsl: include_str!("../../../shaders/train/draw.wgsl"), common: &[common::DRAWN] };
+pub const SOURCE: Source = Source {
+    name: "draw",
+    wgsl: include_str!("../../../shaders/train/draw.wgsl"),
+    appended: &[common::DRAWN],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

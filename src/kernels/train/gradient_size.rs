@@ -8,7 +8,7 @@ use crate::kernels::size;
 pub const SOURCE: Source = Source {
     name: "gradient_size",
     wgsl: include_str!("../../../shaders/train/gradient_size.wgsl"),
-    common: &[],
+    appended: &[],
 };
 
 #[repr(C)]

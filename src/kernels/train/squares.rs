@@ -6,7 +6,7 @@ use crate::kernels::size;
 
 /// The WGSL.
 pub const SOURCE: Source =
-    Source { name: "squares", wgsl: include_str!("../../../shaders/train/squares.wgsl"), common: &[] };
+    Source { name: "squares", wgsl: include_str!("../../../shaders/train/squares.wgsl"), appended: &[] };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

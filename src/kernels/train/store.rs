@@ -10,7 +10,7 @@ use crate::sim::Grid;
 pub const SOURCE: Source = Source {
     name: "store",
     wgsl: include_str!("../../../shaders/train/store.wgsl"),
-    common: &[common::DRAWN],
+    appended: &[common::DRAWN],
 };
 
 #[repr(C)]

@@ -233,14 +233,17 @@ fn liftings_of_fields_match() {
     const HIDDEN: usize = 64;
     let features = Features::new(context()).unwrap();
     let mut with_rows = 0;
-    for tuning in tunings().into_iter().filter(|tuning| tuning.staged) {
+    let staged = tunings().into_iter().find(|tuning| tuning.staged).unwrap();
+    // Several workgroups to a row, each of some of the channels.
+    let narrow = Tuning { rows_in_blocks: false, block_wide: 8, block_deep: 2, ..staged };
+    for tuning in [staged, narrow] {
         for (grid, batch) in cases() {
             let config = config(MODES[0], CHANNELS);
             let (columns, w, n, samples) = (2 * config.modes_w, padded(grid.w), grid.particles(), 3 * batch);
             let iterate = Iterate::with_hidden(context(), batch, &vec![0; batch * n]).unwrap();
             let [grad, hidden] = [noise(samples * n, 17), noise(2 * samples * n, 18)];
             iterate.grad.write(context(), &grad);
-            iterate.hidden.as_ref().unwrap().write(context(), &hidden);
+            iterate.hidden_state().write(context(), &hidden);
             let squares = sums(grid, samples, [&grad, &hidden[samples * n..]]);
             let shape = [samples, squares.len() / samples / 2, 2];
             // A view, as the rows of a solver's iterations are.

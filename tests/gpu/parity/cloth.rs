@@ -66,13 +66,8 @@ pub fn iterate_with_hidden(model: &Model) -> Iterate {
     let with_hidden = Iterate::with_hidden(context(), model.batch(), &slots).unwrap();
     let iterate = Iterate { grad: with_hidden.grad, hidden: with_hidden.hidden, ..iterate(model) };
     iterate.grad.write(context(), &vec![f32::NAN; iterate.grad.len()]);
-    hidden(&iterate).write(context(), &vec![f32::NAN; hidden(&iterate).len()]);
+    iterate.hidden_state().write(context(), &vec![f32::NAN; iterate.hidden_state().len()]);
     iterate
-}
-
-/// The hidden state of an iterate that has one.
-pub fn hidden(iterate: &Iterate) -> &Tensor {
-    iterate.hidden.as_ref().unwrap()
 }
 
 /// What a trial moves the particles by.

@@ -44,7 +44,7 @@ fn check(kernel: &Features, (grid, samples): (Grid, usize), grad: &[f32], hidden
     let slots = vec![0; samples / 3 * n];
     let iterate = Iterate::with_hidden(context(), samples / 3, &slots).unwrap();
     iterate.grad.write(context(), grad);
-    iterate.hidden.as_ref().unwrap().write(context(), hidden);
+    iterate.hidden_state().write(context(), hidden);
     let squares = sums(grid, samples, [grad, &hidden[samples * n..]]);
     let rows = tensor("rows", &[128 + squares.len()], &[vec![f32::NAN; 128], squares].concat());
     let sums = &rows.view(128, &[samples, parts(grid), 2]);

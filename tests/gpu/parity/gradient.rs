@@ -1,8 +1,6 @@
 //! `gradient` against the CPU path.
 
-use super::cloth::{
-    Doubles, constants, crumpled, field, hidden, iterate, iterate_with_hidden, model, upload,
-};
+use super::cloth::{Doubles, constants, crumpled, field, iterate, iterate_with_hidden, model, upload};
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run};
 use fnopt::cpu::cloth::{GradientRows, gradient};
 use fnopt::kernels::cloth::{Gradient, Physics, gradient::parts};
@@ -113,7 +111,7 @@ fn partial_sums_of_squares_match() {
         let last_step = noise(samples * n, 82);
         let iterate = if with_hidden {
             let iterate = iterate_with_hidden(&model);
-            hidden(&iterate).write_at(context(), samples * n, &last_step);
+            iterate.hidden_state().write_at(context(), samples * n, &last_step);
             iterate
         } else {
             iterate(&model)
@@ -141,7 +139,7 @@ fn partial_sums_of_squares_match() {
         assert_close(&what, &read(&sums), &expected, (0.0, 16.0 * ROUNDING));
         assert!(read(&rows)[..192].iter().all(|v| v.is_nan()), "{what} wrote in front of its view");
         if with_hidden {
-            let memory = read(hidden(&iterate));
+            let memory = read(iterate.hidden_state());
             assert!(memory[..samples * n].iter().all(|v| v.is_nan()), "{what} changed the last gradient");
             assert_eq!(memory[samples * n..], last_step, "{what} changed the last step");
         }

@@ -1,6 +1,6 @@
 //! `update` against its formula.
 
-use super::cloth::{field, hidden, iterate_with_hidden, model};
+use super::cloth::{field, iterate_with_hidden, model};
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, noise, pad, poisoned, read, run, tensor,
 };
@@ -9,11 +9,14 @@ use fnopt::kernels::optim::{Update, UpdateTensors};
 use fnopt::kernels::padded;
 use fnopt::sim::Grid;
 
+/// More particles than the workgroups of a sample have invocations.
+const LARGE: Grid = Grid { h: 130, w: 139 };
+
 #[test]
 fn learned_steps_match() {
     let _turn = device();
     let kernel = Update::new(context()).unwrap();
-    for (grid, batch) in cases() {
+    for (grid, batch) in cases().chain([(LARGE, 1)]) {
         let model = model(grid, batch);
         let (samples, n) = (3 * batch, grid.particles());
         let [grad, a] = [101, 103].map(|seed| field(&model, 1.0, seed));
@@ -28,18 +31,18 @@ fn learned_steps_match() {
         iterate.grad.write(context(), &grad);
         iterate.a.write(context(), &a);
         let scale = tensor("scale", &[64 + samples], &[vec![f32::NAN; 64], scale].concat());
-        let scales = Scales { tensor: &scale, before: 0, after: 64 };
         for (first, count) in [(0, 1), (1, samples - 1)] {
             let output = &output[first * n..][..count * n];
             // In parts whose sum is exact.
             let parts =
                 [0.5, 0.25, 0.25].map(|part| output.iter().map(|v| part * v).collect::<Vec<_>>()).concat();
             let field = tensor("field", &[3, count, grid.h, padded(grid.w)], &pad(&parts, grid, f32::NAN));
+            let scales = Scales { tensor: &scale, before: 0, after: 64 + first };
             let from = UpdateTensors { field: &field, first, scales, head: None };
             run(|schedule| kernel.push(schedule, grid, from, &iterate));
         }
         let what = format!("update {batch} x {grid}");
-        let hidden = read(hidden(&iterate));
+        let hidden = read(iterate.hidden_state());
         assert_eq!(hidden[..samples * n], grad, "the last gradient");
         assert_close(&what, &hidden[samples * n..], &step, (1e-36, 8.0 * ROUNDING));
         assert_close(&what, &read(&iterate.a), &next, (8.0 * ROUNDING, ROUNDING));
@@ -70,7 +73,9 @@ fn what_is_no_number_stays_so() {
 fn steps_with_the_scalar_head_match() {
     let _turn = device();
     let (kernel, head) = (Update::new(context()).unwrap(), ScalarHead::new(context()).unwrap());
-    for ((grid, batch), channels) in cases().flat_map(|case| [(case, 40), (case, 64), (case, 130)]) {
+    for ((grid, batch), channels) in
+        cases().chain([(LARGE, 1)]).flat_map(|case| [(case, 40), (case, 64), (case, 130)])
+    {
         let model = model(grid, batch);
         let (samples, n) = (3 * batch, grid.particles());
         let layer = Layer {
@@ -92,12 +97,11 @@ fn steps_with_the_scalar_head_match() {
                 let rows = noise(count * grid.h * channels, 107 + first as u64);
                 let rows_max = tensor("rows_max", &[count, grid.h, channels], &rows);
                 run(|schedule| {
+                    let scales = Scales { tensor: &scale, before: first, after: samples + first };
                     if !joined {
-                        let of_turn = Scales { tensor: &scale, before: first, after: samples + first };
                         let scalar = poisoned("scalar", &[count]);
-                        head.push(schedule, &layer, (&rows_max, &scalar), Some(of_turn));
+                        head.push(schedule, &layer, (&rows_max, &scalar), Some(scales));
                     }
-                    let scales = Scales { tensor: &scale, before: 0, after: samples };
                     let head = joined.then_some((&layer, &rows_max));
                     kernel.push(
                         schedule,
@@ -107,7 +111,7 @@ fn steps_with_the_scalar_head_match() {
                     );
                 });
             }
-            (read(&scale), read(&iterate.a), read(hidden(&iterate)))
+            (read(&scale), read(&iterate.a), read(iterate.hidden_state()))
         });
         let [alone, joined] = outcomes;
         assert!(joined.1.iter().all(|a| a.is_finite()), "{batch} x {grid}");

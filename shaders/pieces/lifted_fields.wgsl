@@ -1,11 +1,11 @@
 
-// What is lifted, embedded on the way: of the fields that a workgroup's quads have.
+// What is lifted, embedded on the way, of the quads of a workgroup. fields, partial_sums: see `features`.
 @group(0) @binding(5) var<storage, read> fields: array<f32>;
 @group(0) @binding(6) var<storage, read> partial_sums: array<f32>;
 @group(0) @binding(7) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(8) var<storage, read_write> made: array<f32>;
 
-// E channels of WIDE quads, in the workgroup's memory behind what is staged.
+// Quads of E channels of WIDE quads, which the workgroup's memory has behind those that are staged, AHEAD of them.
 override EMBEDDED: u32 = 1;
 override AHEAD: u32 = 0;
 

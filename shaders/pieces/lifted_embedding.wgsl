@@ -1,5 +1,5 @@
 
-// What is lifted, as a kernel has embedded it.
+// What is lifted, as a kernel has embedded it. x: [S, E, H, Q] quads.
 @group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(7) var<storage, read_write> made: array<f32>;

@@ -1,5 +1,5 @@
 
-// What a Fourier block takes and makes.
+// What a Fourier block takes and makes. x, y: [S, C, H, Q] quads; rows_max: [S, H, C].
 @group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(7) var<storage, read_write> made: array<f32>;
