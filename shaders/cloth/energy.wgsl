@@ -29,7 +29,8 @@ var<workgroup> others: array<vec4f, 64>; // external, largest stretch, sum of |s
 
 // Where particle (i, j) is, seen from `own`.
 fn position(b: u32, i: u32, j: u32, own: Trial) -> vec3f {
-    return offset(trial(b, i * params.columns + j, params.rows * params.columns), own, params.zero);
+    let other = trial(b, i * params.columns + j, params.rows * params.columns);
+    return offset(other.x, own.x, other.shift, own.shift, params.zero);
 }
 
 fn squared_angle(u: vec3f, w: vec3f, rest: f32) -> f32 {
@@ -87,7 +88,7 @@ fn energy(
             term.y += squared_angle(down, across, RIGHT_ANGLE) + squared_angle(down, far_h, RIGHT_ANGLE)
                 + squared_angle(far_v, across, RIGHT_ANGLE) + squared_angle(far_v, far_h, RIGHT_ANGLE);
         }
-        let acceleration = own.a;
+        let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
         let f = vec3f(external_acceleration[at], external_acceleration[at + n], external_acceleration[at + 2u * n]);
         let m = mass(i, j, params.rows, params.columns);
         term.w = 0.5 * m * dot(acceleration, acceleration);

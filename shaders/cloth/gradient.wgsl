@@ -35,13 +35,30 @@ override LAST_STEP: bool = false;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
-// Where particle (i, j) is, seen from `own`; anywhere if there is none.
-fn position(b: u32, i: i32, j: i32, own: Trial) -> vec3f {
-    if i < 0 || j < 0 || i >= i32(params.rows) || j >= i32(params.columns) {
-        return vec3f();
+// Starts and shifts of a tile's particles and of the two around it on every side, those that there are.
+const WITH_RIM: u32 = 12u;
+var<workgroup> starts: array<vec3f, 144>;
+var<workgroup> shifts: array<vec3f, 144>;
+
+// Loads them for the tile that begins at particle (i, j).
+fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
+    for (var k = lane; k < WITH_RIM * WITH_RIM; k += 64u) {
+        let row = i + k / WITH_RIM;
+        let column = j + k % WITH_RIM;
+        // Seen from two rows and columns before the first one.
+        if row >= 2u && column >= 2u && row < params.rows + 2u && column < params.columns + 2u {
+            let one = trial(b, (row - 2u) * params.columns + column - 2u, params.rows * params.columns);
+            starts[k] = one.x;
+            shifts[k] = one.shift;
+        }
     }
-    let p = u32(i) * params.columns + u32(j);
-    return offset(trial(b, p, params.rows * params.columns), own, params.zero);
+}
+
+// Where the particle so many rows and columns on is, seen from this lane's; anything if there is none.
+fn position(lane: u32, rows: i32, columns: i32) -> vec3f {
+    let own = (lane / 8u + 2u) * WITH_RIM + lane % 8u + 2u;
+    let other = u32(i32(own) + rows * i32(WITH_RIM) + columns);
+    return offset(starts[other], starts[own], shifts[other], shifts[own], params.zero);
 }
 
 // d(|edge| - 1)^2 / dp for the edge from p, if it exists.
@@ -83,8 +100,8 @@ fn bend(before: array<vec3f, 2>, after: array<vec3f, 2>, k: i32, count: i32) -> 
     return sum;
 }
 
-// The gradient at particle (i, j) of cloth b.
-fn gradient_at(b: u32, i: i32, j: i32) -> vec3f {
+// The gradient at particle (i, j) of cloth b, which is this lane's of its tile.
+fn gradient_at(b: u32, i: i32, j: i32, lane: u32) -> vec3f {
     let last_row = i32(params.rows) - 1;
     let last_column = i32(params.columns) - 1;
     let rows = f32(params.rows);
@@ -92,27 +109,27 @@ fn gradient_at(b: u32, i: i32, j: i32) -> vec3f {
     let count = rows * columns;
     let n = params.rows * params.columns;
     let p = u32(i) * params.columns + u32(j);
-    let own = trial(b, p, n);
     let at = b * 3u * n + p;
+    let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
     let f = vec3f(external_acceleration[at], external_acceleration[at + n], external_acceleration[at + 2u * n]);
-    var sum = mass(u32(i), u32(j), params.rows, params.columns) / count * (own.a - f);
-    if !own.held {
+    var sum = mass(u32(i), u32(j), params.rows, params.columns) / count * (acceleration - f);
+    if slots[b * n + p] == 0u {
         let material = cloths[b].material;
-        let up = position(b, i - 1, j, own);
-        let down = position(b, i + 1, j, own);
-        let left = position(b, i, j - 1, own);
-        let right = position(b, i, j + 1, own);
+        let up = position(lane, -1, 0);
+        let down = position(lane, 1, 0);
+        let left = position(lane, 0, -1);
+        let right = position(lane, 0, 1);
         let vertical = stretch(up, i > 0) + stretch(down, i < last_row);
         let horizontal = stretch(left, j > 0) + stretch(right, j < last_column);
         sum += material.x * (vertical / ((rows - 1.0) * columns) + horizontal / (rows * (columns - 1.0)));
-        let corners = shear(up, left, position(b, i - 1, j - 1, own), i > 0 && j > 0)
-            + shear(up, right, position(b, i - 1, j + 1, own), i > 0 && j < last_column)
-            + shear(down, left, position(b, i + 1, j - 1, own), i < last_row && j > 0)
-            + shear(down, right, position(b, i + 1, j + 1, own), i < last_row && j < last_column);
-        let above = array(up, position(b, i - 2, j, own));
-        let below = array(down, position(b, i + 2, j, own));
-        let before = array(left, position(b, i, j - 2, own));
-        let behind = array(right, position(b, i, j + 2, own));
+        let corners = shear(up, left, position(lane, -1, -1), i > 0 && j > 0)
+            + shear(up, right, position(lane, -1, 1), i > 0 && j < last_column)
+            + shear(down, left, position(lane, 1, -1), i < last_row && j > 0)
+            + shear(down, right, position(lane, 1, 1), i < last_row && j < last_column);
+        let above = array(up, position(lane, -2, 0));
+        let below = array(down, position(lane, 2, 0));
+        let before = array(left, position(lane, 0, -2));
+        let behind = array(right, position(lane, 0, 2));
         let bends = bend(above, below, i, i32(params.rows)) + bend(before, behind, j, i32(params.columns));
         sum += (material.y * corners + material.z * bends) / count;
     }
@@ -132,11 +149,16 @@ fn gradient(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) g
     var gradients = vec3f();
     var steps = vec3f();
     for (var tile = group.x; tile < tiles; tile += params.parts) {
-        let i = tile / across * 8u + lane / 8u;
-        let j = tile % across * 8u + lane % 8u;
+        let first_row = tile / across * 8u;
+        let first_column = tile % across * 8u;
+        workgroupBarrier();
+        load_tile(b, first_row, first_column, lane);
+        workgroupBarrier();
+        let i = first_row + lane / 8u;
+        let j = first_column + lane % 8u;
         if i < params.rows && j < params.columns {
             let at = b * 3u * n + i * params.columns + j;
-            let g = gradient_at(b, i32(i), i32(j));
+            let g = gradient_at(b, i32(i), i32(j), lane);
             fields[at] = g.x;
             fields[at + n] = g.y;
             fields[at + 2u * n] = g.z;

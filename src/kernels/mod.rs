@@ -20,6 +20,7 @@ pub(crate) mod common {
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
+    pub const OFFSET: &str = include_str!("../../shaders/common/offset.wgsl");
     pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");
 }
 

@@ -11,7 +11,7 @@ use crate::sim::Grid;
 pub const SOURCE: Source = Source {
     name: "gradient",
     wgsl: include_str!("../../../shaders/cloth/gradient.wgsl"),
-    appended: &[common::CLOTH, common::ANGLE, pieces::TRIAL],
+    appended: &[common::CLOTH, common::ANGLE, common::OFFSET, pieces::TRIAL],
 };
 
 #[repr(C)]
