@@ -37,15 +37,15 @@ const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
 // Starts and shifts of a tile's particles and of the two around it on every side, those that there are.
 const WITH_RIM: u32 = 12u;
-var<workgroup> starts: array<vec3f, 144>;
-var<workgroup> shifts: array<vec3f, 144>;
+var<workgroup> starts: array<vec3f, WITH_RIM * WITH_RIM>;
+var<workgroup> shifts: array<vec3f, WITH_RIM * WITH_RIM>;
 
 // Loads them for the tile that begins at particle (i, j).
 fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
     for (var k = lane; k < WITH_RIM * WITH_RIM; k += 64u) {
         let row = i + k / WITH_RIM;
         let column = j + k % WITH_RIM;
-        // Seen from two rows and columns before the first one.
+        // Row and column count from two before the grid's first, so that none is negative.
         if row >= 2u && column >= 2u && row < params.rows + 2u && column < params.columns + 2u {
             let one = trial(b, (row - 2u) * params.columns + column - 2u, params.rows * params.columns);
             starts[k] = one.x;

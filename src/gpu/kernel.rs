@@ -318,7 +318,7 @@ impl Program {
             entry_point: Some(self.name),
             compilation_options: wgpu::PipelineCompilationOptions {
                 constants: &self.constants,
-                // Kernels write workgroup memory before they read it.
+                // Kernels write workgroup memory before they read it, or use nothing of what they read (the rim in `gradient`).
                 zero_initialize_workgroup_memory: false,
             },
             cache: context.pipeline_cache(),

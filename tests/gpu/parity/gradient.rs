@@ -26,11 +26,14 @@ fn both(kernel: &Gradient, model: &Model, fields: [&[f32]; 4]) -> (Vec<f32>, Vec
     (read(&iterate.grad), expected)
 }
 
+/// Of more tiles than parts: a workgroup takes several in turn.
+const LARGE: Grid = Grid { h: 130, w: 139 };
+
 #[test]
 fn gradients_of_crumpled_cloths_match() {
     let _turn = device();
     let kernel = Gradient::new(context()).unwrap();
-    for (grid, batch) in cases() {
+    for (grid, batch) in cases().chain([(LARGE, 1)]) {
         let model = model(grid, batch);
         for amplitude in [0.02, 0.4] {
             let (x, base) = (crumpled(&model, amplitude), field(&model, 0.1 * amplitude, 79));
@@ -101,10 +104,9 @@ fn degenerate_cloths_have_finite_gradients() {
 fn partial_sums_of_squares_match() {
     let _turn = device();
     let kernel = Gradient::new(context()).unwrap();
-    let large = Grid { h: 130, w: 139 };
-    assert!(parts(large) < large.h.div_ceil(8) * large.w.div_ceil(8), "some parts are of several tiles");
+    assert!(parts(LARGE) < LARGE.h.div_ceil(8) * LARGE.w.div_ceil(8), "some parts are of several tiles");
     for ((grid, batch), with_hidden) in
-        cases().chain([(large, 2)]).flat_map(|case| [(case, true), (case, false)])
+        cases().chain([(LARGE, 2)]).flat_map(|case| [(case, true), (case, false)])
     {
         let (model, n, count) = (model(grid, batch), grid.particles(), parts(grid));
         let samples = 3 * batch;
