@@ -136,9 +136,16 @@ fn gradient_at(b: u32, i: i32, j: i32, lane: u32) -> vec3f {
     return sum;
 }
 
-// The six sums of every invocation, then of every eighth of them.
-var<workgroup> sums: array<f32, 384>;
-var<workgroup> eighths: array<f32, 48>;
+// Six sums of every invocation, then of every eight of them.
+var<workgroup> sums: array<f32, 432>;
+
+fn sum_of_eight(first: u32) -> f32 {
+    var sum = sums[first];
+    for (var k = 1u; k < 8u; k++) {
+        sum += sums[first + k];
+    }
+    return sum;
+}
 
 @compute @workgroup_size(64)
 fn gradient(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
@@ -176,20 +183,11 @@ fn gradient(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) g
     }
     workgroupBarrier();
     if lane < 48u {
-        let first = lane * 8u;
-        var sum = sums[first];
-        for (var k = 1u; k < 8u; k++) {
-            sum += sums[first + k];
-        }
-        eighths[lane] = sum;
+        sums[384u + lane] = sum_of_eight(lane * 8u);
     }
     workgroupBarrier();
     if lane < 6u {
-        let first = lane * 8u;
-        var sum = eighths[first];
-        for (var k = 1u; k < 8u; k++) {
-            sum += eighths[first + k];
-        }
-        partial_sums[2u * (params.first_sum + (3u * b + lane / 2u) * params.parts + group.x) + lane % 2u] = sum;
+        let out = (params.first_sum + (3u * b + lane / 2u) * params.parts + group.x) * 2u + lane % 2u;
+        partial_sums[out] = sum_of_eight(384u + lane * 8u);
     }
 }

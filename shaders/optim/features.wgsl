@@ -2,7 +2,8 @@
 //
 // embedded[s] = [10 tanh(g / s_g / 10), 10 tanh(g_last / s_g / 10), 10 tanh(d_last / s_d / 10), i / (H-1), j / (W-1)]
 // with s_g = |g| / sqrt n, s_d = |d_last| / sqrt n.
-// fields, partial_sums: see `shaders/pieces/features.wgsl`; embedded: [s, 5, H, Q] quads, zero in the padding, of the s samples from `first` on.
+// fields, partial_sums: see `shaders/pieces/features.wgsl`; embedded: [s, 5, H, Q] quads, zero in the padding, of the s samples
+// from `first` on.
 // One invocation: one quad. Workgroups: (Q / 8, H / 8, s).
 // Adjoint: none, the input of the network is a constant of the training step.
 
