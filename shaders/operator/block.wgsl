@@ -1,19 +1,19 @@
 // A layer of the network over rows: a Fourier block after its columns, or the lifting.
 //
-// Block: y[s, o, i, j] = act(sum_c skip[o, c] x[s, c, i, j] + sum_k r[s, i, k, o] table[k, j] + bias[o]); k counts the real and
+// Block: y[s, i, o, j] = act(sum_c skip[o, c] x[s, i, c, j] + sum_k r[s, i, k, o] table[k, j] + bias[o]); k counts the real and
 // imaginary parts of the kept columns: table[2 m, j] = f cos(2 pi m j / W), table[2 m + 1, j] = -f sin(2 pi m j / W) with
 // f = 1 for column 0 and for the Nyquist column of an even W, else 2. To the sum, the rows of r are more inputs whose
 // weights differ from row to row.
-// Lifting: y[s, o, i, j] = act(sum_u skip[o, u] gelu(sum_e r[u, e] x[s, e, i, j] + r[u, E]) + bias[o]): the hidden units u are the
+// Lifting: y[s, i, o, j] = act(sum_u skip[o, u] gelu(sum_e r[u, e] x[s, i, e, j] + r[u, E]) + bias[o]): the hidden units u are the
 // inputs, made on the way from the E channels of x, or of what they are embedded from. Which of these it is, and what it binds
 // beside what is told here, is told by the pieces that are appended (`shaders/pieces`: block_inputs; or lifting_inputs, and
 // lifted_embedding or lifted_fields).
-// With ROWS, the rows' spectra of y for the next block, as `transform_rows` makes them: made[s, i, k, o] = sum_j y[s, o, i, j]
-// forward[j, k]; with POOL, its largest values, as `pool_rows` does: rows_max[s, i, o] = max_j y[s, o, i, j]. Either wants a
+// With ROWS, the rows' spectra of y for the next block, as `transform_rows` makes them: made[s, i, k, o] = sum_j y[s, i, o, j]
+// forward[j, k]; with POOL, its largest values, as `pool_rows` does: rows_max[s, i, o] = max_j y[s, i, o, j]. Either wants a
 // whole row in a workgroup, WIDE >= Q. With FIELD, instead of y the last layer of the field head, as `project` makes it, in parts to
-// be added up: made[part, s, i, j] = sum_o head[o] y[s, o, i, j] over the channels of a workgroup; the first has the head's bias.
+// be added up: made[part, s, i, j] = sum_o head[o] y[s, i, o, j] over the channels of a workgroup; the first has the head's bias.
 //
-// x: [S, C or E, H, Q] quads; y: [S, C, H, Q] quads; skip: [C / tile, inputs, tile]; bias: [C], then with FIELD head: [C] and its
+// x: [S, H, C or E, Q] quads; y: [S, H, C, Q] quads; skip: [C / tile, inputs, tile]; bias: [C], then with FIELD head: [C] and its
 // bias; r: [S, H, 2 modes_w, C], or [inputs, (E + 1) in quads]; made: [S, H, 2 modes_w, C], or [parts, S, H, Q] quads;
 // rows_max: [S, H, C]; tables: [2 modes_w, Q] quads of table, then [Q, 2 modes_w] quads of forward; of the lifting, forward alone.
 // The second tile is the number of columns k of `made` that an invocation sums, a divisor of them.
@@ -135,8 +135,6 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         y$c = gelu(y$c);
     }
     let exists = id.x < params.row_quads && id.y < params.rows;
-    let place = row * params.row_quads + quad;
-    let plane = params.rows * params.row_quads;
     if FIELD {
         var sum = vec4f();
         let h$q = $same(bias[params.channels / 4u + tile * $m + $q]);
@@ -154,7 +152,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
             sum += bias[params.channels / 2u].x;
         }
         if exists && local.z == 0u {
-            let out = 4u * ((part * params.samples + sample) * plane + place);
+            let out = 4u * ((part * params.samples * params.rows + line) * params.row_quads + quad);
             made[out] = sum.x;
             made[out + 1u] = sum.y;
             made[out + 2u] = sum.z;
@@ -162,9 +160,9 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         }
         return;
     }
-    let out = (sample * params.channels + tile * $n) * plane + place;
+    let out = (line * params.channels + tile * $n) * params.row_quads + quad;
     if exists {
-        y[out + $c * plane] = StoredQuad(y$c);
+        y[out + $c * params.row_quads] = StoredQuad(y$c);
     }
     if !ROWS && !POOL {
         return;

@@ -1,15 +1,15 @@
-// Gradient over weight and bias of a head with one output: weight[c] += sum_{s, p} adj[s, p] x[s, c, p],
-// bias += sum_{s, p} adj[s, p].
+// Gradient over weight and bias of a head with one output: weight[c] += sum_{l, j} adj[l, j] x[l, c, j],
+// bias += sum_{l, j} adj[l, j].
 //
-// x: [S, C, P]; adj: [S, P], zero where a row is padded; P is the number of positions, 1 for the scalar head, whose x is what
-// was pooled. weight: [C] and the bias at element `bias` of the same array.
+// x: [lines, C, W']; adj: [lines, W'], zero where a row is padded; of the scalar head, whose x is what was pooled, a line is a
+// sample of one place. weight: [C] and the bias at element `bias` of the same array.
 // One workgroup: one channel, or the bias behind the last one; its invocations add up in a fixed order. Workgroups: (C + 1).
 // Adjoint: none, it is one.
 
 struct Params {
     channels: u32, // C
-    positions: u32, // P
-    samples: u32, // S
+    width: u32, // W'
+    lines: u32,
     bias: u32,
 }
 
@@ -24,12 +24,12 @@ var<workgroup> partial: array<f32, 64>;
 fn head_weight_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let channel = group.x;
     let is_bias = channel == params.channels;
-    let all = params.samples * params.positions;
+    let all = params.lines * params.width;
     var sum = 0.0;
     for (var k = lane; k < all; k += 64u) {
         var value = 1.0;
         if !is_bias {
-            value = x[(k / params.positions * params.channels + channel) * params.positions + k % params.positions];
+            value = x[(k / params.width * params.channels + channel) * params.width + k % params.width];
         }
         sum += adj[k] * value;
     }

@@ -1,19 +1,19 @@
-// A pointwise layer: y[s, o, p] = act(sum_i weight[o, i] x[s, i, p] + bias[o]).
+// A pointwise layer: y[l, o, j] = act(sum_i weight[o, i] x[l, i, j] + bias[o]) at place j of line l.
 //
-// x: [S, I, H, Q] quads of 4 columns; weight: [O / tile, I, tile]; bias: [O]; y: [S, O, H, Q] quads.
+// x: [lines, I, Q] quads of 4 columns; weight: [O / tile, I, tile]; bias: [O]; y: [lines, O, Q] quads.
 // One invocation: one quad and a tile of output channels, held in named registers; the weights' addresses are the
-// same for a whole workgroup. Workgroups: (quads, O / tile, S).
+// same for a whole workgroup. Workgroups: (quads along x, then y, O / tile).
 // Adjoint: itself with the `transpose`d weight and no bias (x), `pointwise_weight_adj` (weight, bias).
 
 struct Params {
     inputs: u32, // I
     outputs: u32, // O
-    quads: u32, // of a plane, that are taken
-    x_plane: u32, // quads of a plane of x
-    y_plane: u32, // quads of a plane of y
-    x_first: u32, // first quad of x that is taken
+    quads: u32, // of a channel, in all lines that are taken
+    row_quads: u32, // Q
+    x_first: u32, // first line of x that is taken
     y_first: u32, // where it goes in y
-    pad: u32,
+    pad0: u32,
+    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -26,28 +26,35 @@ override GELU: bool = true;
 override WORKGROUP: u32 = 64;
 
 @compute @workgroup_size(WORKGROUP)
-fn pointwise(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
+fn pointwise(
+    @builtin(local_invocation_index) index: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u$lane
+) {
+    let all = (group.y * groups.x + group.x) * WORKGROUP + index;
     // Invocations beyond the last quad take part in what a subgroup shares.
-    let p = min(id.x, params.quads - 1u);
-    let tile = group.y;
-    let first = params.x_first + group.z * params.inputs * params.x_plane + p;
+    let p = min(all, params.quads - 1u);
+    let line = p / params.row_quads;
+    let quad = p % params.row_quads;
+    let tile = group.z;
+    let first = (params.x_first + line) * params.inputs * params.row_quads + quad;
     var at = tile * params.inputs * $m;
     var y$c = vec4f();
     for (var i = 0u; i < params.inputs; i++) {
-        let v = vec4f(x[first + i * params.x_plane]);
+        let v = vec4f(x[first + i * params.row_quads]);
         let w$q = $same(vec4f(weight[at + $q]));
         y$c += w$q.$e * v;
         at += $m;
     }
-    let out = params.y_first + (group.z * params.outputs + tile * $n) * params.y_plane + p;
+    let out = ((params.y_first + line) * params.outputs + tile * $n) * params.row_quads + quad;
     let b$q = $same(bias[tile * $m + $q]);
     y$c += b$q.$e;
-    if id.x >= params.quads {
+    if all >= params.quads {
         return;
     }
     if GELU {
-        y[out + $c * params.y_plane] = StoredQuad(gelu(y$c));
+        y[out + $c * params.row_quads] = StoredQuad(gelu(y$c));
     } else {
-        y[out + $c * params.y_plane] = StoredQuad(y$c);
+        y[out + $c * params.row_quads] = StoredQuad(y$c);
     }
 }

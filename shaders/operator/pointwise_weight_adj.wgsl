@@ -1,25 +1,24 @@
-// Gradient over weight and bias of a pointwise layer, in parts: weight[o, i] = sum_p adj[s, o, p] x[s, i, p] over one part
-// of the positions of one sample, bias[o] = sum_p adj[s, o, p]. `sum_parts` adds the parts up in order.
+// Gradient over weight and bias of a pointwise layer, in parts: weight[o, i] = sum adj[l, o, j] x[l, i, j] over one part of
+// the places j of some lines l, bias[o] = sum adj[l, o, j]. `sum_parts` adds the parts up in order.
 //
-// x: [S, I, H, Q] quads; adj: [S, O, H, Q] quads, zero where a row is padded; partial: [samples * parts, stride] quads of
-// outputs: weights in the layer's order [O / tile, I, tile], the bias from `bias` on, and zeros between them.
+// x: [lines, I, Q] quads; adj: [lines, O, Q] quads, zero where a row is padded; partial: [parts, stride] quads of outputs: weights in the layer's order [O / tile, I, tile], the bias from `bias` on, and zeros between them.
 // One workgroup: 32 outputs by 32 inputs, 4 by 4 to an invocation; 32 positions at a time go through workgroup memory,
-// positions first, channels in quads. Workgroups: (O / 32 * I / 32, parts, samples).
+// positions first, channels in quads. Workgroups: (O / 32 * I / 32, parts).
 // Adjoint: none, it is one (towards the weight; towards x it is `pointwise` with the `transpose`d weight).
 
 struct Params {
     inputs: u32, // I
     outputs: u32, // O
-    quads: u32, // H Q, quads of one plane
-    parts: u32, // of each sample
-    x_first: u32, // first sample of x
-    adj_first: u32, // first sample of adj
+    quads: u32, // of a channel, in all lines that are taken
+    row_quads: u32, // Q
+    parts: u32,
+    x_first: u32, // first line of x
+    adj_first: u32, // first line of adj
     tile: u32,
     stride: u32, // quads of a part
     bias: u32, // place of the bias in a part, in quads
     pad0: u32,
     pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -47,8 +46,6 @@ fn pointwise_weight_adj(
     let per_part = (params.quads + params.parts - 1u) / params.parts;
     let begin = group.y * per_part;
     let end = min(begin + per_part, params.quads);
-    let x_from = ((params.x_first + group.z) * params.inputs + x_channel) * params.quads;
-    let adj_from = ((params.adj_first + group.z) * params.outputs + adj_channel) * params.quads;
     var sum0 = vec4f();
     var sum1 = vec4f();
     var sum2 = vec4f();
@@ -59,12 +56,16 @@ fn pointwise_weight_adj(
         var a = mat4x4f();
         var b = mat4x4f();
         if q < end {
+            let line = q / params.row_quads;
+            let column = q % params.row_quads;
+            let adj_from = ((params.adj_first + line) * params.outputs + adj_channel) * params.row_quads + column;
+            let x_from = ((params.x_first + line) * params.inputs + x_channel) * params.row_quads + column;
             for (var k = 0u; k < 4u; k++) {
                 if adj_channel + k < params.outputs {
-                    a[k] = adj[adj_from + k * params.quads + q];
+                    a[k] = adj[adj_from + k * params.row_quads];
                 }
                 if x_channel + k < params.inputs {
-                    b[k] = x[x_from + k * params.quads + q];
+                    b[k] = x[x_from + k * params.row_quads];
                 }
             }
         }
@@ -86,7 +87,7 @@ fn pointwise_weight_adj(
         }
         workgroupBarrier();
     }
-    let part = (group.z * params.parts + group.y) * params.stride;
+    let part = group.y * params.stride;
     if group.x == 0u {
         // The norm of the gradient is over these, too.
         for (var k = params.inputs * params.outputs / 4u + lane; k < params.bias; k += 64u) {

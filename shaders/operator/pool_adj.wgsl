@@ -1,7 +1,7 @@
-// Adjoint of the scalar head and its maximum: adj[s, c, p] += weight[c] adj_scalar[s] at the first position p, row by row,
-// where x[s, c, p] is largest. Also pooled[s, c], that largest value, which the weight's gradient needs.
+// Adjoint of the scalar head and its maximum: adj[s, i, c, j] += weight[c] adj_scalar[s] at the first place i, j, row by
+// row, where x[s, i, c, j] is largest. Also pooled[s, c], that largest value, which the weight's gradient needs.
 //
-// weight: [C]; adj_scalar: [S]; rows_max: [S, H, C] (`pool_rows`); x, adj: [S, C, H, W'] with padded rows; pooled: [S, C].
+// weight: [C]; adj_scalar: [S]; rows_max: [S, H, C] (`pool_rows`); x, adj: [S, H, C, W'] with padded rows; pooled: [S, C].
 // One invocation: one channel of one sample. Workgroups: (C / 64, S).
 // Adjoint: none, it is one.
 
@@ -36,7 +36,7 @@ fn pool_adj(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) gro
             row = i;
         }
     }
-    let first = ((sample * params.channels + channel) * params.rows + row) * params.stride;
+    let first = ((sample * params.rows + row) * params.channels + channel) * params.stride;
     // The last column needs no look: if none before it is as large, it is.
     var column = 0u;
     while column + 1u < params.columns && x[first + column] < most {

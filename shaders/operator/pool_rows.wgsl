@@ -1,7 +1,7 @@
-// Largest value of each row: rows_max[s, i, c] = max_j x[s, c, i, j].
+// Largest value of each row: rows_max[s, i, c] = max_j x[s, i, c, j].
 //
 // The first half of the scalar head's maximum over all positions; `scalar_head` takes it over the rows.
-// x: [S, C, H, Q] quads, of which the last may be padded; rows_max: [S, H, C].
+// x: [S, H, C, Q] quads, of which the last may be padded; rows_max: [S, H, C].
 // One invocation: one row of one channel. Workgroups: (C / 64, H, S).
 // Adjoint: `pool_adj`.
 
@@ -24,7 +24,7 @@ fn pool_rows(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) gr
     }
     let row = group.y;
     let sample = group.z;
-    let first = ((sample * params.channels + channel) * params.rows + row) * params.row_quads;
+    let first = ((sample * params.rows + row) * params.channels + channel) * params.row_quads;
     var most = vec4f(x[first]);
     let last = params.row_quads - 1u;
     for (var q = 1u; q < last; q++) {

@@ -1,14 +1,14 @@
-// Last layer of the field head: field[s, p] = bias + sum_c weight[c] x[s, c, p].
+// Last layer of the field head: field[l, j] = bias + sum_c weight[c] x[l, c, j] at place j of line l.
 //
-// x: [S, C, H, Q] quads; weight: [C]; bias: [1]; field: [S, H, Q] quads.
-// One invocation: one quad. Workgroups: (quads / 64, S).
+// x: [S, H, C, Q] quads; weight: [C]; bias: [1]; field: [S, H, Q] quads.
+// One invocation: one quad. Workgroups: (quads / 64 along x, then y).
 // Adjoint: `project_adj` (x), `head_weight_adj` (weight, bias).
 
 struct Params {
     channels: u32, // C
-    quads: u32, // H Q
-    pad0: u32,
-    pad1: u32,
+    quads: u32, // S H Q
+    row_quads: u32, // Q
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -18,16 +18,19 @@ struct Params {
 @group(0) @binding(4) var<storage, read_write> field: array<vec4f>;
 
 @compute @workgroup_size(64)
-fn project(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
-    let p = id.x;
+fn project(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let p = (group.y * groups.x + group.x) * 64u + lane;
     if p >= params.quads {
         return;
     }
-    let sample = group.y;
-    let first = sample * params.channels * params.quads + p;
+    let first = p / params.row_quads * params.channels * params.row_quads + p % params.row_quads;
     var sum = vec4f(bias[0]);
     for (var c = 0u; c < params.channels; c++) {
-        sum += weight[c] * vec4f(x[first + c * params.quads]);
+        sum += weight[c] * vec4f(x[first + c * params.row_quads]);
     }
-    field[sample * params.quads + p] = sum;
+    field[p] = sum;
 }

@@ -1,14 +1,14 @@
-// Adjoint of `project` towards its input: adj[s, c, p] = weight[c] adj_field[s, p].
+// Adjoint of `project` towards its input: adj[l, c, j] = weight[c] adj_field[l, j] at place j of line l.
 //
-// weight: [C]; adj_field: [S, H, Q] quads; adj: [S, C, H, Q] quads.
-// One invocation: one quad of one channel. Workgroups: (quads / 64, C, S).
+// weight: [C]; adj_field: [S, H, Q] quads; adj: [S, H, C, Q] quads.
+// One invocation: one quad of one channel. Workgroups: (quads / 64 along x, then y, C).
 // Adjoint: none, it is one.
 
 struct Params {
     channels: u32, // C
-    quads: u32, // H Q
-    pad0: u32,
-    pad1: u32,
+    quads: u32, // S H Q
+    row_quads: u32, // Q
+    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -17,11 +17,16 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> adj: array<vec4f>;
 
 @compute @workgroup_size(64)
-fn project_adj(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u) {
-    let p = id.x;
+fn project_adj(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let p = (group.y * groups.x + group.x) * 64u + lane;
     if p >= params.quads {
         return;
     }
-    let w = weight[group.y];
-    adj[(group.z * params.channels + group.y) * params.quads + p] = w * adj_field[group.z * params.quads + p];
+    let channel = group.z;
+    let line = p / params.row_quads;
+    adj[(line * params.channels + channel) * params.row_quads + p % params.row_quads] = weight[channel] * adj_field[p];
 }

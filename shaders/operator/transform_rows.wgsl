@@ -1,8 +1,8 @@
-// Rows of the truncated real Fourier transform: r[s, i, k, c] = sum_j x[s, c, i, j] table[j, k].
+// Rows of the truncated real Fourier transform: r[s, i, k, c] = sum_j x[s, i, c, j] table[j, k].
 //
 // k counts the real and imaginary parts of the kept columns, Re 0, Im 0, Re 1, ...: table[j, 2 m] = cos(2 pi m j / W) / (H W)
 // and table[j, 2 m + 1] = -sin(2 pi m j / W) / (H W), zero in the padding, so that padded columns do not count.
-// x: [S, C, H, Q] quads; table: [Q, tile] quads; r: [S, H, tile, C]. The tile is 2 modes_w.
+// x: [S, H, C, Q] quads; table: [Q, tile] quads; r: [S, H, tile, C]. The tile is 2 modes_w.
 // One invocation: one row of one channel. Workgroups: (C / 64, H, S).
 // Adjoint: the inverse rows of `block`, with this table.
 
@@ -24,7 +24,7 @@ fn transform_rows(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_i
     let channel = min(id.x, params.channels - 1u);
     let row = group.y;
     let sample = group.z;
-    let first = ((sample * params.channels + channel) * params.rows + row) * params.row_quads;
+    let first = ((sample * params.rows + row) * params.channels + channel) * params.row_quads;
     var r$c = 0.0;
     for (var q = 0u; q < params.row_quads; q++) {
         let v = vec4f(x[first + q]);

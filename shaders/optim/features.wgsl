@@ -2,7 +2,7 @@
 //
 // embedded[s] = [10 tanh(g / s_g / 10), 10 tanh(g_last / s_g / 10), 10 tanh(d_last / s_d / 10), i / (H-1), j / (W-1)]
 // with s_g = |g| / sqrt n, s_d = |d_last| / sqrt n.
-// fields, partial_sums: see `shaders/pieces/features.wgsl`; embedded: [s, 5, H, Q] quads, zero in the padding, of the s samples
+// fields, partial_sums: see `shaders/pieces/features.wgsl`; embedded: [s, H, 5, Q] quads, zero in the padding, of the s samples
 // from `first` on.
 // One invocation: one quad. Workgroups: (Q / 8, H / 8, s).
 // Adjoint: none, the input of the network is a constant of the training step.
@@ -42,9 +42,8 @@ fn features(
     if id.x >= params.row_quads || id.y >= params.rows {
         return;
     }
-    let plane = params.rows * params.row_quads;
-    let out = id.z * 5u * plane + id.y * params.row_quads + id.x;
+    let out = (id.z * params.rows + id.y) * 5u * params.row_quads + id.x;
     for (var e = 0u; e < 5u; e++) {
-        embedded[out + e * plane] = StoredQuad(feature(at, inverse, e, id.y, id.x));
+        embedded[out + e * params.row_quads] = StoredQuad(feature(at, inverse, e, id.y, id.x));
     }
 }

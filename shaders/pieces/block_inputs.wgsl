@@ -1,5 +1,5 @@
 
-// What a Fourier block takes and makes. x, y: [S, C, H, Q] quads; rows_max: [S, H, C].
+// What a Fourier block takes and makes. x, y: [S, H, C, Q] quads; rows_max: [S, H, C].
 @group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(7) var<storage, read_write> made: array<f32>;
@@ -11,7 +11,7 @@ fn prepare(_sample: u32, _row: u32, _first_quad: u32, _index: u32) {}
 
 // Input i at a quad of a row, of the inputs that have one weight for all rows.
 fn input(sample: u32, i: u32, row: u32, quad: u32) -> vec4f {
-    return vec4f(x[((sample * params.inputs + i) * params.rows + row) * params.row_quads + quad]);
+    return vec4f(x[((sample * params.rows + row) * params.inputs + i) * params.row_quads + quad]);
 }
 
 fn keep_largest(at: u32, largest: f32) {

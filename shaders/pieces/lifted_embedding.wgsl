@@ -1,5 +1,5 @@
 
-// What is lifted, as a kernel has embedded it. x: [S, E, H, Q] quads.
+// What is lifted, as a kernel has embedded it. x: [S, H, E, Q] quads.
 @group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(7) var<storage, read_write> made: array<f32>;
@@ -7,5 +7,5 @@
 fn prepare(_sample: u32, _row: u32, _first_quad: u32, _index: u32) {}
 
 fn channel(sample: u32, e: u32, row: u32, quad: u32) -> vec4f {
-    return vec4f(x[((sample * params.embedded + e) * params.rows + row) * params.row_quads + quad]);
+    return vec4f(x[((sample * params.rows + row) * params.embedded + e) * params.row_quads + quad]);
 }

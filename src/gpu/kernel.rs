@@ -285,8 +285,13 @@ impl Kernel {
     /// numbers them along x, then y.
     pub fn spread(&self, count: usize, batch: usize) -> [u32; 3] {
         let [all, _, items] = self.groups([count, 1, batch]);
-        let across = all.clamp(1, WORKGROUPS);
-        [across, all.div_ceil(across), items]
+        Self::spread_groups(all, items)
+    }
+
+    /// The same of so many workgroups of each item.
+    pub fn spread_groups(groups: u32, items: u32) -> [u32; 3] {
+        let across = groups.clamp(1, WORKGROUPS);
+        [across, groups.div_ceil(across), items]
     }
 }
 

@@ -9,7 +9,8 @@ use std::path::PathBuf;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tuning {
-    /// Output channels per invocation of the matrix products, a divisor of [`CHANNEL_MULTIPLE`] and a multiple of 4.
+    /// Output channels per invocation of the matrix products, a power of two from 4 to 64; fewer in a network whose channels it does
+    /// not divide, or whose rows do not fit a workgroup with as many.
     pub channels: usize,
     /// Invocations per workgroup of the pointwise layers.
     pub pointwise_group: u32,
@@ -38,8 +39,11 @@ pub struct Tuning {
     pub activation_bytes: usize,
 }
 
-/// Channel counts are padded to a multiple of this, the largest tile.
+/// Channel counts are padded to a multiple of this.
 pub const CHANNEL_MULTIPLE: usize = 32;
+
+/// Output channels that an invocation of the matrix products may have.
+const TILES: [usize; 5] = [4, 8, 16, 32, 64];
 
 /// A measured tuning as it is stored.
 #[derive(serde::Serialize, serde::Deserialize)]
@@ -66,7 +70,7 @@ impl Tuning {
     /// fill (by reckoning: no hardware has been measured yet).
     pub fn of(kind: AdapterKind, sharing: Sharing) -> Self {
         let software = Self {
-            channels: 32,
+            channels: 64,
             pointwise_group: 64,
             block_wide: 64,
             block_high: 1,
@@ -95,7 +99,7 @@ impl Tuning {
     /// The tunings that differ from this one in one respect and work on the adapter, by respect.
     pub fn neighbours(&self, context: &Context) -> Vec<Vec<Self>> {
         // With as many channels to a workgroup as before, too: where it has fewer, what it stages serves less.
-        let channels = [4, 8, 16, 32].map(|channels| {
+        let channels = TILES.map(|channels| {
             let block_deep = (self.channels * self.block_deep as usize / channels).clamp(1, 16) as u32;
             [Self { channels, ..*self }, Self { channels, block_deep, ..*self }]
         });
@@ -148,18 +152,13 @@ impl Tuning {
         let in_rows = self.sharing == Sharing::Loads || self.block_wide.is_multiple_of(8);
         let staged = self.block_high == 1 || !self.staged;
         let shared = staged && in_rows && [Sharing::Loads, context.sharing()].contains(&self.sharing);
-        let tile = self.channels >= 4 && self.channels.is_multiple_of(4);
+        let tile = TILES.contains(&self.channels);
         let fits = |n: u32| (1..=WORKGROUP_INVOCATIONS).contains(&n);
         let rows = self.block_wide.checked_mul(self.block_high);
         let teams = (1..=WORKGROUP_INVOCATIONS / 64).contains(&self.spectral_teams);
         let groups = fits(self.pointwise_group) && teams && self.block_high > 0 && rows.is_some_and(fits);
         let depth = (1..=16).contains(&self.block_deep);
-        shared
-            && tile
-            && groups
-            && depth
-            && CHANNEL_MULTIPLE.is_multiple_of(self.channels)
-            && self.activation_bytes > 0
+        shared && tile && groups && depth && self.activation_bytes > 0
     }
 
     /// Most samples of so many activations each that are as large as they may be; none if one is larger.

@@ -10,7 +10,7 @@ use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::operator::{
     After, BlockTensors, GeluAdj, HeadWeightAdj, Inputs, Layer, Parts, PointwiseWeightAdj, PoolAdj,
-    PoolAdjTensors, ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose, pointwise,
+    PoolAdjTensors, ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose, pointwise::Lines,
     pointwise_weight_adj,
 };
 use crate::kernels::{Tuning, padded};
@@ -37,10 +37,10 @@ pub struct Backward {
     /// Cotangent of [`Forward::scalar`], shape `[S]`.
     pub adj_scalar: Tensor,
     gradient: GradientLayers,
-    /// Cotangents of the blocks' outputs before their GELU, two in turn, shape [S, C, H, W'].
+    /// Cotangents of the blocks' outputs before their GELU, two in turn, shape [S, H, C, W'].
     adj: [Tensor; 2],
     adj_projected: Tensor,
-    /// Cotangents of the lifting's hidden layer, of the samples that are lifted at once.
+    /// Cotangents of the lifting's hidden layer, of the lines that are lifted at once.
     adj_hidden: Tensor,
     adj_spectrum: Tensor,
     inverse_rows_adj: Tensor,
@@ -115,17 +115,17 @@ impl Backward {
         let upload =
             |label, shape: &[usize], data: Vec<f32>| Tensor::from_slice(context, label, shape, &data);
         let gradient = parameters.layout().gradient_layers(gradient);
-        let parts = pointwise_weight_adj::parts(h * w / 4);
+        let parts = pointwise_weight_adj::parts(samples * h * w / 4);
         let layers = [&gradient.lifting[0], &gradient.lifting[1], &gradient.projection[0]];
         let longest = layers.into_iter().chain(&gradient.skips).map(|g| g.both.len()).max().unwrap_or(0);
         let (columns, c) = (2 * config.modes_w, config.channels);
-        let adj = || zeros("adj", &[samples, c, h, w]);
+        let adj = || zeros("adj", &[samples, h, c, w]);
         Ok(Self {
             adj_field: zeros("adj_field", &[samples, h, w])?,
             adj_scalar: zeros("adj_scalar", &[samples])?,
             gradient,
             adj: [adj()?, adj()?],
-            adj_projected: zeros("adj_projected", &[samples, config.projection, h, w])?,
+            adj_projected: zeros("adj_projected", &[samples, h, config.projection, w])?,
             adj_hidden: zeros("adj_hidden", forward.hidden.shape())?,
             adj_spectrum: zeros("adj_spectrum", forward.spectral.modes[0].shape())?,
             inverse_rows_adj: upload(
@@ -139,8 +139,8 @@ impl Backward {
                 tables::forward_rows_adj(&config, h, grid.w),
             )?,
             pooled: zeros("pooled", &[samples, c])?,
-            partial: zeros("gradient parts", &[samples * parts, longest])?,
-            tile: tuning.channels,
+            partial: zeros("gradient parts", &[parts, longest])?,
+            tile: parameters.layout().tile(),
             kernels: Kernels {
                 gelu_adj: GeluAdj::new(context)?,
                 pointwise_weight_adj: PointwiseWeightAdj::new(context)?,
@@ -172,8 +172,6 @@ impl Backward {
     /// Through the heads to the last block's output, and the gradients over their weights.
     fn push_heads(&self, schedule: &mut Schedule, forward: &Forward, transposed: &Transposed) {
         let (config, k) = (&forward.config, &self.kernels);
-        let samples = self.adj_scalar.len();
-        let all = pointwise::Samples { count: samples, x_first: 0, y_first: 0 };
         let [_, outer] = &forward.layers.projection;
         let [inner_gradient, outer_gradient] = &self.gradient.projection;
         let (y, before) = (forward.activation(config.layers), &forward.before_gelu[config.layers - 1]);
@@ -181,7 +179,7 @@ impl Backward {
         k.head_weight_adj.push(schedule, &forward.projected, &self.adj_field, to);
         k.project_adj.push(schedule, &outer.weight, &self.adj_field, &self.adj_projected);
         k.gelu_adj.push(schedule, before, &self.adj_projected);
-        self.push_weights(schedule, (y, &self.adj_projected), all, inner_gradient);
+        self.push_weights(schedule, (y, &self.adj_projected), self.all(), inner_gradient);
         let [adj_y, _] = &self.adj;
         forward.kernels.dense.push(schedule, &transposed.projection, &self.adj_projected, adj_y);
         self.push_pool(schedule, forward, config.layers - 1, adj_y);
@@ -198,7 +196,9 @@ impl Backward {
         let head = &forward.layers.scalar.weight;
         self.kernels.pool_adj.push(schedule, head, from, (adj, &self.pooled));
         let GradientLayer { both, bias } = &self.gradient.scalar;
-        self.kernels.head_weight_adj.push(schedule, &self.pooled, &self.adj_scalar, (both, *bias));
+        let &[samples, channels] = self.pooled.shape() else { unreachable!("what is pooled is [S, C]") };
+        let pooled = self.pooled.view(0, &[samples, channels, 1]);
+        self.kernels.head_weight_adj.push(schedule, &pooled, &self.adj_scalar, (both, *bias));
     }
 
     /// From the output of a block before its GELU to its input.
@@ -218,8 +218,8 @@ impl Backward {
             BlockTensors { x: Inputs::Stored(adj_y), r: &s.inverse, y: adj_x, made: None, rows_max: None };
         let tables = (&self.forward_rows_adj, forward.grid.w);
         k.block(After::default()).push(schedule, &transposed.skips[block], tables, tensors);
-        let all = pointwise::Samples { count: self.adj_scalar.len(), x_first: 0, y_first: 0 };
-        self.push_weights(schedule, (forward.activation(block), adj_y), all, &self.gradient.skips[block]);
+        let x = forward.activation(block);
+        self.push_weights(schedule, (x, adj_y), self.all(), &self.gradient.skips[block]);
     }
 
     /// The gradients over the lifting's weights, from the cotangent of its output.
@@ -229,21 +229,22 @@ impl Backward {
         (forward, transposed): (&Forward, &Transposed),
         adj: &Tensor,
     ) {
-        let (samples, at_once) = (self.adj_scalar.len(), forward.hidden.shape()[0]);
         let (dense, hidden) = (&forward.kernels.dense, &forward.hidden);
         let [inner, _] = &forward.layers.lifting;
         let [inner_gradient, outer_gradient] = &self.gradient.lifting;
-        for first in (0..samples).step_by(at_once) {
-            let count = at_once.min(samples - first);
-            // Samples of the whole as input, of what is lifted at once as output; and the other way round.
-            let into = pointwise::Samples { count, x_first: first, y_first: 0 };
-            let back = pointwise::Samples { count, x_first: 0, y_first: first };
-            dense.push_samples(schedule, inner, (&forward.embedded, hidden), into);
-            dense.push_samples(schedule, &transposed.lifting, (adj, &self.adj_hidden), into);
+        for (into, back) in forward.lifted_at_once(self.adj_scalar.len()) {
+            dense.push_lines(schedule, inner, (&forward.embedded, hidden), into);
+            dense.push_lines(schedule, &transposed.lifting, (adj, &self.adj_hidden), into);
             self.kernels.gelu_adj.push(schedule, hidden, &self.adj_hidden);
             self.push_weights(schedule, (hidden, adj), back, outer_gradient);
             self.push_weights(schedule, (&forward.embedded, &self.adj_hidden), into, inner_gradient);
         }
+    }
+
+    /// All lines of the samples.
+    fn all(&self) -> Lines {
+        let &[samples, h, _] = self.adj_field.shape() else { unreachable!("a cotangent is [S, H, W']") };
+        Lines { count: samples * h, x_first: 0, y_first: 0 }
     }
 
     /// Adds the gradient over a pointwise layer's weight and bias, from its input `x` and the cotangent of its output.
@@ -251,7 +252,7 @@ impl Backward {
         &self,
         schedule: &mut Schedule,
         (x, adj): (&Tensor, &Tensor),
-        part: pointwise::Samples,
+        part: Lines,
         gradient: &GradientLayer,
     ) {
         let GradientLayer { both, bias } = gradient;

@@ -5,11 +5,10 @@ use super::{Config, Layout, Parameters, Weights, tables};
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::operator::{
     Activate, After, Block, BlockTensors, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
-    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, block,
-    pointwise::{Rows, Samples},
+    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, block, pointwise::Lines,
 };
 use crate::kernels::optim::{Features, Fields};
-use crate::kernels::{Tuning, padded};
+use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
 use crate::sim::Grid;
 use crate::{Error, Result};
 
@@ -17,19 +16,20 @@ use crate::{Error, Result};
 /// [`Forward::scalar`] out.
 ///
 /// Inside, rows are padded to quads of columns ([`padded`]); the padding holds numbers that count as nothing, and must be finite.
+/// The channels of a row are beside each other, [S, H, C, W']: a layer takes all channels of some rows, which is one piece of memory
+/// then, and not one of each channel's plane: those of 4 KiB evict each other from a cache, and larger ones are pages apart.
 #[derive(Debug)]
 pub struct Forward {
     pub(super) config: Config,
     pub(super) grid: Grid,
-    /// Input channels, shape [S, 5, H, W']: the normalised fields, then `i / (H-1)` and `j / (W-1)`; zero in the padding. A pass from
+    /// Input channels, shape [S, H, 5, W']: the normalised fields, then `i / (H-1)` and `j / (W-1)`; zero in the padding. A pass from
     /// fields writes them only where the lifting does not embed them itself.
     pub embedded: Tensor,
     /// Output of the field head in parts to be added up, shape [parts, S, H, W']; one part unless [`Keep::Nothing`] is kept.
     pub field: Tensor,
     /// Output of the scalar head, shape `[S]`; not written where it is left ([`Head::Left`]).
     pub scalar: Tensor,
-    /// Hidden layer of the lifting, shape [samples, lifting, rows, W']: of as many samples as are lifted at once, and of as many
-    /// of their rows, which are all unless not even one sample is small enough.
+    /// Hidden layer of the lifting, shape [lines, lifting, W']: of as many rows of all samples as are lifted at once.
     pub(super) hidden: Tensor,
     keep: Keep,
     /// The last block with the field head behind its bias, where they are one.
@@ -39,10 +39,10 @@ pub struct Forward {
     /// What each block does beside the linear part of its output.
     afters: Vec<After>,
     activations: Vec<Tensor>,
-    /// What is before the GELU of each block but the last, shape [S, C, H, W'], and of the projection's hidden layer; only
+    /// What is before the GELU of each block but the last, shape [S, H, C, W'], and of the projection's hidden layer; only
     /// with [`Keep::Adjoint`].
     pub(super) before_gelu: Vec<Tensor>,
-    /// Hidden layer of the projection, shape [S, projection, H, W'].
+    /// Hidden layer of the projection, shape [S, H, projection, W'].
     pub(super) projected: Tensor,
     pub(super) spectral: Spectra,
     pub(super) rows_max: Tensor,
@@ -151,6 +151,23 @@ impl Plan {
         };
         Self { samples, ..*self }
     }
+
+    /// Where the weights of such a network lie for it: in tiles of the tuning's channels, or of no more than [`CHANNEL_MULTIPLE`]
+    /// where rows fit a workgroup only then.
+    fn layout(&self, context: &Context, config: Config) -> Layout {
+        let takes_rows = |layout: &Layout| {
+            let tuning = Tuning { channels: layout.tile(), ..self.tuning };
+            Block::takes_rows(context, &tuning, &block_size(&layout.padded(), self.grid))
+        };
+        let wide = Layout::new(config, self.tuning.channels);
+        if wide.tile() > CHANNEL_MULTIPLE && !takes_rows(&wide) {
+            let narrow = Layout::new(config, CHANNEL_MULTIPLE);
+            if takes_rows(&narrow) {
+                return narrow;
+            }
+        }
+        wide
+    }
 }
 
 impl Forward {
@@ -159,10 +176,10 @@ impl Forward {
         // The backward pass is in single precision.
         let storage = if plan.keep == Keep::Adjoint { Storage::F32 } else { context.storage() };
         let context = &context.with_storage(storage)?;
-        let layout = Layout::new(weights.config, plan.tuning.channels);
+        let layout = plan.layout(context, weights.config);
         let layers = layout.stored_layers(context, weights)?;
         let joined = Joined::new(context, weights, (layout.padded(), &layers), plan)?;
-        Self::build(context, layout.padded(), layers, joined, plan)
+        Self::build(context, &layout, layers, joined, plan)
     }
 
     /// The same on weights that are on the device already, and may change there; in single precision, whatever the context's
@@ -170,26 +187,29 @@ impl Forward {
     pub fn with_parameters(context: &Context, parameters: &Parameters, plan: &Plan) -> Result<Self> {
         let context = &context.with_storage(Storage::F32)?;
         let layout = parameters.layout();
-        Self::build(context, layout.padded(), layout.layers(&parameters.flat), Joined::default(), plan)
+        Self::build(context, layout, layout.layers(&parameters.flat), Joined::default(), plan)
     }
 
-    /// `config` is that of the padded layers.
-    fn build(context: &Context, config: Config, layers: Layers, joined: Joined, plan: &Plan) -> Result<Self> {
+    fn build(
+        context: &Context,
+        layout: &Layout,
+        layers: Layers,
+        joined: Joined,
+        plan: &Plan,
+    ) -> Result<Self> {
+        let config = layout.padded();
+        let plan = &Plan { tuning: Tuning { channels: layout.tile(), ..plan.tuning }, ..*plan };
         let &Plan { grid, samples, ref tuning, keep } = plan;
         check_modes(&config, grid)?;
         let (h, w) = (grid.h, padded(grid.w));
-        let plane = h * w;
-        let most = |len: usize| tuning.most_samples(context, config.lifting * len);
-        let hidden = match (&joined.units, most(plane)) {
+        let lifted_at_once = match joined.units {
             // Nothing is between the layers where they are joined.
-            (Some(_), _) => [0, h],
-            // The backward pass takes whole samples.
-            (None, 0) if keep != Keep::Adjoint => [1, most(w).clamp(1, h)],
-            (None, whole) => [whole.clamp(1, samples.max(1)), h],
+            Some(_) => 0,
+            None => tuning.most_samples(context, config.lifting * w).clamp(1, (samples * h).max(1)),
         };
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
-        let activation = |label| stored(label, &[samples, config.channels, h, w]);
+        let activation = |label| stored(label, &[samples, h, config.channels, w]);
         let count = match keep {
             Keep::Nothing => 2,
             // The lifting and the blocks.
@@ -200,18 +220,17 @@ impl Forward {
             // The input of the last block is not needed any more.
             activations[(config.layers + 1) % count].clone()
         } else {
-            stored("projected", &[samples, config.projection, h, w])?
+            stored("projected", &[samples, h, config.projection, w])?
         };
         let mut before_gelu = Vec::new();
         if keep == Keep::Adjoint {
             for _ in 1..config.layers {
                 before_gelu.push(activation("before GELU")?);
             }
-            before_gelu.push(zeros("before GELU", &[samples, config.projection, h, w])?);
+            before_gelu.push(zeros("before GELU", &[samples, h, config.projection, w])?);
         }
         // The backward pass wants what is before the GELU, and the rows are those of what is behind it.
-        let size =
-            LayerSize { row_quads: w / 4, modes_w: config.modes_w, channels: config.channels, lifting: None };
+        let size = block_size(&config, grid);
         let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
         let Joined { head, units } = joined;
         let joins_head = head.is_some();
@@ -240,10 +259,10 @@ impl Forward {
         Ok(Self {
             config,
             grid,
-            embedded: stored("embedded", &[samples, config.inputs(), h, w])?,
+            embedded: stored("embedded", &[samples, h, config.inputs(), w])?,
             field: zeros("field", &[parts, samples, h, w])?,
             scalar: zeros("scalar", &[samples])?,
-            hidden: stored("hidden", &[hidden[0], config.lifting, hidden[1], w])?,
+            hidden: stored("hidden", &[lifted_at_once, config.lifting, w])?,
             keep,
             head,
             lifting: units.map(lifted).transpose()?,
@@ -365,10 +384,20 @@ impl Forward {
         k.project.push(schedule, outer, projected, field);
     }
 
-    /// Output of the lifting (0) or of block `i - 1`, shape [S, C, H, W']; only where blocks are kept.
+    /// Output of the lifting (0) or of block `i - 1`, shape [S, H, C, W']; only where blocks are kept.
     pub fn activation(&self, i: usize) -> &Tensor {
         assert_ne!(self.keep, Keep::Nothing, "the activations were not kept");
         &self.activations[i]
+    }
+
+    /// The lines of the first `samples` samples in turns that are lifted at once: from a tensor of all lines into [`Forward::hidden`],
+    /// and back from there.
+    pub(super) fn lifted_at_once(&self, samples: usize) -> impl Iterator<Item = (Lines, Lines)> {
+        let (all, at_once) = (samples * self.grid.h, self.hidden.shape()[0]);
+        (0..all).step_by(at_once).map(move |first| {
+            let count = at_once.min(all - first);
+            (Lines { count, x_first: first, y_first: 0 }, Lines { count, x_first: 0, y_first: first })
+        })
     }
 
     /// Whether that makes the rows' spectra, too.
@@ -391,20 +420,9 @@ impl Forward {
             k.features.push(schedule, self.grid, fields, &self.embedded.first(samples));
         }
         let [inner, outer] = &self.layers.lifting;
-        let (h, &[at_once, _, rows_at_once, _]) = (self.grid.h, self.hidden.shape()) else {
-            unreachable!("the hidden layer has four axes")
-        };
-        for first in (0..samples).step_by(at_once) {
-            let count = at_once.min(samples - first);
-            let into = Samples { count, x_first: first, y_first: 0 };
-            let from = Samples { count, x_first: 0, y_first: first };
-            for first in (0..h).step_by(rows_at_once) {
-                let count = rows_at_once.min(h - first);
-                let into = (into, Rows { count, x_first: first, y_first: 0 });
-                let from = (from, Rows { count, x_first: 0, y_first: first });
-                k.dense_gelu.push_rows(schedule, inner, (&self.embedded, &self.hidden), into);
-                k.dense.push_rows(schedule, outer, (&self.hidden, lifted), from);
-            }
+        for (into, back) in self.lifted_at_once(samples) {
+            k.dense_gelu.push_lines(schedule, inner, (&self.embedded, &self.hidden), into);
+            k.dense.push_lines(schedule, outer, (&self.hidden, lifted), back);
         }
         false
     }
@@ -484,6 +502,12 @@ impl Kernels {
         let found = self.blocks.iter().find(|b| b.after() == after);
         found.expect("every kind of block of the network is made")
     }
+}
+
+/// Sizes of the blocks of a network.
+fn block_size(config: &Config, grid: Grid) -> LayerSize {
+    let &Config { modes_w, channels, .. } = config;
+    LayerSize { row_quads: padded(grid.w) / 4, modes_w, channels, lifting: None }
 }
 
 /// What a block of the network does beside the linear part of its output.

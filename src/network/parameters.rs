@@ -81,10 +81,12 @@ impl Layout {
         self.tile
     }
 
-    /// For a network of these sizes and kernels of this tile.
-    pub fn new(config: Config, tile: usize) -> Self {
+    /// For a network of these sizes and kernels of a tile of `most` channels ([`Tuning::channels`]), or of as many of them, a
+    /// power of two, as divide all layers.
+    pub fn new(config: Config, most: usize) -> Self {
         let up = |n: usize| n.next_multiple_of(CHANNEL_MULTIPLE);
         let (l, c, p) = (up(config.lifting), up(config.channels), up(config.projection));
+        let tile = 1 << [most, l, c, p].map(usize::trailing_zeros).into_iter().min().unwrap_or(0);
         let mut len = 0;
         let mut take = |n: usize| {
             let first = len;

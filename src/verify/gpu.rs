@@ -52,6 +52,19 @@ impl GpuStages {
         let rows = self.read(tensor)?;
         Ok(rows.chunks_exact(padded(grid.w)).flat_map(|r| &r[..grid.w]).copied().collect())
     }
+
+    /// The first `channels` of those of an activation [S, H, C, W'], shape [S, channels, H, W].
+    fn read_channels(&self, tensor: &Tensor, channels: usize, grid: Grid) -> Result<Vec<f64>> {
+        let (rows, stored) = (self.read_unpadded(tensor, grid)?, tensor.shape()[2]);
+        let mut values = Vec::with_capacity(rows.len() / stored * channels);
+        for sample in rows.chunks_exact(stored * grid.particles()) {
+            for c in 0..channels {
+                let lines = sample.chunks_exact(stored * grid.w);
+                values.extend(lines.flat_map(|line| &line[c * grid.w..][..grid.w]));
+            }
+        }
+        Ok(values)
+    }
 }
 
 impl Stages for GpuStages {
@@ -75,18 +88,12 @@ impl Stages for GpuStages {
         let mut schedule = Schedule::new(context);
         forward.push(&mut schedule, None, Head::Alone);
         self.run(&schedule);
-        // Channels that were added to fill a tile come last in each sample.
-        let channels = |i: usize| -> Result<Vec<f64>> {
-            let tensor = forward.activation(i);
-            let all = self.read_unpadded(tensor, grid)?;
-            let (has, wants) = (tensor.shape()[1], weights.config.channels);
-            let plane = grid.particles();
-            Ok(all.chunks_exact(has * plane).flat_map(|s| &s[..wants * plane]).copied().collect())
-        };
+        // Channels that were added to fill a tile come last.
+        let kept = |i: usize| self.read_channels(forward.activation(i), weights.config.channels, grid);
         Ok(NetworkOutput {
-            embedded: self.read_unpadded(&forward.embedded, grid)?,
-            lifted: channels(0)?,
-            blocks: (1..=weights.config.layers).map(channels).collect::<Result<_>>()?,
+            embedded: self.read_channels(&forward.embedded, weights.config.inputs(), grid)?,
+            lifted: kept(0)?,
+            blocks: (1..=weights.config.layers).map(kept).collect::<Result<_>>()?,
             field: self.read_unpadded(&forward.field, grid)?,
             scalar: self.read(&forward.scalar)?,
         })
@@ -245,7 +252,7 @@ fn single(values: &[f64]) -> Vec<f32> {
     values.iter().map(|&v| v as f32).collect()
 }
 
-/// Input channels [S, fields + 2, H, W'] from the fields [S, fields, H, W].
+/// Input channels [S, H, fields + 2, W'] from the fields [S, fields, H, W].
 fn embed(fields: &[f32], count: usize, grid: Grid) -> Vec<f32> {
     let (h, w) = (grid.h, padded(grid.w));
     let samples = fields.len() / (count * grid.particles());
@@ -257,8 +264,8 @@ fn embed(fields: &[f32], count: usize, grid: Grid) -> Vec<f32> {
     };
     let mut out = Vec::with_capacity(samples * (count + 2) * h * w);
     for s in 0..samples {
-        for c in 0..count + 2 {
-            for i in 0..h {
+        for i in 0..h {
+            for c in 0..count + 2 {
                 out.extend((0..w).map(|j| value(s, c, i, j)));
             }
         }

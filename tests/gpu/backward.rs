@@ -1,6 +1,6 @@
 //! The backward pass of the network: against the CPU path parameter by parameter, with every tile, and in parts.
 
-use crate::common::{context, device, noise, pad, read, tensor, tunings, widened};
+use crate::common::{by_rows, context, device, noise, pad, read, tensor, tunings, widened};
 use crate::forward::random;
 use crate::solver::starter;
 use fnopt::cpu::operator::Adjoint;
@@ -35,7 +35,10 @@ impl Case {
             let forward = Forward::with_parameters(context, &parameters, &plan)?;
             let backward = Backward::new(context, &forward, &parameters, &gradient, tuning)?;
             let transposed = Transposed::new(context, &parameters)?;
-            forward.embedded.write(context, &pad(&self.embedded(&weights.config), grid, 0.0));
+            forward.embedded.write(
+                context,
+                &by_rows(&self.embedded(&weights.config), weights.config.inputs(), grid, 0.0),
+            );
             backward.adj_field.write(context, &pad(&self.adj_field, grid, 0.0));
             backward.adj_scalar.write(context, &self.adj_scalar);
             let mut schedule = Schedule::new(context);

@@ -136,6 +136,33 @@ pub fn pad(rows: &[f32], grid: Grid, filler: f32) -> Vec<f32> {
         .collect()
 }
 
+/// Channels of samples [S, C, H, W] in the order of a network tensor, [S, H, C, W'], with `filler` in the padding.
+pub fn by_rows(dense: &[f32], channels: usize, grid: Grid, filler: f32) -> Vec<f32> {
+    let mut rows = Vec::with_capacity(dense.len());
+    for sample in dense.chunks_exact(channels * grid.particles()) {
+        for i in 0..grid.h {
+            rows.extend(
+                sample.chunks_exact(grid.particles()).flat_map(|plane| &plane[i * grid.w..][..grid.w]),
+            );
+        }
+    }
+    pad(&rows, grid, filler)
+}
+
+/// A network tensor [S, H, C, W'] as channels of samples [S, C, H, W].
+pub fn read_channels(tensor: &Tensor, grid: Grid) -> Vec<f32> {
+    let (rows, channels) = (read_unpadded(tensor, grid), tensor.shape()[2]);
+    let mut dense = Vec::with_capacity(rows.len());
+    for sample in rows.chunks_exact(channels * grid.particles()) {
+        for c in 0..channels {
+            dense.extend(
+                sample.chunks_exact(channels * grid.w).flat_map(|line| &line[c * grid.w..][..grid.w]),
+            );
+        }
+    }
+    dense
+}
+
 /// Numbers without pattern in -1..1.
 pub fn noise(len: usize, seed: u64) -> Vec<f32> {
     crate::noise::noise(len, seed).into_iter().map(|v| v as f32).collect()

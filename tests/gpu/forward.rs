@@ -1,7 +1,8 @@
 //! The forward pass of the network: against the CPU path stage by stage, with every tile, and in parts.
 
 use crate::common::{
-    assert_close, context, device, half, largest, narrow, noise, pad, read, read_unpadded, tunings, widened,
+    assert_close, by_rows, context, device, half, largest, narrow, noise, read, read_channels, read_unpadded,
+    tunings, widened,
 };
 use crate::solver::starter;
 use fnopt::cpu::operator::{Network, Stage};
@@ -71,7 +72,7 @@ fn done_on(
         embedded.extend((0..n).map(|p| (p / grid.w) as f32 / (grid.h - 1) as f32));
         embedded.extend((0..n).map(|p| (p % grid.w) as f32 / (grid.w - 1) as f32));
     }
-    pass.embedded.write_narrowed(context, &pad(&embedded, grid, 0.0));
+    pass.embedded.write_narrowed(context, &by_rows(&embedded, weights.config.inputs(), grid, 0.0));
     let mut schedule = Schedule::new(context);
     pass.push(&mut schedule, None, Head::Alone);
     context.submit(|encoder| schedule.record(encoder));
@@ -84,8 +85,8 @@ fn forward(weights: &Weights, tuning: &Tuning, (grid, samples): (Grid, usize), f
     // Channels that were added to fill a tile come last in each sample.
     let channels = |i: usize| -> Vec<f32> {
         let activation = pass.activation(i);
-        let stored = activation.shape()[1] * n;
-        let all = read_unpadded(activation, grid);
+        let stored = activation.shape()[2] * n;
+        let all = read_channels(activation, grid);
         all.chunks_exact(stored).flat_map(|sample| &sample[..config.channels * n]).copied().collect()
     };
     Pass {

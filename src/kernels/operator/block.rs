@@ -256,7 +256,7 @@ impl Block {
         let BlockTensors { x, r, y, made, rows_max } = tensors;
         let (after, LayerSize { row_quads, channels, lifting, .. }) = (self.after, self.layer);
         let columns = 2 * self.layer.modes_w;
-        let &[samples, _, h, w] = y.shape() else { panic!("block: {:?}", y.shape()) };
+        let &[samples, h, _, w] = y.shape() else { panic!("block: {:?}", y.shape()) };
         assert_eq!((w / 4, padded(width)), (row_quads, w));
         let (inputs, embedded) = lifting.map_or((channels, 0), |lifting| (lifting.hidden, lifting.inputs));
         let of_block = usize::from(lifting.is_none());
@@ -268,7 +268,7 @@ impl Block {
         let (bound, all_samples, place) = match x {
             Inputs::Stored(x) => {
                 let from = if lifting.is_some() { embedded } else { channels };
-                assert_eq!((x.shape(), of_fields), (&[samples, from, h, w][..], false));
+                assert_eq!((x.shape(), of_fields), (&[samples, h, from, w][..], false));
                 (vec![x.clone()], 0, Place::zeroed())
             }
             Inputs::Fields(fields) => {
@@ -278,7 +278,7 @@ impl Block {
             }
         };
         assert!(tables.len() >= columns * w * (of_block + usize::from(after.rows)));
-        assert_eq!(y.shape(), [samples, channels, h, w]);
+        assert_eq!(y.shape(), [samples, h, channels, w]);
         assert_eq!(weight.shape(), [channels / self.tile, inputs, self.tile]);
         assert_eq!(bias.len(), if after.field { 2 * channels + 4 } else { channels });
         assert_eq!((made.is_some(), rows_max.is_some()), (after.rows || after.field, after.pool));
@@ -317,7 +317,7 @@ impl Block {
 /// The input of a layer.
 #[derive(Clone, Copy, Debug)]
 pub enum Inputs<'a> {
-    /// Shape [S, C, H, W'], of a lifting [S, E, H, W'].
+    /// Shape [S, H, C, W'], of a lifting [S, H, E, W'].
     Stored(&'a Tensor),
     /// What a lifting embeds itself.
     Fields(Fields<'a>),
@@ -330,7 +330,7 @@ pub struct BlockTensors<'a> {
     pub x: Inputs<'a>,
     /// Inverse columns of the spectral product, shape [S, H, 2 modes_w, C]; of the lifting its first layer, see [`hidden_units`].
     pub r: &'a Tensor,
-    /// Output, shape [S, C, H, W']; not written where the field is made.
+    /// Output, shape [S, H, C, W']; not written where the field is made.
     pub y: &'a Tensor,
     /// Rows' spectra of the output, shape [S, H, 2 modes_w, C], or the field in parts, [parts, S, H, W']; given if and only if either
     /// is wanted.

@@ -1,5 +1,6 @@
 //! Host side of `shaders/operator/head_weight_adj.wgsl`.
 
+use super::pointwise::lines;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
@@ -15,8 +16,8 @@ pub const SOURCE: Source = Source {
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     channels: u32,
-    positions: u32,
-    samples: u32,
+    width: u32,
+    lines: u32,
     bias: u32,
 }
 
@@ -32,8 +33,8 @@ impl HeadWeightAdj {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Adds to `gradient`, which holds the weight \[C\] first and the bias at element `bias`: `x` \[S, C, ..\] are the head's
-    /// inputs, `adj` [S, ..] the cotangents of its output.
+    /// Adds to `gradient`, which holds the weight \[C\] first and the bias at element `bias`: `x` [.., C, W'] are the head's
+    /// inputs, `adj` [.., W'] the cotangents of its output.
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -41,16 +42,12 @@ impl HeadWeightAdj {
         adj: &Tensor,
         (gradient, bias): (&Tensor, usize),
     ) {
-        let &[samples, channels, ..] = x.shape() else { panic!("head_weight_adj: {:?}", x.shape()) };
-        let positions = x.len() / (samples * channels);
-        assert_eq!((adj.len(), adj.shape()[0]), (samples * positions, samples));
+        let &[.., channels, width] = x.shape() else { panic!("head_weight_adj: {:?}", x.shape()) };
+        let lines = lines(x);
+        assert_eq!(adj.len(), lines * width);
         assert!(bias >= channels && bias < gradient.len(), "the bias comes after the weight");
-        let params = Params {
-            channels: size(channels),
-            positions: size(positions),
-            samples: size(samples),
-            bias: size(bias),
-        };
+        let params =
+            Params { channels: size(channels), width: size(width), lines: size(lines), bias: size(bias) };
         schedule.dispatch(&self.kernel, &params, &[x, adj, gradient], [size(channels + 1), 1, 1]);
     }
 }

@@ -18,11 +18,10 @@ struct Params {
     inputs: u32,
     outputs: u32,
     quads: u32,
-    x_plane: u32,
-    y_plane: u32,
+    row_quads: u32,
     x_first: u32,
     y_first: u32,
-    pad: u32,
+    pad: [u32; 2],
 }
 
 /// A pointwise layer, `y = act(weight x + bias)` at every position.
@@ -42,62 +41,46 @@ impl Pointwise {
         Ok(Self { kernel, tile: tuning.channels, group })
     }
 
-    /// `layer.weight` [O / tile, I, tile] (see [`index`]), `x` [S, I, H, W'], `y` [S, O, H, W'] with padded rows.
+    /// `layer.weight` [O / tile, I, tile] (see [`index`]), `x` [.., I, W'], `y` [.., O, W'] with padded rows, of as many lines.
     pub fn push(&self, schedule: &mut Schedule, layer: &Layer, x: &Tensor, y: &Tensor) {
-        let all = Samples { count: x.shape()[0], x_first: 0, y_first: 0 };
-        self.push_samples(schedule, layer, (x, y), all);
+        assert_eq!(lines(x), lines(y));
+        let all = Lines { count: lines(x), x_first: 0, y_first: 0 };
+        self.push_lines(schedule, layer, (x, y), all);
     }
 
-    /// The same for some of the samples of `x` and `y`.
-    pub fn push_samples(
+    /// The same for some of their lines.
+    pub fn push_lines(
         &self,
         schedule: &mut Schedule,
         layer: &Layer,
         (x, y): (&Tensor, &Tensor),
-        samples: Samples,
+        part: Lines,
     ) {
-        let rows = Rows { count: x.shape()[2], x_first: 0, y_first: 0 };
-        self.push_rows(schedule, layer, (x, y), (samples, rows));
-    }
-
-    /// The same for some of their rows, of which `x` and `y` may have other numbers.
-    pub fn push_rows(
-        &self,
-        schedule: &mut Schedule,
-        layer: &Layer,
-        (x, y): (&Tensor, &Tensor),
-        (samples, rows): (Samples, Rows),
-    ) {
-        let (&[x_samples, inputs, x_h, w], &[y_samples, outputs, y_h, y_w]) = (x.shape(), y.shape()) else {
+        let (&[.., inputs, w], &[.., outputs, y_w]) = (x.shape(), y.shape()) else {
             panic!("pointwise: {:?} to {:?}", x.shape(), y.shape());
         };
         assert_eq!(y_w, w);
-        assert!(samples.x_first + samples.count <= x_samples && samples.y_first + samples.count <= y_samples);
-        assert!(rows.x_first + rows.count <= x_h && rows.y_first + rows.count <= y_h);
+        assert!(part.x_first + part.count <= lines(x) && part.y_first + part.count <= lines(y));
         assert_eq!(layer.weight.shape(), [outputs / self.tile, inputs, self.tile]);
         assert_eq!((layer.bias.len(), w % 4, outputs % self.tile), (outputs, 0, 0));
-        let first = |sample: usize, channels: usize, (row, h): (usize, usize)| {
-            size((sample * channels * h + row) * w / 4)
-        };
-        let quads = rows.count * w / 4;
+        let quads = part.count * w / 4;
         let params = Params {
             inputs: size(inputs),
             outputs: size(outputs),
             quads: size(quads),
-            x_plane: size(x_h * w / 4),
-            y_plane: size(y_h * w / 4),
-            x_first: first(samples.x_first, inputs, (rows.x_first, x_h)),
-            y_first: first(samples.y_first, outputs, (rows.y_first, y_h)),
-            pad: 0,
+            row_quads: size(w / 4),
+            x_first: size(part.x_first),
+            y_first: size(part.y_first),
+            pad: [0; 2],
         };
-        let count = [quads.div_ceil(self.group), outputs / self.tile, samples.count].map(size);
+        let count = Kernel::spread_groups(size(quads.div_ceil(self.group)), size(outputs / self.tile));
         schedule.dispatch(&self.kernel, &params, &[&layer.weight, &layer.bias, x, y], count);
     }
 }
 
-/// Which samples of input and output a dispatch takes.
+/// Which lines of input and output a dispatch takes: a line is a row of a sample, with all channels.
 #[derive(Clone, Copy, Debug)]
-pub struct Samples {
+pub struct Lines {
     /// How many.
     pub count: usize,
     /// The first one of the input.
@@ -106,15 +89,10 @@ pub struct Samples {
     pub y_first: usize,
 }
 
-/// Which rows of these samples.
-#[derive(Clone, Copy, Debug)]
-pub struct Rows {
-    /// How many.
-    pub count: usize,
-    /// The first one of the input.
-    pub x_first: usize,
-    /// The first one of the output.
-    pub y_first: usize,
+/// The lines of a tensor [.., C, W'].
+pub(crate) fn lines(tensor: &Tensor) -> usize {
+    let &[ref lines @ .., _, _] = tensor.shape() else { panic!("no lines: {:?}", tensor.shape()) };
+    lines.iter().product()
 }
 
 /// Where the weight from input `input` to output `output` lies in the order of the kernels, [O / tile, I, tile].

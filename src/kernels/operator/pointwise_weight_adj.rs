@@ -1,6 +1,6 @@
 //! Host side of `shaders/operator/pointwise_weight_adj.wgsl`.
 
-use super::pointwise::Samples;
+use super::pointwise::{Lines, lines};
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
@@ -18,19 +18,20 @@ struct Params {
     inputs: u32,
     outputs: u32,
     quads: u32,
+    row_quads: u32,
     parts: u32,
     x_first: u32,
     adj_first: u32,
     tile: u32,
     stride: u32,
     bias: u32,
-    pad: [u32; 3],
+    pad: [u32; 2],
 }
 
 /// Outputs and inputs of a workgroup.
 const SIDE: usize = 32;
 /// Quads of positions that a part has at most: enough to keep a workgroup busy, few enough for a sum in single precision.
-const PART: usize = 512;
+const PART: usize = 256;
 
 /// Gradient over weight and bias of a pointwise layer, in parts.
 #[derive(Clone, Debug)]
@@ -51,7 +52,7 @@ pub struct Parts<'a> {
     pub tile: usize,
 }
 
-/// Number of parts that the positions of one sample are summed in.
+/// Number of parts that so many quads of positions are summed in.
 pub fn parts(quads: usize) -> usize {
     quads.div_ceil(PART)
 }
@@ -62,41 +63,41 @@ impl PointwiseWeightAdj {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets the rows of `to` for some of the samples of the layer's input `x` [S, I, H, W'] and of the cotangents `adj`
-    /// [S, O, H, W'] of its output (`part.y_first` counts there), and gives their number.
+    /// Sets the rows of `to` for some of the lines of the layer's input `x` [.., I, W'] and of the cotangents `adj` [.., O, W'] of
+    /// its output (`part.y_first` counts there), and gives their number.
     pub fn push(
         &self,
         schedule: &mut Schedule,
         (x, adj): (&Tensor, &Tensor),
-        part: Samples,
+        part: Lines,
         to: Parts<'_>,
     ) -> usize {
-        let (&[x_samples, inputs, h, w], &[adj_samples, outputs, adj_h, adj_w]) = (x.shape(), adj.shape())
-        else {
+        let (&[.., inputs, w], &[.., outputs, adj_w]) = (x.shape(), adj.shape()) else {
             panic!("pointwise_weight_adj: {:?} and {:?}", x.shape(), adj.shape());
         };
-        assert_eq!((adj_h, adj_w), (h, w));
-        assert!(part.x_first + part.count <= x_samples && part.y_first + part.count <= adj_samples);
+        assert_eq!(adj_w, w);
+        assert!(part.x_first + part.count <= lines(x) && part.y_first + part.count <= lines(adj));
         assert_eq!((outputs % to.tile, to.tile % 4, to.bias % 4, to.len % 4), (0, 0, 0, 0));
         assert!(to.bias >= outputs * inputs && to.len >= to.bias + outputs);
-        let quads = h * w / 4;
+        let quads = part.count * w / 4;
         let parts = parts(quads);
-        assert!(part.count * parts * to.len <= to.partial.len(), "{:?}", to.partial.shape());
+        assert!(parts * to.len <= to.partial.len(), "{:?}", to.partial.shape());
         let params = Params {
             inputs: size(inputs),
             outputs: size(outputs),
             quads: size(quads),
+            row_quads: size(w / 4),
             parts: size(parts),
             x_first: size(part.x_first),
             adj_first: size(part.y_first),
             tile: size(to.tile),
             stride: size(to.len / 4),
             bias: size(to.bias / 4),
-            pad: [0; 3],
+            pad: [0; 2],
         };
         let tiles = outputs.div_ceil(SIDE) * inputs.div_ceil(SIDE);
-        let count = [size(tiles), size(parts), size(part.count)];
+        let count = [size(tiles), size(parts), 1];
         schedule.dispatch(&self.kernel, &params, &[x, adj, to.partial], count);
-        part.count * parts
+        parts
     }
 }

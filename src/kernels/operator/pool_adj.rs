@@ -29,7 +29,7 @@ impl PoolAdj {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Adds to `adj` [S, C, H, W'] what goes back through the head of weight `[C]`; sets `pooled` [S, C].
+    /// Adds to `adj` [S, H, C, W'] what goes back through the head of weight `[C]`; sets `pooled` [S, C].
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -38,7 +38,7 @@ impl PoolAdj {
         (adj, pooled): (&Tensor, &Tensor),
     ) {
         let PoolAdjTensors { adj_scalar, rows_max, x, columns } = from;
-        let &[samples, channels, h, w] = x.shape() else { panic!("pool_adj: {:?}", x.shape()) };
+        let &[samples, h, channels, w] = x.shape() else { panic!("pool_adj: {:?}", x.shape()) };
         assert_eq!((adj.shape(), pooled.shape()), (x.shape(), &[samples, channels][..]));
         assert_eq!((weight.len(), adj_scalar.len()), (channels, samples));
         assert_eq!(rows_max.shape(), [samples, h, channels]);
@@ -57,7 +57,7 @@ pub struct PoolAdjTensors<'a> {
     pub adj_scalar: &'a Tensor,
     /// Largest value of each row, shape [S, H, C].
     pub rows_max: &'a Tensor,
-    /// What was pooled, shape [S, C, H, W'].
+    /// What was pooled, shape [S, H, C, W'].
     pub x: &'a Tensor,
     /// Columns of a row that count (W).
     pub columns: usize,

@@ -32,9 +32,9 @@ impl PoolRows {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `x` [S, C, H, W'] of which `columns` count, `rows_max` [S, H, C].
+    /// `x` [S, H, C, W'] of which `columns` count, `rows_max` [S, H, C].
     pub fn push(&self, schedule: &mut Schedule, columns: usize, x: &Tensor, rows_max: &Tensor) {
-        let &[samples, channels, h, w] = x.shape() else { panic!("pool_rows: {:?}", x.shape()) };
+        let &[samples, h, channels, w] = x.shape() else { panic!("pool_rows: {:?}", x.shape()) };
         assert_eq!(rows_max.shape(), [samples, h, channels]);
         assert_eq!(padded(columns), w);
         let params = Params {

@@ -14,7 +14,8 @@ pub const SOURCE: Source =
 struct Params {
     channels: u32,
     quads: u32,
-    pad: [u32; 2],
+    row_quads: u32,
+    pad: u32,
 }
 
 /// Last layer of the field head.
@@ -29,14 +30,14 @@ impl Project {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `layer` `[C]` and `[1]`, `x` [S, C, H, W'], `field` [1, S, H, W'].
+    /// `layer` `[C]` and `[1]`, `x` [S, H, C, W'], `field` [1, S, H, W'].
     pub fn push(&self, schedule: &mut Schedule, layer: &Layer, x: &Tensor, field: &Tensor) {
-        let &[samples, channels, h, w] = x.shape() else { panic!("project: {:?}", x.shape()) };
+        let &[samples, h, channels, w] = x.shape() else { panic!("project: {:?}", x.shape()) };
         assert_eq!((layer.weight.len(), layer.bias.len()), (channels, 1));
         assert_eq!(field.shape(), [1, samples, h, w]);
-        let quads = h * w / 4;
-        let params = Params { channels: size(channels), quads: size(quads), pad: [0; 2] };
+        let quads = samples * h * w / 4;
+        let params = Params { channels: size(channels), quads: size(quads), row_quads: size(w / 4), pad: 0 };
         let tensors = [&layer.weight, &layer.bias, x, field];
-        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([quads, samples, 1]));
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(quads, 1));
     }
 }

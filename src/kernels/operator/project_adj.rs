@@ -16,7 +16,8 @@ pub const SOURCE: Source = Source {
 struct Params {
     channels: u32,
     quads: u32,
-    pad: [u32; 2],
+    row_quads: u32,
+    pad: u32,
 }
 
 /// Adjoint of the last layer of the field head.
@@ -31,13 +32,13 @@ impl ProjectAdj {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `adj` [S, C, H, W'] from `adj_field` [S, H, W'], through the layer of weight `[C]`.
+    /// `adj` [S, H, C, W'] from `adj_field` [S, H, W'], through the layer of weight `[C]`.
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, adj_field: &Tensor, adj: &Tensor) {
-        let &[samples, channels, h, w] = adj.shape() else { panic!("project_adj: {:?}", adj.shape()) };
+        let &[samples, h, channels, w] = adj.shape() else { panic!("project_adj: {:?}", adj.shape()) };
         assert_eq!((adj_field.shape(), weight.len()), (&[samples, h, w][..], channels));
-        let quads = h * w / 4;
-        let params = Params { channels: size(channels), quads: size(quads), pad: [0; 2] };
-        let count = self.kernel.groups([quads, channels, samples]);
+        let quads = samples * h * w / 4;
+        let params = Params { channels: size(channels), quads: size(quads), row_quads: size(w / 4), pad: 0 };
+        let count = self.kernel.spread(quads, channels);
         schedule.dispatch(&self.kernel, &params, &[weight, adj_field, adj], count);
     }
 }

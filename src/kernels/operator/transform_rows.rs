@@ -34,9 +34,9 @@ impl TransformRows {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(columns), &[])?, columns })
     }
 
-    /// `table` [W' / 4, 2 modes_w, 4], `x` [S, C, H, W'], `r` [S, H, 2 modes_w, C].
+    /// `table` [W' / 4, 2 modes_w, 4], `x` [S, H, C, W'], `r` [S, H, 2 modes_w, C].
     pub fn push(&self, schedule: &mut Schedule, table: &Tensor, x: &Tensor, r: &Tensor) {
-        let &[samples, channels, h, w] = x.shape() else { panic!("transform_rows: {:?}", x.shape()) };
+        let &[samples, h, channels, w] = x.shape() else { panic!("transform_rows: {:?}", x.shape()) };
         assert_eq!(table.shape(), [w / 4, self.columns, 4]);
         assert_eq!(r.shape(), [samples, h, self.columns, channels]);
         let params = Params { channels: size(channels), rows: size(h), row_quads: size(w / 4), pad: 0 };

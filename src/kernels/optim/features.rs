@@ -85,10 +85,10 @@ impl Features {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `embedded` [s, 5, H, W'], of s samples.
+    /// `embedded` [s, H, 5, W'], of s samples.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: Fields<'_>, embedded: &Tensor) {
         let (w, made) = (padded(grid.w), embedded.shape()[0]);
-        assert_eq!(embedded.shape(), [made, CHANNELS, grid.h, w]);
+        assert_eq!(embedded.shape(), [made, grid.h, CHANNELS, w]);
         let ([fields, sums], place) = from.bound(grid, made);
         let (samples, _) = from.iterate.samples_and_particles();
         let params = Params {

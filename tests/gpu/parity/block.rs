@@ -4,8 +4,8 @@
 use super::features::sums;
 use super::operator::{MODES, activate, activations, config, copies, dense, head, layer, turn};
 use crate::common::{
-    ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_unpadded, run,
-    tensor, tunings,
+    ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_channels,
+    read_unpadded, run, tensor, tunings,
 };
 use fnopt::kernels::Tuning;
 use fnopt::kernels::operator::block::{hidden_units, with_head};
@@ -15,7 +15,7 @@ use fnopt::kernels::padded;
 use fnopt::network::tables;
 use fnopt::sim::Grid;
 
-const CHANNELS: usize = 32;
+const CHANNELS: usize = 64;
 
 /// Adds the inverse rows of `r` [S, H, 2 modes_w, C] to `y` [S, C, H, W].
 fn add_inverse_rows(y: &mut [f64], r: &[f32], modes_w: usize, grid: Grid) {
@@ -52,7 +52,7 @@ fn blocks_of_all_tiles_match() {
                 let w = padded(grid.w);
                 let table = tensor("table", &[columns, w], &tables::inverse_rows(&config, grid.w));
                 let r = tensor("r", &[batch, grid.h, columns, CHANNELS], &r);
-                let y = poisoned("y", &[batch, CHANNELS, grid.h, w]);
+                let y = poisoned("y", &[batch, grid.h, CHANNELS, w]);
                 let after = After { gelu, ..After::default() };
                 let kernel = Block::new(context(), &tuning, size(grid, config.modes_w), after).unwrap();
                 let tensors =
@@ -61,7 +61,7 @@ fn blocks_of_all_tiles_match() {
                 let what = format!("block {} gelu {gelu} {batch} x {grid}", tuning.channels);
                 // A rounding for each of the 42 products, of sums about as large as the result.
                 let atol = (7.0 * ROUNDING + if gelu { 3e-7 } else { 0.0 }) * largest(&expected);
-                assert_close(&what, &read_unpadded(&y, grid), &expected, (atol, ROUNDING));
+                assert_close(&what, &read_channels(&y, grid), &expected, (atol, ROUNDING));
                 assert!(read(&y).iter().all(|y| y.is_finite()), "the padding stays finite");
             }
         }
@@ -127,7 +127,7 @@ fn blocks_that_take_rows_match() {
                 }
                 let what = format!("block {} with rows {batch} x {grid}", tuning.channels);
                 assert_eq!(read(&y), read(&alone), "{what}");
-                let (expected, expected_most) = of_rows(&read_unpadded(&y, grid), config.modes_w, grid);
+                let (expected, expected_most) = of_rows(&read_channels(&y, grid), config.modes_w, grid);
                 if rows {
                     let atol = ROUNDING * (grid.w as f64).sqrt() * largest(&expected);
                     assert_close(&what, &read(&spectra), &expected, (atol, 0.0));
@@ -169,7 +169,7 @@ fn blocks_with_the_field_head_match() {
             let field = poisoned("field", &[parts, batch, grid.h, w]);
             let tensors = BlockTensors { made: Some(&field), ..tensors };
             run(|schedule| joined.push(schedule, &with_head, (&table, grid.w), tensors));
-            let expected = dense(&head, &[head_bias], &read_unpadded(&y, grid), grid.particles());
+            let expected = dense(&head, &[head_bias], &read_channels(&y, grid), grid.particles());
             let found = read_unpadded(&field, grid);
             let sum = |at: usize| found[at..].iter().step_by(expected.len()).sum::<f32>();
             let sums: Vec<f32> = (0..expected.len()).map(sum).collect();
@@ -201,7 +201,7 @@ fn liftings_match() {
             let units = tensor("hidden units", &[HIDDEN, units.len() / HIDDEN], &units);
             let table = tables::forward_rows(&config, grid.h, grid.w);
             let table = tensor("table", &[w / 4, columns, 4], &table);
-            let y = poisoned("y", &[batch, CHANNELS, grid.h, w]);
+            let y = poisoned("y", &[batch, grid.h, CHANNELS, w]);
             let spectra = poisoned("rows", &[batch, grid.h, columns, CHANNELS]);
             let lifting = Lifting { hidden: HIDDEN, inputs, of_fields: false };
             let size = LayerSize { lifting: Some(lifting), ..size(grid, config.modes_w) };
@@ -214,10 +214,10 @@ fn liftings_match() {
             run(|schedule| kernel.push(schedule, &outer, (&table, grid.w), tensors));
             let what = format!("lifting {} of {inputs} {batch} x {grid}", tuning.channels);
             let atol = (8.0 * ROUNDING + 3e-7) * largest(&expected);
-            assert_close(&what, &read_unpadded(&y, grid), &expected, (atol, ROUNDING));
+            assert_close(&what, &read_channels(&y, grid), &expected, (atol, ROUNDING));
             if rows {
                 with_rows += 1;
-                let (expected, _) = of_rows(&read_unpadded(&y, grid), config.modes_w, grid);
+                let (expected, _) = of_rows(&read_channels(&y, grid), config.modes_w, grid);
                 let atol = ROUNDING * (grid.w as f64).sqrt() * largest(&expected);
                 assert_close(&what, &read(&spectra), &expected, (atol, 0.0));
             }
@@ -256,7 +256,7 @@ fn liftings_of_fields_match() {
             let table = tensor("table", &[w / 4, columns, 4], &table);
             for (first, count) in [(0, samples), (1, samples - 2)] {
                 let from = Fields { iterate: &iterate, sums, first };
-                let embedded = poisoned("embedded", &[count, 5, grid.h, w]);
+                let embedded = poisoned("embedded", &[count, grid.h, 5, w]);
                 run(|schedule| features.push(schedule, grid, from, &embedded));
                 let results = [Inputs::Stored(&embedded), Inputs::Fields(from)].map(|x| {
                     let of_fields = matches!(x, Inputs::Fields(_));
@@ -265,7 +265,7 @@ fn liftings_of_fields_match() {
                     let rows = Block::takes_rows(context(), &tuning, &size);
                     let kernel =
                         Block::new(context(), &tuning, size, After { rows, ..After::default() }).unwrap();
-                    let y = poisoned("y", &[count, CHANNELS, grid.h, w]);
+                    let y = poisoned("y", &[count, grid.h, CHANNELS, w]);
                     let spectra = poisoned("rows", &[count, grid.h, columns, CHANNELS]);
                     let made = rows.then_some(&spectra);
                     let tensors = BlockTensors { x, r: &units, y: &y, made, rows_max: None };

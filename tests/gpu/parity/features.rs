@@ -1,7 +1,7 @@
 //! `features` against its formula.
 
 use crate::common::{
-    ROUNDING, assert_close, cases, context, device, noise, poisoned, read, read_unpadded, run, tensor,
+    ROUNDING, assert_close, cases, context, device, noise, poisoned, read, read_channels, run, tensor,
     widened,
 };
 use fnopt::kernels::cloth::gradient::parts;
@@ -49,13 +49,13 @@ fn check(kernel: &Features, (grid, samples): (Grid, usize), grad: &[f32], hidden
     let rows = tensor("rows", &[128 + squares.len()], &[vec![f32::NAN; 128], squares].concat());
     let sums = &rows.view(128, &[samples, parts(grid), 2]);
     for (first, count) in [(0, samples), (1, samples - 2)] {
-        let embedded = poisoned("embedded", &[count, 5, grid.h, padded(grid.w)]);
+        let embedded = poisoned("embedded", &[count, grid.h, 5, padded(grid.w)]);
         run(|schedule| {
             kernel.push(schedule, grid, Fields { iterate: &iterate, sums, first }, &embedded);
         });
         let expected = &expected[5 * n * first..][..5 * n * count];
         // Roundings of the norm and of tanh, a few each.
-        assert_close(what, &read_unpadded(&embedded, grid), expected, (1e-36, 8.0 * ROUNDING));
+        assert_close(what, &read_channels(&embedded, grid), expected, (1e-36, 8.0 * ROUNDING));
         let rows = read(&embedded);
         let padding = rows.chunks_exact(padded(grid.w)).flat_map(|row| &row[grid.w..]);
         assert!(padding.clone().all(|&v| v == 0.0), "{what}: the padding is zero");

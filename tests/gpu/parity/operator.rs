@@ -1,6 +1,6 @@
 //! What the tests of the operator's kernels share.
 
-use crate::common::{noise, pad, tensor};
+use crate::common::{by_rows, noise, tensor};
 use fnopt::cpu::Real;
 use fnopt::gpu::Tensor;
 use fnopt::kernels::operator::{Layer, pointwise, spectral};
@@ -22,8 +22,8 @@ pub fn config([modes_h, modes_w]: [usize; 2], channels: usize) -> Config {
 /// Random activations: dense [S, C, H, W] for formulas, and a tensor of them with `filler` in the padding.
 pub fn activations(samples: usize, channels: usize, grid: Grid, filler: f32) -> (Vec<f32>, Tensor) {
     let dense = noise(samples * channels * grid.particles(), 11);
-    let shape = [samples, channels, grid.h, padded(grid.w)];
-    let padded = tensor("x", &shape, &pad(&dense, grid, filler));
+    let shape = [samples, grid.h, channels, padded(grid.w)];
+    let padded = tensor("x", &shape, &by_rows(&dense, channels, grid, filler));
     (dense, padded)
 }
 

@@ -2,14 +2,11 @@
 
 use super::operator::{activate, activations, dense, layer};
 use crate::common::{
-    ROUNDING, assert_close, cases, context, device, largest, poisoned, read, read_unpadded, run, tunings,
+    ROUNDING, assert_close, cases, context, device, largest, poisoned, read, read_channels, read_unpadded,
+    run, tunings,
 };
-use fnopt::kernels::operator::{
-    Pointwise,
-    pointwise::{Rows, Samples},
-};
+use fnopt::kernels::operator::{Pointwise, pointwise::Lines};
 use fnopt::kernels::padded;
-use fnopt::sim::Grid;
 
 /// One rounding for each of the inputs' products, whose sum is a few times larger than they are; and the activation, whose
 /// polynomial is good to 4e-7 of its argument.
@@ -25,16 +22,16 @@ fn layers_of_all_tiles_match() {
         for gelu in [false, true] {
             let kernel = Pointwise::new(context(), &tuning, gelu).unwrap();
             for (grid, batch) in cases() {
-                for (inputs, outputs) in [(5, 32), (33, 64)] {
+                for (inputs, outputs) in [(5, 64), (33, 128)] {
                     let (x, x_tensor) = activations(batch, inputs, grid, 0.5);
                     let (weight, bias, layer) = layer(outputs, inputs, tuning.channels);
                     let mut expected = dense(&weight, &bias, &x, grid.particles());
                     activate(&mut expected, gelu);
-                    let y = poisoned("y", &[batch, outputs, grid.h, padded(grid.w)]);
+                    let y = poisoned("y", &[batch, grid.h, outputs, padded(grid.w)]);
                     run(|schedule| kernel.push(schedule, &layer, &x_tensor, &y));
                     let what = format!("pointwise {} gelu {gelu} {batch} x {grid}", tuning.channels);
                     let tolerance = tolerance(inputs, &expected, gelu);
-                    assert_close(&what, &read_unpadded(&y, grid), &expected, tolerance);
+                    assert_close(&what, &read_channels(&y, grid), &expected, tolerance);
                     assert!(read(&y).iter().all(|y| y.is_finite()), "the padding stays finite");
                 }
             }
@@ -42,42 +39,29 @@ fn layers_of_all_tiles_match() {
     }
 }
 
-/// The lifting takes some samples or rows at a time, from and to any place.
+/// The lifting takes some lines at a time, from and to any place, which need not be whole samples.
 #[test]
-fn parts_of_the_samples_and_rows_are_taken_alone() {
+fn some_of_the_lines_are_taken_alone() {
     let _turn = device();
     let (tuning, grid) = (tunings()[0], crate::common::GRIDS[1]);
-    let (x, x_tensor) = activations(5, 5, grid, 0.5);
-    let (weight, bias, layer) = layer(32, 5, 32);
-    let n = grid.particles();
-    let expected = dense(&weight, &bias, &x[2 * 5 * n..4 * 5 * n], n);
-    let y = poisoned("y", &[4, 32, grid.h, padded(grid.w)]);
+    let (x, x_tensor) = activations(3, 5, grid, 0.5);
+    let (weight, bias, layer) = layer(64, 5, tuning.channels);
+    let expected = dense(&weight, &bias, &x, grid.particles());
+    let (w, lines) = (grid.w, 50);
+    let y = poisoned("y", &[lines, 64, padded(w)]);
     let kernel = Pointwise::new(context(), &tuning, false).unwrap();
-    let part = Samples { count: 2, x_first: 2, y_first: 1 };
-    run(|schedule| kernel.push_samples(schedule, &layer, (&x_tensor, &y), part));
+    // From the 20th row of the first sample to the 6th of the third.
+    let part = Lines { count: 48, x_first: 20, y_first: 1 };
+    run(|schedule| kernel.push_lines(schedule, &layer, (&x_tensor, &y), part));
     let found = read_unpadded(&y, grid);
-    let sample = 32 * n;
-    assert_close("part", &found[sample..3 * sample], &expected, tolerance(5, &expected, false));
-    assert!(
-        found[..sample].iter().chain(&found[3 * sample..]).all(|y| y.is_nan()),
-        "other samples were written"
-    );
-
-    // Three rows from the third on, to a plane of four.
-    let (w, few) = (grid.w, Grid { h: 4, ..grid });
-    let y = poisoned("y", &[4, 32, few.h, padded(w)]);
-    let rows = Rows { count: 3, x_first: 2, y_first: 1 };
-    run(|schedule| kernel.push_rows(schedule, &layer, (&x_tensor, &y), (part, rows)));
-    let found = read_unpadded(&y, few);
-    let planes = found.chunks_exact(few.particles()).enumerate();
-    for (k, plane) in planes {
-        let (sample, untouched) = (k / 32, |y: &[f32]| y.iter().all(|y| y.is_nan()));
-        if (1..3).contains(&sample) {
-            let expected = &expected[(k - 32) * n..][2 * w..5 * w];
-            assert_close("rows", &plane[w..], expected, tolerance(5, expected, false));
-            assert!(untouched(&plane[..w]), "another row was written");
+    for (k, row) in found.chunks_exact(w).enumerate() {
+        let (line, channel) = (k / 64, k % 64);
+        if (1..49).contains(&line) {
+            let (sample, i) = ((line + 19) / grid.h, (line + 19) % grid.h);
+            let expected = &expected[((sample * 64 + channel) * grid.h + i) * w..][..w];
+            assert_close("lines", row, expected, tolerance(5, expected, false));
         } else {
-            assert!(untouched(plane), "another sample was written");
+            assert!(row.iter().all(|y| y.is_nan()), "another line was written");
         }
     }
 }
@@ -88,15 +72,15 @@ fn gelu_of_large_arguments() {
     let _turn = device();
     let (tuning, grid) = (tunings()[0], crate::common::GRIDS[0]);
     let x: Vec<f32> = (0..64).map(|k| (k as f32 - 32.0) * 1.7).collect();
-    let x_tensor = crate::common::tensor("x", &[1, 1, 8, 8], &x);
-    let (_, _, mut layer) = layer(32, 1, 32);
-    layer.weight.write(context(), &[1f32; 32]);
-    layer.bias = crate::common::tensor("bias", &[32], &[0.0; 32]);
-    let y = poisoned("y", &[1, 32, grid.h, grid.w]);
+    let x_tensor = crate::common::tensor("x", &[1, 8, 1, 8], &x);
+    let (_, _, mut layer) = layer(64, 1, tuning.channels);
+    layer.weight.write(context(), &[1f32; 64]);
+    layer.bias = crate::common::tensor("bias", &[64], &[0.0; 64]);
+    let y = poisoned("y", &[1, grid.h, 64, grid.w]);
     let kernel = Pointwise::new(context(), &tuning, true).unwrap();
     run(|schedule| kernel.push(schedule, &layer, &x_tensor, &y));
     let mut expected = crate::common::widened(&x);
     activate(&mut expected, true);
     // 1 + erf keeps an error of a few roundings where it should vanish.
-    assert_close("gelu", &read(&y)[..64], &expected, (4.0 * ROUNDING * 55.0, 2.0 * ROUNDING));
+    assert_close("gelu", &read_channels(&y, grid)[..64], &expected, (4.0 * ROUNDING * 55.0, 2.0 * ROUNDING));
 }

@@ -2,11 +2,9 @@
 
 use super::operator::tiled;
 use crate::common::{
-    ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run, tensor,
+    ROUNDING, assert_close, by_rows, cases, context, device, largest, noise, poisoned, read, run, tensor,
 };
-use fnopt::kernels::operator::{
-    Parts, PointwiseWeightAdj, SumParts, pointwise::Samples, pointwise_weight_adj,
-};
+use fnopt::kernels::operator::{Parts, PointwiseWeightAdj, SumParts, pointwise::Lines, pointwise_weight_adj};
 use fnopt::kernels::padded;
 use fnopt::sim::Grid;
 
@@ -42,18 +40,20 @@ fn gradients_over_the_weights_match() {
         let (weight, bias) = expected(&x, &adj, (outputs, inputs, n));
         let narrow: Vec<f32> = weight.iter().map(|&w| w as f32).collect();
         let gap = 16;
-        let parts = pointwise_weight_adj::parts(n / 4);
+        let parts = pointwise_weight_adj::parts(samples * n / 4);
         let len = outputs * inputs + gap + outputs;
         let before = noise(len, 45);
         let gradient = tensor("gradient", &[len], &before);
-        let partial = poisoned("partial", &[samples * parts, len]);
-        let x = tensor("x", &[samples, inputs, grid.h, w], &x);
-        let adj = tensor("adj", &[samples, outputs, grid.h, w], &adj);
-        let all = Samples { count: samples, x_first: 0, y_first: 0 };
+        let partial = poisoned("partial", &[parts, len]);
+        let whole_rows = Grid { w, ..grid };
+        let x = tensor("x", &[samples, grid.h, inputs, w], &by_rows(&x, inputs, whole_rows, 0.0));
+        let adj = by_rows(&adj, outputs, whole_rows, 0.0);
+        let adj = tensor("adj", &[samples, grid.h, outputs, w], &adj);
+        let all = Lines { count: samples * grid.h, x_first: 0, y_first: 0 };
         run(|schedule| {
             let to = Parts { partial: &partial, len, bias: len - outputs, tile };
             let count = kernel.push(schedule, (&x, &adj), all, to);
-            assert_eq!(count, samples * parts);
+            assert_eq!(count, parts);
             sum.push(schedule, (&partial, count), &gradient);
         });
         let found = read(&gradient);
@@ -69,25 +69,29 @@ fn gradients_over_the_weights_match() {
 }
 
 #[test]
-fn some_of_the_samples_alone() {
+fn some_of_the_lines_alone() {
     let _turn = device();
     let kernel = PointwiseWeightAdj::new(context()).unwrap();
-    let (outputs, inputs, tile, h, w) = (32, 32, 8, 9, 12);
-    let n = h * w;
-    let (x, adj) = (noise(3 * inputs * n, 46), noise(4 * outputs * n, 47));
-    // Samples 1 and 2 of x, 2 and 3 of the cotangents.
-    let (weight, _) = expected(&x[inputs * n..], &adj[2 * outputs * n..], (outputs, inputs, n));
+    let (outputs, inputs, tile, w, lines) = (32, 32, 8, 100, 27);
+    let (x, adj) = (noise(40 * inputs * w, 46), noise(60 * outputs * w, 47));
+    // Lines from 7 on of x, from 11 on of the cotangents, each as if it were a sample.
+    let (weight, _) =
+        expected(&x[7 * inputs * w..][..lines * inputs * w], &adj[11 * outputs * w..], (outputs, inputs, w));
     let len = outputs * inputs + outputs;
-    let partial = poisoned("partial", &[2, len]);
-    let [x, adj] = [(3, inputs, &x), (4, outputs, &adj)].map(|(s, c, data)| tensor("x", &[s, c, h, w], data));
-    let part = Samples { count: 2, x_first: 1, y_first: 2 };
+    let parts = pointwise_weight_adj::parts(lines * w / 4);
+    assert!(parts > 1, "a line is divided");
+    let partial = poisoned("partial", &[parts, len]);
+    let [x, adj] = [(40, inputs, &x), (60, outputs, &adj)].map(|(l, c, data)| tensor("x", &[l, c, w], data));
+    let part = Lines { count: lines, x_first: 7, y_first: 11 };
     run(|schedule| {
         let to = Parts { partial: &partial, len, bias: outputs * inputs, tile };
         kernel.push(schedule, (&x, &adj), part, to);
     });
     let rows = read(&partial);
     let order = tiled(&(0..weight.len()).map(|k| k as f32).collect::<Vec<_>>(), inputs, tile);
-    let found: Vec<f32> = (0..weight.len()).map(|k| rows[k] + rows[len + k]).collect();
+    let found: Vec<f32> =
+        (0..weight.len()).map(|k| (0..parts).map(|part| rows[part * len + k]).sum()).collect();
     let expected: Vec<f64> = order.iter().map(|&k| weight[k as usize]).collect();
-    assert_close("some samples", &found, &expected, (8.0 * ROUNDING * largest(&expected), 0.0));
+    // An invocation sums up to 1024 products one by one, whose roundings add up like a walk.
+    assert_close("some lines", &found, &expected, (16.0 * ROUNDING * largest(&expected), 0.0));
 }

@@ -2,7 +2,7 @@
 
 use super::operator::{CHANNELS, head};
 use crate::common::{
-    ROUNDING, assert_close, cases, context, device, noise, pad, poisoned, read, run, tensor,
+    ROUNDING, assert_close, by_rows, cases, context, device, noise, poisoned, read, run, tensor,
 };
 use fnopt::kernels::operator::{PoolAdj, PoolAdjTensors, PoolRows};
 use fnopt::kernels::padded;
@@ -26,9 +26,9 @@ fn the_first_largest_position_takes_the_cotangent() {
             expected[index * n + first] += back;
             largest.push(most);
         }
-        let shape = [samples, CHANNELS, grid.h, padded(grid.w)];
-        let x = tensor("x", &shape, &pad(&x, grid, 9.0));
-        let adj = tensor("adj", &shape, &pad(&before, grid, 0.0));
+        let shape = [samples, grid.h, CHANNELS, padded(grid.w)];
+        let x = tensor("x", &shape, &by_rows(&x, CHANNELS, grid, 9.0));
+        let adj = tensor("adj", &shape, &by_rows(&before, CHANNELS, grid, 0.0));
         let adj_scalar = tensor("adj_scalar", &[samples], &adj_scalar);
         let rows_max = poisoned("rows_max", &[samples, grid.h, CHANNELS]);
         let pooled = poisoned("pooled", &[samples, CHANNELS]);
@@ -39,7 +39,7 @@ fn the_first_largest_position_takes_the_cotangent() {
             kernel.push(schedule, &layer.weight, from, (&adj, &pooled));
         });
         assert_eq!(read(&pooled), largest);
-        let found = crate::common::read_unpadded(&adj, grid);
+        let found = crate::common::read_channels(&adj, grid);
         assert_close(&format!("pool_adj {samples} x {grid}"), &found, &expected, (ROUNDING, ROUNDING));
         let padding = read(&adj);
         let beyond = padding.chunks_exact(padded(grid.w)).flat_map(|row| &row[grid.w..]);
