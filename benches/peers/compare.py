@@ -35,11 +35,13 @@ def run(command):
 class Comparison:
     def __init__(self, options, folder):
         self.options, self.folder = options, folder
-        self.ours = ["--device", "cpu"]
-        if options.device == "cuda":
-            self.ours = ["--device", "gpu"] + (["--adapter", options.adapter] if options.adapter else [])
+        gpu = ["--device", "gpu"] + (["--adapter", options.adapter] if options.adapter else [])
+        # Flags of fnopt by the name of a column; beside the CPU path an adapter on request, a software one usually.
+        self.ours = {"fnopt": ["--device", "cpu"] if options.device == "cpu" else gpu}
+        if options.device == "cpu" and options.adapter:
+            self.ours[f"fnopt on {options.adapter}"] = gpu
 
-    def sheet(self, n):
+    def sheet(self, n, device):
         """A drape that the air stops carrying: our frames of it in edges, [F, n, n, 3]. (A flat sheet would not do: whole
         components of its first gradient are zero, and what the optimizer makes of their rounding differs.)"""
         scene = {
@@ -55,7 +57,7 @@ class Comparison:
         path.write_text(json.dumps(scene))
         out = self.folder / f"ours_{n}"
         command = [self.options.program, "rollout", path, "--checkpoint", self.options.checkpoint, "--out", out]
-        run(command + self.ours + ["--no-pictures", "--format", "npy"])
+        run(command + device + ["--no-pictures", "--format", "npy"])
         (frames,) = out.glob("*.npy")
         return numpy.load(frames).reshape(-1, n, n, 3) * (n - 1)
 
@@ -68,20 +70,23 @@ class Comparison:
         return json.loads(run(command).splitlines()[-1])
 
     def check(self, n):
-        """Both from the same sheet; the largest distance after a few frames, in sides."""
-        ours = self.sheet(n)
-        numpy.save(self.folder / f"start_{n}.npy", ours[0])
+        """All from the same sheet; the largest distance from the peer's after a few frames, in sides."""
+        ours = {name: self.sheet(n, device) for name, device in self.ours.items()}
+        numpy.save(self.folder / f"start_{n}.npy", ours["fnopt"][0])
         path = self.folder / f"peer_{n}.npy"
         self.peer(n, "eager", more=["--out", path])
         theirs = numpy.load(path)[:FRAMES_COMPARED]
-        apart = numpy.linalg.norm(ours[1 : FRAMES_COMPARED + 1] - theirs, axis=-1).max() / (n - 1)
-        if not apart < TOLERANCE:
-            sys.exit(f"{n}x{n}: the frames are {apart:.2e} of the side apart, not {TOLERANCE:g}")
-        return apart
+        largest = 0
+        for name, frames in ours.items():
+            apart = numpy.linalg.norm(frames[1 : FRAMES_COMPARED + 1] - theirs, axis=-1).max() / (n - 1)
+            if not apart < TOLERANCE:
+                sys.exit(f"{n}x{n}: the frames of {name} are {apart:.2e} of the side apart, not {TOLERANCE:g}")
+            largest = max(largest, apart)
+        return largest
 
-    def fnopt(self, n):
+    def fnopt(self, n, device):
         command = [self.options.program, "bench", "--grid", n, "--frames", self.options.frames, "--json"]
-        rows = json.loads(run(command + self.ours))
+        rows = json.loads(run(command + device))
         return (rows["rows"] if isinstance(rows, dict) else rows)[0]["ms_per_frame"]
 
     def systems(self):
@@ -91,7 +96,8 @@ class Comparison:
             modes = [(mode, False) for mode in self.options.modes.split(",")]
         name = lambda mode, tf32: f"PyTorch {mode}" + (", TF32" if tf32 else "")
         peers = {name(*which): lambda n, which=which: self.peer(n, *which)["ms_per_frame"] for which in modes}
-        return {"fnopt": self.fnopt, **peers}
+        ours = {name: lambda n, device=device: self.fnopt(n, device) for name, device in self.ours.items()}
+        return {**ours, **peers}
 
 
 def main():
@@ -102,7 +108,7 @@ def main():
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--modes", default="eager,compiled", help="on the CPU: eager, compiled or both")
     parser.add_argument("--threads", type=int, default=2, help="of PyTorch on the CPU; fnopt takes RAYON_NUM_THREADS")
-    parser.add_argument("--adapter", help="of fnopt, with --device cuda")
+    parser.add_argument("--adapter", help="of fnopt; on the CPU a column of its own beside the CPU path")
     parser.add_argument("--program", default=ROOT / "target/release/fnopt")
     parser.add_argument("--checkpoint", default=ROOT / "assets/weights/fnopt.safetensors")
     parser.add_argument("--markdown", type=pathlib.Path)
@@ -125,11 +131,12 @@ def main():
             print(f"round {round_ + 1} of {options.rounds}", file=sys.stderr)
 
     median = {key: statistics.median(values) for key, values in times.items()}
-    heads = ["grid"] + [f"{name} [ms]" for name in systems] + ["fnopt / best PyTorch"]
+    heads = ["grid"] + [f"{name} [ms]" for name in systems] + [f"{name} / best PyTorch" for name in comparison.ours]
     lines = [f"| {' | '.join(heads)} |", "|---|" + "---:|" * (len(heads) - 1)]
     for n in grids:
-        best = min(median[name, n] for name in systems if name != "fnopt")
-        cells = [f"{median[name, n]:.1f}" for name in systems] + [f"{median['fnopt', n] / best:.2f}"]
+        best = min(median[name, n] for name in systems if name not in comparison.ours)
+        cells = [f"{median[name, n]:.1f}" for name in systems]
+        cells += [f"{median[name, n] / best:.2f}" for name in comparison.ours]
         lines.append(f"| {n}x{n} | {' | '.join(cells)} |")
     table = "\n".join(lines) + "\n"
     print(table, end="")

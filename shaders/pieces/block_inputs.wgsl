@@ -9,6 +9,10 @@ const LIFTING: bool = false;
 
 fn prepare(_sample: u32, _row: u32, _first_quad: u32, _index: u32) {}
 
+fn channel(_sample: u32, _e: u32, _row: u32, _quad: u32) -> vec4f {
+    return vec4f();
+}
+
 // Input i at a quad of a row, of the inputs that have one weight for all rows.
 fn input(sample: u32, i: u32, row: u32, quad: u32) -> vec4f {
     return vec4f(x[((sample * params.rows + row) * params.inputs + i) * params.row_quads + quad]);

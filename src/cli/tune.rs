@@ -76,13 +76,13 @@ pub fn run(args: &Args) -> Result<Ending> {
 }
 
 fn describe(tuning: &Tuning) -> String {
-    let Tuning { channels, pointwise_group, block_wide, block_high, block_deep, staged, .. } = tuning;
+    let Tuning { channels, pointwise_group, block_wide, block_span, block_deep, staged, .. } = tuning;
     let Tuning { rows_in_blocks, spectral_teams, busy_groups, sharing, activation_bytes, .. } = tuning;
     let turns = activation_bytes >> 20;
     let rows = if *rows_in_blocks { "in blocks" } else { "apart" };
     let staged = if *staged { " staged" } else { "" };
     format!(
-        "tile {channels}, block {block_wide}x{block_high}x{block_deep}{staged}, group {pointwise_group}, rows {rows}, teams {spectral_teams}, \
+        "tile {channels}, block {block_wide}x{block_span}x{block_deep}{staged}, group {pointwise_group}, rows {rows}, teams {spectral_teams}, \
          busy {busy_groups}, {sharing:?}, turns of {turns} MiB"
     )
     .to_lowercase()

@@ -37,8 +37,10 @@ pub struct Binding {
 /// How a kernel's text is made from its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unroll {
-    /// Copies of the lines that are written once for each output of an invocation; 0 where there are none.
+    /// Channels of an invocation's outputs; 0 where it has no tile of them.
     pub tile: usize,
+    /// Places that it has all of them at.
+    pub span: usize,
     /// Copies of the lines that are written once for each output of another kind, in kernels that have two.
     pub second: usize,
     /// How operands are read whose address is the same for all invocations of a subgroup.
@@ -49,7 +51,7 @@ pub struct Unroll {
 
 impl From<usize> for Unroll {
     fn from(tile: usize) -> Self {
-        Self { tile, second: 1, sharing: Sharing::Loads, storage: Storage::F32 }
+        Self { tile, span: 1, second: 1, sharing: Sharing::Loads, storage: Storage::F32 }
     }
 }
 
@@ -64,14 +66,18 @@ pub enum Sharing {
     Broadcast,
 }
 
+/// What stands for the number of a copy in lines that are written several times: the first of them that a line has tells how often.
+const COPIES: [&str; 5] = ["$c", "$q", "$x", "$k", "$8"];
+
 /// Lanes that [`Sharing::Broadcast`] spreads loads over, all of a subgroup.
 pub(super) const LANES: usize = 8;
 
 impl Source {
-    /// The whole text, unrolled: a line with `$c` is written once for each channel of the tile, with `$q` for the quad of
-    /// channels it belongs to and `$e` for its element there; a line with `$q` alone once a quad. `$n` stands for the
-    /// size of the tile and `$m` for its number of quads. A line with `$k` is written `$t` times, once for each of the second tile.
-    /// In `let v$q = $same(array[index]);` the index depends on `$q` (or `$c`, or `$k`) and beside it on nothing that differs
+    /// The whole text, unrolled: a line with `$c` is written once for each output, with `$o` for its channel in the tile, `$q` for the
+    /// quad of channels that belongs to, `$e` for its element there, and `$x` for the output's place; a line with `$q` alone once a
+    /// quad, with `$x` alone once a place. `$n` stands for the size of the tile and `$m` for its number of quads. A line with `$k` is
+    /// written `$t` times, once for each of the second tile; one with `$8` eight times.
+    /// In `let v$q = $same(array[index]);` the index depends on `$q` (or another of these) and beside it on nothing that differs
     /// within a subgroup, all of whose invocations get there; `$lane` ends the parameters of an entry point that does so.
     ///
     /// `StoredQuad` and `StoredPair` are four and two numbers as the network's activations and weights are stored ([`Storage`]).
@@ -79,7 +85,7 @@ impl Source {
     /// Accumulators then are named registers: neither naga nor software drivers reliably turn a private array into
     /// registers.
     pub fn unrolled(&self, unroll: impl Into<Unroll>) -> String {
-        let Unroll { tile, second, sharing, storage } = unroll.into();
+        let Unroll { tile, span, second, sharing, storage } = unroll.into();
         let lane = match sharing {
             Sharing::Loads => "",
             Sharing::Broadcast => ", @builtin(subgroup_invocation_id) lane: u32",
@@ -90,26 +96,25 @@ impl Source {
             text.push_str("enable f16; ");
         }
         for line in self.wgsl.lines() {
-            let count = if line.contains("$c") {
-                tile
-            } else if line.contains("$q") {
-                tile / 4
-            } else if line.contains("$k") {
-                second
-            } else {
-                1
-            };
+            let counts = [tile * span, tile / 4, span, second, 8];
+            let count =
+                COPIES.iter().zip(counts).find(|(of, _)| line.contains(*of)).map_or(1, |found| found.1);
             // The kernel's first copy stays on the line it has in the file; the others share that line.
             let copies: Vec<String> = match line.split_once("$same(") {
                 Some((target, operand)) => self.shared(target, operand, count, sharing),
                 None => vec![line.to_owned(); count],
             };
             let copies = copies.iter().enumerate().map(|(c, copy)| {
-                let quad = if line.contains("$c") { c / 4 } else { c };
-                copy.replace("$c", &c.to_string())
-                    .replace("$q", &quad.to_string())
-                    .replace("$k", &c.to_string())
-                    .replace("$e", ["x", "y", "z", "w"][c % 4])
+                let copy = if line.contains("$c") {
+                    let (channel, place) = (c / span, c % span);
+                    let (quad, element) = (channel / 4, ["x", "y", "z", "w"][channel % 4]);
+                    let of_channel =
+                        copy.replace("$o", &channel.to_string()).replace("$x", &place.to_string());
+                    of_channel.replace("$q", &quad.to_string()).replace("$e", element)
+                } else {
+                    copy.to_owned()
+                };
+                COPIES.iter().fold(copy, |copy, of| copy.replace(of, &c.to_string()))
             });
             let line = copies.collect::<Vec<_>>().join(" ");
             let line = line.replace("$n", &format!("{tile}u")).replace("$m", &format!("{}u", tile / 4));
@@ -142,8 +147,7 @@ impl Source {
                 let own = format!("({first}u + min(lane % {LANES}u, {last}u))");
                 let load = match from {
                     0 => {
-                        let own =
-                            ["$c", "$q", "$k"].iter().fold(operand.to_owned(), |o, of| o.replace(of, &own));
+                        let own = COPIES.iter().fold(operand.to_owned(), |o, of| o.replace(of, &own));
                         format!("let {held} = {own};")
                     }
                     _ => String::new(),

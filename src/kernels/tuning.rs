@@ -16,14 +16,14 @@ pub struct Tuning {
     pub pointwise_group: u32,
     /// Largest number of invocations along a row of the workgroup of a block that does not take whole rows.
     pub block_wide: u32,
-    /// Most rows per workgroup of a block; 1 with `staged`.
-    pub block_high: u32,
+    /// Most quads of columns per invocation of a block, at most 4: each weight is read once for all of them. A short row has fewer,
+    /// so that lanes are not idle.
+    pub block_span: u32,
     /// Most tiles of output channels per workgroup of a block.
     pub block_deep: u32,
     /// Whether the inputs and weights of a block go through workgroup memory: each is read once for all channels of a workgroup,
-    /// and an invocation waits for few readings instead of one for each input. What is little work beside that is repeated in every
-    /// workgroup then, instead of a dispatch that all the others wait for: features and both layers of the lifting are one, and
-    /// so are scalar head and step.
+    /// and an invocation waits for few readings instead of one for each input. The scalar head, little work beside that, is then
+    /// repeated in every workgroup that takes a step, instead of a dispatch that all the others wait for.
     pub staged: bool,
     /// Whether blocks transform their rows for the next one where a row fits a workgroup: fewer dispatches, which is what a
     /// frame of few cloths waits for, and one reading less.
@@ -73,7 +73,7 @@ impl Tuning {
             channels: 64,
             pointwise_group: 64,
             block_wide: 64,
-            block_high: 1,
+            block_span: 2,
             block_deep: 1,
             staged: false,
             rows_in_blocks: true,
@@ -87,6 +87,7 @@ impl Tuning {
             AdapterKind::Hardware => Self {
                 channels: 8,
                 block_wide: 32,
+                block_span: 1,
                 block_deep: 8,
                 staged: true,
                 spectral_teams: 4,
@@ -105,8 +106,8 @@ impl Tuning {
         });
         let channels = channels.as_flattened();
         let groups = [32, 64, 128, 256].map(|pointwise_group| Self { pointwise_group, ..*self });
-        let shapes = [(8, 8), (16, 4), (16, 8), (32, 1), (32, 4), (64, 1)];
-        let shapes = shapes.map(|(block_wide, block_high)| Self { block_wide, block_high, ..*self });
+        let widths = [8, 16, 32, 64].map(|block_wide| Self { block_wide, ..*self });
+        let spans = [1, 2, 4].map(|block_span| Self { block_span, ..*self });
         let depths = [1, 2, 4, 8, 16].map(|block_deep| Self { block_deep, ..*self });
         let staged = [true, false].map(|staged| Self { staged, ..*self });
         let places = [true, false].map(|rows_in_blocks| Self { rows_in_blocks, ..*self });
@@ -127,7 +128,8 @@ impl Tuning {
             others(channels),
             others(&depths),
             others(&staged),
-            others(&shapes),
+            others(&widths),
+            others(&spans),
             others(&groups),
             others(&places),
             others(&teams),
@@ -150,14 +152,12 @@ impl Tuning {
     pub fn works(&self, context: &Context) -> bool {
         // Subgroups share operands within one row, and so does what is staged.
         let in_rows = self.sharing == Sharing::Loads || self.block_wide.is_multiple_of(8);
-        let staged = self.block_high == 1 || !self.staged;
-        let shared = staged && in_rows && [Sharing::Loads, context.sharing()].contains(&self.sharing);
+        let shared = in_rows && [Sharing::Loads, context.sharing()].contains(&self.sharing);
         let tile = TILES.contains(&self.channels);
         let fits = |n: u32| (1..=WORKGROUP_INVOCATIONS).contains(&n);
-        let rows = self.block_wide.checked_mul(self.block_high);
         let teams = (1..=WORKGROUP_INVOCATIONS / 64).contains(&self.spectral_teams);
-        let groups = fits(self.pointwise_group) && teams && self.block_high > 0 && rows.is_some_and(fits);
-        let depth = (1..=16).contains(&self.block_deep);
+        let groups = fits(self.pointwise_group) && teams && fits(self.block_wide);
+        let depth = (1..=16).contains(&self.block_deep) && (1..=4).contains(&self.block_span);
         shared && tile && groups && depth && self.activation_bytes > 0
     }
 

@@ -7,7 +7,7 @@ use crate::kernels::operator::{
     Activate, After, Block, BlockTensors, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
     ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, block, pointwise::Lines,
 };
-use crate::kernels::optim::{Features, Fields};
+use crate::kernels::optim::{Features, Fields, features};
 use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
 use crate::sim::Grid;
 use crate::{Error, Result};
@@ -452,7 +452,7 @@ impl Joined {
         } else {
             None
         };
-        let units = if plan.tuning.staged && plan.keep != Keep::Adjoint {
+        let units = if plan.keep != Keep::Adjoint && config.inputs() == features::CHANNELS {
             let [inner, _] = &weights.lifting;
             let (weight, bias) = (
                 padded(&inner.weight, config.lifting * config.inputs()),

@@ -60,15 +60,17 @@ pub fn device() -> MutexGuard<'static, ()> {
 }
 
 /// The tunings of both kinds of adapter, then the other widths of tile that the kernels allow.
-pub fn tunings() -> [Tuning; 4] {
+pub fn tunings() -> [Tuning; 5] {
     let software = Tuning::of(AdapterKind::Software, context().sharing());
     let hardware = Tuning::of(AdapterKind::Hardware, Sharing::Loads);
     [
         software,
         hardware,
+        Tuning { block_span: 2, ..hardware },
         Tuning {
             channels: 16,
             block_wide: 32,
+            block_span: 2,
             block_deep: 4,
             rows_in_blocks: false,
             spectral_teams: 2,
@@ -79,7 +81,7 @@ pub fn tunings() -> [Tuning; 4] {
             channels: 4,
             pointwise_group: 32,
             block_wide: 16,
-            block_high: 4,
+            block_span: 4,
             block_deep: 2,
             staged: false,
             spectral_teams: 2,

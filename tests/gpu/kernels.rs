@@ -99,12 +99,12 @@ fn parsed(source: &Source, unroll: impl Into<Unroll>) -> (String, naga::Module) 
     (text, module)
 }
 
-/// The tiles that a kernel is unrolled to, among them those that the table names.
-fn tiles(source: &Source, tile: usize) -> Vec<usize> {
-    match source.name {
-        "pointwise" | "block" => vec![4, 8, 16, 32],
-        _ => vec![tile],
-    }
+/// The tiles and spans that a kernel is unrolled to, among them those that the table names.
+fn tiles(source: &Source, tile: usize) -> Vec<(usize, usize)> {
+    let spans: &[usize] = if source.name == "block" { &[1, 2, 4] } else { &[1] };
+    let tiles =
+        if ["pointwise", "block"].contains(&source.name) { vec![4, 8, 16, 32, 64] } else { vec![tile] };
+    tiles.iter().flat_map(|&tile| spans.iter().map(move |&span| (tile, span))).collect()
 }
 
 #[test]
@@ -123,7 +123,7 @@ fn every_file_is_in_the_table_once() {
 #[test]
 fn every_kernel_is_valid_wgsl() {
     for &(source, tile) in ALL {
-        for tile in tiles(source, tile) {
+        for (tile, span) in tiles(source, tile) {
             // Nothing beyond what WebGPU has, no optional capability, but where operands are broadcast or stored in 16 bits.
             let (subgroup, half) = (Capabilities::SUBGROUP, Capabilities::SHADER_FLOAT16);
             let variants = [
@@ -133,7 +133,7 @@ fn every_kernel_is_valid_wgsl() {
                 (Sharing::Broadcast, Storage::F16, subgroup | half),
             ];
             for (sharing, storage, capabilities) in variants {
-                let (text, module) = parsed(source, Unroll { tile, second: 10, sharing, storage });
+                let (text, module) = parsed(source, Unroll { tile, span, second: 10, sharing, storage });
                 let mut validator = Validator::new(ValidationFlags::all(), capabilities);
                 validator
                     .subgroup_stages(ShaderStages::COMPUTE)

@@ -192,7 +192,7 @@ fn a_frame_is_few_dispatches() {
     let _turn = device();
     let (model, start, _) = varied_batch();
     let optimizer = Optimizer::Learned(starter().clone());
-    for (tuning, of_iteration) in sharings().into_iter().zip([15, 11]) {
+    for (tuning, of_iteration) in sharings().into_iter().zip([12, 11]) {
         let solver = solver_with(tuning, &model, (&optimizer, 10), &start);
         assert_eq!(solver.frame().dispatches(), 10 * of_iteration + 5);
     }

@@ -85,7 +85,7 @@ pub struct Lifting {
     pub hidden: usize,
     /// Input channels (E).
     pub inputs: usize,
-    /// Whether it embeds them itself, from fields: with inputs and weights through workgroup memory only ([`Tuning::staged`]).
+    /// Whether it embeds them itself, from fields.
     pub of_fields: bool,
 }
 
@@ -100,7 +100,7 @@ impl LayerSize {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Group {
     wide: usize,
-    high: usize,
+    span: usize,
     deep: usize,
     /// Inputs that are staged at a time, and quads that take that.
     chunk: usize,
@@ -117,26 +117,29 @@ impl Group {
         let room = limits.max_compute_workgroup_storage_size as usize / 16;
         let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
         // Subgroups that share operands want steps of the narrowest lanes there are.
-        let row = match tuning.sharing {
-            Sharing::Loads => layer.row_quads,
-            Sharing::Broadcast => layer.row_quads.next_multiple_of(8),
+        let lanes = |span: usize| match tuning.sharing {
+            Sharing::Loads => layer.row_quads.div_ceil(span),
+            Sharing::Broadcast => layer.row_quads.div_ceil(span).next_multiple_of(8),
         };
-        let (wide, high) = ((tuning.block_wide as usize).min(row), tuning.block_high as usize);
-        let [wide, high] =
-            if after.whole_rows() { [row, (wide * high / row).clamp(1, high)] } else { [wide, high] };
+        // As many quads to an invocation as leave no more lanes idle, and more than one only where each has a subgroup's.
+        let suits =
+            |&span: &usize| span == 1 || (8 * span <= layer.row_quads && span * lanes(span) <= lanes(1));
+        let span = (1..=tuning.block_span as usize).rev().find(suits)?;
+        let wide = if after.whole_rows() { lanes(span) } else { lanes(span).min(tuning.block_wide as usize) };
         let quads = tuning.channels / 4;
         let of_fields = layer.lifting.filter(|lifting| lifting.of_fields);
-        let (embedded_quads, sums) =
-            of_fields.map_or((0, 0), |lifting| (lifting.inputs * wide, features::SUMS_BYTES / 16));
+        let sums = of_fields.map_or(0, |_| features::SUMS_BYTES / 16);
+        let embedded_quads =
+            of_fields.filter(|_| tuning.staged).map_or(0, |lifting| lifting.inputs * span * wide);
         let of_depth = |deep: usize| {
             let held = match after {
-                _ if after.whole_rows() => high * deep * tuning.channels * (layer.row_quads | 1),
-                _ if after.field => wide * high * deep,
+                _ if after.whole_rows() => deep * tuning.channels * (layer.row_quads | 1),
+                _ if after.field => span * wide * deep,
                 _ => 1,
             };
             let (mut chunk, mut staged) = (1, 0);
             if tuning.staged {
-                let input = wide + deep * quads;
+                let input = span * wide + deep * quads;
                 let at_once =
                     (held.max(STAGE_BYTES / 16).saturating_sub(embedded_quads + sums) / input).max(1);
                 chunk = layer.summed().div_ceil(layer.summed().div_ceil(at_once));
@@ -144,7 +147,7 @@ impl Group {
             }
             Self {
                 wide,
-                high,
+                span,
                 deep,
                 chunk,
                 staged,
@@ -162,7 +165,7 @@ impl Group {
     }
 
     fn lanes(&self) -> usize {
-        self.wide * self.high * self.deep
+        self.wide * self.deep
     }
 }
 
@@ -194,7 +197,6 @@ impl Block {
 
     /// Makes it; an error if the device's workgroups are too small.
     pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, after: After) -> Result<Self> {
-        assert!(tuning.block_high == 1 || !tuning.staged, "what is staged is of one row");
         assert!(!(after.field && after.whole_rows()), "the field takes the place of the output");
         assert!(layer.lifting.is_none() || !after.pool, "only blocks pool");
         let group = Group::new(&context.device.limits(), tuning, &layer, after).ok_or_else(|| {
@@ -214,19 +216,21 @@ impl Block {
             ("FIELD", flag(after.field)),
             ("STAGED", flag(tuning.staged)),
             ("WIDE", group.wide as f64),
-            ("HIGH", group.high as f64),
+            ("SPAN", group.span as f64),
             ("DEEP", group.deep as f64),
             ("CHUNK", group.chunk as f64),
             ("MEMORY", group.memory as f64),
         ];
-        if let Some(Lifting { inputs, of_fields: true, .. }) = layer.lifting {
-            assert!(tuning.staged, "a lifting embeds into workgroup memory");
-            assert_eq!(inputs, features::CHANNELS);
+        if let Some(Lifting { inputs, of_fields, .. }) = layer.lifting {
+            let as_many = "as many inputs as a lifting embeds, or holds in registers";
+            assert!((tuning.staged && !of_fields) || inputs == features::CHANNELS, "{as_many}");
+        }
+        if layer.lifting.is_some_and(|lifting| lifting.of_fields) {
             constants.extend([("EMBEDDED", group.embedded_quads as f64), ("AHEAD", group.staged as f64)]);
         }
         // Where operands are broadcast, loads are dear, and a row is read once for all columns; else invocations share them.
         let second = if tuning.sharing == Sharing::Broadcast { 2 * layer.modes_w } else { 2 };
-        let unroll = Unroll { second, ..tuning.unroll(tuning.channels) };
+        let unroll = Unroll { span: group.span, second, ..tuning.unroll(tuning.channels) };
         let kernel = Kernel::new(context, &source, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
         let nothing = [nothing()?, nothing()?];
@@ -299,9 +303,9 @@ impl Block {
             pad: [0; 3],
             place,
         };
-        let Group { wide, high, deep, .. } = self.group;
+        let Group { wide, span, deep, .. } = self.group;
         let tiles = samples * channels / self.tile;
-        let count = [row_quads.div_ceil(wide), h.div_ceil(high), tiles / deep].map(size);
+        let count = [row_quads.div_ceil(span * wide), h, tiles / deep].map(size);
         let [nothing_made, no_maxima] = &self.nothing;
         let (made, rows_max) = (made.unwrap_or(nothing_made), rows_max.unwrap_or(no_maxima));
         let mut tensors = vec![weight, bias, tables, r];

@@ -186,7 +186,10 @@ fn liftings_match() {
     let _turn = device();
     const HIDDEN: usize = 64;
     let mut with_rows = 0;
-    for (tuning, inputs) in tunings().into_iter().flat_map(|tuning| [(tuning, 5), (tuning, 3)]) {
+    // What is not staged holds an embedded quad in registers, of five channels always.
+    let counts =
+        |tuning: Tuning| if tuning.staged { vec![(tuning, 5), (tuning, 3)] } else { vec![(tuning, 5)] };
+    for (tuning, inputs) in tunings().into_iter().flat_map(counts) {
         for (grid, batch) in cases() {
             let config = config(MODES[0], CHANNELS);
             let (columns, w) = (2 * config.modes_w, padded(grid.w));
@@ -236,7 +239,7 @@ fn liftings_of_fields_match() {
     let staged = tunings().into_iter().find(|tuning| tuning.staged).unwrap();
     // Several workgroups to a row, each of some of the channels.
     let narrow = Tuning { rows_in_blocks: false, block_wide: 8, block_deep: 2, ..staged };
-    for tuning in [staged, narrow] {
+    for tuning in tunings().into_iter().chain([narrow]) {
         for (grid, batch) in cases() {
             let config = config(MODES[0], CHANNELS);
             let (columns, w, n, samples) = (2 * config.modes_w, padded(grid.w), grid.particles(), 3 * batch);
