@@ -9,6 +9,7 @@ const LIFTING: bool = false;
 
 fn prepare(_sample: u32, _row: u32, _first_quad: u32, _index: u32) {}
 
+// Only a lifting embeds.
 fn channel(_sample: u32, _e: u32, _row: u32, _quad: u32) -> vec4f {
     return vec4f();
 }
