@@ -1,12 +1,13 @@
 // The update rule backwards, with the authors' rule in place of the true adjoint: the cotangent of tanh(field) and that of
-// 2 tanh(scalar / 2) - 1 are divided by their own norms, sample by sample, and clamped to -10..10, so that every cloth weighs
-// the same, whatever its energies are (paper section 3.3).
+// 2 tanh(scalar / 2) - 1 are divided by norms, each the root mean square over the samples of a group, and clamped to -10..10.
+// With groups of one sample every component of every cloth weighs the same, whatever its energies are (paper section 3.3).
 //
 // step = scale tanh(field). The cotangent of the step is grad, that of the loss, times any positive factor, which the
 // division takes out again. Norms are kept above 1e-30, so that a cloth in equilibrium has cotangents 0.
 // field, adj_field: [S, H, Q] quads, adj_field zero in the padding; scalar, scale (after the step), adj_scalar: [S];
 // grad: [S, H, W].
-// One workgroup: one sample; its invocations add up in a fixed order. Workgroups: (S).
+// One workgroup: one sample; its invocations add up in a fixed order, and what its group has each workgroup of the group adds
+// up for itself. Workgroups: (S).
 // Adjoint: none, it is one.
 
 struct Params {
@@ -24,6 +25,9 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> adj_field: array<f32>;
 @group(0) @binding(6) var<storage, read_write> adj_scalar: array<f32>;
 
+// Samples of a group, at most 3.
+override TOGETHER: u32 = 1u;
+
 const CLAMP: f32 = 10.0;
 const FLOOR: f32 = 1e-30;
 
@@ -35,31 +39,31 @@ fn update_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id)
     let sample = group.x;
     let all = params.rows * params.stride;
     let first = sample * params.rows * params.columns;
-    var sums = vec2f();
-    for (var k = lane; k < all; k += 256u) {
-        let column = k % params.stride;
-        if column < params.columns {
-            let g = grad[first + k / params.stride * params.columns + column];
-            sums += vec2f(g * g, g * tanh_exact(vec4f(field[sample * all + k])).x);
-        }
-    }
-    partial[lane] = sums;
-    for (var half = 128u; half > 0u; half /= 2u) {
-        workgroupBarrier();
-        if lane < half {
-            partial[lane] += partial[lane + half];
-        }
-    }
-    workgroupBarrier();
-    sums = partial[0];
     let pace = params.share * scale[sample];
+    // Of each sample of the group: the norm of the cotangent of tanh(field), and the cotangent of the exponent.
+    var sizes: array<vec2f, 3>;
+    let begin = sample / TOGETHER * TOGETHER;
+    for (var k = 0u; k < TOGETHER; k += 1u) {
+        let sums = sums_of(begin + k, lane);
+        sizes[k] = params.share * scale[begin + k] * vec2f(sqrt(sums.x), sums.y);
+    }
+    // Squared beside the largest of them, none underflows that matters.
+    var largest = vec2f(FLOOR);
+    for (var k = 0u; k < TOGETHER; k += 1u) {
+        largest = max(largest, abs(sizes[k]));
+    }
+    var squares = vec2f();
+    for (var k = 0u; k < TOGETHER; k += 1u) {
+        let part = sizes[k] / largest;
+        squares += part * part;
+    }
+    let norms = max(largest * sqrt(squares / f32(TOGETHER)), vec2f(FLOOR));
     if lane == 0u {
-        let adj_exponent = pace * sums.y;
-        let normalised = clamp(adj_exponent / max(abs(adj_exponent), FLOOR), -CLAMP, CLAMP);
+        let normalised = clamp(sizes[sample - begin].y / norms.y, -CLAMP, CLAMP);
         let t = tanh_exact(vec4f(0.5 * scalar[sample])).x;
         adj_scalar[sample] = normalised * (1.0 - t * t);
     }
-    let factor = pace / max(pace * sqrt(sums.x), FLOOR);
+    let factor = pace / norms.x;
     for (var k = lane; k < all; k += 256u) {
         let column = k % params.stride;
         var value = 0.0;
@@ -70,4 +74,29 @@ fn update_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id)
         }
         adj_field[sample * all + k] = value;
     }
+}
+
+// The sums of a sample, the same for all invocations.
+fn sums_of(sample: u32, lane: u32) -> vec2f {
+    let all = params.rows * params.stride;
+    let first = sample * params.rows * params.columns;
+    var sums = vec2f();
+    for (var k = lane; k < all; k += 256u) {
+        let column = k % params.stride;
+        if column < params.columns {
+            let g = grad[first + k / params.stride * params.columns + column];
+            sums += vec2f(g * g, g * tanh_exact(vec4f(field[sample * all + k])).x);
+        }
+    }
+    // All have read what the sample before left there.
+    workgroupBarrier();
+    partial[lane] = sums;
+    for (var half = 128u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if lane < half {
+            partial[lane] += partial[lane + half];
+        }
+    }
+    workgroupBarrier();
+    return partial[0];
 }

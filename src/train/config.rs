@@ -2,6 +2,7 @@
 
 use super::read;
 use super::schedule::{Decay, RateSchedule};
+use crate::cpu::optim::Normalisation;
 use crate::cpu::train::AdamWSettings;
 use crate::sim::Grid;
 use crate::{Error, Result, io, network};
@@ -15,6 +16,7 @@ use std::path::{Path, PathBuf};
 /// |---|---|
 /// | `notes` | nothing; a text for the model cards |
 /// | `seed`, `steps`, `log_every`, `average` | 1, 500000, 50, 0 |
+/// | `normalisation` | `"component"`; or `"cloth"` ([`Normalisation`]) |
 /// | `init` | fresh weights; else a safetensors file beside the configuration, or several, whose mean is taken |
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
 /// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in a pool that is given `[32, 32]`, 10, 1000, 10 |
@@ -39,6 +41,8 @@ pub struct Config {
     pub log_every: u64,
     /// Decay of the running mean of the weights, which is then what is validated and kept; 0 for the weights themselves.
     pub average: f64,
+    /// What the cotangents of a step are divided by.
+    pub normalisation: Normalisation,
     /// Files of the weights to begin with, whose mean is taken; none for fresh ones ([`super::initial_weights`]).
     pub init: Vec<PathBuf>,
     /// Sizes of the network.
@@ -183,6 +187,7 @@ impl Default for Config {
             log_every: 50,
             notes: String::new(),
             average: 0.0,
+            normalisation: Normalisation::default(),
             init: Vec::new(),
             network: network::Config::default(),
             pools: [1, 3, 10, 30].map(pool).to_vec(),

@@ -34,7 +34,11 @@ impl CpuLearner {
         let room = |pool: &super::PoolConfig| {
             let model = Model { grid: pool.grid, cloths: vec![Cloth::default(); pool.batch] };
             let drawn = Arrays::new(pool.grid, pool.batch);
-            Ok(Room { all: Arrays::of_pool(pool), drawn, loss: Loss::new(weights, &model)? })
+            Ok(Room {
+                all: Arrays::of_pool(pool),
+                drawn,
+                loss: Loss::new(weights, &model, config.normalisation)?,
+            })
         };
         let flat = weights.flat();
         let adamw = AdamW::new(config.optimizer.settings, flat.len());

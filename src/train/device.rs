@@ -2,6 +2,7 @@
 
 use super::pool::MAX_HANDLES;
 use crate::Result;
+use crate::cpu::optim::Normalisation;
 use crate::cpu::train::{AdamWFactors, AdamWSettings};
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::Tuning;
@@ -38,6 +39,7 @@ pub struct DeviceLoss {
     pub sizes: Tensor,
     forward: Forward,
     backward: Backward,
+    normalisation: Normalisation,
 }
 
 impl DeviceLoss {
@@ -46,7 +48,7 @@ impl DeviceLoss {
         context: &Context,
         (grid, batch): (Grid, usize),
         parameters: &Parameters,
-        gradient: &Tensor,
+        (gradient, normalisation): (&Tensor, Normalisation),
         tuning: &Tuning,
     ) -> Result<Self> {
         let context = &context.with_storage(Storage::F32)?;
@@ -72,6 +74,7 @@ impl DeviceLoss {
             sizes: zeros("gradient sizes", &[batch])?,
             forward,
             backward,
+            normalisation,
         })
     }
 
@@ -136,7 +139,8 @@ impl DeviceLoss {
         let Forward { field, scalar, .. } = forward;
         let from = UpdateAdjTensors { field, scalar, scale, grad: &iterate.grad };
         let to = (&backward.adj_field, &backward.adj_scalar);
-        UpdateAdj::new(context)?.push(schedule, grid, (from, 1.0 / self.batch as f32), to);
+        let kernel = UpdateAdj::new(context, self.normalisation)?;
+        kernel.push(schedule, grid, (from, 1.0 / self.batch as f32), to);
         backward.push(schedule, forward, transposed);
         Ok(())
     }

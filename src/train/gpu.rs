@@ -7,6 +7,7 @@ use super::device::{DeviceAdamW, DeviceLoss};
 use super::learner::{Batch, Learner, Outcome, StepReport, Update};
 use super::ranks::Ranks;
 use crate::Result;
+use crate::cpu::optim::Normalisation;
 use crate::gpu::{Context, Readback, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::train::{Advance, Draw, Drawn, PoolTensors, Store};
@@ -48,14 +49,14 @@ impl Room {
         context: &Context,
         pool: &PoolConfig,
         (parameters, transposed): (&Parameters, &Transposed),
-        gradient: &Tensor,
+        into: (&Tensor, Normalisation),
         tuning: &Tuning,
     ) -> Result<Self> {
         let (grid, batch) = (pool.grid, pool.batch);
         let fields = Tensor::zeros(context, "pool", &[pool.cloths, 5, 3, grid.particles()])?;
         let scale = Tensor::zeros(context, "pool scale", &[pool.cloths, 3])?;
         let drawn = Tensor::zeros(context, "drawn", &[batch, size_of::<Drawn>() / 4])?;
-        let loss = DeviceLoss::new(context, (grid, batch), parameters, gradient, tuning)?;
+        let loss = DeviceLoss::new(context, (grid, batch), parameters, into, tuning)?;
         let mut step = Schedule::new(context);
         let pool = PoolTensors { fields: &fields, scale: &scale };
         Draw::new(context)?.push(&mut step, (grid, INITIAL_SCALE), (&drawn, pool), loss.tensors());
@@ -141,7 +142,8 @@ impl GpuLearner {
         prepare.clear(&adamw.gradient);
         transposed.push(&mut prepare);
         let room = |pool: &PoolConfig| {
-            Room::new(context, pool, (&parameters, &transposed), &adamw.gradient, &tuning)
+            let into = (&adamw.gradient, config.normalisation);
+            Room::new(context, pool, (&parameters, &transposed), into, &tuning)
         };
         let pools = config.pools.iter().map(room).collect::<Result<_>>()?;
         let [mut norm, mut update] = [(); 2].map(|()| Schedule::new(context));

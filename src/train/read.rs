@@ -5,6 +5,7 @@ use super::config::{
     ValidationConfig,
 };
 use super::schedule::{Decay, RateSchedule};
+use crate::cpu::optim::Normalisation;
 use crate::cpu::train::AdamWSettings;
 use crate::io::{Node, parse_toml};
 use crate::sim::{Grid, MAX_GRID, MIN_GRID};
@@ -34,6 +35,7 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
         "steps",
         "log_every",
         "average",
+        "normalisation",
         "init",
         "network",
         "pool",
@@ -56,6 +58,7 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
         steps: root.get_or("steps", base.steps, above_zero)?,
         log_every: root.get_or("log_every", base.log_every, above_zero)?,
         average: root.get_or("average", base.average, decay)?,
+        normalisation: root.get_or("normalisation", base.normalisation, normalisation)?,
         init: root.get_or("init", base.init, files)?,
         network: root.get_or("network", base.network, network)?,
         pools: root.get_or("pool", base.pools, |n| n.items()?.iter().map(pool).collect())?,
@@ -240,6 +243,14 @@ fn optimizer(node: &Node<'_>) -> Result<AdamWOptions> {
         clip: node.get_or("clip", base.clip, positive)?,
     };
     Ok(AdamWOptions { rate: node.get_or("rate", rate, positive)?, settings })
+}
+
+fn normalisation(node: &Node<'_>) -> Result<Normalisation> {
+    match node.text()? {
+        "component" => Ok(Normalisation::Component),
+        "cloth" => Ok(Normalisation::Cloth),
+        _ => Err(node.invalid(r#""component" or "cloth""#)),
+    }
 }
 
 fn schedule(node: &Node<'_>) -> Result<RateSchedule> {

@@ -7,7 +7,7 @@ use super::{
 use crate::Result;
 use crate::cpu::cloth::{GradientRows, Trial, energy, gradient};
 use crate::cpu::operator::{Network, Stage};
-use crate::cpu::optim::{Hidden, Minimizer, Update};
+use crate::cpu::optim::{Hidden, Minimizer, Normalisation, Update};
 use crate::cpu::train::{AdamW, AdamWSettings, Loss};
 use crate::cpu::{Real, Solver};
 use crate::network::Weights;
@@ -111,7 +111,7 @@ impl<T: Real> Stages for CpuStages<T> {
         };
         let mut gradient = vec![T::zero(); weights.parameter_count()];
         let share = 1.0 / batch as f64;
-        let outcomes = Loss::<T>::new(weights, &model)?.step(
+        let outcomes = Loss::<T>::new(weights, &model, Normalisation::Component)?.step(
             (&state, &control),
             (&mut cast(&case.a), &mut hidden),
             share,

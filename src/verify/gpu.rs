@@ -5,6 +5,7 @@ use super::{
     TrainingOutput, UpdateCase,
 };
 use crate::Result;
+use crate::cpu::optim::Normalisation;
 use crate::cpu::train::AdamWSettings;
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, Physics, energy, gradient};
@@ -177,7 +178,13 @@ impl Stages for GpuStages {
             let parameters = Parameters::new(context, weights, &self.tuning)?;
             let gradient = Tensor::zeros(context, "gradient", parameters.flat.shape())?;
             let shape = (case.grid, model.batch());
-            let loss = DeviceLoss::new(context, shape, &parameters, &gradient, &self.tuning)?;
+            let loss = DeviceLoss::new(
+                context,
+                shape,
+                &parameters,
+                (&gradient, Normalisation::Component),
+                &self.tuning,
+            )?;
             let transposed = Transposed::new(context, &parameters)?;
             transposed.push(&mut schedule);
             loss.push(&mut schedule, &transposed)?;

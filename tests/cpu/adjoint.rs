@@ -3,7 +3,7 @@
 
 use crate::noise::noise;
 use fnopt::cpu::operator::{Adjoint, LaidOut, Network, Spectral, Transform};
-use fnopt::cpu::optim::{Hidden, UpdateAdjoint};
+use fnopt::cpu::optim::{Hidden, Normalisation, UpdateAdjoint};
 use fnopt::network::{Config, Weights};
 use fnopt::sim::Grid;
 
@@ -177,31 +177,52 @@ fn the_adjoint_product_is_the_conjugate_transpose() {
     assert!((left - right).abs() < 1e-10 * left.abs(), "{left} and {right}");
 }
 
-/// Every cloth weighs the same whatever the size of its cotangents, and one in equilibrium weighs nothing.
-#[test]
-fn cotangents_of_the_update_rule_are_normalised_sample_by_sample() {
+/// The gradient over the weights of as many equal samples as there are sizes of cotangents.
+fn gradient_of_samples(sizes: &[f32], normalisation: Normalisation) -> Vec<f64> {
     let Case { config, grid, .. } = cases()[0];
     let (weights, n) = (weights(config, 6), grid.particles());
     let single = |values: Vec<f64>| values.into_iter().map(|v| v as f32).collect::<Vec<f32>>();
     let (grad, adj_step) = (single(noise(n, 7)), single(noise(n, 8)));
     let norm = grad.iter().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
-    // The gradient over the weights of as many equal samples as there are sizes of cotangents.
-    let gradient = |sizes: &[f32]| {
-        let count = sizes.len();
-        let mut rule = UpdateAdjoint::<f32>::new(&weights, grid, count).unwrap();
-        let zeros = || vec![0.0; count * n];
-        let mut hidden = Hidden { last_grad: zeros(), last_step: zeros(), scale: vec![0.05; count] };
-        rule.forward((&grad.repeat(count), &vec![norm; count]), &mut hidden, &mut zeros());
-        let adj_steps: Vec<f32> =
-            sizes.iter().flat_map(|size| adj_step.iter().map(move |a| size * a)).collect();
-        let mut gradient = vec![0f32; weights.parameter_count()];
-        rule.backward(&adj_steps, &hidden, &mut gradient);
-        gradient.into_iter().map(f64::from).collect::<Vec<_>>()
-    };
+    let count = sizes.len();
+    let mut rule = UpdateAdjoint::<f32>::new(&weights, (grid, count), normalisation).unwrap();
+    let zeros = || vec![0.0; count * n];
+    let mut hidden = Hidden { last_grad: zeros(), last_step: zeros(), scale: vec![0.05; count] };
+    rule.forward((&grad.repeat(count), &vec![norm; count]), &mut hidden, &mut zeros());
+    let adj_steps: Vec<f32> = sizes.iter().flat_map(|size| adj_step.iter().map(move |a| size * a)).collect();
+    let mut gradient = vec![0f32; weights.parameter_count()];
+    rule.backward(&adj_steps, &hidden, &mut gradient);
+    gradient.into_iter().map(f64::from).collect()
+}
+
+/// That a gradient is so many times another.
+fn assert_times(found: &[f64], times: f64, one: &[f64], what: &str) {
+    let apart: Vec<f64> = found.iter().zip(one).map(|(a, b)| a - times * b).collect();
+    assert!(dot(&apart, &apart).sqrt() <= 1e-5 * times * dot(one, one).sqrt(), "{what}");
+}
+
+/// Every component of every cloth weighs the same whatever the size of its cotangents, and one in equilibrium weighs nothing.
+#[test]
+fn cotangents_of_the_update_rule_are_normalised_sample_by_sample() {
+    let gradient = |sizes: &[f32]| gradient_of_samples(sizes, Normalisation::Component);
     let one = gradient(&[1.0]);
     assert!(dot(&one, &one) > 0.0);
     for sizes in [&[1e6][..], &[1e-30], &[1.0, 0.0], &[0.0, 1.0]] {
-        let apart: Vec<f64> = gradient(sizes).iter().zip(&one).map(|(a, b)| a - b).collect();
-        assert!(dot(&apart, &apart).sqrt() < 1e-5 * dot(&one, &one).sqrt(), "{sizes:?}");
+        assert_times(&gradient(sizes), 1.0, &one, &format!("{sizes:?}"));
     }
+}
+
+/// Every cloth weighs the same whatever the size of its cotangents, and a component what it has of them.
+#[test]
+fn cotangents_of_the_update_rule_are_normalised_cloth_by_cloth() {
+    let gradient = |sizes: &[f32]| gradient_of_samples(sizes, Normalisation::Cloth);
+    let one = gradient_of_samples(&[1.0], Normalisation::Component);
+    // Divided by the root mean square of the three sizes; the sum of what is left is what equal samples add up to.
+    for sizes in [[1.0, 1.0, 1.0], [3.0, 2.0, 1.0], [2e-9, 1e-9, 0.0], [0.0, 0.0, 1e6], [0.0; 3]] {
+        let mean_square = sizes.iter().map(|s| f64::from(s * s)).sum::<f64>() / 3.0;
+        let times = sizes.iter().map(|&s| f64::from(s)).sum::<f64>() / mean_square.sqrt().max(1e-40);
+        assert_times(&gradient(&sizes), times, &one, &format!("{sizes:?}"));
+    }
+    let both = gradient(&[3.0, 2.0, 1.0, 5e4, 0.0, 0.0]);
+    assert_times(&both, 6.0 / (14.0f64 / 3.0).sqrt() + 3f64.sqrt(), &one, "two cloths");
 }

@@ -1,6 +1,7 @@
 //! Training on the device: against the CPU path step by step, and to the same bits again.
 
 use crate::common::{context, device, half};
+use fnopt::cpu::optim::Normalisation;
 use fnopt::sim::Device;
 use fnopt::train::{Alone, Config, Learner, Limits, Pool, Run, Update, first_weights, learner};
 use std::ops::ControlFlow;
@@ -41,8 +42,11 @@ fn config() -> Config {
 }
 
 fn on(device: &Device) -> Box<dyn Learner> {
-    let config = config();
-    learner(device, &config, &first_weights(&config, &Alone).unwrap()).unwrap()
+    of(&config(), device)
+}
+
+fn of(config: &Config, device: &Device) -> Box<dyn Learner> {
+    learner(device, config, &first_weights(config, &Alone).unwrap()).unwrap()
 }
 
 fn gpu() -> Device {
@@ -52,13 +56,18 @@ fn gpu() -> Device {
 #[test]
 fn steps_are_those_of_the_cpu() {
     let _turn = device();
-    let config = config();
-    let mut learners = [on(&Device::Cpu), on(&gpu())];
+    for normalisation in [Normalisation::Component, Normalisation::Cloth] {
+        compare_steps(&Config { normalisation, ..config() });
+    }
+}
+
+fn compare_steps(config: &Config) {
+    let mut learners = [of(config, &Device::Cpu), of(config, &gpu())];
     let pool = |(index, pool): (usize, &fnopt::train::PoolConfig)| {
         Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset))
     };
     let mut pools: Vec<Pool> = config.pools.iter().enumerate().map(pool).collect();
-    let count = first_weights(&config, &Alone).unwrap().parameter_count();
+    let count = first_weights(config, &Alone).unwrap().parameter_count();
     let distance =
         |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt();
     let (mut begun, mut advanced) = (0, 0);

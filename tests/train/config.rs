@@ -1,5 +1,6 @@
 //! Configurations: what they mean, and how bad ones are refused.
 
+use fnopt::cpu::optim::Normalisation;
 use fnopt::train::{Alone, Config, Decay, Every, PoolConfig, first_weights, initial_weights};
 use proptest::prelude::*;
 use std::path::Path;
@@ -26,6 +27,7 @@ fn every_field_can_be_set() {
         steps = 70
         log_every = 5
         average = 0.9
+        normalisation = "cloth"
         notes = "A try."
         init = "given.safetensors"
         checkpoint = { every = { steps = 7 } }
@@ -55,6 +57,10 @@ fn every_field_can_be_set() {
     )
     .unwrap();
     assert_eq!((config.seed, config.steps, config.log_every, config.average), (9, 70, 5, 0.9));
+    assert_eq!(
+        (config.normalisation, Config::default().normalisation),
+        (Normalisation::Cloth, Normalisation::Component)
+    );
     assert_eq!(config.notes, "A try.");
     assert_eq!(config.init, [Path::new("runs/given.safetensors")]);
     let several = parse("init = ['a.safetensors', '../b.safetensors']").unwrap();
@@ -97,6 +103,7 @@ fn bad_configurations_are_refused_by_field() {
         ("[motion]\nmoving = 1.5", &["motion.moving", "0 to 1"]),
         ("[motion]\ndamping = -0.1", &["motion.damping", "0 to 1"]),
         ("average = 1", &["average", "below 1"]),
+        ("normalisation = 'cloths'", &["normalisation", "\"component\" or \"cloth\"", "cloths"]),
         ("init = 3", &["init", "text"]),
         ("init = ['a', 3]", &["init[1]", "text"]),
         ("steps = 0", &["steps", "1 or more"]),

@@ -13,22 +13,60 @@ use rayon::prelude::*;
 /// Bound of a normalised cotangent.
 const CLAMP: f64 = 10.0;
 
+/// What training divides the cotangents of a step by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Normalisation {
+    /// Each component's by its own norm: every component of every cloth weighs the same (the authors' rule).
+    #[default]
+    Component,
+    /// Each component's by the root mean square of the norms of its cloth's three: every cloth weighs the same, and a component
+    /// as much as it has of the cloth's gradient.
+    Cloth,
+}
+
+impl Normalisation {
+    /// Samples that one norm is of.
+    pub fn samples(self) -> usize {
+        match self {
+            Self::Component => 1,
+            Self::Cloth => 3,
+        }
+    }
+}
+
 /// The update rule for a number of samples on one grid, forward and backward. The memory is the caller's.
 pub struct UpdateAdjoint<T: Real> {
     network: Adjoint<T>,
+    normalisation: Normalisation,
     /// Normalised gradient, last gradient and last step, shape [S, 3, H, W].
     input: Vec<T>,
     adj_field: Vec<T>,
     adj_scalar: Vec<T>,
+    /// Of each sample, before they are normalised: the norm of the cotangent of tanh(field), and that of the scale's exponent.
+    sizes: Vec<[f64; 2]>,
 }
 
 impl<T: Real> UpdateAdjoint<T> {
     /// The update rule of a network; an error if the grid is too small for the kept modes.
-    pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
+    ///
+    /// Panics when the number of samples is none of whole cloths and the normalisation one over cloths.
+    pub fn new(
+        weights: &Weights,
+        (grid, samples): (Grid, usize),
+        normalisation: Normalisation,
+    ) -> Result<Self> {
+        assert_eq!(samples % normalisation.samples(), 0, "whole cloths");
         let zeros = |n| vec![T::zero(); n];
         let len = samples * grid.particles();
-        let network = Adjoint::new(weights, grid, samples)?;
-        Ok(Self { network, input: zeros(3 * len), adj_field: zeros(len), adj_scalar: zeros(samples) })
+        Ok(Self {
+            network: Adjoint::new(weights, grid, samples)?,
+            normalisation,
+            input: zeros(3 * len),
+            adj_field: zeros(len),
+            adj_scalar: zeros(samples),
+            sizes: vec![[0.0; 2]; samples],
+        })
     }
 
     /// Takes other weights of the same sizes.
@@ -46,34 +84,40 @@ impl<T: Real> UpdateAdjoint<T> {
     /// Adds the gradient over all weights to `gradient`, for the cotangents `adj_step` [S, H, W] of the last step, which
     /// `hidden` still remembers.
     ///
-    /// On the way back the cotangent of `tanh(field)` and that of `2 tanh(scalar / 2) - 1` are divided by their own norm,
-    /// sample by sample, and clamped: every cloth weighs the same, whatever its energies are (the authors' rule; no true
-    /// adjoint).
+    /// On the way back the cotangent of `tanh(field)` and that of `2 tanh(scalar / 2) - 1` are each divided by a norm, as the
+    /// [`Normalisation`] has it, and clamped: every cloth weighs the same, whatever its energies are (the authors' rule; no
+    /// true adjoint).
     pub fn backward(&mut self, adj_step: &[T], hidden: &Hidden<T>, gradient: &mut [T]) {
         let n = adj_step.len() / hidden.scale.len();
-        let samples = self.adj_field.par_chunks_exact_mut(n).zip(&mut self.adj_scalar);
-        let outputs = self.network.field().par_chunks_exact(n).zip(self.network.scalar());
-        let steps = adj_step.par_chunks_exact(n).zip(&hidden.scale);
-        samples.zip(outputs).zip(steps).for_each(
-            |(((adj_field, adj_scalar), (field, scalar)), (adj_step, &scale))| {
-                // tanh(field) here, its cotangent below.
-                adj_field.copy_from_slice(field);
-                T::squash(adj_field, T::one(), T::one());
-                let product = |(&u, &adj): (&T, &T)| u.f64() * adj.f64();
-                let adj_scale: f64 = adj_field.iter().zip(adj_step).map(product).sum();
-                let adj_exponent = adj_scale * scale.f64();
-                let adj_exponent = (adj_exponent / adj_exponent.abs().max(NORM_FLOOR)).clamp(-CLAMP, CLAMP);
-                let tanh = (scalar.f64() / 2.0).tanh();
-                *adj_scalar = T::of(adj_exponent * (1.0 - tanh * tanh));
-                let norm = (scale.f64() * norm(adj_step)).max(NORM_FLOOR);
-                // A cloth in equilibrium has cotangents near 0: the factor stays finite, so that 0 times it is 0.
-                let factor = scale.f64() / norm;
-                for (u, &adj) in adj_field.iter_mut().zip(adj_step) {
-                    let adj = T::of((adj.f64() * factor).clamp(-CLAMP, CLAMP));
-                    *u = adj * (T::one() - *u * *u);
-                }
-            },
-        );
+        let steps = || adj_step.par_chunks_exact(n).zip(&hidden.scale);
+        let fields = self.adj_field.par_chunks_exact_mut(n).zip(self.network.field().par_chunks_exact(n));
+        fields.zip(&mut self.sizes).zip(steps()).for_each(|(((tanh, field), sizes), (adj_step, &scale))| {
+            tanh.copy_from_slice(field);
+            T::squash(tanh, T::one(), T::one());
+            let product = |(&u, &adj): (&T, &T)| u.f64() * adj.f64();
+            let adj_scale: f64 = tanh.iter().zip(adj_step).map(product).sum();
+            *sizes = [norm(adj_step), adj_scale].map(|size| size * scale.f64());
+        });
+        let together = self.normalisation.samples();
+        let cotangents = self.adj_field.par_chunks_exact_mut(n).zip(&mut self.adj_scalar);
+        let each = cotangents.zip(self.network.scalar()).zip(steps()).enumerate();
+        each.for_each(|(sample, (((field, adj_scalar), scalar), (adj_step, &scale)))| {
+            let cloth = &self.sizes[sample / together * together..][..together];
+            let norms = [0, 1].map(|k| {
+                let squares: f64 = cloth.iter().map(|sizes| sizes[k] * sizes[k]).sum();
+                (squares / together as f64).sqrt().max(NORM_FLOOR)
+            });
+            let adj_exponent = (self.sizes[sample][1] / norms[1]).clamp(-CLAMP, CLAMP);
+            let tanh = (scalar.f64() / 2.0).tanh();
+            *adj_scalar = T::of(adj_exponent * (1.0 - tanh * tanh));
+            // A cloth in equilibrium has cotangents near 0: the factor stays finite, so that 0 times it is 0.
+            let factor = scale.f64() / norms[0];
+            // tanh(field) gives way to its cotangent's.
+            for (u, &adj) in field.iter_mut().zip(adj_step) {
+                let adj = T::of((adj.f64() * factor).clamp(-CLAMP, CLAMP));
+                *u = adj * (T::one() - *u * *u);
+            }
+        });
         self.network.backward(&self.input, (&self.adj_field, &self.adj_scalar), gradient);
     }
 }

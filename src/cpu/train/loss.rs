@@ -3,7 +3,7 @@
 
 use crate::Result;
 use crate::cpu::operator::LaidOut;
-use crate::cpu::optim::{Hidden, UpdateAdjoint};
+use crate::cpu::optim::{Hidden, Normalisation, UpdateAdjoint};
 use crate::cpu::{Objective, Real};
 use crate::network::Weights;
 use crate::sim::{Control, EnergyTerms, Model, State};
@@ -26,9 +26,9 @@ pub struct Outcome {
 
 impl<T: Real> Loss<T> {
     /// For batches like `model`; an error if the grid is too small for the kept modes.
-    pub fn new(weights: &Weights, model: &Model) -> Result<Self> {
+    pub fn new(weights: &Weights, model: &Model, normalisation: Normalisation) -> Result<Self> {
         let objective = Objective::new(model);
-        let update = UpdateAdjoint::new(weights, model.grid, 3 * model.batch())?;
+        let update = UpdateAdjoint::new(weights, (model.grid, 3 * model.batch()), normalisation)?;
         let adj_step = vec![T::zero(); objective.grad().len()];
         Ok(Self { objective, update, adj_step })
     }

@@ -1,6 +1,7 @@
 //! Host side of `shaders/optim/update_adj.wgsl`.
 
 use crate::Result;
+use crate::cpu::optim::Normalisation;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 use crate::sim::Grid;
@@ -25,16 +26,20 @@ struct Params {
 #[derive(Clone, Debug)]
 pub struct UpdateAdj {
     kernel: Kernel,
+    /// Samples that one norm is of.
+    together: usize,
 }
 
 impl UpdateAdj {
     /// Makes it.
-    pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    pub fn new(context: &Context, normalisation: Normalisation) -> Result<Self> {
+        let together = normalisation.samples();
+        let kernel = Kernel::new(context, &SOURCE, 0, &[("TOGETHER", together as f64)])?;
+        Ok(Self { kernel, together })
     }
 
-    /// Sets the cotangents of field and scalar of the step that was made, for `share` times the gradient `grad` [S, n] where it
-    /// led.
+    /// Sets the cotangents of field and scalar of the step that was made, normalised, for `share` times the gradient `grad`
+    /// [S, n] where it led.
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -47,6 +52,7 @@ impl UpdateAdj {
         assert_eq!(adj_field.shape(), [samples, h, w]);
         assert_eq!((h, grad.len()), (grid.h, samples * grid.particles()));
         assert_eq!([scalar.len(), scale.len(), adj_scalar.len()], [samples; 3]);
+        assert_eq!(samples % self.together, 0, "whole cloths");
         let params = Params { rows: size(h), columns: size(grid.w), stride: size(w), share };
         let tensors = [field, scalar, scale, grad, adj_field, adj_scalar];
         schedule.dispatch(&self.kernel, &params, &tensors, [size(samples), 1, 1]);

@@ -3,13 +3,19 @@
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, noise, pad, poisoned, read, run, tensor,
 };
+use fnopt::cpu::optim::Normalisation;
 use fnopt::kernels::optim::{UpdateAdj, UpdateAdjTensors};
 use fnopt::kernels::padded;
 
 #[test]
 fn normalised_cotangents_match() {
     let _turn = device();
-    let kernel = UpdateAdj::new(context()).unwrap();
+    matches(Normalisation::Component);
+    matches(Normalisation::Cloth);
+}
+
+fn matches(normalisation: Normalisation) {
+    let kernel = UpdateAdj::new(context(), normalisation).unwrap();
     for (grid, batch) in cases() {
         let (samples, n) = (3 * batch, grid.particles());
         let field: Vec<f32> = noise(samples * n, 121).iter().map(|v| 3.0 * v).collect();
@@ -21,17 +27,25 @@ fn normalised_cotangents_match() {
         grad[n + n / 2] = -7.0;
         grad[2 * n..3 * n].fill(0.0);
         let share = 0.25;
+        let row = |v: &[f32], s: usize| v[s * n..][..n].iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
+        let tanh = |s: usize| row(&field, s).iter().map(|f| f.tanh()).collect::<Vec<_>>();
+        let pace = |s: usize| f64::from(share) * f64::from(scale[s]);
+        // Cotangent of the exponent, and norm of that of tanh(field).
+        let along = |s: usize| pace(s) * tanh(s).iter().zip(row(&grad, s)).map(|(u, g)| u * g).sum::<f64>();
+        let norm = |s: usize| pace(s) * row(&grad, s).iter().map(|g| g * g).sum::<f64>().sqrt();
+        let together = normalisation.samples();
+        let shared = |s: usize, size: &dyn Fn(usize) -> f64| {
+            let begin = s / together * together;
+            let squares: f64 = (begin..begin + together).map(|s| size(s).powi(2)).sum();
+            (squares / together as f64).sqrt().max(1e-40)
+        };
         let (mut adj_field, mut adj_scalar) = (Vec::new(), Vec::new());
-        for s in 0..samples {
-            let row = |v: &[f32]| v[s * n..][..n].iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
-            let (u, g) = (row(&field).iter().map(|f| f.tanh()).collect::<Vec<_>>(), row(&grad));
-            let pace = f64::from(share) * f64::from(scale[s]);
-            let along: f64 = pace * u.iter().zip(&g).map(|(u, g)| u * g).sum::<f64>();
-            let tanh = (f64::from(scalar[s]) / 2.0).tanh();
-            adj_scalar.push((along / along.abs().max(1e-40)).clamp(-10.0, 10.0) * (1.0 - tanh * tanh));
-            let norm = pace * g.iter().map(|g| g * g).sum::<f64>().sqrt();
-            let back = |(u, g): (&f64, &f64)| (pace * g / norm.max(1e-40)).clamp(-10.0, 10.0) * (1.0 - u * u);
-            adj_field.extend(u.iter().zip(&g).map(back));
+        for (s, &scalar) in scalar.iter().enumerate() {
+            let half = (f64::from(scalar) / 2.0).tanh();
+            adj_scalar.push((along(s) / shared(s, &along)).clamp(-10.0, 10.0) * (1.0 - half * half));
+            let norm = shared(s, &norm);
+            let back = |(u, g): (f64, f64)| (pace(s) * g / norm).clamp(-10.0, 10.0) * (1.0 - u * u);
+            adj_field.extend(tanh(s).into_iter().zip(row(&grad, s)).map(back));
         }
         let field = tensor("field", &[1, samples, grid.h, padded(grid.w)], &pad(&field, grid, f32::NAN));
         let [scalar, scale] = [&scalar, &scale].map(|v| tensor("samples", &[samples], v));
@@ -40,7 +54,7 @@ fn normalised_cotangents_match() {
         let to_scalar = poisoned("adj_scalar", &[samples]);
         let from = UpdateAdjTensors { field: &field, scalar: &scalar, scale: &scale, grad: &grad };
         run(|schedule| kernel.push(schedule, grid, (from, share), (&to_field, &to_scalar)));
-        let what = format!("update_adj {batch} x {grid}");
+        let what = format!("update_adj {batch} x {grid}, {normalisation:?}");
         let found = read(&to_field);
         let dense: Vec<f32> =
             found.chunks_exact(padded(grid.w)).flat_map(|row| &row[..grid.w]).copied().collect();
