@@ -9,6 +9,7 @@ use crate::cpu::Track;
 use crate::io::Trajectory;
 use crate::scene::{BuiltIn, Handles, Motion, Placement, Scene, Setup, Start, Stiffness};
 use crate::sim::{Device, Grid, Material, Optimizer};
+use crate::statistics::median;
 use crate::{Error, Result};
 use std::cell::OnceCell;
 use std::ops::ControlFlow;
@@ -73,6 +74,11 @@ impl CaseScore {
     /// Keeps the score as JSON.
     pub fn write(&self, path: &Path) -> Result<()> {
         keep(path, self)
+    }
+
+    /// The energy gap where it was asked for; infinite where it is no number.
+    fn measured_gap(&self) -> Option<f64> {
+        (self.made_with.settings["gap"] == true).then(|| self.gap.unwrap_or(f64::INFINITY))
     }
 
     /// Whether the rollout was sound: finite, and no edge away from a handle beyond [`STRETCH_LIMIT`].
@@ -243,35 +249,71 @@ impl<'a> Prepared<'a> {
     }
 }
 
-/// The scores of a suite as a table.
+/// The scores of a suite as a table: a row for each case, then one for all cases that share a grid and a number of iterations, with
+/// how many were sound, the largest stretch of all, and the medians of the energy gap and the time.
 pub fn table(title: &str, scores: &[CaseScore]) -> Table {
-    let cell = |text: String| Cell { text, best: false };
-    let row = |s: &CaseScore| {
-        let sound = if !s.finite {
-            "diverged"
-        } else if s.sound() {
-            "yes"
-        } else {
-            "stretched"
-        };
-        let cells = [
-            s.grid.clone(),
-            Some(s.iterations).filter(|&n| n > 0).map_or_else(String::new, |n| n.to_string()),
-            sound.to_owned(),
-            format!("{:.1}", 100.0 * s.stretch_largest),
-            match s.gap {
-                Some(gap) => format!("{:.2}", 100.0 * gap),
-                None if s.made_with.settings["gap"] == true => DIVERGED.to_owned(),
-                None => String::new(),
-            },
-            s.ms_per_frame.map_or_else(String::new, |ms| format!("{ms:.1}")),
-        ];
-        (s.case.clone(), cells.map(cell).to_vec())
-    };
     let columns = ["case", "grid", "N", "sound", "largest stretch [%]", "energy gap [%]", "ms/frame"];
+    let mut groups: Vec<Vec<&CaseScore>> = Vec::new();
+    for score in scores {
+        let same = |group: &&mut Vec<&CaseScore>| {
+            (&group[0].grid, group[0].iterations) == (&score.grid, score.iterations)
+        };
+        match groups.iter_mut().find(same) {
+            Some(group) => group.push(score),
+            None => groups.push(vec![score]),
+        }
+    }
+    groups.retain(|group| group.len() > 1);
     Table {
         title: title.to_owned(),
         columns: columns.map(str::to_owned).to_vec(),
-        rows: scores.iter().map(row).collect(),
+        rows: scores.iter().map(case_row).chain(groups.iter().map(|group| row_of_all(group))).collect(),
     }
+}
+
+fn case_row(score: &CaseScore) -> (String, Vec<Cell>) {
+    let sound = if !score.finite {
+        "diverged"
+    } else if score.sound() {
+        "yes"
+    } else {
+        "stretched"
+    };
+    let figures = [Some(score.stretch_largest), score.measured_gap(), score.ms_per_frame];
+    row(score.case.clone(), score, sound.to_owned(), figures)
+}
+
+fn row_of_all(scores: &[&CaseScore]) -> (String, Vec<Cell>) {
+    let sound = scores.iter().filter(|score| score.sound()).count();
+    let largest = scores.iter().map(|score| score.stretch_largest).fold(0.0, f64::max);
+    let figures: [fn(&CaseScore) -> Option<f64>; 2] = [CaseScore::measured_gap, |score| score.ms_per_frame];
+    // None where a case has none.
+    let [gap, ms] = figures.map(|figure| {
+        let all: Option<Vec<f64>> = scores.iter().map(|score| figure(score)).collect();
+        all.map(|all| median(&all))
+    });
+    let name = format!("all {}", scores.len());
+    row(name, scores[0], format!("{sound} of {}", scores.len()), [Some(largest), gap, ms])
+}
+
+/// A row with the largest stretch, the energy gap and the time of a frame; grid and iterations are those of `like`.
+fn row(
+    name: String,
+    like: &CaseScore,
+    sound: String,
+    [stretch, gap, ms]: [Option<f64>; 3],
+) -> (String, Vec<Cell>) {
+    let percent = |share: f64, digits: usize| match share.is_finite() {
+        true => format!("{:.digits$}", 100.0 * share),
+        false => DIVERGED.to_owned(),
+    };
+    let cells = [
+        like.grid.clone(),
+        Some(like.iterations).filter(|&n| n > 0).map_or_else(String::new, |n| n.to_string()),
+        sound,
+        stretch.map_or_else(String::new, |stretch| percent(stretch, 1)),
+        gap.map_or_else(String::new, |gap| percent(gap, 2)),
+        ms.map_or_else(String::new, |ms| format!("{ms:.1}")),
+    ];
+    (name, cells.map(|text| Cell { text, best: false }).to_vec())
 }

@@ -8,4 +8,5 @@ mod noise;
 mod repeats;
 mod scores;
 mod sequences;
+mod suite;
 mod tables;
