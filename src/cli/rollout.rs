@@ -321,7 +321,7 @@ impl Run<'_> {
             let written: Vec<_> = written.iter().map(|path| path.display().to_string()).collect();
             let summary = serde_json::json!({
                 "device": self.device, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
-                "energy": energy, "gradient": gradient, "largest_stretch": stretch, "written": written,
+                "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch, "written": written,
             });
             writeln!(out, "{summary:#}")?;
             return Ok(());

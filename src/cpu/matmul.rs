@@ -45,7 +45,7 @@ pub(crate) enum Start<'a, T> {
     Target,
 }
 
-/// `out[m, n] = start\[n\] + sum over terms and k of a[m, k] b[k, n]`, summed in this order whatever the threads do.
+/// `out[m, n] = start[n] + sum over terms and k of a[m, k] b[k, n]`, summed in this order whatever the threads do.
 pub(crate) fn product<T: Real>(target: Target<'_, T>, terms: &[Term<'_, T>]) {
     assert!(target.columns.is_multiple_of(LANES), "columns come in multiples of the register width");
     pulp::Arch::new().dispatch(Product { target, terms });
@@ -56,12 +56,12 @@ pub(crate) fn weighted_rows<T: Real>(out: &mut [T], start: T, a: &[T], weight: &
     pulp::Arch::new().dispatch(WeightedRows { out, start, a, weight });
 }
 
-/// `sums\[n\] += sum over m of rows[m, n]`, rows of `sums.len()` numbers, a multiple of [`LANES`].
+/// `sums[n] += sum over m of rows[m, n]`, rows of `sums.len()` numbers, a multiple of [`LANES`].
 pub(crate) fn add_rows<T: Real>(sums: &mut [T], rows: &[T]) {
     pulp::Arch::new().dispatch(AddRows { sums, rows });
 }
 
-/// `largest\[n\] = max(largest\[n\], rows[m, n])` over all rows, each of `largest.len()` numbers.
+/// `largest[n] = max(largest[n], rows[m, n])` over all rows, each of `largest.len()` numbers.
 pub(crate) fn largest_rows<T: Real>(largest: &mut [T], rows: &[T]) {
     pulp::Arch::new().dispatch(LargestRows { largest, rows });
 }

@@ -231,13 +231,8 @@ pub fn run(
         // Those of another grid's cloth would say nothing.
         if own == grid {
             score.energy = Some(mean(&|s| s.energy.total()));
-            score.energy_terms = Some(EnergyTerms {
-                stretch: mean(&|s| s.energy.stretch),
-                shear: mean(&|s| s.energy.shear),
-                bend: mean(&|s| s.energy.bend),
-                inertia: mean(&|s| s.energy.inertia),
-                external: mean(&|s| s.energy.external),
-            });
+            let term = |k: usize| mean(&|s| s.energy.to_array()[k]);
+            score.energy_terms = Some(EnergyTerms::from_array([0, 1, 2, 3, 4].map(term)));
             score.gradient = Some(mean(&|s| s.gradient_last));
             score.stretch_largest = Some(simulated.stretch_largest);
             score.stretch_mean = Some(mean(&|s| s.stretch_mean));

@@ -1,7 +1,8 @@
 //! A device and its queue, the caller's or a headless one of our own.
 
 use super::cache::PipelineCache;
-use super::kernel::{Kernels, LANES};
+use super::kernel::Kernels;
+use super::template::LANES;
 use super::{Sharing, Storage};
 use crate::kernels::Tuning;
 use crate::{Error, Result};

@@ -1,25 +1,11 @@
 //! WGSL entry points.
 
 use super::context::WORKGROUPS;
-use super::{Context, Storage};
+use super::{Context, Source, Storage, Unroll};
 use crate::{Error, Result};
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
-
-/// The WGSL text of one kernel: the file itself, then the shared functions it calls.
-///
-/// Shared text is appended, so that line numbers in messages are those of the kernel's file.
-#[derive(Clone, Copy, Debug)]
-pub struct Source {
-    /// Stem of the file and name of the entry point.
-    pub name: &'static str,
-    /// Text of the file.
-    pub wgsl: &'static str,
-    /// Texts of files that hold only functions and constants (`shaders/common`), or what goes with the kernel's bindings
-    /// (`shaders/pieces`).
-    pub appended: &'static [&'static str],
-}
 
 /// A resource of group 0, read off the WGSL.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -34,130 +20,7 @@ pub struct Binding {
     pub storage: Storage,
 }
 
-/// How a kernel's text is made from its file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Unroll {
-    /// Channels of an invocation's outputs; 0 where it has no tile of them.
-    pub tile: usize,
-    /// Places that it has all of them at.
-    pub span: usize,
-    /// Copies of the lines that are written once for each output of another kind, in kernels that have two.
-    pub second: usize,
-    /// How operands are read whose address is the same for all invocations of a subgroup.
-    pub sharing: Sharing,
-    /// What `StoredQuad` and `StoredPair` are made of; that of the context when a kernel is made.
-    pub storage: Storage,
-}
-
-impl From<usize> for Unroll {
-    fn from(tile: usize) -> Self {
-        Self { tile, span: 1, second: 1, sharing: Sharing::Loads, storage: Storage::F32 }
-    }
-}
-
-/// How operands are read whose address is the same for all invocations of a subgroup.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Sharing {
-    /// Every invocation loads them: hardware serves equal addresses at once.
-    Loads,
-    /// Eight invocations load one of eight each and pass them on ([`wgpu::Features::SUBGROUP`]; subgroups of exactly
-    /// eight): software drivers load lane by lane, so that this is an eighth of the loads.
-    Broadcast,
-}
-
-/// What stands for the number of a copy in lines that are written several times: the first of them that a line has tells how often.
-const COPIES: [&str; 5] = ["$c", "$q", "$x", "$k", "$8"];
-
-/// Lanes that [`Sharing::Broadcast`] spreads loads over, all of a subgroup.
-pub(super) const LANES: usize = 8;
-
 impl Source {
-    /// The whole text, unrolled: a line with `$c` is written once for each output, with `$o` for its channel in the tile, `$q` for the
-    /// quad of channels that belongs to, `$e` for its element there, and `$x` for the output's place; a line with `$q` alone once a
-    /// quad, with `$x` alone once a place. `$n` stands for the size of the tile and `$m` for its number of quads. A line with `$k` is
-    /// written `$t` times, once for each of the second tile; one with `$8` eight times.
-    /// In `let v$q = $same(array[index]);` the index depends on `$q` (or another of these) and beside it on nothing that differs
-    /// within a subgroup, all of whose invocations get there; `$lane` ends the parameters of an entry point that does so.
-    ///
-    /// `StoredQuad` and `StoredPair` are four and two numbers as the network's activations and weights are stored ([`Storage`]).
-    ///
-    /// Accumulators then are named registers: neither naga nor software drivers reliably turn a private array into
-    /// registers.
-    pub fn unrolled(&self, unroll: impl Into<Unroll>) -> String {
-        let Unroll { tile, span, second, sharing, storage } = unroll.into();
-        let lane = match sharing {
-            Sharing::Loads => "",
-            Sharing::Broadcast => ", @builtin(subgroup_invocation_id) lane: u32",
-        };
-        let mut text = String::with_capacity(2 * self.wgsl.len());
-        let stores = self.wgsl.contains("StoredQuad") || self.wgsl.contains("StoredPair");
-        if stores && storage == Storage::F16 {
-            text.push_str("enable f16; ");
-        }
-        for line in self.wgsl.lines() {
-            let counts = [tile * span, tile / 4, span, second, 8];
-            let count =
-                COPIES.iter().zip(counts).find(|(of, _)| line.contains(*of)).map_or(1, |found| found.1);
-            // The kernel's first copy stays on the line it has in the file; the others share that line.
-            let copies: Vec<String> = match line.split_once("$same(") {
-                Some((target, operand)) => self.shared(target, operand, count, sharing),
-                None => vec![line.to_owned(); count],
-            };
-            let copies = copies.iter().enumerate().map(|(c, copy)| {
-                let copy = if line.contains("$c") {
-                    let (channel, place) = (c / span, c % span);
-                    let (quad, element) = (channel / 4, ["x", "y", "z", "w"][channel % 4]);
-                    let of_channel =
-                        copy.replace("$o", &channel.to_string()).replace("$x", &place.to_string());
-                    of_channel.replace("$q", &quad.to_string()).replace("$e", element)
-                } else {
-                    copy.to_owned()
-                };
-                COPIES.iter().fold(copy, |copy, of| copy.replace(of, &c.to_string()))
-            });
-            let line = copies.collect::<Vec<_>>().join(" ");
-            let line = line.replace("$n", &format!("{tile}u")).replace("$m", &format!("{}u", tile / 4));
-            let line = line.replace("$t", &format!("{second}u"));
-            text.push_str(&line.replace("$lane", lane));
-            text.push('\n');
-        }
-        if stores {
-            let name = storage.name();
-            text.push_str(&format!("alias StoredQuad = vec4<{name}>; alias StoredPair = vec2<{name}>;\n"));
-        }
-        for part in self.appended {
-            text.push_str(part);
-        }
-        text
-    }
-
-    /// The `count` copies of `target$same(operand`, where the operand ends with `);`.
-    fn shared(&self, target: &str, operand: &str, count: usize, sharing: Sharing) -> Vec<String> {
-        let Some(operand) = operand.strip_suffix(");") else {
-            panic!("{}.wgsl: expected $same(array[index]);, found {operand}", self.name)
-        };
-        let name = target.trim_start().trim_start_matches("let ").split('$').next().unwrap_or_default();
-        let copy = |k: usize| match sharing {
-            Sharing::Loads => format!("{target}{operand};"),
-            Sharing::Broadcast => {
-                let (from, first) = (k % LANES, k - k % LANES);
-                let held = format!("{name}_held{first}");
-                let last = LANES.min(count - first) - 1;
-                let own = format!("({first}u + min(lane % {LANES}u, {last}u))");
-                let load = match from {
-                    0 => {
-                        let own = COPIES.iter().fold(operand.to_owned(), |o, of| o.replace(of, &own));
-                        format!("let {held} = {own};")
-                    }
-                    _ => String::new(),
-                };
-                format!("{load}{target}subgroupBroadcast({held}, {from}u);")
-            }
-        };
-        (0..count).map(copy).collect()
-    }
-
     /// The bindings of group 0 in order, by parsing `text` with naga.
     pub fn bindings(&self, text: &str) -> Result<Vec<Binding>> {
         Ok(self.bindings_of(&self.parsed(text)?))

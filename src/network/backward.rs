@@ -9,7 +9,7 @@ use super::{Forward, Parameters, tables};
 use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::operator::{
-    After, BlockTensors, GeluAdj, HeadWeightAdj, Inputs, Layer, Parts, PointwiseWeightAdj, PoolAdj,
+    BlockTensors, Epilogue, GeluAdj, HeadWeightAdj, Inputs, Layer, Parts, PointwiseWeightAdj, PoolAdj,
     PoolAdjTensors, ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose, pointwise::Lines,
     pointwise_weight_adj,
 };
@@ -217,7 +217,7 @@ impl Backward {
         let tensors =
             BlockTensors { x: Inputs::Stored(adj_y), r: &s.inverse, y: adj_x, made: None, rows_max: None };
         let tables = (&self.forward_rows_adj, forward.grid.w);
-        k.block(After::default()).push(schedule, &transposed.skips[block], tables, tensors);
+        k.block(Epilogue::default()).push(schedule, &transposed.skips[block], tables, tensors);
         let x = forward.activation(block);
         self.push_weights(schedule, (x, adj_y), self.all(), &self.gradient.skips[block]);
     }

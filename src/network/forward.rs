@@ -1,16 +1,18 @@
 //! The forward pass of the network as dispatches.
 
+use super::joined::Joined;
 use super::parameters::Layers;
-use super::{Config, Layout, Parameters, Weights, tables};
+use super::plan::{block_size, check_modes, epilogue};
+use super::{Config, Keep, Layout, Parameters, Plan, Weights, tables};
+use crate::Result;
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::operator::{
-    Activate, After, Block, BlockTensors, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
-    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, block, pointwise::Lines,
+    Activate, Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
+    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, pointwise::Lines,
 };
-use crate::kernels::optim::{Features, Fields, features};
-use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
+use crate::kernels::optim::{Features, Fields};
+use crate::kernels::{Tuning, padded};
 use crate::sim::Grid;
-use crate::{Error, Result};
 
 /// The network on a device, for some samples of one grid: [`Forward::embedded`] in, or what it is made of; [`Forward::field`] and
 /// [`Forward::scalar`] out.
@@ -37,7 +39,7 @@ pub struct Forward {
     /// Both layers of the lifting in one, where they are.
     lifting: Option<Lifted>,
     /// What each block does beside the linear part of its output.
-    afters: Vec<After>,
+    epilogues: Vec<Epilogue>,
     activations: Vec<Tensor>,
     /// What is before the GELU of each block but the last, shape [S, H, C, W'], and of the projection's hidden layer; only
     /// with [`Keep::Adjoint`].
@@ -48,15 +50,6 @@ pub struct Forward {
     pub(super) rows_max: Tensor,
     pub(super) layers: Layers,
     pub(super) kernels: Kernels,
-}
-
-/// What layers that are joined read, where their weights do not change.
-#[derive(Default)]
-struct Joined {
-    /// Of the last block and the last layer of the field head: where the first one changes nothing ([`Weights::folded`]).
-    head: Option<Layer>,
-    /// Of the first layer of the lifting, for a kernel of both.
-    units: Option<Tensor>,
 }
 
 /// Both layers of the lifting in one dispatch.
@@ -112,62 +105,6 @@ pub(super) struct Kernels {
     pool_rows: PoolRows,
     scalar_head: ScalarHead,
     project: Project,
-}
-
-/// What a network on a device is made for.
-#[derive(Clone, Copy, Debug)]
-pub struct Plan {
-    /// Particles of a sample.
-    pub grid: Grid,
-    /// Samples of a pass (S), three to a cloth.
-    pub samples: usize,
-    /// Tile sizes.
-    pub tuning: Tuning,
-    /// What is kept of the activations.
-    pub keep: Keep,
-}
-
-/// What is kept of the activations between the layers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Keep {
-    /// Two buffers in turn.
-    Nothing,
-    /// Every block's output, for checks.
-    Blocks,
-    /// Every block's output, what is before its GELU, and its modes: for the backward pass ([`super::Backward`]).
-    Adjoint,
-}
-
-impl Plan {
-    /// The same for as many samples in turn as activations no larger than the tuning wants and the device binds are of: whole
-    /// cloths in turns of nearly one length, or single samples where no cloth fits.
-    pub fn in_turns(&self, context: &Context, config: Config) -> Self {
-        let config = Layout::new(config, self.tuning.channels).padded();
-        let widest = config.channels.max(config.projection);
-        let cloths = self.tuning.most_samples(context, widest * self.grid.h * padded(self.grid.w)) / 3;
-        let samples = match cloths {
-            0 => 1,
-            _ => self.samples.div_ceil(self.samples.div_ceil(3 * cloths).max(1)).next_multiple_of(3),
-        };
-        Self { samples, ..*self }
-    }
-
-    /// Where the weights of such a network lie for it: in tiles of the tuning's channels, or of no more than [`CHANNEL_MULTIPLE`]
-    /// where rows fit a workgroup only then.
-    fn layout(&self, context: &Context, config: Config) -> Layout {
-        let takes_rows = |layout: &Layout| {
-            let tuning = Tuning { channels: layout.tile(), ..self.tuning };
-            Block::takes_rows(context, &tuning, &block_size(&layout.padded(), self.grid))
-        };
-        let wide = Layout::new(config, self.tuning.channels);
-        if wide.tile() > CHANNEL_MULTIPLE && !takes_rows(&wide) {
-            let narrow = Layout::new(config, CHANNEL_MULTIPLE);
-            if takes_rows(&narrow) {
-                return narrow;
-            }
-        }
-        wide
-    }
 }
 
 impl Forward {
@@ -234,19 +171,20 @@ impl Forward {
         let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
         let Joined { head, units } = joined;
         let joins_head = head.is_some();
-        let afters: Vec<After> =
-            (0..config.layers).map(|block| after(&config, block, keep, joins_head, rows_in_blocks)).collect();
+        let epilogues: Vec<Epilogue> = (0..config.layers)
+            .map(|block| epilogue(&config, block, keep, joins_head, rows_in_blocks))
+            .collect();
         let lifting = |of_fields| {
             let lifting = Lifting { hidden: config.lifting, inputs: config.inputs(), of_fields };
             let size = LayerSize { lifting: Some(lifting), ..size };
             let rows = rows_in_blocks && Block::takes_rows(context, tuning, &size);
-            Block::new(context, tuning, size, After { rows, ..After::default() })
+            Block::new(context, tuning, size, Epilogue { rows, ..Epilogue::default() })
         };
         let lifted = |units| -> Result<_> {
             Ok(Lifted { of_embedded: lifting(false)?, of_fields: lifting(true)?, units })
         };
-        let kernels = Kernels::new(context, &config, size, &afters, plan)?;
-        let parts = if joins_head { kernels.block(afters[config.layers - 1]).field_parts() } else { 1 };
+        let kernels = Kernels::new(context, &config, size, &epilogues, plan)?;
+        let parts = if joins_head { kernels.block(epilogues[config.layers - 1]).field_parts() } else { 1 };
         let mut block_rows = tables::inverse_rows(&config, grid.w);
         if rows_in_blocks {
             block_rows.extend(tables::forward_rows(&config, h, grid.w));
@@ -288,7 +226,7 @@ impl Forward {
             rows_max: zeros("rows_max", &[samples, h, config.channels])?,
             layers,
             kernels,
-            afters,
+            epilogues,
         })
     }
 
@@ -332,11 +270,11 @@ impl Forward {
         for block in 0..self.config.layers {
             let (x, y) = (&slot(block), &slot(block + 1));
             let s = &self.spectral;
-            let after = self.afters[block];
+            let epilogue = self.epilogues[block];
             if !has_rows {
                 k.transform_rows.push(schedule, &s.forward_rows, x, &rows);
             }
-            has_rows = after.rows;
+            has_rows = epilogue.rows;
             let spectrum = s.modes.get(block).map(first);
             let columns = SpectralTensors { r: &rows, inverse: &inverse, ..s.columns(spectrum.as_ref()) };
             k.spectral.push(schedule, &self.layers.products[block], columns);
@@ -345,17 +283,17 @@ impl Forward {
                 x: Inputs::Stored(x),
                 r: &inverse,
                 y: before.as_ref().unwrap_or(y),
-                made: if after.field { Some(field) } else { after.rows.then_some(&rows) },
-                rows_max: after.pool.then_some(&rows_max),
+                made: if epilogue.field { Some(field) } else { epilogue.rows.then_some(&rows) },
+                rows_max: epilogue.pool.then_some(&rows_max),
             };
-            let with_head = self.head.as_ref().filter(|_| after.field);
+            let with_head = self.head.as_ref().filter(|_| epilogue.field);
             let layer = with_head.unwrap_or(&self.layers.skips[block]);
-            k.block(after).push(schedule, layer, (&s.block_rows, self.grid.w), tensors);
+            k.block(epilogue).push(schedule, layer, (&s.block_rows, self.grid.w), tensors);
             if let Some(before) = &before {
                 k.activate.push(schedule, before, y);
             }
             if block == self.config.scalar_block() {
-                if !after.pool {
+                if !epilogue.pool {
                     k.pool_rows.push(schedule, self.grid.w, y, &rows_max);
                 }
                 let tensors = (&rows_max, &first(&self.scalar));
@@ -410,7 +348,7 @@ impl Forward {
                 Some(fields) => (of_fields, Inputs::Fields(fields)),
                 None => (of_embedded, Inputs::Stored(&embedded)),
             };
-            let rows = kernel.after().rows;
+            let rows = kernel.epilogue().rows;
             let tensors = BlockTensors { x, r: units, y: &y, made: rows.then_some(&made), rows_max: None };
             let tables = (&self.spectral.forward_rows, self.grid.w);
             kernel.push(schedule, &self.layers.lifting[1], tables, tensors);
@@ -428,59 +366,19 @@ impl Forward {
     }
 }
 
-impl Joined {
-    /// What can be joined of `weights`, whose layers are on the device, padded as `config` tells.
-    fn new(
-        context: &Context,
-        weights: &Weights,
-        (config, layers): (Config, &Layers),
-        plan: &Plan,
-    ) -> Result<Self> {
-        let padded = |values: &[f32], len: usize| {
-            let mut values = values.to_vec();
-            values.resize(len, 0.0);
-            values
-        };
-        let head = if plan.keep == Keep::Nothing && weights.is_folded() {
-            let last = weights.blocks.len() - 1;
-            let [_, outer] = &weights.projection;
-            let [bias, head] =
-                [&weights.blocks[last].bias, &outer.weight].map(|values| padded(values, config.channels));
-            let bias = block::with_head(&bias, (&head, outer.bias[0]));
-            let bias = Tensor::from_slice(context, "bias and head", &[bias.len()], &bias)?;
-            Some(Layer { weight: layers.skips[last].weight.clone(), bias })
-        } else {
-            None
-        };
-        let units = if plan.keep != Keep::Adjoint && config.inputs() == features::CHANNELS {
-            let [inner, _] = &weights.lifting;
-            let (weight, bias) = (
-                padded(&inner.weight, config.lifting * config.inputs()),
-                padded(&inner.bias, config.lifting),
-            );
-            let units = block::hidden_units(&weight, &bias);
-            let shape = [config.lifting, units.len() / config.lifting];
-            Some(Tensor::from_slice(context, "hidden units", &shape, &units)?)
-        } else {
-            None
-        };
-        Ok(Self { head, units })
-    }
-}
-
 impl Kernels {
     fn new(
         context: &Context,
         config: &Config,
         size: LayerSize,
-        afters: &[After],
+        epilogues: &[Epilogue],
         plan: &Plan,
     ) -> Result<Self> {
         let &Plan { samples, ref tuning, keep, .. } = plan;
         let mut blocks: Vec<Block> = Vec::new();
-        for &after in afters {
-            if blocks.iter().all(|b| b.after() != after) {
-                blocks.push(Block::new(context, tuning, size, after)?);
+        for &epilogue in epilogues {
+            if blocks.iter().all(|b| b.epilogue() != epilogue) {
+                blocks.push(Block::new(context, tuning, size, epilogue)?);
             }
         }
         Ok(Self {
@@ -498,33 +396,8 @@ impl Kernels {
     }
 
     /// The kernel of a block that does this.
-    pub fn block(&self, after: After) -> &Block {
-        let found = self.blocks.iter().find(|b| b.after() == after);
+    pub fn block(&self, epilogue: Epilogue) -> &Block {
+        let found = self.blocks.iter().find(|b| b.epilogue() == epilogue);
         found.expect("every kind of block of the network is made")
     }
-}
-
-/// Sizes of the blocks of a network.
-fn block_size(config: &Config, grid: Grid) -> LayerSize {
-    let &Config { modes_w, channels, .. } = config;
-    LayerSize { row_quads: padded(grid.w) / 4, modes_w, channels, lifting: None }
-}
-
-/// What a block of the network does beside the linear part of its output.
-fn after(config: &Config, block: usize, keep: Keep, joins_head: bool, rows_in_blocks: bool) -> After {
-    let last = block + 1 == config.layers;
-    After {
-        gelu: if last { joins_head } else { keep != Keep::Adjoint },
-        field: last && joins_head,
-        rows: rows_in_blocks && !last,
-        pool: rows_in_blocks && block == config.scalar_block(),
-    }
-}
-
-fn check_modes(config: &Config, grid: Grid) -> Result<()> {
-    if grid.h < config.modes_h || grid.w / 2 + 1 < config.modes_w {
-        let expected = format!("at least {}x{}", config.modes_h, 2 * config.modes_w - 2);
-        return Err(Error::invalid("checkpoint", "grid that carries its Fourier modes", expected, grid));
-    }
-    Ok(())
 }

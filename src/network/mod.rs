@@ -4,12 +4,15 @@
 mod backward;
 mod checkpoint;
 mod forward;
+mod joined;
 mod parameters;
+mod plan;
 pub mod tables;
 mod weights;
 
 pub use backward::{Backward, Transposed};
 pub use checkpoint::{Checkpoint, Description, TensorSummary};
-pub use forward::{Forward, Head, Keep, Plan};
+pub use forward::{Forward, Head};
 pub use parameters::{Layout, Parameters};
+pub use plan::{Keep, Plan};
 pub use weights::{Block, Config, Dense, Weights};

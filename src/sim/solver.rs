@@ -1,12 +1,12 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
 use super::learned::Learned;
-use super::{Cloth, Control, EnergyTerms, FrameStats, Grid, Iterations, Model, Optimizer, State};
+use super::{Cloth, Control, FrameStats, Grid, Iterations, Model, Optimizer, State};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
-    ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate, Physics,
-    Predict, StateTensors, energy, gradient,
+    ClothParams, ClothTerms, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate,
+    Physics, Predict, StateTensors, TERMS, energy, gradient,
 };
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::{Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, QuasiNewton};
@@ -162,7 +162,12 @@ impl Solver {
             iterations: options.iterations,
             x: field("positions")?,
             v: field("velocities")?,
-            cloths: Tensor::from_slice(context, "cloths", &[batch, 16], &params(model, &[]))?,
+            cloths: Tensor::from_slice(
+                context,
+                "cloths",
+                &[batch, ClothParams::LEN],
+                &ClothParams::all(model, &[]),
+            )?,
             targets: zeros("handle targets", &[model.handles(), 3])?,
             given: field("given accelerations")?,
             windy: AtomicBool::new(false),
@@ -171,14 +176,12 @@ impl Solver {
             iterate,
             sums,
             ends,
-            terms: zeros("energy terms", &[batch, 8])?,
+            terms: zeros("energy terms", &[batch, TERMS])?,
             rule,
             frame: Schedule::new(context),
         };
         solver.frame = solver.schedule()?;
-        let rest = State::rest(grid, batch);
-        solver.set_state(&rest);
-        solver.set_control(&Control { handles: solver.handles_of(&rest), ..Default::default() });
+        solver.set_state(&State::rest(grid, batch));
         Ok(solver)
     }
 
@@ -207,7 +210,7 @@ impl Solver {
             step(&mut frame, iteration, &sums);
         }
 
-        let parts = Tensor::zeros(context, "energy parts", &[batch, energy::parts(grid), 8])?;
+        let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(batch, grid))?;
         Energy::new(context)?.push(&mut frame, grid, physics, (iterate, &parts));
         EnergySum::new(context)?.push(&mut frame, &parts, &self.terms);
         Integrate::new(context)?.push(&mut frame, state, iterate);
@@ -249,9 +252,13 @@ impl Solver {
         &self.iterate.a
     }
 
-    /// Replaces the state and forgets what the optimizer remembers, ahead of whatever is submitted next.
+    /// Replaces the state, holds the handles where it has them and forgets what the optimizer remembers, ahead of whatever is
+    /// submitted next. Wind and accelerations stay; a control that is set afterwards tells all three.
+    ///
+    /// Panics when a length is not the model's.
     pub fn set_state(&self, state: &State<f32>) {
         self.place(state);
+        self.targets.write(&self.context, &self.handles_of(state));
         self.reset_memory();
     }
 
@@ -263,6 +270,10 @@ impl Solver {
         assert_eq!((state.x.len(), state.v.len()), (3 * n, 3 * n), "[3, H, W]");
         self.x.write_at(&self.context, 3 * b * n, &state.x);
         self.v.write_at(&self.context, 3 * b * n, &state.v);
+        let before: usize = self.model.cloths[..b].iter().map(|cloth| cloth.handles.len()).sum();
+        let handles: Vec<_> =
+            self.model.cloths[b].handles.iter().map(|&p| particle(&state.x, n, p)).collect();
+        self.targets.write_at(&self.context, 3 * before, bytemuck::cast_slice(&handles));
         if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
             for half in [0, 3 * batch * n] {
                 hidden.write_at(&self.context, half + 3 * b * n, &vec![0.0; 3 * n]);
@@ -287,11 +298,12 @@ impl Solver {
         }
         self.model = model;
         self.windy.store(false, Ordering::Relaxed);
-        self.cloths.write(&self.context, &params(&self.model, &[]));
+        self.cloths.write(&self.context, &ClothParams::all(&self.model, &[]));
         Ok(())
     }
 
-    /// Replaces the state and leaves the optimizer what it remembers, ahead of whatever is submitted next.
+    /// Replaces the state and leaves the optimizer what it remembers and the handles their targets, ahead of whatever is
+    /// submitted next.
     ///
     /// Panics when a length is not the model's, as [`Solver::set_state`] does.
     pub fn place(&self, state: &State<f32>) {
@@ -345,7 +357,7 @@ impl Solver {
         // A control without wind or accelerations means none, whatever the one before it said.
         let windy = !control.wind.is_empty();
         if self.windy.swap(windy, Ordering::Relaxed) || windy {
-            let params = params(&self.model, &control.wind);
+            let params = ClothParams::all(&self.model, &control.wind);
             changes.push((&self.cloths, bytemuck::cast_slice(&params).to_vec().into()));
         }
         let accelerated = !control.external.is_empty();
@@ -374,18 +386,14 @@ impl Solver {
         let (first, last) = ends.split_at(3 * self.model.batch());
         let of_cloth =
             |norms: &[f64], b: usize| norms[3 * b..][..3].iter().map(|g| g * g).sum::<f64>().sqrt();
-        let stats = |(b, t): (usize, &[f32])| {
-            let [stretch, shear, bend, inertia, external, largest, sum] =
-                [0, 1, 2, 3, 4, 5, 6].map(|k| f64::from(t[k]));
-            FrameStats {
-                energy: EnergyTerms { stretch, shear, bend, inertia, external },
-                gradient_first: of_cloth(first, b),
-                gradient_last: of_cloth(last, b),
-                stretch_largest: largest,
-                stretch_mean: sum / edges,
-            }
+        let stats = |(b, terms): (usize, ClothTerms)| FrameStats {
+            energy: terms.energy,
+            gradient_first: of_cloth(first, b),
+            gradient_last: of_cloth(last, b),
+            stretch_largest: terms.stretch_largest,
+            stretch_mean: terms.stretch_sum / edges,
         };
-        terms.chunks_exact(8).enumerate().map(stats).collect()
+        ClothTerms::all(terms).enumerate().map(stats).collect()
     }
 
     /// Norms of the gradients of samples from their partial sums of squares, [.., parts, 2].
@@ -411,16 +419,14 @@ impl Solver {
     /// Handle positions in `state` [B, 3, n], in the order of [`Control::handles`].
     pub fn handles_of(&self, state: &State<f32>) -> Vec<[f32; 3]> {
         let n = self.model.grid.particles();
-        let at = |b: usize, p: usize| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p]);
-        let cloths = self.model.cloths.iter().enumerate();
-        cloths.flat_map(|(b, c)| c.handles.iter().map(move |&p| at(b, p))).collect()
+        let cloths = self.model.cloths.iter().zip(state.x.chunks_exact(3 * n));
+        cloths.flat_map(|(cloth, x)| cloth.handles.iter().map(move |&p| particle(x, n, p))).collect()
     }
 }
 
-/// The constants of the cloths in this wind, still air where it is empty.
-fn params(model: &Model, wind: &[[f32; 3]]) -> Vec<ClothParams> {
-    let wind = |b: usize| wind.get(b).copied().unwrap_or_default();
-    model.cloths.iter().enumerate().map(|(b, cloth)| ClothParams::new(cloth, wind(b))).collect()
+/// Where particle `p` of a cloth of `n` is, from its positions [3, n].
+fn particle(x: &[f32], n: usize, p: usize) -> [f32; 3] {
+    [0, 1, 2].map(|c| x[c * n + p])
 }
 
 /// A row for each iteration, of at least `len` elements, that can be a tensor of its own ([`row`]).

@@ -19,14 +19,25 @@ pub struct EnergyTerms {
 }
 
 impl EnergyTerms {
+    /// From the terms in the order of the fields.
+    pub(crate) fn from_array([stretch, shear, bend, inertia, external]: [f64; 5]) -> Self {
+        Self { stretch, shear, bend, inertia, external }
+    }
+
+    /// The terms in the order of the fields.
+    pub(crate) fn to_array(self) -> [f64; 5] {
+        let Self { stretch, shear, bend, inertia, external } = self;
+        [stretch, shear, bend, inertia, external]
+    }
+
     /// The energy, the sum of all terms.
     pub fn total(&self) -> f64 {
-        self.stretch + self.shear + self.bend + self.inertia + self.external
+        self.to_array().iter().sum()
     }
 
     /// The sum of the terms' magnitudes: external work may cancel the others.
     pub(crate) fn magnitude(&self) -> f64 {
-        self.stretch + self.shear + self.bend + self.inertia + self.external.abs()
+        self.to_array().iter().map(|term| term.abs()).sum()
     }
 }
 
@@ -49,11 +60,8 @@ impl FrameStats {
     /// Whether every number is finite.
     pub fn is_finite(&self) -> bool {
         // A term may be infinite of either sign, so the total alone would not tell.
-        let e = &self.energy;
-        [e.stretch, e.shear, e.bend, e.inertia, e.external, self.gradient_first, self.gradient_last]
-            .iter()
-            .chain([&self.stretch_largest, &self.stretch_mean])
-            .all(|v| v.is_finite())
+        let others = [self.gradient_first, self.gradient_last, self.stretch_largest, self.stretch_mean];
+        self.energy.to_array().iter().chain(&others).all(|v| v.is_finite())
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::config::Config;
 use super::validation::SceneScore;
-use crate::{Result, io};
+use crate::{Error, Result, io};
 use std::io::Write;
 use std::path::Path;
 
@@ -30,15 +30,24 @@ pub(super) struct Card<'a> {
 }
 
 impl Card<'_> {
-    /// The validation that the card beside the weights in `path` tells; none without whole weights and card, or if there was none.
-    pub(super) fn validation(path: &Path) -> Option<Vec<SceneScore>> {
+    /// The validation that the card beside the weights in `path` tells; none if there was none, or either file is missing.
+    /// A card that cannot be read is an error, as weights that it calls the best would else give way to the next ones.
+    pub(super) fn validation(path: &Path) -> Result<Option<Vec<SceneScore>>> {
         #[derive(serde::Deserialize)]
         struct Told {
             validation: Vec<SceneScore>,
         }
-        let card = std::fs::read(path.with_extension("json")).ok().filter(|_| path.is_file())?;
-        let Told { validation } = serde_json::from_slice(&card).ok()?;
-        Some(validation).filter(|scores| !scores.is_empty())
+        let card = path.with_extension("json");
+        if !path.is_file() || !card.exists() {
+            return Ok(None);
+        }
+        let bytes = std::fs::read(&card).map_err(|e| Error::io(&card, "cannot read", e))?;
+        let Told { validation } = serde_json::from_slice(&bytes).map_err(|e| {
+            let expected =
+                "the scores of the weights beside it (without both files the next weights are the best)";
+            Error::invalid(card.display().to_string(), "validation", expected, e)
+        })?;
+        Ok(Some(validation).filter(|scores| !scores.is_empty()))
     }
 
     /// Writes the card as JSON beside the weights in `path`.

@@ -8,7 +8,7 @@ use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
     ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Physics, Predict,
-    StateTensors, energy, gradient,
+    StateTensors, TERMS, energy, gradient,
 };
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::{Fields, Iterate, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors};
@@ -64,13 +64,13 @@ impl DeviceLoss {
             batch,
             x: field("positions")?,
             v: field("velocities")?,
-            cloths: zeros("cloths", &[batch, 16])?,
+            cloths: zeros("cloths", &[batch, ClothParams::LEN])?,
             targets: zeros("handle targets", &[batch * MAX_HANDLES, 3])?,
             given: field("given accelerations")?,
             external: field("external")?,
             iterate: Iterate::with_hidden(context, batch, &vec![0; batch * n])?,
             scale: zeros("scale", &[samples])?,
-            terms: zeros("energy terms", &[batch, 8])?,
+            terms: zeros("energy terms", &[batch, TERMS])?,
             sizes: zeros("gradient sizes", &[batch])?,
             forward,
             backward,
@@ -103,8 +103,7 @@ impl DeviceLoss {
     /// than [`MAX_HANDLES`] or the numbers are not the batch's.
     pub fn set_cloths(&self, model: &Model, control: &Control<f32>) {
         assert_eq!((model.batch(), control.handles.len()), (self.batch, model.handles()));
-        let cloths: Vec<_> = model.cloths.iter().map(|c| ClothParams::new(c, [0.0; 3])).collect();
-        self.cloths.write(&self.context, &cloths);
+        self.cloths.write(&self.context, &ClothParams::all(model, &[]));
         self.iterate.slots.write(&self.context, &model.handle_slots());
         let mut targets = control.handles.clone();
         assert!(targets.len() <= self.batch * MAX_HANDLES, "at most {MAX_HANDLES} handles for each cloth");
@@ -132,7 +131,7 @@ impl DeviceLoss {
         Update::new(context)?.push(schedule, grid, from, iterate);
 
         kernel.push(schedule, grid, physics, (iterate, sums));
-        let parts = Tensor::zeros(context, "energy parts", &[self.batch, energy::parts(grid), 8])?;
+        let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(self.batch, grid))?;
         Energy::new(context)?.push(schedule, grid, physics, (iterate, &parts));
         EnergySum::new(context)?.push(schedule, &parts, &self.terms);
         GradientSize::new(context)?.push(schedule, &iterate.grad, &self.sizes);

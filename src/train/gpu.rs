@@ -10,9 +10,10 @@ use crate::Result;
 use crate::cpu::optim::Normalisation;
 use crate::gpu::{Context, Readback, Schedule, Tensor};
 use crate::kernels::Tuning;
+use crate::kernels::cloth::{ClothTerms, TERMS};
 use crate::kernels::train::{Advance, Draw, Drawn, PoolTensors, Store};
 use crate::network::{self, Parameters, Transposed, Weights};
-use crate::sim::{EnergyTerms, Grid, INITIAL_SCALE};
+use crate::sim::{Grid, INITIAL_SCALE};
 
 /// The learner on the device of a context. Weights, memory and pools stay there; a step takes two submissions, since the
 /// host judges in between whether it can be used.
@@ -112,17 +113,14 @@ impl Room {
 /// What became of the cloths of the last step, `batch` of them, from what was read back.
 fn outcomes(told: &[u8], batch: usize) -> Vec<Outcome> {
     let told: Vec<f32> = bytemuck::pod_collect_to_vec(told);
-    let (terms, rest) = told.split_at(8 * batch);
+    let (terms, rest) = told.split_at(TERMS * batch);
     let (sizes, scales) = rest.split_at(batch);
-    let outcome = |((t, &size), scale): ((&[f32], &f32), &[f32])| {
-        let [stretch, shear, bend, inertia, external] = [0, 1, 2, 3, 4].map(|k| f64::from(t[k]));
-        Outcome {
-            energy: EnergyTerms { stretch, shear, bend, inertia, external },
-            log_gradient: f64::from(size).ln(),
-            scale: [0, 1, 2].map(|k| f64::from(scale[k])),
-        }
+    let outcome = |((terms, &size), scale): ((ClothTerms, &f32), &[f32])| Outcome {
+        energy: terms.energy,
+        log_gradient: f64::from(size).ln(),
+        scale: [0, 1, 2].map(|k| f64::from(scale[k])),
     };
-    terms.chunks_exact(8).zip(sizes).zip(scales.chunks_exact(3)).map(outcome).collect()
+    ClothTerms::all(terms).zip(sizes).zip(scales.chunks_exact(3)).map(outcome).collect()
 }
 
 impl GpuLearner {

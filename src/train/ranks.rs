@@ -39,7 +39,7 @@ pub trait Ranks {
 
     /// Makes the gradient over all weights of this rank's loss that of the sum of all ranks' losses. As the loss of one
     /// learner is the sum over its pools, ranks are together one learner with the pools of all of them. (And because every
-    /// cloth weighs the same on the way back, also one with larger batches: it is not divided by the number of ranks.) If
+    /// component, or every cloth, weighs the same on the way back, also one with larger batches: it is not divided by the number of ranks.) If
     /// a loss is not finite, the gradient is not either, on any rank, so that all skip the step alike.
     fn join(&self, gradient: &mut [f32], loss: f64) {
         if !loss.is_finite() && self.count() > 1 {

@@ -32,7 +32,7 @@ impl Records {
         let metrics = Metrics::open(folder.metrics(), &config.pools, step)?;
         let columns = VALIDATION_COLUMNS.map(str::to_owned).to_vec();
         let validations = Table::open(folder.validation(), columns, step)?;
-        let best = Card::validation(&folder.weights("best")).map(|scores| Validation::score(&scores));
+        let best = Card::validation(&folder.weights("best"))?.map(|scores| Validation::score(&scores));
         Ok(Self { metrics, validation, validations, scores: (step, Vec::new()), best })
     }
 

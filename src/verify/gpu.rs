@@ -8,7 +8,9 @@ use crate::Result;
 use crate::cpu::optim::Normalisation;
 use crate::cpu::train::AdamWSettings;
 use crate::gpu::{Context, Schedule, Storage, Tensor};
-use crate::kernels::cloth::{ClothParams, Energy, EnergySum, Gradient, Physics, energy, gradient};
+use crate::kernels::cloth::{
+    ClothParams, ClothTerms, Energy, EnergySum, Gradient, Physics, TERMS, energy, gradient,
+};
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::Iterate;
 use crate::kernels::train::BatchTensors;
@@ -107,13 +109,13 @@ impl Stages for GpuStages {
         let iterate = Iterate::new(context, batch, &model.handle_slots())?;
         iterate.a.write(context, &single(&case.a));
         iterate.base.write(context, &single(&case.base));
-        let params: Vec<_> = model.cloths.iter().map(|c| ClothParams::new(c, [0.0; 3])).collect();
-        let cloths = Tensor::from_slice(context, "cloths", &[batch, 16], &params)?;
+        let params = ClothParams::all(&model, &[]);
+        let cloths = Tensor::from_slice(context, "cloths", &[batch, ClothParams::LEN], &params)?;
         let external = self.upload("external", &[batch, 3, n], &case.external)?;
         let x = self.upload("positions", &[batch, 3, n], &case.x)?;
         let physics = Physics { cloths: &cloths, external: &external, x: &x };
-        let parts = Tensor::zeros(context, "parts", &[batch, energy::parts(grid), 8])?;
-        let terms = Tensor::zeros(context, "terms", &[batch, 8])?;
+        let parts = Tensor::zeros(context, "parts", &energy::parts_shape(batch, grid))?;
+        let terms = Tensor::zeros(context, "terms", &[batch, TERMS])?;
         let mut schedule = Schedule::new(context);
         context.checked(|| {
             let sums = Tensor::zeros(context, "sums of squares", &[3 * batch, gradient::parts(grid), 2])?;
@@ -123,10 +125,8 @@ impl Stages for GpuStages {
             Ok(())
         })?;
         self.run(&schedule);
-        let of =
-            |t: &[f64]| EnergyTerms { stretch: t[0], shear: t[1], bend: t[2], inertia: t[3], external: t[4] };
-        let terms = self.read(&terms)?.chunks_exact(8).map(of).collect();
-        Ok((terms, self.read(&iterate.grad)?))
+        let terms = terms.read::<f32>(context)?;
+        Ok((ClothTerms::all(&terms).map(|terms| terms.energy).collect(), self.read(&iterate.grad)?))
     }
 
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)> {

@@ -423,6 +423,36 @@ fn a_new_state_forgets_the_hidden_one() {
     assert_same("after a reset", &step(&solver, &control).x, &first.x);
 }
 
+/// Until a control is set: the corners used to jump to the targets of the state before, at first those of the sheet at rest.
+#[test]
+fn a_new_state_holds_its_handles() {
+    let _turn = device();
+    let (model, start, _) = varied_batch();
+    let n = model.grid.particles();
+    let solver = solver(&model, &Optimizer::gradient_descent(), 1, &start);
+    let handles = |solver: &Solver| {
+        context().submit(|encoder| solver.record(encoder));
+        solver.handles_of(&State { x: read(solver.positions()), v: vec![] })
+    };
+    let held = solver.handles_of(&start);
+    assert!(
+        held != solver.handles_of(&State::rest(model.grid, model.batch())),
+        "the start is the sheet at rest"
+    );
+    assert_eq!(handles(&solver), held);
+
+    let lifted: Vec<_> = held.iter().map(|&[x, y, z]| [x, y, z + 0.5]).collect();
+    solver.set_control(&Control { handles: lifted.clone(), ..Control::default() });
+    assert_eq!(handles(&solver), lifted);
+    let at = 3 * n..6 * n;
+    solver.set_cloth_state(1, &State { x: start.x[at.clone()].to_vec(), v: start.v[at].to_vec() });
+    let (first, second) = (model.cloths[0].handles.len(), model.cloths[1].handles.len());
+    let found = handles(&solver);
+    assert_eq!(found[..first], lifted[..first]);
+    assert_eq!(found[first..][..second], held[first..][..second]);
+    assert_eq!(found[first + second..], lifted[first + second..]);
+}
+
 /// A device minimises as well as the host, and the network in 16 bits as well as in 32: the same median energy gap to a tenth.
 #[test]
 fn half_precision_closes_the_gap_as_far() {

@@ -333,6 +333,12 @@ fn the_best_weights_are_those_that_the_folder_holds() {
     std::fs::write(&best, &kept).unwrap();
     train(&mut resume(folder.path()).unwrap().0, 4);
     assert_eq!(std::fs::read_to_string(&best).unwrap(), kept);
+    // A card that tells nothing does not give them up.
+    std::fs::write(&best, "{").unwrap();
+    let error = resume(folder.path()).err().expect("a card that ends after its first letter").to_string();
+    assert!(error.contains("best.json") && error.contains("validation"), "{error}");
+    assert_eq!(std::fs::read_to_string(&best).unwrap(), "{");
+    std::fs::write(&best, &kept).unwrap();
     // Without them the next are.
     std::fs::remove_file(folder.path().join("weights/best.safetensors")).unwrap();
     train(&mut resume(folder.path()).unwrap().0, 6);

@@ -15,14 +15,7 @@ pub fn energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTerms {
     let row = |work: &mut Work<T>, i| Arch::new().dispatch(Row { trial, i, stored, work });
     let rows: Vec<EnergyTerms> =
         (0..trial.grid.h).into_par_iter().map_init(|| Work::new(stored.stride), row).collect();
-    let sum = |term: fn(&EnergyTerms) -> f64| rows.iter().map(term).sum();
-    EnergyTerms {
-        stretch: sum(|r| r.stretch),
-        shear: sum(|r| r.shear),
-        bend: sum(|r| r.bend),
-        inertia: sum(|r| r.inertia),
-        external: sum(|r| r.external),
-    }
+    EnergyTerms::from_array([0, 1, 2, 3, 4].map(|k| rows.iter().map(|row| row.to_array()[k]).sum()))
 }
 
 /// Edges of a row and of the next one, shape [3, W'], and the squares that are added up, shape \[W'\].

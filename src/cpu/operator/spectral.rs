@@ -94,7 +94,7 @@ impl<T: Real> Spectral<T> {
     }
 
     /// `out` [modes_h, modes_w, 2, S, 2, C] from the column sums `sums` [S, modes_w, 2 modes_h, 2, C] of the forward
-    /// transform: `out = sum over in of x\[in\] weight[in, out]`, and behind it the same times the imaginary unit.
+    /// transform: `out = sum over in of x[in] weight[in, out]`, and behind it the same times the imaginary unit.
     ///
     /// The complex product is a real one: rows (re, -im) and (im, re) times the real parts above the imaginary parts.
     pub fn apply(&self, out: &mut [T], sums: &[T], transform: &Transform<T>, scratch: &mut [T]) {

@@ -85,8 +85,8 @@ impl<T: Real> UpdateAdjoint<T> {
     /// `hidden` still remembers.
     ///
     /// On the way back the cotangent of `tanh(field)` and that of `2 tanh(scalar / 2) - 1` are each divided by a norm, as the
-    /// [`Normalisation`] has it, and clamped: every cloth weighs the same, whatever its energies are (the authors' rule; no
-    /// true adjoint).
+    /// [`Normalisation`] has it, and clamped: every component or every cloth weighs the same, whatever its energies are
+    /// (the authors' rule; no true adjoint).
     pub fn backward(&mut self, adj_step: &[T], hidden: &Hidden<T>, gradient: &mut [T]) {
         let n = adj_step.len() / hidden.scale.len();
         let steps = || adj_step.par_chunks_exact(n).zip(&hidden.scale);

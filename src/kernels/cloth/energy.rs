@@ -1,6 +1,7 @@
 //! Host side of `shaders/cloth/energy.wgsl`.
 
 use super::Physics;
+use super::energy_sum::TERMS;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
@@ -32,9 +33,9 @@ pub struct Energy {
 /// Particles of a part: a workgroup's.
 const PART: usize = 64;
 
-/// Number of parts that the energy of one cloth is summed in.
-pub fn parts(grid: Grid) -> usize {
-    grid.particles().div_ceil(PART)
+/// Shape of the parts that the energy of each of `batch` cloths is summed in, [B, parts, 8].
+pub fn parts_shape(batch: usize, grid: Grid) -> [usize; 3] {
+    [batch, grid.particles().div_ceil(PART), TERMS]
 }
 
 impl Energy {
@@ -53,8 +54,8 @@ impl Energy {
     ) {
         let Physics { cloths, external, x } = physics;
         let batch = physics.batch(grid, iterate);
-        let groups = self::parts(grid);
-        assert_eq!(parts.shape(), [batch, groups, 8]);
+        let shape @ [_, groups, _] = parts_shape(batch, grid);
+        assert_eq!(parts.shape(), shape);
         let params = Params { rows: size(grid.h), columns: size(grid.w), groups: size(groups), zero: 0 };
         let Iterate { slots, a, base, .. } = iterate;
         let tensors = [cloths, slots, external, a, base, x, parts];

@@ -3,6 +3,7 @@
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
+use crate::sim::EnergyTerms;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -16,6 +17,31 @@ pub const SOURCE: Source = Source {
 struct Params {
     groups: u32,
     pad: [u32; 3],
+}
+
+/// Numbers that the device keeps of a cloth's energy, or of a part of it: see [`ClothTerms`]; the last one is not used.
+pub const TERMS: usize = 8;
+
+/// What the device tells of a cloth at a trial.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ClothTerms {
+    /// Terms of the energy.
+    pub energy: EnergyTerms,
+    /// Largest `|edge| - 1`.
+    pub stretch_largest: f64,
+    /// Sum of `||edge| - 1|` over the edges.
+    pub stretch_sum: f64,
+}
+
+impl ClothTerms {
+    /// That of each cloth, from the contents of `terms` [B, 8].
+    pub fn all(terms: &[f32]) -> impl Iterator<Item = Self> {
+        terms.chunks_exact(TERMS).map(|of_cloth| {
+            let at = |k: usize| f64::from(of_cloth[k]);
+            let energy = EnergyTerms::from_array([0, 1, 2, 3, 4].map(at));
+            Self { energy, stretch_largest: at(5), stretch_sum: at(6) }
+        })
+    }
 }
 
 /// Energy terms of each cloth from their parts.
@@ -32,8 +58,8 @@ impl EnergySum {
 
     /// `parts` [B, parts, 8], `terms` [B, 8].
     pub fn push(&self, schedule: &mut Schedule, parts: &Tensor, terms: &Tensor) {
-        let &[batch, count, 8] = parts.shape() else { panic!("energy_sum: {:?}", parts.shape()) };
-        assert_eq!(terms.shape(), [batch, 8]);
+        let &[batch, count, TERMS] = parts.shape() else { panic!("energy_sum: {:?}", parts.shape()) };
+        assert_eq!(terms.shape(), [batch, TERMS]);
         let params = Params { groups: size(count), pad: [0; 3] };
         schedule.dispatch(&self.kernel, &params, &[parts, terms], [size(batch), 1, 1]);
     }

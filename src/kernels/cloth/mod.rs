@@ -8,7 +8,7 @@ pub mod integrate;
 pub mod predict;
 
 pub use energy::Energy;
-pub use energy_sum::EnergySum;
+pub use energy_sum::{ClothTerms, EnergySum, TERMS};
 pub use external_force::{ExternalForce, ExternalForceTensors};
 pub use gradient::Gradient;
 pub use integrate::Integrate;
@@ -16,7 +16,7 @@ pub use predict::Predict;
 
 use crate::gpu::Tensor;
 use crate::kernels::optim::Iterate;
-use crate::sim::{Cloth, Grid};
+use crate::sim::{Cloth, Grid, Model};
 
 /// What the energy of a trial depends on, beside the trial itself.
 #[derive(Clone, Copy, Debug)]
@@ -51,8 +51,16 @@ pub struct ClothParams {
 }
 
 impl ClothParams {
-    /// The constants of `cloth` in a wind [edges / frame].
-    pub fn new(cloth: &Cloth, wind: [f32; 3]) -> Self {
+    /// Numbers of an element.
+    pub const LEN: usize = size_of::<Self>() / size_of::<f32>();
+
+    /// The constants of each cloth in its wind [edges / frame], in still air where `wind` is empty.
+    pub fn all(model: &Model, wind: &[[f32; 3]]) -> Vec<Self> {
+        let wind = |b: usize| wind.get(b).copied().unwrap_or_default();
+        model.cloths.iter().enumerate().map(|(b, cloth)| Self::new(cloth, wind(b))).collect()
+    }
+
+    fn new(cloth: &Cloth, wind: [f32; 3]) -> Self {
         let m = cloth.material;
         let [gx, gy, gz] = cloth.gravity.map(|g| g as f32);
         Self {

@@ -47,7 +47,7 @@ struct Params {
 
 /// What a layer does beside the linear part of its output.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct After {
+pub struct Epilogue {
     /// The activation.
     pub gelu: bool,
     /// The row transform of the output, for the next block.
@@ -58,7 +58,7 @@ pub struct After {
     pub field: bool,
 }
 
-impl After {
+impl Epilogue {
     /// Whether it wants whole rows in a workgroup.
     fn whole_rows(&self) -> bool {
         self.rows || self.pool
@@ -113,7 +113,7 @@ struct Group {
 
 impl Group {
     /// The group of a layer, with as many tiles of channels as the tuning allows and fit; none if a row is too long for the device.
-    fn new(limits: &wgpu::Limits, tuning: &Tuning, layer: &LayerSize, after: After) -> Option<Self> {
+    fn new(limits: &wgpu::Limits, tuning: &Tuning, layer: &LayerSize, epilogue: Epilogue) -> Option<Self> {
         let room = limits.max_compute_workgroup_storage_size as usize / 16;
         let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
         // Subgroups that share operands want steps of the narrowest lanes there are.
@@ -125,16 +125,17 @@ impl Group {
         let suits =
             |&span: &usize| span == 1 || (8 * span <= layer.row_quads && span * lanes(span) <= lanes(1));
         let span = (1..=tuning.block_span as usize).rev().find(suits)?;
-        let wide = if after.whole_rows() { lanes(span) } else { lanes(span).min(tuning.block_wide as usize) };
+        let wide =
+            if epilogue.whole_rows() { lanes(span) } else { lanes(span).min(tuning.block_wide as usize) };
         let quads = tuning.channels / 4;
         let of_fields = layer.lifting.filter(|lifting| lifting.of_fields);
         let sums = of_fields.map_or(0, |_| features::SUMS_BYTES / 16);
         let embedded_quads =
             of_fields.filter(|_| tuning.staged).map_or(0, |lifting| lifting.inputs * span * wide);
         let of_depth = |deep: usize| {
-            let held = match after {
-                _ if after.whole_rows() => deep * tuning.channels * (layer.row_quads | 1),
-                _ if after.field => span * wide * deep,
+            let held = match epilogue {
+                _ if epilogue.whole_rows() => deep * tuning.channels * (layer.row_quads | 1),
+                _ if epilogue.field => span * wide * deep,
                 _ => 1,
             };
             let (mut chunk, mut staged) = (1, 0);
@@ -177,29 +178,29 @@ pub struct Block {
     tile: usize,
     group: Group,
     layer: LayerSize,
-    after: After,
+    epilogue: Epilogue,
     /// What is bound where nothing is made of the rows.
     nothing: [Tensor; 2],
 }
 
 impl Block {
-    /// Whether a whole row fits a workgroup, as [`After::rows`] and [`After::pool`] want it, and whether the tuning wants it there.
+    /// Whether a whole row fits a workgroup, as [`Epilogue::rows`] and [`Epilogue::pool`] want it, and whether the tuning wants it there.
     /// A lifting's must fit with all channels: each workgroup of a part of them would make the hidden layer anew.
     pub fn takes_rows(context: &Context, tuning: &Tuning, layer: &LayerSize) -> bool {
         Self::rows_fit(&context.device.limits(), tuning, layer) && tuning.rows_in_blocks
     }
 
     fn rows_fit(limits: &wgpu::Limits, tuning: &Tuning, layer: &LayerSize) -> bool {
-        let after = After { rows: true, pool: true, ..After::default() };
+        let epilogue = Epilogue { rows: true, pool: true, ..Epilogue::default() };
         let suits = |g: Group| layer.lifting.is_none() || g.deep * tuning.channels == layer.channels;
-        Group::new(limits, tuning, layer, after).is_some_and(suits)
+        Group::new(limits, tuning, layer, epilogue).is_some_and(suits)
     }
 
     /// Makes it; an error if the device's workgroups are too small.
-    pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, after: After) -> Result<Self> {
-        assert!(!(after.field && after.whole_rows()), "the field takes the place of the output");
-        assert!(layer.lifting.is_none() || !after.pool, "only blocks pool");
-        let group = Group::new(&context.device.limits(), tuning, &layer, after).ok_or_else(|| {
+    pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, epilogue: Epilogue) -> Result<Self> {
+        assert!(!(epilogue.field && epilogue.whole_rows()), "the field takes the place of the output");
+        assert!(layer.lifting.is_none() || !epilogue.pool, "only blocks pool");
+        let group = Group::new(&context.device.limits(), tuning, &layer, epilogue).ok_or_else(|| {
             let quads = layer.row_quads;
             Error::Device(format!("{}: rows of {quads} quads do not fit a workgroup", context.name()))
         })?;
@@ -210,10 +211,10 @@ impl Block {
             Some(Lifting { of_fields: true, .. }) => LIFTING_OF_FIELDS,
         };
         let mut constants = vec![
-            ("GELU", flag(after.gelu)),
-            ("ROWS", flag(after.rows)),
-            ("POOL", flag(after.pool)),
-            ("FIELD", flag(after.field)),
+            ("GELU", flag(epilogue.gelu)),
+            ("ROWS", flag(epilogue.rows)),
+            ("POOL", flag(epilogue.pool)),
+            ("FIELD", flag(epilogue.field)),
             ("STAGED", flag(tuning.staged)),
             ("WIDE", group.wide as f64),
             ("SPAN", group.span as f64),
@@ -234,12 +235,12 @@ impl Block {
         let kernel = Kernel::new(context, &source, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
         let nothing = [nothing()?, nothing()?];
-        Ok(Self { kernel, tile: tuning.channels, group, layer, after, nothing })
+        Ok(Self { kernel, tile: tuning.channels, group, layer, epilogue, nothing })
     }
 
     /// What it does beside the linear part.
-    pub fn after(&self) -> After {
-        self.after
+    pub fn epilogue(&self) -> Epilogue {
+        self.epilogue
     }
 
     /// Parts in which it makes the field.
@@ -258,7 +259,7 @@ impl Block {
         tensors: BlockTensors<'_>,
     ) {
         let BlockTensors { x, r, y, made, rows_max } = tensors;
-        let (after, LayerSize { row_quads, channels, lifting, .. }) = (self.after, self.layer);
+        let (epilogue, LayerSize { row_quads, channels, lifting, .. }) = (self.epilogue, self.layer);
         let columns = 2 * self.layer.modes_w;
         let &[samples, h, _, w] = y.shape() else { panic!("block: {:?}", y.shape()) };
         assert_eq!((w / 4, padded(width)), (row_quads, w));
@@ -281,13 +282,16 @@ impl Block {
                 (bound.to_vec(), fields.sums.shape()[0], place)
             }
         };
-        assert!(tables.len() >= columns * w * (of_block + usize::from(after.rows)));
+        assert!(tables.len() >= columns * w * (of_block + usize::from(epilogue.rows)));
         assert_eq!(y.shape(), [samples, h, channels, w]);
         assert_eq!(weight.shape(), [channels / self.tile, inputs, self.tile]);
-        assert_eq!(bias.len(), if after.field { 2 * channels + 4 } else { channels });
-        assert_eq!((made.is_some(), rows_max.is_some()), (after.rows || after.field, after.pool));
-        let wanted =
-            if after.field { [self.field_parts(), samples, h, w] } else { [samples, h, columns, channels] };
+        assert_eq!(bias.len(), if epilogue.field { 2 * channels + 4 } else { channels });
+        assert_eq!((made.is_some(), rows_max.is_some()), (epilogue.rows || epilogue.field, epilogue.pool));
+        let wanted = if epilogue.field {
+            [self.field_parts(), samples, h, w]
+        } else {
+            [samples, h, columns, channels]
+        };
         assert!(made.is_none_or(|made| made.shape() == wanted));
         assert!(rows_max.is_none_or(|most| most.shape() == [samples, h, channels]));
         let params = Params {
@@ -343,7 +347,7 @@ pub struct BlockTensors<'a> {
     pub rows_max: Option<&'a Tensor>,
 }
 
-/// A bias with a head of one output behind it, as [`After::field`] wants it.
+/// A bias with a head of one output behind it, as [`Epilogue::field`] wants it.
 pub fn with_head(bias: &[f32], head: (&[f32], f32)) -> Vec<f32> {
     let (weight, head_bias) = head;
     assert_eq!(weight.len(), bias.len());
@@ -391,7 +395,7 @@ mod tests {
                     "{row_quads}"
                 );
                 for layer in [&embedded, &of_fields] {
-                    let group = Group::new(&limits, &tuning, layer, After::default()).unwrap();
+                    let group = Group::new(&limits, &tuning, layer, Epilogue::default()).unwrap();
                     assert_eq!(group.deep, 8, "{row_quads} quads, {kib} KiB");
                 }
             }

@@ -19,7 +19,7 @@ pub mod transform_rows;
 pub mod transpose;
 
 pub use activate::Activate;
-pub use block::{After, Block, BlockTensors, Inputs, LayerSize, Lifting};
+pub use block::{Block, BlockTensors, Epilogue, Inputs, LayerSize, Lifting};
 pub use gelu_adj::GeluAdj;
 pub use head_weight_adj::HeadWeightAdj;
 pub use pointwise::Pointwise;

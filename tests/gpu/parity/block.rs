@@ -9,7 +9,7 @@ use crate::common::{
 };
 use fnopt::kernels::Tuning;
 use fnopt::kernels::operator::block::{hidden_units, with_head};
-use fnopt::kernels::operator::{After, Block, BlockTensors, Inputs, Layer, LayerSize, Lifting};
+use fnopt::kernels::operator::{Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting};
 use fnopt::kernels::optim::{Features, Fields, Iterate};
 use fnopt::kernels::padded;
 use fnopt::network::tables;
@@ -53,8 +53,8 @@ fn blocks_of_all_tiles_match() {
                 let table = tensor("table", &[columns, w], &tables::inverse_rows(&config, grid.w));
                 let r = tensor("r", &[batch, grid.h, columns, CHANNELS], &r);
                 let y = poisoned("y", &[batch, grid.h, CHANNELS, w]);
-                let after = After { gelu, ..After::default() };
-                let kernel = Block::new(context(), &tuning, size(grid, config.modes_w), after).unwrap();
+                let epilogue = Epilogue { gelu, ..Epilogue::default() };
+                let kernel = Block::new(context(), &tuning, size(grid, config.modes_w), epilogue).unwrap();
                 let tensors =
                     BlockTensors { x: Inputs::Stored(&x_tensor), r: &r, y: &y, made: None, rows_max: None };
                 run(|schedule| kernel.push(schedule, &skip, (&table, grid.w), tensors));
@@ -118,11 +118,15 @@ fn blocks_that_take_rows_match() {
                     BlockTensors { x: Inputs::Stored(&x), r: &r, y: &alone, made: None, rows_max: None };
                 let (wanted, maxima) = (rows.then_some(&spectra), pool.then_some(&most));
                 let some = BlockTensors { y: &y, made: wanted, rows_max: maxima, ..none };
-                for (after, tables, tensors) in [
-                    (After { gelu: true, ..After::default() }, &table, none),
-                    (After { gelu: true, rows, pool, field: false }, if rows { &both } else { &table }, some),
+                for (epilogue, tables, tensors) in [
+                    (Epilogue { gelu: true, ..Epilogue::default() }, &table, none),
+                    (
+                        Epilogue { gelu: true, rows, pool, field: false },
+                        if rows { &both } else { &table },
+                        some,
+                    ),
                 ] {
-                    let kernel = Block::new(context(), &tuning, size, after).unwrap();
+                    let kernel = Block::new(context(), &tuning, size, epilogue).unwrap();
                     run(|schedule| kernel.push(schedule, &skip, (tables, grid.w), tensors));
                 }
                 let what = format!("block {} with rows {batch} x {grid}", tuning.channels);
@@ -155,9 +159,10 @@ fn blocks_with_the_field_head_match() {
             let r = tensor("r", &shape, &noise(shape.iter().product(), 21));
             let table = tensor("table", &[columns, w], &tables::inverse_rows(&config, grid.w));
             let y = poisoned("y", x.shape());
-            let alone = After { gelu: true, ..After::default() };
-            let [alone, joined] = [alone, After { field: true, ..alone }]
-                .map(|after| Block::new(context(), &tuning, size(grid, config.modes_w), after).unwrap());
+            let alone = Epilogue { gelu: true, ..Epilogue::default() };
+            let [alone, joined] = [alone, Epilogue { field: true, ..alone }].map(|epilogue| {
+                Block::new(context(), &tuning, size(grid, config.modes_w), epilogue).unwrap()
+            });
             let tensors = BlockTensors { x: Inputs::Stored(&x), r: &r, y: &y, made: None, rows_max: None };
             run(|schedule| alone.push(schedule, &skip, (&table, grid.w), tensors));
             let with_head = with_head(&bias, (&head, head_bias));
@@ -209,8 +214,8 @@ fn liftings_match() {
             let lifting = Lifting { hidden: HIDDEN, inputs, of_fields: false };
             let size = LayerSize { lifting: Some(lifting), ..size(grid, config.modes_w) };
             let rows = Block::takes_rows(context(), &tuning, &size);
-            let after = After { rows, ..After::default() };
-            let kernel = Block::new(context(), &tuning, size, after).unwrap();
+            let epilogue = Epilogue { rows, ..Epilogue::default() };
+            let kernel = Block::new(context(), &tuning, size, epilogue).unwrap();
             let made = rows.then_some(&spectra);
             let tensors =
                 BlockTensors { x: Inputs::Stored(&x_tensor), r: &units, y: &y, made, rows_max: None };
@@ -267,7 +272,8 @@ fn liftings_of_fields_match() {
                     let size = LayerSize { lifting: Some(lifting), ..size(grid, config.modes_w) };
                     let rows = Block::takes_rows(context(), &tuning, &size);
                     let kernel =
-                        Block::new(context(), &tuning, size, After { rows, ..After::default() }).unwrap();
+                        Block::new(context(), &tuning, size, Epilogue { rows, ..Epilogue::default() })
+                            .unwrap();
                     let y = poisoned("y", &[count, grid.h, CHANNELS, w]);
                     let spectra = poisoned("rows", &[count, grid.h, columns, CHANNELS]);
                     let made = rows.then_some(&spectra);

@@ -46,8 +46,8 @@ pub fn upload(label: &'static str, model: &Model, values: &[f32]) -> Tensor {
 
 /// The constants of the cloths on the device, in [`WIND`].
 pub fn constants(model: &Model) -> Tensor {
-    let params: Vec<_> = model.cloths.iter().zip(WIND).map(|(c, wind)| ClothParams::new(c, wind)).collect();
-    Tensor::from_slice(context(), "cloths", &[model.batch(), 16], &params).unwrap()
+    let params = ClothParams::all(model, &WIND);
+    Tensor::from_slice(context(), "cloths", &[model.batch(), ClothParams::LEN], &params).unwrap()
 }
 
 /// The unknown of a frame, all of it NaN but the slots.

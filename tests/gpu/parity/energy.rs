@@ -3,7 +3,7 @@
 use super::cloth::{Doubles, constants, crumpled, field, iterate, model, upload};
 use crate::common::{ROUNDING, assert_close, cases, context, device, poisoned, read, run};
 use fnopt::cpu::cloth::{energy, stretch};
-use fnopt::kernels::cloth::{Energy, EnergySum, Physics, energy::parts};
+use fnopt::kernels::cloth::{Energy, EnergySum, Physics, TERMS, energy::parts_shape};
 use fnopt::sim::{Grid, State};
 
 #[test]
@@ -28,14 +28,14 @@ fn energies_and_stretch_match() {
             let (cloths, external) = (constants(&model), upload("external", &model, &f));
             let start = upload("x", &model, &x);
             let physics = Physics { cloths: &cloths, external: &external, x: &start };
-            let partial = poisoned("parts", &[batch, parts(grid), 8]);
-            let terms = poisoned("terms", &[batch, 8]);
+            let partial = poisoned("parts", &parts_shape(batch, grid));
+            let terms = poisoned("terms", &[batch, TERMS]);
             run(|schedule| {
                 kernel.push(schedule, grid, physics, (&iterate, &partial));
                 sum.push(schedule, &partial, &terms);
             });
             let doubles = Doubles::new(&model, [&x, &base, &a, &f]);
-            for (b, found) in read(&terms).chunks_exact(8).enumerate() {
+            for (b, found) in read(&terms).chunks_exact(TERMS).enumerate() {
                 let e = energy(&doubles.cloth(b));
                 let (largest, mean) = stretch(&doubles.cloth(b));
                 let edges = ((grid.h - 1) * grid.w + grid.h * (grid.w - 1)) as f64;
@@ -72,7 +72,7 @@ fn degenerate_cloths_have_finite_energies() {
     let (cloths, external) = (constants(&model), upload("external", &model, &zero));
     let start = upload("x", &model, &x);
     let physics = Physics { cloths: &cloths, external: &external, x: &start };
-    let (partial, terms) = (poisoned("parts", &[1, parts(grid), 8]), poisoned("terms", &[1, 8]));
+    let (partial, terms) = (poisoned("parts", &parts_shape(1, grid)), poisoned("terms", &[1, TERMS]));
     run(|schedule| {
         kernel.push(schedule, grid, physics, (&iterate, &partial));
         sum.push(schedule, &partial, &terms);
@@ -87,11 +87,12 @@ fn degenerate_cloths_have_finite_energies() {
 fn many_parts_are_all_summed() {
     let _turn = device();
     let sum = EnergySum::new(context()).unwrap();
-    let count = parts(Grid { h: 100, w: 100 });
+    let [_, count, _] = parts_shape(2, Grid { h: 100, w: 100 });
     assert!(count > 64);
-    let values: Vec<f32> = (0..2 * count * 8).map(|k| (k / 8 % count) as f32 + (k % 8) as f32).collect();
-    let partial = crate::common::tensor("parts", &[2, count, 8], &values);
-    let terms = poisoned("terms", &[2, 8]);
+    let values: Vec<f32> =
+        (0..2 * count * TERMS).map(|k| (k / TERMS % count) as f32 + (k % TERMS) as f32).collect();
+    let partial = crate::common::tensor("parts", &[2, count, TERMS], &values);
+    let terms = poisoned("terms", &[2, TERMS]);
     run(|schedule| sum.push(schedule, &partial, &terms));
     let total = |k: usize| (count * (count - 1) / 2 + count * k) as f64;
     let one = [total(0), total(1), total(2), total(3), total(4), (count - 1 + 5) as f64, total(6), 0.0];

@@ -1,0 +1,234 @@
+//! The WGSL of a kernel, and how its text is made of its file: a line with a marker stands for several.
+//!
+//! | marker | stands for | the line is written |
+//! |---|---|---|
+//! | `$c` | an output of the invocation: a channel of its tile at one of its places | once for each |
+//! | `$o`, `$x` | beside `$c`: the output's channel in the tile, its place | |
+//! | `$q`, `$e` | beside `$c`: the quad that the channel is in, its element there (`x` to `w`) | |
+//! | `$q` | a quad of channels of the tile | once for each |
+//! | `$x` | a place | once for each |
+//! | `$k` | an output of the second tile | once for each |
+//! | `$8` | 0 to 7 | eight times |
+//! | `$n`, `$m` | channels of the tile, its quads | |
+//! | `$t` | outputs of the second tile | |
+//! | `$same(array[index])` | the operand, which depends on the line's marker and beside it on nothing that differs within a subgroup, all of whose invocations get there ([`Sharing`]) | |
+//! | `$lane` | the last parameter of an entry point that has such operands | |
+//!
+//! `StoredQuad` and `StoredPair` are four and two numbers as the network's activations and weights are stored ([`Storage`]).
+//!
+//! Accumulators are named registers then: neither naga nor software drivers reliably turn a private array into registers. The
+//! copies of a line share its place in the file, so that line numbers in messages are those of the file.
+
+use super::Storage;
+use std::fmt::Write;
+
+/// The WGSL text of one kernel: the file itself, then the shared functions it calls.
+///
+/// Shared text is appended, so that line numbers in messages are those of the kernel's file.
+#[derive(Clone, Copy, Debug)]
+pub struct Source {
+    /// Stem of the file and name of the entry point.
+    pub name: &'static str,
+    /// Text of the file.
+    pub wgsl: &'static str,
+    /// Texts of files that hold only functions and constants (`shaders/common`), or what goes with the kernel's bindings
+    /// (`shaders/pieces`).
+    pub appended: &'static [&'static str],
+}
+
+/// How a kernel's text is made from its file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Unroll {
+    /// Channels of an invocation's outputs; 0 where it has no tile of them.
+    pub tile: usize,
+    /// Places that it has all of them at.
+    pub span: usize,
+    /// Copies of the lines that are written once for each output of another kind, in kernels that have two.
+    pub second: usize,
+    /// How operands are read whose address is the same for all invocations of a subgroup.
+    pub sharing: Sharing,
+    /// What `StoredQuad` and `StoredPair` are made of; that of the context when a kernel is made.
+    pub storage: Storage,
+}
+
+impl From<usize> for Unroll {
+    fn from(tile: usize) -> Self {
+        Self { tile, span: 1, second: 1, sharing: Sharing::Loads, storage: Storage::F32 }
+    }
+}
+
+/// How operands are read whose address is the same for all invocations of a subgroup.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Sharing {
+    /// Every invocation loads them: hardware serves equal addresses at once.
+    Loads,
+    /// Eight invocations load one of eight each and pass them on ([`wgpu::Features::SUBGROUP`]; subgroups of exactly
+    /// eight): software drivers load lane by lane, so that this is an eighth of the loads.
+    Broadcast,
+}
+
+/// The markers that repeat a line: the first of them that it has tells how often. `$c` goes first, as it brings others along.
+const REPEATING: [&str; 5] = ["$c", "$q", "$x", "$k", "$8"];
+
+/// Lanes that [`Sharing::Broadcast`] spreads loads over, all of a subgroup.
+pub(super) const LANES: usize = 8;
+
+impl Source {
+    /// The whole text, unrolled.
+    ///
+    /// Panics where a line has a `$same(` that does not end with `);`.
+    pub fn unrolled(&self, unroll: impl Into<Unroll>) -> String {
+        let unroll = unroll.into();
+        let mut text = String::with_capacity(2 * self.wgsl.len());
+        let stores = self.wgsl.contains("StoredQuad") || self.wgsl.contains("StoredPair");
+        if stores && unroll.storage == Storage::F16 {
+            text.push_str("enable f16; ");
+        }
+        for line in self.wgsl.lines() {
+            text.push_str(&self.unrolled_line(line, unroll));
+            text.push('\n');
+        }
+        if stores {
+            let name = unroll.storage.name();
+            let _ = writeln!(text, "alias StoredQuad = vec4<{name}>; alias StoredPair = vec2<{name}>;");
+        }
+        self.appended.iter().for_each(|part| text.push_str(part));
+        text
+    }
+
+    /// All copies of a line, on one.
+    fn unrolled_line(&self, line: &str, unroll: Unroll) -> String {
+        let Unroll { tile, span, second, sharing, .. } = unroll;
+        let times = [tile * span, tile / 4, span, second, 8];
+        let marker = REPEATING.iter().zip(times).find(|(marker, _)| line.contains(**marker));
+        let copies: Vec<String> = match (marker, line.split_once("$same(")) {
+            (None, _) => vec![line.to_owned()],
+            (Some((_, times)), None) => vec![line.to_owned(); times],
+            (Some((_, times)), Some((target, operand))) => self.shared(target, operand, times, sharing),
+        };
+        let numbered = |(copy, line): (usize, &String)| match marker {
+            Some((&"$c", _)) => of_output(line, copy, span),
+            Some(_) => with_number(line, &copy.to_string()),
+            None => line.clone(),
+        };
+        let lane = match sharing {
+            Sharing::Loads => "",
+            Sharing::Broadcast => ", @builtin(subgroup_invocation_id) lane: u32",
+        };
+        let line = copies.iter().enumerate().map(numbered).collect::<Vec<_>>().join(" ");
+        let line = line.replace("$n", &format!("{tile}u")).replace("$m", &format!("{}u", tile / 4));
+        line.replace("$t", &format!("{second}u")).replace("$lane", lane)
+    }
+
+    /// The copies of `target$same(operand`, where the operand ends with `);`.
+    fn shared(&self, target: &str, operand: &str, times: usize, sharing: Sharing) -> Vec<String> {
+        let Some(operand) = operand.strip_suffix(");") else {
+            panic!("{}.wgsl: expected $same(array[index]);, found {operand}", self.name)
+        };
+        let name = target.trim_start().trim_start_matches("let ").split('$').next().unwrap_or_default();
+        let copy = |k: usize| match sharing {
+            Sharing::Loads => format!("{target}{operand};"),
+            Sharing::Broadcast => {
+                let (from, first) = (k % LANES, k - k % LANES);
+                let held = format!("{name}_held{first}");
+                let last = LANES.min(times - first) - 1;
+                let own = format!("({first}u + min(lane % {LANES}u, {last}u))");
+                let load = match from {
+                    0 => format!("let {held} = {};", with_number(operand, &own)),
+                    _ => String::new(),
+                };
+                format!("{load}{target}subgroupBroadcast({held}, {from}u);")
+            }
+        };
+        (0..times).map(copy).collect()
+    }
+}
+
+/// The copy of a line for an output: `copy` counts places within channels.
+fn of_output(line: &str, copy: usize, span: usize) -> String {
+    let (channel, place) = (copy / span, copy % span);
+    let (quad, element) = (channel / 4, ["x", "y", "z", "w"][channel % 4]);
+    let numbers = [("$c", copy), ("$o", channel), ("$x", place), ("$q", quad)];
+    let line = numbers.iter().fold(line.to_owned(), |line, (marker, n)| line.replace(marker, &n.to_string()));
+    line.replace("$e", element)
+}
+
+/// A line with a number in the place of each marker that repeats lines.
+fn with_number(line: &str, number: &str) -> String {
+    REPEATING.iter().fold(line.to_owned(), |line, marker| line.replace(marker, number))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn unrolled(wgsl: &'static str, unroll: impl Into<Unroll>) -> String {
+        Source { name: "test", wgsl, appended: &[] }.unrolled(unroll)
+    }
+
+    #[test]
+    fn an_output_has_a_channel_and_a_place() {
+        let unroll = Unroll { span: 2, ..8.into() };
+        let outputs = unrolled("y$c = w$q.$e * v$x + $o;", unroll);
+        let outputs: Vec<&str> = outputs.trim_end().split("; ").collect();
+        assert_eq!(outputs.len(), 16);
+        assert_eq!(outputs[..3], ["y0 = w0.x * v0 + 0", "y1 = w0.x * v1 + 0", "y2 = w0.y * v0 + 1"]);
+        assert_eq!(outputs[15], "y15 = w1.w * v1 + 7;");
+    }
+
+    #[test]
+    fn other_markers_count_quads_places_second_outputs_and_eights() {
+        let unroll = Unroll { span: 3, second: 2, ..8.into() };
+        assert_eq!(unrolled("a$q;", unroll), "a0; a1;\n");
+        assert_eq!(unrolled("b$x;", unroll), "b0; b1; b2;\n");
+        assert_eq!(unrolled("c$k;", unroll), "c0; c1;\n");
+        assert_eq!(unrolled("$8", unroll), "0 1 2 3 4 5 6 7\n");
+        assert_eq!(unrolled("$n $m $t", unroll), "8u 2u 2u\n");
+    }
+
+    #[test]
+    fn lines_keep_their_numbers() {
+        let text = unrolled("first\nsecond $q\nthird", 16);
+        assert_eq!(
+            text.lines().collect::<Vec<_>>(),
+            ["first", "second 0 second 1 second 2 second 3", "third"]
+        );
+    }
+
+    #[test]
+    fn operands_are_loaded_or_passed_on() {
+        let wgsl = "fn f(a: u32$lane) {\nlet w$k = $same(r[at + $k]);";
+        let unroll = Unroll { second: 10, ..0.into() };
+        let loads = unrolled(wgsl, unroll);
+        assert!(loads.starts_with("fn f(a: u32) {\nlet w0 = r[at + 0]; let w1 = r[at + 1]; "), "{loads}");
+        let broadcast = unrolled(wgsl, Unroll { sharing: Sharing::Broadcast, ..unroll });
+        let (entry, line) = broadcast.split_once('\n').unwrap();
+        assert_eq!(entry, "fn f(a: u32, @builtin(subgroup_invocation_id) lane: u32) {");
+        assert_eq!(line.matches("subgroupBroadcast").count(), 10);
+        // Two loads for ten operands: the second has two of them, and lanes beyond load the last one again.
+        assert_eq!(line.matches("r[").count(), 2);
+        assert!(line.starts_with(
+            "let w_held0 = r[at + (0u + min(lane % 8u, 7u))];let w0 = subgroupBroadcast(w_held0, 0u);"
+        ));
+        let rest = "let w_held8 = r[at + (8u + min(lane % 8u, 1u))];let w8 = subgroupBroadcast(w_held8, 0u);";
+        assert!(line.contains(rest), "{line}");
+    }
+
+    #[test]
+    fn storage_is_named_where_it_is_used() {
+        let half = Unroll { storage: Storage::F16, ..0.into() };
+        assert_eq!(unrolled("var x: f32;", half), "var x: f32;\n");
+        let text = unrolled("var x: StoredPair;", half);
+        assert!(
+            text.starts_with("enable f16; var x") && text.contains("alias StoredPair = vec2<f16>;"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    #[should_panic(expected = "test.wgsl: expected $same(array[index]);")]
+    fn an_operand_ends_its_line() {
+        unrolled("let w$q = $same(r[$q]) * 2.0;", 8);
+    }
+}
