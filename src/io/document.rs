@@ -2,7 +2,9 @@
 //! what is there.
 
 use crate::{Error, Result};
+use serde::de::{Deserialize, Deserializer, Error as _, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
+use std::fmt;
 
 /// A value of a document together with where it stands.
 pub(crate) struct Node<'a> {
@@ -119,12 +121,75 @@ fn brief(value: &Value) -> String {
 /// Parses a JSON document; the error tells line and column.
 pub(crate) fn parse_json(origin: &str, text: &str) -> Result<Value> {
     // Some editors begin a file with a byte-order mark.
-    serde_json::from_str(text.trim_start_matches('\u{feff}')).map_err(|e| {
+    let parsed = serde_json::from_str(text.trim_start_matches('\u{feff}'));
+    parsed.map(|Once(value)| value).map_err(|e| {
         let place = format!("line {}, column {}", e.line(), e.column());
         let message = e.to_string();
         let found = message.split(" at line").next().unwrap_or_default();
         Error::invalid(origin, place, "JSON", found)
     })
+}
+
+/// A JSON value whose objects tell each field once: of two, `serde_json` would take the last without a word.
+struct Once(Value);
+
+impl<'de> Deserialize<'de> for Once {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        from.deserialize_any(OnceVisitor).map(Once)
+    }
+}
+
+struct OnceVisitor;
+
+impl<'de> Visitor<'de> for OnceVisitor {
+    type Value = Value;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a JSON value")
+    }
+
+    fn visit_bool<E>(self, v: bool) -> Result<Value, E> {
+        Ok(v.into())
+    }
+
+    fn visit_i64<E>(self, v: i64) -> Result<Value, E> {
+        Ok(v.into())
+    }
+
+    fn visit_u64<E>(self, v: u64) -> Result<Value, E> {
+        Ok(v.into())
+    }
+
+    fn visit_f64<E>(self, v: f64) -> Result<Value, E> {
+        Ok(v.into())
+    }
+
+    fn visit_str<E>(self, v: &str) -> Result<Value, E> {
+        Ok(v.into())
+    }
+
+    fn visit_unit<E>(self) -> Result<Value, E> {
+        Ok(Value::Null)
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut items: A) -> Result<Value, A::Error> {
+        let mut array = Vec::new();
+        while let Some(Once(item)) = items.next_element()? {
+            array.push(item);
+        }
+        Ok(array.into())
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut fields: A) -> Result<Value, A::Error> {
+        let mut object = serde_json::Map::new();
+        while let Some((name, Once(value))) = fields.next_entry::<String, _>()? {
+            if object.contains_key(&name) {
+                return Err(A::Error::custom(format!("field '{name}' for the second time")));
+            }
+            object.insert(name, value);
+        }
+        Ok(object.into())
+    }
 }
 
 /// Parses a TOML document; the error tells line and column.
@@ -154,5 +219,26 @@ fn missing(value: &Value) -> Option<String> {
         Value::Array(items) => items.iter().enumerate().find_map(|(k, v)| below(format!("[{k}]"), v)),
         Value::Object(fields) => fields.iter().find_map(|(key, v)| below(key.clone(), v)),
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn documents_are_read_as_they_are() {
+        let text = r#"{"a": [1, -2, 2.5, null, true, "b"], "c": {"a": {}}}"#;
+        assert_eq!(parse_json("scene.json", text).unwrap(), serde_json::from_str::<Value>(text).unwrap());
+    }
+
+    /// The last of them used to count, without a word.
+    #[test]
+    fn a_field_that_is_told_twice_is_refused() {
+        for text in [r#"{"grid": 8, "up": "y", "grid": 9}"#, r#"{"wind": [{"grid": 1, "grid": 1}]}"#] {
+            let error = parse_json("scene.json", text).unwrap_err().to_string();
+            assert!(error.starts_with("scene.json: line 1, column "), "{error}");
+            assert!(error.ends_with("expected JSON, found field 'grid' for the second time"), "{error}");
+        }
     }
 }
