@@ -5,6 +5,7 @@
 //! what runs where there is no GPU adapter.
 
 pub mod cloth;
+mod elementary;
 mod factored_hessian;
 pub mod fft;
 mod matmul;
