@@ -13,6 +13,19 @@ fn a_solver_that_only_the_cpu_has_runs_there_unasked() {
     assert!(output.status.success() && log.contains("the solver runs there alone"), "{log}");
 }
 
+/// Mesa's device selection used to say twice that there is no desktop, in lines that begin with "error:".
+#[test]
+fn machines_without_a_desktop_get_no_errors_of_the_driver() {
+    let folder = tempfile::tempdir().unwrap();
+    // It looks at all adapters, and has no such one.
+    let mut asking = command(folder.path(), &["rollout", "--adapter", "nope"]);
+    for name in ["XDG_RUNTIME_DIR", "DISPLAY", "NODEVICE_SELECT", "MESA_VK_DEVICE_SELECT", "DRI_PRIME"] {
+        asking.env_remove(name);
+    }
+    let log = text(&asking.output().expect("the command starts").stderr);
+    assert!(log.contains("llvmpipe") && !log.contains("XDG_RUNTIME_DIR"), "{log}");
+}
+
 #[test]
 fn a_tuning_is_stored_for_its_adapter_and_used() {
     let folder = tempfile::tempdir().unwrap();
