@@ -60,14 +60,15 @@ fn pointwise_weight_adj(
             let column = q % params.row_quads;
             let adj_from = ((params.adj_first + line) * params.outputs + adj_channel) * params.row_quads + column;
             let x_from = ((params.x_first + line) * params.inputs + x_channel) * params.row_quads + column;
-            for (var k = 0u; k < 4u; k++) {
-                if adj_channel + k < params.outputs {
-                    a[k] = adj[adj_from + k * params.row_quads];
-                }
-                if x_channel + k < params.inputs {
-                    b[k] = x[x_from + k * params.row_quads];
-                }
-            }
+            // Written out: DirectX's older compiler stores nothing at an index that is a variable.
+            if adj_channel < params.outputs { a[0] = adj[adj_from]; }
+            if adj_channel + 1u < params.outputs { a[1] = adj[adj_from + params.row_quads]; }
+            if adj_channel + 2u < params.outputs { a[2] = adj[adj_from + 2u * params.row_quads]; }
+            if adj_channel + 3u < params.outputs { a[3] = adj[adj_from + 3u * params.row_quads]; }
+            if x_channel < params.inputs { b[0] = x[x_from]; }
+            if x_channel + 1u < params.inputs { b[1] = x[x_from + params.row_quads]; }
+            if x_channel + 2u < params.inputs { b[2] = x[x_from + 2u * params.row_quads]; }
+            if x_channel + 3u < params.inputs { b[3] = x[x_from + 3u * params.row_quads]; }
         }
         let a_turned = transpose(a);
         let b_turned = transpose(b);

@@ -109,7 +109,10 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
             }
             sum = total(lane, sum);
             if k < count {
-                let rho = select(pairs[book + 2u + slot], newest_rho, k == 0u);
+                var rho = newest_rho;
+                if k > 0u {
+                    rho = pairs[book + 2u + slot];
+                }
                 alpha[k] = rho * sum.x;
                 if k == 0u {
                     gamma = 1.0 / (rho * sum.y);
@@ -151,7 +154,11 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         }
         sum = total(lane, sum);
         if k < count {
-            let beta = select(pairs[book + 2u + slot], newest_rho, k == 0u) * sum.x;
+            var rho = newest_rho;
+            if k > 0u {
+                rho = pairs[book + 2u + slot];
+            }
+            let beta = rho * sum.x;
             for (var e = lane; e < n; e += LANES) {
                 last[q + e] += (alpha[k] - beta) * history[s + e];
             }

@@ -48,10 +48,10 @@ fn feature(at: FieldsOf, inverse: vec2f, e: u32, row: u32, quad: u32) -> vec4f {
     let field = select(at.hidden + (e - 1u) * at.samples * n, 0u, e == 0u);
     let first = field + at.sample * n + row * at.columns + 4u * quad;
     var v = vec4f();
-    for (var k = 0u; k < 4u; k++) {
-        if inside[k] {
-            v[k] = fields[first + k];
-        }
-    }
+    // Written out: DirectX's older compiler stores nothing at an index that is a variable.
+    if inside.x { v.x = fields[first]; }
+    if inside.y { v.y = fields[first + 1u]; }
+    if inside.z { v.z = fields[first + 2u]; }
+    if inside.w { v.w = fields[first + 3u]; }
     return 10.0 * tanh_exact(0.1 * v * select(inverse.x, inverse.y, e == 2u));
 }
