@@ -87,15 +87,41 @@ impl Error {
         name: &str,
         known: impl IntoIterator<Item = &'a str>,
     ) -> Self {
+        let name = brief(name);
         let mut ranked: Vec<(usize, &str)> =
-            known.into_iter().map(|k| (strsim::damerau_levenshtein(name, k), k)).collect();
+            known.into_iter().map(|k| (strsim::damerau_levenshtein(&name, k), k)).collect();
         ranked.sort();
         let near = ranked.first().map_or(0, |r| r.0).max(2) + 1;
         let nearest = ranked.into_iter().filter(|r| r.0 <= near).take(3).map(|r| r.1.to_owned()).collect();
-        Error::Unknown { origin: origin.into(), kind, name: name.to_owned(), nearest }
+        Error::Unknown { origin: origin.into(), kind, name, nearest }
     }
+}
+
+/// A name as one can be shown: what a damaged file calls one may be long, and hold what moves a terminal's cursor.
+fn brief(name: &str) -> String {
+    const MOST: usize = 80;
+    let shown: String = name.chars().take(MOST).map(|c| if c.is_control() { '?' } else { c }).collect();
+    if name.chars().nth(MOST).is_some() { shown + ".." } else { shown }
 }
 
 fn suggest(nearest: &[String]) -> String {
     if nearest.is_empty() { String::new() } else { format!(" (did you mean {}?)", nearest.join(", ")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_shown_in_brief_and_without_control_characters() {
+        let long = format!("grid\u{1b}[2J{}", "x".repeat(100_000));
+        let told = Error::unknown("scene.json", "field", &long, ["grid"]).to_string();
+        assert!(
+            told.starts_with("scene.json: unknown field 'grid?[2Jxx") && told.contains("xx..'"),
+            "{told}"
+        );
+        assert!(told.len() < 150 && !told.contains('\u{1b}'), "{told}");
+        let told = Error::unknown("scene.json", "field", "grd", ["up", "grid"]).to_string();
+        assert_eq!(told, "scene.json: unknown field 'grd' (did you mean grid, up?)");
+    }
 }

@@ -113,12 +113,26 @@ fn a_ply_file_has_its_header_and_length() {
 fn a_shorter_run_leaves_no_frames_of_a_longer_one() {
     let dir = tempfile::tempdir().unwrap();
     let folder = waving(GRID, 4).write(dir.path(), "cloth", Format::Obj).unwrap();
-    fs::write(folder.join("notes.txt"), "mine").unwrap();
+    // No run names its frames so.
+    for own in ["notes.txt", "7.obj"] {
+        fs::write(folder.join(own), "mine").unwrap();
+    }
     waving(GRID, 2).write(dir.path(), "cloth", Format::Obj).unwrap();
-    assert_eq!(names(&folder), ["00000.obj", "00001.obj", "notes.txt"]);
+    assert_eq!(names(&folder), ["00000.obj", "00001.obj", "7.obj", "notes.txt"]);
     fs::remove_file(folder.join("00000.obj")).unwrap();
     let error = Trajectory::read(&folder, &ReadOptions::default()).unwrap_err().to_string();
     assert!(error.contains("00001.obj: number: expected 00000.obj"), "{error}");
+}
+
+/// The cloth used to be put together in the rows of the grid that was asked for.
+#[test]
+fn a_grid_that_contradicts_the_faces_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = waving(GRID, 2).write(dir.path(), "cloth", Format::Npz).unwrap();
+    let turned = ReadOptions { grid: Some(Grid { h: GRID.w, w: GRID.h }), ..ReadOptions::default() };
+    let error = Trajectory::read(&path, &turned).unwrap_err().to_string();
+    assert!(error.contains(&format!("faces: expected those of {}x{}", GRID.w, GRID.h)), "{error}");
+    assert!(error.ends_with(&format!("found those of {GRID}")), "{error}");
 }
 
 #[test]

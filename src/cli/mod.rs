@@ -251,6 +251,11 @@ pub fn writable_file(path: &Path) -> Result<()> {
     if path.is_dir() {
         return Err(Error::invalid(path.display().to_string(), "type", "a file", "a folder"));
     }
+    // A link's file takes its place beside that; a device or a pipe is written into.
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    if path.exists() && !path.is_file() {
+        return Ok(());
+    }
     writable_folder(path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))
 }
 
@@ -271,5 +276,25 @@ pub fn interrupt_flag() -> Arc<AtomicBool> {
             tracing::warn!("signal {signal} will not keep what was computed so far: {error}");
         }
     }
+    #[cfg(unix)]
+    if let Err(error) = tell_what_is_waited_for() {
+        tracing::warn!("Ctrl-C will not be answered at once: {error}");
+    }
     flag
+}
+
+/// A frame of many iterations, or a step of a large run, may take long: where Ctrl-C does not end the process within a second, it is
+/// said to have been heard.
+#[cfg(unix)]
+fn tell_what_is_waited_for() -> std::io::Result<()> {
+    use std::io::Read;
+    let (mut heard, signalled) = std::os::unix::net::UnixStream::pair()?;
+    signal_hook::low_level::pipe::register(SIGINT, signalled)?;
+    std::thread::Builder::new().name("ctrl-c".into()).spawn(move || {
+        if heard.read_exact(&mut [0]).is_ok() {
+            std::thread::sleep(std::time::Duration::from_secs(1));
+            tell!("interrupted: finishing what is under way; again to end at once");
+        }
+    })?;
+    Ok(())
 }

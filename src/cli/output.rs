@@ -35,6 +35,9 @@ impl Output {
                 self.closed = true;
                 Ok(all)
             }
+            Err(e) if e.kind() != ErrorKind::Interrupted => {
+                Err(std::io::Error::new(e.kind(), format!("stdout: cannot write: {e}")))
+            }
             other => other,
         }
     }

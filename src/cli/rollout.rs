@@ -31,8 +31,8 @@ pub struct Args {
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
     /// Frames to simulate, the start included
-    #[arg(long, value_name = "F")]
-    frames: Option<usize>,
+    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..))]
+    frames: Option<u32>,
     #[command(flatten)]
     solver: SolverArgs,
     #[command(flatten)]
@@ -106,7 +106,7 @@ impl Args {
             material::read(text)?.apply(&mut scene);
         }
         if self.frames.is_some() {
-            scene.frames = self.frames;
+            scene.frames = self.frames.map(|frames| frames as usize);
         }
         Ok(scene)
     }

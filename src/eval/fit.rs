@@ -62,11 +62,20 @@ impl Surface {
         if first.strip_prefix("# ") != Some(&surface.subject) {
             return Err(bad(0, &format!("# {}, as in a search for the same", surface.subject), first));
         }
+        let heads = heads();
+        match text.lines().nth(1) {
+            Some(line) if line == heads => {}
+            line => return Err(bad(1, &heads, line.unwrap_or("nothing"))),
+        }
         for (number, line) in text.lines().enumerate().skip(2) {
             let values: Option<Vec<f64>> = line.split(',').map(|v| v.parse().ok()).collect();
             let Some(Ok([point @ .., error])) = values.map(<[f64; 7]>::try_from) else {
                 return Err(bad(number, "seven numbers", line));
             };
+            // NaN is neither.
+            if !(error >= 0.0 && point.iter().all(|&v| v >= 0.0)) {
+                return Err(bad(number, "numbers that are not negative", line));
+            }
             surface.errors.insert(key(&point), (point, error));
         }
         Ok(surface)
@@ -85,8 +94,8 @@ impl Surface {
             format!("{}\n", values.join(","))
         };
         let lines: String = self.sorted().iter().map(line).collect();
-        let heads = PARAMETERS.join(",");
-        io::write_atomic(path, |file| write!(file, "# {}\n{heads},e_cd\n{lines}", self.subject))
+        let heads = heads();
+        io::write_atomic(path, |file| write!(file, "# {}\n{heads}\n{lines}", self.subject))
     }
 
     /// All points with their errors, the best first.
@@ -95,6 +104,11 @@ impl Surface {
         all.sort_by(|a, b| a.1.total_cmp(&b.1));
         all
     }
+}
+
+/// The columns of the file of a search.
+fn heads() -> String {
+    format!("{},e_cd", PARAMETERS.join(","))
 }
 
 /// A point in single precision: the same place, worked out in two ways, differs in the last bits.

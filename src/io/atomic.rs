@@ -13,7 +13,8 @@ pub(crate) const UNFINISHED: &str = ".writing-";
 /// Writes a file through `fill`, so that `path` holds either what it held before or all of the new content.
 ///
 /// The bytes go to a temporary file in the same folder, which takes the name `path` when `fill` has succeeded and is
-/// removed when it has not. The folder is created if it does not exist.
+/// removed when it has not. The folder is created if it does not exist. What a link names is replaced, not the link; a device or a
+/// pipe is written into.
 pub fn write_atomic(
     path: impl AsRef<Path>,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -30,20 +31,28 @@ pub(crate) fn replace(
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
     let path = path.as_ref();
+    // The file that a link names, not the link.
+    let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let written = (|| {
+        // Devices and pipes cannot be replaced by a file and stay what they are.
+        if target.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir()) {
+            let mut writer = BufWriter::new(File::options().write(true).open(&target)?);
+            fill(&mut writer)?;
+            return writer.flush();
+        }
         let mut builder = tempfile::Builder::new();
         builder.prefix(UNFINISHED);
         // Temporary files are private by default; the finished file is to be as readable as any other the user makes.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-        let (file, temporary) = builder.tempfile_in(folder_of(path))?.into_parts();
+        let (file, temporary) = builder.tempfile_in(folder_of(&target))?.into_parts();
         let mut writer = BufWriter::with_capacity(1 << 16, file);
         fill(&mut writer)?;
         writer.flush()?;
         // Else a crash of the machine could leave the new name with none of the new content.
         writer.get_ref().sync_all()?;
         drop(writer);
-        temporary.persist(path).map_err(|e| e.error)
+        temporary.persist(&target).map_err(|e| e.error)
     })();
     written.map_err(|e| Error::io(path, "cannot write", e))
 }
@@ -84,6 +93,29 @@ mod tests {
         write_atomic(dir.path().join("atomic"), |_| Ok(())).unwrap();
         let mode = |n: &str| std::fs::metadata(dir.path().join(n)).unwrap().permissions().mode();
         assert_eq!(mode("atomic"), mode("plain"));
+    }
+
+    /// Both used to be replaced by a file of their name.
+    #[cfg(unix)]
+    #[test]
+    fn links_and_pipes_stay_what_they_are() {
+        let dir = tempfile::tempdir().unwrap();
+        let [link, file, pipe] = ["link", "file", "pipe"].map(|name| dir.path().join(name));
+        std::fs::write(&file, "before").unwrap();
+        std::os::unix::fs::symlink("file", &link).unwrap();
+        write_atomic(&link, |w| w.write_all(b"after")).unwrap();
+        assert_eq!(std::fs::read(&file).unwrap(), b"after");
+        assert!(link.symlink_metadata().unwrap().is_symlink());
+
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let reader = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || std::fs::read(pipe).unwrap()
+        });
+        write_atomic(&pipe, |w| w.write_all(b"through")).unwrap();
+        assert_eq!(reader.join().unwrap(), b"through");
+        assert!(!pipe.metadata().unwrap().is_file());
+        assert_eq!(names(dir.path()).len(), 3);
     }
 
     #[test]

@@ -147,7 +147,11 @@ impl Trajectory {
                 _ => obj::write(self.grid, self.frame(f), w),
             })
         })?;
-        for (_, path) in frame_files(&folder, format)?.into_iter().filter(|(f, _)| *f >= self.frames()) {
+        // Only what a longer run may have named: `7.obj` is somebody's own.
+        let of_a_run = |(f, path): &(usize, PathBuf)| {
+            *f >= self.frames() && path.file_stem().is_some_and(|stem| *stem == *format!("{f:05}"))
+        };
+        for (_, path) in frame_files(&folder, format)?.into_iter().filter(of_a_run) {
             std::fs::remove_file(&path).map_err(|e| Error::io(&path, "cannot remove", e))?;
         }
         Ok(folder)
@@ -162,7 +166,7 @@ impl Trajectory {
 
     /// As [`Trajectory::read`], of vertices that need not form a grid: the grid is then a single row of them.
     pub(crate) fn read_vertices(path: &Path, fps: f64) -> Result<Self> {
-        let parts = read_parts(path)?;
+        let parts = Parts { faces: Vec::new(), ..read_parts(path)? };
         let grid = parts.shape.get(1).map(|&vertices| Grid { h: 1, w: vertices });
         Self::from_parts(parts, &ReadOptions { grid, fps }, &path.display().to_string())
     }
@@ -185,7 +189,14 @@ impl Trajectory {
         }
         let side = vertices.isqrt();
         let square = (side * side == vertices).then_some(Grid { h: side, w: side });
-        let grid = options.grid.or_else(|| mesh::grid_of(vertices, &parts.faces)).or(square);
+        let of_faces = mesh::grid_of(vertices, &parts.faces);
+        if let (Some(given), Some(of_faces)) = (options.grid, of_faces)
+            && given != of_faces
+        {
+            let (expected, found) = (format!("those of {given}"), format!("those of {of_faces}"));
+            return Err(Error::invalid(origin, "faces", expected, found));
+        }
+        let grid = options.grid.or(of_faces).or(square);
         let Some(grid) = grid.filter(|g| g.particles() == vertices) else {
             let expected = options.grid.map_or("those of a square grid".into(), |g| format!("those of {g}"));
             return Err(Error::invalid(origin, "vertices", expected, vertices));

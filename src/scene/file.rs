@@ -130,7 +130,7 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         gravity: node.get_or("gravity", up.down(super::GRAVITY_M_S2), |n| read_gravity(n, up))?,
         wind: node.get_or("wind", fallback.wind, read_wind)?,
         frame_time_s: node.get_or("frame_time_s", fallback.frame_time_s, Node::number)?,
-        frames: node.get_or("frames", None, |n| n.count().map(Some))?,
+        frames: node.get_or("frames", None, read_frames)?,
         start: node.get_or("start", fallback.start, |n| read_start(n, folder))?,
         handles: node.get_or("handles", fallback.handles, read_handles)?,
         motion: node.get_or("motion", fallback.motion, |n| read_motion(n, folder))?,
@@ -138,6 +138,13 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         up,
         origin: node.origin.to_owned(),
     })
+}
+
+fn read_frames(node: &Node) -> Result<Option<usize>> {
+    match node.count() {
+        Ok(frames) if frames > 0 => Ok(Some(frames)),
+        _ => Err(node.invalid("a whole number, 1 or more")),
+    }
 }
 
 fn read_up(node: &Node) -> Result<UpAxis> {
@@ -235,9 +242,10 @@ fn read_start(node: &Node, folder: &Path) -> Result<Start> {
 }
 
 fn read_motion(node: &Node, folder: &Path) -> Result<Motion> {
-    match node.value.is_array() {
-        true => Ok(Motion::Rows(node.items()?.iter().map(read_points).collect::<Result<_>>()?)),
-        false => Motion::parse(node.text()?, node.origin, folder),
+    match node.value {
+        Value::Array(_) => Ok(Motion::Rows(node.items()?.iter().map(read_points).collect::<Result<_>>()?)),
+        Value::String(name) => Motion::parse(name, node.origin, folder),
+        _ => Err(node.invalid("a motion's name, a .npy file, or positions [frames, handles, 3]")),
     }
 }
 

@@ -41,8 +41,26 @@ const ROLLOUT_FIRST: f64 = 1e-4;
 /// coordinates' last bits; a rollout may be off by N times that.
 const DRIFT: f64 = 1.668_100_537_200_059;
 
+/// What the names of golden files begin with.
+const KINDS: [&str; 9] = [
+    "network_forward",
+    "network_weights",
+    "checkpoint_",
+    "update_rule",
+    "energy_",
+    "rollout_",
+    "training_step",
+    "adamw",
+    "repulsion_",
+];
+
+/// A file's name without its ending.
+fn stem(path: &Path) -> String {
+    path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
 /// Checks every golden file of `folder` on `stages`, telling `report` of each array; an error only if the folder cannot
-/// be read or holds no golden file. Damaged files are failed checks.
+/// be read or holds no golden file. Damaged files are failed checks, files of other names are skipped.
 pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn FnMut(Check)) -> Result<()> {
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "cannot read", e))?;
     let mut files: Vec<PathBuf> = Vec::new();
@@ -53,12 +71,16 @@ pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn Fn
         }
     }
     files.sort();
-    if files.is_empty() {
-        let origin = folder.display().to_string();
-        return Err(Error::invalid(origin, "folder", "golden files (*.safetensors)", "none"));
+    if !files.iter().any(|path| KINDS.iter().any(|kind| stem(path).starts_with(kind))) {
+        let expected = format!("golden files ({}*.safetensors)", KINDS.join("*, "));
+        let found = match files.len() {
+            0 => "none".to_owned(),
+            count => format!("{count} of other names, such as {}", stem(&files[0])),
+        };
+        return Err(Error::invalid(folder.display().to_string(), "folder", expected, found));
     }
     for path in files {
-        let file = path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default();
+        let file = stem(&path);
         let mut checker = Checker { file: &file, folder, stages, report };
         if let Err(error) = checker.file(&path) {
             checker.verdict(&error.to_string(), Outcome::Failed);
@@ -90,7 +112,10 @@ impl Checker<'_> {
         } else if starts("repulsion_") {
             self.repulsion(&Golden::open(path)?)
         } else {
-            self.verdict("not a golden file's name", Outcome::Skipped);
+            let known = KINDS.map(|kind| kind.trim_end_matches('_'));
+            let kind = name.split('_').next().unwrap_or_default();
+            let told = Error::unknown("name", "kind of golden file", kind, known);
+            self.verdict(&told.to_string(), Outcome::Skipped);
             Ok(())
         }
     }

@@ -19,6 +19,15 @@ fn the_convergence_is_drawn_on_each_grid() {
     assert_eq!(height("8,9,10", "three"), 2 * height("8", "one"));
 }
 
+/// Only the last of them used to be there in the end.
+#[test]
+fn files_of_one_name_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = evaluate(folder.path(), &["--solver", "gd:1", "--csv", "all", "--json", "all"]);
+    refused(output, &["a file for each of --json, --csv and --markdown", "all twice"]);
+    assert!(!folder.path().join("all").exists());
+}
+
 /// Newton's method takes no number of iterations, but to be asked for one is no error.
 #[test]
 fn numbers_of_iterations_are_columns_and_curves() {

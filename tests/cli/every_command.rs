@@ -72,6 +72,8 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["evaluate", "--solver", "gd"], &["--ground-truth", "assets/ground_truth", "root of a checkout"]),
         (&["train", "few.toml", "--steps", "5"], &["--steps", "at most 4", "found 5"]),
         (&["verify", "nowhere"], &["nowhere", "cannot read"]),
+        (&["rollout", "--frames", "-1"], &["'-1' for '--frames <F>'"]),
+        (&["evaluate", "--frames", "0"], &["'0' for '--frames <F>'"]),
         (&["inspect", "key.json"], &["key.json"]),
         (&["bench", "--batch", "0"], &["--batch"]),
         (&["bench", "--batch", "100000"], &["--batch"]),
@@ -121,6 +123,18 @@ fn exit_codes_do_not_hang_on_who_listens() {
             assert_eq!(ended.code(), Some(code), "{arguments:?}, a full log");
         }
     }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn results_that_cannot_be_printed_are_an_error_that_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/network_weights.safetensors");
+    let full = std::fs::File::options().write(true).open("/dev/full").unwrap();
+    let mut inspect = command(folder.path(), &["inspect", golden.to_str().unwrap()]);
+    let output = inspect.stdout(full).stderr(Stdio::piped()).spawn().unwrap().wait_with_output().unwrap();
+    let said = text(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains("stdout: cannot write"), "{said}");
 }
 
 #[cfg(unix)]
@@ -177,6 +191,18 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
     bytes.truncate(end - 100);
     std::fs::write(&name, &bytes).unwrap();
     assert_eq!(fnopt(folder.path(), &["verify", ".", "--device", "cpu"]).status.code(), Some(1));
+
+    // A check of nothing is none, and what is passed over is told.
+    std::fs::rename(&name, folder.path().join("enrgy_small.safetensors")).unwrap();
+    let nothing = fnopt(folder.path(), &["verify", ".", "--device", "cpu"]);
+    assert_eq!(nothing.status.code(), Some(2), "{}", text(&nothing.stdout));
+    let said = text(&nothing.stderr);
+    assert!(said.contains("folder: expected golden files") && said.contains("such as enrgy_small"), "{said}");
+    std::fs::copy(golden.join("energy_small.safetensors"), &name).unwrap();
+    let some = fnopt(folder.path(), &["verify", ".", "--device", "cpu"]);
+    assert_eq!(some.status.code(), Some(0), "{}", text(&some.stdout));
+    let said = text(&some.stdout);
+    assert!(said.contains("unknown kind of golden file 'enrgy' (did you mean energy"), "{said}");
 
     // One line for each array of each file, in both precisions; nothing is passed over.
     let all = fnopt(folder.path(), &["verify", golden.to_str().unwrap(), "--device", "cpu"]);

@@ -1,6 +1,7 @@
 //! Ctrl-C ends what would take minutes of Newton's method.
 
 use super::command::{quiet, send, shipped};
+use std::io::BufRead;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
@@ -32,6 +33,22 @@ fn ends_soon(mut child: Child) {
         }
         std::thread::sleep(Duration::from_millis(20));
     }
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+}
+
+/// A frame is not cut short, so that what is kept is whole; but it is said, and the second time nothing is waited for.
+#[test]
+fn ctrl_c_is_heard_within_a_frame_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let slow = ["rollout", "--grid", "64", "--iterations", "100000", "--device", "cpu", "--no-pictures"];
+    let mut command = quiet(folder.path(), &slow);
+    let mut child =
+        at_work(command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the command starts"));
+    send("-INT", &child);
+    let mut told = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
+    let said = told.any(|line| line.unwrap().contains("again to end at once"));
+    assert!(said && child.try_wait().unwrap().is_none(), "nothing is said, or the frame was over");
+    send("-INT", &child);
     assert_eq!(child.wait().unwrap().code(), Some(130));
 }
 

@@ -81,11 +81,22 @@ fn a_known_material_is_found_again() {
     let changed = [Sequence::load(folder.path(), "made").unwrap()];
     let changed = Fit { sequences: &changed, ..fit.clone() };
     assert!(Surface::load(&file, &changed).unwrap_err().to_string().contains("line 1: expected # made (20"));
-    std::fs::write(&file, format!("# {}\nstretch\n1,2\n", fit.subject())).unwrap();
-    let refused = Surface::load(&file, &fit).unwrap_err().to_string();
-    assert!(refused.contains("line 3: expected seven numbers"), "{refused}");
-    std::fs::write(&file, format!("# {}\nstretch\n1,2,x,3,4,5,6,7\n", fit.subject())).unwrap();
-    assert!(Surface::load(&file, &fit).is_err(), "what is no number is not passed over");
+    let heads = "stretch,shear,bend,density,drag,frame_time,e_cd";
+    for (heads, line, said) in [
+        (heads, "1,2", "line 3: expected seven numbers"),
+        (heads, "1,2,x,3,4,5,6,7", "line 3: expected seven numbers"),
+        (heads, "1,2,3,4,5,6,-7", "line 3: expected numbers that are not negative"),
+        (heads, "1,2,3,4,5,6,NaN", "line 3: expected numbers that are not negative"),
+        (
+            "shear,stretch,bend,density,drag,frame_time,e_cd",
+            "1,2,3,4,5,6,7",
+            "line 2: expected stretch,shear",
+        ),
+    ] {
+        std::fs::write(&file, format!("# {}\n{heads}\n{line}\n", fit.subject())).unwrap();
+        let refused = Surface::load(&file, &fit).unwrap_err().to_string();
+        assert!(refused.contains(said), "{refused}");
+    }
     let endless = Fit { levels: 1000, ..fit.clone() };
     let refused = endless.search(&mut Surface::default(), || ControlFlow::Break(()), |_, _| Ok(()));
     let refused = refused.unwrap_err().to_string();

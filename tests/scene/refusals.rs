@@ -38,6 +38,8 @@ fn wrong_scenes_are_refused_with_the_place_and_what_was_expected() {
         (r#"{"material": {"stretch_modulus": 1, "bend": 1}}"#, &["material.bend", "not both"]),
         (r#"{"frame_time_s": 0}"#, &["frame_time_s"]),
         (r#"{"frames": 0}"#, &["frames", "1 or more"]),
+        (r#"{"frames": -1}"#, &["frames", "1 or more, found -1"]),
+        (r#"{"motion": 5}"#, &["motion", "a .npy file, or positions [frames, handles, 3], found 5"]),
         (r#"{"frames": 1000000000}"#, &["frames", "1 to 1000000"]),
         (
             r#"{"frame_time_s": 1e-300}"#,

@@ -65,11 +65,11 @@ pub struct Args {
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
     /// Density of the air [kg/m^3] [default: the sequence's, or in a suite the default scene's]
-    #[arg(long, value_name = "DENSITY", visible_alias = "density")]
+    #[arg(long, value_name = "DENSITY", visible_alias = "density", allow_negative_numbers = true)]
     wind: Option<f64>,
     /// Frames of each sequence, the start included [default: all]
-    #[arg(long, value_name = "F")]
-    frames: Option<usize>,
+    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..))]
+    frames: Option<u32>,
     /// Points sampled from each surface for e_CD
     #[arg(long, default_value_t = 10_000, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_POINTS))]
     points: u32,
@@ -184,7 +184,12 @@ impl Args {
         }
         let physics = self.material.as_deref().map_or_else(material::fitted, material::read)?;
         let physics = Physics { density: self.wind.or(physics.density), ..physics };
-        Ok(Settings { physics, points: self.points as usize, frames: self.frames.unwrap_or(usize::MAX) })
+        Ok(Settings { physics, points: self.points as usize, frames: self.most_frames() })
+    }
+
+    /// Frames of each sequence, or of a case of a suite, if it has as many.
+    fn most_frames(&self) -> usize {
+        self.frames.map_or(usize::MAX, |frames| frames as usize)
     }
 
     /// Makes sure, before the work, that the files which are asked for can be written after it.
@@ -200,7 +205,19 @@ impl Args {
             }
         }
         let tables = self.csv.iter().chain(&self.markdown).map(PathBuf::as_path);
-        self.json_file().into_iter().chain(tables).try_for_each(writable_file)?;
+        let files: Vec<&Path> = self.json_file().into_iter().chain(tables).collect();
+        for (k, file) in files.iter().enumerate() {
+            if files[..k].contains(file) {
+                let expected = "a file for each of --json, --csv and --markdown";
+                return Err(Error::invalid(
+                    "evaluate",
+                    "files",
+                    expected,
+                    format!("{} twice", file.display()),
+                ));
+            }
+            writable_file(file)?;
+        }
         self.plots.iter().try_for_each(|folder| writable_folder(folder))
     }
 

@@ -106,7 +106,7 @@ impl Args {
         let device = self.open(&entries)?;
         writable_folder(&self.out)?;
         self.writable()?;
-        let frames = self.frames.unwrap_or(usize::MAX);
+        let frames = self.most_frames();
         let bar = progress(cases.len() * entries.len(), "cases");
         let interrupted = interrupt_flag();
         let tick = || go_on(&interrupted);
