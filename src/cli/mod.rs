@@ -15,6 +15,7 @@ mod verify;
 
 use clap::{Parser, Subcommand};
 use fnopt::eval::{Sequence, median};
+use fnopt::io::is_stream;
 use fnopt::network::Weights;
 use fnopt::scene::{Batch, Scene, Setup};
 use fnopt::sim::{Grid, Optimizer};
@@ -251,11 +252,10 @@ pub fn writable_file(path: &Path) -> Result<()> {
     if path.is_dir() {
         return Err(Error::invalid(path.display().to_string(), "type", "a file", "a folder"));
     }
-    // A link's file takes its place beside that; a device or a pipe is written into.
-    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    if path.exists() && !path.is_file() {
+    if is_stream(path) {
         return Ok(());
     }
+    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     writable_folder(path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))
 }
 

@@ -34,9 +34,8 @@ pub(crate) fn replace(
     // The file that a link names, not the link.
     let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let written = (|| {
-        // Devices and pipes cannot be replaced by a file and stay what they are.
-        if target.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir()) {
-            let mut writer = BufWriter::new(File::options().write(true).open(&target)?);
+        if is_stream(path) {
+            let mut writer = BufWriter::new(File::options().append(true).open(path)?);
             fill(&mut writer)?;
             return writer.flush();
         }
@@ -55,6 +54,13 @@ pub(crate) fn replace(
         temporary.persist(&target).map_err(|e| e.error)
     })();
     written.map_err(|e| Error::io(path, "cannot write", e))
+}
+
+/// Whether `path` is written into, as no other file can take its place: a device, a pipe, or what the process has open, even where
+/// that is a file.
+pub fn is_stream(path: &Path) -> bool {
+    let open = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc"].iter().any(|open| path.starts_with(open));
+    path.metadata().is_ok_and(|found| !found.is_dir() && (open || !found.is_file()))
 }
 
 fn folder_of(path: &Path) -> &Path {

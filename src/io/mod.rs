@@ -16,8 +16,8 @@ mod ply;
 mod trajectory;
 mod zip;
 
-pub use atomic::write_atomic;
 pub(crate) use atomic::{UNFINISHED, replace};
+pub use atomic::{is_stream, write_atomic};
 pub(crate) use document::{Node, parse_json, parse_toml};
 pub use format::Format;
 pub use mesh::{Mesh, vertex_normals};

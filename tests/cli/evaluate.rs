@@ -19,6 +19,18 @@ fn the_convergence_is_drawn_on_each_grid() {
     assert_eq!(height("8,9,10", "three"), 2 * height("8", "one"));
 }
 
+/// A file used to take its place where the user may do that.
+#[cfg(target_os = "linux")]
+#[test]
+fn tables_go_into_a_pipe() {
+    let folder = tempfile::tempdir().unwrap();
+    let short = ["--device", "cpu", "--solver", "gd:1", "--grid", "8"];
+    let (printed, _) = done(evaluate(folder.path(), &[&short[..], &["--csv", "/dev/stdout"]].concat()));
+    let csv = printed.find("sequence,").expect("tables as CSV");
+    let plain = printed.find("sequence  ").expect("tables for people");
+    assert!(csv < plain, "{printed}");
+}
+
 /// Only the last of them used to be there in the end.
 #[test]
 fn files_of_one_name_are_refused() {
