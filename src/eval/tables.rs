@@ -82,11 +82,50 @@ impl<'a> Group<'a> {
 
     /// Mean of a figure over the sequences, and the deviation where there are several. What no score can tell is left empty:
     /// another system has no time, and no energy.
-    fn mean_and_deviation(&self, figure: &Figure) -> [Option<Option<f64>>; 2] {
+    fn mean_and_deviation(&self, figure: &Figure) -> [Told; 2] {
         let told = self.scores().any(|s| !s.stable || (figure.of)(s).is_some());
-        let both = over_sequences(self.spreads(figure)).filter(|_| told);
-        let apart = both.flatten().filter(|_| self.sequences.len() > 1).map(|(_, apart)| Some(apart));
-        [both.map(|both| both.map(|(mean, _)| mean)), apart]
+        match over_sequences(self.spreads(figure)).when(told) {
+            Told::Nothing => [Told::Nothing; 2],
+            Told::Diverged => [Told::Diverged, Told::Nothing],
+            Told::Value((mean, apart)) => {
+                [Told::Value(mean), Told::Value(apart).when(self.sequences.len() > 1)]
+            }
+        }
+    }
+}
+
+/// What a cell tells of a figure.
+#[derive(Clone, Copy)]
+enum Told<T = f64> {
+    /// Nothing: no score can tell it.
+    Nothing,
+    /// That the solver diverged.
+    Diverged,
+    /// The figure.
+    Value(T),
+}
+
+impl<T> Told<T> {
+    /// What there is of a solver, which has no figure where it diverged.
+    fn of(figure: Option<T>) -> Self {
+        figure.map_or(Self::Diverged, Self::Value)
+    }
+
+    /// This, if it is to be told.
+    fn when(self, told: bool) -> Self {
+        if told { self } else { Self::Nothing }
+    }
+
+    fn map<U>(self, of: impl FnOnce(T) -> U) -> Told<U> {
+        match self {
+            Self::Nothing => Told::Nothing,
+            Self::Diverged => Told::Diverged,
+            Self::Value(figure) => Told::Value(of(figure)),
+        }
+    }
+
+    fn is_nothing(&self) -> bool {
+        matches!(self, Self::Nothing)
     }
 }
 
@@ -154,15 +193,16 @@ impl BySequence {
     /// Means over the repeats of each sequence, then their mean and deviation.
     fn means(&self) -> Vec<(String, Vec<Cell>)> {
         let row = |(name, spreads): &(String, Vec<Option<Spread>>)| {
-            let means: Vec<_> = spreads.iter().map(|s| s.map(|s| s.mean)).collect();
+            let means: Vec<_> =
+                spreads.iter().map(|s| s.map_or(Told::Nothing, |s| Told::of(s.mean))).collect();
             (name.clone(), cells(&means, self.digits))
         };
         let all = self.of_groups(|spreads| over_sequences(spreads));
         let counts = self.of_groups(|spreads| spreads.count());
-        let mean: Vec<_> = all.iter().map(|s| s.map(|s| s.map(|(mean, _)| mean))).collect();
+        let mean: Vec<_> = all.iter().map(|both| both.map(|(mean, _)| mean)).collect();
         // A single sequence tells nothing of a deviation.
-        let several = all.iter().zip(&counts).map(|(s, &count)| s.filter(|_| count > 1));
-        let deviation: Vec<_> = several.map(|s| s.map(|s| s.map(|(_, apart)| apart))).collect();
+        let several = all.iter().zip(&counts).map(|(both, &count)| both.when(count > 1));
+        let deviation: Vec<_> = several.map(|both| both.map(|(_, apart)| apart)).collect();
         // Means over different sequences do not compete.
         let alike = counts.iter().filter(|&&count| count > 0).all(|count| *count == self.rows.len());
         let mean = if alike { cells(&mean, self.digits) } else { unmarked(&mean, self.digits) };
@@ -173,9 +213,10 @@ impl BySequence {
     /// Deviations over the repeats of each sequence, then the root mean square; nothing where there is one of each.
     fn deviations(&self) -> Option<Vec<(String, Vec<Cell>)>> {
         let all = self.of_groups(|spreads| pooled(spreads));
-        all.iter().any(Option::is_some).then(|| {
+        (!all.iter().all(Told::is_nothing)).then(|| {
             let row = |(name, spreads): &(String, Vec<Option<Spread>>)| {
-                let told: Vec<_> = spreads.iter().map(|s| s.and_then(Spread::told_deviation)).collect();
+                let told: Vec<_> =
+                    spreads.iter().map(|s| s.map_or(Told::Nothing, Spread::told_deviation)).collect();
                 (name.clone(), unmarked(&told, self.digits))
             };
             let last = ("root mean square".into(), unmarked(&all, self.digits));
@@ -257,7 +298,7 @@ fn times_and_errors(groups: &[Group]) -> Table {
     let row = |(_, _, name): (Option<usize>, usize, String)| {
         let of = |figure: &Figure, grid: &String| {
             let group = groups.iter().find(|group| group.grid == *grid && group.column() == name);
-            let both = group.map_or([None; 2], |group| group.mean_and_deviation(figure));
+            let both = group.map_or([Told::Nothing; 2], |group| group.mean_and_deviation(figure));
             unmarked(&both, figure.digits)
         };
         let cells =
@@ -291,23 +332,26 @@ impl Spread {
     }
 
     /// The deviation as a cell takes it: a single simulation tells nothing of it.
-    fn told_deviation(self) -> Option<Option<f64>> {
-        (self.repeats > 1).then_some(self.deviation)
+    fn told_deviation(self) -> Told {
+        Told::of(self.deviation).when(self.repeats > 1)
     }
 }
 
 /// Mean and deviation over sequences, all of which a solver must have passed; nothing of no sequence.
-fn over_sequences(spreads: impl Iterator<Item = Spread>) -> Option<Option<(f64, f64)>> {
-    let means: Vec<Option<f64>> = spreads.map(|s| s.mean).collect();
-    let all = || means.iter().copied().collect::<Option<Vec<f64>>>();
-    (!means.is_empty()).then(|| all().map(|means| mean_and_deviation(&means)))
+fn over_sequences(spreads: impl Iterator<Item = Spread>) -> Told<(f64, f64)> {
+    of_all(spreads.map(|s| s.mean).collect()).map(|means| mean_and_deviation(&means))
+}
+
+/// The figures of all, if every one has its own; nothing of none.
+fn of_all(figures: Vec<Option<f64>>) -> Told<Vec<f64>> {
+    let some = !figures.is_empty();
+    Told::of(figures.into_iter().collect()).when(some)
 }
 
 /// The deviation over repeats, as the root of the mean of its squares over the sequences that were repeated.
-fn pooled(spreads: impl Iterator<Item = Spread>) -> Option<Option<f64>> {
-    let deviations: Vec<Option<f64>> = spreads.filter_map(Spread::told_deviation).collect();
-    let square = |v: Vec<f64>| (v.iter().map(|d| d * d).sum::<f64>() / v.len() as f64).sqrt();
-    (!deviations.is_empty()).then(|| deviations.into_iter().collect::<Option<Vec<f64>>>().map(square))
+fn pooled(spreads: impl Iterator<Item = Spread>) -> Told {
+    let repeated = spreads.filter(|s| s.repeats > 1).map(|s| s.deviation);
+    of_all(repeated.collect()).map(|v| (v.iter().map(|d| d * d).sum::<f64>() / v.len() as f64).sqrt())
 }
 
 /// A mean over the sequences, and whether its deviation stands beside it.
@@ -354,7 +398,7 @@ fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
     let repeated = groups.iter().flat_map(|group| &group.sequences).any(|(_, repeats)| repeats.len() > 1);
     let of_group = |group: &Group, Mean { figure, deviation }: &Mean| {
         let [mean, apart] = group.mean_and_deviation(figure);
-        let of_repeats = pooled(group.spreads(figure)).filter(|_| mean.is_some());
+        let of_repeats = pooled(group.spreads(figure)).when(!mean.is_nothing());
         let shown = [(true, mean), (*deviation, apart), (*deviation && repeated, of_repeats)];
         let shown: Vec<_> = shown.into_iter().filter_map(|(shown, value)| shown.then_some(value)).collect();
         unmarked(&shown, figure.digits)
@@ -376,19 +420,22 @@ fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
 }
 
 /// Cells of numbers of which none is the best.
-fn unmarked(values: &[Option<Option<f64>>], digits: usize) -> Vec<Cell> {
+fn unmarked(values: &[Told], digits: usize) -> Vec<Cell> {
     let mut cells = cells(values, digits);
     cells.iter_mut().for_each(|cell| cell.best = false);
     cells
 }
 
-/// Cells of a row of numbers, the smallest marked; empty where there was none, a dash where a solver diverged.
-fn cells(values: &[Option<Option<f64>>], digits: usize) -> Vec<Cell> {
-    let smallest = values.iter().flatten().flatten().copied().fold(f64::INFINITY, f64::min);
-    let cell = |value: &Option<Option<f64>>| match value {
-        None => Cell { text: String::new(), best: false },
-        Some(None) => Cell { text: DIVERGED.into(), best: false },
-        Some(Some(v)) => Cell { text: format!("{v:.digits$}"), best: values.len() > 1 && *v == smallest },
+/// Cells of a row of numbers, the smallest marked; a dash where a solver diverged.
+fn cells(values: &[Told], digits: usize) -> Vec<Cell> {
+    let smallest = values.iter().fold(f64::INFINITY, |least, value| match value {
+        Told::Value(v) => v.min(least),
+        _ => least,
+    });
+    let cell = |value: &Told| match value {
+        Told::Nothing => Cell { text: String::new(), best: false },
+        Told::Diverged => Cell { text: DIVERGED.into(), best: false },
+        Told::Value(v) => Cell { text: format!("{v:.digits$}"), best: values.len() > 1 && *v == smallest },
     };
     values.iter().map(cell).collect()
 }
