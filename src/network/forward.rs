@@ -2,7 +2,7 @@
 
 use super::joined::Joined;
 use super::parameters::Layers;
-use super::plan::{block_size, check_modes, epilogue};
+use super::plan::{block_size, epilogue};
 use super::{Config, Keep, Layout, Parameters, Plan, Weights, tables};
 use crate::Result;
 use crate::gpu::{Context, Schedule, Storage, Tensor};
@@ -137,7 +137,7 @@ impl Forward {
         let config = layout.padded();
         let plan = &Plan { tuning: Tuning { channels: layout.tile(), ..plan.tuning }, ..*plan };
         let &Plan { grid, samples, ref tuning, keep } = plan;
-        check_modes(&config, grid)?;
+        config.check_grid(grid, "network", "grid")?;
         let (h, w) = (grid.h, padded(grid.w));
         let lifted_at_once = match joined.units {
             // Nothing is between the layers where they are joined.

@@ -5,7 +5,6 @@ use crate::gpu::Context;
 use crate::kernels::operator::{Block, Epilogue, LayerSize};
 use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
 use crate::sim::Grid;
-use crate::{Error, Result};
 
 /// What a network on a device is made for.
 #[derive(Clone, Copy, Debug)]
@@ -84,12 +83,4 @@ pub(super) fn epilogue(
         rows: rows_in_blocks && !last,
         pool: rows_in_blocks && block == config.scalar_block(),
     }
-}
-
-pub(super) fn check_modes(config: &Config, grid: Grid) -> Result<()> {
-    if grid.h < config.modes_h || grid.w / 2 + 1 < config.modes_w {
-        let expected = format!("at least {}x{}", config.modes_h, 2 * config.modes_w - 2);
-        return Err(Error::invalid("checkpoint", "grid that carries its Fourier modes", expected, grid));
-    }
-    Ok(())
 }

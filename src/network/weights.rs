@@ -1,5 +1,6 @@
 //! Sizes and weights of the Fourier neural operator (paper section 4).
 
+use crate::sim::Grid;
 use crate::{Error, Result};
 
 /// Sizes of the network.
@@ -49,6 +50,16 @@ impl Config {
         Err(Error::invalid(origin, field, expected, self.fields))
     }
 
+    /// An error unless a grid carries the kept modes; `origin` and `field` say where the grid is from.
+    pub(crate) fn check_grid(&self, grid: Grid, origin: &str, field: &str) -> Result<()> {
+        let Self { modes_h, modes_w, .. } = *self;
+        if modes_h <= grid.h && modes_w <= grid.w / 2 + 1 {
+            return Ok(());
+        }
+        let expected = format!("at least {modes_h}x{} for {modes_h}x{modes_w} modes", 2 * modes_w - 2);
+        Err(Error::invalid(origin, field, expected, grid))
+    }
+
     /// Input channels: the fields and two positional channels.
     pub fn inputs(&self) -> usize {
         self.fields + 2
@@ -61,7 +72,7 @@ impl Config {
 
     /// Floating-point operations of one pass over one sample on `grid`, a multiply-add counted as two: pointwise layers,
     /// truncated transforms as matrix products, spectral products.
-    pub fn flop(&self, grid: crate::sim::Grid) -> f64 {
+    pub fn flop(&self, grid: Grid) -> f64 {
         let n = grid.particles() as f64;
         let [lifting, channels, projection] =
             [self.lifting, self.channels, self.projection].map(|c| c as f64);

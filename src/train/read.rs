@@ -145,16 +145,12 @@ fn check(config: Config, origin: &str) -> Result<Config> {
         let expected = format!("sizes that make at most {MAX_PARAMETERS} parameters");
         return Err(Error::invalid(origin, "network", expected, parameters));
     }
-    let network::Config { modes_h, modes_w, .. } = config.network;
     let named = |name: String, grids: Vec<Grid>| grids.into_iter().map(move |grid| (name.clone(), grid));
     let pools =
         config.pools.iter().enumerate().flat_map(|(k, p)| named(format!("pool[{k}].grid"), vec![p.grid]));
     let grids = pools.chain(named("validation.grids".into(), config.validation.grids.clone()));
     for (field, grid) in grids {
-        if grid.h < modes_h || grid.w / 2 + 1 < modes_w {
-            let expected = format!("a grid that carries {modes_h} x {modes_w} Fourier modes");
-            return Err(Error::invalid(origin, field, expected, grid));
-        }
+        config.network.check_grid(grid, origin, &field)?;
     }
     if let Decay::Cosine { last } = config.schedule.decay
         && last > config.optimizer.rate

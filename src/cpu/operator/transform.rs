@@ -4,11 +4,11 @@
 //! is one product along the rows of the grid and one along its columns. A row spectrum `R` keeps, for one grid row, the
 //! columns k_w as (re, im) pairs: shape [modes_w, 2, C]. The forward transform carries the factor 1/(HW), the inverse none.
 
+use crate::Result;
 use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
 use crate::network::Config;
 use crate::sim::Grid;
-use crate::{Error, Result};
 use std::f64::consts::TAU;
 
 /// The tables of one grid for `channels` channels as they lie in memory.
@@ -33,10 +33,7 @@ impl<T: Real> Transform<T> {
     pub fn new(config: &Config, grid: Grid, channels: usize) -> Result<Self> {
         let Grid { h, w } = grid;
         let (modes_h, modes_w) = (config.modes_h, config.modes_w);
-        if modes_h > h || modes_w > w / 2 + 1 {
-            let expected = format!("at least {modes_h}x{} for {modes_h}x{modes_w} modes", 2 * modes_w - 2);
-            return Err(Error::invalid("network", "grid", expected, grid));
-        }
+        config.check_grid(grid, "network", "grid")?;
         // Reducing the argument exactly keeps the tables good to the last bit for long rows.
         let angle = |k: usize, j: usize, n: usize| TAU * ((k * j) % n) as f64 / n as f64;
         let mut row_forward = vec![T::zero(); modes_w * 2 * w];
