@@ -1,7 +1,8 @@
 // Energy terms and stretch of a cloth, summed over part of its particles (`sim::EnergyTerms`).
 //
 // Each particle owns the edges, corner angles and bends that start at it. Every part holds eight sums:
-// stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of ||edge| - 1|, unused.
+// stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of ||edge| - 1|, 0
+// (`repulsion` has its place there).
 // cloths: [B]; slots: [B, H, W]; external_acceleration, a, base, x: [B, 3, H, W]; parts: [B, groups, 8].
 // One invocation: one particle; a workgroup adds up in a fixed order. Workgroups: (n / 64 along x, then y, and B).
 // Adjoint: `gradient`.

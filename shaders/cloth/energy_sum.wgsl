@@ -1,6 +1,6 @@
 // Energy terms of each cloth from its parts: sums, and the maximum for the largest stretch (see `energy`).
 //
-// parts: [B, groups, 8]; terms: [B, 8] = stretch, shear, bend, inertia, external, largest stretch, sum of |stretch|, 0.
+// parts: [B, groups, 8]; terms: [B, 8] = stretch, shear, bend, inertia, external, largest stretch, sum of |stretch|, repulsion.
 // One workgroup: one cloth; its invocations take parts in turn and add up in a fixed order. Workgroups: (B).
 // Adjoint: `gradient`.
 
@@ -27,7 +27,7 @@ fn energy_sum(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id)
         let at = 2u * (b * params.groups + k);
         let more = parts[at + 1u];
         sum += parts[at];
-        other = vec4f(other.x + more.x, max(other.y, more.y), other.z + more.z, 0.0);
+        other = vec4f(other.x + more.x, max(other.y, more.y), other.zw + more.zw);
     }
     sums[lane] = sum;
     others[lane] = other;
@@ -37,7 +37,7 @@ fn energy_sum(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id)
             sums[lane] += sums[lane + half];
             let more = others[lane + half];
             let less = others[lane];
-            others[lane] = vec4f(less.x + more.x, max(less.y, more.y), less.z + more.z, 0.0);
+            others[lane] = vec4f(less.x + more.x, max(less.y, more.y), less.zw + more.zw);
         }
     }
     if lane == 0u {

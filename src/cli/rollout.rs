@@ -8,7 +8,7 @@ use fnopt::Error;
 use fnopt::eval::median_time;
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
-use fnopt::scene::{Motion, Scene, Setup};
+use fnopt::scene::{Motion, Scene, Separation, Setup};
 use fnopt::sim::{Frame, FrameStats, Optimizer, Simulator, State};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
@@ -30,6 +30,10 @@ pub struct Args {
     /// and drag of its "wind" and its "frame_time_s" count too
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
+    /// Keep the layers of the cloth apart, as "repulsion" in a scene does: with the numbers of the scene, else the usual ones, or
+    /// with these
+    #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "", value_name = "STRENGTH,DISTANCE")]
+    repulsion: Option<String>,
     /// Frames to simulate, the start included
     #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
@@ -105,6 +109,9 @@ impl Args {
         if let Some(text) = &self.material {
             material::read(text)?.apply(&mut scene);
         }
+        if let Some(text) = &self.repulsion {
+            scene.repulsion = Some(repulsion(text, scene.repulsion)?);
+        }
         if self.frames.is_some() {
             scene.frames = self.frames.map(|frames| frames as usize);
         }
@@ -134,6 +141,18 @@ impl Args {
     /// Where the last good state is kept when a simulation becomes non-finite.
     fn replay(&self) -> PathBuf {
         self.out.join(format!("{REPLAY}.npz"))
+    }
+}
+
+/// The repulsion that `--repulsion` asks for: where it tells no numbers, that of the scene or the usual one.
+fn repulsion(text: &str, of_scene: Option<Separation>) -> Result<Separation> {
+    if text.is_empty() {
+        return Ok(of_scene.unwrap_or_default());
+    }
+    let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    match numbers.as_deref() {
+        Some(&[strength, distance]) => Ok(Separation { strength, distance }),
+        _ => Err(Error::invalid("--repulsion", "value", "two numbers, STRENGTH,DISTANCE", text).into()),
     }
 }
 

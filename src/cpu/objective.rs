@@ -1,7 +1,9 @@
 //! What a frame minimises: the energy of each cloth of a batch as a function of its accelerations, and its gradient.
 
 use super::Real;
-use super::cloth::{Frame, GradientRows, Trial, add_wind, end_frame, energy, gradient, shifts, stretch};
+use super::cloth::{
+    Frame, GradientRows, Trial, add_wind, end_frame, energy, gradient, repulsion, shifts, stretch,
+};
 use super::optim::norm;
 use crate::sim::{Control, EnergyTerms, Model, State};
 use rayon::prelude::*;
@@ -11,6 +13,8 @@ pub struct Objective<T> {
     pub(super) trial: Trials<T>,
     /// Of each cloth.
     rows: Vec<GradientRows<T>>,
+    /// External accelerations and those of the repulsion [edges / frame^2], shape [B, 3, H, W]; empty where no cloth has one.
+    pushed: Vec<T>,
     /// Gradient dL/da, shape [B, 3, H, W].
     pub(super) grad: Vec<T>,
     /// Its norm for each component of each cloth, shape [B, 3].
@@ -34,6 +38,7 @@ impl<T: Real> Objective<T> {
     /// For the cloths of `model`, with a = 0.
     pub fn new(model: &Model) -> Self {
         let zeros = || vec![T::zero(); model.batch() * 3 * model.grid.particles()];
+        let pushed = if model.repels() { zeros() } else { Vec::new() };
         Self {
             trial: Trials {
                 model: model.clone(),
@@ -43,6 +48,7 @@ impl<T: Real> Objective<T> {
                 slots: model.handle_slots(),
             },
             rows: (0..model.batch()).map(|_| GradientRows::new(model.grid)).collect(),
+            pushed,
             grad: zeros(),
             norms: vec![0.0; 3 * model.batch()],
         }
@@ -53,6 +59,7 @@ impl<T: Real> Objective<T> {
         let old = &mut self.trial.model;
         assert!(model.grid == old.grid && model.batch() == old.batch(), "the sizes stay");
         old.clone_from(model);
+        self.pushed.resize(if model.repels() { self.grad.len() } else { 0 }, T::zero());
         self.trial.slots = model.handle_slots();
     }
 
@@ -124,9 +131,21 @@ impl<T: Real> Objective<T> {
     pub fn evaluate(&mut self, state: &State<T>, control: &Control<T>) {
         self.place(state, control);
         let cloth = self.cloth_len();
-        let Self { trial, rows, grad, norms } = self;
+        let Self { trial, rows, pushed, grad, norms } = self;
+        for (b, pushed) in pushed.chunks_exact_mut(cloth).enumerate() {
+            let before = trial.cloth(state, b);
+            match trial.model.cloths[b].repulsion {
+                Some(of_cloth) => _ = repulsion(&before, of_cloth, pushed),
+                None => pushed.copy_from_slice(before.f),
+            }
+        }
         let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
-            gradient(&trial.cloth(state, b), rows, grad);
+            let mut of_gradient = trial.cloth(state, b);
+            if !pushed.is_empty() {
+                // It depends on positions alone, so to a gradient it is an external force.
+                of_gradient.f = &pushed[b * cloth..][..cloth];
+            }
+            gradient(&of_gradient, rows, grad);
             for (norm_of, grad) in norms.iter_mut().zip(grad.chunks_exact(cloth / 3)) {
                 *norm_of = norm(grad);
             }
@@ -157,7 +176,12 @@ impl<T: Real> Objective<T> {
 
     /// Energy terms of cloth `b` where the particles are.
     pub fn energy(&self, state: &State<T>, b: usize) -> EnergyTerms {
-        energy(&self.trial.cloth(state, b))
+        let trial = self.trial.cloth(state, b);
+        let mut terms = energy(&trial);
+        if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
+            terms.repulsion = repulsion(&trial, of_cloth, &mut vec![T::zero(); self.cloth_len()]);
+        }
+        terms
     }
 
     /// Largest and mean stretch of cloth `b` where the particles are.

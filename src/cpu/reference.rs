@@ -63,11 +63,15 @@ pub struct Minimum {
 
 impl Reference {
     /// For one cloth, to |dL/da| <= 1e-8 in at most 200 iterations; an error if the model is not one ([`Model::check`]) or of
-    /// several cloths, or when memory does not suffice.
+    /// several cloths, if it has a repulsion, or when memory does not suffice.
     pub fn new(model: &Model) -> Result<Self> {
         model.check()?;
         if model.batch() != 1 {
             return Err(Error::invalid("model", "cloths", "one", model.batch()));
+        }
+        if model.repels() {
+            let found = "one, whose Hessian Newton's method does not have";
+            return Err(Error::invalid("model", "repulsion of cloth 0", "none", found));
         }
         let hessian = FactoredHessian::new(model.grid)?;
         let history = History::new(HISTORY, 3 * model.grid.particles());

@@ -232,7 +232,7 @@ pub fn run(
         if own == grid {
             score.energy = Some(mean(&|s| s.energy.total()));
             let term = |k: usize| mean(&|s| s.energy.to_array()[k]);
-            score.energy_terms = Some(EnergyTerms::from_array([0, 1, 2, 3, 4].map(term)));
+            score.energy_terms = Some(EnergyTerms::from_array([0, 1, 2, 3, 4, 5].map(term)));
             score.gradient = Some(mean(&|s| s.gradient_last));
             score.stretch_largest = Some(simulated.stretch_largest);
             score.stretch_mean = Some(mean(&|s| s.stretch_mean));

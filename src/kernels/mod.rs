@@ -17,6 +17,7 @@ use crate::gpu::Source;
 /// Texts that hold only functions and constants, appended to the kernels that call them.
 pub(crate) mod common {
     pub const ANGLE: &str = include_str!("../../shaders/common/angle.wgsl");
+    pub const CELL: &str = include_str!("../../shaders/common/cell.wgsl");
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
@@ -40,6 +41,8 @@ pub const ALL: &[(&Source, usize)] = &[
     (&cloth::external_force::SOURCE, 0),
     (&cloth::predict::SOURCE, 0),
     (&cloth::gradient::SOURCE, 0),
+    (&cloth::cells::SOURCE, 0),
+    (&cloth::repulsion::SOURCE, 0),
     (&cloth::energy::SOURCE, 0),
     (&cloth::energy_sum::SOURCE, 0),
     (&cloth::integrate::SOURCE, 0),

@@ -2,7 +2,8 @@
 
 use super::start::read_transform;
 use super::{
-    Handles, Mass, Moduli, Motion, Placement, Scene, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
+    Handles, Mass, Moduli, Motion, Placement, Scene, Separation, Side, Start, StartFile, Stiffness, UpAxis,
+    Wind, authors,
 };
 use crate::io::Node;
 use crate::sim::{Grid, Material};
@@ -12,7 +13,7 @@ use std::io::Write;
 use std::path::Path;
 
 /// The fields of a scene file.
-const FIELDS: [&str; 14] = [
+const FIELDS: [&str; 15] = [
     "grid",
     "side_m",
     "mass_kg",
@@ -20,6 +21,7 @@ const FIELDS: [&str; 14] = [
     "material",
     "gravity",
     "wind",
+    "repulsion",
     "frame_time_s",
     "frames",
     "start",
@@ -81,6 +83,10 @@ impl Scene {
                 "density": self.wind.density,
                 "drag": self.wind.drag,
             },
+            "repulsion": match self.repulsion {
+                Some(r) => json!({ "strength": r.strength, "distance": r.distance }),
+                None => json!(false),
+            },
             "frame_time_s": self.frame_time_s,
             "frames": self.frames,
             "start": match &self.start {
@@ -129,6 +135,7 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         stiffness: node.get_or("material", fallback.stiffness, read_stiffness)?,
         gravity: node.get_or("gravity", up.down(super::GRAVITY_M_S2), |n| read_gravity(n, up))?,
         wind: node.get_or("wind", fallback.wind, read_wind)?,
+        repulsion: node.get_or("repulsion", fallback.repulsion, read_repulsion)?,
         frame_time_s: node.get_or("frame_time_s", fallback.frame_time_s, Node::number)?,
         frames: node.get_or("frames", None, read_frames)?,
         start: node.get_or("start", fallback.start, |n| read_start(n, folder))?,
@@ -217,6 +224,21 @@ fn read_wind(node: &Node) -> Result<Wind> {
         density: node.get_or("density", fallback.density, Node::number)?,
         drag: node.get_or("drag", fallback.drag, Node::number)?,
     })
+}
+
+fn read_repulsion(node: &Node) -> Result<Option<Separation>> {
+    let fallback = Separation::default();
+    match node.value {
+        Value::Bool(wanted) => Ok(wanted.then_some(fallback)),
+        Value::Object(_) => {
+            node.only(&["strength", "distance"])?;
+            Ok(Some(Separation {
+                strength: node.get_or("strength", fallback.strength, Node::number)?,
+                distance: node.get_or("distance", fallback.distance, Node::number)?,
+            }))
+        }
+        _ => Err(node.invalid("true, false or {\"strength\", \"distance\"}")),
+    }
 }
 
 fn read_start(node: &Node, folder: &Path) -> Result<Start> {

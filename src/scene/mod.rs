@@ -32,6 +32,7 @@
 //! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three | 1; or N/m, N/m, N m | `{"stretch": 1000, "shear": 8, "bend": 0.5}` |
 //! | `gravity` | vector, or its size, downwards | m/s^2 | 9.8 downwards |
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
+//! | `repulsion` | `true`, or `{"strength", "distance"}`: what keeps the cloth's layers apart; `false` for nothing | m^2/s^2, edges | `false`; of `true` `{"strength": 1, "distance": 1}` |
 //! | `frame_time_s` | time of a frame | s | `1/60` |
 //! | `frames` | number of frames, the start included | | as many as the motion takes; 391 without a motion |
 //! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj`, `.npy` or `.npz`, `{"file", "grid", "transform"}`, or the positions themselves, `{"vertices": [[x, y, z], ..], "grid"}` | m | `"settled"` |
@@ -43,6 +44,11 @@
 //! **Grid and material.** One rest length l serves both directions: `l = side / (H - 1)`. Grid coefficients are used as they
 //! are, so that a finer grid is a softer cloth. Moduli are the same cloth on every grid: with areal mass rho and frame time T,
 //! `k_stretch = Y T^2 / (2 rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`, `k_bend = D T^2 / (2 rho l^4)`.
+//!
+//! **Repulsion.** Particles that no edge of the triangulated grid joins repel each other below `distance`, in edges, above 0 and at
+//! most 1 ([`crate::sim::Repulsion`]); `strength` is an energy by mass, so that layers which meet at some metres a second are kept apart
+//! on every grid. Particles repel each other, not triangles: below a distance of 1 layers slip through each other's gaps, and fast
+//! or tightly folded ones may at 1.
 //!
 //! **Start.** `settled` hangs from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side with y up. `flat` has
 //! particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up. `hanging` is a vertical plane whose upper edge, j = 0, is
@@ -193,6 +199,23 @@ impl Default for Wind {
     }
 }
 
+/// What keeps the layers of a cloth apart: particles of different places of the sheet repel each other where they come near
+/// ([`crate::sim::Repulsion`]).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Separation {
+    /// How strongly, as an energy by mass [m^2/s^2].
+    pub strength: f64,
+    /// From which distance on \[edges\]; above 0 and at most 1.
+    pub distance: f64,
+}
+
+impl Default for Separation {
+    /// Enough for layers that meet at some metres a second, and for those of a 32x32 sheet not to slip through each other's gaps.
+    fn default() -> Self {
+        Self { strength: 1.0, distance: 1.0 }
+    }
+}
+
 /// A cloth, what acts on it and how its handles move, in SI units and the scene's axes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
@@ -208,6 +231,8 @@ pub struct Scene {
     pub gravity: [f64; 3],
     /// The air.
     pub wind: Wind,
+    /// What keeps the layers of the cloth apart; none for a cloth that passes through itself.
+    pub repulsion: Option<Separation>,
     /// Time of a frame \[s\].
     pub frame_time_s: f64,
     /// Number of frames, the start included; none for as many as the motion takes.
@@ -237,6 +262,7 @@ impl Default for Scene {
             stiffness: Stiffness::default(),
             gravity: up.down(GRAVITY_M_S2),
             wind: Wind::default(),
+            repulsion: None,
             frame_time_s: 1.0 / 60.0,
             frames: None,
             start: Start::default(),
@@ -279,6 +305,13 @@ impl Scene {
         self.check_stiffness()?;
         self.not_negative("wind.density", self.wind.density)?;
         self.not_negative("wind.drag", self.wind.drag)?;
+        if let Some(Separation { strength, distance }) = self.repulsion {
+            self.not_negative("repulsion.strength", strength)?;
+            if !(distance > 0.0 && distance <= 1.0) {
+                let expected = "a number of edges above 0, at most 1";
+                return Err(Error::invalid(&self.origin, "repulsion.distance", expected, distance));
+            }
+        }
         for (field, vector) in [("gravity", self.gravity), ("wind.velocity", self.wind.velocity)] {
             if vector.iter().any(|c| !c.is_finite()) {
                 return Err(Error::invalid(&self.origin, field, "finite numbers", format!("{vector:?}")));

@@ -160,6 +160,7 @@ impl Scene {
             material: self.stiffness.in_grid_units(&units),
             gravity: units.acceleration(self.up.to_z_up(self.gravity)),
             air: units.air(self.wind.density, self.wind.drag),
+            repulsion: self.repulsion.map(|separation| units.repulsion(separation)),
             handles: particles,
         };
         let setup = Setup {
@@ -241,7 +242,8 @@ impl Scene {
         let material = [cloth.material.stretch, cloth.material.shear, cloth.material.bend];
         let wind = [cloth.air.density, cloth.air.drag].into_iter().chain(setup.wind);
         let start = setup.vertices_m(&setup.start.x);
-        let fields: [(&str, bool); 6] = [
+        let repulsion = cloth.repulsion.map_or(0.0, |repulsion| repulsion.strength);
+        let fields: [(&str, bool); 7] = [
             (
                 "side_m, frame_time_s",
                 [units.length_m, units.length_m / units.frame_time_s].into_iter().all(single),
@@ -249,6 +251,7 @@ impl Scene {
             ("material", material.into_iter().all(single)),
             ("gravity", cloth.gravity.into_iter().all(single)),
             ("wind", wind.into_iter().all(single)),
+            ("repulsion", single(repulsion)),
             (
                 "start",
                 setup.start.x.iter().chain(&setup.start.v).chain(start.as_flattened()).all(|&v| single(v)),

@@ -1,6 +1,7 @@
 //! From SI units at the surface to grid units inside, and back (paper section 3.2).
 
-use crate::sim::{Air, Material};
+use super::Separation;
+use crate::sim::{Air, Material, Repulsion};
 
 /// Which axis of a scene's positions, vectors and files points up. Inside, everything is z up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -109,6 +110,13 @@ impl Units {
     pub fn air_si(&self, air: Air) -> (f64, f64) {
         let density = air.density * self.areal_mass_kg_m2 / self.length_m;
         (density, air.drag * self.areal_mass_kg_m2 / self.frame_time_s)
+    }
+
+    /// What keeps layers apart in grid units: an energy by mass [m^2/s^2] becomes [edges^2 / frame^2].
+    pub fn repulsion(&self, separation: Separation) -> Repulsion {
+        let edge_per_frame = self.length_m / self.frame_time_s;
+        let Separation { strength, distance } = separation;
+        Repulsion { strength: strength / (edge_per_frame * edge_per_frame), distance }
     }
 
     /// The grid coefficients that give a sheet these moduli.

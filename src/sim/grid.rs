@@ -45,6 +45,13 @@ impl Grid {
         (self.w - 1) as f64 / (self.h - 1) as f64
     }
 
+    /// Whether two particles are the same one, or an edge of the triangulated grid joins them ([`Grid::faces`]).
+    pub(crate) fn joined(&self, p: usize, q: usize) -> bool {
+        let (rows, columns) =
+            ((q / self.w) as isize - (p / self.w) as isize, (q % self.w) as isize - (p % self.w) as isize);
+        rows.abs() + columns.abs() <= 1 || (rows == columns && rows.abs() == 1)
+    }
+
     /// Where particle `p` rests, flat and unstretched \[edges\], z up: `(j, i - (H-1)/2, 0)`.
     pub(crate) fn rest(&self, p: usize) -> [f64; 3] {
         [(p % self.w) as f64, (p / self.w) as f64 - (self.h - 1) as f64 / 2.0, 0.0]
@@ -88,5 +95,20 @@ mod tests {
     fn faces_cut_each_cell_once() {
         let faces = Grid { h: 3, w: 2 }.faces();
         assert_eq!(faces, [[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]]);
+    }
+
+    #[test]
+    fn the_edges_of_the_faces_join() {
+        let grid = Grid { h: 4, w: 5 };
+        let mut joined = vec![vec![false; grid.particles()]; grid.particles()];
+        (0..grid.particles()).for_each(|p| joined[p][p] = true);
+        for face in grid.faces() {
+            face.iter().for_each(|&p| face.iter().for_each(|&q| joined[p as usize][q as usize] = true));
+        }
+        for (p, joined) in joined.iter().enumerate() {
+            for (q, &joined) in joined.iter().enumerate() {
+                assert_eq!(grid.joined(p, q), joined, "{p} and {q}");
+            }
+        }
     }
 }

@@ -13,7 +13,7 @@ mod tune;
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub(crate) use learned::Learned;
 pub(crate) use model::cast;
-pub use model::{Air, Cloth, Control, Material, Model, State};
+pub use model::{Air, Cloth, Control, Material, Model, Repulsion, State};
 pub use optimizer::Optimizer;
 pub use simulator::{Device, Frame, Simulator};
 pub use solver::{INITIAL_SCALE, Solver, SolverOptions};

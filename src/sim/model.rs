@@ -32,6 +32,18 @@ pub struct Air {
     pub drag: f64,
 }
 
+/// What keeps the layers of a cloth apart (paper section 3.4): particles that no edge of the triangulated grid joins repel each
+/// other where they are near. [`EnergyTerms::repulsion`](super::EnergyTerms::repulsion) has the energy.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Repulsion {
+    /// Coefficient `k_repulsion` of the energy [edges^2 / frame^2]: the paper's `lambda` times the number of particles, so that it does not
+    /// depend on that how a particle is pushed.
+    pub strength: f64,
+    /// Distance below which particles repel each other, the paper's `delta` \[edges\]; above 0, and at most 1, where the
+    /// neighbours of a sheet at rest begin.
+    pub distance: f64,
+}
+
 /// One cloth of a batch: what stays fixed during a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloth {
@@ -41,6 +53,8 @@ pub struct Cloth {
     pub gravity: [f64; 3],
     /// The air it moves in; zero for none.
     pub air: Air,
+    /// What keeps its layers apart; none for a cloth that passes through itself.
+    pub repulsion: Option<Repulsion>,
     /// Particle numbers of the handles, all different.
     pub handles: Vec<usize>,
 }
@@ -60,7 +74,8 @@ impl Model {
         self.cloths.len()
     }
 
-    /// An error if there is no cloth, or a handle is no particle of the grid or named twice.
+    /// An error if there is no cloth, a handle is no particle of the grid or named twice, or a repulsion has other numbers than
+    /// [`Repulsion`] tells.
     pub fn check(&self) -> Result<()> {
         Grid::new(self.grid.h, self.grid.w, "model")?;
         let n = self.grid.particles();
@@ -68,6 +83,9 @@ impl Model {
             return Err(Error::invalid("model", "cloths", "at least one", 0));
         }
         for (b, cloth) in self.cloths.iter().enumerate() {
+            if let Some(repulsion) = cloth.repulsion {
+                repulsion.check("model", &format!("repulsion of cloth {b}"))?;
+            }
             let refused = |expected: String, p: usize| {
                 Err(Error::invalid("model", format!("handles of cloth {b}"), expected, p))
             };
@@ -83,6 +101,11 @@ impl Model {
             }
         }
         Ok(())
+    }
+
+    /// Whether any cloth has a repulsion.
+    pub fn repels(&self) -> bool {
+        self.cloths.iter().any(|cloth| cloth.repulsion.is_some())
     }
 
     /// Number of handles of all cloths together.
@@ -103,6 +126,23 @@ impl Model {
             }
         }
         slots
+    }
+}
+
+impl Repulsion {
+    /// An error if a number is not what it can be; `origin` and `field` say where they are from.
+    pub(crate) fn check(&self, origin: &str, field: &str) -> Result<()> {
+        let Self { strength, distance } = *self;
+        let refused = |part: &str, expected: &str, found: f64| {
+            Err(Error::invalid(origin, format!("{field}.{part}"), expected, found))
+        };
+        if !(strength >= 0.0 && (strength as f32).is_finite()) {
+            return refused("strength", "a finite number, 0 or above", strength);
+        }
+        if !(distance > 0.0 && distance <= 1.0 && distance as f32 > 0.0) {
+            return refused("distance", "a number of edges above 0, 1 at most", distance);
+        }
+        Ok(())
     }
 }
 

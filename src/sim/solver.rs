@@ -6,7 +6,7 @@ use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{
     ClothParams, ClothTerms, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate,
-    Physics, Predict, StateTensors, TERMS, energy, gradient,
+    Physics, Predict, Repulsion, StateTensors, TERMS, energy, gradient,
 };
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::{Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, QuasiNewton};
@@ -202,16 +202,25 @@ impl Solver {
         );
 
         let physics = Physics { cloths, external, x };
+        let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(batch, grid))?;
+        let repulsion = self.model.repels().then(|| Repulsion::new(context, batch, grid)).transpose()?;
+        let pushed = Physics { external: repulsion.as_ref().map_or(external, |r| &r.pushed), ..physics };
+        let repel = |frame: &mut Schedule| {
+            if let Some(repulsion) = &repulsion {
+                repulsion.push(frame, grid, physics, (iterate, &parts));
+            }
+        };
         let gradient = Gradient::new(context)?;
         let mut step = self.rule.kernels(context, self)?;
         for iteration in 0..self.iterations {
             let sums = row(&self.sums, iteration, self.ends[0].shape());
-            gradient.push(&mut frame, grid, physics, (iterate, &sums));
+            repel(&mut frame);
+            gradient.push(&mut frame, grid, pushed, (iterate, &sums));
             step(&mut frame, iteration, &sums);
         }
 
-        let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(batch, grid))?;
         Energy::new(context)?.push(&mut frame, grid, physics, (iterate, &parts));
+        repel(&mut frame);
         EnergySum::new(context)?.push(&mut frame, &parts, &self.terms);
         Integrate::new(context)?.push(&mut frame, state, iterate);
         frame.finish()
@@ -287,7 +296,8 @@ impl Solver {
     /// Gives the cloths other materials, gravity or air, ahead of whatever is submitted next. Wind ends, until a control tells
     /// it again.
     ///
-    /// An error if there are more or fewer cloths or they have other handles: those take a new solver.
+    /// An error if there are more or fewer cloths, they have other handles, or one has a repulsion where none had: those take a
+    /// new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = Model { grid: self.model.grid, cloths: cloths.to_vec() };
         model.check()?;
@@ -295,6 +305,10 @@ impl Solver {
         if handles(&model) != handles(&self.model) {
             let found = "other cloths or handles";
             return Err(Error::invalid("model", "handles", "those that the solver was made for", found));
+        }
+        if model.repels() && !self.model.repels() {
+            let found = "some";
+            return Err(Error::invalid("model", "repulsion", "none, as when the solver was made", found));
         }
         self.model = model;
         self.windy.store(false, Ordering::Relaxed);

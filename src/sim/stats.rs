@@ -16,18 +16,22 @@ pub struct EnergyTerms {
     pub inertia: f64,
     /// External forces: `-1 / (H W)` times the sum of `m a.f`; negative when they do work.
     pub external: f64,
+    /// Repulsion: `-k_repulsion / (H W)` times the sum of `log(d^2 + 1e-8)` over ordered pairs of particles that no edge of the
+    /// triangulated grid joins, at a distance d below that of the [`Repulsion`](super::Repulsion); 0 without one.
+    #[serde(default)]
+    pub repulsion: f64,
 }
 
 impl EnergyTerms {
     /// From the terms in the order of the fields.
-    pub(crate) fn from_array([stretch, shear, bend, inertia, external]: [f64; 5]) -> Self {
-        Self { stretch, shear, bend, inertia, external }
+    pub(crate) fn from_array([stretch, shear, bend, inertia, external, repulsion]: [f64; 6]) -> Self {
+        Self { stretch, shear, bend, inertia, external, repulsion }
     }
 
     /// The terms in the order of the fields.
-    pub(crate) fn to_array(self) -> [f64; 5] {
-        let Self { stretch, shear, bend, inertia, external } = self;
-        [stretch, shear, bend, inertia, external]
+    pub(crate) fn to_array(self) -> [f64; 6] {
+        let Self { stretch, shear, bend, inertia, external, repulsion } = self;
+        [stretch, shear, bend, inertia, external, repulsion]
     }
 
     /// The energy, the sum of all terms.

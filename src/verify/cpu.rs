@@ -2,16 +2,16 @@
 
 use super::{
     AdamWCase, EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, TrainingCase,
-    TrainingOutput, UpdateCase,
+    TrainingOutput, UpdateCase, gradient_of_push,
 };
 use crate::Result;
-use crate::cpu::cloth::{GradientRows, Trial, energy, gradient};
+use crate::cpu::cloth::{GradientRows, Trial, energy, gradient, repulsion};
 use crate::cpu::operator::{Network, Stage};
 use crate::cpu::optim::{Hidden, Minimizer, Normalisation, Update};
 use crate::cpu::train::{AdamW, AdamWSettings, Loss};
 use crate::cpu::{Real, Solver};
 use crate::network::Weights;
-use crate::sim::{Control, EnergyTerms, Grid, Model, Optimizer, State};
+use crate::sim::{Control, EnergyTerms, Grid, Material, Model, Optimizer, Repulsion, State};
 use std::marker::PhantomData;
 use std::sync::Arc;
 
@@ -78,6 +78,22 @@ impl<T: Real> Stages for CpuStages<T> {
             gradients.extend(double(&grad));
         }
         Ok((terms, gradients))
+    }
+
+    fn repulsion(&mut self, grid: Grid, positions: &[f64], of_cloth: Repulsion) -> Result<(f64, Vec<f64>)> {
+        let n = grid.particles();
+        let (x, zeros, mut pushed) = (cast::<T>(positions), vec![T::zero(); 3 * n], vec![T::zero(); 3 * n]);
+        let trial = Trial {
+            grid,
+            material: Material::default(),
+            x: &x,
+            shift: &zeros,
+            a: &zeros,
+            f: &zeros,
+            slots: &vec![0; n],
+        };
+        let energy = repulsion(&trial, of_cloth, &mut pushed);
+        Ok((energy, gradient_of_push(grid, &double(&pushed))))
     }
 
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)> {

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::eval::repulsion;
 use crate::network::{Checkpoint, Weights};
-use crate::sim::{Cloth, Grid, Material};
+use crate::sim::{Cloth, Grid, Material, Repulsion};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -368,15 +368,28 @@ impl Checker<'_> {
         Ok(())
     }
 
-    /// A measure of the host's, the same whatever the device. It needs no gradient, so that of the file is not compared.
+    /// Of the file's positions, with lambda = 1.
     fn repulsion(&mut self, golden: &Golden) -> Result<()> {
         let [_, h, w] = golden.shape("positions")?;
         let grid = self.grid_with_cells(h, w)?;
         let (x, n) = (golden.shaped("positions", &[3, h, w])?, grid.particles());
         let points: Vec<[f64; 3]> = (0..n).map(|p| [x[p], x[n + p], x[2 * n + p]]).collect();
-        let threshold = golden.shaped("threshold", &[])?[0];
-        let found = repulsion(&points, &grid.faces(), threshold);
-        self.magnitude("energy", golden.shaped("energy", &[])?, &[found], ENERGY_DOUBLE);
+        let distance = golden.shaped("threshold", &[])?[0];
+        if distance <= 0.0 {
+            return Err(Error::invalid(self.file, "threshold", "a distance above 0", distance));
+        }
+        let (expected, of_grad) = (golden.shaped("energy", &[])?, golden.shaped("gradient", &[3, h, w])?);
+        // A measure of the host's, the same whatever the device.
+        let measured = repulsion(&points, &grid.faces(), distance);
+        self.magnitude("energy (measure)", expected, &[measured], ENERGY_DOUBLE);
+        let lambda_1 = Repulsion { strength: n as f64, distance };
+        let (energy, grad) = self.stages.repulsion(grid, x, lambda_1)?;
+        let [of_energy, in_norm] = match self.stages.precision() {
+            Precision::Double => [ENERGY_DOUBLE; 2],
+            Precision::Single | Precision::Half => [ENERGY_SINGLE, GRADIENT_SINGLE],
+        };
+        self.magnitude("energy", expected, &[energy], of_energy);
+        self.in_norm("gradient", of_grad, &grad, in_norm);
         Ok(())
     }
 }
@@ -482,6 +495,7 @@ mod tests {
         };
         assert!(repulsion(1, 1.0).contains("two particles or more a side"));
         assert!(repulsion(8, f32::NAN).contains("finite numbers, found NaN"));
+        assert!(repulsion(8, 0.0).contains("threshold: expected a distance above 0"));
 
         assert!(failure("adamw", &[("before.a", &[2])], 1.0).contains("grad0"));
         assert!(failure("network_forward_x", &[("input", &[1, 3, 2, 2])], 1.0).contains("8 to 4096"));

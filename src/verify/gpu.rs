@@ -2,7 +2,7 @@
 
 use super::{
     AdamWCase, EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, TrainingCase,
-    TrainingOutput, UpdateCase,
+    TrainingOutput, UpdateCase, gradient_of_push,
 };
 use crate::Result;
 use crate::cpu::optim::Normalisation;
@@ -14,9 +14,11 @@ use crate::kernels::cloth::{
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::Iterate;
 use crate::kernels::train::BatchTensors;
-use crate::kernels::{Tuning, padded};
+use crate::kernels::{self, Tuning, padded};
 use crate::network::{Forward, Head, Keep, Parameters, Plan, Transposed, Weights};
-use crate::sim::{Control, EnergyTerms, Grid, Learned, Model, Optimizer, Solver, SolverOptions, State};
+use crate::sim::{
+    Cloth, Control, EnergyTerms, Grid, Learned, Model, Optimizer, Repulsion, Solver, SolverOptions, State,
+};
 use crate::train::{DeviceAdamW, DeviceLoss};
 use std::sync::Arc;
 
@@ -127,6 +129,30 @@ impl Stages for GpuStages {
         self.run(&schedule);
         let terms = terms.read::<f32>(context)?;
         Ok((ClothTerms::all(&terms).map(|terms| terms.energy).collect(), self.read(&iterate.grad)?))
+    }
+
+    fn repulsion(&mut self, grid: Grid, positions: &[f64], of_cloth: Repulsion) -> Result<(f64, Vec<f64>)> {
+        let (context, n) = (&self.context, grid.particles());
+        let cloth = Cloth { repulsion: Some(of_cloth), ..Cloth::default() };
+        let params = ClothParams::all(&Model { grid, cloths: vec![cloth] }, &[]);
+        let iterate = Iterate::new(context, 1, &vec![0; n])?;
+        let cloths = Tensor::from_slice(context, "cloths", &[1, ClothParams::LEN], &params)?;
+        let external = Tensor::zeros(context, "external", &[1, 3, n])?;
+        let x = self.upload("positions", &[1, 3, n], positions)?;
+        let physics = Physics { cloths: &cloths, external: &external, x: &x };
+        let parts = Tensor::zeros(context, "parts", &energy::parts_shape(1, grid))?;
+        let terms = Tensor::zeros(context, "terms", &[1, TERMS])?;
+        let mut schedule = Schedule::new(context);
+        let repulsion = context.checked(|| {
+            let repulsion = kernels::cloth::Repulsion::new(context, 1, grid)?;
+            repulsion.push(&mut schedule, grid, physics, (&iterate, &parts));
+            EnergySum::new(context)?.push(&mut schedule, &parts, &terms);
+            Ok(repulsion)
+        })?;
+        self.run(&schedule);
+        let terms = terms.read::<f32>(context)?;
+        let energy = ClothTerms::all(&terms).map(|terms| terms.energy.repulsion).sum();
+        Ok((energy, gradient_of_push(grid, &self.read(&repulsion.pushed)?)))
     }
 
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)> {

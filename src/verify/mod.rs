@@ -2,8 +2,7 @@
 //!
 //! A file's name says what it holds: `network_weights`, `network_forward_*`, `update_rule_*`, `energy_*`, `repulsion_*`,
 //! `checkpoint_NAME`, `rollout_NAME_*`, `training_step*`, `adamw*`. Sizes are read from the arrays, so files of other grids
-//! and seeds check as well. Every array is compared on its own, so that an error points at one stage. Of `repulsion_*`
-//! only the energy is: it is a measure here, and its gradient is not computed.
+//! and seeds check as well. Every array is compared on its own, so that an error points at one stage.
 
 mod checker;
 mod cpu;
@@ -17,7 +16,7 @@ pub use gpu::GpuStages;
 
 use crate::Result;
 use crate::network::Weights;
-use crate::sim::{Cloth, EnergyTerms, Grid};
+use crate::sim::{Cloth, EnergyTerms, Grid, Repulsion};
 use std::sync::Arc;
 
 /// Rounding that a device computes with, which sets what it is held to.
@@ -46,6 +45,9 @@ pub trait Stages {
     /// Energy terms of each cloth and the gradient dL/da [B, 3, H, W].
     fn energy(&mut self, case: &EnergyCase) -> Result<(Vec<EnergyTerms>, Vec<f64>)>;
 
+    /// The repulsion of a cloth with positions [3, H, W] \[edges\]: its energy, and the gradient of that over the positions.
+    fn repulsion(&mut self, grid: Grid, positions: &[f64], repulsion: Repulsion) -> Result<(f64, Vec<f64>)>;
+
     /// One application of the update rule: step [S, H, W] and new scales `[S]`.
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)>;
 
@@ -57,6 +59,14 @@ pub trait Stages {
 
     /// Frames from a start at rest with a fresh hidden state.
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>>;
+}
+
+/// The gradient of the repulsion's energy over positions [3, H, W], from the accelerations that it pushes particles by: the force
+/// on a particle is its mass over `H W` times its acceleration.
+fn gradient_of_push(grid: Grid, pushed: &[f64]) -> Vec<f64> {
+    let n = grid.particles();
+    let mass = |p: usize| grid.mass(p / grid.w, p % grid.w) / n as f64;
+    pushed.iter().enumerate().map(|(k, a)| -mass(k % n) * a).collect()
 }
 
 /// What the network computes on the way and at the end.

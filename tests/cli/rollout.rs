@@ -75,6 +75,40 @@ fn a_rollout_takes_a_material_from_a_file() {
 }
 
 #[test]
+fn layers_are_kept_apart_where_that_is_asked_for() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("s.json"), r#"{"repulsion": {"distance": 0.7}}"#).unwrap();
+    let rollout = |more: &[&str]| {
+        let few = ["rollout", "--device", "cpu", "--grid", "8", "--frames", "2", "--no-pictures"];
+        fnopt(folder.path(), &[&few[..], more].concat())
+    };
+    for (more, strength, distance) in [
+        (&["--repulsion", "--solver", "gd"][..], 1.0, 1.0),
+        (&["--solver", "gd", "--repulsion=0.5,0.8"], 0.5, 0.8),
+        (&["--solver", "gd", "s.json"], 1.0, 0.7),
+        (&["--solver", "gd", "--repulsion", "s.json"], 1.0, 0.7),
+    ] {
+        let output = rollout(more);
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+        let repulsion = &report["settings"]["scene"]["repulsion"];
+        assert_eq!(repulsion["strength"], strength, "{more:?}");
+        assert_eq!(repulsion["distance"], distance, "{more:?}");
+        assert!(report["per_frame"][0]["energy"]["repulsion"].is_number());
+    }
+    for (more, said) in [
+        (&["--repulsion=1"][..], "--repulsion: value: expected two numbers"),
+        (&["--repulsion=1,2"], "repulsion.distance: expected a number of edges above 0, at most 1, found 2"),
+        (&["--repulsion", "--solver", "newton"], "Newton's method"),
+    ] {
+        let output = rollout(more);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(text(&output.stderr).contains(said), "{}", text(&output.stderr));
+    }
+}
+
+#[test]
 fn a_run_that_explodes_keeps_the_frames_before_and_a_replay() {
     let folder = tempfile::tempdir().unwrap();
     let arguments =

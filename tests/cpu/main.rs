@@ -11,6 +11,7 @@ mod newton;
 #[path = "../noise/mod.rs"]
 mod noise;
 mod reference;
+mod repulsion;
 mod rollout;
 mod update_rule;
 mod wind;

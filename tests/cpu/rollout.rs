@@ -118,6 +118,7 @@ fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
         gravity: [0.0, 0.01 * b as f64, -0.1],
         air: Air { density: 0.1 * b as f64, drag: 0.02 },
         handles: vec![b, n - 1 - b][..2 - b % 2].to_vec(),
+        ..Cloth::default()
     };
     let model = Model { grid, cloths: (0..3).map(cloth).collect() };
     let mut state = State::<f32>::rest(grid, 3);

@@ -8,7 +8,8 @@ use fnopt::kernels::Tuning;
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{
-    Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Solver, SolverOptions, State,
+    Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Repulsion, Solver,
+    SolverOptions, State,
 };
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -88,6 +89,7 @@ pub fn varied_batch() -> (Model, State<f32>, Control<f32>) {
         gravity: [0.0, 0.01 * b as f64, -0.1],
         air: Air { density: 0.1 * b as f64, drag: 0.02 },
         handles: vec![b, n - 1 - b][..2 - b % 2].to_vec(),
+        ..Cloth::default()
     };
     let model = Model { grid, cloths: (0..3).map(cloth).collect() };
     let mut state = State::<f32>::rest(grid, 3);
@@ -242,6 +244,72 @@ fn frames_of_all_optimizers_agree_with_the_host() {
             }
         }
     }
+}
+
+/// Cloths that are drawn together until their layers repel each other, but for those of one of them.
+fn crowded() -> (Model, State<f32>, Control<f32>) {
+    let (mut model, mut state, control) = varied_batch();
+    model.cloths[0].repulsion = Some(Repulsion { strength: 0.05, distance: 0.8 });
+    model.cloths[2].repulsion = Some(Repulsion { strength: 0.2, distance: 1.0 });
+    state.x.iter_mut().for_each(|x| *x *= 0.5);
+    let n = model.grid.particles();
+    let at = |(b, p): (usize, usize)| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p]);
+    let held = model.cloths.iter().enumerate().flat_map(|(b, c)| c.handles.iter().map(move |&p| (b, p)));
+    let handles = held.map(at).collect();
+    (model, state, Control { handles, ..control })
+}
+
+/// Layers that repel each other do so as on the host, and runs repeat.
+#[test]
+fn frames_of_cloths_that_repel_themselves_agree_with_the_host() {
+    let _turn = device();
+    let (model, start, control) = crowded();
+    for optimizer in [Optimizer::Learned(starter().clone()), Optimizer::gradient_descent()] {
+        let name = optimizer.name();
+        let solver = solver(&model, &optimizer, 3, &start);
+        let mut host = cpu::Solver::<f64>::new(&model, &optimizer, 3).unwrap();
+        let mut expected = start.cast::<f64>();
+        let found = step(&solver, &control);
+        let stats = host.step(&mut expected, &control.cast());
+        assert_close(name, &found.x, &expected.x, (1e-4 * largest(&expected.v), 2e-7));
+        assert_close(name, &found.v, &expected.v, (1e-4 * largest(&expected.v), 2e-7));
+        let energies = |stats: &[FrameStats]| stats.iter().map(|s| s.energy.repulsion).collect::<Vec<_>>();
+        let (found_energies, wanted) = (energies(&statistics(&solver)), energies(&stats));
+        assert!(wanted[0] != 0.0 && wanted[1] == 0.0 && wanted[2] != 0.0, "{wanted:?}");
+        let found_energies: Vec<f32> = found_energies.iter().map(|&e| e as f32).collect();
+        assert_close(
+            &format!("repulsion of {name}"),
+            &found_energies,
+            &wanted,
+            (1e-4 * largest(&wanted), 0.0),
+        );
+        solver.set_state(&start);
+        assert_same(&format!("{name} repeats"), &step(&solver, &control).x, &found.x);
+    }
+}
+
+/// What is repelled at a strength of nothing is pushed by nothing: to the bit as in a solver that has no repulsion.
+#[test]
+fn cloths_that_no_longer_repel_themselves_are_as_those_that_never_did() {
+    let _turn = device();
+    let (model, start, control) = crowded();
+    let none: Vec<_> = model.cloths.iter().map(|c| Cloth { repulsion: None, ..c.clone() }).collect();
+    let never = Model { grid: model.grid, cloths: none.clone() };
+    let optimizer = Optimizer::Learned(starter().clone());
+    let mut changed = solver(&model, &optimizer, 3, &start);
+    changed.set_cloths(&none).unwrap();
+    let expected = step(&solver(&never, &optimizer, 3, &start), &control);
+    assert_same("positions", &step(&changed, &control).x, &expected.x);
+}
+
+#[test]
+fn a_solver_that_was_made_without_repulsion_gets_none_later() {
+    let _turn = device();
+    let (model, start, _) = varied_batch();
+    let mut solver = solver(&model, &Optimizer::gradient_descent(), 1, &start);
+    let error = solver.set_cloths(&crowded().0.cloths).unwrap_err().to_string();
+    assert!(error.contains("repulsion"), "{error}");
+    assert_eq!(*solver.model(), model);
 }
 
 #[test]

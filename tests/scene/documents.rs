@@ -1,7 +1,7 @@
 //! Scene files that are right: the examples, the defaults, and the authors' own format.
 
 use crate::common::{assets, distance, parse};
-use fnopt::scene::{Handles, Placement, Scene, Side, UpAxis};
+use fnopt::scene::{Handles, Placement, Scene, Separation, Side, UpAxis};
 use fnopt::sim::Grid;
 
 #[test]
@@ -22,7 +22,7 @@ fn every_example_loads_sets_up_and_survives_a_round_trip() {
         assert_eq!(again.setup().unwrap(), setup, "{}", path.display());
         count += 1;
     }
-    assert!(count >= 14);
+    assert!(count >= 16);
 }
 
 #[test]
@@ -36,6 +36,16 @@ fn an_empty_document_and_the_default_file_are_the_default_scene() {
     assert_eq!(setup.model.cloths[0].handles, [31 * 32, 0]);
     assert!((setup.model.cloths[0].gravity[2] + 9.8 * 31.0 / 3600.0).abs() < 1e-15);
     assert!((setup.model.cloths[0].air.density - 1.0 / 31.0 / 0.187).abs() < 1e-15);
+}
+
+#[test]
+fn repulsion_is_asked_for_with_or_without_numbers() {
+    let of = |text: &str| parse(&format!("{{\"repulsion\": {text}}}")).unwrap().repulsion;
+    assert_eq!([of("false"), of("null")], [None; 2]);
+    assert_eq!([of("true"), of("{}")], [Some(Separation::default()); 2]);
+    let distance = Separation { distance: 0.5, ..Separation::default() };
+    assert_eq!(of(r#"{"distance": 0.5}"#), Some(distance));
+    assert_eq!(of(r#"{"strength": 0, "distance": 0.5}"#), Some(Separation { strength: 0.0, ..distance }));
 }
 
 #[test]

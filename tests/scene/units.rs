@@ -1,8 +1,8 @@
 //! Units: moduli, masses and wind against elasticity and mechanics.
 
 use crate::common::distance;
-use fnopt::scene::{Moduli, Units, UpAxis};
-use fnopt::sim::Material;
+use fnopt::scene::{Moduli, Separation, Units, UpAxis};
+use fnopt::sim::{Material, Repulsion};
 
 /// The energy of section 3 of one cloth without inertia and external work; `x` of shape [H][W].
 fn energy(x: &[Vec<[f64; 3]>], k: Material) -> f64 {
@@ -91,6 +91,19 @@ fn units_go_both_ways() {
         assert_eq!(up.to_z_up(up.down(1.0)), [0.0, 0.0, -1.0]);
     }
     assert_eq!(UpAxis::Y.to_z_up([1.0, 2.0, 3.0]), [1.0, -3.0, 2.0]);
+}
+
+/// Two particles of a cell's mass that repel each other: what the energy by mass falls by when they part is what they move with.
+#[test]
+fn the_same_repulsion_parts_layers_as_fast_on_every_grid() {
+    for (length_m, frame_time_s) in [(1.0 / 31.0, 1.0 / 60.0), (0.01, 1.0 / 60.0), (0.01, 0.005)] {
+        let units = Units { length_m, frame_time_s, areal_mass_kg_m2: 0.3 };
+        let Repulsion { strength, distance } = units.repulsion(Separation { strength: 2.0, distance: 0.8 });
+        // Both orders of the pair, from half the distance: 2 k log 4 = 2 (v^2 / 2) in edges and frames.
+        let v = (2.0 * strength * 4f64.ln()).sqrt();
+        let speed = units.velocity_m_s([v, 0.0, 0.0])[0];
+        assert!((speed - (2.0 * 2.0 * 4f64.ln()).sqrt()).abs() < 1e-12 && distance == 0.8, "{speed} m/s");
+    }
 }
 
 #[test]

@@ -9,13 +9,13 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 
-/// The five terms of the energy of one cloth, summed in double precision row by row.
+/// The terms of the energy of one cloth but for its repulsion, summed in double precision row by row.
 pub fn energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTerms {
     let stored = Stored::new(trial.grid.w);
     let row = |work: &mut Work<T>, i| Arch::new().dispatch(Row { trial, i, stored, work });
     let rows: Vec<EnergyTerms> =
         (0..trial.grid.h).into_par_iter().map_init(|| Work::new(stored.stride), row).collect();
-    EnergyTerms::from_array([0, 1, 2, 3, 4].map(|k| rows.iter().map(|row| row.to_array()[k]).sum()))
+    EnergyTerms::from_array([0, 1, 2, 3, 4, 5].map(|k| rows.iter().map(|row| row.to_array()[k]).sum()))
 }
 
 /// Edges of a row and of the next one, shape [3, W'], and the squares that are added up, shape \[W'\].

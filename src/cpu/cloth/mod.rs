@@ -1,18 +1,22 @@
 //! The cloth on the CPU: energies, their gradient, wind and the end of a frame, for one cloth at a time (paper section 3).
 
+mod cells;
 mod energy;
 mod gradient;
 mod hessian;
 mod integrate;
+mod repulsion;
 mod rows;
 mod stretch;
 mod vector;
 mod wind;
 
+pub use cells::{Cells, Placed, Walk};
 pub use energy::energy;
 pub use gradient::{GradientRows, gradient};
 pub use hessian::{AFTER, Block, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};
+pub use repulsion::repulsion;
 pub use stretch::stretch;
 pub use wind::add_wind;
 

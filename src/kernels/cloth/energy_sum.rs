@@ -19,7 +19,7 @@ struct Params {
     pad: [u32; 3],
 }
 
-/// Numbers that the device keeps of a cloth's energy, or of a part of it: see [`ClothTerms`]; the last one is not used.
+/// Numbers that the device keeps of a cloth's energy, or of a part of it: see [`ClothTerms`].
 pub const TERMS: usize = 8;
 
 /// What the device tells of a cloth at a trial.
@@ -38,7 +38,7 @@ impl ClothTerms {
     pub fn all(terms: &[f32]) -> impl Iterator<Item = Self> {
         terms.chunks_exact(TERMS).map(|of_cloth| {
             let at = |k: usize| f64::from(of_cloth[k]);
-            let energy = EnergyTerms::from_array([0, 1, 2, 3, 4].map(at));
+            let energy = EnergyTerms::from_array([0, 1, 2, 3, 4, 7].map(at));
             Self { energy, stretch_largest: at(5), stretch_sum: at(6) }
         })
     }

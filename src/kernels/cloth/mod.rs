@@ -1,18 +1,22 @@
 //! The cloth: forces, energies, their gradient and the time step (paper sections 3.2 and 3.3).
 
+pub mod cells;
 pub mod energy;
 pub mod energy_sum;
 pub mod external_force;
 pub mod gradient;
 pub mod integrate;
 pub mod predict;
+pub mod repulsion;
 
+pub use cells::{CellTensors, Cells};
 pub use energy::Energy;
 pub use energy_sum::{ClothTerms, EnergySum, TERMS};
 pub use external_force::{ExternalForce, ExternalForceTensors};
 pub use gradient::Gradient;
 pub use integrate::Integrate;
 pub use predict::Predict;
+pub use repulsion::Repulsion;
 
 use crate::gpu::Tensor;
 use crate::kernels::optim::Iterate;
@@ -48,6 +52,7 @@ pub struct ClothParams {
     gravity: [f32; 4],
     air: [f32; 4],
     wind: [f32; 4],
+    repulsion: [f32; 4],
 }
 
 impl ClothParams {
@@ -62,12 +67,15 @@ impl ClothParams {
 
     fn new(cloth: &Cloth, wind: [f32; 3]) -> Self {
         let m = cloth.material;
+        let [strength, distance] =
+            cloth.repulsion.map_or([0.0; 2], |r| [r.strength as f32, r.distance as f32]);
         let [gx, gy, gz] = cloth.gravity.map(|g| g as f32);
         Self {
             material: [m.stretch as f32, m.shear as f32, m.bend as f32, 0.0],
             gravity: [gx, gy, gz, 0.0],
             air: [cloth.air.density as f32, cloth.air.drag as f32, 0.0, 0.0],
             wind: [wind[0], wind[1], wind[2], 0.0],
+            repulsion: [strength, distance, 0.0, 0.0],
         }
     }
 }

@@ -5,7 +5,7 @@ use fnopt::cpu::cloth::Trial;
 use fnopt::gpu::Tensor;
 use fnopt::kernels::cloth::ClothParams;
 use fnopt::kernels::optim::Iterate;
-use fnopt::sim::{Air, Cloth, Grid, Material, Model, State};
+use fnopt::sim::{Air, Cloth, Grid, Material, Model, Repulsion, State};
 
 /// Wind of each cloth [edges / frame].
 pub const WIND: [[f32; 3]; 3] = [[0.3, -0.2, 0.1], [0.0, 0.0, 0.0], [-0.5, 0.4, 0.2]];
@@ -17,9 +17,19 @@ pub fn model(grid: Grid, batch: usize) -> Model {
         material: Material { stretch: 1000.0 / (b + 1) as f64, shear: 8.0 + b as f64, bend: 0.5 },
         gravity: [0.02 * b as f64, -0.01, -0.07],
         air: [Air { density: 0.3, drag: 0.1 }, Air { density: 0.0, drag: 0.2 }, Air::default()][b],
+        repulsion: None,
         handles: [vec![0, (h - 1) * w], vec![w / 2], vec![w - 1, h * w - 1, h * w / 2]][b].clone(),
     };
     Model { grid, cloths: (0..batch).map(cloth).collect() }
+}
+
+/// The same with layers that repel each other, but for those of the second cloth.
+pub fn repelling(model: &Model) -> Model {
+    let mut model = model.clone();
+    for (cloth, distance) in model.cloths.iter_mut().zip([0.5, 0.0, 1.0]) {
+        cloth.repulsion = (distance > 0.0).then_some(Repulsion { strength: 0.1, distance });
+    }
+    model
 }
 
 /// Handle positions of a model [handles, 3].

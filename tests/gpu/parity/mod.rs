@@ -6,6 +6,7 @@
 mod adam;
 mod adamw;
 mod block;
+mod cells;
 mod classical;
 mod cloth;
 mod draw;
@@ -29,6 +30,7 @@ mod project;
 mod project_adj;
 mod quasi_newton;
 mod real_fft2;
+mod repulsion;
 mod scalar_head;
 mod spectral;
 mod spectral_weight_adj;

@@ -1,0 +1,104 @@
+// Repulsion of particles that come near each other (paper section 3.4): the acceleration that it adds to the external one, and
+// its energy, summed over part of a cloth's particles.
+//
+// With strength k and distance delta the energy is -k / (H W) sum log(d^2 + 1e-8) over ordered pairs at a distance d < delta that no
+// edge of the triangulated grid joins; a free particle of mass m is pushed by 4 k / m sum (x_p - x_q) / (d^2 + 1e-8).
+// cloths: [B]; slots: [B, n]; external_acceleration, pushed: [B, 3, n]; ends: [B, buckets] and sorted: [B, n] as `cells` leaves them;
+// parts: [B, groups, 8], of which the last number is set.
+// One invocation: one of the sorted particles, which looks through the 27 cells around it. Workgroups: (n / 64 along x, then y, and B).
+// Adjoint: none, training has no repulsion.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+    buckets: u32,
+    groups: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
+@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(3) var<storage, read> external_acceleration: array<f32>;
+@group(0) @binding(4) var<storage, read> ends: array<u32>;
+@group(0) @binding(5) var<storage, read> sorted: array<vec4f>;
+@group(0) @binding(6) var<storage, read_write> pushed: array<f32>;
+@group(0) @binding(7) var<storage, read_write> parts: array<f32>;
+
+const SOFTENING: f32 = 1e-8;
+
+var<workgroup> energies: array<f32, 64>;
+
+// Whether an edge of the triangulated grid joins two particles, or they are the same one.
+fn joined(p: u32, q: u32) -> bool {
+    let rows = i32(q / params.columns) - i32(p / params.columns);
+    let columns = i32(q % params.columns) - i32(p % params.columns);
+    return abs(rows) + abs(columns) <= 1 || (rows == columns && abs(rows) == 1);
+}
+
+// Sum of d / (d^2 + e) and of -log(d^2 + e) over the particles of a cell that repel the one at `own`.
+fn from_cell(b: u32, cell: vec3i, own: vec4f, distance: f32) -> vec4f {
+    let first = b * params.rows * params.columns;
+    let bucket = bucket_of(cell, params.buckets - 1u);
+    let at = b * params.buckets + bucket;
+    var start = 0u;
+    if bucket > 0u {
+        start = ends[at - 1u];
+    }
+    var sum = vec4f();
+    for (var k = start; k < ends[at]; k++) {
+        let other = sorted[first + k];
+        let way = own.xyz - other.xyz;
+        let square = dot(way, way);
+        // Another cell may have the same bucket.
+        if square < distance * distance && all(cell_of(other.xyz, distance) == cell)
+            && !joined(bitcast<u32>(own.w), bitcast<u32>(other.w)) {
+            sum += vec4f(way / (square + SOFTENING), -log(square + SOFTENING));
+        }
+    }
+    return sum;
+}
+
+@compute @workgroup_size(64)
+fn repulsion(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let n = params.rows * params.columns;
+    let part = group.y * groups.x + group.x;
+    let k = part * 64u + lane;
+    let b = group.z;
+    let strength = cloths[b].repulsion.x;
+    let distance = cloths[b].repulsion.y;
+    var energy = 0.0;
+    if k < n {
+        let own = sorted[b * n + k];
+        let p = bitcast<u32>(own.w);
+        var sum = vec4f();
+        if distance > 0.0 {
+            let cell = cell_of(own.xyz, distance);
+            for (var neighbour = 0; neighbour < 27; neighbour++) {
+                let way = vec3i(neighbour / 9, neighbour / 3 % 3, neighbour % 3) - 1;
+                sum += from_cell(b, cell + way, own, distance);
+            }
+        }
+        energy = strength / f32(n) * sum.w;
+        let held = slots[b * n + p] != 0u;
+        let m = mass(p / params.columns, p % params.columns, params.rows, params.columns);
+        let push = select(4.0 * strength / m * sum.xyz, vec3f(), held);
+        let at = b * 3u * n + p;
+        for (var c = 0u; c < 3u; c++) {
+            pushed[at + c * n] = external_acceleration[at + c * n] + push[c];
+        }
+    }
+    energies[lane] = energy;
+    for (var half = 32u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if lane < half {
+            energies[lane] += energies[lane + half];
+        }
+    }
+    if lane == 0u && part < params.groups {
+        parts[(b * params.groups + part) * 8u + 7u] = energies[0];
+    }
+}

@@ -1,0 +1,11 @@
+
+// The cube of space with this side that a place is in.
+fn cell_of(place: vec3f, side: f32) -> vec3i {
+    return vec3i(floor(place / side));
+}
+
+// The bucket of a cell among mask + 1, a power of two; cells that are far apart may share one.
+fn bucket_of(cell: vec3i, mask: u32) -> u32 {
+    let c = bitcast<vec3u>(cell);
+    return ((c.x * 73856093u) ^ (c.y * 19349663u) ^ (c.z * 83492791u)) & mask;
+}

@@ -1,0 +1,54 @@
+//! The repulsion of particles that come near each other, which keeps the layers of a cloth apart (paper section 3.4).
+
+use super::Trial;
+use super::cells::{Cells, Placed, Walk};
+use super::vector::{add, at, dot, scaled, sub};
+use crate::cpu::Real;
+use crate::sim::Repulsion;
+use rayon::prelude::*;
+
+/// Added to a squared distance [edges^2], so that particles at one place repel each other by what is finite.
+const SOFTENING: f64 = 1e-8;
+
+/// Particles of a task, at least.
+const TASK: usize = 1024;
+
+/// Sets `pushed` [3, H, W] to the external accelerations of a trial and the repulsion's, and gives the energy that it adds.
+///
+/// With the strength k and the distance delta the energy is `-k / (H W)` times the sum of `log(d^2 + 1e-8)` over ordered pairs
+/// of particles at a distance d < delta that no edge of the triangulated grid joins. It depends on positions alone, so its
+/// gradient over the acceleration of a free particle of mass m is that of a force, the acceleration
+/// `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`; a handle goes where it is told.
+pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, pushed: &mut [T]) -> f64 {
+    let (grid, n) = (trial.grid, trial.grid.particles());
+    let Repulsion { strength, distance } = repulsion;
+    let (distance, softening) = (T::of(distance), T::of(SOFTENING));
+    let cells = Cells::new(trial, distance);
+    let of_particle = |walk: &mut Walk<'_, T>, own: &Placed<T>| {
+        let (mut sum, mut energy, p) = ([T::zero(); 3], 0.0, own.particle);
+        for other in walk.around(own) {
+            let way = sub(own.place, other.place);
+            let square = dot(way, way);
+            if square >= distance * distance || grid.joined(p, other.particle) {
+                continue;
+            }
+            let square = square + softening;
+            sum = add(sum, scaled(way, square.recip()));
+            energy -= square.f64().ln();
+        }
+        let f = at(trial.f, n, p);
+        let factor = T::of(4.0 * strength / grid.mass(p / grid.w, p % grid.w));
+        (p, if trial.slots[p] == 0 { add(f, scaled(sum, factor)) } else { f }, energy)
+    };
+    let of_task = |task: &[Placed<T>]| {
+        let mut walk = cells.walk(&task[0]);
+        task.iter().map(|own| of_particle(&mut walk, own)).collect()
+    };
+    let tasks: Vec<Vec<_>> = cells.sorted().par_chunks(TASK).map(of_task).collect();
+    let mut energy = 0.0;
+    for (p, acceleration, of_particle) in tasks.into_iter().flatten() {
+        [pushed[p], pushed[n + p], pushed[2 * n + p]] = acceleration;
+        energy += of_particle;
+    }
+    strength / n as f64 * energy
+}

@@ -1,0 +1,67 @@
+//! Host side of `shaders/cloth/repulsion.wgsl`.
+
+use super::{CellTensors, Cells, Physics, energy};
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::optim::Iterate;
+use crate::kernels::{common, size};
+use crate::sim::Grid;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "repulsion",
+    wgsl: include_str!("../../../shaders/cloth/repulsion.wgsl"),
+    appended: &[common::CLOTH, common::CELL],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    buckets: u32,
+    groups: u32,
+}
+
+/// Repulsion of particles that come near each other, with the search for them.
+#[derive(Clone, Debug)]
+pub struct Repulsion {
+    cells: Cells,
+    kernel: Kernel,
+    near: CellTensors,
+    /// External accelerations and those of the repulsion [edges / frame^2], shape [B, 3, n]: what a gradient takes for the
+    /// external ones, since the repulsion depends on positions alone.
+    pub pushed: Tensor,
+}
+
+impl Repulsion {
+    /// For this many cloths on a grid.
+    pub fn new(context: &Context, batch: usize, grid: Grid) -> Result<Self> {
+        Ok(Self {
+            cells: Cells::new(context)?,
+            kernel: Kernel::new(context, &SOURCE, 0, &[])?,
+            near: CellTensors::new(context, batch, grid)?,
+            pushed: Tensor::zeros(context, "pushed", &[batch, 3, grid.particles()])?,
+        })
+    }
+
+    /// Sets [`Repulsion::pushed`] at `iterate.a`, and in the `parts` of the energy [B, parts, 8] its own.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        physics: Physics<'_>,
+        (iterate, parts): (&Iterate, &Tensor),
+    ) {
+        let batch = physics.batch(grid, iterate);
+        let shape @ [_, groups, _] = energy::parts_shape(batch, grid);
+        assert_eq!((parts.shape(), self.pushed.len()), (&shape[..], 3 * batch * grid.particles()));
+        let Self { cells, kernel, near, pushed } = self;
+        cells.push(schedule, grid, physics, (iterate, near));
+        let CellTensors { ends, sorted, .. } = near;
+        let buckets = size(ends.shape()[1]);
+        let params = Params { rows: size(grid.h), columns: size(grid.w), buckets, groups: size(groups) };
+        let tensors = [physics.cloths, &iterate.slots, physics.external, ends, sorted, pushed, parts];
+        schedule.dispatch(kernel, &params, &tensors, kernel.spread(grid.particles(), batch));
+    }
+}

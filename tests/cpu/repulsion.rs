@@ -1,0 +1,206 @@
+//! The repulsion of near particles: golden vectors, all pairs one by one, central differences and a sheet that falls onto itself.
+
+use crate::golden::{Golden, relative_error};
+use crate::noise::noise;
+use fnopt::cpu::cloth::{Cells, Trial, repulsion};
+use fnopt::cpu::{Reference, Solver};
+use fnopt::eval;
+use fnopt::scene::{Scene, Separation};
+use fnopt::sim::{Grid, Material, Optimizer, Repulsion, State};
+
+const GRID: Grid = Grid { h: 12, w: 15 };
+
+/// What the trial of a cloth borrows.
+struct Sheet {
+    x: Vec<f64>,
+    shift: Vec<f64>,
+    f: Vec<f64>,
+    slots: Vec<u32>,
+}
+
+impl Sheet {
+    /// A sheet that is drawn together until most particles are near others of other places, two of them held.
+    fn crumpled() -> Self {
+        let n = GRID.particles();
+        let mut x: Vec<f64> = State::<f64>::rest(GRID, 1).x.iter().map(|x| 0.2 * x).collect();
+        x.iter_mut().zip(noise(3 * n, 91)).for_each(|(x, noise)| *x += 0.4 * noise);
+        let of_noise = |seed| noise(3 * n, seed).into_iter().map(|v| 0.1 * v).collect();
+        let mut slots = vec![0; n];
+        (slots[20], slots[n - 1]) = (1, 2);
+        Self { x, shift: of_noise(92), f: of_noise(93), slots }
+    }
+
+    fn repel(&self, of_cloth: Repulsion) -> (f64, Vec<f64>) {
+        let mut pushed = vec![f64::NAN; self.x.len()];
+        let energy = self.with_trial(|trial| repulsion(trial, of_cloth, &mut pushed));
+        (energy, pushed)
+    }
+
+    fn with_trial<R>(&self, use_it: impl FnOnce(&Trial<'_, f64>) -> R) -> R {
+        let Self { x, shift, f, slots } = self;
+        let a = vec![0.0; x.len()];
+        use_it(&Trial { grid: GRID, material: Material::default(), x, shift, a: &a, f, slots })
+    }
+
+    fn place(&self, p: usize) -> [f64; 3] {
+        let n = GRID.particles();
+        [0, 1, 2].map(|c| self.x[c * n + p] + self.shift[c * n + p])
+    }
+}
+
+#[test]
+fn energies_and_gradients_agree_with_the_authors() {
+    for name in ["repulsion_threshold0.5", "repulsion_threshold1.0"] {
+        let file = Golden::open(name);
+        let shape = file.shape("positions");
+        let grid = Grid { h: shape[1], w: shape[2] };
+        let (n, x) = (grid.particles(), file.get("positions"));
+        let (zeros, mut pushed) = (vec![0.0; 3 * n], vec![f64::NAN; 3 * n]);
+        let trial = Trial {
+            grid,
+            material: Material::default(),
+            x: &x,
+            shift: &zeros,
+            a: &zeros,
+            f: &zeros,
+            slots: &vec![0; n],
+        };
+        // Of lambda = 1.
+        let of_cloth = Repulsion { strength: n as f64, distance: file.get("threshold")[0] };
+        let energy = repulsion(&trial, of_cloth, &mut pushed);
+        let expected = file.get("energy")[0];
+        assert!((energy - expected).abs() < 1e-12 * expected, "{name}: {energy}, not {expected}");
+        let mass = |p: usize| grid.mass(p / grid.w, p % grid.w) / n as f64;
+        let gradient: Vec<f64> = pushed.iter().enumerate().map(|(k, a)| -mass(k % n) * a).collect();
+        assert!(relative_error(&gradient, &file.get("gradient")) < 1e-12, "{name}");
+    }
+}
+
+#[test]
+fn every_pair_that_is_near_and_apart_counts() {
+    let (sheet, n) = (Sheet::crumpled(), GRID.particles());
+    for distance in [0.2, 0.5, 1.0] {
+        let of_cloth = Repulsion { strength: 0.3, distance };
+        let (energy, pushed) = sheet.repel(of_cloth);
+        let mut joined = vec![vec![false; n]; n];
+        for face in GRID.faces() {
+            for (p, q) in [(0, 1), (1, 2), (2, 0)] {
+                let (p, q) = (face[p] as usize, face[q] as usize);
+                (joined[p][q], joined[q][p]) = (true, true);
+            }
+        }
+        let (mut sum, mut pairs, mut expected) = (0.0, 0, sheet.f.clone());
+        for (p, joined) in joined.iter().enumerate() {
+            for q in (0..n).filter(|&q| q != p && !joined[q]) {
+                let (own, other) = (sheet.place(p), sheet.place(q));
+                let way = [0, 1, 2].map(|c| own[c] - other[c]);
+                let square: f64 = way.iter().map(|d| d * d).sum();
+                if square.sqrt() < distance {
+                    pairs += 1;
+                    sum -= (square + 1e-8).ln();
+                    let factor = 4.0 * 0.3 / GRID.mass(p / GRID.w, p % GRID.w) / (square + 1e-8);
+                    if sheet.slots[p] == 0 {
+                        (0..3).for_each(|c| expected[c * n + p] += factor * way[c]);
+                    }
+                }
+            }
+        }
+        assert!(pairs > 20, "{pairs} pairs");
+        sum *= 0.3 / n as f64;
+        assert!((energy - sum).abs() < 1e-12 * sum.abs(), "{energy}, not {sum}");
+        let largest = expected.iter().fold(0.0, |most: f64, a| most.max(a.abs()));
+        for (found, expected) in pushed.iter().zip(&expected) {
+            assert!((found - expected).abs() < 1e-12 * largest, "{found}, not {expected}");
+        }
+        let points: Vec<[f64; 3]> = (0..n).map(|p| sheet.place(p)).collect();
+        let measured = 0.3 / n as f64 * eval::repulsion(&points, &GRID.faces(), distance);
+        assert!((energy - measured).abs() < 1e-12 * energy.abs(), "{energy}, measured {measured}");
+    }
+}
+
+/// Where no pair enters or leaves the distance within a difference, the push is the energy's slope.
+#[test]
+fn pushes_are_the_slope_of_the_energy() {
+    let (mut sheet, n) = (Sheet::crumpled(), GRID.particles());
+    let of_cloth = Repulsion { strength: 0.3, distance: 0.8 };
+    let (_, pushed) = sheet.repel(of_cloth);
+    let step = 1e-6;
+    let free: Vec<usize> = (0..n).filter(|&p| sheet.slots[p] == 0).collect();
+    for p in free {
+        for at in [p, n + p, 2 * n + p] {
+            let before = sheet.x[at];
+            let [more, less] = [step, -step].map(|step| {
+                sheet.x[at] = before + step;
+                sheet.repel(of_cloth).0
+            });
+            sheet.x[at] = before;
+            let slope = (more - less) / (2.0 * step);
+            let mass = GRID.mass(p / GRID.w, p % GRID.w) / n as f64;
+            let expected = -mass * (pushed[at] - sheet.f[at]);
+            assert!((slope - expected).abs() < 1e-6 * expected.abs().max(1e-2), "{slope}, not {expected}");
+        }
+    }
+}
+
+/// What is around a particle, and its order, is the same wherever a walk begins.
+#[test]
+fn walks_find_the_same_wherever_they_begin() {
+    let cells = Sheet::crumpled().with_trial(|trial| Cells::new(trial, 0.5));
+    let around = |first: usize| {
+        let mut walk = cells.walk(&cells.sorted()[first]);
+        let of_particle = |own| walk.around(own).map(|other| other.particle).collect::<Vec<_>>();
+        cells.sorted()[first..].iter().map(of_particle).collect::<Vec<_>>()
+    };
+    let all = around(0);
+    for first in 1..all.len() {
+        assert_eq!(around(first), all[first..], "from {first} on");
+    }
+}
+
+/// Particles at one place, and positions that are no numbers, end in no panic.
+#[test]
+fn degenerate_cloths_are_no_panic() {
+    let mut sheet = Sheet::crumpled();
+    sheet.x.fill(0.0);
+    sheet.shift.fill(0.0);
+    let (energy, pushed) = sheet.repel(Repulsion { strength: 0.3, distance: 1.0 });
+    assert!(energy.is_finite() && pushed.iter().all(|a| a.is_finite()));
+    for wrong in [f64::NAN, f64::INFINITY, 1e300] {
+        sheet.x[7] = wrong;
+        sheet.repel(Repulsion { strength: 0.3, distance: 1e-3 });
+    }
+}
+
+/// Held by the middle of one edge, the sheet folds along it: without repulsion its halves pass through each other.
+#[test]
+fn the_layers_of_a_folding_sheet_stay_apart() {
+    let of_scene = |repulsion: Option<Separation>| {
+        let text = r#"{ "handles": "single-mid-edge", "motion": "none", "frames": 76 }"#;
+        let scene = Scene::parse(text, "test", std::path::Path::new("")).unwrap();
+        let setup = Scene { repulsion, ..scene }.setup().unwrap();
+        let optimizer = Optimizer::learned(fnopt::network::Weights::shipped());
+        let mut solver = Solver::<f32>::new(&setup.model, &optimizer, 10).unwrap();
+        let (mut state, n) = (setup.start.cast::<f32>(), setup.model.grid.particles());
+        let faces = setup.model.grid.faces();
+        let mut sum = 0.0;
+        for frame in 1..setup.frames() {
+            let stats = solver.step(&mut state, &setup.control(frame));
+            assert!(stats[0].is_finite() && stats[0].stretch_largest < 0.6, "frame {frame}");
+            assert!(repulsion.is_some() || stats[0].energy.repulsion == 0.0);
+            let point = |p: usize| [0, 1, 2].map(|c| f64::from(state.x[c * n + p]));
+            sum += eval::repulsion(&(0..n).map(point).collect::<Vec<_>>(), &faces, 0.5);
+        }
+        sum
+    };
+    let (without, with) = (of_scene(None), of_scene(Some(Separation::default())));
+    assert!(without > 500.0, "{without}: the test's idea of a fold");
+    assert!(with < 0.01 * without, "{with} with repulsion, {without} without");
+}
+
+#[test]
+fn newton_refuses_what_its_hessian_lacks() {
+    let scene = Scene { repulsion: Some(Separation::default()), ..Scene::default() };
+    let setup = scene.setup().unwrap();
+    let error = Reference::new(&setup.model).err().unwrap().to_string();
+    assert!(error.contains("repulsion") && error.contains("Hessian"), "{error}");
+}

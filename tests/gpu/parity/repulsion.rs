@@ -1,0 +1,83 @@
+//! `repulsion` against the CPU path.
+
+use super::cloth::{Doubles, constants, crumpled, field, iterate, model, poisoned_field, repelling, upload};
+use crate::common::{assert_close, cases, context, device, largest, poisoned, read, run};
+use fnopt::cpu::cloth::repulsion;
+use fnopt::kernels::cloth::{EnergySum, Physics, Repulsion, TERMS, energy::parts_shape};
+use fnopt::sim::{Cloth, Grid, Model};
+
+/// External accelerations with the repulsion's, and the repulsion's energy of each cloth, on the device and in double precision.
+fn both(model: &Model, fields: [&[f32]; 4]) -> [(Vec<f32>, Vec<f64>); 2] {
+    let (grid, batch) = (model.grid, model.batch());
+    let (kernel, sum) = (Repulsion::new(context(), batch, grid).unwrap(), EnergySum::new(context()).unwrap());
+    kernel.pushed.write(context(), &read(&poisoned_field(model)));
+    let iterate = iterate(model);
+    let [x, base, a, f] = fields;
+    iterate.base.write(context(), base);
+    iterate.a.write(context(), a);
+    let (cloths, external, x) = (constants(model), upload("external", model, f), upload("x", model, x));
+    let physics = Physics { cloths: &cloths, external: &external, x: &x };
+    let (parts, terms) = (poisoned("parts", &parts_shape(batch, grid)), poisoned("terms", &[batch, TERMS]));
+    run(|schedule| {
+        kernel.push(schedule, grid, physics, (&iterate, &parts));
+        sum.push(schedule, &parts, &terms);
+    });
+    let doubles = Doubles::new(model, fields);
+    let (mut pushed, mut energies) = (vec![0.0; f.len()], vec![0.0; batch]);
+    for (b, pushed) in pushed.chunks_exact_mut(3 * grid.particles()).enumerate() {
+        let trial = doubles.cloth(b);
+        pushed.copy_from_slice(trial.f);
+        energies[b] = model.cloths[b].repulsion.map_or(0.0, |of_cloth| repulsion(&trial, of_cloth, pushed));
+    }
+    let found = read(&terms).chunks_exact(TERMS).map(|terms| terms[TERMS - 1]).collect();
+    [(read(&kernel.pushed), pushed), (found, energies)]
+}
+
+#[test]
+fn pushes_and_energies_match() {
+    let _turn = device();
+    for (grid, batch) in cases() {
+        let model = repelling(&model(grid, batch));
+        // Drawn together, so that a particle is near to a dozen others.
+        let x: Vec<f32> = crumpled(&model, 0.4).iter().map(|x| 0.4 * x).collect();
+        let fields = [field(&model, 0.02, 79), field(&model, 0.02, 73), field(&model, 0.1, 74)];
+        let [base, a, f] = &fields;
+        let [(pushed, expected), (energies, wanted)] = both(&model, [&x, base, a, f]);
+        let what = format!("repulsion {batch} x {grid}");
+        assert!(largest(&expected) > 0.5 && wanted[0].abs() > 0.01, "{what}: {wanted:?}");
+        // Positions are rounded by the size of the sheet; a particle that is near to another feels it most.
+        let off = f64::from(f32::EPSILON) * 0.4 * grid.h.max(grid.w) as f64;
+        assert_close(&what, &pushed, &expected, (20.0 * off * largest(&expected), 1e-5));
+        assert_close(&format!("energy of {what}"), &energies, &wanted, (1e-6 * largest(&wanted), 1e-5));
+    }
+}
+
+/// Particles at one place, all in one bucket, and a cloth none of whose particles is near another.
+#[test]
+fn degenerate_cloths_are_finite() {
+    let _turn = device();
+    let grid = Grid { h: 31, w: 33 };
+    let model = repelling(&model(grid, 1));
+    let zeros = vec![0.0; 3 * grid.particles()];
+    let [(pushed, _), (energies, _)] = both(&model, [&zeros; 4].map(|z| &z[..]));
+    assert!(pushed.iter().chain(&energies).all(|v| v.is_finite()));
+    let apart: Vec<f32> = crumpled(&model, 0.1).iter().map(|x| 2.0 * x).collect();
+    let [(pushed, _), (energies, _)] = both(&model, [&apart, &zeros, &zeros, &zeros]);
+    assert!(pushed.iter().chain(&energies).all(|&v| v == 0.0), "nothing is near");
+}
+
+/// A sum has one order, whatever order particles come to their buckets in.
+#[test]
+fn repulsion_repeats_bit_for_bit() {
+    let _turn = device();
+    let grid = Grid { h: 48, w: 32 };
+    let held = Cloth { handles: vec![5], ..model(grid, 1).cloths[0].clone() };
+    let model = repelling(&Model { grid, cloths: vec![held] });
+    let x: Vec<f32> = crumpled(&model, 0.4).iter().map(|x| 0.3 * x).collect();
+    let zeros = vec![0.0; x.len()];
+    let runs = [(); 4].map(|()| both(&model, [&x, &zeros, &zeros, &zeros]).map(|(found, _)| found));
+    let bits = |[pushed, energies]: &[Vec<f32>; 2]| {
+        pushed.iter().chain(energies).map(|v| v.to_bits()).collect::<Vec<_>>()
+    };
+    runs[1..].iter().for_each(|run| assert!(bits(run) == bits(&runs[0])));
+}
