@@ -67,24 +67,3 @@ pub fn relative_error(found: &[[f64; 3]], truth: &[[f64; 3]]) -> f64 {
     let apart = squares(&mut pairs.map(|(f, t)| f - t));
     (apart / squares(&mut truth.as_flattened().iter().copied())).sqrt()
 }
-
-/// The energy that keeps layers apart (paper section 3.4): over ordered pairs of particles nearer than `delta` that no edge
-/// of the triangulated grid joins, the sum of `-log(d^2 + 1e-8)`. Lengths in edges.
-pub fn repulsion(points: &[[f64; 3]], faces: &[[u32; 3]], delta: f64) -> f64 {
-    let mut joined = vec![Vec::new(); points.len()];
-    for &[a, b, c] in faces {
-        for (p, q) in [(a, b), (b, c), (c, a)] {
-            joined[p as usize].push(q);
-            joined[q as usize].push(p);
-        }
-    }
-    let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(points);
-    let of = |(p, point): (usize, &[f64; 3])| {
-        let near = tree.within_unsorted::<SquaredEuclidean>(point, delta * delta);
-        let apart = |q: u64| q as usize != p && !joined[p].contains(&(q as u32));
-        let pairs = near.into_iter().filter(|n| n.distance < delta * delta && apart(n.item));
-        pairs.fold(0.0, |sum, n| sum - (n.distance + 1e-8).ln())
-    };
-    // An empty sum is a negative zero.
-    points.iter().enumerate().map(of).fold(0.0, |sum, e| sum + e)
-}

@@ -1,6 +1,7 @@
 //! One solver on one sequence: what it cost and how far from the truth it was.
 
-use super::metrics::{Surface, chamfer, relative_error, repulsion};
+use super::metrics::{Surface, chamfer, relative_error};
+use super::nearness::{Nearness, mean_and_shares};
 use super::physics::Physics;
 use super::resampling::{Resampling, coarse};
 use super::{Conditions, FreeEdges, Nudge, Sequence, median_time};
@@ -16,10 +17,6 @@ use std::path::Path;
 
 /// An edge away from the handles that is this much longer than at rest tells that a simulation diverged.
 const DIVERGED: f64 = 3.0;
-/// Distance below which particles repel each other [edges of the 32x32 grid] (paper section 3.4).
-const REPULSION_DELTA: f64 = 0.5;
-/// Edges along the height that lengths of the repulsion refer to, whatever the grid.
-const REPULSION_EDGES: f64 = 31.0;
 /// Seconds at the end over which the speed is averaged.
 const SETTLED_S: f64 = 0.5;
 /// Frames that [`snapshots`] keeps.
@@ -381,9 +378,7 @@ fn judge(
         None => Cow::Owned(found.grid().faces()),
     };
     let resampled = Resampling::new(found.grid(), truth.grid());
-    let coarse = coarse(found.grid());
-    let (coarsened, coarse_faces) = (Resampling::new(found.grid(), coarse), coarse.faces());
-    let unit = sequence.side_m() / REPULSION_EDGES;
+    let nearness = Nearness::new(found.grid(), sequence.side_m());
     let figures: Vec<[f64; 3]> = (1..frames)
         .into_par_iter()
         .map(|frame| {
@@ -393,27 +388,20 @@ fn judge(
                 Surface { points: &own, faces: &faces }.sample(settings.points, 2 * seed),
                 Surface { points: &b, faces: &of_truth }.sample(settings.points, 2 * seed + 1),
             ];
-            // In edges of a grid of 32 rows, and on such a grid, as its authors evaluate it: the particles of a finer one are
-            // nearer to each other than `REPULSION_DELTA` in any fold.
-            let scaled: Vec<[f64; 3]> =
-                coarsened.apply(&a).into_iter().map(|p| p.map(|c| c / unit)).collect();
             [
                 chamfer(&clouds[0], &clouds[1]),
                 relative_error(&resampled.apply(&a), &wide(truth.frame(frame))),
-                repulsion(&scaled, &coarse_faces, REPULSION_DELTA),
+                nearness.of(&a),
             ]
         })
         .collect();
     let column = |k: usize| figures.iter().map(|f| f[k]).collect::<Vec<f64>>();
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let per_frame = PerFrame { e_cd: column(0), e_3d: column(1), repulsion: column(2) };
-    let share = |limit: f64| {
-        per_frame.repulsion.iter().filter(|&&r| r > limit).count() as f64 / per_frame.repulsion.len() as f64
-    };
     score.frames = figures.len();
     score.e_cd = Some(mean(&per_frame.e_cd));
     score.e_3d = Some(mean(&per_frame.e_3d));
-    score.repulsion = Some([mean(&per_frame.repulsion), share(0.1), share(0.02)]);
+    score.repulsion = Some(mean_and_shares(&per_frame.repulsion));
     let last = ((found.fps() * SETTLED_S) as usize).clamp(1, frames - 1);
     let speeds: Vec<f64> = (frames - last..frames).map(|f| mean_speed(found, f)).collect();
     score.speed_at_end = Some(mean(&speeds));

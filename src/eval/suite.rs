@@ -2,15 +2,17 @@
 //! iterations, judged by itself, without another simulator.
 
 use super::gap::{median_gap, track};
+use super::nearness::{Nearness, mean_and_shares};
 use super::score::{keep, read_kept, simulate};
 use super::tables::DIVERGED;
 use super::{Cell, Conditions, Entry, STRETCH_LIMIT, Table};
 use crate::cpu::Track;
 use crate::io::Trajectory;
-use crate::scene::{BuiltIn, Handles, Motion, Placement, Scene, Setup, Start, Stiffness};
+use crate::scene::{BuiltIn, Handles, Motion, Placement, Scene, Separation, Setup, Start, Stiffness};
 use crate::sim::{Device, Grid, Material, Optimizer};
 use crate::statistics::median;
 use crate::{Error, Result};
+use rayon::prelude::*;
 use std::cell::OnceCell;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -30,6 +32,8 @@ pub enum Suite {
     Materials,
     /// 3 to 30 iterations.
     Iterations,
+    /// Two ways to hold the sheet in which it folds onto itself, without and with repulsion (the paper's Table 5).
+    Repulsion,
 }
 
 /// A scene of a suite.
@@ -61,6 +65,10 @@ pub struct CaseScore {
     pub gap: Option<f64>,
     /// Median wall time of a frame \[ms\]; none when it diverged in the first.
     pub ms_per_frame: Option<f64>,
+    /// How near its layers came to each other: the mean over the frames of the repulsion energy on [`coarse`](super::coarse) grids,
+    /// and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.3.3); none when it diverged.
+    #[serde(default)]
+    pub repulsion: Option<[f64; 3]>,
     /// What it was made with; `settings` are the scene, its frames, and whether the gap was asked for.
     pub made_with: Conditions,
 }
@@ -81,6 +89,11 @@ impl CaseScore {
         (self.made_with.settings["gap"] == true).then(|| self.gap.unwrap_or(f64::INFINITY))
     }
 
+    /// Whether its scene keeps layers apart.
+    fn repels(&self) -> bool {
+        self.made_with.settings["scene"]["repulsion"].is_object()
+    }
+
     /// Whether the rollout was sound: finite, and no edge away from a handle beyond [`STRETCH_LIMIT`].
     pub fn sound(&self) -> bool {
         self.finite && self.stretch_largest <= STRETCH_LIMIT
@@ -89,7 +102,8 @@ impl CaseScore {
 
 impl Suite {
     /// Names of the suites.
-    pub const NAMES: [&str; 6] = ["motions", "handles", "speeds", "grids", "materials", "iterations"];
+    pub const NAMES: [&str; 7] =
+        ["motions", "handles", "speeds", "grids", "materials", "iterations", "repulsion"];
 
     /// The suite of that name; its `origin` is told in errors.
     pub fn named(name: &str, origin: &str) -> Result<Self> {
@@ -100,6 +114,7 @@ impl Suite {
             "grids" => Self::Grids,
             "materials" => Self::Materials,
             "iterations" => Self::Iterations,
+            "repulsion" => Self::Repulsion,
             other => return Err(Error::unknown(origin, "suite", other, Self::NAMES)),
         })
     }
@@ -157,6 +172,18 @@ impl Suite {
                     cases.push(Case { name, scene: Scene::default(), iterations: Some(iterations) });
                 }
             }
+            Self::Repulsion => {
+                for (placement, motion) in
+                    [(Placement::CornerCenter, "rot_h1"), (Placement::SingleMidEdge, "xy_v2")]
+                {
+                    for (kind, repulsion) in [("without", None), ("with", Some(Separation::default()))] {
+                        let motion = BuiltIn::named(motion).map_or(Motion::Still, Motion::BuiltIn);
+                        let handles = Handles::Placement(placement);
+                        let scene = Scene { handles, motion, repulsion, ..Scene::default() };
+                        push(format!("{} {kind}", placement.name()), scene);
+                    }
+                }
+            }
         }
         cases.iter_mut().try_for_each(|case| case.scene.regrid(grid))?;
         Ok(cases)
@@ -196,14 +223,19 @@ impl<'a> Prepared<'a> {
         format!("{solver}_{iterations}_{}_{}", self.setup.model.grid, self.case.name)
     }
 
+    /// Whether its energy gap can be measured: not where layers are kept apart, which the converged simulation cannot do.
+    fn has_gap(&self) -> bool {
+        !self.setup.model.repels()
+    }
+
     /// What [`Prepared::run`] would make a score with, beside the iterations.
     pub fn conditions(&self, optimizer: &Optimizer, device: &Device, with_gap: bool) -> Conditions {
         let mut settings = self.told.clone();
-        settings["gap"] = with_gap.into();
+        settings["gap"] = (with_gap && self.has_gap()).into();
         Conditions::of_scene(settings, &self.entry((optimizer, 1)), device)
     }
 
-    /// Runs a solver, on the CPU where only that has it; with its energy gap if asked for. Nothing when `tick`, called in each
+    /// Runs a solver, on the CPU where only that has it; with its energy gap if asked for and there is one. Nothing when `tick`, called in each
     /// frame, ended it.
     pub fn run(
         &self,
@@ -220,7 +252,7 @@ impl<'a> Prepared<'a> {
             return Ok(None);
         }
         let mut gap = None;
-        if with_gap {
+        if with_gap && self.has_gap() {
             let Some(track) = self.track(&mut tick)? else { return Ok(None) };
             let Some(found) = median_gap(track, (solver.0, entry.iterations), device, tick)? else {
                 return Ok(None);
@@ -235,9 +267,21 @@ impl<'a> Prepared<'a> {
             stretch_largest: simulated.stretch_largest,
             gap,
             ms_per_frame: simulated.ms_per_frame(),
+            repulsion: simulated.stable.then(|| self.repulsion_of(&simulated.trajectory)).flatten(),
             made_with,
         };
         Ok(Some((score, simulated.trajectory)))
+    }
+
+    /// How near the layers came to each other; none without a frame beside the start.
+    fn repulsion_of(&self, trajectory: &Trajectory) -> Option<[f64; 3]> {
+        let Setup { model, units, .. } = &self.setup;
+        let measure = Nearness::new(model.grid, units.length_m * (model.grid.h - 1) as f64);
+        let wide =
+            |frame: usize| trajectory.frame(frame).iter().map(|p| p.map(f64::from)).collect::<Vec<_>>();
+        let of_frames: Vec<f64> =
+            (1..trajectory.frames()).into_par_iter().map(|frame| measure.of(&wide(frame))).collect();
+        (!of_frames.is_empty()).then(|| mean_and_shares(&of_frames))
     }
 
     fn track(&self, tick: impl FnMut() -> ControlFlow<()>) -> Result<Option<&Track>> {
@@ -250,8 +294,13 @@ impl<'a> Prepared<'a> {
 }
 
 /// The scores of a suite as a table: a row for each case, then one for all cases that share a grid and a number of iterations, with
-/// how many were sound, the largest stretch of all, and the medians of the energy gap and the time.
+/// how many were sound, the largest stretch of all, and the medians of the energy gap and the time. Where layers are kept apart in some
+/// cases, how near they came to each other is told of each.
 pub fn table(title: &str, scores: &[CaseScore]) -> Table {
+    let of_repulsion = match scores.iter().any(CaseScore::repels) {
+        true => &["repulsion", "share > 0.1", "share > 0.02"][..],
+        false => &[],
+    };
     let columns = ["case", "grid", "N", "sound", "largest stretch [%]", "energy gap [%]", "ms/frame"];
     let mut groups: Vec<Vec<&CaseScore>> = Vec::new();
     for score in scores {
@@ -266,8 +315,17 @@ pub fn table(title: &str, scores: &[CaseScore]) -> Table {
     groups.retain(|group| group.len() > 1);
     Table {
         title: title.to_owned(),
-        columns: columns.map(str::to_owned).to_vec(),
-        rows: scores.iter().map(case_row).chain(groups.iter().map(|group| row_of_all(group))).collect(),
+        columns: columns.iter().chain(of_repulsion).map(|&column| column.to_owned()).collect(),
+        rows: scores
+            .iter()
+            .map(|score| (case_row(score), score.repulsion))
+            .chain(groups.iter().map(|group| (row_of_all(group), None)))
+            .map(|((name, mut cells), repulsion)| {
+                let told = |k: usize| repulsion.map_or_else(String::new, |told| format!("{:.3}", told[k]));
+                cells.extend((0..of_repulsion.len()).map(|k| Cell { text: told(k), best: false }));
+                (name, cells)
+            })
+            .collect(),
     }
 }
 

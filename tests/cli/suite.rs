@@ -62,6 +62,29 @@ fn a_suite_honours_its_options_or_refuses_them() {
     refused(suite("speeds", &["--ground-truth", "."]), &["cannot be used with", "--ground-truth"]);
 }
 
+/// The sheet that folds on a single handle lies in itself without repulsion.
+#[test]
+fn layers_that_are_kept_apart_are_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let few = ["--sequences", "single-mid-edge without,single-mid-edge with", "--frames", "70"];
+    let rest = ["--solver", "fnopt", "--device", "cpu", "--json", "s.json"];
+    let arguments = [&["evaluate", "--suite", "repulsion"], &few[..], &rest].concat();
+    let (printed, _) = done(quiet(folder.path(), &arguments).output().unwrap());
+    assert!(["repulsion", "share > 0.1", "share > 0.02"].iter().all(|c| printed.contains(c)), "{printed}");
+    let scores = json(&folder.path().join("s.json"));
+    let figure = |k: usize, name: &str| scores[k]["score"][name].clone();
+    let [without, with] = [0, 1].map(|k| figure(k, "repulsion")[0].as_f64().unwrap());
+    assert!(without > 1.0 && with < 0.01 * without, "{without} without, {with} with");
+    // The converged simulation cannot keep them apart.
+    assert!(figure(0, "gap").is_number() && figure(1, "gap").is_null());
+    let row = |name: &str| printed.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
+    assert!(!row("single-mid-edge with ").contains(" - "), "{printed}");
+    // Where no case keeps them apart, nothing is said of it.
+    let speeds = ["--suite", "speeds", "--grid", "8", "--frames", "3", "--solver", "gd:1", "--no-gap"];
+    let (printed, _) = done(quiet(folder.path(), &[&["evaluate"], &speeds[..]].concat()).output().unwrap());
+    assert!(!printed.contains("repulsion"), "{printed}");
+}
+
 #[test]
 fn cases_of_a_suite_are_kept() {
     let folder = tempfile::tempdir().unwrap();

@@ -96,7 +96,8 @@ pub struct Args {
     ])]
     merge: Vec<PathBuf>,
     /// Instead of recorded trajectories, how far each solver generalises from the default scene: motions, handles, speeds,
-    /// grids, materials or iterations; tables, and a picture and the score of each case in --out, which are used again
+    /// grids, materials or iterations, or how near the layers of a folding sheet come to each other without and with repulsion;
+    /// tables, and a picture and the score of each case in --out, which are used again
     #[arg(long, value_name = "SUITE", conflicts_with_all = [
         "repeats", "compare", "shard", "merge", "plots", "points", "ground_truth",
     ])]
