@@ -30,9 +30,11 @@ var<workgroup> energies: array<f32, 64>;
 
 // Whether an edge of the triangulated grid joins two particles, or they are the same one.
 fn joined(p: u32, q: u32) -> bool {
-    let rows = i32(q / params.columns) - i32(p / params.columns);
-    let columns = i32(q % params.columns) - i32(p % params.columns);
-    return abs(rows) + abs(columns) <= 1 || (rows == columns && abs(rows) == 1);
+    let last = max(p, q);
+    let apart = last - min(p, q);
+    // Along a row or a diagonal, unless that leads from the end of one row to the beginning of another.
+    let along = apart == 1u || apart == params.columns + 1u;
+    return apart == 0u || apart == params.columns || (along && last % params.columns != 0u);
 }
 
 // Sum of d / (d^2 + e) and of -log(d^2 + e) over the particles of a cell that repel the one at `own`.

@@ -47,9 +47,14 @@ impl Grid {
 
     /// Whether two particles are the same one, or an edge of the triangulated grid joins them ([`Grid::faces`]).
     pub(crate) fn joined(&self, p: usize, q: usize) -> bool {
-        let (rows, columns) =
-            ((q / self.w) as isize - (p / self.w) as isize, (q % self.w) as isize - (p % self.w) as isize);
-        rows.abs() + columns.abs() <= 1 || (rows == columns && rows.abs() == 1)
+        let last = p.max(q);
+        match p.abs_diff(q) {
+            0 => true,
+            n if n == self.w => true,
+            // Along a row or a diagonal, unless that leads from the end of one row to the beginning of another.
+            n if n == 1 || n == self.w + 1 => !last.is_multiple_of(self.w),
+            _ => false,
+        }
     }
 
     /// Where particle `p` rests, flat and unstretched \[edges\], z up: `(j, i - (H-1)/2, 0)`.

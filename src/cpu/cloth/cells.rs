@@ -4,6 +4,9 @@ use super::Trial;
 use super::vector::{add, at};
 use crate::cpu::Real;
 
+/// Bits of a cell's number along each axis; cells count from the middle of what they span.
+const BITS: u32 = 21;
+
 /// The particles of one cloth, sorted by the cubes of space that they are in.
 pub struct Cells<T> {
     sorted: Vec<Placed<T>>,
@@ -12,8 +15,8 @@ pub struct Cells<T> {
 /// A particle where the trial has it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placed<T> {
-    /// Its cell.
-    pub cell: [i32; 3],
+    /// Its cell: the numbers along x, y and z, one behind the other. Cells that are neighbours along z follow each other.
+    pub cell: u64,
     /// Its number.
     pub particle: usize,
     /// Its position \[edges\].
@@ -33,9 +36,7 @@ impl<T: Real> Cells<T> {
         let n = trial.grid.particles();
         let placed = |particle| {
             let place = add(at(trial.x, n, particle), at(trial.shift, n, particle));
-            // What is too far away for a cell's number, or no number, is in some cell all the same.
-            let cell = place.map(|x| ((x / side).f64().floor() as i32).clamp(i32::MIN + 1, i32::MAX - 1));
-            Placed { cell, particle, place }
+            Placed { cell: cell(place, side), particle, place }
         };
         let mut sorted: Vec<_> = (0..n).map(placed).collect();
         sorted.sort_unstable_by_key(|placed| (placed.cell, placed.particle));
@@ -64,17 +65,27 @@ impl<T: Real> Walk<'_, T> {
         for (before, [begin, _]) in self.before.iter_mut().zip(columns) {
             *before += self.sorted[*before..].iter().take_while(|placed| placed.cell < begin).count();
         }
-        let of_column = |(&before, [_, end]): (&usize, [[i32; 3]; 2])| {
+        let of_column = |(&before, [_, end]): (&usize, [u64; 2])| {
             self.sorted[before..].iter().take_while(move |placed| placed.cell <= end)
         };
         self.before.iter().zip(columns).flat_map(of_column)
     }
 }
 
+/// The cube of space that a place is in; the outermost has all that lies beyond it, and what is no number is in some one.
+fn cell<T: Real>(place: [T; 3], side: T) -> u64 {
+    let (middle, last) = (1i64 << (BITS - 1), (1i64 << BITS) - 1);
+    // A cell has one before and one behind it.
+    let number = |x: T| (((x / side).f64().floor() as i64).saturating_add(middle)).clamp(1, last - 1) as u64;
+    let [x, y, z] = place.map(number);
+    (x << (2 * BITS)) | (y << BITS) | z
+}
+
 /// First and last cell of each column of three around a cell.
-fn columns([x, y, z]: [i32; 3]) -> [[[i32; 3]; 2]; 9] {
+fn columns(cell: u64) -> [[u64; 2]; 9] {
+    let corner = cell - (1 << (2 * BITS)) - (1 << BITS);
     std::array::from_fn(|k| {
-        let (x, y) = (x + k as i32 / 3 - 1, y + k as i32 % 3 - 1);
-        [[x, y, z - 1], [x, y, z + 1]]
+        let middle = corner + ((k as u64 / 3) << (2 * BITS)) + ((k as u64 % 3) << BITS);
+        [middle - 1, middle + 1]
     })
 }
