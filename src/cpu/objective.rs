@@ -132,13 +132,13 @@ impl<T: Real> Objective<T> {
         self.place(state, control);
         let cloth = self.cloth_len();
         let Self { trial, rows, pushed, grad, norms } = self;
-        for (b, pushed) in pushed.chunks_exact_mut(cloth).enumerate() {
+        pushed.par_chunks_exact_mut(cloth).enumerate().for_each(|(b, pushed)| {
             let before = trial.cloth(state, b);
             match trial.model.cloths[b].repulsion {
                 Some(of_cloth) => _ = repulsion(&before, of_cloth, pushed),
                 None => pushed.copy_from_slice(before.f),
             }
-        }
+        });
         let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
             let mut of_gradient = trial.cloth(state, b);
             if !pushed.is_empty() {

@@ -235,8 +235,8 @@ impl<'a> Prepared<'a> {
         Conditions::of_scene(settings, &self.entry((optimizer, 1)), device)
     }
 
-    /// Runs a solver, on the CPU where only that has it; with its energy gap if asked for and there is one. Nothing when `tick`, called in each
-    /// frame, ended it.
+    /// Runs a solver, on the CPU where only that has it; with its energy gap if asked for and there is one. Nothing when
+    /// `tick`, called in each frame, ended it.
     pub fn run(
         &self,
         solver: (&Optimizer, usize),
@@ -294,8 +294,8 @@ impl<'a> Prepared<'a> {
 }
 
 /// The scores of a suite as a table: a row for each case, then one for all cases that share a grid and a number of iterations, with
-/// how many were sound, the largest stretch of all, and the medians of the energy gap and the time. Where layers are kept apart in some
-/// cases, how near they came to each other is told of each.
+/// how many were sound, the largest stretch of all, and the medians of the energy gap and the time. Where some cases keep layers
+/// apart, how near these came to each other is told of each.
 pub fn table(title: &str, scores: &[CaseScore]) -> Table {
     let of_repulsion = match scores.iter().any(CaseScore::repels) {
         true => &["repulsion", "share > 0.1", "share > 0.02"][..],

@@ -36,8 +36,8 @@ pub struct Air {
 /// other where they are near. [`EnergyTerms::repulsion`](super::EnergyTerms::repulsion) has the energy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Repulsion {
-    /// Coefficient `k_repulsion` of the energy [edges^2 / frame^2]: the paper's `lambda` times the number of particles, so that it does not
-    /// depend on that how a particle is pushed.
+    /// Coefficient `k_repulsion` of the energy [edges^2 / frame^2]: the paper's `lambda` times the number of particles, so that
+    /// what pushes a particle does not depend on how many there are.
     pub strength: f64,
     /// Distance below which particles repel each other, the paper's `delta` \[edges\]; above 0, and at most 1, where the
     /// neighbours of a sheet at rest begin.

@@ -49,6 +49,8 @@ pub struct Solver {
     cloths: Tensor,
     targets: Tensor,
     given: Tensor,
+    /// Whether a frame looks for what repels each other.
+    repels: bool,
     /// Whether `cloths` holds any wind, and `given` any acceleration.
     windy: AtomicBool,
     accelerated: AtomicBool,
@@ -170,6 +172,7 @@ impl Solver {
             )?,
             targets: zeros("handle targets", &[model.handles(), 3])?,
             given: field("given accelerations")?,
+            repels: model.repels(),
             windy: AtomicBool::new(false),
             accelerated: AtomicBool::new(false),
             external: field("external")?,
@@ -203,7 +206,7 @@ impl Solver {
 
         let physics = Physics { cloths, external, x };
         let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(batch, grid))?;
-        let repulsion = self.model.repels().then(|| Repulsion::new(context, batch, grid)).transpose()?;
+        let repulsion = self.repels.then(|| Repulsion::new(context, batch, grid)).transpose()?;
         let pushed = Physics { external: repulsion.as_ref().map_or(external, |r| &r.pushed), ..physics };
         let repel = |frame: &mut Schedule| {
             if let Some(repulsion) = &repulsion {
@@ -306,9 +309,9 @@ impl Solver {
             let found = "other cloths or handles";
             return Err(Error::invalid("model", "handles", "those that the solver was made for", found));
         }
-        if model.repels() && !self.model.repels() {
-            let found = "some";
-            return Err(Error::invalid("model", "repulsion", "none, as when the solver was made", found));
+        if model.repels() && !self.repels {
+            let expected = "none, as when the solver was made";
+            return Err(Error::invalid("model", "repulsion", expected, "some"));
         }
         self.model = model;
         self.windy.store(false, Ordering::Relaxed);

@@ -300,6 +300,11 @@ fn cloths_that_no_longer_repel_themselves_are_as_those_that_never_did() {
     changed.set_cloths(&none).unwrap();
     let expected = step(&solver(&never, &optimizer, 3, &start), &control);
     assert_same("positions", &step(&changed, &control).x, &expected.x);
+    // And back again.
+    changed.set_cloths(&model.cloths).unwrap();
+    changed.set_state(&start);
+    let expected = step(&solver(&model, &optimizer, 3, &start), &control);
+    assert_same("positions", &step(&changed, &control).x, &expected.x);
 }
 
 #[test]
