@@ -3,7 +3,7 @@
 //
 // With strength k and distance delta the energy is -k / (H W) sum log(d^2 + 1e-8) over ordered pairs at a distance d < delta that no
 // edge of the triangulated grid joins; a free particle of mass m is pushed by 4 k / m sum (x_p - x_q) / (d^2 + 1e-8).
-// cloths: [B]; slots: [B, n]; external_acceleration, pushed: [B, 3, n]; ends: [B, buckets] and sorted: [B, n] as `cells` leaves them;
+// cloths: [B]; slots: [B, n]; external_acceleration, pushed: [B, 3, n]; ends: [B, buckets] and sorted: [B, n] as `cell_order` has them;
 // parts: [B, groups, 8], of which the last number is set.
 // One invocation: one of the sorted particles, which looks through the 27 cells around it. Workgroups: (n / 64 along x, then y, and B).
 // Adjoint: none, training has no repulsion.
@@ -38,21 +38,18 @@ fn joined(p: u32, q: u32) -> bool {
 }
 
 // Sum of d / (d^2 + e) and of -log(d^2 + e) over the particles of a cell that repel the one at `own`.
-fn from_cell(b: u32, cell: vec3i, own: vec4f, distance: f32) -> vec4f {
+fn from_cell(b: u32, cell: vec3i, own: vec4f) -> vec4f {
     let first = b * params.rows * params.columns;
+    let distance = cloths[b].repulsion.y;
+    let per_edge = cloths[b].repulsion.z;
     let bucket = bucket_of(cell, params.buckets - 1u);
-    let at = b * params.buckets + bucket;
-    var start = 0u;
-    if bucket > 0u {
-        start = ends[at - 1u];
-    }
     var sum = vec4f();
-    for (var k = start; k < ends[at]; k++) {
+    for (var k = begin_of(b, bucket, params.buckets); k < ends[b * params.buckets + bucket]; k++) {
         let other = sorted[first + k];
         let way = own.xyz - other.xyz;
         let square = dot(way, way);
         // Another cell may have the same bucket.
-        if square < distance * distance && all(cell_of(other.xyz, distance) == cell)
+        if square < distance * distance && all(cell_of(other.xyz, per_edge) == cell)
             && !joined(bitcast<u32>(own.w), bitcast<u32>(other.w)) {
             sum += vec4f(way / (square + SOFTENING), -log(square + SOFTENING));
         }
@@ -71,17 +68,16 @@ fn repulsion(
     let k = part * 64u + lane;
     let b = group.z;
     let strength = cloths[b].repulsion.x;
-    let distance = cloths[b].repulsion.y;
     var energy = 0.0;
     if k < n {
         let own = sorted[b * n + k];
         let p = bitcast<u32>(own.w);
         var sum = vec4f();
-        if distance > 0.0 {
-            let cell = cell_of(own.xyz, distance);
+        if cloths[b].repulsion.y > 0.0 {
+            let cell = cell_of(own.xyz, cloths[b].repulsion.z);
             for (var neighbour = 0; neighbour < 27; neighbour++) {
                 let way = vec3i(neighbour / 9, neighbour / 3 % 3, neighbour % 3) - 1;
-                sum += from_cell(b, cell + way, own, distance);
+                sum += from_cell(b, cell + way, own);
             }
         }
         energy = strength / f32(n) * sum.w;

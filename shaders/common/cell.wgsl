@@ -1,7 +1,7 @@
 
-// The cube of space with this side that a place is in.
-fn cell_of(place: vec3f, side: f32) -> vec3i {
-    return vec3i(floor(place / side));
+// The cube of space that a place is in, of so many to an edge; a product is rounded alike in all kernels, a quotient is not.
+fn cell_of(place: vec3f, per_edge: f32) -> vec3i {
+    return vec3i(floor(place * per_edge));
 }
 
 // The bucket of a cell among mask + 1, a power of two; cells that are far apart may share one.

@@ -5,7 +5,7 @@ struct Cloth {
     gravity: vec4f, // acceleration, unused
     air: vec4f, // density and drag coefficients, unused
     wind: vec4f, // velocity, unused
-    repulsion: vec4f, // strength, distance, unused
+    repulsion: vec4f, // strength, distance (0 for none), cells of the search to an edge, unused
 }
 
 // Mass of particle (i, j): 1 inside, 1/2 on the border, 1/4 in the corners.

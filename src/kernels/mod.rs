@@ -27,6 +27,7 @@ pub(crate) mod common {
 
 /// Texts that go with what a kernel binds: what kernels share that bind the same, and what kernels of one file differ in.
 pub(crate) mod pieces {
+    pub const BUCKET: &str = include_str!("../../shaders/pieces/bucket.wgsl");
     pub const BLOCK_INPUTS: &str = include_str!("../../shaders/pieces/block_inputs.wgsl");
     pub const FEATURES: &str = include_str!("../../shaders/pieces/features.wgsl");
     pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/pieces/lifted_embedding.wgsl");
@@ -41,7 +42,10 @@ pub const ALL: &[(&Source, usize)] = &[
     (&cloth::external_force::SOURCE, 0),
     (&cloth::predict::SOURCE, 0),
     (&cloth::gradient::SOURCE, 0),
-    (&cloth::cells::SOURCE, 0),
+    (&cloth::cell_count::SOURCE, 0),
+    (&cloth::cell_scan::SOURCE, 0),
+    (&cloth::cell_fill::SOURCE, 0),
+    (&cloth::cell_order::SOURCE, 0),
     (&cloth::repulsion::SOURCE, 0),
     (&cloth::energy::SOURCE, 0),
     (&cloth::energy_sum::SOURCE, 0),

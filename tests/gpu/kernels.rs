@@ -11,6 +11,11 @@ use std::path::{Path, PathBuf};
 /// Kernels without a parity test of their own stem, and where they are tested.
 const TESTED_ELSEWHERE: &[(&str, &str)] = &[
     ("energy_sum", "energy"),
+    // They mean something only together.
+    ("cell_count", "cells"),
+    ("cell_scan", "cells"),
+    ("cell_fill", "cells"),
+    ("cell_order", "cells"),
     ("activate", "gelu_adj"),
     ("spectral_transpose", "transpose"),
     ("sum_parts", "pointwise_weight_adj"),
@@ -33,6 +38,10 @@ const TWINS: &[(&str, &str)] = &[
     ("external_force", "cloth/wind"),
     ("predict", "cloth/integrate"),
     ("energy_sum", "cloth/energy"),
+    ("cell_count", "cloth/cells"),
+    ("cell_scan", "cloth/cells"),
+    ("cell_fill", "cloth/cells"),
+    ("cell_order", "cloth/cells"),
     ("features", "optim/update"),
     ("gradient_descent", "optim/gd"),
     ("cosine_order", "optim/rest_hessian"),

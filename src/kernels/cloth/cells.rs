@@ -1,82 +1,58 @@
-//! Host side of `shaders/cloth/cells.wgsl`.
+//! The plan of sorting the particles of a trial by the cells of a uniform grid in space.
 
-use super::Physics;
+use super::{CellCount, CellFill, CellOrder, CellScan, Physics};
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::optim::Iterate;
-use crate::kernels::{common, pieces, size};
 use crate::sim::Grid;
 
-/// The WGSL.
-pub const SOURCE: Source = Source {
-    name: "cells",
-    wgsl: include_str!("../../../shaders/cloth/cells.wgsl"),
-    appended: &[common::CLOTH, common::CELL, pieces::TRIAL],
-};
-
-#[repr(C)]
-#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
-struct Params {
-    particles: u32,
-    buckets: u32,
-    pad: [u32; 2],
-}
-
-/// The particles of a trial, sorted by cells.
+/// The particles of a trial, sorted by cells that are hashed into buckets: what is near a particle is in 27 of them.
 #[derive(Clone, Debug)]
-pub struct CellTensors {
+pub struct Cells {
+    count: CellCount,
+    scan: CellScan,
+    fill: CellFill,
+    order: CellOrder,
+    /// Particles in each bucket while they are counted, else 0, shape [B, buckets].
+    counts: Tensor,
+    /// Where each particle is, and how many came to its bucket before, shape [B, n, 4].
+    placed: Tensor,
+    /// The particles of each bucket, shape [B, n].
+    numbers: Tensor,
     /// Where the buckets end, shape [B, buckets]; of whole numbers.
     pub ends: Tensor,
-    /// The particles by buckets, shape [B, n, 4].
-    bucketed: Tensor,
     /// The particles by buckets and in these by number, shape [B, n, 4]: position \[edges\] and the bits of the number.
     pub sorted: Tensor,
 }
 
-impl CellTensors {
-    /// For this many cloths on a grid.
-    pub fn new(context: &Context, batch: usize, grid: Grid) -> Result<Self> {
-        let particles = |label| Tensor::zeros(context, label, &[batch, grid.particles(), 4]);
-        Ok(Self {
-            ends: Tensor::zeros(context, "bucket ends", &[batch, buckets(grid)])?,
-            bucketed: particles("bucketed particles")?,
-            sorted: particles("sorted particles")?,
-        })
-    }
-}
-
-/// Number of buckets of a cloth: few of them hold particles of several cells, and each invocation has as many.
+/// Number of buckets of a cloth, a power of two: about as many as particles, so that few hold those of several cells.
 pub fn buckets(grid: Grid) -> usize {
-    (2 * grid.particles()).next_power_of_two().max(256)
-}
-
-/// Sorts the particles of a trial by cells.
-#[derive(Clone, Debug)]
-pub struct Cells {
-    kernel: Kernel,
+    grid.particles().next_power_of_two().max(CellScan::MULTIPLE)
 }
 
 impl Cells {
-    /// Makes it.
-    pub fn new(context: &Context) -> Result<Self> {
-        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    /// For this many cloths on a grid.
+    pub fn new(context: &Context, batch: usize, grid: Grid) -> Result<Self> {
+        let (n, buckets) = (grid.particles(), buckets(grid));
+        Ok(Self {
+            count: CellCount::new(context)?,
+            scan: CellScan::new(context)?,
+            fill: CellFill::new(context)?,
+            order: CellOrder::new(context)?,
+            counts: Tensor::zeros(context, "bucket counts", &[batch, buckets])?,
+            placed: Tensor::zeros(context, "placed particles", &[batch, n, 4])?,
+            numbers: Tensor::zeros(context, "bucketed particles", &[batch, n])?,
+            ends: Tensor::zeros(context, "bucket ends", &[batch, buckets])?,
+            sorted: Tensor::zeros(context, "sorted particles", &[batch, n, 4])?,
+        })
     }
 
-    /// `tensors` at `iterate.a`.
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        grid: Grid,
-        physics: Physics<'_>,
-        (iterate, tensors): (&Iterate, &CellTensors),
-    ) {
-        let batch = physics.batch(grid, iterate);
-        let CellTensors { ends, bucketed, sorted } = tensors;
-        assert_eq!(ends.shape(), [batch, buckets(grid)]);
-        assert_eq!([bucketed, sorted].map(Tensor::len), [4 * batch * grid.particles(); 2]);
-        let params = Params { particles: size(grid.particles()), buckets: size(buckets(grid)), pad: [0; 2] };
-        let Iterate { slots, a, base, .. } = iterate;
-        let tensors = [physics.cloths, slots, a, base, physics.x, ends, bucketed, sorted];
-        schedule.dispatch(&self.kernel, &params, &tensors, [size(batch), 1, 1]);
+    /// Sorts the particles at `iterate.a`.
+    pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: Physics<'_>, iterate: &Iterate) {
+        let Self { count, scan, fill, order, counts, placed, numbers, ends, sorted } = self;
+        count.push(schedule, grid, physics, (iterate, counts, placed));
+        scan.push(schedule, counts, ends);
+        fill.push(schedule, physics.cloths, (ends, placed), numbers);
+        order.push(schedule, physics.cloths, (ends, placed, numbers), sorted);
     }
 }

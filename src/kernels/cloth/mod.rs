@@ -1,6 +1,10 @@
 //! The cloth: forces, energies, their gradient and the time step (paper sections 3.2 and 3.3).
 
-pub mod cells;
+pub mod cell_count;
+pub mod cell_fill;
+pub mod cell_order;
+pub mod cell_scan;
+mod cells;
 pub mod energy;
 pub mod energy_sum;
 pub mod external_force;
@@ -9,7 +13,11 @@ pub mod integrate;
 pub mod predict;
 pub mod repulsion;
 
-pub use cells::{CellTensors, Cells};
+pub use cell_count::CellCount;
+pub use cell_fill::CellFill;
+pub use cell_order::CellOrder;
+pub use cell_scan::CellScan;
+pub use cells::{Cells, buckets};
 pub use energy::Energy;
 pub use energy_sum::{ClothTerms, EnergySum, TERMS};
 pub use external_force::{ExternalForce, ExternalForceTensors};
@@ -67,15 +75,16 @@ impl ClothParams {
 
     fn new(cloth: &Cloth, wind: [f32; 3]) -> Self {
         let m = cloth.material;
-        let [strength, distance] =
-            cloth.repulsion.map_or([0.0; 2], |r| [r.strength as f32, r.distance as f32]);
+        // Without a repulsion cells of an edge, in which nothing is looked for.
+        let [strength, distance, per_edge] =
+            cloth.repulsion.map_or([0.0, 0.0, 1.0], |r| [r.strength, r.distance, r.distance.recip()]);
         let [gx, gy, gz] = cloth.gravity.map(|g| g as f32);
         Self {
             material: [m.stretch as f32, m.shear as f32, m.bend as f32, 0.0],
             gravity: [gx, gy, gz, 0.0],
             air: [cloth.air.density as f32, cloth.air.drag as f32, 0.0, 0.0],
             wind: [wind[0], wind[1], wind[2], 0.0],
-            repulsion: [strength, distance, 0.0, 0.0],
+            repulsion: [strength as f32, distance as f32, per_edge as f32, 0.0],
         }
     }
 }

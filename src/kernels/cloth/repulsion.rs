@@ -1,17 +1,17 @@
 //! Host side of `shaders/cloth/repulsion.wgsl`.
 
-use super::{CellTensors, Cells, Physics, energy};
+use super::{Cells, Physics, energy};
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
-use crate::kernels::{common, size};
+use crate::kernels::{common, pieces, size};
 use crate::sim::Grid;
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "repulsion",
     wgsl: include_str!("../../../shaders/cloth/repulsion.wgsl"),
-    appended: &[common::CLOTH, common::CELL],
+    appended: &[common::CLOTH, common::CELL, pieces::BUCKET],
 };
 
 #[repr(C)]
@@ -28,7 +28,6 @@ struct Params {
 pub struct Repulsion {
     cells: Cells,
     kernel: Kernel,
-    near: CellTensors,
     /// External accelerations and those of the repulsion [edges / frame^2], shape [B, 3, n]: what a gradient takes for the
     /// external ones, since the repulsion depends on positions alone.
     pub pushed: Tensor,
@@ -38,9 +37,8 @@ impl Repulsion {
     /// For this many cloths on a grid.
     pub fn new(context: &Context, batch: usize, grid: Grid) -> Result<Self> {
         Ok(Self {
-            cells: Cells::new(context)?,
+            cells: Cells::new(context, batch, grid)?,
             kernel: Kernel::new(context, &SOURCE, 0, &[])?,
-            near: CellTensors::new(context, batch, grid)?,
             pushed: Tensor::zeros(context, "pushed", &[batch, 3, grid.particles()])?,
         })
     }
@@ -56,9 +54,9 @@ impl Repulsion {
         let batch = physics.batch(grid, iterate);
         let shape @ [_, groups, _] = energy::parts_shape(batch, grid);
         assert_eq!((parts.shape(), self.pushed.len()), (&shape[..], 3 * batch * grid.particles()));
-        let Self { cells, kernel, near, pushed } = self;
-        cells.push(schedule, grid, physics, (iterate, near));
-        let CellTensors { ends, sorted, .. } = near;
+        let Self { cells, kernel, pushed } = self;
+        cells.push(schedule, grid, physics, iterate);
+        let Cells { ends, sorted, .. } = cells;
         let buckets = size(ends.shape()[1]);
         let params = Params { rows: size(grid.h), columns: size(grid.w), buckets, groups: size(groups) };
         let tensors = [physics.cloths, &iterate.slots, physics.external, ends, sorted, pushed, parts];

@@ -1,15 +1,14 @@
-//! `cells` against the CPU path.
+//! `cell_count`, `cell_scan`, `cell_fill` and `cell_order` against the CPU path.
 
 use super::cloth::{Doubles, constants, crumpled, field, iterate, model, repelling, upload};
 use crate::common::{ROUNDING, cases, context, device, run};
 use fnopt::cpu::cloth;
-use fnopt::kernels::cloth::{CellTensors, Cells, Physics, cells::buckets};
+use fnopt::kernels::cloth::{Cells, Physics, buckets};
 
 /// Every particle once, where the trial has it, in the bucket of its cell, and in a bucket by number.
 #[test]
 fn particles_are_sorted_by_cells() {
     let _turn = device();
-    let kernel = Cells::new(context()).unwrap();
     for (grid, batch) in cases() {
         let (model, n) = (repelling(&model(grid, batch)), grid.particles());
         let (a, base) = (field(&model, 0.1, 73), field(&model, 0.1, 79));
@@ -19,13 +18,13 @@ fn particles_are_sorted_by_cells() {
         iterate.a.write(context(), &a);
         let (constants, start) = (constants(&model), upload("x", &model, &x));
         let physics = Physics { cloths: &constants, external: &start, x: &start };
-        let tensors = CellTensors::new(context(), batch, grid).unwrap();
-        tensors.ends.write(context(), &vec![u32::MAX; tensors.ends.len()]);
-        tensors.sorted.write(context(), &vec![f32::NAN; tensors.sorted.len()]);
+        let cells = Cells::new(context(), batch, grid).unwrap();
+        cells.ends.write(context(), &vec![u32::MAX; cells.ends.len()]);
+        cells.sorted.write(context(), &vec![f32::NAN; cells.sorted.len()]);
         // Twice, as nothing of the first time may be left.
-        (0..2).for_each(|_| run(|schedule| kernel.push(schedule, grid, physics, (&iterate, &tensors))));
-        let sorted = tensors.sorted.read::<[f32; 4]>(context()).unwrap();
-        let ends = tensors.ends.read::<u32>(context()).unwrap();
+        (0..2).for_each(|_| run(|schedule| cells.push(schedule, grid, physics, &iterate)));
+        let sorted = cells.sorted.read::<[f32; 4]>(context()).unwrap();
+        let ends = cells.ends.read::<u32>(context()).unwrap();
         let doubles = Doubles::new(&model, [&x, &base, &a, &a]);
         for b in 0..batch {
             let what = format!("cloth {b} of {batch} x {grid}");

@@ -1,0 +1,8 @@
+
+// Where a bucket of cloth b begins among its sorted particles; reads what a kernel binds as ends [B, buckets].
+fn begin_of(b: u32, bucket: u32, buckets: u32) -> u32 {
+    if bucket == 0u {
+        return 0u;
+    }
+    return ends[b * buckets + bucket - 1u];
+}

@@ -1,0 +1,53 @@
+//! Host side of `shaders/cloth/cell_count.wgsl`.
+
+use super::Physics;
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::optim::Iterate;
+use crate::kernels::{common, pieces, size};
+use crate::sim::Grid;
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "cell_count",
+    wgsl: include_str!("../../../shaders/cloth/cell_count.wgsl"),
+    appended: &[common::CLOTH, common::CELL, pieces::TRIAL],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    particles: u32,
+    buckets: u32,
+    pad: [u32; 2],
+}
+
+/// Counts the particles in buckets of cells.
+#[derive(Clone, Debug)]
+pub struct CellCount {
+    kernel: Kernel,
+}
+
+impl CellCount {
+    /// Makes it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Adds to `counts` [B, buckets] and sets `placed` [B, n, 4], at `iterate.a`.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        physics: Physics<'_>,
+        (iterate, counts, placed): (&Iterate, &Tensor, &Tensor),
+    ) {
+        let (batch, n) = (physics.batch(grid, iterate), grid.particles());
+        let &[_, buckets] = counts.shape() else { panic!("cell_count: {:?}", counts.shape()) };
+        assert_eq!((counts.len(), placed.len()), (batch * buckets, 4 * batch * n));
+        let params = Params { particles: size(n), buckets: size(buckets), pad: [0; 2] };
+        let Iterate { slots, a, base, .. } = iterate;
+        let tensors = [physics.cloths, slots, a, base, physics.x, counts, placed];
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
+    }
+}

@@ -1,0 +1,50 @@
+//! Host side of `shaders/cloth/cell_order.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{common, pieces, size};
+
+/// The WGSL.
+pub const SOURCE: Source = Source {
+    name: "cell_order",
+    wgsl: include_str!("../../../shaders/cloth/cell_order.wgsl"),
+    appended: &[common::CLOTH, common::CELL, pieces::BUCKET],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    particles: u32,
+    buckets: u32,
+    pad: [u32; 2],
+}
+
+/// Gives the particles of each bucket one order.
+#[derive(Clone, Debug)]
+pub struct CellOrder {
+    kernel: Kernel,
+}
+
+impl CellOrder {
+    /// Makes it.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// `sorted` [B, n, 4] from `ends` [B, buckets], `placed` [B, n, 4] and `numbers` [B, n].
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        cloths: &Tensor,
+        (ends, placed, numbers): (&Tensor, &Tensor, &Tensor),
+        sorted: &Tensor,
+    ) {
+        let (&[batch, buckets], &[_, n]) = (ends.shape(), numbers.shape()) else {
+            panic!("cell_order: {:?}, {:?}", ends.shape(), numbers.shape())
+        };
+        assert_eq!((placed.shape(), sorted.shape()), (&[batch, n, 4][..], &[batch, n, 4][..]));
+        let params = Params { particles: size(n), buckets: size(buckets), pad: [0; 2] };
+        let tensors = [cloths, ends, placed, numbers, sorted];
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
+    }
+}
