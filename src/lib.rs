@@ -45,7 +45,7 @@
 //!    spectral product and inverse, the field head, and the scalar head with the persistent scale; [`kernels::optim::Update`]
 //!    makes the step and adds it to a. The classical optimizers ([`sim::Optimizer`]) take the place of everything behind the
 //!    gradient.
-//! 3. [`kernels::cloth::Energy`] for the statistics, then [`kernels::cloth::Integrate`]: v + a, x + v.
+//! 3. [`kernels::cloth::Energy`] for the statistics, with the repulsion's once more, then [`kernels::cloth::Integrate`]: v + a, x + v.
 //!
 //! A training step ([`train::DeviceLoss`], [`cpu::train::Loss`]) is one such iteration, the energy where it led, and the way
 //! back through [`kernels::optim::UpdateAdj`] and [`network::Backward`].

@@ -1,8 +1,9 @@
 // Counts the particles in each bucket of cells, of a uniform grid in space whose cells are as wide as the repulsion reaches (paper
 // section 3.4): the first of four kernels that sort them.
 //
-// cloths: [B]; slots: [B, n]; a, base, x: [B, 3, n]; counts: [B, buckets], 0 before; placed: [B, n] of (position, how many of the
-// bucket came before, as bits). They come in any order; `cell_order` gives them one.
+// cloths: [B]; slots: [B, n]; a, base, x: [B, 3, n]; counts: [B, buckets], 0 before; placed: [B, n] of (bits of the position, how many
+// of the bucket came before); in_bucket: [B, n]. Particles come in any order; `cell_order` gives them one. What is out of reach goes to
+// some bucket or other, by its number, as all in one would take each other's time.
 // One invocation: one particle. Workgroups: (n / 64 along x, then y, and B).
 // Adjoint: none, training has no repulsion.
 
@@ -20,7 +21,8 @@ struct Params {
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read> x: array<f32>;
 @group(0) @binding(6) var<storage, read_write> counts: array<atomic<u32>>;
-@group(0) @binding(7) var<storage, read_write> placed: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> placed: array<vec4u>;
+@group(0) @binding(8) var<storage, read_write> in_bucket: array<u32>;
 
 @compute @workgroup_size(64)
 fn cell_count(
@@ -35,7 +37,12 @@ fn cell_count(
     let b = group.z;
     let own = trial(b, p, params.particles);
     let place = own.x + own.shift;
-    let bucket = bucket_of(cell_of(place, cloths[b].repulsion.z), params.buckets - 1u);
+    let mask = params.buckets - 1u;
+    var bucket = p & mask;
+    if is_within_reach(place) {
+        bucket = bucket_of(cell_of(place, cloths[b].repulsion.z), mask);
+    }
     let before = atomicAdd(&counts[b * params.buckets + bucket], 1u);
-    placed[b * params.particles + p] = vec4f(place, bitcast<f32>(before));
+    placed[b * params.particles + p] = vec4u(bitcast<vec3u>(place), before);
+    in_bucket[b * params.particles + p] = bucket;
 }

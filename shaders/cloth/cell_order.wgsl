@@ -1,23 +1,23 @@
 // The particles sorted by buckets, and in a bucket by their numbers: each counts those before it, so that whatever is summed over
 // them has one order, however they came.
 //
-// cloths: [B]; ends: [B, buckets]; placed: [B, n]; numbers: [B, n]; sorted: [B, n] of (position, particle number as bits).
+// ends: [B, buckets]; placed, in_bucket, numbers: [B, n]; sorted: [B, n] of (bits of the position, particle number).
 // One invocation: one particle. Workgroups: (n / 64 along x, then y, and B).
 // Adjoint: none, training has no repulsion.
 
 struct Params {
     particles: u32, // n
-    buckets: u32, // a power of two
+    buckets: u32,
     pad0: u32,
     pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> ends: array<u32>;
-@group(0) @binding(3) var<storage, read> placed: array<vec4f>;
+@group(0) @binding(1) var<storage, read> ends: array<u32>;
+@group(0) @binding(2) var<storage, read> placed: array<vec4u>;
+@group(0) @binding(3) var<storage, read> in_bucket: array<u32>;
 @group(0) @binding(4) var<storage, read> numbers: array<u32>;
-@group(0) @binding(5) var<storage, read_write> sorted: array<vec4f>;
+@group(0) @binding(5) var<storage, read_write> sorted: array<vec4u>;
 
 @compute @workgroup_size(64)
 fn cell_order(
@@ -31,12 +31,12 @@ fn cell_order(
     }
     let b = group.z;
     let first = b * params.particles;
-    let place = placed[first + p].xyz;
-    let bucket = bucket_of(cell_of(place, cloths[b].repulsion.z), params.buckets - 1u);
+    let bucket = in_bucket[first + p];
     let begin = begin_of(b, bucket, params.buckets);
+    let end = end_of(b, bucket, params.buckets, params.particles);
     var rank = begin;
-    for (var k = begin; k < ends[b * params.buckets + bucket]; k++) {
+    for (var k = begin; k < end; k++) {
         rank += select(0u, 1u, numbers[first + k] < p);
     }
-    sorted[first + rank] = vec4f(place, bitcast<f32>(p));
+    sorted[first + min(rank, params.particles - 1u)] = vec4u(placed[first + p].xyz, p);
 }

@@ -1,7 +1,7 @@
 // Where each bucket ends among the sorted particles, from the counts of `cell_count`, which are 0 again afterwards.
 //
 // counts, ends: [B, buckets].
-// One workgroup: one cloth; each invocation has as many buckets, one behind the other. Workgroups: (B).
+// One workgroup: one cloth; each invocation has an equal share of consecutive buckets. Workgroups: (B).
 // Adjoint: none, training has no repulsion.
 
 struct Params {

@@ -20,7 +20,7 @@ struct Params {
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
 @group(0) @binding(3) var<storage, read> external_acceleration: array<f32>;
 @group(0) @binding(4) var<storage, read> ends: array<u32>;
-@group(0) @binding(5) var<storage, read> sorted: array<vec4f>;
+@group(0) @binding(5) var<storage, read> sorted: array<vec4u>;
 @group(0) @binding(6) var<storage, read_write> pushed: array<f32>;
 @group(0) @binding(7) var<storage, read_write> parts: array<f32>;
 
@@ -38,19 +38,20 @@ fn joined(p: u32, q: u32) -> bool {
 }
 
 // Sum of d / (d^2 + e) and of -log(d^2 + e) over the particles of a cell that repel the one at `own`.
-fn from_cell(b: u32, cell: vec3i, own: vec4f) -> vec4f {
-    let first = b * params.rows * params.columns;
+fn from_cell(b: u32, cell: vec3i, own: vec3f, p: u32) -> vec4f {
+    let n = params.rows * params.columns;
     let distance = cloths[b].repulsion.y;
     let per_edge = cloths[b].repulsion.z;
     let bucket = bucket_of(cell, params.buckets - 1u);
     var sum = vec4f();
-    for (var k = begin_of(b, bucket, params.buckets); k < ends[b * params.buckets + bucket]; k++) {
-        let other = sorted[first + k];
-        let way = own.xyz - other.xyz;
+    let end = end_of(b, bucket, params.buckets, n);
+    for (var k = begin_of(b, bucket, params.buckets); k < end; k++) {
+        let other = sorted[b * n + k];
+        let place = bitcast<vec3f>(other.xyz);
+        let way = own - place;
         let square = dot(way, way);
         // Another cell may have the same bucket.
-        if square < distance * distance && all(cell_of(other.xyz, per_edge) == cell)
-            && !joined(bitcast<u32>(own.w), bitcast<u32>(other.w)) {
+        if square < distance * distance && all(cell_of(place, per_edge) == cell) && !joined(p, other.w) {
             sum += vec4f(way / (square + SOFTENING), -log(square + SOFTENING));
         }
     }
@@ -71,13 +72,14 @@ fn repulsion(
     var energy = 0.0;
     if k < n {
         let own = sorted[b * n + k];
-        let p = bitcast<u32>(own.w);
+        let place = bitcast<vec3f>(own.xyz);
+        let p = own.w;
         var sum = vec4f();
-        if cloths[b].repulsion.y > 0.0 {
-            let cell = cell_of(own.xyz, cloths[b].repulsion.z);
+        if cloths[b].repulsion.y > 0.0 && is_within_reach(place) {
+            let cell = cell_of(place, cloths[b].repulsion.z);
             for (var neighbour = 0; neighbour < 27; neighbour++) {
                 let way = vec3i(neighbour / 9, neighbour / 3 % 3, neighbour % 3) - 1;
-                sum += from_cell(b, cell + way, own);
+                sum += from_cell(b, cell + way, place, p);
             }
         }
         energy = strength / f32(n) * sum.w;

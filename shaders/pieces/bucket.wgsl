@@ -6,3 +6,8 @@ fn begin_of(b: u32, bucket: u32, buckets: u32) -> u32 {
     }
     return ends[b * buckets + bucket - 1u];
 }
+
+// Where it ends, among all of them.
+fn end_of(b: u32, bucket: u32, buckets: u32, particles: u32) -> u32 {
+    return min(ends[b * buckets + bucket], particles);
+}

@@ -1,5 +1,5 @@
 //! How far a solver generalises: the default scene with other motions, handles, speeds, grids, materials or numbers of
-//! iterations, judged by itself, without another simulator.
+//! iterations, or with layers that are kept apart, judged by itself, without another simulator.
 
 use super::gap::{median_gap, track};
 use super::nearness::{Nearness, mean_and_shares};
@@ -61,7 +61,7 @@ pub struct CaseScore {
     /// Largest `|edge| - 1` of the edges away from handles.
     pub stretch_largest: f64,
     /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; none where it was not
-    /// asked for, or is no number.
+    /// asked for, or is no number, or layers are kept apart.
     pub gap: Option<f64>,
     /// Median wall time of a frame \[ms\]; none when it diverged in the first.
     pub ms_per_frame: Option<f64>,
@@ -87,11 +87,6 @@ impl CaseScore {
     /// The energy gap where it was asked for; infinite where it is no number.
     fn measured_gap(&self) -> Option<f64> {
         (self.made_with.settings["gap"] == true).then(|| self.gap.unwrap_or(f64::INFINITY))
-    }
-
-    /// Whether its scene keeps layers apart.
-    fn repels(&self) -> bool {
-        self.made_with.settings["scene"]["repulsion"].is_object()
     }
 
     /// Whether the rollout was sound: finite, and no edge away from a handle beyond [`STRETCH_LIMIT`].
@@ -223,15 +218,20 @@ impl<'a> Prepared<'a> {
         format!("{solver}_{iterations}_{}_{}", self.setup.model.grid, self.case.name)
     }
 
-    /// Whether its energy gap can be measured: not where layers are kept apart, which the converged simulation cannot do.
-    fn has_gap(&self) -> bool {
+    /// Whether Newton's method can take part: not where layers are kept apart. Without it there is no energy gap either.
+    fn has_newton(&self) -> bool {
         !self.setup.model.repels()
+    }
+
+    /// Whether an optimizer can take part.
+    pub fn takes(&self, optimizer: &Optimizer) -> bool {
+        self.has_newton() || !matches!(optimizer, Optimizer::Newton)
     }
 
     /// What [`Prepared::run`] would make a score with, beside the iterations.
     pub fn conditions(&self, optimizer: &Optimizer, device: &Device, with_gap: bool) -> Conditions {
         let mut settings = self.told.clone();
-        settings["gap"] = (with_gap && self.has_gap()).into();
+        settings["gap"] = (with_gap && self.has_newton()).into();
         Conditions::of_scene(settings, &self.entry((optimizer, 1)), device)
     }
 
@@ -252,7 +252,7 @@ impl<'a> Prepared<'a> {
             return Ok(None);
         }
         let mut gap = None;
-        if with_gap && self.has_gap() {
+        if with_gap && self.has_newton() {
             let Some(track) = self.track(&mut tick)? else { return Ok(None) };
             let Some(found) = median_gap(track, (solver.0, entry.iterations), device, tick)? else {
                 return Ok(None);
@@ -294,12 +294,12 @@ impl<'a> Prepared<'a> {
 }
 
 /// The scores of a suite as a table: a row for each case, then one for all cases that share a grid and a number of iterations, with
-/// how many were sound, the largest stretch of all, and the medians of the energy gap and the time. Where some cases keep layers
-/// apart, how near these came to each other is told of each.
-pub fn table(title: &str, scores: &[CaseScore]) -> Table {
-    let of_repulsion = match scores.iter().any(CaseScore::repels) {
-        true => &["repulsion", "share > 0.1", "share > 0.02"][..],
-        false => &[],
+/// how many were sound, the largest stretch of all, and the medians of the energy gap and the time. In the suite of
+/// repulsion it is also told how near layers came to each other.
+pub fn table(title: &str, suite: Suite, scores: &[CaseScore]) -> Table {
+    let of_repulsion = match suite {
+        Suite::Repulsion => &["repulsion", "share > 0.1", "share > 0.02"][..],
+        _ => &[],
     };
     let columns = ["case", "grid", "N", "sound", "largest stretch [%]", "energy gap [%]", "ms/frame"];
     let mut groups: Vec<Vec<&CaseScore>> = Vec::new();

@@ -226,7 +226,8 @@ fn trusted_module(device: &wgpu::Device, name: &str, module: naga::Module) -> wg
     // and no caller can bring their own. Every loop there counts to a finite bound. Indices that are computed are bounded by
     // the sizes in the parameters, which the host side of each kernel (`crate::kernels`) asserts against the shapes of the
     // tensors it binds; where a whole buffer is bound for a view, `Tensor::view` has asserted that the view is within it.
-    // Indices that are data are not checked there: handle slots, the places of drawn cloths in their pool and the newest pair of
+    // Places of particles in buckets are data that the kernels of cells bound themselves, by the number of particles.
+    // Other indices that are data are not checked there: handle slots, the places of drawn cloths in their pool and the newest pair of
     // L-BFGS are bounded by what writes them (`Model::check` and `Model::handle_slots`, `train::Pool`, `lbfgs.wgsl`), and callers
     // who fill such tensors of `crate::kernels` by themselves must do the same.
     unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }

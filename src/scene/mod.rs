@@ -45,10 +45,10 @@
 //! are, so that a finer grid is a softer cloth. Moduli are the same cloth on every grid: with areal mass rho and frame time T,
 //! `k_stretch = Y T^2 / (2 rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`, `k_bend = D T^2 / (2 rho l^4)`.
 //!
-//! **Repulsion.** Particles that no edge of the triangulated grid joins repel each other below `distance`, in edges, above 0 and at
-//! most 1 ([`crate::sim::Repulsion`]); `strength` is an energy by mass, so that layers which meet at some metres a second are kept apart
-//! on every grid. Particles repel each other, not triangles: below a distance of 1 layers slip through each other's gaps, and fast
-//! or tightly folded ones may at 1.
+//! **Repulsion.** Particles that no edge of the triangulated grid joins repel each other below `distance`, in edges, 0.001 to 1
+//! ([`crate::sim::Repulsion`]); `strength` is an energy by mass, so that it takes the same speed to overcome on every grid. What it
+//! keeps apart is particles, not triangles: below a distance of 1 layers slip through each other's gaps. And it reaches no further
+//! than an edge: layers that approach each other by about two edges a frame or more pass each other unseen.
 //!
 //! **Start.** `settled` hangs from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side with y up. `flat` has
 //! particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up. `hanging` is a vertical plane whose upper edge, j = 0, is
@@ -205,12 +205,12 @@ impl Default for Wind {
 pub struct Separation {
     /// How strongly, as an energy by mass [m^2/s^2].
     pub strength: f64,
-    /// From which distance on \[edges\]; above 0 and at most 1.
+    /// Distance below which they repel each other \[edges\], 0.001 to 1.
     pub distance: f64,
 }
 
 impl Default for Separation {
-    /// Enough for layers that meet at some metres a second, and for those of a 32x32 sheet not to slip through each other's gaps.
+    /// What stops particles that meet at some metres a second, at a distance at which layers do not slip through each other's gaps.
     fn default() -> Self {
         Self { strength: 1.0, distance: 1.0 }
     }
@@ -305,13 +305,6 @@ impl Scene {
         self.check_stiffness()?;
         self.not_negative("wind.density", self.wind.density)?;
         self.not_negative("wind.drag", self.wind.drag)?;
-        if let Some(Separation { strength, distance }) = self.repulsion {
-            self.not_negative("repulsion.strength", strength)?;
-            if !(distance > 0.0 && distance <= 1.0) {
-                let expected = "a number of edges above 0, at most 1";
-                return Err(Error::invalid(&self.origin, "repulsion.distance", expected, distance));
-            }
-        }
         for (field, vector) in [("gravity", self.gravity), ("wind.velocity", self.wind.velocity)] {
             if vector.iter().any(|c| !c.is_finite()) {
                 return Err(Error::invalid(&self.origin, field, "finite numbers", format!("{vector:?}")));
@@ -332,7 +325,12 @@ impl Scene {
         if self.frames == Some(0) {
             return Err(Error::invalid(&self.origin, "frames", "1 or more", 0));
         }
-        Ok(Units { length_m, frame_time_s: self.frame_time_s, areal_mass_kg_m2 })
+        let units = Units { length_m, frame_time_s: self.frame_time_s, areal_mass_kg_m2 };
+        if let Some(separation) = self.repulsion {
+            self.not_negative("repulsion.strength", separation.strength)?;
+            units.repulsion(separation).check(&self.origin, "repulsion")?;
+        }
+        Ok(units)
     }
 
     fn check_stiffness(&self) -> Result<()> {

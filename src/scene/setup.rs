@@ -242,8 +242,7 @@ impl Scene {
         let material = [cloth.material.stretch, cloth.material.shear, cloth.material.bend];
         let wind = [cloth.air.density, cloth.air.drag].into_iter().chain(setup.wind);
         let start = setup.vertices_m(&setup.start.x);
-        let repulsion = cloth.repulsion.map_or(0.0, |repulsion| repulsion.strength);
-        let fields: [(&str, bool); 7] = [
+        let fields: [(&str, bool); 6] = [
             (
                 "side_m, frame_time_s",
                 [units.length_m, units.length_m / units.frame_time_s].into_iter().all(single),
@@ -251,7 +250,6 @@ impl Scene {
             ("material", material.into_iter().all(single)),
             ("gravity", cloth.gravity.into_iter().all(single)),
             ("wind", wind.into_iter().all(single)),
-            ("repulsion", single(repulsion)),
             (
                 "start",
                 setup.start.x.iter().chain(&setup.start.v).chain(start.as_flattened()).all(|&v| single(v)),

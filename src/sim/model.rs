@@ -39,8 +39,7 @@ pub struct Repulsion {
     /// Coefficient `k_repulsion` of the energy [edges^2 / frame^2]: the paper's `lambda` times the number of particles, so that
     /// what pushes a particle does not depend on how many there are.
     pub strength: f64,
-    /// Distance below which particles repel each other, the paper's `delta` \[edges\]; above 0, and at most 1, where the
-    /// neighbours of a sheet at rest begin.
+    /// Distance below which particles repel each other, the paper's `delta` \[edges\]: 0.001 to 1, the length of an edge.
     pub distance: f64,
 }
 
@@ -136,11 +135,12 @@ impl Repulsion {
         let refused = |part: &str, expected: &str, found: f64| {
             Err(Error::invalid(origin, format!("{field}.{part}"), expected, found))
         };
-        if !(strength >= 0.0 && (strength as f32).is_finite()) {
-            return refused("strength", "a finite number, 0 or above", strength);
+        // A corner's quarter of a mass makes it sixteen times as much.
+        if !(strength >= 0.0 && (16.0 * strength as f32).is_finite()) {
+            return refused("strength", "0 or more, and finite in single precision", strength);
         }
-        if !(distance > 0.0 && distance <= 1.0 && distance as f32 > 0.0) {
-            return refused("distance", "a number of edges above 0, 1 at most", distance);
+        if !(0.001..=1.0).contains(&distance) {
+            return refused("distance", "0.001 to 1 edges", distance);
         }
         Ok(())
     }

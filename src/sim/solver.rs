@@ -296,11 +296,11 @@ impl Solver {
         }
     }
 
-    /// Gives the cloths other materials, gravity or air, ahead of whatever is submitted next. Wind ends, until a control tells
-    /// it again.
+    /// Gives the cloths other materials, gravity, air or repulsion, ahead of whatever is submitted next. Wind ends, until a control
+    /// tells it again.
     ///
-    /// An error if there are more or fewer cloths, they have other handles, or one has a repulsion where none had: those take a
-    /// new solver.
+    /// An error if there are more or fewer cloths, they have other handles, or one has a repulsion though the solver was made
+    /// without any: those take a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = Model { grid: self.model.grid, cloths: cloths.to_vec() };
         model.check()?;

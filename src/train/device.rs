@@ -100,9 +100,10 @@ impl DeviceLoss {
     }
 
     /// Sets cloths, handles and their targets, ahead of whatever is submitted next. Panics when a cloth has more handles
-    /// than [`MAX_HANDLES`] or the numbers are not the batch's.
+    /// than [`MAX_HANDLES`] or a repulsion, which training does not have here, or the numbers are not the batch's.
     pub fn set_cloths(&self, model: &Model, control: &Control<f32>) {
         assert_eq!((model.batch(), control.handles.len()), (self.batch, model.handles()));
+        assert!(!model.repels(), "training has no repulsion");
         self.cloths.write(&self.context, &ClothParams::all(model, &[]));
         self.iterate.slots.write(&self.context, &model.handle_slots());
         let mut targets = control.handles.clone();

@@ -99,7 +99,7 @@ fn layers_are_kept_apart_where_that_is_asked_for() {
     }
     for (more, said) in [
         (&["--repulsion=1"][..], "--repulsion: value: expected two numbers"),
-        (&["--repulsion=1,2"], "repulsion.distance: expected a number of edges above 0, at most 1, found 2"),
+        (&["--repulsion=1,2"], "repulsion.distance: expected 0.001 to 1 edges, found 2"),
         (&["--repulsion", "--solver", "newton"], "Newton's method"),
     ] {
         let output = rollout(more);

@@ -79,6 +79,15 @@ fn layers_that_are_kept_apart_are_told_of() {
     assert!(figure(0, "gap").is_number() && figure(1, "gap").is_null());
     let row = |name: &str| printed.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
     assert!(!row("single-mid-edge with ").contains(" - "), "{printed}");
+    // Newton's method, which is among the solvers by default, takes part where it can.
+    let few = ["--frames", "2", "--grid", "8", "--no-gap", "--device", "cpu", "--json", "all.json"];
+    let output = fnopt(folder.path(), &[&["evaluate", "--suite", "repulsion"], &few[..]].concat());
+    // On so coarse a grid not all of them are sound.
+    assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
+    assert!(text(&output.stderr).contains("newton does not take part in single-mid-edge with"), "{output:?}");
+    let scores = json(&folder.path().join("all.json"));
+    let of = |case: &str| scores.as_array().unwrap().iter().filter(|s| s["score"]["case"] == case).count();
+    assert_eq!((of("corner-center without"), of("corner-center with")), (5, 4));
     // Where no case keeps them apart, nothing is said of it.
     let speeds = ["--suite", "speeds", "--grid", "8", "--frames", "3", "--solver", "gd:1", "--no-gap"];
     let (printed, _) = done(quiet(folder.path(), &[&["evaluate"], &speeds[..]].concat()).output().unwrap());

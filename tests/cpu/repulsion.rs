@@ -165,9 +165,16 @@ fn degenerate_cloths_are_no_panic() {
     sheet.shift.fill(0.0);
     let (energy, pushed) = sheet.repel(Repulsion { strength: 0.3, distance: 1.0 });
     assert!(energy.is_finite() && pushed.iter().all(|a| a.is_finite()));
+    let n = GRID.particles();
     for wrong in [f64::NAN, f64::INFINITY, 1e300] {
         sheet.x[7] = wrong;
-        sheet.repel(Repulsion { strength: 0.3, distance: 1e-3 });
+        // Nothing is near it, so it takes no other along.
+        let (energy, pushed) = sheet.repel(Repulsion { strength: 0.3, distance: 1e-3 });
+        assert!(energy.is_finite() && pushed.iter().all(|a| a.is_finite()));
+        assert_eq!(
+            pushed[7..].iter().step_by(n).collect::<Vec<_>>(),
+            sheet.f[7..].iter().step_by(n).collect::<Vec<_>>()
+        );
     }
 }
 

@@ -1,7 +1,7 @@
 //! Tables of a suite.
 
 use fnopt::eval::Format;
-use fnopt::eval::suite::{CaseScore, table};
+use fnopt::eval::suite::{CaseScore, Suite, table};
 use serde_json::json;
 
 /// A score with a stretch and, where it was asked for, a gap, both in percent.
@@ -18,7 +18,7 @@ fn score(case: &str, grid: &str, stretch: f64, gap: Option<f64>) -> CaseScore {
 }
 
 fn rows(scores: &[CaseScore]) -> Vec<Vec<String>> {
-    let csv = table("fnopt", scores).write(Format::Csv);
+    let csv = table("fnopt", Suite::Motions, scores).write(Format::Csv);
     csv.lines()
         .map(|line| line.split(',').map(str::to_owned).collect())
         .filter(|row: &Vec<_>| row.len() > 1)

@@ -116,7 +116,7 @@ fn bad_configurations_are_refused_by_field() {
         ("[validation]\nevery = { hours = 1 }", &["validation.every", "unknown field 'hours'"]),
         ("[validation]\nevery = 3", &["validation.every", "{ steps = N }"]),
         ("[validation]\ngrids = []", &["validation.grids", "at least one"]),
-        ("[network]\nmodes_h = 16\n[[pool]]\ngrid = [12, 32]", &["pool[0].grid", "16 x 5", "12x32"]),
+        ("[network]\nmodes_h = 16\n[[pool]]\ngrid = [12, 32]", &["pool[0].grid", "16x5", "12x32"]),
         ("seed = \nsteps = 4", &["line 1, column 8", "TOML"]),
     ];
     for (text, said) in cases {

@@ -118,6 +118,15 @@ impl Args {
                 let prepared = Prepared::new(case, frames)?;
                 for (number, entry) in entries.iter().enumerate() {
                     bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
+                    if !prepared.takes(&entry.optimizer) {
+                        tell!(
+                            "{} does not take part in {}: it cannot keep layers apart",
+                            entry.name,
+                            case.name
+                        );
+                        bar.inc(1);
+                        continue;
+                    }
                     let Some(score) = self.score(&prepared, entry, &device, tick)? else { return Ok(false) };
                     scores.push((number, score));
                     bar.inc(1);
@@ -130,7 +139,7 @@ impl Args {
         let of = |(number, entry): (usize, &Entry)| {
             let own: Vec<CaseScore> =
                 scores.iter().filter(|(of, _)| *of == number).map(|(_, score)| score.clone()).collect();
-            suite::table(&entry.name, &own)
+            suite::table(&entry.name, suite, &own)
         };
         let tables: Vec<Table> = entries.iter().enumerate().map(of).collect();
         let named: Vec<_> = scores

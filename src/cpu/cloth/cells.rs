@@ -72,6 +72,13 @@ impl<T: Real> Walk<'_, T> {
     }
 }
 
+impl<T: Real> Placed<T> {
+    /// Whether it is less than a million edges (2^20) away along each axis: what lies beyond, or is no number, is near nothing.
+    pub fn is_within_reach(&self) -> bool {
+        self.place.iter().all(|x| x.f64().abs() < (1u64 << (BITS - 1)) as f64)
+    }
+}
+
 /// The cube of space that a place is in; the outermost has all that lies beyond it, and what is no number is in some one.
 fn cell<T: Real>(place: [T; 3], side: T) -> u64 {
     let (middle, last) = (1i64 << (BITS - 1), (1i64 << BITS) - 1);

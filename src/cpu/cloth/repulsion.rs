@@ -26,15 +26,15 @@ pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, pushed: &m
     let cells = Cells::new(trial, distance);
     let of_particle = |walk: &mut Walk<'_, T>, own: &Placed<T>| {
         let (mut sum, mut energy, p) = ([T::zero(); 3], 0.0, own.particle);
-        for other in walk.around(own) {
+        let around = own.is_within_reach().then(|| walk.around(own));
+        for other in around.into_iter().flatten() {
             let way = sub(own.place, other.place);
             let square = dot(way, way);
-            if square >= distance * distance || grid.joined(p, other.particle) {
-                continue;
+            if square < distance * distance && !grid.joined(p, other.particle) {
+                let square = square + softening;
+                sum = add(sum, scaled(way, square.recip()));
+                energy -= square.f64().ln();
             }
-            let square = square + softening;
-            sum = add(sum, scaled(way, square.recip()));
-            energy -= square.f64().ln();
         }
         let f = at(trial.f, n, p);
         let factor = T::of(4.0 * strength / grid.mass(p / grid.w, p % grid.w));

@@ -34,20 +34,22 @@ impl CellCount {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Adds to `counts` [B, buckets] and sets `placed` [B, n, 4], at `iterate.a`.
+    /// Adds to `counts` [B, buckets] and sets `placed` [B, n, 4] and `in_bucket` [B, n], at `iterate.a`.
     pub fn push(
         &self,
         schedule: &mut Schedule,
         grid: Grid,
         physics: Physics<'_>,
-        (iterate, counts, placed): (&Iterate, &Tensor, &Tensor),
+        iterate: &Iterate,
+        [counts, placed, in_bucket]: [&Tensor; 3],
     ) {
         let (batch, n) = (physics.batch(grid, iterate), grid.particles());
         let &[_, buckets] = counts.shape() else { panic!("cell_count: {:?}", counts.shape()) };
-        assert_eq!((counts.len(), placed.len()), (batch * buckets, 4 * batch * n));
+        assert_eq!([counts, placed, in_bucket].map(Tensor::len), [batch * buckets, 4 * batch * n, batch * n]);
+        assert!(buckets.is_power_of_two(), "{buckets} buckets");
         let params = Params { particles: size(n), buckets: size(buckets), pad: [0; 2] };
         let Iterate { slots, a, base, .. } = iterate;
-        let tensors = [physics.cloths, slots, a, base, physics.x, counts, placed];
+        let tensors = [physics.cloths, slots, a, base, physics.x, counts, placed, in_bucket];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
     }
 }

@@ -2,13 +2,13 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, pieces, size};
+use crate::kernels::{pieces, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "cell_fill",
     wgsl: include_str!("../../../shaders/cloth/cell_fill.wgsl"),
-    appended: &[common::CLOTH, common::CELL, pieces::BUCKET],
+    appended: &[pieces::BUCKET],
 };
 
 #[repr(C)]
@@ -31,20 +31,14 @@ impl CellFill {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `numbers` [B, n] from `ends` [B, buckets] and `placed` [B, n, 4].
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        cloths: &Tensor,
-        (ends, placed): (&Tensor, &Tensor),
-        numbers: &Tensor,
-    ) {
+    /// `numbers` [B, n] from `ends` [B, buckets], `placed` [B, n, 4] and `in_bucket` [B, n].
+    pub fn push(&self, schedule: &mut Schedule, [ends, placed, in_bucket]: [&Tensor; 3], numbers: &Tensor) {
         let (&[batch, buckets], &[_, n]) = (ends.shape(), numbers.shape()) else {
             panic!("cell_fill: {:?}, {:?}", ends.shape(), numbers.shape())
         };
-        assert_eq!(placed.shape(), [batch, n, 4]);
+        assert_eq!((placed.shape(), in_bucket.shape()), (&[batch, n, 4][..], &[batch, n][..]));
         let params = Params { particles: size(n), buckets: size(buckets), pad: [0; 2] };
-        let tensors = [cloths, ends, placed, numbers];
+        let tensors = [ends, placed, in_bucket, numbers];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
     }
 }

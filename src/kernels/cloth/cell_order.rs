@@ -2,13 +2,13 @@
 
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, pieces, size};
+use crate::kernels::{pieces, size};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
     name: "cell_order",
     wgsl: include_str!("../../../shaders/cloth/cell_order.wgsl"),
-    appended: &[common::CLOTH, common::CELL, pieces::BUCKET],
+    appended: &[pieces::BUCKET],
 };
 
 #[repr(C)]
@@ -31,20 +31,20 @@ impl CellOrder {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `sorted` [B, n, 4] from `ends` [B, buckets], `placed` [B, n, 4] and `numbers` [B, n].
+    /// `sorted` [B, n, 4] from `ends` [B, buckets], `placed` [B, n, 4], `in_bucket` and `numbers` [B, n].
     pub fn push(
         &self,
         schedule: &mut Schedule,
-        cloths: &Tensor,
-        (ends, placed, numbers): (&Tensor, &Tensor, &Tensor),
+        [ends, placed, in_bucket, numbers]: [&Tensor; 4],
         sorted: &Tensor,
     ) {
         let (&[batch, buckets], &[_, n]) = (ends.shape(), numbers.shape()) else {
             panic!("cell_order: {:?}, {:?}", ends.shape(), numbers.shape())
         };
-        assert_eq!((placed.shape(), sorted.shape()), (&[batch, n, 4][..], &[batch, n, 4][..]));
+        assert_eq!([placed, sorted].map(Tensor::shape), [[batch, n, 4]; 2]);
+        assert_eq!(in_bucket.shape(), numbers.shape());
         let params = Params { particles: size(n), buckets: size(buckets), pad: [0; 2] };
-        let tensors = [cloths, ends, placed, numbers, sorted];
+        let tensors = [ends, placed, in_bucket, numbers, sorted];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
     }
 }

@@ -17,11 +17,13 @@ pub struct Cells {
     counts: Tensor,
     /// Where each particle is, and how many came to its bucket before, shape [B, n, 4].
     placed: Tensor,
+    /// The bucket of each particle, shape [B, n].
+    in_bucket: Tensor,
     /// The particles of each bucket, shape [B, n].
     numbers: Tensor,
     /// Where the buckets end, shape [B, buckets]; of whole numbers.
     pub ends: Tensor,
-    /// The particles by buckets and in these by number, shape [B, n, 4]: position \[edges\] and the bits of the number.
+    /// The particles by buckets and in these by number, shape [B, n, 4]: bits of the position \[edges\], and the number.
     pub sorted: Tensor,
 }
 
@@ -41,6 +43,7 @@ impl Cells {
             order: CellOrder::new(context)?,
             counts: Tensor::zeros(context, "bucket counts", &[batch, buckets])?,
             placed: Tensor::zeros(context, "placed particles", &[batch, n, 4])?,
+            in_bucket: Tensor::zeros(context, "buckets", &[batch, n])?,
             numbers: Tensor::zeros(context, "bucketed particles", &[batch, n])?,
             ends: Tensor::zeros(context, "bucket ends", &[batch, buckets])?,
             sorted: Tensor::zeros(context, "sorted particles", &[batch, n, 4])?,
@@ -49,10 +52,10 @@ impl Cells {
 
     /// Sorts the particles at `iterate.a`.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: Physics<'_>, iterate: &Iterate) {
-        let Self { count, scan, fill, order, counts, placed, numbers, ends, sorted } = self;
-        count.push(schedule, grid, physics, (iterate, counts, placed));
-        scan.push(schedule, counts, ends);
-        fill.push(schedule, physics.cloths, (ends, placed), numbers);
-        order.push(schedule, physics.cloths, (ends, placed, numbers), sorted);
+        let Self { counts, placed, in_bucket, numbers, ends, sorted, .. } = self;
+        self.count.push(schedule, grid, physics, iterate, [counts, placed, in_bucket]);
+        self.scan.push(schedule, counts, ends);
+        self.fill.push(schedule, [ends, placed, in_bucket], numbers);
+        self.order.push(schedule, [ends, placed, in_bucket, numbers], sorted);
     }
 }

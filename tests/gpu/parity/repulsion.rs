@@ -66,6 +66,24 @@ fn degenerate_cloths_are_finite() {
     assert!(pushed.iter().chain(&energies).all(|&v| v == 0.0), "nothing is near");
 }
 
+/// A cloth that is no number any more takes no other one of its batch along, nor those of its particles that are well.
+#[test]
+fn what_is_no_number_is_near_nothing() {
+    let _turn = device();
+    let grid = Grid { h: 31, w: 33 };
+    let (model, n) = (repelling(&model(grid, 3)), grid.particles());
+    let x: Vec<f32> = crumpled(&model, 0.4).iter().map(|x| 0.4 * x).collect();
+    let zeros = vec![0.0; x.len()];
+    let [(well, _), (energies, _)] = both(&model, [&x, &zeros, &zeros, &zeros]);
+    for wrong in [f32::NAN, f32::INFINITY, 1e30] {
+        let mut x = x.clone();
+        x[..2 * n].fill(wrong);
+        let [(pushed, _), (others, _)] = both(&model, [&x, &zeros, &zeros, &zeros]);
+        assert!(pushed[..3 * n].iter().chain(&others[..1]).all(|&v| v == 0.0), "{wrong}");
+        assert!(pushed[3 * n..] == well[3 * n..] && others[1..] == energies[1..], "{wrong}");
+    }
+}
+
 /// A sum has one order, whatever order particles come to their buckets in.
 #[test]
 fn repulsion_repeats_bit_for_bit() {
