@@ -39,13 +39,14 @@
 //!
 //! 1. [`kernels::cloth::Predict`]: a = 0 moves the particles by their velocity, the handles to their targets;
 //!    [`kernels::cloth::ExternalForce`]: gravity, the control's accelerations and the air's drag.
-//! 2. N times (paper section 3.3): where the cloth's layers are to be kept apart, [`kernels::cloth::Repulsion`] adds to the external
-//!    acceleration what near particles push each other by; [`kernels::cloth::Gradient`] gives dL/da and its norm; [`network::Forward`] runs the network
-//!    (section 4): the normalised fields ([`kernels::optim::Features`]), lifting, four Fourier blocks of truncated transform,
-//!    spectral product and inverse, the field head, and the scalar head with the persistent scale; [`kernels::optim::Update`]
-//!    makes the step and adds it to a. The classical optimizers ([`sim::Optimizer`]) take the place of everything behind the
-//!    gradient.
-//! 3. [`kernels::cloth::Energy`] for the statistics, with the repulsion's once more, then [`kernels::cloth::Integrate`]: v + a, x + v.
+//! 2. N times (paper section 3.3): where the cloth's layers are to be kept apart, [`kernels::cloth::Repulsion`] adds to the
+//!    external acceleration what near particles push each other by; [`kernels::cloth::Gradient`] gives dL/da and its norm;
+//!    [`network::Forward`] runs the network (section 4): the normalised fields ([`kernels::optim::Features`]), lifting, four Fourier
+//!    blocks of truncated transform, spectral product and inverse, the field head, and the scalar head with the persistent scale;
+//!    [`kernels::optim::Update`] makes the step and adds it to a. The classical optimizers ([`sim::Optimizer`]) take the place of
+//!    everything behind the gradient.
+//! 3. [`kernels::cloth::Energy`] for the statistics, with the repulsion's once more, then [`kernels::cloth::Integrate`]: v + a,
+//!    x + v.
 //!
 //! A training step ([`train::DeviceLoss`], [`cpu::train::Loss`]) is one such iteration, the energy where it led, and the way
 //! back through [`kernels::optim::UpdateAdj`] and [`network::Backward`].

@@ -1,8 +1,8 @@
 // Repulsion of particles that come near each other (paper section 3.4): the acceleration that it adds to the external one, and
 // its energy, summed over part of a cloth's particles.
 //
-// With strength k and distance delta the energy is -k / (H W) sum log(d^2 + 1e-8) over ordered pairs at a distance d < delta that no
-// edge of the triangulated grid joins; a free particle of mass m is pushed by 4 k / m sum (x_p - x_q) / (d^2 + 1e-8).
+// With strength k and distance delta the energy is -k / (H W) sum log(d^2 + e) over ordered pairs at a distance d < delta that no
+// edge of the triangulated grid joins; a free particle of mass m is pushed by 4 k / m sum (x_p - x_q) / (d^2 + e), e = SOFTENING.
 // cloths: [B]; slots: [B, n]; external_acceleration, pushed: [B, 3, n]; ends: [B, buckets] and sorted: [B, n] as `cell_order` has them;
 // parts: [B, groups, 8], of which the last number is set.
 // One invocation: one of the sorted particles, which looks through the 27 cells around it. Workgroups: (n / 64 along x, then y, and B).
@@ -24,7 +24,7 @@ struct Params {
 @group(0) @binding(6) var<storage, read_write> pushed: array<f32>;
 @group(0) @binding(7) var<storage, read_write> parts: array<f32>;
 
-const SOFTENING: f32 = 1e-8;
+override SOFTENING: f32;
 
 var<workgroup> energies: array<f32, 64>;
 

@@ -1,5 +1,6 @@
 //! `--material`: what the cloth is made of.
 
+use super::numbers;
 use fnopt::eval::Physics;
 use fnopt::scene::Stiffness;
 use fnopt::sim::Material;
@@ -19,8 +20,7 @@ pub fn read(text: &str) -> Result<Physics> {
         let content = std::fs::read_to_string(text).map_err(|e| Error::io(text, "cannot read", e))?;
         return Physics::parse(&content, text);
     }
-    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
-    let Some(Ok(coefficients)) = numbers.map(<[f64; 3]>::try_from) else {
+    let Some(coefficients) = numbers::<3>(text) else {
         return Err(Error::invalid("--material", "coefficients", "three numbers or a file", text));
     };
     if !coefficients.iter().all(|k| k.is_finite() && *k >= 0.0) {

@@ -201,6 +201,12 @@ pub fn grids(texts: &[String]) -> fnopt::Result<Vec<Grid>> {
     texts.iter().map(|text| grid(text)).collect()
 }
 
+/// As many numbers as asked for, with commas between them; nothing of other texts.
+pub fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    numbers?.try_into().ok()
+}
+
 /// A single one, whose height and width may also be two values.
 pub fn one_grid(values: &[String]) -> fnopt::Result<Grid> {
     if let [_, width] = values

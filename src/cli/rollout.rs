@@ -2,7 +2,9 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, tell};
-use super::{Ending, SolverArgs, go_on, interrupt_flag, material, one_grid, writable_file, writable_folder};
+use super::{
+    Ending, SolverArgs, go_on, interrupt_flag, material, numbers, one_grid, writable_file, writable_folder,
+};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::median_time;
@@ -149,11 +151,9 @@ fn repulsion(text: &str, of_scene: Option<Separation>) -> Result<Separation> {
     if text.is_empty() {
         return Ok(of_scene.unwrap_or_default());
     }
-    let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
-    match numbers.as_deref() {
-        Some(&[strength, distance]) => Ok(Separation { strength, distance }),
-        _ => Err(Error::invalid("--repulsion", "value", "two numbers, STRENGTH,DISTANCE", text).into()),
-    }
+    let [strength, distance] = numbers(text)
+        .ok_or_else(|| Error::invalid("--repulsion", "value", "two numbers, STRENGTH,DISTANCE", text))?;
+    Ok(Separation { strength, distance })
 }
 
 /// An empty trajectory with room for all frames, which all formats hold.

@@ -1,7 +1,7 @@
 //! How near the layers of a cloth come to each other: the paper's repulsion as a measure (sections 3.4 and 6.1).
 
 use super::resampling::{Resampling, coarse};
-use crate::sim::Grid;
+use crate::sim::{Grid, Repulsion};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 /// Distance below which particles repel each other [edges of the 32x32 grid].
@@ -24,7 +24,7 @@ pub fn repulsion(points: &[[f64; 3]], faces: &[[u32; 3]], delta: f64) -> f64 {
         let near = tree.within_unsorted::<SquaredEuclidean>(point, delta * delta);
         let apart = |q: u64| q as usize != p && !joined[p].contains(&(q as u32));
         let pairs = near.into_iter().filter(|n| n.distance < delta * delta && apart(n.item));
-        pairs.fold(0.0, |sum, n| sum - (n.distance + 1e-8).ln())
+        pairs.fold(0.0, |sum, n| sum - (n.distance + Repulsion::SOFTENING).ln())
     };
     // An empty sum is a negative zero.
     points.iter().enumerate().map(of).fold(0.0, |sum, e| sum + e)

@@ -27,8 +27,8 @@ pub(crate) mod common {
 
 /// Texts that go with what a kernel binds: what kernels share that bind the same, and what kernels of one file differ in.
 pub(crate) mod pieces {
-    pub const BUCKET: &str = include_str!("../../shaders/pieces/bucket.wgsl");
     pub const BLOCK_INPUTS: &str = include_str!("../../shaders/pieces/block_inputs.wgsl");
+    pub const BUCKET: &str = include_str!("../../shaders/pieces/bucket.wgsl");
     pub const FEATURES: &str = include_str!("../../shaders/pieces/features.wgsl");
     pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/pieces/lifted_embedding.wgsl");
     pub const LIFTED_FIELDS: &str = include_str!("../../shaders/pieces/lifted_fields.wgsl");

@@ -43,6 +43,27 @@ pub struct Repulsion {
     pub distance: f64,
 }
 
+impl Repulsion {
+    /// Added to a squared distance [edges^2], so that particles at one place repel each other by what is finite.
+    pub(crate) const SOFTENING: f64 = 1e-8;
+
+    /// An error if a number is not what it can be; `origin` and `field` say where they are from.
+    pub(crate) fn check(&self, origin: &str, field: &str) -> Result<()> {
+        let Self { strength, distance } = *self;
+        let refused = |part: &str, expected: &str, found: f64| {
+            Err(Error::invalid(origin, format!("{field}.{part}"), expected, found))
+        };
+        // A corner's quarter of a mass makes it sixteen times as much.
+        if !(strength >= 0.0 && (16.0 * strength as f32).is_finite()) {
+            return refused("strength", "0 or more, and finite in single precision", strength);
+        }
+        if !(0.001..=1.0).contains(&distance) {
+            return refused("distance", "0.001 to 1 edges", distance);
+        }
+        Ok(())
+    }
+}
+
 /// One cloth of a batch: what stays fixed during a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloth {
@@ -125,24 +146,6 @@ impl Model {
             }
         }
         slots
-    }
-}
-
-impl Repulsion {
-    /// An error if a number is not what it can be; `origin` and `field` say where they are from.
-    pub(crate) fn check(&self, origin: &str, field: &str) -> Result<()> {
-        let Self { strength, distance } = *self;
-        let refused = |part: &str, expected: &str, found: f64| {
-            Err(Error::invalid(origin, format!("{field}.{part}"), expected, found))
-        };
-        // A corner's quarter of a mass makes it sixteen times as much.
-        if !(strength >= 0.0 && (16.0 * strength as f32).is_finite()) {
-            return refused("strength", "0 or more, and finite in single precision", strength);
-        }
-        if !(0.001..=1.0).contains(&distance) {
-            return refused("distance", "0.001 to 1 edges", distance);
-        }
-        Ok(())
     }
 }
 

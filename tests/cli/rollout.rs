@@ -95,7 +95,23 @@ fn layers_are_kept_apart_where_that_is_asked_for() {
         let repulsion = &report["settings"]["scene"]["repulsion"];
         assert_eq!(repulsion["strength"], strength, "{more:?}");
         assert_eq!(repulsion["distance"], distance, "{more:?}");
-        assert!(report["per_frame"][0]["energy"]["repulsion"].is_number());
+        assert_eq!(report["per_frame"][0]["energy"]["repulsion"], 0.0, "nothing is near");
+    }
+    // A sheet that lies drawn together.
+    let vertices: Vec<[f64; 3]> =
+        (0..64).map(|p| [f64::from(p % 8) * 0.05, 0.0, f64::from(p / 8) * 0.05]).collect();
+    let scene = serde_json::json!({
+        "grid": [8, 8], "start": { "vertices": vertices, "grid": [8, 8] }, "handles": [], "motion": "none", "frames": 2,
+    });
+    std::fs::write(folder.path().join("s.json"), scene.to_string()).unwrap();
+    for (more, repels) in [(&["s.json"][..], false), (&["s.json", "--repulsion"], true)] {
+        let few = ["rollout", "--device", "cpu", "--solver", "gd", "--iterations", "1", "--no-pictures"];
+        let output = fnopt(folder.path(), &[&few[..], more].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
+        let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+        let energy = report["per_frame"][0]["energy"]["repulsion"].as_f64().unwrap();
+        assert_eq!(energy != 0.0, repels, "{energy}");
     }
     for (more, said) in [
         (&["--repulsion=1"][..], "--repulsion: value: expected two numbers"),

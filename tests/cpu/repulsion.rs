@@ -7,6 +7,7 @@ use fnopt::cpu::{Reference, Solver};
 use fnopt::eval;
 use fnopt::scene::{Scene, Separation};
 use fnopt::sim::{Grid, Material, Optimizer, Repulsion, State};
+use fnopt::verify::{CpuStages, Stages};
 
 const GRID: Grid = Grid { h: 12, w: 15 };
 
@@ -54,24 +55,12 @@ fn energies_and_gradients_agree_with_the_authors() {
         let file = Golden::open(name);
         let shape = file.shape("positions");
         let grid = Grid { h: shape[1], w: shape[2] };
-        let (n, x) = (grid.particles(), file.get("positions"));
-        let (zeros, mut pushed) = (vec![0.0; 3 * n], vec![f64::NAN; 3 * n]);
-        let trial = Trial {
-            grid,
-            material: Material::default(),
-            x: &x,
-            shift: &zeros,
-            a: &zeros,
-            f: &zeros,
-            slots: &vec![0; n],
-        };
         // Of lambda = 1.
-        let of_cloth = Repulsion { strength: n as f64, distance: file.get("threshold")[0] };
-        let energy = repulsion(&trial, of_cloth, &mut pushed);
+        let of_cloth = Repulsion { strength: grid.particles() as f64, distance: file.get("threshold")[0] };
+        let mut stages = CpuStages::<f64>::new();
+        let (energy, gradient) = stages.repulsion(grid, &file.get("positions"), of_cloth).unwrap();
         let expected = file.get("energy")[0];
         assert!((energy - expected).abs() < 1e-12 * expected, "{name}: {energy}, not {expected}");
-        let mass = |p: usize| grid.mass(p / grid.w, p % grid.w) / n as f64;
-        let gradient: Vec<f64> = pushed.iter().enumerate().map(|(k, a)| -mass(k % n) * a).collect();
         assert!(relative_error(&gradient, &file.get("gradient")) < 1e-12, "{name}");
     }
 }

@@ -12,5 +12,6 @@ mod limits;
 #[path = "../noise/mod.rs"]
 mod noise;
 mod parity;
+mod repelling;
 mod solver;
 mod train;

@@ -8,8 +8,7 @@ use fnopt::kernels::Tuning;
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{
-    Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Repulsion, Solver,
-    SolverOptions, State,
+    Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Solver, SolverOptions, State,
 };
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -24,7 +23,8 @@ pub fn starter() -> &'static Arc<Weights> {
     &WEIGHTS
 }
 
-fn optimizers() -> [Optimizer; 5] {
+/// Those that a device has.
+pub fn optimizers() -> [Optimizer; 5] {
     let learned = Optimizer::Learned(starter().clone());
     let [gd, adam] = [Optimizer::gradient_descent(), Optimizer::adam()];
     [learned, gd, adam, Optimizer::lbfgs(), Optimizer::quasi_newton()]
@@ -243,112 +243,6 @@ fn frames_of_all_optimizers_agree_with_the_host() {
                 assert_close(&format!("iterations of {what}"), &found, wanted, (atol, 0.0));
             }
         }
-    }
-}
-
-/// Cloths that are drawn together until their layers repel each other, but for those of one of them.
-fn crowded() -> (Model, State<f32>, Control<f32>) {
-    let (mut model, mut state, control) = varied_batch();
-    model.cloths[0].repulsion = Some(Repulsion { strength: 0.05, distance: 0.8 });
-    model.cloths[2].repulsion = Some(Repulsion { strength: 0.2, distance: 1.0 });
-    state.x.iter_mut().for_each(|x| *x *= 0.5);
-    let n = model.grid.particles();
-    let at = |(b, p): (usize, usize)| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p]);
-    let held = model.cloths.iter().enumerate().flat_map(|(b, c)| c.handles.iter().map(move |&p| (b, p)));
-    let handles = held.map(at).collect();
-    (model, state, Control { handles, ..control })
-}
-
-/// Layers that repel each other do so as on the host, with every optimizer; runs repeat, and several frames in one submission are
-/// those one after the other.
-#[test]
-fn frames_of_cloths_that_repel_themselves_agree_with_the_host() {
-    let _turn = device();
-    let (model, start, control) = crowded();
-    for optimizer in optimizers() {
-        let name = optimizer.name();
-        let solver = solver(&model, &optimizer, 3, &start);
-        let mut host = cpu::Solver::<f64>::new(&model, &optimizer, 3).unwrap();
-        let mut expected = start.cast::<f64>();
-        let found = step(&solver, &control);
-        let stats = host.step(&mut expected, &control.cast());
-        // As without repulsion.
-        let digits = if matches!(name, "adam" | "lbfgs" | "quasi-newton") { 1e-3 } else { 1e-4 };
-        let atol = digits * largest(&expected.v);
-        assert_close(name, &found.x, &expected.x, (atol, 2e-7));
-        assert_close(name, &found.v, &expected.v, (atol, 2e-7));
-        let energies = |stats: &[FrameStats]| stats.iter().map(|s| s.energy.repulsion).collect::<Vec<_>>();
-        let (of_device, wanted) = (energies(&statistics(&solver)), energies(&stats));
-        assert!(wanted[0] != 0.0 && wanted[1] == 0.0 && wanted[2] != 0.0, "{wanted:?}");
-        let of_device: Vec<f32> = of_device.iter().map(|&e| e as f32).collect();
-        assert_close(&format!("repulsion of {name}"), &of_device, &wanted, (digits * largest(&wanted), 0.0));
-        let second = step(&solver, &control);
-        solver.set_state(&start);
-        assert_same(&format!("{name} repeats"), &step(&solver, &control).x, &found.x);
-        solver.set_state(&start);
-        context().submit(|encoder| solver.record_frames(encoder, &[control.clone(), control.clone()]));
-        assert_same(&format!("{name}, two frames at once"), &read(solver.positions()), &second.x);
-    }
-}
-
-/// Particles that were counted and never sorted, as when a kernel is measured alone, do not outlive the next evaluation.
-#[test]
-fn counts_that_are_left_over_are_harmless() {
-    let _turn = device();
-    let (model, start, control) = crowded();
-    let solver = solver(&model, &Optimizer::gradient_descent(), 2, &start);
-    let expected = step(&solver, &control);
-    let alone = solver.frame().only("cell_count");
-    context().submit(|encoder| alone.record(encoder));
-    step(&solver, &control);
-    solver.set_state(&start);
-    assert_same("positions", &step(&solver, &control).x, &expected.x);
-}
-
-/// What is repelled at a strength of nothing is pushed by nothing: to the bit as in a solver that has no repulsion.
-#[test]
-fn cloths_that_no_longer_repel_themselves_are_as_those_that_never_did() {
-    let _turn = device();
-    let (model, start, control) = crowded();
-    let none: Vec<_> = model.cloths.iter().map(|c| Cloth { repulsion: None, ..c.clone() }).collect();
-    let never = Model { grid: model.grid, cloths: none.clone() };
-    let optimizer = Optimizer::Learned(starter().clone());
-    let mut changed = solver(&model, &optimizer, 3, &start);
-    changed.set_cloths(&none).unwrap();
-    let expected = step(&solver(&never, &optimizer, 3, &start), &control);
-    assert_same("positions", &step(&changed, &control).x, &expected.x);
-    // And back again.
-    changed.set_cloths(&model.cloths).unwrap();
-    changed.set_state(&start);
-    let expected = step(&solver(&model, &optimizer, 3, &start), &control);
-    assert_same("positions", &step(&changed, &control).x, &expected.x);
-}
-
-#[test]
-fn a_solver_that_was_made_without_repulsion_gets_none_later() {
-    let _turn = device();
-    let (model, start, _) = varied_batch();
-    let mut solver = solver(&model, &Optimizer::gradient_descent(), 1, &start);
-    let error = solver.set_cloths(&crowded().0.cloths).unwrap_err().to_string();
-    assert!(error.contains("repulsion"), "{error}");
-    assert_eq!(*solver.model(), model);
-}
-
-#[test]
-fn repulsions_that_are_none_are_refused() {
-    let (mut model, ..) = crowded();
-    for (strength, distance, field) in [
-        (-1.0, 1.0, "strength"),
-        (f64::NAN, 1.0, "strength"),
-        (1e38, 1.0, "strength"),
-        (1.0, 0.0, "distance"),
-        (1.0, 1e-39, "distance"),
-        (1.0, 1.1, "distance"),
-        (1.0, f64::NAN, "distance"),
-    ] {
-        model.cloths[2].repulsion = Some(Repulsion { strength, distance });
-        let error = model.check().unwrap_err().to_string();
-        assert!(error.contains(&format!("repulsion of cloth 2.{field}")), "{error}");
     }
 }
 

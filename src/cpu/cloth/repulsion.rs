@@ -7,9 +7,6 @@ use crate::cpu::Real;
 use crate::sim::Repulsion;
 use rayon::prelude::*;
 
-/// Added to a squared distance [edges^2], so that particles at one place repel each other by what is finite.
-const SOFTENING: f64 = 1e-8;
-
 /// Particles of a task, at least.
 const TASK: usize = 1024;
 
@@ -22,7 +19,7 @@ const TASK: usize = 1024;
 pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, pushed: &mut [T]) -> f64 {
     let (grid, n) = (trial.grid, trial.grid.particles());
     let Repulsion { strength, distance } = repulsion;
-    let (distance, softening) = (T::of(distance), T::of(SOFTENING));
+    let (distance, softening) = (T::of(distance), T::of(Repulsion::SOFTENING));
     let cells = Cells::new(trial, distance);
     let of_particle = |walk: &mut Walk<'_, T>, own: &Placed<T>| {
         let (mut sum, mut energy, p) = ([T::zero(); 3], 0.0, own.particle);

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
-use crate::sim::Grid;
+use crate::sim::{self, Grid};
 
 /// The WGSL.
 pub const SOURCE: Source = Source {
@@ -38,7 +38,7 @@ impl Repulsion {
     pub fn new(context: &Context, batch: usize, grid: Grid) -> Result<Self> {
         Ok(Self {
             cells: Cells::new(context, batch, grid)?,
-            kernel: Kernel::new(context, &SOURCE, 0, &[])?,
+            kernel: Kernel::new(context, &SOURCE, 0, &[("SOFTENING", sim::Repulsion::SOFTENING)])?,
             pushed: Tensor::zeros(context, "pushed", &[batch, 3, grid.particles()])?,
         })
     }
