@@ -94,23 +94,23 @@ impl Checker<'_> {
         let name = self.file;
         let starts = |prefix: &str| name.starts_with(prefix);
         if starts("network_forward") {
-            self.network(&Golden::open(path)?)
+            self.arrays(path, Self::network)
         } else if starts("update_rule") {
-            self.update(&Golden::open(path)?)
+            self.arrays(path, Self::update)
         } else if starts("energy_") {
-            self.energy(&Golden::open(path)?)
+            self.arrays(path, Self::energy)
         } else if starts("rollout_") {
-            self.rollout(&Golden::open(path)?)
+            self.arrays(path, Self::rollout)
         } else if starts("training_step") {
-            self.training_step(path)
+            self.arrays(path, Self::training_step)
         } else if starts("adamw") {
-            self.adamw(&Golden::open(path)?)
+            self.arrays(path, Self::adamw)
         } else if starts("network_weights") || starts("checkpoint_") {
             let weights = Weights::load(path)?;
             self.verdict(&format!("{} parameters", weights.parameter_count()), Outcome::Passed);
             Ok(())
         } else if starts("repulsion_") {
-            self.repulsion(&Golden::open(path)?)
+            self.arrays(path, Self::repulsion)
         } else {
             let known = KINDS.map(|kind| kind.trim_end_matches('_'));
             let kind = name.split('_').next().unwrap_or_default();
@@ -118,6 +118,16 @@ impl Checker<'_> {
             self.verdict(&told.to_string(), Outcome::Skipped);
             Ok(())
         }
+    }
+
+    /// Checks a file's arrays, and tells of those that it holds beside them.
+    fn arrays(&mut self, path: &Path, check: fn(&mut Self, &Golden) -> Result<()>) -> Result<()> {
+        let golden = Golden::open(path)?;
+        check(self, &golden)?;
+        for name in golden.unread() {
+            self.verdict(&format!("{name}: no array of such a file"), Outcome::Skipped);
+        }
+        Ok(())
     }
 
     fn network(&mut self, golden: &Golden) -> Result<()> {
@@ -168,13 +178,13 @@ impl Checker<'_> {
         Ok(())
     }
 
-    fn training_step(&mut self, path: &Path) -> Result<()> {
-        let golden = &Golden::open(path)?;
+    fn training_step(&mut self, golden: &Golden) -> Result<()> {
         let [batch, _, h, w] = golden.shape("positions")?;
         let grid = Grid::new(h, w, self.file)?;
         let [shape, samples] = [[batch, 3, h, w], [3 * batch, 1, h, w]];
         if self.stages.precision() == Precision::Half {
             self.verdict("training is in 32 bits", Outcome::Skipped);
+            golden.read_elsewhere("");
             return Ok(());
         }
         let weights = self.weights("network_weights")?;
@@ -195,11 +205,23 @@ impl Checker<'_> {
             last_step: field("last_steps", &samples)?,
             scale: field("scales", &[3 * batch, 1, 1, 1])?,
         };
-        let expected = Checkpoint::open(path)?.part("gradient.").weights()?;
+        let expected = Checkpoint::open(golden.path())?.part("gradient.").weights()?;
+        golden.read_elsewhere("gradient.");
         if expected.config != weights.config {
             let (wanted, found) = (format!("{:?}", weights.config), format!("{:?}", expected.config));
             return Err(Error::invalid(self.file, "gradient.*", wanted, found));
         }
+        self.mass(golden, grid)?;
+        let at = EnergyCase {
+            grid,
+            cloths: case.cloths.clone(),
+            base: base(golden, &shape)?,
+            x: case.x.clone(),
+            a: case.a.clone(),
+            external: case.external.clone(),
+        };
+        let (_, grad) = self.stages.energy(&at)?;
+        self.in_norm("grads", golden.shaped("grads", &samples)?, &grad, GRADIENT_SINGLE);
         let found = self.stages.training_step(&weights, &case)?;
         self.magnitude("loss", golden.shaped("loss", &[])?, &[found.loss], LOSS);
         self.magnitude("step", golden.shaped("step", &samples)?, &found.step, NETWORK);
@@ -212,6 +234,15 @@ impl Checker<'_> {
         }
         let norm = found.gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
         self.magnitude("gradient_norm", golden.shaped("gradient_norm", &[])?, &[norm], WEIGHT_GRADIENT);
+        Ok(())
+    }
+
+    /// Checks the masses of the particles, which a file of a cloth holds, against those of the grid.
+    fn mass(&mut self, golden: &Golden, grid: Grid) -> Result<()> {
+        let found: Vec<f64> = (0..grid.particles()).map(|p| grid.mass(p / grid.w, p % grid.w)).collect();
+        if golden.has("mass") {
+            self.magnitude("mass", golden.shaped("mass", &[1, 1, grid.h, grid.w])?, &found, ENERGY_DOUBLE);
+        }
         Ok(())
     }
 
@@ -239,8 +270,14 @@ impl Checker<'_> {
         let case = AdamWCase { before, gradients, clip: ADAMW_CLIP, rate: ADAMW_RATE };
         let found = self.stages.adamw(&case)?;
         for (k, found) in found.iter().enumerate() {
-            let name = format!("after{k}");
-            self.magnitude(&name, &joined(&name)?, found, ADAMW);
+            let mut rest = &found[..];
+            for name in &names {
+                let (shape, before) = golden.array(&format!("before.{name}"))?;
+                let (found, others) = rest.split_at(before.len());
+                let name = format!("after{k}.{name}");
+                self.magnitude(&name, golden.shaped(&name, shape)?, found, ADAMW);
+                rest = others;
+            }
         }
         Ok(())
     }
@@ -249,20 +286,15 @@ impl Checker<'_> {
         let [batch, _, h, w] = golden.shape("positions")?;
         let (grid, shape) = (self.grid_with_cells(h, w)?, [batch, 3, h, w]);
         let field = |name: &str| golden.shaped(name, &shape);
-        let mask = golden.shaped("handle_mask", &[batch, 1, h, w])?;
-        let [x, v, a, held] = ["positions", "velocities", "accelerations", "handle_positions"].map(field);
-        let (x, v, a, held) = (x?, v?, a?, held?);
-        let n = h * w;
-        let is_handle = |k: usize| mask[k / (3 * n) * n + k % n] != 0.0;
-        let base = |k: usize| if is_handle(k) { held[k] - x[k] } else { v[k] };
         let case = EnergyCase {
             grid,
             cloths: cloths(golden, batch, grid)?,
-            x: x.to_vec(),
-            base: (0..x.len()).map(base).collect(),
-            a: a.to_vec(),
+            x: field("positions")?.to_vec(),
+            base: base(golden, &shape)?,
+            a: field("accelerations")?.to_vec(),
             external: field("external_accelerations")?.to_vec(),
         };
+        self.mass(golden, grid)?;
         let (terms, grad) = self.stages.energy(&case)?;
         let precision = self.stages.precision();
         let tolerance = match precision {
@@ -295,6 +327,7 @@ impl Checker<'_> {
                 "says nothing of networks stored in 16 bits: the motion is chaotic",
                 Outcome::Skipped,
             );
+            golden.read_elsewhere("");
             return Ok(());
         }
         let [frames, _, h, w] = golden.shape("positions")?;
@@ -392,6 +425,17 @@ impl Checker<'_> {
         self.in_norm("gradient", of_grad, &grad, in_norm);
         Ok(())
     }
+}
+
+/// What no acceleration moves the particles of a batch by, [B, 3, H, W]: their velocity, or a handle's way.
+fn base(golden: &Golden, shape: &[usize; 4]) -> Result<Vec<f64>> {
+    let &[batch, _, h, w] = shape;
+    let n = h * w;
+    let mask = golden.shaped("handle_mask", &[batch, 1, h, w])?;
+    let [x, v, held] = ["positions", "velocities", "handle_positions"].map(|name| golden.shaped(name, shape));
+    let (x, v, held) = (x?, v?, held?);
+    let is_handle = |k: usize| mask[k / (3 * n) * n + k % n] != 0.0;
+    Ok((0..x.len()).map(|k| if is_handle(k) { held[k] - x[k] } else { v[k] }).collect())
 }
 
 /// The cloths of a batch: material and handles.

@@ -2,13 +2,22 @@
 
 use crate::{Error, Result, io};
 use safetensors::tensor::{Dtype, SafeTensors};
+use std::cell::Cell;
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A safetensors file of real arrays, in double precision.
 pub struct Golden {
+    path: PathBuf,
     origin: String,
-    arrays: BTreeMap<String, (Vec<usize>, Vec<f64>)>,
+    arrays: BTreeMap<String, Array>,
+}
+
+struct Array {
+    shape: Vec<usize>,
+    values: Vec<f64>,
+    /// Whether anyone asked for it.
+    read: Cell<bool>,
 }
 
 impl Golden {
@@ -28,9 +37,15 @@ impl Golden {
             if let Some(wrong) = values.iter().find(|v| !v.is_finite()) {
                 return Err(Error::invalid(&origin, name, "finite numbers", wrong));
             }
-            arrays.insert(name.to_owned(), (view.shape().to_vec(), values));
+            let array = Array { shape: view.shape().to_vec(), values, read: Cell::new(false) };
+            arrays.insert(name.to_owned(), array);
         }
-        Ok(Self { origin, arrays })
+        Ok(Self { path: path.to_owned(), origin, arrays })
+    }
+
+    /// The file.
+    pub fn path(&self) -> &Path {
+        &self.path
     }
 
     /// Whether there is an array of that name.
@@ -43,10 +58,24 @@ impl Golden {
         self.arrays.keys().map(String::as_str)
     }
 
+    /// Names of the arrays that nobody has read.
+    pub fn unread(&self) -> impl Iterator<Item = &str> {
+        self.arrays.iter().filter(|(_, array)| !array.read.get()).map(|(name, _)| name.as_str())
+    }
+
+    /// Counts the arrays whose names begin with this as read.
+    pub fn read_elsewhere(&self, prefix: &str) {
+        let of_prefix = self.arrays.iter().filter(|(name, _)| name.starts_with(prefix));
+        of_prefix.for_each(|(_, array)| array.read.set(true));
+    }
+
     /// Shape and values of an array.
     pub fn array(&self, name: &str) -> Result<(&[usize], &[f64])> {
         match self.arrays.get(name) {
-            Some((shape, values)) => Ok((shape, values)),
+            Some(Array { shape, values, read }) => {
+                read.set(true);
+                Ok((shape, values))
+            }
             None => {
                 let there: Vec<&str> = self.arrays.keys().map(String::as_str).collect();
                 Err(Error::invalid(&self.origin, name, "an array of that name", there.join(", ")))
