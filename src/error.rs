@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum Error {
     /// A file or folder could not be opened, read, created or written.
-    #[error("{}: {action}: {source}", path.display())]
+    #[error("{}: {action}: {source}", plain(&path.to_string_lossy()))]
     Io {
         /// The file or folder.
         path: PathBuf,
@@ -17,7 +17,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// Data that was read, or a value that was given, does not mean what it must.
-    #[error("{origin}: {field}: expected {expected}, found {found}")]
+    #[error("{}: {}: expected {expected}, found {}", plain(origin), plain(field), plain(found))]
     Invalid {
         /// The file that holds the data, or the option that gave it.
         origin: String,
@@ -29,7 +29,7 @@ pub enum Error {
         found: String,
     },
     /// A name that is not known, with the nearest ones that are.
-    #[error("{origin}: unknown {kind} '{name}'{}", suggest(nearest))]
+    #[error("{}: unknown {kind} '{name}'{}", plain(origin), suggest(nearest))]
     Unknown {
         /// The file or option that gave the name.
         origin: String,
@@ -97,11 +97,16 @@ impl Error {
     }
 }
 
-/// A name as one can be shown: what a damaged file calls one may be long, and hold what moves a terminal's cursor.
+/// A name as one can be shown: what a damaged file calls one may be long.
 fn brief(name: &str) -> String {
     const MOST: usize = 80;
-    let shown: String = name.chars().take(MOST).map(|c| if c.is_control() { '?' } else { c }).collect();
+    let shown = plain(&name.chars().take(MOST).collect::<String>());
     if name.chars().nth(MOST).is_some() { shown + ".." } else { shown }
+}
+
+/// Text from outside without what moves a terminal's cursor or paints on it; lines stay lines.
+fn plain(text: &str) -> String {
+    text.chars().map(|c| if c.is_control() && c != '\n' { '?' } else { c }).collect()
 }
 
 fn suggest(nearest: &[String]) -> String {
@@ -121,6 +126,11 @@ mod tests {
             "{told}"
         );
         assert!(told.len() < 150 && !told.contains('\u{1b}'), "{told}");
+        let told =
+            Error::invalid("a\u{1b}[2J.obj", "line 3", "numbers", "\u{1b}[31mred\nand more").to_string();
+        assert_eq!(told, "a?[2J.obj: line 3: expected numbers, found ?[31mred\nand more");
+        let told = Error::io("a\u{7}.obj", "cannot read", std::io::Error::other("gone")).to_string();
+        assert_eq!(told, "a?.obj: cannot read: gone");
         let told = Error::unknown("scene.json", "field", "grd", ["up", "grid"]).to_string();
         assert_eq!(told, "scene.json: unknown field 'grd' (did you mean grid, up?)");
     }

@@ -73,11 +73,11 @@ pub fn run(args: &Args) -> Result<Ending> {
     let (device, line) = args.device.open_for(&optimizer)?;
     let interrupted = interrupt_flag();
     tell!("{line}");
+    let mut simulator = Simulator::new(&device, &setup.model, &optimizer, args.solver.iterations())?;
     writable_folder(&args.out)?;
-    args.files().iter().try_for_each(|file| writable_file(file))?;
+    args.files().iter().chain([&args.replay()]).try_for_each(|file| writable_file(file))?;
     args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
 
-    let mut simulator = Simulator::new(&device, &setup.model, &optimizer, args.solver.iterations())?;
     let (device, per_frame) = (device.name(), Vec::new());
     let mut run =
         Run { args, scene: &scene, setup: &setup, optimizer: &optimizer, device, trajectory, per_frame };
@@ -120,7 +120,7 @@ impl Args {
         Ok(scene)
     }
 
-    /// The files that will be written, or may be, frames in folders of their own aside.
+    /// The files that will be written, frames in folders of their own aside.
     fn files(&self) -> Vec<PathBuf> {
         let endings = |format: &Format| match format {
             Format::Obj | Format::Ply => vec![],
@@ -131,7 +131,7 @@ impl Args {
         let pictures: &[&str] = if self.no_pictures { &[] } else { &["png", "gif"] };
         let named = self.format.iter().flat_map(endings).chain(pictures.iter().copied());
         let named = named.map(|ending| self.out.join(format!("{NAME}.{ending}")));
-        named.chain([self.out.join(REPORT), self.replay()]).collect()
+        named.chain([self.out.join(REPORT)]).collect()
     }
 
     /// The folders of frames that will be written.
@@ -321,9 +321,12 @@ impl Run<'_> {
                 "solver": self.optimizer.name(),
                 "iterations": self.args.solver.iterations(),
                 "checkpoint": checkpoint.as_ref().map(|path| path.display().to_string()),
+                "precision": self.args.device.precision,
             },
             "weights_crc32": checksum,
             "device": self.device,
+            "files": self.args.files().iter().chain(&self.args.folders()).filter_map(|path| path.file_name())
+                .map(|name| name.to_string_lossy()).collect::<Vec<_>>(),
             "frames": self.trajectory.frames(),
             "ms_per_frame": self.ms_per_frame(),
             "per_frame": self.per_frame,

@@ -25,7 +25,8 @@ pub enum AdapterChoice {
     /// The best hardware adapter, or else a software one.
     #[default]
     Best,
-    /// The adapter at this place in the list of [`adapters`], or else the first one whose name contains the number.
+    /// The adapter at this place in the list of [`adapters`], or else, for a number as in "RTX 4090", the first one with this
+    /// word in its name.
     Index(usize),
     /// The first adapter whose name, driver or backend contains this text, ignoring case.
     Name(String),
@@ -298,7 +299,10 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
     let usable = |a: &wgpu::Adapter| missing_limit(&a.limits()).is_none();
     let at = match choice {
         AdapterChoice::Best => found.iter().position(usable),
-        AdapterChoice::Index(i) => (*i < found.len()).then_some(*i).or_else(|| named(&names, &i.to_string())),
+        AdapterChoice::Index(i) => (*i < found.len()).then_some(*i).or_else(|| {
+            let own_names: Vec<String> = found.iter().map(|a| a.get_info().name).collect();
+            numbered(&own_names, *i)
+        }),
         AdapterChoice::Name(name) => named(&names, name),
     };
     let Some(at) = at else {
@@ -317,10 +321,16 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
     Ok(found.swap_remove(at))
 }
 
-/// The place of the first name that contains this text, ignoring case.
+/// The place of the first name that contains this text, ignoring case; none for no text.
 fn named(names: &[String], text: &str) -> Option<usize> {
-    let text = text.to_lowercase();
-    names.iter().position(|name| name.to_lowercase().contains(&text))
+    let text = text.trim().to_lowercase();
+    names.iter().position(|name| !text.is_empty() && name.to_lowercase().contains(&text))
+}
+
+/// The place of the first name that has this number for a word: part of another number is no reason to run there.
+fn numbered(names: &[String], number: usize) -> Option<usize> {
+    let number = number.to_string();
+    names.iter().position(|name| name.split([' ', '-', '(', ')']).any(|word| word == number))
 }
 
 /// The place of the `turn`-th of those that are of the first's kind, around and around.
@@ -375,6 +385,17 @@ mod tests {
         for lanes in [[4, 4], [4, 8], [8, 16], [16, 16], [8, 128]] {
             assert_eq!(of(lanes), Sharing::Loads, "{lanes:?}");
         }
+    }
+
+    #[test]
+    fn a_number_is_a_place_or_a_word_of_a_name() {
+        let names = ["NVIDIA GeForce RTX 4090", "llvmpipe (LLVM 15.0.6, 256 bits)"].map(String::from);
+        assert_eq!(numbered(&names, 4090), Some(0));
+        assert_eq!([1, 2, 5, 15, 40].map(|number| numbered(&names, number)), [None; 5]);
+        assert_eq!(
+            ["4090", "LLVM 15", "", " "].map(|text| named(&names, text)),
+            [Some(0), Some(1), None, None]
+        );
     }
 
     /// Of two discrete adapters, an unusable one between them, and an integrated one: the discrete ones in turn.

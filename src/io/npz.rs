@@ -30,15 +30,19 @@ fn write_arrays(trajectory: &Trajectory, writer: impl Write + Seek, large: bool)
     let options =
         SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(large);
     let mut npz = NpzWriter::new_with_options(writer, options);
-    let written = (|| {
+    let arrays = (|| {
         npz.add_array(POSITIONS, &trajectory.positions())?;
         npz.add_array(VELOCITIES, &trajectory.velocities())?;
         npz.add_array(FACES, &Array2::from(faces))?;
         npz.add_array(COORDINATES, &Array2::from(coordinates))?;
-        npz.add_array(RATE, &aview0(&trajectory.fps()))?;
-        npz.finish()
+        npz.add_array(RATE, &aview0(&trajectory.fps()))
     })();
-    written.map(drop).map_err(io::Error::other)
+    if let Err(error) = arrays {
+        // Where it is dropped it tries to finish the archive, and prints that it cannot.
+        std::mem::forget(npz);
+        return Err(io::Error::other(error));
+    }
+    npz.finish().map(drop).map_err(io::Error::other)
 }
 
 /// Reads an archive; only the positions must be there.

@@ -274,6 +274,15 @@ impl Scene {
         let old = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
         let grid = Grid::new(grid.h, grid.w, &self.origin)?;
         self.mass.scale_area(grid.aspect() / old.aspect());
+        if let super::Side::Both([height, width]) = self.side_m {
+            let now = height * grid.aspect();
+            if (now - width).abs() > 0.1 * width {
+                let origin = &self.origin;
+                tracing::warn!(
+                    "{origin}: side_m: on {grid} particles the sheet is {now:.3} m wide, not {width} m"
+                );
+            }
+        }
         self.side_m = super::Side::Height(self.side_m.height());
         // A recording has a row for each handle.
         let recorded = matches!(self.motion, Motion::File(_) | Motion::Rows(_));
