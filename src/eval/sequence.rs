@@ -134,7 +134,7 @@ impl Sequence {
                 (truth, None, handles)
             }
             Some(obj) => {
-                let recorded = Trajectory::read_vertices(&path, meta.fps)?;
+                let recorded = Trajectory::read_vertices(&path, meta.fps)?.finite(&path)?;
                 let vertices = meta.handle_vertices.as_deref().ok_or_else(|| {
                     Error::invalid(
                         &meta.origin,
@@ -196,7 +196,7 @@ impl Sequence {
 
     /// Reads another system's trajectory of the cloth: an npz, npy or pc2 file or a folder of OBJ files. Its vertices are those of
     /// the mesh, where there is one, or else of the grid that its faces tell, of the truth's, or of a square one. Those of
-    /// a mesh are a single row; [`Sequence::on_grid`] carries them to a grid.
+    /// a mesh are a single row; [`Sequence::on_grid`] carries them to a grid. Numbers that are not finite stay: that system diverged.
     pub fn read_other(&self, path: &Path) -> Result<Trajectory> {
         let fps = self.truth.fps();
         if let Some((_, recorded)) = &self.mesh {
@@ -205,8 +205,8 @@ impl Sequence {
                 return Ok(found);
             }
         }
-        let told = || Trajectory::read(path, &ReadOptions { grid: None, fps });
-        let own = || Trajectory::read(path, &ReadOptions { grid: Some(self.grid()), fps });
+        let told = || Trajectory::read_as_it_is(path, &ReadOptions { grid: None, fps });
+        let own = || Trajectory::read_as_it_is(path, &ReadOptions { grid: Some(self.grid()), fps });
         match path.extension().is_some_and(|e| e == "npy" || e == "pc2") {
             // Without faces, as many vertices as the truth has are taken to be on its grid, even where a square would do.
             true => own().or_else(|error| told().map_err(|_| error)),

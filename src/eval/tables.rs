@@ -32,10 +32,15 @@ const FIGURES: [Figure; 4] = [
 /// are several grids or numbers of iterations, errors and times by them; then, of every solver on every grid, error and time,
 /// the energy and how it is made up, and the repulsion.
 pub fn tables(scores: &[Score]) -> Vec<Table> {
-    let groups = groups(scores);
+    let mut groups = groups(scores);
+    groups.sort_by_key(Group::is_imported);
     let mut tables = Vec::new();
-    for grid in distinct(groups.iter().map(|group| group.grid.clone())) {
-        let here: Vec<&Group> = groups.iter().filter(|group| group.grid == grid).collect();
+    // Another system has the grid it has, and stands beside the solvers on any.
+    let imported = groups.iter().all(Group::is_imported);
+    let own = groups.iter().filter(|group| imported || !group.is_imported());
+    for grid in distinct(own.map(|group| group.grid.clone())) {
+        let beside = |group: &&Group| group.grid == grid || (!imported && group.is_imported());
+        let here: Vec<&Group> = groups.iter().filter(beside).collect();
         for figure in &FIGURES {
             if here.iter().any(|group| group.scores().any(|s| (figure.of)(s).is_some())) {
                 tables.extend(per_sequence(figure, &grid, &here));
@@ -62,6 +67,16 @@ impl<'a> Group<'a> {
     /// Name of the solver's column: with its iterations, where they mean something.
     fn column(&self) -> String {
         column(&self.solver, self.iterations)
+    }
+
+    /// Name of that column in the table of a grid, which may be another's than a system's own.
+    fn column_on(&self, grid: &str) -> String {
+        if self.grid == grid { self.column() } else { format!("{} ({})", self.column(), self.grid) }
+    }
+
+    /// Whether it is another system's, which no device of ours has simulated.
+    fn is_imported(&self) -> bool {
+        self.scores().all(|score| score.made_with.device.is_none())
     }
 
     fn scores(&self) -> impl Iterator<Item = &'a Score> {
@@ -227,8 +242,9 @@ impl BySequence {
 
 /// Rows are sequences, each a mean over its repeats; where there are several, a second table has their deviations.
 fn per_sequence(figure: &Figure, grid: &str, groups: &[&Group]) -> Vec<Table> {
-    let columns =
-        || std::iter::once("sequence".into()).chain(groups.iter().map(|group| group.column())).collect();
+    let columns = || {
+        std::iter::once("sequence".into()).chain(groups.iter().map(|group| group.column_on(grid))).collect()
+    };
     let (figures, title) = (BySequence::new(figure, groups), format!("{grid}: {}", figure.title));
     let rows = figures.means();
     match figures.deviations() {

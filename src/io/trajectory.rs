@@ -161,10 +161,15 @@ impl Trajectory {
     /// has no velocities, they are the differences of positions over the frame time, and 0 in the first frame.
     pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Self> {
         let path = path.as_ref();
+        Self::read_as_it_is(path, options)?.finite(path)
+    }
+
+    /// As [`Trajectory::read`], whatever its numbers are.
+    pub(crate) fn read_as_it_is(path: &Path, options: &ReadOptions) -> Result<Self> {
         Self::from_parts(read_parts(path)?, options, &path.display().to_string())
     }
 
-    /// As [`Trajectory::read`], of vertices that need not form a grid: the grid is then a single row of them.
+    /// The same of vertices that need not form a grid: the grid is then a single row of them.
     pub(crate) fn read_vertices(path: &Path, fps: f64) -> Result<Self> {
         let parts = Parts { faces: Vec::new(), ..read_parts(path)? };
         let grid = parts.shape.get(1).map(|&vertices| Grid { h: 1, w: vertices });
@@ -201,12 +206,6 @@ impl Trajectory {
             let expected = options.grid.map_or("those of a square grid".into(), |g| format!("those of {g}"));
             return Err(Error::invalid(origin, "vertices", expected, vertices));
         };
-        for values in [Some(&parts.positions), parts.velocities.as_ref()].into_iter().flatten() {
-            if let Some(at) = values.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
-                let field = format!("frame {}, vertex {}", at / vertices, at % vertices);
-                return Err(Error::invalid(origin, field, "finite numbers", format!("{:?}", values[at])));
-            }
-        }
         let mut trajectory = Self::new(grid, parts.fps.unwrap_or(options.fps));
         let fps = trajectory.fps as f32;
         let velocities = parts.velocities.unwrap_or_else(|| {
@@ -216,6 +215,19 @@ impl Trajectory {
         });
         (trajectory.positions, trajectory.velocities) = (parts.positions, velocities);
         Ok(trajectory)
+    }
+
+    /// This, which was read from `origin`, unless a number of it is not finite.
+    pub(crate) fn finite(self, origin: &Path) -> Result<Self> {
+        let vertices = self.grid.particles();
+        for values in [&self.positions, &self.velocities] {
+            if let Some(at) = values.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+                let (origin, found) = (origin.display().to_string(), format!("{:?}", values[at]));
+                let field = format!("frame {}, vertex {}", at / vertices, at % vertices);
+                return Err(Error::invalid(origin, field, "finite numbers", found));
+            }
+        }
+        Ok(self)
     }
 }
 

@@ -192,7 +192,7 @@ fn a_task_of_an_array_does_its_share_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
     let array = |id: &str, count: &str| {
         let truth = shipped();
-        let few = ["--grid", "8", "--solver", "gd:1,gd:2,gd:3", "--frames", "3", "--device", "cpu"];
+        let few = ["--grid", "8,9,10", "--solver", "gd:1,gd:2", "--frames", "3", "--device", "cpu"];
         let whose = ["evaluate", "--ground-truth", truth.to_str().unwrap()];
         let mut command = quiet(folder.path(), &[&whose[..], &few].concat());
         let of_slurm = [("ID", id), ("MIN", "1"), ("STEP", "2"), ("COUNT", count)];
@@ -204,9 +204,45 @@ fn a_task_of_an_array_does_its_share_and_says_so() {
         let told = text(&output.stderr);
         done(output);
         assert!(told.contains(&format!("share {share} of 3")), "{told}");
-        assert_eq!(scores(&folder.path().join("out/evaluate")).len(), share + 1);
+        assert_eq!(scores(&folder.path().join("out/evaluate")).len(), 2 * (share + 1));
     }
     refused(array("7", "3"), &["SLURM_ARRAY_TASK_ID", "0 to 2"]);
+}
+
+/// Another system's trajectory stands in the table of each grid, whatever its own is, and in those of merged scores.
+#[test]
+fn other_systems_stand_beside_the_solvers() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let rollout = ["rollout", "--device", "cpu", "--solver", "gd", "--grid", "16", "--frames", "4"];
+    let written = ["--no-pictures", "--format", "npy", "--out", "theirs"];
+    done(quiet(at, &[&rollout[..], &written].concat()).output().unwrap());
+    let file = at.join("theirs/xy_v2.npy");
+    std::fs::rename(at.join("theirs/rollout.npy"), &file).unwrap();
+    let few = ["--grid", "8,9", "--solver", "gd:3", "--device", "cpu"];
+    let compared =
+        |more: &[&str]| done(evaluate(at, &[&few[..], &["--compare", "A b=theirs"], more].concat())).0;
+    for grid in ["8x8", "9x9"] {
+        let told = compared(&[]);
+        let table = told.split("\n\n").find(|table| table.starts_with(&format!("{grid}: e_CD"))).unwrap();
+        assert!(table.lines().nth(1).unwrap().contains("gd, N = 3  A b (16x16)"), "{table}");
+    }
+    compared(&["--out", "shares", "--shard", "0/2"]);
+    // The second share has a grid of the only sequence, and the third nothing at all.
+    compared(&["--out", "shares", "--shard", "1/2"]);
+    let nothing = compared(&["--out", "none", "--shard", "2/3", "--json"]);
+    assert_eq!(nothing.trim(), "[]");
+    let merged = done(quiet(at, &["evaluate", "--merge", "shares"]).output().unwrap()).0;
+    assert!(merged.contains("gd, N = 3  A b (16x16)"), "{merged}");
+
+    // One that has left the numbers has diverged.
+    let mut bytes = std::fs::read(&file).unwrap();
+    let end = bytes.len() - 4;
+    bytes[end..].copy_from_slice(&f32::NAN.to_le_bytes());
+    std::fs::write(&file, bytes).unwrap();
+    let scores: Vec<Value> = serde_json::from_str(&compared(&["--json"])).unwrap();
+    let theirs = scores.iter().find(|score| score["solver"] == "A b").unwrap();
+    assert_eq!((&theirs["stable"], &theirs["e_cd"]), (&Value::Bool(false), &Value::Null));
 }
 
 /// The figures of shares that are put together are those of one run over all, score by score.

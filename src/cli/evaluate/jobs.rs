@@ -4,7 +4,7 @@ use super::progress;
 use crate::cli::go_on;
 use crate::cli::output::tell;
 use fnopt::eval::{
-    Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, coarse, run, snapshots,
+    Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, coarse, compare, run, snapshots,
 };
 use fnopt::io::{self, ReadOptions, Trajectory};
 use fnopt::sim::{Device, Grid};
@@ -32,6 +32,8 @@ pub struct Plan<'a> {
 
 /// A solver on a grid, to be run on a sequence.
 pub struct Job<'a> {
+    /// The piece of the work that it belongs to. The solvers on one sequence and grid are not shared out: their times are compared.
+    pub piece: usize,
     sequence: &'a Sequence,
     nudge: Option<Nudge>,
     grid: Grid,
@@ -63,18 +65,16 @@ impl<'a> Plan<'a> {
         }
         let (mut jobs, mut known) = (Vec::new(), BTreeSet::new());
         // All are done once before any is done again.
-        for nudge in (0..self.repeats).map(Nudge::of) {
-            for sequence in self.sequences {
-                for (&grid, entry) in self.grids.iter().flat_map(|g| self.entries.iter().map(move |e| (g, e)))
-                {
-                    // All that a score depends on is in its name, or in the checksum there.
-                    let conditions = Conditions::of((sequence, nudge), entry, (self.device, &self.settings));
-                    let (Entry { name, iterations, .. }, sum) = (entry, conditions.checksum());
-                    let file =
-                        folder.join(format!("{}_{grid}_{name}_{iterations}_{sum:08x}.json", sequence.name));
-                    if known.insert(file.clone()) {
-                        jobs.push(Job { sequence, nudge, grid, entry, file });
-                    }
+        let starts = (0..self.repeats).map(Nudge::of);
+        let of_start = |nudge| self.sequences.iter().map(move |sequence| (nudge, sequence));
+        let of_sequence = |(nudge, sequence)| self.grids.iter().map(move |&grid| (nudge, sequence, grid));
+        for (piece, (nudge, sequence, grid)) in starts.flat_map(of_start).flat_map(of_sequence).enumerate() {
+            for entry in self.entries {
+                let conditions = Conditions::of((sequence, nudge), entry, (self.device, &self.settings));
+                let what = format!("{}_{grid}_{}_{}", sequence.name, entry.name, entry.iterations);
+                let file = file(folder, &what, &conditions);
+                if known.insert(file.clone()) {
+                    jobs.push(Job { piece, sequence, nudge, grid, entry, file });
                 }
             }
         }
@@ -96,7 +96,7 @@ impl<'a> Plan<'a> {
                 bar.inc(frames(job) as u64);
                 Kept::read(&job.file)?
             } else {
-                let Job { sequence, nudge, grid, entry, file } = job;
+                let Job { sequence, nudge, grid, entry, file, .. } = job;
                 bar.set_message(format!("{} {grid} {}", sequence.name, entry.name));
                 let tick = || {
                     bar.inc(1);
@@ -199,7 +199,35 @@ impl Drop for Unwinding<'_> {
     }
 }
 
+/// The file of a score: all that it depends on is in its name, or in the checksum there.
+fn file(folder: &Path, what: &str, conditions: &Conditions) -> PathBuf {
+    folder.join(format!("{what}_{:08x}.json", conditions.checksum()))
+}
+
 impl Kept {
+    /// Another system's score, and a few frames of it on a grid.
+    pub fn imported(
+        sequence: &Sequence,
+        name: &str,
+        found: &Trajectory,
+        settings: &Settings,
+    ) -> Result<Self> {
+        let score = compare(sequence, name, found, settings)?;
+        let frames = sequence.truth.frames().min(settings.frames);
+        let snapshots = match score.stable {
+            true => Some(snapshots(&*sequence.on_grid(found)?, frames)),
+            false => None,
+        };
+        Ok(Self { score, snapshots })
+    }
+
+    /// Keeps another system's score beside those of the solvers.
+    pub fn keep_imported(&self, folder: &Path) -> Result<()> {
+        let Score { sequence, grid, solver, made_with, .. } = &self.score;
+        let plain: String = solver.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
+        self.write(&file(folder, &format!("{sequence}_{grid}_{plain}_compared"), made_with))
+    }
+
     /// The score in a file, and the frames beside it.
     fn read(file: &Path) -> Result<Self> {
         let (score, frames) = (Score::read(file)?, file.with_extension("npy"));

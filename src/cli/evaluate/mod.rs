@@ -13,14 +13,12 @@ use super::{
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::eval::suite::Suite;
-use fnopt::eval::{
-    Entry, Format, OverRepeats, Physics, Score, Sequence, Settings, Table, compare, snapshots, tables,
-};
+use fnopt::eval::{Entry, Format, OverRepeats, Physics, Score, Sequence, Settings, Table, tables};
 use fnopt::io::write_atomic;
 use fnopt::network::Weights;
 use fnopt::sim::{Device, Optimizer};
 use indicatif::{ProgressBar, ProgressStyle};
-use jobs::{Job, Kept, Plan};
+use jobs::{Kept, Plan};
 use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -79,13 +77,14 @@ pub struct Args {
     #[arg(long, default_value_t = 1, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=1000))]
     repeats: u64,
     /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or on the sequence's
-    /// mesh; may be given more than once
+    /// mesh; may be given more than once. Its scores are kept with those of the solvers
     #[arg(long, value_name = "NAME=DIR")]
     compare: Vec<String>,
     /// Folder of the scores; those that are there already are used again
     #[arg(long, default_value = "out/evaluate", value_name = "DIR")]
     out: PathBuf,
-    /// Do every n-th piece of the work only, beginning with the i-th (from 0) [default: SLURM_ARRAY_TASK_ID of
+    /// Do every n-th piece of the work only, beginning with the i-th (from 0): a piece is a sequence on a grid, by all solvers, or
+    /// another system's trajectory [default: SLURM_ARRAY_TASK_ID of
     /// SLURM_ARRAY_TASK_COUNT where these are set]
     #[arg(long, value_name = "I/N")]
     shard: Option<String>,
@@ -144,11 +143,24 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     // Others' trajectories first: what is wrong with them is then said before the work, not after it.
     let mut systems = Vec::new();
     for (name, folder) in args.systems(&entries)? {
-        for sequence in &sequences {
-            let found = sequence.read_other(&imported(&folder, sequence)?)?;
-            let score = compare(sequence, &name, &found, &settings)?;
-            let frames = sequence.truth.frames().min(settings.frames);
-            systems.push(Kept { score, snapshots: Some(snapshots(&*sequence.on_grid(&found)?, frames)) });
+        let mut missing = Vec::new();
+        for sequence in sequences.iter().skip(index).step_by(count) {
+            match imported(&folder, sequence) {
+                Some(path) => {
+                    let found = sequence.read_other(&path)?;
+                    systems.push(Kept::imported(sequence, &name, &found, &settings)?);
+                }
+                None => missing.push(&*sequence.name),
+            }
+        }
+        match missing.first() {
+            Some(first) if !systems.iter().any(|system| system.score.solver == name) => {
+                let expected = format!("{first}.npz, .npy or .pc2, or a folder {first} of OBJ files");
+                let folder = folder.display().to_string();
+                return Err(Error::invalid(folder, "trajectory", expected, "none of them").into());
+            }
+            Some(_) => tell!("{name} lacks {}: those cells stay empty", missing.join(", ")),
+            None => {}
         }
     }
     let device = args.open(&entries)?;
@@ -160,9 +172,14 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         settings,
         repeats: args.repeats,
     };
-    let jobs: Vec<Job> = plan.jobs(&args.out)?.into_iter().skip(index).step_by(count).collect();
+    let mut jobs = plan.jobs(&args.out)?;
+    jobs.retain(|job| job.piece % count == index);
+    if jobs.is_empty() {
+        tell!("share {index} of {count} has nothing to do: there are fewer sequences and grids");
+    }
     writable_folder(&args.out)?;
     args.writable()?;
+    systems.iter().try_for_each(|system| system.keep_imported(&args.out))?;
 
     let interrupted = interrupt_flag();
     let (mut all, ending) = plan.work(&jobs, &interrupted);
@@ -170,7 +187,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     // What is finished is told however it ended.
     // The convergence belongs to no share.
     let complete = matches!(ending, Ok(ControlFlow::Continue(()))) && count == 1;
-    let written = if all.is_empty() { Ok(()) } else { args.write(&all, &plan, (complete, &interrupted)) };
+    let written = match all.is_empty() && !jobs.is_empty() {
+        true => Ok(()),
+        false => args.write(&all, &plan, (complete, &interrupted)),
+    };
     if ending?.is_break() || go_on(&interrupted).is_break() {
         tell!("interrupted; the scores so far are kept in {}", args.out.display());
         return written.map(|()| Ending::Interrupted);
@@ -439,14 +459,10 @@ fn share_of_slurm() -> Option<(usize, usize)> {
     Some((number("ID")?.checked_sub(first)? / step, number("COUNT")?))
 }
 
-/// The file or folder of another system's trajectory of a sequence.
-fn imported(folder: &Path, sequence: &Sequence) -> fnopt::Result<PathBuf> {
+/// The file or folder of another system's trajectory of a sequence, if there is one.
+fn imported(folder: &Path, sequence: &Sequence) -> Option<PathBuf> {
     let names = ["npz", "npy", "pc2"].map(|e| format!("{}.{e}", sequence.name));
     let inside = ["rollout.npz", "cloth_pos.npy"].map(|file| format!("{}/{file}", sequence.name));
     let all = names.into_iter().chain(inside).chain([sequence.name.clone()]).map(|name| folder.join(name));
-    let found = all.into_iter().find(|path| path.exists());
-    found.ok_or_else(|| {
-        let expected = format!("{0}.npz, .npy or .pc2, or a folder {0} of OBJ files", sequence.name);
-        Error::invalid(folder.display().to_string(), "trajectory", expected, "none of them")
-    })
+    all.into_iter().find(|path| path.exists())
 }
