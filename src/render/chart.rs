@@ -49,8 +49,10 @@ const TITLE: f32 = 11.0;
 const LABEL: f32 = 8.0;
 /// Space for the axes and the title \[px\]: left, top, right, bottom.
 const MARGINS: [f32; 4] = [62.0, 30.0, 16.0, 26.0];
+/// Space for what a legend has beside its labels \[px\].
+const LEGEND: f32 = 28.0;
 /// A curve of no more points than this shows each of them.
-const FEW: usize = 12;
+const FEW: usize = 14;
 /// Share of the values at each end that may lie outside the chart, lest a spike flatten the rest.
 const OUTSIDE: f64 = 0.005;
 
@@ -69,6 +71,10 @@ pub fn charts(charts: &[Chart], (width, height): (usize, usize)) -> Image {
 
 fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
     let [left, top, right, bottom] = MARGINS;
+    let labels = chart.curves.iter().map(|c| c.label.to_uppercase());
+    let widest = labels.map(|label| text::width(&label, LABEL)).fold(0.0, f32::max);
+    // The legend stands beside the curves.
+    let right = right + LEGEND + widest;
     let low = corner + vec2(left, size.y - bottom);
     let high = corner + vec2(size.x - right, top);
     text::write(image, &chart.title.to_uppercase(), [low.x, corner.y + 8.0], TITLE);
@@ -104,12 +110,8 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
             places.iter().flatten().for_each(|&at| line(image, [at, at], *colour, 2.6));
         }
     }
-    let widest = chart.curves.iter().map(|c| text::width(&c.label.to_uppercase(), LABEL)).fold(0.0, f32::max);
     for (k, curve) in chart.curves.iter().enumerate() {
-        // Time over work rises from corner to corner.
-        let x = if chart.scale == Scale::Linear { high.x - widest - 24.0 } else { low.x + 8.0 };
-        let (x, y) = (x, high.y + 10.0 + 1.8 * LABEL * k as f32);
-        line(image, [vec2(x, y), vec2(x + 20.0 + widest, y)], PAPER, 0.8 * LABEL);
+        let (x, y) = (high.x + 8.0, high.y + 10.0 + 1.8 * LABEL * k as f32);
         line(image, [vec2(x, y), vec2(x + 14.0, y)], COLOURS[k % COLOURS.len()], 1.2);
         text::write(image, &curve.label.to_uppercase(), [x + 20.0, y - LABEL / 2.0], LABEL);
     }

@@ -36,8 +36,12 @@ pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view
     // The camera of the truth for all, on whatever grid they are.
     let stage = Stage::new(truth, handles, view, Size::Height(HEIGHT), 3);
     let [width, _] = stage.size;
-    let caption =
-        |image: &mut Image, line: &str, y: f32| text::write(image, &line.to_uppercase(), [10.0, y], 11.0);
+    let caption = |image: &mut Image, line: &str, y: f32| {
+        let line = line.to_uppercase();
+        // A long name of a solver in a narrow picture is small.
+        let fits = (width as f32 - 14.0) / text::width(&line, 1.0);
+        text::write(image, &line, [10.0, y], fits.min(11.0));
+    };
     let scale = format!("darkest: {largest:.2} m");
     let truths = (0..truth.frames()).into_par_iter().map(|frame| {
         let mut image = stage.draw(truth.frame(frame));

@@ -119,6 +119,14 @@ fn letter(character: char) -> &'static str {
         '-' => "0343",
         '+' => "0343 2125",
         '/' => "0640",
+        '=' => "0242 0444",
+        '_' => "0646",
+        ',' => "1506",
+        ':' => "0202 0606",
+        '(' => "30121436",
+        ')' => "10323416",
+        '>' => "014305",
+        '%' => "0640 0101 4545",
         _ => "",
     }
 }
@@ -130,10 +138,10 @@ pub(super) fn width(text: &str, height: f32) -> f32 {
 
 /// From the left of a character to the next, in units of its strokes.
 fn advance(character: char) -> f32 {
-    if matches!(character, '.' | ' ') { 0.4 * ADVANCE } else { ADVANCE }
+    if matches!(character, '.' | ' ' | ':' | ',') { 0.4 * ADVANCE } else { ADVANCE }
 }
 
-/// Writes `text` (digits, letters as capitals except the 's' of seconds, '.', '-', '+', '/' and spaces) with its top left corner at `(x, y)` \[px\], `height` pixels tall.
+/// Writes `text` (digits, letters as capitals except the 's' of seconds, signs and spaces) with its top left corner at `(x, y)` \[px\], `height` pixels tall.
 pub(super) fn write(image: &mut Image, text: &str, [x, y]: [f32; 2], height: f32) {
     let unit = height / TALL;
     let mut left = x;
@@ -190,8 +198,10 @@ mod tests {
             write(&mut image, text, [2.0, 2.0], 12.0);
             image.pixels
         };
-        let mut pictures: Vec<_> =
-            "0123456789.s ABCDEFGHIJKLMNPQRSTUVWXYZ-+/".chars().map(|c| picture(&c.to_string())).collect();
+        let mut pictures: Vec<_> = "0123456789.s ABCDEFGHIJKLMNPQRSTUVWXYZ-+/=_,:()>%"
+            .chars()
+            .map(|c| picture(&c.to_string()))
+            .collect();
         let count = pictures.len();
         pictures.sort();
         pictures.dedup();

@@ -12,8 +12,10 @@ use std::path::Path;
 
 /// Width and height of a chart \[px\].
 const SIZE: (usize, usize) = (640, 420);
-/// Numbers of iterations after which the energy is looked at.
-const ITERATIONS: [usize; 9] = [1, 2, 3, 5, 8, 10, 15, 20, 30];
+/// Numbers of iterations after which the energy is looked at: of every optimizer up to 30, and of one that is asked for more up to
+/// its own.
+const ITERATIONS: [usize; 14] = [1, 2, 3, 5, 8, 10, 15, 20, 30, 50, 100, 150, 250, 500];
+const OF_EVERY: usize = 30;
 /// Frames in which it is looked at, the start included.
 const CONVERGENCE_FRAMES: usize = 41;
 
@@ -86,12 +88,12 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
                 Chart {
                     title: format!("{grid}: e_CD x 1000 by iterations"),
                     curves: errors,
-                    scale: Scale::Linear,
+                    scale: Scale::Logarithmic,
                 },
                 Chart {
                     title: format!("{grid}: ms per frame by iterations"),
                     curves: times,
-                    scale: Scale::Linear,
+                    scale: Scale::Logarithmic,
                 },
             ]
         })
@@ -116,7 +118,7 @@ pub(super) fn convergence(folder: &Path, plan: &Plan, tick: impl Fn() -> Control
 }
 
 /// The median energy gap of every optimizer after some numbers of iterations, on a converged simulation of the first frames of a
-/// sequence: its decimal logarithm, so that methods which differ by powers of ten fit on one chart.
+/// sequence.
 fn convergence_on(
     sequence: &Sequence,
     grid: Grid,
@@ -133,17 +135,19 @@ fn convergence_on(
         if matches!(optimizer, Optimizer::Newton) || curves.iter().any(|c| c.label == optimizer.name()) {
             continue;
         }
+        let most = plan.entries.iter().filter(|other| other.optimizer.name() == optimizer.name());
+        let most = most.map(|other| other.iterations).fold(OF_EVERY, usize::max);
         let mut points = Vec::new();
-        for n in ITERATIONS {
+        for n in ITERATIONS.into_iter().filter(|&n| n <= most) {
             let gap = median_gap(&track, (optimizer, n), entry.device(plan.device), tick)?;
             let Some(gap) = gap else { return Ok(None) };
             // Beyond the start it has diverged, and no more is to be seen.
-            points.push([n as f64, if gap < 1.0 { gap.log10() } else { f64::NAN }]);
+            points.push([n as f64, if gap < 1.0 { gap } else { f64::NAN }]);
         }
         curves.push(Curve { label: optimizer.name().to_owned(), points });
     }
-    let title = format!("{} {grid}: log10 of the energy gap by iterations", sequence.name);
-    Ok(Some(Chart { title, curves, scale: Scale::Linear }))
+    let title = format!("{} {grid}: energy gap by iterations", sequence.name);
+    Ok(Some(Chart { title, curves, scale: Scale::Logarithmic }))
 }
 
 /// A few frames of a sequence and, for each grid, of all that simulated it, coloured by their distance from the truth.
