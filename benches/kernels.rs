@@ -14,7 +14,8 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use fnopt::cpu::fft::Norm;
 use fnopt::gpu::{Context, Schedule, Tensor};
 use fnopt::kernels::fft::{Fields, RealFft2};
-use fnopt::sim::{Optimizer, Solver, SolverOptions};
+use fnopt::scene::Batch;
+use fnopt::sim::{Optimizer, Repulsion, Solver, SolverOptions};
 use std::collections::BTreeSet;
 
 fn kernels(c: &mut Criterion) {
@@ -25,9 +26,12 @@ fn kernels(c: &mut Criterion) {
         let mut measured = BTreeSet::new();
         let classical =
             [Optimizer::gradient_descent(), Optimizer::adam(), Optimizer::lbfgs(), Optimizer::quasi_newton()];
+        let mut cloth = cloths(n, 1);
         for optimizer in [learned()].into_iter().chain(classical) {
-            of_frame(c, &context, (n, &optimizer), &mut measured);
+            of_frame(c, &context, (n, &cloth, &optimizer), &mut measured);
         }
+        cloth.model.cloths[0].repulsion = Some(Repulsion { strength: 0.25, distance: 1.0 });
+        of_frame(c, &context, (n, &cloth, &Optimizer::gradient_descent()), &mut measured);
     }
 }
 
@@ -35,10 +39,9 @@ fn kernels(c: &mut Criterion) {
 fn of_frame(
     c: &mut Criterion,
     context: &Context,
-    (n, optimizer): (usize, &Optimizer),
+    (n, cloth, optimizer): (usize, &Batch, &Optimizer),
     measured: &mut BTreeSet<&'static str>,
 ) {
-    let cloth = cloths(n, 1);
     let solver = Solver::new(context, &cloth.model, optimizer, &SolverOptions::default())
         .expect("a benchmark fits any adapter");
     let mut group = c.benchmark_group(format!("kernels {n}x{n}"));

@@ -2,13 +2,14 @@
 
     python3 benches/peers/compare.py [--grid 32,64,100] [--rounds 3] [--device cpu|cuda] [--adapter NAME] [--markdown FILE]
 
-Each round runs everything once, one after the other; a cell is the median of the rounds. Before that both compute the same
+Each round runs everything once, one after the other, on as many threads; a cell is the median of the rounds. Before that both compute the same
 frames from the same sheet, which must agree to 1e-3 of its side; exit code 1 when they do not. Needs PyTorch, numpy and
 safetensors, and the program built (`cargo build --release`).
 """
 
 import argparse
 import json
+import os
 import pathlib
 import statistics
 import subprocess
@@ -25,8 +26,10 @@ FRAMES_COMPARED = 3
 TOLERANCE = 1e-3
 
 
-def run(command):
-    done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
+def run(command, threads=None):
+    """What a command prints; fnopt on that many threads."""
+    env = os.environ | ({"RAYON_NUM_THREADS": str(threads)} if threads else {})
+    done = subprocess.run([str(part) for part in command], capture_output=True, text=True, env=env)
     if done.returncode != 0:
         sys.exit(f"{' '.join(map(str, command))}\n{done.stderr}")
     return done.stdout
@@ -86,12 +89,11 @@ class Comparison:
 
     def fnopt(self, n, device):
         command = [self.options.program, "bench", "--grid", n, "--frames", self.options.frames, "--json"]
-        rows = json.loads(run(command + device))
-        return (rows["rows"] if isinstance(rows, dict) else rows)[0]["ms_per_frame"]
+        return json.loads(run(command + device, self.options.threads))["rows"][0]["ms_per_frame"]
 
     def systems(self):
         if self.options.device == "cuda":
-            modes = [("eager", False), ("compiled", True), ("graph", False), ("graph", True)]
+            modes = [(mode, tf32) for mode in ["eager", "compiled", "graph"] for tf32 in [False, True]]
         else:
             modes = [(mode, False) for mode in self.options.modes.split(",")]
         name = lambda mode, tf32: f"PyTorch {mode}" + (", TF32" if tf32 else "")
@@ -107,7 +109,7 @@ def main():
     parser.add_argument("--frames", type=int, default=10, help="timed in each run, after three that are not")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--modes", default="eager,compiled", help="on the CPU: eager, compiled or both")
-    parser.add_argument("--threads", type=int, default=2, help="of PyTorch on the CPU; fnopt takes RAYON_NUM_THREADS")
+    parser.add_argument("--threads", type=int, default=2, help="of either on the CPU")
     parser.add_argument("--adapter", help="of fnopt; on the CPU a column of its own beside the CPU path")
     parser.add_argument("--program", default=ROOT / "target/release/fnopt")
     parser.add_argument("--checkpoint", default=ROOT / "assets/weights/fnopt.safetensors")
@@ -131,12 +133,13 @@ def main():
             print(f"round {round_ + 1} of {options.rounds}", file=sys.stderr)
 
     median = {key: statistics.median(values) for key, values in times.items()}
-    heads = ["grid"] + [f"{name} [ms]" for name in systems] + [f"{name} / best PyTorch" for name in comparison.ours]
+    peers = [name for name in systems if name not in comparison.ours]
+    ratios = [(ours, peer) for ours in comparison.ours for peer in peers]
+    heads = ["grid"] + [f"{name} [ms]" for name in systems] + [f"{ours} / {peer}" for ours, peer in ratios]
     lines = [f"| {' | '.join(heads)} |", "|---|" + "---:|" * (len(heads) - 1)]
     for n in grids:
-        best = min(median[name, n] for name in systems if name not in comparison.ours)
         cells = [f"{median[name, n]:.1f}" for name in systems]
-        cells += [f"{median[name, n] / best:.2f}" for name in comparison.ours]
+        cells += [f"{median[ours, n] / median[peer, n]:.3f}" for ours, peer in ratios]
         lines.append(f"| {n}x{n} | {' | '.join(cells)} |")
     table = "\n".join(lines) + "\n"
     print(table, end="")

@@ -4,6 +4,7 @@ use super::device::InferenceArgs;
 use super::output::{output, tell};
 use super::{Ending, SolverArgs, default_scenes, grids, median, writable_file};
 use anyhow::Result;
+use fnopt::Error;
 use fnopt::eval::WARM_UP;
 use fnopt::gpu::{Context, Profile, Schedule, Tensor};
 use fnopt::kernels::Tuning;
@@ -24,6 +25,9 @@ pub struct Args {
     /// Cloths that advance together
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "B,..", value_parser = clap::value_parser!(u32).range(1..=4096))]
     batch: Vec<u32>,
+    /// Particles of all cloths together above which a grid and a number of cloths are left out
+    #[arg(long, value_name = "N")]
+    most_particles: Option<usize>,
     /// Frames that are timed, after three that are not
     #[arg(long, default_value_t = 10, value_name = "F", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
@@ -79,20 +83,28 @@ pub fn run(args: &Args) -> Result<Ending> {
     if let Some(path) = &args.plot {
         writable_file(path)?;
     }
+    let sizes = sizes(args, &grids)?;
     let (device, line) = args.device.open_for(&optimizer)?;
     tell!("{line}");
     let mut rows = Vec::new();
     let mut out = output();
-    for &grid in &grids {
-        for &batch in &args.batch {
-            let row = measure(args, &device, &optimizer, (grid, batch as usize))?;
-            if !args.json {
-                print(&mut out, &row)?;
+    let mut ended = Ok(Ending::Done);
+    for size in sizes {
+        let row = match measure(args, &device, &optimizer, size) {
+            Ok(row) => row,
+            // What was measured before is told, too.
+            Err(error) if !rows.is_empty() => {
+                ended = Err(error);
+                break;
             }
-            rows.push(row);
-            if out.is_closed() && args.plot.is_none() {
-                return Ok(Ending::Done);
-            }
+            Err(error) => return Err(error),
+        };
+        if !args.json {
+            print(&mut out, &row)?;
+        }
+        rows.push(row);
+        if out.is_closed() && args.plot.is_none() {
+            return Ok(Ending::Done);
         }
     }
     let product = product_rate(&device)?;
@@ -107,7 +119,22 @@ pub fn run(args: &Args) -> Result<Ending> {
     if let Some(path) = &args.plot {
         write_png(path, &plot(&rows, product))?;
     }
-    Ok(Ending::Done)
+    ended
+}
+
+/// The grids and numbers of cloths to measure; an error where all of them have too many particles.
+fn sizes(args: &Args, grids: &[Grid]) -> Result<Vec<(Grid, usize)>> {
+    let all = grids.iter().flat_map(|&grid| args.batch.iter().map(move |&batch| (grid, batch as usize)));
+    let most = args.most_particles.unwrap_or(usize::MAX);
+    let particles = |&(grid, batch): &(Grid, usize)| grid.particles() * batch;
+    let (taken, left): (Vec<_>, Vec<_>) = all.partition(|size| particles(size) <= most);
+    match left.iter().map(particles).min() {
+        Some(least) if taken.is_empty() => {
+            let expected = format!("{least} or more, as all that is to be measured has so many");
+            Err(Error::invalid("bench", "--most-particles", expected, most).into())
+        }
+        _ => Ok(taken),
+    }
 }
 
 /// Operations per second of the device's matrix product where nothing else limits it.

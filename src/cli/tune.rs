@@ -68,7 +68,11 @@ pub fn run(args: &Args) -> Result<Ending> {
         writeln!(out, "{result:#}")?;
         return Ok(Ending::Done);
     }
-    writeln!(out, "best: {}", describe(&best))?;
+    if best == Tuning::table(&context) {
+        writeln!(out, "nothing beats the table's twice: {}", describe(&best))?;
+    } else {
+        writeln!(out, "best: {}", describe(&best))?;
+    }
     if let Some(path) = stored {
         writeln!(out, "stored in {}; remove the file to go back", path.display())?;
     }

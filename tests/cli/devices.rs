@@ -37,7 +37,8 @@ fn a_tuning_is_stored_for_its_adapter_and_used() {
         (text(&output.stdout), text(&output.stderr))
     };
     let (dry, _) = run(&["tune", "--grid", "8", "--dry-run"]);
-    assert!(dry.contains("best: tile ") && !cache.exists(), "{dry}");
+    assert!(dry.contains("best: tile ") || dry.contains("nothing beats the table's twice: tile "), "{dry}");
+    assert!(!cache.exists());
     let (tuned, _) = run(&["tune", "--grid", "8", "--json"]);
     let tuned: serde_json::Value = serde_json::from_str(&tuned).unwrap();
     let times: Vec<f64> =
