@@ -99,7 +99,9 @@ fn say_end(end: End, line: &str) -> std::io::Result<()> {
         End::Done => writeln!(output(), "{line}")?,
         End::Interrupted => tell!("interrupted: {line}; continue with --resume"),
         End::NonFinite => {
-            tell!("error: the loss became non-finite and stayed so: {line}; the weights are those before")
+            tell!(
+                "error: the loss became non-finite and stayed so: {line}, with the weights before, if there were any"
+            )
         }
     }
     Ok(())

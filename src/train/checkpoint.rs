@@ -51,6 +51,12 @@ pub(super) struct Counters {
     pub skipped_in_a_row: u32,
     /// Time spent \[s\], in all sessions.
     pub seconds: f64,
+    /// Whether a validation is to follow the last step.
+    #[serde(default)]
+    pub validation_due: bool,
+    /// Name of the device of the last session; older files do not say.
+    #[serde(default)]
+    pub device: String,
     /// Ranks that train together; files from before there could be several do not say.
     #[serde(default = "one")]
     pub ranks: usize,

@@ -43,6 +43,13 @@ impl Folder {
                 return Err(Error::invalid(root.display().to_string(), what, expected, path.display()));
             }
         }
+        // Of a run that ended before its first checkpoint it is the same, and of another nobody else has it.
+        let other = std::fs::read(folder.config()).is_ok_and(|found| found != config.as_bytes());
+        if other {
+            let expected = "none of another run, nor anything else of that name, in the folder of a new run";
+            let found = folder.config().display().to_string();
+            return Err(Error::invalid(root.display().to_string(), "configuration", expected, found));
+        }
         io::write_atomic(folder.config(), |file| file.write_all(config.as_bytes()))?;
         Ok(folder)
     }
@@ -163,6 +170,18 @@ impl Folder {
         };
         let dir = self.checkpoint_dir().display().to_string();
         Err(Error::invalid(dir, "checkpoints", "a whole one to resume from", found))
+    }
+
+    /// Removes the checkpoint of a step, unless it is the oldest; whether it did.
+    pub fn remove_if_older(&self, step: u64) -> Result<bool> {
+        let files = self.checkpoints()?;
+        if !files.iter().any(|file| file.rank == 0 && file.step < step) {
+            return Ok(false);
+        }
+        for Saved { path, .. } in files.iter().filter(|file| file.step == step) {
+            std::fs::remove_file(path).map_err(|e| Error::io(path, "cannot remove", e))?;
+        }
+        Ok(true)
     }
 
     /// The files of all checkpoints and ranks, the newest first; a folder that is missing has none.

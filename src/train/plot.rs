@@ -38,13 +38,15 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
         }
     }
     let norm = vec![curve("gradient_norm", "gradient norm".into())];
-    let chart = |title: &str, curves| Chart { title: title.into(), curves, scale: Scale::Linear };
+    let scaled = |title: &str, curves, scale| Chart { title: title.into(), curves, scale };
+    let chart = |title: &str, curves| scaled(title, curves, Scale::Linear);
     Ok(charts(
         &[
             chart("loss", of_pools("loss")),
             chart("log mean gradient", of_pools("log_gradient")),
             chart("norm of the gradient of the weights", norm),
-            chart("validation: energy gap", scenes),
+            // A gap of weights that diverge is larger by powers of ten.
+            scaled("validation: energy gap", scenes, Scale::Logarithmic),
         ],
         SIZE,
     ))

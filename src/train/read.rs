@@ -8,7 +8,7 @@ use super::schedule::{Decay, RateSchedule};
 use crate::cpu::optim::Normalisation;
 use crate::cpu::train::AdamWSettings;
 use crate::io::{Node, parse_toml};
-use crate::sim::{Grid, MAX_GRID, MIN_GRID};
+use crate::sim::{Grid, INITIAL_SCALE, MAX_GRID, MIN_GRID};
 use crate::{Error, Result, network};
 use serde::{Serialize, Serializer};
 use std::path::Path;
@@ -157,6 +157,16 @@ fn check(config: Config, origin: &str) -> Result<Config> {
     {
         let expected = format!("at most the rate {}", config.optimizer.rate);
         return Err(Error::invalid(origin, "schedule.decay.cosine.final", expected, last));
+    }
+    if let Some([low, high]) = config.reset.scale
+        && !(low..=high).contains(&f64::from(INITIAL_SCALE))
+    {
+        let expected = format!("a range around {INITIAL_SCALE}, with which cloths begin");
+        return Err(Error::invalid(origin, "reset.scale", expected, format!("{low} to {high}")));
+    }
+    if config.schedule.warmup >= config.steps {
+        let expected = format!("less than steps ({})", config.steps);
+        return Err(Error::invalid(origin, "schedule.warmup", expected, config.schedule.warmup));
     }
     Ok(config)
 }

@@ -58,6 +58,15 @@ impl Records {
         Ok(Validation::score(&self.scores.1))
     }
 
+    /// Whether the table has a validation of the weights after `step` steps.
+    pub fn has_row(&self, step: u64) -> bool {
+        let of_step = |text: &str| {
+            let mut rows = self.validations.rows(text);
+            rows.any(|row| row.split(',').next() == Some(&step.to_string()))
+        };
+        self.validations.text().is_ok_and(|text| of_step(&text))
+    }
+
     /// The validation of the weights after `step` steps; empty if there was none, as figures of other weights would not be
     /// theirs.
     pub fn scores(&self, step: u64) -> &[SceneScore] {

@@ -114,6 +114,7 @@ impl Run {
         }
         let mut learner = learner(&config)?;
         learner.load(&tensors)?;
+        tell_other_device(&counters.device, &learner.device());
         let run = Self::open((config, text), folder, counters, (learner, ranks))?;
         Ok((run, passed_over))
     }
@@ -182,6 +183,10 @@ impl Run {
         let (first, before) = (self.counters.step, self.counters.seconds);
         // A run that is new has nothing to be resumed from yet.
         let mut saved = (first > 0).then_some(first);
+        // A validation that was cut off is made up for.
+        if self.ranks.decide(self.is_validation_missing()) {
+            self.validate()?;
+        }
         let end = loop {
             if self.counters.step >= steps {
                 break End::Done;
@@ -204,10 +209,14 @@ impl Run {
                 return Err(error);
             }
             let last = self.ranks.decide(step == steps || session.is_due(step));
-            let validated = self.ranks.decide(last || validate.is_due(step));
+            let due = self.ranks.decide(last || validate.is_due(step));
+            let kept = self.ranks.decide(due || checkpoint.is_due(step));
             // A validation takes a while and may fail: what was computed is safe before. A state that makes steps that are
             // not finite would push out better ones.
-            if self.ranks.decide(validated || checkpoint.is_due(step)) && skipped == 0 {
+            let sound = kept && self.is_sound()?;
+            let validated = due && sound;
+            if sound && skipped == 0 {
+                self.counters.validation_due = validated;
                 self.save()?;
                 saved = Some(step);
                 checkpoint.restart();
@@ -219,23 +228,64 @@ impl Run {
             let records = self.records.as_ref().filter(|_| validated);
             let validation = records.map(|records| records.scores(step));
             let watched = watch(&Progress { step, steps, report: &report, validation });
-            if self.ranks.decide(watched.is_break()) {
-                break End::Interrupted;
-            }
+            let stop = self.ranks.decide(watched.is_break());
             if last {
                 break End::Done;
             }
+            if stop {
+                break End::Interrupted;
+            }
         };
+        let sound = self.is_sound()?;
         match end {
             _ if saved == Some(self.counters.step) => {}
+            End::Done | End::Interrupted if sound => self.save()?,
             // The checkpoints before may be of a better state than one that only makes such steps.
-            End::NonFinite => {
+            End::Done | End::Interrupted | End::NonFinite => {
                 self.flush()?;
-                self.write_weights("last")?;
+                // A checkpoint that is followed by nothing but such steps is no better.
+                let from_start = first > 0 && self.counters.step == first + u64::from(MOST_SKIPPED);
+                let fruitless = end == End::NonFinite && from_start && self.give_up(first)?;
+                if (sound && !fruitless) || self.step_back()? {
+                    self.write_weights("last")?;
+                }
             }
-            End::Done | End::Interrupted => self.save()?,
         }
         Ok(end)
+    }
+
+    /// Whether the weights are finite, as those are not that a step too large has made.
+    fn is_sound(&self) -> Result<bool> {
+        let weights = self.weights()?;
+        Ok(weights.parameters().into_iter().flatten().all(|w| w.is_finite()))
+    }
+
+    /// Whether there was to be a validation after the last step, and there was none.
+    fn is_validation_missing(&self) -> bool {
+        let scores = |records: &Records| records.has_row(self.counters.step);
+        self.counters.validation_due && self.records.as_ref().is_some_and(|records| !scores(records))
+    }
+
+    /// Removes a checkpoint if there is an older one; whether there is.
+    fn give_up(&self, step: u64) -> Result<bool> {
+        let removed = self.ranks.rank() == 0 && self.folder.remove_if_older(step)?;
+        if removed {
+            tracing::warn!("after the checkpoint of step {step} no step is finite: the one before it counts");
+        }
+        Ok(self.ranks.decide(removed))
+    }
+
+    /// Goes back to the newest checkpoint; whether there is one.
+    fn step_back(&mut self) -> Result<bool> {
+        let Ok((Checkpoint { mut counters, tensors, .. }, _)) = self.folder.newest(&*self.ranks) else {
+            return Ok(false);
+        };
+        self.learner.load(&tensors)?;
+        for (pool, slots) in self.pools.iter_mut().zip(std::mem::take(&mut counters.pools)) {
+            pool.restore(slots, "checkpoint")?;
+        }
+        self.counters = counters;
+        Ok(true)
     }
 
     /// One training step.
@@ -267,6 +317,7 @@ impl Run {
 
     /// Rolls the scenes out and keeps the weights if they are the best so far. Only rank 0 does.
     fn validate(&mut self) -> Result<()> {
+        self.counters.validation_due = false;
         let Some(records) = &mut self.records else { return Ok(()) };
         let score = records.validate(self.counters.step, &self.learner.averaged()?)?;
         if records.best.is_none_or(|best| score < best) {
@@ -294,7 +345,7 @@ impl Run {
         let pools = self.pools.iter().map(|pool| pool.slots().to_vec()).collect();
         let checkpoint = Checkpoint {
             config: self.text.clone(),
-            counters: Counters { pools, ..self.counters.clone() },
+            counters: Counters { pools, device: self.learner.device(), ..self.counters.clone() },
             tensors: self.learner.save()?,
         };
         self.folder.keep(&checkpoint, &*self.ranks)
@@ -317,6 +368,14 @@ impl Run {
             config: &self.config,
         };
         card.write(&path)
+    }
+}
+
+/// Says so where a run goes on on another device: it then does not come to the same bits. Threads of a CPU do not matter.
+fn tell_other_device(before: &str, now: &str) {
+    let kind = |name: &str| name.split(',').next().map(str::to_owned);
+    if !before.is_empty() && kind(before) != kind(now) {
+        tracing::warn!("the run was on {before} so far; on {now} it does not continue to the same bits");
     }
 }
 

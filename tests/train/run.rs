@@ -47,6 +47,14 @@ fn fresh(root: &Path) -> Run {
     create(root, Fake::new(&config()))
 }
 
+/// A run of 30 steps.
+fn longer(root: &Path, learner: impl FnOnce(Fake) -> Fake) -> Run {
+    let text = CONFIG.replace("steps = 12", "steps = 30");
+    let config = Config::parse(&text, Path::new("test.toml")).unwrap();
+    let learner = Box::new(learner(Fake::new(&config)));
+    Run::create(root, &text, config, learner, Rc::new(Alone)).unwrap()
+}
+
 fn resume(root: &Path) -> fnopt::Result<(Run, Vec<fnopt::Error>)> {
     resume_given(root, None)
 }
@@ -230,6 +238,72 @@ fn steps_that_are_not_finite_are_skipped_and_ten_in_a_row_end_the_run() {
     let names: Vec<_> =
         checkpoints(folder.path()).iter().map(|p| p.file_name().unwrap().to_owned()).collect();
     assert_eq!(names, ["step-00000002.safetensors"]);
+}
+
+/// A step too large leaves weights that are no numbers: neither a checkpoint nor a file of weights gets them.
+#[test]
+fn weights_that_are_not_finite_are_never_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = longer(folder.path(), |fake| fake.overflows_after(3));
+    let end = run.train(&Limits::default(), |_| ControlFlow::Continue(())).unwrap();
+    assert_eq!(end, End::NonFinite);
+    let weights = folder.path().join("weights/last.safetensors");
+    assert!(fnopt::network::Weights::load(&weights).unwrap().flat().iter().all(|w| w.is_finite()));
+    assert!(std::fs::read_to_string(weights.with_extension("json")).unwrap().contains("\"steps\": 2,"));
+    drop(run);
+    let (run, passed_over) = resume(folder.path()).unwrap();
+    assert_eq!((run.step(), passed_over.len()), (2, 0));
+
+    // With nothing to go back to there are none.
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = longer(folder.path(), |fake| fake.overflows_after(0));
+    assert_eq!(run.train(&Limits::default(), |_| ControlFlow::Continue(())).unwrap(), End::NonFinite);
+    assert!(!folder.path().join("weights").exists() && !folder.path().join("checkpoints").exists());
+    drop(run);
+    longer(folder.path(), |fake| fake);
+}
+
+/// The weights of a checkpoint may be finite, and so large that no step is.
+#[test]
+fn a_checkpoint_that_no_step_follows_is_given_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = longer(folder.path(), |fake| fake);
+    let stop = |p: &fnopt::train::Progress<'_>| {
+        if p.step == 5 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    };
+    assert_eq!(run.train(&Limits::default(), stop).unwrap(), End::Interrupted);
+    drop(run);
+    let learner = |config: &Config| Ok(Box::new(Fake::new(config).broken_at(0..50)) as Box<dyn Learner>);
+    for (from, to) in [(5, 4), (4, 2), (2, 2)] {
+        let (mut run, _) = Run::resume(folder.path(), None, learner, Rc::new(Alone)).unwrap();
+        assert_eq!(run.step(), from);
+        assert_eq!(run.train(&Limits::default(), |_| ControlFlow::Continue(())).unwrap(), End::NonFinite);
+        drop(run);
+        // The last one is all that there is.
+        assert_eq!(resume(folder.path()).unwrap().0.step(), to);
+    }
+}
+
+/// What ends a run while it validates takes no validation away.
+#[test]
+fn a_validation_that_was_cut_off_is_made_up_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let [mut run, mut whole] = [fresh(folder.path()), fresh(&folder.path().join("whole"))];
+    assert_eq!((train(&mut run, 12), train(&mut whole, 12)), (End::Done, End::Done));
+    let of = |file: &str| [folder.path().join(file), folder.path().join("whole").join(file)];
+    let [table, of_whole] = of("validation.csv").map(lines);
+    assert_eq!(table, of_whole);
+    drop(run);
+    // As if it had been killed in its last validation.
+    let cut: String =
+        table.iter().filter(|row| !row.starts_with("12,")).map(|row| format!("{row}\n")).collect();
+    assert!(cut.lines().count() < table.len());
+    std::fs::write(folder.path().join("validation.csv"), cut).unwrap();
+    for resumed in 0..2 {
+        let (mut run, _) = resume(folder.path()).unwrap();
+        assert_eq!(train(&mut run, 12), End::Done, "{resumed}");
+        assert_eq!(lines(folder.path().join("validation.csv")), of_whole);
+    }
 }
 
 #[test]

@@ -20,6 +20,8 @@ pub struct Fake {
     cloths: Vec<Vec<f32>>,
     /// Steps, counted by this object, whose loss is not finite.
     broken: HashSet<u64>,
+    /// The one after which the weights are not.
+    overflows: Option<u64>,
     step: u64,
 }
 
@@ -27,12 +29,16 @@ impl Fake {
     pub fn new(config: &Config) -> Self {
         let weights = fnopt::train::first_weights(config, &Alone).expect("weights");
         let cloths = config.pools.iter().map(|p| vec![0.0; p.cloths]).collect();
-        Self { weights, cloths, broken: HashSet::new(), step: 0 }
+        Self { weights, cloths, broken: HashSet::new(), overflows: None, step: 0 }
     }
 
     pub fn broken_at(mut self, steps: impl IntoIterator<Item = u64>) -> Self {
         self.broken = steps.into_iter().collect();
         self
+    }
+
+    pub fn overflows_after(self, step: u64) -> Self {
+        Self { overflows: Some(step), ..self.broken_at(step + 1..1000) }
     }
 }
 
@@ -58,6 +64,9 @@ impl Learner for Fake {
         if report.is_finite() {
             let share = update.rate * update.number as f64 * (1.0 - update.average);
             self.weights.scalar.bias[0] += gradient[0] * share as f32;
+        }
+        if self.overflows == Some(self.step - 1) {
+            self.weights.scalar.bias[0] = f32::INFINITY;
         }
         Ok(report)
     }
