@@ -75,6 +75,7 @@ pub mod eval;
 pub mod gpu;
 pub mod io;
 pub mod kernels;
+mod memory;
 pub mod network;
 pub mod render;
 pub mod scene;

@@ -12,6 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::time::Instant;
 
 /// Arguments of `fnopt train`.
 #[derive(Debug, clap::Args)]
@@ -72,8 +73,10 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
         false => ProgressBar::hidden(),
     };
     let interrupted = interrupt_flag();
+    let begun = Instant::now();
     let end = run.train(&limits, |progress| {
-        show(&bar, progress);
+        let left = args.minutes.map(|minutes| minutes - begun.elapsed().as_secs_f64() / 60.0);
+        show(&bar, progress, left);
         go_on(&interrupted)
     })?;
     bar.finish_and_clear();
@@ -158,9 +161,12 @@ fn progress(from: u64, to: u64) -> ProgressBar {
     bar
 }
 
-fn show(bar: &ProgressBar, progress: &Progress<'_>) {
+/// Shows a step, with the minutes that `--minutes` leaves.
+fn show(bar: &ProgressBar, progress: &Progress<'_>, minutes: Option<f64>) {
     bar.set_position(progress.step);
-    bar.set_message(format!("loss {:.4}", progress.report.loss()));
+    let limit =
+        minutes.map_or_else(String::new, |left| format!(", at most {:.0} minutes more", left.max(0.0)));
+    bar.set_message(format!("loss {:.4}{limit}", progress.report.loss()));
     for SceneScore { scene, gap, largest_stretch, stable } in progress.validation.into_iter().flatten() {
         let stable = if *stable { "stable" } else { "UNSTABLE" };
         let gap = gap.map_or_else(String::new, |gap| format!(", energy gap {:.2} %", 100.0 * gap));

@@ -3,7 +3,7 @@
 use super::cloth::{AFTER, Hessian, Projection, Trial, neighbours};
 use crate::cpu::optim::InverseHessian;
 use crate::sim::Grid;
-use crate::{Error, Result};
+use crate::{Error, Result, memory};
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::LltRegularization;
 use faer::sparse::linalg::SymbolicSupernodalParams;
@@ -57,13 +57,13 @@ impl FactoredHessian {
     /// Analyses the pattern of a grid; an error when memory does not suffice.
     pub fn new(grid: Grid) -> Result<Self> {
         let n = grid.particles();
-        let hessian = Hessian::new(grid).map_err(unsolved)?;
+        let hessian = Hessian::new(grid)?;
         let (order, places) = minimum_degree(grid)?;
         let (mut starts, mut rows, mut sources) = (vec![0], Vec::new(), Vec::new());
         // Of a component: the lower half of what it shares with its own particle and with the others.
         let most = 3 * n * (2 + 3 * AFTER);
-        rows.try_reserve_exact(most).map_err(unsolved)?;
-        sources.try_reserve_exact(most).map_err(unsolved)?;
+        room(&mut rows, most)?;
+        room(&mut sources, most)?;
         for (place, &q) in order.iter().enumerate() {
             let mut later: Vec<usize> = neighbours(grid, q).map(|p| places[p]).collect();
             later.retain(|&other| other > place);
@@ -81,7 +81,7 @@ impl FactoredHessian {
             }
         }
         let mut values = Vec::new();
-        values.try_reserve_exact(rows.len()).map_err(unsolved)?;
+        room(&mut values, rows.len())?;
         values.resize(rows.len(), 0.0);
         let pattern = SymbolicSparseColMat::new_checked(3 * n, 3 * n, starts, None, rows);
         let supernodal_params = SymbolicSupernodalParams { relax: Some(RELAX) };
@@ -93,7 +93,7 @@ impl FactoredHessian {
             factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, ordering, params).map_err(unsolved)?
         };
         let mut factors = Vec::new();
-        factors.try_reserve_exact(symbolic.len_val()).map_err(unsolved)?;
+        room(&mut factors, symbolic.len_val())?;
         factors.resize(symbolic.len_val(), 0.0);
         let workspace = StackReq::or(
             symbolic.factorize_numeric_llt_scratch::<f32>(Par::Seq, Default::default()),
@@ -214,6 +214,15 @@ fn minimum_degree(grid: Grid) -> Result<(Vec<usize>, Vec<usize>)> {
     amd::order(&mut order, &mut places, pattern.as_ref(), amd::Control::default(), stack)
         .map_err(unsolved)?;
     Ok((order, places))
+}
+
+/// Makes room for so many numbers of the factors.
+fn room<T>(values: &mut Vec<T>, more: usize) -> Result<()> {
+    if memory::reserve(values, more) {
+        return Ok(());
+    }
+    let gib = memory::gib(more.saturating_mul(size_of::<T>()));
+    Err(Error::Device(format!("cpu: no memory for {gib} of a Hessian's factors")))
 }
 
 fn unsolved(e: impl std::fmt::Debug) -> Error {

@@ -161,7 +161,9 @@ impl Score {
 pub(super) fn read_kept<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T> {
     let bytes = io::read_bytes(path)?;
     let origin = path.display().to_string();
-    serde_json::from_slice(&bytes).map_err(|e| Error::invalid(origin, "score", "one that was kept", e))
+    serde_json::from_slice(&bytes).map_err(|e| {
+        Error::invalid(origin, "score", "one that was kept (without the file it is made anew)", e)
+    })
 }
 
 /// Keeps a score of whatever kind as JSON.

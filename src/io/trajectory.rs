@@ -1,7 +1,7 @@
 //! The frames of a run.
 
 use super::{Format, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
-use crate::{Error, Result, sim::Grid};
+use crate::{Error, Result, memory, sim::Grid};
 use ndarray::ArrayView3;
 use ndarray_npy::WriteNpyExt;
 use rayon::prelude::*;
@@ -56,12 +56,12 @@ impl Trajectory {
     /// Makes room for `frames` more frames, so that pushing them moves nothing; an error if there is not enough memory.
     pub fn reserve(&mut self, frames: usize) -> Result<()> {
         let points = frames.saturating_mul(self.grid.particles());
-        let reserved = self.positions.try_reserve_exact(points);
-        reserved.and_then(|()| self.velocities.try_reserve_exact(points)).map_err(|_| {
-            let gib = 24.0 * points as f64 / f64::from(1 << 30);
-            let expected = format!("{gib:.1} GiB for {frames} frames of {}", self.grid);
-            Error::invalid("trajectory", "memory", expected, "less")
-        })
+        if memory::reserve(&mut self.positions, points) && memory::reserve(&mut self.velocities, points) {
+            return Ok(());
+        }
+        let gib = memory::gib(points.saturating_mul(24));
+        let expected = format!("{gib} for {frames} frames of {}", self.grid);
+        Err(Error::invalid("trajectory", "memory", expected, "less"))
     }
 
     /// Appends a frame: positions \[m\] and velocities [m/s], shape [V, 3] each.

@@ -55,7 +55,7 @@
 //! `(0, 0.5, z)` times the side. An OBJ has vertex `i W + j` for particle (i, j), and its faces, if it has any, cover each
 //! cell by two triangles or one quadrilateral. A `.npy` (`f2`, `f4` or `f8`) has shape [H, W, 3] or [H W, 3], or
 //! that of a trajectory, [frames, H W, 3], whose first frame is taken. Of a `.npz` as a rollout writes it (`rollout.npz`, `replay.npz`)
-//! it is the last frame, with its velocities, so that a run goes on from there.
+//! it is the last frame, with its velocities; the motion begins anew, and the optimizer remembers nothing.
 //! `grid` is the file's own grid where it is not the scene's: the sheet is then resampled. `transform` is applied to the
 //! file's positions: a 4x4 or 3x4 matrix in rows, a translation `[x, y, z]`, or
 //! `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}` in this order. Velocities are zero but for a `.npz`.

@@ -17,7 +17,7 @@ pub type Transform = [[f64; 4]; 3];
 pub struct StartFile {
     /// An OBJ file, vertex `i W + j` being particle (i, j), or a `.npy` of shape [H, W, 3] or [H W, 3], or of a trajectory
     /// [frames, H W, 3], whose first frame is taken; the scene's axes \[m\]. Or a `.npz` of a trajectory, as a rollout writes it:
-    /// its last frame with the velocities there, so that another run goes on from it.
+    /// its last frame with the velocities there.
     pub path: PathBuf,
     /// The grid of the file; none for the scene's, or that of the faces in a `.npz`. Where they differ the sheet is resampled.
     pub grid: Option<Grid>,

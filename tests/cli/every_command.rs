@@ -76,6 +76,8 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["evaluate", "--frames", "0"], &["'0' for '--frames <F>'"]),
         (&["inspect", "key.json"], &["key.json"]),
         (&["bench", "--batch", "0"], &["--batch"]),
+        (&["bench", "--grid", "8,9", "--most-particles", "10"], &["--most-particles", "64 or more"]),
+        (&["bench", "--iterations", "-1"], &["--iterations", "-1"]),
         (&["bench", "--batch", "100000"], &["--batch"]),
         (
             &["bench", "--device", "cpu", "--solver", "gd", "--grid", "4096", "--batch", "5", "--json"],

@@ -52,7 +52,7 @@ pub struct Args {
     )]
     solver: Vec<String>,
     /// Iterations per frame of the solvers without their own [default: 10]
-    #[arg(long, value_delimiter = ',', value_name = "N,..")]
+    #[arg(long, value_delimiter = ',', value_name = "N,..", allow_negative_numbers = true)]
     iterations: Option<Vec<usize>>,
     /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]
     #[arg(long, value_name = "FILE")]
@@ -340,8 +340,8 @@ impl Args {
             if !folder.is_dir() {
                 return Err(Error::invalid("--compare", name, "a folder", folder.display()));
             }
-            if columns.iter().any(|column| column == name) {
-                return Err(Error::invalid("--compare", name, "a name that no other column has", text));
+            if name.is_empty() || columns.iter().any(|column| column == name) {
+                return Err(Error::invalid("--compare", "name", "one that no other column has", text));
             }
             columns.push(name.to_owned());
             Ok((name.to_owned(), folder))

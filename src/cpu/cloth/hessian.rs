@@ -9,8 +9,8 @@ use super::{Factors, Trial};
 use crate::cpu::Real;
 use crate::cpu::matmul::LANES;
 use crate::sim::Grid;
+use crate::{Error, Result, memory};
 use pulp::{Arch, Simd, WithSimd};
-use std::collections::TryReserveError;
 use std::f64::consts::FRAC_PI_2;
 
 /// A block of the Hessian: second derivatives with respect to the positions of two particles.
@@ -73,11 +73,13 @@ struct Work {
 
 impl Hessian {
     /// Zeros, for cloths on this grid; an error when memory does not suffice.
-    pub fn new(grid: Grid) -> std::result::Result<Self, TryReserveError> {
+    pub fn new(grid: Grid) -> Result<Self> {
         let stored = Stored::new(grid.w);
         let edges = || [(); 2].map(|()| vec![0.0; 4 * stored.stride]);
         let (len, mut values) = (LANES + grid.h * PLANES * stored.stride, Vec::new());
-        values.try_reserve_exact(len)?;
+        if !memory::reserve(&mut values, len) {
+            return Err(Error::Device(format!("cpu: no memory for a Hessian of {}", memory::gib(8 * len))));
+        }
         values.resize(len, 0.0);
         Ok(Self { grid, stored, values, work: Work { vertical: edges(), horizontal: edges() } })
     }
