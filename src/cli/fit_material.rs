@@ -74,6 +74,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         return Err(Error::invalid("--out", "file", expected, args.out.display()).into());
     }
     let sequences = sequences(&args.ground_truth, args.sequences.as_deref())?;
+    let sequences = sequences.into_iter().collect::<fnopt::Result<Vec<_>>>()?;
     let ranges = args.ranges(args.kept(&sequences)?)?;
     let fit = Fit {
         sequences: &sequences,

@@ -221,8 +221,8 @@ pub fn one_grid(values: &[String]) -> fnopt::Result<Grid> {
 /// Where the sequence that ships is, in a checkout's root.
 pub const SHIPPED_SEQUENCES: &str = "assets/ground_truth";
 
-/// The sequences of a folder: those that are named, or all of them.
-pub fn sequences(folder: &Path, named: Option<&[String]>) -> fnopt::Result<Vec<Sequence>> {
+/// The sequences of a folder, those that are named or all of them, and what is wrong with one.
+pub fn sequences(folder: &Path, named: Option<&[String]>) -> fnopt::Result<Vec<fnopt::Result<Sequence>>> {
     if folder == Path::new(SHIPPED_SEQUENCES) && !folder.exists() {
         let expected = "a folder of sequences; the one that ships is in the root of a checkout";
         return Err(Error::invalid(

@@ -99,17 +99,16 @@ impl Sequence {
         Ok(names)
     }
 
-    /// Reads sequences of a folder: those that are named, or all of them.
-    pub fn load_all(folder: &Path, named: Option<&[String]>) -> Result<Vec<Self>> {
+    /// Reads sequences of a folder: those that are named, or all of them. An error if one is named that is not there; what is wrong
+    /// with one that is takes no others along.
+    pub fn load_all(folder: &Path, named: Option<&[String]>) -> Result<Vec<Result<Self>>> {
         let known = Self::names(folder)?;
-        let load = |name: &String| match known.contains(name) {
-            true => Self::load(folder, name),
-            false => {
-                let origin = folder.display().to_string();
-                Err(Error::unknown(origin, "sequence", name, known.iter().map(String::as_str)))
-            }
-        };
-        named.unwrap_or(&known).iter().map(load).collect()
+        let named = named.unwrap_or(&known);
+        if let Some(unknown) = named.iter().find(|name| !known.contains(name)) {
+            let origin = folder.display().to_string();
+            return Err(Error::unknown(origin, "sequence", unknown, known.iter().map(String::as_str)));
+        }
+        Ok(named.iter().map(|name| Self::load(folder, name)).collect())
     }
 
     /// Reads the sequence `name` of a folder of them. Without `meta.json` the cloth is the default scene's, on a square grid,

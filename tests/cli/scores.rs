@@ -209,6 +209,38 @@ fn a_task_of_an_array_does_its_share_and_says_so() {
     refused(array("7", "3"), &["SLURM_ARRAY_TASK_ID", "0 to 2"]);
 }
 
+/// What is wrong with one sequence, or with another system's trajectory of it, is told and takes no others along.
+#[test]
+fn damaged_sequences_leave_the_others() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    for name in ["good", "torn"] {
+        std::fs::create_dir_all(at.join("truth").join(name)).unwrap();
+        for file in ["cloth_pos.npy", "handles.npy", "start.npy", "meta.json"] {
+            let to = at.join("truth").join(name).join(file);
+            std::fs::copy(shipped().join("xy_v2").join(file), to).unwrap();
+        }
+    }
+    let run = |more: &[&str]| {
+        let few = ["evaluate", "--ground-truth", "truth", "--frames", "4", "--points", "100", "--grid", "8"];
+        quiet(at, &[&few[..], &["--solver", "gd:3", "--device", "cpu"], more].concat()).output().unwrap()
+    };
+    std::fs::create_dir(at.join("theirs")).unwrap();
+    std::fs::copy(at.join("truth/good/cloth_pos.npy"), at.join("theirs/good.npy")).unwrap();
+    std::fs::write(at.join("theirs/torn.npy"), "nothing").unwrap();
+    let output = run(&["--compare", "them=theirs"]);
+    let told = text(&output.stdout);
+    assert!(told.contains("good") && told.contains("torn") && told.contains("them (32x32)"), "{told}");
+    refused(output, &["theirs/torn.npy"]);
+
+    std::fs::write(at.join("truth/torn/cloth_pos.npy"), "nothing").unwrap();
+    let output = run(&[]);
+    let told = text(&output.stdout);
+    assert!(told.contains("good") && !told.contains("torn"), "{told}");
+    refused(output, &["torn/cloth_pos.npy"]);
+    refused(run(&["--sequences", "torn"]), &["torn/cloth_pos.npy"]);
+}
+
 /// Another system's trajectory stands in the table of each grid, whatever its own is, and in those of merged scores.
 #[test]
 fn other_systems_stand_beside_the_solvers() {

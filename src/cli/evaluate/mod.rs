@@ -138,23 +138,25 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         }
         return args.run_suite(Suite::named(name, "--suite")?, entries, &grids);
     }
-    let sequences = sequences(&args.ground_truth, args.sequences.as_deref())?;
+    // What is wrong with one sequence, or another system's trajectory of it, takes no others along.
+    let mut wrong: Vec<Error> = Vec::new();
+    let read = sequences(&args.ground_truth, args.sequences.as_deref())?;
+    let sequences: Vec<Sequence> =
+        read.into_iter().filter_map(|read| read.map_err(|error| wrong.push(error)).ok()).collect();
     let (index, count) = args.shard()?;
     // Others' trajectories first: what is wrong with them is then said before the work, not after it.
     let mut systems = Vec::new();
     for (name, folder) in args.systems(&entries)? {
-        let mut missing = Vec::new();
-        for sequence in sequences.iter().skip(index).step_by(count) {
-            match imported(&folder, sequence) {
-                Some(path) => {
-                    let found = sequence.read_other(&path)?;
-                    systems.push(Kept::imported(sequence, &name, &found, &settings)?);
-                }
-                None => missing.push(&*sequence.name),
-            }
+        let mine = sequences.iter().skip(index).step_by(count);
+        for (sequence, path) in mine.filter_map(|sequence| Some((sequence, imported(&folder, sequence)?))) {
+            let read = sequence.read_other(&path);
+            let kept = read.and_then(|found| Kept::imported(sequence, &name, &found, &settings));
+            systems.extend(kept.map_err(|error| wrong.push(error)));
         }
+        let lacking = |sequence: &&Sequence| imported(&folder, sequence).is_none();
+        let missing: Vec<&str> = sequences.iter().filter(lacking).map(|sequence| &*sequence.name).collect();
         match missing.first() {
-            Some(first) if !systems.iter().any(|system| system.score.solver == name) => {
+            Some(first) if missing.len() == sequences.len() => {
                 let expected = format!("{first}.npz, .npy or .pc2, or a folder {first} of OBJ files");
                 let folder = folder.display().to_string();
                 return Err(Error::invalid(folder, "trajectory", expected, "none of them").into());
@@ -163,6 +165,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
             None => {}
         }
     }
+    if sequences.is_empty() && !wrong.is_empty() {
+        return Err(wrong.swap_remove(0).into());
+    }
+    wrong.iter().for_each(|error| tell!("error: {error}; the rest goes on"));
     let device = args.open(&entries)?;
     let plan = Plan {
         sequences: &sequences,
@@ -195,7 +201,8 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         tell!("interrupted; the scores so far are kept in {}", args.out.display());
         return written.map(|()| Ending::Interrupted);
     }
-    written.map(|()| Ending::Done)
+    written?;
+    wrong.into_iter().next().map_or(Ok(Ending::Done), |first| Err(first.into()))
 }
 
 impl Args {
