@@ -3,16 +3,23 @@
 /// Makes room in `values` for `more`, exactly; whether there is any. (A reservation alone tells little where memory is
 /// promised that is not there, as on most Linux systems.)
 pub(crate) fn reserve<T>(values: &mut Vec<T>, more: usize) -> bool {
-    let bytes = more.saturating_mul(size_of::<T>()) as u64;
-    available().is_none_or(|available| bytes <= available) && values.try_reserve_exact(more).is_ok()
+    holds(more.saturating_mul(size_of::<T>())) && values.try_reserve_exact(more).is_ok()
 }
 
-/// Bytes that the machine has left, where it tells.
+/// Whether the machine has so many bytes left, as far as it tells. What is only reserved still counts as left: ask for all at once.
+pub(crate) fn holds(bytes: usize) -> bool {
+    available().is_none_or(|available| bytes as u64 <= available)
+}
+
+/// Bytes that the machine has left, swap included, where it tells.
 fn available() -> Option<u64> {
     let told = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = told.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
-    let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim_end().parse().ok()?;
-    Some(1024 * kilobytes)
+    let bytes = |name: &str| {
+        let line = told.lines().find_map(|line| line.strip_prefix(name))?;
+        let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim_end().parse().ok()?;
+        Some(1024 * kilobytes)
+    };
+    Some(bytes("MemAvailable:")? + bytes("SwapFree:").unwrap_or(0))
 }
 
 /// Bytes as people read them.

@@ -88,16 +88,19 @@ pub fn run(args: &Args) -> Result<Ending> {
     tell!("{line}");
     let mut rows = Vec::new();
     let mut out = output();
-    let mut ended = Ok(Ending::Done);
+    let (mut ended, many) = (Ok(Ending::Done), sizes.len() > 1);
     for size in sizes {
         let row = match measure(args, &device, &optimizer, size) {
             Ok(row) => row,
-            // What was measured before is told, too.
-            Err(error) if !rows.is_empty() => {
-                ended = Err(error);
-                break;
+            // The others are measured all the same.
+            Err(error) => {
+                let (grid, batch) = size;
+                if many {
+                    tell!("{grid} batch {batch}: {error:#}");
+                }
+                ended = ended.and(Err(error));
+                continue;
             }
-            Err(error) => return Err(error),
         };
         if !args.json {
             print(&mut out, &row)?;
@@ -107,7 +110,13 @@ pub fn run(args: &Args) -> Result<Ending> {
             return Ok(Ending::Done);
         }
     }
-    let product = product_rate(&device)?;
+    if rows.is_empty() {
+        return ended;
+    }
+    let product = product_rate(&device).unwrap_or_else(|error| {
+        ended = std::mem::replace(&mut ended, Ok(Ending::Done)).and(Err(error));
+        f64::NAN
+    });
     if args.json {
         let all = serde_json::json!({
             "device": device.name(), "solver": optimizer.name(), "product_gflop_per_s": product * 1e-9, "rows": rows

@@ -62,6 +62,9 @@ impl FactoredHessian {
         let (mut starts, mut rows, mut sources) = (vec![0], Vec::new(), Vec::new());
         // Of a component: the lower half of what it shares with its own particle and with the others.
         let most = 3 * n * (2 + 3 * AFTER);
+        if !memory::holds(most.saturating_mul(size_of::<usize>() + size_of::<u32>())) {
+            return Err(no_room(most.saturating_mul(size_of::<usize>() + size_of::<u32>())));
+        }
         room(&mut rows, most)?;
         room(&mut sources, most)?;
         for (place, &q) in order.iter().enumerate() {
@@ -221,8 +224,11 @@ fn room<T>(values: &mut Vec<T>, more: usize) -> Result<()> {
     if memory::reserve(values, more) {
         return Ok(());
     }
-    let gib = memory::gib(more.saturating_mul(size_of::<T>()));
-    Err(Error::Device(format!("cpu: no memory for {gib} of a Hessian's factors")))
+    Err(no_room(more.saturating_mul(size_of::<T>())))
+}
+
+fn no_room(bytes: usize) -> Error {
+    Error::Device(format!("cpu: no memory for {} of a Hessian's factors", memory::gib(bytes)))
 }
 
 fn unsolved(e: impl std::fmt::Debug) -> Error {

@@ -32,8 +32,7 @@ const FIGURES: [Figure; 4] = [
 /// are several grids or numbers of iterations, errors and times by them; then, of every solver on every grid, error and time,
 /// the energy and how it is made up, and the repulsion.
 pub fn tables(scores: &[Score]) -> Vec<Table> {
-    let mut groups = groups(scores);
-    groups.sort_by_key(Group::is_imported);
+    let groups = groups(scores);
     let mut tables = Vec::new();
     // Another system has the grid it has, and stands beside the solvers on any.
     let imported = groups.iter().all(Group::is_imported);
@@ -76,7 +75,7 @@ impl<'a> Group<'a> {
 
     /// Whether it is another system's, which no device of ours has simulated.
     fn is_imported(&self) -> bool {
-        self.scores().all(|score| score.made_with.device.is_none())
+        self.iterations == 0 && self.scores().all(|score| score.made_with.device.is_none())
     }
 
     fn scores(&self) -> impl Iterator<Item = &'a Score> {
@@ -144,8 +143,28 @@ impl<T> Told<T> {
     }
 }
 
-/// Scores by grid and solver, in the order of their first appearance.
+/// Scores by grid and solver, in the order of their first appearance; other systems' come last, each in one group, whatever grids it
+/// has its sequences on.
 fn groups(scores: &[Score]) -> Vec<Group<'_>> {
+    let mut groups = by_grid(scores);
+    groups.sort_by_key(Group::is_imported);
+    let mut joined: Vec<Group<'_>> = Vec::new();
+    for group in groups {
+        let same = |other: &&mut Group<'_>| {
+            other.is_imported() && group.is_imported() && other.solver == group.solver
+        };
+        match joined.iter_mut().find(same) {
+            Some(other) => {
+                other.grid = format!("{}, {}", other.grid, group.grid);
+                other.sequences.extend(group.sequences);
+            }
+            None => joined.push(group),
+        }
+    }
+    joined
+}
+
+fn by_grid(scores: &[Score]) -> Vec<Group<'_>> {
     let grids = distinct(scores.iter().map(|s| s.grid.clone()));
     let solvers = distinct(scores.iter().map(|s| (s.solver.clone(), s.iterations)));
     let mut groups = Vec::new();
@@ -195,7 +214,10 @@ impl BySequence {
             let spreads = groups.iter().map(|group| group.spread(&name, figure)).collect();
             (name, spreads)
         };
-        let rows = distinct(groups.iter().flat_map(names)).into_iter().map(row).collect();
+        // Another system may have sequences that no solver has here.
+        let imported = groups.iter().all(|group| group.is_imported());
+        let own = groups.iter().filter(|group| imported || !group.is_imported());
+        let rows = distinct(own.flat_map(names)).into_iter().map(row).collect();
         Self { digits: figure.digits, groups: groups.len(), rows }
     }
 

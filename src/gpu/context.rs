@@ -327,10 +327,15 @@ fn named(names: &[String], text: &str) -> Option<usize> {
     names.iter().position(|name| !text.is_empty() && name.to_lowercase().contains(&text))
 }
 
-/// The place of the first name that has this number for a word: part of another number is no reason to run there.
+/// The place of the first name that has this number for a word: part of another number is no reason to run there, nor are versions
+/// and the like in parentheses.
 fn numbered(names: &[String], number: usize) -> Option<usize> {
     let number = number.to_string();
-    names.iter().position(|name| name.split([' ', '-', '(', ')']).any(|word| word == number))
+    let has_word = |name: &String| {
+        let own = name.split('(').next().unwrap_or_default();
+        own.split([' ', '-', '/']).any(|word| word == number)
+    };
+    names.iter().position(has_word)
 }
 
 /// The place of the `turn`-th of those that are of the first's kind, around and around.
@@ -391,7 +396,8 @@ mod tests {
     fn a_number_is_a_place_or_a_word_of_a_name() {
         let names = ["NVIDIA GeForce RTX 4090", "llvmpipe (LLVM 15.0.6, 256 bits)"].map(String::from);
         assert_eq!(numbered(&names, 4090), Some(0));
-        assert_eq!([1, 2, 5, 15, 40].map(|number| numbered(&names, number)), [None; 5]);
+        assert_eq!([1, 2, 5, 15, 40, 256].map(|number| numbered(&names, number)), [None; 6]);
+        assert_eq!(numbered(&["NVIDIA GeForce RTX 4090/PCIe/SSE2".into()], 4090), Some(0));
         assert_eq!(
             ["4090", "LLVM 15", "", " "].map(|text| named(&names, text)),
             [Some(0), Some(1), None, None]

@@ -56,10 +56,14 @@ impl Trajectory {
     /// Makes room for `frames` more frames, so that pushing them moves nothing; an error if there is not enough memory.
     pub fn reserve(&mut self, frames: usize) -> Result<()> {
         let points = frames.saturating_mul(self.grid.particles());
-        if memory::reserve(&mut self.positions, points) && memory::reserve(&mut self.velocities, points) {
+        let bytes = points.saturating_mul(24);
+        if memory::holds(bytes)
+            && memory::reserve(&mut self.positions, points)
+            && memory::reserve(&mut self.velocities, points)
+        {
             return Ok(());
         }
-        let gib = memory::gib(points.saturating_mul(24));
+        let gib = memory::gib(bytes);
         let expected = format!("{gib} for {frames} frames of {}", self.grid);
         Err(Error::invalid("trajectory", "memory", expected, "less"))
     }

@@ -16,7 +16,8 @@ const GAIN: f64 = 0.98;
 const DUEL: usize = 10;
 
 /// Searches the tuning with the least time per frame of `optimizer` on `model`, from `start`: respect by respect from the
-/// table's, each time keeping the best; the table's, unless the best one wins against it once more. `tried` is called with each tuning and its time \[ms\] and may end the search.
+/// table's, each time keeping the best; the table's, unless the best one wins against it once more. `tried` is called with each tuning and its time \[ms\] and may end the search,
+/// with nothing found.
 pub fn tune(
     context: &Context,
     (model, start): (&Model, &State<f32>),
@@ -50,7 +51,7 @@ pub fn tune(
         let before = best;
         for tuning in &before.neighbours(context)[respect] {
             if flow.is_break() {
-                return Ok(best);
+                return Ok(table);
             }
             let measured;
             (measured, flow) = time(tuning)?;
@@ -62,7 +63,9 @@ pub fn tune(
     if best == table {
         return Ok(table);
     }
-    let (ours, of_table, mut least) = (solver(&best)?, solver(&table)?, [f64::INFINITY; 2]);
+    // Where both do not fit side by side nothing can be shown.
+    let (Ok(ours), Ok(of_table)) = (solver(&best), solver(&table)) else { return Ok(table) };
+    let mut least = [f64::INFINITY; 2];
     [&ours, &of_table].into_iter().try_for_each(|solver| frame(solver).map(drop))?;
     for _ in 0..DUEL {
         least = [least[0].min(frame(&ours)?), least[1].min(frame(&of_table)?)];

@@ -141,14 +141,14 @@ impl Folder {
     }
 
     /// The newest checkpoint that is whole on all ranks, as this rank saved it, and what was wrong with its newer ones.
-    pub fn newest(&self, ranks: &dyn Ranks) -> Result<(Checkpoint, Vec<Error>)> {
+    pub fn newest(&self, ranks: &dyn Ranks) -> Result<(Option<Checkpoint>, Vec<Error>)> {
         let mut passed_over = Vec::new();
         let count = ranks.count() as u64;
         let mut steps = self.checkpoints()?.into_iter().filter(|file| file.rank == 0).map(|file| file.step);
         loop {
             let step = ranks.first(steps.next().unwrap_or(NONE));
             if step == NONE {
-                break;
+                return Ok((None, passed_over));
             }
             let read = Checkpoint::read(&self.checkpoint(step, ranks.rank()));
             let began = ranks.first(read.as_ref().map_or(count, |c| c.counters.ranks as u64));
@@ -158,24 +158,29 @@ impl Folder {
             }
             let whole = ranks.all(read.is_ok());
             match read {
-                Ok(checkpoint) if whole => return Ok((checkpoint, passed_over)),
+                Ok(checkpoint) if whole => return Ok((Some(checkpoint), passed_over)),
                 // Another rank tells what is wrong.
                 Ok(_) => {}
                 Err(error) => passed_over.push(error),
             }
         }
+    }
+
+    /// That none of the checkpoints is whole, of which some were passed over.
+    pub fn none_whole(&self, passed_over: &[Error]) -> Error {
         let found = match passed_over.first() {
             Some(error) => format!("none ({error})"),
             None => "none".to_owned(),
         };
         let dir = self.checkpoint_dir().display().to_string();
-        Err(Error::invalid(dir, "checkpoints", "a whole one to resume from", found))
+        Error::invalid(dir, "checkpoints", "a whole one to resume from", found)
     }
 
-    /// Removes the checkpoint of a step, unless it is the oldest; whether it did.
+    /// Removes the checkpoint of a step if an older one is whole; whether it did.
     pub fn remove_if_older(&self, step: u64) -> Result<bool> {
         let files = self.checkpoints()?;
-        if !files.iter().any(|file| file.rank == 0 && file.step < step) {
+        let older = |file: &&Saved| file.rank == 0 && file.step < step;
+        if !files.iter().filter(older).any(|file| Checkpoint::read(&file.path).is_ok()) {
             return Ok(false);
         }
         for Saved { path, .. } in files.iter().filter(|file| file.step == step) {

@@ -31,22 +31,22 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
     let text = validations.text()?;
     for row in validations.rows(&text) {
         let values: Vec<&str> = row.split(',').collect();
-        let (Ok(step), Ok(value)) = (values[0].parse(), values[2].parse()) else { continue };
+        let (Ok(step), Ok(gap)) = (values[0].parse(), values[2].parse::<f64>()) else { continue };
+        // That of weights which diverge is larger by powers of ten.
+        let value = gap.log10();
         match scenes.iter_mut().find(|curve| curve.label == values[1]) {
             Some(curve) => curve.points.push([step, value]),
             None => scenes.push(Curve { label: values[1].into(), points: vec![[step, value]] }),
         }
     }
     let norm = vec![curve("gradient_norm", "gradient norm".into())];
-    let scaled = |title: &str, curves, scale| Chart { title: title.into(), curves, scale };
-    let chart = |title: &str, curves| scaled(title, curves, Scale::Linear);
+    let chart = |title: &str, curves| Chart { title: title.into(), curves, scale: Scale::Linear };
     Ok(charts(
         &[
             chart("loss", of_pools("loss")),
             chart("log mean gradient", of_pools("log_gradient")),
             chart("norm of the gradient of the weights", norm),
-            // A gap of weights that diverge is larger by powers of ten.
-            scaled("validation: energy gap", scenes, Scale::Logarithmic),
+            chart("validation: log10 of the energy gap", scenes),
         ],
         SIZE,
     ))

@@ -164,8 +164,8 @@ fn check(config: Config, origin: &str) -> Result<Config> {
         let expected = format!("a range around {INITIAL_SCALE}, with which cloths begin");
         return Err(Error::invalid(origin, "reset.scale", expected, format!("{low} to {high}")));
     }
-    if config.schedule.warmup >= config.steps {
-        let expected = format!("less than steps ({})", config.steps);
+    if config.schedule.warmup > config.steps {
+        let expected = format!("at most the steps, {}", config.steps);
         return Err(Error::invalid(origin, "schedule.warmup", expected, config.schedule.warmup));
     }
     Ok(config)

@@ -49,17 +49,23 @@ impl Records {
     /// Rolls the scenes out with the weights after `step` steps, and gives their score.
     pub fn validate(&mut self, step: u64, weights: &Weights) -> Result<f64> {
         self.scores = (step, self.validation.run(weights)?);
-        for score in &self.scores.1 {
-            let gap = score.gap.map_or_else(String::new, |gap| format!("{gap:.6}"));
-            let stretch = format!("{:.6}", score.largest_stretch);
-            let stable = u8::from(score.stable).to_string();
-            self.validations.push(&[step.to_string(), score.scene.clone(), gap, stretch, stable])?;
-        }
         Ok(Validation::score(&self.scores.1))
     }
 
+    /// Adds the last validation to the table, all of it at once.
+    pub fn tell_scores(&self) -> Result<()> {
+        let (step, scores) = &self.scores;
+        let row = |score: &SceneScore| {
+            let gap = score.gap.map_or_else(String::new, |gap| format!("{gap:.6}"));
+            let stretch = format!("{:.6}", score.largest_stretch);
+            let stable = u8::from(score.stable).to_string();
+            vec![step.to_string(), score.scene.clone(), gap, stretch, stable]
+        };
+        self.validations.push_all(&scores.iter().map(row).collect::<Vec<_>>())
+    }
+
     /// Whether the table has a validation of the weights after `step` steps.
-    pub fn has_row(&self, step: u64) -> bool {
+    pub fn is_validated(&self, step: u64) -> bool {
         let of_step = |text: &str| {
             let mut rows = self.validations.rows(text);
             rows.any(|row| row.split(',').next() == Some(&step.to_string()))

@@ -108,7 +108,10 @@ impl Run {
         if ranks.rank() == 0 {
             folder.claim()?;
         }
-        let (Checkpoint { config: text, counters, tensors }, passed_over) = folder.newest(&*ranks)?;
+        let (newest, passed_over) = folder.newest(&*ranks)?;
+        let Some(Checkpoint { config: text, counters, tensors }) = newest else {
+            return Err(folder.none_whole(&passed_over));
+        };
         if Config::parse(&text, &folder.config())? != config {
             return other("another than in the checkpoints");
         }
@@ -187,6 +190,8 @@ impl Run {
         if self.ranks.decide(self.is_validation_missing()) {
             self.validate()?;
         }
+        self.counters.validation_due = false;
+        let updates = self.counters.updates;
         let end = loop {
             if self.counters.step >= steps {
                 break End::Done;
@@ -203,7 +208,7 @@ impl Run {
                 && let Err(error) = self.flush()
             {
                 // No step is lost; with other ranks, which wait elsewhere, all end as they are.
-                if self.ranks.count() == 1 {
+                if self.ranks.count() == 1 && skipped == 0 && self.is_sound()? {
                     self.keep()?;
                 }
                 return Err(error);
@@ -213,7 +218,7 @@ impl Run {
             let kept = self.ranks.decide(due || checkpoint.is_due(step));
             // A validation takes a while and may fail: what was computed is safe before. A state that makes steps that are
             // not finite would push out better ones.
-            let sound = kept && self.is_sound()?;
+            let sound = kept && self.ranks.all(self.is_sound()?);
             let validated = due && sound;
             if sound && skipped == 0 {
                 self.counters.validation_due = validated;
@@ -236,16 +241,17 @@ impl Run {
                 break End::Interrupted;
             }
         };
-        let sound = self.is_sound()?;
+        let sound = self.ranks.all(self.is_sound()?);
+        // The last step may have been too large, and no other follows that would show it.
+        let end = if sound { end } else { End::NonFinite };
         match end {
             _ if saved == Some(self.counters.step) => {}
-            End::Done | End::Interrupted if sound => self.save()?,
+            End::Done | End::Interrupted => self.save()?,
             // The checkpoints before may be of a better state than one that only makes such steps.
-            End::Done | End::Interrupted | End::NonFinite => {
+            End::NonFinite => {
                 self.flush()?;
-                // A checkpoint that is followed by nothing but such steps is no better.
-                let from_start = first > 0 && self.counters.step == first + u64::from(MOST_SKIPPED);
-                let fruitless = end == End::NonFinite && from_start && self.give_up(first)?;
+                // One that is followed by nothing but such steps is not.
+                let fruitless = first > 0 && self.counters.updates == updates && self.give_up(first)?;
                 if (sound && !fruitless) || self.step_back()? {
                     self.write_weights("last")?;
                 }
@@ -262,11 +268,11 @@ impl Run {
 
     /// Whether there was to be a validation after the last step, and there was none.
     fn is_validation_missing(&self) -> bool {
-        let scores = |records: &Records| records.has_row(self.counters.step);
-        self.counters.validation_due && self.records.as_ref().is_some_and(|records| !scores(records))
+        let validated = |records: &Records| records.is_validated(self.counters.step);
+        self.counters.validation_due && self.records.as_ref().is_some_and(|records| !validated(records))
     }
 
-    /// Removes a checkpoint if there is an older one; whether there is.
+    /// Removes a checkpoint if there is an older one that is whole; whether there is.
     fn give_up(&self, step: u64) -> Result<bool> {
         let removed = self.ranks.rank() == 0 && self.folder.remove_if_older(step)?;
         if removed {
@@ -277,9 +283,8 @@ impl Run {
 
     /// Goes back to the newest checkpoint; whether there is one.
     fn step_back(&mut self) -> Result<bool> {
-        let Ok((Checkpoint { mut counters, tensors, .. }, _)) = self.folder.newest(&*self.ranks) else {
-            return Ok(false);
-        };
+        let (newest, _) = self.folder.newest(&*self.ranks)?;
+        let Some(Checkpoint { mut counters, tensors, .. }) = newest else { return Ok(false) };
         self.learner.load(&tensors)?;
         for (pool, slots) in self.pools.iter_mut().zip(std::mem::take(&mut counters.pools)) {
             pool.restore(slots, "checkpoint")?;
@@ -324,6 +329,8 @@ impl Run {
             self.write_weights("best")?;
             self.records.iter_mut().for_each(|records| records.best = Some(score));
         }
+        // The table last: what stands there is not made up for.
+        self.records.iter().try_for_each(Records::tell_scores)?;
         self.show()
     }
 

@@ -28,7 +28,13 @@ impl Table {
 
     /// Appends a row.
     pub fn push(&self, row: &[String]) -> Result<()> {
-        assert_eq!(row.len(), self.columns.len(), "a row has every column");
+        self.push_all(&[row.to_vec()])
+    }
+
+    /// Appends rows at once.
+    pub fn push_all(&self, rows: &[Vec<String>]) -> Result<()> {
+        assert!(rows.iter().all(|row| row.len() == self.columns.len()), "a row has every column");
+        let rows: String = rows.iter().map(|row| row.join(",") + "\n").collect();
         let append = || {
             // A file that was taken away begins anew.
             let mut file = std::fs::OpenOptions::new().create(true).append(true).open(&self.path)?;
@@ -36,7 +42,7 @@ impl Table {
                 0 => format!("{}\n", self.columns.join(",")),
                 _ => String::new(),
             };
-            file.write_all(format!("{titles}{}\n", row.join(",")).as_bytes())
+            file.write_all(format!("{titles}{rows}").as_bytes())
         };
         append().map_err(|e| Error::io(&self.path, "cannot write", e))
     }

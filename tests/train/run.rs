@@ -254,6 +254,11 @@ fn weights_that_are_not_finite_are_never_written() {
     let (run, passed_over) = resume(folder.path()).unwrap();
     assert_eq!((run.step(), passed_over.len()), (2, 0));
 
+    // Nor does it count as done where the session ends before a step shows it.
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = longer(folder.path(), |fake| fake.overflows_after(3));
+    assert_eq!(train(&mut run, 4), End::NonFinite);
+
     // With nothing to go back to there are none.
     let folder = tempfile::tempdir().unwrap();
     let mut run = longer(folder.path(), |fake| fake.overflows_after(0));
@@ -304,6 +309,24 @@ fn a_validation_that_was_cut_off_is_made_up_for() {
         assert_eq!(train(&mut run, 12), End::Done, "{resumed}");
         assert_eq!(lines(folder.path().join("validation.csv")), of_whole);
     }
+
+    // One that was there is not made again after other steps.
+    let folder = tempfile::tempdir().unwrap();
+    let stop_at = |run: &mut Run, step| {
+        let stop = |p: &fnopt::train::Progress<'_>| {
+            if p.step == step { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        assert_eq!(run.train(&Limits::default(), stop).unwrap(), End::Interrupted);
+    };
+    let mut run = fresh(folder.path());
+    stop_at(&mut run, 4);
+    drop(run);
+    let rows = lines(folder.path().join("validation.csv")).len();
+    let (mut run, _) = resume(folder.path()).unwrap();
+    stop_at(&mut run, 5);
+    drop(run);
+    stop_at(&mut resume(folder.path()).unwrap().0, 6);
+    assert_eq!(lines(folder.path().join("validation.csv")).len(), rows);
 }
 
 #[test]

@@ -49,12 +49,10 @@ pub struct Kept {
 }
 
 impl<'a> Plan<'a> {
-    /// All jobs, each once, with their files in a folder. Every scene is made once, so that what is wrong with one is said
-    /// before the work and not in the middle of it.
+    /// All jobs, each once, with their files in a folder.
     pub fn jobs(&self, folder: &Path) -> Result<Vec<Job<'a>>> {
         for sequence in self.sequences {
             for &grid in self.grids {
-                sequence.scene(grid, &self.settings.physics)?.setup()?;
                 let coarser = coarse(grid);
                 let scene = || sequence.scene(coarser, &self.settings.physics)?.setup();
                 if self.entries.iter().any(|entry| entry.coarse) && scene().is_err() {
@@ -199,6 +197,12 @@ impl Drop for Unwinding<'_> {
     }
 }
 
+/// A sequence whose scene can be made on all grids: what is wrong with one is said before the work and not in the middle of it.
+pub fn playable(sequence: Sequence, grids: &[Grid], settings: &Settings) -> Result<Sequence> {
+    grids.iter().try_for_each(|&grid| sequence.scene(grid, &settings.physics)?.setup().map(drop))?;
+    Ok(sequence)
+}
+
 /// The file of a score: all that it depends on is in its name, or in the checksum there.
 fn file(folder: &Path, what: &str, conditions: &Conditions) -> PathBuf {
     folder.join(format!("{what}_{:08x}.json", conditions.checksum()))
@@ -225,7 +229,21 @@ impl Kept {
     pub fn keep_imported(&self, folder: &Path) -> Result<()> {
         let Score { sequence, grid, solver, made_with, .. } = &self.score;
         let plain: String = solver.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
-        self.write(&file(folder, &format!("{sequence}_{grid}_{plain}_compared"), made_with))
+        // Of the name itself, too: several may look alike without their signs.
+        let system = format!("_{plain}-{:08x}_compared_", crc32fast::hash(solver.as_bytes()));
+        let own = file(folder, &format!("{sequence}_{grid}{}", system.trim_end_matches('_')), made_with);
+        // An earlier trajectory may have been on another grid.
+        let fail = |e| Error::io(folder, "cannot read the folder", e);
+        for entry in std::fs::read_dir(folder).map_err(fail)? {
+            let path = entry.map_err(fail)?.path();
+            let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+            let rest = name.strip_prefix(&format!("{sequence}_")).and_then(|rest| rest.split_once(&system));
+            // What is between is a grid, and no part of another sequence's name.
+            if rest.is_some_and(|(grid, _)| !grid.contains('_')) && path != own {
+                std::fs::remove_file(&path).map_err(|e| Error::io(&path, "cannot remove", e))?;
+            }
+        }
+        self.write(&own)
     }
 
     /// The score in a file, and the frames beside it.
@@ -267,8 +285,17 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
         own.sort();
         files.extend(own);
     }
-    let scores: Vec<Score> = files.iter().map(|file| Score::read(file)).collect::<Result<_>>()?;
-    let told: Vec<(&Path, &Score)> = files.iter().map(PathBuf::as_path).zip(&scores).collect();
+    let (mut scores, mut of_files): (Vec<Score>, Vec<&Path>) = (Vec::new(), Vec::new());
+    for file in &files {
+        let score = Score::read(file)?;
+        // Another system's may have been kept beside the solvers of several folders.
+        let imported = score.made_with.device.is_none();
+        if !(imported && scores.contains(&score)) {
+            scores.push(score);
+            of_files.push(file);
+        }
+    }
+    let told: Vec<(&Path, &Score)> = of_files.into_iter().zip(&scores).collect();
     belong_together(&told)?;
     Ok(scores)
 }

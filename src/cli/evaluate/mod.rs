@@ -18,7 +18,7 @@ use fnopt::io::write_atomic;
 use fnopt::network::Weights;
 use fnopt::sim::{Device, Optimizer};
 use indicatif::{ProgressBar, ProgressStyle};
-use jobs::{Kept, Plan};
+use jobs::{Kept, Plan, playable};
 use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -141,8 +141,11 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     // What is wrong with one sequence, or another system's trajectory of it, takes no others along.
     let mut wrong: Vec<Error> = Vec::new();
     let read = sequences(&args.ground_truth, args.sequences.as_deref())?;
-    let sequences: Vec<Sequence> =
-        read.into_iter().filter_map(|read| read.map_err(|error| wrong.push(error)).ok()).collect();
+    let sequences: Vec<Sequence> = read
+        .into_iter()
+        .map(|read| read.and_then(|sequence| playable(sequence, &grids, &settings)))
+        .filter_map(|read| read.map_err(|error| wrong.push(error)).ok())
+        .collect();
     let (index, count) = args.shard()?;
     // Others' trajectories first: what is wrong with them is then said before the work, not after it.
     let mut systems = Vec::new();
@@ -166,7 +169,9 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         }
     }
     if sequences.is_empty() && !wrong.is_empty() {
-        return Err(wrong.swap_remove(0).into());
+        let first = wrong.remove(0);
+        wrong.iter().for_each(|error| tell!("error: {error}"));
+        return Err(first.into());
     }
     wrong.iter().for_each(|error| tell!("error: {error}; the rest goes on"));
     let device = args.open(&entries)?;
