@@ -1,9 +1,15 @@
 //! What memory there is: a system that promises more than it has ends whoever takes it at its word.
 
-/// Makes room in `values` for `more`, exactly; whether there is any. (A reservation alone tells little where memory is
-/// promised that is not there, as on most Linux systems.)
-pub(crate) fn reserve<T>(values: &mut Vec<T>, more: usize) -> bool {
-    holds(more.saturating_mul(size_of::<T>())) && values.try_reserve_exact(more).is_ok()
+use crate::{Error, Result};
+
+/// Makes room in `values` for `more` of `what`, exactly; an error if there is none. (A reservation alone tells little where memory
+/// is promised that is not there, as on most Linux systems.)
+pub(crate) fn reserve<T>(values: &mut Vec<T>, more: usize, what: &str) -> Result<()> {
+    let bytes = more.saturating_mul(size_of::<T>());
+    if holds(bytes) && values.try_reserve_exact(more).is_ok() {
+        return Ok(());
+    }
+    Err(Error::Device(format!("cpu: no memory for {} of {what}", gib(bytes))))
 }
 
 /// Whether the machine has so many bytes left, as far as it tells. What is only reserved still counts as left: ask for all at once.
@@ -34,10 +40,12 @@ mod tests {
     #[test]
     fn what_is_not_there_is_not_promised() {
         let mut values: Vec<u8> = Vec::new();
-        assert!(reserve(&mut values, 1000) && values.capacity() >= 1000);
-        assert!(!reserve(&mut values, usize::MAX) && !reserve(&mut Vec::<u64>::new(), usize::MAX));
+        reserve(&mut values, 1000, "nothing").unwrap();
+        assert!(values.capacity() >= 1000);
+        assert!(reserve(&mut Vec::<u64>::new(), usize::MAX, "everything").is_err());
         if let Some(available) = available() {
-            assert!(!reserve(&mut values, 2 * available as usize));
+            let error = reserve(&mut values, 2 * available as usize, "bytes").unwrap_err().to_string();
+            assert!(error.contains("no memory for") && error.ends_with("GiB of bytes"), "{error}");
         }
     }
 }

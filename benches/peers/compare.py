@@ -2,9 +2,9 @@
 
     python3 benches/peers/compare.py [--grid 32,64,100] [--rounds 3] [--device cpu|cuda] [--adapter NAME] [--markdown FILE]
 
-Each round runs everything once, one after the other, on as many threads; a cell is the median of the rounds. Before that both compute the same
-frames from the same sheet, which must agree to 1e-3 of its side; exit code 1 when they do not. Needs PyTorch, numpy and
-safetensors, and the program built (`cargo build --release`).
+Each round runs everything once, one after the other, on as many threads; a cell is the median of the rounds. Before that
+both compute the same frames from the same sheet, which must agree to 1e-3 of its side; exit code 1 when they do not. Needs
+PyTorch, numpy and safetensors, and the program built (`cargo build --release`).
 """
 
 import argparse

@@ -113,10 +113,13 @@ pub fn run(args: &Args) -> Result<Ending> {
     if rows.is_empty() {
         return ended;
     }
-    let product = product_rate(&device).unwrap_or_else(|error| {
-        ended = std::mem::replace(&mut ended, Ok(Ending::Done)).and(Err(error));
-        f64::NAN
-    });
+    let product = match product_rate(&device) {
+        Ok(product) => product,
+        Err(error) => {
+            ended = ended.and(Err(error));
+            f64::NAN
+        }
+    };
     if args.json {
         let all = serde_json::json!({
             "device": device.name(), "solver": optimizer.name(), "product_gflop_per_s": product * 1e-9, "rows": rows

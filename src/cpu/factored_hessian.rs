@@ -27,6 +27,9 @@ const EASE: f64 = 2.0;
 /// Three unknowns to a particle want more together than faer's default; measured on 100x100.
 const RELAX: &[(usize, f64)] = &[(12, 1.0), (24, 0.8), (64, 0.1), (usize::MAX, 0.05)];
 
+/// What there is no memory for.
+const FACTORS: &str = "a Hessian's factors";
+
 /// The least pivot of a definite matrix, beside its largest element.
 const ROUNDING: f32 = 1e-6;
 
@@ -62,11 +65,8 @@ impl FactoredHessian {
         let (mut starts, mut rows, mut sources) = (vec![0], Vec::new(), Vec::new());
         // Of a component: the lower half of what it shares with its own particle and with the others.
         let most = 3 * n * (2 + 3 * AFTER);
-        if !memory::holds(most.saturating_mul(size_of::<usize>() + size_of::<u32>())) {
-            return Err(no_room(most.saturating_mul(size_of::<usize>() + size_of::<u32>())));
-        }
-        room(&mut rows, most)?;
-        room(&mut sources, most)?;
+        memory::reserve(&mut rows, most, FACTORS)?;
+        memory::reserve(&mut sources, most, FACTORS)?;
         for (place, &q) in order.iter().enumerate() {
             let mut later: Vec<usize> = neighbours(grid, q).map(|p| places[p]).collect();
             later.retain(|&other| other > place);
@@ -84,7 +84,7 @@ impl FactoredHessian {
             }
         }
         let mut values = Vec::new();
-        room(&mut values, rows.len())?;
+        memory::reserve(&mut values, rows.len(), FACTORS)?;
         values.resize(rows.len(), 0.0);
         let pattern = SymbolicSparseColMat::new_checked(3 * n, 3 * n, starts, None, rows);
         let supernodal_params = SymbolicSupernodalParams { relax: Some(RELAX) };
@@ -96,7 +96,7 @@ impl FactoredHessian {
             factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, ordering, params).map_err(unsolved)?
         };
         let mut factors = Vec::new();
-        room(&mut factors, symbolic.len_val())?;
+        memory::reserve(&mut factors, symbolic.len_val(), FACTORS)?;
         factors.resize(symbolic.len_val(), 0.0);
         let workspace = StackReq::or(
             symbolic.factorize_numeric_llt_scratch::<f32>(Par::Seq, Default::default()),
@@ -217,18 +217,6 @@ fn minimum_degree(grid: Grid) -> Result<(Vec<usize>, Vec<usize>)> {
     amd::order(&mut order, &mut places, pattern.as_ref(), amd::Control::default(), stack)
         .map_err(unsolved)?;
     Ok((order, places))
-}
-
-/// Makes room for so many numbers of the factors.
-fn room<T>(values: &mut Vec<T>, more: usize) -> Result<()> {
-    if memory::reserve(values, more) {
-        return Ok(());
-    }
-    Err(no_room(more.saturating_mul(size_of::<T>())))
-}
-
-fn no_room(bytes: usize) -> Error {
-    Error::Device(format!("cpu: no memory for {} of a Hessian's factors", memory::gib(bytes)))
 }
 
 fn unsolved(e: impl std::fmt::Debug) -> Error {

@@ -146,6 +146,11 @@ impl Score {
         column(&self.solver, self.iterations)
     }
 
+    /// Whether it is another system's ([`compare`]), which no device of ours has simulated.
+    pub fn is_imported(&self) -> bool {
+        self.iterations == 0 && self.made_with.device.is_none()
+    }
+
     /// Reads a score that [`Score::write`] kept.
     pub fn read(path: &Path) -> Result<Self> {
         read_kept(path)

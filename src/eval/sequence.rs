@@ -195,7 +195,8 @@ impl Sequence {
 
     /// Reads another system's trajectory of the cloth: an npz, npy or pc2 file or a folder of OBJ files. Its vertices are those of
     /// the mesh, where there is one, or else of the grid that its faces tell, of the truth's, or of a square one. Those of
-    /// a mesh are a single row; [`Sequence::on_grid`] carries them to a grid. Numbers that are not finite stay: that system diverged.
+    /// a mesh are a single row; [`Sequence::on_grid`] carries them to a grid. Numbers that are not finite
+    /// stay: that system diverged.
     pub fn read_other(&self, path: &Path) -> Result<Trajectory> {
         let fps = self.truth.fps();
         if let Some((_, recorded)) = &self.mesh {

@@ -34,11 +34,9 @@ const FIGURES: [Figure; 4] = [
 pub fn tables(scores: &[Score]) -> Vec<Table> {
     let groups = groups(scores);
     let mut tables = Vec::new();
-    // Another system has the grid it has, and stands beside the solvers on any.
-    let imported = groups.iter().all(Group::is_imported);
-    let own = groups.iter().filter(|group| imported || !group.is_imported());
-    for grid in distinct(own.map(|group| group.grid.clone())) {
-        let beside = |group: &&Group| group.grid == grid || (!imported && group.is_imported());
+    for grid in distinct(own(groups.iter()).map(|group| group.grid.clone())) {
+        // Another system has the grid it has, and stands beside the solvers on any.
+        let beside = |group: &&Group| group.grid == grid || group.is_imported();
         let here: Vec<&Group> = groups.iter().filter(beside).collect();
         for figure in &FIGURES {
             if here.iter().any(|group| group.scores().any(|s| (figure.of)(s).is_some())) {
@@ -73,9 +71,9 @@ impl<'a> Group<'a> {
         if self.grid == grid { self.column() } else { format!("{} ({})", self.column(), self.grid) }
     }
 
-    /// Whether it is another system's, which no device of ours has simulated.
+    /// Whether it is another system's.
     fn is_imported(&self) -> bool {
-        self.iterations == 0 && self.scores().all(|score| score.made_with.device.is_none())
+        self.scores().all(Score::is_imported)
     }
 
     fn scores(&self) -> impl Iterator<Item = &'a Score> {
@@ -164,6 +162,14 @@ fn groups(scores: &[Score]) -> Vec<Group<'_>> {
     joined
 }
 
+/// The solvers' groups; other systems' where there are no others.
+fn own<'g, 'a: 'g>(
+    groups: impl Iterator<Item = &'g Group<'a>> + Clone,
+) -> impl Iterator<Item = &'g Group<'a>> {
+    let alone = groups.clone().all(Group::is_imported);
+    groups.filter(move |group| alone || !group.is_imported())
+}
+
 fn by_grid(scores: &[Score]) -> Vec<Group<'_>> {
     let grids = distinct(scores.iter().map(|s| s.grid.clone()));
     let solvers = distinct(scores.iter().map(|s| (s.solver.clone(), s.iterations)));
@@ -209,15 +215,13 @@ struct BySequence {
 
 impl BySequence {
     fn new(figure: &Figure, groups: &[&Group]) -> Self {
-        let names = |group: &&Group| group.sequences.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
+        let names = |group: &Group| group.sequences.iter().map(|(name, _)| name.clone()).collect::<Vec<_>>();
         let row = |name: String| {
             let spreads = groups.iter().map(|group| group.spread(&name, figure)).collect();
             (name, spreads)
         };
         // Another system may have sequences that no solver has here.
-        let imported = groups.iter().all(|group| group.is_imported());
-        let own = groups.iter().filter(|group| imported || !group.is_imported());
-        let rows = distinct(own.flat_map(names)).into_iter().map(row).collect();
+        let rows = distinct(own(groups.iter().copied()).flat_map(names)).into_iter().map(row).collect();
         Self { digits: figure.digits, groups: groups.len(), rows }
     }
 

@@ -58,8 +58,8 @@ impl Trajectory {
         let points = frames.saturating_mul(self.grid.particles());
         let bytes = points.saturating_mul(24);
         if memory::holds(bytes)
-            && memory::reserve(&mut self.positions, points)
-            && memory::reserve(&mut self.velocities, points)
+            && self.positions.try_reserve_exact(points).is_ok()
+            && self.velocities.try_reserve_exact(points).is_ok()
         {
             return Ok(());
         }

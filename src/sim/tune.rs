@@ -16,8 +16,8 @@ const GAIN: f64 = 0.98;
 const DUEL: usize = 10;
 
 /// Searches the tuning with the least time per frame of `optimizer` on `model`, from `start`: respect by respect from the
-/// table's, each time keeping the best; the table's, unless the best one wins against it once more. `tried` is called with each tuning and its time \[ms\] and may end the search,
-/// with nothing found.
+/// table's, each time keeping the best; the table's, unless the best one wins against it once more. `tried` is called with each
+/// tuning and its time \[ms\] and may end the search, with nothing found.
 pub fn tune(
     context: &Context,
     (model, start): (&Model, &State<f32>),

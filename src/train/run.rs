@@ -131,9 +131,7 @@ impl Run {
         let (seed, rules) = (ranks.seed(config.seed), (config.motion, config.reset));
         let of = |(index, pool): (usize, &super::PoolConfig)| Pool::new(index, seed, pool.clone(), rules);
         let mut pools: Vec<Pool> = config.pools.iter().enumerate().map(of).collect();
-        for (pool, slots) in pools.iter_mut().zip(std::mem::take(&mut counters.pools)) {
-            pool.restore(slots, "checkpoint")?;
-        }
+        restore(&mut pools, &mut counters)?;
         counters.ranks = ranks.count();
         // The sums of gradients mean something only where all vectors have one order.
         let order = learner.order();
@@ -286,9 +284,7 @@ impl Run {
         let (newest, _) = self.folder.newest(&*self.ranks)?;
         let Some(Checkpoint { mut counters, tensors, .. }) = newest else { return Ok(false) };
         self.learner.load(&tensors)?;
-        for (pool, slots) in self.pools.iter_mut().zip(std::mem::take(&mut counters.pools)) {
-            pool.restore(slots, "checkpoint")?;
-        }
+        restore(&mut self.pools, &mut counters)?;
         self.counters = counters;
         Ok(true)
     }
@@ -376,6 +372,12 @@ impl Run {
         };
         card.write(&path)
     }
+}
+
+/// Gives pools the slots of a checkpoint, which counters keep no longer than that.
+fn restore(pools: &mut [Pool], counters: &mut Counters) -> Result<()> {
+    let all = std::mem::take(&mut counters.pools);
+    pools.iter_mut().zip(all).try_for_each(|(pool, slots)| pool.restore(slots, "checkpoint"))
 }
 
 /// Says so where a run goes on on another device: it then does not come to the same bits. Threads of a CPU do not matter.

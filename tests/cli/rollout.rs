@@ -34,14 +34,13 @@ fn a_rollout_writes_what_it_says() {
     assert!(report["ms_per_frame"].as_f64().unwrap() > 0.0);
     assert_eq!(report["version"], env!("CARGO_PKG_VERSION"));
     assert_eq!(report["settings"]["precision"], "f32");
-    let files: Vec<&str> =
+    let mut told: Vec<&str> =
         report["files"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
     let mut there: Vec<String> = std::fs::read_dir(folder.path().join("out"))
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
     there.sort();
-    let mut told = files.clone();
     told.sort_unstable();
     assert_eq!(told, there);
     let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/fnopt.safetensors");

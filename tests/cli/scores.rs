@@ -4,6 +4,14 @@ use super::command::{done, evaluate, fnopt, json, quiet, refused, refused_cleanl
 use serde_json::Value;
 use std::path::Path;
 
+/// Copies the sequence that ships.
+fn copy_sequence(to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for file in ["cloth_pos.npy", "handles.npy", "start.npy", "meta.json"] {
+        std::fs::copy(shipped().join("xy_v2").join(file), to.join(file)).unwrap();
+    }
+}
+
 #[test]
 fn an_evaluation_keeps_its_scores() {
     let folder = tempfile::tempdir().unwrap();
@@ -55,10 +63,7 @@ fn scores_are_those_of_the_files_that_are_there() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let to = at.join("truth/xy_v2");
-    std::fs::create_dir_all(&to).unwrap();
-    for file in ["cloth_pos.npy", "handles.npy", "start.npy", "meta.json"] {
-        std::fs::copy(shipped().join("xy_v2").join(file), to.join(file)).unwrap();
-    }
+    copy_sequence(&to);
     let run = || {
         let arguments = ["--frames", "4", "--points", "100", "--ground-truth", "truth", "--grid", "8"];
         let solver = ["--solver", "gd:3,lbfgs:3"];
@@ -214,13 +219,7 @@ fn a_task_of_an_array_does_its_share_and_says_so() {
 fn damaged_sequences_leave_the_others() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    for name in ["good", "torn"] {
-        std::fs::create_dir_all(at.join("truth").join(name)).unwrap();
-        for file in ["cloth_pos.npy", "handles.npy", "start.npy", "meta.json"] {
-            let to = at.join("truth").join(name).join(file);
-            std::fs::copy(shipped().join("xy_v2").join(file), to).unwrap();
-        }
-    }
+    ["good", "torn"].iter().for_each(|name| copy_sequence(&at.join("truth").join(name)));
     let run = |more: &[&str]| {
         let few = ["evaluate", "--ground-truth", "truth", "--frames", "4", "--points", "100", "--grid", "8"];
         quiet(at, &[&few[..], &["--solver", "gd:3", "--device", "cpu"], more].concat()).output().unwrap()

@@ -1,7 +1,7 @@
 //! Runs with a learner that computes nothing: what the folder holds, resuming, damage, losses that are not finite.
 
 use super::support::Fake;
-use fnopt::train::{Alone, Config, End, Learner, Limits, Run};
+use fnopt::train::{Alone, Config, End, Learner, Limits, Progress, Run};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -66,6 +66,11 @@ fn resume_given(root: &Path, given: Option<&Config>) -> fnopt::Result<(Run, Vec<
 
 fn train(run: &mut Run, steps: u64) -> End {
     run.train(&Limits { steps: Some(steps), minutes: None }, |_| ControlFlow::Continue(())).unwrap()
+}
+
+/// Interrupts a run after so many steps.
+fn stop(at: u64) -> impl Fn(&Progress<'_>) -> ControlFlow<()> {
+    move |progress| if progress.step == at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
 fn checkpoints(root: &Path) -> Vec<PathBuf> {
@@ -273,10 +278,7 @@ fn weights_that_are_not_finite_are_never_written() {
 fn a_checkpoint_that_no_step_follows_is_given_up() {
     let folder = tempfile::tempdir().unwrap();
     let mut run = longer(folder.path(), |fake| fake);
-    let stop = |p: &fnopt::train::Progress<'_>| {
-        if p.step == 5 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    };
-    assert_eq!(run.train(&Limits::default(), stop).unwrap(), End::Interrupted);
+    assert_eq!(run.train(&Limits::default(), stop(5)).unwrap(), End::Interrupted);
     drop(run);
     let learner = |config: &Config| Ok(Box::new(Fake::new(config).broken_at(0..50)) as Box<dyn Learner>);
     for (from, to) in [(5, 4), (4, 2), (2, 2)] {
@@ -313,10 +315,7 @@ fn a_validation_that_was_cut_off_is_made_up_for() {
     // One that was there is not made again after other steps.
     let folder = tempfile::tempdir().unwrap();
     let stop_at = |run: &mut Run, step| {
-        let stop = |p: &fnopt::train::Progress<'_>| {
-            if p.step == step { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        };
-        assert_eq!(run.train(&Limits::default(), stop).unwrap(), End::Interrupted);
+        assert_eq!(run.train(&Limits::default(), stop(step)).unwrap(), End::Interrupted);
     };
     let mut run = fresh(folder.path());
     stop_at(&mut run, 4);
@@ -349,11 +348,6 @@ fn steps_that_are_not_finite_count_over_sessions() {
 fn an_interrupted_run_and_one_out_of_time_can_be_resumed() {
     let folder = tempfile::tempdir().unwrap();
     let mut run = fresh(folder.path());
-    let stop = |at| {
-        move |p: &fnopt::train::Progress<'_>| {
-            if p.step == at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-        }
-    };
     assert_eq!(run.train(&Limits::default(), stop(3)).unwrap(), End::Interrupted);
     drop(run);
     let (mut run, _) = resume(folder.path()).unwrap();

@@ -289,8 +289,7 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
     for file in &files {
         let score = Score::read(file)?;
         // Another system's may have been kept beside the solvers of several folders.
-        let imported = score.made_with.device.is_none();
-        if !(imported && scores.contains(&score)) {
+        if !(score.is_imported() && scores.contains(&score)) {
             scores.push(score);
             of_files.push(file);
         }

@@ -148,26 +148,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         .collect();
     let (index, count) = args.shard()?;
     // Others' trajectories first: what is wrong with them is then said before the work, not after it.
-    let mut systems = Vec::new();
-    for (name, folder) in args.systems(&entries)? {
-        let mine = sequences.iter().skip(index).step_by(count);
-        for (sequence, path) in mine.filter_map(|sequence| Some((sequence, imported(&folder, sequence)?))) {
-            let read = sequence.read_other(&path);
-            let kept = read.and_then(|found| Kept::imported(sequence, &name, &found, &settings));
-            systems.extend(kept.map_err(|error| wrong.push(error)));
-        }
-        let lacking = |sequence: &&Sequence| imported(&folder, sequence).is_none();
-        let missing: Vec<&str> = sequences.iter().filter(lacking).map(|sequence| &*sequence.name).collect();
-        match missing.first() {
-            Some(first) if missing.len() == sequences.len() => {
-                let expected = format!("{first}.npz, .npy or .pc2, or a folder {first} of OBJ files");
-                let folder = folder.display().to_string();
-                return Err(Error::invalid(folder, "trajectory", expected, "none of them").into());
-            }
-            Some(_) => tell!("{name} lacks {}: those cells stay empty", missing.join(", ")),
-            None => {}
-        }
-    }
+    let systems = args.imported((&sequences, &entries), (index, count), &settings, &mut wrong)?;
     if sequences.is_empty() && !wrong.is_empty() {
         let first = wrong.remove(0);
         wrong.iter().for_each(|error| tell!("error: {error}"));
@@ -361,6 +342,37 @@ impl Args {
         self.compare.iter().map(&mut parse).collect()
     }
 
+    /// The scores of other systems on every `count`-th sequence from `index` on; what is wrong with one is added to `wrong`.
+    fn imported(
+        &self,
+        (sequences, entries): (&[Sequence], &[Entry]),
+        (index, count): (usize, usize),
+        settings: &Settings,
+        wrong: &mut Vec<Error>,
+    ) -> Result<Vec<Kept>> {
+        let mut all = Vec::new();
+        for (name, folder) in self.systems(entries)? {
+            let mine = sequences.iter().skip(index).step_by(count);
+            for (sequence, path) in mine.filter_map(|s| Some((s, trajectory(&folder, s)?))) {
+                let read = sequence.read_other(&path);
+                let kept = read.and_then(|found| Kept::imported(sequence, &name, &found, settings));
+                all.extend(kept.map_err(|error| wrong.push(error)));
+            }
+            let lacking = sequences.iter().filter(|sequence| trajectory(&folder, sequence).is_none());
+            let missing: Vec<&str> = lacking.map(|sequence| &*sequence.name).collect();
+            match missing.first() {
+                Some(first) if missing.len() == sequences.len() => {
+                    let expected = format!("{first}.npz, .npy or .pc2, or a folder {first} of OBJ files");
+                    let folder = folder.display().to_string();
+                    return Err(Error::invalid(folder, "trajectory", expected, "none of them").into());
+                }
+                Some(_) => tell!("{name} lacks {}: those cells stay empty", missing.join(", ")),
+                None => {}
+            }
+        }
+        Ok(all)
+    }
+
     /// Number of this share and number of shares; says which it is where nobody gave it.
     fn shard(&self) -> fnopt::Result<(usize, usize)> {
         let (origin, (index, count)) = match &self.shard {
@@ -472,7 +484,7 @@ fn share_of_slurm() -> Option<(usize, usize)> {
 }
 
 /// The file or folder of another system's trajectory of a sequence, if there is one.
-fn imported(folder: &Path, sequence: &Sequence) -> Option<PathBuf> {
+fn trajectory(folder: &Path, sequence: &Sequence) -> Option<PathBuf> {
     let names = ["npz", "npy", "pc2"].map(|e| format!("{}.{e}", sequence.name));
     let inside = ["rollout.npz", "cloth_pos.npy"].map(|file| format!("{}/{file}", sequence.name));
     let all = names.into_iter().chain(inside).chain([sequence.name.clone()]).map(|name| folder.join(name));

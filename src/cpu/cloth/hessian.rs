@@ -9,7 +9,7 @@ use super::{Factors, Trial};
 use crate::cpu::Real;
 use crate::cpu::matmul::LANES;
 use crate::sim::Grid;
-use crate::{Error, Result, memory};
+use crate::{Result, memory};
 use pulp::{Arch, Simd, WithSimd};
 use std::f64::consts::FRAC_PI_2;
 
@@ -77,9 +77,7 @@ impl Hessian {
         let stored = Stored::new(grid.w);
         let edges = || [(); 2].map(|()| vec![0.0; 4 * stored.stride]);
         let (len, mut values) = (LANES + grid.h * PLANES * stored.stride, Vec::new());
-        if !memory::reserve(&mut values, len) {
-            return Err(Error::Device(format!("cpu: no memory for a Hessian of {}", memory::gib(8 * len))));
-        }
+        memory::reserve(&mut values, len, "a Hessian")?;
         values.resize(len, 0.0);
         Ok(Self { grid, stored, values, work: Work { vertical: edges(), horizontal: edges() } })
     }

@@ -10,7 +10,7 @@ use super::{band_rows, padded};
 use crate::cpu::real::Real;
 use crate::network::{Config, Weights};
 use crate::sim::Grid;
-use crate::{Error, Result, memory};
+use crate::{Result, memory};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -94,10 +94,7 @@ struct Buffers<T> {
 /// Room for activations [positions, channels], by far the largest of what a pass needs.
 fn activation<T: Real>(positions: usize, channels: usize) -> Result<Vec<T>> {
     let mut room = Vec::new();
-    if !memory::reserve(&mut room, positions * channels) {
-        let gib = memory::gib(positions * channels * size_of::<T>());
-        return Err(Error::Device(format!("cpu: no memory for {gib} of activations")));
-    }
+    memory::reserve(&mut room, positions * channels, "activations")?;
     room.resize(positions * channels, T::zero());
     Ok(room)
 }
