@@ -18,6 +18,8 @@ const HALVINGS: usize = 30;
 const AT_REST: usize = 10;
 /// Steps since then that correct them.
 const HISTORY: usize = 8;
+/// How often the gradient may rise before factors are made anew: they cost as much as a dozen steps.
+const RISES: usize = 2;
 
 /// Finds the minimum of a frame of one cloth in double precision: Newton's method on the Hessian, projected where it is not
 /// positive definite, with line search. Factors are most of its time: it begins with a few steps of the quasi-Newton method, and
@@ -94,14 +96,14 @@ impl Reference {
         // What a frame finds shall not depend on the frames before it.
         self.hessian.reset();
         self.history.clear();
-        let (mut inverse, mut iterations) = (Inverse::AtRest, 0);
+        let (mut inverse, mut iterations, mut rises) = (Inverse::AtRest, 0, 0);
         while norm(&grad) > self.tolerance && iterations < self.iterations {
             if inverse == Inverse::Missing {
                 if self.hessian.factor(&self.objective.trial.cloth(state, 0)).is_err() {
                     break;
                 }
                 self.history.clear();
-                inverse = Inverse::Here;
+                (inverse, rises) = (Inverse::Here, 0);
             }
             self.history.remember(&grad, 0.0);
             match inverse {
@@ -119,10 +121,10 @@ impl Reference {
             let before = norm(&grad);
             grad = self.gradient(state, control);
             iterations += 1;
+            rises += usize::from(norm(&grad) > before);
             inverse = match inverse {
                 Inverse::AtRest if iterations < AT_REST => Inverse::AtRest,
-                // Factors cost as much as a dozen steps: as long as a step brings the gradient down at all, they will do.
-                Inverse::Here | Inverse::Earlier if norm(&grad) <= before => Inverse::Earlier,
+                Inverse::Here | Inverse::Earlier if rises <= RISES => Inverse::Earlier,
                 _ => Inverse::Missing,
             };
         }
