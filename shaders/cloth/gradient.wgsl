@@ -61,10 +61,10 @@ fn position(lane: u32, rows: i32, columns: i32) -> vec3f {
     return offset(starts[other], starts[own], shifts[other], shifts[own], params.zero);
 }
 
-// d(|edge| - 1)^2 / dp for the edge from p, if it exists.
+// d(|edge| - 1)^2 / dp for the edge from p, if it exists and has a length, which one has not whose square is no normal number.
 fn stretch(edge: vec3f, exists: bool) -> vec3f {
-    let l = max(length(edge), 1e-30);
-    return select(vec3f(), -2.0 * (l - 1.0) / l * edge, exists);
+    let l = length(edge);
+    return select(vec3f(), -2.0 * (l - 1.0) / max(l, 1e-18) * edge, exists && l > 1e-18);
 }
 
 // d/dp of the four squared corner angles of a cell, if it exists; its other corners are seen from p, `corner` opposite to it.

@@ -38,10 +38,13 @@ fn angle_gradient(u: vec3f, w: vec3f, rest: f32) -> AnglePair {
     var factor = 0.0; // 2 (angle - rest) / sine
     if sine > 1e-30 {
         factor = 2.0 * (angle(sine, cosine) - rest) / sine;
-    } else if cosine > 0.0 && rest == 0.0 {
+    } else if cosine > 1e-37 && rest == 0.0 {
         factor = 2.0 / cosine;
     }
     let uu = max(dot(u, u), 1e-30);
     let ww = max(dot(w, w), 1e-30);
-    return AnglePair(cross(u, c) * (factor / uu), cross(c, w) * (factor / ww));
+    // Where an edge has hardly any length a quotient may be too large for a number, and times a zero vector would be none.
+    let by_u = clamp(factor / uu, -3e38, 3e38);
+    let by_w = clamp(factor / ww, -3e38, 3e38);
+    return AnglePair(cross(u, c) * by_u, cross(c, w) * by_w);
 }

@@ -16,8 +16,8 @@ struct FieldsOf {
 // Sixteen sums of parts for either of two.
 var<workgroup> sums_of_parts: array<f32, 32>;
 
-// sqrt n / |g| and sqrt n / |d| of a sample. All of a workgroup, `lanes` of them, take part. Norms are kept above 1e-30, so that a
-// zero field stays zero.
+// sqrt n / |g| and sqrt n / |d| of a sample. All of a workgroup, `lanes` of them, take part. The root mean square is kept above 1e-19,
+// so that a zero field stays zero and one whose squares are no normal numbers is not blown up.
 fn inverse_sizes(at: FieldsOf, index: u32, lanes: u32) -> vec2f {
     for (var k = index; k < 32u; k += lanes) {
         var sum = 0.0;
@@ -31,7 +31,8 @@ fn inverse_sizes(at: FieldsOf, index: u32, lanes: u32) -> vec2f {
     for (var k = 0u; k < 32u; k += 2u) {
         squares += vec2f(sums_of_parts[k], sums_of_parts[k + 1u]);
     }
-    return sqrt(f32(at.rows * at.columns)) / max(sqrt(squares), vec2f(1e-30));
+    let root = sqrt(f32(at.rows * at.columns));
+    return root / max(sqrt(squares), vec2f(1e-19 * root));
 }
 
 // Channel e at a quad of a row; zero beyond the last column.

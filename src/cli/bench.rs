@@ -314,6 +314,10 @@ fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
     if let Some(ms) = row.ms_together {
         writeln!(out, "  {ms:.3} ms/frame where a submission is of {TOGETHER} frames")?;
     }
+    let timed: usize = row.kernels.iter().map(|k| k.dispatches).sum();
+    if timed > 0 && row.dispatches.is_some_and(|all| all > timed) {
+        writeln!(out, "  the first {timed} of them by kernel:")?;
+    }
     let total: f64 = row.kernels.iter().map(|k| k.ms).sum();
     for k in &row.kernels {
         let share = 100.0 * k.ms / total;

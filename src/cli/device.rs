@@ -47,9 +47,13 @@ impl DeviceArgs {
                 Some(context) => context,
                 None => Context::headless(&AdapterChoice::Best)?,
             },
-            (None, DeviceKind::Auto) => match Context::hardware(turn)? {
-                Some(context) => context,
-                None => return Ok(cpu("no hardware adapter")),
+            (None, DeviceKind::Auto) => match Context::hardware(turn) {
+                Ok(Some(context)) => context,
+                Ok(None) => return Ok(cpu("no hardware adapter")),
+                Err(error) => {
+                    tracing::warn!("{error}");
+                    return Ok(cpu("the hardware adapter cannot be used"));
+                }
             },
             (None, DeviceKind::Cpu) => return Ok(cpu("asked for")),
         };

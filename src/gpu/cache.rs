@@ -118,7 +118,7 @@ impl Context {
 }
 
 /// A pipeline cache that begins with the data of [`Context::stored_pipelines`].
-#[allow(unsafe_code, reason = "one of two exceptions; see SAFETY")]
+#[allow(unsafe_code, reason = "one of three exceptions; see SAFETY")]
 fn create(device: &wgpu::Device, data: Option<&[u8]>) -> wgpu::PipelineCache {
     let descriptor = wgpu::PipelineCacheDescriptor { label: Some("fnopt"), data, fallback: true };
     // SAFETY: the data must be what `wgpu::PipelineCache::get_data` returned, and it is what `Context::store_pipelines` wrote of

@@ -217,7 +217,7 @@ fn layout(device: &wgpu::Device, name: &'static str, bindings: &[Binding]) -> wg
 }
 
 /// A shader module without naga's index clamps and loop counters, which cost up to ten times in the inner loops.
-#[allow(unsafe_code, reason = "one of two exceptions; see SAFETY")]
+#[allow(unsafe_code, reason = "one of three exceptions; see SAFETY")]
 fn trusted_module(device: &wgpu::Device, name: &str, module: naga::Module) -> wgpu::ShaderModule {
     // Parsed already, for the bindings.
     let source = wgpu::ShaderSource::Naga(Cow::Owned(module));

@@ -18,8 +18,8 @@ mod template;
 mod tensor;
 
 pub(crate) use cache::CACHE_FOLDER;
-pub(crate) use context::WORKGROUP_INVOCATIONS;
 pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters};
+pub(crate) use context::{WORKGROUP_INVOCATIONS, WORKGROUPS};
 pub use kernel::Binding;
 pub(crate) use kernel::Kernel;
 pub use profile::Profile;

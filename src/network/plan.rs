@@ -1,7 +1,7 @@
 //! What the forward pass is made for, and what its blocks do there.
 
 use super::{Config, Layout};
-use crate::gpu::Context;
+use crate::gpu::{Context, WORKGROUPS};
 use crate::kernels::operator::{Block, Epilogue, LayerSize};
 use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
 use crate::sim::Grid;
@@ -31,12 +31,15 @@ pub enum Keep {
 }
 
 impl Plan {
-    /// The same for as many samples in turn as activations no larger than the tuning wants and the device binds are of: whole
+    /// The same for as many samples in turn as activations no larger than the tuning wants, and the device binds and dispatches, are of: whole
     /// cloths in turns of nearly one length, or single samples where no cloth fits.
     pub fn in_turns(&self, context: &Context, config: Config) -> Self {
-        let config = Layout::new(config, self.tuning.channels).padded();
-        let widest = config.channels.max(config.projection);
-        let cloths = self.tuning.most_samples(context, widest * self.grid.h * padded(self.grid.w)) / 3;
+        let layout = Layout::new(config, self.tuning.channels);
+        let widest = layout.padded().channels.max(layout.padded().projection);
+        let bound = self.tuning.most_samples(context, widest * self.grid.h * padded(self.grid.w));
+        // A workgroup of a block has so many channels, and only so many workgroups go along its dimension of a dispatch.
+        let dispatched = WORKGROUPS as usize * layout.tile() * self.tuning.block_deep as usize / widest;
+        let cloths = bound.min(dispatched) / 3;
         let samples = match cloths {
             0 => 1,
             _ => self.samples.div_ceil(self.samples.div_ceil(3 * cloths).max(1)).next_multiple_of(3),

@@ -7,8 +7,10 @@ use crate::kernels::Tuning;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-/// Frames of a measurement; the first is not timed, because drivers compile then.
-const FRAMES: usize = 5;
+/// Least frames of a measurement after the first, which is not timed, because drivers compile then; and its least time \[s\], for
+/// devices that raise their clocks only under load.
+const FRAMES: usize = 4;
+const SECONDS: f64 = 0.1;
 /// How much faster another tuning must be to be taken: less is noise.
 const GAIN: f64 = 0.98;
 /// Frames of the best tuning and of the table's in turn, at the end. Of many measurements the least is the luckiest one: what was
@@ -36,27 +38,37 @@ pub fn tune(
         context.wait()?;
         Ok(1e3 * begun.elapsed().as_secs_f64())
     };
-    let mut time = |tuning: &Tuning| -> Result<(f64, ControlFlow<()>)> {
-        let (solver, mut least) = (solver(tuning)?, f64::INFINITY);
-        frame(&solver)?;
-        for _ in 1..FRAMES {
-            least = least.min(frame(&solver)?);
+    let mut time = |tuning: &Tuning, solver: &Solver| -> Result<(f64, ControlFlow<()>)> {
+        frame(solver)?;
+        let (begun, mut frames, mut least) = (Instant::now(), 0, f64::INFINITY);
+        while frames < FRAMES || begun.elapsed().as_secs_f64() < SECONDS {
+            least = least.min(frame(solver)?);
+            frames += 1;
         }
         Ok((least, tried(tuning, least)))
     };
     let table = Tuning::table(context);
     let mut best = table;
-    let (mut least, mut flow) = time(&best)?;
+    let of_best = solver(&best)?;
+    let mut dispatches = of_best.frame().dispatches();
+    let (mut least, mut flow) = time(&best, &of_best)?;
+    drop(of_best);
     for respect in 0..best.neighbours(context).len() {
         let before = best;
         for tuning in &before.neighbours(context)[respect] {
             if flow.is_break() {
                 return Ok(table);
             }
+            let tried = solver(tuning)?;
+            // Turns of another length that come to the same here are for chance to choose, and for other batches to bear.
+            let as_many_turns = tried.frame().dispatches() == dispatches;
+            if as_many_turns && (Tuning { activation_bytes: best.activation_bytes, ..*tuning }) == best {
+                continue;
+            }
             let measured;
-            (measured, flow) = time(tuning)?;
+            (measured, flow) = time(tuning, &tried)?;
             if measured < GAIN * least {
-                (best, least) = (*tuning, measured);
+                (best, least, dispatches) = (*tuning, measured, tried.frame().dispatches());
             }
         }
     }

@@ -12,8 +12,8 @@ use fnopt::sim::Grid;
 /// `10 tanh(field / rms / 10)`, with the root mean square of `of`.
 fn squashed(field: &[f32], of: &[f32]) -> Vec<f64> {
     let squares: f64 = widened(of).iter().map(|v| v * v).sum();
-    // The shader keeps the norm above this, so that a zero field stays zero.
-    let rms = squares.sqrt().max(1e-30) / (of.len() as f64).sqrt();
+    // The shader keeps it above this, so that a zero field stays zero.
+    let rms = (squares / of.len() as f64).sqrt().max(1e-19);
     field.iter().map(|&v| 10.0 * (f64::from(v) / rms / 10.0).tanh()).collect()
 }
 
@@ -75,6 +75,32 @@ fn normalised_fields_and_positions_match() {
         let grad: Vec<f32> = spiky(samples * n, 91).collect();
         let hidden: Vec<f32> = spiky(2 * samples * n, 92).collect();
         check(&kernel, (grid, samples), &grad, &hidden, &format!("features {batch} x {grid}"));
+    }
+}
+
+/// Where squares are no normal numbers, which a device may take for zeros, a field is not blown up.
+#[test]
+fn tiny_fields_stay_small() {
+    let _turn = device();
+    let kernel = Features::new(context()).unwrap();
+    let (grid, samples) = (crate::common::GRIDS[1], 3);
+    let tiny = |size: f32, seed| -> Vec<f32> {
+        noise(samples * grid.particles(), seed).into_iter().map(|v| size * v).collect()
+    };
+    for size in [1e-21, 1e-23, 1e-30, 1e-38] {
+        let (grad, step) = (tiny(size, 94), tiny(size, 95));
+        let slots = vec![0; grid.particles()];
+        let iterate = Iterate::with_hidden(context(), 1, &slots).unwrap();
+        iterate.grad.write(context(), &grad);
+        iterate.hidden_state().write(context(), &[grad.clone(), step.clone()].concat());
+        let squares = sums(grid, samples, [&grad, &step]);
+        let sums = &tensor("sums", &[samples, parts(grid), 2], &squares);
+        let embedded = poisoned("embedded", &[samples, grid.h, 5, padded(grid.w)]);
+        let fields = Fields { iterate: &iterate, sums, first: 0 };
+        run(|schedule| kernel.push(schedule, grid, fields, &embedded));
+        let found = read_channels(&embedded, grid);
+        let largest = found.iter().fold(0.0, |most: f32, v| most.max(v.abs()));
+        assert!(found.iter().all(|v| v.is_finite()) && largest <= 2.0, "{size:e}: {largest}");
     }
 }
 

@@ -98,6 +98,29 @@ fn degenerate_cloths_have_finite_gradients() {
     }
 }
 
+/// Edges of hardly any length: what divides by them must not overflow.
+#[test]
+fn collapsed_cloths_have_finite_gradients() {
+    let _turn = device();
+    let kernel = Gradient::new(context()).unwrap();
+    let grid = Grid { h: 9, w: 8 };
+    let (model, n) = (model(grid, 1), grid.particles());
+    for size in [1e-9, 2e-10, 1e-15, 1e-19, 1e-30] {
+        // A plane, one whose rows lie in one line, and a crumpled lump.
+        let plane: Vec<f32> = State::<f32>::rest(grid, 1).x.iter().map(|x| size * x).collect();
+        let line: Vec<f32> = plane.iter().enumerate().map(|(k, x)| if k < n { *x } else { 0.0 }).collect();
+        let lump: Vec<f32> = noise(3 * n, 86).into_iter().map(|v| size * v).collect();
+        for x in [plane, line, lump] {
+            let zero = vec![0.0; x.len()];
+            let (found, _) = both(&kernel, &model, [&x, &zero, &zero, &zero]);
+            let largest = found.iter().fold(0.0, |most: f64, v| most.max(f64::from(v.abs())));
+            // Of an angle it is no more than pi by a side.
+            let bound = 1e3 * (1.0 + 1.0 / f64::from(size).max(1e-18));
+            assert!(found.iter().all(|v| v.is_finite()) && largest < bound, "{size:e}: {largest:e}");
+        }
+    }
+}
+
 /// The sums of squares that the gradient leaves for its norm and that of the last step, on grids with as many parts as tiles, and
 /// on one with fewer.
 #[test]
