@@ -9,6 +9,7 @@ use rayon::prelude::*;
 
 /// Advances a batch of cloths frame by frame.
 pub struct Solver<T: Real> {
+    optimizer: Optimizer,
     method: Method<T>,
     log: Iterations,
     objective: Objective<T>,
@@ -32,14 +33,30 @@ impl<T: Real> Solver<T> {
         model.check()?;
         optimizer.check()?;
         let method = match optimizer {
-            Optimizer::Newton => {
-                let alone = |cloth: &Cloth| Model { grid: model.grid, cloths: vec![cloth.clone()] };
-                let references = model.cloths.iter().map(|cloth| Reference::new(&alone(cloth)));
-                Method::Newton(references.collect::<Result<_>>()?)
-            }
+            Optimizer::Newton => Method::Newton(references(model)?),
             optimizer => Method::Steps(iterations, minimizer(optimizer, model)?),
         };
-        Ok(Self { method, log: Iterations::default(), objective: Objective::new(model) })
+        let (optimizer, objective) = (optimizer.clone(), Objective::new(model));
+        Ok(Self { optimizer, method, log: Iterations::default(), objective })
+    }
+
+    /// Gives the cloths other materials, gravity, air, repulsion or handles, from the next frame on. What the learned optimizer and
+    /// Adam remember stays.
+    ///
+    /// An error if there are more or fewer cloths, or they are no model ([`Model::check`]), or for Newton's method if one has a
+    /// repulsion; nothing is changed then.
+    pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
+        let model = self.objective.model().with_cloths(cloths)?;
+        match (&mut self.method, &self.optimizer) {
+            (Method::Newton(all), _) => *all = references(&model)?,
+            // It begins with the Hessian of the cloth at rest, whose handles are held.
+            (Method::Steps(_, method), Optimizer::QuasiNewton { .. }) => {
+                *method = minimizer(&self.optimizer, &model)?;
+            }
+            (Method::Steps(..), _) => {}
+        }
+        self.objective.set_model(&model);
+        Ok(())
     }
 
     /// Advances `state` by one frame driven by `control`; statistics of each cloth.
@@ -158,4 +175,10 @@ fn part<T: Real>(
         external: if control.external.is_empty() { Vec::new() } else { wide(&control.external) },
     };
     (state, control)
+}
+
+/// What finds the minimum of each cloth.
+fn references(model: &Model) -> Result<Vec<Reference>> {
+    let alone = |cloth: &Cloth| Model { grid: model.grid, cloths: vec![cloth.clone()] };
+    model.cloths.iter().map(|cloth| Reference::new(&alone(cloth))).collect()
 }

@@ -150,7 +150,8 @@ impl Tensor {
 
     /// Reads the whole content, waiting for everything submitted so far: for tests, start and end, not for frames.
     pub fn read<T: bytemuck::Pod>(&self, context: &Context) -> Result<Vec<T>> {
-        let mut readback = super::Readback::new(context, &[self], 1);
+        // On a device that is lost it would be no buffer, and mapping that panics.
+        let mut readback = context.checked(|| Ok(super::Readback::new(context, &[self], 1)))?;
         let submission = context.submit(|encoder| readback.record(encoder));
         readback.submitted(&submission);
         let content = readback.next(context, bytemuck::pod_collect_to_vec)?;
@@ -167,8 +168,8 @@ impl Tensor {
         self.offset
     }
 
-    /// What a kernel binds: the content, rounded up to whole vec4.
-    pub(super) fn binding(&self) -> wgpu::BindingResource<'_> {
+    /// What a kernel binds, this crate's or another: the content, rounded up to whole vec4.
+    pub fn binding(&self) -> wgpu::BindingResource<'_> {
         let size = self.bytes().max(4).next_multiple_of(16);
         let size = std::num::NonZeroU64::new(size.min(self.buffer.size() - self.offset));
         wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &self.buffer, offset: self.offset, size })

@@ -67,6 +67,11 @@ impl Checkpoint {
 
     /// The weights of the network; an error if a tensor is missing, surplus, of another shape or not finite.
     pub fn weights(&self) -> Result<Weights> {
+        if self.metadata.contains_key("counters") {
+            let expected =
+                "weights; they are in the run's folder, weights/last.safetensors and best.safetensors";
+            return Err(Error::invalid(&self.origin, "checkpoint", expected, "the state of a training run"));
+        }
         let config = match self.metadata.get("config") {
             Some(json) => self.config_from_json(json)?,
             None => self.config_from_shapes()?,
@@ -314,8 +319,8 @@ impl fmt::Display for Description {
 
 impl Weights {
     /// Reads the weights of a checkpoint file.
-    pub fn load(path: &Path) -> Result<Self> {
-        Checkpoint::open(path)?.weights()
+    pub fn load(path: impl AsRef<Path>) -> Result<Self> {
+        Checkpoint::open(path.as_ref())?.weights()
     }
 
     /// Reads the weights of a checkpoint that is in memory; `origin` names it in errors.

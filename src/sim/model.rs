@@ -94,8 +94,8 @@ impl Model {
         self.cloths.len()
     }
 
-    /// An error if there is no cloth, a handle is no particle of the grid or named twice, or a repulsion has other numbers than
-    /// [`Repulsion`] tells.
+    /// An error if there is no cloth, a handle is no particle of the grid or named twice, a repulsion has other numbers than
+    /// [`Repulsion`] tells, or another number is not finite or, where it is no direction, negative.
     pub fn check(&self) -> Result<()> {
         Grid::new(self.grid.h, self.grid.w, "model")?;
         let n = self.grid.particles();
@@ -103,6 +103,26 @@ impl Model {
             return Err(Error::invalid("model", "cloths", "at least one", 0));
         }
         for (b, cloth) in self.cloths.iter().enumerate() {
+            let Cloth { material: Material { stretch, shear, bend }, air, gravity, .. } = *cloth;
+            let coefficients = [
+                ("stretch", stretch),
+                ("shear", shear),
+                ("bend", bend),
+                ("air density", air.density),
+                ("air drag", air.drag),
+            ];
+            let refused = |what: &str, expected: &str, found: f64| {
+                Err(Error::invalid("model", format!("{what} of cloth {b}"), expected, found))
+            };
+            // As the device has them, where they are beyond single precision.
+            if let Some(&(what, k)) =
+                coefficients.iter().find(|(_, k)| !(*k >= 0.0 && (*k as f32).is_finite()))
+            {
+                return refused(what, "a finite number that is not negative", k);
+            }
+            if let Some(&g) = gravity.iter().find(|g| !(**g as f32).is_finite()) {
+                return refused("gravity", "finite numbers", g);
+            }
             if let Some(repulsion) = cloth.repulsion {
                 repulsion.check("model", &format!("repulsion of cloth {b}"))?;
             }
@@ -121,6 +141,19 @@ impl Model {
             }
         }
         Ok(())
+    }
+
+    /// These cloths in place of the model's; an error if there are more or fewer, or they are no model ([`Model::check`]).
+    pub(crate) fn with_cloths(&self, cloths: &[Cloth]) -> Result<Self> {
+        let model = Self { grid: self.grid, cloths: cloths.to_vec() };
+        model.check()?;
+        match model.batch() == self.batch() {
+            true => Ok(model),
+            false => {
+                let expected = format!("{}, as many as the solver was made for", self.batch());
+                Err(Error::invalid("model", "cloths", expected, model.batch()))
+            }
+        }
     }
 
     /// Whether any cloth has a repulsion.

@@ -1,6 +1,6 @@
 //! Frames on any device, submitted and read back.
 
-use super::{Control, FrameStats, Model, Optimizer, Solver, SolverOptions, State};
+use super::{Cloth, Control, FrameStats, Model, Optimizer, Solver, SolverOptions, State};
 use crate::gpu::{Context, Readback, Storage};
 use crate::{Error, Result, cpu};
 use std::ops::ControlFlow;
@@ -101,6 +101,16 @@ impl Simulator {
                 state.clone_from(start);
             }
             Backend::Gpu { solver, .. } => solver.set_state(start),
+        }
+    }
+
+    /// Gives the cloths other materials, gravity, air, repulsion or handles, whose positions the next control tells.
+    ///
+    /// An error as of [`Solver::set_cloths`] or [`cpu::Solver::set_cloths`].
+    pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
+        match &mut self.backend {
+            Backend::Cpu { solver, .. } => solver.set_cloths(cloths),
+            Backend::Gpu { solver, .. } => solver.set_cloths(cloths),
         }
     }
 

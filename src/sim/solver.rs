@@ -47,7 +47,9 @@ pub struct Solver {
     x: Tensor,
     v: Tensor,
     cloths: Tensor,
+    /// Where handles go, shape [handles, 3], and the tensor that this is the beginning of, with room for every particle.
     targets: Tensor,
+    room: Tensor,
     given: Tensor,
     /// Whether a frame looks for what repels each other.
     repels: bool,
@@ -151,6 +153,7 @@ impl Solver {
             }
         };
         let slots = model.handle_slots();
+        let room = zeros("handle targets", &[batch * n, 3])?;
         let iterate = match rule {
             Rule::Learned { .. } => Iterate::with_hidden(context, batch, &slots)?,
             _ => Iterate::new(context, batch, &slots)?,
@@ -170,7 +173,8 @@ impl Solver {
                 &[batch, ClothParams::LEN],
                 &ClothParams::all(model, &[]),
             )?,
-            targets: zeros("handle targets", &[model.handles(), 3])?,
+            targets: room.view(0, &[model.handles(), 3]),
+            room,
             given: field("given accelerations")?,
             repels: model.repels(),
             windy: AtomicBool::new(false),
@@ -192,10 +196,10 @@ impl Solver {
     fn schedule(&self) -> Result<Schedule> {
         let (context, grid) = (&self.context, self.model.grid);
         let mut frame = Schedule::new(context);
-        let Self { x, v, cloths, targets, given, external, iterate, .. } = self;
+        let Self { x, v, cloths, room, given, external, iterate, .. } = self;
         let batch = self.model.batch();
 
-        let state = StateTensors { x, v, targets };
+        let state = StateTensors { x, v, targets: room };
         Predict::new(context)?.push(&mut frame, state, iterate);
         ExternalForce::new(context)?.push(
             &mut frame,
@@ -296,22 +300,21 @@ impl Solver {
         }
     }
 
-    /// Gives the cloths other materials, gravity, air or repulsion, ahead of whatever is submitted next. Wind ends, until a control
-    /// tells it again.
+    /// Gives the cloths other materials, gravity, air, repulsion or handles, ahead of whatever is submitted next. Wind ends, until a
+    /// control tells it again. Where handles are others, a control must tell where they are before the next frame.
     ///
-    /// An error if there are more or fewer cloths, they have other handles, or one has a repulsion though the solver was made
-    /// without any: those take a new solver.
+    /// An error if there are more or fewer cloths, they are no model ([`Model::check`]), or one has a repulsion though the solver
+    /// was made without any: that takes a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
-        let model = Model { grid: self.model.grid, cloths: cloths.to_vec() };
-        model.check()?;
-        let handles = |model: &Model| model.cloths.iter().map(|c| c.handles.clone()).collect::<Vec<_>>();
-        if handles(&model) != handles(&self.model) {
-            let found = "other cloths or handles";
-            return Err(Error::invalid("model", "handles", "those that the solver was made for", found));
-        }
+        let model = self.model.with_cloths(cloths)?;
         if model.repels() && !self.repels {
             let expected = "none, as when the solver was made";
             return Err(Error::invalid("model", "repulsion", expected, "some"));
+        }
+        let slots = model.handle_slots();
+        if slots != self.model.handle_slots() {
+            self.iterate.slots.write(&self.context, &slots);
+            self.targets = self.room.view(0, &[model.handles(), 3]);
         }
         self.model = model;
         self.windy.store(false, Ordering::Relaxed);
@@ -343,6 +346,8 @@ impl Solver {
         for (tensor, bytes) in self.changes(control) {
             tensor.write(&self.context, &bytes);
         }
+        self.windy.store(!control.wind.is_empty(), Ordering::Relaxed);
+        self.accelerated.store(!control.external.is_empty(), Ordering::Relaxed);
     }
 
     /// Records a frame for each control, so that one submission advances them all; of the frames in between nothing is left.
@@ -370,17 +375,21 @@ impl Solver {
         let batch = self.model.batch();
         assert_eq!(control.handles.len(), self.model.handles(), "every handle needs a position");
         assert!(control.wind.is_empty() || control.wind.len() == batch, "one wind velocity for each cloth");
+        let accelerated = !control.external.is_empty();
+        assert!(
+            !accelerated || control.external.len() == self.given.len(),
+            "external has shape [B, 3, H, W]"
+        );
         let mut changes = vec![(&self.targets, Cow::from(bytemuck::cast_slice(&control.handles)))];
-        // A control without wind or accelerations means none, whatever the one before it said.
+        // A control without wind or accelerations means none, whatever the one before it said. What is recorded may never be
+        // submitted: only what is set makes sure that none is left.
         let windy = !control.wind.is_empty();
-        if self.windy.swap(windy, Ordering::Relaxed) || windy {
+        if self.windy.fetch_or(windy, Ordering::Relaxed) || windy {
             let params = ClothParams::all(&self.model, &control.wind);
             changes.push((&self.cloths, bytemuck::cast_slice(&params).to_vec().into()));
         }
-        let accelerated = !control.external.is_empty();
-        let was_accelerated = self.accelerated.swap(accelerated, Ordering::Relaxed);
+        let was_accelerated = self.accelerated.fetch_or(accelerated, Ordering::Relaxed);
         if accelerated {
-            assert_eq!(control.external.len(), self.given.len(), "external has shape [B, 3, H, W]");
             changes.push((&self.given, Cow::from(bytemuck::cast_slice(&control.external))));
         } else if was_accelerated {
             changes.push((&self.given, vec![0; self.given.bytes() as usize].into()));

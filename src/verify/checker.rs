@@ -41,7 +41,7 @@ impl Checker<'_> {
 
     /// The weights of another file of the folder.
     pub fn weights(&self, name: &str) -> Result<Weights> {
-        Weights::load(&self.folder.join(name).with_extension("safetensors"))
+        Weights::load(self.folder.join(name).with_extension("safetensors"))
     }
 
     /// Compares an array that only some files hold.

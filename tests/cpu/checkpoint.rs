@@ -70,7 +70,7 @@ fn saving_and_loading_keeps_every_bit() {
 
 #[test]
 fn unwritable_and_missing_files_are_told() {
-    let missing = Weights::load(&path("nowhere")).unwrap_err().to_string();
+    let missing = Weights::load(path("nowhere")).unwrap_err().to_string();
     assert!(missing.contains("nowhere.safetensors: cannot read"), "{missing}");
     let unwritable = tiny().save(&path("no/such/folder")).unwrap_err().to_string();
     assert!(unwritable.contains("cannot write"), "{unwritable}");

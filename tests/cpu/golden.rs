@@ -13,7 +13,7 @@ pub fn path(name: &str) -> PathBuf {
 
 /// The perturbed weights that the network and update-rule vectors belong to.
 pub fn weights() -> Weights {
-    Weights::load(&path("network_weights")).unwrap()
+    Weights::load(path("network_weights")).unwrap()
 }
 
 impl Golden {

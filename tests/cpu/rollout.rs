@@ -96,7 +96,7 @@ fn rollout_follows_the_authors_in_double_precision() {
 fn double_precision_rollout_is_exact() {
     // The same scene by an independent implementation in double precision, with automatic differentiation and full
     // Fourier transforms; rounding grows by the same two to threefold a frame.
-    let golden = Golden::open("exact_rollout_32x32");
+    let golden = Golden::open("../data/exact_rollout_32x32");
     let expected = golden.get("positions");
     let mut rollout = Rollout::<f64>::new(&Golden::open("rollout_starter_32x32"));
     for (index, (frame, tolerance)) in golden.get("frames").into_iter().zip([1e-12, 1e-9, 1e-7]).enumerate() {

@@ -1,5 +1,6 @@
 //! Wind on a flat plate, whose drag is known.
 
+use crate::noise::noise;
 use fnopt::cpu::cloth::add_wind;
 use fnopt::sim::{Air, Grid, State};
 
@@ -46,4 +47,40 @@ fn a_sheet_without_area_feels_no_wind() {
     let mut f = vec![0.0; x.len()];
     add_wind(GRID, Air { density: 1.0, drag: 1.0 }, [3.0, 2.0, 1.0], (&x, &vec![0.0; x.len()]), &mut f);
     assert!(f.iter().all(|&f| f == 0.0));
+}
+
+/// Turned with the sheet, its motion and the wind: no direction is special, and a folded sheet has normals in all.
+#[test]
+fn forces_turn_with_everything_else() {
+    let n = GRID.particles();
+    // A product of turns about all three axes.
+    let turn = |p: [f64; 3]| {
+        let about = |[a, b]: [f64; 2], angle: f64| {
+            let (sin, cos) = angle.sin_cos();
+            [cos * a - sin * b, sin * a + cos * b]
+        };
+        let [x, y] = about([p[0], p[1]], 0.7);
+        let [y, z] = about([y, p[2]], -1.1);
+        let [z, x] = about([z, x], 2.3);
+        [x, y, z]
+    };
+    let turned = |field: &[f64]| {
+        let mut turned = field.to_vec();
+        for p in 0..n {
+            let at = turn([0, 1, 2].map(|c| field[c * n + p]));
+            (0..3).for_each(|c| turned[c * n + p] = at[c]);
+        }
+        turned
+    };
+    let mut state = State::<f64>::rest(GRID, 1);
+    state.x.iter_mut().zip(noise(3 * n, 11)).for_each(|(x, noise)| *x += 0.4 * noise);
+    state.v = noise(3 * n, 12);
+    let (air, wind) = (Air { density: 0.7, drag: 0.3 }, [0.4, -0.8, 1.0]);
+    let [mut straight, mut around] = [vec![0.0; 3 * n], vec![0.0; 3 * n]];
+    add_wind(GRID, air, wind, (&state.x, &state.v), &mut straight);
+    add_wind(GRID, air, turn(wind), (&turned(&state.x), &turned(&state.v)), &mut around);
+    let largest = straight.iter().fold(0.0, |most: f64, f| most.max(f.abs()));
+    for (found, expected) in around.iter().zip(turned(&straight)) {
+        assert!((found - expected).abs() < 1e-12 * largest, "{found} is not {expected}");
+    }
 }

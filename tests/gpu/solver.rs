@@ -393,9 +393,59 @@ fn single_cloths_begin_anew_and_materials_change() {
         assert_same("other cloths", &changed_frame.x, &made_frame.x);
         assert_ne!(made_frame.x[..3 * n], first.x[..3 * n]);
 
-        other.cloths[0].handles[0] += 1;
-        let refused = changed.set_cloths(&other.cloths).unwrap_err().to_string();
-        assert!(refused.contains("handles"), "{refused}");
+        let refused = changed.set_cloths(&other.cloths[1..]).unwrap_err().to_string();
+        assert!(refused.contains("as many as the solver was made for"), "{refused}");
+    }
+}
+
+/// Particles are let go of and held at any time: as in a solver that was made for them.
+#[test]
+fn handles_change_at_any_time() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let n = model.grid.particles();
+    for (optimizer, tuning) in tuned() {
+        let mut changing = solver_with(tuning, &model, (&optimizer, 2), &start);
+        let mut on_host = cpu::Solver::<f32>::new(&model, &optimizer, 2).unwrap();
+        let mut host = start.clone();
+        step(&changing, &control);
+        on_host.step(&mut host, &control);
+        // None, more than there were, others.
+        for handles in [
+            [vec![], vec![], vec![]],
+            [vec![0, 3, n - 1], vec![5], vec![1, 2]],
+            [vec![4], vec![], vec![n / 2]],
+        ] {
+            let mut other = model.clone();
+            for (cloth, handles) in other.cloths.iter_mut().zip(handles) {
+                cloth.handles = handles;
+            }
+            // The optimizer's memory apart, which stays.
+            changing.reset_memory();
+            on_host.reset();
+            let before = State {
+                x: changing.positions().read(context()).unwrap(),
+                v: changing.velocities().read(context()).unwrap(),
+            };
+            changing.set_cloths(&other.cloths).unwrap();
+            on_host.set_cloths(&other.cloths).unwrap();
+            let made = solver_with(tuning, &other, (&optimizer, 2), &before);
+            let mut made_on_host = cpu::Solver::<f32>::new(&other, &optimizer, 2).unwrap();
+            let held = made.handles_of(&before);
+            let moved = Control {
+                handles: held.iter().map(|p| [p[0], p[1] + 0.1, p[2] - 0.2]).collect(),
+                ..control.clone()
+            };
+            let name = optimizer.name();
+            let (changed, expected) = (step(&changing, &moved), step(&made, &moved));
+            assert_same(name, &changed.x, &expected.x);
+            assert_same(name, &changed.v, &expected.v);
+            assert_eq!(changing.handles_of(&State { x: changed.x, v: changed.v }), moved.handles, "{name}");
+            let mut same = host.clone();
+            on_host.step(&mut host, &moved);
+            made_on_host.step(&mut same, &moved);
+            assert!(host == same, "{name} on the host");
+        }
     }
 }
 

@@ -22,7 +22,7 @@ use crate::sim::{Model, Optimizer};
 use crate::{Error, Result};
 
 /// One optimizer at work on a batch of cloths.
-pub trait Minimizer<T>: Send {
+pub trait Minimizer<T>: Send + Sync {
     /// Starts a frame, at a = 0.
     fn begin_frame(&mut self) {}
     /// Adds a step to the accelerations `a`, given `grad` = dL/da at `a` and its norm `norms` for each component of each
