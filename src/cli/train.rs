@@ -103,7 +103,7 @@ fn say_end(end: End, line: &str) -> std::io::Result<()> {
         End::Interrupted => tell!("interrupted: {line}; continue with --resume"),
         End::NonFinite => {
             tell!(
-                "error: the loss became non-finite and stayed so: {line}, with the weights before, if there were any"
+                "error: the loss became non-finite and stayed so, or the weights did: {line}, with the weights before, if there were any"
             )
         }
     }

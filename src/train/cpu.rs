@@ -53,15 +53,13 @@ impl CpuLearner {
     }
 }
 
-impl Learner for CpuLearner {
-    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
-        let weights = LaidOut::new(&self.weights()?);
-        self.gradient.fill(0.0);
-        let mut report = StepReport { outcomes: vec![Vec::new(); self.pools.len()], ..StepReport::default() };
+impl CpuLearner {
+    /// Steps the cloths of all batches, adds up their gradients and tells how they did.
+    fn add_gradients(&mut self, batches: &[Batch], weights: &LaidOut<f32>, report: &mut StepReport) {
         for batch in batches {
             let Room { all, drawn, loss } = &mut self.pools[batch.pool];
             all.draw(batch, drawn);
-            loss.set_weights(&weights);
+            loss.set_weights(weights);
             loss.set_model(&batch.model(drawn.grid()));
             let share = 1.0 / batch.cloths.len() as f64;
             let Arrays { state, a, hidden, .. } = &mut *drawn;
@@ -75,6 +73,16 @@ impl Learner for CpuLearner {
             report.outcomes[batch.pool] = told.collect();
             all.store(batch, drawn);
         }
+    }
+}
+
+impl Learner for CpuLearner {
+    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
+        let weights = LaidOut::new(&self.weights()?);
+        self.gradient.fill(0.0);
+        let mut report = StepReport { outcomes: vec![Vec::new(); self.pools.len()], ..StepReport::default() };
+        // As one task of the pool, as a frame is: from outside each parallel loop would wait for a thread to wake.
+        rayon::scope(|_| self.add_gradients(batches, &weights, &mut report));
         ranks.join(&mut self.gradient, report.loss());
         report.gradient_norm = AdamW::norm(&self.gradient);
         if report.is_finite() {

@@ -37,7 +37,10 @@ impl Folder {
         let checkpoint = folder.checkpoints()?.into_iter().map(|saved| saved.path).next();
         let weights =
             ["best", "last"].map(|name| folder.weights(name)).into_iter().find(|path| path.exists());
-        for (what, found) in [("checkpoints", checkpoint), ("weights", weights)] {
+        // Of a run that ended before its first checkpoint there is the configuration, too.
+        let tables = [folder.metrics(), folder.validation()].into_iter();
+        let table = tables.into_iter().find(|path| path.exists() && !folder.config().exists());
+        for (what, found) in [("checkpoints", checkpoint), ("weights", weights), ("tables", table)] {
             if let Some(path) = found {
                 let expected = "none in the folder of a new run (--resume continues an old one)";
                 return Err(Error::invalid(root.display().to_string(), what, expected, path.display()));
@@ -81,13 +84,14 @@ impl Folder {
         Ok(())
     }
 
-    /// Removes what a process that was killed while it wrote a checkpoint has left.
+    /// Removes what a process that was killed while it wrote has left.
     fn remove_leftovers(&self) -> Result<()> {
-        let Ok(entries) = std::fs::read_dir(self.checkpoint_dir()) else { return Ok(()) };
+        let folders = [self.root.clone(), self.root.join("weights"), self.checkpoint_dir()];
+        let entries = folders.iter().flat_map(std::fs::read_dir).flatten().flatten();
         let unfinished = |path: &PathBuf| {
             path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(io::UNFINISHED))
         };
-        for path in entries.flatten().map(|entry| entry.path()).filter(unfinished) {
+        for path in entries.map(|entry| entry.path()).filter(unfinished) {
             std::fs::remove_file(&path).map_err(|e| Error::io(path, "cannot remove", e))?;
         }
         Ok(())

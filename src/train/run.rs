@@ -49,7 +49,7 @@ pub enum End {
     Done,
     /// It was asked to stop.
     Interrupted,
-    /// Ten steps in a row were not finite; the weights are those before them.
+    /// Ten steps in a row were not finite, or the last one made weights that are not; the weights are those before them.
     NonFinite,
 }
 
@@ -184,9 +184,11 @@ impl Run {
         let (first, before) = (self.counters.step, self.counters.seconds);
         // A run that is new has nothing to be resumed from yet.
         let mut saved = (first > 0).then_some(first);
-        // A validation that was cut off is made up for.
-        if self.ranks.decide(self.is_validation_missing()) {
-            self.validate()?;
+        // A validation that was cut off is made up for. One that failed may fail again, and shall not keep the run from going on.
+        if self.ranks.decide(self.is_validation_missing())
+            && let Err(error) = self.validate()
+        {
+            tracing::warn!("the validation after step {first} is left out: {error}");
         }
         self.counters.validation_due = false;
         let updates = self.counters.updates;

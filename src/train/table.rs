@@ -12,11 +12,17 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Opens the table at `path`. Rows of steps after `step`, which a broken run has left, and a file with other columns
-    /// are given up.
+    /// Opens the table at `path`. Rows of steps after `step`, which a broken run has left, are given up; a file with other columns,
+    /// as of another version, is put aside.
     pub fn open(path: PathBuf, columns: Vec<String>, step: u64) -> Result<Self> {
         let table = Self { path, columns };
-        let text = if table.path.exists() { table.text()? } else { String::new() };
+        let mut text = if table.path.exists() { table.text()? } else { String::new() };
+        if text.lines().next().is_some_and(|titles| titles != table.columns.join(",")) {
+            let aside = table.path.with_extension("csv.old");
+            std::fs::rename(&table.path, &aside).map_err(|e| Error::io(&table.path, "cannot rename", e))?;
+            tracing::warn!("{} has other columns: it is now {}", table.path.display(), aside.display());
+            text.clear();
+        }
         let is_kept =
             |row: &&str| row.split(',').next().is_some_and(|at| at.parse().is_ok_and(|at: u64| at <= step));
         io::write_atomic(&table.path, |file| {

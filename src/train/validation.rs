@@ -103,7 +103,9 @@ impl Judged {
             }
             self.track.get().expect("it was set").median_gap(optimizer, iterations)
         };
-        let gap = self.with_gap.then(gap).transpose()?;
+        // None that is not finite: JSON has no number for it, and it would be taken for a scene without one.
+        let gap = self.with_gap.then(gap).transpose()?.map(|gap| gap.min(UNSTABLE_GAP));
+        let largest_stretch = largest_stretch.min(f64::MAX);
         Ok(SceneScore { scene: self.name.clone(), gap, largest_stretch, stable })
     }
 }

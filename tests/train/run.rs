@@ -118,7 +118,7 @@ fn a_run_fills_its_folder() {
     assert_eq!(&picture[..4], b"\x89PNG");
     for name in ["best", "last"] {
         let weights =
-            fnopt::network::Weights::load(&root.join(format!("weights/{name}.safetensors"))).unwrap();
+            fnopt::network::Weights::load(root.join(format!("weights/{name}.safetensors"))).unwrap();
         assert_eq!(weights.config, config().network);
         let card = std::fs::read(root.join(format!("weights/{name}.json"))).unwrap();
         let card: serde_json::Value = serde_json::from_slice(&card).unwrap();
@@ -229,7 +229,7 @@ fn steps_that_are_not_finite_are_skipped_and_ten_in_a_row_end_the_run() {
 
     let folder = tempfile::tempdir().unwrap();
     let mut run = create(folder.path(), Fake::new(&config()).broken_at(2..50));
-    let last = || fnopt::network::Weights::load(&folder.path().join("weights/last.safetensors")).unwrap();
+    let last = || fnopt::network::Weights::load(folder.path().join("weights/last.safetensors")).unwrap();
     let mut good = None;
     let end = run.train(&Limits::default(), |progress| {
         if progress.step == 2 {
@@ -376,6 +376,74 @@ fn a_folder_is_of_one_run_and_of_one_process_at_a_time() {
     refused(again().map(drop), "checkpoints");
     std::fs::remove_dir_all(folder.path().join("checkpoints")).unwrap();
     refused(again().map(drop), "last.safetensors");
+}
+
+/// The rate goes by steps, AdamW's correction and the running mean by those that were taken.
+#[test]
+fn each_step_is_told_its_rate_and_number() {
+    let folder = tempfile::tempdir().unwrap();
+    let more = "average = 0.3\noptimizer = { rate = 1e-2 }\nschedule = { warmup = 4, decay = { cosine = { final = 1e-4 } } }\n";
+    let text = more.to_owned() + CONFIG;
+    let config = Config::parse(&text, Path::new("test.toml")).unwrap();
+    let learner = Fake::new(&config).broken_at([2]);
+    let updates = learner.updates.clone();
+    train(&mut Run::create(folder.path(), &text, config, Box::new(learner), Rc::new(Alone)).unwrap(), 12);
+    let updates = updates.borrow();
+    assert_eq!(updates.len(), 12);
+    for (step, update) in updates.iter().enumerate() {
+        // The third step was not finite.
+        let number = if step < 3 { step + 1 } else { step };
+        let rate = match step {
+            0..4 => 1e-2 * (step + 1) as f64 / 4.0,
+            _ => {
+                let cosine = (std::f64::consts::PI * (step - 4) as f64 / 8.0).cos();
+                1e-4 + (1e-2 - 1e-4) * 0.5 * (1.0 + cosine)
+            }
+        };
+        let average = (number as f64 / (number + 9) as f64).min(0.3);
+        assert_eq!((update.number, update.average), (number as u64, average), "step {step}");
+        assert!((update.rate - rate).abs() < 1e-12, "step {step}: {} is not {rate}", update.rate);
+    }
+}
+
+#[test]
+fn tables_of_others_are_not_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let metrics = folder.path().join("metrics.csv");
+    std::fs::write(&metrics, "mine\n1\n").unwrap();
+    let new = || Run::create(folder.path(), CONFIG, config(), Box::new(Fake::new(&config())), Rc::new(Alone));
+    let error = new().map(drop).expect_err("it is refused").to_string();
+    assert!(error.contains("metrics.csv"), "{error}");
+    std::fs::remove_file(&metrics).unwrap();
+    let mut run = new().unwrap();
+    train(&mut run, 2);
+    drop(run);
+    // The table of a version that had other columns.
+    std::fs::write(&metrics, "step,other\n1,2\n").unwrap();
+    train(&mut resume(folder.path()).unwrap().0, 3);
+    assert_eq!(lines(folder.path().join("metrics.csv.old")), ["step,other", "1,2"]);
+    assert!(lines(metrics)[0].starts_with("step,") && !folder.path().join("metrics.csv.csv.old").exists());
+}
+
+#[test]
+fn a_validation_that_fails_again_leaves_the_run_going() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = fresh(folder.path());
+    let best = folder.path().join("weights/best.safetensors");
+    std::fs::create_dir_all(&best).unwrap();
+    let limits = Limits { steps: Some(6), minutes: None };
+    run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err();
+    drop(run);
+    // The validation after step 4 is due again, and fails as it did; the steps after it do not wait for it.
+    let (mut run, _) = resume(folder.path()).unwrap();
+    let limits = Limits { steps: Some(5), minutes: None };
+    run.train(&limits, |progress| {
+        assert!(progress.step == 5);
+        ControlFlow::Continue(())
+    })
+    .unwrap_err();
+    drop(run);
+    assert_eq!(resume(folder.path()).unwrap().0.step(), 5);
 }
 
 #[test]

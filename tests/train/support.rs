@@ -4,8 +4,10 @@ use fnopt::Result;
 use fnopt::network::Weights;
 use fnopt::sim::EnergyTerms;
 use fnopt::train::{Alone, Batch, Config, Learner, Outcome, Ranks, StepReport, Tensors, Update};
+use std::cell::RefCell;
 use std::collections::HashSet;
 use std::fmt::Display;
+use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
 /// A cloth that came out of a step with this external energy.
@@ -23,13 +25,15 @@ pub struct Fake {
     /// The one after which the weights are not.
     overflows: Option<u64>,
     step: u64,
+    /// What it was told of each step.
+    pub updates: Rc<RefCell<Vec<Update>>>,
 }
 
 impl Fake {
     pub fn new(config: &Config) -> Self {
         let weights = fnopt::train::first_weights(config, &Alone).expect("weights");
         let cloths = config.pools.iter().map(|p| vec![0.0; p.cloths]).collect();
-        Self { weights, cloths, broken: HashSet::new(), overflows: None, step: 0 }
+        Self { weights, cloths, broken: HashSet::new(), overflows: None, step: 0, updates: Rc::default() }
     }
 
     pub fn broken_at(mut self, steps: impl IntoIterator<Item = u64>) -> Self {
@@ -46,6 +50,7 @@ impl Learner for Fake {
     fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
         let broken = self.broken.contains(&self.step);
         self.step += 1;
+        self.updates.borrow_mut().push(update);
         let mut report = StepReport { outcomes: vec![Vec::new(); self.cloths.len()], ..Default::default() };
         for batch in batches {
             let mut outcomes = Vec::new();
