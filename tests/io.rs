@@ -82,7 +82,7 @@ fn an_archive_holds_what_is_documented() {
     let faces: ArrayD<i32> = npz.by_name("faces").unwrap();
     assert_eq!(faces.shape(), [2 * 8 * 11, 3]);
     let uv: ArrayD<f32> = npz.by_name("vertices_uv").unwrap();
-    assert_eq!((uv[[11, 0]], uv[[11, 1]], uv[[12, 0]], uv[[107, 1]]), (1.0, 0.0, 0.0, 1.0));
+    assert_eq!((uv[[11, 0]], uv[[11, 1]], uv[[12, 1]], uv[[107, 0]]), (1.0, 0.0, 1.0, 0.0));
     let fps: ArrayD<f64> = npz.by_name("fps").unwrap();
     assert_eq!((fps.ndim(), fps.sum()), (0, 60.0));
 }

@@ -9,8 +9,8 @@ use fnopt::Error;
 use fnopt::eval::fit::{Fit, PARAMETERS, Point, Surface};
 use fnopt::eval::{Physics, Sequence, Settings};
 use fnopt::io::write_atomic;
-use fnopt::scene::Stiffness;
-use fnopt::sim::Material;
+use fnopt::scene::{Moduli, Stiffness};
+use fnopt::sim::{Grid, Material};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::PathBuf;
@@ -114,7 +114,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     surface.add(&Surface::load(&args.out, &fit)?);
     let found = fit.found(&surface).first().copied().filter(|(_, error)| error.is_finite());
     if let Some((point, error)) = found {
-        let mut document = args.physics(&point).to_json();
+        let mut document = args.document(&point, fit.grid, &sequences)?;
         document["fitted_to"] = fit.subject().into();
         document["e_CD"] = error.into();
         write_atomic(&best, |file| writeln!(file, "{document:#}"))?;
@@ -146,6 +146,30 @@ impl Args {
             drag: self.drag.as_ref().map(|_| drag),
             frame_time_s: self.frame_time.as_ref().map(|_| frame_time),
         }
+    }
+
+    /// A point as `--material` reads it: in moduli, which are the same cloth on every grid, with the coefficients beside them; in
+    /// coefficients where the sequences are not of one cloth.
+    fn document(
+        &self,
+        point: &Point,
+        grid: Grid,
+        sequences: &[Sequence],
+    ) -> fnopt::Result<serde_json::Value> {
+        let physics = self.physics(point);
+        let document = physics.to_json();
+        let [stretch, shear, bend, ..] = *point;
+        let moduli = |sequence: &Sequence| -> fnopt::Result<Moduli> {
+            Ok(sequence.scene(grid, &physics)?.setup()?.units.moduli(Material { stretch, shear, bend }))
+        };
+        let all = sequences.iter().map(moduli).collect::<fnopt::Result<Vec<_>>>()?;
+        if all.iter().any(|other| *other != all[0]) {
+            return Ok(document);
+        }
+        let mut in_moduli = Physics { stiffness: Stiffness::Moduli(all[0]), ..physics }.to_json();
+        in_moduli["coefficients"] = document["material"].clone();
+        in_moduli["coefficients"]["grid"] = grid.to_string().into();
+        Ok(in_moduli)
     }
 
     /// Air and frame time of the sequences, which must be alike where they are not fitted: a point has one value of each.

@@ -16,7 +16,7 @@ pub fn fitted() -> Result<Physics> {
 
 /// Three energy coefficients, or a file.
 pub fn read(text: &str) -> Result<Physics> {
-    if !text.contains(',') {
+    if !text.contains(',') && text.parse::<f64>().is_err() {
         let content = std::fs::read_to_string(text).map_err(|e| Error::io(text, "cannot read", e))?;
         return Physics::parse(&content, text);
     }

@@ -113,6 +113,11 @@ pub fn log_to_stderr() -> Result<()> {
 
 /// Runs the command line and tells how it ended.
 pub fn run(cli: Cli) -> ExitCode {
+    // Where a container or a batch system grants no threads, this is said before anything waits for them.
+    if let Err(error) = rayon::ThreadPoolBuilder::new().build_global() {
+        tell!("error: threads: expected to start {}: {error}", rayon_threads());
+        return ExitCode::from(2);
+    }
     // What `tune` compiles beside the best is not needed again.
     let stores = !matches!(cli.command, Command::Tune(_));
     let ending = match cli.command {
@@ -138,6 +143,14 @@ pub fn run(cli: Cli) -> ExitCode {
             tell!("error: {error}");
             ExitCode::from(if matches!(error.downcast_ref(), Some(Error::NonFinite { .. })) { 3 } else { 2 })
         }
+    }
+}
+
+/// What tells how many threads there are to be.
+fn rayon_threads() -> String {
+    match std::env::var("RAYON_NUM_THREADS") {
+        Ok(count) => format!("{count} (RAYON_NUM_THREADS)"),
+        Err(_) => "one for each core (RAYON_NUM_THREADS may ask for fewer)".into(),
     }
 }
 
@@ -198,7 +211,14 @@ pub fn grid(text: &str) -> fnopt::Result<Grid> {
 
 /// Several of them.
 pub fn grids(texts: &[String]) -> fnopt::Result<Vec<Grid>> {
-    texts.iter().map(|text| grid(text)).collect()
+    let mut grids: Vec<Grid> = Vec::new();
+    for text in texts {
+        let grid = grid(text)?;
+        if !grids.contains(&grid) {
+            grids.push(grid);
+        }
+    }
+    Ok(grids)
 }
 
 /// As many numbers as asked for, with commas between them; nothing of other texts.

@@ -7,7 +7,7 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Error;
-use fnopt::eval::median_time;
+use fnopt::eval::{FreeEdges, STRETCH_LIMIT, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{Motion, Scene, Separation, Setup};
@@ -69,6 +69,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     let setup = scene.setup()?;
     tracing::info!("scene: {}, {} frames of {}", scene.origin, setup.frames(), setup.model.grid);
     let optimizer = args.solver.optimizer()?;
+    args.spare(&scene)?;
     let trajectory = room(&args.format, &setup)?;
     let (device, line) = args.device.open_for(&optimizer)?;
     let interrupted = interrupt_flag();
@@ -78,9 +79,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     args.files().iter().chain([&args.replay()]).try_for_each(|file| writable_file(file))?;
     args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
 
-    let (device, per_frame) = (device.name(), Vec::new());
-    let mut run =
-        Run { args, scene: &scene, setup: &setup, optimizer: &optimizer, device, trajectory, per_frame };
+    let mut run = Run::new(args, (&scene, &setup), &optimizer, (device.name(), trajectory));
     run.push(&setup.start.cast());
     simulator.set_state(&setup.start.cast());
     let bar = progress(setup.frames() - 1);
@@ -118,6 +117,20 @@ impl Args {
             scene.frames = self.frames.map(|frames| frames as usize);
         }
         Ok(scene)
+    }
+
+    /// Makes sure that no file which the scene is read from is written over.
+    fn spare(&self, scene: &Scene) -> Result<()> {
+        let same =
+            |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+        let written = [self.files(), vec![self.replay()]].concat();
+        match scene.files().find(|read| written.iter().any(|file| same(read, file))) {
+            Some(read) => {
+                let expected = "a folder whose files the scene is not read from";
+                Err(Error::invalid("--out", "folder", expected, read.display()).into())
+            }
+            None => Ok(()),
+        }
     }
 
     /// The files that will be written, frames in folders of their own aside.
@@ -180,6 +193,9 @@ struct Run<'a> {
     device: String,
     trajectory: Trajectory,
     per_frame: Vec<PerFrame>,
+    /// The edges away from the handles, and the largest `|edge| - 1` of them so far.
+    edges: FreeEdges,
+    torn: f64,
 }
 
 #[derive(serde::Serialize)]
@@ -191,9 +207,30 @@ struct PerFrame {
     stats: FrameStats,
 }
 
-impl Run<'_> {
+/// How a simulation ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "kebab-case")]
+enum Status {
+    Done,
+    Interrupted,
+    NonFinite,
+    Failed,
+}
+
+impl<'a> Run<'a> {
+    fn new(
+        args: &'a Args,
+        (scene, setup): (&'a Scene, &'a Setup),
+        optimizer: &'a Optimizer,
+        (device, trajectory): (String, Trajectory),
+    ) -> Self {
+        let edges = FreeEdges::new(&setup.model, 0);
+        Self { args, scene, setup, optimizer, device, trajectory, per_frame: Vec::new(), edges, torn: 0.0 }
+    }
+
     fn keep(&mut self, frame: &Frame) {
         self.push(&frame.state);
+        self.torn = self.torn.max(self.edges.largest(&frame.state.x));
         let stats = frame.stats[0];
         self.per_frame.push(PerFrame {
             frame: frame.index,
@@ -212,7 +249,13 @@ impl Run<'_> {
 
     /// Writes the frames, whatever ended the run, and tells how it ended.
     fn end(&self, outcome: fnopt::Result<()>) -> Result<Ending> {
-        let (written, trouble) = self.write();
+        let status = match &outcome {
+            Ok(()) if self.per_frame.len() + 1 < self.setup.frames() => Status::Interrupted,
+            Ok(()) => Status::Done,
+            Err(Error::NonFinite { .. }) => Status::NonFinite,
+            Err(_) => Status::Failed,
+        };
+        let (written, trouble) = self.write(status);
         match (trouble, &outcome) {
             (None, _) => {}
             (Some(late), Ok(())) => return Err(late.into()),
@@ -220,7 +263,7 @@ impl Run<'_> {
         }
         let last = self.per_frame.len();
         let ending = match outcome {
-            Ok(()) if last + 1 < self.setup.frames() => {
+            Ok(()) if status == Status::Interrupted => {
                 tell!("interrupted after frame {last}; the frames so far are kept");
                 Ending::Interrupted
             }
@@ -237,7 +280,13 @@ impl Run<'_> {
                 return Err(error.into());
             }
         };
-        self.summarise(&written)?;
+        if self.torn > STRETCH_LIMIT {
+            let percent = 100.0 * self.torn;
+            tell!(
+                "warning: an edge away from the handles was stretched by {percent:.0} %, as no cloth is: this is not sound"
+            );
+        }
+        self.summarise(status, &written)?;
         Ok(ending)
     }
 
@@ -257,17 +306,17 @@ impl Run<'_> {
 
     /// Writes all files but the replay, and removes that of an earlier run: it would be taken for this one's. What cannot be
     /// written keeps nothing else from it; the files, and the first trouble.
-    fn write(&self) -> (Vec<PathBuf>, Option<Error>) {
+    fn write(&self, status: Status) -> (Vec<PathBuf>, Option<Error>) {
         let frames = self.args.format.iter().map(|&format| self.write_frames(format));
-        let report = std::iter::once_with(|| self.write_report());
         let pictures = (!self.args.no_pictures).then(|| std::iter::once_with(|| self.write_pictures()));
         let (mut written, mut trouble) = (Vec::new(), self.remove_replay().err());
-        for result in frames.chain(report).chain(pictures.into_iter().flatten()) {
-            match result {
-                Ok(paths) => written.extend(paths),
-                Err(error) => trouble = trouble.or(Some(error)),
-            }
-        }
+        let mut note = |result, written: &mut Vec<PathBuf>| match result {
+            Ok(paths) => written.extend::<Vec<PathBuf>>(paths),
+            Err(error) => trouble = trouble.take().or(Some(error)),
+        };
+        frames.chain(pictures.into_iter().flatten()).for_each(|result| note(result, &mut written));
+        // The report last, which tells what there is of this run: a file of an earlier one may have stayed.
+        note(self.write_report(status, &written), &mut written);
         (written, trouble)
     }
 
@@ -290,9 +339,9 @@ impl Run<'_> {
         Ok(written)
     }
 
-    fn write_report(&self) -> fnopt::Result<Vec<PathBuf>> {
+    fn write_report(&self, status: Status, written: &[PathBuf]) -> fnopt::Result<Vec<PathBuf>> {
         let path = self.args.out.join(REPORT);
-        write_atomic(&path, |file| writeln!(file, "{:#}", self.report()))?;
+        write_atomic(&path, |file| writeln!(file, "{:#}", self.report(status, written)))?;
         Ok(vec![path])
     }
 
@@ -308,7 +357,7 @@ impl Run<'_> {
         Ok(vec![picture, animation])
     }
 
-    fn report(&self) -> serde_json::Value {
+    fn report(&self, status: Status, written: &[PathBuf]) -> serde_json::Value {
         let SolverArgs { checkpoint, .. } = &self.args.solver;
         let checksum = match self.optimizer {
             Optimizer::Learned(weights) => Some(format!("{:08x}", weights.checksum())),
@@ -325,7 +374,8 @@ impl Run<'_> {
             },
             "weights_crc32": checksum,
             "device": self.device,
-            "files": self.args.files().iter().chain(&self.args.folders()).filter_map(|path| path.file_name())
+            "status": status,
+            "files": written.iter().filter_map(|path| path.file_name()).chain([REPORT.as_ref()])
                 .map(|name| name.to_string_lossy()).collect::<Vec<_>>(),
             "frames": self.trajectory.frames(),
             "ms_per_frame": self.ms_per_frame(),
@@ -333,7 +383,7 @@ impl Run<'_> {
         })
     }
 
-    fn summarise(&self, written: &[PathBuf]) -> Result<()> {
+    fn summarise(&self, status: Status, written: &[PathBuf]) -> Result<()> {
         let mut out = output();
         let last = self.per_frame.last();
         let energy = last.map(|f| f.energy_total);
@@ -342,7 +392,7 @@ impl Run<'_> {
         if self.args.json {
             let written: Vec<_> = written.iter().map(|path| path.display().to_string()).collect();
             let summary = serde_json::json!({
-                "device": self.device, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
+                "device": self.device, "status": status, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
                 "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch, "written": written,
             });
             writeln!(out, "{summary:#}")?;
@@ -383,11 +433,9 @@ mod tests {
         let (scene, optimizer) = (args.scene().unwrap(), args.solver.optimizer().unwrap());
         let setup = scene.setup().unwrap();
         let trajectory = room(&args.format, &setup).unwrap();
-        let (args, scene, setup, optimizer) = (&args, &scene, &setup, &optimizer);
-        let mut run =
-            Run { args, scene, setup, optimizer, device: String::new(), trajectory, per_frame: Vec::new() };
+        let mut run = Run::new(&args, (&scene, &setup), &optimizer, (String::new(), trajectory));
         run.push(&setup.start.cast());
-        let mut simulator = Simulator::new(&Device::Cpu, &setup.model, optimizer, 1).unwrap();
+        let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, 1).unwrap();
         simulator.set_state(&setup.start.cast());
         run.keep(&simulator.step(&setup.control(1)).unwrap());
         let Err(error) = run.end(Err(Error::Device("lost".into()))) else { panic!("the run did not fail") };

@@ -30,7 +30,7 @@ pub use nearness::repulsion;
 pub use physics::Physics;
 pub use repeats::{Nudge, OverRepeats};
 pub use resampling::coarse;
-pub use score::{Entry, PerFrame, Score, Settings, compare, run, snapshots, vertex_errors};
+pub use score::{Entry, PerFrame, SNAPSHOTS, Score, Settings, compare, run, snapshots, vertex_errors};
 pub use sequence::Sequence;
 pub use stretch::{FreeEdges, STRETCH_LIMIT};
 pub use table::{Cell, Format, Table};

@@ -20,7 +20,7 @@ const DIVERGED: f64 = 3.0;
 /// Seconds at the end over which the speed is averaged.
 const SETTLED_S: f64 = 0.5;
 /// Frames that [`snapshots`] keeps.
-const SNAPSHOTS: usize = 4;
+pub const SNAPSHOTS: usize = 4;
 
 /// A solver that takes part.
 #[derive(Clone, Debug)]
@@ -320,6 +320,7 @@ pub(super) fn simulate(
         stable: true,
         ended_early: false,
     };
+    done.trajectory.reserve(setup.frames())?;
     let single = |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
     done.trajectory
         .push(&single(setup.vertices_m(&setup.start.x)), &single(setup.velocities_m_s(&setup.start.v)));

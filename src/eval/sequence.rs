@@ -99,7 +99,7 @@ impl Sequence {
         Ok(names)
     }
 
-    /// Reads sequences of a folder: those that are named, or all of them. An error if one is named that is not there; what is wrong
+    /// Reads sequences of a folder: those that are named, each once, or all of them. An error if one is named that is not there; what is wrong
     /// with one that is takes no others along.
     pub fn load_all(folder: &Path, named: Option<&[String]>) -> Result<Vec<Result<Self>>> {
         let known = Self::names(folder)?;
@@ -108,7 +108,8 @@ impl Sequence {
             let origin = folder.display().to_string();
             return Err(Error::unknown(origin, "sequence", unknown, known.iter().map(String::as_str)));
         }
-        Ok(named.iter().map(|name| Self::load(folder, name)).collect())
+        let first = |&(k, name): &(usize, &String)| !named[..k].contains(name);
+        Ok(named.iter().enumerate().filter(first).map(|(_, name)| Self::load(folder, name)).collect())
     }
 
     /// Reads the sequence `name` of a folder of them. Without `meta.json` the cloth is the default scene's, on a square grid,

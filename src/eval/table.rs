@@ -86,11 +86,15 @@ impl Table {
     }
 
     fn markdown(&self) -> String {
-        let mut text = format!("**{}**\n\n| {} |\n", self.title, self.columns.join(" | "));
+        let row = |cells: Vec<String>| {
+            let cells: Vec<String> = cells.into_iter().map(|cell| cell.replace('|', "\\|")).collect();
+            format!("| {} |\n", cells.join(" | "))
+        };
+        let mut text = format!("**{}**\n\n{}", self.title, row(self.columns.clone()));
         text += &format!("|---|{}\n", "---:|".repeat(self.columns.len() - 1));
         for (name, cells) in &self.rows {
             let marked = |c: &Cell| if c.best { format!("**{}**", c.text) } else { c.text.clone() };
-            text += &format!("| {name} | {} |\n", cells.iter().map(marked).collect::<Vec<_>>().join(" | "));
+            text += &row(std::iter::once(name.clone()).chain(cells.iter().map(marked)).collect());
         }
         text
     }

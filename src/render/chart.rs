@@ -32,7 +32,7 @@ pub struct Curve {
     pub points: Vec<[f64; 2]>,
 }
 
-/// Colours of the curves, told apart with most kinds of colour vision (after Okabe and Ito).
+/// Colours of the curves; more curves begin with them again, as broken lines. Told apart with most kinds of colour vision (after Okabe and Ito).
 const COLOURS: [[u8; 3]; 7] = [
     [0, 114, 178],
     [230, 159, 0],
@@ -51,6 +51,8 @@ const LABEL: f32 = 8.0;
 const MARGINS: [f32; 4] = [62.0, 30.0, 16.0, 26.0];
 /// Space for what a legend has beside its labels \[px\].
 const LEGEND: f32 = 28.0;
+/// Length of a dash and of the gap after it \[px\].
+const DASH: f32 = 4.0;
 /// A curve of no more points than this shows each of them.
 const FEW: usize = 14;
 /// Share of the values at each end that may lie outside the chart, lest a spike flatten the rest.
@@ -95,25 +97,67 @@ fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
         let place = [low.x - 6.0 - text::width(&label, LABEL), at - LABEL / 2.0];
         text::write(image, &label, place, LABEL);
     }
-    for (curve, colour) in chart.curves.iter().zip(COLOURS.iter().cycle()) {
+    for (k, curve) in chart.curves.iter().enumerate() {
         let place = |p: &[f64; 2]| {
             let inside = vec2(x.place(p[0]), y.place(p[1]).clamp(0.0, 1.0));
             shown(p).then(|| low + (high - low) * inside)
         };
         let places: Vec<Option<Vec2>> = curve.points.iter().map(place).collect();
+        let mut stroke = Stroke::of(k, 0.9);
         for pair in places.windows(2) {
-            if let [Some(a), Some(b)] = *pair {
-                line(image, [a, b], *colour, 0.9);
+            match *pair {
+                [Some(a), Some(b)] => stroke.to(image, [a, b]),
+                _ => stroke.lift(),
             }
         }
         if places.len() <= FEW {
-            places.iter().flatten().for_each(|&at| line(image, [at, at], *colour, 2.6));
+            places.iter().flatten().for_each(|&at| line(image, [at, at], stroke.colour, 2.6));
         }
     }
     for (k, curve) in chart.curves.iter().enumerate() {
         let (x, y) = (high.x + 8.0, high.y + 10.0 + 1.8 * LABEL * k as f32);
-        line(image, [vec2(x, y), vec2(x + 14.0, y)], COLOURS[k % COLOURS.len()], 1.2);
+        Stroke::of(k, 1.2).to(image, [vec2(x, y), vec2(x + 14.0, y)]);
         text::write(image, &curve.label.to_uppercase(), [x + 20.0, y - LABEL / 2.0], LABEL);
+    }
+}
+
+/// The line of a curve, drawn piece by piece.
+struct Stroke {
+    colour: [u8; 3],
+    half: f32,
+    broken: bool,
+    /// How much of it is drawn \[px\].
+    length: f32,
+}
+
+impl Stroke {
+    /// Of the curve with this number, `half` its width.
+    fn of(curve: usize, half: f32) -> Self {
+        let broken = curve / COLOURS.len() % 2 == 1;
+        Self { colour: COLOURS[curve % COLOURS.len()], half, broken, length: 0.0 }
+    }
+
+    /// Draws the next piece.
+    fn to(&mut self, image: &mut Image, [a, b]: [Vec2; 2]) {
+        if !self.broken {
+            return line(image, [a, b], self.colour, self.half);
+        }
+        let (end, mut at) = (a.distance(b), 0.0);
+        while at < end {
+            // A dash and a gap are as long.
+            let phase = (self.length + at) % (2.0 * DASH);
+            let next = (at + if phase < DASH { DASH } else { 2.0 * DASH } - phase).max(at + 1e-2).min(end);
+            if phase < DASH {
+                line(image, [a.lerp(b, at / end), a.lerp(b, next / end)], self.colour, self.half);
+            }
+            at = next;
+        }
+        self.length += end;
+    }
+
+    /// Begins anew, after a gap.
+    fn lift(&mut self) {
+        self.length = 0.0;
     }
 }
 
@@ -217,6 +261,21 @@ mod tests {
         assert_eq!(blue(0..200, 0..150), 0);
         assert!(blue(262..400, 34..124) > 20);
         assert_eq!(blue(200..260, 30..150), 0);
+    }
+
+    #[test]
+    fn curves_beyond_the_colours_are_broken() {
+        let count = |curve: usize| {
+            let mut image = Image::new(100, 10);
+            image.pixels.fill(PAPER);
+            let mut stroke = Stroke::of(curve, 0.9);
+            for k in 0..9 {
+                stroke.to(&mut image, [k, k + 1].map(|k| vec2(10.0 * k as f32 + 3.0, 5.0)));
+            }
+            (0..100).filter(|&x| image.at(x, 4) != PAPER).count()
+        };
+        let (whole, broken) = (count(1), count(1 + COLOURS.len()));
+        assert!((88..96).contains(&whole) && (50..75).contains(&broken), "{whole}, {broken}");
     }
 
     #[test]

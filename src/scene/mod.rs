@@ -108,6 +108,7 @@ pub use units::{Moduli, Units, UpAxis};
 
 use crate::sim::{Grid, Material};
 use crate::{Error, Result};
+use std::path::Path;
 
 /// Gravity of a scene that does not say [m/s^2].
 const GRAVITY_M_S2: f64 = 9.8;
@@ -276,6 +277,19 @@ impl Default for Scene {
 }
 
 impl Scene {
+    /// The files that [`Scene::setup`] reads.
+    pub fn files(&self) -> impl Iterator<Item = &Path> {
+        let start = match &self.start {
+            Start::File(file) => Some(&*file.path),
+            _ => None,
+        };
+        let motion = match &self.motion {
+            Motion::File(path) => Some(&**path),
+            _ => None,
+        };
+        start.into_iter().chain(motion)
+    }
+
     /// Checks all numbers that need no file, and gives the units that follow from them.
     fn check(&self) -> Result<Units> {
         let grid = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
@@ -286,8 +300,11 @@ impl Scene {
         if let Side::Both([_, given]) = self.side_m {
             self.positive("side_m", given)?;
             if (given - width).abs() > SQUARE * width {
-                let expected =
-                    format!("a width of {width:.6} m: square cells on a {grid} grid {height} m high");
+                let fitting = (given / length_m).round().clamp(7.0, 4095.0) + 1.0;
+                let expected = format!(
+                    "a width of {width:.6} m, for square cells on a {grid} grid {height} m high, or a {}x{fitting} grid",
+                    grid.h
+                );
                 return Err(Error::invalid(&self.origin, "side_m", expected, format!("{given} m")));
             }
         }

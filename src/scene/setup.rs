@@ -6,12 +6,15 @@ use super::{Handles, Motion, Scene, Units, UpAxis};
 use crate::sim::{Cloth, Control, Grid, Model, State, cast};
 use crate::{Error, Result};
 use num_traits::Float;
+use std::ops::RangeInclusive;
 
 /// The longest run, and the most handle positions, that a scene may ask for: far above any use, well inside memory.
 const MAX_FRAMES: usize = 1_000_000;
 const MAX_HANDLE_POSITIONS: usize = 50_000_000;
 /// Spacing of the numbers in single precision \[edges\] beyond which frames suffer from where the cloth is.
 const COARSEST: f64 = 1e-3;
+/// Mean lengths of a start's edges \[edges\] that need no word: folds and wrinkles leave edges as they are.
+const USUAL: RangeInclusive<f64> = 0.9..=1.1;
 /// Frames of a scene whose handles stay, where it does not say how many: as many as the built-in motions have.
 const STILL_FRAMES: usize = 391;
 
@@ -145,17 +148,20 @@ impl Scene {
         let [mut points, velocities] = self.start.on(grid, &units, self.up)?;
         let at_start: Vec<[f64; 3]> = particles.iter().map(|&p| points[p]).collect();
         let handles = self.trajectory(&units, &at_start)?;
+        self.tell_other_size(&points);
         // A recording's first row is where the handles are at the start; for a built-in motion this changes nothing.
-        for (&p, &at) in particles.iter().zip(&handles[0]) {
-            let gap = norm(zip(points[p], at, |p, at| p - at));
-            if gap > 1.0 {
-                tracing::warn!(
-                    "{}: motion: handle {p} begins {gap:.1} edges from where the start state has it",
-                    self.origin
-                );
-            }
-            points[p] = at;
+        let gaps =
+            particles.iter().zip(&handles[0]).map(|(&p, &at)| (norm(zip(points[p], at, |p, at| p - at)), p));
+        let far: Vec<(f64, usize)> = gaps.filter(|&(gap, _)| gap > 1.0).collect();
+        if let Some(&(gap, p)) = far.iter().max_by(|a, b| a.0.total_cmp(&b.0)) {
+            tracing::warn!(
+                "{}: motion: {} of {} handles begin elsewhere than the start state has them, handle {p} by {gap:.1} edges",
+                self.origin,
+                far.len(),
+                particles.len()
+            );
         }
+        particles.iter().zip(&handles[0]).for_each(|(&p, &at)| points[p] = at);
         let cloth = Cloth {
             material: self.stiffness.in_grid_units(&units),
             gravity: units.acceleration(self.up.to_z_up(self.gravity)),
@@ -182,6 +188,27 @@ impl Scene {
             );
         }
         Ok(setup)
+    }
+
+    /// Says so where the start's edges are not about as long as the sheet's: the usual mistake is another unit or side.
+    fn tell_other_size(&self, points: &[[f64; 3]]) {
+        let Grid { h, w } = self.grid;
+        let mean = |edges: &mut dyn Iterator<Item = (usize, usize)>| {
+            let lengths: Vec<f64> =
+                edges.map(|(p, q)| norm(zip(points[p], points[q], |p, q| q - p))).collect();
+            lengths.iter().sum::<f64>() / lengths.len() as f64
+        };
+        let along_height = mean(&mut (0..(h - 1) * w).map(|p| (p, p + w)));
+        let along_width = mean(&mut (0..h * w).filter(|p| p % w > 0).map(|p| (p - 1, p)));
+        for (field, length) in [("height", along_height), ("width", along_width)] {
+            if !USUAL.contains(&length) {
+                tracing::warn!(
+                    "{}: start: edges along the {field} are {length:.3} times as long as at rest: is side_m, the {field}, that of \
+                     the sheet in the start?",
+                    self.origin
+                );
+            }
+        }
     }
 
     /// Handle positions \[edges\], z up, for each frame, from the handles' places at the start.

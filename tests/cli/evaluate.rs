@@ -109,7 +109,7 @@ fn a_material_is_what_a_scene_takes() {
 fn what_would_never_end_or_cannot_be_written_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let of = |more: &[&str]| evaluate(folder.path(), &[&["--grid", "8", "--out", "scores"], more].concat());
-    refused(of(&["--solver", "gd:18446744073709551615"]), &["--iterations", "gd", "1 to 100000"]);
+    refused(of(&["--solver", "gd:18446744073709551615"]), &["--solver", "gd", "1 to 100000"]);
     let truth = shipped();
     let many = ["evaluate", "--ground-truth", truth.to_str().unwrap(), "--points", "1000000000000"];
     refused(quiet(folder.path(), &many).output().unwrap(), &["--points", "10000000"]);
@@ -161,13 +161,16 @@ fn a_fit_writes_a_material_that_an_evaluation_reads() {
     let best = json(&at.join("out/fit.json"));
     let lines = std::fs::read_to_string(at.join("out/fit.csv")).unwrap();
     let first: Vec<f64> = lines.lines().nth(2).unwrap().split(',').map(|v| v.parse().unwrap()).collect();
-    assert_eq!(best["material"]["stretch"].as_f64().unwrap(), first[0]);
+    // In moduli, with the coefficients that were found beside them.
+    assert_eq!(best["coefficients"]["stretch"].as_f64().unwrap(), first[0]);
+    assert_eq!(best["coefficients"]["grid"], "8x8");
     done(evaluate(
         at,
         &["--grid", "8", "--solver", "gd:2", "--json", "s.json", "--material", "out/fit.json"],
     ));
     let settings = json(&at.join("s.json"))[0]["made_with"]["settings"].clone();
-    assert_eq!(settings["material"]["stretch"], best["material"]["stretch"]);
+    assert!(best["material"]["stretch_modulus"].is_number());
+    assert_eq!(settings["material"], best["material"]);
     assert_eq!((settings["density"].as_f64(), &settings["drag"]), (Some(first[3]), &Value::Null));
     refused(fit(&["--levels", "50"]), &["levels", "at most 100000 points"]);
     // A point has one air for all sequences: it is asked for, or theirs must be the same.

@@ -1,6 +1,6 @@
 //! `fnopt rollout`: what it writes, and what it keeps when it ends early.
 
-use super::command::{command, fnopt, refused_cleanly, send, text};
+use super::command::{command, fnopt, json, refused_cleanly, send, text};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -34,6 +34,7 @@ fn a_rollout_writes_what_it_says() {
     assert!(report["ms_per_frame"].as_f64().unwrap() > 0.0);
     assert_eq!(report["version"], env!("CARGO_PKG_VERSION"));
     assert_eq!(report["settings"]["precision"], "f32");
+    assert_eq!((&report["status"], &summary["status"]), (&"done".into(), &"done".into()));
     let mut told: Vec<&str> =
         report["files"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
     let mut there: Vec<String> = std::fs::read_dir(folder.path().join("out"))
@@ -145,10 +146,33 @@ fn a_run_that_explodes_keeps_the_frames_before_and_a_replay() {
     for file in ["out/replay.npz", "out/rollout.npz", "out/report.json"] {
         assert!(folder.path().join(file).exists(), "{file}");
     }
+    assert_eq!(json(&folder.path().join("out/report.json"))["status"], "non-finite");
     // The replay is not taken for one of the next run, which is good.
     let good = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "2", "--no-pictures"];
     assert_eq!(fnopt(folder.path(), &good).status.code(), Some(0));
     assert!(!folder.path().join("out/replay.npz").exists());
+}
+
+/// A simulation that begins with what another one wrote does not write over it.
+#[test]
+fn what_a_scene_is_read_from_is_not_written_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let rollout = |more: &[&str]| {
+        let few = ["--device", "cpu", "--solver", "gd", "--grid", "8", "--frames", "2", "--no-pictures"];
+        fnopt(folder.path(), &[&["rollout"], more, &few].concat())
+    };
+    assert_eq!(rollout(&[]).status.code(), Some(0));
+    let [first, replay] = ["rollout.npz", "replay.npz"].map(|file| folder.path().join("out").join(file));
+    std::fs::copy(&first, &replay).unwrap();
+    let before = std::fs::read(&first).unwrap();
+    for start in ["out/rollout.npz", "./out/replay.npz"] {
+        std::fs::write(folder.path().join("next.json"), format!(r#"{{"start": "{start}"}}"#)).unwrap();
+        let output = rollout(&["next.json"]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(text(&output.stderr).contains("--out"), "{}", text(&output.stderr));
+        assert!(std::fs::read(&first).unwrap() == before && replay.is_file());
+        assert_eq!(rollout(&["next.json", "--out", "next"]).status.code(), Some(0));
+    }
 }
 
 /// What fails to be written after the frames are there takes nothing else with it.
@@ -172,6 +196,9 @@ fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
         std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     assert_eq!(names, ["report.json", "rollout.npy"]);
+    // The report does not name what an earlier run may have left there.
+    let told = json(&out.join("report.json"))["files"].clone();
+    assert_eq!(told, serde_json::json!(["rollout.npy", "report.json"]));
 }
 
 #[cfg(unix)]
@@ -197,5 +224,31 @@ fn an_interrupted_rollout_keeps_the_frames_so_far() {
         let kept = folder.path().join("out/rollout.npz");
         let kept = fnopt::io::Trajectory::read(kept, &Default::default()).unwrap();
         assert_eq!(kept.frames(), frames, "{signal}");
+    }
+}
+
+#[test]
+fn what_is_not_sound_or_of_another_size_is_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |scene: &str, more: &[&str]| {
+        std::fs::write(folder.path().join("s.json"), scene).unwrap();
+        let few = ["rollout", "s.json", "--device", "cpu", "--no-pictures"];
+        text(&command(folder.path(), &[&few[..], more].concat()).output().unwrap().stderr)
+    };
+    // Quasi-Newton tears a sheet of so few rows before it leaves the numbers.
+    let torn = told(r#"{"grid": [16, 16], "frames": 14}"#, &["--solver", "quasi-newton"]);
+    assert!(torn.contains("away from the handles was stretched by"), "{torn}");
+    let sound = told(r#"{"grid": [16, 16], "frames": 4}"#, &["--solver", "newton"]);
+    assert!(!sound.contains("warning") && !sound.contains("WARN"), "{sound}");
+    // Half a metre of sheet in a scene of one, and handles that begin elsewhere: a line for each.
+    let vertices: Vec<[f64; 3]> =
+        (0..64).map(|p| [0.5 * f64::from(p % 8) / 7.0, 0.0, 0.5 * f64::from(p / 8) / 7.0]).collect();
+    let motion: Vec<[f64; 3]> = vec![[9.0, 0.0, 0.0], [9.0, 9.0, 0.0]];
+    let scene = serde_json::json!({
+        "grid": [8, 8], "start": { "vertices": vertices, "grid": [8, 8] }, "motion": [motion, motion],
+    });
+    let told = told(&scene.to_string(), &["--solver", "gd", "--iterations", "1", "--frames", "2"]);
+    for said in ["along the height are 0.500 times", "along the width", "2 of 2 handles begin elsewhere"] {
+        assert_eq!(told.matches(said).count(), 1, "{said}: {told}");
     }
 }

@@ -75,6 +75,31 @@ fn scores_are_those_of_the_files_that_are_there() {
     std::fs::write(to.join("meta.json"), meta.replace("0.187", "0.5")).unwrap();
     assert_ne!(done(run()).0, first);
     assert_eq!(scores(&at.join("out/evaluate")).len(), 4);
+    // A score whose frames are not there, or not all, is made again with them.
+    for damage in [(|file: &Path| std::fs::remove_file(file).unwrap()) as fn(&Path), |file| {
+        let frames = fnopt::io::Trajectory::read(file, &Default::default()).unwrap();
+        let mut one = fnopt::io::Trajectory::new(frames.grid(), 1.0);
+        one.push(frames.frame(0), frames.frame_velocities(0));
+        one.write(
+            file.parent().unwrap(),
+            file.file_stem().unwrap().to_str().unwrap(),
+            fnopt::io::Format::Npy,
+        )
+        .unwrap();
+    }] {
+        let all = scores(&at.join("out/evaluate")).into_iter().map(|score| score.with_extension("npy"));
+        let all: Vec<_> = all.collect();
+        let before: Vec<_> = all.iter().map(|file| std::fs::read(file).unwrap()).collect();
+        all.iter().for_each(|file| damage(file));
+        done(run());
+        let same = all
+            .iter()
+            .zip(&before)
+            .filter(|(file, before)| std::fs::read(file).is_ok_and(|found| found == **before));
+        // Those of the earlier truth are of no interest.
+        assert_eq!(same.count(), 2);
+        all.iter().zip(&before).for_each(|(file, before)| std::fs::write(file, before).unwrap());
+    }
     // One that cannot be read is told, after what is finished.
     let damaged =
         scores(&at.join("out/evaluate")).into_iter().filter(|f| f.to_string_lossy().contains("lbfgs"));
@@ -265,6 +290,15 @@ fn other_systems_stand_beside_the_solvers() {
     assert_eq!(nothing.trim(), "[]");
     let merged = done(quiet(at, &["evaluate", "--merge", "shares"]).output().unwrap()).0;
     assert!(merged.contains("gd, N = 3  A b (16x16)"), "{merged}");
+
+    // A sequence or a grid that is named twice is there once.
+    let once = compared(&["--sequences", "xy_v2", "--json", "--out", "once"]);
+    let twice = ["--sequences", "xy_v2,xy_v2", "--grid", "9", "--json", "--out", "once"];
+    let count = |told: &str| serde_json::from_str::<Vec<Value>>(told).unwrap().len();
+    assert_eq!((count(&once), count(&compared(&twice))), (3, 3));
+    // A name that tables would take for a solver's.
+    let compare = ["--compare", "gd=theirs"];
+    refused(evaluate(at, &[&few[..], &compare].concat()), &["--compare", "no other column has"]);
 
     // One that has left the numbers has diverged.
     let mut bytes = std::fs::read(&file).unwrap();

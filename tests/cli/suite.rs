@@ -28,8 +28,13 @@ fn a_suite_fails_when_a_case_is_not_sound() {
 fn a_suite_honours_its_options_or_refuses_them() {
     let folder = tempfile::tempdir().unwrap();
     let suite = |name: &str, more: &[&str]| {
-        let few = ["--frames", "3", "--no-gap", "--solver", "lbfgs:2", "--device", "cpu", "--json", "s.json"];
-        quiet(folder.path(), &[&["evaluate", "--suite", name], &few[..], more].concat()).output().unwrap()
+        let few = ["--frames", "3", "--no-gap", "--device", "cpu", "--json", "s.json"];
+        // The suite of iterations sets them itself.
+        let usual = if name == "iterations" { "lbfgs" } else { "lbfgs:2" };
+        let solver = if more.contains(&"--solver") { vec![] } else { vec!["--solver", usual] };
+        quiet(folder.path(), &[&["evaluate", "--suite", name], &few[..], &solver, more].concat())
+            .output()
+            .unwrap()
     };
     // The scores, which are of this run and of no other.
     let scores = |name: &str, more: &[&str]| {
@@ -51,12 +56,17 @@ fn a_suite_honours_its_options_or_refuses_them() {
     // The suite of grids has its own, once.
     let of_grids = scores("grids", &["--sequences", "48x32"]);
     assert_eq!((of_grids.len(), &of_grids[0]["score"]["grid"]), (1, &"48x32".into()));
-    let five = ["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs:2,lbfgs:3"];
+    let five = ["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs,lbfgs"];
     let of_five = scores("iterations", &five);
     assert_eq!((of_five.len(), &of_five[0]["score"]["iterations"]), (1, &5.into()));
+    refused(
+        suite("iterations", &["--solver", "lbfgs:2"]),
+        &["--solver", "as the suite sets them", "lbfgs:2"],
+    );
     refused(suite("grids", &["--grid", "32,64"]), &["--grid", "has its own"]);
     refused(suite("iterations", &["--iterations", "3"]), &["--iterations", "has its own"]);
     refused(suite("iterations", &["--solver", "single-pass"]), &["--solver", "single-pass"]);
+    refused(suite("iterations", &["--solver", "newton"]), &["--solver", "newton"]);
     refused(suite("materials", &["--material", "1,2,3"]), &["--material", "which has its own"]);
     refused(suite("speeds", &["--points", "3"]), &["cannot be used with", "--points"]);
     refused(suite("speeds", &["--ground-truth", "."]), &["cannot be used with", "--ground-truth"]);
@@ -88,6 +98,13 @@ fn layers_that_are_kept_apart_are_told_of() {
     let scores = json(&folder.path().join("all.json"));
     let of = |case: &str| scores.as_array().unwrap().iter().filter(|s| s["score"]["case"] == case).count();
     assert_eq!((of("corner-center without"), of("corner-center with")), (5, 4));
+    // Without solvers of its own the suite of iterations takes those that have iterations.
+    let few = ["--frames", "2", "--grid", "12", "--sequences", "3 iterations", "--no-gap", "--device", "cpu"];
+    let output = fnopt(folder.path(), &[&["evaluate", "--suite", "iterations", "--json"], &few[..]].concat());
+    assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
+    let scores: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let solvers: Vec<_> = scores.as_array().unwrap().iter().map(|s| s["solver"].as_str().unwrap()).collect();
+    assert_eq!(solvers, ["fnopt", "quasi-newton", "lbfgs", "adam"]);
     // Where no case keeps them apart, nothing is said of it.
     let speeds = ["--suite", "speeds", "--grid", "8", "--frames", "3", "--solver", "gd:1", "--no-gap"];
     let (printed, _) = done(quiet(folder.path(), &[&["evaluate"], &speeds[..]].concat()).output().unwrap());

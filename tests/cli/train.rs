@@ -1,6 +1,6 @@
 //! `fnopt train`: its folder, how it resumes and how it ends.
 
-use super::command::{command, fnopt, send, text};
+use super::command::{command, fnopt, refused, send, text};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -47,6 +47,9 @@ fn a_training_run_fills_its_folder_and_resumes() {
         ["rollout", "--device", "cpu", "--frames", "3", "--checkpoint", "once/weights/last.safetensors"];
     let output = fnopt(folder.path(), &arguments);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    // The state of the run is no weights, but tells where they are.
+    let state = ["rollout", "--device", "cpu", "--checkpoint", "once/checkpoints/step-00000004.safetensors"];
+    refused(fnopt(folder.path(), &state), &["step-00000004", "weights/last.safetensors", "training run"]);
 }
 
 #[cfg(not(feature = "mpi"))]

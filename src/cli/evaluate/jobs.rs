@@ -4,7 +4,8 @@ use super::progress;
 use crate::cli::go_on;
 use crate::cli::output::tell;
 use fnopt::eval::{
-    Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, coarse, compare, run, snapshots,
+    Conditions, Entry, Nudge, SNAPSHOTS, Score, Sequence, Settings, belong_together, coarse, compare, run,
+    snapshots,
 };
 use fnopt::io::{self, ReadOptions, Trajectory};
 use fnopt::sim::{Device, Grid};
@@ -89,31 +90,36 @@ impl<'a> Plan<'a> {
         let failed = AtomicBool::new(false);
         let all: Mutex<Vec<(usize, Kept)>> = Mutex::default();
         let done = |number: usize| -> Ended {
-            let job = &jobs[number];
-            let kept = if job.file.is_file() {
-                bar.inc(frames(job) as u64);
-                Kept::read(&job.file)?
-            } else {
-                let Job { sequence, nudge, grid, entry, file, .. } = job;
-                bar.set_message(format!("{} {grid} {}", sequence.name, entry.name));
-                let tick = || {
-                    bar.inc(1);
-                    if failed.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { go_on(interrupted) }
-                };
-                let around = (self.device, &self.settings);
-                let Some((score, found)) = run((sequence, *nudge), *grid, entry, around, tick)? else {
-                    return Ok(ControlFlow::Break(()));
-                };
-                let snapshots = score.stable.then(|| snapshots(&found, usize::MAX));
-                let kept = Kept { score, snapshots };
-                kept.write(file)?;
-                kept
+            let Job { sequence, nudge, grid, entry, file, .. } = &jobs[number];
+            bar.set_message(format!("{} {grid} {}", sequence.name, entry.name));
+            let tick = || {
+                bar.inc(1);
+                if failed.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { go_on(interrupted) }
             };
+            let around = (self.device, &self.settings);
+            let Some((score, found)) = run((sequence, *nudge), *grid, entry, around, tick)? else {
+                return Ok(ControlFlow::Break(()));
+            };
+            let snapshots = score.stable.then(|| snapshots(&found, usize::MAX));
+            let kept = Kept { score, snapshots };
+            kept.write(file)?;
             all.lock().unwrap_or_else(|e| e.into_inner()).push((number, kept));
             Ok(ControlFlow::Continue(()))
         };
-        let (kept, missing): (Vec<usize>, Vec<usize>) =
-            (0..jobs.len()).partition(|&job| jobs[job].file.is_file());
+        let mut missing = Vec::new();
+        let mut read = || -> Result<()> {
+            for (number, job) in jobs.iter().enumerate() {
+                match Kept::read(&job.file)? {
+                    Some(kept) => {
+                        bar.inc(frames(job) as u64);
+                        all.lock().unwrap_or_else(|e| e.into_inner()).push((number, kept));
+                    }
+                    None => missing.push(number),
+                }
+            }
+            Ok(())
+        };
+        let read = read();
         let of_cpu = |&job: &usize| matches!(jobs[job].entry.device(self.device), Device::Cpu);
         let (mut on_cpu, on_gpu): (Vec<usize>, Vec<usize>) = missing.into_iter().partition(of_cpu);
         // The finest grids first, so that at the end no core waits long for another; but once all, before any is repeated.
@@ -121,8 +127,8 @@ impl<'a> Plan<'a> {
             let Job { nudge, grid, .. } = &jobs[job];
             (nudge.map_or(0, |nudge| nudge.repeat), Reverse(grid.particles()))
         });
-        let ending = in_turn(&kept, done)
-            .and_then(|ended| then(ended, || side_by_side((&on_cpu, self.on_cpu()), &failed, &done)))
+        let ending = read
+            .and_then(|()| side_by_side((&on_cpu, self.on_cpu()), &failed, &done))
             .and_then(|ended| then(ended, || in_turn(&on_gpu, done)));
         bar.finish_and_clear();
         let mut all = all.into_inner().unwrap_or_else(|e| e.into_inner());
@@ -246,16 +252,23 @@ impl Kept {
         self.write(&own)
     }
 
-    /// The score in a file, and the frames beside it.
-    fn read(file: &Path) -> Result<Self> {
-        let (score, frames) = (Score::read(file)?, file.with_extension("npy"));
+    /// The score in a file, and the frames beside it; nothing where it is not there, or where frames of a stable one are not.
+    fn read(file: &Path) -> Result<Option<Self>> {
+        if !file.is_file() {
+            return Ok(None);
+        }
+        let score = Score::read(file)?;
+        if !score.stable {
+            return Ok(Some(Self { score, snapshots: None }));
+        }
         let read = || {
             let (h, w) = score.grid.split_once('x')?;
             let grid = Some(Grid::new(h.parse().ok()?, w.parse().ok()?, "grid").ok()?);
-            frames.is_file().then(|| Trajectory::read(&frames, &ReadOptions { grid, fps: 1.0 }))
+            let options = ReadOptions { grid, fps: 1.0 };
+            let frames = Trajectory::read(file.with_extension("npy"), &options).ok()?;
+            (frames.frames() == SNAPSHOTS).then_some(frames)
         };
-        let snapshots = read().transpose()?;
-        Ok(Self { score, snapshots })
+        Ok(read().map(|snapshots| Self { score, snapshots: Some(snapshots) }))
     }
 
     /// The score last: once it is there, all is.
@@ -267,7 +280,7 @@ impl Kept {
     }
 }
 
-/// All scores that folders keep, in the order of the folders and of their files' names; they must belong together.
+/// All scores that folders keep, by sequence and grid; they must belong together.
 pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
     let mut files = Vec::new();
     for folder in folders {
@@ -296,5 +309,11 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
     }
     let told: Vec<(&Path, &Score)> = of_files.into_iter().zip(&scores).collect();
     belong_together(&told)?;
+    // As tables of one run have them, whichever folder a score is in.
+    let particles = |score: &Score| {
+        let sides = score.grid.split('x').map(|side| side.parse::<usize>().unwrap_or(0));
+        sides.product::<usize>()
+    };
+    scores.sort_by(|a, b| (&a.sequence, particles(a)).cmp(&(&b.sequence, particles(b))));
     Ok(scores)
 }

@@ -19,6 +19,7 @@ use fnopt::network::Weights;
 use fnopt::sim::{Device, Optimizer};
 use indicatif::{ProgressBar, ProgressStyle};
 use jobs::{Kept, Plan, playable};
+use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -27,6 +28,10 @@ use std::time::Duration;
 
 /// The file that is standard output.
 const STDOUT: &str = "-";
+
+/// The solvers that take part where none are named, and where a suite sets the number of their iterations.
+const SOLVERS: [&str; 5] = ["newton", "fnopt", "quasi-newton", "lbfgs:100", "adam:500"];
+const OF_ANY_ITERATIONS: [&str; 4] = ["fnopt", "quasi-newton", "lbfgs", "adam"];
 
 /// Arguments of `fnopt evaluate`.
 #[derive(Debug, clap::Args)]
@@ -43,14 +48,10 @@ pub struct Args {
     grid: Option<Vec<String>>,
     /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton, quasi-newton-exact and newton, which run on the CPU whatever the device,
     /// single-pass, which is fnopt:1, or interpolation, which is fnopt on 32 rows carried to the grid; with iterations of
-    /// their own after a colon
-    #[arg(
-        long,
-        value_delimiter = ',',
-        default_value = "newton,fnopt,quasi-newton,lbfgs:100,adam:500",
-        value_name = "NAME[:N],.."
-    )]
-    solver: Vec<String>,
+    /// their own after a colon [default: newton,fnopt,quasi-newton,lbfgs:100,adam:500; of these, those with iterations where a suite
+    /// sets their number]
+    #[arg(long, value_delimiter = ',', value_name = "NAME[:N],..")]
+    solver: Option<Vec<String>>,
     /// Iterations per frame of the solvers without their own [default: 10]
     #[arg(long, value_delimiter = ',', value_name = "N,..", allow_negative_numbers = true)]
     iterations: Option<Vec<usize>>,
@@ -113,7 +114,8 @@ pub struct Args {
     /// Tables as Markdown
     #[arg(long, value_name = "FILE")]
     markdown: Option<PathBuf>,
-    /// Folder for plots (PNG); with --merge those of the scores alone, without the errors on the cloth and the convergence
+    /// Folder for plots (PNG); with --merge those of the scores alone, without the errors on the cloth and the convergence,
+    /// and with --shard without the convergence
     #[arg(long, value_name = "DIR")]
     plots: Option<PathBuf>,
     #[command(flatten)]
@@ -126,17 +128,19 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         args.writable()?;
         let drawn = args.plots.as_ref().map_or(Ok(()), |folder| plots::draw(folder, &scores));
         args.write_tables(&tables(&scores), &documents(&scores))?;
+        tell_devices(&scores);
         return Ok(drawn.map(|()| Ending::Done)?);
     }
     let settings = args.settings()?;
-    let entries = args.entries()?;
+    let suite = args.suite.as_deref().map(|name| Suite::named(name, "--suite")).transpose()?;
+    let entries = args.entries(suite)?;
     let grids = grids(args.grid.as_deref().unwrap_or(&["32".into()]))?;
-    if let Some(name) = &args.suite {
+    if let Some(suite) = suite {
         if let Some((_, count)) = share_of_slurm().filter(|&(_, count)| count > 1) {
             let found = format!("{count} of them (SLURM_ARRAY_TASK_COUNT)");
             return Err(Error::invalid("--suite", "tasks", "one, as a suite is not shared out", found).into());
         }
-        return args.run_suite(Suite::named(name, "--suite")?, entries, &grids);
+        return args.run_suite(suite, entries, &grids);
     }
     // What is wrong with one sequence, or another system's trajectory of it, takes no others along.
     let mut wrong: Vec<Error> = Vec::new();
@@ -169,6 +173,9 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     if jobs.is_empty() {
         tell!("share {index} of {count} has nothing to do: there are fewer sequences and grids");
     }
+    if args.plots.is_some() && count > 1 {
+        tell!("the convergence is not plotted: it belongs to no share");
+    }
     writable_folder(&args.out)?;
     args.writable()?;
     systems.iter().try_for_each(|system| system.keep_imported(&args.out))?;
@@ -177,7 +184,6 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let (mut all, ending) = plan.work(&jobs, &interrupted);
     all.extend(systems);
     // What is finished is told however it ended.
-    // The convergence belongs to no share.
     let complete = matches!(ending, Ok(ControlFlow::Continue(()))) && count == 1;
     let written = match all.is_empty() && !jobs.is_empty() {
         true => Ok(()),
@@ -257,10 +263,13 @@ impl Args {
     }
 
     /// The solvers with each of their numbers of iterations.
-    fn entries(&self) -> fnopt::Result<Vec<Entry>> {
+    fn entries(&self, suite: Option<Suite>) -> fnopt::Result<Vec<Entry>> {
         let mut weights: Option<Weights> = None;
         let mut entries = Vec::new();
-        for text in &self.solver {
+        let any = suite == Some(Suite::Iterations);
+        let usual: &[&str] = if any { &OF_ANY_ITERATIONS } else { &SOLVERS };
+        let named = self.solver.clone().unwrap_or_else(|| usual.iter().map(|&name| name.into()).collect());
+        for text in &named {
             let (name, own) = match text.split_once(':') {
                 None => (text.as_str(), None),
                 Some((name, n)) => (
@@ -271,6 +280,10 @@ impl Args {
                     ),
                 ),
             };
+            if any && own.is_some() {
+                let expected = "no iterations, as the suite sets them";
+                return Err(Error::invalid("--solver", name, expected, text));
+            }
             let (known, own) = match name {
                 "single-pass" if own.is_some_and(|n: usize| n != 1) => {
                     return Err(Error::invalid(
@@ -298,7 +311,8 @@ impl Args {
             let allowed = 1..=MOST_ITERATIONS as usize;
             if let Some(n) = all.iter().find(|n| !allowed.contains(n)) {
                 let expected = format!("1 to {MOST_ITERATIONS} iterations");
-                return Err(Error::invalid("--iterations", name, expected, n));
+                let option = if own.is_some() { "--solver" } else { "--iterations" };
+                return Err(Error::invalid(option, name, expected, n));
             }
             let of = |iterations| Entry {
                 name: name.to_owned(),
@@ -322,9 +336,10 @@ impl Args {
         }
     }
 
-    /// Names and folders of the systems to compare with, whose names stand for no other column.
+    /// Names and folders of the systems to compare with, whose names stand for no solver and no other column.
     fn systems(&self, entries: &[Entry]) -> fnopt::Result<Vec<(String, PathBuf)>> {
-        let mut columns: Vec<String> = entries.iter().map(Entry::column).collect();
+        let mut columns: Vec<String> =
+            entries.iter().flat_map(|entry| [entry.column(), entry.name.clone()]).collect();
         let mut parse = |text: &String| {
             let (name, folder) = text
                 .split_once('=')
@@ -397,6 +412,7 @@ impl Args {
     fn write(&self, all: &[Kept], plan: &Plan, (simulate, interrupted): (bool, &AtomicBool)) -> Result<()> {
         let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
         let written = self.write_tables(&tables(&scores), &documents(&scores));
+        tell_devices(&scores);
         // The tables are there whatever becomes of the plots.
         let drawn = self.plots.as_ref().map_or(Ok(()), |folder| {
             plots::draw(folder, &scores)?;
@@ -457,6 +473,21 @@ fn documents(scores: &[Score]) -> Vec<Document<'_>> {
         first.then(|| OverRepeats::of(score, scores)).filter(|all| all.repeats > 1)
     };
     scores.iter().map(|score| Document { score, over_repeats: over_repeats(score) }).collect()
+}
+
+/// Says so where times were measured in ways that do not compare, as kept ones may have been on more threads.
+fn tell_devices(scores: &[Score]) {
+    let on_cpu =
+        |score: &&Score| score.made_with.kind.as_deref() == Some("cpu") && score.ms_per_frame.is_some();
+    let devices: BTreeSet<_> =
+        scores.iter().filter(on_cpu).filter_map(|score| score.made_with.device.as_deref()).collect();
+    if devices.len() > 1 {
+        let devices: Vec<_> = devices.into_iter().collect();
+        tell!(
+            "ms/frame is not comparable throughout: some were measured on {}",
+            devices.join(", others on ")
+        );
+    }
 }
 
 fn as_json(scores: &[impl serde::Serialize]) -> String {

@@ -40,15 +40,24 @@ fn recorded_start(score: &Score) -> bool {
     score.made_with.nudge.is_none()
 }
 
+/// The value of a key, made where there is none yet: as in a map, but in the order of first appearance, as tables are.
+fn entry<K: PartialEq, V: Default>(all: &mut Vec<(K, V)>, key: K) -> &mut V {
+    let place = all.iter().position(|(known, _)| *known == key).unwrap_or_else(|| {
+        all.push((key, V::default()));
+        all.len() - 1
+    });
+    &mut all[place].1
+}
+
 /// What is plotted of a score: its name, a factor and the figures of the frames.
 type Figure = (&'static str, f64, fn(&Score) -> &Vec<f64>);
 
 fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Figure) -> Result<()> {
-    let mut curves: BTreeMap<(String, String), Vec<Curve>> = BTreeMap::new();
+    let mut curves: Vec<((&str, &str), Vec<Curve>)> = Vec::new();
     for score in scores.iter().filter(|s| s.stable && recorded_start(s)) {
         let points = of(score).iter().enumerate().map(|(f, &v)| [(f + 1) as f64, factor * v]);
         let curve = Curve { label: score.column(), points: points.collect() };
-        curves.entry((score.sequence.clone(), score.grid.clone())).or_default().push(curve);
+        entry(&mut curves, (&score.sequence, &score.grid)).push(curve);
     }
     let chart = |((sequence, grid), curves)| Chart {
         title: format!("{sequence} {grid}: {name} per frame"),
@@ -63,21 +72,21 @@ fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Fi
 fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
     /// Error and time of every sequence, by the number of iterations; none of one that diverged.
     type Figures = BTreeMap<usize, Vec<Option<[f64; 2]>>>;
-    let mut of: BTreeMap<(String, String), Figures> = BTreeMap::new();
+    let mut of: Vec<((&str, &str), Figures)> = Vec::new();
     for score in scores.iter().filter(|s| s.iterations > 0) {
-        let of_solver = of.entry((score.grid.clone(), score.solver.clone())).or_default();
+        let of_solver = entry(&mut of, (&score.grid, &score.solver));
         let both = score.e_cd.zip(score.ms_per_frame).map(|(e, ms)| [1e3 * e, ms]);
         of_solver.entry(score.iterations).or_default().push(both);
     }
-    let mut grids: BTreeMap<String, [Vec<Curve>; 2]> = BTreeMap::new();
+    let mut grids: Vec<(&str, [Vec<Curve>; 2])> = Vec::new();
     for ((grid, solver), means) in of {
-        for (k, curves) in grids.entry(grid).or_default().iter_mut().enumerate() {
+        for (k, curves) in entry(&mut grids, grid).iter_mut().enumerate() {
             let mean = |v: &[[f64; 2]]| v.iter().map(|v| v[k]).sum::<f64>() / v.len() as f64;
             let whole = |v: &[Option<[f64; 2]>]| v.iter().copied().collect::<Option<Vec<_>>>();
             let points: Vec<_> =
                 means.iter().filter_map(|(&n, v)| Some([n as f64, mean(&whole(v)?)])).collect();
             if !points.is_empty() {
-                curves.push(Curve { label: solver.clone(), points });
+                curves.push(Curve { label: solver.to_owned(), points });
             }
         }
     }
@@ -154,7 +163,7 @@ fn convergence_on(
 pub(super) fn error_maps(folder: &Path, sequence: &Sequence, (all, frames): (&[Kept], usize)) -> Result<()> {
     let truth = snapshots(&sequence.truth, frames);
     let here = |kept: &&Kept| kept.score.sequence == sequence.name && recorded_start(&kept.score);
-    let mut grids: BTreeMap<&str, Vec<ErrorMap>> = BTreeMap::new();
+    let mut grids: Vec<(&str, Vec<ErrorMap>)> = Vec::new();
     for kept in all.iter().filter(here) {
         let Some(found) = &kept.snapshots else { continue };
         let errors = |f| vertex_errors((found.frame(f), found.grid()), (truth.frame(f), truth.grid()));
@@ -163,7 +172,7 @@ pub(super) fn error_maps(folder: &Path, sequence: &Sequence, (all, frames): (&[K
             errors: (0..found.frames()).map(errors).collect(),
             frames: found.clone(),
         };
-        grids.entry(&kept.score.grid).or_default().push(map);
+        entry(&mut grids, &*kept.score.grid).push(map);
     }
     let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
     let handles =

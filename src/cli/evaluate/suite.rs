@@ -43,8 +43,8 @@ impl Args {
         Ok(cases)
     }
 
-    /// The score of a solver in a case: the one that is kept, if it was made in the same way and its picture is there. One
-    /// file beside each picture: another material takes the place of both. Nothing when `tick` ended it.
+    /// The score of a solver in a case: the one that is kept, if it was made in the same way and its picture is there. There is one
+    /// of each: another material takes the place of both. Nothing when `tick` ended it.
     fn score(
         &self,
         prepared: &Prepared,
@@ -69,6 +69,13 @@ impl Args {
         let Some((score, trajectory)) = prepared.run(solver, device, !self.no_gap, tick)? else {
             return Ok(None);
         };
+        // Never another's score beside this picture.
+        match std::fs::remove_file(&file) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+                return Err(Error::io(&file, "cannot remove", e).into());
+            }
+            _ => {}
+        }
         let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
         let options = StripOptions { view, ..Default::default() };
         write_png(picture, &strip(&trajectory, &prepared.setup.model.cloths[0].handles, &options))?;
