@@ -11,7 +11,7 @@ use fnopt::eval::{FreeEdges, STRETCH_LIMIT, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{Motion, Scene, Separation, Setup};
-use fnopt::sim::{Frame, FrameStats, Optimizer, Simulator, State};
+use fnopt::sim::{Frame, FrameStats, Optimizer, Simulator};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -70,7 +70,8 @@ pub fn run(args: &Args) -> Result<Ending> {
     tracing::info!("scene: {}, {} frames of {}", scene.origin, setup.frames(), setup.model.grid);
     let optimizer = args.solver.optimizer()?;
     args.spare(&scene)?;
-    let trajectory = room(&args.format, &setup)?;
+    args.format.iter().try_for_each(|format| format.holds(setup.frames(), "--format"))?;
+    let trajectory = setup.trajectory()?;
     let (device, line) = args.device.open_for(&optimizer)?;
     let interrupted = interrupt_flag();
     tell!("{line}");
@@ -80,7 +81,6 @@ pub fn run(args: &Args) -> Result<Ending> {
     args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
 
     let mut run = Run::new(args, (&scene, &setup), &optimizer, (device.name(), trajectory));
-    run.push(&setup.start.cast());
     simulator.set_state(&setup.start.cast());
     let bar = progress(setup.frames() - 1);
     let controls = (1..setup.frames()).map(|f| setup.control(f));
@@ -169,15 +169,6 @@ fn repulsion(text: &str, of_scene: Option<Separation>) -> Result<Separation> {
     Ok(Separation { strength, distance })
 }
 
-/// An empty trajectory with room for all frames, which all formats hold.
-fn room(formats: &[Format], setup: &Setup) -> fnopt::Result<Trajectory> {
-    let (grid, frames) = (setup.model.grid, setup.frames());
-    formats.iter().try_for_each(|format| format.holds(frames, "--format"))?;
-    let mut trajectory = Trajectory::new(grid, 1.0 / setup.units.frame_time_s);
-    trajectory.reserve(frames)?;
-    Ok(trajectory)
-}
-
 /// A bar on stderr, hidden when that is no terminal.
 fn progress(frames: usize) -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left  {msg}");
@@ -229,7 +220,7 @@ impl<'a> Run<'a> {
     }
 
     fn keep(&mut self, frame: &Frame) {
-        self.push(&frame.state);
+        self.setup.push(&mut self.trajectory, &frame.state);
         self.torn = self.torn.max(self.edges.largest(&frame.state.x));
         let stats = frame.stats[0];
         self.per_frame.push(PerFrame {
@@ -238,13 +229,6 @@ impl<'a> Run<'a> {
             energy_total: stats.energy.total(),
             stats,
         });
-    }
-
-    fn push(&mut self, state: &State<f32>) {
-        let single =
-            |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
-        let (positions, velocities) = (self.setup.vertices_m(&state.x), self.setup.velocities_m_s(&state.v));
-        self.trajectory.push(&single(positions), &single(velocities));
     }
 
     /// Writes the frames, whatever ended the run, and tells how it ended.
@@ -432,9 +416,8 @@ mod tests {
         let Alone { args } = Alone::parse_from(["rollout", "--solver", "gd", "--no-pictures", "--out", out]);
         let (scene, optimizer) = (args.scene().unwrap(), args.solver.optimizer().unwrap());
         let setup = scene.setup().unwrap();
-        let trajectory = room(&args.format, &setup).unwrap();
+        let trajectory = setup.trajectory().unwrap();
         let mut run = Run::new(&args, (&scene, &setup), &optimizer, (String::new(), trajectory));
-        run.push(&setup.start.cast());
         let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, 1).unwrap();
         simulator.set_state(&setup.start.cast());
         run.keep(&simulator.step(&setup.control(1)).unwrap());

@@ -313,21 +313,17 @@ pub(super) fn simulate(
     simulator.set_state(&setup.start.cast());
     let edges = FreeEdges::new(&setup.model, 0);
     let mut done = Simulated {
-        trajectory: Trajectory::new(setup.model.grid, 1.0 / setup.units.frame_time_s),
+        trajectory: setup.trajectory()?,
         stats: Vec::new(),
         times_ms: Vec::new(),
         stretch_largest: 0.0,
         stable: true,
         ended_early: false,
     };
-    done.trajectory.reserve(setup.frames())?;
-    let single = |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
-    done.trajectory
-        .push(&single(setup.vertices_m(&setup.start.x)), &single(setup.velocities_m_s(&setup.start.v)));
     let controls = (1..setup.frames()).map(|f| setup.control(f));
     let outcome = simulator.rollout(controls, |frame| {
         let state = &frame.state;
-        done.trajectory.push(&single(setup.vertices_m(&state.x)), &single(setup.velocities_m_s(&state.v)));
+        setup.push(&mut done.trajectory, state);
         done.stats.push(frame.stats[0]);
         done.times_ms.push(frame.wall.as_secs_f64() * 1e3);
         done.stretch_largest = edges.largest(&state.x).max(done.stretch_largest);

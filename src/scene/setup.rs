@@ -3,6 +3,7 @@
 use super::motion::Recording;
 use super::points::{norm, zip};
 use super::{Handles, Motion, Scene, Units, UpAxis};
+use crate::io::Trajectory;
 use crate::sim::{Cloth, Control, Grid, Model, State, cast};
 use crate::{Error, Result};
 use num_traits::Float;
@@ -85,6 +86,16 @@ impl Setup {
         control(&self.handles, &[self.wind], frame)
     }
 
+    /// A place \[m\] in the scene's axes as a [`Control`] has a handle there: in edges, z up.
+    pub fn handle_at<T: Float>(&self, m: [f64; 3]) -> [T; 3] {
+        self.units.position(self.up.to_z_up(m)).map(cast)
+    }
+
+    /// A velocity [m/s] in the scene's axes as a [`Control`] has wind: in edges a frame, z up.
+    pub fn wind_of<T: Float>(&self, m_s: [f64; 3]) -> [T; 3] {
+        self.units.velocity(self.up.to_z_up(m_s)).map(cast)
+    }
+
     /// Positions \[edges\], z up, shape [3, H, W], as vertices \[m\] in the scene's axes, shape `[H W]`.
     pub fn vertices_m<T: Float>(&self, x: &[T]) -> Vec<[f64; 3]> {
         each_point(x, |p| self.up.from_z_up(self.units.position_m(p)))
@@ -93,6 +104,21 @@ impl Setup {
     /// Velocities [edges / frame], z up, shape [3, H, W], as velocities [m/s] in the scene's axes, shape `[H W]`.
     pub fn velocities_m_s<T: Float>(&self, v: &[T]) -> Vec<[f64; 3]> {
         each_point(v, |p| self.up.from_z_up(self.units.velocity_m_s(p)))
+    }
+
+    /// A trajectory that holds the start and has room for all frames; an error when memory does not suffice.
+    pub fn trajectory(&self) -> Result<Trajectory> {
+        let mut trajectory = Trajectory::new(self.model.grid, 1.0 / self.units.frame_time_s);
+        trajectory.reserve(self.frames())?;
+        self.push(&mut trajectory, &self.start.cast());
+        Ok(trajectory)
+    }
+
+    /// Adds the state at the end of a frame to a trajectory.
+    pub fn push(&self, trajectory: &mut Trajectory, state: &State<f32>) {
+        let single =
+            |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
+        trajectory.push(&single(self.vertices_m(&state.x)), &single(self.velocities_m_s(&state.v)));
     }
 
     /// Makes one batch of several scenes on one grid with one frame time.

@@ -2,7 +2,7 @@
 
 use crate::common::{assets, distance, edges, expect_refusal, mean, parse, read};
 use fnopt::io::{Format, Trajectory};
-use fnopt::scene::{Handles, Mass, Motion, Placement, Scene, Setup, Start, Stiffness, UpAxis};
+use fnopt::scene::{Handles, Mass, Motion, Placement, Scene, Setup, Side, Start, Stiffness, UpAxis};
 use fnopt::sim::{Grid, Material};
 
 #[test]
@@ -248,4 +248,21 @@ fn a_run_goes_on_from_where_another_ended() {
     let finer = finer.setup().unwrap();
     let falls = finer.velocities_m_s(&finer.start.v).iter().all(|v| (v[1] + 1.0).abs() < 1e-6);
     assert!(falls && finer.start.x.len() == 3 * 23 * 33);
+}
+
+/// What a host tells in metres comes back from where the cloth is.
+#[test]
+fn metres_go_into_a_control_and_come_back() {
+    for up in [UpAxis::Y, UpAxis::Z] {
+        let setup = Scene { up, side_m: Side::Height(2.5), ..Scene::default() }.setup().unwrap();
+        let at = [0.3, -1.7, 4.25];
+        let handle: [f64; 3] = setup.handle_at(at);
+        assert!(distance(setup.vertices_m(&handle)[0], at) < 1e-12);
+        let wind: [f64; 3] = setup.wind_of(at);
+        assert!(distance(setup.velocities_m_s(&wind)[0], at) < 1e-12);
+        // Handles of the start are where the start has them.
+        let (p, n) = (setup.model.cloths[0].handles[0], setup.model.grid.particles());
+        let there = [0, 1, 2].map(|c| setup.start.x[c * n + p]);
+        assert!(distance(setup.handle_at(setup.vertices_m(&setup.start.x)[p]), there) < 1e-9);
+    }
 }
