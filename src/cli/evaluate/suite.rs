@@ -106,9 +106,7 @@ impl Args {
             return Err(Error::invalid("--solver", "iterations", expected, &entry.name).into());
         }
         let mut known = BTreeSet::new();
-        // Where the suite sets the iterations, a solver with several numbers of them is one.
-        let iterations = |entry: &Entry| if suite == Suite::Iterations { 0 } else { entry.iterations };
-        entries.retain(|entry| known.insert((entry.name.clone(), iterations(entry))));
+        entries.retain(|entry| known.insert((entry.name.clone(), entry.iterations)));
         let cases = self.cases(suite, grids)?;
         let device = self.open(&entries)?;
         writable_folder(&self.out)?;
