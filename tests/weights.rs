@@ -5,6 +5,7 @@
 //! `--suite handles`, and `--iterations 5` on 32 and 64. Here a part of it that takes seconds.
 
 use fnopt::cpu::Track;
+use fnopt::eval::median_gap;
 use fnopt::eval::suite::{Prepared, Suite};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
@@ -18,18 +19,18 @@ fn learned() -> Optimizer {
 /// Runs every case whose name begins with one of `names`.
 fn sound(suite: Suite, names: &[&str], (grid, frames, iterations): (Grid, usize, usize)) {
     let cases = suite.cases(grid).unwrap();
-    let chosen: Vec<_> = cases.iter().filter(|c| names.iter().any(|n| c.name.starts_with(n))).collect();
     for name in names {
         assert!(cases.iter().any(|case| case.name.starts_with(name)), "no case {name}");
     }
-    for case in chosen {
+    for case in cases.into_iter().filter(|c| names.iter().any(|n| c.name.starts_with(n))) {
         let tick = || ControlFlow::Continue(());
+        let name = case.name.clone();
         let prepared = Prepared::new(case, frames).unwrap();
         let ran = prepared.run((&learned(), iterations), &Device::Cpu, false, tick);
         let (score, trajectory) = ran.unwrap().expect("nobody ended it");
         assert_eq!(trajectory.frames(), frames);
         let stretch = score.stretch_largest;
-        assert!(score.sound(), "{grid} {}, {iterations} iterations: stretch {stretch:.3}", case.name);
+        assert!(score.sound(), "{grid} {name}, {iterations} iterations: stretch {stretch:.3}");
     }
 }
 
@@ -55,7 +56,10 @@ fn ten_iterations_come_close_to_the_minimum() {
         let setup = scene.setup().unwrap();
         let controls = (1..=frames).map(|frame| setup.control(frame));
         let track = Track::new(&setup.model, setup.start.clone(), controls).unwrap();
-        let gap = |optimizer| track.median_gap(&optimizer, 10).unwrap();
+        let tick = || ControlFlow::Continue(());
+        let gap = |optimizer| {
+            median_gap(&track, (&optimizer, 10), &Device::Cpu, tick).unwrap().expect("nobody ended it")
+        };
         let (learned, classical) = (gap(learned()), gap(Optimizer::quasi_newton()));
         println!("{n}x{n}: {learned:.4}, quasi-newton {classical:.4}");
         assert!(learned < most, "{n}x{n}: {learned:.4}");

@@ -6,12 +6,12 @@ use super::{
     Ending, SolverArgs, go_on, interrupt_flag, material, numbers, one_grid, writable_file, writable_folder,
 };
 use anyhow::Result;
-use fnopt::Error;
 use fnopt::eval::{FreeEdges, STRETCH_LIMIT, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{Motion, Scene, Separation, Setup};
 use fnopt::sim::{Frame, FrameStats, Optimizer, Simulator};
+use fnopt::{Error, io};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -293,7 +293,7 @@ impl<'a> Run<'a> {
     fn write(&self, status: Status) -> (Vec<PathBuf>, Option<Error>) {
         let frames = self.args.format.iter().map(|&format| self.write_frames(format));
         let pictures = (!self.args.no_pictures).then(|| std::iter::once_with(|| self.write_pictures()));
-        let (mut written, mut trouble) = (Vec::new(), self.remove_replay().err());
+        let (mut written, mut trouble) = (Vec::new(), io::remove(&self.args.replay()).err());
         let mut note = |result, written: &mut Vec<PathBuf>| match result {
             Ok(paths) => written.extend::<Vec<PathBuf>>(paths),
             Err(error) => trouble = trouble.take().or(Some(error)),
@@ -302,14 +302,6 @@ impl<'a> Run<'a> {
         // The report last, which tells what there is of this run: a file of an earlier one may have stayed.
         note(self.write_report(status, &written), &mut written);
         (written, trouble)
-    }
-
-    fn remove_replay(&self) -> fnopt::Result<()> {
-        let replay = self.args.replay();
-        match std::fs::remove_file(&replay) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(replay, "cannot remove", e)),
-            _ => Ok(()),
-        }
     }
 
     fn write_frames(&self, format: Format) -> fnopt::Result<Vec<PathBuf>> {

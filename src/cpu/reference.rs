@@ -5,8 +5,8 @@
 
 use super::objective::Trials;
 use super::optim::{History, RestHessian, dot, norm};
-use super::{FactoredHessian, Objective, Solver};
-use crate::sim::{Control, Model, Optimizer, State};
+use super::{FactoredHessian, Objective};
+use crate::sim::{Control, Model, State};
 use crate::statistics::median;
 use crate::{Error, Result};
 
@@ -207,21 +207,10 @@ impl Track {
         Ok(Self { model: model.clone(), frames, probes })
     }
 
-    /// The median of the energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` that `iterations` iterations of an optimizer leave in the
-    /// frames with a reference; infinite when one of them is no number, or there is none. Its memory goes along from frame
-    /// to frame.
-    pub fn median_gap(&self, optimizer: &Optimizer, iterations: usize) -> Result<f64> {
-        let mut solver = Solver::<f32>::new(&self.model, optimizer, iterations)?;
-        let gap = self.median_gap_of(|before, control| {
-            solver.step(&mut before.clone(), control);
-            Ok(Some(solver.accelerations().to_vec()))
-        })?;
-        Ok(gap.expect("every frame has accelerations"))
-    }
-
-    /// The same of whatever computes the accelerations [3, H, W] of one frame after the other, from a state and a control.
-    /// Where it gives none it ends everything; then there is no gap.
-    pub fn median_gap_of(
+    /// The median of the energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` in the frames with a reference; infinite when one of them
+    /// is no number, or there is none. `accelerations` computes a [3, H, W] of one frame after the other, from a state and a
+    /// control. Where it gives none it ends everything; then there is no gap.
+    pub fn median_gap(
         &self,
         mut accelerations: impl FnMut(&State<f32>, &Control<f32>) -> Result<Option<Vec<f32>>>,
     ) -> Result<Option<f64>> {

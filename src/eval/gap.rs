@@ -27,7 +27,7 @@ pub fn median_gap(
 ) -> Result<Option<f64>> {
     let Device::Gpu(context) = device else {
         let mut solver = cpu::Solver::<f32>::new(track.model(), optimizer, iterations)?;
-        return track.median_gap_of(|before, control| {
+        return track.median_gap(|before, control| {
             if tick().is_break() {
                 return Ok(None);
             }
@@ -37,7 +37,7 @@ pub fn median_gap(
     };
     let options = SolverOptions { iterations, ..Default::default() };
     let solver = Solver::new(context, track.model(), optimizer, &options)?;
-    track.median_gap_of(|before, control| {
+    track.median_gap(|before, control| {
         if tick().is_break() {
             return Ok(None);
         }

@@ -85,7 +85,7 @@ impl CaseScore {
     }
 
     /// The energy gap where it was asked for; infinite where it is no number.
-    fn measured_gap(&self) -> Option<f64> {
+    pub(crate) fn measured_gap(&self) -> Option<f64> {
         (self.made_with.settings["gap"] == true).then(|| self.gap.unwrap_or(f64::INFINITY))
     }
 
@@ -186,8 +186,8 @@ impl Suite {
 }
 
 /// A case made ready for any number of solvers.
-pub struct Prepared<'a> {
-    case: &'a Case,
+pub struct Prepared {
+    case: Case,
     /// All that it is, and how many frames of it.
     told: serde_json::Value,
     /// Its scene in grid units.
@@ -196,9 +196,9 @@ pub struct Prepared<'a> {
     track: OnceCell<Track>,
 }
 
-impl<'a> Prepared<'a> {
+impl Prepared {
     /// Makes a case ready, for `frames` frames at most, the start included.
-    pub fn new(case: &'a Case, frames: usize) -> Result<Self> {
+    pub fn new(case: Case, frames: usize) -> Result<Self> {
         let mut setup = case.scene.setup()?;
         if setup.frames() > frames {
             setup = Scene { frames: Some(frames), ..case.scene.clone() }.setup()?;
@@ -244,7 +244,7 @@ impl<'a> Prepared<'a> {
         with_gap: bool,
         mut tick: impl FnMut() -> ControlFlow<()>,
     ) -> Result<Option<(CaseScore, Trajectory)>> {
-        let (case, setup) = (self.case, &self.setup);
+        let (case, setup) = (&self.case, &self.setup);
         let (entry, made_with) = (self.entry(solver), self.conditions(solver.0, device, with_gap));
         let device = entry.device(device);
         let simulated = simulate(setup, &entry, device, &mut tick)?;

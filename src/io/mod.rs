@@ -40,6 +40,14 @@ fn open(path: &Path) -> Result<(File, u64)> {
     Ok((file, meta.len()))
 }
 
+/// Removes a file; one that is not there counts as removed.
+pub fn remove(path: &Path) -> Result<()> {
+    match std::fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, "cannot remove", e)),
+        _ => Ok(()),
+    }
+}
+
 /// All bytes of a file.
 pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();

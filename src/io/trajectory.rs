@@ -156,7 +156,7 @@ impl Trajectory {
             *f >= self.frames() && path.file_stem().is_some_and(|stem| *stem == *format!("{f:05}"))
         };
         for (_, path) in frame_files(&folder, format)?.into_iter().filter(of_a_run) {
-            std::fs::remove_file(&path).map_err(|e| Error::io(&path, "cannot remove", e))?;
+            super::remove(&path)?;
         }
         Ok(folder)
     }

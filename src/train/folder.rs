@@ -92,7 +92,7 @@ impl Folder {
             path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(io::UNFINISHED))
         };
         for path in entries.map(|entry| entry.path()).filter(unfinished) {
-            std::fs::remove_file(&path).map_err(|e| Error::io(path, "cannot remove", e))?;
+            io::remove(&path)?;
         }
         Ok(())
     }
@@ -139,7 +139,7 @@ impl Folder {
         let whole = files.iter().filter(|f| f.rank == 0 && f.step <= checkpoint.counters.step);
         let kept: Vec<u64> = whole.map(|f| f.step).take(KEPT).collect();
         for Saved { path, .. } in files.iter().filter(|file| !kept.contains(&file.step)) {
-            std::fs::remove_file(path).map_err(|e| Error::io(path, "cannot remove", e))?;
+            io::remove(path)?;
         }
         Ok(())
     }
@@ -188,7 +188,7 @@ impl Folder {
             return Ok(false);
         }
         for Saved { path, .. } in files.iter().filter(|file| file.step == step) {
-            std::fs::remove_file(path).map_err(|e| Error::io(path, "cannot remove", e))?;
+            io::remove(path)?;
         }
         Ok(true)
     }

@@ -1,14 +1,12 @@
 //! Rollouts of fixed scenes, by which weights are judged.
 
 use super::config::ValidationConfig;
-
-use crate::cpu::Track;
-use crate::eval::{FreeEdges, STRETCH_LIMIT};
+use crate::Result;
+use crate::eval::suite::{Case, CaseScore, Prepared};
 use crate::network::Weights;
-use crate::scene::{Motion, Scene, Setup, Start};
-use crate::sim::{Grid, Optimizer, State};
-use crate::{Result, cpu};
-use std::cell::OnceCell;
+use crate::scene::{Motion, Scene, Start};
+use crate::sim::{Device, Grid, Optimizer};
+use std::ops::ControlFlow;
 
 /// What an unstable scene counts for in the score, in energy gaps: more than any gap of a stable one.
 const UNSTABLE_GAP: f64 = 10.0;
@@ -17,18 +15,8 @@ const UNSTABLE_GAP: f64 = 10.0;
 /// a flat sheet that falls, held by two corners, on the finest of them. Default material, air, 60 frames per second.
 pub struct Validation {
     iterations: usize,
-    frames: usize,
-    scenes: Vec<Judged>,
-}
-
-/// A scene, and what the energy gaps in it are measured on.
-struct Judged {
-    name: String,
-    setup: Setup,
-    /// Whether the gap counts, or only stability does.
-    with_gap: bool,
-    /// Converged frames, computed when first needed.
-    track: OnceCell<Track>,
+    /// The scenes, and whether the gap counts there or only stability does.
+    scenes: Vec<(Prepared, bool)>,
 }
 
 /// How weights did in one scene.
@@ -39,30 +27,42 @@ pub struct SceneScore {
     /// Median over the frames of the energy gap `(L_N - L_ref) / (L_0 - L_ref)` after N iterations, the frames being those of
     /// a converged simulation; nothing in the falling scene.
     pub gap: Option<f64>,
-    /// Largest `|edge| - 1` over all frames, of the edges that are away from the handles ([`FreeEdges`]).
+    /// Largest `|edge| - 1` over all frames, of the edges that are away from the handles ([`crate::eval::FreeEdges`]).
     pub largest_stretch: f64,
-    /// Whether all frames were finite and no such edge was stretched beyond [`STRETCH_LIMIT`].
+    /// Whether all frames were finite and no such edge was stretched beyond [`crate::eval::STRETCH_LIMIT`].
     pub stable: bool,
 }
 
 impl Validation {
     /// Makes the scenes ready.
     pub fn new(config: &ValidationConfig) -> Result<Self> {
+        let prepared = |kind: &str, mut scene: Scene, grid: Grid| {
+            scene.regrid(grid)?;
+            let case = Case { name: format!("{kind} {grid}"), scene, iterations: None };
+            // The start is a frame, too.
+            Prepared::new(case, config.frames + 1)
+        };
         let mut scenes = Vec::new();
         for &grid in &config.grids {
-            scenes.push(Judged::new("hanging", Scene::default(), grid, true)?);
+            scenes.push((prepared("hanging", Scene::default(), grid)?, true));
         }
         if let Some(&finest) = config.grids.iter().max_by_key(|grid| grid.particles()) {
             let scene = Scene { start: Start::Flat, motion: Motion::Still, ..Scene::default() };
-            scenes.push(Judged::new("falling", scene, finest, false)?);
+            scenes.push((prepared("falling", scene, finest)?, false));
         }
-        Ok(Self { iterations: config.iterations, frames: config.frames, scenes })
+        Ok(Self { iterations: config.iterations, scenes })
     }
 
     /// Rolls every scene out on the CPU with these weights, in single precision, and measures the gaps.
     pub fn run(&self, weights: &Weights) -> Result<Vec<SceneScore>> {
         let optimizer = Optimizer::learned(weights.clone());
-        self.scenes.iter().map(|scene| scene.judge(&optimizer, self.frames, self.iterations)).collect()
+        let mut scores = Vec::new();
+        for (scene, with_gap) in &self.scenes {
+            let solver = (&optimizer, self.iterations);
+            let run = scene.run(solver, &Device::Cpu, *with_gap, || ControlFlow::Continue(()))?;
+            scores.extend(run.map(|(score, _)| SceneScore::of(&score)));
+        }
+        Ok(scores)
     }
 
     /// One number for weights, smaller is better: the mean gap, in which an unstable scene outweighs all gaps.
@@ -75,37 +75,14 @@ impl Validation {
     }
 }
 
-impl Judged {
-    fn new(kind: &str, mut scene: Scene, grid: Grid, with_gap: bool) -> Result<Self> {
-        scene.regrid(grid)?;
-        Ok(Self { name: format!("{kind} {grid}"), setup: scene.setup()?, with_gap, track: OnceCell::new() })
-    }
-
-    fn judge(&self, optimizer: &Optimizer, frames: usize, iterations: usize) -> Result<SceneScore> {
-        let Setup { model, start, .. } = &self.setup;
-        let edges = FreeEdges::new(model, 0);
-        let mut solver = cpu::Solver::<f32>::new(model, optimizer, iterations)?;
-        let mut state: State<f32> = start.cast();
-        let (mut largest_stretch, mut stable) = (0.0, true);
-        for frame in 1..=frames {
-            let finite = solver.step(&mut state, &self.setup.control(frame))[0].is_finite();
-            largest_stretch = edges.largest(&state.x).max(largest_stretch);
-            stable = finite && largest_stretch <= STRETCH_LIMIT;
-            if !stable {
-                break;
-            }
+impl SceneScore {
+    fn of(score: &CaseScore) -> Self {
+        Self {
+            scene: score.case.clone(),
+            // None that is not finite: JSON has no number for it, and it would be taken for a scene without one.
+            gap: score.measured_gap().map(|gap| gap.min(UNSTABLE_GAP)),
+            largest_stretch: score.stretch_largest.min(f64::MAX),
+            stable: score.sound(),
         }
-        let gap = || {
-            if self.track.get().is_none() {
-                let controls = (1..=frames).map(|frame| self.setup.control(frame));
-                let track = Track::new(model, start.clone(), controls)?;
-                self.track.set(track).ok().expect("it was not set");
-            }
-            self.track.get().expect("it was set").median_gap(optimizer, iterations)
-        };
-        // None that is not finite: JSON has no number for it, and it would be taken for a scene without one.
-        let gap = self.with_gap.then(gap).transpose()?.map(|gap| gap.min(UNSTABLE_GAP));
-        let largest_stretch = largest_stretch.min(f64::MAX);
-        Ok(SceneScore { scene: self.name.clone(), gap, largest_stretch, stable })
     }
 }

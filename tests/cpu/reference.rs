@@ -2,10 +2,12 @@
 
 use fnopt::cpu::optim::{FactoredRestHessian, InverseHessian, RestHessian};
 use fnopt::cpu::{Objective, Reference, Solver, Track};
+use fnopt::eval::median_gap;
 use fnopt::network::Weights;
 use fnopt::scene::{Scene, Setup};
-use fnopt::sim::{Cloth, Control, Grid, Material, Model, Optimizer, State};
+use fnopt::sim::{Cloth, Control, Device, Grid, Material, Model, Optimizer, State};
 use std::f64::consts::PI;
+use std::ops::ControlFlow;
 
 fn scene(h: usize, w: usize) -> Setup {
     let mut scene = Scene::default();
@@ -109,7 +111,10 @@ fn the_reference_is_the_minimum() {
 #[test]
 fn optimizers_close_a_part_of_the_gap() {
     let track = track(Grid { h: 32, w: 32 }, 1..41);
-    let gap = |optimizer, iterations| track.median_gap(&optimizer, iterations).unwrap();
+    let tick = || ControlFlow::Continue(());
+    let gap = |optimizer, iterations| {
+        median_gap(&track, (&optimizer, iterations), &Device::Cpu, tick).unwrap().expect("nobody ended it")
+    };
     let quasi_newton = [10, 15, 20].map(|iterations| gap(Optimizer::quasi_newton(), iterations));
     // Handles that are held exactly.
     let exact = gap(Optimizer::quasi_newton_exact(), 10);

@@ -514,11 +514,11 @@ fn half_precision_closes_the_gap_as_far() {
     let controls = (1..25).map(|frame| setup.control(frame));
     let track = Track::new(&setup.model, setup.start.clone(), controls).unwrap();
     let optimizer = Optimizer::learned(Weights::shipped());
-    let median = |context: &Context| {
-        let on = Device::Gpu(context.clone());
-        median_gap(&track, (&optimizer, 10), &on, || ControlFlow::Continue(())).unwrap().unwrap()
+    let median_on = |on: &Device| {
+        median_gap(&track, (&optimizer, 10), on, || ControlFlow::Continue(())).unwrap().unwrap()
     };
-    let host = track.median_gap(&optimizer, 10).unwrap();
+    let median = |context: &Context| median_on(&Device::Gpu(context.clone()));
+    let host = median_on(&Device::Cpu);
     let as_on_hardware = half.with_tuning(sharings()[1]).unwrap();
     let (single, half, fused) = (median(context()), median(&half), median(&as_on_hardware));
     println!("median gap {host:.4} on the host, {single:.4} in f32, {half:.4} and {fused:.4} in f16");

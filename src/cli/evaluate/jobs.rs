@@ -185,8 +185,16 @@ fn side_by_side(
         }
     };
     std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..workers).map(|_| scope.spawn(in_pool)).collect();
-        let mut all = workers.into_iter().map(|w| w.join().unwrap_or_else(|e| std::panic::resume_unwind(e)));
+        let mut spawned = Vec::new();
+        for _ in 0..workers {
+            match std::thread::Builder::new().spawn_scoped(scope, in_pool) {
+                Ok(worker) => spawned.push(worker),
+                // Those that there are do the work of all.
+                Err(_) if !spawned.is_empty() => break,
+                Err(e) => return Err(Error::Device(format!("cpu: no thread to simulate on: {e}"))),
+            }
+        }
+        let mut all = spawned.into_iter().map(|w| w.join().unwrap_or_else(|e| std::panic::resume_unwind(e)));
         // What failed is told, not that others ended early because of it.
         all.try_fold(ControlFlow::Continue(()), |ended, next| {
             next.map(|next| if ended.is_break() { ended } else { next })
@@ -246,7 +254,7 @@ impl Kept {
             let rest = name.strip_prefix(&format!("{sequence}_")).and_then(|rest| rest.split_once(&system));
             // What is between is a grid, and no part of another sequence's name.
             if rest.is_some_and(|(grid, _)| !grid.contains('_')) && path != own {
-                std::fs::remove_file(&path).map_err(|e| Error::io(&path, "cannot remove", e))?;
+                io::remove(&path)?;
             }
         }
         self.write(&own)

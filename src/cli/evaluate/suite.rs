@@ -4,11 +4,11 @@ use super::{Args, progress};
 use crate::cli::output::tell;
 use crate::cli::{Ending, go_on, interrupt_flag, material, writable_folder};
 use anyhow::Result;
-use fnopt::Error;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
 use fnopt::eval::{Entry, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
 use fnopt::sim::{Device, Grid, Optimizer};
+use fnopt::{Error, io};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
@@ -70,12 +70,7 @@ impl Args {
             return Ok(None);
         };
         // Never another's score beside this picture.
-        match std::fs::remove_file(&file) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                return Err(Error::io(&file, "cannot remove", e).into());
-            }
-            _ => {}
-        }
+        io::remove(&file)?;
         let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
         let options = StripOptions { view, ..Default::default() };
         write_png(picture, &strip(&trajectory, &prepared.setup.model.cloths[0].handles, &options))?;
@@ -120,7 +115,7 @@ impl Args {
         let mut work = || -> Result<bool> {
             for case in &cases {
                 // All solvers of a case in turn: they share its converged frames.
-                let prepared = Prepared::new(case, frames)?;
+                let prepared = Prepared::new(case.clone(), frames)?;
                 for (number, entry) in entries.iter().enumerate() {
                     bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
                     if !prepared.takes(&entry.optimizer) {
