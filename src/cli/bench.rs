@@ -211,8 +211,11 @@ fn plot(rows: &[Row], product: f64) -> Image {
     speeds
         .push(Curve { label: label.clone(), points: bound.iter().map(|p| [p[0], product * 1e-9]).collect() });
     times.push(Curve { label, points: bound });
-    let chart = |title: &str, curves| Chart { title: title.into(), curves, scale: Scale::Logarithmic };
-    let both = [chart("ms per frame over particles", times), chart("GFLOP/s over particles", speeds)];
+    let chart = |title: &str, unit: &str, curves| {
+        let axes = ["particles".into(), unit.into()];
+        Chart { title: title.into(), axes, curves, scale: Scale::Logarithmic }
+    };
+    let both = [chart("Time of a frame", "ms", times), chart("Operations", "GFLOP/s", speeds)];
     charts(&both, (1200, 420))
 }
 

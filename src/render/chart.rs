@@ -1,13 +1,21 @@
 //! Line charts.
 
 use super::{Image, text};
-use glam::{Vec2, vec2};
+use plotters::coord::Shift;
+use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, ValueFormatter};
+use plotters::coord::types::RangedCoordf64;
+use plotters::element::DashedPathElement;
+use plotters::prelude::*;
+use std::error::Error;
+use std::ops::Range;
 
-/// A chart: curves over one axis, with a title.
+/// A chart: curves over one axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chart {
-    /// Title; letters appear as capitals.
+    /// Title.
     pub title: String,
+    /// What is on the horizontal and on the vertical axis.
+    pub axes: [String; 2],
     /// The curves.
     pub curves: Vec<Curve>,
     /// Of both axes.
@@ -32,187 +40,193 @@ pub struct Curve {
     pub points: Vec<[f64; 2]>,
 }
 
-/// Colours of the curves; more curves begin with them again, as broken lines. Told apart with most kinds of colour vision (after Okabe and Ito).
-const COLOURS: [[u8; 3]; 7] = [
-    [0, 114, 178],
-    [230, 159, 0],
-    [0, 158, 115],
-    [204, 121, 167],
-    [213, 94, 0],
-    [86, 180, 233],
-    [90, 90, 90],
+/// Colours of the curves; more curves begin with them again, as broken lines. Told apart with most kinds of colour vision (after Okabe
+/// and Ito).
+const COLOURS: [RGBColor; 7] = [
+    RGBColor(0, 114, 178),
+    RGBColor(230, 159, 0),
+    RGBColor(0, 158, 115),
+    RGBColor(204, 121, 167),
+    RGBColor(213, 94, 0),
+    RGBColor(86, 180, 233),
+    RGBColor(90, 90, 90),
 ];
-const PAPER: [u8; 3] = [255; 3];
-const LINES: [u8; 3] = [214, 218, 222];
+const LINES: RGBColor = RGBColor(214, 218, 222);
 /// Height of titles and of labels \[px\].
-const TITLE: f32 = 11.0;
-const LABEL: f32 = 8.0;
-/// Space for the axes and the title \[px\]: left, top, right, bottom.
-const MARGINS: [f32; 4] = [62.0, 30.0, 16.0, 26.0];
-/// Space for what a legend has beside its labels \[px\].
-const LEGEND: f32 = 28.0;
+const TITLE: f32 = 18.0;
+const LABEL: f32 = 14.0;
+/// Length of a legend's line, and the space around its labels \[px\].
+const SAMPLE: i32 = 14;
+const SPACE: i32 = 6;
 /// Length of a dash and of the gap after it \[px\].
-const DASH: f32 = 4.0;
+const DASH: u32 = 5;
 /// A curve of no more points than this shows each of them.
 const FEW: usize = 14;
 /// Share of the values at each end that may lie outside the chart, lest a spike flatten the rest.
 const OUTSIDE: f64 = 0.005;
+/// Marks along an axis, about.
+const TICKS: usize = 7;
+
+/// The part of a picture that a chart has.
+type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
 
 /// Draws charts in two columns on white, in an image of `width` x `height` pixels.
 pub fn charts(charts: &[Chart], (width, height): (usize, usize)) -> Image {
     let mut image = Image::new(width, height);
-    image.pixels.fill(PAPER);
-    let rows = charts.len().div_ceil(2).max(1);
-    let size = vec2(width as f32 / 2.0, (height / rows) as f32);
-    for (k, chart) in charts.iter().enumerate() {
-        let corner = vec2((k % 2) as f32, (k / 2) as f32) * size;
-        draw(&mut image, chart, corner, size);
+    {
+        let pixels = image.pixels.as_flattened_mut();
+        let whole = BitMapBackend::with_buffer(pixels, (width as u32, height as u32)).into_drawing_area();
+        let draw = || -> Result<(), Box<dyn Error>> {
+            whole.fill(&WHITE)?;
+            let areas = whole.split_evenly((charts.len().div_ceil(2).max(1), 2));
+            charts.iter().zip(&areas).try_for_each(|(chart, area)| draw(area, chart))?;
+            Ok(whole.present()?)
+        };
+        draw().expect("the font is there, and memory takes what is drawn");
     }
     image
 }
 
-fn draw(image: &mut Image, chart: &Chart, corner: Vec2, size: Vec2) {
-    let [left, top, right, bottom] = MARGINS;
-    let labels = chart.curves.iter().map(|c| c.label.to_uppercase());
-    let widest = labels.map(|label| text::width(&label, LABEL)).fold(0.0, f32::max);
+fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
+    let (title, label) = (text::style(TITLE), text::style(LABEL));
     // The legend stands beside the curves.
-    let right = right + LEGEND + widest;
-    let low = corner + vec2(left, size.y - bottom);
-    let high = corner + vec2(size.x - right, top);
-    text::write(image, &chart.title.to_uppercase(), [low.x, corner.y + 8.0], TITLE);
+    let widest = chart.curves.iter().map(|c| text::width(&c.label, LABEL) as i32).fold(0, i32::max);
+    let (left, legend) = area.split_horizontally(area.dim_in_pixel().0 as i32 - SAMPLE - 3 * SPACE - widest);
     let shown = |p: &[f64; 2]| p.iter().all(|v| v.is_finite() && (chart.scale == Scale::Linear || *v > 0.0));
-    let points = || chart.curves.iter().flat_map(|c| &c.points).filter(|p| shown(p));
-    let x = Axis::over(points().map(|p| p[0]).collect(), 0.0, chart.scale);
-    let y = Axis::over(points().map(|p| p[1]).collect(), OUTSIDE, chart.scale);
-    for tick in x.ticks() {
-        let at = low.x + (high.x - low.x) * x.place(tick);
-        line(image, [vec2(at, low.y), vec2(at, high.y)], LINES, 0.5);
-        let label = number(tick);
-        text::write(image, &label, [at - text::width(&label, LABEL) / 2.0, low.y + 8.0], LABEL);
-    }
-    for tick in y.ticks() {
-        let at = low.y + (high.y - low.y) * y.place(tick);
-        line(image, [vec2(low.x, at), vec2(high.x, at)], LINES, 0.5);
-        let label = number(tick);
-        let place = [low.x - 6.0 - text::width(&label, LABEL), at - LABEL / 2.0];
-        text::write(image, &label, place, LABEL);
-    }
+    let values = |k: usize| {
+        let points = chart.curves.iter().flat_map(|c| &c.points).filter(|p| shown(p));
+        points.map(|p| p[k]).collect::<Vec<f64>>()
+    };
+    let x = Axis::over(values(0), 0.0, chart.scale);
+    let y = Axis::over(values(1), OUTSIDE, chart.scale);
+    let mut plot = ChartBuilder::on(&left)
+        .caption(&chart.title, title)
+        .margin(SPACE)
+        .x_label_area_size(40)
+        .y_label_area_size(64)
+        .build_cartesian_2d(x, y)?;
+    plot.configure_mesh()
+        .axis_style(LINES)
+        .bold_line_style(LINES)
+        .light_line_style(TRANSPARENT)
+        .label_style(label.clone())
+        .axis_desc_style(label.clone())
+        .x_desc(&chart.axes[0])
+        .y_desc(&chart.axes[1])
+        .draw()?;
     for (k, curve) in chart.curves.iter().enumerate() {
-        let place = |p: &[f64; 2]| {
-            let inside = vec2(x.place(p[0]), y.place(p[1]).clamp(0.0, 1.0));
-            shown(p).then(|| low + (high - low) * inside)
-        };
-        let places: Vec<Option<Vec2>> = curve.points.iter().map(place).collect();
-        let mut stroke = Stroke::of(k, 0.9);
-        for pair in places.windows(2) {
-            match *pair {
-                [Some(a), Some(b)] => stroke.to(image, [a, b]),
-                _ => stroke.lift(),
+        let style = COLOURS[k % COLOURS.len()].stroke_width(2);
+        for part in curve.points.split(|p| !shown(p)) {
+            let places = part.iter().map(|p| (p[0], p[1]));
+            match is_broken(k) {
+                true => plot.draw_series(DashedLineSeries::new(places.clone(), DASH, DASH, style))?,
+                false => plot.draw_series(LineSeries::new(places.clone(), style))?,
+            };
+            if curve.points.len() <= FEW {
+                plot.draw_series(places.map(|at| Circle::new(at, 3, style.filled())))?;
             }
         }
-        if places.len() <= FEW {
-            places.iter().flatten().for_each(|&at| line(image, [at, at], stroke.colour, 2.6));
+        let middle = (TITLE + 2.0 * SPACE as f32 + 1.3 * LABEL * (k as f32 + 0.5)) as i32;
+        let line = [(SPACE, middle), (SPACE + SAMPLE, middle)];
+        match is_broken(k) {
+            true => legend.draw(&DashedPathElement::new(line, DASH, DASH, style))?,
+            false => legend.draw(&PathElement::new(line, style))?,
         }
+        let place =
+            (2 * SPACE + SAMPLE, middle - ((0.5 * text::CAPITALS - text::RAISED) * LABEL).round() as i32);
+        legend.draw(&Text::new(&*curve.label, place, label.clone()))?;
     }
-    for (k, curve) in chart.curves.iter().enumerate() {
-        let (x, y) = (high.x + 8.0, high.y + 10.0 + 1.8 * LABEL * k as f32);
-        Stroke::of(k, 1.2).to(image, [vec2(x, y), vec2(x + 14.0, y)]);
-        text::write(image, &curve.label.to_uppercase(), [x + 20.0, y - LABEL / 2.0], LABEL);
-    }
+    Ok(())
 }
 
-/// The line of a curve, drawn piece by piece.
-struct Stroke {
-    colour: [u8; 3],
-    half: f32,
-    broken: bool,
-    /// How much of it is drawn \[px\].
-    length: f32,
+/// Whether the curve of this number is a broken line.
+fn is_broken(curve: usize) -> bool {
+    curve / COLOURS.len() % 2 == 1
 }
 
-impl Stroke {
-    /// Of the curve with this number, `half` its width.
-    fn of(curve: usize, half: f32) -> Self {
-        let broken = curve / COLOURS.len() % 2 == 1;
-        Self { colour: COLOURS[curve % COLOURS.len()], half, broken, length: 0.0 }
-    }
-
-    /// Draws the next piece.
-    fn to(&mut self, image: &mut Image, [a, b]: [Vec2; 2]) {
-        if !self.broken {
-            return line(image, [a, b], self.colour, self.half);
-        }
-        let (end, mut at) = (a.distance(b), 0.0);
-        while at < end {
-            // A dash and a gap are as long.
-            let phase = (self.length + at) % (2.0 * DASH);
-            let next = (at + if phase < DASH { DASH } else { 2.0 * DASH } - phase).max(at + 1e-2).min(end);
-            if phase < DASH {
-                line(image, [a.lerp(b, at / end), a.lerp(b, next / end)], self.colour, self.half);
-            }
-            at = next;
-        }
-        self.length += end;
-    }
-
-    /// Begins anew, after a gap.
-    fn lift(&mut self) {
-        self.length = 0.0;
-    }
-}
-
-/// What one side of a chart spans.
+/// What one side of a chart spans, in values or, by ratios, in their logarithms.
 struct Axis {
-    low: f64,
-    high: f64,
+    span: Range<f64>,
     scale: Scale,
 }
 
 impl Axis {
     /// Over these values, without the share `outside` at each end.
     fn over(mut values: Vec<f64>, outside: f64, scale: Scale) -> Self {
+        values.iter_mut().for_each(|value| *value = scale.of(*value));
         values.sort_by(f64::total_cmp);
         let left_out = (values.len() as f64 * outside) as usize;
         let (Some(&low), Some(&high)) = (values.get(left_out), values.iter().nth_back(left_out)) else {
-            return Self { low: 0.0, high: 1.0, scale: Scale::Linear };
+            return Self { span: 0.0..1.0, scale: Scale::Linear };
         };
-        match scale {
-            // Room for the points at the ends.
-            Scale::Logarithmic => {
-                let room = (high / low).powf(0.04).max(1.1);
-                Self { low: low / room, high: high * room, scale }
-            }
-            Scale::Linear => {
-                let wide = if high > low { 0.0 } else { 0.5 * low.abs().max(1.0) };
-                Self { low: low - wide, high: high + wide, scale }
-            }
-        }
+        // Room for the points at the ends of short curves, and for marks where all is alike.
+        let least = 1e-6 * low.abs().max(high.abs());
+        let room = match scale {
+            Scale::Logarithmic => (0.04 * (high - low)).max(0.05),
+            Scale::Linear if high - low > least => 0.0,
+            Scale::Linear => 0.5 * low.abs().max(1.0),
+        };
+        Self { span: low - room..high + room, scale }
     }
 
-    /// Where a value lies, from 0 to 1.
-    fn place(&self, value: f64) -> f32 {
-        match self.scale {
-            Scale::Logarithmic => ((value / self.low).ln() / (self.high / self.low).ln()) as f32,
-            Scale::Linear => ((value - self.low) / (self.high - self.low)) as f32,
-        }
-    }
-
-    /// Round numbers inside: three to seven of them, or the powers of ten, with their doubles and fives where those are few.
+    /// Round numbers inside: by ratios the powers of ten, with their doubles and fives where those are few.
     fn ticks(&self) -> Vec<f64> {
+        let Range { start, end } = self.span;
         if self.scale == Scale::Logarithmic {
-            let (first, last) = (self.low.log10().floor() as i32, self.high.log10().ceil() as i32);
-            let steps: &[f64] = if self.high / self.low < 300.0 { &[1.0, 2.0, 5.0] } else { &[1.0] };
-            let all = (first..=last).flat_map(|k| steps.iter().map(move |m| m * 10f64.powi(k)));
-            let inside: Vec<f64> = all.filter(|tick| (self.low..=self.high).contains(tick)).collect();
+            let steps: &[f64] = if end - start < 2.5 { &[1.0, 2.0, 5.0] } else { &[1.0] };
+            let decades = start.floor() as i32..=end.ceil() as i32;
+            let all = decades.flat_map(|k| steps.iter().map(move |m| m * 10f64.powi(k)));
+            let inside: Vec<f64> = all.filter(|tick| self.span.contains(&tick.log10())).collect();
             if inside.len() > 1 {
                 return inside;
             }
         }
-        let raw = (self.high - self.low) / 5.0;
-        let power = 10f64.powf(raw.log10().floor());
-        let step = [1.0, 2.0, 5.0, 10.0].map(|m| m * power).into_iter().find(|&s| s >= raw).unwrap_or(raw);
-        let (first, last) = ((self.low / step).ceil() as i64, (self.high / step).floor() as i64);
-        (first..=last).map(|k| k as f64 * step).collect()
+        let [low, high] = [start, end].map(|at| self.scale.at(at));
+        RangedCoordf64::from(low..high).key_points(TICKS)
+    }
+}
+
+impl Ranged for Axis {
+    type FormatOption = NoDefaultFormatting;
+    type ValueType = f64;
+
+    /// The place of a value; at the end where it lies outside.
+    fn map(&self, value: &f64, (first, last): (i32, i32)) -> i32 {
+        let Range { start, end } = self.span;
+        let share = (self.scale.of(*value).clamp(start, end) - start) / (end - start);
+        first + (share * f64::from(last - first)).round() as i32
+    }
+
+    fn key_points<Hint: KeyPointHint>(&self, _: Hint) -> Vec<f64> {
+        self.ticks()
+    }
+
+    fn range(&self) -> Range<f64> {
+        self.scale.at(self.span.start)..self.scale.at(self.span.end)
+    }
+}
+
+impl ValueFormatter<f64> for Axis {
+    fn format(value: &f64) -> String {
+        number(*value)
+    }
+}
+
+impl Scale {
+    /// What is drawn evenly.
+    fn of(self, value: f64) -> f64 {
+        match self {
+            Self::Linear => value,
+            Self::Logarithmic => value.log10(),
+        }
+    }
+
+    /// The value that is drawn there.
+    fn at(self, place: f64) -> f64 {
+        match self {
+            Self::Linear => place,
+            Self::Logarithmic => 10f64.powf(place),
+        }
     }
 }
 
@@ -220,82 +234,98 @@ impl Axis {
 fn number(value: f64) -> String {
     let plain = format!("{value:.4}");
     let plain = plain.trim_end_matches('0').trim_end_matches('.');
-    let small = value != 0.0 && value.abs() < 1e-3;
-    if small || value.abs() >= 1e6 { format!("{value:.1e}") } else { plain.to_owned() }
-}
-
-/// Draws a smooth line, `half` its width.
-fn line(image: &mut Image, ends: [Vec2; 2], colour: [u8; 3], half: f32) {
-    let reach = Vec2::splat(half + 1.0);
-    let (low, high) = (ends[0].min(ends[1]) - reach, ends[0].max(ends[1]) + reach);
-    let span = |from: f32, to: f32, n: usize| from.max(0.0) as usize..(to.max(0.0) as usize + 1).min(n);
-    for py in span(low.y, high.y, image.height) {
-        for px in span(low.x, high.x, image.width) {
-            let at = vec2(px as f32 + 0.5, py as f32 + 0.5);
-            let cover = (half + 0.5 - text::distance(at, ends[0], ends[1])).clamp(0.0, 1.0);
-            let pixel = &mut image.pixels[py * image.width + px];
-            for (channel, ink) in pixel.iter_mut().zip(colour) {
-                *channel = (f32::from(*channel) * (1.0 - cover) + f32::from(ink) * cover).round() as u8;
-            }
-        }
+    let small = value.abs() < 1e-3 && value.abs() > 1e-12;
+    if small || value.abs() >= 1e6 {
+        return format!("{value:.1e}").replace(".0e", "e");
     }
+    if plain == "-0" { "0".to_owned() } else { plain.to_owned() }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    fn chart(curves: Vec<Curve>, scale: Scale) -> Chart {
+        Chart { title: "t".into(), axes: ["x".into(), "y".into()], curves, scale }
+    }
+
+    fn curve(points: Vec<[f64; 2]>) -> Curve {
+        Curve { label: "a".into(), points }
+    }
+
+    fn count(image: &Image, colour: RGBColor, (x, y): (Range<usize>, Range<usize>)) -> usize {
+        let places = y.flat_map(|y| x.clone().map(move |x| (x, y)));
+        places.filter(|&(x, y)| image.at(x, y) == [colour.0, colour.1, colour.2]).count()
+    }
+
     #[test]
     fn curves_stay_in_their_charts_and_gaps_are_left_out() {
-        let curve = |points: Vec<[f64; 2]>| Curve { label: "a".into(), points };
         let rising = curve((0..50).map(|k| [f64::from(k), f64::from(k * k)]).collect());
         let broken = curve(vec![[0.0, 0.0], [1.0, f64::NAN], [2.0, f64::INFINITY], [3.0, 1e300]]);
         let some = [vec![], vec![rising], vec![broken], vec![curve(vec![[5.0, 5.0]])]];
-        let some = some.map(|curves| Chart { title: "t".into(), curves, scale: Scale::Linear });
-        let image = charts(&some, (400, 300));
-        let blue = |x: std::ops::Range<usize>, y: std::ops::Range<usize>| {
-            y.flat_map(|y| x.clone().map(move |x| (x, y)))
-                .filter(|&(x, y)| image.at(x, y) == COLOURS[0])
-                .count()
-        };
-        assert_eq!(blue(0..200, 0..150), 0);
-        assert!(blue(262..400, 34..124) > 20);
-        assert_eq!(blue(200..260, 30..150), 0);
+        let image = charts(&some.map(|curves| chart(curves, Scale::Linear)), (800, 600));
+        let blue = |x, y| count(&image, COLOURS[0], (x, y));
+        assert_eq!(blue(0..400, 0..300), 0);
+        assert!(blue(470..740, 30..260) > 100);
+        // Two points and the legend, and nothing between them.
+        assert!(blue(0..400, 300..600) > 40);
+        assert_eq!(blue(120..300, 300..600), 0);
+    }
+
+    /// Of whatever is measured: nothing, one number, next to none between them, the largest and the smallest ones.
+    #[test]
+    fn any_numbers_make_a_chart() {
+        let tiny = f64::MIN_POSITIVE;
+        let all: [&[f64]; 8] = [
+            &[],
+            &[3.0],
+            &[0.0, 0.0],
+            &[1e16, 1e16 + 2.0],
+            &[1.0, 1.0 + f64::EPSILON],
+            &[-1e300, 1e300],
+            &[tiny / 8.0, tiny],
+            &[f64::NAN, f64::NEG_INFINITY],
+        ];
+        for values in all {
+            let points = values.iter().enumerate().map(|(k, &v)| [k as f64 + 1.0, v]).collect::<Vec<_>>();
+            for scale in [Scale::Linear, Scale::Logarithmic] {
+                let axis = Axis::over(values.iter().copied().filter(|v| v.is_finite()).collect(), 0.0, scale);
+                if scale == Scale::Linear {
+                    assert!(axis.ticks().len() < 30, "{values:?}");
+                }
+                charts(&[chart(vec![curve(points.clone())], scale)], (500, 300));
+            }
+        }
+        // Too small for what belongs around a chart.
+        charts(&[chart(vec![curve(vec![[0.0, 0.0], [1.0, 1.0]])], Scale::Linear)], (60, 20));
     }
 
     #[test]
     fn curves_beyond_the_colours_are_broken() {
-        let count = |curve: usize| {
-            let mut image = Image::new(100, 10);
-            image.pixels.fill(PAPER);
-            let mut stroke = Stroke::of(curve, 0.9);
-            for k in 0..9 {
-                stroke.to(&mut image, [k, k + 1].map(|k| vec2(10.0 * k as f32 + 3.0, 5.0)));
-            }
-            (0..100).filter(|&x| image.at(x, 4) != PAPER).count()
+        let level = |k: usize| curve((0..50).map(|x| [f64::from(x), k as f64]).collect());
+        let image = charts(&[chart((0..8).map(level).collect(), Scale::Linear)], (800, 400));
+        let row = |k: usize| {
+            let rows = (0..400).map(|y| count(&image, COLOURS[k], (80..380, y..y + 1)));
+            rows.filter(|&n| n > 20).collect::<Vec<_>>()
         };
-        let (whole, broken) = (count(1), count(1 + COLOURS.len()));
-        assert!((88..96).contains(&whole) && (50..75).contains(&broken), "{whole}, {broken}");
+        // The first and the eighth have one colour.
+        let (first, second) = (row(0), row(1));
+        let [whole, broken] = [first.iter().max(), first.iter().min()].map(|n| *n.unwrap());
+        assert!(first.len() >= 2 && second.iter().max() >= Some(&whole), "{first:?}, {second:?}");
+        assert!((0.4..0.75).contains(&(broken as f64 / whole as f64)), "{first:?}");
     }
 
     #[test]
     fn ticks_are_round_and_inside() {
-        let text = |axis: Axis| axis.ticks().into_iter().map(number).collect::<Vec<_>>().join(" ");
-        let ticks = |low, high| text(Axis { low, high, scale: Scale::Linear });
-        assert_eq!(ticks(0.0, 1.0), "0 0.2 0.4 0.6 0.8 1");
-        assert_eq!(ticks(-3.7, 2.1), "-2 0 2");
-        assert_eq!(ticks(100.0, 500_000.0), "100000 200000 300000 400000 500000");
-        assert_eq!(ticks(0.0, 2e-4), "0 5.0e-5 1.0e-4 1.5e-4 2.0e-4");
-        let decades = Axis { low: 0.02, high: 3000.0, scale: Scale::Logarithmic };
-        assert!(
-            ((decades.place(2.0) - decades.place(0.2)) - (decades.place(20.0) - decades.place(2.0))).abs()
-                < 1e-6
-        );
-        assert_eq!(text(decades), "0.1 1 10 100 1000");
-        assert_eq!(text(Axis { low: 30.0, high: 600.0, scale: Scale::Logarithmic }), "50 100 200 500");
-        assert_eq!(
-            text(Axis { low: 3724.0, high: 4506.0, scale: Scale::Logarithmic }),
-            "3800 4000 4200 4400"
-        );
+        let text = |low: f64, high: f64, scale: Scale| {
+            let axis = Axis { span: scale.of(low)..scale.of(high), scale };
+            axis.ticks().into_iter().map(number).collect::<Vec<_>>().join(" ")
+        };
+        assert_eq!(text(0.0, 1.0, Scale::Linear), "0 0.2 0.4 0.6 0.8 1");
+        assert_eq!(text(0.0, 2e-4, Scale::Linear), "0 5e-5 1e-4 1.5e-4 2e-4");
+        assert_eq!(text(-3e6, 3e6, Scale::Linear), "-3e6 -2e6 -1e6 0 1e6 2e6 3e6");
+        assert_eq!(text(0.02, 3000.0, Scale::Logarithmic), "0.1 1 10 100 1000");
+        assert_eq!(text(30.0, 600.0, Scale::Logarithmic), "50 100 200 500");
+        assert_eq!(text(3724.0, 4506.0, Scale::Logarithmic), "3800 4000 4200 4400");
     }
 }

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 /// One system's frames.
 #[derive(Clone, Debug)]
 pub struct ErrorMap {
-    /// Name; letters appear as capitals.
+    /// Name.
     pub label: String,
     /// Its frames, as many as the truth's.
     pub frames: Trajectory,
@@ -21,6 +21,8 @@ pub struct ErrorMap {
 
 /// Height of a panel \[px\].
 const HEIGHT: usize = 300;
+/// Height of captions \[px\].
+const CAPTION: f32 = 17.0;
 /// Share of the vertices of all maps that the colours span; the rest is as dark as the darkest.
 const SPAN: f64 = 0.98;
 
@@ -37,10 +39,9 @@ pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view
     let stage = Stage::new(truth, handles, view, Size::Height(HEIGHT), 3);
     let [width, _] = stage.size;
     let caption = |image: &mut Image, line: &str, y: f32| {
-        let line = line.to_uppercase();
         // A long name of a solver in a narrow picture is small.
-        let fits = (width as f32 - 14.0) / text::width(&line, 1.0);
-        text::write(image, &line, [10.0, y], fits.min(11.0));
+        let fits = (width as f32 - 14.0) / text::width(line, CAPTION);
+        text::write(image, line, [10.0, y], CAPTION * fits.min(1.0));
     };
     let scale = format!("darkest: {largest:.2} m");
     let truths = (0..truth.frames()).into_par_iter().map(|frame| {

@@ -38,9 +38,9 @@ pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions)
             return stage.draw_empty();
         }
         let mut image = stage.draw(trajectory.frame(frame));
-        let height = (options.height as f32 / 32.0).max(8.0);
+        let height = (options.height as f32 / 20.0).max(12.0);
         let caption = format!("{:.2} s", frame as f64 / trajectory.fps());
-        text::write(&mut image, &caption, [1.1 * height, options.height as f32 - 2.1 * height], height);
+        text::write(&mut image, &caption, [0.7 * height, options.height as f32 - 1.6 * height], height);
         image
     };
     let panels: Vec<Image> = (0..count).into_par_iter().map(draw).collect();

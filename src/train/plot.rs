@@ -22,7 +22,7 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
         let pools = pools.iter().enumerate();
         pools
             .map(|(index, pool)| {
-                let label = format!("{} n {}", pool.grid, pool.iterations);
+                let label = format!("{}, N = {}", pool.grid, pool.iterations);
                 curve(&format!("{}_{what}", pool_name(index, pool)), label)
             })
             .collect()
@@ -40,13 +40,16 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
         }
     }
     let norm = vec![curve("gradient_norm", "gradient norm".into())];
-    let chart = |title: &str, curves| Chart { title: title.into(), curves, scale: Scale::Linear };
+    let chart = |title: &str, curves| {
+        let axes = ["step".into(), String::new()];
+        Chart { title: title.into(), axes, curves, scale: Scale::Linear }
+    };
     Ok(charts(
         &[
-            chart("loss", of_pools("loss")),
-            chart("log mean gradient", of_pools("log_gradient")),
-            chart("norm of the gradient of the weights", norm),
-            chart("validation: log10 of the energy gap", scenes),
+            chart("Loss", of_pools("loss")),
+            chart("Logarithm of the mean gradient", of_pools("log_gradient")),
+            chart("Norm of the gradient of the weights", norm),
+            chart("Validation: energy gap, log10", scenes),
         ],
         SIZE,
     ))

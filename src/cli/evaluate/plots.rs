@@ -19,6 +19,9 @@ const OF_EVERY: usize = 30;
 /// Frames in which it is looked at, the start included.
 const CONVERGENCE_FRAMES: usize = 41;
 
+/// The axis of the Chamfer distance.
+const E_CD: &str = "e_CD \u{b7} 10\u{b3} [m\u{b2}]";
+
 fn write(folder: &Path, name: &str, all: &[Chart]) -> Result<()> {
     if all.is_empty() {
         return Ok(());
@@ -30,8 +33,8 @@ fn write(folder: &Path, name: &str, all: &[Chart]) -> Result<()> {
 /// Error and repulsion per frame of every sequence and grid, and error and time against the number of iterations.
 pub(super) fn draw(folder: &Path, scores: &[Score]) -> Result<()> {
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
-    per_frame(folder, "per_frame.png", scores, ("e_CD x 1000", 1e3, |s| &s.per_frame.e_cd))?;
-    per_frame(folder, "repulsion.png", scores, ("repulsion", 1.0, |s| &s.per_frame.repulsion))?;
+    per_frame(folder, "per_frame.png", scores, (E_CD, 1e3, |s| &s.per_frame.e_cd))?;
+    per_frame(folder, "repulsion.png", scores, ("repulsion energy", 1.0, |s| &s.per_frame.repulsion))?;
     iterations(folder, scores)
 }
 
@@ -60,7 +63,8 @@ fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Fi
         entry(&mut curves, (&score.sequence, &score.grid)).push(curve);
     }
     let chart = |((sequence, grid), curves)| Chart {
-        title: format!("{sequence} {grid}: {name} per frame"),
+        title: format!("{sequence} on {grid}"),
+        axes: ["frame".into(), name.into()],
         curves,
         scale: Scale::Linear,
     };
@@ -93,18 +97,13 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
     let charts: Vec<Chart> = grids
         .into_iter()
         .flat_map(|(grid, [errors, times])| {
-            [
-                Chart {
-                    title: format!("{grid}: e_CD x 1000 by iterations"),
-                    curves: errors,
-                    scale: Scale::Logarithmic,
-                },
-                Chart {
-                    title: format!("{grid}: ms per frame by iterations"),
-                    curves: times,
-                    scale: Scale::Logarithmic,
-                },
-            ]
+            let chart = |what: &str, curves| Chart {
+                title: format!("Mean over the sequences on {grid}"),
+                axes: ["iterations".into(), what.into()],
+                curves,
+                scale: Scale::Logarithmic,
+            };
+            [chart(E_CD, errors), chart("ms per frame", times)]
         })
         .collect();
     write(folder, "iterations.png", &charts)
@@ -155,8 +154,9 @@ fn convergence_on(
         }
         curves.push(Curve { label: optimizer.name().to_owned(), points });
     }
-    let title = format!("{} {grid}: energy gap by iterations", sequence.name);
-    Ok(Some(Chart { title, curves, scale: Scale::Logarithmic }))
+    let title = format!("{} on {grid}", sequence.name);
+    let axes = ["iterations".into(), "energy gap".into()];
+    Ok(Some(Chart { title, axes, curves, scale: Scale::Logarithmic }))
 }
 
 /// A few frames of a sequence and, for each grid, of all that simulated it, coloured by their distance from the truth.
