@@ -125,9 +125,22 @@ impl<T: Real> Solver<T> {
 
     /// Forgets the optimizer's memory, as when a scene starts again.
     pub fn reset(&mut self) {
+        (0..self.model().batch()).for_each(|b| self.reset_cloth(b));
+    }
+
+    /// Forgets the optimizer's memory of cloth `b` alone, as when it starts again while the others go on. Panics when there is no
+    /// such cloth.
+    pub fn reset_cloth(&mut self, b: usize) {
+        let batch = self.model().batch();
+        assert!(b < batch, "cloth {b} of {batch}");
         if let Method::Steps(_, minimizer) = &mut self.method {
-            minimizer.reset();
+            minimizer.forget(b);
         }
+    }
+
+    /// The cloths.
+    pub fn model(&self) -> &Model {
+        self.objective.model()
     }
 
     /// What the optimizer did in the last frame.

@@ -104,6 +104,24 @@ impl Simulator {
         }
     }
 
+    /// Replaces the state of cloth `b` alone, and forgets what the optimizer remembers of it; the others go on, also after a
+    /// [`Error::NonFinite`] that tells of `b`. Frames are counted on.
+    ///
+    /// Panics when a length is not that of one cloth, or there is no such cloth.
+    pub fn set_cloth_state(&mut self, b: usize, start: &State<f32>) {
+        match &mut self.backend {
+            Backend::Cpu { solver, state } => {
+                solver.reset_cloth(b);
+                let len = state.x.len() / solver.model().batch();
+                assert_eq!((start.x.len(), start.v.len()), (len, len), "[3, H, W]");
+                for (all, own) in [(&mut state.x, &start.x), (&mut state.v, &start.v)] {
+                    all[b * len..(b + 1) * len].copy_from_slice(own);
+                }
+            }
+            Backend::Gpu { solver, .. } => solver.set_cloth_state(b, start),
+        }
+    }
+
     /// Gives the cloths other materials, gravity, air, repulsion or handles, whose positions the next control tells.
     ///
     /// An error as of [`Solver::set_cloths`] or [`cpu::Solver::set_cloths`].

@@ -2,9 +2,10 @@
 
 use crate::golden::{Golden, largest_difference};
 use crate::noise::noise;
+use fnopt::Error;
 use fnopt::cpu::{Real, Solver};
 use fnopt::network::Weights;
-use fnopt::sim::{Air, Cloth, Control, Grid, Material, Model, Optimizer, State};
+use fnopt::sim::{Air, Cloth, Control, Device, Grid, Material, Model, Optimizer, Simulator, State};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -206,6 +207,64 @@ fn classical_optimizers_lower_the_energy() {
         };
         let (few, many) = (energy_after(2), energy_after(60));
         assert!(many < few, "{}: {many} after 60 iterations, {few} after 2", optimizer.name());
+    }
+}
+
+/// The bits are those of a solver that was made with the other cloths.
+#[test]
+fn cloths_change_between_frames() {
+    let (model, state, control) = varied_batch(Grid { h: 11, w: 9 });
+    let n = model.grid.particles();
+    let mut other = model.clone();
+    other.cloths[0].material.stretch *= 3.0;
+    other.cloths[2].gravity[1] += 0.01;
+    other.cloths[1].handles = vec![3, 40];
+    let at = |p: usize| [0, 1, 2].map(|c| state.x[(3 + c) * n + p]);
+    let mut held = control.clone();
+    held.handles.splice(2..3, [at(3), at(40)]);
+    for optimizer in optimizers() {
+        let step = |solver: &mut Solver<f32>, control: &Control<f32>| {
+            let mut next = state.clone();
+            assert!(solver.step(&mut next, control).iter().all(|s| s.is_finite()));
+            next
+        };
+        let mut changed = Solver::new(&model, &optimizer, 4).unwrap();
+        let before = step(&mut changed, &control);
+        changed.set_cloths(&other.cloths).unwrap();
+        changed.reset();
+        let after = step(&mut changed, &held);
+        let made = step(&mut Solver::new(&other, &optimizer, 4).unwrap(), &held);
+        assert_eq!(after, made, "{}", optimizer.name());
+        let same = |b: usize| before.x[3 * n * b..][..3 * n] == after.x[3 * n * b..][..3 * n];
+        assert_eq!([0, 1, 2].map(same), [false; 3], "{}", optimizer.name());
+        assert!(changed.set_cloths(&other.cloths[1..]).is_err());
+    }
+}
+
+/// One cloth leaves the numbers and begins anew; the others have the bits of a batch in which nothing happened.
+#[test]
+fn a_cloth_that_broke_begins_anew_and_the_others_go_on() {
+    let (model, start, control) = varied_batch(Grid { h: 11, w: 9 });
+    let len = 3 * model.grid.particles();
+    let second = len..2 * len;
+    let own = State { x: start.x[second.clone()].to_vec(), v: start.v[second.clone()].to_vec() };
+    for optimizer in optimizers() {
+        let mut simulator = Simulator::new(&Device::Cpu, &model, &optimizer, 4).unwrap();
+        simulator.set_state(&start);
+        let first = simulator.step(&control).unwrap().state;
+        let undisturbed = simulator.step(&control).unwrap().state;
+        simulator.set_state(&start);
+        let mut broken = own.clone();
+        broken.x[7] = f32::NAN;
+        simulator.set_cloth_state(1, &broken);
+        let error = simulator.step(&control).unwrap_err();
+        assert!(matches!(error, Error::NonFinite { frame: 1, cloth: 1 }), "{error}");
+        simulator.set_cloth_state(1, &own);
+        let next = simulator.step(&control).unwrap();
+        assert_eq!(next.index, 2);
+        assert_eq!(next.state.x[second.clone()], first.x[second.clone()], "{}", optimizer.name());
+        assert_eq!(next.state.x[..len], undisturbed.x[..len], "{}", optimizer.name());
+        assert_eq!(next.state.x[2 * len..], undisturbed.x[2 * len..], "{}", optimizer.name());
     }
 }
 

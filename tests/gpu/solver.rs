@@ -8,7 +8,8 @@ use fnopt::kernels::Tuning;
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{
-    Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Solver, SolverOptions, State,
+    Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Simulator, Solver,
+    SolverOptions, State,
 };
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -395,6 +396,34 @@ fn single_cloths_begin_anew_and_materials_change() {
 
         let refused = changed.set_cloths(&other.cloths[1..]).unwrap_err().to_string();
         assert!(refused.contains("as many as the solver was made for"), "{refused}");
+    }
+}
+
+/// One cloth leaves the numbers and begins anew; the others have the bits of a batch in which nothing happened.
+#[test]
+fn a_cloth_that_broke_begins_anew_and_the_others_go_on() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let len = 3 * model.grid.particles();
+    let second = len..2 * len;
+    let own = State { x: start.x[second.clone()].to_vec(), v: start.v[second.clone()].to_vec() };
+    for optimizer in [Optimizer::Learned(starter().clone()), Optimizer::quasi_newton()] {
+        let on = Device::Gpu(context().clone());
+        let mut simulator = Simulator::new(&on, &model, &optimizer, 2).unwrap();
+        simulator.set_state(&start);
+        let first = simulator.step(&control).unwrap().state;
+        let undisturbed = simulator.step(&control).unwrap().state;
+        simulator.set_state(&start);
+        let mut broken = own.clone();
+        broken.x[7] = f32::NAN;
+        simulator.set_cloth_state(1, &broken);
+        let error = simulator.step(&control).unwrap_err();
+        assert!(matches!(error, fnopt::Error::NonFinite { frame: 1, cloth: 1 }), "{error}");
+        simulator.set_cloth_state(1, &own);
+        let next = simulator.step(&control).unwrap().state;
+        assert_same("the cloth that began anew", &next.x[second.clone()], &first.x[second.clone()]);
+        assert_same("the first cloth", &next.x[..len], &undisturbed.x[..len]);
+        assert_same("the third cloth", &next.x[2 * len..], &undisturbed.x[2 * len..]);
     }
 }
 

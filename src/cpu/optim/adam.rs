@@ -26,7 +26,9 @@ impl<T: Real> Adam<T> {
 
 impl<T: Real> Minimizer<T> for Adam<T> {
     fn begin_frame(&mut self) {
-        self.reset();
+        self.mean.fill(T::zero());
+        self.square.fill(T::zero());
+        self.steps = 0;
     }
 
     fn step(&mut self, grad: &[T], _norms: &[f64], a: &mut [T]) {
@@ -43,12 +45,6 @@ impl<T: Real> Minimizer<T> for Adam<T> {
             square,
             a,
         });
-    }
-
-    fn reset(&mut self) {
-        self.mean.fill(T::zero());
-        self.square.fill(T::zero());
-        self.steps = 0;
     }
 }
 

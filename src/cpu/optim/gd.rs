@@ -22,6 +22,4 @@ impl<T: Real> Minimizer<T> for GradientDescent {
             *a = *a - rate * g;
         }
     }
-
-    fn reset(&mut self) {}
 }

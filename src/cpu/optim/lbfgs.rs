@@ -62,7 +62,7 @@ impl<T: Real> Lbfgs<T> {
 
 impl<T: Real> Minimizer<T> for Lbfgs<T> {
     fn begin_frame(&mut self) {
-        self.reset();
+        self.cloths.iter_mut().for_each(|(history, _)| history.clear());
     }
 
     fn step(&mut self, grad: &[T], _norms: &[f64], a: &mut [T]) {
@@ -73,10 +73,6 @@ impl<T: Real> Minimizer<T> for Lbfgs<T> {
             history.turn(grad, initial.as_deref_mut());
             history.step(T::one(), a);
         });
-    }
-
-    fn reset(&mut self) {
-        self.cloths.iter_mut().for_each(|(history, _)| history.clear());
     }
 }
 

@@ -28,8 +28,9 @@ pub trait Minimizer<T>: Send + Sync {
     /// Adds a step to the accelerations `a`, given `grad` = dL/da at `a` and its norm `norms` for each component of each
     /// cloth; shapes [B, 3, H, W] and \[S\] with S = 3 B.
     fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]);
-    /// Forgets everything, as when the scene is reset.
-    fn reset(&mut self);
+    /// Forgets what it remembers from frame to frame of the cloth of this number, as when that begins anew; most begin each frame
+    /// with nothing.
+    fn forget(&mut self, _cloth: usize) {}
     /// The scale of each sample, shape \[S\], if the optimizer has one.
     fn scales(&self) -> &[T] {
         &[]

@@ -97,10 +97,13 @@ impl<T: Real> Minimizer<T> for Update<T> {
         self.hidden.remember(grad, (self.network.field(), self.network.scalar()), a);
     }
 
-    fn reset(&mut self) {
-        self.hidden.last_grad.fill(T::zero());
-        self.hidden.last_step.fill(T::zero());
-        self.hidden.scale.fill(T::of(INITIAL_SCALE.into()));
+    fn forget(&mut self, cloth: usize) {
+        let Hidden { last_grad, last_step, scale } = &mut self.hidden;
+        let len = 3 * last_grad.len() / scale.len();
+        let fields = cloth * len..(cloth + 1) * len;
+        last_grad[fields.clone()].fill(T::zero());
+        last_step[fields].fill(T::zero());
+        scale[3 * cloth..][..3].fill(T::of(INITIAL_SCALE.into()));
     }
 
     fn scales(&self) -> &[T] {
