@@ -46,8 +46,8 @@ fn a_suite_honours_its_options_or_refuses_them() {
     };
     let largest = |more: &[&str]| {
         let scores = scores("speeds", &[&["--sequences", "speed 1", "--grid", "12"], more].concat());
-        assert_eq!(scores[0]["score"]["case"], "speed 1");
-        scores[0]["score"]["stretch_largest"].as_f64().unwrap()
+        assert_eq!(scores[0]["case"], "speed 1");
+        scores[0]["stretch_largest"].as_f64().unwrap()
     };
     let usual = largest(&[]);
     assert_eq!(usual, largest(&["--material", "1000,8,0.5"]));
@@ -55,10 +55,10 @@ fn a_suite_honours_its_options_or_refuses_them() {
     assert_ne!(usual, largest(&["--wind", "50"]));
     // The suite of grids has its own, once.
     let of_grids = scores("grids", &["--sequences", "48x32"]);
-    assert_eq!((of_grids.len(), &of_grids[0]["score"]["grid"]), (1, &"48x32".into()));
+    assert_eq!((of_grids.len(), &of_grids[0]["grid"]), (1, &"48x32".into()));
     let five = ["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs,lbfgs"];
     let of_five = scores("iterations", &five);
-    assert_eq!((of_five.len(), &of_five[0]["score"]["iterations"]), (1, &5.into()));
+    assert_eq!((of_five.len(), &of_five[0]["iterations"]), (1, &5.into()));
     refused(
         suite("iterations", &["--solver", "lbfgs:2"]),
         &["--solver", "as the suite sets them", "lbfgs:2"],
@@ -82,7 +82,7 @@ fn layers_that_are_kept_apart_are_told_of() {
     let (printed, _) = done(quiet(folder.path(), &arguments).output().unwrap());
     assert!(["repulsion", "share > 0.1", "share > 0.02"].iter().all(|c| printed.contains(c)), "{printed}");
     let scores = json(&folder.path().join("s.json"));
-    let figure = |k: usize, name: &str| scores[k]["score"][name].clone();
+    let figure = |k: usize, name: &str| scores[k][name].clone();
     let [without, with] = [0, 1].map(|k| figure(k, "repulsion")[0].as_f64().unwrap());
     assert!(without > 1.0 && with < 0.01 * without, "{without} without, {with} with");
     // The converged simulation cannot keep them apart.
@@ -96,7 +96,7 @@ fn layers_that_are_kept_apart_are_told_of() {
     assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
     assert!(text(&output.stderr).contains("newton does not take part in single-mid-edge with"), "{output:?}");
     let scores = json(&folder.path().join("all.json"));
-    let of = |case: &str| scores.as_array().unwrap().iter().filter(|s| s["score"]["case"] == case).count();
+    let of = |case: &str| scores.as_array().unwrap().iter().filter(|s| s["case"] == case).count();
     assert_eq!((of("corner-center without"), of("corner-center with")), (5, 4));
     // Without solvers of its own the suite of iterations takes those that have iterations.
     let few = ["--frames", "2", "--grid", "12", "--sequences", "3 iterations", "--no-gap", "--device", "cpu"];
@@ -120,7 +120,7 @@ fn cases_of_a_suite_are_kept() {
         let rest = ["--device", "cpu", "--json", "s.json"];
         let arguments = [&["evaluate", "--suite", "speeds"], &few[..], &rest, more].concat();
         done(quiet(at, &arguments).output().unwrap());
-        json(&at.join("s.json")).as_array().unwrap().iter().map(|s| s["score"].clone()).collect()
+        json(&at.join("s.json")).as_array().unwrap().clone()
     };
     let usual = ["--frames", "3"];
     let first = suite(&usual);

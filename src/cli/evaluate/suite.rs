@@ -12,6 +12,14 @@ use fnopt::{Error, io};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
+/// A score as JSON tells it.
+#[derive(serde::Serialize)]
+struct Document<'a> {
+    solver: &'a str,
+    #[serde(flatten)]
+    score: &'a CaseScore,
+}
+
 impl Args {
     /// The cases of a suite that take part, each once, with the cloth and the air that were asked for.
     fn cases(&self, suite: Suite, grids: &[Grid]) -> fnopt::Result<Vec<Case>> {
@@ -142,10 +150,8 @@ impl Args {
             suite::table(&entry.name, suite, &own)
         };
         let tables: Vec<Table> = entries.iter().enumerate().map(of).collect();
-        let named: Vec<_> = scores
-            .iter()
-            .map(|(number, score)| serde_json::json!({"solver": entries[*number].name, "score": score}))
-            .collect();
+        let named: Vec<_> =
+            scores.iter().map(|(number, score)| Document { solver: &entries[*number].name, score }).collect();
         // What is finished is told however it ended.
         let written = self.write_tables(&tables, &named);
         let complete = ending?;
