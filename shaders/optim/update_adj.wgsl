@@ -1,5 +1,5 @@
 // The update rule backwards, with the authors' rule in place of the true adjoint: the cotangent of tanh(field) and that of
-// 2 tanh(scalar / 2) - 1 are divided by norms, each the root mean square over the samples of a group, and clamped to -10..10.
+// 2 tanh(scalar / 2) - 1 are divided by norms, each the root mean square over the samples of a group, and clamped to -CLAMP..CLAMP.
 // With groups of one sample every component of every cloth weighs the same, whatever its energies are (paper section 3.3).
 //
 // step = scale tanh(field). The cotangent of the step is grad, that of the loss, times any positive factor, which the
@@ -28,7 +28,9 @@ struct Params {
 // Samples of a group, at most 3.
 override TOGETHER: u32 = 1u;
 
-const CLAMP: f32 = 10.0;
+// Bound of a normalised cotangent.
+override CLAMP: f32;
+// The CPU's 1e-40 is no normal number here.
 const FLOOR: f32 = 1e-30;
 
 // (sum grad^2, sum grad tanh(field)).

@@ -15,6 +15,7 @@ pub use lbfgs::Lbfgs;
 pub use rest_hessian::{FactoredRestHessian, InverseHessian, RestHessian};
 pub(super) use sums::{dot, norm};
 pub use update::{Hidden, Update};
+pub(crate) use update_adj::CLAMP;
 pub use update_adj::{Normalisation, UpdateAdjoint};
 
 use super::Real;

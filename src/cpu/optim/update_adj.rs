@@ -11,7 +11,7 @@ use crate::sim::Grid;
 use rayon::prelude::*;
 
 /// Bound of a normalised cotangent.
-const CLAMP: f64 = 10.0;
+pub(crate) const CLAMP: f64 = 10.0;
 
 /// What training divides the cotangents of a step by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]

@@ -1,7 +1,7 @@
 //! Host side of `shaders/optim/update_adj.wgsl`.
 
 use crate::Result;
-use crate::cpu::optim::Normalisation;
+use crate::cpu::optim::{CLAMP, Normalisation};
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 use crate::sim::Grid;
@@ -34,7 +34,8 @@ impl UpdateAdj {
     /// Makes it.
     pub fn new(context: &Context, normalisation: Normalisation) -> Result<Self> {
         let together = normalisation.samples();
-        let kernel = Kernel::new(context, &SOURCE, 0, &[("TOGETHER", together as f64)])?;
+        let constants = [("TOGETHER", together as f64), ("CLAMP", CLAMP)];
+        let kernel = Kernel::new(context, &SOURCE, 0, &constants)?;
         Ok(Self { kernel, together })
     }
 
