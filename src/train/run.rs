@@ -247,17 +247,24 @@ impl Run {
         match end {
             _ if saved == Some(self.counters.step) => {}
             End::Done | End::Interrupted => self.save()?,
-            // The checkpoints before may be of a better state than one that only makes such steps.
             End::NonFinite => {
-                self.flush()?;
-                // One that is followed by nothing but such steps is not.
-                let fruitless = first > 0 && self.counters.updates == updates && self.give_up(first)?;
-                if (sound && !fruitless) || self.step_back()? {
-                    self.write_weights("last")?;
-                }
+                let fruitless = first > 0 && self.counters.updates == updates;
+                self.leave_weights(sound, fruitless.then_some(first))?;
             }
         }
         Ok(end)
+    }
+
+    /// After steps that were not finite: leaves the weights before them, if they are sound, else those of a checkpoint. The
+    /// checkpoints may be of a better state than one that only makes such steps, and it is not saved; the one of step
+    /// `fruitless`, which was followed by nothing else, is not of a better one.
+    fn leave_weights(&mut self, sound: bool, fruitless: Option<u64>) -> Result<()> {
+        self.flush()?;
+        let given_up = fruitless.map_or(Ok(false), |step| self.give_up(step))?;
+        if (sound && !given_up) || self.step_back()? {
+            self.write_weights("last")?;
+        }
+        Ok(())
     }
 
     /// Whether the weights are finite, as those are not that a step too large has made.
