@@ -2,7 +2,7 @@
 
 use super::device::DeviceArgs;
 use super::output::{output, tell};
-use super::{Ending, go_on, interrupt_flag};
+use super::{Ending, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::network::Weights;
@@ -10,6 +10,7 @@ use fnopt::sim::Device;
 use fnopt::train::{Config, End, Limits, Progress, Ranks, Run, SceneScore, first_weights, learner, ranks};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::time::Instant;
@@ -67,17 +68,17 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
         }
     };
     let folder = args.resume.as_ref().unwrap_or(&args.out).display();
-    let limits = Limits { steps: args.steps, minutes: args.minutes };
+    let interrupted = interrupt_flag();
+    let limits = Limits { steps: args.steps, minutes: args.minutes, interrupted: Some(&interrupted) };
     let bar = match first {
         true => progress(run.step(), limits.steps.unwrap_or(u64::MAX).min(run.config().steps)),
         false => ProgressBar::hidden(),
     };
-    let interrupted = interrupt_flag();
     let begun = Instant::now();
     let end = run.train(&limits, |progress| {
         let left = args.minutes.map(|minutes| minutes - begun.elapsed().as_secs_f64() / 60.0);
         show(&bar, progress, left);
-        go_on(&interrupted)
+        ControlFlow::Continue(())
     })?;
     bar.finish_and_clear();
     let skipped = match run.skipped() {

@@ -10,6 +10,7 @@ use super::table::Table;
 use super::validation::{SceneScore, Validation};
 use crate::network::Weights;
 use crate::{Result, render};
+use std::ops::ControlFlow;
 use std::time::Duration;
 
 /// Columns of `validation.csv`.
@@ -46,10 +47,18 @@ impl Records {
         self.metrics.flush(step, seconds)
     }
 
-    /// Rolls the scenes out with the weights after `step` steps, and gives their score.
-    pub fn validate(&mut self, step: u64, weights: &Weights) -> Result<f64> {
-        self.scores = (step, self.validation.run(weights)?);
-        Ok(Validation::score(&self.scores.1))
+    /// Rolls the scenes out with the weights after `step` steps, and gives their score; nothing when `tick`, called in each
+    /// frame, ended it.
+    pub fn validate(
+        &mut self,
+        step: u64,
+        weights: &Weights,
+        tick: impl FnMut() -> ControlFlow<()>,
+    ) -> Result<Option<f64>> {
+        let Some(scores) = self.validation.run(weights, tick)? else { return Ok(None) };
+        let score = Validation::score(&scores);
+        self.scores = (step, scores);
+        Ok(Some(score))
     }
 
     /// Adds the last validation to the table, all of it at once.

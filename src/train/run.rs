@@ -15,6 +15,7 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::rc::Rc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// Steps in a row that may be skipped because they are not finite.
@@ -34,12 +35,23 @@ pub struct Run {
 }
 
 /// Where a session ends, if not at the end of the run. The run can be resumed there.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Limits {
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Limits<'a> {
     /// When the run has done this many steps, those of earlier sessions included.
     pub steps: Option<u64>,
     /// After this many minutes of this session.
     pub minutes: Option<f64>,
+    /// As soon as this is set: after a step, or within a validation, which is made up for when the run is resumed.
+    pub interrupted: Option<&'a AtomicBool>,
+}
+
+impl Limits<'_> {
+    fn go_on(&self) -> ControlFlow<()> {
+        match self.interrupted.is_some_and(|interrupted| interrupted.load(Ordering::Relaxed)) {
+            true => ControlFlow::Break(()),
+            false => ControlFlow::Continue(()),
+        }
+    }
 }
 
 /// How a session ended.
@@ -174,7 +186,7 @@ impl Run {
     /// `watch` count.
     pub fn train(
         &mut self,
-        limits: &Limits,
+        limits: &Limits<'_>,
         mut watch: impl FnMut(&Progress<'_>) -> ControlFlow<()>,
     ) -> Result<End> {
         let steps = self.ranks.first(limits.steps.unwrap_or(u64::MAX)).min(self.config.steps);
@@ -185,10 +197,17 @@ impl Run {
         // A run that is new has nothing to be resumed from yet.
         let mut saved = (first > 0).then_some(first);
         // A validation that was cut off is made up for. One that failed may fail again, and shall not keep the run from going on.
-        if self.ranks.decide(self.is_validation_missing())
-            && let Err(error) = self.validate()
-        {
-            tracing::warn!("the validation after step {first} is left out: {error}");
+        if self.ranks.decide(self.is_validation_missing()) {
+            let cut_off = match self.validate(limits) {
+                Ok(whole) => !whole,
+                Err(error) => {
+                    tracing::warn!("the validation after step {first} is left out: {error}");
+                    false
+                }
+            };
+            if self.ranks.decide(cut_off) {
+                return Ok(End::Interrupted);
+            }
         }
         self.counters.validation_due = false;
         let updates = self.counters.updates;
@@ -227,13 +246,16 @@ impl Run {
                 checkpoint.restart();
             }
             if validated {
-                self.validate()?;
+                let whole = self.validate(limits)?;
+                if !self.ranks.decide(whole) {
+                    break End::Interrupted;
+                }
                 validate.restart();
             }
             let records = self.records.as_ref().filter(|_| validated);
             let validation = records.map(|records| records.scores(step));
             let watched = watch(&Progress { step, steps, report: &report, validation });
-            let stop = self.ranks.decide(watched.is_break());
+            let stop = self.ranks.decide(watched.is_break() || limits.go_on().is_break());
             if last {
                 break End::Done;
             }
@@ -325,18 +347,22 @@ impl Run {
         self.records.iter_mut().try_for_each(|records| records.flush(step, seconds))
     }
 
-    /// Rolls the scenes out and keeps the weights if they are the best so far. Only rank 0 does.
-    fn validate(&mut self) -> Result<()> {
+    /// Rolls the scenes out and keeps the weights if they are the best so far; whether it was not interrupted. Only rank 0 does.
+    fn validate(&mut self, limits: &Limits<'_>) -> Result<bool> {
+        let Some(records) = &mut self.records else { return Ok(true) };
+        let weights = self.learner.averaged()?;
+        let Some(score) = records.validate(self.counters.step, &weights, || limits.go_on())? else {
+            return Ok(false);
+        };
         self.counters.validation_due = false;
-        let Some(records) = &mut self.records else { return Ok(()) };
-        let score = records.validate(self.counters.step, &self.learner.averaged()?)?;
         if records.best.is_none_or(|best| score < best) {
             self.write_weights("best")?;
             self.records.iter_mut().for_each(|records| records.best = Some(score));
         }
         // The table last: what stands there is not made up for.
         self.records.iter().try_for_each(Records::tell_scores)?;
-        self.show()
+        self.show()?;
+        Ok(true)
     }
 
     /// Writes the whole state of this rank; on rank 0 also what is shown of it.

@@ -53,16 +53,19 @@ impl Validation {
         Ok(Self { iterations: config.iterations, scenes })
     }
 
-    /// Rolls every scene out on the CPU with these weights, in single precision, and measures the gaps.
-    pub fn run(&self, weights: &Weights) -> Result<Vec<SceneScore>> {
+    /// Rolls every scene out on the CPU with these weights, in single precision, and measures the gaps. Nothing when `tick`, called
+    /// in each frame, ended it.
+    pub fn run(
+        &self,
+        weights: &Weights,
+        mut tick: impl FnMut() -> ControlFlow<()>,
+    ) -> Result<Option<Vec<SceneScore>>> {
         let optimizer = Optimizer::learned(weights.clone());
-        let mut scores = Vec::new();
-        for (scene, with_gap) in &self.scenes {
-            let solver = (&optimizer, self.iterations);
-            let run = scene.run(solver, &Device::Cpu, *with_gap, || ControlFlow::Continue(()))?;
-            scores.extend(run.map(|(score, _)| SceneScore::of(&score)));
-        }
-        Ok(scores)
+        let score = |(scene, with_gap): &(Prepared, bool)| {
+            let run = scene.run((&optimizer, self.iterations), &Device::Cpu, *with_gap, &mut tick)?;
+            Ok(run.map(|(score, _)| SceneScore::of(&score)))
+        };
+        self.scenes.iter().map(score).collect::<Result<_>>()
     }
 
     /// One number for weights, smaller is better: the mean gap, in which an unstable scene outweighs all gaps.

@@ -112,7 +112,8 @@ fn runs_repeat_and_resume_to_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let [once, twice] = ["once", "twice"].map(|name| folder.path().join(name));
     let session = |run: &mut Run, steps| {
-        run.train(&Limits { steps: Some(steps), minutes: None }, |_| ControlFlow::Continue(())).unwrap();
+        run.train(&Limits { steps: Some(steps), ..Limits::default() }, |_| ControlFlow::Continue(()))
+            .unwrap();
     };
     let mut unbroken = Run::create(&once, CONFIG, config(), on(&gpu()), Rc::new(Alone)).unwrap();
     session(&mut unbroken, 6);

@@ -85,7 +85,8 @@ fn a_run_in_two_sessions_has_the_bits_of_one() {
     let config = parsed(text);
     let [once, twice] = ["once", "twice"].map(|name| folder.path().join(name));
     let session = |run: &mut Run, steps| {
-        run.train(&Limits { steps: Some(steps), minutes: None }, |_| ControlFlow::Continue(())).unwrap();
+        run.train(&Limits { steps: Some(steps), ..Limits::default() }, |_| ControlFlow::Continue(()))
+            .unwrap();
     };
     let mut unbroken =
         Run::create(&once, text, config.clone(), cpu(&config).unwrap(), Rc::new(Alone)).unwrap();

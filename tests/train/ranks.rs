@@ -58,7 +58,7 @@ fn create(root: &Path, learner: Box<dyn Learner>, ranks: &Rc<dyn Ranks>) -> Run 
 }
 
 fn train(run: &mut Run, steps: u64) -> End {
-    run.train(&Limits { steps: Some(steps), minutes: None }, |_| ControlFlow::Continue(())).unwrap()
+    run.train(&Limits { steps: Some(steps), ..Limits::default() }, |_| ControlFlow::Continue(())).unwrap()
 }
 
 fn checkpoints(root: &Path) -> Vec<String> {
@@ -190,7 +190,7 @@ fn all_ranks_end_where_rank_0_does() {
     let ended = on_ranks(2, |ranks| {
         let minutes = (ranks.rank() == 0).then_some(1e-9);
         let (mut run, _) = Run::resume(folder.path(), None, fake, ranks).unwrap();
-        let end = run.train(&Limits { steps: None, minutes }, |_| ControlFlow::Continue(()));
+        let end = run.train(&Limits { minutes, ..Limits::default() }, |_| ControlFlow::Continue(()));
         (end.unwrap(), run.step())
     });
     assert_eq!(ended, [(End::Done, 6); 2]);

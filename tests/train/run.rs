@@ -5,6 +5,7 @@ use fnopt::train::{Alone, Config, End, Learner, Limits, Progress, Run};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 const CONFIG: &str = r#"
     steps = 12
@@ -65,7 +66,7 @@ fn resume_given(root: &Path, given: Option<&Config>) -> fnopt::Result<(Run, Vec<
 }
 
 fn train(run: &mut Run, steps: u64) -> End {
-    run.train(&Limits { steps: Some(steps), minutes: None }, |_| ControlFlow::Continue(())).unwrap()
+    run.train(&Limits { steps: Some(steps), ..Limits::default() }, |_| ControlFlow::Continue(())).unwrap()
 }
 
 /// Interrupts a run after so many steps.
@@ -352,7 +353,7 @@ fn an_interrupted_run_and_one_out_of_time_can_be_resumed() {
     drop(run);
     let (mut run, _) = resume(folder.path()).unwrap();
     assert_eq!(run.step(), 3);
-    let limits = Limits { steps: None, minutes: Some(1e-9) };
+    let limits = Limits { minutes: Some(1e-9), ..Limits::default() };
     assert_eq!(run.train(&limits, stop(0)).unwrap(), End::Done);
     assert_eq!(run.step(), 4);
 }
@@ -426,17 +427,41 @@ fn tables_of_others_are_not_written_over() {
 }
 
 #[test]
+fn a_validation_that_is_interrupted_is_made_up_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = CONFIG.replace("every = { steps = 4 }", "every = { steps = 1 }");
+    let config = Config::parse(&text, Path::new("test.toml")).unwrap();
+    let learner = Box::new(Fake::new(&config));
+    let mut run = Run::create(folder.path(), &text, config, learner, Rc::new(Alone)).unwrap();
+    let interrupted = AtomicBool::new(true);
+    // The first step is the last; without its validation the session is not done.
+    let limits = Limits { steps: Some(1), interrupted: Some(&interrupted), ..Limits::default() };
+    let watch = |_: &Progress<'_>| -> ControlFlow<()> { panic!("the step was told without its validation") };
+    assert_eq!(run.train(&limits, watch).unwrap(), End::Interrupted);
+    drop(run);
+    let mut run = resume(folder.path()).unwrap().0;
+    assert_eq!(run.train(&limits, watch).unwrap(), End::Interrupted);
+    drop(run);
+    let rows = || lines(folder.path().join("validation.csv")).len();
+    assert_eq!(rows(), 1);
+    interrupted.store(false, Ordering::Relaxed);
+    let mut run = resume(folder.path()).unwrap().0;
+    assert_eq!((run.train(&limits, watch).unwrap(), run.step()), (End::Done, 1));
+    assert_eq!(rows(), 3);
+}
+
+#[test]
 fn a_validation_that_fails_again_leaves_the_run_going() {
     let folder = tempfile::tempdir().unwrap();
     let mut run = fresh(folder.path());
     let best = folder.path().join("weights/best.safetensors");
     std::fs::create_dir_all(&best).unwrap();
-    let limits = Limits { steps: Some(6), minutes: None };
+    let limits = Limits { steps: Some(6), ..Limits::default() };
     run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err();
     drop(run);
     // The validation after step 4 is due again, and fails as it did; the steps after it do not wait for it.
     let (mut run, _) = resume(folder.path()).unwrap();
-    let limits = Limits { steps: Some(5), minutes: None };
+    let limits = Limits { steps: Some(5), ..Limits::default() };
     run.train(&limits, |progress| {
         assert!(progress.step == 5);
         ControlFlow::Continue(())
@@ -452,7 +477,7 @@ fn no_step_is_lost_where_validation_fails() {
     let mut run = fresh(folder.path());
     // Validation is due after four steps and cannot keep the weights that it finds best.
     std::fs::create_dir_all(folder.path().join("weights/best.safetensors")).unwrap();
-    let limits = Limits { steps: Some(6), minutes: None };
+    let limits = Limits { steps: Some(6), ..Limits::default() };
     let error = run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err().to_string();
     assert!(error.contains("best.safetensors"), "{error}");
     drop(run);
@@ -512,7 +537,7 @@ fn the_last_good_checkpoint_survives_one_that_cannot_be_written() {
     let taken = folder.path().join("checkpoints/step-00000004.safetensors");
     std::fs::create_dir(&taken).unwrap();
     let (mut run, _) = resume(folder.path()).unwrap();
-    let limits = Limits { steps: Some(6), minutes: None };
+    let limits = Limits { steps: Some(6), ..Limits::default() };
     let error = run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err().to_string();
     assert!(error.contains("step-00000004") && error.contains("cannot write"), "{error}");
     assert_eq!(checkpoints(folder.path()).len(), 2, "no half-written file is left");
