@@ -3,7 +3,7 @@
 use clap::ValueEnum;
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Storage};
 use fnopt::kernels::Tuning;
-use fnopt::sim::{Device, Optimizer};
+use fnopt::sim::{Device, Model, Optimizer, Simulator};
 use fnopt::{Error, Result};
 use std::sync::{Mutex, PoisonError};
 
@@ -126,6 +126,18 @@ impl InferenceArgs {
         }
     }
 
+    /// Opens the device for a simulation and makes its simulator there; also says in one line which device and why. A GPU that
+    /// `auto` chose, and whose driver or memory is not up to it, gives way to the CPU.
+    pub fn simulator(
+        &self,
+        model: &Model,
+        solver: (&Optimizer, usize),
+    ) -> Result<(Simulator, Device, String)> {
+        let opened = self.open_for(solver.0)?;
+        let gives_way = self.on.device == DeviceKind::Auto && self.on.adapter.is_none();
+        simulator(opened, gives_way && self.precision == Precision::F32, model, solver)
+    }
+
     fn store(&self, (device, line): (Device, String)) -> Result<(Device, String)> {
         match (device, self.precision) {
             (device, Precision::F32) => Ok((device, line)),
@@ -141,8 +153,50 @@ impl InferenceArgs {
     }
 }
 
+fn simulator(
+    (device, line): (Device, String),
+    gives_way: bool,
+    model: &Model,
+    (optimizer, iterations): (&Optimizer, usize),
+) -> Result<(Simulator, Device, String)> {
+    match Simulator::new(&device, model, optimizer, iterations) {
+        Err(Error::Device(why) | Error::Lost(why)) if gives_way && matches!(device, Device::Gpu(_)) => {
+            tracing::warn!("{why}");
+            let (device, line) = cpu("the hardware adapter cannot run this");
+            let simulator = Simulator::new(&device, model, optimizer, iterations)?;
+            Ok((simulator, device, line))
+        }
+        made => made.map(|simulator| (simulator, device, line)),
+    }
+}
+
 fn cpu(why: &str) -> (Device, String) {
     let device = Device::Cpu;
     let line = format!("device: {} ({why})", device.name());
     (device, line)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use fnopt::scene::Scene;
+    use fnopt::sim::Grid;
+
+    /// Software adapters have no L-BFGS on so many particles.
+    #[test]
+    fn a_gpu_that_cannot_run_a_simulation_gives_way_only_to_auto() {
+        let mut scene = Scene::default();
+        scene.regrid(Grid { h: 500, w: 500 }).unwrap();
+        let model = scene.setup().unwrap().model;
+        let device = Device::Gpu(Context::headless(&AdapterChoice::Name("llvmpipe".into())).unwrap());
+        let made = |gives_way| {
+            simulator((device.clone(), "opened".into()), gives_way, &model, (&Optimizer::lbfgs(), 1))
+        };
+        let (_, on, line) = made(true).unwrap();
+        assert!(
+            matches!(on, Device::Cpu) && line.ends_with("(the hardware adapter cannot run this)"),
+            "{line}"
+        );
+        assert!(matches!(made(false), Err(Error::Device(_))));
+    }
 }

@@ -10,7 +10,7 @@ use fnopt::eval::{FreeEdges, STRETCH_LIMIT, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{Motion, Scene, Separation, Setup};
-use fnopt::sim::{Frame, FrameStats, Optimizer, Simulator};
+use fnopt::sim::{Frame, FrameStats, Optimizer};
 use fnopt::{Error, io};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
@@ -72,10 +72,10 @@ pub fn run(args: &Args) -> Result<Ending> {
     args.spare(&scene)?;
     args.format.iter().try_for_each(|format| format.holds(setup.frames(), "--format"))?;
     let trajectory = setup.trajectory()?;
-    let (device, line) = args.device.open_for(&optimizer)?;
+    let solver = (&optimizer, args.solver.iterations());
+    let (mut simulator, device, line) = args.device.simulator(&setup.model, solver)?;
     let interrupted = interrupt_flag();
     tell!("{line}");
-    let mut simulator = Simulator::new(&device, &setup.model, &optimizer, args.solver.iterations())?;
     writable_folder(&args.out)?;
     args.files().iter().chain([&args.replay()]).try_for_each(|file| writable_file(file))?;
     args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
@@ -393,7 +393,7 @@ impl<'a> Run<'a> {
 mod tests {
     use super::*;
     use clap::Parser;
-    use fnopt::sim::Device;
+    use fnopt::sim::{Device, Simulator};
 
     #[derive(Parser)]
     struct Alone {
