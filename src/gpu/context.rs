@@ -3,7 +3,7 @@
 use super::cache::PipelineCache;
 use super::kernel::Kernels;
 use super::template::LANES;
-use super::{Sharing, Storage};
+use super::{Order, Sharing, Storage};
 use crate::kernels::Tuning;
 use crate::{Error, Result};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -82,6 +82,7 @@ pub struct Context {
     kind: AdapterKind,
     name: String,
     storage: Storage,
+    order: Order,
     tuning: Option<Tuning>,
     pub(super) pipelines: Option<Arc<PipelineCache>>,
     pub(super) kernels: Kernels,
@@ -111,6 +112,7 @@ impl Context {
             kind,
             name,
             storage,
+            order: Order::default(),
             tuning: None,
             pipelines: None,
             kernels: Kernels::default(),
@@ -176,6 +178,16 @@ impl Context {
             return Err(Error::Device(format!("{}: has no 16-bit floating point (f16)", self.name)));
         }
         Ok(Self { storage, ..self.clone() })
+    }
+
+    /// The same device, on which kernels number their invocations like this.
+    pub fn with_order(&self, order: Order) -> Self {
+        Self { order, ..self.clone() }
+    }
+
+    /// How kernels number their invocations.
+    pub fn order(&self) -> Order {
+        self.order
     }
 
     /// How networks store their activations and weights.

@@ -110,7 +110,8 @@ impl Kernel {
         unroll: impl Into<Unroll>,
         constants: &[(&'static str, f64)],
     ) -> Result<Self> {
-        let text = source.unrolled(Unroll { storage: context.storage(), ..unroll.into() });
+        let text =
+            source.unrolled(Unroll { storage: context.storage(), order: context.order(), ..unroll.into() });
         let bits = constants.iter().map(|&(name, value)| (name, value.to_bits())).collect();
         let made: Made = (text, bits);
         if let Some(known) = context.kernels.lock().get(&made) {

@@ -10,6 +10,7 @@
 mod cache;
 mod context;
 mod kernel;
+mod order;
 mod profile;
 mod readback;
 mod schedule;
@@ -22,6 +23,7 @@ pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters}
 pub(crate) use context::{WORKGROUP_INVOCATIONS, WORKGROUPS};
 pub use kernel::Binding;
 pub(crate) use kernel::Kernel;
+pub use order::Order;
 pub use profile::Profile;
 pub use readback::Readback;
 pub use schedule::Schedule;

@@ -19,7 +19,7 @@
 //! Accumulators are named registers then: neither naga nor software drivers reliably turn a private array into registers. The
 //! copies of a line share its place in the file, so that line numbers in messages are those of the file.
 
-use super::Storage;
+use super::{Order, Storage};
 use std::fmt::Write;
 
 /// The WGSL text of one kernel: the file itself, then the shared functions it calls.
@@ -49,11 +49,20 @@ pub struct Unroll {
     pub sharing: Sharing,
     /// What `StoredQuad` and `StoredPair` are made of; that of the context when a kernel is made.
     pub storage: Storage,
+    /// How invocations are numbered; that of the context when a kernel is made.
+    pub order: Order,
 }
 
 impl From<usize> for Unroll {
     fn from(tile: usize) -> Self {
-        Self { tile, span: 1, second: 1, sharing: Sharing::Loads, storage: Storage::F32 }
+        Self {
+            tile,
+            span: 1,
+            second: 1,
+            sharing: Sharing::Loads,
+            storage: Storage::F32,
+            order: Order::Forward,
+        }
     }
 }
 
@@ -94,7 +103,7 @@ impl Source {
             let _ = writeln!(text, "alias StoredQuad = vec4<{name}>; alias StoredPair = vec2<{name}>;");
         }
         self.appended.iter().for_each(|part| text.push_str(part));
-        text
+        unroll.order.apply(text, self.name)
     }
 
     /// All copies of a line, on one.

@@ -1,7 +1,7 @@
 //! The WGSL files and the table of kernels: every file is in the table, valid, and keeps the rules that the host side and
 //! the reader rely on. Needs no adapter.
 
-use fnopt::gpu::{Sharing, Source, Storage, Unroll};
+use fnopt::gpu::{Order, Sharing, Source, Storage, Unroll};
 use fnopt::kernels::ALL;
 use naga::valid::{Capabilities, ShaderStages, SubgroupOperationSet, ValidationFlags, Validator};
 use naga::{AddressSpace, StorageAccess};
@@ -142,7 +142,9 @@ fn every_kernel_is_valid_wgsl() {
                 (Sharing::Broadcast, Storage::F16, subgroup | half),
             ];
             for (sharing, storage, capabilities) in variants {
-                let (text, module) = parsed(source, Unroll { tile, span, second: 10, sharing, storage });
+                let order = Order::Forward;
+                let (text, module) =
+                    parsed(source, Unroll { tile, span, second: 10, sharing, storage, order });
                 let mut validator = Validator::new(ValidationFlags::all(), capabilities);
                 validator
                     .subgroup_stages(ShaderStages::COMPUTE)

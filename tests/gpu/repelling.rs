@@ -6,7 +6,7 @@ use fnopt::cpu;
 use fnopt::sim::{Cloth, Control, FrameStats, Model, Optimizer, Repulsion, State};
 
 /// Cloths that are drawn together until their layers repel each other, but for those of one of them.
-fn crowded() -> (Model, State<f32>, Control<f32>) {
+pub fn crowded() -> (Model, State<f32>, Control<f32>) {
     let (mut model, mut state, control) = varied_batch();
     model.cloths[0].repulsion = Some(Repulsion { strength: 0.05, distance: 0.8 });
     model.cloths[2].repulsion = Some(Repulsion { strength: 0.2, distance: 1.0 });

@@ -33,7 +33,7 @@ pub fn optimizers() -> [Optimizer; 5] {
 
 /// The optimizers with the adapter's own tuning, and the learned one as on hardware, where one cloth's convolutions are divided in
 /// other ways than those of three.
-fn tuned() -> Vec<(Optimizer, Tuning)> {
+pub fn tuned() -> Vec<(Optimizer, Tuning)> {
     let [own, hardware] = [Tuning::new(context()), Tuning { busy_groups: 60, ..sharings()[1] }];
     let learned = Optimizer::Learned(starter().clone());
     optimizers().map(|optimizer| (optimizer, own)).into_iter().chain([(learned, hardware)]).collect()

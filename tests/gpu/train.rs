@@ -2,6 +2,7 @@
 
 use crate::common::{context, device, half};
 use fnopt::cpu::optim::Normalisation;
+use fnopt::gpu::Order;
 use fnopt::sim::Device;
 use fnopt::train::{Alone, Config, Learner, Limits, Pool, Run, Update, first_weights, learner};
 use std::ops::ControlFlow;
@@ -124,6 +125,25 @@ fn runs_repeat_and_resume_to_the_same_bits() {
     assert_eq!(resumed.step(), 3);
     session(&mut resumed, 6);
     assert_eq!(unbroken.weights().unwrap(), resumed.weights().unwrap());
+}
+
+/// Which invocation runs first is the device's matter.
+#[test]
+fn steps_have_the_same_bits_in_either_order() {
+    let _turn = device();
+    for normalisation in ["component", "cloth"] {
+        let text = format!("normalisation = \"{normalisation}\"\n{CONFIG}");
+        let config = Config::parse(&text, Path::new("test.toml")).unwrap();
+        let [forward, backward] = [Order::Forward, Order::Backward].map(|order| {
+            let folder = tempfile::tempdir().unwrap();
+            let learner = of(&config, &Device::Gpu(context().with_order(order)));
+            let mut run = Run::create(folder.path(), &text, config.clone(), learner, Rc::new(Alone)).unwrap();
+            let limits = Limits { steps: Some(5), ..Limits::default() };
+            run.train(&limits, |_| ControlFlow::Continue(())).unwrap();
+            run.weights().unwrap()
+        });
+        assert_eq!(forward, backward);
+    }
 }
 
 #[test]

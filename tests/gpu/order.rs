@@ -1,0 +1,67 @@
+//! That no result depends on the order in which a device runs invocations and workgroups.
+
+use crate::common::{context, device, half, noise, poisoned, read, run, tensor};
+use crate::repelling::crowded;
+use crate::solver::{assert_same, starter, step, tuned, varied_batch};
+use fnopt::cpu::fft::Norm;
+use fnopt::gpu::{Context, Order};
+use fnopt::kernels::fft::{Fields, RealFft2};
+use fnopt::sim::{Grid, Model, Optimizer, Solver, SolverOptions};
+
+/// Frames of all optimizers, of layers that repel each other, of rows longer than a workgroup and in 16 bits.
+#[test]
+fn frames_have_the_same_bits_in_either_order() {
+    let _turn = device();
+    let compare = |context: &Context, (model, start, control), optimizer: &Optimizer, tuning| {
+        let options = SolverOptions { iterations: 3, tuning };
+        let [forward, backward] = [Order::Forward, Order::Backward].map(|order| {
+            let solver = Solver::new(&context.with_order(order), &model, optimizer, &options).unwrap();
+            solver.set_state(&start);
+            step(&solver, &control);
+            let end = step(&solver, &control);
+            (end, solver.statistics_tensors().map(read))
+        });
+        let Model { grid, .. } = model;
+        let what = format!("{} on {grid}", optimizer.name());
+        assert_same(&what, &backward.0.x, &forward.0.x);
+        assert_same(&what, &backward.0.v, &forward.0.v);
+        let pairs = backward.1.iter().zip(&forward.1);
+        pairs.for_each(|(backward, forward)| assert_same(&what, backward, forward));
+    };
+    for (optimizer, tuning) in tuned() {
+        compare(context(), varied_batch(), &optimizer, Some(tuning));
+        compare(context(), crowded(), &optimizer, Some(tuning));
+    }
+    let learned = Optimizer::Learned(starter().clone());
+    let long = Grid { h: 9, w: 1100 };
+    let (mut model, _, mut control) = varied_batch();
+    let start = fnopt::sim::State::rest(long, 3);
+    model.grid = long;
+    model.cloths.iter_mut().for_each(|cloth| cloth.handles.clear());
+    (control.handles, control.external) = (vec![], vec![]);
+    compare(context(), (model, start, control), &learned, None);
+    if let Some(half) = half() {
+        compare(&half, varied_batch(), &learned, None);
+    }
+}
+
+#[test]
+fn transforms_have_the_same_bits_in_either_order() {
+    let _turn = device();
+    for [h, w] in [[33, 47], [64, 64], [3, 1009], [100, 100]] {
+        let fields = Fields { batch: 2, h, w };
+        let x = tensor("x", &[2, h, w], &noise(2 * h * w, 8));
+        let [forward, backward] = [Order::Forward, Order::Backward].map(|order| {
+            let plan = RealFft2::new(&context().with_order(order), fields, Norm::Forward).unwrap();
+            let (spectrum, again) =
+                (poisoned("spectrum", &plan.spectrum_shape()), poisoned("again", &[2, h, w]));
+            run(|schedule| {
+                plan.push_forward(schedule, &x, &spectrum);
+                plan.push_inverse(schedule, &spectrum, &again);
+            });
+            [read(&spectrum), read(&again)]
+        });
+        let pairs = backward.iter().zip(&forward);
+        pairs.for_each(|(backward, forward)| assert_same(&format!("{h}x{w}"), backward, forward));
+    }
+}
