@@ -29,9 +29,12 @@ impl Surface<'_> {
             let [a, b, c] = self.corners(&self.faces[face]);
             // The square root makes the density the same from the corner to the opposite side.
             let (across, along) = (random.random::<f64>().sqrt(), random.random::<f64>());
-            std::array::from_fn(|k| a[k] + across * ((1.0 - along) * (b[k] - a[k]) + along * (c[k] - a[k])))
+            let at = |k: usize| a[k] + across * ((1.0 - along) * (b[k] - a[k]) + along * (c[k] - a[k]));
+            (face, std::array::from_fn(at))
         };
-        (0..count).map(|_| point()).collect()
+        let mut points: Vec<(usize, [f64; 3])> = (0..count).map(|_| point()).collect();
+        points.sort_by_key(|&(face, _)| face);
+        points.into_iter().map(|(_, point)| point).collect()
     }
 
     fn corners(&self, face: &[u32; 3]) -> [[f64; 3]; 3] {
