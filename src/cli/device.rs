@@ -153,6 +153,7 @@ impl InferenceArgs {
     }
 }
 
+/// Makes the simulator on the device that was opened; on the CPU where that is a GPU which is not up to it and gives way.
 fn simulator(
     (device, line): (Device, String),
     gives_way: bool,
