@@ -14,7 +14,7 @@ pub struct Surface<'a> {
 }
 
 impl Surface<'_> {
-    /// `count` points, uniform by area; the same for the same seed.
+    /// `count` points, uniform by area, those of one triangle after those of another; the same for the same seed.
     pub fn sample(&self, count: usize, seed: u64) -> Vec<[f64; 3]> {
         let mut until = Vec::with_capacity(self.faces.len());
         let mut sum = 0.0;
@@ -33,6 +33,7 @@ impl Surface<'_> {
             (face, std::array::from_fn(at))
         };
         let mut points: Vec<(usize, [f64; 3])> = (0..count).map(|_| point()).collect();
+        // What is looked up near the last point is in the cache still.
         points.sort_by_key(|&(face, _)| face);
         points.into_iter().map(|(_, point)| point).collect()
     }

@@ -239,8 +239,8 @@ impl Run {
             // not finite would push out better ones.
             let sound = kept && self.ranks.all(self.is_sound()?);
             let validated = due && sound;
+            self.counters.validation_due = validated;
             if sound && skipped == 0 {
-                self.counters.validation_due = validated;
                 self.save()?;
                 saved = Some(step);
                 checkpoint.restart();

@@ -6,7 +6,7 @@ use crate::solver::{assert_same, starter, step, tuned, varied_batch};
 use fnopt::cpu::fft::Norm;
 use fnopt::gpu::{Context, Order};
 use fnopt::kernels::fft::{Fields, RealFft2};
-use fnopt::sim::{Grid, Model, Optimizer, Solver, SolverOptions};
+use fnopt::sim::{Grid, Model, Optimizer, Solver, SolverOptions, State};
 
 /// Frames of all optimizers, of layers that repel each other, of rows longer than a workgroup and in 16 bits.
 #[test]
@@ -35,7 +35,7 @@ fn frames_have_the_same_bits_in_either_order() {
     let learned = Optimizer::Learned(starter().clone());
     let long = Grid { h: 9, w: 1100 };
     let (mut model, _, mut control) = varied_batch();
-    let start = fnopt::sim::State::rest(long, 3);
+    let start = State::rest(long, 3);
     model.grid = long;
     model.cloths.iter_mut().for_each(|cloth| cloth.handles.clear());
     (control.handles, control.external) = (vec![], vec![]);
