@@ -1,5 +1,6 @@
-//! A frame of ten iterations with the learned optimizer, read back: 32, 64 and 100 particles a side, one cloth and
-//! sixteen, on the CPU path and on the best adapter; and what it costs the host to record one.
+//! A frame of ten iterations with the learned optimizer, including readback, on grids of side 32, 64 and 100,
+//! for one cloth and sixteen, on the CPU path and on the best adapter. Also the host's cost of recording a
+//! frame.
 
 #[path = "common/cloths.rs"]
 mod cloths;
@@ -53,8 +54,9 @@ fn frame(c: &mut Criterion, (name, device): (&str, &Device), n: usize, batch: us
     });
 }
 
-/// The frame of one cloth of 32x32, recorded and thrown away: unlike the time that `fnopt bench` tells, no frame is computed in
-/// between, which on a software adapter takes the caches for itself.
+/// Records the frame of one 32x32 cloth and discards it. The recording time that `fnopt bench` reports is
+/// longer on a software adapter, where the frames computed in between evict the caches; here none is
+/// computed.
 fn recording(c: &mut Criterion, context: &Context) {
     let cloths = cloths(32, 1);
     let solver = Solver::new(context, &cloths.model, &learned(), &SolverOptions::default())

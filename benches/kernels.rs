@@ -1,8 +1,8 @@
 //! Each kernel by itself: all its dispatches in one frame of one cloth, submitted and waited for.
 //!
-//! The dispatches are picked from the frames that the solvers record, so the shapes are the real ones and no kernel in
-//! use is left out; full transforms are measured whole as well, for sides of all kinds. What is reported includes one
-//! submission (about 0.1 ms); `fnopt bench` shows device time by kernel.
+//! The dispatches are taken from the frames that the solvers record, so the shapes are the real ones and no
+//! kernel in use is left out. Full transforms are also measured as a whole, for sides of all kinds. The
+//! reported time includes one submission (about 0.1 ms); `fnopt bench` shows device time by kernel.
 
 #[path = "common/cloths.rs"]
 mod cloths;
@@ -35,7 +35,7 @@ fn kernels(c: &mut Criterion) {
     }
 }
 
-/// Measures the kernels of a frame that were not yet measured.
+/// Measures the kernels of a frame that have not been measured yet.
 fn of_frame(
     c: &mut Criterion,
     context: &Context,
@@ -49,7 +49,7 @@ fn of_frame(
         if !measured.insert(kernel) {
             continue;
         }
-        // A whole frame first, so that the kernel works on what a frame holds.
+        // Run a whole frame first, so that the kernel works on the data of a real frame.
         solver.set_state(&cloth.start.cast());
         solver.set_control(&cloth.control(1));
         run(context, solver.frame());
@@ -60,7 +60,8 @@ fn of_frame(
     }
 }
 
-/// Full real transforms, forward and back, of 64 fields whose sides are a power of two, have small factors, or are prime.
+/// Measures full real transforms, forward and back, of 64 fields whose sides are a power of two, have small
+/// factors or are prime.
 fn transforms(c: &mut Criterion) {
     let Some(context) = adapter() else { return };
     let mut group = c.benchmark_group("full real transform");

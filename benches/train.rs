@@ -1,5 +1,5 @@
-//! A training step of the paper's recipe: 120 samples (40 cloths) at 32x32, forward, backward and AdamW, on the CPU path and
-//! on the best adapter if that is hardware.
+//! A training step of the paper's recipe: 120 samples (40 cloths) at 32x32, forward, backward and AdamW, on
+//! the CPU path and on the best adapter if it is hardware.
 
 mod common;
 
@@ -8,7 +8,7 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use fnopt::sim::Device;
 use fnopt::train::{Alone, Config, Pool, Update, first_weights, learner};
 
-/// Cloths of a pool: as many as make no difference, so that there is no wait for memory.
+/// Cloths per pool. Their number does not affect the time of a step; with few there is no wait for memory.
 const CLOTHS: usize = 40;
 
 fn steps(c: &mut Criterion) {

@@ -1,4 +1,4 @@
-//! Four cloths of different materials advance together; only their stiffness tells them apart.
+//! Four cloths advance together. They differ only in their resistance to stretch.
 
 use fnopt::network::Weights;
 use fnopt::scene::{Scene, Setup, Stiffness};
@@ -25,7 +25,7 @@ fn main() -> fnopt::Result<()> {
         frame = simulator.step(&batch.control(f))?;
     }
 
-    // The state of cloth b is the b-th part of the batch's arrays; its own setup turns it into metres.
+    // The state of cloth b is the b-th part of the batch's arrays. Its own setup converts it to metres.
     let cloths = frame.state.x.chunks_exact(3 * batch.model.grid.particles());
     let mut lowest = Vec::new();
     for ((setup, x), (stretch, stats)) in setups.iter().zip(cloths).zip(stretch.iter().zip(&frame.stats)) {

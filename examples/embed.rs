@@ -1,5 +1,6 @@
-//! A cloth inside an engine: the engine (`host/mod.rs`) owns device, queue, encoder and pipeline; fnopt records its frame
-//! into that encoder, and the sheet is drawn from the buffer that it was computed in. Nothing is copied or waited for.
+//! A cloth inside an engine. The engine (`host/mod.rs`) owns the device, queue, encoder and pipeline. fnopt
+//! records its frame into that encoder, and the sheet is drawn from the buffer in which it was computed,
+//! without copies or waiting.
 
 mod host;
 
@@ -11,7 +12,7 @@ use fnopt::wgpu;
 use host::Host;
 
 const FRAMES: usize = 30;
-/// Looks along the x axis, z up; positions are in edges, of which the sheet has 31 along a side.
+/// Looks along the x axis, z up. Positions are in edges; the sheet has 31 along each side.
 const SHADER: &str = "
 @vertex fn corner(@location(0) x: f32, @location(1) y: f32, @location(2) z: f32) -> @builtin(position) vec4f {
     return vec4f(y / 40.0, z / 40.0, 0.5 + x / 400.0, 1.0);
@@ -28,7 +29,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let solver = Solver::new(&context, &setup.model, &optimizer, &SolverOptions::default())?;
     solver.set_state(&setup.start.cast());
 
-    // Positions have shape [B, 3, H, W]: all x of the first cloth, then all y, then all z; so each axis is a vertex buffer.
+    // Positions have shape [B, 3, H, W]: all x of the first cloth, then all y, then all z. Each axis is a
+    // vertex buffer.
     let (grid, handle) = (setup.model.grid, setup.model.cloths[0].handles[0]);
     let plane = 4 * grid.particles() as u64;
     let faces = grid.faces().concat();

@@ -1,8 +1,9 @@
-//! The one error type of the library.
+//! The library's error type.
 
 use std::path::{Path, PathBuf};
 
-/// What went wrong, told so that the reader can mend it: which file, which field, what was expected and what was found.
+/// An error, with the context needed to fix its cause: which file, which field, what was expected and what
+/// was found.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -11,45 +12,45 @@ pub enum Error {
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What was being done, as in "cannot read".
+        /// The action that failed, as in "cannot read".
         action: &'static str,
-        /// The operating system's reason.
+        /// The operating system's error.
         source: std::io::Error,
     },
-    /// Data that was read, or a value that was given, does not mean what it must.
+    /// Data that was read, or a value that was given, is not valid.
     #[error("{}: {}: expected {expected}, found {}", plain(origin), plain(field), plain(found))]
     Invalid {
-        /// The file that holds the data, or the option that gave it.
+        /// The file that holds the data, or the option that set it.
         origin: String,
         /// The field, tensor or line inside `origin`.
         field: String,
-        /// What would have been accepted.
+        /// The values that would have been accepted.
         expected: String,
-        /// What is there.
+        /// The value found.
         found: String,
     },
-    /// A name that is not known, with the nearest ones that are.
+    /// An unknown name, with the nearest known ones.
     #[error("{}: unknown {kind} '{name}'{}", plain(origin), suggest(nearest))]
     Unknown {
-        /// The file or option that gave the name.
+        /// The file or option that contains the name.
         origin: String,
-        /// What kind of thing it names, as in "motion".
+        /// The kind of thing it names, as in "motion".
         kind: &'static str,
         /// The name.
         name: String,
         /// The nearest known names, best first.
         nearest: Vec<String>,
     },
-    /// No device can do the work: no adapter, or one whose limits are too small.
+    /// No device can do the work: there is no adapter, or its limits are too small.
     #[error("device: {0}")]
     Device(String),
-    /// The device was lost on the way: what is on it is gone, and the work can begin anew on another.
+    /// The device was lost, together with everything on it. The work can be restarted on another device.
     #[error("device: {0}")]
     Lost(String),
-    /// The simulation left the finite numbers.
+    /// The simulation produced a non-finite number.
     #[error("frame {frame}: cloth {cloth} became non-finite")]
     NonFinite {
-        /// Index of the first frame that is not finite, counted from the start state as 0.
+        /// Index of the first frame that is not finite; the start state is frame 0.
         frame: usize,
         /// Index of the cloth in its batch.
         cloth: usize,
@@ -60,12 +61,12 @@ pub enum Error {
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
-    /// An [`Error::Io`]; `action` completes "PATH: ...", as in "cannot read".
+    /// Returns an [`Error::Io`]. `action` completes "PATH: ...", as in "cannot read".
     pub fn io(path: impl AsRef<Path>, action: &'static str, source: std::io::Error) -> Self {
         Error::Io { path: path.as_ref().to_owned(), action, source }
     }
 
-    /// An [`Error::Invalid`].
+    /// Returns an [`Error::Invalid`].
     pub fn invalid(
         origin: impl Into<String>,
         field: impl Into<String>,
@@ -80,7 +81,7 @@ impl Error {
         }
     }
 
-    /// An [`Error::Unknown`] that suggests up to three of `known`, by edit distance.
+    /// Returns an [`Error::Unknown`] that suggests up to three of `known`, by edit distance.
     pub fn unknown<'a>(
         origin: impl Into<String>,
         kind: &'static str,
@@ -97,14 +98,15 @@ impl Error {
     }
 }
 
-/// A name as one can be shown: what a damaged file calls one may be long.
+/// Makes a name fit for display: names in damaged files may be very long.
 fn brief(name: &str) -> String {
     const MOST: usize = 80;
     let shown = plain(&name.chars().take(MOST).collect::<String>());
     if name.chars().nth(MOST).is_some() { shown + ".." } else { shown }
 }
 
-/// Text from outside without what moves a terminal's cursor or paints on it; lines stay lines.
+/// Replaces the control characters of untrusted text, which could move a terminal's cursor or change its
+/// colours. Keeps line breaks.
 fn plain(text: &str) -> String {
     text.chars().map(|c| if c.is_control() && c != '\n' { '?' } else { c }).collect()
 }

@@ -1,7 +1,9 @@
-//! `fnopt` simulates cloth on the GPU with FNOpt (Chen, Tran and Parashar, WACV 2026): a Fourier neural operator that was
-//! trained, from physics alone, to be an *optimizer*. Each frame it minimises the backward-Euler energy of the cloth in
-//! about ten iterations, with any handles and motions. The weights that ship were trained on grids from 24x40 to 128x128; others
-//! run, too.
+//! Cloth simulation on the GPU with FNOpt (Chen, Tran and Parashar, WACV 2026), a Fourier neural operator
+//! trained, from physics alone, to be an *optimizer*.
+//!
+//! Each frame minimises the backward-Euler energy of the cloth in about ten iterations, for arbitrary handles
+//! and motions. The shipped weights were trained on grids from 24x40 to 128x128; they run on other grids,
+//! too.
 //!
 //! ```
 //! use fnopt::network::Weights;
@@ -19,7 +21,7 @@
 //! # Ok::<(), fnopt::Error>(())
 //! ```
 //!
-//! # What flows through
+//! # Data flow
 //!
 //! ```text
 //! scene::Scene (SI units) -> scene::Setup: sim::Model (grid, material, air, handles) + sim::State (x, v), grid units
@@ -27,47 +29,52 @@
 //! sim::Simulator: submits, reads back -> io::Trajectory, render::strip; or the caller's own use of the position buffer
 //! ```
 //!
-//! There are two devices and one meaning. [`cpu`] holds every stage in plain Rust, in single or double precision; in
-//! double precision it defines what is correct. [`kernels`] and `shaders/` hold the same stages as WGSL on [`gpu`], the only
-//! module that makes wgpu's objects. [`sim::Solver`] records a frame into a command encoder that the caller owns, which submits,
-//! polls and maps nothing; [`sim::Simulator`] is the convenience on top.
+//! The stages exist twice, with the same meaning. [`cpu`] implements them in plain Rust, in single or double
+//! precision; the double-precision version defines what is correct. [`kernels`] and `shaders/` implement them
+//! in WGSL on top of [`gpu`], the only module that creates wgpu objects. [`sim::Solver`] records a frame into
+//! the caller's command encoder, without submitting, polling or mapping anything. [`sim::Simulator`] is the
+//! convenience layer over both devices.
 //!
 //! # One frame
 //!
-//! [`sim::Simulator::step`] sets the control and, on a GPU, records the schedule that [`sim::Solver::new`] built; without one
-//! [`cpu::Solver::step`] runs the same stages ([`cpu::cloth`], [`cpu::operator`], [`cpu::optim`]):
+//! [`sim::Simulator::step`] sets the control and computes one frame. On a GPU it submits the schedule that
+//! [`sim::Solver::new`] built; on the CPU, [`cpu::Solver::step`] runs the same stages ([`cpu::cloth`],
+//! [`cpu::operator`], [`cpu::optim`]):
 //!
-//! 1. [`kernels::cloth::Predict`]: a = 0 moves the particles by their velocity, the handles to their targets;
-//!    [`kernels::cloth::ExternalForce`]: gravity, the control's accelerations and the air's drag.
-//! 2. N times (paper section 3.3): where the cloth's layers are to be kept apart, [`kernels::cloth::Repulsion`] adds to the
-//!    external acceleration what near particles push each other by; [`kernels::cloth::Gradient`] gives dL/da and its norm;
-//!    [`network::Forward`] runs the network (section 4): the normalised fields ([`kernels::optim::Features`]), lifting, four Fourier
-//!    blocks of truncated transform, spectral product and inverse, the field head, and the scalar head with the persistent scale;
-//!    [`kernels::optim::Update`] makes the step and adds it to a. The classical optimizers ([`sim::Optimizer`]) take the place of
-//!    everything behind the gradient.
-//! 3. [`kernels::cloth::Energy`] for the statistics, with the repulsion's once more, then [`kernels::cloth::Integrate`]: v + a,
-//!    x + v.
+//! 1. [`kernels::cloth::Predict`] sets a = 0, which moves the particles by their velocity and the handles to
+//!    their targets. [`kernels::cloth::ExternalForce`] sums gravity, the control's accelerations and the
+//!    forces of the air.
+//! 2. N times (paper section 3.3): if the layers of the cloth are to be kept apart,
+//!    [`kernels::cloth::Repulsion`] adds the repulsion between nearby particles to the external acceleration.
+//!    [`kernels::cloth::Gradient`] computes dL/da and its norm. [`network::Forward`] runs the network
+//!    (section 4): the normalised fields ([`kernels::optim::Features`]), the lifting, four Fourier blocks
+//!    (truncated transform, spectral product, inverse), the field head, and the scalar head with the
+//!    persistent scale. [`kernels::optim::Update`] computes the step and adds it to a. A classical optimizer
+//!    ([`sim::Optimizer`]) replaces everything after the gradient.
+//! 3. [`kernels::cloth::Energy`] computes the statistics, with the repulsion evaluated once more.
+//!    [`kernels::cloth::Integrate`] then updates the state: v += a, x += v.
 //!
-//! A training step ([`train::DeviceLoss`], [`cpu::train::Loss`]) is one such iteration, the energy where it led, and the way
-//! back through [`kernels::optim::UpdateAdj`] and [`network::Backward`].
+//! A training step ([`train::DeviceLoss`], [`cpu::train::Loss`]) is one such iteration, the energy at the new
+//! a, and the backward pass through [`kernels::optim::UpdateAdj`] and [`network::Backward`].
 //!
-//! # The rooms
+//! # Modules
 //!
-//! | module | what is there |
+//! | module | contents |
 //! |---|---|
-//! | [`scene`] | scene files, motions, materials, conversion into grid units |
-//! | [`sim`] | model, state, control, solver, simulator |
-//! | [`network`] | sizes, weights, checkpoints, the forward and the backward pass as dispatches |
-//! | [`gpu`] | context, tensors, kernels, schedules, readback; knows no cloth |
+//! | [`scene`] | scene files, motions, materials, conversion to grid units |
+//! | [`sim`] | model, state, control, optimizers, solver, simulator |
+//! | [`network`] | sizes, weights, checkpoints, the forward and backward passes as dispatches |
+//! | [`gpu`] | context, tensors, kernels, schedules, readback; knows nothing of cloth |
 //! | [`kernels`] | the host side of each file in `shaders/`, in the same tree |
 //! | [`cpu`] | the same stages without a GPU, and the converged minimum of a frame |
-//! | [`eval`] | comparisons with recorded trajectories, suites, fits of materials |
-//! | [`io`], [`render`] | trajectories and meshes in files; pictures |
-//! | [`train`] | pools of cloths, the run loop and its files; imports the above |
-//! | [`verify`] | every stage against golden files |
+//! | [`eval`] | comparison with recorded sequences, suites, material fitting |
+//! | [`io`], [`render`] | trajectory and mesh files; images |
+//! | [`train`] | pools of cloths, the run loop and its files; built on the modules above |
+//! | [`verify`] | checks of every stage against golden files |
 //!
-//! Lengths, times and masses are SI units in scenes and files and *grid units* inside: the rest length of an edge and a
-//! frame are 1, the height axis is z, and particle (i, j) has number `i W + j`. Arrays are channel-first, `[B, 3, H, W]`.
+//! Lengths, times and masses are in SI units in scenes and files, and in *grid units* everywhere else: the
+//! rest length of an edge, the time of a frame and the mass of a cell are 1. The z axis points up, and
+//! particle (i, j) has number `i W + j`. State arrays are channel-first, `[B, 3, H, W]`.
 
 pub mod cpu;
 mod error;

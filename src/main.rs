@@ -1,4 +1,4 @@
-//! The `fnopt` command: arguments and loops; everything else is in the library.
+//! The `fnopt` command: arguments and loops. Everything else is in the library.
 
 mod cli;
 
@@ -17,13 +17,14 @@ fn main() -> ExitCode {
     }
 }
 
-/// Mesa's layer that selects a Vulkan device asks the desktop which one it draws with. Without a desktop it only prints lines that
-/// begin with "error:", so it is left out there, unless a variable asks something else of it.
+/// Disables Mesa's device-selection layer if there is no desktop. The layer asks the desktop which Vulkan
+/// device it draws with, and without one only prints lines that begin with "error:". An environment variable
+/// that configures it is respected.
 #[expect(unsafe_code, reason = "the environment is the layer's only switch")]
 fn quieten_device_select() {
     let asked = ["XDG_RUNTIME_DIR", "DISPLAY", "MESA_VK_DEVICE_SELECT", "DRI_PRIME", "NODEVICE_SELECT"];
     if asked.into_iter().all(|name| std::env::var_os(name).is_none()) {
-        // SAFETY: the first thing that `main` does; there is no other thread that could read the environment meanwhile.
+        // SAFETY: `main` calls this first, so no other thread can read the environment meanwhile.
         unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     }
 }

@@ -1,10 +1,10 @@
-//! What memory there is: a system that promises more than it has ends whoever takes it at its word.
+//! Available memory. A system that overcommits kills the process that uses more than there is.
 
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Makes room in `values` for `more` of `what`, exactly; an error if there is none. (A reservation alone tells little where memory
-/// is promised that is not there, as on most Linux systems.)
+/// Reserves room in `values` for exactly `more` elements of `what`. Fails if there is not enough memory. A
+/// successful reservation alone proves little on systems that overcommit, as most Linux systems do.
 pub(crate) fn reserve<T>(values: &mut Vec<T>, more: usize, what: &str) -> Result<()> {
     let bytes = more.saturating_mul(size_of::<T>());
     if holds(bytes) && values.try_reserve_exact(more).is_ok() {
@@ -13,18 +13,20 @@ pub(crate) fn reserve<T>(values: &mut Vec<T>, more: usize, what: &str) -> Result
     Err(Error::Device(format!("cpu: no memory for {} of {what}", gib(bytes))))
 }
 
-/// Whether the machine has so many bytes left, as far as it tells. What is only reserved still counts as left: ask for all at once.
+/// Whether `bytes` of memory are available, or the amount is unknown. Memory that is reserved but not yet
+/// used still counts as available, so ask for everything at once.
 pub(crate) fn holds(bytes: usize) -> bool {
     available().is_none_or(|available| bytes as u64 <= available)
 }
 
-/// Bytes that are left here, where that is told: of the machine or, where that is less, of what a container or a batch system grants.
+/// Returns the available bytes, if known: the smaller of what the machine has left and what a container or
+/// batch system still grants.
 fn available() -> Option<u64> {
     [of_machine(), of_control_groups()].into_iter().flatten().min()
 }
 
-/// Bytes that the control groups of this process leave it, the narrowest of them and of those around them; none where none has a
-/// limit.
+/// Returns the bytes that this process's control groups leave it: the least over its groups and their
+/// ancestors, or `None` if none has a limit.
 fn of_control_groups() -> Option<u64> {
     let told = std::fs::read_to_string("/proc/self/cgroup").ok()?;
     let of_line = |line: &str| {
@@ -37,15 +39,15 @@ fn of_control_groups() -> Option<u64> {
             }
             _ => return None,
         };
-        // The last one is the root itself, which is all that a container sees.
+        // The last ancestor is the root itself, which is all that a container sees.
         let around = Path::new(path.trim_start_matches('/')).ancestors();
         around.filter_map(|path| left_by(&Path::new(root).join(path), files)).min()
     };
     told.lines().filter_map(of_line).min()
 }
 
-/// Bytes that a control group leaves, of which the page cache of files counts as left; none without a limit, which may also be the
-/// word `max`.
+/// Returns the bytes that a control group leaves, counting its inactive page cache as available. Returns
+/// `None` without a limit, which may be written as the word `max`.
 fn left_by(group: &Path, [limit, used, cached]: [&str; 3]) -> Option<u64> {
     let number = |file: &str| std::fs::read_to_string(group.join(file)).ok()?.trim().parse::<u64>().ok();
     let (limit, used) = (number(limit)?, number(used)?);
@@ -54,7 +56,7 @@ fn left_by(group: &Path, [limit, used, cached]: [&str; 3]) -> Option<u64> {
     Some(limit.saturating_sub(used.saturating_sub(cached.unwrap_or(0))))
 }
 
-/// Bytes that the machine has left, swap included, where it tells.
+/// Returns the bytes that the machine has left, swap included, if known.
 fn of_machine() -> Option<u64> {
     let told = std::fs::read_to_string("/proc/meminfo").ok()?;
     let bytes = |name: &str| {
@@ -65,7 +67,7 @@ fn of_machine() -> Option<u64> {
     Some(bytes("MemAvailable:")? + bytes("SwapFree:").unwrap_or(0))
 }
 
-/// Bytes as people read them.
+/// Formats a number of bytes for display.
 pub(crate) fn gib(bytes: usize) -> String {
     format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))
 }

@@ -1,8 +1,8 @@
-//! What is told of several numbers.
+//! Summary statistics.
 
 use std::num::NonZero;
 
-/// The median, the mean of the middle two of an even number; not a number of none.
+/// Returns the median: the mean of the middle two for an even number of values, NaN for none.
 pub fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
@@ -12,15 +12,15 @@ pub fn median(values: &[f64]) -> f64 {
     }
 }
 
-/// Frames before the times of a run count: drivers compile then, and caches fill.
+/// Number of frames excluded from the timing of a run: in these, drivers compile and caches fill.
 pub const WARM_UP: usize = 3;
 
-/// Median of the times of a run's frames after the warm-up, or of all frames where there are no more.
+/// Returns the median frame time after the warm-up, or over all frames if the run is no longer than that.
 pub fn median_time(times: &[f64]) -> f64 {
     median(if times.len() > WARM_UP { &times[WARM_UP..] } else { times })
 }
 
-/// Mean and standard deviation (of the sample; 0 of a single number).
+/// Returns the mean and the sample standard deviation, which is 0 for a single value.
 pub fn mean_and_deviation(values: &[f64]) -> (f64, f64) {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;

@@ -1,4 +1,4 @@
-//! Files and pictures: what is written is read back, and no file makes a reader panic.
+//! Files and pictures: what is written can be read back, and no file makes a reader panic.
 
 use fnopt::{
     Error,
@@ -13,7 +13,7 @@ use std::{fs, path::Path};
 
 const GRID: Grid = Grid { h: 9, w: 12 };
 
-/// A sheet that waves and moves sideways, y up.
+/// Builds a sheet that waves and moves sideways, with y up.
 fn waving(grid: Grid, frames: usize) -> Trajectory {
     let mut trajectory = Trajectory::new(grid, 60.0);
     trajectory.reserve(frames).unwrap();
@@ -57,16 +57,16 @@ fn positions_come_back_bit_for_bit_from_every_format_that_is_read() {
         assert_eq!(read.positions(), written.positions(), "{format}");
         match format {
             Format::Npz => assert_eq!(read, written),
-            // Differences of positions: 0.3 m/s across.
+            // Velocities are differences of positions: 0.3 m/s across.
             _ => assert!((read.velocities()[[3, 7, 0]] - 0.3).abs() < 1e-4),
         }
     }
-    // The mesh that a cache moves.
+    // The mesh that a point cache animates.
     let mesh = dir.path().join("new/folder/cloth.obj");
     written.write_mesh(&mesh).unwrap();
     let mesh = read_obj(&mesh).unwrap();
     assert_eq!((&mesh.positions[..], mesh.faces), (written.frame(0), GRID.faces()));
-    // Nothing temporary is left.
+    // No temporary files are left.
     assert_eq!(
         names(&dir.path().join("new/folder")),
         ["cloth.npy", "cloth.npz", "cloth.obj", "cloth.pc2", "cloth_obj"]
@@ -113,7 +113,7 @@ fn a_ply_file_has_its_header_and_length() {
 fn a_shorter_run_leaves_no_frames_of_a_longer_one() {
     let dir = tempfile::tempdir().unwrap();
     let folder = waving(GRID, 4).write(dir.path(), "cloth", Format::Obj).unwrap();
-    // No run names its frames so.
+    // No run gives its frames such names.
     for own in ["notes.txt", "7.obj"] {
         fs::write(folder.join(own), "mine").unwrap();
     }
@@ -124,7 +124,7 @@ fn a_shorter_run_leaves_no_frames_of_a_longer_one() {
     assert!(error.contains("00001.obj: number: expected 00000.obj"), "{error}");
 }
 
-/// The cloth used to be put together in the rows of the grid that was asked for.
+/// The cloth used to be assembled with the rows of the requested grid.
 #[test]
 fn a_grid_that_contradicts_the_faces_is_refused() {
     let dir = tempfile::tempdir().unwrap();
@@ -164,7 +164,7 @@ fn arrays_in_both_orders_are_read_as_f64() {
     );
 }
 
-/// Whatever program wrote them: NumPy's unsigned numbers of faces, and an OBJ that begins with a byte-order mark.
+/// Face indices in NumPy's unsigned types, and an OBJ file that starts with a byte-order mark, are accepted.
 #[test]
 fn files_of_other_programs_are_read() {
     let dir = tempfile::tempdir().unwrap();
@@ -226,7 +226,7 @@ fn a_damaged_archive_is_noticed() {
     assert!(error.contains("vertices_seq") && error.contains("checksum"), "{error}");
 }
 
-/// Lets every reader try `bytes`; they may refuse, but not panic.
+/// Passes `bytes` to every reader. Readers may refuse, but not panic.
 fn read_all(bytes: &[u8]) {
     let dir = tempfile::tempdir().unwrap();
     for extension in ["npz", "npy", "pc2"] {
@@ -242,7 +242,7 @@ fn read_all(bytes: &[u8]) {
     let _ = Trajectory::read(&frames, &ReadOptions::default());
 }
 
-/// A small file of each kind.
+/// Returns a small file of each kind.
 fn samples() -> Vec<Vec<u8>> {
     let dir = tempfile::tempdir().unwrap();
     let trajectory = waving(Grid { h: 3, w: 3 }, 2);
@@ -340,7 +340,7 @@ fn a_png_file_holds_the_pixels() {
     assert_eq!(pixels, image.pixels.as_flattened());
 }
 
-/// The frames of an animation as shown, and its length in seconds.
+/// Returns the frames of an animation as displayed, and its length in seconds.
 fn play(path: &Path) -> (Vec<Image>, f64) {
     let mut options = gif::DecodeOptions::new();
     options.set_color_output(gif::ColorOutput::Indexed);
@@ -376,7 +376,7 @@ fn an_animation_runs_in_real_time_and_shows_what_a_picture_shows() {
     assert_eq!(frames.len(), 75);
     assert!((seconds - 2.5).abs() < 0.02, "{seconds} s");
 
-    // Differences between frames add up to the frame itself: the last one alone looks the same.
+    // Differences between frames add up to whole frames: at another rate, the same moment looks the same.
     let view = View { azimuth: Some(70.0), ..View::default() };
     let options = GifOptions { view, ..options };
     write_gif(&a, &trajectory, &[0, 11], &options).unwrap();

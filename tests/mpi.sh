@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Two ranks over MPI, for real: they end well, resume to the same bits, refuse another number of ranks, end together.
+# Two ranks over real MPI: they finish, resume to the same bits, refuse other numbers of ranks, end together.
 # Needs Open MPI with its headers and libclang (Debian: libopenmpi-dev openmpi-bin libclang-dev). Run by hand.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -7,13 +7,13 @@ cargo build --release --features mpi
 fnopt=${CARGO_TARGET_DIR:-target}/release/fnopt
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
-# A build of another kind may take the binary's place meanwhile.
+# Another kind of build may replace the binary in the meantime.
 cp "$fnopt" "$scratch/fnopt"
 
 fail() { echo "mpi: $1" >&2; exit 1; }
-# ranks COUNT ARGUMENTS..: trains on so many ranks.
+# ranks COUNT ARGUMENTS..: trains on COUNT ranks.
 ranks() { mpirun -n "$1" --allow-run-as-root --oversubscribe --bind-to none "$scratch/fnopt" train --device cpu "${@:2}"; }
-# data FILE: the tensors of a safetensors file, without its header, which holds times.
+# data FILE: prints the tensors of a safetensors file, without its header, which holds times.
 data() { tail -c +$(($(od -An -t u8 -N 8 "$1") + 9)) "$1"; }
 same() { cmp <(data "$scratch/once/$1") <(data "$scratch/twice/$1") || fail "$1 has other bits after resuming"; }
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs all tests. They need a software Vulkan driver, also beside a GPU's: where none is found, Mesa's is installed.
+# Runs all tests. They need a software Vulkan driver, even next to a GPU's; Mesa's is installed if need be.
 # Arguments are passed on to `cargo test`, as in `tests/run.sh --test cli`.
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -1,8 +1,9 @@
-//! What the shipped weights must hold: every rollout finite and no edge away from a handle stretched beyond the limit, and
-//! how close ten iterations come to the minimum of a frame.
+//! Requirements on the shipped weights: every rollout is finite, with no edge away from a handle stretched
+//! beyond the limit, and ten iterations come close to the minimum of a frame.
 //!
-//! All of it takes hours: `fnopt evaluate --suite motions --solver fnopt --grid 32,64,100,128,48x32,32x100`, likewise
-//! `--suite handles`, and `--iterations 5` on 32 and 64. Here a part of it that takes seconds.
+//! The full check takes hours:
+//! `fnopt evaluate --suite motions --solver fnopt --grid 32,64,100,128,48x32,32x100`, the same with
+//! `--suite handles`, and `--iterations 5` on 32 and 64. These tests cover a part that takes seconds.
 
 use fnopt::cpu::Track;
 use fnopt::eval::median_gap;
@@ -16,7 +17,7 @@ fn learned() -> Optimizer {
     Optimizer::learned(Weights::shipped())
 }
 
-/// Runs every case whose name begins with one of `names`.
+/// Asserts that every case whose name begins with one of `names` is sound.
 fn sound(suite: Suite, names: &[&str], (grid, frames, iterations): (Grid, usize, usize)) {
     let cases = suite.cases(grid).unwrap();
     for name in names {
@@ -40,14 +41,14 @@ fn sheets_swing_and_fall_without_tearing() {
     sound(Suite::Motions, &["xy_v2", "rot_h0", "updown_opp"], (square(32), 100, 10));
     sound(Suite::Handles, &["diagonal", "single-center"], (square(32), 40, 10));
     sound(Suite::Motions, &["xyz_v3"], (square(32), 60, 5));
-    // From a fresh memory, where whole components of the first gradient are zero.
+    // From a fresh hidden state, where whole components of the first gradient are zero.
     sound(Suite::Handles, &["corners flat", "single-corner flat"], (square(64), 15, 10));
     sound(Suite::Handles, &["corners flat", "diagonal drape"], (square(100), 6, 10));
     sound(Suite::Handles, &["single-center flat"], (square(128), 5, 10));
     sound(Suite::Handles, &["mid-edge drape"], (Grid { h: 48, w: 32 }, 20, 10));
 }
 
-/// On the first frames of the default scene, and against the classical method.
+/// On the first frames of the default scene, in absolute terms and against the classical method.
 #[test]
 fn ten_iterations_come_close_to_the_minimum() {
     for (n, frames, most, share) in [(32, 40, 0.03, 0.5), (64, 12, 0.05, 1.0)] {

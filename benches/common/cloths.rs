@@ -1,15 +1,15 @@
-//! What frames are measured of.
+//! The cloths whose frames are measured.
 
 use fnopt::network::Weights;
 use fnopt::scene::{Batch, Scene, Setup};
 use fnopt::sim::{Grid, Optimizer};
 
-/// The learned optimizer with the weights that come with the program.
+/// Returns the learned optimizer with the weights that ship with the program.
 pub fn learned() -> Optimizer {
     Optimizer::learned(Weights::shipped())
 }
 
-/// `batch` cloths of the default scene on a grid of `n` by `n`.
+/// Returns `batch` cloths of the default scene on an `n` by `n` grid.
 pub fn cloths(n: usize, batch: usize) -> Batch {
     let mut scene = Scene::default();
     scene

@@ -1,10 +1,11 @@
-//! What the benches share.
+//! Code shared by the benches.
 
 use criterion::Criterion;
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context};
 use std::time::Duration;
 
-/// Few samples and a short time each: a software adapter takes up to a second for a frame.
+/// Returns a configuration of few samples and short measurements: a software adapter takes up to a second per
+/// frame.
 pub fn criterion() -> Criterion {
     Criterion::default()
         .sample_size(10)
@@ -13,7 +14,7 @@ pub fn criterion() -> Criterion {
         .configure_from_args()
 }
 
-/// The best adapter, a software one included; without any the reason is printed.
+/// Opens the best adapter, which may be a software one. Prints why if there is none.
 pub fn adapter() -> Option<Context> {
     match Context::headless(&AdapterChoice::Best) {
         Ok(context) => Some(context),
@@ -24,7 +25,7 @@ pub fn adapter() -> Option<Context> {
     }
 }
 
-/// Whether it runs on the host's processor.
+/// Whether the adapter runs on the host's processor.
 pub fn is_software(context: &Context) -> bool {
     context.kind() == AdapterKind::Software
 }

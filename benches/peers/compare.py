@@ -21,7 +21,7 @@ import numpy
 HERE = pathlib.Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 FRAME_TIME, GRAVITY = 1 / 60, 9.8
-# Later ones drift apart: ten iterations of the optimizer multiply rounding.
+# Later frames drift apart: ten iterations of the optimizer amplify rounding.
 FRAMES_COMPARED = 3
 TOLERANCE = 1e-3
 
@@ -39,7 +39,7 @@ class Comparison:
     def __init__(self, options, folder):
         self.options, self.folder = options, folder
         gpu = ["--device", "gpu"] + (["--adapter", options.adapter] if options.adapter else [])
-        # Flags of fnopt by the name of a column; beside the CPU path an adapter on request, a software one usually.
+        # Flags of fnopt by column name: the CPU path and, on request, an adapter, usually a software one.
         self.ours = {"fnopt": ["--device", "cpu"] if options.device == "cpu" else gpu}
         if options.device == "cpu" and options.adapter:
             self.ours[f"fnopt on {options.adapter}"] = gpu

@@ -1,4 +1,4 @@
-//! What an engine brings along: a device, a queue, a pipeline and a target to draw on (here a texture, for want of a
+//! The engine's side: a device, a queue, a pipeline and a render target (a texture, since there is no
 //! window).
 
 use fnopt::gpu::{Context, Tensor};
@@ -17,8 +17,9 @@ const FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba8Unorm;
 const SIZE: u32 = 256;
 
 impl Host {
-    /// Opens a device with all that its adapter allows: the default limits bind 128 MiB at most, and without features there is no
-    /// half precision, no timing and no pipeline cache.
+    /// Opens a device with the limits of its adapter and the features that fnopt can use. WebGPU's default
+    /// limits bind at most 128 MiB; without the features there is no half precision, no timing and no
+    /// pipeline cache.
     pub fn open(shader: &str) -> Result<Self, Box<dyn std::error::Error>> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
         let adapter = pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default()))?;
@@ -43,7 +44,7 @@ impl Host {
         Ok(Self { device, queue, pipeline, target, view })
     }
 
-    /// A buffer of vertex numbers.
+    /// Returns an index buffer.
     pub fn index_buffer(&self, vertices: &[u32]) -> wgpu::Buffer {
         self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
             label: None,
@@ -52,13 +53,13 @@ impl Host {
         })
     }
 
-    /// The target, cleared to transparent black.
+    /// Returns the render target, cleared to transparent black, as an attachment.
     pub fn attachment(&self) -> wgpu::RenderPassColorAttachment<'_> {
         let ops = wgpu::Operations::default();
         wgpu::RenderPassColorAttachment { view: &self.view, depth_slice: None, resolve_target: None, ops }
     }
 
-    /// The pixels of the target, four bytes each.
+    /// Returns the pixels of the target, four bytes each.
     pub fn pixels(&self, context: &Context) -> fnopt::Result<Vec<u32>> {
         let picture = Tensor::zeros(context, "picture", &[SIZE as usize, SIZE as usize])?;
         let layout =
@@ -69,7 +70,7 @@ impl Host {
     }
 }
 
-/// Triangles from three vertex buffers, one for each coordinate.
+/// Builds a pipeline that draws triangles from three vertex buffers, one per coordinate.
 fn pipeline(device: &wgpu::Device, shader: &str) -> wgpu::RenderPipeline {
     let source = wgpu::ShaderSource::Wgsl(shader.into());
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source });

@@ -1,10 +1,18 @@
-// Counts the particles in each bucket of cells, of a uniform grid in space whose cells are as wide as the repulsion reaches (paper
-// section 3.4): the first of four kernels that sort them.
+// Counts the particles in each bucket of cells, the first of four kernels that sort the particles for the
+// repulsion (paper section 3.4).
 //
-// cloths: [B]; slots: [B, n]; a, base, x: [B, 3, n]; counts: [B, buckets], 0 before; placed: [B, n] of (bits of the position, how many
-// of the bucket came before); in_bucket: [B, n]. Particles come in any order; `cell_order` gives them one. What is out of reach goes to
-// some bucket or other, by its number, as all in one would take each other's time.
-// One invocation: one particle. Workgroups: (n / 64 along x, then y, and B).
+// The cells are those of a uniform grid in space, as wide as the repulsion reaches. Particles are counted in
+// any order; `cell_order` gives them a fixed one. Particles out of reach are spread over the buckets by
+// number: in a single bucket they would slow each other down.
+//
+// cloths: [B]
+// slots: [B, n]
+// a, base, x: [B, 3, n]
+// counts: [B, buckets], 0 on entry
+// placed: [B, n] of (bits of the position, how many particles of its bucket were counted before it)
+// in_bucket: [B, n]
+//
+// One invocation per particle. Workgroups: (n / 64 over x and y, B in z).
 // Adjoint: none, training has no repulsion.
 
 struct Params {

@@ -1,7 +1,10 @@
-// The particles of each bucket, in the order in which `cell_count` met them.
+// Lists the particles of each bucket, in the order in which `cell_count` counted them.
 //
-// ends: [B, buckets]; placed, in_bucket: [B, n]; numbers: [B, n], bucket by bucket.
-// One invocation: one particle. Workgroups: (n / 64 along x, then y, and B).
+// ends: [B, buckets]
+// placed, in_bucket: [B, n]
+// numbers: [B, n], bucket by bucket
+//
+// One invocation per particle. Workgroups: (n / 64 over x and y, B in z).
 // Adjoint: none, training has no repulsion.
 
 struct Params {
@@ -30,6 +33,6 @@ fn cell_fill(
     let b = group.z;
     let first = b * params.particles;
     let place = begin_of(b, in_bucket[first + p], params.buckets) + placed[first + p].w;
-    // Where counts were left over from elsewhere it would lie beyond.
+    // Stale counts would put it beyond the end.
     numbers[first + min(place, params.particles - 1u)] = p;
 }

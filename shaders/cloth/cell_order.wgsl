@@ -1,8 +1,11 @@
-// The particles sorted by buckets, and in a bucket by their numbers: each counts those before it, so that whatever is summed over
-// them has one order, however they came.
+// Sorts the particles by bucket, and by number within a bucket: each particle counts those before it.
+// Whatever is then summed over them has a fixed order, however they were counted.
 //
-// ends: [B, buckets]; placed, in_bucket, numbers: [B, n]; sorted: [B, n] of (bits of the position, particle number).
-// One invocation: one particle. Workgroups: (n / 64 along x, then y, and B).
+// ends: [B, buckets]
+// placed, in_bucket, numbers: [B, n]
+// sorted: [B, n] of (bits of the position, particle number)
+//
+// One invocation per particle. Workgroups: (n / 64 over x and y, B in z).
 // Adjoint: none, training has no repulsion.
 
 struct Params {

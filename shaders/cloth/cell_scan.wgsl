@@ -1,7 +1,9 @@
-// Where each bucket ends among the sorted particles, from the counts of `cell_count`, which are 0 again afterwards.
+// Where each bucket ends among the sorted particles: inclusive prefix sums of the counts of `cell_count`,
+// which it resets to 0.
 //
-// counts, ends: [B, buckets].
-// One workgroup: one cloth; each invocation has an equal share of consecutive buckets. Workgroups: (B).
+// counts, ends: [B, buckets]
+//
+// One workgroup per cloth. Each invocation takes an equal share of consecutive buckets. Workgroups: (B).
 // Adjoint: none, training has no repulsion.
 
 struct Params {
@@ -17,7 +19,7 @@ struct Params {
 
 const LANES: u32 = 256u;
 
-// Particles of each invocation, then of those up to it and its own.
+// Particles of each invocation, then inclusive prefix sums of them.
 var<workgroup> sums: array<u32, LANES>;
 
 @compute @workgroup_size(256)

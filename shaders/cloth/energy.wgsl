@@ -1,10 +1,16 @@
-// Energy terms and stretch of a cloth, summed over part of its particles (`sim::EnergyTerms`).
+// Energy terms and stretch of a cloth, in partial sums over its particles (`sim::EnergyTerms`).
 //
-// Each particle owns the edges, corner angles and bends that start at it. Every part holds eight sums:
-// stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of ||edge| - 1|, 0
-// (`repulsion` has its place there).
-// cloths: [B]; slots: [B, H, W]; external_acceleration, a, base, x: [B, 3, H, W]; parts: [B, groups, 8].
-// One invocation: one particle; a workgroup adds up in a fixed order. Workgroups: (n / 64 along x, then y, and B).
+// Each particle owns the edges, corner angles and bends that start at it. A part holds eight numbers:
+// stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of
+// ||edge| - 1|, and repulsion, which is 0 here (see `repulsion`).
+//
+// cloths: [B]
+// slots: [B, H, W]
+// external_acceleration, a, base, x: [B, 3, H, W]
+// parts: [B, groups, 8]
+//
+// One invocation per particle. Sums over a workgroup have a fixed order.
+// Workgroups: (n / 64 over x and y, B in z).
 // Adjoint: `gradient`.
 
 struct Params {
@@ -28,7 +34,7 @@ const RIGHT_ANGLE: f32 = 1.5707963267948966;
 var<workgroup> terms: array<vec4f, 64>; // stretch, shear, bend, inertia
 var<workgroup> others: array<vec4f, 64>; // external, largest stretch, sum of |stretch|, unused
 
-// Where particle (i, j) is, seen from `own`.
+// Returns the position of particle (i, j) relative to `own`.
 fn position(b: u32, i: u32, j: u32, own: Trial) -> vec3f {
     let other = trial(b, i * params.columns + j, params.rows * params.columns);
     return offset(other.x, own.x, other.shift, own.shift, params.zero);

@@ -1,7 +1,10 @@
-// Energy terms of each cloth from its parts: sums, and the maximum for the largest stretch (see `energy`).
+// Energy terms of each cloth from its parts: sums, and for the largest stretch the maximum (see `energy`).
 //
-// parts: [B, groups, 8]; terms: [B, 8] = stretch, shear, bend, inertia, external, largest stretch, sum of |stretch|, repulsion.
-// One workgroup: one cloth; its invocations take parts in turn and add up in a fixed order. Workgroups: (B).
+// parts: [B, groups, 8]
+// terms: [B, 8] = stretch, shear, bend, inertia, external, largest stretch, sum of |stretch|, repulsion
+//
+// One workgroup per cloth. Its invocations stride over the parts and add up in a fixed order.
+// Workgroups: (B).
 // Adjoint: `gradient`.
 
 struct Params {

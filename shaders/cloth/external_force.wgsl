@@ -1,10 +1,16 @@
-// External acceleration: gravity, what the caller gives, and the air's pressure and friction on each triangle.
+// External acceleration: gravity, the given accelerations, and pressure and friction of the air on each
+// triangle.
 //
-// With v_rel = wind - mean velocity of a triangle's corners and v_n = n . v_rel, the triangle receives
-// density area |v_n| v_n n + drag area (v_rel - v_n n), one third to each corner, divided by the corner's mass.
-// Triangles as in `Grid::faces`: each cell is cut along (i, j) - (i+1, j+1). Evaluated at the start of the frame.
-// cloths: [B]; x, v, given, external_acceleration: [B, 3, H, W].
-// One invocation: one particle, which gathers from the up to six triangles around it. Workgroups: (W / 8, H / 8, B).
+// With v_rel = wind - mean velocity of the corners of a triangle and v_n = n . v_rel, the force on the
+// triangle is density area |v_n| v_n n + drag area (v_rel - v_n n). Each corner gets one third of it, divided
+// by the mass of the corner. Triangles are those of `Grid::faces`: each cell is cut along
+// (i, j) - (i+1, j+1). Forces are evaluated at the start of the frame.
+//
+// cloths: [B]
+// x, v, given, external_acceleration: [B, 3, H, W]
+//
+// One invocation per particle, which gathers from the up to six triangles around it.
+// Workgroups: (W / 8, H / 8, B).
 // Adjoint: none, external forces are constants of the training step.
 
 struct Params {
@@ -33,7 +39,7 @@ fn velocity(b: u32, i: i32, j: i32) -> vec3f {
     return vec3f(v[at], v[at + n], v[at + 2u * n]);
 }
 
-// Force on the triangle with the given corners of cell (i, j); nothing outside the grid.
+// Returns the force on the triangle with the given corners of cell (i, j), zero outside the grid.
 fn triangle(b: u32, i: i32, j: i32, second: vec2i, third: vec2i) -> vec3f {
     if i < 0 || j < 0 || i + 1 >= i32(params.rows) || j + 1 >= i32(params.columns) {
         return vec3f();

@@ -1,14 +1,21 @@
-// Gradient of the frame's energy with respect to the acceleration, grad = dL/da (`sim::EnergyTerms`), and partial sums of its
-// squares: partial_sums[s, k] = (sum g^2, sum d^2) over the k-th part of a sample's particles, where d is the last step.
+// Gradient of the energy of a frame with respect to the acceleration, grad = dL/da (`sim::EnergyTerms`), and
+// partial sums of squares, partial_sums[s, k] = (sum g^2, sum d^2) over part k of the particles of a sample,
+// where d is the last step.
 //
-// dx/da = 1 at a free particle and 0 at a handle, so there only inertia and the external term count.
-// cloths: [B]; slots: [B, H, W]; external_acceleration, a, base, x: [B, 3, H, W]; fields: grad [B, 3, H, W] = [S, H, W], and with
-// LAST_STEP from element `last_step` on the last step [S, H, W], else the second sum is 0; partial_sums: [S, parts] from sum
-// `first_sum` on.
-// One invocation: one particle, which gathers from the edges, corner angles and bends it takes part in; nothing is
-// scattered, so the order of every sum is fixed. A workgroup takes tiles of 8 x 8 particles in turn, which are its part.
+// dx/da is 1 at a free particle and 0 at a handle, where only inertia and the external term count.
+//
+// cloths: [B]
+// slots: [B, H, W]
+// external_acceleration, a, base, x: [B, 3, H, W]
+// fields: grad [B, 3, H, W] = [S, H, W]; with LAST_STEP also the last step [S, H, W] from element `last_step`
+//   on, without it sum d^2 is 0
+// partial_sums: [S, parts] pairs from sum `first_sum` on
+//
+// One invocation per particle, which gathers from the edges, corner angles and bends around it. Nothing is
+// scattered, so that every sum has a fixed order. A workgroup strides over tiles of 8 x 8 particles, which
+// are its part.
 // Workgroups: (parts, B).
-// Adjoint: none, the gradient is an input of the training step and a constant there, and so are the norms (paper section 3.3).
+// Adjoint: none, the gradient and the norms are constants of the training step (paper section 3.3).
 
 struct Params {
     rows: u32, // H
@@ -35,17 +42,17 @@ override LAST_STEP: bool = false;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
-// Starts and shifts of a tile's particles and of the two around it on every side, those that there are.
+// Starts and shifts of the particles of a tile, with a rim of two particles on every side where they exist.
 const WITH_RIM: u32 = 12u;
 var<workgroup> starts: array<vec3f, WITH_RIM * WITH_RIM>;
 var<workgroup> shifts: array<vec3f, WITH_RIM * WITH_RIM>;
 
-// Loads them for the tile that begins at particle (i, j).
+// Loads both for the tile that begins at particle (i, j).
 fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
     for (var k = lane; k < WITH_RIM * WITH_RIM; k += 64u) {
         let row = i + k / WITH_RIM;
         let column = j + k % WITH_RIM;
-        // Row and column count from two before the grid's first, so that none is negative.
+        // Row and column are counted from two before the first, so that neither is negative.
         if row >= 2u && column >= 2u && row < params.rows + 2u && column < params.columns + 2u {
             let one = trial(b, (row - 2u) * params.columns + column - 2u, params.rows * params.columns);
             starts[k] = one.x;
@@ -54,25 +61,29 @@ fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
     }
 }
 
-// Where the particle so many rows and columns on is, seen from this lane's; anything if there is none.
+// Returns the position of the particle `rows` and `columns` away, relative to the particle of this lane;
+// undefined if there is none.
 fn position(lane: u32, rows: i32, columns: i32) -> vec3f {
     let own = (lane / 8u + 2u) * WITH_RIM + lane % 8u + 2u;
     let other = u32(i32(own) + rows * i32(WITH_RIM) + columns);
     return offset(starts[other], starts[own], shifts[other], shifts[own], params.zero);
 }
 
-// d(|edge| - 1)^2 / dp for the edge from p, if it exists and has a length, which one has not whose square is no normal number.
+// Returns d(|edge| - 1)^2 / dp for the edge that starts at p; zero if the edge does not exist or has no
+// length, which includes lengths whose squares are subnormal.
 fn stretch(edge: vec3f, exists: bool) -> vec3f {
     let l = length(edge);
     return select(vec3f(), -2.0 * (l - 1.0) / max(l, 1e-18) * edge, exists && l > 1e-18);
 }
 
-// d/dp of the four squared corner angles of a cell, if it exists; its other corners are seen from p, `corner` opposite to it.
+// Returns d/dp of the four squared corner angles of a cell; zero if the cell does not exist. The other
+// corners are relative to p, and `corner` is opposite to it.
 fn shear(down: vec3f, across: vec3f, corner: vec3f, exists: bool) -> vec3f {
     if !exists {
         return vec3f();
     }
-    // Edges along either axis through p and opposite to it; all point away from p's side, which leaves (angle - pi / 2)^2 as it is.
+    // The edges along both axes, through p and opposite to it. All point away from p's side, which leaves
+    // (angle - pi / 2)^2 unchanged.
     let far_v = corner - across;
     let far_h = corner - down;
     let at_p = angle_gradient(down, across, RIGHT_ANGLE);
@@ -81,8 +92,8 @@ fn shear(down: vec3f, across: vec3f, corner: vec3f, exists: bool) -> vec3f {
     return -(at_p.u + at_p.w + at_down.u + at_across.w);
 }
 
-// d/dp of the squared bends along one axis that p takes part in, as the k-th of `count` particles; the two before it and the two
-// after it are seen from p.
+// Returns d/dp of the squared bends that involve p along one axis, where p is the k-th of `count` particles.
+// The two particles before it and the two after it are relative to p.
 fn bend(before: array<vec3f, 2>, after: array<vec3f, 2>, k: i32, count: i32) -> vec3f {
     var sum = vec3f();
     let back = -before[0];
@@ -100,7 +111,7 @@ fn bend(before: array<vec3f, 2>, after: array<vec3f, 2>, k: i32, count: i32) -> 
     return sum;
 }
 
-// The gradient at particle (i, j) of cloth b, which is this lane's of its tile.
+// Returns the gradient at particle (i, j) of cloth b, the particle of this lane in the tile.
 fn gradient_at(b: u32, i: i32, j: i32, lane: u32) -> vec3f {
     let last_row = i32(params.rows) - 1;
     let last_column = i32(params.columns) - 1;
@@ -136,7 +147,7 @@ fn gradient_at(b: u32, i: i32, j: i32, lane: u32) -> vec3f {
     return sum;
 }
 
-// Six sums of every invocation, then of every eight of them.
+// Six sums of each invocation, then of each group of eight invocations.
 var<workgroup> sums: array<f32, 432>;
 
 fn sum_of_eight(first: u32) -> f32 {

@@ -1,8 +1,10 @@
-// End of a frame, backward Euler: what the trial moves a particle by is its velocity, v = base + a, x += v; a handle moves by its
-// base and is exactly where it is to be.
+// End of a frame (backward Euler): v = base + a, x += v; at a handle v = base, and x is exactly the target.
 //
-// slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; base, a, x, v: [B, 3, n].
-// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
+// slots: [B, n], 0 for a free particle, else 1 + the index of its target
+// targets: [handles, 3]
+// base, a, x, v: [B, 3, n]
+//
+// One invocation per component of a particle. Workgroups: (n / 64 over x and y, 3 B in z).
 // Adjoint: none, the state is a constant of the training step.
 
 struct Params {

@@ -1,8 +1,13 @@
-// Start of a frame: a = 0 moves the particles by base = v, or at a handle by the way to its prescribed position. In the middle
-// of a frame (FRESH false) a stays.
+// Start of a frame: a = 0, and base, the displacement for a = 0, is v for a free particle and target - x for
+// a handle.
 //
-// x, v, base, a: [B, 3, n]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3].
-// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
+// Within a frame (FRESH false), a keeps its value.
+//
+// x, v, base, a: [B, 3, n]
+// slots: [B, n], 0 for a free particle, else 1 + the index of its target
+// targets: [handles, 3]
+//
+// One invocation per component of a particle. Workgroups: (n / 64 over x and y, 3 B in z).
 // Adjoint: none, the state is a constant of the training step.
 
 struct Params {

@@ -1,11 +1,19 @@
-// Repulsion of particles that come near each other (paper section 3.4): the acceleration that it adds to the external one, and
-// its energy, summed over part of a cloth's particles.
+// Repulsion of particles close to each other (paper section 3.4): the acceleration it adds to the external
+// one, and its energy in partial sums over the particles of a cloth.
 //
-// With strength k and distance delta the energy is -k / (H W) sum log(d^2 + e) over ordered pairs at a distance d < delta that no
-// edge of the triangulated grid joins; a free particle of mass m is pushed by 4 k / m sum (x_p - x_q) / (d^2 + e), e = SOFTENING.
-// cloths: [B]; slots: [B, n]; external_acceleration, pushed: [B, 3, n]; ends: [B, buckets] and sorted: [B, n] as `cell_order` has them;
-// parts: [B, groups, 8], of which the last number is set.
-// One invocation: one of the sorted particles, which looks through the 27 cells around it. Workgroups: (n / 64 along x, then y, and B).
+// With strength k, distance delta and e = SOFTENING, the energy is -k / (H W) sum log(d^2 + e) over ordered
+// pairs at a distance d < delta that no edge of the triangulated grid joins. A free particle of mass m gets
+// the acceleration 4 k / m sum (x_p - x_q) / (d^2 + e).
+//
+// cloths: [B]
+// slots: [B, n]
+// external_acceleration, pushed: [B, 3, n]
+// ends: [B, buckets], see `cell_scan`
+// sorted: [B, n], see `cell_order`
+// parts: [B, groups, 8], of which the last number is set
+//
+// One invocation per sorted particle, which searches the 27 cells around it.
+// Workgroups: (n / 64 over x and y, B in z).
 // Adjoint: none, training has no repulsion.
 
 struct Params {
@@ -28,16 +36,16 @@ override SOFTENING: f32;
 
 var<workgroup> energies: array<f32, 64>;
 
-// Whether an edge of the triangulated grid joins two particles, or they are the same one.
+// Returns whether an edge of the triangulated grid joins two particles, or they are the same.
 fn joined(p: u32, q: u32) -> bool {
     let last = max(p, q);
     let apart = last - min(p, q);
-    // Along a row or a diagonal, unless that leads from the end of one row to the beginning of another.
+    // Along a row or a diagonal, unless it wraps from the end of one row to the start of another.
     let along = apart == 1u || apart == params.columns + 1u;
     return apart == 0u || apart == params.columns || (along && last % params.columns != 0u);
 }
 
-// Sum of d / (d^2 + e) and of -log(d^2 + e) over the particles of a cell that repel the one at `own`.
+// Returns the sums of d / (d^2 + e) and -log(d^2 + e) over the particles of a cell that repel the one at `own`.
 fn from_cell(b: u32, cell: vec3i, own: vec3f, p: u32) -> vec4f {
     let n = params.rows * params.columns;
     let distance = cloths[b].repulsion.y;
@@ -50,7 +58,7 @@ fn from_cell(b: u32, cell: vec3i, own: vec3f, p: u32) -> vec4f {
         let place = bitcast<vec3f>(other.xyz);
         let way = own - place;
         let square = dot(way, way);
-        // Another cell may have the same bucket.
+        // Other cells may share the bucket.
         if square < distance * distance && all(cell_of(place, per_edge) == cell) && !joined(p, other.w) {
             sum += vec4f(way / (square + SOFTENING), -log(square + SOFTENING));
         }

@@ -1,9 +1,9 @@
 
-// atan2(sine, cosine) for sine >= 0, in [0, pi]. WGSL allows atan2 an error of 4096 ulp, too much for small bends.
-// Odd polynomial of degree 17 on [0, 1], largest error 6e-9 before rounding.
+// Returns atan2(sine, cosine) in [0, pi], for sine >= 0. WGSL allows atan2 an error of 4096 ulp, too much for
+// small bends. Odd polynomial of degree 17 on [0, 1], with a maximum error of 6e-9 before rounding.
 fn angle(sine: f32, cosine: f32) -> f32 {
     let c = abs(cosine);
-    // The floor is no subnormal number: a device may take those for 0.
+    // The floor is a normal number: a device may flush subnormals to 0.
     let t = min(sine, c) / max(max(sine, c), 1e-37);
     let u = t * t;
     var p = 2.456718155e-3 * u - 1.440133176e-2;
@@ -13,7 +13,7 @@ fn angle(sine: f32, cosine: f32) -> f32 {
     p = p * u - 1.416122864e-1;
     p = p * u + 1.998590668e-1;
     p = p * u - 3.333259702e-1;
-    // The leading coefficient is 1 - 1.136e-7; kept apart so that rounding does not eat it.
+    // The leading coefficient is 1 - 1.136e-7. The small part is added separately, or rounding would lose it.
     var theta = t + t * (p * u - 1.136e-7);
     if sine > c {
         theta = 1.5707963267948966 - theta;
@@ -24,8 +24,9 @@ fn angle(sine: f32, cosine: f32) -> f32 {
     return theta;
 }
 
-// The gradients of (angle(u, w) - rest)^2 with respect to u and w. At angles of 0 and pi, where the direction of
-// steepest ascent is not defined, the limit for a straight edge: angle / sine -> 1 / cosine, else 0.
+// Gradients of (angle(u, w) - rest)^2 with respect to u and w. At angles 0 and pi the direction of steepest
+// ascent is undefined. There the factor is 0, except at angle = rest = 0, where it takes the limit angle /
+// sine -> 1 / cosine.
 struct AnglePair {
     u: vec3f,
     w: vec3f,
@@ -43,7 +44,7 @@ fn angle_gradient(u: vec3f, w: vec3f, rest: f32) -> AnglePair {
     }
     let uu = max(dot(u, u), 1e-30);
     let ww = max(dot(w, w), 1e-30);
-    // Where an edge has hardly any length a quotient may be too large for a number, and times a zero vector would be none.
+    // With an edge of almost no length, a quotient may overflow, and infinity times a zero vector is NaN.
     let by_u = clamp(factor / uu, -3e38, 3e38);
     let by_w = clamp(factor / ww, -3e38, 3e38);
     return AnglePair(cross(u, c) * by_u, cross(c, w) * by_w);

@@ -1,14 +1,14 @@
 
-// What is fixed for a cloth during a run, in grid units.
+// Parameters of a cloth in grid units.
 struct Cloth {
     material: vec4f, // stretch, shear, bend, unused
     gravity: vec4f, // acceleration, unused
     air: vec4f, // density and drag coefficients, unused
     wind: vec4f, // velocity, unused
-    repulsion: vec4f, // strength, distance (0 for none), cells of the search to an edge, unused
+    repulsion: vec4f, // strength, distance (0 for no repulsion), search cells per edge length, unused
 }
 
-// Mass of particle (i, j): 1 inside, 1/2 on the border, 1/4 in the corners.
+// Returns the mass of particle (i, j): 1 inside, 1/2 on the border, 1/4 in the corners.
 fn mass(i: u32, j: u32, rows: u32, columns: u32) -> f32 {
     let down = select(1.0, 0.5, i == 0u || i + 1u == rows);
     let across = select(1.0, 0.5, j == 0u || j + 1u == columns);

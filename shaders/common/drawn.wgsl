@@ -1,9 +1,9 @@
 
-// A cloth of a pool that takes part in a training step.
+// A cloth drawn from a pool for a training step.
 struct Drawn {
-    slot: u32, // its place in the pool
-    begin: u32, // 1 where a life starts
-    advance: u32, // 1 where the frame ends after this iteration
-    keep: f32, // share of the velocity that is left when the frame ends
-    rotation: array<vec4f, 3>, // rows of the matrix that turns the sheet at rest to its start
+    slot: u32, // index in the pool
+    begin: u32, // 1 if the cloth is reset
+    advance: u32, // 1 if the frame ends after this iteration
+    keep: f32, // share of the velocity kept at the end of the frame
+    rotation: array<vec4f, 3>, // rows of the matrix that rotates the sheet at rest to its initial pose
 }

@@ -1,18 +1,18 @@
 
-// GELU(x) = x Phi(x), the exact one.
+// Returns the exact GELU, x Phi(x).
 fn gelu(x: vec4f) -> vec4f {
     return x * normal_cdf(x);
 }
 
-// GELU'(x) = Phi(x) + x exp(-x^2 / 2) / sqrt(2 pi). The exponent is bounded: the product is 0 there, and some drivers do
-// not return from infinity.
+// Returns GELU'(x) = Phi(x) + x exp(-x^2 / 2) / sqrt(2 pi). The exponent is clamped: beyond the bound the
+// product is 0, and some drivers do not recover from infinity.
 fn gelu_slope(x: vec4f) -> vec4f {
     return normal_cdf(x) + 0.3989422804014327 * x * exp(-min(0.5 * x * x, vec4f(80.0)));
 }
 
-// Phi(x) = (1 + erf(x / sqrt 2)) / 2. WGSL has no erf: z P(z^2) / Q(z^2) on |z| <= 3.95, where erf is within 3e-8 of 1;
-// coefficients from a weighted least-squares fit iterated towards the smallest largest error (5e-8, 4e-7 when evaluated
-// in single precision).
+// Returns Phi(x) = (1 + erf(x / sqrt 2)) / 2. WGSL has no erf: it is z P(z^2) / Q(z^2) here, with z clamped
+// to |z| <= 3.95, where erf is within 3e-8 of 1. The coefficients come from a weighted least-squares fit
+// iterated towards the minimax error (5e-8; 4e-7 when evaluated in single precision).
 fn normal_cdf(x: vec4f) -> vec4f {
     let z = clamp(x * 0.7071067811865476, vec4f(-3.95), vec4f(3.95));
     let u = z * z;

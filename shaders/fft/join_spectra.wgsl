@@ -1,10 +1,16 @@
-// The half spectra of two real rows as the spectrum of one complex row, z[b, m] = y[b, 2 m] + i y[b, 2 m + 1].
+// Joins the half spectra of two real rows into the spectrum of one complex row:
+//   z[b, m] = y[b, 2 m] + i y[b, 2 m + 1]
 //
-// The other half of each is the conjugate, y[W - k] = conj y[k]. Column 0, and W / 2 of an even W, are their own
-// conjugates: of these only the real part counts, as in any inverse real transform. A row beyond the last is 0.
-// y: [B, H, K] complex, K = floor(W / 2) + 1; z: [B, ceil(H / 2), W] complex.
-// One invocation: one column of a pair and its conjugate. Workgroups: (ceil(H / 2) K / 64 along x, then y, and B).
-// Adjoint: `split_spectra`, with the columns doubled that stand for their conjugates too.
+// The other half of each spectrum is the conjugate, y[W - k] = conj y[k]. Column 0, and W / 2 of an even W,
+// are their own conjugates. Only their real parts count, as in any inverse real transform. A row beyond the
+// last is 0.
+//
+// y: [B, H, K] complex, K = floor(W / 2) + 1
+// z: [B, ceil(H / 2), W] complex
+//
+// One invocation per column of a pair and its conjugate.
+// Workgroups: (ceil(H / 2) K / 64 over x and y, B in z).
+// Adjoint: `split_spectra`, with the columns that also stand for their conjugates doubled.
 
 struct Params {
     rows: u32, // H

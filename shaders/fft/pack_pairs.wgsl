@@ -1,9 +1,13 @@
-// Two real rows as one complex row: z[b, m, j] = scale (x[b, 2 m, j] + i x[b, 2 m + 1, j]), 0 for a row beyond the last.
+// Packs two real rows into one complex row, with 0 for a row beyond the last:
+//   z[b, m, j] = scale (x[b, 2 m, j] + i x[b, 2 m + 1, j])
 //
-// One complex transform then serves two rows, whatever their length; `split_spectra` takes their spectra apart. Rows of
-// different items of a batch never meet.
-// x: [B, H, W]; z: [B, ceil(H / 2), W] complex.
-// One invocation: one element of z. Workgroups: (elements / 64 along x, then y, and B).
+// One complex transform then serves two rows of any length, and `split_spectra` separates their spectra. Rows
+// of different items of a batch are never paired.
+//
+// x: [B, H, W]
+// z: [B, ceil(H / 2), W] complex
+//
+// One invocation per element of z. Workgroups: (elements / 64 over x and y, B in z).
 // Adjoint: `unpack_pairs`.
 
 struct Params {

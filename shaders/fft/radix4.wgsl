@@ -1,10 +1,15 @@
-// One radix-4 pass of a Stockham transform along the middle axis of [lines, n, inner]; autosort, so nothing is reversed.
+// One radix-4 pass of a Stockham transform along the middle axis of [lines, n, inner]; self-sorting, without
+// bit reversal.
 //
-// Earlier passes left l = span groups of 4 s = n / l elements. For k < l, t < s and p = 0..3, with the sign of the exponent
-// and w = exp(sign 2 pi i / (4 l)): result[k + l p, t] = sum_q source[k, q s + t] w^(q k) (sign i)^(q p), q = 0..3.
-// source, result: [B, lines, n, inner] complex; table: [n] complex, exp(2 pi i j / n).
-// One invocation: one butterfly, four elements. Workgroups: (butterflies / 64 along x, then y, and B).
-// Adjoint: that of a whole transform is the transform of the opposite sign.
+// Earlier passes left l = span groups of 4 s = n / l elements. For k < l, t < s and p = 0..3:
+//   result[k + l p, t] = sum_q source[k, q s + t] w^(q k) (sign i)^(q p), q = 0..3
+// where sign is that of the exponent and w = exp(sign 2 pi i / (4 l)).
+//
+// table: [n] complex, exp(2 pi i j / n)
+// source, result: [B, lines, n, inner] complex
+//
+// One invocation per butterfly, four elements. Workgroups: (butterflies / 64 over x and y, B in z).
+// Adjoint: the adjoint of a whole transform is the transform of opposite sign.
 
 struct Params {
     count: u32, // butterflies of one item of the batch
@@ -22,7 +27,7 @@ struct Params {
 @group(0) @binding(2) var<storage, read> source: array<vec2f>;
 @group(0) @binding(3) var<storage, read_write> result: array<vec2f>;
 
-// z times the table's j-th root, conjugated for the forward transform.
+// Returns z times the j-th root of the table, conjugated for the forward transform.
 fn turned(z: vec2f, j: u32) -> vec2f {
     let w = vec2f(table[j].x, params.sign * table[j].y);
     return vec2f(z.x * w.x - z.y * w.y, z.x * w.y + z.y * w.x);

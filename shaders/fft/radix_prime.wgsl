@@ -1,10 +1,14 @@
-// One pass of a Stockham transform of any radix r, by direct sums, along the middle axis of [lines, n, inner].
+// One pass of any radix r of a Stockham transform along the middle axis of [lines, n, inner], by direct sums.
 //
-// Earlier passes left l = span groups of r s = n / l elements. For k < l r and t < s, with the sign of the exponent and
-// w = exp(sign 2 pi i / (l r)): result[k, t] = sum_q source[k mod l, q s + t] w^(q k), q = 0 .. r - 1.
-// source, result: [B, lines, n, inner] complex; table: [n] complex, exp(2 pi i j / n).
-// One invocation: one element of the result. Workgroups: (elements / 64 along x, then y, and B).
-// Adjoint: that of a whole transform is the transform of the opposite sign.
+// Earlier passes left l = span groups of r s = n / l elements. For k < l r and t < s:
+//   result[k, t] = sum_q source[k mod l, q s + t] w^(q k), q = 0 .. r - 1
+// where sign is that of the exponent and w = exp(sign 2 pi i / (l r)).
+//
+// table: [n] complex, exp(2 pi i j / n)
+// source, result: [B, lines, n, inner] complex
+//
+// One invocation per element of the result. Workgroups: (elements / 64 over x and y, B in z).
+// Adjoint: the adjoint of a whole transform is the transform of opposite sign.
 
 struct Params {
     count: u32, // elements of one item of the batch

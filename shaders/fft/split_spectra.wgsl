@@ -1,9 +1,13 @@
-// The half spectra of two real rows from that of the complex row they were packed in (see `pack_pairs`).
+// Splits the spectrum of a complex row into the half spectra of the two real rows packed in it (see
+// `pack_pairs`):
+//   y[b, 2 m, k] = (z[b, m, k] + conj z[b, m, W - k]) / 2
+//   y[b, 2 m + 1, k] = (z[b, m, k] - conj z[b, m, W - k]) / 2i
 //
-// y[b, 2 m, k] = (z[b, m, k] + conj z[b, m, W - k]) / 2 and y[b, 2 m + 1, k] = (z[b, m, k] - conj z[b, m, W - k]) / 2i.
-// z: [B, ceil(H / 2), W] complex; y: [B, H, K] complex, K = floor(W / 2) + 1.
-// One invocation: one column of a pair. Workgroups: (ceil(H / 2) K / 64 along x, then y, and B).
-// Adjoint: `join_spectra`, with the columns halved that stand for their conjugates too.
+// z: [B, ceil(H / 2), W] complex
+// y: [B, H, K] complex, K = floor(W / 2) + 1
+//
+// One invocation per column of a pair. Workgroups: (ceil(H / 2) K / 64 over x and y, B in z).
+// Adjoint: `join_spectra`, with the columns that also stand for their conjugates halved.
 
 struct Params {
     rows: u32, // H

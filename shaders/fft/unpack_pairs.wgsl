@@ -1,7 +1,11 @@
-// Complex rows as pairs of real ones: x[b, 2 m, j] = scale Re z[b, m, j], x[b, 2 m + 1, j] = scale Im z[b, m, j].
+// Unpacks complex rows into pairs of real ones:
+//   x[b, 2 m, j] = scale Re z[b, m, j]
+//   x[b, 2 m + 1, j] = scale Im z[b, m, j]
 //
-// z: [B, ceil(H / 2), W] complex; x: [B, H, W].
-// One invocation: one element of z. Workgroups: (elements / 64 along x, then y, and B).
+// z: [B, ceil(H / 2), W] complex
+// x: [B, H, W]
+//
+// One invocation per element of z. Workgroups: (elements / 64 over x and y, B in z).
 // Adjoint: `pack_pairs`.
 
 struct Params {

@@ -1,7 +1,10 @@
 // GELU of each element: y = gelu(x).
 //
-// What `pointwise` and `block` do by themselves, for passes that keep what comes before it. x, y: quads.
-// One invocation: one quad. Workgroups: (quads / 64 along x, then y).
+// For passes that keep the pre-activation x; otherwise `pointwise` and `block` apply GELU themselves.
+//
+// x, y: quads
+//
+// One invocation per quad. Workgroups: (quads / 64 over x and y).
 // Adjoint: `gelu_adj`.
 
 struct Params {

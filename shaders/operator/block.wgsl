@@ -1,28 +1,42 @@
-// A layer of the network over rows: a Fourier block after its columns, or the lifting.
+// A layer of the network over rows: a Fourier block after its column transforms, or the lifting.
 //
-// Block: y[s, i, o, j] = act(sum_c skip[o, c] x[s, i, c, j] + sum_k r[s, i, k, o] table[k, j] + bias[o]); k counts the real and
-// imaginary parts of the kept columns: table[2 m, j] = f cos(2 pi m j / W), table[2 m + 1, j] = -f sin(2 pi m j / W) with
-// f = 1 for column 0 and for the Nyquist column of an even W, else 2. To the sum, the rows of r are more inputs whose
-// weights differ from row to row.
-// Lifting: y[s, i, o, j] = act(sum_u skip[o, u] gelu(sum_e r[u, e] x[s, i, e, j] + r[u, E]) + bias[o]): the hidden units u are the
-// inputs, made on the way from the E channels of x, or of what they are embedded from. Which of these it is, and what it binds
-// beside what is told here, is told by the pieces that are appended (`shaders/pieces`: block_inputs; or lifting_inputs, and
-// lifted_embedding or lifted_fields).
-// With ROWS, the rows' spectra of y for the next block, as `transform_rows` makes them: made[s, i, k, o] = sum_j y[s, i, o, j]
-// forward[j, k]; with POOL, its largest values, as `pool_rows` does: rows_max[s, i, o] = max_j y[s, i, o, j]. Either wants a
-// whole row in a workgroup, WIDE * SPAN >= Q. With FIELD, instead of y the last layer of the field head, as `project` makes it,
-// in parts to be added up: made[part, s, i, j] = sum_o head[o] y[s, i, o, j] over the channels of a workgroup; the first has the
-// head's bias.
+// Block:
+//   y[s, i, o, j] = act(sum_c skip[o, c] x[s, i, c, j] + sum_k r[s, i, k, o] table[k, j] + bias[o])
+//   table[2 m, j] = f cos(2 pi m j / W), table[2 m + 1, j] = -f sin(2 pi m j / W)
+// k counts the real and imaginary parts of the kept columns; f = 1 for column 0 and for the Nyquist column of
+// an even W, else 2. In the sum, each table[k] is a further input, whose weight r differs from row to row.
+// Lifting:
+//   y[s, i, o, j] = act(sum_u skip[o, u] gelu(sum_e r[u, e] x[s, i, e, j] + r[u, E]) + bias[o])
+// The inputs are the hidden units u, computed on the fly from the E channels of x, which may be embedded on
+// the fly as well.
+// The appended pieces (`shaders/pieces`) select the layer and add its bindings: block_inputs, or
+// lifting_inputs with lifted_embedding or lifted_fields.
 //
-// x: [S, H, C or E, Q] quads; y: [S, H, C, Q] quads; skip: [C / tile, inputs, tile]; bias: [C], then with FIELD head: [C] and its
-// bias; r: [S, H, 2 modes_w, C], or [inputs, (E + 1) in quads]; made: [S, H, 2 modes_w, C], or [parts, S, H, Q] quads;
-// rows_max: [S, H, C]; tables: [2 modes_w, Q] quads of table, then [Q, 2 modes_w] quads of forward; of the lifting, forward alone.
-// The second tile is the number of columns k of `made` that an invocation sums for a quad of channels, a divisor of them.
-// One invocation: SPAN quads, WIDE apart, and a tile of output channels. With STAGED, inputs and weights go through workgroup memory,
-// CHUNK inputs at a time: each is read once for all of the workgroup, and in parallel.
-// Workgroups: (Q / SPAN, H, S * C / tile) by WIDE x 1 x DEEP invocations, those of a row side by side.
-// Adjoint: itself with the `transpose`d skip, no bias and the row transform's table (x), `transform_rows` with this table (r),
-// `pointwise_weight_adj` (skip, bias). The lifting has none in this form: training takes its layers one by one.
+// Epilogues:
+//   ROWS: made[s, i, k, o] = sum_j y[s, i, o, j] forward[j, k], as `transform_rows` does for the next block
+//   POOL: rows_max[s, i, o] = max_j y[s, i, o, j], as `pool_rows` does
+//   FIELD: made[part, s, i, j] = sum_o head[o] y[s, i, o, j] over the channels of a workgroup, instead of y
+// ROWS and POOL need a whole row in a workgroup, WIDE * SPAN >= Q. FIELD is the last layer of the field head,
+// as in `project`, in parts to be summed. The first part includes the bias of the head.
+//
+// skip: [C / tile, inputs, tile]
+// bias: [C]; with FIELD followed by head [C] and its bias
+// tables: [2 modes_w, Q] quads of table (not for the lifting), then [Q, 2 modes_w] quads of forward
+// r: [S, H, 2 modes_w, C]; for the lifting [inputs, E + 1 rounded up to quads]
+// x: [S, H, C, Q] quads; for the lifting [S, H, E, Q] quads, or the fields it embeds
+// y: [S, H, C, Q] quads
+// made: [S, H, 2 modes_w, C] with ROWS, [parts, S, H, Q] quads with FIELD
+// rows_max: [S, H, C]
+//
+// One invocation per tile of output channels and SPAN quads, WIDE apart. With STAGED, inputs and weights pass
+// through workgroup memory, CHUNK inputs at a time, so that a workgroup reads each of them once and in
+// parallel. The second tile is the number of columns k of `made` that an invocation sums for a quad of
+// channels. It divides their number, 2 modes_w.
+// Workgroups: (Q / (SPAN * WIDE), H, S * C / (tile * DEEP)) of WIDE * DEEP invocations, those of a row side
+//   by side.
+// Adjoint: itself with the `transpose`d skip, no bias and the table of the row transform (x),
+// `transform_rows` with this table (r), `pointwise_weight_adj` (skip, bias). The lifting has none in this
+// form, because training runs its layers one by one.
 
 struct Params {
     inputs: u32, // C, or the hidden units of the lifting
@@ -33,7 +47,7 @@ struct Params {
     width: u32, // W
     samples: u32, // S
     embedded: u32, // E
-    all_samples: u32, // of the fields, of which `first` is the first of S; this and the rest are for `shaders/pieces/features.wgsl`
+    all_samples: u32, // samples of the fields, S of them from `first` on; this and all below serve `features`
     pad0: u32,
     pad1: u32,
     pad2: u32,
@@ -58,12 +72,12 @@ override WIDE: u32 = 8;
 override SPAN: u32 = 1;
 override DEEP: u32 = 1;
 override CHUNK: u32 = 1;
-// Quads of the workgroup's memory: the largest of what the kinds of work want, see there.
+// Quads of workgroup memory, as many as the most demanding of its uses below needs.
 override MEMORY: u32 = 1;
 
 var<workgroup> memory: array<vec4f, MEMORY>;
 
-// Subgroups want workgroups of one dimension.
+// One-dimensional, as subgroup operations require.
 @compute @workgroup_size(WIDE * DEEP)
 fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) group: vec3u$lane) {
     let depth = index / WIDE;
@@ -77,12 +91,12 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
     let first_quad = group.x * WIDE * SPAN;
     let place$x = first_quad + $x * WIDE + index % WIDE;
     let exists$x = place$x < params.row_quads;
-    // Invocations beyond the last quad take part in what a subgroup shares.
+    // Invocations beyond the last quad still take part in subgroup broadcasts.
     let quad$x = min(place$x, params.row_quads - 1u);
     var y$c = vec4f();
     prepare(sample, row, first_quad, index);
     if STAGED {
-        // Inputs [CHUNK, SPAN, WIDE], then their weights [CHUNK, DEEP, tile].
+        // Memory holds the inputs [CHUNK, SPAN, WIDE], then their weights [CHUNK, DEEP, tile], in quads.
         let all = params.inputs + columns;
         let inputs = CHUNK * SPAN * WIDE;
         for (var begin = 0u; begin < all; begin += CHUNK) {
@@ -118,7 +132,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         }
         workgroupBarrier();
     } else {
-        // Several inputs at a time: sums that do not fit the registers are read and written once for all of them.
+        // Several inputs at a time: sums that do not fit in registers are loaded and stored once for all of them.
         var embedded$x = mat4x4f();
         var last$x = vec4f();
         if LIFTING {
@@ -169,7 +183,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         var sum$x = vec4f();
         let h$q = $same(bias[params.channels / 4u + tile * $m + $q]);
         sum$x += h$q.$e * y$c;
-        // [SPAN, DEEP, WIDE]: the first invocation of a quad adds up.
+        // Memory holds [SPAN, DEEP, WIDE] quads. The first invocation of each quad adds them up.
         memory[$x * WIDE * DEEP + index] = sum$x;
         workgroupBarrier();
         if depth == 0u {
@@ -190,13 +204,15 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
     if !ROWS && !POOL {
         return;
     }
-    // The workgroup's part of y, [DEEP, tile, Q]; an odd number of quads to a row spreads equal places over the banks.
+    // Memory holds the workgroup's part of y, [DEEP, tile, Q]. An odd stride in quads spreads the same quad of
+    // different channels over the banks.
     let stride = params.row_quads | 1u;
     if exists$x { memory[(depth * $n + $o) * stride + quad$x] = y$c; }
     workgroupBarrier();
     let first_channel = first_tile * $n;
     if ROWS {
-        // A part is some columns k of a quad of channels. Invocations beyond the last one take part in what a subgroup shares.
+        // A part is some columns k of a quad of channels. Invocations beyond the last part still take part in
+        // subgroup broadcasts.
         let quads = DEEP * $m;
         let parts = quads * (params.columns / $t);
         let forward = columns * params.row_quads;
@@ -223,7 +239,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
             for (var q = 1u; q < last; q++) {
                 most = max(most, memory[o * stride + q]);
             }
-            // Columns of the last quad beyond W repeat its first one, which always exists.
+            // Columns of the last quad beyond W repeat the quad's first one, which always exists.
             let v = memory[o * stride + last];
             let inside = vec4u(0u, 1u, 2u, 3u) + 4u * last < vec4u(params.width);
             most = max(most, select(vec4f(v.x), v, inside));

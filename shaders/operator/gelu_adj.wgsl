@@ -1,6 +1,9 @@
-// Adjoint of GELU: adj *= gelu'(x), in place; and x becomes gelu(x), which the weights' gradient of the next layer needs.
+// Adjoint of GELU, in place: adj *= gelu'(x), then x <- gelu(x), which the weight gradient of the next layer
+// needs.
 //
-// x, adj: quads. One invocation: one quad. Workgroups: (quads / 64 along x, then y).
+// x, adj: quads
+//
+// One invocation per quad. Workgroups: (quads / 64 over x and y).
 // Adjoint: none, it is one.
 
 struct Params {

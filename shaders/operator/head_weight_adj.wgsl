@@ -1,9 +1,13 @@
-// Gradient over weight and bias of a head with one output: weight[c] += sum_{l, j} adj[l, j] x[l, c, j],
-// bias += sum_{l, j} adj[l, j].
+// Gradient of the weight and bias of a head with one output:
+//   weight[c] += sum_{l, j} adj[l, j] x[l, c, j]
+//   bias += sum_{l, j} adj[l, j]
 //
-// x: [lines, C, W']; adj: [lines, W'], zero where a row is padded; of the scalar head, whose x is what was pooled, a line is a
-// sample of one place. weight: [C] and the bias at element `bias` of the same array.
-// One workgroup: one channel, or the bias behind the last one; its invocations add up in a fixed order. Workgroups: (C + 1).
+// x: [lines, C, W']; for the scalar head, the pooled values with one line per sample and W' = 1
+// adj: [lines, W'], zero in the padding
+// gradient: the weight [C] first, the bias at element `bias`
+//
+// One workgroup per channel, and one for the bias after them. Its invocations add up in a fixed order.
+// Workgroups: (C + 1).
 // Adjoint: none, it is one.
 
 struct Params {

@@ -1,17 +1,22 @@
-// A pointwise layer: y[l, o, j] = act(sum_i weight[o, i] x[l, i, j] + bias[o]) at place j of line l.
+// A pointwise layer: y[l, o, j] = act(sum_i weight[o, i] x[l, i, j] + bias[o]) at position j of line l.
 //
-// x: [lines, I, Q] quads of 4 columns; weight: [O / tile, I, tile]; bias: [O]; y: [lines, O, Q] quads.
-// One invocation: one quad and a tile of output channels, held in named registers; the weights' addresses are the
-// same for a whole workgroup. Workgroups: (quads along x, then y, O / tile).
+// weight: [O / tile, I, tile]
+// bias: [O]
+// x: [lines, I, Q] quads
+// y: [lines, O, Q] quads
+//
+// One invocation per quad and tile of output channels, held in named registers. All invocations of a
+// workgroup read the same weights.
+// Workgroups: (quads over x and y, O / tile in z).
 // Adjoint: itself with the `transpose`d weight and no bias (x), `pointwise_weight_adj` (weight, bias).
 
 struct Params {
     inputs: u32, // I
     outputs: u32, // O
-    quads: u32, // of a channel, in all lines that are taken
+    quads: u32, // per channel, in all lines of the dispatch
     row_quads: u32, // Q
-    x_first: u32, // first line of x that is taken
-    y_first: u32, // where it goes in y
+    x_first: u32, // first line of x
+    y_first: u32, // first line of y
     pad0: u32,
     pad1: u32,
 }
@@ -32,7 +37,7 @@ fn pointwise(
     @builtin(num_workgroups) groups: vec3u$lane
 ) {
     let all = (group.y * groups.x + group.x) * WORKGROUP + index;
-    // Invocations beyond the last quad take part in what a subgroup shares.
+    // Invocations beyond the last quad still take part in subgroup broadcasts.
     let p = min(all, params.quads - 1u);
     let line = p / params.row_quads;
     let quad = p % params.row_quads;

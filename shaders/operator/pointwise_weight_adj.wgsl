@@ -1,22 +1,30 @@
-// Gradient over weight and bias of a pointwise layer, in parts: weight[o, i] = sum adj[l, o, j] x[l, i, j] over one part of
-// the places j of some lines l, bias[o] = sum adj[l, o, j]. `sum_parts` adds the parts up in order.
+// Gradient of the weight and bias of a pointwise layer, in parts:
+//   weight[o, i] = sum_{l, j} adj[l, o, j] x[l, i, j]
+//   bias[o] = sum_{l, j} adj[l, o, j]
+// Each part sums over a share of the positions j of some lines l. `sum_parts` adds the parts up in order.
 //
-// x: [lines, I, Q] quads; adj: [lines, O, Q] quads, zero where a row is padded; partial: [parts, stride] quads of outputs: weights in the layer's order [O / tile, I, tile], the bias from `bias` on, and zeros between them.
-// One workgroup: 32 outputs by 32 inputs, 4 by 4 to an invocation; 32 positions at a time go through workgroup memory,
-// positions first, channels in quads. Workgroups: (O / 32 * I / 32, parts).
-// Adjoint: none, it is one (towards the weight; towards x it is `pointwise` with the `transpose`d weight).
+// x: [lines, I, Q] quads
+// adj: [lines, O, Q] quads, zero in the padding
+// partial: [parts, stride] quads of outputs: the weight in the order of the layer, [O / tile, I, tile], the
+//   bias from `bias` on, and zeros between them
+//
+// One workgroup per 32 outputs by 32 inputs, 4 by 4 to an invocation. 32 positions at a time pass through
+// workgroup memory as [position, quad of channels].
+// Workgroups: (O / 32 * I / 32, parts).
+// Adjoint: none, it is one (with respect to the weight; with respect to x it is `pointwise` with the
+// `transpose`d weight).
 
 struct Params {
     inputs: u32, // I
     outputs: u32, // O
-    quads: u32, // of a channel, in all lines that are taken
+    quads: u32, // per channel, in all lines of the dispatch
     row_quads: u32, // Q
     parts: u32,
     x_first: u32, // first line of x
     adj_first: u32, // first line of adj
     tile: u32,
     stride: u32, // quads of a part
-    bias: u32, // place of the bias in a part, in quads
+    bias: u32, // offset of the bias in a part, in quads
     pad0: u32,
     pad1: u32,
 }
@@ -35,8 +43,8 @@ fn pointwise_weight_adj(
     @builtin(workgroup_id) group: vec3u,
 ) {
     let across = (params.inputs + 31u) / 32u;
-    // What this invocation loads: four channels of one quad of positions; what it sums: quads `out_quad` and `in_quad`.
-    // Neighbouring invocations load other channels, so that they store side by side.
+    // Each invocation loads four channels of one quad of positions, and sums the channel quads `out_quad` and
+    // `in_quad`. Neighbouring invocations load different channels, so that their stores are contiguous.
     let channels = lane % 8u;
     let quad = lane / 8u;
     let out_quad = group.x / across * 8u + lane / 8u;
@@ -60,7 +68,7 @@ fn pointwise_weight_adj(
             let column = q % params.row_quads;
             let adj_from = ((params.adj_first + line) * params.outputs + adj_channel) * params.row_quads + column;
             let x_from = ((params.x_first + line) * params.inputs + x_channel) * params.row_quads + column;
-            // Written out: DirectX's older compiler stores nothing at an index that is a variable.
+            // Unrolled by hand: DirectX's older compiler drops stores at a variable index.
             if adj_channel < params.outputs { a[0] = adj[adj_from]; }
             if adj_channel + 1u < params.outputs { a[1] = adj[adj_from + params.row_quads]; }
             if adj_channel + 2u < params.outputs { a[2] = adj[adj_from + 2u * params.row_quads]; }
@@ -90,7 +98,7 @@ fn pointwise_weight_adj(
     }
     let part = group.y * params.stride;
     if group.x == 0u {
-        // The norm of the gradient is over these, too.
+        // The norm of the gradient includes these gaps.
         for (var k = params.inputs * params.outputs / 4u + lane; k < params.bias; k += 64u) {
             partial[part + k] = vec4f();
         }
@@ -101,7 +109,7 @@ fn pointwise_weight_adj(
     if in_quad == 0u {
         partial[part + params.bias + out_quad] = bias;
     }
-    // Outputs 4 out_quad.. are a quad of one tile.
+    // The outputs from 4 out_quad on are a quad of one tile.
     let quads = params.tile / 4u;
     let out = part + out_quad / quads * params.inputs * quads + out_quad % quads;
     let i = 4u * in_quad;

@@ -1,8 +1,15 @@
-// Adjoint of the scalar head and its maximum: adj[s, i, c, j] += weight[c] adj_scalar[s] at the first place i, j, row by
-// row, where x[s, i, c, j] is largest. Also pooled[s, c], that largest value, which the weight's gradient needs.
+// Adjoint of the scalar head and its maximum: adj[s, i, c, j] += weight[c] adj_scalar[s] at the first
+// position (i, j), row by row, where x[s, i, c, j] is largest.
 //
-// weight: [C]; adj_scalar: [S]; rows_max: [S, H, C] (`pool_rows`); x, adj: [S, H, C, W'] with padded rows; pooled: [S, C].
-// One invocation: one channel of one sample. Workgroups: (C / 64, S).
+// Also sets pooled[s, c] to that largest value, which the weight gradient needs.
+//
+// weight: [C]
+// adj_scalar: [S]
+// rows_max: [S, H, C] (`pool_rows`)
+// x, adj: [S, H, C, W'] with padded rows
+// pooled: [S, C]
+//
+// One invocation per channel of a sample. Workgroups: (C / 64, S).
 // Adjoint: none, it is one.
 
 struct Params {
@@ -37,7 +44,7 @@ fn pool_adj(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) gro
         }
     }
     let first = ((sample * params.rows + row) * params.channels + channel) * params.stride;
-    // The last column needs no look: if none before it is as large, it is.
+    // The last column needs no comparison: it is the largest if none before it is.
     var column = 0u;
     while column + 1u < params.columns && x[first + column] < most {
         column++;

@@ -1,8 +1,11 @@
 // Largest value of each row: rows_max[s, i, c] = max_j x[s, i, c, j].
 //
-// The first half of the scalar head's maximum over all positions; `scalar_head` takes it over the rows.
-// x: [S, H, C, Q] quads, of which the last may be padded; rows_max: [S, H, C].
-// One invocation: one row of one channel. Workgroups: (C / 64, H, S).
+// First half of the scalar head's maximum over all positions. `scalar_head` takes the maximum over the rows.
+//
+// x: [S, H, C, Q] quads, the last of a row may be padded
+// rows_max: [S, H, C]
+//
+// One invocation per channel of a row. Workgroups: (C / 64, H, S).
 // Adjoint: `pool_adj`.
 
 struct Params {
@@ -30,7 +33,7 @@ fn pool_rows(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) gr
     for (var q = 1u; q < last; q++) {
         most = max(most, vec4f(x[first + q]));
     }
-    // Columns of the last quad beyond W repeat its first one, which always exists.
+    // Columns of the last quad beyond W repeat the quad's first one, which always exists.
     let v = vec4f(x[first + last]);
     let inside = vec4u(0u, 1u, 2u, 3u) + 4u * last < vec4u(params.columns);
     most = max(most, select(vec4f(v.x), v, inside));

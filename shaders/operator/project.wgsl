@@ -1,7 +1,11 @@
-// Last layer of the field head: field[l, j] = bias + sum_c weight[c] x[l, c, j] at place j of line l.
+// Last layer of the field head: field[l, j] = bias + sum_c weight[c] x[l, c, j] at position j of line l.
 //
-// x: [S, H, C, Q] quads; weight: [C]; bias: [1]; field: [S, H, Q] quads.
-// One invocation: one quad. Workgroups: (quads / 64 along x, then y).
+// weight: [C]
+// bias: [1]
+// x: [S, H, C, Q] quads
+// field: [S, H, Q] quads
+//
+// One invocation per quad. Workgroups: (quads / 64 over x and y).
 // Adjoint: `project_adj` (x), `head_weight_adj` (weight, bias).
 
 struct Params {

@@ -1,7 +1,10 @@
-// Adjoint of `project` towards its input: adj[l, c, j] = weight[c] adj_field[l, j] at place j of line l.
+// Adjoint of `project` with respect to x: adj[l, c, j] = weight[c] adj_field[l, j] at position j of line l.
 //
-// weight: [C]; adj_field: [S, H, Q] quads; adj: [S, H, C, Q] quads.
-// One invocation: one quad of one channel. Workgroups: (quads / 64 along x, then y, C).
+// weight: [C]
+// adj_field: [S, H, Q] quads
+// adj: [S, H, C, Q] quads
+//
+// One invocation per quad of a channel. Workgroups: (quads / 64 over x and y, C in z).
 // Adjoint: none, it is one.
 
 struct Params {

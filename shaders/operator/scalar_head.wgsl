@@ -1,11 +1,17 @@
-// Scalar head: scalar[s] = bias + sum_c weight[c] max_i rows_max[s, i, c]; and, with RESCALE, the persistent scale of the sample:
-// scale <- scale exp(2 tanh(scalar / 2) - 1) (update rule of the paper's section 3.3). Where one workgroup to a sample would keep
-// all others waiting, `update` does this.
+// Scalar head: scalar[s] = bias + sum_c weight[c] max_i rows_max[s, i, c].
 //
-// rows_max: [S, H, C]; weight: [C]; bias: [1]; scalar: [S]; scale: from element `before` on [S], to be written from element `after`
-// on. H is at least TEAMS.
-// One workgroup: one sample. Workgroups: (S).
-// Adjoint: `pool_adj` (x), `head_weight_adj` (weight, bias), `update_adj` (the scale).
+// With RESCALE, also updates the persistent scale, scale <- scale exp(2 tanh(scalar / 2) - 1) (update rule,
+// paper section 3.3). Where a dispatch of one workgroup per sample would keep all others waiting, `update`
+// does this instead.
+//
+// weight: [C]
+// bias: [1]
+// rows_max: [S, H, C], H at least TEAMS
+// scalar: [S]
+// scale: [S] read from element `before` on, [S] written from element `after` on
+//
+// One workgroup per sample. Workgroups: (S).
+// Adjoint: `pool_adj` (x), `head_weight_adj` (weight, bias), `update_adj` (scale).
 
 struct Params {
     channels: u32, // C

@@ -1,18 +1,26 @@
-// Spectral convolution along the columns of the kept rows' spectra: transform, channel product of each mode, inverse.
+// Spectral convolution along the columns of the rows' spectra: transform, channel product per mode, inverse.
 //
-// spectrum[s, m_h, m_w, i] = sum_y r[s, y, m_w, i] exp(-2 pi i k_h y / H), complex, k_h = m_h - modes_h / 2;
-// product[s, m_h, m_w, o] = sum_i spectrum[s, m_h, m_w, i] weight[m_h, m_w, i, o], complex;
-// inverse[s, y, m_w, o] = sum_m_h product[s, m_h, m_w, o] exp(2 pi i k_h y / H), complex.
-// Waves of opposite k_h have one cosine and opposite sines, so both are summed from the same four products. The inverse rows follow
-// inside `block`, which drops the imaginary part of column 0: what an inverse real transform does with the non-Hermitian part of
-// that column.
-// r, inverse: [S, H, modes_w, (re, im), C]; table: [H, tile] (cos, sin) of 2 pi k y / H; weight: [modes_h modes_w, C, C] complex;
-// spectrum: [S, modes_h, modes_w, C] complex, written if KEEP. The tile is modes_h / 2 + 1, the magnitudes k of k_h; the second
-// tile is the number of samples that share one reading of the weights; S is a multiple of it.
-// One workgroup: ACROSS output channels of one kept column of a tile of samples. It makes the spectrum of all input channels in
-// workgroup memory first, so that the fewer channels it has, the more often a column is transformed and the more workgroups there
-// are. Its invocations share rows and channels of the transform, then inputs and modes of the product, then strips of rows. Sums are
-// made of PARTS sums, whether an invocation makes all of those or one: they do not depend on how the work is divided.
+//   spectrum[s, m_h, m_w, i] = sum_y r[s, y, m_w, i] exp(-2 pi i k_h y / H)
+//   product[s, m_h, m_w, o] = sum_i spectrum[s, m_h, m_w, i] weight[m_h, m_w, i, o]
+//   inverse[s, y, m_w, o] = sum_m_h product[s, m_h, m_w, o] exp(2 pi i k_h y / H)
+// All are complex, and k_h = m_h - modes_h / 2. Waves of opposite k_h have the same cosine and opposite
+// sines, so both are summed from the same four products. The inverse along the rows follows in `block`, which
+// drops the imaginary part of column 0, as an inverse real transform does with the non-Hermitian part of that
+// column.
+//
+// table: [H, tile], (cos, sin)(2 pi k y / H)
+// weight: [modes_h modes_w, C, C] complex
+// r, inverse: [S, H, modes_w, (re, im), C]
+// spectrum: [S, modes_h, modes_w, C] complex, written if KEEP
+//
+// One workgroup per ACROSS output channels of a kept column, for a tile of samples. It first computes the
+// spectrum of all input channels in workgroup memory. With fewer output channels there are more workgroups,
+// but each column is transformed more often. The invocations divide among them the rows and channels of the
+// transform, then the inputs and modes of the product, then strips of rows of the inverse. Every sum consists
+// of PARTS partial sums, whether one invocation computes all of them or only one, so that results do not
+// depend on how the work is divided.
+// The tile is modes_h / 2 + 1, the number of magnitudes k of k_h. The second tile is the number of samples
+// that share one read of the weights. It divides S.
 // Workgroups: (modes_w * C / ACROSS, S / second tile).
 // Adjoint: itself with the `spectral_transpose`d weight (r), `spectral_weight_adj` (weight).
 
@@ -20,7 +28,7 @@ struct Params {
     channels: u32, // C
     rows: u32, // H
     modes_w: u32,
-    strip: u32, // rows of the inverse that an invocation takes in turn
+    strip: u32, // consecutive rows of the inverse per invocation
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -35,10 +43,10 @@ override MODES: u32 = 8; // modes_h
 override LANES: u32 = 256;
 override ACROSS: u32 = 64;
 override PARTS: u32 = 1;
-// Parts of a column's rows, and of the input channels, that are summed by invocations of their own: 1 or PARTS.
+// Parts of a column's rows, and of the input channels, that separate invocations sum: 1 or PARTS.
 override ROW_PARTS: u32 = 1;
 override INPUT_PARTS: u32 = 1;
-// Elements of the workgroup's memory: MODES * second tile * C * ROW_PARTS, and MODES * second tile * ACROSS * INPUT_PARTS.
+// Elements in workgroup memory: MODES * second tile times C * ROW_PARTS and ACROSS * INPUT_PARTS, respectively.
 override INPUTS: u32 = 2048;
 override OUTPUTS: u32 = 2048;
 
@@ -46,7 +54,7 @@ override OUTPUTS: u32 = 2048;
 var<workgroup> inputs: array<vec2f, INPUTS>;
 var<workgroup> outputs: array<vec2f, OUTPUTS>;
 
-// In every loop, invocations beyond the last piece of work take part in what a subgroup shares.
+// In every loop, invocations beyond the last item still take part in subgroup broadcasts.
 @compute @workgroup_size(LANES)
 fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) group: vec3u$lane) {
     let channels = params.channels;
@@ -60,7 +68,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
         let channel = item % channels;
         let of_parts = item / channels;
         let sample = first + of_parts / ROW_PARTS;
-        // The modes of -k and k.
+        // Modes -k (xy) and k (zw).
         var z$c = vec4f();
         for (var turn = 0u; turn < PARTS / ROW_PARTS; turn++) {
             let top = (of_parts % ROW_PARTS + turn) * row_part;
@@ -84,7 +92,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
     }
     workgroupBarrier();
     if ROW_PARTS > 1u {
-        // The sum lies where its first part was.
+        // The sum replaces its first part.
         for (var k = index; k < $t * MODES * channels; k += LANES) {
             let at = k + k / (MODES * channels) * (ROW_PARTS - 1u) * MODES * channels;
             var sum = inputs[at];
@@ -155,7 +163,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
     }
 }
 
-// The product whose first part is at this place.
+// Returns the product whose first part is at this index.
 fn product(at: u32) -> vec2f {
     var sum = outputs[at];
     for (var part = 1u; part < INPUT_PARTS; part++) {

@@ -1,9 +1,12 @@
-// The weight of `spectral` the other way round: turned[m, o, i] = conj(weight[m, i, o]); `spectral` with it is its own
-// adjoint towards its input.
+// Conjugate transpose of the weight of `spectral`: turned[m, o, i] = conj(weight[m, i, o]).
 //
-// weight: [M, I, O] complex; turned: [M, O, I] complex.
-// One invocation: one weight. Workgroups: (I / 64, O, M).
-// Adjoint: itself; the weight's gradient is taken from `spectral_weight_adj`.
+// `spectral` with this weight is the adjoint of `spectral` with respect to its input.
+//
+// weight: [M, I, O] complex
+// turned: [M, O, I] complex
+//
+// One invocation per weight. Workgroups: (I / 64, O, M).
+// Adjoint: itself; the weight gradient comes from `spectral_weight_adj`.
 
 struct Params {
     inputs: u32, // I

@@ -1,7 +1,12 @@
-// Gradient over the weight of `spectral`: gradient[m, i, o] += sum_s conj(x[s, m, i]) adj[s, m, o], complex.
+// Gradient of the weight of `spectral`: gradient[m, i, o] += sum_s conj(x[s, m, i]) adj[s, m, o], complex.
 //
-// x: [S, M, I] complex; adj: [S, M, O] complex; gradient: [M, I, O] complex. The tile is a number of inputs, which divides I.
-// One invocation: one output channel of one mode, for the inputs of a tile. Workgroups: (O / 64, M, I / tile).
+// x: [S, M, I] complex
+// adj: [S, M, O] complex
+// gradient: [M, I, O] complex
+//
+// One invocation per output channel of a mode and tile of inputs. The tile is a number of inputs that divides
+// I.
+// Workgroups: (O / 64, M, I / tile).
 // Adjoint: none, it is one.
 
 struct Params {
@@ -18,7 +23,7 @@ struct Params {
 
 @compute @workgroup_size(64)
 fn spectral_weight_adj(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
-    // Invocations beyond the last channel take part in what a subgroup shares.
+    // Invocations beyond the last channel still take part in subgroup broadcasts.
     let channel = min(id.x, params.outputs - 1u);
     let mode = group.y;
     let first = group.z * $n;

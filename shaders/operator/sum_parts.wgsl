@@ -1,7 +1,9 @@
 // Adds the parts of a gradient to it, in order: gradient[k] += sum_part partial[part, k].
 //
-// partial: [parts, stride] quads; gradient: [stride] quads.
-// One invocation: one quad. Workgroups: (stride / 64).
+// partial: [parts, stride] quads
+// gradient: [stride] quads
+//
+// One invocation per quad. Workgroups: (stride / 64).
 // Adjoint: none, it is part of one.
 
 struct Params {

@@ -1,9 +1,15 @@
-// Rows of the truncated real Fourier transform: r[s, i, k, c] = sum_j x[s, i, c, j] table[j, k].
+// Truncated real Fourier transform of the rows: r[s, i, k, c] = sum_j x[s, i, c, j] table[j, k].
 //
-// k counts the real and imaginary parts of the kept columns, Re 0, Im 0, Re 1, ...: table[j, 2 m] = cos(2 pi m j / W) / (H W)
-// and table[j, 2 m + 1] = -sin(2 pi m j / W) / (H W), zero in the padding, so that padded columns do not count.
-// x: [S, H, C, Q] quads; table: [Q, tile] quads; r: [S, H, tile, C]. The tile is 2 modes_w.
-// One invocation: one row of one channel. Workgroups: (C / 64, H, S).
+// k counts the real and imaginary parts of the kept columns, Re 0, Im 0, Re 1, ...:
+//   table[j, 2 m] = cos(2 pi m j / W) / (H W)
+//   table[j, 2 m + 1] = -sin(2 pi m j / W) / (H W)
+// The table is zero in the padding, so that padded columns do not count.
+//
+// table: [Q, tile] quads, tile = 2 modes_w
+// x: [S, H, C, Q] quads
+// r: [S, H, tile, C]
+//
+// One invocation per channel of a row. Workgroups: (C / 64, H, S).
 // Adjoint: the inverse rows of `block`, with this table.
 
 struct Params {
@@ -20,7 +26,7 @@ struct Params {
 
 @compute @workgroup_size(64)
 fn transform_rows(@builtin(global_invocation_id) id: vec3u, @builtin(workgroup_id) group: vec3u$lane) {
-    // Invocations beyond the last channel take part in what a subgroup shares.
+    // Invocations beyond the last channel still take part in subgroup broadcasts.
     let channel = min(id.x, params.channels - 1u);
     let row = group.y;
     let sample = group.z;

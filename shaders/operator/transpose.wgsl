@@ -1,8 +1,12 @@
-// A pointwise layer's weight the other way round, in the order of the kernels: from [O / tile, I, tile] to [I / tile, O, tile].
+// Transposes the weight of a pointwise layer in the tiled order of the kernels.
 //
-// `pointwise` and `block` with it are their own adjoints towards their inputs.
-// One invocation: one weight. Workgroups: (O I / 64).
-// Adjoint: itself; the weight's gradient is taken from `pointwise_weight_adj` in the layer's own order.
+// With this weight, `pointwise` and `block` are their own adjoints with respect to their inputs.
+//
+// weight: [O / tile, I, tile]
+// turned: [I / tile, O, tile]
+//
+// One invocation per weight. Workgroups: (O I / 64).
+// Adjoint: itself; the weight gradient comes from `pointwise_weight_adj` in the order of the layer.
 
 struct Params {
     outputs: u32, // O

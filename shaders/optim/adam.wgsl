@@ -1,10 +1,15 @@
 // Adam with bias correction.
 //
-// m <- beta1 m + (1 - beta1) g, v <- beta2 v + (1 - beta2) g^2, a -= rate m / (1 - beta1^t) / (sqrt(v / (1 - beta2^t)) + epsilon).
+// m <- beta1 m + (1 - beta1) g
+// v <- beta2 v + (1 - beta2) g^2
+// a -= rate m / (1 - beta1^t) / (sqrt(v / (1 - beta2^t)) + epsilon)
 // At t = 1, the first iteration of a frame, the moments start from zero whatever they hold.
-// grad, a: [B, 3, n]; moments: [B, 3, n, 2] = (m, v).
-// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
-// Adjoint: none, it is not trained.
+//
+// grad, a: [B, 3, n]
+// moments: [B, 3, n, 2] = (m, v)
+//
+// One invocation per component of a particle. Workgroups: (n / 64 over x and y, 3 B in z).
+// Adjoint: none, the optimizer is not trained.
 
 struct Params {
     particles: u32, // n

@@ -1,10 +1,16 @@
-// Between a field and the order in which a Fourier transform of it gives its cosine transform (Makhoul 1980): along each
-// axis the even places ascending, then the odd ones descending.
+// Permutes a field into the order whose Fourier transform gives its cosine transform (Makhoul 1980), or back.
 //
-// Forward v[b, c, i, j] = q[b, c, i', j'], backward (BACK) q[b, c, i', j'] = v[b, c, i, j]; handles are 0 in both, because
-// they do not move. q: [B, 2, 3, H, W], of which the second half counts (see `lbfgs`); v: [3 B, H, W]; slots: [B, H W].
-// One invocation: one element. Workgroups: (H W / 64 along x, then y, and 3 B).
-// Adjoint: none, it is not trained.
+// Forward: v[b, c, i, j] = q[b, c, i', j'], with i' = place(i) and j' = place(j): along each axis the even
+// indices in ascending order, then the odd ones in descending order.
+// With BACK: q[b, c, i', j'] = v[b, c, i, j].
+// Handles are 0 in either direction, because they do not move.
+//
+// slots: [B, H W]
+// q: [B, 2, 3, H, W], of which the second half is used (see `lbfgs`)
+// v: [3 B, H, W]
+//
+// One invocation per element. Workgroups: (H W / 64 over x and y, 3 B in z).
+// Adjoint: none, the optimizer is not trained.
 
 struct Params {
     rows: u32, // H
@@ -20,7 +26,7 @@ struct Params {
 
 override BACK: bool = false;
 
-// The place that comes `i`-th of `n`.
+// Returns the index that comes `i`-th of `n`.
 fn place(i: u32, n: u32) -> u32 {
     return select(2u * (n - i) - 1u, 2u * i, 2u * i < n);
 }

@@ -1,10 +1,13 @@
-// Input of the network: the normalised fields and the position of each particle (paper section 4).
+// Input of the network: normalised fields and the position of each particle (paper section 4).
 //
-// embedded[s] = [10 tanh(g / s_g / 10), 10 tanh(g_last / s_g / 10), 10 tanh(d_last / s_d / 10), i / (H-1), j / (W-1)]
-// with s_g = |g| / sqrt n, s_d = |d_last| / sqrt n.
-// fields, partial_sums: see `shaders/pieces/features.wgsl`; embedded: [s, H, 5, Q] quads, zero in the padding, of the s samples
-// from `first` on.
-// One invocation: one quad. Workgroups: (Q / 8, H / 8, s).
+// embedded[s] = [10 tanh(g / s_g / 10), 10 tanh(g_last / s_g / 10), 10 tanh(d_last / s_d / 10),
+//                i / (H-1), j / (W-1)]
+// with s_g = |g| / sqrt n and s_d = |d_last| / sqrt n.
+//
+// fields, partial_sums: see `shaders/pieces/features.wgsl`
+// embedded: [s, H, 5, Q] quads, zero in the padding, for the s samples from `first` on
+//
+// One invocation per quad. Workgroups: (Q / 8, H / 8, s).
 // Adjoint: none, the input of the network is a constant of the training step.
 
 struct Params {
@@ -12,10 +15,10 @@ struct Params {
     columns: u32, // W
     row_quads: u32, // Q
     samples: u32, // S
-    first: u32, // sample of S that is the first of embedded
-    hidden: u32, // element of fields
+    first: u32, // first of the samples that are embedded
+    hidden: u32, // first element of the hidden state in fields
     parts: u32,
-    first_sum: u32, // sum that is the first of partial_sums
+    first_sum: u32, // first sum in partial_sums
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

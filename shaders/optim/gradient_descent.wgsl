@@ -1,8 +1,9 @@
 // Gradient descent: a -= rate grad.
 //
-// grad, a: [B, 3, n].
-// One invocation: one particle's component. Workgroups: (n / 64 along x, then y, and 3 B).
-// Adjoint: none, it is not trained.
+// grad, a: [B, 3, n]
+//
+// One invocation per component of a particle. Workgroups: (n / 64 over x and y, 3 B in z).
+// Adjoint: none, the optimizer is not trained.
 
 struct Params {
     particles: u32, // n

@@ -1,13 +1,19 @@
 // Limited-memory BFGS (two-loop recursion).
 //
-// With pairs s = a_k - a_(k-1), y = g_k - g_(k-1), kept when y.s > CURVATURE: q = H g, a -= q, where H starts from
-// gamma = s.y / y.y of the newest pair (1 without one). The history is cleared in the first iteration of a frame.
-// With another initial H than gamma the recursion is done in two dispatches, between which that is applied to q (PART).
-// grad, a: [B, 3 n]; history: [B, HISTORY, 2, 3 n] = (s, y); last: [B, 2, 3 n], the last gradient and the last step, or q
-// between the two; pairs: [B, 2 HISTORY + 2], the number of pairs, the place of the newest, each pair's 1 / y.s, and the first
-// loop's alpha, from the newest on.
-// One workgroup: one cloth; its invocations take elements in turn and add up in a fixed order. Workgroups: (B).
-// Adjoint: none, it is not trained.
+// q = H g and a -= q, with pairs s = a_k - a_(k-1) and y = g_k - g_(k-1), kept if y.s > CURVATURE. The
+// initial H is gamma = s.y / y.y of the newest pair, or 1 without pairs. The history is cleared in the first
+// iteration of a frame. For any other initial H the recursion is split into two dispatches (PART), between
+// which other kernels apply it to q.
+//
+// grad, a: [B, 3 n]
+// history: [B, HISTORY, 2, 3 n] = (s, y)
+// last: [B, 2, 3 n], last gradient and last step; between the two dispatches, q in place of the step
+// pairs: [B, 2 HISTORY + 2], number of pairs, slot of the newest, 1 / y.s of each slot,
+//   then alpha of the first loop, from the newest pair on
+//
+// One workgroup per cloth. Its invocations stride over the elements and add up in a fixed order.
+// Workgroups: (B).
+// Adjoint: none, the optimizer is not trained.
 
 struct Params {
     particles: u32, // n
@@ -27,12 +33,12 @@ const LANES: u32 = 256u;
 const MAX_HISTORY: u32 = 32u;
 override HISTORY: u32 = 5;
 override CURVATURE: f32 = 1e-12;
-// 0: the whole step; 1: what comes before the initial H; 2: what comes after it.
+// 0: the whole step; 1: the part before the initial H; 2: the part after it.
 override PART: u32 = 0;
 
 var<workgroup> partial: array<vec2f, 256>;
 
-// Sums over the workgroup, the same in every invocation.
+// Returns the sums over the workgroup, the same in every invocation.
 fn total(lane: u32, value: vec2f) -> vec2f {
     workgroupBarrier();
     partial[lane] = value;
@@ -59,7 +65,7 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
     var gamma = 1.0;
     var alpha: array<f32, MAX_HISTORY>;
 
-    // 1 / y's of the newest pair.
+    // 1 / y.s of the newest pair.
     var newest_rho = 0.0;
     if params.first == 0u || PART == 2u {
         count = u32(pairs[book]);
@@ -67,7 +73,7 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         newest_rho = pairs[book + 2u + newest];
     }
     if PART != 2u {
-        // The pair of the last step; in the first iteration there is none and nothing of it is kept.
+        // The pair of the last step. The first iteration has none.
         var sums = vec2f();
         if params.first == 0u {
             for (var e = lane; e < n; e += LANES) {
@@ -80,7 +86,7 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         if keep {
             newest = (newest + 1u) % HISTORY;
             count = min(count + 1u, HISTORY);
-            // Written for the dispatches after this one; no other invocation of this one reads what one has written.
+            // Stored for later dispatches. Within this one, no other invocation reads it.
             newest_rho = 1.0 / sums.x;
             if lane == 0u {
                 pairs[book + 2u + newest] = newest_rho;

@@ -1,13 +1,20 @@
-// The Hessian of a flat sheet inverted in its cosine modes, from Fourier spectra to Fourier spectra.
+// Inverts the Hessian of a flat sheet in its cosine modes, from Fourier spectrum to Fourier spectrum.
 //
-// With A = e_H(k) e_W(l) z[k, l] and B = e_H(k) conj(e_W(l)) conj(z[-k, l]), e_n(k) = exp(-i pi k / 2 n), the spectrum z of
-// a field in `cosine_order` holds four modes of its cosine transform: cc = Re(A + B) / 2 of (k, l), sc = -Im(A + B) / 2 of
-// (H - k, l), cs = -Im(A - B) / 2 of (k, W - l), ss = Re(B - A) / 2 of (H - k, W - l). Each is divided by its
-// eigenvalue lambda, and what they make is the spectrum of the result:
-// conj(e_H(k) e_W(l)) (cc - ss - i (sc + cs)).
-// z, out: [3 B, H, W / 2 + 1] complex; cloths: [B]; row_turns: [H], column_turns: [W / 2 + 1], (cos, sin)(pi k / 2 n).
-// One invocation: one element of the spectrum. Workgroups: (H (W / 2 + 1) / 64 along x, then y, and 3 B).
-// Adjoint: none, it is not trained.
+// With e_n(k) = exp(-i pi k / 2 n), A = e_H(k) e_W(l) z[k, l] and B = e_H(k) conj(e_W(l)) conj(z[-k, l]), the
+// spectrum z of a field in `cosine_order` holds four modes of its cosine transform:
+//   cc = Re(A + B) / 2 of (k, l)
+//   sc = -Im(A + B) / 2 of (H - k, l)
+//   cs = -Im(A - B) / 2 of (k, W - l)
+//   ss = Re(B - A) / 2 of (H - k, W - l)
+// Each is divided by its eigenvalue lambda, and out[k, l] = conj(e_H(k) e_W(l)) (cc - ss - i (sc + cs)).
+//
+// cloths: [B]
+// row_turns: [H], (cos, sin)(pi k / 2 H)
+// column_turns: [W / 2 + 1], (cos, sin)(pi l / 2 W)
+// z, out: [3 B, H, W / 2 + 1] complex
+//
+// One invocation per element of the spectrum. Workgroups: (H (W / 2 + 1) / 64 over x and y, 3 B in z).
+// Adjoint: none, the optimizer is not trained.
 
 struct Params {
     rows: u32, // H
@@ -27,7 +34,7 @@ fn times(a: vec2f, b: vec2f) -> vec2f {
     return vec2f(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x);
 }
 
-// Inertia, stretch, bend and shear of a small wave; `mu` is 2 - 2 cos(pi k / n) of both axes.
+// Returns lambda of a mode: inertia, stretch, bend and shear. `mu` is 2 - 2 cos(pi k / n) along either axis.
 fn eigenvalue(mu: vec2f, material: vec4f) -> f32 {
     let h = f32(params.rows);
     let w = f32(params.columns);
@@ -58,7 +65,7 @@ fn rest_modes(
     let a = times(times(e_h, e_w), z[field + element]);
     let b = times(times(e_h, conj * e_w), conj * opposite);
 
-    // mu of k and of n - k, without the cancellation of 1 - cos.
+    // mu of n - k (x) and of k (y), without the cancellation in 1 - cos.
     let mu_h = 4.0 * row_turns[k] * row_turns[k];
     let mu_w = 4.0 * column_turns[l] * column_turns[l];
     let cc = 0.5 * (a.x + b.x) / eigenvalue(vec2f(mu_h.y, mu_w.y), material);

@@ -1,11 +1,18 @@
 // The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
 //
-// With HEAD the scale is made on the way, from the rows' largest values, as `scalar_head` does: every workgroup makes that of its
-// sample, and the first of them keeps it.
-// field: [parts, s, H, Q] quads, to be added up, of the s samples from `first` on; scale: [s] from element `after` on, with HEAD made
-// of those from element `before` on; rows_max: [s, H, C]; weight: [C]; bias: [1]; fields: grad [S, H, W] = [B, 3, H, W], and from
-// element `hidden` on last gradient and last step, each like it; a: [S, H, W].
-// One invocation: some particles' components. Workgroups: (at most n / 256, s).
+// With HEAD, each workgroup first computes the new scale of its sample from the row maxima, as `scalar_head`
+// does, and the first workgroup of the sample stores it.
+//
+// field: [parts, s, H, Q] quads, parts to be summed, of the s samples from `first` on
+// rows_max: [s, H, C]
+// weight: [C]
+// bias: [1]
+// scale: [s] from element `after` on; with HEAD, computed from the [s] from element `before` on
+// fields: grad [S, H, W] = [B, 3, H, W], then from element `hidden` on last gradient and last step, of the
+//   same shape
+// a: [S, H, W]
+//
+// One invocation per component of one or more particles. Workgroups: (at most n / 256, s).
 // Adjoint: `update_adj`.
 
 struct Params {
@@ -14,7 +21,7 @@ struct Params {
     row_quads: u32, // Q
     samples: u32, // S
     parts: u32,
-    first: u32, // sample of S that is the first of field
+    first: u32, // first of the s samples among the S
     in_field: u32, // s
     hidden: u32,
     channels: u32, // C

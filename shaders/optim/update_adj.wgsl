@@ -1,13 +1,22 @@
-// The update rule backwards, with the authors' rule in place of the true adjoint: the cotangent of tanh(field) and that of
-// 2 tanh(scalar / 2) - 1 are divided by norms, each the root mean square over the samples of a group, and clamped to -CLAMP..CLAMP.
-// With groups of one sample every component of every cloth weighs the same, whatever its energies are (paper section 3.3).
+// Backward pass of the update rule, with the authors' rule in place of the true adjoint (paper section 3.3).
 //
-// step = scale tanh(field). The cotangent of the step is grad, that of the loss, times any positive factor, which the
-// division takes out again. Norms are kept above 1e-30, so that a cloth in equilibrium has cotangents 0.
-// field, adj_field: [S, H, Q] quads, adj_field zero in the padding; scalar, scale (after the step), adj_scalar: [S];
-// grad: [S, H, W].
-// One workgroup: one sample; its invocations add up in a fixed order, and what its group has each workgroup of the group adds
-// up for itself. Workgroups: (S).
+// step = scale tanh(field). The cotangents of tanh(field) and of 2 tanh(scalar / 2) - 1 are divided by norms
+// and clamped to -CLAMP..CLAMP. Each norm is the root mean square, over a group of samples, of the samples'
+// own norms. With groups of one sample, every component of every cloth has the same weight, whatever its
+// energies.
+// The cotangent of the step is grad, that of the loss, times any positive factor, which the division cancels.
+// Norms have a floor of 1e-30, so that the cotangents of a cloth in equilibrium are 0.
+//
+// field: [S, H, Q] quads
+// scalar: [S]
+// scale: [S], after the step
+// grad: [S, H, W]
+// adj_field: [S, H, Q] quads, zero in the padding
+// adj_scalar: [S]
+//
+// One workgroup per sample. Its invocations add up in a fixed order. Each workgroup computes the sums of its
+// whole group.
+// Workgroups: (S).
 // Adjoint: none, it is one.
 
 struct Params {
@@ -25,12 +34,12 @@ struct Params {
 @group(0) @binding(5) var<storage, read_write> adj_field: array<f32>;
 @group(0) @binding(6) var<storage, read_write> adj_scalar: array<f32>;
 
-// Samples of a group, at most 3.
+// Samples per group, at most 3.
 override TOGETHER: u32 = 1u;
 
 // Bound of a normalised cotangent.
 override CLAMP: f32;
-// The CPU's 1e-40 is no normal number here.
+// The CPU's 1e-40 would be subnormal here.
 const FLOOR: f32 = 1e-30;
 
 // (sum grad^2, sum grad tanh(field)).
@@ -42,14 +51,14 @@ fn update_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id)
     let all = params.rows * params.stride;
     let first = sample * params.rows * params.columns;
     let pace = params.share * scale[sample];
-    // Of each sample of the group: the norm of the cotangent of tanh(field), and the cotangent of the exponent.
+    // Per sample of the group: the norm of the cotangent of tanh(field), and the cotangent of the exponent.
     var sizes: array<vec2f, 3>;
     let begin = sample / TOGETHER * TOGETHER;
     for (var k = 0u; k < TOGETHER; k += 1u) {
         let sums = sums_of(begin + k, lane);
         sizes[k] = params.share * scale[begin + k] * vec2f(sqrt(sums.x), sums.y);
     }
-    // Squared beside the largest of them, none underflows that matters.
+    // Squares are relative to the largest, so that none that matters underflows.
     var largest = vec2f(FLOOR);
     for (var k = 0u; k < TOGETHER; k += 1u) {
         largest = max(largest, abs(sizes[k]));
@@ -78,7 +87,7 @@ fn update_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id)
     }
 }
 
-// The sums of a sample, the same for all invocations.
+// Returns the sums of a sample, the same in every invocation.
 fn sums_of(sample: u32, lane: u32) -> vec2f {
     let all = params.rows * params.stride;
     let first = sample * params.rows * params.columns;
@@ -90,7 +99,7 @@ fn sums_of(sample: u32, lane: u32) -> vec2f {
             sums += vec2f(g * g, g * tanh_exact(vec4f(field[sample * all + k])).x);
         }
     }
-    // All have read what the sample before left there.
+    // All invocations have read the sums of the previous sample.
     workgroupBarrier();
     partial[lane] = sums;
     for (var half = 128u; half > 0u; half /= 2u) {

@@ -1,5 +1,10 @@
 
-// What a Fourier block takes and makes. x, y: [S, H, C, Q] quads; rows_max: [S, H, C].
+// Bindings of a Fourier block.
+//
+// x: [S, H, C, Q] quads
+// y: [S, H, C, Q] quads
+// made: see `block`
+// rows_max: [S, H, C]
 @group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(7) var<storage, read_write> made: array<f32>;
@@ -9,12 +14,12 @@ const LIFTING: bool = false;
 
 fn prepare(_sample: u32, _row: u32, _first_quad: u32, _index: u32) {}
 
-// Only a lifting embeds.
+// Only a lifting has embedded channels.
 fn channel(_sample: u32, _e: u32, _row: u32, _quad: u32) -> vec4f {
     return vec4f();
 }
 
-// Input i at a quad of a row, of the inputs that have one weight for all rows.
+// Returns input i at a quad of a row, among the inputs whose weights are the same for all rows.
 fn input(sample: u32, i: u32, row: u32, quad: u32) -> vec4f {
     return vec4f(x[((sample * params.rows + row) * params.inputs + i) * params.row_quads + quad]);
 }

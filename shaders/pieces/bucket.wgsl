@@ -1,5 +1,6 @@
 
-// Where a bucket of cloth b begins among its sorted particles; reads what a kernel binds as ends [B, buckets].
+// Returns where a bucket of cloth b begins among its sorted particles, from the kernel's binding ends [B,
+// buckets].
 fn begin_of(b: u32, bucket: u32, buckets: u32) -> u32 {
     if bucket == 0u {
         return 0u;
@@ -7,7 +8,7 @@ fn begin_of(b: u32, bucket: u32, buckets: u32) -> u32 {
     return ends[b * buckets + bucket - 1u];
 }
 
-// Where it ends, among all of them.
+// Returns where the bucket ends, at most the number of particles.
 fn end_of(b: u32, bucket: u32, buckets: u32, particles: u32) -> u32 {
     return min(ends[b * buckets + bucket], particles);
 }

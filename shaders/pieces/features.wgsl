@@ -1,10 +1,13 @@
 
-// The network's input, from what a kernel binds as `fields` (gradient [S, H, W], and from element `hidden` on last gradient and last
-// step, each [S, H, W]) and as `partial_sums` of their squares, [S, parts, 2] (`gradient`).
+// Input of the network, from two bindings of the kernel.
+//
+// fields: gradient [S, H, W], then from element `hidden` on last gradient and last step, [S, H, W] each
+// partial_sums: [S, parts, 2] from sum `first_sum` on, partial sums of the squares of gradient and last step
+//   (`gradient`)
 
-// Where the fields of a sample are.
+// Location of the fields of a sample.
 struct FieldsOf {
-    sample: u32, // of S
+    sample: u32, // index among all S
     samples: u32, // S
     rows: u32, // H
     columns: u32, // W
@@ -13,11 +16,12 @@ struct FieldsOf {
     first_sum: u32,
 }
 
-// Sixteen sums of parts for either of two.
+// Sixteen partial sums for each of the two norms, interleaved.
 var<workgroup> sums_of_parts: array<f32, 32>;
 
-// sqrt n / |g| and sqrt n / |d| of a sample. All of a workgroup, `lanes` of them, take part. The root mean square is kept above 1e-19,
-// so that a zero field stays zero and one whose squares are no normal numbers is not blown up.
+// Returns sqrt n / |g| and sqrt n / |d| of a sample. All `lanes` invocations of a workgroup must call it. The
+// root mean square has a floor of 1e-19, so that a zero field stays zero and one whose squares are subnormal
+// is not blown up.
 fn inverse_sizes(at: FieldsOf, index: u32, lanes: u32) -> vec2f {
     for (var k = index; k < 32u; k += lanes) {
         var sum = 0.0;
@@ -35,7 +39,7 @@ fn inverse_sizes(at: FieldsOf, index: u32, lanes: u32) -> vec2f {
     return root / max(sqrt(squares), vec2f(1e-19 * root));
 }
 
-// Channel e at a quad of a row; zero beyond the last column.
+// Returns channel e at a quad of a row, zero beyond the last column.
 fn feature(at: FieldsOf, inverse: vec2f, e: u32, row: u32, quad: u32) -> vec4f {
     let columns = vec4u(0u, 1u, 2u, 3u) + 4u * quad;
     let inside = columns < vec4u(at.columns);
@@ -49,7 +53,7 @@ fn feature(at: FieldsOf, inverse: vec2f, e: u32, row: u32, quad: u32) -> vec4f {
     let field = select(at.hidden + (e - 1u) * at.samples * n, 0u, e == 0u);
     let first = field + at.sample * n + row * at.columns + 4u * quad;
     var v = vec4f();
-    // Written out: DirectX's older compiler stores nothing at an index that is a variable.
+    // Unrolled by hand: DirectX's older compiler drops stores at a variable index.
     if inside.x { v.x = fields[first]; }
     if inside.y { v.y = fields[first + 1u]; }
     if inside.z { v.z = fields[first + 2u]; }

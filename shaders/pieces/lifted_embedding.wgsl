@@ -1,5 +1,8 @@
 
-// What is lifted, as a kernel has embedded it. x: [S, H, E, Q] quads.
+// Bindings of a lifting whose input another kernel has embedded.
+//
+// x: [S, H, E, Q] quads
+// y, made: see `block`
 @group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(7) var<storage, read_write> made: array<f32>;

@@ -1,11 +1,15 @@
 
-// What is lifted, embedded on the way, of the quads of a workgroup. fields, partial_sums: see `features`.
+// Bindings of a lifting that embeds its own input, for the quads of its workgroup.
+//
+// fields, partial_sums: see `features`
+// y, made: see `block`
 @group(0) @binding(5) var<storage, read> fields: array<f32>;
 @group(0) @binding(6) var<storage, read> partial_sums: array<f32>;
 @group(0) @binding(7) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(8) var<storage, read_write> made: array<f32>;
 
-// Quads of E channels of SPAN * WIDE quads, which the workgroup's memory has behind those that are staged, AHEAD of them.
+// Embedded quads in workgroup memory, E channels of SPAN * WIDE quads. They follow the staged quads, AHEAD in
+// number.
 override EMBEDDED: u32 = 1;
 override AHEAD: u32 = 0;
 
@@ -21,7 +25,7 @@ fn prepare(sample: u32, row: u32, first_quad: u32, index: u32) {
     }
 }
 
-// A workgroup's quads begin at a multiple of SPAN * WIDE.
+// Returns channel e at a quad of a row. A workgroup's first quad is a multiple of SPAN * WIDE.
 fn channel(sample: u32, e: u32, row: u32, quad: u32) -> vec4f {
     if STAGED {
         return memory[AHEAD + e * SPAN * WIDE + quad % (SPAN * WIDE)];

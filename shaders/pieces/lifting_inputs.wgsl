@@ -1,8 +1,8 @@
 
-// What the lifting takes: its hidden units, made on the way.
+// Inputs of the lifting: its hidden units, computed on the fly.
 const LIFTING: bool = true;
 
-// Hidden unit i at a quad of a row.
+// Returns hidden unit i at a quad of a row.
 fn input(sample: u32, i: u32, row: u32, quad: u32) -> vec4f {
     let quads = params.embedded / 4u + 1u;
     var sum = vec4f();
@@ -15,7 +15,7 @@ fn input(sample: u32, i: u32, row: u32, quad: u32) -> vec4f {
     return gelu(sum);
 }
 
-// Channel e of what is lifted; behind the last one, what the bias is multiplied by.
+// Returns channel e of the embedded input; at e = E the 1 that the bias multiplies, beyond it 0.
 fn factor(sample: u32, e: u32, row: u32, quad: u32) -> vec4f {
     if e < params.embedded {
         return channel(sample, e, row, quad);

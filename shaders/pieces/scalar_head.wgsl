@@ -1,12 +1,14 @@
 
-// The scalar head, of what a kernel binds as rows_max [s, H, C], weight [C] and bias [1], and the step that it sets.
+// The scalar head, and the persistent scale it sets. Reads the kernel's bindings rows_max [s, H, C], weight
+// [C] and bias [1].
 
 const TEAMS: u32 = 4;
 
 var<workgroup> held: array<array<f32, 64>, TEAMS>;
 
-// bias + sum_c weight[c] max_i rows_max[sample, i, c], the same in every invocation of a workgroup of 64 x TEAMS: they take channels
-// in turn, 64 of them at once, and each team of 64 its share of the rows. Sums are added up in a fixed order. H is at least TEAMS.
+// Returns bias + sum_c weight[c] max_i rows_max[sample, i, c], the same in every invocation of a workgroup of
+// (64, TEAMS). The workgroup takes 64 channels at a time, and each team of 64 invocations a share of the
+// rows. Sums have a fixed order. H must be at least TEAMS.
 fn scalar_of(sample: u32, rows: u32, channels: u32, index: u32) -> f32 {
     let lane = index % 64u;
     let team = index / 64u;
@@ -41,7 +43,7 @@ fn scalar_of(sample: u32, rows: u32, channels: u32, index: u32) -> f32 {
     return held[0][0] + bias[0];
 }
 
-// The persistent scale after a pass whose scalar head gives `value` (update rule of the paper's section 3.3).
+// Returns the persistent scale after a pass whose scalar head is `value` (update rule, paper section 3.3).
 fn rescaled(scale: f32, value: f32) -> f32 {
     let half = tanh_exact(vec4f(0.5 * value)).x;
     return scale * exp(2.0 * half - 1.0);

@@ -1,11 +1,12 @@
 
-// A particle of the trial: its start, and what the trial moves it by (base + a, or base alone at a handle, whose way is prescribed).
+// A particle of the trial: its position at the start of the frame and its displacement, base + a for a free
+// particle, base alone for a handle, whose motion is prescribed.
 struct Trial {
     x: vec3f,
     shift: vec3f,
 }
 
-// Particle p of cloth b, of n; reads what a kernel binds as slots [B, n] and x, base, a [B, 3, n].
+// Returns particle p of cloth b, out of n, from the kernel's bindings slots [B, n] and x, base, a [B, 3, n].
 fn trial(b: u32, p: u32, n: u32) -> Trial {
     let at = b * 3u * n + p;
     let held = slots[b * n + p] != 0u;

@@ -1,11 +1,19 @@
-// AdamW on the whole vector of weights (Loshchilov and Hutter 2019), with the gradient shortened to a norm, and the running
-// mean of the weights.
+// AdamW on the whole weight vector (Loshchilov and Hutter 2019), with the gradient clipped to a norm, and the
+// running mean of the weights.
 //
-// g <- shorten gradient; m <- beta1 m + (1 - beta1) g; v <- beta2 v + (1 - beta2) g^2;
-// w <- shrink w - pace m / (sqrt(v) / root + epsilon); mean of w <- average mean + (1 - average) w.
-// The host makes the factors in double precision: shorten = min(clip / (norm + 1e-6), 1), shrink = 1 - rate decay,
-// pace = rate / (1 - beta1^t), root = sqrt(1 - beta2^t). All vectors: [n].
-// One invocation: one weight. Workgroups: (n / 64 along x, then y).
+// g <- shorten gradient
+// m <- beta1 m + (1 - beta1) g
+// v <- beta2 v + (1 - beta2) g^2
+// w <- shrink w - pace m / (sqrt(v) / root + epsilon)
+// averaged <- average averaged + (1 - average) w
+// The host computes the factors in double precision:
+//   shorten = min(clip / (norm + 1e-6), 1), shrink = 1 - rate decay
+//   pace = rate / (1 - beta1^t), root = sqrt(1 - beta2^t)
+//
+// factors: one `Factors`
+// gradient, weight (w), mean (m), square (v), averaged: [n]
+//
+// One invocation per weight. Workgroups: (n / 64 over x and y).
 // Adjoint: none, it is the optimizer.
 
 struct Params {

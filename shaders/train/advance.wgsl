@@ -1,8 +1,14 @@
-// Ends the frame of those cloths of a batch that are through their iterations: x += base + a, v = keep (base + a), a = 0; a
-// handle is where it is to be, with velocity 0 (paper section 3.3: as in the authors' pools, not as in a rollout).
+// Ends the frame of the cloths of a batch that have done all their iterations:
+//   x += base + a, v = keep (base + a), a = 0
+//   x = target, v = 0, a = 0 at a handle
+// The velocity of handles is 0 as in the authors' pools, not as in a rollout (paper section 3.3).
 //
-// drawn: [B]; slots: [B, n], 0 for a free particle, else 1 + its place in targets: [handles, 3]; base, x, v, a: [B, 3, n].
-// One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// drawn: [B]
+// slots: [B, n], 0 for a free particle, else 1 + the index of its target
+// targets: [handles, 3]
+// base, x, v, a: [B, 3, n]
+//
+// One invocation per component of a particle. Workgroups: (n / 64, 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
 struct Params {

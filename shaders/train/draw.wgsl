@@ -1,16 +1,23 @@
-// Takes the cloths of a batch out of their pool; one whose life starts is the sheet at rest, rotated, with all else fresh.
+// Copies the cloths of a batch out of their pool. A cloth that is reset is the rotated sheet at rest, with
+// everything else fresh.
 //
-// drawn: [B]; pool: [P, 5, 3, n] = x, v, a, last gradient, last step; pool_scale: [P, 3]; x, v, a: [B, 3, n];
-// hidden: [2, 3 B, n], last gradient and last step; scale: [3 B].
 // The sheet at rest has particle (i, j) at (j, i - (H-1)/2, 0).
-// One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+//
+// drawn: [B]
+// pool: [P, 5, 3, n] = x, v, a, last gradient, last step
+// pool_scale: [P, 3]
+// x, v, a: [B, 3, n]
+// hidden: [2, 3 B, n], last gradient and last step
+// scale: [3 B]
+//
+// One invocation per component of a particle. Workgroups: (n / 64, 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
 struct Params {
     rows: u32, // H
     columns: u32, // W
     samples: u32, // 3 B
-    scale: f32, // of a fresh memory
+    scale: f32, // of a fresh hidden state
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -1,7 +1,10 @@
-// Mean magnitude of the gradient of each cloth, over particles and components: sizes[b] = sum |grad[b]| / (3 n).
+// Mean magnitude of the gradient over particles and components of a cloth: sizes[b] = sum |grad[b]| / (3 n).
 //
-// grad: [B, 3 n]; sizes: [B]. One workgroup: one cloth; its invocations add up in a fixed order. Workgroups: (B).
-// Adjoint: none, it is a figure to look at.
+// grad: [B, 3 n]
+// sizes: [B]
+//
+// One workgroup per cloth. Its invocations add up in a fixed order. Workgroups: (B).
+// Adjoint: none, the value is only reported.
 
 struct Params {
     elements: u32, // 3 n

@@ -1,6 +1,10 @@
-// Sum of the squares of a part of a vector, or of a part itself where these are squares already: sums[part].
+// Sums a vector in parts: sums[part] = sum x[k]^2 over the part, or sum x[k] without SQUARE, where x holds
+// squares already.
 //
-// x: [n]; sums: [parts]. One workgroup: one part; its invocations add up in a fixed order. Workgroups: (parts).
+// x: [n]
+// sums: [parts]
+//
+// One workgroup per part. Its invocations add up in a fixed order. Workgroups: (parts).
 // Adjoint: none, the norm of a gradient is not differentiated.
 
 struct Params {

@@ -1,8 +1,13 @@
-// Puts the cloths of a batch back into their pool, the reverse of `draw`.
+// Copies the cloths of a batch back into their pool, the reverse of `draw`.
 //
-// drawn: [B]; x, v, a: [B, 3, n]; hidden: [2, 3 B, n], last gradient and last step; scale: [3 B];
-// pool: [P, 5, 3, n] = x, v, a, last gradient, last step; pool_scale: [P, 3].
-// One invocation: one particle's component. Workgroups: (n / 64, 3 B).
+// drawn: [B]
+// x, v, a: [B, 3, n]
+// hidden: [2, 3 B, n], last gradient and last step
+// scale: [3 B]
+// pool: [P, 5, 3, n] = x, v, a, last gradient, last step
+// pool_scale: [P, 3]
+//
+// One invocation per component of a particle. Workgroups: (n / 64, 3 B).
 // Adjoint: none, the state is a constant of the training step.
 
 struct Params {

@@ -1,12 +1,14 @@
-//! Elementary functions of the network and the energies in the machine's vector registers, where libraries have none or slow ones.
+//! Elementary functions of the network and the energies in vector registers, where libraries have none or
+//! slow ones.
 
 use pulp::{Arch, Simd, WithSimd};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
-/// The GELU is `max(x, 0) - h(|x|)` with `h(t) = t erfc(t / sqrt 2) / 2 <= 0.17`, so that an error of `h` stays small
-/// beside it; `h(t)` is nearly `t / p(t)^8` with the polynomial p below, lowest power first: minimax over 0 <= t <= 6 in
-/// the error of `h`, by iteratively reweighted least squares (Lawson) on 2000 Chebyshev nodes in double precision, 4.2e-8.
-/// Beyond 6 the eighth power buries `h`. With rounding the largest error is 2e-7 for |x| < 3, half an ulp from there on.
+/// The GELU is `max(x, 0) - h(|x|)` with `h(t) = t erfc(t / sqrt 2) / 2 <= 0.17`, so an error of `h` stays
+/// small relative to it. `h(t)` is approximately `t / p(t)^8` with the polynomial p below, lowest power
+/// first: minimax over 0 <= t <= 6 in the error of `h`, by iteratively reweighted least squares (Lawson) on
+/// 2000 Chebyshev nodes in double precision, 4.2e-8. Beyond 6 the eighth power makes `h` negligible. With
+/// rounding the largest error is 2e-7 for |x| < 3, and half an ulp beyond.
 const GELU_TAIL: [f32; 9] = [
     1.090_508_3,
     1.087_520_05e-1,
@@ -30,15 +32,16 @@ const GELU_TAIL_SLOPE: [f32; 8] = {
     slope
 };
 
-/// `tanh x` is nearly `x p(x^2) / q(x^2)` for |x| <= 9, clamped to -1..1: minimax in the relative error by the same
-/// method, 1.3e-9; with rounding 3e-7.
+/// `tanh x` is approximately `x p(x^2) / q(x^2)` for |x| <= 9, clamped to -1..1: minimax in the relative
+/// error by the same method, 1.3e-9; with rounding 3e-7.
 const TANH_P: [f32; 6] =
     [1.0, 1.368_085_7e-1, 3.869_508_4e-3, 2.803_132e-5, 3.064_254_8e-8, -1.224_626_1e-11];
 const TANH_Q: [f32; 5] = [1.0, 4.701_419e-1, 2.725_015_8e-2, 3.940_714e-4, 1.289_035_7e-6];
 const TANH_LIMIT: f32 = 9.0;
 
-/// `atan t` is nearly `t + t u p(u)` with `u = t^2` for 0 <= t <= 1: minimax by the same method, 6e-9; the 1 is kept apart so
-/// that rounding does not eat the first coefficient. It is what the shaders compute.
+/// `atan t` is approximately `t + t p(u)` with `u = t^2` for 0 <= t <= 1: minimax by the same method, 6e-9.
+/// The leading 1 is kept separate so that rounding does not swallow the first coefficient. The shaders use
+/// the same polynomial.
 const ATAN: [f32; 9] = [
     -1.136e-7,
     -3.333_259_7e-1,
@@ -51,7 +54,8 @@ const ATAN: [f32; 9] = [
     2.456_718_2e-3,
 ];
 
-/// The same with u = t^2 for 0 <= t <= tan(pi / 8), by Remez's exchange in 40 digits, 1.3e-18: for double precision.
+/// For double precision: `atan t` is approximately `t + t u p(u)` with `u = t^2` for 0 <= t <= tan(pi / 8),
+/// by the Remez exchange in 40 digits, 1.3e-18.
 const ATAN_DOUBLE: [f64; 11] = [
     -3.333_333_333_333_32e-1,
     1.999_999_999_995_404_3e-1,
@@ -65,26 +69,26 @@ const ATAN_DOUBLE: [f64; 11] = [
     3.807_701_034_235_288e-2,
     -1.792_081_213_567_108_7e-2,
 ];
-/// A little less than tan(pi / 8), from where on 45 degrees are taken off.
+/// Slightly less than tan(pi / 8). Beyond it, the angle is computed as 45 degrees minus the rest.
 const EIGHTH: f64 = 0.414_2;
 
-/// [`Real::gelu`](super::Real::gelu) in single precision.
+/// Computes [`Real::gelu`](super::Real::gelu) in single precision.
 pub(super) fn gelu(values: &mut [f32]) {
     Arch::new().dispatch(Map { values, function: Gelu });
 }
 
-/// [`Real::gelu_and_slope`](super::Real::gelu_and_slope) in single precision.
+/// Computes [`Real::gelu_and_slope`](super::Real::gelu_and_slope) in single precision.
 pub(super) fn gelu_and_slope(values: &mut [f32], slopes: &mut [f32]) {
     Arch::new().dispatch(GeluAndSlope { values, slopes });
 }
 
-/// [`Real::squash`](super::Real::squash) in single precision.
+/// Computes [`Real::squash`](super::Real::squash) in single precision.
 pub(super) fn squash(values: &mut [f32], factor: f32, amplitude: f32) {
     Arch::new().dispatch(Map { values, function: Squash { factor, amplitude } });
 }
 
-/// A function of the numbers of a register. Neither closures nor iterator adapters appear in its body: they would not be
-/// compiled for the registers that are found at run time.
+/// A function applied to the lanes of a register. Its body contains neither closures nor iterator adapters:
+/// they would not be compiled for the instruction set detected at run time.
 trait Lanewise: Copy {
     fn of<S: Simd>(self, simd: S, x: S::f32s) -> S::f32s;
 }
@@ -122,7 +126,7 @@ impl Lanewise for Gelu {
         let p2 = simd.mul_f32s(p, p);
         let p4 = simd.mul_f32s(p2, p2);
         let p8 = simd.mul_f32s(p4, p4);
-        // (x + |x|) / 2 rather than a maximum, which would swallow a NaN.
+        // (x + |x|) / 2 instead of a maximum, which would swallow a NaN.
         let positive = simd.mul_f32s(simd.splat_f32s(0.5), simd.add_f32s(x, t));
         simd.sub_f32s(positive, simd.div_f32s(t, p8))
     }
@@ -152,10 +156,11 @@ impl WithSimd for GeluAndSlope<'_> {
     }
 }
 
-/// The derivative of what [`Gelu`] computes: with `h = t / p^8`, `h' = (1 - 8 t p' / p) / p^8`. Its error is 2.5e-6, at 0.
+/// Returns the derivative of what [`Gelu`] computes: with `h = t / p^8`, `h' = (1 - 8 t p' / p) / p^8`. Its
+/// largest error is 2.5e-6, at 0.
 #[inline(always)]
 fn gelu_slope<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
-    // Beyond this the derivative is 0 or 1 (here to 2e-23), and the powers would overflow.
+    // Beyond 12 the derivative is 0 or 1 (here to 2e-23), and the powers would overflow.
     let t = simd.min_f32s(simd.abs_f32s(x), simd.splat_f32s(12.0));
     let p = horner(simd, t, &GELU_TAIL);
     let inverse = simd.div_f32s(simd.splat_f32s(1.0), p);
@@ -181,12 +186,13 @@ impl Lanewise for Squash {
         let u = simd.mul_f32s(z, z);
         let p = simd.mul_f32s(z, horner(simd, u, &TANH_P));
         let tanh = clamp(simd, simd.div_f32s(p, horner(simd, u, &TANH_Q)), 1.0);
-        // Clamped, a NaN would have become a number.
+        // The clamp would have turned a NaN into a number.
         simd.select_f32s(simd.equal_f32s(x, x), simd.mul_f32s(simd.splat_f32s(self.amplitude), tanh), x)
     }
 }
 
-/// The arc tangent of the smaller over the larger, mirrored at 45 and at 90 degrees.
+/// Computes [`Real::angle`](super::Real::angle) in single precision: the arc tangent of the smaller over the
+/// larger, mirrored at 45 and at 90 degrees.
 #[inline(always)]
 pub(super) fn angle<S: Simd>(simd: S, sine: S::f32s, cosine: S::f32s) -> S::f32s {
     let c = simd.abs_f32s(cosine);
@@ -200,7 +206,8 @@ pub(super) fn angle<S: Simd>(simd: S, sine: S::f32s, cosine: S::f32s) -> S::f32s
     simd.select_f32s(obtuse, simd.sub_f32s(simd.splat_f32s(PI as f32), right), right)
 }
 
-/// The same in double precision, mirrored at 22.5 degrees, too: `atan (s / l) = 45 degrees - atan ((l - s) / (l + s))`.
+/// Computes [`Real::angle`](super::Real::angle) in double precision. Unlike [`angle`], also reduces at 22.5
+/// degrees: `atan (s / l) = 45 degrees - atan ((l - s) / (l + s))`.
 #[inline(always)]
 pub(super) fn double_angle<S: Simd>(simd: S, sine: S::f64s, cosine: S::f64s) -> S::f64s {
     let c = simd.abs_f64s(cosine);
@@ -227,7 +234,7 @@ fn clamp<S: Simd>(simd: S, x: S::f32s, limit: f32) -> S::f32s {
     simd.min_f32s(simd.max_f32s(x, simd.splat_f32s(-limit)), simd.splat_f32s(limit))
 }
 
-/// A polynomial with its lowest power first, by Horner's rule.
+/// Evaluates a polynomial, lowest power first, by Horner's rule.
 #[inline(always)]
 fn horner<S: Simd, const N: usize>(simd: S, x: S::f32s, coefficients: &[f32; N]) -> S::f32s {
     let mut sum = simd.splat_f32s(coefficients[N - 1]);
@@ -288,7 +295,7 @@ mod tests {
                 f64::gelu(&mut v);
                 v[0]
             };
-            // Five points, an error of delta to the fourth.
+            // Five-point formula with an error of order `delta^4`.
             let near = |k: f64| gelu(x + k * delta);
             let expected = (8.0 * (near(1.0) - near(-1.0)) - (near(2.0) - near(-2.0))) / (12.0 * delta);
             let (mut v, mut slope) = ([x], [0.0]);
@@ -358,7 +365,7 @@ mod tests {
                 assert!(error <= 2e-7 * exact, "atan2({sine:e}, {cosine:e}) = {angle}, not {exact}");
             }
         }
-        // Small angles keep their relative precision, and nothing has no angle.
+        // Small angles keep their relative precision, and vectors of length zero have an angle of 0.
         let (mut angles, cosines) = ([1e-30f32, 1e-7, 0.0, 0.0, 0.0], [1.0, -1.0, 0.0, 2.0, -2.0]);
         pulp::Arch::new().dispatch(Angles { sines: &mut angles, cosines: &cosines });
         assert!((angles[0] - 1e-30).abs() < 2e-37, "{:e}", angles[0]);

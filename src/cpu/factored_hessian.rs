@@ -1,4 +1,4 @@
-//! The sparse Hessian of a frame's energy and its Cholesky factors: a Newton step.
+//! Newton steps from the sparse Hessian of a frame's energy and its Cholesky factors.
 
 use super::cloth::{AFTER, Hessian, Projection, Trial, neighbours};
 use crate::cpu::optim::InverseHessian;
@@ -14,56 +14,59 @@ use faer::sparse::linalg::cholesky::{
 use faer::sparse::{SparseColMatRef, SymbolicSparseColMat};
 use faer::{Conj, MatMut, Par, Side};
 
-/// The share of the negative curvature that is left out at first: less is rarely enough far from the minimum, and to find that
-/// out costs as much as factors that are of use.
+/// The share of the negative curvature to remove at first. Less is rarely enough far from the minimum, and
+/// finding that out costs as much as a successful factorisation.
 const FIRST: Projection = Projection(0.25);
-/// The least share that is left out where all of it is too much.
+/// The smallest nonzero share to remove.
 const LEAST: f64 = 1.0 / 64.0;
-/// By how much the share grows when it was not enough, and shrinks after it was.
+/// Factors by which the share grows after a failed factorisation (`STEP`) and shrinks after a successful one
+/// (`EASE`).
 const STEP: f64 = 8.0;
 const EASE: f64 = 2.0;
 
-/// Columns that are factored together though some of them have zeros there: up to how many, and up to which share of zeros.
-/// Three unknowns to a particle want more together than faer's default; measured on 100x100.
+/// Amalgamation of supernodes: up to how many columns, and up to which fraction of zeros. Three unknowns per
+/// particle favour larger supernodes than faer's default; measured on 100x100.
 const RELAX: &[(usize, f64)] = &[(12, 1.0), (24, 0.8), (64, 0.1), (usize::MAX, 0.05)];
 
-/// What there is no memory for.
+/// What the error names when memory runs out.
 const FACTORS: &str = "a Hessian's factors";
 
-/// The least pivot of a definite matrix, beside its largest element.
+/// Smallest pivot of a definite matrix, relative to its largest element.
 const ROUNDING: f32 = 1e-6;
 
-/// The inverse Hessian of a cloth at a trial, by its Cholesky factors in single precision: a step is measured on the energy
-/// itself, and what rounding adds to one is undone by the next.
+/// The inverse Hessian of a cloth at a trial, by its Cholesky factors in single precision. That suffices: a
+/// step is judged by the energy itself, and the next step undoes the rounding error of this one.
 ///
-/// The unknowns are the components of one particle after the other, particles in an order that leaves the factors sparse (minimum
-/// degree). The pattern is the same at every trial, so that its symbolic factorisation and all memory are made once.
+/// The unknowns are ordered by particle, three components each, and the particles by minimum degree, which
+/// keeps the factors sparse. The pattern is the same at every trial, so the symbolic factorisation and all
+/// memory are set up once.
 pub struct FactoredHessian {
     grid: Grid,
     hessian: Hessian,
-    /// Particles by their place among the unknowns.
+    /// Particles in the order of the unknowns.
     order: Vec<usize>,
-    /// The lower triangle, and where in the Hessian each of its numbers is.
+    /// The pattern of the lower triangle, and the place of each of its numbers in the Hessian.
     pattern: SymbolicSparseColMat<usize>,
     sources: Vec<u32>,
     values: Vec<f32>,
     symbolic: SymbolicCholesky<usize>,
-    /// Of the last trial that was factored.
+    /// Factors of the last trial.
     factors: Vec<f32>,
     workspace: MemBuffer,
     unknowns: Vec<f32>,
-    /// What was needed last, eased.
+    /// The projection to try next: the last one that was needed, eased.
     projection: Projection,
 }
 
 impl FactoredHessian {
-    /// Analyses the pattern of a grid; an error when memory does not suffice.
+    /// Analyses the pattern of a grid. Returns an error if there is not enough memory.
     pub fn new(grid: Grid) -> Result<Self> {
         let n = grid.particles();
         let hessian = Hessian::new(grid)?;
         let (order, places) = minimum_degree(grid)?;
         let (mut starts, mut rows, mut sources) = (vec![0], Vec::new(), Vec::new());
-        // Of a component: the lower half of what it shares with its own particle and with the others.
+        // Per component, on average: 2 numbers of its particle's own lower triangle, and 3 for each of the
+        // particles after it.
         let most = 3 * n * (2 + 3 * AFTER);
         memory::reserve(&mut rows, most, FACTORS)?;
         memory::reserve(&mut sources, most, FACTORS)?;
@@ -90,7 +93,8 @@ impl FactoredHessian {
         let supernodal_params = SymbolicSupernodalParams { relax: Some(RELAX) };
         let params = CholeskySymbolicParams { supernodal_params, ..Default::default() };
         let symbolic = {
-            // With the identity for an ordering faer analyses the upper triangle; what it factors is the lower one as it is.
+            // With the identity ordering faer analyses the upper triangle, but factors the lower one as
+            // given.
             let upper = pattern.as_ref().transpose().to_col_major().map_err(unsolved)?;
             let ordering = SymmetricOrdering::Identity;
             factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, ordering, params).map_err(unsolved)?
@@ -117,21 +121,23 @@ impl FactoredHessian {
         })
     }
 
-    /// Forgets how much of the negative curvature had to be left out.
+    /// Resets the projection to its first value.
     pub fn reset(&mut self) {
         self.projection = FIRST;
     }
 
-    /// Factors the Hessian at a trial with as little of its negative curvature left out as makes it positive definite.
+    /// Factors the Hessian at a trial, removing about as little of its negative curvature as makes it
+    /// positive definite.
     ///
-    /// A full projection is always definite, and converges slowly: of a folded sheet much is compressed, and the projection
-    /// is far stiffer there than the cloth.
+    /// Full projection always gives a definite matrix but converges slowly: much of a folded sheet is
+    /// compressed, and there the projected Hessian is far stiffer than the cloth.
     pub fn factor(&mut self, trial: &Trial<'_, f64>) -> Result<()> {
         loop {
             self.assemble(trial, self.projection);
             let matrix = SparseColMatRef::new(self.pattern.as_ref(), &self.values);
             let Projection(share) = self.projection;
-            // Without its negative curvature a matrix is definite, and a pivot that is not is so by rounding alone.
+            // Without negative curvature the matrix is definite, so a pivot that is not positive is due to
+            // rounding alone.
             let largest = self.values.iter().fold(0.0, |most: f32, v| most.max(v.abs()));
             let regularization = match share < 1.0 {
                 true => LltRegularization::default(),
@@ -160,7 +166,7 @@ impl FactoredHessian {
         }
     }
 
-    /// Sets the lower triangle; a handle's rows and columns are those of the unit matrix.
+    /// Assembles the lower triangle. Rows and columns of handles are those of the identity.
     fn assemble(&mut self, trial: &Trial<'_, f64>, projection: Projection) {
         let Self { grid, hessian, .. } = self;
         let (grid, n) = (*grid, grid.particles());
@@ -201,7 +207,7 @@ impl InverseHessian<f64> for FactoredHessian {
     }
 }
 
-/// Particles in an order of few fill-ins, and the place of each.
+/// Returns the particles in an order that causes little fill-in, and the place of each in that order.
 fn minimum_degree(grid: Grid) -> Result<(Vec<usize>, Vec<usize>)> {
     let n = grid.particles();
     let (mut starts, mut rows) = (vec![0], Vec::new());

@@ -1,4 +1,5 @@
-//! Full two-dimensional real Fourier transforms on a library: the oracle for the truncated transform of the operator.
+//! Full two-dimensional real Fourier transforms by a library: the reference for the operator's truncated
+//! transform.
 
 use super::Real;
 use crate::sim::Grid;
@@ -16,7 +17,7 @@ pub enum Norm {
     Backward,
 }
 
-/// Transforms between fields [.., H, W] and their half spectra [.., H, W/2 + 1], row k_h = 0 first.
+/// Transforms between fields [.., H, W] and their half spectra [.., H, W/2 + 1], whose first row is k_h = 0.
 pub struct Fft2<T: Real> {
     grid: Grid,
     norm: Norm,
@@ -26,7 +27,7 @@ pub struct Fft2<T: Real> {
 }
 
 impl<T: Real> Fft2<T> {
-    /// Transforms on a grid.
+    /// Plans the transforms on a grid.
     pub fn new(grid: Grid, norm: Norm) -> Self {
         let mut planner = RealFftPlanner::new();
         Self {
@@ -38,12 +39,12 @@ impl<T: Real> Fft2<T> {
         }
     }
 
-    /// Columns of a half spectrum, `W/2 + 1`.
+    /// Returns the number of columns of a half spectrum, `W/2 + 1`.
     pub fn columns(&self) -> usize {
         self.grid.w / 2 + 1
     }
 
-    /// The spectra of a batch of fields, shape [.., H, W].
+    /// Returns the half spectra of a batch of fields, shape [.., H, W].
     pub fn forward(&self, fields: &[T]) -> Vec<Complex<T>> {
         let factor = self.factor(Norm::Forward);
         let mut spectra = Vec::with_capacity(fields.len() / self.grid.w * self.columns());
@@ -57,8 +58,8 @@ impl<T: Real> Fft2<T> {
         spectra
     }
 
-    /// The fields of a batch of half spectra, shape [.., H, W/2 + 1]. Of columns that are their own conjugates only the
-    /// Hermitian part counts.
+    /// Returns the fields of a batch of half spectra, shape [.., H, W/2 + 1]. Only the Hermitian part of
+    /// columns that are their own conjugates counts.
     pub fn inverse(&self, spectra: &[Complex<T>]) -> Vec<T> {
         let factor = self.factor(Norm::Backward);
         // The inverse is the forward transform between two conjugations.
@@ -82,7 +83,8 @@ impl<T: Real> Fft2<T> {
         if self.norm == direction { T::of(1.0 / self.grid.particles() as f64) } else { T::one() }
     }
 
-    /// The complex transform of every column, made of the real transforms of its real and imaginary parts.
+    /// Applies the complex transform to every column, composed of the real transforms of its real and
+    /// imaginary parts.
     fn along_columns(&self, spectra: &mut [Complex<T>]) {
         let (h, columns) = (self.grid.h, self.columns());
         let transform = |mut part: Vec<T>| {

@@ -1,24 +1,26 @@
-//! The one matrix product of the CPU path: small panels of row-major matrices, held in vector registers.
+//! The matrix product of the CPU path: small panels of row-major matrices, held in vector registers.
 //!
-//! Every linear stage of the operator is brought to the form `out = start + sum over terms of A B`, in which the channels
-//! run along the registers, so that a few thousand elements of activations stay in the first-level cache from one stage
-//! to the next. The products of a general library pack both operands first, which costs as much as such a small product.
+//! Every linear stage of the operator takes the form `out = start + sum over terms of A B`, with channels
+//! running along the registers. A few thousand elements of activations then stay in the first-level cache
+//! from one stage to the next. A general library packs both operands first, which costs as much as such a
+//! small product.
 
 use super::real::Real;
 use pulp::{Simd, WithSimd};
 use std::time::Instant;
 
-/// Channel counts are padded to a multiple of this, the widest register in use.
+/// Channel counts are padded to a multiple of this, the number of lanes of the widest register in use.
 pub(crate) const LANES: usize = 16;
-/// Rows of `out` that one block of registers holds.
+/// Rows of `out` that one block holds in registers.
 const BLOCK_ROWS: usize = 6;
 
-/// One product `A B` of a sum: A of shape [M, K] with `a_stride` between rows, B of shape [K, N] with `b_stride`.
+/// One product `A B` of a sum: A of shape [M, K] with `a_stride` between rows, B of shape [K, N] with
+/// `b_stride`.
 pub(crate) struct Term<'a, T> {
     pub a: &'a [T],
     /// Numbers between the rows of A, or of its transpose.
     pub a_stride: usize,
-    /// Whether `a` holds the transpose [K, M] of A, as where a sum runs over positions.
+    /// Whether `a` holds the transpose [K, M] of A, as in sums over positions.
     pub a_transposed: bool,
     pub b: &'a [T],
     pub b_stride: usize,
@@ -26,7 +28,8 @@ pub(crate) struct Term<'a, T> {
     pub depth: usize,
 }
 
-/// Where a product goes: M rows of N numbers with `stride` between rows; N is a multiple of [`LANES`].
+/// The destination of a product: M rows of N numbers with `stride` between rows. N is a multiple of
+/// [`LANES`].
 pub(crate) struct Target<'a, T> {
     pub out: &'a mut [T],
     pub stride: usize,
@@ -35,39 +38,42 @@ pub(crate) struct Target<'a, T> {
     pub start: Start<'a, T>,
 }
 
-/// What a product is added to.
+/// The initial value to which a product is added.
 #[derive(Clone, Copy)]
 pub(crate) enum Start<'a, T> {
     Zero,
     /// The same numbers for each row, shape \[N\], such as a bias.
     Row(&'a [T]),
-    /// What the target holds.
+    /// The current contents of the target.
     Target,
 }
 
-/// `out[m, n] = start[n] + sum over terms and k of a[m, k] b[k, n]`, summed in this order whatever the threads do.
+/// Computes `out[m, n] = start[n] + sum over terms and k of a[m, k] b[k, n]`, summed in this order whatever
+/// the number of threads.
 pub(crate) fn product<T: Real>(target: Target<'_, T>, terms: &[Term<'_, T>]) {
     assert!(target.columns.is_multiple_of(LANES), "columns come in multiples of the register width");
     pulp::Arch::new().dispatch(Product { target, terms });
 }
 
-/// `out[m] = start + sum over k of a[m, k] weight[k]` for rows of `weight.len()` numbers, a multiple of [`LANES`].
+/// Computes `out[m] = start + sum over k of a[m, k] weight[k]` for rows of `weight.len()` numbers, a multiple
+/// of [`LANES`].
 pub(crate) fn weighted_rows<T: Real>(out: &mut [T], start: T, a: &[T], weight: &[T]) {
     pulp::Arch::new().dispatch(WeightedRows { out, start, a, weight });
 }
 
-/// `sums[n] += sum over m of rows[m, n]`, rows of `sums.len()` numbers, a multiple of [`LANES`].
+/// Computes `sums[n] += sum over m of rows[m, n]` for rows of `sums.len()` numbers, a multiple of [`LANES`].
 pub(crate) fn add_rows<T: Real>(sums: &mut [T], rows: &[T]) {
     pulp::Arch::new().dispatch(AddRows { sums, rows });
 }
 
-/// `largest[n] = max(largest[n], rows[m, n])` over all rows, each of `largest.len()` numbers.
+/// Computes `largest[n] = max(largest[n], rows[m, n])` over all rows, each of `largest.len()` numbers.
 pub(crate) fn largest_rows<T: Real>(largest: &mut [T], rows: &[T]) {
     pulp::Arch::new().dispatch(LargestRows { largest, rows });
 }
 
-/// Operations per second that the product reaches on all threads of the current rayon pool when nothing else limits it: in
-/// single precision, on operands that stay in the first-level cache. Takes a third of a second.
+/// Measures the peak rate of the product in floating-point operations per second, on all threads of the
+/// current rayon pool: in single precision, on operands that stay in the first-level cache. Takes a third of
+/// a second.
 pub fn product_rate() -> f64 {
     const SIZE: usize = 64;
     const ROWS: usize = 6 * BLOCK_ROWS;
@@ -108,7 +114,7 @@ impl<T: Real> WithSimd for Product<'_, '_, T> {
     fn with_simd<S: Simd>(mut self, simd: S) {
         let width = LANES / T::lanes::<S>(&[T::zero(); LANES]).len();
         let mut column = 0;
-        // Blocks of 6 x 4 registers fill a file of 32, blocks of 6 x 2 one of 16.
+        // Blocks of 6 x 4 accumulators fit 32 registers, blocks of 6 x 2 fit 16.
         let wide = if S::REGISTER_COUNT >= 32 { 4 } else { 2 };
         while column < self.target.columns {
             let left = (self.target.columns - column) / width;
@@ -126,7 +132,7 @@ impl<T: Real> WithSimd for Product<'_, '_, T> {
     }
 }
 
-/// `V` registers of columns from `column` on, all rows, in blocks of nearly equal height.
+/// Computes `V` registers of columns from `column` on, for all rows, in blocks of nearly equal height.
 #[inline(always)]
 fn panel<T: Real, S: Simd, const V: usize>(simd: S, p: &mut Product<'_, '_, T>, column: usize) {
     let rows = p.target.rows;

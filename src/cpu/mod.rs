@@ -1,8 +1,8 @@
-//! The CPU path: the stages of a frame and of a training step in plain Rust, generic over [`Real`], and the converged minimum of a
-//! frame ([`Reference`]).
+//! The CPU path: the stages of a frame and of a training step in plain Rust, generic over [`Real`], and the
+//! converged minimum of a frame ([`Reference`]).
 //!
-//! In f64 it is the definition of correct against which every shader is tested; in f32, threaded and vectorised, it is
-//! what runs where there is no GPU adapter.
+//! In f64 it defines what is correct: every shader is tested against it. In f32, threaded and vectorised, it
+//! runs where there is no GPU adapter.
 
 pub mod cloth;
 mod elementary;

@@ -1,4 +1,5 @@
-//! What a frame minimises: the energy of each cloth of a batch as a function of its accelerations, and its gradient.
+//! The objective of a frame: the energy of each cloth of a batch as a function of its accelerations, and its
+//! gradient.
 
 use super::Real;
 use super::cloth::{
@@ -11,13 +12,14 @@ use rayon::prelude::*;
 /// The energies L(a) of a batch of cloths (paper section 3.2).
 pub struct Objective<T> {
     pub(super) trial: Trials<T>,
-    /// Of each cloth.
+    /// One per cloth.
     rows: Vec<GradientRows<T>>,
-    /// External accelerations and those of the repulsion [edges / frame^2], shape [B, 3, H, W]; empty where no cloth has one.
+    /// External accelerations plus those of the repulsion [edges / frame^2], shape [B, 3, H, W]; empty if no
+    /// cloth repels.
     pushed: Vec<T>,
     /// Gradient dL/da, shape [B, 3, H, W].
     pub(super) grad: Vec<T>,
-    /// Its norm for each component of each cloth, shape [B, 3].
+    /// The norm of the gradient for each component of each cloth, shape [B, 3].
     pub(super) norms: Vec<f64>,
 }
 
@@ -26,7 +28,7 @@ pub(super) struct Trials<T> {
     pub model: Model,
     /// Accelerations [edges / frame^2], shape [B, 3, H, W].
     pub a: Vec<T>,
-    /// What they move the particles by \[edges\], shape [B, 3, H, W].
+    /// The displacements that they cause \[edges\], shape [B, 3, H, W].
     shift: Vec<T>,
     /// External accelerations [edges / frame^2], shape [B, 3, H, W].
     f: Vec<T>,
@@ -35,7 +37,7 @@ pub(super) struct Trials<T> {
 }
 
 impl<T: Real> Objective<T> {
-    /// For the cloths of `model`, with a = 0.
+    /// Builds the objective for the cloths of `model`, at a = 0.
     pub fn new(model: &Model) -> Self {
         let zeros = || vec![T::zero(); model.batch() * 3 * model.grid.particles()];
         let pushed = if model.repels() { zeros() } else { Vec::new() };
@@ -54,7 +56,7 @@ impl<T: Real> Objective<T> {
         }
     }
 
-    /// Takes other cloths, as many on the same grid.
+    /// Replaces the cloths with as many others on the same grid. Panics if the sizes differ.
     pub fn set_model(&mut self, model: &Model) {
         let old = &mut self.trial.model;
         assert!(model.grid == old.grid && model.batch() == old.batch(), "the sizes stay");
@@ -63,28 +65,28 @@ impl<T: Real> Objective<T> {
         self.trial.slots = model.handle_slots();
     }
 
-    /// The cloths.
+    /// Returns the cloths.
     pub fn model(&self) -> &Model {
         &self.trial.model
     }
 
-    /// The gradient dL/da of the last [`Objective::evaluate`], shape [B, 3, H, W].
+    /// Returns the gradient dL/da of the last [`Objective::evaluate`], shape [B, 3, H, W].
     pub fn grad(&self) -> &[T] {
         &self.grad
     }
 
-    /// Its norm for each component of each cloth, shape [B, 3].
+    /// Returns the norm of the gradient for each component of each cloth, shape [B, 3].
     pub fn norms(&self) -> &[f64] {
         &self.norms
     }
 
-    /// Numbers in one cloth's arrays.
+    /// Returns the length of one cloth's arrays.
     pub fn cloth_len(&self) -> usize {
         3 * self.trial.model.grid.particles()
     }
 
-    /// Starts a frame: gravity, wind and the external accelerations of `control` stay the same during it. Panics when a length is
-    /// not the model's.
+    /// Starts a frame, during which gravity, wind and the external accelerations of `control` are constant.
+    /// Panics if a length does not match the model.
     pub fn begin_frame(&mut self, state: &State<T>, control: &Control<T>) {
         let Trials { model, f, .. } = &mut self.trial;
         let (grid, batch, cloth) = (model.grid, model.batch(), 3 * model.grid.particles());
@@ -111,12 +113,13 @@ impl<T: Real> Objective<T> {
         }
     }
 
-    /// Sets the accelerations \[edges / frame^2\] that are tried, shape [B, 3, H, W]. Panics when their number is not the model's.
+    /// Sets the trial accelerations \[edges / frame^2\], shape [B, 3, H, W]. Panics if the length does not
+    /// match the model.
     pub fn set_accelerations(&mut self, a: &[T]) {
         self.trial.a.copy_from_slice(a);
     }
 
-    /// Moves the particles to where the accelerations lead.
+    /// Moves the particles to where the trial accelerations lead.
     pub fn place(&mut self, state: &State<T>, control: &Control<T>) {
         let cloth = self.cloth_len();
         let Trials { shift, a, slots, .. } = &mut self.trial;
@@ -127,7 +130,7 @@ impl<T: Real> Objective<T> {
         }
     }
 
-    /// [`Objective::place`], then sets the gradient there and its norms.
+    /// Moves the particles as [`Objective::place`] does, then computes the gradient there and its norms.
     pub fn evaluate(&mut self, state: &State<T>, control: &Control<T>) {
         self.place(state, control);
         let cloth = self.cloth_len();
@@ -142,7 +145,7 @@ impl<T: Real> Objective<T> {
         let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
             let mut of_gradient = trial.cloth(state, b);
             if !pushed.is_empty() {
-                // It depends on positions alone, so to a gradient it is an external force.
+                // The repulsion depends on positions alone, so to the gradient it is an external force.
                 of_gradient.f = &pushed[b * cloth..][..cloth];
             }
             gradient(&of_gradient, rows, grad);
@@ -151,7 +154,7 @@ impl<T: Real> Objective<T> {
             }
         };
         match &mut rows[..] {
-            // One cloth is no reason to wake a thread.
+            // A single cloth is not worth waking a thread for.
             [rows] => of_cloth(0, grad, norms, rows),
             rows => {
                 let grads = grad.par_chunks_exact_mut(cloth).zip(norms.par_chunks_exact_mut(3));
@@ -161,8 +164,8 @@ impl<T: Real> Objective<T> {
         }
     }
 
-    /// Sets the accelerations of the handles to those that minimise their terms of the energy, the external ones: nothing else
-    /// depends on them, as handles go where they are told.
+    /// Sets the accelerations of the handles to the external ones, which minimise their terms of the energy.
+    /// Nothing else depends on them, since handles move to their targets regardless.
     pub(super) fn settle_handles(&mut self) {
         let Trials { model, a, f, .. } = &mut self.trial;
         let n = model.grid.particles();
@@ -174,7 +177,7 @@ impl<T: Real> Objective<T> {
         }
     }
 
-    /// Energy terms of cloth `b` where the particles are.
+    /// Returns the energy terms of cloth `b` at the current trial.
     pub fn energy(&self, state: &State<T>, b: usize) -> EnergyTerms {
         let trial = self.trial.cloth(state, b);
         let mut terms = energy(&trial);
@@ -184,12 +187,12 @@ impl<T: Real> Objective<T> {
         terms
     }
 
-    /// Largest and mean stretch of cloth `b` where the particles are.
+    /// Returns the largest and the mean stretch of cloth `b` at the current trial.
     pub fn stretch(&self, state: &State<T>, b: usize) -> (f64, f64) {
         stretch(&self.trial.cloth(state, b))
     }
 
-    /// Ends the frame: `state` is where the particles are.
+    /// Ends the frame: moves `state` to the current trial.
     pub fn end_frame(&self, state: &mut State<T>, control: &Control<T>) {
         let cloth = self.cloth_len();
         let parts = state.x.chunks_exact_mut(cloth).zip(state.v.chunks_exact_mut(cloth));
@@ -202,7 +205,7 @@ impl<T: Real> Objective<T> {
 }
 
 impl<T: Real> Trials<T> {
-    /// Cloth `b`.
+    /// Returns the trial of cloth `b`.
     pub(super) fn cloth<'a>(&'a self, state: &'a State<T>, b: usize) -> Trial<'a, T> {
         let n = self.model.grid.particles();
         let at = 3 * n * b..3 * n * (b + 1);
@@ -218,7 +221,8 @@ impl<T: Real> Trials<T> {
     }
 }
 
-/// What the frame of cloth `b` of `n` particles starts from, given the slots and accelerations of all cloths.
+/// Returns the start of the frame for cloth `b` of `n` particles, given the slots and accelerations of all
+/// cloths.
 fn frame<'a, T>(
     slots: &'a [u32],
     a: &'a [T],

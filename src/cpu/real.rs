@@ -1,61 +1,62 @@
-//! The two scalar types of the CPU path, and what the machine's vector registers do for them.
+//! The two scalar types of the CPU path, and their operations on vector registers.
 
 use super::elementary;
 use num_traits::Float;
 use pulp::Simd;
 use realfft::FftNum;
 
-/// A real number the CPU path computes with: f64 is the definition of correct, f32 is the fast one.
+/// A real number type of the CPU path: f64 defines what is correct, f32 is fast.
 pub trait Real: Float + FftNum + Default + std::iter::Sum {
     /// A vector register full of numbers.
     type Lanes<S: Simd>: Copy;
 
-    /// The whole registers of a slice; what remains behind the last one is left out.
+    /// Returns the whole registers of a slice, without the remainder.
     fn lanes<S: Simd>(values: &[Self]) -> &[Self::Lanes<S>];
-    /// [`lanes`](Self::lanes), to write.
+    /// Returns the whole registers of a slice for writing, as [`lanes`](Self::lanes).
     fn lanes_mut<S: Simd>(values: &mut [Self]) -> &mut [Self::Lanes<S>];
-    /// One number in every lane.
+    /// Returns a register with `value` in every lane.
     fn splat<S: Simd>(simd: S, value: Self) -> Self::Lanes<S>;
-    /// `a b + c`, fused where the machine can.
+    /// Returns `a b + c`, fused if the machine supports it.
     fn fma<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>, c: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// `a + b`.
+    /// Returns `a + b`.
     fn total<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// `a - b`.
+    /// Returns `a - b`.
     fn difference<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// `a b`.
+    /// Returns `a b`.
     fn product<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// `a / b`.
+    /// Returns `a / b`.
     fn quotient<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// The square root.
+    /// Returns the square root.
     fn root<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// `then` where the first of a pair is greater than the second, else `other`.
+    /// Selects `then` where the first of `pair` is greater than the second, `other` elsewhere.
     fn where_above<S: Simd>(
         simd: S,
         pair: (Self::Lanes<S>, Self::Lanes<S>),
         then: Self::Lanes<S>,
         other: Self::Lanes<S>,
     ) -> Self::Lanes<S>;
-    /// The angle in 0..=pi of a sine, which is not negative, and a cosine: `atan2(sine, cosine)`, whatever their length.
+    /// Returns the angle in 0..=pi of a nonnegative sine and a cosine, `atan2(sine, cosine)`, whatever their
+    /// common scale.
     fn angle<S: Simd>(simd: S, sine: Self::Lanes<S>, cosine: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// The first numbers of a slice, zeros where it has ended.
+    /// Loads the first numbers of a slice, with zeros past its end.
     fn first<S: Simd>(simd: S, values: &[Self]) -> Self::Lanes<S>;
-    /// Overwrites the first numbers of a slice, as many as it has.
+    /// Stores into the first numbers of a slice, as many as it has.
     fn store<S: Simd>(simd: S, values: &mut [Self], lanes: Self::Lanes<S>);
-    /// The larger of two, lane by lane.
+    /// Returns the larger of two, lane by lane.
     fn larger<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
-    /// The sum of all lanes.
+    /// Returns the sum of all lanes.
     fn across<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self;
 
     /// Replaces each number by its exact GELU, `x / 2 (1 + erf(x / sqrt 2))`.
     fn gelu(values: &mut [Self]);
-    /// [`Real::gelu`] that also sets `slopes` to its derivative, at what `values` held.
+    /// Applies [`Real::gelu`] and sets `slopes` to its derivative at the original `values`.
     fn gelu_and_slope(values: &mut [Self], slopes: &mut [Self]);
     /// Replaces each number `x` by `amplitude tanh(x factor)`.
     fn squash(values: &mut [Self], factor: Self, amplitude: Self);
 
-    /// The nearest number to a double.
+    /// Converts from f64, rounding to nearest.
     fn of(value: f64) -> Self;
-    /// This number as a double.
+    /// Converts to f64.
     fn f64(self) -> f64;
 }
 

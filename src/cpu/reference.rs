@@ -1,7 +1,8 @@
-//! The converged minimum of a frame, and how far an optimizer stays above it.
+//! The converged minimum of a frame, and how far above it an optimizer stays.
 //!
-//! Handles are no unknowns of a frame: they go where they are told, whatever accelerations an optimizer writes there. Here
-//! these count as 0, or the little that they add to inertia and external work would outweigh the rest in a quiet frame.
+//! Handles are not unknowns of a frame: they move to their targets, whatever accelerations an optimizer
+//! writes there. Here these count as 0; otherwise the little that they add to inertia and external work would
+//! outweigh the rest in a quiet frame.
 
 use super::objective::Trials;
 use super::optim::{History, RestHessian, dot, norm};
@@ -10,20 +11,23 @@ use crate::sim::{Control, Model, State};
 use crate::statistics::median;
 use crate::{Error, Result};
 
-/// A step must gain this share of what its slope promises (Armijo).
+/// A step must achieve this share of the decrease that its slope predicts (Armijo).
 const SUFFICIENT: f64 = 1e-4;
-/// Halvings of a step before the search gives up: no step gains any more.
+/// Halvings of a step before the search gives up, because no step decreases the energy any more.
 const HALVINGS: usize = 30;
-/// Steps that the Hessian at rest is good for: it costs next to nothing, and what comes after has less to undo.
+/// Number of steps with the Hessian at rest. They cost next to nothing and leave less work for those that
+/// follow.
 const AT_REST: usize = 10;
-/// Steps since then that correct them.
+/// Number of recent steps that correct an inverse Hessian.
 const HISTORY: usize = 8;
-/// How often the gradient may rise before factors are made anew: they cost as much as a dozen steps.
+/// How often the gradient norm may rise before the Hessian is factored again, which costs as much as a dozen
+/// steps.
 const RISES: usize = 2;
 
-/// Finds the minimum of a frame of one cloth in double precision: Newton's method on the Hessian, projected where it is not
-/// positive definite, with line search. Factors are most of its time: it begins with a few steps of the quasi-Newton method, and
-/// factors serve as the start of that method for as long as they do.
+/// Finds the minimum of a frame of one cloth in double precision by Newton's method with line search. The
+/// Hessian is projected where it is not positive definite. Factorisation dominates the cost, so the method
+/// begins with a few quasi-Newton steps, and afterwards uses each factorisation as the initial Hessian of
+/// such steps for as long as it helps.
 pub struct Reference {
     objective: Objective<f64>,
     hessian: FactoredHessian,
@@ -31,41 +35,42 @@ pub struct Reference {
     rest: RestHessian<f64>,
     /// Norm of the gradient at which a frame counts as converged.
     pub tolerance: f64,
-    /// Iterations after which it gives up.
+    /// Maximum number of iterations.
     pub iterations: usize,
 }
 
-/// The inverse Hessian that a step begins with.
+/// The inverse Hessian that the next step starts from.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Inverse {
-    /// Of the sheet at rest.
+    /// That of the sheet at rest.
     AtRest,
-    /// To be made.
+    /// None yet: the Hessian must be factored.
     Missing,
-    /// Of this iterate.
+    /// That of this iterate.
     Here,
-    /// Of an earlier iterate, corrected by the steps since.
+    /// That of an earlier iterate, corrected by the steps since.
     Earlier,
 }
 
-/// What [`Reference::minimise`] found.
+/// The result of [`Reference::minimise`].
 #[derive(Clone, Debug, PartialEq)]
 pub struct Minimum {
     /// Accelerations [edges / frame^2], shape [3, H, W].
     pub a: Vec<f64>,
-    /// L there.
+    /// The energy L there.
     pub energy: f64,
-    /// |dL/da| there, over the particles that are free.
+    /// |dL/da| there, over the free particles.
     pub gradient: f64,
     /// Iterations taken.
     pub iterations: usize,
-    /// Whether the gradient is below the tolerance.
+    /// Whether the gradient norm is within the tolerance.
     pub converged: bool,
 }
 
 impl Reference {
-    /// For one cloth, to |dL/da| <= 1e-8 in at most 200 iterations; an error if the model is not one ([`Model::check`]) or of
-    /// several cloths, if it has a repulsion, or when memory does not suffice.
+    /// Builds the reference for one cloth, with |dL/da| <= 1e-8 in at most 200 iterations. Returns an error
+    /// if the model is invalid ([`Model::check`]), holds several cloths or has a repulsion, or if there is
+    /// not enough memory.
     pub fn new(model: &Model) -> Result<Self> {
         model.check()?;
         if model.batch() != 1 {
@@ -82,18 +87,19 @@ impl Reference {
         Ok(Self { objective, hessian, rest, history, tolerance: 1e-8, iterations: 200 })
     }
 
-    /// L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`.
+    /// Returns L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`.
     pub fn energy(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) -> f64 {
         begin(&mut self.objective, state, control, a);
         energy_here(&mut self.objective, state, control)
     }
 
-    /// The minimum of the frame that `control` drives from `state`, searched from the accelerations `a` [3, H, W].
+    /// Finds the minimum of the frame that `control` drives from `state`, starting at the accelerations `a`
+    /// [3, H, W].
     pub fn minimise(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) -> Minimum {
         begin(&mut self.objective, state, control, a);
         let mut grad = self.gradient(state, control);
         let mut energy = energy_here(&mut self.objective, state, control);
-        // What a frame finds shall not depend on the frames before it.
+        // The result for a frame must not depend on the frames before it.
         self.hessian.reset();
         self.history.clear();
         let (mut inverse, mut iterations, mut rises) = (Inverse::AtRest, 0, 0);
@@ -129,18 +135,19 @@ impl Reference {
             };
         }
         let gradient = norm(&grad);
-        // A search that gave up has left the particles elsewhere.
+        // A search that failed has left the particles elsewhere.
         self.objective.place(state, control);
         let a = self.objective.trial.a.clone();
         Minimum { a, energy, gradient, iterations, converged: gradient <= self.tolerance }
     }
 
-    /// Ends the frame where the last search did: `state` is the next one.
+    /// Ends the frame at the minimum that was found last: advances `state` to the next one.
     pub fn end_frame(&self, state: &mut State<f64>, control: &Control<f64>) {
         self.objective.end_frame(state, control);
     }
 
-    /// Takes a step against the direction that lowers the energy enough; the energy there. None, and no step, if there is none.
+    /// Takes a step against the direction that decreases the energy enough, and returns the energy there.
+    /// Returns `None`, with the accelerations unchanged, if there is no such step.
     fn search(
         &mut self,
         energy: f64,
@@ -155,7 +162,8 @@ impl Reference {
             self.objective.place(state, control);
             let terms = self.objective.energy(state, 0);
             let lower = terms.total();
-            // Close to the minimum a step gains less than the terms are rounded by, of which external work is negative.
+            // Close to the minimum a step gains less than the rounding error of the terms, of which external
+            // work is negative.
             let rounding = 4.0 * f64::EPSILON * terms.magnitude();
             if lower <= energy - SUFFICIENT * length * slope + rounding {
                 return Some(lower);
@@ -166,7 +174,7 @@ impl Reference {
         None
     }
 
-    /// The gradient over the free particles, 0 at handles.
+    /// Returns the gradient over the free particles, 0 at handles.
     fn gradient(&mut self, state: &State<f64>, control: &Control<f64>) -> Vec<f64> {
         self.objective.evaluate(state, control);
         let mut grad = self.objective.grad().to_vec();
@@ -175,18 +183,19 @@ impl Reference {
     }
 }
 
-/// The frames of a converged simulation, on which optimizers are compared: each of them gets the same frames to
-/// minimise. On its own way an optimizer would be judged by what it left undone in the frames before, too.
+/// The frames of a converged simulation, on which optimizers are compared: each gets the same frames to
+/// minimise. In its own simulation, an optimizer would also be judged by what it left undone in earlier
+/// frames.
 pub struct Track {
     model: Model,
-    /// The state before each frame and what drives it.
+    /// The state before each frame and its control.
     frames: Vec<(State<f32>, Control<f32>)>,
-    /// Energies in the frames that converged: number of the frame, L at a = 0, L at the minimum.
+    /// Energies in the frames that converged: frame number, L at a = 0, L at the minimum.
     probes: Vec<(usize, f64, f64)>,
 }
 
 impl Track {
-    /// Follows one cloth from `start` through the frames of `controls`.
+    /// Simulates one cloth from `start` through the frames of `controls`.
     pub fn new(
         model: &Model,
         start: State<f64>,
@@ -207,9 +216,10 @@ impl Track {
         Ok(Self { model: model.clone(), frames, probes })
     }
 
-    /// The median of the energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` in the frames with a reference; infinite when one of them
-    /// is no number, or there is none. `accelerations` computes a [3, H, W] of one frame after the other, from a state and a
-    /// control. Where it gives none it ends everything; then there is no gap.
+    /// Returns the median of the energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` over the frames with a
+    /// reference; infinite if one of them is not finite, or if there are none. `accelerations` is called for
+    /// one frame after another with its state and control, and computes a [3, H, W]. As soon as it returns
+    /// `None`, so does this function.
     pub fn median_gap(
         &self,
         mut accelerations: impl FnMut(&State<f32>, &Control<f32>) -> Result<Option<Vec<f32>>>,
@@ -231,13 +241,13 @@ impl Track {
         Ok(Some(if whole { median(&gaps) } else { f64::INFINITY }))
     }
 
-    /// The cloth.
+    /// Returns the model of the cloth.
     pub fn model(&self) -> &Model {
         &self.model
     }
 }
 
-/// Begins a frame at the accelerations `a` [3, H, W].
+/// Begins a frame at the accelerations `a` [3, H, W], with those of handles set to 0.
 fn begin(objective: &mut Objective<f64>, state: &State<f64>, control: &Control<f64>, a: &[f64]) {
     objective.begin_frame(state, control);
     objective.set_accelerations(a);
@@ -245,7 +255,7 @@ fn begin(objective: &mut Objective<f64>, state: &State<f64>, control: &Control<f
     hold(model, a);
 }
 
-/// L where the accelerations lead.
+/// Returns L where the accelerations lead.
 fn energy_here(objective: &mut Objective<f64>, state: &State<f64>, control: &Control<f64>) -> f64 {
     objective.place(state, control);
     objective.energy(state, 0).total()

@@ -1,4 +1,4 @@
-//! The frame on the CPU (paper sections 3.2 and 3.3).
+//! The solver that computes a frame on the CPU (paper sections 3.2 and 3.3).
 
 use super::optim::{Minimizer, minimizer, norm};
 use super::reference::Minimum;
@@ -17,15 +17,15 @@ pub struct Solver<T: Real> {
 
 /// How a frame is minimised.
 enum Method<T> {
-    /// By this many steps of an optimizer that sees the gradient.
+    /// By this many steps of an optimizer that sees only the gradient.
     Steps(usize, Box<dyn Minimizer<T>>),
-    /// Each cloth until it has converged.
+    /// By Newton's method, each cloth until it converges.
     Newton(Vec<Reference>),
 }
 
 impl<T: Real> Solver<T> {
-    /// A solver with `iterations` steps of the optimizer per frame, at least one; an error if the model is not one
-    /// ([`Model::check`]) or the grid does not suit the network.
+    /// Builds a solver with `iterations` steps of the optimizer per frame. Returns an error if `iterations`
+    /// is 0, the model ([`Model::check`]) or the optimizer is invalid, or the grid does not suit the network.
     pub fn new(model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         if iterations == 0 {
             return Err(Error::invalid("options", "iterations", "at least 1", 0));
@@ -40,16 +40,16 @@ impl<T: Real> Solver<T> {
         Ok(Self { optimizer, method, log: Iterations::default(), objective })
     }
 
-    /// Gives the cloths other materials, gravity, air, repulsion or handles, from the next frame on. What the learned optimizer and
-    /// Adam remember stays.
+    /// Replaces materials, gravity, air, repulsion and handles of the cloths, from the next frame on. The
+    /// learned optimizer and Adam keep their state.
     ///
-    /// An error if there are more or fewer cloths, or they are no model ([`Model::check`]), or for Newton's method if one has a
-    /// repulsion; nothing is changed then.
+    /// Returns an error, and changes nothing, if the number of cloths differs, if they do not form a valid
+    /// model ([`Model::check`]), or if one has a repulsion and the optimizer is Newton's method.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.objective.model().with_cloths(cloths)?;
         match (&mut self.method, &self.optimizer) {
             (Method::Newton(all), _) => *all = references(&model)?,
-            // It begins with the Hessian of the cloth at rest, whose handles are held.
+            // It starts from the Hessian of the cloth at rest, with the handles held.
             (Method::Steps(_, method), Optimizer::QuasiNewton { .. }) => {
                 *method = minimizer(&self.optimizer, &model)?;
             }
@@ -59,12 +59,12 @@ impl<T: Real> Solver<T> {
         Ok(())
     }
 
-    /// Advances `state` by one frame driven by `control`; statistics of each cloth.
+    /// Advances `state` by one frame driven by `control`, and returns the statistics of each cloth.
     ///
-    /// Panics when a length is not the model's.
+    /// Panics if a length does not match the model.
     pub fn step(&mut self, state: &mut State<T>, control: &Control<T>) -> Vec<FrameStats> {
-        // As one task of the pool: from outside, each of the hundreds of parallel loops of a frame would wait for a thread
-        // of the pool to wake.
+        // Run as one task of the pool: called from outside, each of the hundreds of parallel loops of a frame
+        // would wait for a thread of the pool to wake.
         rayon::scope(|_| self.frame(state, control))
     }
 
@@ -123,13 +123,13 @@ impl<T: Real> Solver<T> {
         stats
     }
 
-    /// Forgets the optimizer's memory, as when a scene starts again.
+    /// Clears the optimizer's state, as when a scene restarts.
     pub fn reset(&mut self) {
         (0..self.model().batch()).for_each(|b| self.reset_cloth(b));
     }
 
-    /// Forgets the optimizer's memory of cloth `b` alone, as when it starts again while the others go on. Panics when there is no
-    /// such cloth.
+    /// Clears the optimizer's state for cloth `b` alone, as when it restarts while the others continue.
+    /// Panics if there is no such cloth.
     pub fn reset_cloth(&mut self, b: usize) {
         let batch = self.model().batch();
         assert!(b < batch, "cloth {b} of {batch}");
@@ -138,17 +138,17 @@ impl<T: Real> Solver<T> {
         }
     }
 
-    /// The cloths.
+    /// Returns the cloths.
     pub fn model(&self) -> &Model {
         self.objective.model()
     }
 
-    /// What the optimizer did in the last frame.
+    /// Returns the log of the optimizer's iterations in the last frame.
     pub fn iterations(&self) -> &Iterations {
         &self.log
     }
 
-    /// Accelerations that the last frame accepted [edges / frame^2], shape [B, 3, H, W].
+    /// Returns the accelerations that the last frame accepted [edges / frame^2], shape [B, 3, H, W].
     pub fn accelerations(&self) -> &[T] {
         &self.objective.trial.a
     }
@@ -171,8 +171,8 @@ impl<T: Real> Solver<T> {
     }
 }
 
-/// Cloth `b` of a batch alone, in double precision: its state and what drives it. Arrays have `len` numbers for each cloth,
-/// and `handles` are its own.
+/// Extracts cloth `b` of a batch, in double precision: its state and control. Each cloth has `len` numbers
+/// per array, and `handles` is the range of its own handles.
 fn part<T: Real>(
     state: &State<T>,
     control: &Control<T>,
@@ -190,7 +190,7 @@ fn part<T: Real>(
     (state, control)
 }
 
-/// What finds the minimum of each cloth.
+/// Builds the reference that finds the minimum, one per cloth.
 fn references(model: &Model) -> Result<Vec<Reference>> {
     let alone = |cloth: &Cloth| Model { grid: model.grid, cloths: vec![cloth.clone()] };
     model.cloths.iter().map(|cloth| Reference::new(&alone(cloth))).collect()

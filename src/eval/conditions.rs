@@ -1,4 +1,4 @@
-//! What a score was made with, so that only scores that belong together are compared.
+//! The conditions of a score, so that only comparable scores are compared.
 
 use super::{Entry, Nudge, Score, Sequence, Settings};
 use crate::gpu::Storage;
@@ -7,37 +7,38 @@ use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Counts the changes after which solvers come to other results, beside the version: scores of other counts stand in no table
-/// together, and are not used again.
+/// Revision of the solvers' results within a version, incremented with each change that alters them. Scores
+/// of different revisions are not tabulated together, nor reused.
 const REVISION: u32 = 5;
 
-/// The version that scores tell.
+/// Returns the version recorded in scores.
 pub(super) fn version() -> String {
     format!("{}+{REVISION}", env!("CARGO_PKG_VERSION"))
 }
 
-/// What a score was made with.
+/// The conditions of a score.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Conditions {
-    /// Version of this program, and of what its solvers come to.
+    /// Version of this program and revision of its solvers' results.
     pub version: String,
-    /// Checksum of the recorded trajectory's files ([`Sequence::checksum`]); none where a scene is simulated for itself.
+    /// Checksum of the recorded trajectory's files ([`Sequence::checksum`]); `None` if a scene is simulated
+    /// without one.
     pub truth: Option<u32>,
-    /// Material, air, points and frames ([`Settings::to_json`]), or all of a scene.
+    /// Material, air, points and frames ([`Settings::to_json`]), or a whole scene.
     pub settings: serde_json::Value,
-    /// Name of the device that simulated; none of another system.
+    /// Name of the device of the simulation; `None` for another system's trajectory.
     pub device: Option<String>,
-    /// Its kind and how it stores networks: `cpu`, `gpu`, or `gpu, f16`.
+    /// Kind of device and storage of networks: `cpu`, `gpu`, or `gpu, f16`.
     pub kind: Option<String>,
     /// Checksum of the weights of a learned optimizer.
     pub weights: Option<u32>,
-    /// What moved the start, of a repeat beyond the first.
+    /// Perturbation of the start, for a repeat after the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub nudge: Option<Nudge>,
 }
 
 impl Conditions {
-    /// Those of another system's trajectory.
+    /// Returns the conditions of another system's trajectory.
     pub(super) fn new(sequence: &Sequence, settings: &Settings) -> Self {
         Self { truth: Some(sequence.checksum()), ..Self::of_settings(settings.to_json()) }
     }
@@ -54,7 +55,7 @@ impl Conditions {
         }
     }
 
-    /// Those of a solver on a device; one that only the CPU has runs there.
+    /// Returns the conditions of a solver on a device; a solver without a GPU implementation runs on the CPU.
     pub fn of(
         (sequence, nudge): (&Sequence, Option<Nudge>),
         entry: &Entry,
@@ -63,7 +64,8 @@ impl Conditions {
         Self { nudge, ..Self::new(sequence, settings).by(entry, device) }
     }
 
-    /// Those of a solver on a scene of its own, of which `settings` tells all that matters.
+    /// Returns the conditions of a solver on a scene without a recording; `settings` holds everything that
+    /// matters about the scene.
     pub(super) fn of_scene(settings: serde_json::Value, entry: &Entry, device: &Device) -> Self {
         Self::of_settings(settings).by(entry, device)
     }
@@ -85,7 +87,8 @@ impl Conditions {
         Self { device, kind, weights, ..self }
     }
 
-    /// A checksum of all that the results depend on: on a CPU not of the number of threads.
+    /// Returns a checksum of everything that the results depend on, which on a CPU does not include the
+    /// number of threads.
     pub fn checksum(&self) -> u32 {
         let device = self.device.clone().filter(|_| self.kind.as_deref() != Some("cpu"));
         let told = Self { device, ..self.clone() };
@@ -93,10 +96,11 @@ impl Conditions {
     }
 }
 
-/// Checks that scores, each with the file it comes from, belong in one table: made by one version with the same settings,
-/// each sequence the same, each column of a grid with the same weights on the same kind of device, and none there twice.
+/// Checks that scores, each with the file it comes from, belong in one table. They must come from one version
+/// with the same settings, each sequence must be the same, each column of a grid must have the same weights
+/// on the same kind of device, and no score may occur twice.
 pub fn belong_together(scores: &[(&Path, &Score)]) -> Result<()> {
-    /// What is told of a score, and must be the same in some of them.
+    /// A property of a score, as text.
     type Told = fn(&Score) -> String;
     fn sum(sum: Option<u32>) -> String {
         sum.map_or_else(String::new, |sum| format!("{sum:08x}"))
@@ -133,7 +137,7 @@ pub fn belong_together(scores: &[(&Path, &Score)]) -> Result<()> {
     Ok(())
 }
 
-/// The grid and the column in which a score stands.
+/// Returns the grid and the column of a score.
 fn of_column(score: &Score) -> String {
     format!("{} {}", score.grid, score.column())
 }

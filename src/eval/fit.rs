@@ -1,4 +1,4 @@
-//! The material that brings the converged simulation closest to recorded trajectories.
+//! Fit of the material with which the converged simulation comes closest to recorded trajectories.
 
 use super::{Entry, Physics, Sequence, Settings, conditions, run};
 use crate::scene::Stiffness;
@@ -10,43 +10,45 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-/// What can be fitted, in the order of [`Point`].
+/// The parameters that can be fitted, in the order of [`Point`].
 pub const PARAMETERS: [&str; 6] = ["stretch", "shear", "bend", "density", "drag", "frame_time"];
 
-/// A value for each of [`PARAMETERS`]: energy coefficients (grid units), density of the air [kg/m^3], its drag
-/// [N s/m^3], and the frame time \[s\].
+/// A value for each of [`PARAMETERS`]: energy coefficients (grid units), density [kg/m^3] and drag [N s/m^3]
+/// of the air, and the frame time \[s\].
 pub type Point = [f64; 6];
 
-/// The most points of the coarse grid: months of work.
+/// Largest number of points in the coarse grid: months of work.
 const MOST_POINTS: usize = 100_000;
 
-/// A search: on a grid of points spaced by equal ratios, then around the best one in ever smaller steps.
+/// A search: first on a grid of points spaced by equal ratios, then around the best one in ever smaller
+/// steps.
 #[derive(Clone, Debug)]
 pub struct Fit<'a> {
-    /// The trajectories; their mean error counts.
+    /// The trajectories, whose mean error is minimised.
     pub sequences: &'a [Sequence],
-    /// The grid that is simulated on.
+    /// The grid of the simulations.
     pub grid: Grid,
-    /// Frames and points of a comparison; its physics are replaced by each point.
+    /// Frames and points of a comparison; each point of the search replaces the physics.
     pub settings: Settings,
-    /// Smallest and largest value of each parameter; the same for one that is given.
+    /// Smallest and largest value of each parameter; equal if the parameter is fixed.
     pub ranges: [[f64; 2]; 6],
-    /// Values of each parameter in the coarse grid.
+    /// Number of values of each parameter in the coarse grid.
     pub levels: usize,
-    /// Rounds of refinement, in each of which the step is halved (its ratio's root taken).
+    /// Rounds of refinement, each of which halves the step (takes the square root of its ratio).
     pub rounds: usize,
 }
 
-/// Errors of the points that were tried: mean e_CD [m^2], infinite where the simulation diverged.
+/// Errors of the points tried so far: mean e_CD [m^2], infinite if the simulation diverged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Surface {
-    /// What the errors are of ([`Fit::subject`]).
+    /// What the errors were measured on ([`Fit::subject`]).
     subject: String,
     errors: BTreeMap<Key, (Point, f64)>,
 }
 
 impl Surface {
-    /// Reads the errors of an earlier search for the same `fit`; nothing when there is no such file.
+    /// Reads the errors of an earlier search with the same subject as `fit`. Returns an empty surface if
+    /// there is no such file.
     pub fn load(path: &Path, fit: &Fit<'_>) -> Result<Self> {
         let mut surface = Self { subject: fit.subject(), ..Self::default() };
         if !path.is_file() {
@@ -72,7 +74,7 @@ impl Surface {
             let Some(Ok([point @ .., error])) = values.map(<[f64; 7]>::try_from) else {
                 return Err(bad(number, "seven numbers", line));
             };
-            // NaN is neither.
+            // Written so that NaN fails.
             if !(error >= 0.0 && point.iter().all(|&v| v >= 0.0)) {
                 return Err(bad(number, "numbers that are not negative", line));
             }
@@ -81,13 +83,13 @@ impl Surface {
         Ok(surface)
     }
 
-    /// Adds the points of another search for the same.
+    /// Adds the points of another search. Panics if its subject differs.
     pub fn add(&mut self, other: &Self) {
         assert_eq!(self.subject, other.subject, "errors of one thing");
         self.errors.extend(&other.errors);
     }
 
-    /// Writes all errors as CSV, the smallest first.
+    /// Writes all errors as CSV, in ascending order.
     pub fn write(&self, path: &Path) -> Result<()> {
         let line = |(point, error): &(Point, f64)| {
             let values: Vec<String> = point.iter().chain([error]).map(f64::to_string).collect();
@@ -98,7 +100,7 @@ impl Surface {
         io::write_atomic(path, |file| write!(file, "# {}\n{heads}\n{lines}", self.subject))
     }
 
-    /// All points with their errors, the best first.
+    /// Returns all points with their errors, the best first.
     pub fn sorted(&self) -> Vec<(Point, f64)> {
         let mut all: Vec<(Point, f64)> = self.errors.values().copied().collect();
         all.sort_by(|a, b| a.1.total_cmp(&b.1));
@@ -106,12 +108,12 @@ impl Surface {
     }
 }
 
-/// The columns of the file of a search.
+/// Returns the column headings of the file of a search.
 fn heads() -> String {
     format!("{},e_cd", PARAMETERS.join(","))
 }
 
-/// A point in single precision: the same place, worked out in two ways, differs in the last bits.
+/// A point in single precision: computed in two ways, the same point differs in its last bits.
 type Key = [u32; PARAMETERS.len()];
 
 fn key(point: &Point) -> Key {
@@ -119,7 +121,8 @@ fn key(point: &Point) -> Key {
 }
 
 impl Fit<'_> {
-    /// What an error is of, for points to be compared: sequences with a checksum of their files, grid, frames and points.
+    /// Describes what errors are measured on, so that only comparable points are compared: the sequences with
+    /// their frames and a checksum of their files, the grid, the number of sample points, and the version.
     pub fn subject(&self) -> String {
         let of = |s: &Sequence| {
             let frames = s.truth.frames().min(self.settings.frames);
@@ -130,9 +133,9 @@ impl Fit<'_> {
         format!("{names} on {} with {points} points by {version}", self.grid)
     }
 
-    /// Searches, going on from what `surface` knows already. `tried` is called with the surface and the number of points that
-    /// are left after each few points. `tick` is called after each frame and may end the search, whatever is half done
-    /// then being dropped.
+    /// Runs the search, starting from the points in `surface`. After every few points, `tried` is called with
+    /// the surface and the number of points left. `tick` is called after each frame and may end the search,
+    /// which discards unfinished points.
     pub fn search(
         &self,
         surface: &mut Surface,
@@ -165,7 +168,7 @@ impl Fit<'_> {
         }
         for round in 1..=self.rounds {
             let step = |k: usize| ratio(k).powf(0.5f64.powi(round as i32));
-            // Downhill at this step until nothing around the best point is better.
+            // Descend with this step until no neighbour of the best point is better.
             loop {
                 let (best, error) = self.best(surface)?;
                 let around = free.iter().flat_map(|&k| {
@@ -187,11 +190,12 @@ impl Fit<'_> {
         Ok(())
     }
 
-    /// The points of a surface that are in the ranges, with their errors, the best first: an earlier search may have had others.
+    /// Returns the points of a surface that lie in the ranges, with their errors, the best first: an earlier
+    /// search may have had other ranges.
     pub fn found(&self, surface: &Surface) -> Vec<(Point, f64)> {
         let inside = |point: &Point| {
             let in_range = |(&v, range): (&f64, &[f64; 2])| {
-                // As in the file, where a point comes from.
+                // In single precision, like [`Key`]: points are computed from the ranges with rounding.
                 (range[0] as f32..=range[1] as f32).contains(&(v as f32))
             };
             point.iter().zip(&self.ranges).all(in_range)
@@ -204,7 +208,7 @@ impl Fit<'_> {
         best.ok_or_else(|| Error::invalid("fit", "ranges", "a point that does not diverge", "none"))
     }
 
-    /// Tries those points that are new, as many at a time as there are threads.
+    /// Tries the points that are new, as many at a time as there are threads.
     fn try_all<Tick, Tried>(
         &self,
         points: &[Point],
@@ -237,7 +241,7 @@ impl Fit<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Mean e_CD over the sequences; nothing when `tick` ended it.
+    /// Returns the mean e_CD over the sequences; `None` if `tick` ended the simulation.
     fn error(
         &self,
         &[stretch, shear, bend, density, drag, frame_time]: &Point,

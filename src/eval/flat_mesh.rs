@@ -1,4 +1,4 @@
-//! Recorded cloths whose vertices are no grid: their mesh at rest, and the grid that stands in for it.
+//! Recorded cloths whose vertices do not form a grid: their mesh at rest, and the grid that stands in for it.
 
 use crate::io::{Trajectory, read_obj};
 use crate::sim::{Grid, MIN_GRID};
@@ -6,26 +6,26 @@ use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// How far a mesh at rest may be from a plane, in its longer side; and how far a corner of the rectangle around it may lie
-/// outside of all triangles, in their sides.
+/// Tolerances: the distance of a mesh at rest from a plane, relative to its longer side, and the distance of
+/// a corner of its bounding rectangle from the triangles, relative to their sides.
 const FLAT: f64 = 1e-3;
 
-/// A flat rectangular mesh at rest. Its sheet is measured from the corner where particle (0, 0) of a grid would be: along
-/// the height, on which the first two handles lie and where i counts from the second to the first, and along the width,
-/// which leads away from them.
+/// A flat rectangular mesh at rest. Positions are measured from the corner where particle (0, 0) of a grid
+/// would be: along the height, on which the first two handles lie and where i increases from the second to
+/// the first, and along the width, which leads away from them.
 #[derive(Clone, Debug)]
 pub(super) struct FlatMesh {
-    /// Triangles.
+    /// The triangles.
     pub faces: Vec<[u32; 3]>,
     origin: String,
-    /// Where each vertex is along the height and the width \[m\].
+    /// Position of each vertex along the height and the width \[m\].
     places: Vec<[f64; 2]>,
     /// Lengths of the sides \[m\].
     pub sides: [f64; 2],
 }
 
 impl FlatMesh {
-    /// Reads an OBJ file of `vertices` vertices; `handles` are the numbers of some of them.
+    /// Reads an OBJ file of `vertices` vertices; `handles` are the vertex numbers of the handles.
     pub fn read(path: &Path, vertices: usize, handles: &[usize]) -> Result<Self> {
         let mesh = read_obj(path)?;
         let origin = path.display().to_string();
@@ -74,7 +74,7 @@ impl FlatMesh {
         Ok(Self { faces: mesh.faces, origin, places, sides: [extent[height], extent[width]] })
     }
 
-    /// A grid of square cells with about as many particles as the mesh has vertices.
+    /// Returns a grid of square cells with about as many particles as the mesh has vertices.
     pub fn grid(&self) -> Grid {
         let [height, width] = self.sides;
         let cells = (self.places.len() as f64).sqrt() - 1.0;
@@ -84,13 +84,13 @@ impl FlatMesh {
         Grid { h, w }
     }
 
-    /// The particle (i, j) of a grid that is nearest to a vertex.
+    /// Returns the particle (i, j) of a grid nearest to a vertex.
     pub fn cell(&self, grid: Grid, vertex: usize) -> [usize; 2] {
         let ends = [grid.h - 1, grid.w - 1];
         std::array::from_fn(|k| (self.places[vertex][k] / self.sides[k] * ends[k] as f64).round() as usize)
     }
 
-    /// What carries positions of the vertices to the particles of a grid.
+    /// Builds the interpolation from the vertices to the particles of a grid.
     pub fn carrier(&self, grid: Grid) -> Result<Carrier> {
         let place = |p: usize| {
             let at = [(p / grid.w, grid.h), (p % grid.w, grid.w)].map(|(k, n)| k as f64 / (n - 1) as f64);
@@ -99,7 +99,8 @@ impl FlatMesh {
         Ok(Carrier((0..grid.particles()).into_par_iter().map(place).collect::<Result<_>>()?))
     }
 
-    /// The triangle that a place of the sheet lies in, or is nearest to by rounding, and the shares of its corners.
+    /// Finds the triangle that contains a point of the sheet, up to rounding, and the barycentric coordinates
+    /// of the point. Fails if there is none.
     fn locate(&self, at: [f64; 2]) -> Result<Shares> {
         let shares = |face: &[u32; 3]| {
             let [a, b, c] = face.map(|k| self.places[k as usize]);
@@ -112,7 +113,7 @@ impl FlatMesh {
         };
         let least = |shares: &[f64; 3]| shares.iter().copied().fold(f64::INFINITY, f64::min);
         let all = self.faces.iter().map(|face| (*face, shares(face)));
-        // A triangle without area has no shares.
+        // A triangle without area has no barycentric coordinates.
         let usable = all.filter(|(_, shares)| shares.iter().all(|share| share.is_finite()));
         let best = usable.max_by(|(_, a), (_, b)| least(a).total_cmp(&least(b)));
         best.filter(|(_, shares)| least(shares) > -FLAT).ok_or_else(|| {
@@ -122,14 +123,14 @@ impl FlatMesh {
     }
 }
 
-/// The corners of a triangle, and the share of each in a place inside.
+/// The corners of a triangle, and the barycentric coordinates of a point inside.
 type Shares = ([u32; 3], [f64; 3]);
 
-/// Carries positions of a mesh to a grid, linearly within each triangle.
+/// Interpolates positions from a mesh to a grid, linearly within each triangle.
 pub(super) struct Carrier(Vec<Shares>);
 
 impl Carrier {
-    /// Positions of the particles, from those of the vertices.
+    /// Returns the positions of the particles, given those of the vertices.
     pub fn apply(&self, vertices: &[[f32; 3]]) -> Vec<[f64; 3]> {
         let carry = |(face, shares): &Shares| {
             let part = |k: usize, c: usize| shares[k] * f64::from(vertices[face[k] as usize][c]);
@@ -138,7 +139,8 @@ impl Carrier {
         self.0.iter().map(carry).collect()
     }
 
-    /// A trajectory of the vertices as one of the particles of `grid`, for which this was made; without velocities.
+    /// Converts a trajectory of the vertices to one of the particles of `grid`, for which `self` was built;
+    /// without velocities.
     pub fn trajectory(&self, vertices: &Trajectory, grid: Grid) -> Trajectory {
         let mut carried = Trajectory::new(grid, vertices.fps());
         for frame in 0..vertices.frames() {

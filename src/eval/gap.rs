@@ -1,4 +1,4 @@
-//! How close a solver comes to the minimum of a frame, on the device it runs on.
+//! The energy gap: how close a solver comes to the minimum of a frame, on the device it runs on.
 
 use crate::Result;
 use crate::cpu::{self, Track};
@@ -6,7 +6,8 @@ use crate::scene::Setup;
 use crate::sim::{Device, Optimizer, Solver, SolverOptions};
 use std::ops::ControlFlow;
 
-/// Follows the converged frames of a scene. `tick` is called before each frame and may end everything; then there is nothing.
+/// Computes the converged frames of a scene. `tick` is called before each frame; if it breaks, the result is
+/// `None`.
 pub fn track(setup: &Setup, mut tick: impl FnMut() -> ControlFlow<()>) -> Result<Option<Track>> {
     let mut ended = false;
     let controls = (1..setup.frames()).map(|frame| setup.control(frame)).take_while(|_| {
@@ -17,8 +18,8 @@ pub fn track(setup: &Setup, mut tick: impl FnMut() -> ControlFlow<()>) -> Result
     Ok((!ended).then_some(track))
 }
 
-/// The median energy gap of an optimizer after `iterations` on the frames of `track`; infinite when one of them is no number.
-/// `tick` is called before each frame and may end everything; then there is nothing.
+/// Returns the median energy gap of an optimizer after `iterations` on the frames of `track`; infinite if one
+/// of the gaps is not finite. `tick` is called before each frame; if it breaks, the result is `None`.
 pub fn median_gap(
     track: &Track,
     (optimizer, iterations): (&Optimizer, usize),

@@ -4,17 +4,17 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
-/// A cloth as triangles: vertices \[m\] and the numbers of each triangle's corners.
+/// A cloth as a triangle mesh.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface<'a> {
     /// Vertices \[m\].
     pub points: &'a [[f64; 3]],
-    /// Triangles.
+    /// Vertex numbers of the corners of each triangle.
     pub faces: &'a [[u32; 3]],
 }
 
 impl Surface<'_> {
-    /// `count` points, uniform by area, those of one triangle after those of another; the same for the same seed.
+    /// Samples `count` points uniformly by area, grouped by triangle. The same seed gives the same points.
     pub fn sample(&self, count: usize, seed: u64) -> Vec<[f64; 3]> {
         let mut until = Vec::with_capacity(self.faces.len());
         let mut sum = 0.0;
@@ -27,13 +27,13 @@ impl Surface<'_> {
             let at = sum * random.random::<f64>();
             let face = until.partition_point(|&until| until <= at).min(self.faces.len() - 1);
             let [a, b, c] = self.corners(&self.faces[face]);
-            // The square root makes the density the same from the corner to the opposite side.
+            // The square root makes the density uniform from the corner to the opposite side.
             let (across, along) = (random.random::<f64>().sqrt(), random.random::<f64>());
             let at = |k: usize| a[k] + across * ((1.0 - along) * (b[k] - a[k]) + along * (c[k] - a[k]));
             (face, std::array::from_fn(at))
         };
         let mut points: Vec<(usize, [f64; 3])> = (0..count).map(|_| point()).collect();
-        // What is looked up near the last point is in the cache still.
+        // Sorted by triangle, consecutive points are close together, so their lookups hit the cache.
         points.sort_by_key(|&(face, _)| face);
         points.into_iter().map(|(_, point)| point).collect()
     }
@@ -51,19 +51,20 @@ impl Surface<'_> {
     }
 }
 
-/// The mean squared distance from each point of `from` to the nearest point of `to` [m^2].
+/// Returns the mean squared distance from the points of `from` to the nearest point of `to` [m^2].
 fn mean_nearest(from: &[[f64; 3]], to: &[[f64; 3]]) -> f64 {
     let tree: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(to);
     from.iter().map(|p| tree.nearest_one::<SquaredEuclidean>(p).distance).sum::<f64>() / from.len() as f64
 }
 
-/// The Chamfer distance of two clouds: mean squared distances to the nearest point of the other, both directions added
-/// [m^2].
+/// Returns the Chamfer distance of two point clouds: the mean squared distance to the nearest point of the
+/// other cloud, summed over both directions [m^2].
 pub fn chamfer(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
     mean_nearest(a, b) + mean_nearest(b, a)
 }
 
-/// The error of vertices relative to the truth: `|found - truth| / |truth|`, norms over all coordinates of a frame.
+/// Returns the error of vertices relative to the truth: `|found - truth| / |truth|`, with norms over all
+/// coordinates of a frame. Panics if the numbers of vertices differ.
 pub fn relative_error(found: &[[f64; 3]], truth: &[[f64; 3]]) -> f64 {
     assert_eq!(found.len(), truth.len(), "as many vertices");
     let squares = |points: &mut dyn Iterator<Item = f64>| points.map(|v| v * v).sum::<f64>();

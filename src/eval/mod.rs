@@ -1,4 +1,4 @@
-//! How good a simulation is: measures of its frames, and comparisons with recorded trajectories.
+//! Evaluation of simulations: measures of their frames, and comparisons with recorded trajectories.
 //!
 //! ```text
 //! Sequence (a trajectory of another simulator, its handles, its cloth) -> Sequence::scene on a grid -> Setup

@@ -1,4 +1,5 @@
-//! How near the layers of a cloth come to each other: the paper's repulsion as a measure (sections 3.4 and 6.1).
+//! How near the layers of a cloth come to each other: the paper's repulsion energy as a measure (sections 3.4
+//! and 6.1).
 
 use super::resampling::{Resampling, coarse};
 use crate::sim::{Grid, Repulsion};
@@ -6,11 +7,11 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 /// Distance below which particles repel each other [edges of the 32x32 grid].
 const DELTA: f64 = 0.5;
-/// Edges along the height that lengths refer to, whatever the grid.
+/// Edges along the height of the grid whose edges are the unit of length, whatever the actual grid.
 const EDGES: f64 = 31.0;
 
-/// The energy that keeps layers apart (paper section 3.4): over ordered pairs of particles nearer than `delta` that no edge
-/// of the triangulated grid joins, the sum of `-log(d^2 + 1e-8)`. Lengths in edges.
+/// Returns the repulsion energy (paper section 3.4): the sum of `-log(d^2 + 1e-8)` over ordered pairs of
+/// particles at a distance d below `delta` that no edge of the triangulated grid joins. Lengths are in edges.
 pub fn repulsion(points: &[[f64; 3]], faces: &[[u32; 3]], delta: f64) -> f64 {
     let mut joined = vec![Vec::new(); points.len()];
     for &[a, b, c] in faces {
@@ -26,12 +27,13 @@ pub fn repulsion(points: &[[f64; 3]], faces: &[[u32; 3]], delta: f64) -> f64 {
         let pairs = near.into_iter().filter(|n| n.distance < delta * delta && apart(n.item));
         pairs.fold(0.0, |sum, n| sum - (n.distance + Repulsion::SOFTENING).ln())
     };
-    // An empty sum is a negative zero.
+    // Not `sum`, which is -0 if there are no terms.
     points.iter().enumerate().map(of).fold(0.0, |sum, e| sum + e)
 }
 
-/// The measure on a grid. It is taken in edges of a grid of 32 rows, and on such a grid, as the method's authors do: the
-/// particles of a finer one are nearer to each other than the distance in any fold.
+/// The repulsion measure on a grid. As in the authors' evaluation, frames are resampled to a grid of 32 rows,
+/// whose edges are the unit of length: on a finer grid, particles are closer than the repulsion distance in
+/// any fold.
 pub(super) struct Nearness {
     resampling: Resampling,
     faces: Vec<[u32; 3]>,
@@ -39,13 +41,13 @@ pub(super) struct Nearness {
 }
 
 impl Nearness {
-    /// Of a sheet on a grid with this side along the height \[m\].
+    /// Prepares the measure for a sheet on a grid with this side along the height \[m\].
     pub fn new(grid: Grid, side_m: f64) -> Self {
         let coarse = coarse(grid);
         Self { resampling: Resampling::new(grid, coarse), faces: coarse.faces(), unit_m: side_m / EDGES }
     }
 
-    /// The energy of a frame with these positions \[m\].
+    /// Returns the energy of a frame with these positions \[m\].
     pub fn of(&self, points: &[[f64; 3]]) -> f64 {
         let scaled: Vec<[f64; 3]> =
             self.resampling.apply(points).into_iter().map(|p| p.map(|c| c / self.unit_m)).collect();
@@ -53,7 +55,7 @@ impl Nearness {
     }
 }
 
-/// The mean over frames, and the shares of those in which it exceeds 0.1 and 0.02.
+/// Returns the mean over frames, and the shares of frames above 0.1 and above 0.02.
 pub(super) fn mean_and_shares(of_frames: &[f64]) -> [f64; 3] {
     let mean =
         |of: &dyn Fn(f64) -> f64| of_frames.iter().map(|&r| of(r)).sum::<f64>() / of_frames.len() as f64;

@@ -1,4 +1,4 @@
-//! A material, and the air and the frame time that belong to it.
+//! A material, with the air and the frame time that belong to it.
 
 use crate::io::{self, Node};
 use crate::scene::{Scene, Stiffness};
@@ -6,26 +6,26 @@ use crate::{Error, Result};
 use serde_json::{Map, Value};
 use std::path::Path;
 
-/// The fields of a scene that a document of a material may have; others say where it comes from.
+/// The scene fields that a material document may have; others document its origin.
 const FIELDS: [&str; 3] = ["material", "wind", "frame_time_s"];
 
-/// What a cloth is simulated with beside what its sequence tells.
+/// Physical parameters that replace those of a sequence.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Physics {
-    /// Energy coefficients (grid units), or moduli, which are the same cloth on every grid.
+    /// Energy coefficients (grid units), or moduli, which describe the same cloth on every grid.
     pub stiffness: Stiffness,
-    /// Density of the air [kg/m^3]; the sequence's where not given.
+    /// Density of the air [kg/m^3]; `None` for the sequence's.
     pub density: Option<f64>,
-    /// Drag of the air [N s/m^3]; the sequence's where not given.
+    /// Drag of the air [N s/m^3]; `None` for the sequence's.
     pub drag: Option<f64>,
-    /// Frame time \[s\]; the sequence's where not given.
+    /// Frame time \[s\]; `None` for the sequence's.
     pub frame_time_s: Option<f64>,
 }
 
 impl Physics {
-    /// A document's `material`, and the air's `density` and `drag` in `wind` and the `frame_time_s` where it gives them, all as in
-    /// a scene; how the air moves is no matter of the material. Other fields are notes, unless they look like one of these
-    /// misspelt.
+    /// Parses a material document: `material` and, optionally, `density` and `drag` in `wind`, and
+    /// `frame_time_s`, all as in a scene. Fails if it gives a wind velocity, which is not a property of the
+    /// material. Other fields are notes, unless they look like a misspelling of one of these.
     pub fn parse(text: &str, origin: &str) -> Result<Self> {
         let document = io::parse_json(origin, text)?;
         Node::root(origin, &document).no_misspelling(&FIELDS)?;
@@ -49,7 +49,7 @@ impl Physics {
         })
     }
 
-    /// Gives a scene this material, and the air and the frame time where they are told.
+    /// Sets the material of a scene, and its air and frame time if given.
     pub fn apply(&self, scene: &mut Scene) {
         scene.stiffness = self.stiffness;
         scene.wind.density = self.density.unwrap_or(scene.wind.density);
@@ -57,7 +57,7 @@ impl Physics {
         scene.frame_time_s = self.frame_time_s.unwrap_or(scene.frame_time_s);
     }
 
-    /// The document that [`Physics::parse`] reads back; the air and the frame time where they are given.
+    /// Returns the document that [`Physics::parse`] reads back, with the air and the frame time if given.
     pub fn to_json(&self) -> Value {
         let scene = Scene { stiffness: self.stiffness, ..Scene::default() }.to_json();
         let mut document = serde_json::json!({ "material": scene["material"] });

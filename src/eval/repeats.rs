@@ -1,33 +1,36 @@
-//! Repeats of a simulation from starts that are all but the same. Where a solver stops short of convergence, a fold may go
-//! another way after a difference as small as rounding, and then one simulation tells little of the solver.
+//! Repeats of a simulation from nearly identical starts. If a solver stops short of convergence, a difference
+//! as small as rounding can make a fold go another way, and then a single simulation says little about the
+//! solver.
 
 use super::{Score, mean_and_deviation};
 use crate::scene::Setup;
 use rand::rngs::ChaCha8Rng;
 use rand::{RngExt, SeedableRng};
 
-/// How far the start of a repeat is from the recorded one, at most, along each axis \[edges\].
+/// Largest distance along each axis of a repeat's start from the recorded one \[edges\].
 ///
-/// This is a few units in the last place of a position in f32 (2e-6 from 16 edges on), so that rounding leaves another start.
-/// It strains no edge by more than 4e-5, and is a thousandth of what recorded positions are told to in half precision.
+/// This is a few units in the last place of a position in f32 (2e-6 from 16 edges on), so that it survives
+/// rounding. It strains no edge by more than 4e-5, and is a thousandth of the resolution of recorded
+/// positions in half precision.
 const NUDGE: f64 = 1e-5;
 
-/// What makes the start of a repeat another than the recorded one.
+/// The perturbation of the recorded start for a repeat.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Nudge {
-    /// Number of the repeat, from 1; it seeds the random numbers.
+    /// Number of the repeat, from 1, which seeds the random numbers.
     pub repeat: u64,
-    /// How far a particle is moved along each axis, at most \[edges\].
+    /// Largest displacement of a particle along each axis \[edges\].
     pub edges: f64,
 }
 
 impl Nudge {
-    /// That of a repeat; none of repeat 0, which begins at the recorded start.
+    /// Returns the perturbation of a repeat; `None` for repeat 0, which begins at the recorded start.
     pub fn of(repeat: u64) -> Option<Self> {
         (repeat > 0).then_some(Self { repeat, edges: NUDGE })
     }
 
-    /// Moves the particles of a start that are no handles, each by a random amount: the same for the same repeat and grid.
+    /// Moves the particles of a start, except handles, each by a random amount: the same for the same repeat
+    /// and grid.
     pub fn apply(&self, setup: &mut Setup) {
         let mut random = ChaCha8Rng::seed_from_u64(self.repeat);
         let particles = setup.model.grid.particles();
@@ -41,10 +44,11 @@ impl Nudge {
     }
 }
 
-/// Means over the repeats of a solver on a sequence and grid, each with the deviation; none where one of them has no number.
+/// Mean and standard deviation of figures over the repeats of a solver on a sequence and grid. A figure is
+/// `None` if a repeat diverged or lacks it.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct OverRepeats {
-    /// How many there are.
+    /// Number of repeats.
     pub repeats: usize,
     /// Chamfer distance [m^2].
     pub e_cd: Option<[f64; 2]>,
@@ -59,7 +63,8 @@ pub struct OverRepeats {
 }
 
 impl OverRepeats {
-    /// Those of a score's sequence, grid and solver, all of whose repeats are in `scores`.
+    /// Returns the figures for the sequence, grid and solver of a score, all of whose repeats are in
+    /// `scores`.
     pub fn of(score: &Score, scores: &[Score]) -> Self {
         let same = |other: &&Score| {
             (&other.sequence, &other.grid, other.column()) == (&score.sequence, &score.grid, score.column())
@@ -77,7 +82,8 @@ impl OverRepeats {
     }
 }
 
-/// Mean and deviation of a figure of the repeats of a solver on a sequence; none when one of them diverged or has no such figure.
+/// Returns the mean and standard deviation of a figure over the repeats of a solver on a sequence; `None` if
+/// a repeat diverged or lacks the figure.
 pub(super) fn mean_over_repeats(
     repeats: &[&Score],
     of: impl Fn(&Score) -> Option<f64>,

@@ -1,12 +1,13 @@
-//! Frames carried from one grid to another, for comparison.
+//! Resampling of frames from one grid to another, for comparison.
 
 use crate::sim::{Grid, MIN_GRID};
 
-/// Rows of the grids on which `interpolation` works out accelerations and repulsion is judged: those of the paper's training.
+/// Rows of the grids on which `interpolation` computes accelerations and repulsion is measured: those of the
+/// paper's training.
 const COARSE_ROWS: usize = 32;
 
-/// The grid on which `interpolation` works out the accelerations of another, and repulsion is judged: of the same shape with
-/// 32 rows; a coarser one is its own.
+/// Returns the grid on which `interpolation` computes the accelerations for another, and on which repulsion
+/// is measured: of the same shape with 32 rows, or `grid` itself if it has no more.
 pub fn coarse(grid: Grid) -> Grid {
     if grid.h <= COARSE_ROWS {
         return grid;
@@ -15,15 +16,15 @@ pub fn coarse(grid: Grid) -> Grid {
     Grid { h: COARSE_ROWS, w: (edges.round() as usize + 1).max(MIN_GRID) }
 }
 
-/// Carries positions from one grid to the places of another's particles, bilinearly, corners on corners.
+/// Bilinear interpolation from one grid to the particles of another, corners aligned.
 pub(super) struct Resampling {
     from: Grid,
-    /// First particle of the cell of each place, and where in the cell it is.
+    /// For each target particle, the first particle of the cell around it and its position in the cell.
     places: Vec<(usize, [f64; 2])>,
 }
 
 impl Resampling {
-    /// From the particles of `from` to the places of those of `to`.
+    /// Builds the interpolation from the particles of `from` to those of `to`.
     pub fn new(from: Grid, to: Grid) -> Self {
         let place = |k: usize, n: usize, m: usize| {
             let at = (k * (n - 1)) as f64 / (m - 1) as f64;
@@ -38,7 +39,7 @@ impl Resampling {
         Self { from, places: (0..to.particles()).map(particle).collect() }
     }
 
-    /// Positions at the places, from those of the particles.
+    /// Returns the positions of the particles of `to`, given those of `from`.
     pub fn apply(&self, points: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let w = self.from.w;
         let mix = |a: [f64; 3], b: [f64; 3], t: f64| std::array::from_fn(|c| a[c] + t * (b[c] - a[c]));

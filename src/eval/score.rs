@@ -1,4 +1,4 @@
-//! One solver on one sequence: what it cost and how far from the truth it was.
+//! The score of one solver on one sequence: its cost and its distance from the truth.
 
 use super::metrics::{Surface, chamfer, relative_error};
 use super::nearness::{Nearness, mean_and_shares};
@@ -15,14 +15,14 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-/// An edge away from the handles that is this much longer than at rest tells that a simulation diverged.
+/// Stretch of an edge away from handles at which a simulation counts as diverged.
 const DIVERGED: f64 = 3.0;
-/// Seconds at the end over which the speed is averaged.
+/// Duration at the end over which the speed is averaged \[s\].
 const SETTLED_S: f64 = 0.5;
-/// Frames that [`snapshots`] keeps.
+/// Number of frames that [`snapshots`] keeps.
 pub const SNAPSHOTS: usize = 4;
 
-/// A solver that takes part.
+/// A solver to be evaluated.
 #[derive(Clone, Debug)]
 pub struct Entry {
     /// Name of its column, such as `fnopt` or `adam`.
@@ -31,29 +31,30 @@ pub struct Entry {
     pub optimizer: Optimizer,
     /// Iterations per frame.
     pub iterations: usize,
-    /// Whether it only works out accelerations on [`coarse`] grids, which are carried to the grid that was asked for (the
-    /// baseline `interpolation`).
+    /// Whether it computes accelerations on the [`coarse`] grid only, and resamples them to the requested
+    /// grid (the baseline `interpolation`).
     pub coarse: bool,
 }
 
 impl Entry {
-    /// Where it runs when `device` was asked for: some optimizers only the CPU has.
+    /// Returns the device it runs on if `device` is requested: the CPU for optimizers without a GPU
+    /// implementation.
     pub fn device<'a>(&self, device: &'a Device) -> &'a Device {
         if self.optimizer.runs_on_gpu() { device } else { &Device::Cpu }
     }
 
-    /// Iterations as scores tell them: 0 of an optimizer that converges whatever their number.
+    /// Returns the iterations as recorded in scores: 0 for an optimizer that always converges.
     pub(super) fn told_iterations(&self) -> usize {
         if matches!(self.optimizer, Optimizer::Newton) { 0 } else { self.iterations }
     }
 
-    /// Name of its column in tables: the solver and its iterations.
+    /// Returns the name of its column in tables: the solver and its iterations.
     pub fn column(&self) -> String {
         column(&self.name, self.told_iterations())
     }
 }
 
-/// A name, and iterations where they mean something.
+/// Returns the name of a column: the solver and, if they are meaningful, its iterations.
 pub(super) fn column(solver: &str, iterations: usize) -> String {
     match iterations {
         0 => solver.to_owned(),
@@ -61,19 +62,20 @@ pub(super) fn column(solver: &str, iterations: usize) -> String {
     }
 }
 
-/// What all entries share.
+/// The settings that all entries share.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// The cloth and the air.
     pub physics: Physics,
-    /// Points sampled from each surface for e_CD.
+    /// Number of points sampled from each surface for e_CD.
     pub points: usize,
-    /// Frames that are simulated, the start included; all of a sequence at most.
+    /// Number of frames to simulate, including the start; at most all of a sequence.
     pub frames: usize,
 }
 
 impl Settings {
-    /// The settings as a document: `material` as in a scene, null for what is the sequence's.
+    /// Returns the settings as a document, with `material` as in a scene, and null for values that the
+    /// sequence provides.
     pub fn to_json(&self) -> serde_json::Value {
         let Physics { stiffness, density, drag, frame_time_s } = self.physics;
         let scene = Scene { stiffness, ..Scene::default() }.to_json();
@@ -88,7 +90,8 @@ impl Settings {
     }
 }
 
-/// How one solver did on one sequence. Without frames to judge, because it diverged, there are no numbers.
+/// The result of one solver on one sequence. If it diverged there are no frames to measure, and the figures
+/// are `None`.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Score {
     /// Name of the sequence.
@@ -97,11 +100,11 @@ pub struct Score {
     pub grid: String,
     /// Name of the solver.
     pub solver: String,
-    /// Iterations per frame; 0 where that means nothing.
+    /// Iterations per frame; 0 if not meaningful.
     pub iterations: usize,
-    /// Frames that were judged, the start not among them.
+    /// Number of frames that were measured, excluding the start.
     pub frames: usize,
-    /// Whether all frames were finite and of about the right size.
+    /// Whether all frames were finite and of plausible size.
     pub stable: bool,
     /// Mean Chamfer distance [m^2].
     pub e_cd: Option<f64>,
@@ -119,11 +122,12 @@ pub struct Score {
     pub stretch_largest: Option<f64>,
     /// Mean over the frames and all edges of `||edge| - 1|`.
     pub stretch_mean: Option<f64>,
-    /// Mean speed of the particles in the last half second [m/s]: how far the cloth has settled.
+    /// Mean speed of the particles in the last half second [m/s], which shows how far the cloth has settled.
     pub speed_at_end: Option<f64>,
-    /// Mean repulsion energy on [`coarse`] grids, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.1).
+    /// Mean repulsion energy on [`coarse`] grids, and the shares of frames in which it exceeds 0.1 and 0.02
+    /// (paper section 6.1).
     pub repulsion: Option<[f64; 3]>,
-    /// What it was made with.
+    /// The conditions of the score.
     pub made_with: Conditions,
     /// Figures of every frame.
     pub per_frame: PerFrame,
@@ -141,28 +145,28 @@ pub struct PerFrame {
 }
 
 impl Score {
-    /// Name of its column in tables: the solver and its iterations.
+    /// Returns the name of its column in tables: the solver and its iterations.
     pub fn column(&self) -> String {
         column(&self.solver, self.iterations)
     }
 
-    /// Whether it is another system's ([`compare`]), which no device of ours has simulated.
+    /// Whether the score is another system's ([`compare`]) rather than of a simulation of ours.
     pub fn is_imported(&self) -> bool {
         self.iterations == 0 && self.made_with.device.is_none()
     }
 
-    /// Reads a score that [`Score::write`] kept.
+    /// Reads a score that [`Score::write`] wrote.
     pub fn read(path: &Path) -> Result<Self> {
         read_kept(path)
     }
 
-    /// Keeps the score as JSON.
+    /// Writes the score as JSON.
     pub fn write(&self, path: &Path) -> Result<()> {
         keep(path, self)
     }
 }
 
-/// A score of whatever kind that [`keep`] wrote.
+/// Reads a score of any kind that [`keep`] wrote.
 pub(super) fn read_kept<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T> {
     let bytes = io::read_bytes(path)?;
     let origin = path.display().to_string();
@@ -171,13 +175,13 @@ pub(super) fn read_kept<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T
     })
 }
 
-/// Keeps a score of whatever kind as JSON.
+/// Writes a score of any kind as JSON.
 pub(super) fn keep(path: &Path, score: &impl serde::Serialize) -> Result<()> {
     let json = serde_json::to_vec(score).expect("scores are plain data");
     io::write_atomic(path, |file| file.write_all(&json))
 }
 
-/// What a simulation leaves to be judged.
+/// The output of a simulation, to be measured.
 pub(super) struct Simulated {
     pub trajectory: Trajectory,
     pub stats: Vec<FrameStats>,
@@ -188,15 +192,16 @@ pub(super) struct Simulated {
 }
 
 impl Simulated {
-    /// Median wall time of a frame \[ms\], without the first frames where there are more; none without frames.
+    /// Returns the median wall time of a frame \[ms\], without the warm-up if there are more frames; `None`
+    /// without frames.
     pub fn ms_per_frame(&self) -> Option<f64> {
         (!self.times_ms.is_empty()).then(|| median_time(&self.times_ms))
     }
 }
 
-/// Simulates a sequence on a grid, from its recorded start or that of a repeat, and judges it; the score and what was
-/// simulated. An optimizer that only the CPU has runs there. `tick` is called after each frame and may end everything;
-/// then there is nothing.
+/// Simulates a sequence on a grid, from its recorded start or that of a repeat, and returns the score and the
+/// trajectory. An optimizer without a GPU implementation runs on the CPU. `tick` is called after each frame;
+/// if it breaks, the result is `None`.
 pub fn run(
     (sequence, nudge): (&Sequence, Option<Nudge>),
     grid: Grid,
@@ -232,7 +237,7 @@ pub fn run(
             simulated.stats.iter().map(of).sum::<f64>() / simulated.stats.len() as f64
         };
         score.ms_per_frame = simulated.ms_per_frame();
-        // Those of another grid's cloth would say nothing.
+        // These figures mean nothing for a cloth on another grid.
         if own == grid {
             score.energy = Some(mean(&|s| s.energy.total()));
             let term = |k: usize| mean(&|s| s.energy.to_array()[k]);
@@ -245,8 +250,8 @@ pub fn run(
     Ok(Some((score, simulated.trajectory)))
 }
 
-/// Accelerations of a trajectory, carried to a finer grid and integrated there from `start`. Both are linear, so this is the
-/// same as carrying the way from the first frame.
+/// Resamples the accelerations of a trajectory to a finer grid and integrates them there from `start`. Both
+/// are linear, so it suffices to resample the displacements from the first frame.
 fn carried(coarse: &Trajectory, grid: Grid, start: &[[f64; 3]]) -> Trajectory {
     let resampling = Resampling::new(coarse.grid(), grid);
     let mut fine = Trajectory::new(grid, coarse.fps());
@@ -261,7 +266,8 @@ fn carried(coarse: &Trajectory, grid: Grid, start: &[[f64; 3]]) -> Trajectory {
     fine
 }
 
-/// A few frames of a trajectory to look at, evenly spread over its first `frames`, the last of them included.
+/// Returns a few frames of a trajectory for display, evenly spread over its first `frames` and including the
+/// last of them.
 pub fn snapshots(trajectory: &Trajectory, frames: usize) -> Trajectory {
     let mut kept = Trajectory::new(trajectory.grid(), trajectory.fps());
     let last = trajectory.frames().min(frames).saturating_sub(1);
@@ -272,7 +278,8 @@ pub fn snapshots(trajectory: &Trajectory, frames: usize) -> Trajectory {
     kept
 }
 
-/// Distances of the vertices of a frame from a truth on another grid \[m\], at the frame's vertices.
+/// Returns the distances \[m\] of the vertices of a frame from a truth on another grid, which is resampled to
+/// the frame's.
 pub fn vertex_errors((found, grid): (&[[f32; 3]], Grid), (truth, of_truth): (&[[f32; 3]], Grid)) -> Vec<f32> {
     let wide: Vec<[f64; 3]> = truth.iter().map(|p| p.map(f64::from)).collect();
     let truth = Resampling::new(of_truth, grid).apply(&wide);
@@ -280,8 +287,8 @@ pub fn vertex_errors((found, grid): (&[[f32; 3]], Grid), (truth, of_truth): (&[[
     found.iter().zip(truth).map(apart).collect()
 }
 
-/// Judges positions that another system made for a sequence, on whatever grid they have, or on the sequence's mesh
-/// ([`Sequence::read_other`]).
+/// Scores another system's trajectory of a sequence, on any grid or on the sequence's mesh
+/// ([`Sequence::read_other`]). Fails if it has too few frames or another frame rate.
 pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &Settings) -> Result<Score> {
     let frames = sequence.truth.frames().min(settings.frames);
     if found.frames() < frames {
@@ -293,7 +300,8 @@ pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &S
         let (origin, expected) = (format!("{name}, {}", sequence.name), format!("{rate} frames per second"));
         return Err(Error::invalid(origin, "fps", expected, found.fps()));
     }
-    // What is further away than the cloth could be stretched to has exploded, as a solver of our own would have.
+    // A vertex farther away than a cloth at the divergence limit could reach has exploded, which counts as
+    // divergence as it does for our own solvers.
     let reach = DIVERGED * sequence.side_m() * (1.0 + sequence.grid().aspect());
     let near = |frame: usize| {
         let centre = sequence.truth.frame(frame)[0];
@@ -302,7 +310,7 @@ pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &S
     judge(sequence, (name, found), (0..frames).all(near), settings)
 }
 
-/// Simulates a scene until it ends, diverges, or `tick` ends it.
+/// Simulates a scene until it ends or diverges, or until `tick` breaks.
 pub(super) fn simulate(
     setup: &Setup,
     entry: &Entry,
@@ -339,7 +347,7 @@ pub(super) fn simulate(
     Ok(done)
 }
 
-/// The distances of a trajectory to the truth.
+/// Measures the distances of a trajectory from the truth.
 fn judge(
     sequence: &Sequence,
     (name, found): (&str, &Trajectory),
@@ -417,7 +425,7 @@ fn distance(a: [f32; 3], b: [f32; 3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Mean speed of the particles on the way to a frame [m/s].
+/// Returns the mean speed of the particles in the step that leads to a frame [m/s].
 fn mean_speed(trajectory: &Trajectory, frame: usize) -> f64 {
     let (before, after) = (trajectory.frame(frame - 1), trajectory.frame(frame));
     let moved = before.iter().zip(after).map(|(&a, &b)| distance(a, b)).sum::<f64>();

@@ -1,4 +1,4 @@
-//! Trajectories of other simulators, in the layout of the MeshGraphNetRP data set.
+//! Sequences: recorded trajectories of other simulators, in the layout of the MeshGraphNetRP data set.
 
 use super::Physics;
 use super::flat_mesh::FlatMesh;
@@ -10,54 +10,56 @@ use serde_json::{Map, Value};
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
-/// A recorded trajectory, in a folder:
+/// A recorded trajectory, read from a folder with these files:
 ///
-/// - `cloth_pos.npy` [frames, vertices, 3]: the positions \[m\], y up. The only file that is required;
-/// - `meta.json`, if there is one: what is told of the cloth, see below. Without `grid` in it, and without a mesh, the
-///   vertices are those of a square grid;
-/// - `mesh.obj`, or the OBJ file that `obj_code` in `meta.json` names, in the folder or beside it, where the vertices are no
-///   grid: the mesh at rest, a flat rectangle in two of the axes. `handle_vertices` must then be given;
-/// - `handles.npy` [frames, handles, 3], if there is one: where the handles are \[m\], in as many frames as `cloth_pos.npy` has;
-///   else they are where their vertices are;
-/// - `start.npy` [vertices, 3], if there is one and the vertices are a grid: the first frame \[m\] with more digits than in
-///   `cloth_pos.npy`. Half of them are enough for a comparison, but not for edges.
+/// - `cloth_pos.npy` [frames, vertices, 3], the only required file: the positions \[m\], y up;
+/// - `meta.json`, optional: a description of the cloth, see below. Without a `grid` in it, and without a
+///   mesh, the vertices are those of a square grid;
+/// - `mesh.obj`, or the OBJ file that `obj_code` in `meta.json` names, in the folder or next to it, required
+///   if the vertices do not form a grid: the mesh at rest, a flat rectangle in two of the axes. It is ignored
+///   if `meta.json` has a `grid`, and requires `handle_vertices`;
+/// - `handles.npy` [frames, handles, 3], optional: the positions of the handles \[m\], for as many frames as
+///   `cloth_pos.npy` has. Without it, the handles follow their vertices;
+/// - `start.npy` [vertices, 3], optional, for a grid only: the first frame \[m\], more precise than in
+///   `cloth_pos.npy`. Half precision is enough for positions to compare with, but not for the edge lengths of
+///   a start.
 ///
-/// `meta.json` is an object. What it does not tell is the default scene's; other keys are passed over, except those that are
-/// nearly one of these:
+/// `meta.json` is an object. A missing key takes its value from the default scene. Other keys are ignored,
+/// but one that looks like a misspelling of a key below is an error.
 ///
 /// | key | value | unit | default |
 /// |---|---|---|---|
 /// | `fps` | frames per second | 1/s | 60 |
 /// | `grid` | `[H, W]`, particles along the height and the width | | square |
-/// | `obj_code` | name of the OBJ file of the mesh, without its ending | | `mesh` |
-/// | `side_length_m` | side along the height, on which the handles of a sheet that hangs by its corners lie | m | that of the mesh, or 1 |
-/// | `mass_per_area_kg_m2` | mass by area | kg/m^2 | 0.187 |
+/// | `obj_code` | name of the OBJ file of the mesh, without the extension | | `mesh` |
+/// | `side_length_m` | length of the side along the height, which is the one between the handles if the sheet hangs from two corners | m | that of the mesh, or 1 |
+/// | `mass_per_area_kg_m2` | mass per area | kg/m^2 | 0.187 |
 /// | `gravity_m_s2` | `[x, y, z]` | m/s^2 | `[0, -9.8, 0]` |
 /// | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, 1, 0 |
-/// | `handle_vertices` | vertex numbers from 0, `[k, ..]` or `{"h0": k, ..}`, in the order of `handles.npy` | | (H-1, 0), (0, 0) |
+/// | `handle_vertices` | vertex numbers, counted from 0, `[k, ..]` or `{"h0": k, ..}`, in the order of `handles.npy` | | (H-1, 0), (0, 0) |
 #[derive(Clone, Debug)]
 pub struct Sequence {
     /// Name of the folder.
     pub name: String,
     folder: PathBuf,
     meta: Meta,
-    /// The positions \[m\], y up; those of a mesh carried to a grid.
+    /// The positions \[m\], y up; those of a mesh are resampled to a grid.
     pub truth: Trajectory,
-    /// The mesh, where the vertices are no grid, and its positions.
+    /// The mesh and its positions, if the vertices do not form a grid.
     mesh: Option<(FlatMesh, Trajectory)>,
-    /// On the grid of the truth.
+    /// The handles, on the grid of the truth.
     handles: Handles,
     motion: Motion,
     checksum: u32,
 }
 
-/// What `meta.json` tells.
+/// The content of `meta.json`.
 #[derive(Clone, Debug)]
 struct Meta {
     origin: String,
     fps: f64,
     grid: Option<Grid>,
-    /// Name of the OBJ file of the mesh, without its ending.
+    /// Name of the OBJ file of the mesh, without the extension.
     obj_code: Option<String>,
     side_m: Option<f64>,
     mass: Mass,
@@ -81,7 +83,7 @@ const FIELDS: [&str; 8] = [
 const WIND_FIELDS: [&str; 3] = ["velocity", "density", "drag"];
 
 impl Sequence {
-    /// Names of the sequences in a folder of them, sorted.
+    /// Returns the sorted names of the sequences in a folder. Fails if there are none.
     pub fn names(folder: &Path) -> Result<Vec<String>> {
         let fail = |e| Error::io(folder, "cannot read the folder", e);
         let mut names = Vec::new();
@@ -99,8 +101,8 @@ impl Sequence {
         Ok(names)
     }
 
-    /// Reads sequences of a folder: those that are named, each once, or all of them. An error if one is named that is not there; what is wrong
-    /// with one that is takes no others along.
+    /// Reads the named sequences of a folder, each once, or all of them. Fails if a name is unknown. A
+    /// sequence that cannot be read does not affect the others.
     pub fn load_all(folder: &Path, named: Option<&[String]>) -> Result<Vec<Result<Self>>> {
         let known = Self::names(folder)?;
         let named = named.unwrap_or(&known);
@@ -112,8 +114,8 @@ impl Sequence {
         Ok(named.iter().enumerate().filter(first).map(|(_, name)| Self::load(folder, name)).collect())
     }
 
-    /// Reads the sequence `name` of a folder of them. Without `meta.json` the cloth is the default scene's, on a square grid,
-    /// and a warning says so.
+    /// Reads the sequence `name` of a folder. Without `meta.json` the cloth is taken to be that of the
+    /// default scene, on a square grid, and a warning is logged.
     pub fn load(folder: &Path, name: &str) -> Result<Self> {
         let folder = folder.join(name);
         let meta = Meta::read(folder.join("meta.json"))?;
@@ -164,28 +166,29 @@ impl Sequence {
         Ok(Self { name: name.to_owned(), folder, meta, truth, mesh, handles, motion, checksum })
     }
 
-    /// A checksum of the bytes of all its files.
+    /// Returns a checksum of the names and contents of all its files.
     pub fn checksum(&self) -> u32 {
         self.checksum
     }
 
-    /// Length of the side along the height \[m\].
+    /// Returns the length of the side along the height \[m\].
     pub fn side_m(&self) -> f64 {
         let of_mesh = || self.mesh.as_ref().map(|(mesh, _)| mesh.sides[0]);
         self.meta.side_m.or_else(of_mesh).unwrap_or(Scene::default().side_m.height())
     }
 
-    /// Density and drag of its air, and its frame time \[s\].
+    /// Returns the density and drag of the air, and the frame time \[s\].
     pub fn air_and_frame_time(&self) -> [f64; 3] {
         [self.meta.wind.density, self.meta.wind.drag, 1.0 / self.truth.fps()]
     }
 
-    /// The grid of the truth.
+    /// Returns the grid of the truth.
     pub fn grid(&self) -> Grid {
         self.truth.grid()
     }
 
-    /// The triangles of the cloth, and its vertices in a frame \[m\]: those of the mesh where there is one.
+    /// Returns the vertices \[m\] and the triangles of the cloth in a frame: those of the mesh if there is
+    /// one.
     pub fn surface(&self, frame: usize) -> (Vec<[f64; 3]>, Cow<'_, [[u32; 3]]>) {
         let (recorded, faces) = match &self.mesh {
             Some((mesh, recorded)) => (recorded, Cow::Borrowed(&mesh.faces[..])),
@@ -194,10 +197,10 @@ impl Sequence {
         (recorded.frame(frame).iter().map(|p| p.map(f64::from)).collect(), faces)
     }
 
-    /// Reads another system's trajectory of the cloth: an npz, npy or pc2 file or a folder of OBJ files. Its vertices are those of
-    /// the mesh, where there is one, or else of the grid that its faces tell, of the truth's, or of a square one. Those of
-    /// a mesh are a single row; [`Sequence::on_grid`] carries them to a grid. Numbers that are not finite
-    /// stay: that system diverged.
+    /// Reads another system's trajectory of the cloth: an npz, npy or pc2 file or a folder of OBJ files. Its
+    /// vertices are those of the mesh if there is one, otherwise those of the grid given by its faces, of the
+    /// truth's grid, or of a square grid. Vertices of the mesh are returned as a single row, which
+    /// [`Sequence::on_grid`] resamples to a grid. Numbers that are not finite are kept: that system diverged.
     pub fn read_other(&self, path: &Path) -> Result<Trajectory> {
         let fps = self.truth.fps();
         if let Some((_, recorded)) = &self.mesh {
@@ -209,13 +212,15 @@ impl Sequence {
         let told = || Trajectory::read_as_it_is(path, &ReadOptions { grid: None, fps });
         let own = || Trajectory::read_as_it_is(path, &ReadOptions { grid: Some(self.grid()), fps });
         match path.extension().is_some_and(|e| e == "npy" || e == "pc2") {
-            // Without faces, as many vertices as the truth has are taken to be on its grid, even where a square would do.
+            // Without faces, a trajectory with as many vertices as the truth is taken to be on its grid, even
+            // if a square one would fit.
             true => own().or_else(|error| told().map_err(|_| error)),
             false => told().or_else(|error| own().map_err(|_| error)),
         }
     }
 
-    /// A trajectory on a grid: itself, or where it is one of the vertices of the mesh, carried to the truth's grid.
+    /// Returns a trajectory on a grid: unchanged, or resampled to the truth's grid if its vertices are those
+    /// of the mesh.
     pub fn on_grid<'a>(&self, found: &'a Trajectory) -> Result<Cow<'a, Trajectory>> {
         match self.mesh_of(found) {
             None => Ok(Cow::Borrowed(found)),
@@ -223,13 +228,14 @@ impl Sequence {
         }
     }
 
-    /// The mesh, where the vertices of a trajectory are a single row of as many.
+    /// Returns the mesh if the trajectory is a single row of as many vertices.
     pub(super) fn mesh_of(&self, found: &Trajectory) -> Option<&FlatMesh> {
         self.mesh.as_ref().filter(|(_, recorded)| recorded.grid() == found.grid()).map(|(mesh, _)| mesh)
     }
 
-    /// Where the cloth starts on a grid. A mesh is carried to the grid at once, except to one that is finer than the truth's:
-    /// the triangles would leave creases in it.
+    /// Returns the start state on a grid. A mesh is resampled directly to that grid, unless the grid is finer
+    /// than the truth's, on which the triangles of the mesh would leave creases: then it is resampled to the
+    /// truth's.
     fn start(&self, grid: Grid) -> Result<Start> {
         let own = self.truth.grid();
         if let Some((mesh, recorded)) = &self.mesh {
@@ -242,7 +248,7 @@ impl Sequence {
         Ok(Start::File(StartFile { path, grid: Some(own), transform: None }))
     }
 
-    /// The scene that repeats it: from its first frame, with its handles, on a grid.
+    /// Returns the scene that repeats the sequence on a grid: from its first frame, with its handles.
     pub fn scene(&self, grid: Grid, physics: &Physics) -> Result<Scene> {
         self.check_shape(grid)?;
         let Meta { wind, mass, gravity, .. } = self.meta;
@@ -265,7 +271,7 @@ impl Sequence {
         Ok(scene)
     }
 
-    /// Refuses a grid on which, its cells being square, the cloth would be another one by more than a column.
+    /// Fails if the square cells of `grid` would make the cloth wider or narrower by more than a column.
     fn check_shape(&self, grid: Grid) -> Result<()> {
         let own = self.grid();
         let columns = 1.0 + (grid.h - 1) as f64 * own.aspect();
@@ -278,7 +284,7 @@ impl Sequence {
 }
 
 impl Meta {
-    /// Reads `meta.json`; what is not told is the default scene's.
+    /// Reads `meta.json`; missing keys take their values from the default scene.
     fn read(path: PathBuf) -> Result<Self> {
         let origin = path.display().to_string();
         let document = if path.is_file() {
@@ -319,7 +325,8 @@ impl Meta {
         })
     }
 
-    /// The mesh of a sequence in `folder`, if its vertices are no grid and there is one.
+    /// Returns the mesh file of the sequence in `folder`; `None` if its vertices form a grid or there is no
+    /// such file.
     fn mesh_file(&self, folder: &Path) -> Option<PathBuf> {
         let named = self.obj_code.iter().map(|code| format!("{code}.obj"));
         let beside = named.flat_map(|name| [folder.join(&name), folder.join("..").join(&name)]);
@@ -328,7 +335,8 @@ impl Meta {
     }
 }
 
-/// A recording of a cloth that moves: errors are measured on its triangles, and relative to its size.
+/// Checks that a recording has at least two frames, a grid of at least one cell, and no frame of zeros only:
+/// errors are measured on the triangles of the cloth, and relative to its size.
 fn check(truth: &Trajectory, recorded: &Trajectory, path: &Path) -> Result<()> {
     let invalid = |field: &str, expected: &str, found: &dyn std::fmt::Display| {
         Err(Error::invalid(path.display().to_string(), field, expected, found))
@@ -347,7 +355,7 @@ fn check(truth: &Trajectory, recorded: &Trajectory, path: &Path) -> Result<()> {
     }
 }
 
-/// Where some vertices are in each frame.
+/// Returns the positions of some vertices in each frame.
 fn rows(recorded: &Trajectory, vertices: &[usize], origin: &str) -> Result<Vec<Vec<[f64; 3]>>> {
     let count = recorded.grid().particles();
     if let Some(&vertex) = vertices.iter().find(|&&vertex| vertex >= count) {
@@ -357,7 +365,7 @@ fn rows(recorded: &Trajectory, vertices: &[usize], origin: &str) -> Result<Vec<V
     Ok((0..recorded.frames()).map(row).collect())
 }
 
-/// Where the handles are in each frame, from a file of shape [`frames`, `handles`, 3].
+/// Reads the positions of the handles in each frame from a file of shape [`frames`, `handles`, 3].
 fn handle_rows(path: &Path, frames: usize, handles: usize) -> Result<Vec<Vec<[f64; 3]>>> {
     let array = io::read_npy(path)?;
     let bad = |field: String, expected: String, found: String| {
@@ -376,7 +384,7 @@ fn handle_rows(path: &Path, frames: usize, handles: usize) -> Result<Vec<Vec<[f6
     }
 }
 
-/// The vertices of `{"h0": k, "h1": l, ..}` or `[k, l, ..]`, in this order.
+/// Reads the vertices of `{"h0": k, "h1": l, ..}` or `[k, l, ..]`, in this order.
 fn handle_vertices(node: &Node) -> Result<Vec<usize>> {
     match node.value {
         Value::Array(_) => node.items()?.iter().map(Node::count).collect(),
@@ -397,7 +405,7 @@ fn not_negative(node: &Node) -> Result<f64> {
     Some(node.number()?).filter(|&v| v >= 0.0).ok_or_else(|| node.invalid("a number, 0 or more"))
 }
 
-/// A checksum of the names and bytes of files.
+/// Returns a checksum of the names and contents of files.
 fn checksum<'a>(files: impl Iterator<Item = &'a PathBuf>) -> Result<u32> {
     let mut sum = crc32fast::Hasher::new();
     for file in files {

@@ -1,19 +1,21 @@
-//! Stretch of the edges that no handle pulls directly.
+//! Stretch of edges that no handle pulls directly.
 
 use crate::sim::Model;
 
-/// Largest stretch of [`FreeEdges`] that a sound simulation shows.
+/// Largest stretch of [`FreeEdges`] in a sound rollout.
 pub const STRETCH_LIMIT: f64 = 0.6;
 
-/// The edges of one cloth that are more than H/10 edges away from each of its handles. Next to a handle that carries half
-/// of a sheet an edge rightly doubles its length on a fine grid; away from it no edge should.
+/// The edges of one cloth that are more than H/10 edges away from each of its handles. Next to a handle that
+/// carries half of the sheet, an edge on a fine grid may well double its length; away from handles, none
+/// should.
 pub struct FreeEdges {
     /// The two particles of each edge.
     edges: Vec<[usize; 2]>,
 }
 
 impl FreeEdges {
-    /// Those of cloth `index` of the model. The distance is counted in edges of the grid, from the nearer end.
+    /// Finds the free edges of cloth `index` of the model. The distance from a handle is counted in edges of
+    /// the grid, from the nearer end.
     pub fn new(model: &Model, index: usize) -> Self {
         let grid = model.grid;
         let (h, w) = (grid.h, grid.w);
@@ -28,14 +30,15 @@ impl FreeEdges {
         Self { edges: down.chain(across).filter(free).collect() }
     }
 
-    /// Largest `|edge| - 1` of positions `x` [3, H, W] in edges; not a number when a position is none.
+    /// Returns the largest `|edge| - 1` for positions `x` [3, H, W] in edges; NaN if the length of an edge is
+    /// NaN.
     pub fn largest<T: Copy + Into<f64>>(&self, x: &[T]) -> f64 {
         let n = x.len() / 3;
         let length = |&[p, q]: &[usize; 2]| {
             let square = |c: usize| (x[c * n + q].into() - x[c * n + p].into()).powi(2);
             (square(0) + square(1) + square(2)).sqrt()
         };
-        // `f64::max` would drop what is not a number.
+        // `f64::max` would ignore NaN.
         self.edges.iter().map(length).fold(0.0, |a, b| if a > b || a.is_nan() { a } else { b }) - 1.0
     }
 }

@@ -1,5 +1,6 @@
-//! How far a solver generalises: the default scene with other motions, handles, speeds, grids, materials or numbers of
-//! iterations, or with layers that are kept apart, judged by itself, without another simulator.
+//! Suites that measure how well a solver generalises: the default scene with other motions, handles, speeds,
+//! grids, materials or numbers of iterations, or with repulsion, evaluated without another simulator as
+//! reference.
 
 use super::gap::{median_gap, track};
 use super::nearness::{Nearness, mean_and_shares};
@@ -17,37 +18,39 @@ use std::cell::OnceCell;
 use std::ops::ControlFlow;
 use std::path::Path;
 
-/// What is varied.
+/// The property that a suite varies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Suite {
     /// All built-in motions.
     Motions,
-    /// All placements of handles: the drape let go of (`drape`), and a flat sheet dropped (`flat`).
+    /// All placements of handles, for a drape that is released (`drape`) and a flat sheet that is dropped
+    /// (`flat`).
     Handles,
-    /// The default motion played 1.2, 1.5 and 2 times faster.
+    /// The default motion played at 1, 1.2, 1.5 and 2 times its speed.
     Speeds,
-    /// Grids that are not square, and fine ones.
+    /// Non-square grids, and fine ones.
     Grids,
-    /// Stretch 100 to 1000 by bend 0.01 to 10.
+    /// Stretch coefficients 100 to 1000 combined with bend coefficients 0.01 to 10.
     Materials,
     /// 3 to 30 iterations.
     Iterations,
-    /// Two ways to hold the sheet in which it folds onto itself, without and with repulsion (the paper's Table 5).
+    /// Two placements of handles with which the sheet folds onto itself, without and with repulsion (the
+    /// paper's Table 5).
     Repulsion,
 }
 
 /// A scene of a suite.
 #[derive(Clone, Debug)]
 pub struct Case {
-    /// What is special about it.
+    /// Name, which says what distinguishes the case.
     pub name: String,
     /// The scene.
     pub scene: Scene,
-    /// Iterations per frame, where the suite sets them.
+    /// Iterations per frame, if the suite sets them.
     pub iterations: Option<usize>,
 }
 
-/// How a solver did in a case.
+/// The result of a solver in a case.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CaseScore {
     /// Name of the case.
@@ -56,35 +59,37 @@ pub struct CaseScore {
     pub grid: String,
     /// Iterations per frame.
     pub iterations: usize,
-    /// Whether all frames were finite and of about the right size.
+    /// Whether all frames were finite and of plausible size.
     pub finite: bool,
     /// Largest `|edge| - 1` of the edges away from handles.
     pub stretch_largest: f64,
-    /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; none where it was not
-    /// asked for, or is no number, or layers are kept apart.
+    /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; `None` if
+    /// it was not requested or is not finite, or if there is repulsion.
     pub gap: Option<f64>,
-    /// Median wall time of a frame \[ms\]; none when it diverged in the first.
+    /// Median wall time of a frame \[ms\]; `None` if the first frame diverged.
     pub ms_per_frame: Option<f64>,
-    /// How near its layers came to each other: the mean over the frames of the repulsion energy on [`coarse`](super::coarse) grids,
-    /// and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.3.3); none when it diverged.
+    /// How near the layers came to each other: the mean over the frames of the repulsion energy on
+    /// [`coarse`](super::coarse) grids, and the shares of frames in which it exceeds 0.1 and 0.02 (paper
+    /// section 6.3.3). `None` if the simulation diverged.
     #[serde(default)]
     pub repulsion: Option<[f64; 3]>,
-    /// What it was made with; `settings` are the scene, its frames, and whether the gap was asked for.
+    /// The conditions of the score; `settings` holds the scene, its number of frames, and whether the gap was
+    /// requested.
     pub made_with: Conditions,
 }
 
 impl CaseScore {
-    /// Reads a score that [`CaseScore::write`] kept.
+    /// Reads a score that [`CaseScore::write`] wrote.
     pub fn read(path: &Path) -> Result<Self> {
         read_kept(path)
     }
 
-    /// Keeps the score as JSON.
+    /// Writes the score as JSON.
     pub fn write(&self, path: &Path) -> Result<()> {
         keep(path, self)
     }
 
-    /// The energy gap where it was asked for; infinite where it is no number.
+    /// Returns the energy gap if it was requested; infinite if it is not finite.
     pub(crate) fn measured_gap(&self) -> Option<f64> {
         (self.made_with.settings["gap"] == true).then(|| self.gap.unwrap_or(f64::INFINITY))
     }
@@ -96,11 +101,11 @@ impl CaseScore {
 }
 
 impl Suite {
-    /// Names of the suites.
+    /// The names of the suites.
     pub const NAMES: [&str; 7] =
         ["motions", "handles", "speeds", "grids", "materials", "iterations", "repulsion"];
 
-    /// The suite of that name; its `origin` is told in errors.
+    /// Returns the suite called `name`; `origin` says where the name comes from, for errors.
     pub fn named(name: &str, origin: &str) -> Result<Self> {
         Ok(match name {
             "motions" => Self::Motions,
@@ -114,7 +119,7 @@ impl Suite {
         })
     }
 
-    /// Its cases on a grid, which the suite of grids replaces by its own.
+    /// Returns the cases on a grid; [`Suite::Grids`] uses its own grids instead.
     pub fn cases(self, grid: Grid) -> Result<Vec<Case>> {
         let mut cases: Vec<Case> = Vec::new();
         let mut push = |name: String, scene: Scene| cases.push(Case { name, scene, iterations: None });
@@ -185,19 +190,19 @@ impl Suite {
     }
 }
 
-/// A case made ready for any number of solvers.
+/// A case prepared for any number of solvers.
 pub struct Prepared {
     case: Case,
-    /// All that it is, and how many frames of it.
+    /// The scene and its number of frames, for [`Conditions`].
     told: serde_json::Value,
-    /// Its scene in grid units.
+    /// The scene in grid units.
     pub setup: Setup,
-    /// Its converged frames, computed when the first gap is measured.
+    /// The converged frames, computed when the first gap is measured.
     track: OnceCell<Track>,
 }
 
 impl Prepared {
-    /// Makes a case ready, for `frames` frames at most, the start included.
+    /// Prepares a case, for at most `frames` frames, including the start.
     pub fn new(case: Case, frames: usize) -> Result<Self> {
         let mut setup = case.scene.setup()?;
         if setup.frames() > frames {
@@ -212,31 +217,32 @@ impl Prepared {
         Entry { name: optimizer.name().into(), optimizer: optimizer.clone(), iterations, coarse: false }
     }
 
-    /// What tells its score with a solver from those of other cases: the solver's name, its iterations, the grid and the case.
+    /// Returns a name that identifies a solver's score in this case: the solver, its iterations, the grid and
+    /// the case.
     pub fn name(&self, solver: &str, iterations: usize) -> String {
         let iterations = self.case.iterations.unwrap_or(iterations);
         format!("{solver}_{iterations}_{}_{}", self.setup.model.grid, self.case.name)
     }
 
-    /// Whether Newton's method can take part: not where layers are kept apart. Without it there is no energy gap either.
+    /// Whether Newton's method applies: not with repulsion. Without it there is no energy gap either.
     fn has_newton(&self) -> bool {
         !self.setup.model.repels()
     }
 
-    /// Whether an optimizer can take part.
+    /// Whether an optimizer applies to this case.
     pub fn takes(&self, optimizer: &Optimizer) -> bool {
         self.has_newton() || !matches!(optimizer, Optimizer::Newton)
     }
 
-    /// What [`Prepared::run`] would make a score with, beside the iterations.
+    /// Returns the conditions of a score of [`Prepared::run`], apart from the iterations.
     pub fn conditions(&self, optimizer: &Optimizer, device: &Device, with_gap: bool) -> Conditions {
         let mut settings = self.told.clone();
         settings["gap"] = (with_gap && self.has_newton()).into();
         Conditions::of_scene(settings, &self.entry((optimizer, 1)), device)
     }
 
-    /// Runs a solver, on the CPU where only that has it; with its energy gap if asked for and there is one. Nothing when
-    /// `tick`, called in each frame, ended it.
+    /// Runs a solver, on the CPU if it has no GPU implementation, and measures its energy gap if that is
+    /// requested and possible. Returns `None` if `tick`, which is called in each frame, ended the run.
     pub fn run(
         &self,
         solver: (&Optimizer, usize),
@@ -273,7 +279,7 @@ impl Prepared {
         Ok(Some((score, simulated.trajectory)))
     }
 
-    /// How near the layers came to each other; none without a frame beside the start.
+    /// Measures how near the layers came to each other; `None` without a frame after the start.
     fn repulsion_of(&self, trajectory: &Trajectory) -> Option<[f64; 3]> {
         let Setup { model, units, .. } = &self.setup;
         let measure = Nearness::new(model.grid, units.length_m * (model.grid.h - 1) as f64);
@@ -293,9 +299,9 @@ impl Prepared {
     }
 }
 
-/// The scores of a suite as a table: a row for each case, then one for all cases that share a grid and a number of iterations, with
-/// how many were sound, the largest stretch of all, and the medians of the energy gap and the time. In the suite of
-/// repulsion it is also told how near layers came to each other.
+/// Builds the table of a suite: one row per case, then one for all cases that share a grid and a number of
+/// iterations, with the number of sound ones, the largest stretch, and the medians of the energy gap and the
+/// time. The table of [`Suite::Repulsion`] also shows how near the layers came to each other.
 pub fn table(title: &str, suite: Suite, scores: &[CaseScore]) -> Table {
     let of_repulsion = match suite {
         Suite::Repulsion => &["repulsion", "share > 0.1", "share > 0.02"][..],
@@ -345,7 +351,7 @@ fn row_of_all(scores: &[&CaseScore]) -> (String, Vec<Cell>) {
     let sound = scores.iter().filter(|score| score.sound()).count();
     let largest = scores.iter().map(|score| score.stretch_largest).fold(0.0, f64::max);
     let figures: [fn(&CaseScore) -> Option<f64>; 2] = [CaseScore::measured_gap, |score| score.ms_per_frame];
-    // None where a case has none.
+    // `None` if one case has none.
     let [gap, ms] = figures.map(|figure| {
         let all: Option<Vec<f64>> = scores.iter().map(|score| figure(score)).collect();
         all.map(|all| median(&all))
@@ -354,7 +360,8 @@ fn row_of_all(scores: &[&CaseScore]) -> (String, Vec<Cell>) {
     row(name, scores[0], format!("{sound} of {}", scores.len()), [Some(largest), gap, ms])
 }
 
-/// A row with the largest stretch, the energy gap and the time of a frame; grid and iterations are those of `like`.
+/// Builds a row with the largest stretch, the energy gap and the time of a frame; grid and iterations are
+/// those of `like`.
 fn row(
     name: String,
     like: &CaseScore,

@@ -1,14 +1,14 @@
-//! A table of texts, and how it is written.
+//! Tables of text, and their output formats.
 
-/// Columns of a terminal: a wider table is written in parts.
+/// Columns of a terminal: wider tables are split into parts.
 const WIDTH: usize = 120;
 
-/// A table of texts, in which the best number of each row may be marked.
+/// A table of text cells, in which the best number of each row may be marked.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Table {
-    /// What it shows.
+    /// Title.
     pub title: String,
-    /// Heads of the columns, that of the row names first.
+    /// Column headings, starting with that of the row names.
     pub columns: Vec<String>,
     /// Name and cells of each row.
     pub rows: Vec<(String, Vec<Cell>)>,
@@ -17,28 +17,28 @@ pub struct Table {
 /// A cell of a table.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Cell {
-    /// What it says.
+    /// Text of the cell.
     pub text: String,
-    /// Whether it is the best of its row.
+    /// Whether the number is the best of its row.
     pub best: bool,
 }
 
-/// How a table is written.
+/// The output format of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
-    /// Aligned columns; the best in bold where asked for.
+    /// Aligned columns, the best number in bold if requested.
     Text {
-        /// Whether escapes for bold are understood.
+        /// Whether to use escape sequences for bold.
         bold: bool,
     },
-    /// Markdown, the best in bold.
+    /// Markdown, the best number in bold.
     Markdown,
-    /// Comma-separated values, the title as a comment.
+    /// Comma-separated values, with the title as a comment.
     Csv,
 }
 
 impl Table {
-    /// The table as text.
+    /// Returns the table as text.
     pub fn write(&self, format: Format) -> String {
         match format {
             Format::Text { bold } => self.aligned(bold),
@@ -59,7 +59,7 @@ impl Table {
         let first = |name: &str| format!("{name:<width$}", width = widths[0]);
         let mut from = 1;
         while from < widths.len() {
-            // As many columns as fit, one at least.
+            // As many columns as fit, but at least one.
             let mut until = from + 1;
             let width = |until: usize| widths[0] + widths[from..until].iter().map(|w| w + 2).sum::<usize>();
             while until < widths.len() && width(until + 1) <= WIDTH {

@@ -1,13 +1,13 @@
-//! Scores as tables, shaped like the paper's.
+//! Tables of scores, laid out like the paper's.
 
 use super::repeats::mean_over_repeats;
 use super::score::column;
 use super::{Cell, Score, Table, mean_and_deviation};
 
-/// What stands where a solver diverged.
+/// The text of a cell whose solver diverged.
 pub(super) const DIVERGED: &str = "-";
 
-/// A figure of a score.
+/// A numerical figure of a score.
 struct Figure {
     title: &'static str,
     of: fn(&Score) -> Option<f64>,
@@ -15,7 +15,7 @@ struct Figure {
     digits: usize,
 }
 
-/// The figures that have a table of their own for each grid: rows are sequences, columns are solvers.
+/// The figures that have one table per grid: rows are sequences, columns are solvers.
 const FIGURES: [Figure; 4] = [
     Figure { title: "e_CD x 10^3 [m^2]", of: |s| s.e_cd, factor: 1e3, digits: 2 },
     Figure { title: "e_3D x 10^2", of: |s| s.e_3d, factor: 1e2, digits: 2 },
@@ -28,14 +28,14 @@ const FIGURES: [Figure; 4] = [
     },
 ];
 
-/// The tables of some scores: errors, gradient and stretch per sequence for each grid, with means and deviations; where there
-/// are several grids or numbers of iterations, errors and times by them; then, of every solver on every grid, error and time,
-/// the energy and how it is made up, and the repulsion.
+/// Builds the tables of some scores: errors, gradient and stretch per sequence for each grid, with means and
+/// deviations; errors and times by grid and number of iterations, if there are several; then, for every
+/// solver on every grid, error and time, the energy and its terms, and the repulsion.
 pub fn tables(scores: &[Score]) -> Vec<Table> {
     let groups = groups(scores);
     let mut tables = Vec::new();
     for grid in distinct(own(groups.iter()).map(|group| group.grid.clone())) {
-        // Another system has the grid it has, and stands beside the solvers on any.
+        // Another system has a grid of its own, and is shown next to the solvers on every grid.
         let beside = |group: &&Group| group.grid == grid || group.is_imported();
         let here: Vec<&Group> = groups.iter().filter(beside).collect();
         for figure in &FIGURES {
@@ -61,17 +61,17 @@ struct Group<'a> {
 }
 
 impl<'a> Group<'a> {
-    /// Name of the solver's column: with its iterations, where they mean something.
+    /// Returns the name of the solver's column, with its iterations if they are meaningful.
     fn column(&self) -> String {
         column(&self.solver, self.iterations)
     }
 
-    /// Name of that column in the table of a grid, which may be another's than a system's own.
+    /// Returns the name of that column in the table of a grid, with the group's own grid if that is another.
     fn column_on(&self, grid: &str) -> String {
         if self.grid == grid { self.column() } else { format!("{} ({})", self.column(), self.grid) }
     }
 
-    /// Whether it is another system's.
+    /// Whether the scores are of another system.
     fn is_imported(&self) -> bool {
         self.scores().all(Score::is_imported)
     }
@@ -80,20 +80,20 @@ impl<'a> Group<'a> {
         self.sequences.iter().flat_map(|(_, repeats)| repeats.iter().copied())
     }
 
-    /// A figure of a sequence, if there are scores of it that can tell it or diverged.
+    /// Returns the spread of a figure on a sequence; `None` if no score of it has the figure or diverged.
     fn spread(&self, sequence: &str, figure: &Figure) -> Option<Spread> {
         let (_, repeats) = self.sequences.iter().find(|(name, _)| name == sequence)?;
         let told = repeats.iter().any(|s| !s.stable || (figure.of)(s).is_some());
         told.then(|| Spread::new(repeats, figure))
     }
 
-    /// A figure of every sequence.
+    /// Returns the spread of a figure on every sequence.
     fn spreads(&self, figure: &Figure) -> impl Iterator<Item = Spread> {
         self.sequences.iter().map(|(_, repeats)| Spread::new(repeats, figure))
     }
 
-    /// Mean of a figure over the sequences, and the deviation where there are several. What no score can tell is left empty:
-    /// another system has no time, and no energy.
+    /// Returns the mean of a figure over the sequences, and the deviation if there are several. A figure that
+    /// no score has is left empty: another system has no time and no energy.
     fn mean_and_deviation(&self, figure: &Figure) -> [Told; 2] {
         let told = self.scores().any(|s| !s.stable || (figure.of)(s).is_some());
         match over_sequences(self.spreads(figure)).when(told) {
@@ -106,24 +106,24 @@ impl<'a> Group<'a> {
     }
 }
 
-/// What a cell tells of a figure.
+/// The content of a cell.
 #[derive(Clone, Copy)]
 enum Told<T = f64> {
-    /// Nothing: no score can tell it.
+    /// Nothing: no score has the figure.
     Nothing,
-    /// That the solver diverged.
+    /// A mark that the solver diverged.
     Diverged,
-    /// The figure.
+    /// A figure.
     Value(T),
 }
 
 impl<T> Told<T> {
-    /// What there is of a solver, which has no figure where it diverged.
+    /// Wraps the figure of a solver; `None` means that it diverged.
     fn of(figure: Option<T>) -> Self {
         figure.map_or(Self::Diverged, Self::Value)
     }
 
-    /// This, if it is to be told.
+    /// Returns `self` if `told`, otherwise `Nothing`.
     fn when(self, told: bool) -> Self {
         if told { self } else { Self::Nothing }
     }
@@ -141,8 +141,8 @@ impl<T> Told<T> {
     }
 }
 
-/// Scores by grid and solver, in the order of their first appearance; other systems' come last, each in one group, whatever grids it
-/// has its sequences on.
+/// Groups scores by grid and solver, in order of first appearance. Other systems come last, each as one
+/// group, whatever grids its sequences are on.
 fn groups(scores: &[Score]) -> Vec<Group<'_>> {
     let mut groups = by_grid(scores);
     groups.sort_by_key(Group::is_imported);
@@ -162,7 +162,7 @@ fn groups(scores: &[Score]) -> Vec<Group<'_>> {
     joined
 }
 
-/// The solvers' groups; other systems' where there are no others.
+/// Returns the groups of our own solvers, or those of other systems if there are no others.
 fn own<'g, 'a: 'g>(
     groups: impl Iterator<Item = &'g Group<'a>> + Clone,
 ) -> impl Iterator<Item = &'g Group<'a>> {
@@ -195,7 +195,7 @@ fn by_grid(scores: &[Score]) -> Vec<Group<'_>> {
     groups
 }
 
-/// The values, each once, in the order of their first appearance.
+/// Returns the distinct values, in order of first appearance.
 fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
     let mut found: Vec<T> = Vec::new();
     for value in values {
@@ -206,7 +206,7 @@ fn distinct<T: PartialEq>(values: impl Iterator<Item = T>) -> Vec<T> {
     found
 }
 
-/// A figure by sequence, of each of some groups.
+/// A figure by sequence, for each of some groups.
 struct BySequence {
     digits: usize,
     groups: usize,
@@ -225,13 +225,13 @@ impl BySequence {
         Self { digits: figure.digits, groups: groups.len(), rows }
     }
 
-    /// Something of the sequences of each group.
+    /// Applies `of` to the sequences of each group.
     fn of_groups<T>(&self, of: fn(&mut dyn Iterator<Item = Spread>) -> T) -> Vec<T> {
         let spreads = |group| self.rows.iter().filter_map(move |(_, spreads)| spreads[group]);
         (0..self.groups).map(|group| of(&mut spreads(group))).collect()
     }
 
-    /// Means over the repeats of each sequence, then their mean and deviation.
+    /// Returns the means over the repeats of each sequence, then their mean and deviation.
     fn means(&self) -> Vec<(String, Vec<Cell>)> {
         let row = |(name, spreads): &(String, Vec<Option<Spread>>)| {
             let means: Vec<_> =
@@ -241,17 +241,18 @@ impl BySequence {
         let all = self.of_groups(|spreads| over_sequences(spreads));
         let counts = self.of_groups(|spreads| spreads.count());
         let mean: Vec<_> = all.iter().map(|both| both.map(|(mean, _)| mean)).collect();
-        // A single sequence tells nothing of a deviation.
+        // A single sequence has no deviation.
         let several = all.iter().zip(&counts).map(|(both, &count)| both.when(count > 1));
         let deviation: Vec<_> = several.map(|both| both.map(|(_, apart)| apart)).collect();
-        // Means over different sequences do not compete.
+        // Means over different sequences are not comparable, so none is marked.
         let alike = counts.iter().filter(|&&count| count > 0).all(|count| *count == self.rows.len());
         let mean = if alike { cells(&mean, self.digits) } else { unmarked(&mean, self.digits) };
         let last = [("mean".into(), mean), ("deviation".into(), unmarked(&deviation, self.digits))];
         self.rows.iter().map(row).chain(last).collect()
     }
 
-    /// Deviations over the repeats of each sequence, then the root mean square; nothing where there is one of each.
+    /// Returns the deviations over the repeats of each sequence, then their root mean square; `None` if no
+    /// sequence was repeated.
     fn deviations(&self) -> Option<Vec<(String, Vec<Cell>)>> {
         let all = self.of_groups(|spreads| pooled(spreads));
         (!all.iter().all(Told::is_nothing)).then(|| {
@@ -266,7 +267,8 @@ impl BySequence {
     }
 }
 
-/// Rows are sequences, each a mean over its repeats; where there are several, a second table has their deviations.
+/// Builds a table whose rows are sequences, each a mean over its repeats. If there are several repeats, a
+/// second table holds their deviations.
 fn per_sequence(figure: &Figure, grid: &str, groups: &[&Group]) -> Vec<Table> {
     let columns = || {
         std::iter::once("sequence".into()).chain(groups.iter().map(|group| group.column_on(grid))).collect()
@@ -286,14 +288,14 @@ fn per_sequence(figure: &Figure, grid: &str, groups: &[&Group]) -> Vec<Table> {
     }
 }
 
-/// Of each solver with several grids or numbers of iterations the errors by sequence (as the paper's Table 8); then times and
-/// errors of all solvers (as its Table 7).
+/// Builds, for each solver with several grids or numbers of iterations, a table of the errors by sequence
+/// (the paper's Table 8), then one of the times and errors of all solvers (its Table 7).
 fn by_iterations_and_grid(groups: &[Group]) -> Vec<Table> {
     let mut tables = Vec::new();
     for solver in distinct(groups.iter().map(|group| &group.solver)) {
         let mut own: Vec<&Group> = groups.iter().filter(|group| group.solver == *solver).collect();
         if own.len() > 1 {
-            // The order of the grids stays.
+            // Keep the order of the grids.
             let grids = distinct(own.iter().map(|group| &group.grid));
             own.sort_by_key(|group| (grids.iter().position(|grid| **grid == group.grid), group.iterations));
             tables.push(both_errors(solver, &own));
@@ -305,7 +307,7 @@ fn by_iterations_and_grid(groups: &[Group]) -> Vec<Table> {
     tables
 }
 
-/// Both errors of a solver by sequence, those of the vertices in parentheses.
+/// Builds a table of both errors of a solver by sequence, those of the vertices in parentheses.
 fn both_errors(solver: &str, groups: &[&Group]) -> Table {
     let [e_cd, e_3d] = [&FIGURES[0], &FIGURES[1]];
     let pair = |(a, b): (Cell, Cell)| {
@@ -325,7 +327,8 @@ fn both_errors(solver: &str, groups: &[&Group]) -> Table {
     }
 }
 
-/// Means and deviations of time and error, by solver and iterations down and by grid across.
+/// Builds a table of the means and deviations of time and error, with solvers and iterations as rows and
+/// grids as columns.
 fn times_and_errors(groups: &[Group]) -> Table {
     let figures = [&ERROR_AND_TIME[2].figure, &ERROR_AND_TIME[0].figure];
     let grids = distinct(groups.iter().map(|group| &group.grid));
@@ -354,8 +357,8 @@ fn times_and_errors(groups: &[Group]) -> Table {
     }
 }
 
-/// A figure of the repeats of a solver on a sequence: how many, their mean and their deviation, which there are none of where
-/// one of them diverged.
+/// A figure over the repeats of a solver on a sequence: the number of repeats, their mean and their
+/// deviation, which are `None` if a repeat diverged or lacks the figure.
 #[derive(Clone, Copy)]
 struct Spread {
     repeats: usize,
@@ -373,30 +376,31 @@ impl Spread {
         }
     }
 
-    /// The deviation as a cell takes it: a single simulation tells nothing of it.
+    /// Returns the deviation as the content of a cell: nothing for a single simulation.
     fn told_deviation(self) -> Told {
         Told::of(self.deviation).when(self.repeats > 1)
     }
 }
 
-/// Mean and deviation over sequences, all of which a solver must have passed; nothing of no sequence.
+/// Returns the mean and deviation over sequences, on all of which a solver must have succeeded; nothing
+/// without sequences.
 fn over_sequences(spreads: impl Iterator<Item = Spread>) -> Told<(f64, f64)> {
     of_all(spreads.map(|s| s.mean).collect()).map(|means| mean_and_deviation(&means))
 }
 
-/// The figures of all, if every one has its own; nothing of none.
+/// Returns the figures: `Diverged` if one is missing, `Nothing` if there are none.
 fn of_all(figures: Vec<Option<f64>>) -> Told<Vec<f64>> {
     let some = !figures.is_empty();
     Told::of(figures.into_iter().collect()).when(some)
 }
 
-/// The deviation over repeats, as the root of the mean of its squares over the sequences that were repeated.
+/// Returns the deviation over repeats: the root mean square over the sequences that were repeated.
 fn pooled(spreads: impl Iterator<Item = Spread>) -> Told {
     let repeated = spreads.filter(|s| s.repeats > 1).map(|s| s.deviation);
     of_all(repeated.collect()).map(|v| (v.iter().map(|d| d * d).sum::<f64>() / v.len() as f64).sqrt())
 }
 
-/// A mean over the sequences, and whether its deviation stands beside it.
+/// A mean over the sequences, and whether its deviation is shown next to it.
 struct Mean {
     figure: Figure,
     deviation: bool,
@@ -417,7 +421,7 @@ const ERROR_AND_TIME: [Mean; 3] = [
     mean("ms/frame", |s| s.ms_per_frame, (1.0, 1), true),
 ];
 
-/// In grid units.
+/// The energy and its terms, in grid units.
 const ENERGY: [Mean; 7] = [
     mean("energy", |s| s.energy, (1.0, 4), false),
     mean("stretch", |s| s.energy_terms.map(|e| e.stretch), (1.0, 4), false),
@@ -435,7 +439,8 @@ const REST: [Mean; 4] = [
     mean("speed at the end [m/s]", |s| s.speed_at_end, (1.0, 3), false),
 ];
 
-/// Means over the sequences, all of which a solver must have passed; of repeated ones, of their means.
+/// Builds a table of means over the sequences, on all of which a solver must have succeeded; repeated
+/// sequences count with their means.
 fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
     let repeated = groups.iter().flat_map(|group| &group.sequences).any(|(_, repeats)| repeats.len() > 1);
     let of_group = |group: &Group, Mean { figure, deviation }: &Mean| {
@@ -461,14 +466,14 @@ fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
     Table { title: title.to_owned(), columns, rows: groups.iter().map(row).collect() }
 }
 
-/// Cells of numbers of which none is the best.
+/// Builds cells of numbers without marking the best.
 fn unmarked(values: &[Told], digits: usize) -> Vec<Cell> {
     let mut cells = cells(values, digits);
     cells.iter_mut().for_each(|cell| cell.best = false);
     cells
 }
 
-/// Cells of a row of numbers, the smallest marked; a dash where a solver diverged.
+/// Builds the cells of a row of numbers, the smallest marked; a dash means that the solver diverged.
 fn cells(values: &[Told], digits: usize) -> Vec<Cell> {
     let smallest = values.iter().fold(f64::INFINITY, |least, value| match value {
         Told::Value(v) => v.min(least),

@@ -1,4 +1,4 @@
-//! What is kept of an adapter between processes, in files of the user's cache directory.
+//! Data about an adapter that outlasts the process, in files in the user's cache directory.
 
 use super::Context;
 use crate::{Result, io};
@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Variable of the environment that names the folder for what is kept, in place of the user's cache directory.
+/// Environment variable that names the cache folder, overriding the user's cache directory.
 pub(crate) const CACHE_FOLDER: &str = "FNOPT_CACHE";
 
-/// Most bytes of a file of pipelines. Those that nothing uses any more cannot be taken out of a cache: one that has grown
-/// larger is begun anew.
+/// Largest size of a pipeline file \[bytes\]. Unused pipelines cannot be removed from a cache, so a larger
+/// file is discarded and started afresh.
 const MOST: usize = 64 << 20;
 
 /// The device's pipeline cache, and how much of it is in its file.
@@ -19,14 +19,15 @@ const MOST: usize = 64 << 20;
 pub(super) struct PipelineCache {
     pub raw: wgpu::PipelineCache,
     path: PathBuf,
-    /// Bytes that the driver took from the file or that were stored there.
+    /// Size of the data that the driver accepted from the file, or that was last stored there \[bytes\].
     kept: AtomicUsize,
 }
 
 impl Context {
-    /// Where `what` of this adapter is kept: in the folder that `FNOPT_CACHE` names, else in `fnopt` of the user's cache
-    /// directory. None where there is no such directory. The name stands for the adapter, its driver and the version of this
-    /// package: builds of one version share it.
+    /// Returns the path of the file that holds `what` for this adapter: in the folder named by `FNOPT_CACHE`,
+    /// or else in `fnopt` in the user's cache directory. `None` if there is no such directory. The file name
+    /// identifies the adapter, its driver and the version of this package; builds of one version share the
+    /// file.
     pub(crate) fn cache_file(&self, what: &str, extension: &str) -> Option<PathBuf> {
         let folder = match std::env::var_os(CACHE_FOLDER) {
             Some(folder) => PathBuf::from(folder),
@@ -35,7 +36,7 @@ impl Context {
         Some(folder.join(format!("{what}_{:08x}.{extension}", self.stamp().finalize())))
     }
 
-    /// A checksum that has seen the adapter, its driver and the version of this package.
+    /// Returns a checksum fed with the adapter, its driver and the version of this package.
     fn stamp(&self) -> crc32fast::Hasher {
         let mut sum = crc32fast::Hasher::new();
         sum.update(self.name().as_bytes());
@@ -43,14 +44,16 @@ impl Context {
         sum
     }
 
-    /// The same device, for which kernels are compiled with the help of the pipelines that
-    /// [`Context::store_pipelines`] left in the adapter's file. One that is damaged or of something else counts as none, and is
-    /// said. Nothing changes where the device was made without [`wgpu::Features::PIPELINE_CACHE`] ([`Context::headless`] asks
-    /// for it), or where there is no cache directory.
+    /// Returns the same device, which compiles kernels with the help of the pipelines that
+    /// [`Context::store_pipelines`] left in the adapter's file. A file that is damaged or belongs to
+    /// something else is ignored with a warning. Nothing changes if the device was created without
+    /// [`wgpu::Features::PIPELINE_CACHE`] ([`Context::headless`] requests it), or if there is no cache
+    /// directory.
     ///
-    /// The driver trusts the file: if `FNOPT_CACHE` names a folder, it should be one that only the user can write to.
+    /// The driver trusts the file: if `FNOPT_CACHE` names a folder, only the user should be able to write to
+    /// it.
     ///
-    /// An error where the device has no memory left.
+    /// Fails if the device is out of memory.
     pub fn with_stored_pipelines(&self) -> Result<Self> {
         let has_cache = self.device.features().contains(wgpu::Features::PIPELINE_CACHE);
         let Some(path) = self.cache_file("pipelines", "bin").filter(|_| has_cache) else {
@@ -58,7 +61,7 @@ impl Context {
         };
         let stored = self.stored_pipelines(&path);
         let raw = self.checked(|| Ok(create(&self.device, stored.as_deref())))?;
-        // A driver may pass over what it is given, and then the file is due to be replaced.
+        // The driver may ignore the data it is given; the file is then due to be replaced.
         let kept = stored.and_then(|_| raw.get_data()).map_or(0, |data| data.len());
         tracing::info!("pipeline cache: {}, {kept} bytes", path.display());
         let mut context = self.clone();
@@ -66,8 +69,9 @@ impl Context {
         Ok(context)
     }
 
-    /// Stores the pipelines that were compiled so far, to be found by [`Context::with_stored_pipelines`] from then on; the file,
-    /// if there was something to add to it. The last of several processes leaves its own.
+    /// Stores the pipelines compiled so far, where [`Context::with_stored_pipelines`] will find them. Returns
+    /// the path of the file, or `None` if there was nothing to add to it. If several processes store their
+    /// pipelines, the last one wins.
     pub fn store_pipelines(&self) -> Result<Option<PathBuf>> {
         let Some(cache) = &self.pipelines else { return Ok(None) };
         let data = cache.raw.get_data().unwrap_or_default();
@@ -82,7 +86,8 @@ impl Context {
         Ok(Some(cache.path.clone()))
     }
 
-    /// What [`Context::store_pipelines`] wrote into a file.
+    /// Reads the data that [`Context::store_pipelines`] wrote to a file. `None` if it is missing, damaged or
+    /// too large.
     fn stored_pipelines(&self, path: &Path) -> Option<Vec<u8>> {
         let mut bytes = std::fs::read(path).ok()?;
         if bytes.len() > MOST {
@@ -101,7 +106,8 @@ impl Context {
         }
     }
 
-    /// The end of a file of pipelines: tells data that is whole and of this very adapter from other data.
+    /// Returns the checksum that ends a pipeline file. It shows that the data is complete and belongs to this
+    /// very adapter.
     fn seal(&self, data: &[u8]) -> [u8; 4] {
         let mut sum = self.stamp();
         sum.update(
@@ -111,19 +117,20 @@ impl Context {
         sum.finalize().to_le_bytes()
     }
 
-    /// The pipeline cache, where it was asked for.
+    /// Returns the pipeline cache, if there is one.
     pub(super) fn pipeline_cache(&self) -> Option<&wgpu::PipelineCache> {
         self.pipelines.as_ref().map(|cache| &cache.raw)
     }
 }
 
-/// A pipeline cache that begins with the data of [`Context::stored_pipelines`].
+/// Creates a pipeline cache from the data returned by [`Context::stored_pipelines`].
 #[allow(unsafe_code, reason = "one of three exceptions; see SAFETY")]
 fn create(device: &wgpu::Device, data: Option<&[u8]>) -> wgpu::PipelineCache {
     let descriptor = wgpu::PipelineCacheDescriptor { label: Some("fnopt"), data, fallback: true };
-    // SAFETY: the data must be what `wgpu::PipelineCache::get_data` returned, and it is what `Context::store_pipelines` wrote of
-    // it: its seal was held against the data, the adapter, the driver and the version of this package, so that it is neither cut
-    // nor changed nor another device's. Beyond that wgpu compares backend, vendor, device and driver version, and the driver its
-    // own header, before they use it. Only whoever forges a file in the user's own cache directory gets past that.
+    // SAFETY: the data must come from `wgpu::PipelineCache::get_data`. It does: `Context::store_pipelines`
+    // wrote it, and its seal has been checked against the data, the adapter, the driver and the version of
+    // this package, so it is neither truncated, nor altered, nor from another device. In addition, wgpu
+    // compares backend, vendor, device and driver version, and the driver checks its own header, before they
+    // use it. Only someone who forges a file in the user's own cache directory gets past that.
     unsafe { device.create_pipeline_cache(&descriptor) }
 }

@@ -1,4 +1,4 @@
-//! A device and its queue, the caller's or a headless one of our own.
+//! A device and its queue: the caller's, or a headless one opened by this crate.
 
 use super::cache::PipelineCache;
 use super::kernel::Kernels;
@@ -10,10 +10,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use wgpu::util::DeviceExt;
 
-/// What kind of adapter a device runs on; tile sizes of the kernels follow it.
+/// Kind of adapter that a device runs on. The kernels' tile sizes depend on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum AdapterKind {
-    /// A graphics processor, discrete, integrated or virtual.
+    /// A GPU, whether discrete, integrated or virtual.
     Hardware,
     /// A driver that runs shaders on the host's processor, such as llvmpipe, lavapipe or WARP.
     Software,
@@ -22,33 +22,33 @@ pub enum AdapterKind {
 /// Which adapter to open.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum AdapterChoice {
-    /// The best hardware adapter, or else a software one.
+    /// The best hardware adapter, or a software one if there is none.
     #[default]
     Best,
-    /// The adapter at this place in the list of [`adapters`], or else, for a number as in "RTX 4090", the first one with this
-    /// word in its name.
+    /// The adapter at this index in the list of [`adapters`]. If the list is shorter, the number is taken for
+    /// part of a name, as in "RTX 4090", and selects the first adapter whose name contains it as a word.
     Index(usize),
     /// The first adapter whose name, driver or backend contains this text, ignoring case.
     Name(String),
 }
 
 impl AdapterChoice {
-    /// Reads a command line's `NAME|INDEX`.
+    /// Parses the command line's `NAME|INDEX`.
     pub fn parse(text: &str) -> Self {
         text.parse().map_or_else(|_| Self::Name(text.to_owned()), Self::Index)
     }
 }
 
-/// One adapter of this machine and whether fnopt can run on it.
+/// An adapter of this machine, and whether fnopt can run on it.
 #[derive(Clone, Debug)]
 pub struct AdapterSummary {
-    /// Name, driver, backend and type, as wgpu tells them.
+    /// Name, driver, backend and type, as reported by wgpu.
     pub info: wgpu::AdapterInfo,
-    /// Optional features.
+    /// Optional features that the adapter supports.
     pub features: wgpu::Features,
-    /// Limits.
+    /// Limits of the adapter.
     pub limits: wgpu::Limits,
-    /// Why fnopt cannot run there, if it cannot.
+    /// Why fnopt cannot run on it, if it cannot.
     pub unusable: Option<String>,
 }
 
@@ -59,18 +59,18 @@ impl AdapterSummary {
         Self { info, features: adapter.features(), limits, unusable }
     }
 
-    /// Hardware or software.
+    /// Returns whether the adapter is hardware or software.
     pub fn kind(&self) -> AdapterKind {
         kind(&self.info)
     }
 
-    /// Whether [`Context::hardware`] takes it, if it is the first such.
+    /// Whether [`Context::hardware`] may choose it: a hardware adapter that fnopt can run on.
     pub fn is_usable_hardware(&self) -> bool {
         self.kind() == AdapterKind::Hardware && self.unusable.is_none()
     }
 }
 
-/// A wgpu device and queue with what the kernels must know of them.
+/// A wgpu device and queue, with what the kernels need to know about them.
 ///
 /// Cheap to clone: wgpu's handles are reference-counted.
 #[derive(Clone, Debug)]
@@ -88,18 +88,19 @@ pub struct Context {
     pub(super) kernels: Kernels,
 }
 
-/// Storage buffers that a kernel may bind.
+/// Number of storage buffers that a kernel may bind.
 const STORAGE_BUFFERS: u32 = 8;
-/// Most invocations of a workgroup that every device takes.
+/// Largest number of invocations per workgroup that every device supports.
 pub(crate) const WORKGROUP_INVOCATIONS: u32 = 256;
-/// Most workgroups along an axis that every device takes.
+/// Largest number of workgroups along an axis that every device supports.
 pub(crate) const WORKGROUPS: u32 = 65535;
 
 impl Context {
-    /// Wraps the caller's device and queue; fails if the device's limits are too small for the kernels.
+    /// Wraps the caller's device and queue. Fails if the device's limits are too small for the kernels.
     ///
-    /// Ask for the adapter's own limits when making the device: WebGPU's defaults allow the kernels to run, but bind
-    /// at most 128 MiB at once. [`Context::optional_features`] are used where the device has them.
+    /// Request the adapter's own limits when creating the device: the kernels run with WebGPU's defaults, but
+    /// these allow bindings of at most 128 MiB. [`Context::optional_features`] are used if the device has
+    /// them.
     pub fn new(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = device.adapter_info();
         if let Some(missing) = missing_limit(&device.limits()) {
@@ -119,18 +120,19 @@ impl Context {
         })
     }
 
-    /// Opens a device of its own, without a window.
+    /// Opens a device without a window.
     pub fn headless(choice: &AdapterChoice) -> Result<Self> {
         pollster::block_on(Self::headless_async(choice))
     }
 
-    /// [`Context::headless`] for callers that already run an executor.
+    /// As [`Context::headless`], for callers that already run an executor.
     pub async fn headless_async(choice: &AdapterChoice) -> Result<Self> {
         Self::open(choose(all_adapters().await, choice)?).await
     }
 
-    /// [`Context::headless`] on the best hardware adapter; none where no usable one is. Of several processes on a machine, each
-    /// with a `turn` of its own from 0, the next takes the next adapter of the best kind, and around again.
+    /// Opens a device on the best hardware adapter; `None` if no usable one exists. Several processes on one
+    /// machine pass different values of `turn`, counted from 0, to be spread evenly over the adapters of the
+    /// best kind.
     pub fn hardware(turn: usize) -> Result<Option<Self>> {
         pollster::block_on(async {
             let mut found = all_adapters().await;
@@ -145,9 +147,10 @@ impl Context {
         })
     }
 
-    /// What a device may have beyond WebGPU's defaults for more to be possible: timestamps ([`Profile`](super::Profile)), subgroups
-    /// ([`Sharing::Broadcast`]), 16-bit floating point ([`Storage::F16`]) and a pipeline cache
-    /// ([`Context::with_stored_pipelines`]). Ask for those that the adapter offers.
+    /// Returns the features beyond WebGPU's defaults that fnopt can use: timestamps
+    /// ([`Profile`](super::Profile)), subgroups ([`Sharing::Broadcast`]), 16-bit floating point
+    /// ([`Storage::F16`]) and a pipeline cache ([`Context::with_stored_pipelines`]). Request those that the
+    /// adapter offers.
     pub fn optional_features() -> wgpu::Features {
         wgpu::Features::TIMESTAMP_QUERY
             | wgpu::Features::SUBGROUP
@@ -170,9 +173,9 @@ impl Context {
         Self::new(device, queue)
     }
 
-    /// The same device, on which networks store their activations and weights like this.
+    /// Returns the same device, on which networks store their activations and weights as `storage`.
     ///
-    /// An error where the device lacks it ([`wgpu::Features::SHADER_F16`]).
+    /// Fails if the device does not support it ([`wgpu::Features::SHADER_F16`]).
     pub fn with_storage(&self, storage: Storage) -> Result<Self> {
         if storage == Storage::F16 && !self.device.features().contains(wgpu::Features::SHADER_F16) {
             return Err(Error::Device(format!("{}: has no 16-bit floating point (f16)", self.name)));
@@ -180,40 +183,40 @@ impl Context {
         Ok(Self { storage, ..self.clone() })
     }
 
-    /// The same device, on which kernels number their invocations like this.
+    /// Returns the same device, on which kernels number their invocations in this order.
     pub fn with_order(&self, order: Order) -> Self {
         Self { order, ..self.clone() }
     }
 
-    /// How kernels number their invocations.
+    /// Returns the order in which kernels number their invocations.
     pub fn order(&self) -> Order {
         self.order
     }
 
-    /// How networks store their activations and weights.
+    /// Returns the format in which networks store their activations and weights.
     pub fn storage(&self) -> Storage {
         self.storage
     }
 
-    /// The same device, on which the kernels are made with these tile sizes instead of the table's.
+    /// Returns the same device, whose kernels are built with these tile sizes instead of the table's.
     ///
-    /// An error where they do not work on it ([`Tuning::check`]).
+    /// Fails if they do not work on it ([`Tuning::check`]).
     pub fn with_tuning(&self, tuning: Tuning) -> Result<Self> {
         tuning.check(self)?;
         Ok(Self { tuning: Some(tuning), ..self.clone() })
     }
 
-    /// The tile sizes that it was given.
+    /// Returns the tile sizes set by [`Context::with_tuning`], if any.
     pub fn tuning(&self) -> Option<Tuning> {
         self.tuning
     }
 
-    /// Hardware or software.
+    /// Returns whether the adapter is hardware or software.
     pub fn kind(&self) -> AdapterKind {
         self.kind
     }
 
-    /// Name, driver and backend in one line.
+    /// Returns the adapter's name, driver and backend in one line.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -223,21 +226,21 @@ impl Context {
         self.device.features().contains(wgpu::Features::TIMESTAMP_QUERY)
     }
 
-    /// How kernels should read operands that a whole subgroup shares.
+    /// Returns how kernels should read operands that a whole subgroup shares.
     pub fn sharing(&self) -> Sharing {
         let info = self.device.adapter_info();
         let lanes = [info.subgroup_min_size, info.subgroup_max_size];
         sharing(self.kind, self.device.features(), lanes)
     }
 
-    /// Bytes that one binding may have: whole vec4, which 32 bits can count.
+    /// Returns the largest size of a binding \[bytes\]: a whole number of vec4s, representable in 32 bits.
     pub fn largest_binding(&self) -> u64 {
         let limits = self.device.limits();
         let most = limits.max_buffer_size.min(limits.max_storage_buffer_binding_size);
         most.min(u32::MAX.into()) & !15
     }
 
-    /// A buffer of these bytes, to copy from.
+    /// Creates a buffer with these contents, to copy from.
     pub fn upload(&self, label: &'static str, contents: &[u8]) -> wgpu::Buffer {
         let usage = wgpu::BufferUsages::COPY_SRC;
         self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
@@ -247,39 +250,41 @@ impl Context {
         })
     }
 
-    /// Runs `build` and turns what the device then reports (invalid objects, kernels that its driver does not compile, no memory
-    /// left) into an error, and so a device that is lost by then.
+    /// Runs `build` and returns whatever the device reports (invalid objects, kernels that its driver cannot
+    /// compile, lack of memory) as an error, as well as the loss of the device.
     pub fn checked<T>(&self, build: impl FnOnce() -> Result<T>) -> Result<T> {
         use wgpu::ErrorFilter::{Internal, OutOfMemory, Validation};
-        // Where memory ran out or a driver failed, objects are invalid because of it: these scopes are outside theirs.
+        // Running out of memory or a failing driver also invalidates objects. Those scopes enclose the one
+        // for validation, so that the cause takes precedence.
         let scopes = [OutOfMemory, Internal, Validation].map(|filter| self.device.push_error_scope(filter));
         let built = build();
-        // All are popped, the innermost first; the outermost error is told.
+        // All scopes are popped, innermost first. The error of the outermost one is reported.
         match scopes.into_iter().rev().filter_map(|scope| pollster::block_on(scope.pop())).last() {
             Some(e) => Err(Error::Device(format!("{}: {e}", self.name))),
-            // What is made on a lost device is invalid, and no scope is told.
+            // Objects created on a lost device are invalid, but no scope reports it.
             None => self.poll(wgpu::PollType::Poll).and(built),
         }
     }
 
-    /// Submits what `record` puts into a fresh encoder.
+    /// Submits the commands that `record` writes to a fresh encoder.
     pub fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder)) -> wgpu::SubmissionIndex {
         let mut encoder = self.device.create_command_encoder(&Default::default());
         record(&mut encoder);
         self.queue.submit([encoder.finish()])
     }
 
-    /// Waits until everything submitted so far is done.
+    /// Waits until everything submitted so far has completed.
     pub fn wait(&self) -> Result<()> {
         self.poll(wgpu::PollType::wait_indefinitely())
     }
 
-    /// Waits for what `until` tells.
+    /// Polls the device, waiting as specified by `until`. Fails if the device is lost.
     pub(super) fn poll(&self, until: wgpu::PollType) -> Result<()> {
         let lost = |why: &dyn std::fmt::Display| {
             Err(Error::Lost(format!("{}: lost while waiting: {why}", self.name)))
         };
-        // wgpu panics where a device is gone; whoever waits may have frames to keep. (A program that aborts on panics ends here.)
+        // wgpu panics if the device is gone, but the caller may have frames to save. (A program that aborts
+        // on panics ends here.)
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(until))) {
             Ok(Ok(_)) => Ok(()),
             Ok(Err(e)) => lost(&e),
@@ -288,7 +293,8 @@ impl Context {
     }
 }
 
-/// The adapters of this machine, hardware first, in the order that [`AdapterChoice::Index`] counts.
+/// Returns the adapters of this machine, hardware first, in the order that [`AdapterChoice::Index`] refers
+/// to.
 pub fn adapters() -> Vec<AdapterSummary> {
     pollster::block_on(all_adapters()).iter().map(AdapterSummary::new).collect()
 }
@@ -333,14 +339,14 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
     Ok(found.swap_remove(at))
 }
 
-/// The place of the first name that contains this text, ignoring case; none for no text.
+/// Returns the index of the first name that contains this text, ignoring case; `None` if the text is blank.
 fn named(names: &[String], text: &str) -> Option<usize> {
     let text = text.trim().to_lowercase();
     names.iter().position(|name| !text.is_empty() && name.to_lowercase().contains(&text))
 }
 
-/// The place of the first name that has this number for a word: part of another number is no reason to run there, nor are versions
-/// and the like in parentheses.
+/// Returns the index of the first name that contains this number as a word. Part of another number does not
+/// count, nor does anything from the first parenthesis on, such as a version.
 fn numbered(names: &[String], number: usize) -> Option<usize> {
     let number = number.to_string();
     let has_word = |name: &String| {
@@ -350,7 +356,7 @@ fn numbered(names: &[String], number: usize) -> Option<usize> {
     names.iter().position(has_word)
 }
 
-/// The place of the `turn`-th of those that are of the first's kind, around and around.
+/// Returns the index of the `turn`-th entry of the same kind as the first usable one, wrapping around.
 fn in_turn<T: PartialEq>(kinds: &[Option<T>], turn: usize) -> Option<usize> {
     let best = kinds.iter().flatten().next()?;
     let alike = (0..kinds.len()).filter(|&at| kinds[at].as_ref() == Some(best));
@@ -364,7 +370,8 @@ fn kind(info: &wgpu::AdapterInfo) -> AdapterKind {
     }
 }
 
-/// Operands are broadcast where subgroups are as wide as the kernels take them to be: in a wider one the operands differ.
+/// Chooses how operands are read. They are broadcast only if subgroups are exactly as wide as the kernels
+/// assume: in a wider one the operands differ.
 fn sharing(kind: AdapterKind, features: wgpu::Features, lanes: [u32; 2]) -> Sharing {
     let fits = features.contains(wgpu::Features::SUBGROUP) && lanes == [LANES as u32; 2];
     if fits && kind == AdapterKind::Software { Sharing::Broadcast } else { Sharing::Loads }
@@ -416,7 +423,8 @@ mod tests {
         );
     }
 
-    /// Of two discrete adapters, an unusable one between them, and an integrated one: the discrete ones in turn.
+    /// Two discrete adapters with an unusable one between them, and an integrated one: the discrete ones
+    /// alternate.
     #[test]
     fn processes_take_the_adapters_of_the_best_kind_in_turn() {
         let kinds = [Some("discrete"), None, Some("discrete"), Some("integrated")];

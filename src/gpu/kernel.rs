@@ -1,4 +1,4 @@
-//! WGSL entry points.
+//! Kernels: WGSL entry points with their bindings and pipelines.
 
 use super::context::WORKGROUPS;
 use super::{Context, Source, Storage, Unroll};
@@ -7,21 +7,23 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
-/// A resource of group 0, read off the WGSL.
+/// A binding of group 0, as declared in the WGSL.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Binding {
     /// Name of the variable.
     pub name: String,
     /// Uniform, read-only or read-write storage.
     pub ty: wgpu::BufferBindingType,
-    /// Size in bytes, for an array that is sized at run time that of one element: the least that can be bound.
+    /// Smallest size that can be bound \[bytes\]: that of the variable, or of one element for a runtime-sized
+    /// array.
     pub size: u32,
-    /// What the numbers of storage are; 32-bit for integers and structures, too.
+    /// Storage format of the numbers; integers and structures count as 32-bit.
     pub storage: Storage,
 }
 
 impl Source {
-    /// The bindings of group 0 in order, by parsing `text` with naga.
+    /// Parses `text` with naga and returns the bindings of group 0 in order. Fails if the text does not
+    /// parse.
     pub fn bindings(&self, text: &str) -> Result<Vec<Binding>> {
         Ok(self.bindings_of(&self.parsed(text)?))
     }
@@ -51,7 +53,7 @@ impl Source {
     }
 }
 
-/// What an array's numbers are.
+/// Returns the storage format of the numbers in a type.
 fn storage(module: &naga::Module, ty: naga::Handle<naga::Type>) -> Storage {
     match module.types[ty].inner {
         naga::TypeInner::Array { base, .. } => storage(module, base),
@@ -62,25 +64,25 @@ fn storage(module: &naga::Module, ty: naga::Handle<naga::Type>) -> Storage {
     }
 }
 
-/// A kernel of this crate, made once and pushed onto schedules as often as needed.
+/// A kernel of this crate, built once and pushed onto schedules as often as needed.
 #[derive(Clone, Debug)]
 pub(crate) struct Kernel {
     pub(super) bindings: Vec<Binding>,
-    /// Invocations of a workgroup, where the text says them.
+    /// Invocations per workgroup along each axis, if the text fixes them.
     workgroup: Option<[u32; 3]>,
     pub(super) program: Arc<Program>,
 }
 
-/// The kernels that were made on a device, by their text and their constants, so that all solvers there share them: a pipeline
+/// The kernels built on a device, by their text and constants. All its solvers share them, since a pipeline
 /// takes tens of milliseconds to compile.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Kernels(Arc<Mutex<HashMap<Made, Kernel>>>);
 
-/// The text of a kernel, and the bits of its constants.
+/// The text of a kernel and the bits of its constants.
 type Made = (String, Vec<(&'static str, u64)>);
 
 impl Kernels {
-    /// Forgets them all: one that did not compile must not be what the next solver gets.
+    /// Forgets all kernels, so that the next solver does not get one that failed to compile.
     pub fn clear(&self) {
         self.lock().clear();
     }
@@ -90,20 +92,21 @@ impl Kernels {
     }
 }
 
-/// What is compiled of a kernel, once and only when it is used: what a network or an optimizer does without costs no pipeline.
+/// The part of a kernel that is compiled, once and only on first use: a kernel that a network or an optimizer
+/// does not need costs no pipeline.
 #[derive(Debug)]
 pub(super) struct Program {
     pub name: &'static str,
     pub layout: wgpu::BindGroupLayout,
     module: naga::Module,
     constants: Vec<(&'static str, f64)>,
-    /// Or why it cannot be compiled, which all that wait for it are told.
+    /// The pipeline, or why it failed to compile, which is reported to everyone who waits for it.
     pipeline: OnceLock<Result<wgpu::ComputePipeline, String>>,
 }
 
 impl Kernel {
-    /// Reads `source`, its text unrolled, to be compiled with `constants` for its overrides; the same one again where it was
-    /// made before on this device.
+    /// Reads `source`, unrolled, to be compiled with `constants` for its overrides. Returns the existing
+    /// kernel if it was already built on this device. Fails if the text does not parse.
     pub fn new(
         context: &Context,
         source: &Source,
@@ -134,29 +137,30 @@ impl Kernel {
         Ok(kernel)
     }
 
-    /// Invocations of a workgroup along each axis.
+    /// Returns the number of invocations per workgroup along each axis.
     ///
-    /// Panics for a kernel whose workgroup is a matter of its constants: whoever chooses them knows it.
+    /// Panics if the workgroup size depends on the kernel's constants, in which case the caller has chosen
+    /// it.
     pub fn workgroup(&self) -> [u32; 3] {
         self.workgroup.unwrap_or_else(|| panic!("{}.wgsl leaves its workgroup open", self.program.name))
     }
 
-    /// Workgroups that cover so many invocations along each axis.
+    /// Returns the number of workgroups that cover this many invocations along each axis.
     pub fn groups(&self, invocations: [usize; 3]) -> [u32; 3] {
         let group = self.workgroup();
         let count = |axis: usize| invocations[axis].div_ceil(group[axis] as usize);
-        // More than fits is more than any device takes: the schedule refuses it.
+        // A count that does not fit exceeds the limit of any device, and the schedule rejects it.
         [0, 1, 2].map(|axis| u32::try_from(count(axis)).unwrap_or(u32::MAX))
     }
 
-    /// Workgroups that cover `count` elements of each of `batch` items, in rows that no device's limit cuts short: the kernel
-    /// numbers them along x, then y.
+    /// Returns the workgroups that cover `count` elements of each of `batch` items, in rows short enough for
+    /// every device. The kernel numbers them along x, then y.
     pub fn spread(&self, count: usize, batch: usize) -> [u32; 3] {
         let [all, _, items] = self.groups([count, 1, batch]);
         Self::spread_groups(all, items)
     }
 
-    /// The same of so many workgroups of each item.
+    /// As [`Kernel::spread`], for this many workgroups of each item.
     pub fn spread_groups(groups: u32, items: u32) -> [u32; 3] {
         let across = groups.clamp(1, WORKGROUPS);
         [across, groups.div_ceil(across), items]
@@ -164,9 +168,9 @@ impl Kernel {
 }
 
 impl Program {
-    /// The pipeline, compiled where it is not yet; an error where that fails.
+    /// Returns the pipeline, compiling it on first use. Fails if it does not compile.
     pub fn pipeline(&self, context: &Context) -> Result<&wgpu::ComputePipeline> {
-        // Checked by the thread that compiles it: others do not see its errors.
+        // Checked on the thread that compiles it: other threads do not see its errors.
         let compiled = || match context.checked(|| Ok(self.compile(context))) {
             Ok(pipeline) => Ok(pipeline),
             Err(Error::Device(why) | Error::Lost(why)) => Err(why),
@@ -191,7 +195,8 @@ impl Program {
             entry_point: Some(self.name),
             compilation_options: wgpu::PipelineCompilationOptions {
                 constants: &self.constants,
-                // Kernels write workgroup memory before they read it, or use nothing of what they read (the rim in `gradient`).
+                // Kernels write workgroup memory before they read it, or discard what they read (the rim in
+                // `gradient`).
                 zero_initialize_workgroup_memory: false,
             },
             cache: context.pipeline_cache(),
@@ -199,16 +204,16 @@ impl Program {
     }
 }
 
-/// What a bind group of these bindings holds.
+/// Creates the layout of a bind group with these bindings.
 fn layout(device: &wgpu::Device, name: &'static str, bindings: &[Binding]) -> wgpu::BindGroupLayout {
     let entry = |(i, b): (usize, &Binding)| wgpu::BindGroupLayoutEntry {
         binding: i as u32,
         visibility: wgpu::ShaderStages::COMPUTE,
         ty: wgpu::BindingType::Buffer {
             ty: b.ty,
-            // Parameters of many dispatches are in one buffer.
+            // One buffer holds the parameters of many dispatches.
             has_dynamic_offset: b.ty == wgpu::BufferBindingType::Uniform,
-            // Known here, it is checked once for a bind group, else at every dispatch.
+            // If known here, it is checked once per bind group instead of at every dispatch.
             min_binding_size: std::num::NonZeroU64::new(b.size.into()),
         },
         count: None,
@@ -217,19 +222,22 @@ fn layout(device: &wgpu::Device, name: &'static str, bindings: &[Binding]) -> wg
     device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor { label: Some(name), entries: &entries })
 }
 
-/// A shader module without naga's index clamps and loop counters, which cost up to ten times in the inner loops.
+/// Creates a shader module without naga's index clamps and loop counters, which slow the inner loops down by
+/// up to a factor of ten.
 #[allow(unsafe_code, reason = "one of three exceptions; see SAFETY")]
 fn trusted_module(device: &wgpu::Device, name: &str, module: naga::Module) -> wgpu::ShaderModule {
-    // Parsed already, for the bindings.
+    // Already parsed, to read the bindings.
     let source = wgpu::ShaderSource::Naga(Cow::Owned(module));
     let descriptor = wgpu::ShaderModuleDescriptor { label: Some(name), source };
-    // SAFETY: the text it was parsed from is a file of `shaders/`, compiled into this program: `Kernel` is private to the crate,
-    // and no caller can bring their own. Every loop there counts to a finite bound. Indices that are computed are bounded by
-    // the sizes in the parameters, which the host side of each kernel (`crate::kernels`) asserts against the shapes of the
-    // tensors it binds; where a whole buffer is bound for a view, `Tensor::view` has asserted that the view is within it.
-    // Places of particles in buckets are data that the kernels of cells bound themselves, by the number of particles.
-    // Other indices that are data are not checked there: handle slots, the places of drawn cloths in their pool and the newest pair of
-    // L-BFGS are bounded by what writes them (`Model::check` and `Model::handle_slots`, `train::Pool`, `lbfgs.wgsl`), and callers
-    // who fill such tensors of `crate::kernels` by themselves must do the same.
+    // SAFETY: the module was parsed from a file of `shaders/`, compiled into this program: `Kernel` is
+    // private to the crate, and callers cannot supply their own. Every loop there counts to a finite bound.
+    // Computed indices are bounded by the sizes in the parameters, which the host side of each kernel
+    // (`crate::kernels`) asserts against the shapes of the tensors it binds; where a whole buffer is bound
+    // for a view, `Tensor::view` has asserted that the view is within it. Indices of particles in buckets are
+    // data, which the cell kernels themselves bound by the number of particles. Other indices that are data
+    // are not checked there: handle slots, the slots of drawn cloths in their pool and the newest pair of
+    // L-BFGS are bounded by the code that writes them (`Model::check` and `Model::handle_slots`,
+    // `train::Pool`, `lbfgs.wgsl`), and callers who fill such tensors of `crate::kernels` themselves must do
+    // the same.
     unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
 }

@@ -1,10 +1,10 @@
-//! The GPU runtime, and the only module that makes wgpu's objects. It knows no cloth.
+//! The GPU runtime, and the only module that creates wgpu objects. It knows nothing about cloth.
 //!
-//! [`Context`] wraps the caller's device and queue (or makes its own), [`Tensor`] is a typed storage buffer, [`Source`] is
-//! a kernel's WGSL, unrolled as an adapter likes it, `Kernel` is its entry point, compiled when it is first used and shared by
-//! all solvers of a device, [`Schedule`] is a list of
-//! dispatches with everything bound, [`Readback`] brings results to the host without stalling the queue, [`Profile`] measures
-//! dispatches where the adapter has timestamps. Compiled pipelines outlast the process where the adapter has a cache for them
+//! [`Context`] wraps the caller's device and queue (or opens its own). [`Tensor`] is a typed storage buffer.
+//! [`Source`] is a kernel's WGSL, unrolled to suit an adapter. `Kernel` is its entry point, compiled on first
+//! use and shared by all solvers of a device. [`Schedule`] is a list of dispatches with everything bound.
+//! [`Readback`] brings results to the host without stalling the queue. [`Profile`] times dispatches if the
+//! adapter has timestamps. Compiled pipelines outlast the process if the adapter has a pipeline cache
 //! ([`Context::with_stored_pipelines`]).
 
 mod cache;

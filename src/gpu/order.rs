@@ -2,20 +2,21 @@
 
 /// How invocations and workgroups are numbered.
 ///
-/// Which of them a device runs first is its own matter, and no result may depend on it. Software drivers run them one after the
-/// other as they are numbered, so that a missing barrier goes unnoticed where what it should wait for is numbered lower;
-/// [`Backward`](Order::Backward) it is numbered higher. For tests.
+/// The device decides in which order they run, and no result may depend on it. Software drivers run them one
+/// by one in the order of their numbers, so a missing barrier goes unnoticed if the invocation to be waited
+/// for has the lower number. With [`Backward`](Order::Backward) it has the higher one. For tests.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Order {
-    /// As the device numbers them.
+    /// The device's numbering.
     #[default]
     Forward,
-    /// The last is 0, the first is last.
+    /// The reverse: the last is 0, and the first is last.
     Backward,
 }
 
 impl Order {
-    /// A kernel's text, the invocations of whose entry point `name` are numbered in this order. Lines keep their numbers.
+    /// Returns a kernel's text with the invocations of its entry point `name` numbered in this order. Line
+    /// numbers do not change.
     pub(super) fn apply(self, text: String, name: &str) -> String {
         match self {
             Self::Forward => text,
@@ -24,7 +25,7 @@ impl Order {
     }
 }
 
-/// Takes the entry point's numbers under other names, and begins its body with those that count down.
+/// Renames the entry point's builtins, and begins its body with variables of the old names that count down.
 fn backward(text: &str, name: &str) -> String {
     let entry = format!("fn {name}(");
     let (before, rest) = text.split_once(&entry).expect("the entry point has the name of its file");
@@ -59,7 +60,7 @@ fn backward(text: &str, name: &str) -> String {
         given.push("@builtin(num_workgroups) number_of_groups: vec3u".into());
     }
     let lets = lets.join(" ").replace("number_of_groups", groups.unwrap_or("number_of_groups"));
-    // What the parameters' lines were is left, so that those of the body keep their numbers.
+    // The line breaks between the parameters are kept, so that the lines of the body keep their numbers.
     let lines = "\n".repeat(parameters.matches('\n').count());
     format!("{before}{entry}{}{lines}) {{ {lets}{body}", given.join(", "))
 }

@@ -1,10 +1,10 @@
-//! Time on the device of each dispatch.
+//! Device time of each dispatch.
 
 use super::Context;
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 
-/// Timestamps around dispatches: hand it to [`super::Schedule::record_timed`], submit, then read it.
+/// Timestamps around dispatches. Pass it to [`super::Schedule::record_timed`], submit, then read it.
 #[derive(Debug)]
 pub struct Profile {
     queries: wgpu::QuerySet,
@@ -15,7 +15,8 @@ pub struct Profile {
 }
 
 impl Profile {
-    /// Room for up to 2048 dispatches, the most that one query set holds; `None` where the device has no timestamps.
+    /// Creates a profile of up to 2048 dispatches, the most that one query set holds. `None` if the device
+    /// has no timestamps.
     pub fn new(context: &Context) -> Option<Self> {
         if !context.has_timestamps() {
             return None;
@@ -36,7 +37,7 @@ impl Profile {
         Some(Self { queries, resolved, names: Vec::with_capacity(capacity), capacity, period_ns })
     }
 
-    /// The queries for one more dispatch; dispatches beyond the capacity go untimed.
+    /// Returns the queries for one more dispatch. Dispatches beyond the capacity are not timed.
     pub(super) fn next(&mut self, name: &'static str) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
         let at = self.names.len();
         if at == self.capacity {
@@ -56,7 +57,8 @@ impl Profile {
         }
     }
 
-    /// Waits for the device and returns milliseconds and number of dispatches of each kernel, by name.
+    /// Waits for the device and returns the milliseconds and the number of dispatches of each kernel, by
+    /// name.
     pub fn read(&mut self, context: &Context) -> Result<BTreeMap<&'static str, (f64, usize)>> {
         let size = 16 * self.names.len() as u64;
         let host = context.device.create_buffer(&wgpu::BufferDescriptor {

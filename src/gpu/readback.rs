@@ -1,4 +1,4 @@
-//! From the device to the host, without stalling the queue.
+//! Readback from the device to the host, without stalling the queue.
 
 use super::{Context, Tensor};
 use crate::{Error, Result};
@@ -9,10 +9,10 @@ type Mapping = Result<(), wgpu::BufferAsyncError>;
 
 /// A ring of host-visible buffers, each of which takes a copy of the same tensors.
 ///
-/// A frame is recorded with [`Readback::record`] into the encoder that computes it; after the submission
-/// [`Readback::submitted`] starts the mapping, and [`Readback::next`] hands out the results in order, or
-/// [`Readback::try_next`] what has arrived. With two slots or more the device computes a frame while the host reads the one
-/// before it.
+/// [`Readback::record`] records the copies into the encoder that computes a frame. After the submission,
+/// [`Readback::submitted`] starts the mapping. [`Readback::next`] then returns the results in order, and
+/// [`Readback::try_next`] those that have arrived. With two slots or more the device computes a frame while
+/// the host reads the previous one.
 #[derive(Debug)]
 pub struct Readback {
     sources: Vec<Tensor>,
@@ -23,7 +23,7 @@ pub struct Readback {
 }
 
 impl Readback {
-    /// A ring of `depth` slots for the concatenated contents of `sources`.
+    /// Creates a ring of `depth` slots for the concatenated contents of `sources`.
     pub fn new(context: &Context, sources: &[&Tensor], depth: usize) -> Self {
         let bytes: u64 = sources.iter().map(|t| t.bytes()).sum();
         let slot = || {
@@ -39,8 +39,8 @@ impl Readback {
         Self { sources, free, recorded: Vec::new(), under_way: VecDeque::new(), bytes }
     }
 
-    /// Records the copies into a free slot. Panics when all slots are under way ([`Readback::is_full`]): take one with
-    /// [`Readback::next`] first.
+    /// Records the copies into a free slot. Panics if all slots are in flight ([`Readback::is_full`]): free
+    /// one with [`Readback::next`] first.
     pub fn record(&mut self, encoder: &mut wgpu::CommandEncoder) {
         let slot = self.free.pop().expect("a slot of the ring is free");
         let mut offset = 0;
@@ -51,27 +51,29 @@ impl Readback {
         self.recorded.push(slot);
     }
 
-    /// Forgets what was recorded into an encoder that is dropped instead of submitted.
+    /// Frees the slots that were recorded into an encoder that is dropped instead of submitted.
     pub fn discard(&mut self) {
         self.free.append(&mut self.recorded);
     }
 
-    /// Starts mapping what was recorded; call it after the encoder was submitted, with what the queue returned.
+    /// Starts mapping the recorded slots. Call it after submitting the encoder, with the index that the queue
+    /// returned.
     pub fn submitted(&mut self, submission: &wgpu::SubmissionIndex) {
         for slot in self.recorded.drain(..) {
             let (done, mapped) = oneshot::channel();
-            // A receiver that is gone means that the ring was dropped: nothing is left to tell.
+            // If the receiver is gone, the ring was dropped and nobody is left to notify.
             slot.map_async(wgpu::MapMode::Read, .., move |r| drop(done.send(r)));
             self.under_way.push_back((slot, mapped, submission.clone()));
         }
     }
 
-    /// Whether every slot is under way.
+    /// Whether every slot is in flight.
     pub fn is_full(&self) -> bool {
         self.free.is_empty()
     }
 
-    /// What `read` makes of the bytes of the oldest result, waiting for it if need be; `None` when nothing is under way.
+    /// Applies `read` to the bytes of the oldest result and returns its value, waiting for the result if
+    /// necessary. `None` if nothing is in flight.
     pub fn next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
         let Some((_, _, submission)) = self.under_way.front() else { return Ok(None) };
         // Wait for this submission and no longer: later ones may still be computing.
@@ -81,7 +83,7 @@ impl Readback {
         self.take(context, slot, pollster::block_on(mapped), read).map(Some)
     }
 
-    /// As [`Readback::next`] without waiting: `None` as well while the oldest result has not arrived.
+    /// As [`Readback::next`], but without waiting: also `None` if the oldest result has not arrived yet.
     pub fn try_next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
         context.poll(wgpu::PollType::Poll)?;
         let Some((_, mapped, _)) = self.under_way.front_mut() else { return Ok(None) };
@@ -90,7 +92,7 @@ impl Readback {
         self.take(context, slot, mapping, read).map(Some)
     }
 
-    /// What `read` makes of a slot that was mapped. The slot is free then, whatever comes of it.
+    /// Applies `read` to the bytes of a mapped slot, which is free afterwards even on failure.
     fn take<T>(
         &mut self,
         context: &Context,

@@ -7,39 +7,42 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-/// Dispatches and clears in order. Built once; recording it allocates nothing on our side.
+/// A sequence of dispatches and clears. It is built once; recording it makes no allocations of its own.
 #[derive(Debug)]
 pub struct Schedule {
     context: Context,
     steps: Vec<Step>,
-    /// The bind groups so far: dispatches that bind the same share one, and recording has fewer to keep track of.
+    /// The bind groups created so far. Dispatches that bind the same resources share one, which leaves fewer
+    /// to track while recording.
     bound: HashMap<Bound, wgpu::BindGroup>,
-    /// Where the parameters of the next dispatch go.
+    /// The buffer that takes the parameters of the next dispatch.
     uniforms: Option<Uniforms>,
-    /// The first dispatch that is more than the device takes.
+    /// Why the first dispatch beyond the device's limits was refused.
     refused: Option<String>,
 }
 
-/// What a dispatch binds, its parameters at an offset of their own.
+/// What a dispatch binds, apart from the dynamic offset of its parameters.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 struct Bound {
     layout: wgpu::BindGroupLayout,
     uniforms: wgpu::Buffer,
-    /// Buffer, offset and bytes of each tensor.
+    /// Buffer, offset and size in bytes of each tensor.
     tensors: Vec<(wgpu::Buffer, u64, u64)>,
 }
 
-/// A buffer of the parameters of many dispatches: bound at different offsets it is one buffer to keep track of.
+/// A buffer with the parameters of many dispatches. Bound at different offsets, it is a single buffer to
+/// track.
 #[derive(Debug)]
 struct Uniforms {
     buffer: wgpu::Buffer,
-    /// Offset of all parameters that are in it \[bytes\].
+    /// Offset of each set of parameters in the buffer \[bytes\].
     known: HashMap<Vec<u8>, u32>,
-    /// First byte that is free.
+    /// First free byte.
     end: u32,
 }
 
-/// Size of such a buffer \[bytes\]: the parameters of a frame of ten iterations fit, more take further buffers.
+/// Size of such a buffer \[bytes\]. The parameters of a frame of ten iterations fit; more of them take
+/// further buffers.
 const UNIFORMS: u32 = 1 << 15;
 
 #[derive(Clone, Debug)]
@@ -49,7 +52,7 @@ enum Step {
 }
 
 impl Schedule {
-    /// An empty schedule for the device of `context`.
+    /// Creates an empty schedule for the device of `context`.
     pub fn new(context: &Context) -> Self {
         Self {
             context: context.clone(),
@@ -60,10 +63,12 @@ impl Schedule {
         }
     }
 
-    /// Appends a dispatch: `params` becomes binding 0, `tensors` the bindings after it, in the WGSL's order.
+    /// Appends a dispatch. `params` becomes binding 0, and `tensors` the bindings after it, in the WGSL's
+    /// order.
     ///
-    /// Panics when the number of tensors, what they store or the size of the parameters is not the kernel's: that is a defect
-    /// of the host side, not bad input. More workgroups than the device takes are refused by [`Schedule::finish`].
+    /// Panics if the number of tensors, their storage format or the size of the parameters is not the
+    /// kernel's: that is a bug in the host side, not bad input. If there are more workgroups than the device
+    /// supports, [`Schedule::finish`] fails.
     pub(crate) fn dispatch<P: bytemuck::Pod>(
         &mut self,
         kernel: &Kernel,
@@ -102,7 +107,8 @@ impl Schedule {
         self.steps.push(Step::Dispatch { program: program.clone(), bind_group, params, groups });
     }
 
-    /// A bind group of so many bytes of parameters, wherever they begin in a buffer, and the tensors.
+    /// Creates a bind group of the tensors and `bytes` bytes of parameters, wherever they begin in their
+    /// buffer.
     fn bind(
         context: &Context,
         program: &Program,
@@ -121,14 +127,14 @@ impl Schedule {
         context.device.create_bind_group(&descriptor)
     }
 
-    /// Appends zeroing the whole of a tensor.
+    /// Appends a command that zeroes the whole tensor.
     pub fn clear(&mut self, tensor: &Tensor) {
         let (offset, bytes) = (tensor.offset(), tensor.bytes());
         self.steps.push(Step::Clear { buffer: tensor.buffer().clone(), offset, bytes });
     }
 
-    /// The schedule, complete, its kernels compiled on all threads of the current rayon pool; an error if one of its dispatches
-    /// is of more workgroups than the device takes.
+    /// Returns the finished schedule, with its kernels compiled on all threads of the current rayon pool.
+    /// Fails if a kernel does not compile, or a dispatch has more workgroups than the device supports.
     pub fn finish(mut self) -> Result<Self> {
         if let Some(why) = self.refused.take() {
             return Err(Error::Device(why));
@@ -143,7 +149,7 @@ impl Schedule {
         Ok(self)
     }
 
-    /// What is dispatched, in order.
+    /// Returns the program of each dispatch, in order.
     fn programs(&self) -> impl Iterator<Item = &Arc<Program>> {
         self.steps.iter().filter_map(|step| match step {
             Step::Dispatch { program, .. } => Some(program),
@@ -155,12 +161,12 @@ impl Schedule {
         program.pipeline(&self.context).unwrap_or_else(|e| panic!("{}.wgsl: {e}", program.name))
     }
 
-    /// Number of dispatches.
+    /// Returns the number of dispatches.
     pub fn dispatches(&self) -> usize {
         self.programs().count()
     }
 
-    /// Names of the kernels, each once, in the order of their first dispatch.
+    /// Returns the names of the kernels, each once, in the order of their first dispatch.
     pub fn kernels(&self) -> Vec<&'static str> {
         let mut names = Vec::new();
         for program in self.programs() {
@@ -171,16 +177,16 @@ impl Schedule {
         names
     }
 
-    /// The dispatches of one kernel alone, to measure it.
+    /// Returns the dispatches of one kernel alone, to measure it.
     pub fn only(&self, kernel: &str) -> Self {
         let wanted = |s: &&Step| matches!(s, Step::Dispatch { program, .. } if program.name == kernel);
         let steps = self.steps.iter().filter(wanted).cloned().collect();
         Self { steps, ..Self::new(&self.context) }
     }
 
-    /// Records everything into the caller's encoder, dispatches that follow each other in one compute pass.
+    /// Records everything into the caller's encoder. Consecutive dispatches share one compute pass.
     ///
-    /// Kernels are compiled here where [`Schedule::finish`] did not; panics where that fails.
+    /// Kernels that [`Schedule::finish`] has not compiled are compiled here. Panics if that fails.
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
         let mut steps = self.steps.iter().peekable();
         while let Some(step) = steps.peek() {
@@ -200,9 +206,10 @@ impl Schedule {
         }
     }
 
-    /// Records everything with each dispatch in a pass of its own, timed by `profile`.
+    /// Records everything, with each dispatch in a separate pass timed by `profile`.
     ///
-    /// The passes keep dispatches from overlapping, so the sum is an upper bound of an untimed run's time.
+    /// The passes keep dispatches from overlapping, so the sum is an upper bound on the time of an untimed
+    /// run.
     pub fn record_timed(&self, encoder: &mut wgpu::CommandEncoder, profile: &mut Profile) {
         for step in &self.steps {
             let (program, bind_group, params, groups) = match step {
@@ -228,7 +235,8 @@ impl Schedule {
 }
 
 impl Uniforms {
-    /// The buffer that holds `params`, in which they are or are written now, and their offset; `last` is the one in use.
+    /// Returns the buffer that holds `params`, writing them if necessary, and their offset in it. `last` is
+    /// the buffer in use.
     fn place(last: &mut Option<Self>, context: &Context, params: &[u8]) -> (wgpu::Buffer, u32) {
         let bytes = params.len() as u32;
         let takes = |uniforms: &Self| uniforms.known.contains_key(params) || uniforms.end + bytes <= UNIFORMS;
@@ -251,7 +259,7 @@ impl Uniforms {
             usage: wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
             mapped_at_creation: false,
         });
-        // As with tensors: else wgpu would look after it in every dispatch.
+        // As with tensors: otherwise wgpu would check for uninitialized memory in every dispatch.
         context.submit(|encoder| encoder.clear_buffer(&buffer, 0, None));
         Self { buffer, known: HashMap::new(), end: 0 }
     }

@@ -1,19 +1,19 @@
-//! How a device stores what the network computes with.
+//! How a device stores the network's activations and weights.
 
-/// How activations and weights of the network are stored on a device. Sums, norms, spectra and everything outside the network
-/// are in single precision whatever the storage.
+/// How the network's activations and weights are stored on a device. Sums, norms, spectra and everything
+/// outside the network are in single precision regardless.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Storage {
     /// 32-bit floating point.
     #[default]
     F32,
-    /// 16-bit floating point ([`wgpu::Features::SHADER_F16`]): half the memory and traffic of
-    /// activations and weights. For inference: training is in single precision on every context.
+    /// 16-bit floating point ([`wgpu::Features::SHADER_F16`]), which halves the size and the memory traffic
+    /// of activations and weights. For inference only: training is in single precision on every context.
     F16,
 }
 
 impl Storage {
-    /// Bytes of a number.
+    /// Returns the size of a number in bytes.
     pub fn bytes(self) -> usize {
         match self {
             Self::F32 => 4,
@@ -21,7 +21,7 @@ impl Storage {
         }
     }
 
-    /// `f32` or `f16`, as WGSL has it.
+    /// Returns the type's name in WGSL, `f32` or `f16`.
     pub fn name(self) -> &'static str {
         match self {
             Self::F32 => "f32",

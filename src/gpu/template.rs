@@ -1,23 +1,26 @@
-//! The WGSL of a kernel, and how its text is made of its file: a line with a marker stands for several.
+//! The WGSL of a kernel, and how its text is generated from its file: a line with a marker stands for several
+//! lines.
 //!
 //! | marker | stands for | the line is written |
 //! |---|---|---|
-//! | `$c` | an output of the invocation: a channel of its tile at one of its places | once for each |
-//! | `$o`, `$x` | beside `$c`: the output's channel in the tile, its place | |
-//! | `$q`, `$e` | beside `$c`: the quad that the channel is in, its element there (`x` to `w`) | |
-//! | `$q` | a quad of channels of the tile | once for each |
-//! | `$x` | a place | once for each |
-//! | `$k` | an output of the second tile | once for each |
+//! | `$c` | an output of the invocation: a channel of its tile at one of its positions | once per output |
+//! | `$o`, `$x` | together with `$c`: the output's channel in the tile, its position | |
+//! | `$q`, `$e` | together with `$c`: the quad that contains the channel, its element there (`x` to `w`) | |
+//! | `$q` | a quad of channels of the tile | once per quad |
+//! | `$x` | a position | once per position |
+//! | `$k` | an output of the second tile | once per output |
 //! | `$8` | 0 to 7 | eight times |
-//! | `$n`, `$m` | channels of the tile, its quads | |
-//! | `$t` | outputs of the second tile | |
-//! | `$same(array[index])` | the operand, which depends on the line's marker and beside it on nothing that differs within a subgroup, all of whose invocations get there ([`Sharing`]) | |
-//! | `$lane` | the last parameter of an entry point that has such operands | |
+//! | `$n`, `$m` | number of channels of the tile, of its quads | |
+//! | `$t` | number of outputs of the second tile | |
+//! | `$same(array[index])` | an operand shared by a subgroup: apart from the line's marker it depends on nothing that varies within the subgroup, all of whose invocations reach the line ([`Sharing`]) | |
+//! | `$lane` | the last parameter of an entry point with such operands | |
 //!
-//! `StoredQuad` and `StoredPair` are four and two numbers as the network's activations and weights are stored ([`Storage`]).
+//! `StoredQuad` and `StoredPair` are four and two numbers in the storage format of the network's activations
+//! and weights ([`Storage`]).
 //!
-//! Accumulators are named registers then: neither naga nor software drivers reliably turn a private array into registers. The
-//! copies of a line share its place in the file, so that line numbers in messages are those of the file.
+//! Accumulators thus become named registers: neither naga nor software drivers reliably turn a private array
+//! into registers. The copies of a line share one line of the text, so that line numbers in messages are
+//! those of the file.
 
 use super::{Order, Storage};
 use std::fmt::Write;
@@ -27,29 +30,29 @@ use std::fmt::Write;
 /// Shared text is appended, so that line numbers in messages are those of the kernel's file.
 #[derive(Clone, Copy, Debug)]
 pub struct Source {
-    /// Stem of the file and name of the entry point.
+    /// Stem of the file, and name of the entry point.
     pub name: &'static str,
     /// Text of the file.
     pub wgsl: &'static str,
-    /// Texts of files that hold only functions and constants (`shaders/common`), or what goes with the kernel's bindings
-    /// (`shaders/pieces`).
+    /// Texts of files that hold only functions and constants (`shaders/common`), or code that depends on the
+    /// kernel's bindings (`shaders/pieces`).
     pub appended: &'static [&'static str],
 }
 
-/// How a kernel's text is made from its file.
+/// How a kernel's text is generated from its file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unroll {
-    /// Channels of an invocation's outputs; 0 where it has no tile of them.
+    /// Channels of an invocation's outputs; 0 if the kernel has no tile.
     pub tile: usize,
-    /// Places that it has all of them at.
+    /// Positions at which an invocation computes all of these channels.
     pub span: usize,
-    /// Copies of the lines that are written once for each output of another kind, in kernels that have two.
+    /// Outputs of the second tile, in kernels that have one.
     pub second: usize,
-    /// How operands are read whose address is the same for all invocations of a subgroup.
+    /// How operands are read whose address is the same in all invocations of a subgroup.
     pub sharing: Sharing,
-    /// What `StoredQuad` and `StoredPair` are made of; that of the context when a kernel is made.
+    /// Element type of `StoredQuad` and `StoredPair`; taken from the context when a kernel is built.
     pub storage: Storage,
-    /// How invocations are numbered; that of the context when a kernel is made.
+    /// How invocations are numbered; taken from the context when a kernel is built.
     pub order: Order,
 }
 
@@ -66,27 +69,28 @@ impl From<usize> for Unroll {
     }
 }
 
-/// How operands are read whose address is the same for all invocations of a subgroup.
+/// How operands are read whose address is the same in all invocations of a subgroup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Sharing {
-    /// Every invocation loads them: hardware serves equal addresses at once.
+    /// Every invocation loads them. Hardware serves equal addresses at once.
     Loads,
-    /// Eight invocations load one of eight each and pass them on ([`wgpu::Features::SUBGROUP`]; subgroups of exactly
-    /// eight): software drivers load lane by lane, so that this is an eighth of the loads.
+    /// Eight invocations each load one of eight operands and broadcast it ([`wgpu::Features::SUBGROUP`], in
+    /// subgroups of exactly eight). Software drivers load lane by lane, so this takes an eighth of the loads.
     Broadcast,
 }
 
-/// The markers that repeat a line: the first of them that it has tells how often. `$c` goes first, as it brings others along.
+/// The markers that repeat a line. The first of them that a line contains determines the number of copies.
+/// `$c` goes first, as it brings others along.
 const REPEATING: [&str; 5] = ["$c", "$q", "$x", "$k", "$8"];
 
-/// Lanes that [`Sharing::Broadcast`] spreads loads over, all of a subgroup.
+/// Lanes over which [`Sharing::Broadcast`] spreads loads: a whole subgroup.
 pub(super) const LANES: usize = 8;
 
 impl Source {
-    /// The whole text, unrolled.
+    /// Returns the whole text, unrolled.
     ///
-    /// Panics where a line has a `$same(` that does not end with `);`.
+    /// Panics if a line has a `$same(` but does not end with `);`.
     pub fn unrolled(&self, unroll: impl Into<Unroll>) -> String {
         let unroll = unroll.into();
         let mut text = String::with_capacity(2 * self.wgsl.len());
@@ -106,7 +110,7 @@ impl Source {
         unroll.order.apply(text, self.name)
     }
 
-    /// All copies of a line, on one.
+    /// Returns all copies of a line, joined into one line.
     fn unrolled_line(&self, line: &str, unroll: Unroll) -> String {
         let Unroll { tile, span, second, sharing, .. } = unroll;
         let times = [tile * span, tile / 4, span, second, 8];
@@ -130,7 +134,7 @@ impl Source {
         line.replace("$t", &format!("{second}u")).replace("$lane", lane)
     }
 
-    /// The copies of `target$same(operand`, where the operand ends with `);`.
+    /// Returns the copies of `target$same(operand`, where the operand ends with `);`.
     fn shared(&self, target: &str, operand: &str, times: usize, sharing: Sharing) -> Vec<String> {
         let Some(operand) = operand.strip_suffix(");") else {
             panic!("{}.wgsl: expected $same(array[index]);, found {operand}", self.name)
@@ -154,7 +158,8 @@ impl Source {
     }
 }
 
-/// The copy of a line for an output: `copy` counts places within channels.
+/// Returns the copy of a line for one output. `copy` counts the positions of the first channel, then those of
+/// the next.
 fn of_output(line: &str, copy: usize, span: usize) -> String {
     let (channel, place) = (copy / span, copy % span);
     let (quad, element) = (channel / 4, ["x", "y", "z", "w"][channel % 4]);
@@ -163,7 +168,7 @@ fn of_output(line: &str, copy: usize, span: usize) -> String {
     line.replace("$e", element)
 }
 
-/// A line with a number in the place of each marker that repeats lines.
+/// Replaces each of the markers that repeat lines with a number.
 fn with_number(line: &str, number: &str) -> String {
     REPEATING.iter().fold(line.to_owned(), |line, marker| line.replace(marker, number))
 }
@@ -215,7 +220,8 @@ mod tests {
         let (entry, line) = broadcast.split_once('\n').unwrap();
         assert_eq!(entry, "fn f(a: u32, @builtin(subgroup_invocation_id) lane: u32) {");
         assert_eq!(line.matches("subgroupBroadcast").count(), 10);
-        // Two loads for ten operands: the second has two of them, and lanes beyond load the last one again.
+        // Two loads for ten operands. The second covers the last two, and the remaining lanes load the last
+        // one again.
         assert_eq!(line.matches("r[").count(), 2);
         assert!(line.starts_with(
             "let w_held0 = r[at + (0u + min(lane % 8u, 7u))];let w0 = subgroupBroadcast(w_held0, 0u);"

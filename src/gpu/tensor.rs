@@ -3,11 +3,13 @@
 use super::{Context, Storage};
 use crate::{Error, Result};
 
-/// A storage buffer with a shape, of 32-bit elements or of numbers as a network stores them ([`Storage`]).
+/// A storage buffer with a shape, holding 32-bit elements or numbers in the network's storage format
+/// ([`Storage`]).
 ///
-/// Nearly every tensor is a buffer of its own: wgpu refuses one buffer bound both for reading and for writing, even where
-/// the ranges do not meet. What is only read together, such as the weights of all layers, may be views of one buffer, and so may what
-/// every kernel that writes some of it binds as a whole ([`crate::kernels::optim::Iterate::hidden`]).
+/// Almost every tensor has a buffer to itself: wgpu refuses to bind one buffer both for reading and for
+/// writing, even if the ranges do not overlap. Tensors that are only read together, such as the weights of
+/// all layers, may be views of one buffer. So may tensors if every kernel that writes one of them binds them
+/// as a whole ([`crate::kernels::optim::Iterate::hidden`]).
 #[derive(Clone, Debug)]
 pub struct Tensor {
     buffer: wgpu::Buffer,
@@ -19,12 +21,13 @@ pub struct Tensor {
 }
 
 impl Tensor {
-    /// A tensor of zeros; fails when it exceeds what the device can bind at once.
+    /// Creates a tensor of zeros. Fails if it exceeds the largest binding of the device.
     pub fn zeros(context: &Context, label: &'static str, shape: &[usize]) -> Result<Self> {
         Self::zeros_of(context, label, shape, Storage::F32)
     }
 
-    /// A tensor of zeros that are stored as the context's networks store theirs.
+    /// Creates a tensor of zeros in the storage format of the context's networks. Fails like
+    /// [`Tensor::zeros`].
     pub fn stored_zeros(context: &Context, label: &'static str, shape: &[usize]) -> Result<Self> {
         Self::zeros_of(context, label, shape, context.storage())
     }
@@ -48,17 +51,19 @@ impl Tensor {
                 | wgpu::BufferUsages::VERTEX,
             mapped_at_creation: false,
         });
-        // wgpu would clear it before its first use, and until then look after that in every dispatch that binds it.
+        // Otherwise wgpu clears it before its first use, and until then checks for that in every dispatch
+        // that binds it.
         context.submit(|encoder| encoder.clear_buffer(&buffer, 0, None));
         Ok(Self { buffer, offset: 0, shape: shape.to_vec(), label, storage })
     }
 
-    /// Elements from which views of single precision may start: every device binds at multiples of 256 bytes.
+    /// Alignment of single-precision views, in elements: every device binds at multiples of 256 bytes.
     pub const VIEW_ALIGNMENT: usize = 64;
 
-    /// A part of this tensor, from element `first` on, with a shape of its own; shares the buffer.
+    /// Returns the part of this tensor that starts at element `first` and has this shape. It shares the
+    /// buffer.
     ///
-    /// A kernel that reads it as vec4 sees up to a multiple of four elements.
+    /// A kernel that reads the view as vec4 sees its length rounded up to a multiple of four elements.
     pub fn view(&self, first: usize, shape: &[usize]) -> Self {
         assert_eq!(first % Self::VIEW_ALIGNMENT, 0, "a view of '{}' starts at element {first}", self.label);
         assert!(
@@ -71,15 +76,15 @@ impl Tensor {
         Self { buffer: self.buffer.clone(), shape: shape.to_vec(), offset, ..*self }
     }
 
-    /// The whole buffer of a view of single precision, and the element of it that the view begins with: kernels that run on many
-    /// views of one tensor bind it as one, and take where to begin as a parameter.
+    /// Returns the whole buffer of a single-precision view, and the element at which the view begins. Kernels
+    /// that run on many views of one tensor bind it as one, and take the beginning as a parameter.
     pub(crate) fn whole(&self) -> (Self, usize) {
         assert_eq!(self.storage, Storage::F32, "a view of '{}'", self.label);
         let shape = vec![(self.buffer.size() / 4) as usize];
         (Self { buffer: self.buffer.clone(), offset: 0, shape, ..*self }, (self.offset / 4) as usize)
     }
 
-    /// The first `count` along the first axis; shares the buffer.
+    /// Returns the first `count` items along the first axis. They share the buffer.
     pub fn first(&self, count: usize) -> Self {
         assert!(count <= self.shape[0], "the first {count} of '{}' {:?}", self.label, self.shape);
         let mut shape = self.shape.clone();
@@ -87,7 +92,7 @@ impl Tensor {
         Self { buffer: self.buffer.clone(), shape, ..*self }
     }
 
-    /// A tensor that holds `data`, whose length must be that of `shape`.
+    /// Creates a tensor that holds `data`, whose length must match `shape`.
     pub fn from_slice<T: bytemuck::Pod>(
         context: &Context,
         label: &'static str,
@@ -99,7 +104,7 @@ impl Tensor {
         Ok(tensor)
     }
 
-    /// Replaces the whole content, ahead of whatever is submitted next.
+    /// Replaces the whole content, before the next submission runs.
     pub fn write<T: bytemuck::Pod>(&self, context: &Context, data: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert_eq!(bytes.len() as u64, self.bytes(), "tensor '{}' has shape {:?}", self.label, self.shape);
@@ -108,7 +113,8 @@ impl Tensor {
         }
     }
 
-    /// Replaces the content from element `first` on, ahead of whatever is submitted next; of single precision only.
+    /// Replaces the content from element `first` on, before the next submission runs. For single precision
+    /// only.
     pub fn write_at(&self, context: &Context, first: usize, data: &[f32]) {
         assert_eq!(self.storage, Storage::F32, "tensor '{}'", self.label);
         assert!(first + data.len() <= self.len(), "tensor '{}' has shape {:?}", self.label, self.shape);
@@ -121,7 +127,7 @@ impl Tensor {
         }
     }
 
-    /// Replaces the whole content by these numbers, narrowed to what the tensor stores.
+    /// Replaces the whole content with these numbers, narrowed to the tensor's storage format.
     pub fn write_narrowed(&self, context: &Context, data: &[f32]) {
         match self.storage {
             Storage::F32 => self.write(context, data),
@@ -132,7 +138,7 @@ impl Tensor {
         }
     }
 
-    /// Reads the whole content, widened from what the tensor stores; as [`Tensor::read`].
+    /// Reads the whole content, widened from the tensor's storage format. Waits like [`Tensor::read`].
     pub fn read_widened(&self, context: &Context) -> Result<Vec<f32>> {
         match self.storage {
             Storage::F32 => self.read(context),
@@ -143,14 +149,15 @@ impl Tensor {
         }
     }
 
-    /// How its numbers are stored.
+    /// Returns the storage format of its numbers.
     pub fn storage(&self) -> Storage {
         self.storage
     }
 
-    /// Reads the whole content, waiting for everything submitted so far: for tests, start and end, not for frames.
+    /// Reads the whole content, waiting for everything submitted so far. For tests and for the start and end
+    /// of a run, not for frames.
     pub fn read<T: bytemuck::Pod>(&self, context: &Context) -> Result<Vec<T>> {
-        // On a device that is lost it would be no buffer, and mapping that panics.
+        // On a lost device the buffer would be invalid, and mapping it panics.
         let mut readback = context.checked(|| Ok(super::Readback::new(context, &[self], 1)))?;
         let submission = context.submit(|encoder| readback.record(encoder));
         readback.submitted(&submission);
@@ -158,44 +165,46 @@ impl Tensor {
         Ok(content.expect("one read is under way"))
     }
 
-    /// The buffer, usable as storage, as a vertex buffer and for copies; the content starts at [`Tensor::offset`].
+    /// Returns the buffer, usable for storage, as a vertex buffer and for copies. The content starts at
+    /// [`Tensor::offset`].
     pub fn buffer(&self) -> &wgpu::Buffer {
         &self.buffer
     }
 
-    /// First byte of the content in the buffer: 0 unless the tensor is a view.
+    /// Returns the first byte of the content in the buffer: 0 unless the tensor is a view.
     pub fn offset(&self) -> u64 {
         self.offset
     }
 
-    /// What a kernel binds, this crate's or another: the content, rounded up to whole vec4.
+    /// Returns the resource that a kernel binds, whether of this crate or another: the content, rounded up to
+    /// whole vec4s.
     pub fn binding(&self) -> wgpu::BindingResource<'_> {
         let size = self.bytes().max(4).next_multiple_of(16);
         let size = std::num::NonZeroU64::new(size.min(self.buffer.size() - self.offset));
         wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &self.buffer, offset: self.offset, size })
     }
 
-    /// Number of elements along each axis.
+    /// Returns the number of elements along each axis.
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
 
-    /// Number of elements.
+    /// Returns the number of elements.
     pub fn len(&self) -> usize {
         self.shape.iter().product()
     }
 
-    /// Whether it has no element.
+    /// Whether it has no elements.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Size of the content in bytes.
+    /// Returns the size of the content in bytes.
     pub fn bytes(&self) -> u64 {
         (self.storage.bytes() * self.len()) as u64
     }
 
-    /// The name given at creation.
+    /// Returns the name given at creation.
     pub fn label(&self) -> &'static str {
         self.label
     }

@@ -7,14 +7,14 @@ use std::{
     path::Path,
 };
 
-/// What the name of a file begins with until all of it is written.
+/// Prefix of the name of a file that is not completely written yet.
 pub(crate) const UNFINISHED: &str = ".writing-";
 
-/// Writes a file through `fill`, so that `path` holds either what it held before or all of the new content.
+/// Writes a file through `fill`, so that `path` holds either its previous contents or all of the new ones.
 ///
-/// The bytes go to a temporary file in the same folder, which takes the name `path` when `fill` has succeeded and is
-/// removed when it has not. The folder is created if it does not exist. What a link names is replaced, not the link; a device or a
-/// pipe is written into.
+/// The bytes go to a temporary file in the same folder, which is renamed to `path` if `fill` succeeds and
+/// removed if it fails. The folder is created if it does not exist. A link is followed and its target
+/// replaced. A device or a pipe is written to directly.
 pub fn write_atomic(
     path: impl AsRef<Path>,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -24,14 +24,14 @@ pub fn write_atomic(
     replace(path, fill)
 }
 
-/// [`write_atomic`] into a folder that exists: for files of the user's own naming, where a folder that is missing is
-/// more likely misspelt.
+/// Writes like [`write_atomic`], but does not create the folder: for paths given by the user, where a missing
+/// folder is more likely a typo.
 pub(crate) fn replace(
     path: impl AsRef<Path>,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
     let path = path.as_ref();
-    // The file that a link names, not the link.
+    // Replace the target of a link, not the link.
     let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
     let written = (|| {
         if is_stream(path) {
@@ -41,14 +41,14 @@ pub(crate) fn replace(
         }
         let mut builder = tempfile::Builder::new();
         builder.prefix(UNFINISHED);
-        // Temporary files are private by default; the finished file is to be as readable as any other the user makes.
+        // Temporary files are private by default; the finished file gets the same permissions as any other.
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let (file, temporary) = builder.tempfile_in(folder_of(&target))?.into_parts();
         let mut writer = BufWriter::with_capacity(1 << 16, file);
         fill(&mut writer)?;
         writer.flush()?;
-        // Else a crash of the machine could leave the new name with none of the new content.
+        // Otherwise a system crash could leave the new name without the new contents.
         writer.get_ref().sync_all()?;
         drop(writer);
         temporary.persist(&target).map_err(|e| e.error)
@@ -56,8 +56,8 @@ pub(crate) fn replace(
     written.map_err(|e| Error::io(path, "cannot write", e))
 }
 
-/// Whether `path` is written into, as no other file can take its place: a device, a pipe, or what the process has open, even where
-/// that is a file.
+/// Returns whether `path` must be written to directly, because no other file can replace it: a device, a
+/// pipe, or a descriptor that the process holds open, even if that is a regular file.
 pub fn is_stream(path: &Path) -> bool {
     let open = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc"].iter().any(|open| path.starts_with(open));
     path.metadata().is_ok_and(|found| !found.is_dir() && (open || !found.is_file()))
@@ -101,7 +101,7 @@ mod tests {
         assert_eq!(mode("atomic"), mode("plain"));
     }
 
-    /// Both used to be replaced by a file of their name.
+    /// Both used to be replaced by a regular file.
     #[cfg(unix)]
     #[test]
     fn links_and_pipes_stay_what_they_are() {

@@ -1,28 +1,28 @@
-//! Reading JSON and TOML value by value, so that every error names the file, the path of the field, what was expected and
-//! what is there.
+//! Reading JSON and TOML value by value, so that every error names the file, the path of the field, what was
+//! expected and what was found.
 
 use crate::{Error, Result};
 use serde::de::{Deserialize, Deserializer, Error as _, MapAccess, SeqAccess, Visitor};
 use serde_json::Value;
 use std::fmt;
 
-/// A value of a document together with where it stands.
+/// A value of a document together with its location.
 pub(crate) struct Node<'a> {
-    /// The file, for errors.
+    /// File name, for errors.
     pub origin: &'a str,
-    /// Where the value stands, as in `wind.velocity[1]`; empty for the document.
+    /// Path of the value, as in `wind.velocity[1]`; empty for the document.
     pub path: String,
     /// The value.
     pub value: &'a Value,
 }
 
 impl<'a> Node<'a> {
-    /// The document itself.
+    /// Creates the node of the document itself.
     pub fn root(origin: &'a str, value: &'a Value) -> Self {
         Self { origin, path: String::new(), value }
     }
 
-    /// The error that this value is not `expected`.
+    /// Returns the error that this value is not `expected`.
     pub fn invalid(&self, expected: impl Into<String>) -> Error {
         let field = if self.path.is_empty() { "document" } else { &self.path };
         Error::invalid(self.origin, field, expected, brief(self.value))
@@ -33,16 +33,16 @@ impl<'a> Node<'a> {
         self.refuse(known, |_| true)
     }
 
-    /// Fails unless this is an object whose other keys are none that is nearly one of `known`: that is a mistake.
+    /// Fails if this is not an object, or if it has a key that looks like a misspelling of one in `known`.
     pub fn no_misspelling(&self, known: &[&str]) -> Result<()> {
-        // Short names are near each other.
+        // Between short names the distance is always small.
         let reach = |name: &str| if name.len() > 4 { 2 } else { 1 };
         self.refuse(known, |key| {
             known.iter().any(|name| strsim::damerau_levenshtein(name, key) <= reach(name))
         })
     }
 
-    /// Fails unless this is an object without keys beside `known` that are `refused`.
+    /// Fails if this is not an object, or if it has a `refused` key that is not in `known`.
     fn refuse(&self, known: &[&str], refused: impl Fn(&str) -> bool) -> Result<()> {
         let object = self.value.as_object().ok_or_else(|| self.invalid("an object { .. }"))?;
         let Some(key) = object.keys().find(|key| !known.contains(&key.as_str()) && refused(key)) else {
@@ -55,26 +55,26 @@ impl<'a> Node<'a> {
         Err(Error::unknown(origin, "field", key, known.iter().copied()))
     }
 
-    /// The member `key` of an object; a null counts as absent, so that it means the default.
+    /// Returns the member `key` of an object. A null counts as absent and so means the default.
     pub fn get(&self, key: &str) -> Option<Node<'a>> {
         let value = self.value.get(key).filter(|v| !v.is_null())?;
         let path = if self.path.is_empty() { key.to_owned() } else { format!("{}.{key}", self.path) };
         Some(Node { origin: self.origin, path, value })
     }
 
-    /// What `read` makes of the member `key`, or `default` where it is absent.
+    /// Reads the member `key` with `read`, or returns `default` if it is absent.
     pub fn get_or<T>(&self, key: &str, default: T, read: impl Fn(&Node<'a>) -> Result<T>) -> Result<T> {
         self.get(key).map_or(Ok(default), |node| read(&node))
     }
 
-    /// The elements of an array.
+    /// Returns the elements of an array.
     pub fn items(&self) -> Result<Vec<Node<'a>>> {
         let items = self.value.as_array().ok_or_else(|| self.invalid("an array [ .. ]"))?;
         let node = |(k, value)| Node { origin: self.origin, path: format!("{}[{k}]", self.path), value };
         Ok(items.iter().enumerate().map(node).collect())
     }
 
-    /// An array of exactly `N` elements, read with `read`; `expected` says what the array is.
+    /// Reads an array of exactly `N` elements with `read`; `expected` describes the array in errors.
     pub fn array<T, const N: usize>(
         &self,
         expected: &str,
@@ -87,29 +87,29 @@ impl<'a> Node<'a> {
         Ok(read.try_into().unwrap_or_else(|_| unreachable!("the length was checked")))
     }
 
-    /// A number.
+    /// Reads a finite number.
     pub fn number(&self) -> Result<f64> {
         self.value.as_f64().filter(|v| v.is_finite()).ok_or_else(|| self.invalid("a number"))
     }
 
-    /// A number that is not negative and fits a count.
+    /// Reads a non-negative integer.
     pub fn count(&self) -> Result<usize> {
         let count = self.value.as_u64().and_then(|v| usize::try_from(v).ok());
         count.ok_or_else(|| self.invalid("a whole number, 0 or more"))
     }
 
-    /// Three numbers.
+    /// Reads three numbers.
     pub fn vector(&self) -> Result<[f64; 3]> {
         self.array("three numbers [x, y, z]", Node::number)
     }
 
-    /// A text.
+    /// Reads a string.
     pub fn text(&self) -> Result<&'a str> {
         self.value.as_str().ok_or_else(|| self.invalid("a text"))
     }
 }
 
-/// A value as JSON, short enough for one line.
+/// Formats a value as JSON, shortened to fit on one line.
 fn brief(value: &Value) -> String {
     let text = value.to_string();
     match text.char_indices().nth(60) {
@@ -118,9 +118,9 @@ fn brief(value: &Value) -> String {
     }
 }
 
-/// Parses a JSON document; the error tells line and column.
+/// Parses a JSON document. Errors report line and column.
 pub(crate) fn parse_json(origin: &str, text: &str) -> Result<Value> {
-    // Some editors begin a file with a byte-order mark.
+    // Some editors write a byte-order mark.
     let parsed = serde_json::from_str(text.trim_start_matches('\u{feff}'));
     parsed.map(|Once(value)| value).map_err(|e| {
         let place = format!("line {}, column {}", e.line(), e.column());
@@ -130,7 +130,7 @@ pub(crate) fn parse_json(origin: &str, text: &str) -> Result<Value> {
     })
 }
 
-/// A JSON value whose objects tell each field once: of two, `serde_json` would take the last without a word.
+/// A JSON value without duplicate keys, which are errors here; `serde_json` would silently keep the last one.
 struct Once(Value);
 
 impl<'de> Deserialize<'de> for Once {
@@ -192,7 +192,7 @@ impl<'de> Visitor<'de> for OnceVisitor {
     }
 }
 
-/// Parses a TOML document; the error tells line and column.
+/// Parses a TOML document. Errors report line and column.
 pub(crate) fn parse_toml(origin: &str, text: &str) -> Result<Value> {
     let value: Value = toml::from_str(text).map_err(|e| {
         let at = e.span().map_or(0, |span| span.start.min(text.len()));
@@ -201,14 +201,14 @@ pub(crate) fn parse_toml(origin: &str, text: &str) -> Result<Value> {
         let place = format!("line {}, column {column}", before.matches('\n').count() + 1);
         Error::invalid(origin, place, "TOML", e.message())
     })?;
-    // TOML has no null: it is what its `nan` and `inf` become, which must not pass for a field that is left out.
+    // TOML has no null, but its `nan` and `inf` become one. They must not pass for an omitted field.
     match missing(&value) {
         Some(path) => Err(Error::invalid(origin, path, "a finite number", "nan or inf")),
         None => Ok(value),
     }
 }
 
-/// Where the first null stands.
+/// Returns the path of the first null.
 fn missing(value: &Value) -> Option<String> {
     let below = |name: String, value: &Value| {
         let rest = missing(value)?;
@@ -232,7 +232,7 @@ mod tests {
         assert_eq!(parse_json("scene.json", text).unwrap(), serde_json::from_str::<Value>(text).unwrap());
     }
 
-    /// The last of them used to count, without a word.
+    /// Earlier versions silently used the last one.
     #[test]
     fn a_field_that_is_told_twice_is_refused() {
         for text in [r#"{"grid": 8, "up": "y", "grid": 9}"#, r#"{"wind": [{"grid": 1, "grid": 1}]}"#] {

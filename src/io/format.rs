@@ -1,4 +1,4 @@
-//! The formats that a trajectory can be written in.
+//! The file formats for trajectories.
 
 use crate::{Error, Result};
 use std::{fmt, str::FromStr};
@@ -19,10 +19,10 @@ pub enum Format {
 }
 
 impl Format {
-    /// Every format.
+    /// All formats.
     pub const ALL: [Format; 5] = [Self::Npz, Self::Npy, Self::Obj, Self::Ply, Self::Pc2];
 
-    /// Its name, which is also the extension of its files.
+    /// Returns the name of the format, which is also its file extension.
     pub fn name(self) -> &'static str {
         match self {
             Self::Npz => "npz",
@@ -33,7 +33,7 @@ impl Format {
         }
     }
 
-    /// An error of `origin` if so many frames do not fit into a file of this format.
+    /// Checks that a file of this format can hold `frames` frames. Fails with an error that names `origin`.
     pub fn holds(self, frames: usize, origin: &str) -> Result<()> {
         if self == Self::Pc2 && i32::try_from(frames).is_err() {
             return Err(Error::invalid(origin, self.name(), "at most 2^31 - 1 frames", frames));

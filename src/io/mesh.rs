@@ -8,12 +8,13 @@ use glam::Vec3;
 pub struct Mesh {
     /// Vertex positions \[m\], shape [V, 3], in the order of the file.
     pub positions: Vec<[f32; 3]>,
-    /// Triangles as vertex numbers from 0, shape [T, 3]; all of them are below V.
+    /// Triangles as zero-based vertex indices, shape [T, 3], all below V.
     pub faces: Vec<[u32; 3]>,
 }
 
-/// Smooth unit normals, shape [V, 3]: the normals of the adjacent triangles, weighted by area.
-/// Triangles with a non-finite corner count for nothing; a vertex without a usable triangle gets (0, 0, 0).
+/// Computes smooth unit normals, shape [V, 3]: the area-weighted mean of the normals of the adjacent
+/// triangles. Triangles with a non-finite normal are ignored; a vertex without a usable triangle gets the
+/// zero vector.
 pub fn vertex_normals(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<[f32; 3]> {
     let mut sums = vec![Vec3::ZERO; positions.len()];
     for face in faces {
@@ -26,11 +27,13 @@ pub fn vertex_normals(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<[f32; 3
     sums.into_iter().map(|n| n.normalize_or_zero().to_array()).collect()
 }
 
-/// The grid whose `vertices`, numbered row by row, these triangles connect; None if they do not look like one.
+/// Returns the grid whose `vertices`, numbered row by row, these triangles connect, or `None` if they do not
+/// look like one.
 ///
-/// With H W vertices and 2 (H-1)(W-1) triangles, H and W are the two roots of a quadratic; which is which shows in the
-/// first triangle, whose sides join neighbours in a row (difference 1) and in a column (difference W). Its third side may
-/// look like one in a column where H and W differ by one: each triangle must be within a cell.
+/// With H W vertices and 2 (H-1)(W-1) triangles, H and W are the two roots of a quadratic. The first triangle
+/// shows which is which: its sides join neighbours in a row (difference 1) and in a column (difference W).
+/// Its diagonal may look like a column side if H and W differ by one, so every triangle must also lie within
+/// a cell.
 pub(super) fn grid_of(vertices: usize, faces: &[[u32; 3]]) -> Option<Grid> {
     let [a, b, c] = faces.first()?.map(i64::from);
     let sides = [(a - b).abs(), (b - c).abs(), (c - a).abs()];
@@ -48,8 +51,9 @@ pub(super) fn grid_of(vertices: usize, faces: &[[u32; 3]]) -> Option<Grid> {
     sides.into_iter().map(|w| grid(w as usize)).find(|g| fits(g) && within_cells(g))
 }
 
-/// Texture coordinates of a grid, shape [V, 2]: `u = 1 - i / (H - 1)`, `v = 1 - j / (W - 1)`. A picture is upright on a sheet that
-/// hangs from the edge j = 0, and no mirror image on the side of the normals.
+/// Returns the texture coordinates of a grid, shape [V, 2]: `u = 1 - i / (H - 1)`, `v = 1 - j / (W - 1)`. An
+/// image appears upright on a sheet that hangs from the edge j = 0, and unmirrored on the side of the
+/// normals.
 pub(super) fn texture_coordinates(grid: Grid) -> Vec<[f32; 2]> {
     let part = |k: usize, n: usize| 1.0 - k as f32 / (n.max(2) - 1) as f32;
     (0..grid.particles()).map(|p| [part(p / grid.w, grid.h), part(p % grid.w, grid.w)]).collect()
@@ -88,7 +92,7 @@ mod tests {
         for (h, w) in [(8, 8), (8, 13), (13, 8), (31, 33), (8, 9), (9, 8)] {
             let grid = Grid { h, w };
             assert_eq!(grid_of(h * w, &grid.faces()), Some(grid));
-            // The other diagonal, as other programs cut.
+            // The vertices numbered from the other end.
             let other: Vec<_> = grid.faces().iter().map(|f| f.map(|k| (h * w) as u32 - 1 - k)).collect();
             assert_eq!(grid_of(h * w, &other), Some(grid));
             // Cut either way, with the diagonal first.

@@ -1,8 +1,8 @@
 //! Readers and writers of trajectories, meshes and arrays.
 //!
-//! A run collects its frames in a [`Trajectory`] and writes it in any [`Format`]. Readers are strict: a file that is
-//! truncated, too long or inconsistent is refused with its name and field, and a header's claims are checked against the
-//! length of the file before anything is allocated for them.
+//! A run collects its frames in a [`Trajectory`] and writes it in any [`Format`]. Readers are strict: a file
+//! that is truncated, too long or inconsistent is rejected with its name and the offending field, and the
+//! sizes in a header are checked against the length of the file before anything is allocated for them.
 
 mod atomic;
 mod document;
@@ -29,7 +29,7 @@ pub use trajectory::{ReadOptions, Trajectory};
 use crate::{Error, Result};
 use std::{fs::File, io::Read, path::Path};
 
-/// Opens a file for reading and tells its length in bytes.
+/// Opens a file for reading. Also returns its length in bytes.
 fn open(path: &Path) -> Result<(File, u64)> {
     let fail = |e| Error::io(path, "cannot read", e);
     let file = File::open(path).map_err(fail)?;
@@ -40,7 +40,7 @@ fn open(path: &Path) -> Result<(File, u64)> {
     Ok((file, meta.len()))
 }
 
-/// Removes a file; one that is not there counts as removed.
+/// Removes a file. Succeeds if there is no such file.
 pub fn remove(path: &Path) -> Result<()> {
     match std::fs::remove_file(path) {
         Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(Error::io(path, "cannot remove", e)),
@@ -48,7 +48,7 @@ pub fn remove(path: &Path) -> Result<()> {
     }
 }
 
-/// All bytes of a file.
+/// Reads all bytes of a file.
 pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     open(path)?.0.read_to_end(&mut bytes).map_err(|e| Error::io(path, "cannot read", e))?;

@@ -8,7 +8,7 @@ use std::{
     path::Path,
 };
 
-/// Types of elements that are read, all little-endian.
+/// Supported element types, all little-endian.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Element {
     F16,
@@ -29,7 +29,7 @@ impl Element {
         }
     }
 
-    /// Its name in a header.
+    /// Returns the name of the type in a header.
     fn name(self) -> &'static str {
         match self {
             Self::F16 => "<f2",
@@ -43,24 +43,24 @@ impl Element {
     }
 }
 
-/// An array in a file, its header read and checked, its elements not yet.
+/// An array in a file whose header has been read and checked, but not its elements.
 pub(super) struct Array<R> {
     reader: R,
     origin: String,
     element: Element,
     fortran: bool,
-    /// Lengths of its axes.
+    /// Lengths of the axes.
     pub shape: Vec<usize>,
     len: usize,
 }
 
-/// The most axes that NumPy allows.
+/// Maximum number of axes that NumPy allows.
 const MAX_AXES: usize = 32;
-/// A longer header is not one of a plain array: that takes some 100 bytes. Keeps a false length from being believed.
+/// Maximum length of a header; that of a plain array has about 100 bytes. Guards against a bogus length.
 const MAX_HEADER: u64 = 4096;
 
 impl<R: Read> Array<R> {
-    /// Reads the header of an array that takes all `size` bytes of `reader`; `origin` names it in errors.
+    /// Reads the header of an array that occupies all `size` bytes of `reader`; `origin` names it in errors.
     pub fn open(mut reader: R, size: u64, origin: String) -> Result<Self> {
         let bad = |field: &str, expected: &str, found: &dyn std::fmt::Display| {
             Error::invalid(&origin, field, expected, found)
@@ -116,7 +116,7 @@ impl<R: Read> Array<R> {
         Ok(Self { reader, element, fortran, shape, len, origin })
     }
 
-    /// This array if its elements are floating-point numbers, else an error.
+    /// Returns this array. Fails if its elements are not floating-point numbers.
     pub fn of_floats(self) -> Result<Self> {
         match self.element {
             Element::F16 | Element::F32 | Element::F64 => Ok(self),
@@ -124,12 +124,12 @@ impl<R: Read> Array<R> {
         }
     }
 
-    /// An error about this array.
+    /// Creates an error about this array.
     pub fn invalid(&self, field: &str, expected: &str, found: impl ToString) -> Error {
         Error::invalid(&self.origin, field, expected, found)
     }
 
-    /// Hands the elements to `sink` in the order of the file.
+    /// Passes the elements to `sink` in file order.
     fn elements(&mut self, mut sink: impl FnMut(f64)) -> Result<()> {
         let mut buffer = [0; 1 << 14];
         let mut left = self.len * self.element.bytes();
@@ -152,7 +152,7 @@ impl<R: Read> Array<R> {
         Ok(())
     }
 
-    /// Reads the whole array, each element through `cast`.
+    /// Reads the whole array, converting each element with `cast`.
     pub fn read<T>(&mut self, cast: impl Fn(f64) -> T) -> Result<ArrayD<T>> {
         let mut data = Vec::with_capacity(self.len);
         self.elements(|x| data.push(cast(x)))?;
@@ -160,7 +160,7 @@ impl<R: Read> Array<R> {
         ArrayD::from_shape_vec(shape, data).map_err(|e| self.invalid("shape", "a usable shape", e))
     }
 
-    /// Reads an array of shape [.., 3] as its triples, in C order, each element through `cast`.
+    /// Reads an array of shape [.., 3] as triples in C order, converting each element with `cast`.
     pub fn triples<T: Copy + Default>(&mut self, cast: impl Fn(f64) -> T) -> Result<Vec<[T; 3]>> {
         if self.shape.last() != Some(&3) {
             return Err(self.invalid("shape", "a last axis of 3", format!("{:?}", self.shape)));
@@ -188,8 +188,9 @@ fn words<const N: usize>(bytes: &[u8]) -> impl Iterator<Item = [u8; N]> + '_ {
     bytes.as_chunks::<N>().0.iter().copied()
 }
 
-/// The three entries of a header such as `{'descr': '<f4', 'fortran_order': False, 'shape': (391, 1024, 3), }`, in any
-/// order; None if it is anything else.
+/// Parses the three entries of a header such as
+/// `{'descr': '<f4', 'fortran_order': False, 'shape': (391, 1024, 3), }`, in any order. Returns `None` for
+/// anything else.
 fn parse_header(header: &[u8]) -> Option<(&str, bool, Vec<usize>)> {
     let text = str::from_utf8(header).ok()?.trim();
     let mut rest = text.strip_prefix('{')?.strip_suffix('}')?.trim();
@@ -233,7 +234,7 @@ fn quoted(text: &str) -> Option<(&str, &str)> {
     text[1..].split_once(quote)
 }
 
-/// The inside of a tuple: "", "5," or "391, 1024, 3".
+/// Parses the inside of a tuple: "", "5," or "391, 1024, 3".
 fn parse_axes(text: &str) -> Option<Vec<usize>> {
     let text = text.trim();
     let text = text.strip_suffix(',').unwrap_or(text);
@@ -249,12 +250,12 @@ pub fn read_npy(path: impl AsRef<Path>) -> Result<ArrayD<f64>> {
     open_npy(path.as_ref())?.of_floats()?.read(|x| x)
 }
 
-/// The array in the bytes of a `.npy` file, as [`read_npy`] reads it; `origin` names it in errors.
+/// Reads the array in the bytes of a `.npy` file like [`read_npy`]; `origin` names it in errors.
 pub fn parse_npy(origin: &str, bytes: &[u8]) -> Result<ArrayD<f64>> {
     Array::open(bytes, bytes.len() as u64, origin.to_owned())?.of_floats()?.read(|x| x)
 }
 
-/// Opens the array that is a file's only content.
+/// Opens a file that consists of a single array.
 pub(super) fn open_npy(path: &Path) -> Result<Array<BufReader<std::fs::File>>> {
     let (file, size) = open(path)?;
     Array::open(BufReader::new(file), size, path.display().to_string())

@@ -16,14 +16,14 @@ const FACES: &str = "faces";
 const COORDINATES: &str = "vertices_uv";
 const RATE: &str = "fps";
 
-/// Writes all of a trajectory, array by array, without a second copy of the large ones.
+/// Writes a trajectory array by array, without a second copy of the large ones.
 pub(super) fn write(trajectory: &Trajectory, writer: impl Write + Seek) -> io::Result<()> {
-    // With a header an array is a little longer.
+    // The header makes an array slightly longer.
     let bytes = 4 * trajectory.positions().len() as u64 + 1024;
     write_arrays(trajectory, writer, bytes > u64::from(u32::MAX))
 }
 
-/// [`write`] with lengths of 64 bits or of 32, which more programs read.
+/// Writes with 64-bit lengths if `large`, else with 32-bit lengths, which more programs can read.
 fn write_arrays(trajectory: &Trajectory, writer: impl Write + Seek, large: bool) -> io::Result<()> {
     let faces: Vec<[i32; 3]> = trajectory.grid().faces().iter().map(|f| f.map(|k| k as i32)).collect();
     let coordinates = mesh::texture_coordinates(trajectory.grid());
@@ -38,14 +38,14 @@ fn write_arrays(trajectory: &Trajectory, writer: impl Write + Seek, large: bool)
         npz.add_array(RATE, &aview0(&trajectory.fps()))
     })();
     if let Err(error) = arrays {
-        // Where it is dropped it tries to finish the archive, and prints that it cannot.
+        // Dropping the writer would try to finish the archive, and print that it cannot.
         std::mem::forget(npz);
         return Err(io::Error::other(error));
     }
     npz.finish().map(drop).map_err(io::Error::other)
 }
 
-/// Reads an archive; only the positions must be there.
+/// Reads an archive. Only the positions are required.
 pub(super) fn read(path: &Path) -> Result<Parts> {
     let (file, size) = open(path)?;
     let mut archive = Archive::open(BufReader::new(file), size, path.display().to_string())?;
@@ -68,7 +68,7 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
     if has(&archive, FACES) {
         let mut array = array(&mut archive, path, FACES)?;
         let vertices = *parts.shape.get(1).unwrap_or(&0) as f64;
-        // A number that is no vertex becomes one past the last, which the test below finds.
+        // An invalid vertex index becomes `u32::MAX`, which the test below finds.
         let number = |x: f64| if x >= 0.0 && x < vertices && x.fract() == 0.0 { x as u32 } else { u32::MAX };
         let faces = array.triples(number)?;
         if faces.as_flattened().contains(&u32::MAX) {
@@ -85,7 +85,7 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
     Ok(parts)
 }
 
-/// One array of an archive.
+/// Opens an array of an archive.
 fn array<'a, R: io::Read + Seek>(
     archive: &'a mut Archive<R>,
     path: &Path,

@@ -1,7 +1,7 @@
 //! Wavefront OBJ meshes.
 //!
-//! Read by hand: the usual crate renumbers the vertices in the order in which faces use them, and here a vertex number
-//! is a place in the grid.
+//! Parsed by hand: the usual crate renumbers vertices in the order in which faces use them, but here a vertex
+//! index is a position in the grid.
 
 use super::{Mesh, mesh, read_bytes};
 use crate::{Error, Result, sim::Grid};
@@ -12,22 +12,23 @@ use std::{
     str::FromStr,
 };
 
-/// The statements that say nothing about positions and faces and are passed over: all others that the format has.
+/// The statements that are skipped: all those of the format that do not describe positions or faces.
 const IGNORED: &str = "vt vn vp o g s mg l p usemtl mtllib usemap maplib deg bmat step cstype curv curv2 surf parm \
     trim hole scrv sp end con call bevel c_interp d_interp lod shadow_obj trace_obj ctech stech";
 
-/// The vertices and faces of an OBJ file as they stand in it.
+/// The vertices and faces of an OBJ file, exactly as given there.
 #[derive(Clone, Debug)]
 pub(crate) struct Polygons<T> {
-    /// The file, for errors.
+    /// File name, for errors.
     pub origin: String,
-    /// Vertex positions, in the order of the file; all of them are finite.
+    /// Vertex positions in file order, all finite.
     pub positions: Vec<[T; 3]>,
-    /// Vertex numbers of each face, from 0 and at least three, and the line of the file that it stands in, from 1.
+    /// Zero-based vertex indices of each face, at least three, and its one-based line number.
     pub faces: Vec<(Vec<usize>, usize)>,
 }
 
-/// Reads the positions and faces of an OBJ file; polygons are cut into triangles, vertices keep the order of the file.
+/// Reads the positions and faces of an OBJ file. Polygons are split into triangles; vertices keep the order
+/// of the file.
 pub fn read_obj(path: impl AsRef<Path>) -> Result<Mesh> {
     Polygons::read(path.as_ref())?.into_mesh()
 }
@@ -40,10 +41,10 @@ impl<T: Float + FromStr> Polygons<T> {
 
     fn parse(bytes: &[u8], origin: &str) -> Result<Self> {
         let mut found = Self { origin: origin.to_owned(), positions: Vec::new(), faces: Vec::new() };
-        // Some programs begin with a byte-order mark.
+        // Some programs write a byte-order mark.
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         for (k, line) in bytes.split(|&b| b == b'\n').enumerate() {
-            // Comments and the names of materials may be in any encoding; all else is ASCII.
+            // Comments and material names may be in any encoding; everything else is ASCII.
             let line = String::from_utf8_lossy(line);
             let line = line.split('#').next().unwrap_or_default();
             let mut words = line.split_ascii_whitespace();
@@ -77,7 +78,7 @@ impl<T: Float + FromStr> Polygons<T> {
 }
 
 impl Polygons<f32> {
-    /// The polygons cut into triangles, each of them from its first corner.
+    /// Splits the polygons into triangle fans around their first corners.
     fn into_mesh(self) -> Result<Mesh> {
         if self.positions.is_empty() {
             return Err(Error::invalid(self.origin, "vertices", "at least one 'v' line", "none"));
@@ -92,7 +93,7 @@ impl Polygons<f32> {
     }
 }
 
-/// `x y z`, perhaps with a weight or colours after them.
+/// Parses `x y z`, optionally followed by a weight or colours.
 fn position<'a, T: Float + FromStr>(mut words: impl Iterator<Item = &'a str>) -> Option<[T; 3]> {
     let mut out = [T::zero(); 3];
     for x in &mut out {
@@ -101,7 +102,8 @@ fn position<'a, T: Float + FromStr>(mut words: impl Iterator<Item = &'a str>) ->
     words.all(|w| w.parse::<T>().is_ok()).then_some(out)
 }
 
-/// `a b c ..`, each `v`, `v/vt`, `v//vn` or `v/vt/vn`, with negative numbers counted back from the last of `vertices`.
+/// Parses `a b c ..`, each `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative numbers count back from the last of
+/// `vertices`.
 fn face<'a>(words: impl Iterator<Item = &'a str>, vertices: usize) -> Option<Vec<usize>> {
     let number = |word: &'a str| {
         let number: i64 = word.split('/').next()?.parse().ok()?;
@@ -112,7 +114,7 @@ fn face<'a>(words: impl Iterator<Item = &'a str>, vertices: usize) -> Option<Vec
     (corners.len() >= 3).then_some(corners)
 }
 
-/// Writes a frame of a grid with its texture coordinates.
+/// Writes a frame of a grid with texture coordinates.
 pub(super) fn write(grid: Grid, positions: &[[f32; 3]], mut writer: impl Write) -> io::Result<()> {
     for [x, y, z] in positions {
         writeln!(writer, "v {x} {y} {z}")?;

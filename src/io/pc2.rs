@@ -10,7 +10,7 @@ use std::{
 const MAGIC: &[u8; 12] = b"POINTCACHE2\0";
 const HEADER_LEN: u64 = 32;
 
-/// Writes the positions of a trajectory, a sample per frame from frame 0.
+/// Writes the positions of a trajectory, one PC2 sample per frame starting at frame 0.
 pub(super) fn write(trajectory: &Trajectory, mut writer: impl Write) -> io::Result<()> {
     let count = |n: usize| i32::try_from(n).map_err(io::Error::other);
     writer.write_all(MAGIC)?;

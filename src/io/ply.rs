@@ -4,7 +4,7 @@ use super::vertex_normals;
 use crate::sim::Grid;
 use std::io::{self, Write};
 
-/// Writes a frame of a grid with its normals.
+/// Writes a frame of a grid with normals.
 pub(super) fn write(grid: Grid, positions: &[[f32; 3]], mut writer: impl Write) -> io::Result<()> {
     let faces = grid.faces();
     let normals = vertex_normals(positions, &faces);

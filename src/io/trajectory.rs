@@ -10,7 +10,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The frames of one cloth: positions and velocities at equal steps of time.
+/// The frames of one cloth: positions and velocities at equal time intervals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     grid: Grid,
@@ -19,12 +19,12 @@ pub struct Trajectory {
     velocities: Vec<[f32; 3]>,
 }
 
-/// What a file may not tell about a trajectory.
+/// Properties of a trajectory that a file may lack.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReadOptions {
-    /// The grid. Without it, it follows from the faces in the file, or else the cloth must be square.
+    /// The grid. If `None`, it is derived from the faces in the file; without faces the grid must be square.
     pub grid: Option<Grid>,
-    /// Frames per second [1/s] where the file does not say.
+    /// Frames per second [1/s] if the file does not specify them.
     pub fps: f64,
 }
 
@@ -34,10 +34,10 @@ impl Default for ReadOptions {
     }
 }
 
-/// What a reader found in a file.
+/// The contents of a file, as found by a reader.
 #[derive(Default)]
 pub(super) struct Parts {
-    /// Shape of the positions as the file gives it.
+    /// Shape of the positions in the file.
     pub shape: Vec<usize>,
     pub positions: Vec<[f32; 3]>,
     pub velocities: Option<Vec<[f32; 3]>>,
@@ -46,14 +46,15 @@ pub(super) struct Parts {
 }
 
 impl Trajectory {
-    /// A trajectory without frames; `fps` is the number of frames per second [1/s].
+    /// Creates a trajectory without frames; `fps` is the number of frames per second [1/s].
     pub fn new(grid: Grid, fps: f64) -> Self {
         assert!(grid.particles() > 0, "a trajectory has particles");
         assert!(fps.is_finite() && fps > 0.0, "frames per second are above 0");
         Self { grid, fps, positions: Vec::new(), velocities: Vec::new() }
     }
 
-    /// Makes room for `frames` more frames, so that pushing them moves nothing; an error if there is not enough memory.
+    /// Reserves room for `frames` more frames, so that pushing them does not reallocate. Fails if there is
+    /// not enough memory.
     pub fn reserve(&mut self, frames: usize) -> Result<()> {
         let points = frames.saturating_mul(self.grid.particles());
         let bytes = points.saturating_mul(24);
@@ -79,39 +80,39 @@ impl Trajectory {
         self.velocities.extend_from_slice(velocities);
     }
 
-    /// The grid of particles.
+    /// Returns the grid of particles.
     pub fn grid(&self) -> Grid {
         self.grid
     }
 
-    /// Frames per second [1/s].
+    /// Returns the number of frames per second [1/s].
     pub fn fps(&self) -> f64 {
         self.fps
     }
 
-    /// Number of frames (F).
+    /// Returns the number of frames (F).
     pub fn frames(&self) -> usize {
         self.positions.len() / self.grid.particles()
     }
 
-    /// Positions of one frame \[m\], shape [V, 3].
+    /// Returns the positions of one frame \[m\], shape [V, 3].
     pub fn frame(&self, frame: usize) -> &[[f32; 3]] {
         let vertices = self.grid.particles();
         &self.positions[frame * vertices..][..vertices]
     }
 
-    /// Velocities of one frame [m/s], shape [V, 3].
+    /// Returns the velocities of one frame [m/s], shape [V, 3].
     pub fn frame_velocities(&self, frame: usize) -> &[[f32; 3]] {
         let vertices = self.grid.particles();
         &self.velocities[frame * vertices..][..vertices]
     }
 
-    /// Positions \[m\], shape [F, V, 3].
+    /// Returns the positions \[m\], shape [F, V, 3].
     pub fn positions(&self) -> ArrayView3<'_, f32> {
         self.view(&self.positions)
     }
 
-    /// Velocities [m/s], shape [F, V, 3].
+    /// Returns the velocities [m/s], shape [F, V, 3].
     pub fn velocities(&self) -> ArrayView3<'_, f32> {
         self.view(&self.velocities)
     }
@@ -121,9 +122,10 @@ impl Trajectory {
         ArrayView3::from_shape(shape, data.as_flattened()).expect("whole frames were pushed")
     }
 
-    /// Writes the trajectory into the folder `dir` and tells where: the file `NAME.EXT`, or for OBJ and PLY the folder
-    /// `NAME_EXT` with a file `00000.EXT` per frame. Each file appears when it is complete; files of frames that a longer
-    /// run left in such a folder are removed. An error if the format [cannot hold](Format::holds) it.
+    /// Writes the trajectory into the folder `dir` and returns the path: the file `NAME.EXT`, or for OBJ and
+    /// PLY the folder `NAME_EXT` with a file `00000.EXT` per frame. Each file appears only once it is
+    /// complete. Files that a longer run left in such a folder are removed. Fails if the format
+    /// [cannot hold](Format::holds) the trajectory.
     pub fn write(&self, dir: impl AsRef<Path>, name: &str, format: Format) -> Result<PathBuf> {
         let file = dir.as_ref().join(format!("{name}.{format}"));
         let folder = dir.as_ref().join(format!("{name}_{format}"));
@@ -139,7 +141,7 @@ impl Trajectory {
         }
     }
 
-    /// Writes frame 0 as an OBJ file: the mesh that a PC2 cache moves.
+    /// Writes frame 0 as an OBJ file: the mesh that a PC2 cache animates.
     pub fn write_mesh(&self, path: impl AsRef<Path>) -> Result<()> {
         write_atomic(path, |w| obj::write(self.grid, self.frame(0), w))
     }
@@ -151,7 +153,7 @@ impl Trajectory {
                 _ => obj::write(self.grid, self.frame(f), w),
             })
         })?;
-        // Only what a longer run may have named: `7.obj` is somebody's own.
+        // Remove only names that a longer run would have written: `7.obj` belongs to the user.
         let of_a_run = |(f, path): &(usize, PathBuf)| {
             *f >= self.frames() && path.file_stem().is_some_and(|stem| *stem == *format!("{f:05}"))
         };
@@ -161,19 +163,20 @@ impl Trajectory {
         Ok(folder)
     }
 
-    /// Reads a trajectory from an npz, npy or pc2 file or a folder of OBJ files. Positions must be finite. Where the file
-    /// has no velocities, they are the differences of positions over the frame time, and 0 in the first frame.
+    /// Reads a trajectory from an npz, npy or pc2 file or a folder of OBJ files. Positions and velocities
+    /// must be finite. If the file has no velocities, they are computed from differences of positions, and
+    /// are 0 in the first frame.
     pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Self> {
         let path = path.as_ref();
         Self::read_as_it_is(path, options)?.finite(path)
     }
 
-    /// As [`Trajectory::read`], whatever its numbers are.
+    /// Reads a trajectory like [`Trajectory::read`], but accepts non-finite numbers.
     pub(crate) fn read_as_it_is(path: &Path, options: &ReadOptions) -> Result<Self> {
         Self::from_parts(read_parts(path)?, options, &path.display().to_string())
     }
 
-    /// The same of vertices that need not form a grid: the grid is then a single row of them.
+    /// Reads vertices that need not form a grid, as a grid of a single row. Accepts non-finite numbers.
     pub(crate) fn read_vertices(path: &Path, fps: f64) -> Result<Self> {
         let parts = Parts { faces: Vec::new(), ..read_parts(path)? };
         let grid = parts.shape.get(1).map(|&vertices| Grid { h: 1, w: vertices });
@@ -221,7 +224,7 @@ impl Trajectory {
         Ok(trajectory)
     }
 
-    /// This, which was read from `origin`, unless a number of it is not finite.
+    /// Returns this trajectory, which was read from `origin`. Fails if one of its numbers is not finite.
     pub(crate) fn finite(self, origin: &Path) -> Result<Self> {
         let vertices = self.grid.particles();
         for values in [&self.positions, &self.velocities] {
@@ -253,7 +256,7 @@ fn read_parts(path: &Path) -> Result<Parts> {
     }
 }
 
-/// The numbered files of a folder of frames, in order.
+/// Returns the numbered files of a folder of frames, in order.
 fn frame_files(folder: &Path, format: Format) -> Result<Vec<(usize, PathBuf)>> {
     let fail = |e| Error::io(folder, "cannot read the folder", e);
     let mut files = Vec::new();

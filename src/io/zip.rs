@@ -1,27 +1,27 @@
-//! The container of NumPy archives: a zip file whose entries are stored, not compressed.
+//! The container of NumPy archives: a zip file whose entries are stored uncompressed.
 //!
-//! Written by hand because the library reader believes what the headers inside claim and allocates accordingly.
+//! Written by hand because the library's reader trusts the sizes in the headers and allocates accordingly.
 
 use crate::{Error, Result};
 use std::io::{self, Read, Seek, SeekFrom};
 
 /// A file inside an archive.
 pub(super) struct Entry {
-    /// Its name.
+    /// Name of the file.
     pub name: String,
-    /// Its length in bytes.
+    /// Length in bytes.
     pub size: u64,
     compressed: bool,
     crc: u32,
     header: u64,
 }
 
-/// A file of stored entries; all sizes and places are known to lie inside it.
+/// An archive of stored entries. Sizes and offsets are checked against its length before they are used.
 pub(super) struct Archive<R> {
     reader: R,
     len: u64,
     origin: String,
-    /// What it holds.
+    /// Entries in the order of the directory.
     pub entries: Vec<Entry>,
 }
 
@@ -35,7 +35,7 @@ const END_LEN: usize = 22;
 const CENTRAL_LEN: usize = 46;
 const LOCAL_LEN: u64 = 30;
 
-/// Little-endian fields of a record; None past its end.
+/// Returns a little-endian field of a record, or `None` if it lies past the end.
 fn u16_at(bytes: &[u8], at: usize) -> Option<u16> {
     Some(u16::from_le_bytes(*bytes.get(at..)?.first_chunk()?))
 }
@@ -57,7 +57,7 @@ impl<R: Read + Seek> Archive<R> {
         Ok(archive)
     }
 
-    /// The directory; Ok(None) if it is damaged.
+    /// Reads the directory. Returns `Ok(None)` if it is damaged.
     fn directory(&mut self) -> io::Result<Option<Vec<Entry>>> {
         let tail_len = self.len.min((END_LEN + usize::from(u16::MAX)) as u64);
         let tail = self.bytes(self.len - tail_len, tail_len)?;
@@ -97,7 +97,7 @@ impl<R: Read + Seek> Archive<R> {
         Ok(Some(entries))
     }
 
-    /// `len` bytes from `at`, which the caller has checked to lie in the file.
+    /// Reads `len` bytes at offset `at`. The caller must have checked that they lie within the file.
     fn bytes(&mut self, at: u64, len: u64) -> io::Result<Vec<u8>> {
         let mut out = vec![0; len as usize];
         self.reader.seek(SeekFrom::Start(at))?;
@@ -105,7 +105,8 @@ impl<R: Read + Seek> Archive<R> {
         Ok(out)
     }
 
-    /// The entry `name` as a reader of its `size` bytes that fails at the end if they do not match their checksum.
+    /// Returns a reader of the entry `name`, and its size in bytes. The reader fails at the end if the
+    /// checksum does not match.
     pub fn entry(&mut self, name: &str) -> Result<(Checked<'_, R>, u64)> {
         let bad = |expected: &str, found: &dyn std::fmt::Display| {
             Error::invalid(&self.origin, name, expected, found)
@@ -131,7 +132,7 @@ impl<R: Read + Seek> Archive<R> {
     }
 }
 
-/// One record of the central directory and its length.
+/// Parses a record of the central directory. Also returns its length.
 fn central_entry(bytes: &[u8]) -> Option<(Entry, usize)> {
     if u32_at(bytes, 0)? != CENTRAL {
         return None;
@@ -144,7 +145,7 @@ fn central_entry(bytes: &[u8]) -> Option<(Entry, usize)> {
     while let (Some(tag), Some(len)) = (u16_at(fields, 0), u16_at(fields, 2)) {
         let body = fields.get(4..4 + usize::from(len))?;
         if tag == 1 {
-            // The fields that did not fit into 32 bits, in this order.
+            // The fields that do not fit into 32 bits, in this order.
             let marked = sizes.iter_mut().filter(|s| **s == u64::from(u32::MAX));
             for (k, size) in marked.enumerate() {
                 *size = u64_at(body, 8 * k)?;
@@ -164,7 +165,7 @@ fn central_entry(bytes: &[u8]) -> Option<(Entry, usize)> {
     (used <= bytes.len()).then_some((entry, used))
 }
 
-/// A reader that compares what it has read with a checksum.
+/// A reader that verifies a checksum once everything is read.
 pub(super) struct Checked<'a, R> {
     reader: &'a mut R,
     left: u64,
@@ -189,16 +190,17 @@ impl<R: Read> Read for Checked<'_, R> {
 mod tests {
     use super::*;
 
-    /// Numbers, each with the number of its bytes.
+    /// Concatenates numbers, each given with its length in bytes.
     fn record(numbers: &[(u64, usize)]) -> Vec<u8> {
         numbers.iter().flat_map(|&(number, bytes)| number.to_le_bytes()[..bytes].to_vec()).collect()
     }
 
-    /// An archive of one entry `a` all of whose sizes and places stand in fields of 64 bits, and where its directory begins.
+    /// Returns an archive with one entry `a`, all of whose sizes and offsets are in 64-bit fields, and the
+    /// offset of its directory.
     fn large_archive(data: &[u8]) -> (Vec<u8>, usize) {
         let (elsewhere, crc, size) =
             (u64::from(u32::MAX), u64::from(crc32fast::hash(data)), data.len() as u64);
-        // Signature, version, flags, method and time; checksum and sizes; lengths of the name and the extra fields.
+        // Signature, version, flags, method and time; checksum and sizes; lengths of name and extra fields.
         let what = [(crc, 4), (elsewhere, 4), (elsewhere, 4), (1, 2)];
         let mut file = record(&[(LOCAL.into(), 4), (45, 2), (0, 8)]);
         file.extend(record(&[&what[..], &[(0, 2)]].concat()));
@@ -231,7 +233,7 @@ mod tests {
         let mut data = Vec::new();
         open(&file).unwrap().entry("a").unwrap().0.read_to_end(&mut data).unwrap();
         assert_eq!(data, b"data");
-        // Its method, which is then not to store.
+        // Set the method to something other than stored.
         file[directory + 10] = 8;
         let error = open(&file).unwrap().entry("a").err().expect("a compressed entry").to_string();
         assert!(error.contains("numpy.savez") && error.contains("a compressed one"), "{error}");

@@ -1,7 +1,7 @@
-//! Host side of every WGSL file, in the tree of `shaders/`: the parameters, the shape checks and the dispatch.
+//! The host side of every WGSL file, in the same tree as `shaders/`: parameters, shape checks and dispatch.
 //!
-//! A kernel is made once for a device and pushed onto [`crate::gpu::Schedule`]s. Tensors carry their shapes, so a push
-//! takes tensors and little else, and asserts that they fit. No algorithm lives here.
+//! A kernel is built once per device and pushed onto [`crate::gpu::Schedule`]s. Tensors carry their shapes,
+//! so a push takes tensors and little else, and asserts that they fit. No algorithm lives here.
 
 pub mod cloth;
 pub mod fft;
@@ -14,7 +14,7 @@ pub use tuning::{CHANNEL_MULTIPLE, Tuning};
 
 use crate::gpu::Source;
 
-/// Texts that hold only functions and constants, appended to the kernels that call them.
+/// Shader text that holds only functions and constants, appended to the kernels that call them.
 pub(crate) mod common {
     pub const ANGLE: &str = include_str!("../../shaders/common/angle.wgsl");
     pub const CELL: &str = include_str!("../../shaders/common/cell.wgsl");
@@ -25,7 +25,8 @@ pub(crate) mod common {
     pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");
 }
 
-/// Texts that go with what a kernel binds: what kernels share that bind the same, and what kernels of one file differ in.
+/// Shader text that depends on a kernel's bindings: what is common to kernels with the same bindings, and
+/// what differs between kernels of one file.
 pub(crate) mod pieces {
     pub const BLOCK_INPUTS: &str = include_str!("../../shaders/pieces/block_inputs.wgsl");
     pub const BUCKET: &str = include_str!("../../shaders/pieces/bucket.wgsl");
@@ -37,7 +38,7 @@ pub(crate) mod pieces {
     pub const TRIAL: &str = include_str!("../../shaders/pieces/trial.wgsl");
 }
 
-/// Every kernel, with a tile it is unrolled to somewhere (0 where it has none).
+/// Every kernel, with a tile size for which it is unrolled somewhere (0 if it has no tile).
 pub const ALL: &[(&Source, usize)] = &[
     (&cloth::external_force::SOURCE, 0),
     (&cloth::predict::SOURCE, 0),
@@ -91,12 +92,12 @@ pub const ALL: &[(&Source, usize)] = &[
     (&fft::radix_prime::SOURCE, 0),
 ];
 
-/// Number of columns of a network tensor's row: the grid's, rounded up to quads.
+/// Returns the padded width W' of a network tensor's rows: the grid's columns, rounded up to quads.
 pub fn padded(columns: usize) -> usize {
     columns.next_multiple_of(4)
 }
 
-/// Sizes as the kernels take them.
+/// Converts a size to the type that the kernels take.
 pub(crate) fn size(n: usize) -> u32 {
     u32::try_from(n).expect("sizes are checked against the device's limits, which fit 32 bits")
 }

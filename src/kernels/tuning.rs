@@ -1,4 +1,4 @@
-//! Sizes that suit an adapter: a table of good ones, and what was measured on the adapter at hand.
+//! Sizes that suit an adapter: a table of good ones, and those measured on the adapter itself.
 
 use crate::gpu::{AdapterKind, CACHE_FOLDER, Context, Sharing, Unroll, WORKGROUP_INVOCATIONS};
 use crate::{Error, Result, io};
@@ -9,65 +9,68 @@ use std::path::PathBuf;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tuning {
-    /// Output channels per invocation of the matrix products, a power of two from 4 to 64; fewer in a network whose channels it does
-    /// not divide, or whose rows do not fit a workgroup with as many.
+    /// Output channels per invocation of the matrix products, a power of two from 4 to 64. Fewer in a network
+    /// whose channels are not a multiple of it, or whose rows would not fit a workgroup with so many.
     pub channels: usize,
     /// Invocations per workgroup of the pointwise layers.
     pub pointwise_group: u32,
-    /// Largest number of invocations along a row of the workgroup of a block that does not take whole rows.
+    /// Largest number of invocations along a row in a block's workgroup, unless it takes whole rows.
     pub block_wide: u32,
-    /// Most quads of columns per invocation of a block, at most 4: each weight is read once for all of them. A short row has fewer,
-    /// so that lanes are not idle.
+    /// Most quads of columns per invocation of a block, at most 4: each weight is read once for all of them.
+    /// Short rows have fewer, so that no lanes are idle.
     pub block_span: u32,
     /// Most tiles of output channels per workgroup of a block.
     pub block_deep: u32,
-    /// Whether the inputs and weights of a block go through workgroup memory: each is read once for all channels of a workgroup,
-    /// and an invocation waits for few readings instead of one for each input. The scalar head, little work beside that, is then
-    /// repeated in every workgroup that takes a step, instead of a dispatch that all the others wait for.
+    /// Whether the inputs and weights of a block are staged in workgroup memory. Each is then read once for
+    /// all channels of a workgroup, and an invocation waits for a few reads instead of one per input. The
+    /// scalar head, which is little work in comparison, is then repeated in every workgroup that takes a
+    /// step, instead of in a dispatch that all others wait for.
     pub staged: bool,
-    /// Whether blocks transform their rows for the next one where a row fits a workgroup: fewer dispatches, which is what a
-    /// frame of few cloths waits for, and one reading less.
+    /// Whether blocks transform their rows for the next block if a row fits a workgroup. This saves
+    /// dispatches, whose latency dominates a frame of few cloths, and one read.
     pub rows_in_blocks: bool,
-    /// Teams of 64 invocations that share the work of a spectral convolution's workgroup, at most 4.
+    /// Teams of 64 invocations that share the work of a workgroup of the spectral convolution, at most 4.
     pub spectral_teams: u32,
-    /// Workgroups that keep the adapter busy: with fewer samples than make as many, a spectral convolution is divided further,
-    /// though that repeats a part of the work.
+    /// Number of workgroups that keeps the adapter busy. If there are too few samples for that, the spectral
+    /// convolution is divided further, although this repeats part of the work.
     pub busy_groups: usize,
     /// How operands that a subgroup shares are read.
     pub sharing: Sharing,
-    /// Largest size of a layer's activations \[bytes\], where the device binds as much; more samples than fit take turns.
+    /// Largest size of a layer's activations \[bytes\], if the device can bind that much. Samples beyond it
+    /// are processed in further passes.
     pub activation_bytes: usize,
 }
 
 /// Channel counts are padded to a multiple of this.
 pub const CHANNEL_MULTIPLE: usize = 32;
 
-/// Output channels that an invocation of the matrix products may have.
+/// Numbers of output channels that an invocation of the matrix products may have.
 const TILES: [usize; 5] = [4, 8, 16, 32, 64];
 
-/// A measured tuning as it is stored.
+/// A measured tuning, as it is stored.
 #[derive(serde::Serialize, serde::Deserialize)]
 struct Stored {
-    /// Adapter, driver and backend it was measured on, and with which version of the program.
+    /// Adapter, driver and backend that it was measured on, followed by the version of the program.
     adapter: String,
     version: String,
     tuning: Tuning,
 }
 
 impl Tuning {
-    /// The tuning that the context was given, else [`Tuning::table`]'s ([`Context::with_tuning`]).
+    /// Returns the tuning set by [`Context::with_tuning`], or else that of [`Tuning::table`].
     pub fn new(context: &Context) -> Self {
         context.tuning().unwrap_or_else(|| Self::table(context))
     }
 
-    /// The table's entry for the adapter.
+    /// Returns the table's entry for the adapter.
     pub fn table(context: &Context) -> Self {
         Self::of(context.kind(), context.sharing())
     }
 
-    /// What suits each kind of adapter: wide tiles and one row to a workgroup where every lane's load is a branch and a move of
-    /// its own (llvmpipe, measured); smaller tiles, shared operands and more invocations where there are thousands of lanes to
-    /// fill (by reckoning: no hardware has been measured yet).
+    /// Returns the sizes that suit each kind of adapter. On llvmpipe, where every lane's load is a separate
+    /// branch and move, these are wide tiles and one row per workgroup (measured). On hardware, with
+    /// thousands of lanes to fill, they are smaller tiles, shared operands and more invocations (estimated:
+    /// no hardware has been measured yet).
     pub fn of(kind: AdapterKind, sharing: Sharing) -> Self {
         let software = Self {
             channels: 64,
@@ -97,9 +100,10 @@ impl Tuning {
         }
     }
 
-    /// The tunings that differ from this one in one respect and work on the adapter, by respect.
+    /// Returns the tunings that differ from this one in one respect and work on the adapter, one list per
+    /// respect.
     pub fn neighbours(&self, context: &Context) -> Vec<Vec<Self>> {
-        // With as many channels to a workgroup as before, too: where it has fewer, what it stages serves less.
+        // Also with as many channels per workgroup as before: with fewer, staged data is reused less.
         let channels = TILES.map(|channels| {
             let block_deep = (self.channels * self.block_deep as usize / channels).clamp(1, 16) as u32;
             [Self { channels, ..*self }, Self { channels, block_deep, ..*self }]
@@ -139,7 +143,7 @@ impl Tuning {
         ]
     }
 
-    /// An error unless [`Tuning::works`].
+    /// Fails unless the tuning works on the adapter ([`Tuning::works`]).
     pub fn check(&self, context: &Context) -> Result<()> {
         if self.works(context) {
             return Ok(());
@@ -148,9 +152,9 @@ impl Tuning {
         Err(Error::invalid("options", "tuning", expected, format!("{self:?}")))
     }
 
-    /// Whether the kernels can be made with it on the adapter.
+    /// Whether the kernels can be built with it on the adapter.
     pub fn works(&self, context: &Context) -> bool {
-        // Subgroups share operands within one row, and so does what is staged.
+        // Subgroups share operands within one row only, with staging as well.
         let in_rows = self.sharing == Sharing::Loads || self.block_wide.is_multiple_of(8);
         let shared = in_rows && [Sharing::Loads, context.sharing()].contains(&self.sharing);
         let tile = TILES.contains(&self.channels);
@@ -161,25 +165,27 @@ impl Tuning {
         shared && tile && groups && depth && self.activation_bytes > 0
     }
 
-    /// Most samples of so many activations each that are as large as they may be; none if one is larger.
+    /// Returns the largest number of samples, of `activations` activations each, that fit
+    /// [`Tuning::activation_bytes`] and one binding; 0 if not even one does.
     pub(crate) fn most_samples(&self, context: &Context, activations: usize) -> usize {
         let binding = usize::try_from(context.largest_binding()).unwrap_or(usize::MAX);
         self.activation_bytes.min(binding) / (context.storage().bytes() * activations)
     }
 
-    /// The text of a kernel with a tile of this size.
+    /// Returns how to unroll a kernel for a tile of this size.
     pub fn unroll(&self, tile: usize) -> Unroll {
         Unroll { sharing: self.sharing, ..tile.into() }
     }
 
-    /// Where the tuning of an adapter is stored, in the folder that `FNOPT_CACHE` names, else in `fnopt` of the user's cache
-    /// directory; none where there is no such directory.
+    /// Returns the path of the adapter's tuning: in the folder named by `FNOPT_CACHE`, or else in `fnopt` in
+    /// the user's cache directory. `None` if there is no such directory.
     pub fn path(context: &Context) -> Option<PathBuf> {
         context.cache_file("tuning", "json")
     }
 
-    /// What was measured on the adapter ([`crate::sim::tune`]) and stored, for a program that wants it: hand it to
-    /// [`Context::with_tuning`]. A file that is damaged or of something else counts as none, and is said.
+    /// Returns the tuning that was measured on the adapter ([`crate::sim::tune`]) and stored; pass it to
+    /// [`Context::with_tuning`]. A file that is damaged or belongs to something else is ignored with a
+    /// warning.
     pub fn measured(context: &Context) -> Option<Self> {
         let path = Self::path(context)?;
         let bytes = std::fs::read(&path).ok()?;
@@ -192,7 +198,8 @@ impl Tuning {
         found
     }
 
-    /// Stores it for the adapter, to be found by [`Tuning::measured`] from then on; the file.
+    /// Stores the tuning for the adapter, where [`Tuning::measured`] will find it, and returns the path of
+    /// the file. Fails if there is no cache directory.
     pub fn store(&self, context: &Context) -> Result<PathBuf> {
         let nowhere =
             || Error::Device(format!("no cache directory to store a tuning in; set {CACHE_FOLDER}"));

@@ -1,8 +1,9 @@
-//! The backward pass of the network as dispatches: from the cotangents of field and scalar to the gradient over all weights.
+//! The backward pass of the network as dispatches: from the cotangents of field and scalar to the gradient
+//! with respect to all weights.
 //!
-//! The adjoint of a block runs through the kernels of a block: rows, spectral convolution, inverse and skip, in the reverse
-//! order, each with its table or weight the other way round. The network's inputs are constants of training: nothing goes
-//! back beyond the lifting, whose hidden layer is computed again instead of kept.
+//! The adjoint of a block runs the kernels of a block (rows, spectral convolution, inverse and skip) in
+//! reverse order, with transposed tables and weights. The network's inputs are constants of training, so
+//! nothing is propagated beyond the lifting, whose hidden layer is recomputed instead of kept.
 
 use super::parameters::{GradientLayer, GradientLayers, Layers};
 use super::{Forward, Parameters, tables};
@@ -15,12 +16,13 @@ use crate::kernels::operator::{
 };
 use crate::kernels::{Tuning, padded};
 
-/// The weights the other way round, as the adjoint of each layer reads them.
+/// The transposed weights, as the adjoint of each layer reads them.
 #[derive(Debug)]
 pub struct Transposed {
-    /// The weights themselves.
+    /// The original weights.
     layers: Layers,
-    /// Skips of the blocks, the second layer of the lifting and the first of the projection; their biases are zero.
+    /// Skips of the blocks. Their biases are zero, as are those of `lifting`, from its second layer, and
+    /// `projection`, from its first.
     skips: Vec<Layer>,
     products: Vec<Tensor>,
     lifting: Layer,
@@ -37,10 +39,10 @@ pub struct Backward {
     /// Cotangent of [`Forward::scalar`], shape `[S]`.
     pub adj_scalar: Tensor,
     gradient: GradientLayers,
-    /// Cotangents of the blocks' outputs before their GELU, two in turn, shape [S, H, C, W'].
+    /// Cotangents of the blocks' outputs before their GELU, in two alternating buffers, shape [S, H, C, W'].
     adj: [Tensor; 2],
     adj_projected: Tensor,
-    /// Cotangents of the lifting's hidden layer, of the lines that are lifted at once.
+    /// Cotangents of the lifting's hidden layer, for the lines that are lifted at once.
     adj_hidden: Tensor,
     adj_spectrum: Tensor,
     inverse_rows_adj: Tensor,
@@ -63,7 +65,7 @@ struct Kernels {
 }
 
 impl Transposed {
-    /// Room for the weights in `parameters`; [`Transposed::push`] fills it.
+    /// Allocates the transposes of the weights in `parameters`; [`Transposed::push`] fills them.
     pub fn new(context: &Context, parameters: &Parameters) -> Result<Self> {
         let layout = parameters.layout();
         let layers = layout.layers(&parameters.flat);
@@ -86,7 +88,7 @@ impl Transposed {
         })
     }
 
-    /// Appends the transposition of the weights as they are when it runs.
+    /// Appends the transposition of the weights, with the values they have when it runs.
     pub fn push(&self, schedule: &mut Schedule) {
         for (weight, turned) in self.layers.products.iter().zip(&self.products) {
             self.spectral_transpose.push(schedule, weight, turned);
@@ -101,7 +103,7 @@ impl Transposed {
 }
 
 impl Backward {
-    /// What a pass needs; `gradient` is a vector in the order of `parameters`, to which it is added.
+    /// Builds what a pass needs. The pass adds to `gradient`, a vector in the order of `parameters`.
     pub fn new(
         context: &Context,
         forward: &Forward,
@@ -153,7 +155,7 @@ impl Backward {
         })
     }
 
-    /// Appends the pass back from `adj_field` and `adj_scalar` through the last pass of `forward`.
+    /// Appends the backward pass from `adj_field` and `adj_scalar` through the last pass of `forward`.
     pub fn push(&self, schedule: &mut Schedule, forward: &Forward, transposed: &Transposed) {
         let (config, k) = (&forward.config, &self.kernels);
         self.push_heads(schedule, forward, transposed);
@@ -169,7 +171,8 @@ impl Backward {
         self.push_lifting(schedule, (forward, transposed), adj_y);
     }
 
-    /// Through the heads to the last block's output, and the gradients over their weights.
+    /// Appends the adjoint of the field head down to the last block's output, and the gradients with respect
+    /// to its weights.
     fn push_heads(&self, schedule: &mut Schedule, forward: &Forward, transposed: &Transposed) {
         let (config, k) = (&forward.config, &self.kernels);
         let [_, outer] = &forward.layers.projection;
@@ -185,7 +188,7 @@ impl Backward {
         self.push_pool(schedule, forward, config.layers - 1, adj_y);
     }
 
-    /// Through the scalar head to the output of `block`, if that is where it is.
+    /// Appends the adjoint of the scalar head if it reads the output of `block`.
     fn push_pool(&self, schedule: &mut Schedule, forward: &Forward, block: usize, adj: &Tensor) {
         if forward.config.scalar_block() != block {
             return;
@@ -201,7 +204,8 @@ impl Backward {
         self.kernels.head_weight_adj.push(schedule, &pooled, &self.adj_scalar, (both, *bias));
     }
 
-    /// From the output of a block before its GELU to its input.
+    /// Appends the adjoint of a block, from its output before the GELU to its input, and the gradients with
+    /// respect to its weights.
     fn push_block(
         &self,
         schedule: &mut Schedule,
@@ -222,7 +226,7 @@ impl Backward {
         self.push_weights(schedule, (x, adj_y), self.all(), &self.gradient.skips[block]);
     }
 
-    /// The gradients over the lifting's weights, from the cotangent of its output.
+    /// Appends the gradients with respect to the lifting's weights, from the cotangent of its output.
     fn push_lifting(
         &self,
         schedule: &mut Schedule,
@@ -241,13 +245,14 @@ impl Backward {
         }
     }
 
-    /// All lines of the samples.
+    /// Returns all lines of the samples.
     fn all(&self) -> Lines {
         let &[samples, h, _] = self.adj_field.shape() else { unreachable!("a cotangent is [S, H, W']") };
         Lines { count: samples * h, x_first: 0, y_first: 0 }
     }
 
-    /// Adds the gradient over a pointwise layer's weight and bias, from its input `x` and the cotangent of its output.
+    /// Adds the gradient with respect to a pointwise layer's weight and bias, from its input `x` and the
+    /// cotangent of its output.
     fn push_weights(
         &self,
         schedule: &mut Schedule,

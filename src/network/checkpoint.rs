@@ -1,7 +1,7 @@
 //! Checkpoints: safetensors files with the weights under the names of the authors' state dict.
 //!
-//! Each name may carry the prefix `nn.` or not. Complex tensors are pairs of reals on a last axis of 2, or complex
-//! numbers. The configuration comes from the metadata (key `config`, JSON) if it is there, else from the shapes.
+//! Names may carry the prefix `nn.`. Complex tensors are pairs of reals on a last axis of 2, or complex
+//! numbers. The configuration comes from the metadata (key `config`, JSON) if present, else from the shapes.
 
 use super::weights::{Block, Config, Dense, Weights};
 use crate::{Error, Result, io};
@@ -11,10 +11,10 @@ use std::fmt;
 use std::io::Write;
 use std::path::Path;
 
-/// More blocks than any sensible network has; a bound so that damaged metadata fails early.
+/// Upper bound on the number of blocks, beyond any sensible network, so that damaged metadata fails early.
 const MAX_LAYERS: usize = 64;
 
-/// A checkpoint file in memory: its tensors in single precision, whatever precision the file holds.
+/// A checkpoint file in memory. Its tensors are in single precision, whatever the precision of the file.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {
     origin: String,
@@ -25,19 +25,19 @@ pub struct Checkpoint {
 #[derive(Clone, Debug)]
 struct Tensor {
     dtype: Dtype,
-    /// Shape with complex numbers as a last axis of 2.
+    /// Shape, with complex numbers as a last axis of 2.
     shape: Vec<usize>,
     values: Vec<f32>,
 }
 
 impl Checkpoint {
-    /// Reads a file; any safetensors file of floating-point tensors will do.
+    /// Reads a file, which may be any safetensors file of floating-point tensors.
     pub fn open(path: &Path) -> Result<Self> {
         let bytes = io::read_bytes(path)?;
         Self::from_bytes(&bytes, &path.display().to_string())
     }
 
-    /// Reads a file that is in memory; `origin` names it in errors.
+    /// Reads a file from memory; `origin` names it in errors.
     pub fn from_bytes(bytes: &[u8], origin: &str) -> Result<Self> {
         let broken = |e: safetensors::SafeTensorError| {
             let found = format!("{e} ({} bytes)", bytes.len());
@@ -53,7 +53,8 @@ impl Checkpoint {
         Ok(Self { origin: origin.to_owned(), tensors, metadata })
     }
 
-    /// The tensors whose names begin with `prefix`, without it: several sets of weights may share a file.
+    /// Returns the tensors whose names begin with `prefix`, with the prefix removed: several sets of weights
+    /// may share a file.
     pub fn part(&self, prefix: &str) -> Self {
         let under = |(name, tensor): (&String, &Tensor)| {
             Some((name.strip_prefix(prefix)?.to_owned(), tensor.clone()))
@@ -65,7 +66,8 @@ impl Checkpoint {
         }
     }
 
-    /// The weights of the network; an error if a tensor is missing, surplus, of another shape or not finite.
+    /// Returns the weights of the network. Fails if a tensor is missing, unknown, of the wrong shape or not
+    /// finite.
     pub fn weights(&self) -> Result<Weights> {
         if self.metadata.contains_key("counters") {
             let expected =
@@ -109,7 +111,7 @@ impl Checkpoint {
         Ok(Weights { config, lifting, blocks, projection, scalar })
     }
 
-    /// What the file holds, for people.
+    /// Returns a readable description of the file's contents.
     pub fn describe(&self) -> Description {
         let tensors = self.tensors.iter().map(|(name, t)| t.summary(name)).collect();
         Description { metadata: self.metadata.clone(), tensors }
@@ -170,7 +172,7 @@ impl Checkpoint {
     }
 }
 
-/// Takes tensors out of a checkpoint by name and keeps account of what was used.
+/// Takes tensors from a checkpoint by name and records which ones were used.
 struct Reader<'a> {
     checkpoint: &'a Checkpoint,
     used: Vec<&'a str>,
@@ -192,7 +194,7 @@ impl Reader<'_> {
         Ok(tensor.values.clone())
     }
 
-    /// An error if a tensor was not used.
+    /// Fails if a tensor was not used.
     fn finish(self) -> Result<()> {
         match self.checkpoint.tensors.keys().find(|name| !self.used.contains(&name.as_str())) {
             Some(name) => {
@@ -203,7 +205,7 @@ impl Reader<'_> {
     }
 }
 
-/// A shape without its trailing axes of length 1, which the authors' convolutions carry.
+/// Strips a shape's trailing axes of length 1, which the authors' convolutions carry.
 fn significant(shape: &[usize]) -> &[usize] {
     &shape[..shape.iter().rposition(|&n| n != 1).map_or(0, |last| last + 1)]
 }
@@ -263,12 +265,12 @@ impl Tensor {
     }
 }
 
-/// What a checkpoint holds, tensor by tensor. Displayed as a table.
+/// The contents of a checkpoint, tensor by tensor. Displays as a table.
 #[derive(Clone, Debug)]
 pub struct Description {
-    /// The metadata of the file, such as `config` and `format`.
+    /// Metadata of the file, such as `config` and `format`.
     pub metadata: BTreeMap<String, String>,
-    /// The tensors in the order of their names.
+    /// Tensors in the order of their names.
     pub tensors: Vec<TensorSummary>,
 }
 
@@ -277,7 +279,7 @@ pub struct Description {
 pub struct TensorSummary {
     /// Name in the file.
     pub name: String,
-    /// Shape, complex numbers as a last axis of 2.
+    /// Shape, with complex numbers as a last axis of 2.
     pub shape: Vec<usize>,
     /// Number type in the file.
     pub dtype: String,
@@ -292,7 +294,7 @@ pub struct TensorSummary {
 }
 
 impl Description {
-    /// Number of real parameters in all tensors.
+    /// Returns the number of real parameters in all tensors.
     pub fn parameter_count(&self) -> usize {
         self.tensors.iter().map(|t| t.shape.iter().product::<usize>()).sum()
     }
@@ -323,22 +325,23 @@ impl Weights {
         Checkpoint::open(path.as_ref())?.weights()
     }
 
-    /// Reads the weights of a checkpoint that is in memory; `origin` names it in errors.
+    /// Reads the weights of a checkpoint in memory; `origin` names it in errors.
     pub fn from_bytes(bytes: &[u8], origin: &str) -> Result<Self> {
         Checkpoint::from_bytes(bytes, origin)?.weights()
     }
 
-    /// Writes a checkpoint file with the configuration in its metadata. The file appears whole or not at all.
+    /// Writes a checkpoint file with the configuration in its metadata. The file appears completely or not at
+    /// all.
     pub fn save(&self, path: &Path) -> Result<()> {
         io::replace(path, |w| w.write_all(&self.to_bytes()))
     }
 
-    /// CRC-32 of the file that [`Weights::save`] writes, to tell weights apart.
+    /// Returns the CRC-32 of the file that [`Weights::save`] writes, which identifies the weights.
     pub fn checksum(&self) -> u32 {
         crc32fast::hash(&self.to_bytes())
     }
 
-    /// The checkpoint file that [`Weights::save`] writes.
+    /// Returns the checkpoint file that [`Weights::save`] writes.
     pub fn to_bytes(&self) -> Vec<u8> {
         let tensors: Vec<_> = self
             .named_tensors()
@@ -353,17 +356,18 @@ impl Weights {
             (name, view.expect("a tensor has the number of elements of its shape"))
         });
         let config = serde_json::to_string(&self.config).expect("a configuration is plain data");
-        // One entry: several would come in another order each time, and the same weights would make other files.
+        // A single entry: the order of several would vary from run to run, and identical weights would give
+        // different files.
         let metadata = HashMap::from([("config".to_owned(), config)]);
         safetensors::serialize(views, Some(metadata)).expect("the weights fit the format")
     }
 
-    /// Number of real parameters; a complex one counts twice.
+    /// Returns the number of real parameters; a complex one counts twice.
     pub fn parameter_count(&self) -> usize {
         self.config.parameter_count()
     }
 
-    /// Every tensor under the authors' name, with the authors' shape.
+    /// Returns every tensor with its name, shape and values, as in the authors' state dict.
     pub fn named_tensors(&self) -> Vec<(String, Vec<usize>, Vec<f32>)> {
         let Config { channels: c, layers, modes_h, modes_w, .. } = self.config;
         let mut tensors = Vec::new();

@@ -14,35 +14,38 @@ use crate::kernels::optim::{Features, Fields};
 use crate::kernels::{Tuning, padded};
 use crate::sim::Grid;
 
-/// The network on a device, for some samples of one grid: [`Forward::embedded`] in, or what it is made of; [`Forward::field`] and
-/// [`Forward::scalar`] out.
+/// The network on a device, for samples on one grid. Its input is [`Forward::embedded`], or the fields from
+/// which that is built; its outputs are [`Forward::field`] and [`Forward::scalar`].
 ///
-/// Inside, rows are padded to quads of columns ([`padded`]); the padding holds numbers that count as nothing, and must be finite.
-/// The channels of a row are beside each other, [S, H, C, W']: a layer takes all channels of some rows, which is one piece of memory
-/// then, and not one of each channel's plane: those of 4 KiB evict each other from a cache, and larger ones are pages apart.
+/// Rows are padded to quads of columns ([`padded`]). The padding does not affect any result, but must be
+/// finite. Activations have shape [S, H, C, W'], with the channels of a row next to each other: a layer reads
+/// all channels of a few rows, which is then one contiguous block. With one plane per channel, planes of 4
+/// KiB would evict each other from the cache, and larger ones would be pages apart.
 #[derive(Debug)]
 pub struct Forward {
     pub(super) config: Config,
     pub(super) grid: Grid,
-    /// Input channels, shape [S, H, 5, W']: the normalised fields, then `i / (H-1)` and `j / (W-1)`; zero in the padding. A pass from
-    /// fields writes them only where the lifting does not embed them itself.
+    /// Input channels, shape [S, H, 5, W']: the normalised fields, then `i / (H-1)` and `j / (W-1)`; zero in
+    /// the padding. A pass from fields writes them only if the lifting does not embed the fields itself.
     pub embedded: Tensor,
-    /// Output of the field head in parts to be added up, shape [parts, S, H, W']; one part unless [`Keep::Nothing`] is kept.
+    /// Output of the field head in parts to be summed, shape [parts, S, H, W']; a single part unless
+    /// [`Plan::keep`] is [`Keep::Nothing`].
     pub field: Tensor,
-    /// Output of the scalar head, shape `[S]`; not written where it is left ([`Head::Left`]).
+    /// Output of the scalar head, shape `[S]`; not written by [`Head::Left`].
     pub scalar: Tensor,
-    /// Hidden layer of the lifting, shape [lines, lifting, W']: of as many rows of all samples as are lifted at once.
+    /// Hidden layer of the lifting, shape [lines, lifting, W'], for the lines that are lifted at once. A line
+    /// is a row of a sample.
     pub(super) hidden: Tensor,
     keep: Keep,
-    /// The last block with the field head behind its bias, where they are one.
+    /// The last block's layer, with the field head appended to its bias, if one kernel computes both.
     head: Option<Layer>,
-    /// Both layers of the lifting in one, where they are.
+    /// Both layers of the lifting, if one kernel computes them.
     lifting: Option<Lifted>,
-    /// What each block does beside the linear part of its output.
+    /// What each block computes besides the linear part of its output.
     epilogues: Vec<Epilogue>,
     activations: Vec<Tensor>,
-    /// What is before the GELU of each block but the last, shape [S, H, C, W'], and of the projection's hidden layer; only
-    /// with [`Keep::Adjoint`].
+    /// Pre-activations of each block but the last, shape [S, H, C, W'], and of the projection's hidden layer;
+    /// only with [`Keep::Adjoint`].
     pub(super) before_gelu: Vec<Tensor>,
     /// Hidden layer of the projection, shape [S, H, projection, W'].
     pub(super) projected: Tensor,
@@ -57,18 +60,18 @@ pub struct Forward {
 struct Lifted {
     of_embedded: Block,
     of_fields: Block,
-    /// The first layer, see [`block::hidden_units`].
+    /// The first layer; see [`block::hidden_units`].
     units: Tensor,
 }
 
-/// What becomes of the scalar head in a pass.
+/// The use of the scalar head in a pass.
 #[derive(Clone, Copy, Debug)]
 pub enum Head<'a> {
-    /// It goes to [`Forward::scalar`].
+    /// Writes it to [`Forward::scalar`].
     Alone,
-    /// That, and it changes the persistent scales of the samples.
+    /// Writes it to [`Forward::scalar`] and updates the persistent scales of the samples.
     Rescaling(Scales<'a>),
-    /// Whoever takes the step makes it of the rows' maxima ([`Forward::pooled`]).
+    /// Leaves it to the update kernel, which computes it from the row maxima ([`Forward::pooled`]).
     Left,
 }
 
@@ -80,12 +83,13 @@ pub(super) struct Spectra {
     pub inverse: Tensor,
     forward_rows: Tensor,
     columns: Tensor,
-    /// The inverse rows' table, and behind it the forward one where blocks transform their rows.
+    /// Table of the inverse row transform, followed by that of the forward one if blocks transform their
+    /// rows.
     block_rows: Tensor,
 }
 
 impl Spectra {
-    /// What the spectral convolution from `rows` to `inverse` reads and writes.
+    /// Returns the tensors of the spectral convolution from `rows` to `inverse`.
     pub fn columns<'a>(&'a self, spectrum: Option<&'a Tensor>) -> SpectralTensors<'a> {
         let Self { columns: table, rows: r, inverse, .. } = self;
         SpectralTensors { table, r, inverse, spectrum }
@@ -98,7 +102,7 @@ pub(super) struct Kernels {
     dense_gelu: Pointwise,
     pub transform_rows: TransformRows,
     pub spectral: Spectral,
-    /// One of each kind that the network has.
+    /// One for each distinct epilogue in the network.
     blocks: Vec<Block>,
     features: Features,
     activate: Activate,
@@ -108,9 +112,9 @@ pub(super) struct Kernels {
 }
 
 impl Forward {
-    /// Uploads the weights and makes what a pass needs.
+    /// Uploads the weights and builds what a pass needs.
     pub fn new(context: &Context, weights: &Weights, plan: &Plan) -> Result<Self> {
-        // The backward pass is in single precision.
+        // The backward pass uses single precision.
         let storage = if plan.keep == Keep::Adjoint { Storage::F32 } else { context.storage() };
         let context = &context.with_storage(storage)?;
         let layout = plan.layout(context, weights.config);
@@ -119,8 +123,8 @@ impl Forward {
         Self::build(context, &layout, layers, joined, plan)
     }
 
-    /// The same on weights that are on the device already, and may change there; in single precision, whatever the context's
-    /// networks are stored in.
+    /// Builds the network on weights that are already on the device and may change there. It uses single
+    /// precision, whatever the context's storage.
     pub fn with_parameters(context: &Context, parameters: &Parameters, plan: &Plan) -> Result<Self> {
         let context = &context.with_storage(Storage::F32)?;
         let layout = parameters.layout();
@@ -140,7 +144,7 @@ impl Forward {
         config.check_grid(grid, "network", "grid")?;
         let (h, w) = (grid.h, padded(grid.w));
         let lifted_at_once = match joined.units {
-            // Nothing is between the layers where they are joined.
+            // Joined layers need no buffer between them.
             Some(_) => 0,
             None => tuning.most_samples(context, config.lifting * w).clamp(1, (samples * h).max(1)),
         };
@@ -149,12 +153,12 @@ impl Forward {
         let activation = |label| stored(label, &[samples, h, config.channels, w]);
         let count = match keep {
             Keep::Nothing => 2,
-            // The lifting and the blocks.
+            // One for the lifting, and one for each block.
             Keep::Blocks | Keep::Adjoint => config.layers + 1,
         };
         let activations: Vec<Tensor> = (0..count).map(|_| activation("activation")).collect::<Result<_>>()?;
         let projected = if keep == Keep::Nothing && config.projection == config.channels {
-            // The input of the last block is not needed any more.
+            // The input of the last block is no longer needed.
             activations[(config.layers + 1) % count].clone()
         } else {
             stored("projected", &[samples, h, config.projection, w])?
@@ -166,7 +170,8 @@ impl Forward {
             }
             before_gelu.push(zeros("before GELU", &[samples, h, config.projection, w])?);
         }
-        // The backward pass wants what is before the GELU, and the rows are those of what is behind it.
+        // For the backward pass a block outputs its pre-activations, but its rows are transformed after the
+        // GELU.
         let size = block_size(&config, grid);
         let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
         let Joined { head, units } = joined;
@@ -230,29 +235,31 @@ impl Forward {
         })
     }
 
-    /// Appends a pass over all samples, see [`Forward::push_first`].
+    /// Appends a pass over all samples; see [`Forward::push_first`].
     pub fn push(&self, schedule: &mut Schedule, from: Option<Fields<'_>>, head: Head<'_>) {
         self.push_first(schedule, self.samples(), from, head);
     }
 
-    /// Number of samples (S).
+    /// Returns the number of samples (S).
     pub fn samples(&self) -> usize {
         self.embedded.shape()[0]
     }
 
-    /// The field head of the first `samples` samples, shape [parts, samples, H, W'].
+    /// Returns the field head's output for the first `samples` samples, shape [parts, samples, H, W'].
     pub fn first_field(&self, samples: usize) -> Tensor {
         let &[parts, _, h, w] = self.field.shape() else { unreachable!("the field has four axes") };
         self.field.view(0, &[parts, samples, h, w])
     }
 
-    /// The scalar head's layer, and the rows' maxima that a pass leaves of the first `samples` samples, shape [samples, H, C].
+    /// Returns the scalar head's layer, and the row maxima of the first `samples` samples after a pass, shape
+    /// [samples, H, C].
     pub fn pooled(&self, samples: usize) -> (&Layer, Tensor) {
         (&self.layers.scalar, self.rows_max.first(samples))
     }
 
-    /// Appends a pass over the first `samples` samples, a multiple of three if the number of all is one: from the fields that their
-    /// input is made of, else from `embedded`, which holds them, to `field` and what is wanted of the scalar head.
+    /// Appends a pass over the first `samples` samples, which must be a multiple of three if
+    /// [`Forward::samples`] is. The input is built from the fields `from`, or read from [`Forward::embedded`]
+    /// if that is `None`. The outputs are [`Forward::field`] and, as requested by `head`, the scalar head.
     pub fn push_first(
         &self,
         schedule: &mut Schedule,
@@ -322,14 +329,15 @@ impl Forward {
         k.project.push(schedule, outer, projected, field);
     }
 
-    /// Output of the lifting (0) or of block `i - 1`, shape [S, H, C, W']; only where blocks are kept.
+    /// Returns the output of the lifting (0) or of block `i - 1`, shape [S, H, C, W']. Panics unless the plan
+    /// keeps the blocks.
     pub fn activation(&self, i: usize) -> &Tensor {
         assert_ne!(self.keep, Keep::Nothing, "the activations were not kept");
         &self.activations[i]
     }
 
-    /// The lines of the first `samples` samples in turns that are lifted at once: from a tensor of all lines into [`Forward::hidden`],
-    /// and back from there.
+    /// Splits the lines of the first `samples` samples into batches that are lifted at once. Each item maps a
+    /// tensor of all lines into [`Forward::hidden`], and back.
     pub(super) fn lifted_at_once(&self, samples: usize) -> impl Iterator<Item = (Lines, Lines)> {
         let (all, at_once) = (samples * self.grid.h, self.hidden.shape()[0]);
         (0..all).step_by(at_once).map(move |first| {
@@ -338,7 +346,7 @@ impl Forward {
         })
     }
 
-    /// Whether that makes the rows' spectra, too.
+    /// Appends the lifting. Returns whether it also transforms the rows of its output.
     fn push_lifting(&self, schedule: &mut Schedule, samples: usize, from: Option<Fields<'_>>) -> bool {
         let (k, lifted) = (&self.kernels, &self.activations[0]);
         if let Some(Lifted { of_embedded, of_fields, units }) = &self.lifting {
@@ -395,7 +403,7 @@ impl Kernels {
         })
     }
 
-    /// The kernel of a block that does this.
+    /// Returns the kernel of a block with this epilogue.
     pub fn block(&self, epilogue: Epilogue) -> &Block {
         let found = self.blocks.iter().find(|b| b.epilogue() == epilogue);
         found.expect("every kind of block of the network is made")

@@ -1,4 +1,4 @@
-//! What becomes one dispatch of two layers, where their weights do not change.
+//! Pairs of layers that one dispatch computes, if their weights do not change.
 
 use super::parameters::Layers;
 use super::{Config, Keep, Plan, Weights};
@@ -7,17 +7,19 @@ use crate::gpu::{Context, Tensor};
 use crate::kernels::operator::{Layer, block};
 use crate::kernels::optim::features;
 
-/// What the joined layers read.
+/// The weights that joined layers read.
 #[derive(Default)]
 pub(super) struct Joined {
-    /// Of the last block and the last layer of the field head: where the first one changes nothing ([`Weights::folded`]).
+    /// Of the last block and the last layer of the field head, if the head's first layer is the identity
+    /// ([`Weights::folded`]).
     pub head: Option<Layer>,
-    /// Of the first layer of the lifting, for a kernel of both.
+    /// Of the first layer of the lifting, for a kernel that computes both of its layers.
     pub units: Option<Tensor>,
 }
 
 impl Joined {
-    /// What can be joined of `weights`, whose layers are on the device, padded as `config` tells.
+    /// Joins what can be joined of `weights`. Their layers are on the device, padded to the sizes of
+    /// `config`.
     pub fn new(
         context: &Context,
         weights: &Weights,

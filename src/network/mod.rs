@@ -1,5 +1,6 @@
-//! The network as data: its sizes ([`Config`]), its weights ([`Weights`]) and the files that hold them; and its forward
-//! ([`Forward`]) and backward pass ([`Backward`]) as dispatches. What the CPU does in their place is in [`crate::cpu::operator`].
+//! The network: its sizes ([`Config`]), weights ([`Weights`]) and checkpoint files, and its forward
+//! ([`Forward`]) and backward passes ([`Backward`]) as dispatches. Their CPU counterparts are in
+//! [`crate::cpu::operator`].
 
 mod backward;
 mod checkpoint;

@@ -1,5 +1,5 @@
-//! The weights on a device: one vector in the order and with the paddings that the kernels want, of which every layer is a
-//! view. Training works on the vector, the kernels on the views.
+//! The weights on a device: one vector in the order and with the padding that the kernels expect. Every layer
+//! is a view of it. Training works on the vector, the kernels on the views.
 
 use super::{Config, Weights};
 use crate::Result;
@@ -10,13 +10,14 @@ use crate::kernels::{CHANNEL_MULTIPLE, Tuning};
 /// The weights of a network on a device.
 #[derive(Clone, Debug)]
 pub struct Parameters {
-    /// All of them, and zeros where layers are padded.
+    /// All weights, with zeros for the padding of the layers.
     pub flat: Tensor,
     layout: Layout,
 }
 
-/// Where the weights of a network lie in a device's vector. Channel counts are padded to [`CHANNEL_MULTIPLE`] by channels
-/// whose weights are zero, and stay so in training: nothing goes through them, in neither direction.
+/// The layout of a network's weights in a vector on the device. Channel counts are padded to a multiple of
+/// [`CHANNEL_MULTIPLE`]. The weights of the added channels are zero and remain so in training, since nothing
+/// flows through these channels in either direction.
 #[derive(Clone, Debug)]
 pub struct Layout {
     config: Config,
@@ -44,7 +45,7 @@ struct BlockPlace {
     skip: DensePlace,
 }
 
-/// The layers of a network as views of the vector of its weights.
+/// The layers of a network, as views of the vector of its weights.
 #[derive(Clone, Debug)]
 pub(super) struct Layers {
     pub lifting: [Layer; 2],
@@ -55,7 +56,7 @@ pub(super) struct Layers {
     pub scalar: Layer,
 }
 
-/// The gradient over the layers, as views of one vector.
+/// The gradient with respect to the layers, as views of one vector.
 #[derive(Clone, Debug)]
 pub(super) struct GradientLayers {
     pub lifting: [GradientLayer; 2],
@@ -66,23 +67,23 @@ pub(super) struct GradientLayers {
     pub scalar: GradientLayer,
 }
 
-/// The gradient over weight and bias of a layer in one tensor.
+/// The gradient with respect to the weight and bias of a layer, in one tensor.
 #[derive(Clone, Debug)]
 pub(super) struct GradientLayer {
-    /// The weight, in the order of the kernels, then the bias.
+    /// The weight in the order of the kernels, followed by the bias.
     pub both: Tensor,
     /// First element of the bias.
     pub bias: usize,
 }
 
 impl Layout {
-    /// Output channels of a tile, which the order of the parameters follows.
+    /// Returns the number of output channels of a tile, on which the order of the parameters depends.
     pub fn tile(&self) -> usize {
         self.tile
     }
 
-    /// For a network of these sizes and kernels of a tile of `most` channels ([`Tuning::channels`]), or of as many of them, a
-    /// power of two, as divide all layers.
+    /// Builds the layout of a network of these sizes, for kernels with tiles of `most` channels
+    /// ([`Tuning::channels`]), or of the largest smaller power of two that divides all layers.
     pub fn new(config: Config, most: usize) -> Self {
         let up = |n: usize| n.next_multiple_of(CHANNEL_MULTIPLE);
         let (l, c, p) = (up(config.lifting), up(config.channels), up(config.projection));
@@ -106,26 +107,26 @@ impl Layout {
         Self { config, padded, tile, lifting, blocks, projection, scalar, len }
     }
 
-    /// Number of elements of the vector.
+    /// Returns the number of elements of the vector.
     pub fn len(&self) -> usize {
         self.len
     }
 
-    /// Whether it has none.
+    /// Whether the vector is empty.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Sizes with the channels that were added.
+    /// Returns the sizes including the added channels.
     pub fn padded(&self) -> Config {
         self.padded
     }
 
-    /// The places of all weights, in the order of [`Weights::flat`].
+    /// Returns the place of every weight in the vector, in the order of [`Weights::flat`].
     fn places(&self) -> Vec<usize> {
         let Config { lifting, channels: c, projection, .. } = self.config;
         let dense = |place: &DensePlace, outputs: usize, inputs: usize| {
-            // A head's only row is a plain vector.
+            // The only row of a head is a plain vector.
             let tile = if outputs == 1 { 1 } else { self.tile };
             let (first, sizes) = (place.weight, (place.inputs, tile));
             let row = move |o| (0..inputs).map(move |i| first + pointwise::index(o, i, sizes));
@@ -153,7 +154,7 @@ impl Layout {
         places
     }
 
-    /// A vector in the device's order from one in the order of [`Weights::flat`].
+    /// Converts a vector from the order of [`Weights::flat`] to the device's.
     pub fn to_device(&self, host: &[f32]) -> Vec<f32> {
         let places = self.places();
         assert_eq!(places.len(), host.len(), "the vector has the size of the weights");
@@ -162,14 +163,14 @@ impl Layout {
         device
     }
 
-    /// The inverse of [`Layout::to_device`].
+    /// Converts a vector from the device's order back to that of [`Weights::flat`].
     pub fn to_host(&self, device: &[f32]) -> Vec<f32> {
         assert_eq!(device.len(), self.len, "the vector has the size of the layout");
         self.places().into_iter().map(|at| device[at]).collect()
     }
 
-    /// The layers of `weights` as the context's networks store them: views of one vector in single precision, or tensors of
-    /// their own, of which biases and heads of one output are in single precision still.
+    /// Uploads the layers of `weights` in the context's storage: views of one vector in single precision, or
+    /// separate tensors, of which biases and heads with one output remain in single precision.
     pub(super) fn stored_layers(&self, context: &Context, weights: &Weights) -> Result<Layers> {
         let device = self.to_device(&weights.flat());
         if context.storage() == Storage::F32 {
@@ -202,13 +203,14 @@ impl Layout {
         })
     }
 
-    /// Shape of a layer's weight in the order of the kernels; that of a head with one output is a plain vector.
+    /// Returns the shape of a layer's weight in the order of the kernels. A head with one output is a plain
+    /// vector.
     fn weight_shape(&self, place: &DensePlace) -> Vec<usize> {
         let &DensePlace { outputs, inputs, .. } = place;
         if outputs == 1 { vec![inputs] } else { vec![outputs / self.tile, inputs, self.tile] }
     }
 
-    /// The layers in a device's vector.
+    /// Returns the layers as views of a vector on the device.
     pub(super) fn layers(&self, flat: &Tensor) -> Layers {
         assert_eq!(flat.len(), self.len, "the vector has the size of the layout");
         let layer = |place: &DensePlace| {
@@ -228,12 +230,12 @@ impl Layout {
 }
 
 impl Layout {
-    /// The layers in a device's vector, as the adjoint kernels write them.
+    /// Returns the layers of a gradient on the device, as the adjoint kernels write them.
     pub(super) fn gradient_layers(&self, flat: &Tensor) -> GradientLayers {
         assert_eq!(flat.len(), self.len, "the vector has the size of the layout");
         let layer = |place: &DensePlace| {
             let bias = place.bias - place.weight;
-            // Whole quads; what lies behind the bias is padding, too.
+            // Whole quads: the elements after the bias are padding, too.
             let len = (bias + place.outputs).next_multiple_of(4);
             GradientLayer { both: flat.view(place.weight, &[len]), bias }
         };
@@ -257,7 +259,7 @@ impl Parameters {
         Ok(Self { flat: Tensor::from_slice(context, "weights", &[layout.len], &flat)?, layout })
     }
 
-    /// Where they lie.
+    /// Returns the layout of the weights.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }

@@ -1,4 +1,4 @@
-//! What the forward pass is made for, and what its blocks do there.
+//! The plan of a forward pass, and what its blocks compute.
 
 use super::{Config, Layout};
 use crate::gpu::{Context, WORKGROUPS};
@@ -6,38 +6,40 @@ use crate::kernels::operator::{Block, Epilogue, LayerSize};
 use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
 use crate::sim::Grid;
 
-/// What a network on a device is made for.
+/// What a network on a device is built for.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
-    /// Particles of a sample.
+    /// Grid of a sample.
     pub grid: Grid,
-    /// Samples of a pass (S), three to a cloth.
+    /// Samples per pass (S), three for each cloth.
     pub samples: usize,
     /// Tile sizes.
     pub tuning: Tuning,
-    /// What is kept of the activations.
+    /// Activations to keep.
     pub keep: Keep,
 }
 
-/// What is kept of the activations between the layers.
+/// Activations to keep after a pass.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Keep {
-    /// Two buffers in turn.
+    /// None: two buffers alternate.
     Nothing,
     /// Every block's output, for checks.
     Blocks,
-    /// Every block's output, what is before its GELU, and its modes: for the backward pass ([`super::Backward`]).
+    /// Every block's output, pre-activations and modes, for the backward pass ([`super::Backward`]).
     Adjoint,
 }
 
 impl Plan {
-    /// The same for as many samples in turn as activations no larger than the tuning wants, and the device binds and dispatches, are of: whole
-    /// cloths in turns of nearly one length, or single samples where no cloth fits.
+    /// Returns a plan with as many samples per pass as fit: within the tuning's limit on activations and
+    /// within what the device can bind and dispatch. A batch is divided into passes of nearly equal length,
+    /// of whole cloths or, if no cloth fits, of single samples.
     pub fn in_turns(&self, context: &Context, config: Config) -> Self {
         let layout = Layout::new(config, self.tuning.channels);
         let widest = layout.padded().channels.max(layout.padded().projection);
         let bound = self.tuning.most_samples(context, widest * self.grid.h * padded(self.grid.w));
-        // A workgroup of a block has so many channels, and only so many workgroups go along its dimension of a dispatch.
+        // A workgroup of a block covers this many channels, and their axis of a dispatch is limited to
+        // `WORKGROUPS`.
         let dispatched = WORKGROUPS as usize * layout.tile() * self.tuning.block_deep as usize / widest;
         let cloths = bound.min(dispatched) / 3;
         let samples = match cloths {
@@ -47,8 +49,8 @@ impl Plan {
         Self { samples, ..*self }
     }
 
-    /// Where the weights of such a network lie for it: in tiles of the tuning's channels, or of no more than [`CHANNEL_MULTIPLE`]
-    /// where rows fit a workgroup only then.
+    /// Returns the layout of the weights of a network for this plan: in tiles of the tuning's channels, or of
+    /// at most [`CHANNEL_MULTIPLE`] if rows fit a workgroup only then.
     pub(super) fn layout(&self, context: &Context, config: Config) -> Layout {
         let takes_rows = |layout: &Layout| {
             let tuning = Tuning { channels: layout.tile(), ..self.tuning };
@@ -65,13 +67,13 @@ impl Plan {
     }
 }
 
-/// Sizes of the blocks of a network.
+/// Returns the sizes of a network's blocks.
 pub(super) fn block_size(config: &Config, grid: Grid) -> LayerSize {
     let &Config { modes_w, channels, .. } = config;
     LayerSize { row_quads: padded(grid.w) / 4, modes_w, channels, lifting: None }
 }
 
-/// What a block of the network does beside the linear part of its output.
+/// Returns what a block of the network computes besides the linear part of its output.
 pub(super) fn epilogue(
     config: &Config,
     block: usize,

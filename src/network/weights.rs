@@ -7,7 +7,7 @@ use crate::{Error, Result};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// Fields per sample before the positional ones: gradient, last gradient, last step.
+    /// Fields per sample, without the positional channels: gradient, last gradient, last step.
     pub fields: usize,
     /// Hidden channels of the lifting (256).
     pub lifting: usize,
@@ -38,10 +38,11 @@ impl Default for Config {
 }
 
 impl Config {
-    /// Fields of the update rule: gradient, last gradient and last step.
+    /// Number of fields of the update rule: gradient, last gradient and last step.
     pub const FIELDS: usize = 3;
 
-    /// An error unless the fields are those of the update rule; `origin` and `field` say where the configuration is from.
+    /// Fails unless the fields are those of the update rule; `origin` and `field` name the configuration's
+    /// source in the error.
     pub(crate) fn check_fields(&self, origin: &str, field: &str) -> Result<()> {
         if self.fields == Self::FIELDS {
             return Ok(());
@@ -50,7 +51,8 @@ impl Config {
         Err(Error::invalid(origin, field, expected, self.fields))
     }
 
-    /// An error unless a grid carries the kept modes; `origin` and `field` say where the grid is from.
+    /// Fails unless the grid can represent the kept modes; `origin` and `field` name the grid's source in the
+    /// error.
     pub(crate) fn check_grid(&self, grid: Grid, origin: &str, field: &str) -> Result<()> {
         let Self { modes_h, modes_w, .. } = *self;
         if modes_h <= grid.h && modes_w <= grid.w / 2 + 1 {
@@ -60,18 +62,18 @@ impl Config {
         Err(Error::invalid(origin, field, expected, grid))
     }
 
-    /// Input channels: the fields and two positional channels.
+    /// Returns the number of input channels: the fields and two positional channels.
     pub fn inputs(&self) -> usize {
         self.fields + 2
     }
 
-    /// Kept modes per channel.
+    /// Returns the number of kept modes per channel.
     pub fn modes(&self) -> usize {
         self.modes_h * self.modes_w
     }
 
-    /// Floating-point operations of one pass over one sample on `grid`, a multiply-add counted as two: pointwise layers,
-    /// truncated transforms as matrix products, spectral products.
+    /// Returns the floating-point operations of one pass over one sample on `grid`, with a multiply-add
+    /// counted as two: pointwise layers, truncated transforms as matrix products, spectral products.
     pub fn flop(&self, grid: Grid) -> f64 {
         let n = grid.particles() as f64;
         let [lifting, channels, projection] =
@@ -84,7 +86,7 @@ impl Config {
         2.0 * (pointwise * n + self.layers as f64 * block)
     }
 
-    /// Number of real parameters; a complex one counts twice.
+    /// Returns the number of real parameters; a complex one counts twice.
     pub fn parameter_count(&self) -> usize {
         let Self { lifting, channels: c, projection, layers, .. } = *self;
         let dense = |inputs: usize, outputs: usize| (inputs + 1) * outputs;
@@ -93,7 +95,8 @@ impl Config {
         dense(self.inputs(), lifting) + dense(lifting, c) + layers * block + heads
     }
 
-    /// Index of the block whose output feeds the scalar head: the one before the last (0 if there is one block only).
+    /// Returns the index of the block whose output feeds the scalar head: the last but one, or 0 if there is
+    /// only one.
     pub fn scalar_block(&self) -> usize {
         self.layers.saturating_sub(2)
     }
@@ -109,14 +112,14 @@ pub struct Dense {
 }
 
 impl Dense {
-    /// Whether it changes nothing.
+    /// Whether the layer is the identity.
     fn is_identity(&self) -> bool {
         let n = self.bias.len();
         self.bias.iter().all(|&b| b == 0.0) && self.weight == identity(n)
     }
 }
 
-/// The identity as a weight, shape [n, n].
+/// Returns the identity as a weight, shape [n, n].
 fn identity(n: usize) -> Vec<f32> {
     let mut weight = vec![0.0; n * n];
     weight.iter_mut().step_by(n + 1).for_each(|w| *w = 1.0);
@@ -130,11 +133,11 @@ pub struct Block {
     pub spectral: Vec<f32>,
     /// Bias, shape `[channels]`.
     pub bias: Vec<f32>,
-    /// Weight of the skip `S`, shape [out, in] (a soft gate is stored as its diagonal matrix).
+    /// Weight of the skip `S`, shape [out, in]. A soft gate is stored as its diagonal matrix.
     pub skip: Vec<f32>,
 }
 
-/// All weights of the network, single precision.
+/// All weights of the network, in single precision.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Weights {
     /// Sizes.
@@ -149,17 +152,17 @@ pub struct Weights {
     pub scalar: Dense,
 }
 
-/// The file behind [`Weights::shipped`].
+/// The checkpoint file of [`Weights::shipped`].
 const SHIPPED: &[u8] = include_bytes!("../../assets/weights/fnopt.safetensors");
 
 impl Weights {
-    /// The trained weights that come with the program.
+    /// Returns the trained weights that ship with the crate.
     pub fn shipped() -> Self {
         Self::from_bytes(SHIPPED, "the weights that come with the program")
             .expect("they are checked before they ship")
     }
 
-    /// A network whose weights are all zero.
+    /// Returns weights that are all zero.
     pub fn zeros(config: Config) -> Self {
         let dense = |outputs: usize, inputs: usize| Dense {
             weight: vec![0.0; outputs * inputs],
@@ -180,9 +183,10 @@ impl Weights {
         }
     }
 
-    /// The same network with less to do: nothing is between the last block and the first layer of the projection, so that layer
-    /// is multiplied into the block and the identity takes its place. As it is where the layer is not square, or the scalar
-    /// head reads that block.
+    /// Returns an equivalent network that needs less work. The last block and the first layer of the
+    /// projection have nothing between them, so the layer is multiplied into the block and replaced by the
+    /// identity. Returns the network unchanged if the layer is not square, or if the scalar head reads that
+    /// block.
     pub fn folded(&self) -> Self {
         let mut folded = self.clone();
         let Config { channels: c, projection, layers, .. } = self.config;
@@ -225,13 +229,14 @@ impl Weights {
         folded
     }
 
-    /// Whether the first layer of the projection changes nothing and may be left out, as in [`Weights::folded`].
+    /// Whether the first layer of the projection is the identity and can be skipped, as after
+    /// [`Weights::folded`].
     pub fn is_folded(&self) -> bool {
         self.config.layers > 1 && self.projection[0].is_identity()
     }
 
-    /// All parameters in one fixed order: lifting, blocks (spectral, bias, skip), projection, scalar head. Training works
-    /// on this list, joined to one vector by [`Weights::flat`].
+    /// Returns all parameters in a fixed order: lifting, blocks (spectral, bias, skip), projection, scalar
+    /// head. Training works on their concatenation, [`Weights::flat`].
     pub fn parameters(&self) -> Vec<&[f32]> {
         let mut all: Vec<&[f32]> = Vec::new();
         for d in &self.lifting {
@@ -246,7 +251,7 @@ impl Weights {
         all
     }
 
-    /// Names of [`Weights::parameters`], after the authors' state dict.
+    /// Returns the names of [`Weights::parameters`], after the authors' state dict.
     pub fn parameter_names(&self) -> Vec<String> {
         let dense = |stem: &str| [format!("{stem}.weight"), format!("{stem}.bias")];
         let mut names: Vec<String> =
@@ -260,7 +265,7 @@ impl Weights {
         names
     }
 
-    /// [`Weights::parameters`], to write.
+    /// Returns [`Weights::parameters`] for writing.
     pub fn parameters_mut(&mut self) -> Vec<&mut [f32]> {
         let mut all: Vec<&mut [f32]> = Vec::new();
         for d in &mut self.lifting {
@@ -275,12 +280,13 @@ impl Weights {
         all
     }
 
-    /// All parameters one after the other, in the order of [`Weights::parameters`].
+    /// Concatenates all parameters in the order of [`Weights::parameters`].
     pub fn flat(&self) -> Vec<f32> {
         self.parameters().concat()
     }
 
-    /// The inverse of [`Weights::flat`]. Panics when the number of parameters is another.
+    /// Builds weights from a vector, the inverse of [`Weights::flat`]. Panics if the number of parameters
+    /// differs.
     pub fn from_flat(config: Config, flat: &[f32]) -> Self {
         let mut weights = Self::zeros(config);
         let mut rest = flat;

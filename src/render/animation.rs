@@ -17,14 +17,15 @@ use std::{
     path::Path,
 };
 
-/// How an animation is drawn.
+/// Options of [`write_gif`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct GifOptions {
     /// Width and height \[px\].
     pub size: usize,
-    /// The most frames per second [1/s]; frames are left out to keep below, and time stays real.
+    /// Largest number of frames per second [1/s]. Frames are skipped to stay below it, and the animation
+    /// stays in real time.
     pub max_fps: f64,
-    /// The most pictures, at least 1: of a longer run more frames are left out.
+    /// Largest number of pictures, at least 1; a longer run skips more frames.
     pub most: usize,
     /// The direction of view.
     pub view: View,
@@ -36,15 +37,16 @@ impl Default for GifOptions {
     }
 }
 
-/// Frames drawn at a time, which bounds the memory for long trajectories.
+/// Number of frames drawn at a time, which bounds the memory for long trajectories.
 const CHUNK: usize = 64;
-/// Frames that the palette is made from.
+/// Number of frames from which the palette is built, at most.
 const SWATCHES: usize = 12;
-/// A pixel that stays as it is.
+/// Colour index that leaves a pixel unchanged.
 const SAME: u8 = 255;
 
-/// Writes the trajectory as an endless animation in real time; `handles` are the vertices to mark.
-/// An empty trajectory gives a picture of the background.
+/// Writes the trajectory as a looping animation in real time; `handles` are the vertices to mark. An empty
+/// trajectory gives a picture of the background. Panics if the size is not 1 to 4096 pixels, or if `max_fps`
+/// or `most` allows no frames.
 pub fn write_gif(
     path: impl AsRef<Path>,
     trajectory: &Trajectory,
@@ -63,7 +65,7 @@ pub fn write_gif(
         step => shown.par_iter().step_by(step).map(draw).collect(),
     };
     let palette = Palette::of(&swatches);
-    // Hundredths of a second, rounded so that errors do not add up.
+    // Hundredths of a second, rounded so that errors do not accumulate.
     let tick = |k: usize| (100.0 * (k * every) as f64 / trajectory.fps()).round();
     let delay = |k: usize| (tick(k + 1) - tick(k)).clamp(2.0, 65535.0) as u16;
 
@@ -80,7 +82,7 @@ pub fn write_gif(
     })
 }
 
-/// An animation being written; frames hold only what has changed.
+/// An animation being written; frames hold only the changes.
 struct Film<'a, W: Write> {
     encoder: Encoder<W>,
     size: u16,
@@ -91,7 +93,7 @@ struct Film<'a, W: Write> {
 impl<'a, W: Write> Film<'a, W> {
     fn new(writer: W, size: u16, palette: &'a Palette) -> io::Result<Self> {
         let mut colours = palette.colours.clone();
-        // The number of SAME needs a place in the palette.
+        // The index SAME needs an entry in the palette.
         colours.resize(usize::from(SAME) + 1, [0; 3]);
         let mut encoder =
             Encoder::new(writer, size, size, colours.as_flattened()).map_err(io::Error::other)?;
@@ -99,9 +101,10 @@ impl<'a, W: Write> Film<'a, W> {
         Ok(Self { encoder, size, palette, last: None })
     }
 
-    /// Appends pictures, given as numbers of colours; `delay` tells how long each is shown [1/100 s].
+    /// Appends pictures, given as colour indices; `delay` returns how long each is shown [1/100 s].
     fn append(&mut self, mut pictures: Vec<Vec<u8>>, delay: impl Fn(usize) -> u16 + Sync) -> io::Result<()> {
-        // Changes too small to be seen are left out; what is shown is compared, so that they cannot add up.
+        // Changes too small to be seen are dropped. They are measured against the picture shown, so they
+        // cannot add up.
         for k in 0..pictures.len() {
             let (shown, rest) = pictures.split_at_mut(k);
             let Some(before) = shown.last().or(self.last.as_ref()) else { continue };
@@ -132,7 +135,7 @@ impl<'a, W: Write> Film<'a, W> {
     }
 }
 
-/// The smallest rectangle that turns one picture into the next, with [`SAME`] where nothing changes.
+/// Returns the smallest rectangle that turns one picture into the next, with [`SAME`] where nothing changes.
 fn change(before: Option<&[u8]>, now: &[u8], size: u16) -> Frame<'static> {
     let n = usize::from(size);
     let changed = |k: usize| before.is_none_or(|b| b[k] != now[k]);

@@ -1,17 +1,18 @@
-//! Where a picture is taken from.
+//! The camera: where a picture is taken from.
 
 use glam::{Mat3, Vec3, vec3};
 
-/// The direction that a trajectory is seen from.
+/// The direction from which a trajectory is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// The upward direction; need not have length 1.
+    /// The upward direction, which need not have length 1.
     pub up: [f32; 3],
-    /// Angle of the eye about the upward axis \[degrees\]; None to see the cloth of the first frame at an angle to its face,
-    /// on the side from which the whole movement looks narrowest and so the cloth largest.
+    /// Angle of the eye about the upward axis \[degrees\]. `None` shows the cloth of the first frame at an
+    /// angle to its face, from the side on which the whole movement looks narrowest and the cloth therefore
+    /// largest.
     pub azimuth: Option<f32>,
-    /// Angle of the eye above the horizon \[degrees\], in (-90, 90); None for a low angle to a cloth that hangs in the first
-    /// frame and a higher one to a cloth that lies.
+    /// Angle of the eye above the horizon \[degrees\], in (-90, 90). `None` gives a low angle for a cloth
+    /// that hangs in the first frame and a higher one for a cloth that lies.
     pub elevation: Option<f32>,
 }
 
@@ -21,15 +22,16 @@ impl Default for View {
     }
 }
 
-/// Vertical field of view, as the tangent of its half.
+/// Tangent of half the vertical field of view.
 const TANGENT: f32 = 0.24;
-/// Part of the picture that the trajectory may fill, across and down.
+/// Fraction of the picture that the trajectory may fill, horizontally and vertically.
 const FILL: [f32; 2] = [0.90, 0.88];
 /// Angle between the eye and the face of the cloth \[degrees\].
 const OBLIQUE: f32 = 38.0;
-/// Angle of the eye above the horizon for a cloth that hangs, and what it gains for a cloth that lies \[degrees\].
+/// Angle of the eye above the horizon for a cloth that hangs, and the amount added for a cloth that lies
+/// \[degrees\].
 const ELEVATION: [f32; 2] = [14.0, 18.0];
-/// Coordinates beyond this \[m\] are a cloth that has exploded; they are treated like non-finite ones.
+/// Coordinates beyond this \[m\] mean that the cloth has exploded; they are treated like non-finite ones.
 const FAR: f32 = 1e4;
 
 /// Whether a vertex can be drawn.
@@ -37,22 +39,22 @@ pub(super) fn usable(p: &[f32; 3]) -> bool {
     p.iter().all(|x| x.abs() < FAR)
 }
 
-/// Where a vertex is; NaN if it cannot be drawn.
+/// Returns the position of a vertex; NaN if it cannot be drawn.
 pub(super) fn place(p: &[f32; 3]) -> Vec3 {
     if usable(p) { Vec3::from(*p) } else { Vec3::NAN }
 }
 
-/// The smallest and the largest of some numbers; the wrong way round if there are none.
+/// Returns the smallest and the largest of some numbers; without numbers, the first exceeds the second.
 pub(super) fn range(values: impl Iterator<Item = f32>) -> (f32, f32) {
     values.fold((f32::MAX, f32::MIN), |(low, high), x| (low.min(x), high.max(x)))
 }
 
-/// A perspective camera, in coordinates of its own: x right, y up, z towards the eye.
+/// A perspective camera. Its axes are x right, y up, z towards the eye.
 #[derive(Clone, Debug)]
 pub(super) struct Camera {
-    /// From the world to the camera's axes.
+    /// Rotation from the world to the camera's axes.
     pub rotation: Mat3,
-    /// The eye along the camera's axes \[m\].
+    /// Position of the eye along the camera's axes \[m\].
     eye: Vec3,
     /// Pixels per unit of tangent.
     pub focal: f32,
@@ -61,19 +63,20 @@ pub(super) struct Camera {
 }
 
 impl Camera {
-    /// The picture coordinates of a point \[px\], y down, and its distance in front of the eye \[m\].
+    /// Returns the picture coordinates of a point \[px\], y down, and its distance in front of the eye \[m\].
     pub fn project(&self, p: Vec3) -> Vec3 {
         let q = self.rotation * p - self.eye;
         let scale = self.focal / -q.z;
         vec3(self.centre[0] + scale * q.x, self.centre[1] - scale * q.y, -q.z)
     }
 
-    /// The camera of a picture of `size` pixels that sees all of `points` and looks along the axes of `rotation`.
+    /// Returns the camera of a picture of `size` pixels that sees all of `points` and looks along the axes of
+    /// `rotation`.
     pub fn fit(rotation: Mat3, points: &[Vec3], size: [usize; 2]) -> Self {
         let [width, height] = size.map(|n| n as f32);
         let tangents = [TANGENT * FILL[0] * width / height, TANGENT * FILL[1]];
-        // A point is in view if |x - eye.x| <= t (eye.z - z) and likewise for y: each side of the picture is one linear
-        // bound, and the nearest eye that keeps them all follows from the outermost points.
+        // A point is in view if |x - eye.x| <= t (eye.z - z), and likewise for y. Each side of the picture is
+        // one linear bound, and the outermost points determine the nearest eye that satisfies all bounds.
         let mut bounds = [[f32::MIN; 2]; 2];
         for q in points.iter().map(|&p| rotation * p) {
             for (axis, &t) in tangents.iter().enumerate() {
@@ -88,7 +91,7 @@ impl Camera {
         let middle = bounds.map(|[low, high]| (high - low) / 2.0);
         let distance = [0, 1].map(|axis| (bounds[axis][0] + bounds[axis][1]) / (2.0 * tangents[axis]));
         let nearest = points.iter().map(|&p| (rotation * p).z).fold(f32::MIN, f32::max);
-        // Never closer than a centimetre to the nearest point, for a cloth that is a single point.
+        // At least a centimetre from the nearest point, for a cloth that is a single point.
         let z = distance[0].max(distance[1]).max(nearest + 0.01);
         Self {
             rotation,
@@ -100,12 +103,13 @@ impl Camera {
 }
 
 impl View {
-    /// The upward direction, of length 1.
+    /// Returns the upward direction, with length 1. Panics if it is zero.
     pub(super) fn up(&self) -> Vec3 {
         Vec3::from(self.up).try_normalize().expect("the upward direction is not zero")
     }
 
-    /// The axes of a camera that sees the points of a trajectory this way; `normals` are those of the first frame.
+    /// Returns the axes of a camera that sees the points of a trajectory this way; `normals` are those of the
+    /// first frame.
     pub(super) fn rotation(&self, normals: &[[f32; 3]], points: &[Vec3]) -> Mat3 {
         let upright = normals.iter().map(|&n| self.up().dot(Vec3::from(n)).powi(2)).sum::<f32>();
         let lying = upright / normals.len().max(1) as f32;
@@ -121,11 +125,11 @@ impl View {
             let (low, high) = range(points.iter().map(|&p| axes.row(0).dot(p)));
             high - low
         };
-        // Equal widths, as of a cloth that only moves up and down, must not be told apart by rounding.
+        // Rounding must not decide between equal widths, as of a cloth that only moves up and down.
         if width(&candidates[1]) < 0.99 * width(&candidates[0]) { candidates[1] } else { candidates[0] }
     }
 
-    /// Two directions that span the horizon.
+    /// Returns two directions that span the horizon.
     fn horizontal(&self) -> [Vec3; 2] {
         let up = self.up();
         let seed = if up.z.abs() < 0.5 { Vec3::Z } else { Vec3::X };
@@ -143,7 +147,8 @@ impl View {
     }
 }
 
-/// The horizontal angle \[degrees\] that a cloth faces: the main axis of its normals, on their side.
+/// Returns the horizontal angle \[degrees\] that a cloth faces: the main axis of its normals, on the side
+/// they point to.
 fn facing(normals: impl Iterator<Item = (f32, f32)>) -> f32 {
     let (mut cos, mut sin, mut net) = (0.0, 0.0, (0.0, 0.0));
     for (x, y) in normals {

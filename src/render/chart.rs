@@ -9,25 +9,25 @@ use plotters::prelude::*;
 use std::error::Error;
 use std::ops::Range;
 
-/// A chart: curves over one axis.
+/// A chart: curves over a common axis.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chart {
     /// Title.
     pub title: String,
-    /// What is on the horizontal and on the vertical axis.
+    /// Labels of the horizontal and the vertical axis.
     pub axes: [String; 2],
     /// The curves.
     pub curves: Vec<Curve>,
-    /// Of both axes.
+    /// The scale of both axes.
     pub scale: Scale,
 }
 
-/// How an axis is divided.
+/// The scale of an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scale {
-    /// Evenly.
+    /// Linear.
     Linear,
-    /// By ratios; what is not above 0 is left out.
+    /// Logarithmic; values that are not above 0 are left out.
     Logarithmic,
 }
 
@@ -36,12 +36,12 @@ pub enum Scale {
 pub struct Curve {
     /// Name in the legend.
     pub label: String,
-    /// Points (x, y), x ascending. Where y is not finite the curve has a gap.
+    /// Points (x, y), with x ascending. A y that is not finite leaves a gap in the curve.
     pub points: Vec<[f64; 2]>,
 }
 
-/// Colours of the curves; more curves begin with them again, as broken lines. Told apart with most kinds of colour vision (after Okabe
-/// and Ito).
+/// Colours of the curves, distinguishable with most kinds of colour vision (after Okabe and Ito). Further
+/// curves reuse them with dashed lines.
 const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(230, 159, 0),
@@ -60,14 +60,14 @@ const SAMPLE: i32 = 14;
 const SPACE: i32 = 6;
 /// Length of a dash and of the gap after it \[px\].
 const DASH: u32 = 5;
-/// A curve of no more points than this shows each of them.
+/// A curve with no more points than this marks each of them.
 const FEW: usize = 14;
-/// Share of the values at each end that may lie outside the chart, lest a spike flatten the rest.
+/// Share of the values at each end that may lie outside the chart, so that a spike does not flatten the rest.
 const OUTSIDE: f64 = 0.005;
-/// Marks along an axis, about.
+/// Approximate number of ticks along an axis.
 const TICKS: usize = 7;
 
-/// The part of a picture that a chart has.
+/// The part of a picture that a chart occupies.
 type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
 
 /// Draws charts in two columns on white, in an image of `width` x `height` pixels.
@@ -89,7 +89,7 @@ pub fn charts(charts: &[Chart], (width, height): (usize, usize)) -> Image {
 
 fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
     let (title, label) = (text::style(TITLE), text::style(LABEL));
-    // The legend stands beside the curves.
+    // The legend is to the right of the curves.
     let widest = chart.curves.iter().map(|c| text::width(&c.label, LABEL) as i32).fold(0, i32::max);
     let (left, legend) = area.split_horizontally(area.dim_in_pixel().0 as i32 - SAMPLE - 3 * SPACE - widest);
     let shown = |p: &[f64; 2]| p.iter().all(|v| v.is_finite() && (chart.scale == Scale::Linear || *v > 0.0));
@@ -139,19 +139,19 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// Whether the curve of this number is a broken line.
+/// Whether the curve of this number is dashed.
 fn is_broken(curve: usize) -> bool {
     curve / COLOURS.len() % 2 == 1
 }
 
-/// What one side of a chart spans, in values or, by ratios, in their logarithms.
+/// The span of one axis, in values or, on a logarithmic scale, in their logarithms.
 struct Axis {
     span: Range<f64>,
     scale: Scale,
 }
 
 impl Axis {
-    /// Over these values, without the share `outside` at each end.
+    /// Returns an axis over these values, without the share `outside` at each end.
     fn over(mut values: Vec<f64>, outside: f64, scale: Scale) -> Self {
         values.iter_mut().for_each(|value| *value = scale.of(*value));
         values.sort_by(f64::total_cmp);
@@ -159,7 +159,7 @@ impl Axis {
         let (Some(&low), Some(&high)) = (values.get(left_out), values.iter().nth_back(left_out)) else {
             return Self { span: 0.0..1.0, scale: Scale::Linear };
         };
-        // Room for the points at the ends of short curves, and for marks where all is alike.
+        // Leave room for the points at the ends of short curves, and for ticks if all values are alike.
         let least = 1e-6 * low.abs().max(high.abs());
         let room = match scale {
             Scale::Logarithmic => (0.04 * (high - low)).max(0.05),
@@ -169,7 +169,8 @@ impl Axis {
         Self { span: low - room..high + room, scale }
     }
 
-    /// Round numbers inside: by ratios the powers of ten, with their doubles and fives where those are few.
+    /// Returns round numbers within the span: on a logarithmic scale the powers of ten, with their doubles
+    /// and fives if those are few.
     fn ticks(&self) -> Vec<f64> {
         let Range { start, end } = self.span;
         if self.scale == Scale::Logarithmic {
@@ -190,7 +191,7 @@ impl Ranged for Axis {
     type FormatOption = NoDefaultFormatting;
     type ValueType = f64;
 
-    /// The place of a value; at the end where it lies outside.
+    /// Returns the position of a value, clamped to the axis.
     fn map(&self, value: &f64, (first, last): (i32, i32)) -> i32 {
         let Range { start, end } = self.span;
         let share = (self.scale.of(*value).clamp(start, end) - start) / (end - start);
@@ -213,7 +214,7 @@ impl ValueFormatter<f64> for Axis {
 }
 
 impl Scale {
-    /// What is drawn evenly.
+    /// Maps a value to its position on a uniform axis.
     fn of(self, value: f64) -> f64 {
         match self {
             Self::Linear => value,
@@ -221,7 +222,7 @@ impl Scale {
         }
     }
 
-    /// The value that is drawn there.
+    /// Returns the value at a position: the inverse of [`Scale::of`].
     fn at(self, place: f64) -> f64 {
         match self {
             Self::Linear => place,
@@ -230,7 +231,7 @@ impl Scale {
     }
 }
 
-/// A tick as text: short, without the rounding of its last place.
+/// Formats a tick: short, without the rounding error of its last digit.
 fn number(value: f64) -> String {
     let plain = format!("{value:.4}");
     let plain = plain.trim_end_matches('0').trim_end_matches('.');
@@ -272,7 +273,7 @@ mod tests {
         assert_eq!(blue(120..300, 300..600), 0);
     }
 
-    /// Of whatever is measured: nothing, one number, next to none between them, the largest and the smallest ones.
+    /// Any measured values: none, one, nearly equal ones, the largest and the smallest numbers.
     #[test]
     fn any_numbers_make_a_chart() {
         let tiny = f64::MIN_POSITIVE;
@@ -296,7 +297,7 @@ mod tests {
                 charts(&[chart(vec![curve(points.clone())], scale)], (500, 300));
             }
         }
-        // Too small for what belongs around a chart.
+        // Too small for the title and labels of a chart.
         charts(&[chart(vec![curve(vec![[0.0, 0.0], [1.0, 1.0]])], Scale::Linear)], (60, 20));
     }
 
@@ -308,7 +309,7 @@ mod tests {
             let rows = (0..400).map(|y| count(&image, COLOURS[k], (80..380, y..y + 1)));
             rows.filter(|&n| n > 20).collect::<Vec<_>>()
         };
-        // The first and the eighth have one colour.
+        // The first and the eighth share a colour.
         let (first, second) = (row(0), row(1));
         let [whole, broken] = [first.iter().max(), first.iter().min()].map(|n| *n.unwrap());
         assert!(first.len() >= 2 && second.iter().max() >= Some(&whole), "{first:?}, {second:?}");

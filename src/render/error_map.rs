@@ -1,4 +1,4 @@
-//! Frames of several systems beside the truth, coloured by their distance from it.
+//! Frames of several systems next to the truth, coloured by their distance from it.
 
 use super::{
     Image, View,
@@ -8,12 +8,12 @@ use super::{
 use crate::io::Trajectory;
 use rayon::prelude::*;
 
-/// One system's frames.
+/// The frames of one system.
 #[derive(Clone, Debug)]
 pub struct ErrorMap {
     /// Name.
     pub label: String,
-    /// Its frames, as many as the truth's.
+    /// The frames, as many as of the truth.
     pub frames: Trajectory,
     /// Distance of each vertex of each frame from the truth \[m\].
     pub errors: Vec<Vec<f32>>,
@@ -23,11 +23,12 @@ pub struct ErrorMap {
 const HEIGHT: usize = 300;
 /// Height of captions \[px\].
 const CAPTION: f32 = 17.0;
-/// Share of the vertices of all maps that the colours span; the rest is as dark as the darkest.
+/// Share of the vertices of all maps that the colour scale spans; the rest take its darkest colour.
 const SPAN: f64 = 0.98;
 
-/// Draws a row of frames of the truth and below it one of each map, all in one scale of colours, which the caption of the
-/// first row tells. `handles` are vertices of the truth to mark.
+/// Draws a row of frames of the truth and below it one row per map, all with one colour scale, which is
+/// stated in the caption of the first row. `handles` are the vertices of the truth to mark. Panics if the
+/// truth has no frames.
 pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view: &View) -> Image {
     assert!(truth.frames() > 0, "there are frames to draw");
     let mut all: Vec<f32> = maps.iter().flat_map(|map| &map.errors).flatten().copied().collect();
@@ -35,11 +36,11 @@ pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view
     all.sort_by(f32::total_cmp);
     let largest = all.get((all.len() as f64 * SPAN) as usize).copied().unwrap_or(1.0).max(1e-6);
 
-    // The camera of the truth for all, on whatever grid they are.
+    // All use the camera of the truth, whatever their grids.
     let stage = Stage::new(truth, handles, view, Size::Height(HEIGHT), 3);
     let [width, _] = stage.size;
     let caption = |image: &mut Image, line: &str, y: f32| {
-        // A long name of a solver in a narrow picture is small.
+        // Shrink captions that are too wide for the panel.
         let fits = (width as f32 - 14.0) / text::width(line, CAPTION);
         text::write(image, line, [10.0, y], CAPTION * fits.min(1.0));
     };

@@ -15,12 +15,12 @@ pub struct Image {
 }
 
 impl Image {
-    /// A black image.
+    /// Creates a black image.
     pub fn new(width: usize, height: usize) -> Self {
         Self { width, height, pixels: vec![[0; 3]; width * height] }
     }
 
-    /// The pixel in column `x` of row `y`.
+    /// Returns the pixel in column `x` of row `y`.
     pub fn at(&self, x: usize, y: usize) -> [u8; 3] {
         self.pixels[y * self.width + x]
     }
@@ -34,7 +34,7 @@ impl Image {
     }
 }
 
-/// Writes an image as a PNG file, which appears when it is complete.
+/// Writes an image as a PNG file, which appears only when it is complete.
 pub fn write_png(path: impl AsRef<Path>, image: &Image) -> Result<()> {
     let (width, height) = (image.width as u32, image.height as u32);
     write_atomic(path, |w| {

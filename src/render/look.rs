@@ -1,4 +1,4 @@
-//! How the things of one frame look at the samples where they are seen.
+//! Appearance of the objects of one frame at the samples where they are visible.
 
 use super::{
     camera::{Camera, usable},
@@ -22,11 +22,12 @@ pub(super) struct Look<'a> {
     normals: Vec<Vec3>,
     /// Depth of the valley at each vertex, as seen from the front.
     valleys: Vec<f32>,
-    /// Fields of the checker per edge.
+    /// Number of checker fields per edge.
     fields: f32,
     /// Radius of a marker \[samples\].
     radius: f32,
-    /// What to show in colour at each vertex, from 0 to 1; its sides where empty.
+    /// A quantity to show as colour at each vertex, from 0 to 1; if empty, the colours of the two sides are
+    /// shown.
     heat: &'a [f32],
 }
 
@@ -55,7 +56,7 @@ impl<'a> Look<'a> {
         }
     }
 
-    /// The light from the thing numbered `seen` at a sample.
+    /// Returns the light from the object numbered `seen` at a sample.
     pub fn at(&self, seen: u32, x: usize, y: usize) -> Vec3 {
         let place = vec2(x as f32 + 0.5, y as f32 + 0.5);
         match self.faces.get(seen as usize) {
@@ -95,8 +96,9 @@ impl<'a> Look<'a> {
     }
 }
 
-/// How far each vertex lies below the vertices two edges away, along its normal, in edges of that length; these are the
-/// folds that light reaches least.
+/// Returns how far each vertex lies below its neighbours along its normal, as a share of their distance;
+/// these are the folds that light reaches least. Neighbours are 1/24 of the longer side away, and at least
+/// one edge.
 fn valleys(grid: Grid, positions: &[[f32; 3]], normals: &[[f32; 3]]) -> Vec<f32> {
     let reach = (grid.h.max(grid.w) / 24).max(1);
     let at = |i: usize, j: usize| Vec3::from(positions[i * grid.w + j]);

@@ -1,8 +1,9 @@
-//! Pictures of a cloth: a small software rasteriser, so that every run can show what it did on any machine.
+//! Pictures of a cloth: a small software rasteriser, so that every run can show its result on any machine.
 //!
-//! [`strip()`] draws frames side by side, [`write_gif`] an animation. Both see the whole trajectory with one fixed
-//! [`View`]. The cloth is petrol blue in front and sand at the back, handles are orange spheres, and a soft shadow lies
-//! on the floor below. Vertices that are not finite are left out, with their triangles. [`charts`] draws curves.
+//! [`strip()`] draws frames side by side, and [`write_gif`] an animation. Both show the whole trajectory from
+//! one fixed [`View`]. The cloth is petrol blue in front and sand at the back, handles are orange spheres,
+//! and a soft shadow lies on the floor. Vertices that are not finite are left out, along with their
+//! triangles. [`charts`] draws curves.
 
 mod animation;
 mod camera;

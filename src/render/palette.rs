@@ -3,24 +3,24 @@
 use super::Image;
 use rayon::prelude::*;
 
-/// Bits per channel of the tables: finer than the steps of a palette.
+/// Bits per channel of the lookup tables: finer than the steps of a palette.
 const BITS: u32 = 6;
 const LEVELS: usize = 1 << BITS;
-/// Rounds in which the colours settle among the pixels that they stand for.
+/// Rounds of k-means refinement of the colours.
 const ROUNDS: usize = 6;
-/// Height of the dither [levels of 256].
+/// Amplitude of the dither [levels of 256].
 const DITHER: f32 = 4.0;
-/// A [`distance`] that is not seen: some two levels of 256 in each channel.
+/// A [`distance`] too small to be seen: about two levels of 256 in each channel.
 const ALIKE: f32 = 35.0;
 
-/// Up to 255 colours and the nearest of them to every colour.
+/// Up to 255 colours, and a table of the nearest of them to any colour.
 pub(super) struct Palette {
     /// The colours.
     pub colours: Vec<[u8; 3]>,
     nearest: Vec<u8>,
 }
 
-/// A tone of the tables as a colour, and how much it counts.
+/// The colour of a table cell, and its weight.
 #[derive(Clone, Copy)]
 struct Tone {
     colour: [f32; 3],
@@ -37,14 +37,14 @@ fn cell_colour(cell: usize) -> [f32; 3] {
     [channel(2 * BITS), channel(BITS), channel(0)]
 }
 
-/// A distance of colours that follows the eye a little: green counts most.
+/// Returns a distance between colours that roughly follows the eye: green counts most.
 fn distance(a: [f32; 3], b: [f32; 3]) -> f32 {
     let d = [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
     2.0 * d[0] * d[0] + 4.0 * d[1] * d[1] + 1.5 * d[2] * d[2]
 }
 
 impl Palette {
-    /// A palette for pictures like `images`.
+    /// Builds a palette for pictures like `images`.
     pub fn of(images: &[Image]) -> Self {
         let mut sums = vec![[0u64; 4]; LEVELS.pow(3)];
         for pixel in images.iter().flat_map(|i| &i.pixels) {
@@ -52,13 +52,13 @@ impl Palette {
             (0..3).for_each(|k| sum[k] += u64::from(pixel[k]));
             sum[3] += 1;
         }
-        // A cell stands for the mean of the pixels in it: with its centre instead, greys would take on a tint.
+        // A cell stands for the mean of the pixels in it: its centre would tint greys.
         let mean = |(k, &[r, g, b, n]): (usize, &[u64; 4])| match n {
             0 => cell_colour(k),
             _ => [r, g, b].map(|c| c as f32 / n as f32),
         };
         let cells: Vec<[f32; 3]> = sums.iter().enumerate().map(mean).collect();
-        // The root keeps the large background from taking most of the colours.
+        // The square root keeps the large background from taking most of the colours.
         let tone = |(sum, &colour): (&[u64; 4], _)| Tone { colour, weight: (sum[3] as f32).sqrt() };
         let tones: Vec<Tone> = sums.iter().zip(&cells).map(tone).filter(|t| t.weight > 0.0).collect();
         let mut colours = median_cut(tones.clone(), 255);
@@ -84,14 +84,15 @@ impl Palette {
         }
     }
 
-    /// Whether two colours, told by their numbers, are so near that one may stay where the next picture has the other.
+    /// Whether two colours, given by index, are so close that one may stay where the next picture has the
+    /// other.
     pub fn alike(&self, a: u8, b: u8) -> bool {
         let colour = |k: u8| self.colours[usize::from(k)].map(f32::from);
         distance(colour(a), colour(b)) < ALIKE
     }
 
-    /// The number of a colour for each pixel. The dither is a fixed pattern, so that what does not change between two
-    /// frames has the same numbers in both.
+    /// Returns the colour index of each pixel. The dither is a fixed pattern, so pixels that do not change
+    /// between two frames have the same index in both.
     pub fn index(&self, image: &Image) -> Vec<u8> {
         const BAYER: [[f32; 4]; 4] =
             [[0., 8., 2., 10.], [12., 4., 14., 6.], [3., 11., 1., 9.], [15., 7., 13., 5.]];
@@ -114,7 +115,8 @@ fn nearest(colours: &[[f32; 3]], to: [f32; 3]) -> usize {
     best.1
 }
 
-/// Splits the box of the widest weighted spread at its median until there are `count` boxes; their mean colours.
+/// Splits the box with the widest weighted spread at its median until there are `count` boxes, and returns
+/// their mean colours.
 fn median_cut(tones: Vec<Tone>, count: usize) -> Vec<[f32; 3]> {
     let mut boxes = vec![tones];
     while boxes.len() < count {
@@ -123,7 +125,7 @@ fn median_cut(tones: Vec<Tone>, count: usize) -> Vec<[f32; 3]> {
             axis.expect("three axes")
         };
         let widest = boxes.iter().map(spread).enumerate().max_by(|a, b| a.1.0.total_cmp(&b.1.0));
-        // A box of one tone has no spread: when all have none, there is nothing left to split.
+        // A box of one tone has no spread: if no box has any, there is nothing left to split.
         let Some((at, (_, axis))) = widest.filter(|w| w.1.0 > 0.0) else { break };
         let mut tones = boxes.swap_remove(at);
         tones.sort_by(|a, b| a.colour[axis].total_cmp(&b.colour[axis]));
@@ -144,7 +146,7 @@ fn mean(tones: &[Tone], axis: usize) -> f32 {
     tones.iter().map(|t| t.weight * t.colour[axis]).sum::<f32>() / weight
 }
 
-/// The spread of a box along an axis, times its weight.
+/// Returns the variance of a box along an axis, times its weight.
 fn variance(tones: &[Tone], axis: usize) -> f32 {
     let mean = mean(tones, axis);
     tones.iter().map(|t| t.weight * (t.colour[axis] - mean).powi(2)).sum()

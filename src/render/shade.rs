@@ -9,9 +9,9 @@ const FRONT: Vec3 = vec3(0.065, 0.32, 0.48);
 const BACK: Vec3 = vec3(0.66, 0.47, 0.25);
 /// Handles: orange.
 pub(super) const HANDLE: Vec3 = vec3(0.95, 0.16, 0.02);
-/// Top and bottom of the background.
+/// Background at the top and at the bottom.
 const BACKGROUND: [Vec3; 2] = [vec3(0.86, 0.88, 0.90), vec3(0.60, 0.61, 0.62)];
-/// Fields of the checker along the longer side of the cloth.
+/// Number of checker fields along the longer side of the cloth.
 const FIELDS: f32 = 16.0;
 
 /// The lights of a stage, as directions along the camera's axes.
@@ -22,35 +22,36 @@ pub(super) struct Lights {
     up: Vec3,
 }
 
-/// What is known of the cloth at a sample.
+/// The properties of the cloth at a sample.
 pub(super) struct Sample {
-    /// Normal of the seen side, along the camera's axes.
+    /// Normal of the visible side, along the camera's axes.
     pub normal: Vec3,
     /// Direction to the eye, along the camera's axes.
     pub eye: Vec3,
     /// Depth of the valley that the sample lies in: positive in one, negative on a ridge.
     pub valley: f32,
-    /// Place in the checker \[fields\].
+    /// Position in the checker \[fields\].
     pub field: Vec2,
-    /// Whether the front of the cloth is seen.
+    /// Whether the front of the cloth is visible.
     pub front: bool,
-    /// Something else than its sides to show in colour, from 0 to 1.
+    /// A quantity to show as colour instead of the side, from 0 to 1.
     pub heat: Option<f32>,
 }
 
 impl Lights {
-    /// Lights for a cloth that faces along `facing`; both directions are along the camera's axes. The key light comes from
-    /// above and from the side that the cloth turns away from, as light that grazes a cloth shows its folds.
+    /// Places the lights for a cloth that faces along `facing`; both directions are along the camera's axes.
+    /// The key light comes from above and from the side that the cloth turns away from, because grazing light
+    /// shows the folds.
     pub fn new(up: Vec3, facing: Vec3) -> Self {
         let side = if facing.x < 0.0 { 1.0 } else { -1.0 };
         let light = |x: f32, y: f32, z: f32| (vec3(side * x, 0.0, z) + up * y).normalize();
         Self { key: light(0.55, 0.62, 0.70), fill: light(-0.9, 0.1, 0.5), up }
     }
 
-    /// The light that the cloth sends to the eye.
+    /// Returns the light from the cloth to the eye.
     pub fn cloth(&self, s: &Sample) -> Vec3 {
         let n = s.normal;
-        // A fabric lets some light through and scatters it: shading runs on a little beyond the terminator.
+        // Fabric transmits and scatters some light, so shading continues a little beyond the terminator.
         let key = ((n.dot(self.key) + 0.18) / 1.18).max(0.0);
         let fill = n.dot(self.fill).max(0.0);
         let sky = 0.5 + 0.5 * n.dot(self.up);
@@ -70,7 +71,7 @@ impl Lights {
         albedo * light * (0.35 + 0.65 * open) + vec3(0.9, 0.95, 1.0) * (0.16 * rim + 0.045 * shine)
     }
 
-    /// The light from a marker with the normal `n` along the camera's axes.
+    /// Returns the light from a marker with the normal `n` along the camera's axes.
     pub fn marker(&self, n: Vec3) -> Vec3 {
         let key = (0.5 + 0.5 * n.dot(self.key)).powi(2);
         let shine = n.dot((self.key + Vec3::Z).normalize()).max(0.0).powi(40);
@@ -78,7 +79,7 @@ impl Lights {
     }
 }
 
-/// From pale over yellow and red to nearly black, ever darker.
+/// Maps 0 to 1 to colours from pale through yellow and red to nearly black, ever darker.
 fn warmth(heat: f32) -> Vec3 {
     const STEPS: [Vec3; 4] =
         [vec3(0.80, 0.80, 0.78), vec3(0.85, 0.52, 0.10), vec3(0.62, 0.08, 0.03), vec3(0.10, 0.01, 0.05)];
@@ -87,36 +88,36 @@ fn warmth(heat: f32) -> Vec3 {
     STEPS[step].lerp(STEPS[step + 1], place - step as f32)
 }
 
-/// A checker of two close tones with a darker thread between the fields.
+/// Returns the tone of a checker of two similar tones with a darker thread between the fields.
 fn checker(field: Vec2) -> f32 {
-    // Casts, as coordinates are not negative and rounding functions are calls on many processors.
+    // Casts, because coordinates are not negative and rounding functions are calls on many processors.
     let (column, row) = (field.x as u32, field.y as u32);
     let tone = if (column + row).is_multiple_of(2) { 1.05 } else { 0.95 };
     let edge = (field - vec2(column as f32, row as f32) - 0.5).abs().max_element();
     if edge > 0.46 { tone * 0.86 } else { tone }
 }
 
-/// Fields of the checker in a cloth of `cells` by `cells` edges, as fields per edge.
+/// Returns the number of checker fields per edge for a cloth of `cells` by `cells` edges.
 pub(super) fn fields_per_edge(cells: usize) -> f32 {
     FIELDS / cells.max(1) as f32
 }
 
-/// The background at a height of the picture, from 0 at the top to 1 at the bottom.
+/// Returns the background at a height of the picture, from 0 at the top to 1 at the bottom.
 pub(super) fn background(height: f32) -> Vec3 {
     let t = height * height * (3.0 - 2.0 * height);
     BACKGROUND[0].lerp(BACKGROUND[1], t)
 }
 
-/// An 8-bit sRGB colour.
+/// Converts a linear colour to 8-bit sRGB.
 pub(super) fn to_srgb(colour: Vec3) -> [u8; 3] {
     static TABLE: LazyLock<Vec<u8>> = LazyLock::new(|| (0..=BRIGHTEST * TONES).map(encode).collect());
     let tone = |x: f32| TABLE[(x.clamp(0.0, BRIGHTEST as f32) * TONES as f32 + 0.5) as usize];
     [tone(colour.x), tone(colour.y), tone(colour.z)]
 }
 
-/// Steps of the table of tones up to 1: fine enough for each 8-bit tone to have one.
+/// Steps of the tone table from 0 to 1: fine enough to reach every 8-bit tone.
 const TONES: usize = 1 << 13;
-/// Where the table ends.
+/// Largest linear value in the tone table.
 const BRIGHTEST: usize = 2;
 
 fn encode(tone: usize) -> u8 {

@@ -3,10 +3,11 @@
 use super::surface::{NOTHING, Surface};
 use glam::Vec3;
 
-/// Pixels of the picture, each way, in one of the shadow: a blurred thing needs no more.
+/// Pixels of the picture per pixel of the shadow along each axis: a blurred shadow needs no higher
+/// resolution.
 pub(super) const PIXELS: usize = 2;
 
-/// How dark the floor is at each place in the picture, 0 to 1.
+/// Darkness of the floor at each point of the picture, 0 to 1.
 pub(super) struct Shadow {
     width: usize,
     height: usize,
@@ -14,14 +15,16 @@ pub(super) struct Shadow {
 }
 
 impl Shadow {
-    /// The shadow of `triangles`, which are projected to the picture of the floor, in units of [`PIXELS`] pixels.
+    /// Computes the shadow of `triangles`, given as they project from the floor into the picture, in units of
+    /// [`PIXELS`] pixels.
     pub fn new(size: [usize; 2], triangles: impl Iterator<Item = [Vec3; 3]>) -> Self {
         let [width, height] = size.map(|n| n.div_ceil(PIXELS));
         let mut mask = Surface::new(width, height);
         triangles.for_each(|corners| mask.triangle(0, corners));
         let mut dark: Vec<f32> =
             mask.seen.iter().map(|&seen| if seen == NOTHING { 0.0 } else { 1.0 }).collect();
-        // Three running means make a smooth hump, flatter across than down as the floor is seen at a low angle.
+        // Three running means approximate a smooth bell, flatter vertically because the floor is seen at a
+        // low angle.
         for _ in 0..3 {
             let radius = (height / 40).max(1);
             let rows = dark.chunks(width).flat_map(|row| running_mean(row, radius)).collect::<Vec<f32>>();
@@ -34,7 +37,7 @@ impl Shadow {
         Self { width, height, dark }
     }
 
-    /// The darkness at a pixel of the picture.
+    /// Returns the darkness at a pixel of the picture.
     pub fn at(&self, x: usize, y: usize) -> f32 {
         let place = |p: usize, n: usize| {
             let s = ((p as f32 + 0.5) / PIXELS as f32 - 0.5).clamp(0.0, (n - 1) as f32);
@@ -50,13 +53,13 @@ impl Shadow {
     }
 }
 
-/// The mean over `2 radius + 1` neighbours, with zeros outside.
+/// Returns the mean over `2 radius + 1` neighbours, with zeros outside.
 fn running_mean(values: &[f32], radius: usize) -> Vec<f32> {
     let at = |k: Option<usize>| k.and_then(|k| values.get(k)).copied().unwrap_or(0.0);
     let mut sum: f32 = values.iter().take(radius).sum();
     let mut mean = |k: usize| {
         sum += at(k.checked_add(radius)) - at(k.checked_sub(radius + 1));
-        // Rounding must not leave a trace of a shadow that has passed.
+        // Rounding must not leave a faint trace beyond the shadow.
         if sum < 1e-4 { 0.0 } else { sum / (2 * radius + 1) as f32 }
     };
     (0..values.len()).map(&mut mean).collect()

@@ -1,4 +1,4 @@
-//! A trajectory set up for drawing: camera, lights and everything else that its frames share.
+//! A trajectory set up for drawing: the camera, the lights and everything else that its frames share.
 
 use super::{
     Image, View,
@@ -14,17 +14,17 @@ use crate::{
 };
 use glam::{Vec3, vec3};
 
-/// Radius of a handle's marker as a part of the picture's height.
+/// Radius of a handle's marker, as a fraction of the picture's height.
 const MARKER: f32 = 0.0135;
-/// The floor lies this part of the trajectory's height below it.
+/// Distance of the floor below the trajectory, as a fraction of the trajectory's height.
 const FLOOR: f32 = 0.10;
 /// Darkness of the shadow on the floor.
 const SHADOW: f32 = 0.34;
 
-/// Number of vertices, over all frames, that are enough to place the camera.
+/// Number of vertices, over all frames, that suffices to place the camera.
 const ENOUGH: usize = 100_000;
 
-/// What the frames of a picture have in common.
+/// Everything that the frames of a picture share.
 #[derive(Clone)]
 pub(super) struct Stage {
     pub size: [usize; 2],
@@ -39,7 +39,7 @@ pub(super) struct Stage {
     floor: f32,
 }
 
-/// Size of a picture in pixels.
+/// Size of a picture \[px\].
 pub(super) enum Size {
     /// Width and height.
     Fixed(usize, usize),
@@ -47,13 +47,14 @@ pub(super) enum Size {
     Height(usize),
 }
 
-/// The greatest common factor of two numbers.
+/// Returns the greatest common divisor of two numbers.
 fn common_factor(a: usize, b: usize) -> usize {
     if b == 0 { a } else { common_factor(b, a % b) }
 }
 
 impl Stage {
-    /// Prepares pictures with `samples * samples` samples per pixel.
+    /// Prepares pictures with `samples * samples` samples per pixel. Panics if a handle is not a particle of
+    /// the grid.
     pub fn new(trajectory: &Trajectory, handles: &[usize], view: &View, size: Size, samples: usize) -> Self {
         let grid = trajectory.grid();
         assert!(handles.iter().all(|&h| h < grid.particles()), "handles are particles of the grid");
@@ -64,8 +65,9 @@ impl Stage {
         let (low, high) = range(all.clone().map(|&p| up.dot(Vec3::from(p))));
         let floor = low - FLOOR * (high - low);
         let on_floor = |p: Vec3| p + up * (floor - up.dot(p));
-        // Of a long or fine trajectory a part will do: what is left out lies within the margin of what is not. A stride that shares
-        // no factor with the number of particles takes others in each frame.
+        // A part of a long or fine trajectory suffices: the points left out lie within the margin around the
+        // others. A stride that shares no factor with the number of particles takes different ones in each
+        // frame.
         let mut stride = (trajectory.frames() * grid.particles() / ENOUGH) | 1;
         while common_factor(stride, grid.particles()) > 1 {
             stride += 2;
@@ -92,7 +94,7 @@ impl Stage {
         Self { size, samples, grid, faces, handles: handles.to_vec(), camera, lights, up, floor }
     }
 
-    /// The same stage, without markers, for a cloth on another grid.
+    /// Returns the same stage for a cloth on another grid, without markers.
     pub fn on(&self, grid: Grid) -> Self {
         Self { grid, faces: grid.faces(), handles: Vec::new(), ..self.clone() }
     }
@@ -107,7 +109,8 @@ impl Stage {
         self.draw_heat(positions, &[])
     }
 
-    /// Draws a frame with a number from 0 to 1 at each vertex in place of the cloth's colours, if there are any.
+    /// Draws a frame coloured by a number from 0 to 1 at each vertex, or in the cloth's colours if `heat` is
+    /// empty.
     pub fn draw_heat(&self, positions: &[[f32; 3]], heat: &[f32]) -> Image {
         let [width, height] = self.size;
         let n = self.samples;
@@ -118,7 +121,7 @@ impl Stage {
         }
         let radius = MARKER * surface.height as f32;
         for (k, &handle) in self.handles.iter().enumerate() {
-            // A marker is a sphere about its vertex: its front is nearer than the cloth around it.
+            // A marker is a sphere around its vertex, so its front is nearer than the cloth around it.
             let centre = projected[handle];
             let front = vec3(centre.x, centre.y, centre.z * (1.0 - 1.5 * radius / self.camera.focal));
             surface.disc((self.faces.len() + k) as u32, front, radius);
@@ -148,7 +151,7 @@ impl Stage {
         image
     }
 
-    /// The soft shadow of a frame on the floor, as if light came from straight above.
+    /// Computes the soft shadow of a frame on the floor, lit from straight above.
     fn shadow(&self, positions: &[[f32; 3]]) -> Shadow {
         let scale = 1.0 / (self.samples * shadow::PIXELS) as f32;
         let project = |p: &[f32; 3]| {
@@ -166,7 +169,7 @@ impl Stage {
 mod tests {
     use super::*;
 
-    /// A sheet of 1 m by 1 m that faces the positive x axis, with y up.
+    /// Returns a sheet of 1 m by 1 m that faces the positive x axis, with y up.
     fn sheet(grid: Grid) -> Vec<[f32; 3]> {
         let at = |k: usize, n: usize| k as f32 / (n - 1) as f32 - 0.5;
         (0..grid.particles()).map(|p| [0.0, at(p / grid.w, grid.h), at(p % grid.w, grid.w)]).collect()

@@ -8,7 +8,7 @@ use super::{
 use crate::io::Trajectory;
 use rayon::prelude::*;
 
-/// How a strip is drawn.
+/// Options of [`strip()`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StripOptions {
     /// Number of frames; fewer if the trajectory has fewer.
@@ -25,8 +25,9 @@ impl Default for StripOptions {
     }
 }
 
-/// Draws frames from the first to the last, evenly spread over the trajectory, side by side with their times in seconds.
-/// `handles` are the vertices to mark. An empty trajectory gives an empty panel.
+/// Draws frames, evenly spread over the trajectory from the first to the last, side by side with their times
+/// in seconds. `handles` are the vertices to mark. An empty trajectory gives an empty panel. Panics if
+/// `panels` or `height` is 0.
 pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions) -> Image {
     assert!(options.panels > 0 && options.height > 0, "a strip has panels and a height");
     let stage = Stage::new(trajectory, handles, &options.view, Size::Height(options.height), 3);

@@ -1,27 +1,29 @@
-//! What is seen at each sample of a picture: the nearest triangle or marker.
+//! Visibility: the nearest triangle or marker at each sample of a picture.
 
 use glam::{Vec3, vec3};
 
-/// Samples with the number of the nearest thing at each, or [`NOTHING`].
+/// A depth buffer: for each sample, the number of the nearest object, or [`NOTHING`].
 pub(super) struct Surface {
     pub width: usize,
     pub height: usize,
-    /// Number of the thing seen, row by row.
+    /// Number of the object seen, row by row.
     pub seen: Vec<u32>,
-    /// One over its distance [1/m].
+    /// Reciprocal of its distance [1/m].
     nearness: Vec<f32>,
-    /// Samples that triangles may still visit.
+    /// Number of samples that triangles may still visit.
     budget: usize,
 }
 
-/// How often triangles may visit each sample, on average. A cloth folded many times needs a few visits; one that has
-/// burst into triangles as large as the picture would take minutes, and what is over the budget is not drawn.
+/// How often triangles may visit each sample, on average. A cloth folded many times needs a few visits. One
+/// that has burst into triangles as large as the picture would take minutes, so triangles beyond the budget
+/// are not drawn.
 const VISITS: usize = 16;
 
-/// No thing is there.
+/// Marks a sample without an object.
 pub(super) const NOTHING: u32 = u32::MAX;
 
-/// Twice the signed area of a triangle in the picture; positive if it runs counter-clockwise as seen, y down.
+/// Returns twice the signed area of a triangle in the picture; positive if it runs counter-clockwise as seen,
+/// y down.
 fn area(a: Vec3, b: Vec3, x: f32, y: f32) -> f32 {
     (b.y - a.y) * (x - a.x) - (b.x - a.x) * (y - a.y)
 }
@@ -38,9 +40,9 @@ impl Surface {
         }
     }
 
-    /// The samples of one axis whose centres lie between two coordinates.
+    /// Returns the samples along one axis whose centres lie between two coordinates.
     fn span(low: f32, high: f32, n: usize) -> std::ops::Range<usize> {
-        // Casts saturate, so that coordinates far outside the picture are harmless.
+        // Casts saturate, so coordinates far outside the picture are harmless.
         (low - 0.5).ceil().max(0.0) as usize..((high - 0.5).floor() + 1.0).clamp(0.0, n as f32) as usize
     }
 
@@ -52,7 +54,8 @@ impl Surface {
         }
     }
 
-    /// Draws a triangle of projected corners (picture coordinates and distance); either side is seen.
+    /// Draws a triangle given its projected corners (picture coordinates and distance); both sides are
+    /// visible.
     pub fn triangle(&mut self, thing: u32, [a, b, c]: [Vec3; 3]) {
         let whole = area(a, b, c.x, c.y);
         let (low, high) = (a.min(b).min(c), a.max(b).max(c));
@@ -92,13 +95,13 @@ impl Surface {
     }
 }
 
-/// Weights of the corners of a triangle at a place in the picture, correct in perspective.
+/// Returns the perspective-correct weights of the corners of a triangle at a point of the picture.
 pub(super) fn weights([a, b, c]: [Vec3; 3], x: f32, y: f32) -> Vec3 {
     let w = vec3(area(b, c, x, y) / a.z, area(c, a, x, y) / b.z, area(a, b, x, y) / c.z);
     w / w.element_sum()
 }
 
-/// Whether the side of a triangle from which its corners run counter-clockwise is seen.
+/// Whether the visible side of a triangle is the one from which its corners run counter-clockwise.
 pub(super) fn is_front([a, b, c]: [Vec3; 3]) -> bool {
     area(a, b, c.x, c.y) > 0.0
 }

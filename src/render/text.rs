@@ -6,15 +6,17 @@ use plotters::style::register_font;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::sync::Once;
 
-/// DejaVu Sans, Latin and Greek alone: `pyftsubset --no-hinting --layout-features=` of version 2.37.
+/// DejaVu Sans 2.37, reduced to Latin and Greek with `pyftsubset --no-hinting --layout-features=`.
 const FONT: &[u8] = include_bytes!("../../assets/fonts/DejaVuSans.ttf");
-/// How far above the place that it is given plotters begins capitals, and how tall they are, as shares of a line's height.
+/// How far above the given position plotters draws the top of capitals, and the height of capitals, as
+/// fractions of the line height.
 pub(super) const RAISED: f32 = 1.0 / 6.0;
 pub(super) const CAPITALS: f32 = 2.0 / 3.0;
 /// Colour of captions.
 pub(super) const INK: RGBColor = RGBColor(70, 74, 80);
 
-/// The style of captions in lines of this height \[px\], placed by their upper left corner (see [`RAISED`]).
+/// Returns the style of captions with this line height \[px\], positioned by their upper left corner (see
+/// [`RAISED`]).
 pub(super) fn style(height: f32) -> TextStyle<'static> {
     static REGISTERED: Once = Once::new();
     REGISTERED.call_once(|| {
@@ -24,7 +26,8 @@ pub(super) fn style(height: f32) -> TextStyle<'static> {
     TextStyle::from(("sans-serif", height).into_font()).color(&INK).pos(Pos::new(HPos::Left, VPos::Top))
 }
 
-/// Writes a line of text of this height \[px\] with the upper left corner of its capitals at column and row `place`.
+/// Writes a line of text of this height \[px\], with the upper left corner of its capitals at column and row
+/// `[x, y]`.
 pub(super) fn write(image: &mut Image, text: &str, [x, y]: [f32; 2], height: f32) {
     let size = (image.width as u32, image.height as u32);
     let mut backend = BitMapBackend::with_buffer(image.pixels.as_flattened_mut(), size);
@@ -33,7 +36,7 @@ pub(super) fn write(image: &mut Image, text: &str, [x, y]: [f32; 2], height: f32
     drawn.expect("the font is there, and memory takes what is drawn");
 }
 
-/// How wide a line of text of this height is \[px\].
+/// Returns the width of a line of text of this height \[px\].
 pub(super) fn width(text: &str, height: f32) -> f32 {
     let ((left, _), (right, _)) = style(height).font.layout_box(text).expect("the font is there");
     (right - left) as f32

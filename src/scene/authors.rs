@@ -1,4 +1,4 @@
-//! Scene files of the method's authors.
+//! Scene files of the authors of the method.
 
 use super::file::read_gravity;
 use super::obj::Mesh;
@@ -10,7 +10,7 @@ use crate::sim::Grid;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
-/// The fields that are read. Others (cameras, pictures, folders of results) are passed over.
+/// The fields that are read. Others (cameras, pictures, folders of results) are ignored.
 const FIELDS: [&str; 11] = [
     "mesh_file",
     "mesh_resolution",
@@ -24,11 +24,12 @@ const FIELDS: [&str; 11] = [
     "handle_ind_list",
     "dataset_dir",
 ];
-/// Gravity [m/s^2] and frame time \[s\] of the authors.
+/// The authors' gravity [m/s^2] and frame time \[s\].
 const GRAVITY_M_S2: f64 = 9.76;
 const FRAME_TIME_S: f64 = 1.0 / 50.0;
 
-/// Whether a document is one of the authors' scenes: no field of ours begins with `mesh_` or is a `handle_ind_list`.
+/// Whether a document is one of the authors' scenes: none of our fields is `handle_ind_list` or begins with
+/// `mesh_`.
 pub(super) fn recognise(document: &Value) -> bool {
     let is_theirs = |key: &String| key.starts_with("mesh_") || key == "handle_ind_list";
     document.as_object().is_some_and(|object| object.keys().any(is_theirs))
@@ -41,7 +42,8 @@ pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
     let path = find(node, folder, file.text()?)?;
     let (mut grid, turned) = resolution(node)?;
     let mut sizes = pair(node, "mesh_size", Node::number)?.unwrap_or([1.0; 2]);
-    // Their code takes mesh_resolution_w for the rows. Where the faces of the mesh say otherwise, they are right.
+    // Their code takes mesh_resolution_w for the rows. If only the other order fits the faces of the mesh,
+    // the faces are right.
     let mesh = Mesh::read(&path)?;
     if !mesh.fits(grid) && mesh.fits(turned) {
         grid = turned;
@@ -52,7 +54,7 @@ pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
     let default = Scene::default();
     Ok(Scene {
         grid,
-        // Like theirs: one length scale, from the side along the rows.
+        // As in their code: one length scale, from the side along the rows.
         side_m: Side::Height(sizes[1]),
         gravity: node.get_or("gravity", up.down(GRAVITY_M_S2), |n| read_gravity(n, up))?,
         frame_time_s: FRAME_TIME_S,
@@ -65,15 +67,15 @@ pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
     })
 }
 
-/// The mesh beside the scene, or in its `dataset_dir`.
+/// Returns the path of the mesh: next to the scene file or, if it exists only there, in its `dataset_dir`.
 fn find(node: &Node, folder: &Path, file: &str) -> Result<PathBuf> {
     let beside = folder.join(file);
     let other = node.get_or("dataset_dir", None, |n| Ok(Some(folder.join(n.text()?).join(file))))?;
     Ok(other.filter(|path| !beside.exists() && path.exists()).unwrap_or(beside))
 }
 
-/// A value per side, [of `_h`, of `_w`], the rows being those of `_w`: `NAME_h` and `NAME_w`, or `NAME` as one number or
-/// as two [H, W].
+/// Reads one value per side, [of `_h`, of `_w`], where the rows are those of `_w`: from `NAME_h` and
+/// `NAME_w`, or from `NAME` as one number or as two [H, W].
 fn pair<'a, T: Copy>(
     node: &Node<'a>,
     name: &str,
@@ -86,7 +88,7 @@ fn pair<'a, T: Copy>(
             Err(one.invalid(format!("both {name}_h and {name}_w, or neither")))
         }
         (Some(both), ..) if both.value.is_array() => {
-            // Not a form of theirs, so it is taken as everywhere here: the rows first.
+            // Their files have no such form, so it is read as everywhere here: rows first.
             let [rows, columns] = both.array("one number, or two [H, W]", read)?;
             Ok(Some([columns, rows]))
         }
@@ -95,14 +97,14 @@ fn pair<'a, T: Copy>(
     }
 }
 
-/// The grid as the authors' code takes it, and with its sides exchanged.
+/// Reads the grid as the authors' code takes it, and returns it also with its sides swapped.
 fn resolution(node: &Node) -> Result<(Grid, Grid)> {
     let sizes = pair(node, "mesh_resolution", Node::count)?;
     let [h, w] = sizes.ok_or_else(|| node.invalid("a field mesh_resolution"))?;
     Ok((Grid::new(w, h, node.origin)?, Grid::new(h, w, node.origin)?))
 }
 
-/// Their code goes through the handles from the last to the first: with [0, 992], h0 is 992.
+/// Reads the handles. The authors' code goes through them from last to first: with [0, 992], h0 is 992.
 fn handles(node: &Node, grid: Grid) -> Result<Handles> {
     let Some(list) = node.get("handle_ind_list") else {
         return Ok(Scene::default().handles);

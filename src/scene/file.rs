@@ -1,4 +1,4 @@
-//! Scene files: between JSON and [`Scene`].
+//! Scene files: conversion between JSON and [`Scene`].
 
 use super::start::read_transform;
 use super::{
@@ -32,21 +32,23 @@ const FIELDS: [&str; 15] = [
 ];
 
 impl Scene {
-    /// Reads a scene file, ours or the authors', and checks its numbers. Files that it names are read by [`Scene::setup`].
+    /// Reads a scene file, in our format or the authors', and checks its numbers. [`Scene::setup`] reads the
+    /// files it names.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
         let bytes = io::read_bytes(path)?;
         let origin = path.display().to_string();
         let text = std::str::from_utf8(&bytes)
             .map_err(|e| Error::invalid(&origin, "text", "UTF-8", format!("byte {}", e.valid_up_to())))?;
-        // An absolute folder keeps the paths of the scene valid when it is saved elsewhere.
+        // An absolute folder keeps the paths of the scene valid if it is saved elsewhere.
         let folder = path.parent().unwrap_or(Path::new(""));
         let folder =
             std::path::absolute(folder.join(".")).map_err(|e| Error::io(folder, "cannot find", e))?;
         Self::parse(text, &origin, &folder)
     }
 
-    /// The scene in a JSON text; relative paths in it are taken from `folder`, and `origin` names it in errors.
+    /// Parses a scene from JSON text. Relative paths in it are resolved against `folder`; `origin` names the
+    /// text in errors.
     pub fn parse(text: &str, origin: &str, folder: &Path) -> Result<Self> {
         let document = io::parse_json(origin, text)?;
         let node = Node::root(origin, &document);
@@ -57,7 +59,7 @@ impl Scene {
         Ok(scene)
     }
 
-    /// The scene as a document that [`Scene::parse`] reads back to the same scene.
+    /// Returns the scene as a document that [`Scene::parse`] reads back to the same scene.
     pub fn to_json(&self) -> Value {
         let (mass_field, mass) = match self.mass {
             Mass::Total(kg) => ("mass_kg", kg),
@@ -117,7 +119,7 @@ impl Scene {
         document
     }
 
-    /// Writes the scene to a file that [`Scene::load`] reads back. It appears whole or not at all.
+    /// Writes the scene to a file that [`Scene::load`] reads back. The file appears whole or not at all.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         io::replace(path, |w| writeln!(w, "{:#}", self.to_json()))
     }
@@ -208,7 +210,7 @@ fn read_stiffness(node: &Node) -> Result<Stiffness> {
     }))
 }
 
-/// Gravity as a vector, or as a size that points down whatever its sign.
+/// Reads gravity: a vector, or a magnitude that points down whatever its sign.
 pub(super) fn read_gravity(node: &Node, up: UpAxis) -> Result<[f64; 3]> {
     if node.value.is_number() {
         return Ok(up.down(node.number()?.abs()));

@@ -1,22 +1,23 @@
-//! Which particles are handles.
+//! The choice of handles.
 
 use crate::sim::Grid;
 use crate::{Error, Result};
 use std::collections::HashSet;
 use std::hash::Hash;
 
-/// Named places of one or two handles. `h0` and `h1` are the first and the second handle, as rotations name them.
+/// A named arrangement of one or two handles. `h0` and `h1` are the first and the second handle, as in the
+/// names of rotations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Placement {
-    /// `corners`: the corners of the edge j = 0; h0 = (H-1, 0), h1 = (0, 0).
+    /// `corners`: the corners of the side j = 0; h0 = (H-1, 0), h1 = (0, 0).
     Corners,
     /// `diagonal`: opposite corners; h0 = (H-1, W-1), h1 = (0, 0).
     Diagonal,
-    /// `mid-edge`: the middles of the two edges along the width; h0 = (H-1, W/2), h1 = (0, W/2).
+    /// `mid-edge`: the midpoints of the two sides along the width; h0 = (H-1, W/2), h1 = (0, W/2).
     MidEdge,
     /// `corner-center`: h0 = (H-1, 0), h1 = (H/2, W/2).
     CornerCenter,
-    /// `single-mid-edge`: the middle of the edge j = 0, (H/2, 0).
+    /// `single-mid-edge`: the midpoint of the side j = 0, (H/2, 0).
     SingleMidEdge,
     /// `single-center`: (H/2, W/2).
     SingleCenter,
@@ -36,7 +37,7 @@ impl Placement {
         Placement::SingleCorner,
     ];
 
-    /// Its name in a scene file.
+    /// Returns the name in a scene file.
     pub fn name(self) -> &'static str {
         match self {
             Placement::Corners => "corners",
@@ -49,14 +50,14 @@ impl Placement {
         }
     }
 
-    /// The placement of a name; `origin` is the file or option that gave it.
+    /// Returns the placement called `name`; `origin` is the file or option that the name comes from.
     pub fn named(name: &str, origin: &str) -> Result<Self> {
         let found = Self::ALL.into_iter().find(|p| p.name() == name);
         let known = Self::ALL.map(Self::name);
         found.ok_or_else(|| Error::unknown(origin, "handle placement", name, known))
     }
 
-    /// The handles on a grid, in their order.
+    /// Returns the handles on a grid, in order.
     fn cells(self, grid: Grid) -> Vec<[usize; 2]> {
         let (top, right) = (grid.h - 1, grid.w - 1);
         let (i, j) = (grid.h / 2, grid.w / 2);
@@ -72,19 +73,20 @@ impl Placement {
     }
 }
 
-/// The handles of a scene, in the order in which motions and recordings take them.
+/// The handles of a scene, in the order used by motions and recordings.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Handles {
     /// A named placement.
     Placement(Placement),
-    /// Particles by their place (i, j).
+    /// Particles by their indices (i, j).
     Cells(Vec<[usize; 2]>),
     /// Particles by their number `i W + j`.
     Vertices(Vec<usize>),
 }
 
 impl Handles {
-    /// The particle numbers of the handles on `grid`: all inside it, all different.
+    /// Returns the particle numbers of the handles on `grid`. Fails if a handle lies outside the grid or is
+    /// listed twice.
     pub fn on(&self, grid: Grid, origin: &str) -> Result<Vec<usize>> {
         let at = |[i, j]: [usize; 2]| i * grid.w + j;
         let particles: Vec<usize> = match self {
@@ -117,10 +119,10 @@ impl Handles {
         Ok(particles)
     }
 
-    /// The same places of the sheet on another grid: each listed handle moves to the nearest particle. With `merge`, those that
-    /// come to the same one are one from then on.
+    /// Returns the same places of the sheet on another grid: each listed handle moves to the nearest
+    /// particle. With `merge`, handles that land on the same particle become one.
     pub(super) fn regrid(&self, from: Grid, to: Grid, merge: bool) -> Self {
-        // Exact in whole numbers: round(k (n' - 1) / (n - 1)).
+        // Exact, in integer arithmetic: round(k (n' - 1) / (n - 1)).
         let move_to = |k: usize, n: usize, m: usize| (2 * k.min(n) * (m - 1) + n - 1) / (2 * (n - 1));
         let cell = |[i, j]: [usize; 2]| [move_to(i, from.h, to.h), move_to(j, from.w, to.w)];
         match self {
@@ -134,7 +136,7 @@ impl Handles {
     }
 }
 
-/// All of `places`, or each of them once.
+/// Collects `places`, each only once if `once` is set.
 fn moved<T: Copy + Eq + Hash>(places: impl Iterator<Item = T>, once: bool) -> Vec<T> {
     let mut seen = HashSet::new();
     places.filter(|&place| !once || seen.insert(place)).collect()

@@ -1,7 +1,8 @@
-//! Scenes: what is simulated, in SI units, and how it becomes a [`Setup`] in grid units.
+//! Scenes: the description of a simulation in SI units, and its conversion into a [`Setup`] in grid units.
 //!
-//! A [`Scene`] is read from a file ([`Scene::load`]) or filled in by hand; its fields may be changed freely afterwards, since
-//! [`Scene::setup`] checks everything once more, reads the files that the scene names and turns it into grid units, z up.
+//! A [`Scene`] is read from a file ([`Scene::load`]) or filled in by hand. Its fields may be changed freely
+//! afterwards: [`Scene::setup`] checks everything again, reads the files that the scene names, and converts
+//! it to grid units, z up.
 //!
 //! ```
 //! use fnopt::scene::{Motion, Scene};
@@ -20,74 +21,94 @@
 //!
 //! # The format
 //!
-//! A scene file is a JSON object. Every field may be left out, or be null, and has then the value of the default scene:
-//! `{}` is [`Scene::default`]. A field that is not listed here is an error, here and in the objects inside. Vectors and the
-//! positions in files are in the scene's axes; a path is relative to the scene file.
+//! A scene file is a JSON object. Every field is optional: a field that is missing or null takes its value
+//! from the default scene, so `{}` is [`Scene::default`]. Unknown fields are errors, at the top level and in
+//! nested objects. Vectors, and positions in files, are in the scene's axes. Paths are relative to the scene
+//! file.
 //!
 //! | field | value | unit | default |
 //! |---|---|---|---|
 //! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each | | `[32, 32]` |
-//! | `side_m` | side along the height, the width following from square cells; or `[height, width]`, which must make cells square to 0.1 % | m | `1` |
-//! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, or by area; above 0 | kg or kg/m^2 | areal, `0.187` |
-//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three | 1; or N/m, N/m, N m | `{"stretch": 1000, "shear": 8, "bend": 0.5}` |
-//! | `gravity` | vector, or its size, downwards | m/s^2 | 9.8 downwards |
+//! | `side_m` | side along the height, from which the width follows as cells are square; or `[height, width]`, which must make cells square to within 0.1 % | m | `1` |
+//! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, or mass per area; above 0 | kg or kg/m^2 | areal, `0.187` |
+//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required | 1; or N/m, N/m, N m | `{"stretch": 1000, "shear": 8, "bend": 0.5}` |
+//! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
-//! | `repulsion` | `true`, or `{"strength", "distance"}`: what keeps the cloth's layers apart; `false` for nothing | m^2/s^2, edges | `false`; of `true` `{"strength": 1, "distance": 1}` |
-//! | `frame_time_s` | time of a frame | s | `1/60` |
-//! | `frames` | number of frames, the start included | | as many as the motion takes; 391 without a motion |
+//! | `repulsion` | repulsion between the layers of the cloth: `{"strength", "distance"}`, each 1 if left out; `true` for both defaults; or `false` for none | m^2/s^2, edges | `false` |
+//! | `frame_time_s` | duration of a frame | s | `1/60` |
+//! | `frames` | number of frames, including the start | | the length of the motion; 391 without a motion |
 //! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj`, `.npy` or `.npz`, `{"file", "grid", "transform"}`, or the positions themselves, `{"vertices": [[x, y, z], ..], "grid"}` | m | `"settled"` |
-//! | `handles` | a placement, pairs `[[i, j], ..]`, or vertex numbers `[k, ..]` with `k = i W + j` | | `"corners"` |
-//! | `motion` | a built-in name, `"none"`, the path of a `.npy`, or the positions themselves, `[[[x, y, z], ..], ..]`: for each frame time those of all handles | m | `"xy_v2"` |
-//! | `speed` | how many times faster the motion is played | | `1` |
+//! | `handles` | the name of a placement, pairs `[[i, j], ..]`, or vertex numbers `[k, ..]` with `k = i W + j` | | `"corners"` |
+//! | `motion` | a built-in name, `"none"`, the path of a `.npy`, or the positions themselves, `[[[x, y, z], ..], ..]`: one row per frame time with the positions of all handles | m | `"xy_v2"` |
+//! | `speed` | factor by which the motion is played faster | | `1` |
 //! | `up` | `"y"` or `"z"`, the axis that points up | | `"y"` |
 //!
-//! **Grid and material.** One rest length l serves both directions: `l = side / (H - 1)`. Grid coefficients are used as they
-//! are, so that a finer grid is a softer cloth. Moduli are the same cloth on every grid: with areal mass rho and frame time T,
-//! `k_stretch = Y T^2 / (2 rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`, `k_bend = D T^2 / (2 rho l^4)`.
+//! **Grid and material.** One rest length l serves both directions: `l = side / (H - 1)`. Grid coefficients
+//! are used as given, so a finer grid is a softer cloth. Moduli describe the same cloth on every grid: with
+//! areal mass rho and frame time T, `k_stretch = Y T^2 / (2 rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`,
+//! `k_bend = D T^2 / (2 rho l^4)`.
 //!
-//! **Repulsion.** Particles that no edge of the triangulated grid joins repel each other below `distance`, in edges, 0.001 to 1
-//! ([`crate::sim::Repulsion`]); `strength` is an energy by mass, so that it takes the same speed to overcome on every grid. What it
-//! keeps apart is particles, not triangles: below a distance of 1 layers slip through each other's gaps. And it reaches no further
-//! than an edge: layers that approach each other by about two edges a frame or more pass each other unseen.
+//! **Repulsion.** Two particles that are not joined by an edge of the triangulated grid repel each other when
+//! they are closer than `distance`, which is 0.001 to 1 edges ([`crate::sim::Repulsion`]). `strength` is an
+//! energy per unit mass, so the speed needed to overcome it is the same on every grid. Repulsion acts between
+//! particles, not triangles: at a distance below 1, layers slip through the gaps between particles. It also
+//! reaches no further than one edge: layers that approach each other by about two edges per frame or more
+//! pass through each other undetected.
 //!
-//! **Start.** `settled` hangs from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side with y up. `flat` has
-//! particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up. `hanging` is a vertical plane whose upper edge, j = 0, is
-//! `(0, 0.5, z)` times the side. An OBJ has vertex `i W + j` for particle (i, j), and its faces, if it has any, cover each
-//! cell by two triangles or one quadrilateral. A `.npy` (`f2`, `f4` or `f8`) has shape [H, W, 3] or [H W, 3], or
-//! that of a trajectory, [frames, H W, 3], whose first frame is taken. Of a `.npz` as a rollout writes it (`rollout.npz`, `replay.npz`)
-//! it is the last frame, with its velocities; the motion begins anew, and the optimizer remembers nothing.
-//! `grid` is the file's own grid where it is not the scene's: the sheet is then resampled. `transform` is applied to the
-//! file's positions: a 4x4 or 3x4 matrix in rows, a translation `[x, y, z]`, or
-//! `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}` in this order. Velocities are zero but for a `.npz`.
+//! **Start.** The start states:
 //!
-//! **Handles.** Placements, h0 first: `corners` (H-1, 0), (0, 0); `diagonal` (H-1, W-1), (0, 0); `mid-edge` (H-1, W/2),
-//! (0, W/2); `corner-center` (H-1, 0), (H/2, W/2); `single-mid-edge` (H/2, 0); `single-center` (H/2, W/2);
-//! `single-corner` (H-1, 0). An empty list is a free cloth, for which the motion must be `"none"`.
+//! - `settled` hangs from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side, y up.
+//! - `flat` has particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up.
+//! - `hanging` is a vertical plane whose upper edge, j = 0, is `(0, 0.5, z)` times the side.
+//! - An OBJ has vertex `i W + j` for particle (i, j). Its faces, if it has any, cover each cell by two
+//!   triangles or one quadrilateral.
+//! - A `.npy` (`f2`, `f4` or `f8`) has shape [H, W, 3] or [H W, 3], or that of a trajectory,
+//!   [frames, H W, 3], whose first frame is used.
+//! - A `.npz` as written by a rollout (`rollout.npz`, `replay.npz`) supplies its last frame, with velocities.
+//!   The motion restarts from its beginning, and the optimizer starts afresh.
 //!
-//! **Motion.** Built-in motions rest 0.5 s, move there, back and there again over 1 m with `s(t) = (1 - cos(pi t)) / 2`, 1 s
-//! each, and rest 3 s; they start from where the handles are. Translations, y up: `fwd` (1,0,0), `side` (0,0,1),
-//! `updown` (0,1,0), `xy` (1,0,1), `yz` (0,1,1), `xz` (1,1,0), `xyz` (1,1,1), `xy_v2` (1,0,-1), `yz_v2` (0,1,-1),
-//! `xz_v2` (1,-1,0), `xyz_v2` (1,1,-1), `xyz_v3` (1,-1,1), `xyz_v4` (-1,1,1). Rotations `rot_h0`, `rot_h1`: the first or
-//! second handle stays, the others circle about the vertical axis through it, the farthest over an arc of 1 m; a single
-//! handle stays. Each has an opposite, as in `xy_v2_opp`. A `.npy` has shape [frames, handles, 3], a row for each frame
-//! time; row 0 is where the handles are at the start. Frame f is taken at `f * speed` frame times: exactly in a built-in
-//! motion, linearly between the rows of a recorded one. Past its end a motion keeps its last position.
+//! `grid` is the grid of the file if it differs from the scene's; the sheet is then resampled. `transform` is
+//! applied to the positions in the file: a 4x4 or 3x4 matrix in rows, a translation `[x, y, z]`, or
+//! `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}`, applied in this order. Velocities
+//! are zero except from a `.npz`.
+//!
+//! **Handles.** Placements, h0 first: `corners` (H-1, 0), (0, 0); `diagonal` (H-1, W-1), (0, 0); `mid-edge`
+//! (H-1, W/2), (0, W/2); `corner-center` (H-1, 0), (H/2, W/2); `single-mid-edge` (H/2, 0); `single-center`
+//! (H/2, W/2); `single-corner` (H-1, 0). An empty list gives a free cloth, for which the motion must be
+//! `"none"`.
+//!
+//! **Motion.** Built-in motions rest for 0.5 s, make three moves of 1 s each over 1 m (there, back and there
+//! again) with `s(t) = (1 - cos(pi t)) / 2`, and rest for 3 s. They start from the positions of the handles.
+//! Each has an opposite, such as `xy_v2_opp`.
+//!
+//! - Translations, y up: `fwd` (1,0,0), `side` (0,0,1), `updown` (0,1,0), `xy` (1,0,1), `yz` (0,1,1), `xz`
+//!   (1,1,0), `xyz` (1,1,1), `xy_v2` (1,0,-1), `yz_v2` (0,1,-1), `xz_v2` (1,-1,0), `xyz_v2` (1,1,-1),
+//!   `xyz_v3` (1,-1,1), `xyz_v4` (-1,1,1).
+//! - Rotations `rot_h0` and `rot_h1`: the first or second handle is fixed and the others circle the vertical
+//!   axis through it, the farthest along an arc of 1 m. A single handle does not move.
+//!
+//! A recorded motion, a `.npy`, has shape [frames, handles, 3], one row per frame time; row 0 holds the
+//! positions of the handles at the start. Frame f samples the motion at `f * speed` frame times: exactly for
+//! a built-in motion, by linear interpolation between rows for a recorded one. Past its end, a motion keeps
+//! its last position.
 //!
 //! # The authors' scene files
 //!
-//! A document with a field `mesh_..` or `handle_ind_list` is read as a scene of the method's authors: z up, frame time
-//! 1/50 s, gravity 9.76 m/s^2 where it is not given, no motion; all else as in the default scene.
+//! A document with a field `mesh_..` or `handle_ind_list` is read as a scene of the authors of the method: z
+//! up, frame time 1/50 s, gravity 9.76 m/s^2 unless given, no motion. Everything else is as in the default
+//! scene.
 //!
 //! | field | value |
 //! |---|---|
-//! | `mesh_file` | OBJ beside the scene file, or in its `dataset_dir`; required |
-//! | `mesh_resolution`, or `mesh_resolution_h` and `mesh_resolution_w` | particles per side, required: one number, `[H, W]`, or a field per side. In the authors' code H is `_w` and W is `_h`; where only the other order fits the faces of the mesh, that one is taken |
-//! | `mesh_size`, or `mesh_size_h` and `mesh_size_w` | sides \[m\], in the same order; default 1. The side along the height gives the scale, the other is not used |
+//! | `mesh_file` | OBJ, relative to the scene file or, if it is not there, to `dataset_dir`; required |
+//! | `mesh_resolution`, or `mesh_resolution_h` and `mesh_resolution_w` | particles per side, required: one number, `[H, W]`, or one field per side. In the authors' code H is `_w` and W is `_h`; if the faces of the mesh fit only the other order, that order is used |
+//! | `mesh_size`, or `mesh_size_h` and `mesh_size_w` | sides \[m\], in the same order; default 1. The side along the height sets the scale; the other is ignored |
 //! | `transform` | as above; the authors write `{"rotate": [degrees, x, y, z], "translate": [x, y, z]}` |
-//! | `gravity` | vector, or its size, downwards, whatever its sign [m/s^2] |
+//! | `gravity` | vector, or its magnitude, which points down whatever its sign [m/s^2] |
 //! | `handle_ind_list` | vertex numbers, from the last handle to h0: `[0, 992]` means h0 = 992; default `corners` |
 //!
-//! Other fields (cameras, pictures, results) are passed over, except those that are nearly one of these.
+//! Other fields (cameras, pictures, results) are ignored, but one that looks like a misspelling of a field
+//! above is an error.
 
 mod authors;
 mod file;
@@ -110,9 +131,10 @@ use crate::sim::{Grid, Material};
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Gravity of a scene that does not say [m/s^2].
+/// Gravity of a scene that does not specify it [m/s^2].
 const GRAVITY_M_S2: f64 = 9.8;
-/// How far the sides may be from square cells: more than rounding, less than one edge in any grid below 1000.
+/// Largest relative deviation of the width from square cells: more than rounding, less than one edge on any
+/// grid below 1000.
 const SQUARE: f64 = 1e-3;
 
 /// Lengths of the sheet's sides \[m\]. One rest length serves both directions, so cells are square.
@@ -120,12 +142,12 @@ const SQUARE: f64 = 1e-3;
 pub enum Side {
     /// The side along the height; the width follows from the grid.
     Height(f64),
-    /// The sides along the height and the width, which must make cells square to 0.1 %.
+    /// The sides along the height and the width, which must make cells square to within 0.1 %.
     Both([f64; 2]),
 }
 
 impl Side {
-    /// The side along the height \[m\].
+    /// Returns the side along the height \[m\].
     pub fn height(self) -> f64 {
         match self {
             Side::Height(height) | Side::Both([height, _]) => height,
@@ -136,9 +158,9 @@ impl Side {
 /// Mass of the sheet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Mass {
-    /// Of the whole sheet \[kg\].
+    /// Mass of the whole sheet \[kg\].
     Total(f64),
-    /// By area [kg/m^2].
+    /// Mass per area [kg/m^2].
     Areal(f64),
 }
 
@@ -149,7 +171,7 @@ impl Default for Mass {
 }
 
 impl Mass {
-    /// Keeps the mass by area when the area becomes `ratio` times as large.
+    /// Keeps the mass per area when the area is multiplied by `ratio`.
     fn scale_area(&mut self, ratio: f64) {
         if let Mass::Total(kg) = self {
             *kg *= ratio;
@@ -157,10 +179,10 @@ impl Mass {
     }
 }
 
-/// How stiff the sheet is.
+/// Stiffness of the sheet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stiffness {
-    /// Coefficients of the energy in grid units, used as they are: a finer grid is then a softer cloth.
+    /// Coefficients of the energy in grid units, used as given: a finer grid is then a softer cloth.
     Grid(Material),
     /// Moduli in SI units: the same cloth on every grid.
     Moduli(Moduli),
@@ -173,7 +195,7 @@ impl Default for Stiffness {
 }
 
 impl Stiffness {
-    /// The coefficients of the energy.
+    /// Returns the coefficients of the energy.
     fn in_grid_units(self, units: &Units) -> Material {
         match self {
             Stiffness::Grid(material) => material,
@@ -182,7 +204,7 @@ impl Stiffness {
     }
 }
 
-/// The air and how it moves.
+/// The air and its motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Wind {
     /// Velocity [m/s] in the scene's axes.
@@ -200,24 +222,25 @@ impl Default for Wind {
     }
 }
 
-/// What keeps the layers of a cloth apart: particles of different places of the sheet repel each other where they come near
-/// ([`crate::sim::Repulsion`]).
+/// Repulsion that keeps the layers of a cloth apart: particles that come close without sharing an edge repel
+/// each other ([`crate::sim::Repulsion`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Separation {
-    /// How strongly, as an energy by mass [m^2/s^2].
+    /// Strength, as an energy per unit mass [m^2/s^2].
     pub strength: f64,
-    /// Distance below which they repel each other \[edges\], 0.001 to 1.
+    /// Distance below which particles repel each other \[edges\], 0.001 to 1.
     pub distance: f64,
 }
 
 impl Default for Separation {
-    /// What stops particles that meet at some metres a second, at a distance at which layers do not slip through each other's gaps.
+    /// A strength that stops particles meeting at a few metres per second, and a distance at which layers do
+    /// not slip through each other's gaps.
     fn default() -> Self {
         Self { strength: 1.0, distance: 1.0 }
     }
 }
 
-/// A cloth, what acts on it and how its handles move, in SI units and the scene's axes.
+/// A cloth, the forces on it and the motion of its handles, in SI units and the scene's axes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
     /// Particles along the height and the width.
@@ -232,28 +255,29 @@ pub struct Scene {
     pub gravity: [f64; 3],
     /// The air.
     pub wind: Wind,
-    /// What keeps the layers of the cloth apart; none for a cloth that passes through itself.
+    /// Repulsion between the layers of the cloth; `None` for a cloth that passes through itself.
     pub repulsion: Option<Separation>,
-    /// Time of a frame \[s\].
+    /// Duration of a frame \[s\].
     pub frame_time_s: f64,
-    /// Number of frames, the start included; none for as many as the motion takes.
+    /// Number of frames, including the start; `None` for the length of the motion.
     pub frames: Option<usize>,
-    /// Where the cloth starts.
+    /// The start state.
     pub start: Start,
-    /// The particles whose positions are given.
+    /// The particles whose positions are prescribed.
     pub handles: Handles,
     /// How the handles move.
     pub motion: Motion,
-    /// How many times faster than recorded the motion is played; linear in time, so 2 takes half the frames.
+    /// Factor by which the motion is played faster; at 2 it takes half the frames.
     pub speed: f64,
     /// The axis that points up in this scene's vectors and files.
     pub up: UpAxis,
-    /// Where the scene comes from, for errors.
+    /// Where the scene comes from, for error messages.
     pub origin: String,
 }
 
 impl Default for Scene {
-    /// The scene that the command runs: a square of 1 m on a 32x32 grid swings through `xy_v2` from its settled drape.
+    /// The default scene of the command line: a square of 1 m on a 32x32 grid that moves through `xy_v2`,
+    /// starting from its settled drape.
     fn default() -> Self {
         let up = UpAxis::Y;
         Self {
@@ -277,7 +301,7 @@ impl Default for Scene {
 }
 
 impl Scene {
-    /// The files that [`Scene::setup`] reads.
+    /// Returns the files that [`Scene::setup`] reads.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         let start = match &self.start {
             Start::File(file) => Some(&*file.path),
@@ -290,7 +314,8 @@ impl Scene {
         start.into_iter().chain(motion)
     }
 
-    /// Checks all numbers that need no file, and gives the units that follow from them.
+    /// Checks everything that can be checked without reading a file, and returns the units that follow from
+    /// it.
     fn check(&self) -> Result<Units> {
         let grid = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
         let height = self.side_m.height();

@@ -1,7 +1,7 @@
-//! How the handles move: the built-in motions, and recorded ones.
+//! Motions of the handles, built-in and recorded.
 //!
-//! Every built-in motion keeps one timing: 0.5 s of rest, three moves of 1 s there, back and there again over 1 m with
-//! `s(t) = (1 - cos(pi t)) / 2`, then 3 s of rest. Axes are y up, metres.
+//! All built-in motions share one timing: 0.5 s of rest, three moves of 1 s each over 1 m (there, back and
+//! there again) with `s(t) = (1 - cos(pi t)) / 2`, then 3 s of rest. Axes are y up, in metres.
 
 use super::points;
 use crate::{Error, Result, io};
@@ -12,15 +12,16 @@ use std::path::{Path, PathBuf};
 const REST_BEFORE_S: f64 = 0.5;
 const MOVES: f64 = 3.0;
 const REST_AFTER_S: f64 = 3.0;
-/// Name that a scene gives to handles that stay where they are.
+/// Name of the motion of handles that do not move.
 pub(super) const STILL: &str = "none";
 
-/// What a built-in motion does, y up.
+/// The path of a built-in motion, y up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Course {
-    /// All handles go 1 m along a direction, given without its length.
+    /// All handles move 1 m in this direction, which need not have length 1.
     Along([f64; 3]),
-    /// The handle of this index stays; the others circle about the vertical axis through it, arc 1 m.
+    /// The handle of this index is fixed; the others circle the vertical axis through it, the farthest along
+    /// an arc of 1 m.
     About(usize),
 }
 
@@ -51,28 +52,29 @@ pub struct BuiltIn {
 }
 
 impl BuiltIn {
-    /// Length of every built-in motion from the start to the end of the last rest \[s\].
+    /// Duration of every built-in motion, from the start to the end of the last rest \[s\].
     pub const DURATION_S: f64 = REST_BEFORE_S + MOVES + REST_AFTER_S;
 
-    /// The built-in motion of a name, as in `xy_v2` or `rot_h0_opp`.
+    /// Returns the built-in motion called `name`, such as `xy_v2` or `rot_h0_opp`.
     pub fn named(name: &str) -> Option<Self> {
         let (base, opposite) = name.strip_suffix("_opp").map_or((name, false), |base| (base, true));
         let &(name, course) = COURSES.iter().find(|(n, _)| *n == base)?;
         Some(Self { name, course, opposite })
     }
 
-    /// The names of all built-in motions.
+    /// Returns the names of all built-in motions.
     pub fn names() -> Vec<String> {
         let both = |(name, _): &(&str, Course)| [(*name).to_owned(), format!("{name}_opp")];
         COURSES.iter().flat_map(both).collect()
     }
 
-    /// Its name.
+    /// Returns the name.
     pub fn name(&self) -> String {
         format!("{}{}", self.name, if self.opposite { "_opp" } else { "" })
     }
 
-    /// Where the handles that began at `start` are at time `t` \[s\]; y up \[m\]. Before 0 and past the end they rest.
+    /// Returns the positions at time `t` \[s\] of handles that began at `start`; y up \[m\]. The handles rest
+    /// before 0 and past the end.
     pub fn at(&self, t: f64, start: &[[f64; 3]]) -> Vec<[f64; 3]> {
         let sign = if self.opposite { -1.0 } else { 1.0 };
         let done = sign * progress(t);
@@ -90,15 +92,15 @@ impl BuiltIn {
     }
 }
 
-/// How far along the metre a motion is at time `t` \[s\]: 0 to 1.
+/// Returns how far along its metre a motion is at time `t` \[s\]: 0 to 1.
 fn progress(t: f64) -> f64 {
     let moving = (t - REST_BEFORE_S).clamp(0.0, MOVES);
-    // There, back and there again: cos(pi t) runs through all three without a seam.
+    // There, back and there again: cos(pi t) runs smoothly through all three.
     0.5 * (1.0 - (PI * moving).cos())
 }
 
-/// The points turned about the vertical axis through `centre`, in the negative sense about +y, until the farthest of
-/// them has gone `arc` \[m\].
+/// Rotates the points about the vertical axis through `centre`, in the negative sense about +y, until the
+/// farthest of them has moved along an arc of length `arc` \[m\].
 fn rotate(centre: [f64; 3], arc: f64, points: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let radius = |p: &[f64; 3]| (p[0] - centre[0]).hypot(p[2] - centre[2]);
     let farthest = points.iter().map(radius).fold(0.0, f64::max);
@@ -113,22 +115,22 @@ fn rotate(centre: [f64; 3], arc: f64, points: &[[f64; 3]]) -> Vec<[f64; 3]> {
     points.iter().map(turn).collect()
 }
 
-/// How a scene moves its handles.
+/// The motion of the handles of a scene.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Motion {
-    /// The handles stay where the start state has them.
+    /// The handles keep their positions in the start state.
     Still,
     /// A built-in motion.
     BuiltIn(BuiltIn),
-    /// A `.npy` file of shape [frames, handles, 3] in metres and the scene's axes, one row for each frame time.
+    /// A `.npy` file of shape [frames, handles, 3] in metres and the scene's axes, one row per frame time.
     File(PathBuf),
-    /// Positions of all handles for each frame time \[m\], in the scene's axes.
+    /// Positions of all handles at each frame time \[m\], in the scene's axes.
     Rows(Vec<Vec<[f64; 3]>>),
 }
 
 impl Motion {
-    /// The motion that a text names: a built-in one, `none`, or a `.npy` path, which is taken relative to `folder`.
-    /// `origin` is the file or option that gave the text.
+    /// Parses the name of a built-in motion, `none`, or the path of a `.npy` file relative to `folder`.
+    /// `origin` is the file or option that the text comes from.
     pub fn parse(text: &str, origin: &str, folder: &Path) -> Result<Self> {
         if text == STILL {
             Ok(Motion::Still)
@@ -179,7 +181,7 @@ impl Recording {
         Ok(Self { points: points::from_array(&origin, &array)?, handles })
     }
 
-    /// Rows of `handles` positions each; `origin` names the scene.
+    /// Takes rows of `handles` positions each; `origin` names the scene.
     pub fn from_rows(rows: &[Vec<[f64; 3]>], handles: usize, origin: &str) -> Result<Self> {
         if rows.is_empty() {
             return Err(Error::invalid(origin, "motion", "at least one row of positions", "none"));
@@ -191,12 +193,13 @@ impl Recording {
         Ok(Self { points: rows.concat(), handles })
     }
 
-    /// Number of recorded frames, at least one.
+    /// Returns the number of recorded frames, at least one.
     pub fn frames(&self) -> usize {
         self.points.len() / self.handles
     }
 
-    /// The positions at a place between the recorded frames, linearly between its two neighbours; past the end, the last.
+    /// Returns the positions at a fractional frame, interpolated linearly; past the end, those of the last
+    /// frame.
     pub fn at(&self, frame: f64) -> Vec<[f64; 3]> {
         let last = self.frames() - 1;
         let row = |k: usize| &self.points[k.min(last) * self.handles..][..self.handles];

@@ -1,4 +1,4 @@
-//! OBJ files whose vertices are the particles of a grid, in their order.
+//! OBJ files whose vertices are the particles of a grid, in order.
 
 use crate::sim::Grid;
 use crate::{Error, Result, io::Polygons};
@@ -9,18 +9,18 @@ use std::path::Path;
 pub(super) struct Mesh(Polygons<f64>);
 
 impl Mesh {
-    /// Reads a file.
+    /// Reads an OBJ file.
     pub fn read(path: &Path) -> Result<Self> {
         Polygons::read(path).map(Self)
     }
 
-    /// Positions, in the order of the file.
+    /// Returns the positions, in the order of the file.
     pub fn into_points(self) -> Vec<[f64; 3]> {
         self.0.positions
     }
 
-    /// Checks that the vertices are those of `grid` and that the faces, if there are any, cover each of its cells once
-    /// by a quadrilateral or by two triangles.
+    /// Checks that there is one vertex per particle of `grid` and that the faces, if there are any, cover
+    /// each of its cells once, by a quadrilateral or by two triangles.
     pub fn check(&self, grid: Grid) -> Result<()> {
         let Polygons { origin, positions, faces } = &self.0;
         if positions.len() != grid.particles() {
@@ -30,7 +30,7 @@ impl Mesh {
         if faces.is_empty() {
             return Ok(());
         }
-        // For each cell: how many triangles cover it, and which of its corners they leave out.
+        // For each cell: the number of triangles that cover it, and which of its corners they leave out.
         let mut cells = vec![(0u32, 0u8); grid.particles()];
         for (face, line) in faces {
             let (cell, triangles, left_out) = place(grid, face).ok_or_else(|| {
@@ -47,7 +47,7 @@ impl Mesh {
         for i in 0..grid.h - 1 {
             for j in 0..grid.w - 1 {
                 let (triangles, left_out) = cells[i * grid.w + j];
-                // Two triangles cover a cell when the corners that they leave out are opposite.
+                // Two triangles cover a cell if the corners that they leave out are opposite.
                 if triangles != 2 || !matches!(left_out, 0 | 0b0101 | 0b1010) {
                     let field = format!("faces of cell ({i}, {j})");
                     let found = format!("{triangles} triangles that do not");
@@ -58,12 +58,12 @@ impl Mesh {
         Ok(())
     }
 
-    /// Whether the faces fit `grid`, for files that leave the order of the sides open.
+    /// Whether the mesh fits `grid`, for files that leave the order of the sides open.
     pub fn fits(&self, grid: Grid) -> bool {
         self.check(grid).is_ok()
     }
 
-    /// A remark for faces that do not fit: most often the sides are exchanged.
+    /// Returns a hint for faces that do not fit: most often the sides are swapped.
     fn hint(&self, grid: Grid) -> String {
         let turned = Grid { h: grid.w, w: grid.h };
         let fits = |grid| self.0.faces.iter().all(|(face, _)| place(grid, face).is_some());
@@ -71,8 +71,8 @@ impl Mesh {
     }
 }
 
-/// The cell that a face lies in, the number of triangles that it counts for, and the corners of the cell that it leaves
-/// out, as bits in the order around the cell.
+/// Returns the cell that a face lies in, the number of triangles that it counts for, and the corners of the
+/// cell that it leaves out, as bits in order around the cell.
 fn place(grid: Grid, face: &[usize]) -> Option<(usize, u32, u8)> {
     let i = face.iter().map(|v| v / grid.w).min()?;
     let j = face.iter().map(|v| v % grid.w).min()?;

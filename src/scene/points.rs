@@ -1,9 +1,10 @@
-//! Points: from arrays, and arithmetic on them.
+//! Points: reading them from arrays, and arithmetic.
 
 use crate::{Error, Result};
 use ndarray::ArrayD;
 
-/// The rows of an array of shape [.., 3] as finite points, in row-major order.
+/// Returns the rows of an array of shape [.., 3] as points, in row-major order. Fails if a number is not
+/// finite.
 pub(super) fn from_array(origin: &str, array: &ArrayD<f64>) -> Result<Vec<[f64; 3]>> {
     let flat: Vec<f64> = array.iter().copied().collect();
     if let Some(k) = flat.iter().position(|v| !v.is_finite()) {
@@ -13,12 +14,12 @@ pub(super) fn from_array(origin: &str, array: &ArrayD<f64>) -> Result<Vec<[f64; 
     Ok(flat.as_chunks::<3>().0.to_vec())
 }
 
-/// Two points component by component through `f`.
+/// Combines two points component by component with `f`.
 pub(super) fn zip(a: [f64; 3], b: [f64; 3], f: impl Fn(f64, f64) -> f64) -> [f64; 3] {
     std::array::from_fn(|c| f(a[c], b[c]))
 }
 
-/// The length of a vector.
+/// Returns the length of a vector.
 pub(super) fn norm(v: [f64; 3]) -> f64 {
     v.iter().map(|c| c * c).sum::<f64>().sqrt()
 }

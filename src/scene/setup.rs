@@ -1,4 +1,4 @@
-//! What a simulation needs of a scene: everything in grid units, z up.
+//! The form of a scene that a simulation needs: everything in grid units, z up.
 
 use super::motion::Recording;
 use super::points::{norm, zip};
@@ -9,63 +9,67 @@ use crate::{Error, Result};
 use num_traits::Float;
 use std::ops::RangeInclusive;
 
-/// The longest run, and the most handle positions, that a scene may ask for: far above any use, well inside memory.
+/// The most frames and the most handle positions that a scene may ask for: far above any use, well within
+/// memory.
 const MAX_FRAMES: usize = 1_000_000;
 const MAX_HANDLE_POSITIONS: usize = 50_000_000;
-/// Spacing of the numbers in single precision \[edges\] beyond which frames suffer from where the cloth is.
+/// Spacing of single-precision numbers \[edges\] above which the cloth's distance from the origin harms its
+/// frames.
 const COARSEST: f64 = 1e-3;
-/// Mean lengths of a start's edges \[edges\] that need no word: folds and wrinkles leave edges as they are.
+/// Mean lengths of a start's edges \[edges\] that need no warning: folds and wrinkles do not change edge
+/// lengths.
 const USUAL: RangeInclusive<f64> = 0.9..=1.1;
-/// Frames of a scene whose handles stay, where it does not say how many: as many as the built-in motions have.
+/// Default number of frames of a scene whose handles do not move: as many as the built-in motions have at
+/// 1/60 s.
 const STILL_FRAMES: usize = 391;
 
-/// A scene made ready: one cloth in grid units, z up, and the way back to SI units.
+/// A scene ready to simulate: one cloth in grid units, z up, and the conversion back to SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Setup {
-    /// What stays fixed; one cloth.
+    /// The grid and the constants of the one cloth.
     pub model: Model,
-    /// The start state, frame 0.
+    /// The start state, at frame 0.
     pub start: State<f64>,
-    /// Handle positions \[edges\] for each frame, the start included, shape `[frames][handles]`.
+    /// Handle positions \[edges\] for each frame, including the start, shape `[frames][handles]`.
     pub handles: Vec<Vec<[f64; 3]>>,
     /// Wind velocity [edges / frame].
     pub wind: [f64; 3],
-    /// What an edge, a frame and a cell weigh in SI units.
+    /// Size of the grid units in SI units.
     pub units: Units,
-    /// The axis that points up at the surface.
+    /// The axis that points up in the scene.
     pub up: UpAxis,
 }
 
 /// Several cloths on one grid, ready to advance together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Batch {
-    /// What stays fixed; B cloths.
+    /// The grid and the constants of the B cloths.
     pub model: Model,
-    /// The start states, frame 0.
+    /// The start states, at frame 0.
     pub start: State<f64>,
-    /// Handle positions \[edges\] for each frame, all handles of cloth 0, then of cloth 1, and so on. As many frames as
-    /// the longest cloth has; the handles of the others stay at their last positions.
+    /// Handle positions \[edges\] for each frame: all handles of cloth 0, then of cloth 1, and so on. There
+    /// are as many frames as the longest cloth has; the others' handles keep their last positions.
     pub handles: Vec<Vec<[f64; 3]>>,
     /// Wind velocity of each cloth [edges / frame], shape `[B]`.
     pub wind: Vec<[f64; 3]>,
     /// Units of each cloth, shape `[B]`.
     pub units: Vec<Units>,
-    /// The axis that points up at the surface of each cloth, shape `[B]`.
+    /// The axis that points up in each cloth's scene, shape `[B]`.
     pub up: Vec<UpAxis>,
 }
 
-/// Positions, velocities or the like, shape [3, H, W], point by point through `f`.
+/// Maps each point of a field of shape [3, H, W], such as positions or velocities, with `f`.
 fn each_point<T: Float>(field: &[T], f: impl Fn([f64; 3]) -> [f64; 3]) -> Vec<[f64; 3]> {
     let n = field.len() / 3;
     (0..n).map(|p| f([p, n + p, 2 * n + p].map(|k| cast(field[k])))).collect()
 }
 
-/// Points in the order of their numbers as a field of shape [3, H, W].
+/// Converts points in particle order into a field of shape [3, H, W].
 fn field(points: &[[f64; 3]]) -> Vec<f64> {
     (0..3).flat_map(|c| points.iter().map(move |p| p[c])).collect()
 }
 
-/// The control of a frame; the handles of a frame past the end stay at their last positions.
+/// Returns the control of a frame; past the end, the handles keep their last positions.
 fn control<T: Float>(handles: &[Vec<[f64; 3]>], wind: &[[f64; 3]], frame: usize) -> Control<T> {
     let row = handles.get(frame).or(handles.last()).map_or(&[][..], Vec::as_slice);
     Control {
@@ -76,37 +80,41 @@ fn control<T: Float>(handles: &[Vec<[f64; 3]>], wind: &[[f64; 3]], frame: usize)
 }
 
 impl Setup {
-    /// Number of frames, the start included.
+    /// Returns the number of frames, including the start.
     pub fn frames(&self) -> usize {
         self.handles.len()
     }
 
-    /// What drives the step that ends at `frame`, counted from the start as 0; past the end the handles stay.
+    /// Returns the control of the step that ends at `frame`, where the start is frame 0. Past the end, the
+    /// handles keep their last positions.
     pub fn control<T: Float>(&self, frame: usize) -> Control<T> {
         control(&self.handles, &[self.wind], frame)
     }
 
-    /// A place \[m\] in the scene's axes as a [`Control`] has a handle there: in edges, z up.
+    /// Converts a position \[m\] in the scene's axes to a handle position of a [`Control`]: in edges, z up.
     pub fn handle_at<T: Float>(&self, m: [f64; 3]) -> [T; 3] {
         self.units.position(self.up.to_z_up(m)).map(cast)
     }
 
-    /// A velocity [m/s] in the scene's axes as a [`Control`] has wind: in edges a frame, z up.
+    /// Converts a velocity [m/s] in the scene's axes to the wind of a [`Control`]: in edges per frame, z up.
     pub fn wind_of<T: Float>(&self, m_s: [f64; 3]) -> [T; 3] {
         self.units.velocity(self.up.to_z_up(m_s)).map(cast)
     }
 
-    /// Positions \[edges\], z up, shape [3, H, W], as vertices \[m\] in the scene's axes, shape `[H W]`.
+    /// Converts positions \[edges\], z up, shape [3, H, W], to vertices \[m\] in the scene's axes, shape
+    /// `[H W]`.
     pub fn vertices_m<T: Float>(&self, x: &[T]) -> Vec<[f64; 3]> {
         each_point(x, |p| self.up.from_z_up(self.units.position_m(p)))
     }
 
-    /// Velocities [edges / frame], z up, shape [3, H, W], as velocities [m/s] in the scene's axes, shape `[H W]`.
+    /// Converts velocities [edges / frame], z up, shape [3, H, W], to velocities [m/s] in the scene's axes,
+    /// shape `[H W]`.
     pub fn velocities_m_s<T: Float>(&self, v: &[T]) -> Vec<[f64; 3]> {
         each_point(v, |p| self.up.from_z_up(self.units.velocity_m_s(p)))
     }
 
-    /// A trajectory that holds the start and has room for all frames; an error when memory does not suffice.
+    /// Returns a trajectory that holds the start and has capacity for all frames. Fails if there is not
+    /// enough memory.
     pub fn trajectory(&self) -> Result<Trajectory> {
         let mut trajectory = Trajectory::new(self.model.grid, 1.0 / self.units.frame_time_s);
         trajectory.reserve(self.frames())?;
@@ -114,14 +122,15 @@ impl Setup {
         Ok(trajectory)
     }
 
-    /// Adds the state at the end of a frame to a trajectory.
+    /// Appends the state at the end of a frame to a trajectory.
     pub fn push(&self, trajectory: &mut Trajectory, state: &State<f32>) {
         let single =
             |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
         trajectory.push(&single(self.vertices_m(&state.x)), &single(self.velocities_m_s(&state.v)));
     }
 
-    /// Makes one batch of several scenes on one grid with one frame time.
+    /// Combines several setups into one batch. Fails if there are none, or if their grids or frame times
+    /// differ.
     pub fn batch(setups: &[Setup]) -> Result<Batch> {
         let Some(first) = setups.first() else {
             return Err(Error::invalid("batch", "cloths", "at least one", 0));
@@ -154,19 +163,20 @@ impl Setup {
 }
 
 impl Batch {
-    /// Number of frames, the start included.
+    /// Returns the number of frames, including the start.
     pub fn frames(&self) -> usize {
         self.handles.len()
     }
 
-    /// What drives the step that ends at `frame`, counted from the start as 0; past the end the handles stay.
+    /// Returns the control of the step that ends at `frame`, where the start is frame 0. Past the end, the
+    /// handles keep their last positions.
     pub fn control<T: Float>(&self, frame: usize) -> Control<T> {
         control(&self.handles, &self.wind, frame)
     }
 }
 
 impl Scene {
-    /// Checks the scene, reads its files and turns it into grid units, z up.
+    /// Checks the scene, reads its files and converts it to grid units, z up.
     pub fn setup(&self) -> Result<Setup> {
         let units = self.check()?;
         let grid = self.grid;
@@ -175,7 +185,8 @@ impl Scene {
         let at_start: Vec<[f64; 3]> = particles.iter().map(|&p| points[p]).collect();
         let handles = self.trajectory(&units, &at_start)?;
         self.tell_other_size(&points);
-        // A recording's first row is where the handles are at the start; for a built-in motion this changes nothing.
+        // The first row of a recording places the handles at the start; for a built-in motion this changes
+        // nothing.
         let gaps =
             particles.iter().zip(&handles[0]).map(|(&p, &at)| (norm(zip(points[p], at, |p, at| p - at)), p));
         let far: Vec<(f64, usize)> = gaps.filter(|&(gap, _)| gap > 1.0).collect();
@@ -216,7 +227,8 @@ impl Scene {
         Ok(setup)
     }
 
-    /// Says so where the start's edges are not about as long as the sheet's: the usual mistake is another unit or side.
+    /// Warns if the start's edges are not about as long as the sheet's. The usual mistake is a wrong unit or
+    /// side.
     fn tell_other_size(&self, points: &[[f64; 3]]) {
         let Grid { h, w } = self.grid;
         let mean = |edges: &mut dyn Iterator<Item = (usize, usize)>| {
@@ -237,7 +249,7 @@ impl Scene {
         }
     }
 
-    /// Handle positions \[edges\], z up, for each frame, from the handles' places at the start.
+    /// Returns the handle positions \[edges\], z up, of each frame, given those at the start.
     fn trajectory(&self, units: &Units, at_start: &[[f64; 3]]) -> Result<Vec<Vec<[f64; 3]>>> {
         let many = at_start.len();
         if many == 0 && self.motion != Motion::Still {
@@ -263,7 +275,7 @@ impl Scene {
         }
     }
 
-    /// [`Scene::trajectory`] of a recording of `many` handles.
+    /// Implements [`Scene::trajectory`] for a recording of `many` handles.
     fn play(&self, recording: &Recording, units: &Units, many: usize) -> Result<Vec<Vec<[f64; 3]>>> {
         let frames = self.frame_count((recording.frames() - 1) as f64 / self.speed, many)?;
         let inside = |p| units.position(self.up.to_z_up(p));
@@ -271,7 +283,8 @@ impl Scene {
         Ok((0..frames).map(row).collect())
     }
 
-    /// The frames that the scene asks for, or those that it takes to the end of its motion, `steps` after the start.
+    /// Returns the number of frames that the scene specifies, or the number that reaches the end of its
+    /// motion, `steps` after the start.
     fn frame_count(&self, steps: f64, handles: usize) -> Result<usize> {
         let (field, frames) = match self.frames {
             Some(frames) => ("frames", frames),
@@ -287,8 +300,8 @@ impl Scene {
         }
     }
 
-    /// Numbers that are finite in SI units may not be so in grid units, nor in single precision, in which frames are computed
-    /// and written.
+    /// Fails if a number overflows in grid units, or in single precision, in which frames are computed and
+    /// written, though it is finite in SI units.
     fn check_finite(&self, setup: &Setup) -> Result<()> {
         let single = |v: f64| (v as f32).is_finite();
         let (cloth, units) = (&setup.model.cloths[0], &setup.units);
@@ -320,9 +333,10 @@ impl Scene {
         }
     }
 
-    /// The same scene on another grid: the side along the height stays and cells are square, so the width follows, and
-    /// so does the total mass; grid coefficients stay as they are, moduli stay the sheet's; listed handles move to the
-    /// nearest particle, several to one if no recording moves them, and a start state from a file is resampled.
+    /// Moves the scene to another grid. The side along the height is kept and cells are square, so the width
+    /// follows, and the total mass with it. Grid coefficients and moduli keep their values. Listed handles
+    /// move to the nearest particle; those that meet on one are merged unless the motion is recorded. A start
+    /// state from a file is resampled.
     pub fn regrid(&mut self, grid: Grid) -> Result<()> {
         let old = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
         let grid = Grid::new(grid.h, grid.w, &self.origin)?;

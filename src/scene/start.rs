@@ -1,4 +1,4 @@
-//! Where the cloth is at frame 0, and how it moves.
+//! The start state: positions and velocities at frame 0.
 
 use super::obj::Mesh;
 use super::points;
@@ -9,23 +9,24 @@ use crate::sim::Grid;
 use crate::{Error, Result, io};
 use std::path::{Path, PathBuf};
 
-/// An affine map of positions in a scene's axes \[m\]: three rows, the last column is the translation.
+/// An affine map of positions in a scene's axes \[m\]: three rows, whose last column is the translation.
 pub type Transform = [[f64; 4]; 3];
 
-/// Positions of all particles in a file.
+/// A file with the positions of all particles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartFile {
-    /// An OBJ file, vertex `i W + j` being particle (i, j), or a `.npy` of shape [H, W, 3] or [H W, 3], or of a trajectory
-    /// [frames, H W, 3], whose first frame is taken; the scene's axes \[m\]. Or a `.npz` of a trajectory, as a rollout writes it:
-    /// its last frame with the velocities there.
+    /// An OBJ file whose vertex `i W + j` is particle (i, j); a `.npy` of shape [H, W, 3], [H W, 3] or, for a
+    /// trajectory whose first frame is used, [frames, H W, 3]; or the `.npz` of a rollout, whose last frame
+    /// is used with its velocities. Positions are in the scene's axes \[m\].
     pub path: PathBuf,
-    /// The grid of the file; none for the scene's, or that of the faces in a `.npz`. Where they differ the sheet is resampled.
+    /// The grid of the file. `None` means the scene's grid, or for a `.npz` the grid given by its faces. If
+    /// the grid of the file differs from the scene's, the sheet is resampled.
     pub grid: Option<Grid>,
-    /// What is applied to the file's positions.
+    /// Transform applied to the file's positions.
     pub transform: Option<Transform>,
 }
 
-/// The start state of a scene. Velocities are zero but for those in a `.npz`.
+/// The start state of a scene. Velocities are zero except from a `.npz`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Start {
     /// `settled`: a drape that hangs from its corners (H-1, 0) and (0, 0), which are 0.9 of the side apart.
@@ -37,8 +38,8 @@ pub enum Start {
     Hanging,
     /// Positions from a file.
     File(StartFile),
-    /// Positions of the particles of a grid, in the order of their numbers and the scene's axes \[m\]. On another grid the
-    /// sheet is resampled.
+    /// Positions of the particles of a grid, in particle order and the scene's axes \[m\]. On another grid
+    /// the sheet is resampled.
     Vertices(Grid, Vec<[f64; 3]>),
 }
 
@@ -51,8 +52,8 @@ fn is_file(text: &str) -> bool {
 }
 
 impl Start {
-    /// The start state that a text names: a built-in one, or the path of an `.obj`, `.npy` or `.npz` file, taken
-    /// relative to `folder`. `origin` is the file or option that gave the text.
+    /// Parses the name of a built-in start state, or the path of an `.obj`, `.npy` or `.npz` file relative to
+    /// `folder`. `origin` is the file or option that the text comes from.
     pub fn parse(text: &str, origin: &str, folder: &Path) -> Result<Self> {
         match text {
             "settled" => Ok(Start::Settled),
@@ -68,7 +69,7 @@ impl Start {
         }
     }
 
-    /// Its name, where it needs no file.
+    /// Returns the name of a built-in start state.
     pub(super) fn name(&self) -> Option<&'static str> {
         match self {
             Start::Settled => Some(NAMES[0]),
@@ -78,7 +79,7 @@ impl Start {
         }
     }
 
-    /// Positions and velocities of the particles of `grid`, in the order of their numbers; grid units, z up.
+    /// Returns the positions and velocities of the particles of `grid`, in particle order; grid units, z up.
     pub(super) fn on(&self, grid: Grid, units: &Units, up: UpAxis) -> Result<[Vec<[f64; 3]>; 2]> {
         let points = match self {
             Start::Settled => {
@@ -87,7 +88,8 @@ impl Start {
                 Surface::settled(grid)?.points.into_iter().map(edges).collect()
             }
             Start::Flat => (0..grid.particles()).map(|p| grid.rest(p)).collect(),
-            // In the axes of the drape: with y up, i runs along +z and the upper edge is half a side above the origin.
+            // In the axes of the drape: with y up, i runs along +z and the upper edge is half a side above
+            // the origin.
             Start::Hanging => {
                 let half = (grid.h - 1) as f64 / 2.0;
                 let upright = |p: usize| [0.0, half - (p / grid.w) as f64, half - (p % grid.w) as f64];
@@ -114,7 +116,8 @@ impl Start {
 }
 
 impl StartFile {
-    /// The sheet in the file, on its own grid, before the transform, and its velocities [m/s] where it has some.
+    /// Reads the sheet on the grid of the file, before the transform, and its velocities [m/s] if the file
+    /// has them.
     fn read(&self, scene_grid: Grid) -> Result<(Surface, Option<Surface>)> {
         if self.is_trajectory() {
             let trajectory =
@@ -153,12 +156,12 @@ impl StartFile {
         Ok((Surface { grid, points }, None))
     }
 
-    /// Whether it is a trajectory that knows its grid and its velocities.
+    /// Whether the file is a `.npz` trajectory, which has its own grid and velocities.
     pub(super) fn is_trajectory(&self) -> bool {
         self.path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz"))
     }
 
-    /// A position (`weight` 1) or a velocity (0) after the transform.
+    /// Applies the transform to a position (`weight` 1) or a velocity (`weight` 0).
     fn transformed(&self, p: [f64; 3], weight: f64) -> [f64; 3] {
         let row = |r: [f64; 4]| r[0] * p[0] + r[1] * p[1] + r[2] * p[2] + weight * r[3];
         self.transform.map_or(p, |t| t.map(row))
@@ -194,7 +197,7 @@ pub(super) fn read_transform(node: &Node) -> Result<Transform> {
     Ok([rows[0], rows[1], rows[2]])
 }
 
-/// The matrix of a turn about an axis (Rodrigues).
+/// Returns the matrix of a rotation about an axis (Rodrigues).
 fn rotation(node: &Node, [degrees, x, y, z]: [f64; 4]) -> Result<[[f64; 3]; 3]> {
     let length = points::norm([x, y, z]);
     if length == 0.0 || !length.is_finite() {

@@ -1,10 +1,10 @@
-//! Sampled sheets: the stored drapes, and carrying a sheet from one grid to another.
+//! Sampled sheets: the stored drapes, and resampling from one grid to another.
 
 use super::points::{self, norm, zip};
 use crate::sim::Grid;
 use crate::{Result, io};
 
-/// A drape that hangs at rest from its two upper corners, drawn together to 0.9 of the side; side 1 m, y up.
+/// Drapes at rest, hanging from the two upper corners, which are 0.9 of the side apart; side 1 m, y up.
 const SETTLED: [&[u8]; 2] = [
     include_bytes!("../../assets/starts/settled_32.npy"),
     include_bytes!("../../assets/starts/settled_64.npy"),
@@ -20,17 +20,17 @@ pub(super) struct Surface {
 }
 
 impl Surface {
-    /// The settled drape on `grid` for a sheet of height 1 m, y up \[m\].
+    /// Returns the settled drape on `grid` for a sheet of height 1 m, y up \[m\].
     pub fn settled(grid: Grid) -> Result<Self> {
-        // The nearer of the two in size; in between (48 x 48) the finer one, which loses less.
+        // The stored grid nearer in size; at 48 x 48, in between, the finer one, which loses less.
         let fine = grid.particles() >= 48 * 48;
         let stored = io::parse_npy("the stored drape", SETTLED[usize::from(fine)])?;
         let grid_of = Grid { h: stored.shape()[0], w: stored.shape()[1] };
         Ok(Self { grid: grid_of, points: points::from_array("the stored drape", &stored)? }.regrid(grid))
     }
 
-    /// The sheet on another grid of square cells, its height kept. Where the ratio of the sides changes, the sheet
-    /// becomes longer or shorter along its width so that the edges keep about their length.
+    /// Resamples the sheet to another grid of square cells, keeping its height. If the ratio of the sides
+    /// changes, the sheet becomes longer or shorter along its width, so that edges roughly keep their length.
     pub fn regrid(&self, grid: Grid) -> Self {
         let ratio = grid.aspect() / self.grid.aspect();
         let mut sheet = if grid == self.grid { self.clone() } else { self.resample(grid) };
@@ -42,8 +42,9 @@ impl Surface {
         sheet
     }
 
-    /// Samples the sheet at the particles of another grid, corners on corners, through Catmull-Rom splines: linear
-    /// pieces would put all the bending of a finer grid into creases along the lines of the coarser one.
+    /// Samples the sheet at the particles of another grid with Catmull-Rom splines, corners aligned. Linear
+    /// interpolation would put all the bending of a finer grid into creases along the lines of the coarser
+    /// one.
     fn resample(&self, grid: Grid) -> Self {
         let place = |k: usize, n: usize, m: usize| (k * (n - 1)) as f64 / (m - 1) as f64;
         let mut points = Vec::with_capacity(grid.particles());
@@ -59,8 +60,8 @@ impl Surface {
         Self { grid, points }
     }
 
-    /// Draws every row of particles towards its end at j = 0: edges along the width shrink by exactly `ratio`, and those
-    /// along the height stay mixtures of two of the sheet's own.
+    /// Contracts every row of particles towards its end at j = 0. Edges along the width shrink by exactly
+    /// `ratio`; edges along the height become blends of two of the original ones.
     fn shorten(&mut self, ratio: f64) {
         for row in self.points.chunks_mut(self.grid.w) {
             let end = row[0];
@@ -68,9 +69,9 @@ impl Surface {
         }
     }
 
-    /// Moves every column as a whole, along its mean direction from the one before, until the edges between the two are
-    /// on average `ratio` times as long. Edges along the height do not change: stretching each row on its own, as
-    /// [`Surface::shorten`] does, would tear neighbouring rows of a fold apart.
+    /// Shifts every column as a whole along its mean direction from the previous column, until the edges
+    /// between the two are on average `ratio` times as long. Edges along the height do not change: stretching
+    /// each row separately, as [`Surface::shorten`] does, would tear apart the neighbouring rows of a fold.
     fn lengthen(&mut self, ratio: f64) {
         let Grid { h, w } = self.grid;
         let before = self.points.clone();
@@ -86,7 +87,8 @@ impl Surface {
             let length = |by: f64| {
                 edges.iter().map(|e| norm(zip(*e, direction, |e, d| e + by * d))).sum::<f64>() / h as f64
             };
-            // The mean length grows with the shift, and at (ratio + 1) times the length it is past its aim.
+            // The mean length grows with the shift, and a shift of (ratio + 1) times the length exceeds the
+            // aim.
             let aim = ratio * length(0.0);
             let (mut low, mut high) = (0.0, aim + length(0.0));
             for _ in 0..24 {
@@ -102,7 +104,8 @@ impl Surface {
     }
 }
 
-/// The Catmull-Rom spline through `n` points at parameter `at`, 0 to n - 1; beyond its ends the points go on in a line.
+/// Evaluates the Catmull-Rom spline through `n` points at parameter `at`, 0 to n - 1. Beyond the ends the
+/// points are extrapolated linearly.
 fn spline(n: usize, at: f64, point: impl Fn(usize) -> [f64; 3]) -> [f64; 3] {
     let k = (at as usize).min(n - 2);
     let t = at - k as f64;

@@ -1,20 +1,20 @@
-//! From SI units at the surface to grid units inside, and back (paper section 3.2).
+//! Conversion between SI units outside and grid units inside (paper section 3.2).
 
 use super::Separation;
 use crate::sim::{Air, Material, Repulsion};
 
-/// Which axis of a scene's positions, vectors and files points up. Inside, everything is z up.
+/// The axis of a scene's positions, vectors and files that points up. Internally, everything is z up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum UpAxis {
-    /// y up: (X, Y, Z) is (X, -Z, Y) inside.
+    /// y up: (X, Y, Z) is (X, -Z, Y) internally.
     #[default]
     Y,
-    /// z up, as inside.
+    /// z up, as internally.
     Z,
 }
 
 impl UpAxis {
-    /// A position or vector in these axes, turned to z up.
+    /// Rotates a position or vector from these axes to z up.
     pub fn to_z_up(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         match self {
             UpAxis::Y => [x, -z, y],
@@ -22,7 +22,7 @@ impl UpAxis {
         }
     }
 
-    /// A position or vector that is z up, turned to these axes.
+    /// Rotates a position or vector from z up to these axes.
     pub fn from_z_up(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
         match self {
             UpAxis::Y => [x, z, -y],
@@ -30,7 +30,7 @@ impl UpAxis {
         }
     }
 
-    /// The vector of length `size` that points down in these axes.
+    /// Returns the vector of length `size` that points down in these axes.
     pub fn down(self, size: f64) -> [f64; 3] {
         match self {
             UpAxis::Y => [0.0, -size, 0.0],
@@ -50,14 +50,14 @@ pub struct Moduli {
     pub bending_stiffness: f64,
 }
 
-/// What one unit of the grid is worth in SI units: an edge, a frame, and the mass of a cell's area.
+/// Size of the grid units in SI units: the length of an edge, the duration of a frame, and the mass per area.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Units {
     /// Rest length l of a grid edge \[m\].
     pub length_m: f64,
-    /// Time T of a frame \[s\].
+    /// Duration T of a frame \[s\].
     pub frame_time_s: f64,
-    /// Mass of the sheet by area rho [kg/m^2].
+    /// Mass per area rho of the sheet [kg/m^2].
     pub areal_mass_kg_m2: f64,
 }
 
@@ -66,37 +66,37 @@ fn scale(v: [f64; 3], by: f64) -> [f64; 3] {
 }
 
 impl Units {
-    /// Position \[m\] to \[edges\].
+    /// Converts a position from \[m\] to \[edges\].
     pub fn position(&self, m: [f64; 3]) -> [f64; 3] {
         scale(m, 1.0 / self.length_m)
     }
 
-    /// Position \[edges\] to \[m\].
+    /// Converts a position from \[edges\] to \[m\].
     pub fn position_m(&self, edges: [f64; 3]) -> [f64; 3] {
         scale(edges, self.length_m)
     }
 
-    /// Velocity [m/s] to [edges / frame].
+    /// Converts a velocity from [m/s] to [edges / frame].
     pub fn velocity(&self, m_s: [f64; 3]) -> [f64; 3] {
         scale(m_s, self.frame_time_s / self.length_m)
     }
 
-    /// Velocity [edges / frame] to [m/s].
+    /// Converts a velocity from [edges / frame] to [m/s].
     pub fn velocity_m_s(&self, grid: [f64; 3]) -> [f64; 3] {
         scale(grid, self.length_m / self.frame_time_s)
     }
 
-    /// Acceleration [m/s^2] to [edges / frame^2].
+    /// Converts an acceleration from [m/s^2] to [edges / frame^2].
     pub fn acceleration(&self, m_s2: [f64; 3]) -> [f64; 3] {
         scale(m_s2, self.frame_time_s * self.frame_time_s / self.length_m)
     }
 
-    /// Acceleration [edges / frame^2] to [m/s^2].
+    /// Converts an acceleration from [edges / frame^2] to [m/s^2].
     pub fn acceleration_m_s2(&self, grid: [f64; 3]) -> [f64; 3] {
         scale(grid, self.length_m / (self.frame_time_s * self.frame_time_s))
     }
 
-    /// Air of a density [kg/m^3] and a drag [N s/m^3] in grid units.
+    /// Converts the density [kg/m^3] and drag [N s/m^3] of air to grid units.
     pub fn air(&self, density: f64, drag: f64) -> Air {
         // A force density A v^2 on a cell's mass rho l^2, with A = a l^2 and v = u l / T, is the acceleration
         // density l / rho a u^2 [edges / frame^2]; likewise drag A v is drag T / rho a u.
@@ -106,20 +106,20 @@ impl Units {
         }
     }
 
-    /// Density [kg/m^3] and drag [N s/m^3] of air in grid units: the inverse of [`Units::air`].
+    /// Converts air in grid units to its density [kg/m^3] and drag [N s/m^3]: the inverse of [`Units::air`].
     pub fn air_si(&self, air: Air) -> (f64, f64) {
         let density = air.density * self.areal_mass_kg_m2 / self.length_m;
         (density, air.drag * self.areal_mass_kg_m2 / self.frame_time_s)
     }
 
-    /// What keeps layers apart in grid units: an energy by mass [m^2/s^2] becomes [edges^2 / frame^2].
+    /// Converts repulsion to grid units: an energy per unit mass [m^2/s^2] becomes [edges^2 / frame^2].
     pub fn repulsion(&self, separation: Separation) -> Repulsion {
         let edge_per_frame = self.length_m / self.frame_time_s;
         let Separation { strength, distance } = separation;
         Repulsion { strength: strength / (edge_per_frame * edge_per_frame), distance }
     }
 
-    /// The grid coefficients that give a sheet these moduli.
+    /// Returns the grid coefficients that give a sheet these moduli.
     pub fn material(&self, moduli: Moduli) -> Material {
         let [y, g, d] = self.moduli_of_unit_coefficients();
         Material {
@@ -129,7 +129,7 @@ impl Units {
         }
     }
 
-    /// The moduli that grid coefficients give a sheet.
+    /// Returns the moduli that these grid coefficients give a sheet.
     pub fn moduli(&self, material: Material) -> Moduli {
         let [y, g, d] = self.moduli_of_unit_coefficients();
         Moduli {
@@ -139,14 +139,16 @@ impl Units {
         }
     }
 
-    /// An energy in grid units (a term of `L`, section 2, which is a mean over the `particles` of a cloth) in joules.
+    /// Converts an energy in grid units (a term of `L`, section 2, which is a mean over the `particles` of a
+    /// cloth) to joules.
     pub fn energy_j(&self, energy: f64, particles: usize) -> f64 {
         // The inertia term 1/2 mean(M |a|^2) is 1/2 sum(m |a|^2) T^2 with m = M rho l^2 and a in l / T^2.
         let Units { length_m: l, frame_time_s: t, areal_mass_kg_m2: rho } = *self;
         energy * particles as f64 * rho * l.powi(4) / (t * t)
     }
 
-    /// Y [N/m], G [N/m] and D [N m] for the coefficients (1, 1, 1): 2 rho l^2 / T^2, 8 rho l^2 / T^2, 2 rho l^4 / T^2.
+    /// Returns Y [N/m], G [N/m] and D [N m] for the coefficients (1, 1, 1): 2 rho l^2 / T^2, 8 rho l^2 / T^2,
+    /// 2 rho l^4 / T^2.
     fn moduli_of_unit_coefficients(&self) -> [f64; 3] {
         let Units { length_m: l, frame_time_s: t, areal_mass_kg_m2: rho } = *self;
         let membrane = rho * l * l / (t * t);

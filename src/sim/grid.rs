@@ -1,8 +1,9 @@
-//! The grid of particles that a cloth is made of.
+//! The particle grid of a cloth.
 
 use crate::{Error, Result};
 
-/// A grid of `h * w` particles: `i` runs along the height, `j` along the width; particle `(i, j)` has number `i * w + j`.
+/// A grid of `h * w` particles: `i` runs along the height, `j` along the width. Particle `(i, j)` has number
+/// `i * w + j`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Grid {
     /// Particles along the height (H).
@@ -11,13 +12,14 @@ pub struct Grid {
     pub w: usize,
 }
 
-/// The smallest height and width that carry the network's 8 x 5 Fourier modes (section 4).
+/// The smallest height and width that can represent the network's 8 x 5 Fourier modes (section 4).
 pub const MIN_GRID: usize = 8;
-/// The largest height and width: particle numbers stay well inside 32 bits.
+/// The largest height and width, which keeps particle numbers well inside 32 bits.
 pub const MAX_GRID: usize = 4096;
 
 impl Grid {
-    /// A grid that a cloth can be simulated on; `origin` names where the sizes come from in the error.
+    /// Returns a grid of `h * w` particles. Fails unless both are in the range [`MIN_GRID`] to [`MAX_GRID`];
+    /// `origin` names the source of the sizes in the error.
     pub fn new(h: usize, w: usize, origin: &str) -> Result<Self> {
         for (name, n) in [("grid height", h), ("grid width", w)] {
             if !(MIN_GRID..=MAX_GRID).contains(&n) {
@@ -28,46 +30,47 @@ impl Grid {
         Ok(Self { h, w })
     }
 
-    /// Number of particles, `H W`.
+    /// Returns the number of particles, `H W`.
     pub fn particles(&self) -> usize {
         self.h * self.w
     }
 
-    /// Mass of particle `(i, j)` in grid units: 1 inside, 1/2 on the border, 1/4 in the corners.
-    /// Over the grid they add up to `(H - 1)(W - 1)`, the number of cells.
+    /// Returns the mass of particle `(i, j)` in grid units: 1 inside, 1/2 on the border, 1/4 in the corners.
+    /// The masses of a grid add up to `(H - 1)(W - 1)`, the number of cells.
     pub fn mass(&self, i: usize, j: usize) -> f64 {
         let edge = |k: usize, n: usize| if k == 0 || k + 1 == n { 0.5 } else { 1.0 };
         edge(i, self.h) * edge(j, self.w)
     }
 
-    /// Width over height of the sheet.
+    /// Returns the sheet's width divided by its height.
     pub(crate) fn aspect(&self) -> f64 {
         (self.w - 1) as f64 / (self.h - 1) as f64
     }
 
-    /// Whether two particles are the same one, or an edge of the triangulated grid joins them ([`Grid::faces`]).
+    /// Whether two particles are the same, or joined by an edge of the triangulated grid ([`Grid::faces`]).
     pub(crate) fn joined(&self, p: usize, q: usize) -> bool {
         let last = p.max(q);
         match p.abs_diff(q) {
             0 => true,
             n if n == self.w => true,
-            // Along a row or a diagonal, unless that leads from the end of one row to the beginning of another.
+            // Along a row or a diagonal, unless it wraps from the end of one row to the beginning of another.
             n if n == 1 || n == self.w + 1 => !last.is_multiple_of(self.w),
             _ => false,
         }
     }
 
-    /// Where particle `p` rests, flat and unstretched \[edges\], z up: `(j, i - (H-1)/2, 0)`.
+    /// Returns the rest position of particle `p`, flat and unstretched \[edges\], z up:
+    /// `(j, i - (H-1)/2, 0)`.
     pub(crate) fn rest(&self, p: usize) -> [f64; 3] {
         [(p % self.w) as f64, (p / self.w) as f64 - (self.h - 1) as f64 / 2.0, 0.0]
     }
 
-    /// Triangles as particle numbers, two per cell, cut along the diagonal (i, j) - (i+1, j+1).
+    /// Returns the triangles as particle numbers: two per cell, cut along the diagonal (i, j) - (i+1, j+1).
     pub fn faces(&self) -> Vec<[u32; 3]> {
         self.faces_in_turn().collect()
     }
 
-    /// The same one by one.
+    /// Iterates over the triangles of [`Grid::faces`].
     pub(crate) fn faces_in_turn(self) -> impl Iterator<Item = [u32; 3]> {
         let at = move |i: usize, j: usize| (i * self.w + j) as u32;
         let cell = move |i: usize, j: usize| {

@@ -1,4 +1,4 @@
-//! The learned optimizer on a device: what turns a gradient into the next iterate.
+//! The learned optimizer on a device: from a gradient to the next iterate.
 
 use super::Grid;
 use crate::Result;
@@ -8,18 +8,20 @@ use crate::kernels::operator::Scales;
 use crate::kernels::optim::{Fields, Iterate, Update, UpdateTensors};
 use crate::network::{Forward, Head, Keep, Plan, Weights};
 
-/// Network and update rule for the samples of a batch, in turns where their activations do not fit at once.
+/// The network and the update rule for the samples of a batch, in several passes if their activations do not
+/// fit at once.
 #[derive(Debug)]
 pub(crate) struct Learned {
     grid: Grid,
     forward: Forward,
     update: Update,
-    /// Whether the scalar head is made with the step: a dispatch less, for work that is done again in every workgroup.
+    /// Whether the update kernel computes the scalar head: one dispatch fewer, but every workgroup repeats
+    /// the work.
     joins_head: bool,
 }
 
 impl Learned {
-    /// Uploads the weights and makes what an iteration of `samples` samples needs.
+    /// Uploads the weights and builds what an iteration over `samples` samples needs.
     pub fn new(context: &Context, weights: &Weights, tuning: &Tuning, shape: (Grid, usize)) -> Result<Self> {
         let (grid, samples) = shape;
         let plan = Plan { grid, samples, tuning: *tuning, keep: Keep::Nothing };
@@ -28,11 +30,12 @@ impl Learned {
         Ok(Self { grid, forward, update: Update::new(context)?, joins_head: tuning.staged })
     }
 
-    /// Appends the step of `iterate`, from its gradient, whose partial sums of squares are in `sums` [S, parts, 2], and its hidden
-    /// state, both of which it changes; `scales` are those of all samples.
+    /// Appends the step that updates `iterate` and its hidden state from its gradient. `sums` [S, parts, 2]
+    /// holds the partial sums of squares of the gradient and the last step; `scales` are those of all
+    /// samples.
     pub fn push(&self, schedule: &mut Schedule, (iterate, sums): (&Iterate, &Tensor), scales: Scales<'_>) {
         let (samples, _) = iterate.samples_and_particles();
-        // What all workgroups of a step read, none of them may write.
+        // Every workgroup of the update reads the old scales, so the new ones must go elsewhere.
         let joins_head = self.joins_head && scales.before != scales.after;
         for first in (0..samples).step_by(self.forward.samples()) {
             let count = self.forward.samples().min(samples - first);

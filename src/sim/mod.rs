@@ -1,5 +1,6 @@
-//! The simulation: what is simulated ([`Model`], [`State`], [`Control`]) and what advances it: an [`Optimizer`], in a [`Solver`]
-//! that records GPU frames into its caller's encoder, or in a [`Simulator`] that runs on any device and reads back.
+//! The simulation: the cloths and their inputs ([`Model`], [`State`], [`Control`]), the [`Optimizer`] that
+//! advances them, a [`Solver`] that records GPU frames into the caller's encoder, and a [`Simulator`] that
+//! runs on any device and reads back.
 
 mod grid;
 mod learned;

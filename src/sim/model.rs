@@ -1,10 +1,11 @@
-//! What stays fixed during a run, what changes, and what a frame is driven by. Grid units throughout, z up.
+//! What stays fixed during a run, what changes, and what drives a frame. Grid units throughout, z up.
 
 use super::Grid;
 use crate::{Error, Result};
 use num_traits::Float;
 
-/// Energy coefficients in grid units (the paper's material parameters; [`EnergyTerms`](super::EnergyTerms) has the energy).
+/// Energy coefficients in grid units, the paper's material parameters; see
+/// [`EnergyTerms`](super::EnergyTerms) for the energy.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Material {
     /// Stretch coefficient `k_stretch`.
@@ -16,44 +17,47 @@ pub struct Material {
 }
 
 impl Default for Material {
-    /// The typical material of the paper: (1000, 8, 0.5).
+    /// Returns the typical material of the paper: (1000, 8, 0.5).
     fn default() -> Self {
         Self { stretch: 1000.0, shear: 8.0, bend: 0.5 }
     }
 }
 
-/// The air around a cloth, in grid units: the coefficients already contain the mass of one cell of the sheet, so that
-/// `density * area * |v_n| v_n n + drag * area * v_tangential`, divided by a particle's grid mass, is an acceleration.
+/// The air around a cloth, in grid units. The coefficients already contain the mass of one cell of the sheet,
+/// so that `density * area * |v_n| v_n n + drag * area * v_tangential`, divided by a particle's grid mass, is
+/// an acceleration.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Air {
-    /// Pressure coefficient of the normal part: `air density * spacing / areal mass`.
+    /// Pressure coefficient of the normal component: `air density * spacing / areal mass`.
     pub density: f64,
-    /// Friction coefficient of the tangential part: `drag * frame time / areal mass`.
+    /// Friction coefficient of the tangential component: `drag * frame time / areal mass`.
     pub drag: f64,
 }
 
-/// What keeps the layers of a cloth apart (paper section 3.4): particles that no edge of the triangulated grid joins repel each
-/// other where they are near. [`EnergyTerms::repulsion`](super::EnergyTerms::repulsion) has the energy.
+/// A repulsion that keeps the layers of a cloth apart (paper section 3.4): nearby particles repel each other
+/// unless an edge of the triangulated grid joins them. See
+/// [`EnergyTerms::repulsion`](super::EnergyTerms::repulsion) for the energy.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Repulsion {
-    /// Coefficient `k_repulsion` of the energy [edges^2 / frame^2]: the paper's `lambda` times the number of particles, so that
-    /// what pushes a particle does not depend on how many there are.
+    /// Coefficient `k_repulsion` of the energy [edges^2 / frame^2]: the paper's `lambda` times the number of
+    /// particles, so that the push on a particle does not depend on their number.
     pub strength: f64,
-    /// Distance below which particles repel each other, the paper's `delta` \[edges\]: 0.001 to 1, the length of an edge.
+    /// Distance below which particles repel each other \[edges\], the paper's `delta`: 0.001 to 1, the rest
+    /// length of an edge.
     pub distance: f64,
 }
 
 impl Repulsion {
-    /// Added to a squared distance [edges^2], so that particles at one place repel each other by what is finite.
+    /// Added to a squared distance [edges^2], so that the repulsion of coincident particles is finite.
     pub(crate) const SOFTENING: f64 = 1e-8;
 
-    /// An error if a number is not what it can be; `origin` and `field` say where they are from.
+    /// Fails if a number is out of range; `origin` and `field` name its source in the error.
     pub(crate) fn check(&self, origin: &str, field: &str) -> Result<()> {
         let Self { strength, distance } = *self;
         let refused = |part: &str, expected: &str, found: f64| {
             Err(Error::invalid(origin, format!("{field}.{part}"), expected, found))
         };
-        // A corner's quarter of a mass makes it sixteen times as much.
+        // The mass of a corner is 1/4, so the factor 4 k / m of its push is 16 k.
         if !(strength >= 0.0 && (16.0 * strength as f32).is_finite()) {
             return refused("strength", "0 or more, and finite in single precision", strength);
         }
@@ -64,38 +68,38 @@ impl Repulsion {
     }
 }
 
-/// One cloth of a batch: what stays fixed during a run.
+/// One cloth of a batch: the part that stays fixed during a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloth {
     /// Energy coefficients.
     pub material: Material,
     /// Gravity as an acceleration [edges / frame^2].
     pub gravity: [f64; 3],
-    /// The air it moves in; zero for none.
+    /// Air around it; zero for none.
     pub air: Air,
-    /// What keeps its layers apart; none for a cloth that passes through itself.
+    /// Repulsion between its layers; `None` for a cloth that passes through itself.
     pub repulsion: Option<Repulsion>,
-    /// Particle numbers of the handles, all different.
+    /// Particle numbers of the handles, without duplicates.
     pub handles: Vec<usize>,
 }
 
 /// A batch of independent cloths on one grid.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// The grid that all cloths share.
+    /// The grid, which all cloths share.
     pub grid: Grid,
     /// The cloths, B of them.
     pub cloths: Vec<Cloth>,
 }
 
 impl Model {
-    /// Number of cloths (B).
+    /// Returns the number of cloths (B).
     pub fn batch(&self) -> usize {
         self.cloths.len()
     }
 
-    /// An error if there is no cloth, a handle is no particle of the grid or named twice, a repulsion has other numbers than
-    /// [`Repulsion`] tells, or another number is not finite or, where it is no direction, negative.
+    /// Fails if there is no cloth, a handle is outside the grid or listed twice, a number of a repulsion is
+    /// out of the range given in [`Repulsion`], a coefficient is negative, or any number is not finite.
     pub fn check(&self) -> Result<()> {
         Grid::new(self.grid.h, self.grid.w, "model")?;
         let n = self.grid.particles();
@@ -114,7 +118,7 @@ impl Model {
             let refused = |what: &str, expected: &str, found: f64| {
                 Err(Error::invalid("model", format!("{what} of cloth {b}"), expected, found))
             };
-            // As the device has them, where they are beyond single precision.
+            // Checked as the device stores them: the value may overflow single precision.
             if let Some(&(what, k)) =
                 coefficients.iter().find(|(_, k)| !(*k >= 0.0 && (*k as f32).is_finite()))
             {
@@ -143,7 +147,8 @@ impl Model {
         Ok(())
     }
 
-    /// These cloths in place of the model's; an error if there are more or fewer, or they are no model ([`Model::check`]).
+    /// Returns the model with these cloths instead. Fails if their number differs, or if they are not valid
+    /// ([`Model::check`]).
     pub(crate) fn with_cloths(&self, cloths: &[Cloth]) -> Result<Self> {
         let model = Self { grid: self.grid, cloths: cloths.to_vec() };
         model.check()?;
@@ -161,13 +166,13 @@ impl Model {
         self.cloths.iter().any(|cloth| cloth.repulsion.is_some())
     }
 
-    /// Number of handles of all cloths together.
+    /// Returns the number of handles of all cloths together.
     pub fn handles(&self) -> usize {
         self.cloths.iter().map(|c| c.handles.len()).sum()
     }
 
-    /// Handle slot of every particle, shape [B, H, W]: 0 for a free particle, else 1 + the index of its position in
-    /// [`Control::handles`]. Panics when a handle is no particle of the grid ([`Model::check`]).
+    /// Returns the handle slot of every particle, shape [B, H, W]: 0 for a free particle, else 1 + the index
+    /// of its position in [`Control::handles`]. Panics if a handle is outside the grid ([`Model::check`]).
     pub fn handle_slots(&self) -> Vec<u32> {
         let n = self.grid.particles();
         let mut slots = vec![0; self.batch() * n];
@@ -191,13 +196,13 @@ pub struct State<T> {
     pub v: Vec<T>,
 }
 
-/// A number in another precision.
+/// Converts a number to another precision.
 pub(crate) fn cast<T: Float, U: Float>(v: T) -> U {
     U::from(v).expect("a float casts to a float")
 }
 
 impl<T: Float> State<T> {
-    /// The rest state of `batch` cloths: particle (i, j) at `(j, i - (H-1)/2, 0)`, velocity 0.
+    /// Returns the rest state of `batch` cloths: particle (i, j) at `(j, i - (H-1)/2, 0)`, velocity 0.
     pub fn rest(grid: Grid, batch: usize) -> Self {
         let n = grid.particles();
         let mut x = vec![T::zero(); batch * 3 * n];
@@ -210,7 +215,7 @@ impl<T: Float> State<T> {
         Self { x, v }
     }
 
-    /// The same state in another precision.
+    /// Returns the state in another precision.
     pub fn cast<U: Float>(&self) -> State<U> {
         let all = |s: &[T]| s.iter().map(|&a| cast(a)).collect();
         State { x: all(&self.x), v: all(&self.v) }
@@ -218,7 +223,7 @@ impl<T: Float> State<T> {
 }
 
 impl<T: Float> Control<T> {
-    /// The same control in another precision.
+    /// Returns the control in another precision.
     pub fn cast<U: Float>(&self) -> Control<U> {
         let points = |points: &[[T; 3]]| points.iter().map(|p| p.map(cast)).collect();
         let external = self.external.iter().map(|&f| cast(f)).collect();
@@ -226,14 +231,16 @@ impl<T: Float> Control<T> {
     }
 }
 
-/// What drives one frame.
+/// The inputs of one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Control<T> {
-    /// Handle positions at the end of the frame \[edges\], all handles of cloth 0, then of cloth 1, and so on.
+    /// Handle positions at the end of the frame \[edges\]: all handles of cloth 0, then of cloth 1, and so
+    /// on.
     pub handles: Vec<[T; 3]>,
     /// Wind velocity of each cloth [edges / frame], shape `[B]`; empty for still air.
     pub wind: Vec<[T; 3]>,
-    /// External acceleration of each particle beside gravity and air [edges / frame^2], shape [B, 3, H, W]; empty for none. A
-    /// force counts divided by the particle's mass; [`Units::acceleration`](crate::scene::Units::acceleration) converts.
+    /// External acceleration of each particle [edges / frame^2], in addition to gravity and air, shape
+    /// [B, 3, H, W]; empty for none. Divide a force by the particle's mass;
+    /// [`Units::acceleration`](crate::scene::Units::acceleration) converts.
     pub external: Vec<T>,
 }

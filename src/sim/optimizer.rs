@@ -1,12 +1,12 @@
-//! What minimises the energy of a frame.
+//! The optimizers that minimise the energy of a frame.
 
 use crate::kernels::optim::lbfgs::MAX_HISTORY;
 use crate::network::Weights;
 use crate::{Error, Result};
 use std::sync::Arc;
 
-/// An optimizer of the frame's energy; all of them start from `a = 0` and, but for the quasi-Newton and Newton's methods, see
-/// nothing but its gradient.
+/// An optimizer of a frame's energy. All of them start from `a = 0`, and all but the quasi-Newton and Newton
+/// methods see only the gradient.
 #[derive(Clone, Debug)]
 pub enum Optimizer {
     /// The learned optimizer (paper sections 3.3 and 4).
@@ -24,29 +24,30 @@ pub enum Optimizer {
         beta1: f64,
         /// Decay of the mean squared gradient.
         beta2: f64,
-        /// Added to the denominator.
+        /// Constant added to the denominator.
         epsilon: f64,
     },
-    /// L-BFGS, two-loop recursion with step 1, its history cleared every frame.
+    /// L-BFGS: two-loop recursion with step 1. The history is cleared every frame.
     Lbfgs {
-        /// Number of pairs remembered, 1 to 32.
+        /// Number of curvature pairs kept, 1 to 32.
         history: usize,
-        /// A pair is kept when `y.s` exceeds this.
+        /// Threshold: a pair is kept if `y.s` exceeds it.
         curvature: f64,
     },
-    /// L-BFGS that starts from the Hessian of the sheet at rest, with step 1 (after Liu, Bouaziz and Kavan 2017): the
-    /// classical method to compare with.
+    /// L-BFGS that starts from the Hessian of the sheet at rest, with step 1 (after Liu, Bouaziz and Kavan
+    /// 2017). The classical baseline.
     QuasiNewton {
-        /// Number of pairs remembered, 1 to 32.
+        /// Number of curvature pairs kept, 1 to 32.
         history: usize,
-        /// A pair is kept when `y.s` exceeds this.
+        /// Threshold: a pair is kept if `y.s` exceeds it.
         curvature: f64,
-        /// Whether that Hessian is factored with the handles held, sparsely and in double precision (CPU path only), rather
-        /// than inverted by a cosine transform as if they were free.
+        /// Whether the Hessian is factored with the handles held, sparsely and in double precision (CPU
+        /// only), instead of inverted by a cosine transform as if the handles were free.
         factored: bool,
     },
-    /// Newton's method with sparse Cholesky factors and line search, in double precision until it has converged
-    /// ([`crate::cpu::Reference`]), whatever the number of iterations: the physics itself, to compare with. CPU path only.
+    /// Newton's method with sparse Cholesky factors and line search, in double precision until it converges
+    /// ([`crate::cpu::Reference`]), whatever the number of iterations: the exact physics, for comparison. CPU
+    /// only.
     Newton,
 }
 
@@ -55,38 +56,38 @@ impl Optimizer {
     pub const NAMES: [&str; 7] =
         ["fnopt", "gd", "adam", "lbfgs", "quasi-newton", "quasi-newton-exact", "newton"];
 
-    /// The learned optimizer with these weights.
+    /// Returns the learned optimizer with these weights.
     pub fn learned(weights: Weights) -> Self {
         Self::Learned(Arc::new(weights))
     }
 
-    /// Gradient descent as the paper compares with (section 4.3): rate 0.01.
+    /// Returns gradient descent as in the paper's comparison (section 4.3): rate 0.01.
     pub fn gradient_descent() -> Self {
         Self::GradientDescent { rate: 0.01 }
     }
 
-    /// Adam as the paper compares with: rate 0.1, decays 0.9 and 0.999.
+    /// Returns Adam as in the paper's comparison: rate 0.1, decays 0.9 and 0.999.
     pub fn adam() -> Self {
         Self::Adam { rate: 0.1, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 }
     }
 
-    /// L-BFGS as the paper compares with: history 5, step 1, pairs with `y.s > 1e-12`.
+    /// Returns L-BFGS as in the paper's comparison: history 5, step 1, pairs with `y.s > 1e-12`.
     pub fn lbfgs() -> Self {
         Self::Lbfgs { history: 5, curvature: 1e-12 }
     }
 
-    /// The quasi-Newton method: history 5, step 1, pairs with `y.s > 1e-12`.
+    /// Returns the quasi-Newton method: history 5, step 1, pairs with `y.s > 1e-12`.
     pub fn quasi_newton() -> Self {
         Self::QuasiNewton { history: 5, curvature: 1e-12, factored: false }
     }
 
-    /// The quasi-Newton method with exact factors of the Hessian at rest.
+    /// Returns the quasi-Newton method with exact factors of the Hessian at rest.
     pub fn quasi_newton_exact() -> Self {
         Self::QuasiNewton { history: 5, curvature: 1e-12, factored: true }
     }
 
-    /// The classical optimizer of that name with the paper's settings, or the learned one made by `weights`; `origin` of the
-    /// name is told in errors.
+    /// Returns the classical optimizer called `name`, with the paper's settings, or the learned one with the
+    /// result of `weights`. `origin` names the source of the name in errors.
     pub fn named(name: &str, origin: &str, weights: impl FnOnce() -> Result<Weights>) -> Result<Self> {
         match name {
             "fnopt" => Ok(Self::learned(weights()?)),
@@ -100,8 +101,8 @@ impl Optimizer {
         }
     }
 
-    /// An error if the weights of a learned one are of a network that sees something else than the update rule's fields, or a
-    /// history is too long for the kernels.
+    /// Fails if the weights of a learned optimizer belong to a network with other inputs than the update
+    /// rule's fields, or if a history is too long for the kernels.
     pub(crate) fn check(&self) -> Result<()> {
         match *self {
             Self::Learned(ref weights) => weights.config.check_fields("optimizer", "network"),
@@ -115,12 +116,12 @@ impl Optimizer {
         }
     }
 
-    /// Whether a GPU has kernels for it; the others run on the CPU path alone.
+    /// Whether it has GPU kernels; the others run on the CPU only.
     pub fn runs_on_gpu(&self) -> bool {
         !matches!(self, Self::Newton | Self::QuasiNewton { factored: true, .. })
     }
 
-    /// The optimizer's name, one of [`Optimizer::NAMES`].
+    /// Returns the optimizer's name, one of [`Optimizer::NAMES`].
     pub fn name(&self) -> &'static str {
         match self {
             Self::Learned(_) => "fnopt",

@@ -6,17 +6,17 @@ use crate::{Error, Result, cpu};
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-/// Where a simulation runs.
+/// The device that runs a simulation.
 #[derive(Clone, Debug)]
 pub enum Device {
-    /// On the host's processor, in single precision, on all threads of the current rayon pool.
+    /// The host's processor, in single precision, with all threads of the current rayon pool.
     Cpu,
-    /// On a wgpu device.
+    /// A wgpu device.
     Gpu(Context),
 }
 
 impl Device {
-    /// Name of the device, and how networks are stored on it if not in single precision.
+    /// Returns the name of the device, and the storage of networks on it if it is not single precision.
     pub fn name(&self) -> String {
         match self {
             Self::Cpu => format!("cpu, {} threads", rayon::current_num_threads()),
@@ -28,7 +28,7 @@ impl Device {
     }
 }
 
-/// A batch of cloths that advances frame by frame: the convenience on top of [`Solver`] and [`cpu::Solver`].
+/// A batch of cloths that advances frame by frame: a convenience layer over [`Solver`] and [`cpu::Solver`].
 ///
 /// ```
 /// use fnopt::scene::Scene;
@@ -56,21 +56,22 @@ enum Backend {
 pub struct Frame {
     /// Number of the frame; the start state is 0.
     pub index: usize,
-    /// State at its end.
+    /// State at the end of the frame.
     pub state: State<f32>,
     /// Statistics of each cloth.
     pub stats: Vec<FrameStats>,
-    /// Wall time since the frame before it was there, or since this one was begun.
+    /// Wall time since the frame began; in a rollout on a GPU, since the previous frame arrived.
     pub wall: Duration,
 }
 
-/// Frames under way on a GPU at once: one computes while the one before it is read.
+/// Frames in flight on a GPU: one is computed while the previous one is read back.
 const IN_FLIGHT: usize = 2;
 
 impl Simulator {
-    /// Makes a solver with `iterations` per frame; the cloths start at rest.
+    /// Builds a solver with `iterations` iterations per frame. The cloths start at rest.
     ///
-    /// An error if the model is not one ([`Model::check`]), or optimizer, grid or batch are not for this device.
+    /// Fails if the model is not valid ([`Model::check`]), or if the device does not support the optimizer,
+    /// grid or batch.
     pub fn new(device: &Device, model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         let backend = match device {
             Device::Cpu => Backend::Cpu {
@@ -89,9 +90,9 @@ impl Simulator {
         Ok(Self { backend, frame: 0 })
     }
 
-    /// Replaces the state, forgets what the optimizer remembers and counts frames from 0 again.
+    /// Replaces the state, resets the optimizer's memory and counts frames from 0 again.
     ///
-    /// Panics when a length is not the model's.
+    /// Panics if a length does not match the model.
     pub fn set_state(&mut self, start: &State<f32>) {
         self.frame = 0;
         match &mut self.backend {
@@ -104,10 +105,10 @@ impl Simulator {
         }
     }
 
-    /// Replaces the state of cloth `b` alone, and forgets what the optimizer remembers of it; the others go on, also after a
-    /// [`Error::NonFinite`] that tells of `b`. Frames are counted on.
+    /// Replaces the state of cloth `b` alone and resets the optimizer's memory of it. The others continue,
+    /// even after an [`Error::NonFinite`] that names `b`. The frame count continues.
     ///
-    /// Panics when a length is not that of one cloth, or there is no such cloth.
+    /// Panics if a length is not that of one cloth, or if there is no cloth `b`.
     pub fn set_cloth_state(&mut self, b: usize, start: &State<f32>) {
         match &mut self.backend {
             Backend::Cpu { solver, state } => {
@@ -122,9 +123,10 @@ impl Simulator {
         }
     }
 
-    /// Gives the cloths other materials, gravity, air, repulsion or handles, whose positions the next control tells.
+    /// Replaces the cloths' materials, gravity, air, repulsion or handles. The next control sets the
+    /// positions of the handles.
     ///
-    /// An error as of [`Solver::set_cloths`] or [`cpu::Solver::set_cloths`].
+    /// Fails as [`Solver::set_cloths`] or [`cpu::Solver::set_cloths`] does.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         match &mut self.backend {
             Backend::Cpu { solver, .. } => solver.set_cloths(cloths),
@@ -132,8 +134,8 @@ impl Simulator {
         }
     }
 
-    /// Computes one frame and waits for it; fails with [`Error::NonFinite`] when it is not finite. Panics when a length of the
-    /// control is not the model's.
+    /// Computes one frame and waits for it. Fails with [`Error::NonFinite`] if it is not finite. Panics if a
+    /// length of the control does not match the model.
     pub fn step(&mut self, control: &Control<f32>) -> Result<Frame> {
         let mut result = None;
         self.rollout(std::iter::once(control.clone()), |frame| {
@@ -143,11 +145,11 @@ impl Simulator {
         Ok(result.expect("a control makes a frame"))
     }
 
-    /// Computes a frame for each control and hands it to `take`, which may end the rollout.
+    /// Computes a frame for each control and passes it to `take`, which may end the rollout.
     ///
-    /// On a GPU the next frame is computed while `take` looks at this one, so that ending early leaves the device's state up
-    /// to one frame further on; set a state before the next rollout. Fails with [`Error::NonFinite`] at the first
-    /// frame that is not finite; the frames before it were handed out.
+    /// On a GPU the next frame is computed while `take` runs, so a rollout that ends early leaves the
+    /// device's state up to one frame ahead; set a state before the next rollout. Fails with
+    /// [`Error::NonFinite`] at the first frame that is not finite, after passing on the frames before it.
     pub fn rollout(
         &mut self,
         controls: impl IntoIterator<Item = Control<f32>>,
@@ -168,7 +170,7 @@ impl Simulator {
             if take(frame).is_break() {
                 return self.backend.drain();
             }
-            // On a GPU the next frame is under way meanwhile.
+            // On a GPU the next frame is already being computed.
             if let Backend::Cpu { .. } = self.backend {
                 begun = Instant::now();
             }
@@ -177,7 +179,7 @@ impl Simulator {
 }
 
 impl Frame {
-    /// The first cloth that is not finite.
+    /// Returns the first cloth that is not finite.
     fn first_broken(&self) -> Option<usize> {
         let per_cloth = self.state.x.len() / self.stats.len();
         let finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
@@ -189,7 +191,7 @@ impl Frame {
 }
 
 impl Backend {
-    /// The next frame, `None` when there is no control left for it.
+    /// Returns the next frame, or `None` if there are no more controls.
     fn next(
         &mut self,
         controls: &mut impl Iterator<Item = Control<f32>>,
@@ -220,7 +222,7 @@ impl Backend {
         }
     }
 
-    /// Lets frames that were begun ahead finish, so that the next rollout finds none of them.
+    /// Waits for the frames in flight, so that the next rollout does not receive them.
     fn drain(&mut self) -> Result<()> {
         if let Self::Gpu { context, readback, .. } = self {
             while readback.next(context, |_| ())?.is_some() {}

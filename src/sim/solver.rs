@@ -14,16 +14,16 @@ use crate::{Error, Result};
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Scale of a fresh hidden state (paper section 3.3).
+/// Persistent scale of a fresh hidden state (paper section 3.3).
 pub const INITIAL_SCALE: f32 = 0.05;
 
-/// How a frame is solved.
+/// Options of a [`Solver`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SolverOptions {
     /// Iterations per frame (N), at least 1.
     pub iterations: usize,
-    /// Tile sizes; those of the context when not given, which are the table's unless it was given others
-    /// ([`Context::with_tuning`]).
+    /// Tile sizes. `None` selects the context's: those given to [`Context::with_tuning`], else those of
+    /// [`Tuning::table`].
     pub tuning: Option<Tuning>,
 }
 
@@ -33,11 +33,11 @@ impl Default for SolverOptions {
     }
 }
 
-/// A solver on the caller's device: buffers, kernels and the recorded dispatches of a frame.
+/// A solver on the caller's device: buffers, kernels and the prepared dispatches of a frame.
 ///
-/// [`Solver::new`] fills buffers through the caller's queue and waits for the kernels to be compiled. After that
-/// [`Solver::record`] puts one frame into an encoder that the caller owns: it submits, polls and maps nothing, and
-/// nothing is allocated or bound. The positions stay in a buffer that can be bound as a
+/// [`Solver::new`] fills buffers through the caller's queue and waits until the kernels are compiled. After
+/// that, [`Solver::record`] records one frame into the caller's encoder. It submits, polls and maps nothing,
+/// and it neither allocates nor creates bind groups. The positions stay in a buffer that can be bound as a
 /// vertex buffer ([`Solver::positions`]).
 #[derive(Debug)]
 pub struct Solver {
@@ -47,31 +47,35 @@ pub struct Solver {
     x: Tensor,
     v: Tensor,
     cloths: Tensor,
-    /// Where handles go, shape [handles, 3], and the tensor that this is the beginning of, with room for every particle.
+    /// Handle targets, shape [handles, 3]: the beginning of `room`.
     targets: Tensor,
+    /// Storage for the targets, with room for every particle.
     room: Tensor,
     given: Tensor,
-    /// Whether a frame looks for what repels each other.
+    /// Whether a frame looks for pairs within repulsion range.
     repels: bool,
-    /// Whether `cloths` holds any wind, and `given` any acceleration.
+    /// Whether `cloths` holds any wind.
     windy: AtomicBool,
+    /// Whether `given` holds any acceleration.
     accelerated: AtomicBool,
     external: Tensor,
     iterate: Iterate,
     rule: Rule,
-    /// Partial sums of squares of gradient and last step in each iteration, rows of [S, parts, 2], see [`rows`].
+    /// Partial sums of squares of the gradient and the last step in each iteration, one row [S, parts, 2]
+    /// each; see [`rows`].
     sums: Tensor,
-    /// Those of the gradient in the first and the last iteration.
+    /// The rows of `sums` of the first and the last iteration.
     ends: [Tensor; 2],
     /// Energy terms and stretch, shape [B, 8].
     terms: Tensor,
     frame: Schedule,
 }
 
-/// What an optimizer keeps on the device.
+/// The state that an optimizer keeps on the device.
 #[derive(Debug)]
 enum Rule {
-    /// `scales` holds the persistent scale after each iteration, rows of `[S]`; the next frame begins with the last row.
+    /// `scales` holds the persistent scale after each iteration, in rows of `[S]`. The next frame starts from
+    /// the last row.
     Learned {
         step: Box<Learned>,
         scales: Tensor,
@@ -96,9 +100,11 @@ enum Rule {
 }
 
 impl Solver {
-    /// Makes buffers and kernels and builds the schedule of a frame. The cloths start at rest ([`State::rest`]).
+    /// Creates buffers and kernels and builds the schedule of a frame. The cloths start at rest
+    /// ([`State::rest`]).
     ///
-    /// An error if the model is not one ([`Model::check`]), or optimizer, grid, batch or tuning are not for this device.
+    /// Fails if the model is not valid ([`Model::check`]), or if the device does not support the optimizer,
+    /// grid, batch or tuning.
     pub fn new(
         context: &Context,
         model: &Model,
@@ -192,7 +198,7 @@ impl Solver {
         Ok(solver)
     }
 
-    /// The dispatches of one frame, in the order that the crate's documentation tells.
+    /// Builds the schedule of one frame, in the order given in the crate's documentation.
     fn schedule(&self) -> Result<Schedule> {
         let (context, grid) = (&self.context, self.model.grid);
         let mut frame = Schedule::new(context);
@@ -233,53 +239,56 @@ impl Solver {
         frame.finish()
     }
 
-    /// Records one frame: from the state and control as they are when the encoder runs to the next state.
+    /// Records one frame. It reads the state and control present when the encoder runs, and replaces the
+    /// state with the next one.
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
         self.frame.record(encoder);
     }
 
-    /// The dispatches of one frame.
+    /// Returns the dispatches of one frame.
     pub fn frame(&self) -> &Schedule {
         &self.frame
     }
 
-    /// The cloths.
+    /// Returns the model.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// Iterations per frame (N).
+    /// Returns the number of iterations per frame (N).
     pub fn iterations(&self) -> usize {
         self.iterations
     }
 
-    /// Positions \[edges\], shape [B, 3, H W]; its buffer can be bound for storage and as a vertex buffer.
+    /// Returns the positions \[edges\], shape [B, 3, H W]. Their buffer can be bound for storage and as a
+    /// vertex buffer.
     pub fn positions(&self) -> &Tensor {
         &self.x
     }
 
-    /// Velocities [edges / frame], shape [B, 3, H W].
+    /// Returns the velocities [edges / frame], shape [B, 3, H W].
     pub fn velocities(&self) -> &Tensor {
         &self.v
     }
 
-    /// Accelerations of the last frame [edges / frame^2], shape [B, 3, H W].
+    /// Returns the accelerations of the last frame [edges / frame^2], shape [B, 3, H W].
     pub fn accelerations(&self) -> &Tensor {
         &self.iterate.a
     }
 
-    /// Replaces the state, holds the handles where it has them and forgets what the optimizer remembers, ahead of whatever is
-    /// submitted next. Wind and accelerations stay; a control that is set afterwards tells all three.
+    /// Replaces the state, holds the handles at their positions in it and resets the optimizer's memory,
+    /// ahead of the next submission. Wind and accelerations keep their values. A later control sets all
+    /// three.
     ///
-    /// Panics when a length is not the model's.
+    /// Panics if a length does not match the model.
     pub fn set_state(&self, state: &State<f32>) {
         self.place(state);
         self.targets.write(&self.context, &self.handles_of(state));
         self.reset_memory();
     }
 
-    /// [`Solver::set_state`] of cloth `b` alone: the others go on. Panics when a length is not that of one cloth, or there is no
-    /// such cloth.
+    /// Applies [`Solver::set_state`] to cloth `b` alone; the others continue. Panics if a length is not that
+    /// of one cloth, or if there is no cloth `b`.
     pub fn set_cloth_state(&self, b: usize, state: &State<f32>) {
         let (batch, n) = (self.model.batch(), self.model.grid.particles());
         assert!(b < batch, "cloth {b} of {batch}");
@@ -300,11 +309,12 @@ impl Solver {
         }
     }
 
-    /// Gives the cloths other materials, gravity, air, repulsion or handles, ahead of whatever is submitted next. Wind ends, until a
-    /// control tells it again. Where handles are others, a control must tell where they are before the next frame.
+    /// Replaces the cloths' materials, gravity, air, repulsion or handles, ahead of the next submission.
+    /// Clears the wind until a control sets it again. If the handles change, a control must set their
+    /// positions before the next frame.
     ///
-    /// An error if there are more or fewer cloths, they are no model ([`Model::check`]), or one has a repulsion though the solver
-    /// was made without any: that takes a new solver.
+    /// Fails if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a
+    /// repulsion although the solver was built without any, which requires a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
         if model.repels() && !self.repels {
@@ -322,16 +332,16 @@ impl Solver {
         Ok(())
     }
 
-    /// Replaces the state and leaves the optimizer what it remembers and the handles their targets, ahead of whatever is
-    /// submitted next.
+    /// Replaces the state but keeps the optimizer's memory and the handle targets, ahead of the next
+    /// submission.
     ///
-    /// Panics when a length is not the model's, as [`Solver::set_state`] does.
+    /// Panics if a length does not match the model, as [`Solver::set_state`] does.
     pub fn place(&self, state: &State<f32>) {
         self.x.write(&self.context, &state.x);
         self.v.write(&self.context, &state.v);
     }
 
-    /// Forgets what the optimizer remembers from frame to frame: the hidden state of the learned one.
+    /// Resets what the optimizer remembers from frame to frame: the hidden state of the learned one.
     pub fn reset_memory(&self) {
         if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
             hidden.write(&self.context, &vec![0f32; hidden.len()]);
@@ -339,9 +349,9 @@ impl Solver {
         }
     }
 
-    /// Sets what drives the next frame, ahead of whatever is submitted next.
+    /// Sets the control of the next frame, ahead of the next submission.
     ///
-    /// Panics when a length is not the model's.
+    /// Panics if a length does not match the model.
     pub fn set_control(&self, control: &Control<f32>) {
         for (tensor, bytes) in self.changes(control) {
             tensor.write(&self.context, &bytes);
@@ -350,10 +360,10 @@ impl Solver {
         self.accelerated.store(!control.external.is_empty(), Ordering::Relaxed);
     }
 
-    /// Records a frame for each control, so that one submission advances them all; of the frames in between nothing is left.
-    /// The controls travel with the encoder: submit it before the next one is set or recorded.
+    /// Records a frame for each control, so that one submission advances them all. Intermediate states are
+    /// not kept. The controls travel with the encoder: submit it before you set or record another one.
     ///
-    /// Panics when a length is not the model's.
+    /// Panics if a length does not match the model.
     pub fn record_frames(&self, encoder: &mut wgpu::CommandEncoder, controls: &[Control<f32>]) {
         let changes: Vec<_> = controls.iter().map(|control| self.changes(control)).collect();
         let contents: Vec<u8> =
@@ -370,7 +380,8 @@ impl Solver {
         }
     }
 
-    /// The tensors that a control changes, after those before it, and what they hold then.
+    /// Returns the tensors that a control changes relative to the controls before it, with their new
+    /// contents.
     fn changes<'a>(&'a self, control: &'a Control<f32>) -> Vec<(&'a Tensor, Cow<'a, [u8]>)> {
         let batch = self.model.batch();
         assert_eq!(control.handles.len(), self.model.handles(), "every handle needs a position");
@@ -381,8 +392,8 @@ impl Solver {
             "external has shape [B, 3, H, W]"
         );
         let mut changes = vec![(&self.targets, Cow::from(bytemuck::cast_slice(&control.handles)))];
-        // A control without wind or accelerations means none, whatever the one before it said. What is recorded may never be
-        // submitted: only what is set makes sure that none is left.
+        // A control without wind or accelerations clears those of earlier controls. A recorded control may
+        // never be submitted, so recording only raises these flags; `set_control` also lowers them.
         let windy = !control.wind.is_empty();
         if self.windy.fetch_or(windy, Ordering::Relaxed) || windy {
             let params = ClothParams::all(&self.model, &control.wind);
@@ -397,13 +408,15 @@ impl Solver {
         changes
     }
 
-    /// The tensors that [`Solver::statistics`] reads, in the order it wants their bytes.
+    /// Returns the tensors that [`Solver::statistics`] reads, in the order in which it expects their
+    /// contents.
     pub fn statistics_tensors(&self) -> [&Tensor; 3] {
         let [first, last] = &self.ends;
         [&self.terms, first, last]
     }
 
-    /// Statistics of the last frame, one for each cloth, from the contents of [`Solver::statistics_tensors`], one after the other.
+    /// Returns the statistics of each cloth in the last frame, from the concatenated contents of
+    /// [`Solver::statistics_tensors`].
     pub fn statistics(&self, contents: &[f32]) -> Vec<FrameStats> {
         let Grid { h, w } = self.model.grid;
         let edges = ((h - 1) * w + h * (w - 1)) as f64;
@@ -422,13 +435,14 @@ impl Solver {
         ClothTerms::all(terms).enumerate().map(stats).collect()
     }
 
-    /// Norms of the gradients of samples from their partial sums of squares, [.., parts, 2].
+    /// Returns the gradient norms of samples from their partial sums of squares, [.., parts, 2].
     fn gradient_norms(&self, sums: &[f32]) -> Vec<f64> {
         let norm = |parts: &[f32]| parts.iter().step_by(2).map(|&s| f64::from(s)).sum::<f64>().sqrt();
         sums.chunks_exact(2 * gradient::parts(self.model.grid)).map(norm).collect()
     }
 
-    /// What the optimizer did in the last frame; waits for the device, so it is for checks and not for frames.
+    /// Returns a log of the optimizer's iterations in the last frame. Waits for the device, so it is meant
+    /// for checks, not for use in every frame.
     pub fn iterations_log(&self) -> Result<Iterations> {
         let mut scales = Vec::new();
         if let Rule::Learned { scales: rows, .. } = &self.rule {
@@ -442,7 +456,7 @@ impl Solver {
         Ok(Iterations { gradient_norms, scales })
     }
 
-    /// Handle positions in `state` [B, 3, n], in the order of [`Control::handles`].
+    /// Returns the handle positions in `state` [B, 3, n], in the order of [`Control::handles`].
     pub fn handles_of(&self, state: &State<f32>) -> Vec<[f32; 3]> {
         let n = self.model.grid.particles();
         let cloths = self.model.cloths.iter().zip(state.x.chunks_exact(3 * n));
@@ -450,22 +464,23 @@ impl Solver {
     }
 }
 
-/// Where particle `p` of a cloth of `n` is, from its positions [3, n].
+/// Returns the position of particle `p` in a cloth of `n` particles with positions `x` [3, n].
 fn particle(x: &[f32], n: usize, p: usize) -> [f32; 3] {
     [0, 1, 2].map(|c| x[c * n + p])
 }
 
-/// A row for each iteration, of at least `len` elements, that can be a tensor of its own ([`row`]).
+/// Allocates a row of at least `len` elements for each iteration, aligned so that it can be a tensor view
+/// ([`row`]).
 fn rows(context: &Context, label: &'static str, iterations: usize, len: usize) -> Result<Tensor> {
     Tensor::zeros(context, label, &[iterations, len.next_multiple_of(Tensor::VIEW_ALIGNMENT)])
 }
 
-/// The row of an iteration, as a tensor of `shape`.
+/// Returns the row of an iteration as a tensor of `shape`.
 fn row(rows: &Tensor, iteration: usize, shape: &[usize]) -> Tensor {
     rows.view(iteration * rows.shape()[1], shape)
 }
 
-/// Appends what turns the gradient of an iteration and its sums of squares into the next iterate.
+/// Appends the dispatches that turn an iteration's gradient and its sums of squares into the next iterate.
 type Step<'a> = Box<dyn FnMut(&mut Schedule, usize, &Tensor) + 'a>;
 
 impl Rule {

@@ -1,4 +1,4 @@
-//! Which tile sizes are fastest on the adapter at hand.
+//! The search for an adapter's fastest tile sizes.
 
 use super::{Model, Optimizer, Solver, SolverOptions, State};
 use crate::Result;
@@ -7,19 +7,20 @@ use crate::kernels::Tuning;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-/// Least frames of a measurement after the first, which is not timed, because drivers compile then; and its least time \[s\], for
-/// devices that raise their clocks only under load.
+/// Minimum number of timed frames per measurement. One untimed frame precedes them, in which drivers compile.
 const FRAMES: usize = 4;
+/// Minimum time of a measurement \[s\], for devices that raise their clocks only under load.
 const SECONDS: f64 = 0.1;
-/// How much faster another tuning must be to be taken: less is noise.
+/// Largest time, relative to the best so far, at which another tuning replaces it. Smaller gains are noise.
 const GAIN: f64 = 0.98;
-/// Frames of the best tuning and of the table's in turn, at the end. Of many measurements the least is the luckiest one: what was
-/// found must win again, in the same moments.
+/// Frames of the best tuning and of the table's, which alternate at the end. The minimum of many measurements
+/// owes something to luck, so the winner must win again, measured over the same period.
 const DUEL: usize = 10;
 
-/// Searches the tuning with the least time per frame of `optimizer` on `model`, from `start`: respect by respect from the
-/// table's, each time keeping the best; the table's, unless the best one wins against it once more. `tried` is called with each
-/// tuning and its time \[ms\] and may end the search, with nothing found.
+/// Searches for the tuning with the least time per frame of `optimizer` on `model`, from `start`. Begins with
+/// the table's tuning, varies one aspect at a time and keeps the best. Returns the table's tuning unless the
+/// best one beats it again at the end. `tried` is called with each tuning and its time \[ms\] and may end the
+/// search, which then returns the table's.
 pub fn tune(
     context: &Context,
     (model, start): (&Model, &State<f32>),
@@ -60,7 +61,8 @@ pub fn tune(
                 return Ok(table);
             }
             let tried = solver(tuning)?;
-            // Turns of another length that come to the same here are for chance to choose, and for other batches to bear.
+            // Skip activation limits that lead to as many passes here: chance would choose between them, and
+            // other batches would bear the consequences.
             let as_many_turns = tried.frame().dispatches() == dispatches;
             if as_many_turns && (Tuning { activation_bytes: best.activation_bytes, ..*tuning }) == best {
                 continue;
@@ -75,7 +77,7 @@ pub fn tune(
     if best == table {
         return Ok(table);
     }
-    // Where both do not fit side by side nothing can be shown.
+    // If both solvers do not fit in memory together, the gain cannot be confirmed.
     let (Ok(ours), Ok(of_table)) = (solver(&best), solver(&table)) else { return Ok(table) };
     let mut least = [f64::INFINITY; 2];
     [&ours, &of_table].into_iter().try_for_each(|solver| frame(solver).map(drop))?;

@@ -1,4 +1,4 @@
-//! The arrays of a pool on the CPU, and what becomes of them before and after a training step.
+//! The arrays of a pool on the CPU, and how they change before and after a training step.
 
 use super::checkpoint::Tensors;
 use super::config::PoolConfig;
@@ -9,7 +9,8 @@ use crate::cpu::cloth::{Frame, end_frame, shifts};
 use crate::cpu::optim::Hidden;
 use crate::sim::{Grid, INITIAL_SCALE, State};
 
-/// Where all cloths of a pool, or those of a batch, are, and what the update rule remembers of them. C cloths, S = 3 C.
+/// State and hidden state of all cloths of a pool or of a batch. C is the number of cloths and S = 3 C that
+/// of samples.
 #[derive(Clone, Debug)]
 pub struct Arrays<T> {
     grid: Grid,
@@ -17,12 +18,12 @@ pub struct Arrays<T> {
     pub state: State<T>,
     /// Accelerations so far [edges / frame^2], shape [C, 3, H, W].
     pub a: Vec<T>,
-    /// Memory of the update rule: shapes [S, H, W] and \[S\].
+    /// Hidden state and persistent scale of the update rule: shapes [S, H, W] and \[S\].
     pub hidden: Hidden<T>,
 }
 
 impl<T: Real> Arrays<T> {
-    /// Room for this many cloths, not begun.
+    /// Allocates arrays for this many cloths, not yet started.
     pub fn new(grid: Grid, cloths: usize) -> Self {
         let zeros = || vec![T::zero(); cloths * 3 * grid.particles()];
         let scale = vec![T::of(INITIAL_SCALE.into()); 3 * cloths];
@@ -30,23 +31,23 @@ impl<T: Real> Arrays<T> {
         Self { grid, state: State { x: zeros(), v: zeros() }, a: zeros(), hidden }
     }
 
-    /// The grid of the cloths.
+    /// Returns the grid of the cloths.
     pub fn grid(&self) -> Grid {
         self.grid
     }
 
-    /// The room of a pool.
+    /// Allocates the arrays of a pool.
     pub fn of_pool(pool: &PoolConfig) -> Self {
         Self::new(pool.grid, pool.cloths)
     }
 
-    /// Fields of shape [C, 3, H, W] or [S, H, W], which lie alike in memory.
+    /// Returns the fields of shape [C, 3, H, W] and [S, H, W], which have the same memory layout.
     pub(super) fn fields(&mut self) -> [&mut Vec<T>; 5] {
         let Hidden { last_grad, last_step, .. } = &mut self.hidden;
         [&mut self.state.x, &mut self.state.v, &mut self.a, last_grad, last_step]
     }
 
-    /// Puts a cloth at the start of a life: the sheet at rest rotated by `rotation`, all else fresh.
+    /// Starts a life of a cloth: rotates the sheet at rest by `rotation` and resets everything else.
     fn begin(&mut self, slot: usize, rotation: [[f64; 3]; 3]) {
         let n = self.grid.particles();
         for field in self.fields() {
@@ -62,7 +63,8 @@ impl<T: Real> Arrays<T> {
         }
     }
 
-    /// Begins the cloths of `batch` whose life starts, and copies all of them, in the order of the batch, into `to`.
+    /// Starts the cloths of `batch` that begin a life, and copies all cloths of `batch`, in its order, into
+    /// `to`.
     pub fn draw(&mut self, batch: &Batch, to: &mut Self) {
         for drawn in &batch.cloths {
             if let Some(rotation) = drawn.start {
@@ -72,13 +74,15 @@ impl<T: Real> Arrays<T> {
         copy(self, to, |place, slot| (slot, place), batch);
     }
 
-    /// Takes back the cloths of `batch` from `from` after their step, and ends the frame of those that it is over for.
+    /// Stores the cloths of `batch` from `from` after their step, ending the frame of those that completed
+    /// it.
     pub fn store(&mut self, batch: &Batch, from: &mut Self) {
         from.end_frames(batch);
         copy(from, self, |place, slot| (place, slot), batch);
     }
 
-    /// v <- v + a, x <- x + v, a <- 0; handles at their targets with velocity 0 (paper section 3.3); v is damped.
+    /// Ends frames: v <- v + a, x <- x + v, a <- 0, handles at their targets with velocity 0 (paper
+    /// section 3.3), v damped.
     fn end_frames(&mut self, batch: &Batch) {
         let n = self.grid.particles();
         let (slots, control) = (batch.model(self.grid).handle_slots(), batch.control());
@@ -101,7 +105,8 @@ impl<T: Real> Arrays<T> {
     }
 }
 
-/// Copies the cloths of a batch; `ends` makes of a place in the batch and a slot in the pool where from and where to.
+/// Copies the cloths of a batch. `ends` maps a place in the batch and a slot of the pool to source and
+/// target.
 fn copy<T: Real>(
     from: &mut Arrays<T>,
     to: &mut Arrays<T>,
@@ -122,7 +127,7 @@ fn copy<T: Real>(
 const FIELDS: [&str; 5] = ["x", "v", "a", "last_grad", "last_step"];
 
 impl Arrays<f32> {
-    /// Adds the arrays to what a learner saves, under `name`.
+    /// Adds the arrays to the tensors that a learner saves, with names starting with `name`.
     pub fn save(&self, name: &str, tensors: &mut Tensors) {
         let Grid { h, w } = self.grid;
         let cloths = self.hidden.scale.len() / 3;
@@ -132,7 +137,7 @@ impl Arrays<f32> {
         tensors.insert(format!("{name}.scale"), &[cloths, 3], self.hidden.scale.clone());
     }
 
-    /// Takes them back.
+    /// Loads the arrays saved under `name`.
     pub fn load(&mut self, name: &str, tensors: &Tensors) -> Result<()> {
         let Grid { h, w } = self.grid;
         let cloths = self.hidden.scale.len() / 3;

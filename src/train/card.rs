@@ -1,4 +1,4 @@
-//! Model cards: what weights are and where they come from.
+//! Model cards: descriptions of weights and their origin.
 
 use super::config::Config;
 use super::validation::SceneScore;
@@ -6,32 +6,33 @@ use crate::{Error, Result, io};
 use std::io::Write;
 use std::path::Path;
 
-/// What is told of weights beside their file.
+/// The model card of a weights file.
 #[derive(Clone, Debug, serde::Serialize)]
 pub(super) struct Card<'a> {
-    /// Training steps behind them.
+    /// Number of training steps.
     pub steps: u64,
-    /// Of them, steps skipped because they were not finite.
+    /// Number of steps skipped because they were not finite.
     pub skipped: u64,
-    /// Time spent on them \[s\].
+    /// Training time \[s\].
     pub seconds: f64,
-    /// Device they were trained on.
+    /// Device used for training.
     pub device: &'a str,
-    /// Processes that trained them together, each with batches of its own.
+    /// Number of processes that trained together, each with its own batches.
     pub ranks: usize,
     /// Version of the program.
     pub version: &'static str,
-    /// Real parameters of the network.
+    /// Number of real parameters of the network.
     pub parameters: usize,
-    /// How they did in the validation rollouts; empty when there was none.
+    /// Results of the validation rollouts; empty if there were none.
     pub validation: &'a [SceneScore],
     /// Configuration of the run.
     pub config: &'a Config,
 }
 
 impl Card<'_> {
-    /// The validation that the card beside the weights in `path` tells; none if there was none, or either file is missing.
-    /// A card that cannot be read is an error, as weights that it calls the best would else give way to the next ones.
+    /// Reads the validation from the card next to the weights in `path`. Returns `None` if it has none, or if
+    /// either file is missing. Fails on a card that cannot be read, because otherwise the next weights would
+    /// replace the best ones.
     pub(super) fn validation(path: &Path) -> Result<Option<Vec<SceneScore>>> {
         #[derive(serde::Deserialize)]
         struct Told {
@@ -50,7 +51,7 @@ impl Card<'_> {
         Ok(Some(validation).filter(|scores| !scores.is_empty()))
     }
 
-    /// Writes the card as JSON beside the weights in `path`.
+    /// Writes the card as JSON next to the weights in `path`.
     pub(super) fn write(&self, path: &Path) -> Result<()> {
         let json = serde_json::to_string_pretty(self).map_err(std::io::Error::other);
         io::write_atomic(path.with_extension("json"), |file| writeln!(file, "{}", json?))

@@ -1,4 +1,4 @@
-//! The whole state of a rank of a run as one file.
+//! The complete state of one rank of a run as a file.
 
 use super::pool::Slot;
 use crate::{Error, Result, io};
@@ -7,10 +7,10 @@ use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::Path;
 
-/// What the metadata calls this kind of file, and the version that this program writes and reads.
+/// Format name in the metadata, with the version that this program writes and reads.
 const FORMAT: &str = "fnopt-training-1";
 
-/// Named tensors in single precision, as a [`super::Learner`] saves and loads them.
+/// Named single-precision tensors, as saved and loaded by a [`super::Learner`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tensors {
     origin: String,
@@ -18,7 +18,7 @@ pub struct Tensors {
 }
 
 impl Tensors {
-    /// Adds a tensor. Panics when the name is taken or the shape does not fit.
+    /// Adds a tensor. Panics if the name is taken or the shape does not match the number of values.
     pub fn insert(&mut self, name: impl Into<String>, shape: &[usize], values: Vec<f32>) {
         let name = name.into();
         assert_eq!(shape.iter().product::<usize>(), values.len(), "tensor '{name}' has another shape");
@@ -26,7 +26,7 @@ impl Tensors {
         assert!(before.is_none(), "a tensor is saved twice");
     }
 
-    /// The values of a tensor; an error if it is missing or has another shape.
+    /// Returns the values of a tensor. Fails if it is missing or has another shape.
     pub fn get(&self, name: &str, shape: &[usize]) -> Result<&[f32]> {
         let wrong = |found: String| {
             Error::invalid(&self.origin, format!("tensor '{name}'"), format!("shape {shape:?}"), found)
@@ -42,25 +42,25 @@ impl Tensors {
 /// The host's part of a run's state.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Counters {
-    /// Steps done.
+    /// Number of steps done.
     pub step: u64,
-    /// Of them, steps that changed the weights.
+    /// Number of steps that changed the weights.
     pub updates: u64,
-    /// Steps in a row up to here that did not; older files do not say.
+    /// Number of consecutive steps up to `step` that were skipped; missing in older files.
     #[serde(default)]
     pub skipped_in_a_row: u32,
-    /// Time spent \[s\], in all sessions.
+    /// Training time of all sessions \[s\].
     pub seconds: f64,
-    /// Whether a validation is to follow the last step.
+    /// Whether a validation is due after the last step.
     #[serde(default)]
     pub validation_due: bool,
-    /// Name of the device of the last session; older files do not say.
+    /// Name of the device of the last session; missing in older files.
     #[serde(default)]
     pub device: String,
-    /// Ranks that train together; files from before there could be several do not say.
+    /// Number of ranks that train together; missing in files that predate ranks.
     #[serde(default = "one")]
     pub ranks: usize,
-    /// How far each cloth of each pool is.
+    /// Progress of each cloth of each pool.
     pub pools: Vec<Vec<Slot>>,
 }
 
@@ -68,18 +68,19 @@ fn one() -> usize {
     1
 }
 
-/// A checkpoint of a run, or the part of it of one rank: weights and counters are the same in all, pools are its own.
+/// A checkpoint of a run, or one rank's part of it: weights and counters are the same on all ranks, pools
+/// differ.
 pub(super) struct Checkpoint {
     /// The configuration, as TOML.
     pub config: String,
-    /// The host's part.
+    /// State of the host.
     pub counters: Counters,
-    /// The learner's part.
+    /// State of the learner.
     pub tensors: Tensors,
 }
 
 impl Checkpoint {
-    /// Writes the file, whole or not at all.
+    /// Writes the file atomically.
     pub fn write(&self, path: &Path) -> Result<()> {
         let counters = serde_json::to_string(&self.counters).expect("counters are plain data");
         let checksum = checksum([self.config.as_bytes(), counters.as_bytes()], self.views());
@@ -95,7 +96,7 @@ impl Checkpoint {
         io::write_atomic(path, |file| file.write_all(&bytes))
     }
 
-    /// Reads a file; an error if it is of another kind or version, or damaged.
+    /// Reads a file. Fails if it is of another kind or version, or damaged.
     pub fn read(path: &Path) -> Result<Self> {
         let bytes = io::read_bytes(path)?;
         let origin = path.display().to_string();
@@ -138,7 +139,7 @@ impl Checkpoint {
     }
 }
 
-/// CRC-32 of texts and tensors, their names included.
+/// Returns the CRC-32 of texts, tensor names and tensor data.
 fn checksum<'a>(texts: [&[u8]; 2], tensors: impl Iterator<Item = (&'a str, TensorView<'a>)>) -> String {
     let mut hasher = crc32fast::Hasher::new();
     for text in texts {
@@ -198,7 +199,7 @@ mod tests {
             let mut bad = good.clone();
             bad[at] ^= 0x10;
             std::fs::write(&path, bad).unwrap();
-            // A space of the header's padding may change; nothing that is read can.
+            // A change in the header's padding may go unnoticed, but never in anything that is read.
             if let Ok(read) = Checkpoint::read(&path) {
                 assert_eq!(read.config, "seed = 3", "byte {at}");
                 assert_eq!(read.counters, example().counters, "byte {at}");

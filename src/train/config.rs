@@ -8,63 +8,65 @@ use crate::sim::Grid;
 use crate::{Error, Result, io, network};
 use std::path::{Path, PathBuf};
 
-/// A training run: its pools, its optimizer, how long and how watched. The default is the paper's recipe (section 4).
+/// A training run: its pools, optimizer, length and monitoring. The default is the paper's recipe
+/// (section 4).
 ///
-/// Read from TOML by [`Config::parse`]; every field may be left out and then has its default. Unknown fields are errors.
+/// Read from TOML by [`Config::parse`]. Omitted fields take their defaults; unknown fields are errors.
 ///
 /// | field | default |
 /// |---|---|
-/// | `notes` | nothing; a text for the model cards |
+/// | `notes` | empty; a text for the model cards |
 /// | `seed`, `steps`, `log_every`, `average` | 1, 500000, 50, 0 |
 /// | `normalisation` | `"component"`; or `"cloth"` ([`Normalisation`]) |
-/// | `init` | fresh weights; else a safetensors file beside the configuration, or several, whose mean is taken |
+/// | `init` | fresh weights; or a safetensors file, relative to the configuration, or several to average |
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
-/// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in a pool that is given `[32, 32]`, 10, 1000, 10 |
+/// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in an explicit pool `[32, 32]`, 10, 1000, 10 |
 /// | `[[pool]]` `sequence_length`, `corners`, `every` | that of `[reset]`, that of `[motion]`, 1 |
 /// | `[pool.material]` `stretch`, `shear`, `bend` | `[100, 1000]`, `[1, 100]`, `[0.01, 10]` |
 /// | `[motion]` `moving`, `rotation`, `amplitude`, `frequency`, `pinch`, `gravity`, `aligned`, `corners`, `more_handles`, `damping` | 0.8, 0.0628, 10, 0.2, 0.4, 0.125, 0, 1, 0.5, 0 |
-/// | `[reset]` `energy`, `sequence_length`, `scale` | 20000, 1000, no bounds |
+/// | `[reset]` `energy`, `sequence_length`, `scale` | 20000, 1000, unbounded |
 /// | `[optimizer]` `rate`, `betas`, `epsilon`, `weight_decay`, `clip` | 1e-3, `[0.9, 0.999]`, 1e-8, 0.01, 1 |
 /// | `[schedule]` `warmup`, `decay` | 0, `{ halvings = [125000, 250000, 375000] }`; or `"none"`, `{ cosine = { final = 1e-5 } }` |
 /// | `[validation]` `every`, `frames`, `iterations`, `grids` | `{ minutes = 15 }`, 60, 10, `[[32, 32], [64, 64], [100, 100], [48, 32]]` |
 /// | `[checkpoint]` `every` | `{ minutes = 10 }`; or `{ steps = 1000 }` |
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Config {
-    /// What the run is for and what was learned on the way: told by its model cards.
+    /// Purpose of the run and lessons learned, copied into its model cards.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub notes: String,
-    /// Seed of all that is random.
+    /// Seed of all random numbers.
     pub seed: u64,
-    /// Training steps of the whole run; a cosine is stretched over them, halvings stay where they are.
+    /// Training steps of the whole run. A cosine decay spans them; halvings are absolute steps.
     pub steps: u64,
-    /// Steps that a row of `metrics.csv` is the mean of, if no checkpoint comes between.
+    /// Steps averaged into one row of `metrics.csv`, unless a checkpoint comes first.
     pub log_every: u64,
-    /// Decay of the running mean of the weights, which is then what is validated and kept; 0 for the weights themselves.
+    /// Decay of the running mean of the weights, which is what gets validated and saved; 0 disables
+    /// averaging.
     pub average: f64,
-    /// What the cotangents of a step are divided by.
+    /// Normalisation of the cotangents of a step.
     pub normalisation: Normalisation,
-    /// Files of the weights to begin with, whose mean is taken; none for fresh ones ([`super::initial_weights`]).
+    /// Files of the initial weights, which are averaged; empty for fresh ones ([`super::initial_weights`]).
     pub init: Vec<PathBuf>,
     /// Sizes of the network.
     pub network: network::Config,
     /// The pools of cloths.
     #[serde(rename = "pool")]
     pub pools: Vec<PoolConfig>,
-    /// How handles move, and gravity.
+    /// Motion of the handles, and gravity.
     pub motion: MotionRanges,
-    /// When cloths begin anew.
+    /// Conditions under which cloths are reset.
     pub reset: ResetRules,
-    /// AdamW.
+    /// Options of AdamW.
     pub optimizer: AdamWOptions,
-    /// The learning rate from step to step.
+    /// Schedule of the learning rate.
     pub schedule: RateSchedule,
     /// Validation rollouts.
     pub validation: ValidationConfig,
-    /// When the state of the run is written.
+    /// How often the state of the run is saved.
     pub checkpoint: Every,
 }
 
-/// A pool: cloths on one grid that are given the same number of iterations per frame.
+/// A pool: cloths on one grid with the same number of iterations per frame.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct PoolConfig {
     /// Particles along the height and the width.
@@ -76,22 +78,22 @@ pub struct PoolConfig {
     pub cloths: usize,
     /// Cloths drawn in each step.
     pub batch: usize,
-    /// What materials are drawn from.
+    /// Ranges of the materials.
     pub material: MaterialRanges,
-    /// Frames that a cloth of this pool lives on average; none for [`ResetRules::sequence_length`].
+    /// Mean life of a cloth of this pool in frames; `None` for [`ResetRules::sequence_length`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequence_length: Option<u64>,
-    /// How many cloths of this pool are held by the two corners; none for [`MotionRanges::corners`].
+    /// Probability that the first handles are the two corners; `None` for [`MotionRanges::corners`].
     #[serde(skip_serializing_if = "Option::is_none")]
     pub corners: Option<f64>,
-    /// Only one step in so many draws from this pool: for fine grids, which cost the most.
+    /// Number of steps per draw from this pool; above 1 for fine grids, which cost the most.
     pub every: u64,
 }
 
-/// An interval of positive numbers, drawn from log-uniformly: `[smallest, largest]`.
+/// An interval `[smallest, largest]` of positive numbers, sampled log-uniformly.
 pub type Range = [f64; 2];
 
-/// What the coefficients of the energy are drawn from, once per slot of a pool (grid units; paper section 3.2).
+/// Ranges of the energy coefficients, drawn once per slot of a pool (grid units; paper section 3.2).
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct MaterialRanges {
     /// Stretch coefficient.
@@ -102,10 +104,10 @@ pub struct MaterialRanges {
     pub bend: Range,
 }
 
-/// What the motion of the handles and gravity are drawn from.
+/// Ranges of the motion of the handles and of gravity.
 ///
-/// Lengths and accelerations are those of a sheet 31 edges high, the paper's 32x32. On a grid of H rows both are
-/// multiplied by (H - 1) / 31, so that sheets of all grids meet the same motions in metres.
+/// Lengths and accelerations refer to a sheet 31 edges high, the paper's 32x32. On a grid of H rows both are
+/// multiplied by (H - 1) / 31, so that sheets on all grids undergo the same motions in metres.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct MotionRanges {
     /// Probability that the handles of a cloth move.
@@ -118,38 +120,39 @@ pub struct MotionRanges {
     pub frequency: f64,
     /// Depth of the pinch p: handles are scaled by `1 - p + p cos(frequency t)`.
     pub pinch: f64,
-    /// Size of gravity [edges / frame^2]; its direction is random.
+    /// Magnitude of gravity [edges / frame^2]; its direction is random.
     pub gravity: f64,
-    /// Probability that a sheet starts unrotated, with gravity along an axis: as users' scenes do, where whole components
-    /// of the first gradient are zero.
+    /// Probability that a sheet starts unrotated, with gravity along an axis. This is typical of users'
+    /// scenes, and makes whole components of the first gradient zero.
     pub aligned: f64,
-    /// Probability that the first handles are the two corners; else they are one random particle. A pool may have
-    /// [one](PoolConfig::corners) of its own.
+    /// Probability that the first handles are the two corners; otherwise the first handle is one random
+    /// particle. A pool may [override](PoolConfig::corners) it.
     pub corners: f64,
-    /// Probability of each further handle, a random particle.
+    /// Probability of adding each further handle, a random particle.
     pub more_handles: f64,
-    /// Largest share of its velocity that a cloth loses per frame, drawn for each life: what comes to rest is then seen in
-    /// the pools too. The energy that is minimised does not know of it.
+    /// Largest fraction of its velocity that a cloth loses per frame, drawn for each life, so that the pools
+    /// also contain cloths at rest. The minimised energy does not include damping.
     pub damping: f64,
 }
 
-/// When a cloth begins anew.
+/// Conditions under which a cloth is reset.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct ResetRules {
-    /// When its stretch, shear and bend energy exceeds this (or is not finite).
+    /// Largest stretch, shear and bend energy; a cloth above it, or with a non-finite energy, is reset.
     pub energy: f64,
-    /// On average after this many frames, cloth by cloth in turn; a pool may have a [length](PoolConfig::sequence_length) of its own.
+    /// Mean life of a cloth in frames; cloths are reset round-robin. A pool may
+    /// [override](PoolConfig::sequence_length) it.
     pub sequence_length: u64,
-    /// When the scale of its steps leaves this interval; none for no bounds.
+    /// Allowed interval of the persistent scale; a cloth that leaves it is reset. `None` for no bounds.
     pub scale: Option<Range>,
 }
 
-/// AdamW with a bound on the gradient's norm, as PyTorch's.
+/// AdamW with clipping by gradient norm, as in PyTorch.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct AdamWOptions {
     /// Learning rate.
     pub rate: f64,
-    /// All else.
+    /// All other settings.
     #[serde(flatten)]
     pub settings: AdamWSettings,
 }
@@ -158,22 +161,23 @@ pub struct AdamWOptions {
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Every {
-    /// Each time this many steps are done.
+    /// At every multiple of this many steps.
     Steps(u64),
-    /// Each time this many minutes have passed.
+    /// Whenever this many minutes have passed since the last time.
     Minutes(f64),
 }
 
 /// Rollouts of fixed scenes by which weights are judged ([`super::Validation`]).
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ValidationConfig {
-    /// How often; also where a session reaches its limit or the end of the run, but not where it is interrupted.
+    /// How often to validate. A validation also takes place where a session reaches its limit or the end of
+    /// the run, but not where it is interrupted.
     pub every: Every,
     /// Frames of each rollout.
     pub frames: usize,
     /// Iterations per frame.
     pub iterations: usize,
-    /// Grids of the hanging sheet; the falling one has the finest of them.
+    /// Grids of the hanging sheet; the falling sheet has the finest of them.
     #[serde(serialize_with = "read::serialize_grids")]
     pub grids: Vec<Grid>,
 }
@@ -260,8 +264,8 @@ impl Default for ValidationConfig {
 }
 
 impl Config {
-    /// Reads a configuration file: its text, which a run keeps, and what it means. Paths in the text are made absolute, so
-    /// that a copy of it in another folder names the same files.
+    /// Reads a configuration file. Returns its text, which a run keeps, and the parsed configuration. Paths
+    /// in the text are made absolute, so that a copy of it in another folder names the same files.
     pub fn load(path: &Path) -> Result<(String, Self)> {
         let text = Self::text(path)?;
         Self::parse(&text, path)?;
@@ -270,13 +274,13 @@ impl Config {
         Ok((text, config))
     }
 
-    /// The text of a configuration file.
+    /// Reads the text of a configuration file.
     pub(super) fn text(path: &Path) -> Result<String> {
         let origin = path.display().to_string();
         String::from_utf8(io::read_bytes(path)?).map_err(|e| Error::invalid(origin, "text", "UTF-8", e))
     }
 
-    /// Reads a configuration from TOML; `path` names it in errors, and its folder is where `init` is looked for.
+    /// Parses a configuration from TOML. `path` names it in errors, and `init` is relative to its folder.
     pub fn parse(text: &str, path: &Path) -> Result<Self> {
         read::config(text, path)
     }

@@ -21,7 +21,7 @@ pub(super) struct CpuLearner {
     adamw: AdamW<f32>,
 }
 
-/// A pool: all its cloths, those of a batch, and the batch's loss.
+/// A pool: all its cloths, those of the current batch, and the batch's loss.
 struct Room {
     all: Arrays<f32>,
     drawn: Arrays<f32>,
@@ -29,7 +29,7 @@ struct Room {
 }
 
 impl CpuLearner {
-    /// Begins with `weights`; an error if a grid is too small for the kept modes.
+    /// Creates a learner that starts from `weights`. Fails if a grid is too small for the modes.
     pub fn new(config: &Config, weights: &Weights) -> Result<Self> {
         let room = |pool: &super::PoolConfig| {
             let model = Model { grid: pool.grid, cloths: vec![Cloth::default(); pool.batch] };
@@ -54,7 +54,7 @@ impl CpuLearner {
 }
 
 impl CpuLearner {
-    /// Steps the cloths of all batches, adds up their gradients and tells how they did.
+    /// Steps the cloths of all batches, accumulates their gradients and reports their outcomes.
     fn add_gradients(&mut self, batches: &[Batch], weights: &LaidOut<f32>, report: &mut StepReport) {
         for batch in batches {
             let Room { all, drawn, loss } = &mut self.pools[batch.pool];
@@ -81,7 +81,8 @@ impl Learner for CpuLearner {
         let weights = LaidOut::new(&self.weights()?);
         self.gradient.fill(0.0);
         let mut report = StepReport { outcomes: vec![Vec::new(); self.pools.len()], ..StepReport::default() };
-        // As one task of the pool, as a frame is: from outside each parallel loop would wait for a thread to wake.
+        // Run as one task inside the rayon pool, like a frame: from outside, each parallel loop would wait
+        // for a thread to wake.
         rayon::scope(|_| self.add_gradients(batches, &weights, &mut report));
         ranks.join(&mut self.gradient, report.loss());
         report.gradient_norm = AdamW::norm(&self.gradient);

@@ -16,8 +16,8 @@ use crate::kernels::train::{AdamW, BatchTensors, Factors, GradientSize, Moments,
 use crate::network::{Backward, Forward, Head, Keep, Parameters, Plan, Transposed};
 use crate::sim::{Control, Grid, Model};
 
-/// The loss of a batch of B cloths on one grid, and its gradient over the weights (paper section 3.3): one iteration of the
-/// learned optimizer, judged by the energies where it leads.
+/// The loss of a batch of B cloths on one grid, and its gradient over the weights (paper section 3.3): one
+/// iteration of the learned optimizer, scored by the energy after it.
 #[derive(Debug)]
 pub struct DeviceLoss {
     context: Context,
@@ -28,14 +28,14 @@ pub struct DeviceLoss {
     v: Tensor,
     cloths: Tensor,
     targets: Tensor,
-    /// Accelerations of the caller's [edges / frame^2], shape [B, 3, n].
+    /// External accelerations, set by the caller [edges / frame^2], shape [B, 3, n].
     pub given: Tensor,
     external: Tensor,
     iterate: Iterate,
     scale: Tensor,
-    /// Energy terms at the new a, as [`EnergySum`] gives them, shape [B, 8].
+    /// Energy terms at the new a, as computed by [`EnergySum`], shape [B, 8].
     pub terms: Tensor,
-    /// Mean magnitude of the gradient there, shape \[B\].
+    /// Mean absolute gradient at the new a, shape \[B\].
     pub sizes: Tensor,
     forward: Forward,
     backward: Backward,
@@ -43,7 +43,7 @@ pub struct DeviceLoss {
 }
 
 impl DeviceLoss {
-    /// For batches of `batch` cloths; `gradient` is a vector in the order of `parameters`.
+    /// Creates the loss for batches of `batch` cloths. `gradient` is a vector in the order of `parameters`.
     pub fn new(
         context: &Context,
         (grid, batch): (Grid, usize),
@@ -78,29 +78,30 @@ impl DeviceLoss {
         })
     }
 
-    /// Number of cloths.
+    /// Returns the number of cloths.
     pub fn batch(&self) -> usize {
         self.batch
     }
 
-    /// What the step begins with and changes.
+    /// Returns the tensors that the step reads and updates.
     pub fn tensors(&self) -> BatchTensors<'_> {
         let Self { x, v, scale, iterate, .. } = self;
         BatchTensors { x, v, a: &iterate.a, hidden: iterate.hidden_state(), scale }
     }
 
-    /// Scale of the next step of each sample, shape `[3 B]`.
+    /// Returns the persistent scale of each sample, shape `[3 B]`.
     pub fn scale(&self) -> &Tensor {
         &self.scale
     }
 
-    /// The state, where handles are to be, and the iterate: for what ends a frame.
+    /// Returns the state with the handle targets, and the iterate, as needed to end a frame.
     pub fn state(&self) -> (StateTensors<'_>, &Iterate) {
         (StateTensors { x: &self.x, v: &self.v, targets: &self.targets }, &self.iterate)
     }
 
-    /// Sets cloths, handles and their targets, ahead of whatever is submitted next. Panics when a cloth has more handles
-    /// than [`MAX_HANDLES`] or a repulsion, which training does not have here, or the numbers are not the batch's.
+    /// Sets cloths, handles and their targets, effective from the next submission. Panics if the batch has
+    /// more than [`MAX_HANDLES`] handles per cloth on average, if the model has repulsion, which is not
+    /// supported here, or if the sizes do not match.
     pub fn set_cloths(&self, model: &Model, control: &Control<f32>) {
         assert_eq!((model.batch(), control.handles.len()), (self.batch, model.handles()));
         assert!(!model.repels(), "training has no repulsion");
@@ -112,8 +113,8 @@ impl DeviceLoss {
         self.targets.write(&self.context, &targets);
     }
 
-    /// Appends an iteration: the step is added to a and remembered, and the gradient over all weights of the mean of the
-    /// energies is added to the vector given. `transposed` holds the weights.
+    /// Appends an iteration: adds the step to a, updates the hidden state, and adds the gradient of the mean
+    /// energy over all weights to the vector passed to [`DeviceLoss::new`]. `transposed` holds the weights.
     pub fn push(&self, schedule: &mut Schedule, transposed: &Transposed) -> Result<()> {
         let (context, grid) = (&self.context, self.grid);
         let Self { x, v, cloths, given, external, iterate, scale, forward, backward, .. } = self;
@@ -146,15 +147,15 @@ impl DeviceLoss {
     }
 }
 
-/// AdamW on a vector of weights on the device.
+/// AdamW for a vector of weights on the device.
 #[derive(Debug)]
 pub struct DeviceAdamW {
     context: Context,
-    /// The gradient, as long as the weights.
+    /// Gradient, of the same length as the weights.
     pub gradient: Tensor,
     /// Mean gradient, mean squared gradient, and the running mean of the weights.
     pub moments: Moments,
-    /// Sum of the squares of the gradient, after [`DeviceAdamW::push_norm`]: shape \[1\].
+    /// Squared norm of the gradient, computed by [`DeviceAdamW::push_norm`], shape \[1\].
     pub norm_squared: Tensor,
     sums: Tensor,
     factors: Tensor,
@@ -162,7 +163,7 @@ pub struct DeviceAdamW {
 }
 
 impl DeviceAdamW {
-    /// For `weights` numbers, with a fresh memory.
+    /// Creates the optimizer for `weights` numbers, with zero moments.
     pub fn new(context: &Context, weights: usize, settings: AdamWSettings) -> Result<Self> {
         let zeros = |label, len: usize| Tensor::zeros(context, label, &[len]);
         let moments = Moments {
@@ -181,21 +182,21 @@ impl DeviceAdamW {
         })
     }
 
-    /// Appends the norm of the gradient.
+    /// Appends the computation of the squared norm of the gradient.
     pub fn push_norm(&self, schedule: &mut Schedule) -> Result<()> {
         Squares::new(&self.context)?.push(schedule, &self.gradient, &self.sums, &self.norm_squared);
         Ok(())
     }
 
-    /// Appends a step of `weights`, by the factors as they are when it runs.
+    /// Appends an update of `weights`. It uses the factors that are set when it runs.
     pub fn push_step(&self, schedule: &mut Schedule, weights: &Tensor) -> Result<()> {
         let vectors = (&self.gradient, weights);
         AdamW::new(&self.context)?.push(schedule, &self.factors, vectors, &self.moments);
         Ok(())
     }
 
-    /// Sets the factors of update number `number`, from 1 on, for a gradient of this norm; `average` is the decay of the
-    /// running mean of the weights. Ahead of whatever is submitted next.
+    /// Sets the factors of update `number`, counted from 1, for a gradient of norm `norm`, effective from the
+    /// next submission. `average` is the decay of the running mean of the weights.
     pub fn set_factors(&self, norm: f64, number: u64, (rate, average): (f64, f64)) {
         let AdamWSettings { betas: [beta1, beta2], epsilon, .. } = self.settings;
         let AdamWFactors { shorten, shrink, pace, root } = self.settings.factors(norm, number, rate);

@@ -7,21 +7,21 @@ use std::fs::{File, TryLockError};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Checkpoints that are kept.
+/// Number of checkpoints to keep.
 const KEPT: usize = 3;
 
-/// What [`Folder::newest`] calls a checkpoint that is not there.
+/// Step that [`Folder::newest`] broadcasts when no checkpoint is left.
 const NONE: u64 = u64::MAX;
 
-/// Paths inside the folder of a run.
+/// The folder of a run and the paths inside it.
 #[derive(Debug)]
 pub(super) struct Folder {
     root: PathBuf,
-    /// Locked for as long as it is open, by the process that writes into the folder.
+    /// The lock file, kept open and locked while this process writes into the folder.
     lock: Option<File>,
 }
 
-/// A file among the checkpoints: what a rank had to save after a step.
+/// A checkpoint file: the state of one rank after a step.
 struct Saved {
     step: u64,
     rank: usize,
@@ -29,7 +29,7 @@ struct Saved {
 }
 
 impl Folder {
-    /// Begins a run in a folder, which is made if it is not there; refuses one that holds checkpoints or weights.
+    /// Starts a run in a folder, creating it if necessary. Fails if the folder holds checkpoints or weights.
     pub fn create(root: &Path, config: &str) -> Result<Self> {
         let mut folder = Self::open(root);
         std::fs::create_dir_all(root).map_err(|e| Error::io(root, "cannot create the folder", e))?;
@@ -37,7 +37,7 @@ impl Folder {
         let checkpoint = folder.checkpoints()?.into_iter().map(|saved| saved.path).next();
         let weights =
             ["best", "last"].map(|name| folder.weights(name)).into_iter().find(|path| path.exists());
-        // Of a run that ended before its first checkpoint there is the configuration, too.
+        // Tables next to a configuration belong to a run that ended before its first checkpoint.
         let tables = [folder.metrics(), folder.validation()].into_iter();
         let table = tables.into_iter().find(|path| path.exists() && !folder.config().exists());
         for (what, found) in [("checkpoints", checkpoint), ("weights", weights), ("tables", table)] {
@@ -46,7 +46,7 @@ impl Folder {
                 return Err(Error::invalid(root.display().to_string(), what, expected, path.display()));
             }
         }
-        // Of a run that ended before its first checkpoint it is the same, and of another nobody else has it.
+        // If such a run is restarted, the configuration is the same. Any other may be the only copy: keep it.
         let other = std::fs::read(folder.config()).is_ok_and(|found| found != config.as_bytes());
         if other {
             let expected = "none of another run, nor anything else of that name, in the folder of a new run";
@@ -57,12 +57,12 @@ impl Folder {
         Ok(folder)
     }
 
-    /// The folder of a run that was begun.
+    /// Opens the folder of an existing run.
     pub fn open(root: &Path) -> Self {
         Self { root: root.to_owned(), lock: None }
     }
 
-    /// Keeps other processes from training in the folder until it is dropped.
+    /// Locks the folder against other processes until `self` is dropped.
     pub fn claim(&mut self) -> Result<()> {
         let path = self.root.join("run.lock");
         let file = File::create(&path).map_err(|e| Error::io(&path, "cannot create", e))?;
@@ -76,7 +76,7 @@ impl Folder {
                 let (expected, found) = ("no other process that trains in it", "one that does");
                 return Err(Error::invalid(origin, "run.lock", expected, found));
             }
-            // Some shared file systems have no locks.
+            // Some shared file systems do not support locks.
             Err(TryLockError::Error(e)) => {
                 tracing::warn!("{}: {e}; nothing keeps another process from training there", path.display());
             }
@@ -84,7 +84,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Removes what a process that was killed while it wrote has left.
+    /// Removes unfinished files of processes that were killed while writing.
     fn remove_leftovers(&self) -> Result<()> {
         let folders = [self.root.clone(), self.root.join("weights"), self.checkpoint_dir()];
         let entries = folders.iter().flat_map(std::fs::read_dir).flatten().flatten();
@@ -97,35 +97,35 @@ impl Folder {
         Ok(())
     }
 
-    /// The configuration.
+    /// Returns the path of the configuration.
     pub fn config(&self) -> PathBuf {
         self.root.join("config.toml")
     }
 
-    /// Means over steps.
+    /// Returns the path of the table of means over steps.
     pub fn metrics(&self) -> PathBuf {
         self.root.join("metrics.csv")
     }
 
-    /// Validation rollouts.
+    /// Returns the path of the table of validation rollouts.
     pub fn validation(&self) -> PathBuf {
         self.root.join("validation.csv")
     }
 
-    /// The curves.
+    /// Returns the path of the plot.
     pub fn plot(&self) -> PathBuf {
         self.root.join("plot.png")
     }
 
-    /// Weights; `name` is `best` or `last`.
+    /// Returns the path of weights; `name` is `best` or `last`.
     pub fn weights(&self, name: &str) -> PathBuf {
         self.root.join("weights").join(format!("{name}.safetensors"))
     }
 
-    /// Writes the checkpoint of all ranks, and only then removes the oldest.
+    /// Writes the checkpoint of all ranks, and only then removes the oldest ones.
     pub fn keep(&self, checkpoint: &Checkpoint, ranks: &dyn Ranks) -> Result<()> {
         let path = self.checkpoint(checkpoint.counters.step, ranks.rank());
-        // Rank 0's files say which checkpoints there are, so each comes after those of the others.
+        // Rank 0's file marks a checkpoint as complete, so it is written after those of the other ranks.
         if ranks.rank() != 0 {
             checkpoint.write(&path)?;
         }
@@ -135,7 +135,7 @@ impl Folder {
         }
         checkpoint.write(&path)?;
         let files = self.checkpoints()?;
-        // Newer ones were passed over as damaged.
+        // Newer ones are damaged and were passed over.
         let whole = files.iter().filter(|f| f.rank == 0 && f.step <= checkpoint.counters.step);
         let kept: Vec<u64> = whole.map(|f| f.step).take(KEPT).collect();
         for Saved { path, .. } in files.iter().filter(|file| !kept.contains(&file.step)) {
@@ -144,7 +144,8 @@ impl Folder {
         Ok(())
     }
 
-    /// The newest checkpoint that is whole on all ranks, as this rank saved it, and what was wrong with its newer ones.
+    /// Returns this rank's part of the newest checkpoint that is intact on all ranks, and the errors of newer
+    /// ones that this rank could not read. Fails if the run began with another number of ranks.
     pub fn newest(&self, ranks: &dyn Ranks) -> Result<(Option<Checkpoint>, Vec<Error>)> {
         let mut passed_over = Vec::new();
         let count = ranks.count() as u64;
@@ -163,14 +164,14 @@ impl Folder {
             let whole = ranks.all(read.is_ok());
             match read {
                 Ok(checkpoint) if whole => return Ok((Some(checkpoint), passed_over)),
-                // Another rank tells what is wrong.
+                // Another rank reports the error.
                 Ok(_) => {}
                 Err(error) => passed_over.push(error),
             }
         }
     }
 
-    /// That none of the checkpoints is whole, of which some were passed over.
+    /// Returns the error that no checkpoint is intact, given those that were passed over.
     pub fn none_whole(&self, passed_over: &[Error]) -> Error {
         let found = match passed_over.first() {
             Some(error) => format!("none ({error})"),
@@ -180,7 +181,7 @@ impl Folder {
         Error::invalid(dir, "checkpoints", "a whole one to resume from", found)
     }
 
-    /// Removes the checkpoint of a step if an older one is whole; whether it did.
+    /// Removes the checkpoint of a step if an older one is intact. Returns whether it did.
     pub fn remove_if_older(&self, step: u64) -> Result<bool> {
         let files = self.checkpoints()?;
         let older = |file: &&Saved| file.rank == 0 && file.step < step;
@@ -193,7 +194,7 @@ impl Folder {
         Ok(true)
     }
 
-    /// The files of all checkpoints and ranks, the newest first; a folder that is missing has none.
+    /// Returns the files of all checkpoints and ranks, newest first; empty if there is no such folder.
     fn checkpoints(&self) -> Result<Vec<Saved>> {
         let dir = self.checkpoint_dir();
         let fail = |e| Error::io(&dir, "cannot read", e);
@@ -217,7 +218,7 @@ impl Folder {
         Ok(found)
     }
 
-    /// Where a rank saves its part of the checkpoint after a step.
+    /// Returns the path of a rank's part of the checkpoint after a step.
     fn checkpoint(&self, step: u64, rank: usize) -> PathBuf {
         let rank = if rank == 0 { String::new() } else { format!(".rank{rank}") };
         self.checkpoint_dir().join(format!("step-{step:08}{rank}.safetensors"))

@@ -15,29 +15,29 @@ use crate::kernels::train::{Advance, Draw, Drawn, PoolTensors, Store};
 use crate::network::{self, Parameters, Transposed, Weights};
 use crate::sim::{Grid, INITIAL_SCALE};
 
-/// The learner on the device of a context. Weights, memory and pools stay there; a step takes two submissions, since the
-/// host judges in between whether it can be used.
+/// The learner on a GPU. Weights, moments and pools stay on the device. A step takes two submissions, because
+/// the host decides in between whether the step is usable.
 pub(super) struct GpuLearner {
     context: Context,
     network: network::Config,
     parameters: Parameters,
     adamw: DeviceAdamW,
     pools: Vec<Room>,
-    /// Before the batches: an empty gradient, and the weights the other way round.
+    /// Runs before the batches: clears the gradient and transposes the weights.
     prepare: Schedule,
-    /// After them: the gradient's norm.
+    /// Runs after the batches: computes the norm of the gradient.
     norm: Schedule,
-    /// Reads it back.
+    /// Reads the squared norm back.
     told: Readback,
     update: Schedule,
 }
 
-/// A pool: all its cloths, and what a step of a batch of them takes.
+/// A pool: all its cloths, and the buffers and schedule of a step on one batch.
 struct Room {
     grid: Grid,
-    /// Shape [P, 5, 3, n], see [`PoolTensors`].
+    /// Fields of all cloths, shape [P, 5, 3, n], see [`PoolTensors`].
     fields: Tensor,
-    /// Shape [P, 3].
+    /// Persistent scales, shape [P, 3].
     scale: Tensor,
     drawn: Tensor,
     loss: DeviceLoss,
@@ -69,7 +69,7 @@ impl Room {
         Ok(Self { grid, fields, scale, drawn, loss, step: step.finish()?, readback })
     }
 
-    /// Sets the cloths of the next step.
+    /// Uploads the cloths of the next step.
     fn set(&self, context: &Context, batch: &Batch) {
         let drawn = batch.cloths.iter().map(|drawn| Drawn {
             slot: u32::try_from(drawn.slot).expect("a pool's cloths fit 32 bits"),
@@ -82,7 +82,7 @@ impl Room {
         self.loss.set_cloths(&batch.model(self.grid), &batch.control());
     }
 
-    /// The pool on the host.
+    /// Reads the pool back to the host.
     fn read(&self, context: &Context) -> Result<Arrays<f32>> {
         let mut arrays = Arrays::new(self.grid, self.scale.shape()[0]);
         let fields: Vec<f32> = self.fields.read(context)?;
@@ -96,7 +96,7 @@ impl Room {
         Ok(arrays)
     }
 
-    /// The pool from the host.
+    /// Uploads the pool from the host.
     fn write(&self, context: &Context, mut arrays: Arrays<f32>) {
         let mut fields = vec![0.0; self.fields.len()];
         let len = 3 * self.grid.particles();
@@ -110,7 +110,7 @@ impl Room {
     }
 }
 
-/// What became of the cloths of the last step, `batch` of them, from what was read back.
+/// Decodes the outcomes of the last step's `batch` cloths from the bytes read back.
 fn outcomes(told: &[u8], batch: usize) -> Vec<Outcome> {
     let told: Vec<f32> = bytemuck::pod_collect_to_vec(told);
     let (terms, rest) = told.split_at(TERMS * batch);
@@ -124,13 +124,14 @@ fn outcomes(told: &[u8], batch: usize) -> Vec<Outcome> {
 }
 
 impl GpuLearner {
-    /// Begins with `weights`; an error if a grid is too small for the kept modes, or the device's memory for the pools.
+    /// Creates a learner that starts from `weights`. Fails if a grid is too small for the modes, or if device
+    /// memory cannot hold the pools.
     pub fn new(context: &Context, config: &Config, weights: &Weights) -> Result<Self> {
         context.checked(|| Self::build(context, config, weights))
     }
 
     fn build(context: &Context, config: &Config, weights: &Weights) -> Result<Self> {
-        // The table's, whatever was measured: a run that is resumed goes on to the same bits.
+        // Use the tuning table, not measured tunings, so that a resumed run continues bit for bit.
         let tuning = Tuning::table(context);
         let parameters = Parameters::new(context, weights, &tuning)?;
         let adamw = DeviceAdamW::new(context, parameters.flat.len(), config.optimizer.settings)?;
@@ -153,7 +154,7 @@ impl GpuLearner {
         Ok(Self { context, network, parameters, adamw, pools, prepare, norm, told, update })
     }
 
-    /// The vectors of a checkpoint, by name.
+    /// Returns the vectors of a checkpoint with their names.
     fn vectors(&self) -> [(&'static str, &Tensor); 4] {
         let moments = &self.adamw.moments;
         [
@@ -200,7 +201,7 @@ impl Learner for GpuLearner {
         }
         let mut submission = submission;
         if ranks.count() > 1 {
-            // The one case in which the gradient leaves the device.
+            // Only with several ranks does the gradient leave the device.
             let mut gradient = adamw.gradient.read(context)?;
             ranks.join(&mut gradient, report.loss());
             adamw.gradient.write(context, &gradient);

@@ -1,4 +1,4 @@
-//! Fresh weights.
+//! Initial weights.
 
 use super::config::Config;
 use super::random::{Purpose, generator};
@@ -10,8 +10,8 @@ use rand::rngs::ChaCha8Rng;
 use std::f64::consts::TAU;
 use std::path::PathBuf;
 
-/// The weights that a run begins with: the mean of those in the files `init`, or fresh ones. Those of rank 0 on all ranks, as
-/// logarithms and cosines may differ in the last bit from machine to machine.
+/// Returns the initial weights of a run: the mean of those in the files `init`, or fresh ones. All ranks get
+/// rank 0's, because logarithms and cosines may differ between machines in the last bit.
 pub fn first_weights(config: &Config, ranks: &dyn Ranks) -> Result<Weights> {
     let mut flat = match &config.init[..] {
         [] => initial_weights(config.network, config.seed).flat(),
@@ -21,7 +21,7 @@ pub fn first_weights(config: &Config, ranks: &dyn Ranks) -> Result<Weights> {
     Ok(Weights::from_flat(config.network, &flat))
 }
 
-/// The mean of the weights in these files.
+/// Returns the mean of the weights in these files. Fails if one is of a network of other sizes.
 fn mean(config: &Config, files: &[PathBuf]) -> Result<Vec<f32>> {
     let mut sums: Vec<f64> = Vec::new();
     for path in files {
@@ -37,11 +37,12 @@ fn mean(config: &Config, files: &[PathBuf]) -> Result<Vec<f32>> {
     Ok(sums.iter().map(|sum| (sum / files.len() as f64) as f32).collect())
 }
 
-/// Random weights as the authors' implementation draws them (neuraloperator's and PyTorch's defaults).
+/// Draws random weights like the authors' implementation (the defaults of neuraloperator and PyTorch).
 ///
-/// Pointwise layers, skips and the scalar head: weights and biases uniform within `1 / sqrt(inputs)` of 0 (the skips have
-/// no bias). Spectral weights: complex normal numbers of variance `2 / (channels + channels)`, half of it in each part;
-/// the biases of the blocks: real normal numbers of the same variance.
+/// Pointwise layers, skips and the scalar head: weights and biases uniform within `1 / sqrt(inputs)` of 0
+/// (the skips have no bias). Spectral weights: complex normal numbers of variance
+/// `2 / (channels + channels)`, half of it in each part. Biases of the blocks: real normal numbers of the
+/// same variance.
 pub fn initial_weights(config: network::Config, seed: u64) -> Weights {
     let random = &mut generator(seed, Purpose::Weights, 0);
     let mut weights = Weights::zeros(config);
@@ -65,7 +66,7 @@ fn uniform(random: &mut ChaCha8Rng, values: &mut [f32], inputs: usize) {
     values.fill_with(|| (bound * (2.0 * random.random::<f64>() - 1.0)) as f32);
 }
 
-/// Normal numbers by Box and Muller; `1 - u` keeps the logarithm finite.
+/// Draws normal numbers by the Box-Muller transform; `1 - u` keeps the logarithm finite.
 fn normal(random: &mut ChaCha8Rng, values: &mut [f32], deviation: f64) {
     values.fill_with(|| {
         let radius = (-2.0 * (1.0 - random.random::<f64>()).ln()).sqrt();

@@ -7,36 +7,36 @@ use crate::Result;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// What is told of each pool.
+/// Columns of each pool.
 const OF_POOL: [&str; 7] = ["loss", "stretch", "shear", "bend", "inertia", "external", "log_gradient"];
-/// What is told of the step.
+/// Columns of the step.
 const OF_STEP: [&str; 7] =
     ["step", "seconds", "steps_per_second", "rate", "skipped", "loss", "gradient_norm"];
 
-/// The name of a pool in files and curves.
+/// Returns the name of a pool in files and plots.
 pub(super) fn pool_name(index: usize, pool: &PoolConfig) -> String {
     format!("pool{index}_{}_n{}", pool.grid, pool.iterations)
 }
 
-/// Collects steps and writes their means.
+/// Accumulates steps and writes their means.
 pub(super) struct Metrics {
     table: Table,
-    /// Sums of loss, gradient norm and what is told of each pool.
+    /// Sums of loss, gradient norm and the columns of each pool.
     sums: Vec<f64>,
-    /// Steps that the sums hold.
+    /// Number of steps in the sums.
     used: u64,
-    /// How many of them drew from each pool.
+    /// Number of these steps that drew from each pool.
     drawn: Vec<u64>,
-    /// Steps that were skipped since the last row.
+    /// Number of steps skipped since the last row.
     skipped: u64,
-    /// The learning rate of the last step.
+    /// Learning rate of the last step.
     rate: f64,
-    /// The time that the steps took, without what came between them.
+    /// Time taken by the steps, excluding work between them.
     took: Duration,
 }
 
 impl Metrics {
-    /// Opens the table; rows after `step` are given up.
+    /// Opens the table, dropping rows after `step`.
     pub fn open(path: PathBuf, pools: &[PoolConfig], step: u64) -> Result<Self> {
         let of_pools = pools.iter().enumerate().flat_map(|(index, pool)| {
             let name = pool_name(index, pool);
@@ -49,7 +49,7 @@ impl Metrics {
         Ok(Self { table, sums, used: 0, drawn, skipped: 0, rate: 0.0, took: Duration::ZERO })
     }
 
-    /// Adds a step that was taken with this learning rate and took this long; one that was skipped is only counted.
+    /// Adds a step with its learning rate and duration; a skipped step is only counted.
     pub fn add(&mut self, report: &StepReport, rate: f64, took: Duration) {
         self.rate = rate;
         self.took += took;
@@ -79,8 +79,8 @@ impl Metrics {
         }
     }
 
-    /// Writes the row of the steps up to `step`, if there were any, and begins the next. Nothing is told of a pool that was
-    /// not drawn from.
+    /// Writes the row of the steps up to `step`, if there were any, and starts the next one. Columns of pools
+    /// that were not drawn from are empty.
     pub fn flush(&mut self, step: u64, seconds: f64) -> Result<()> {
         if self.used + self.skipped == 0 {
             return Ok(());
@@ -101,7 +101,7 @@ impl Metrics {
         Ok(())
     }
 
-    /// The rows so far.
+    /// Returns the table.
     pub fn table(&self) -> &Table {
         &self.table
     }

@@ -1,5 +1,5 @@
-//! Training (paper sections 3.3 and 4): the network learns to be an optimizer from physics alone, on cloths that it
-//! simulates itself.
+//! Training (paper sections 3.3 and 4): the network learns to be an optimizer from physics alone, on cloths
+//! that it simulates itself.
 //!
 //! # One training step
 //!
@@ -10,30 +10,31 @@
 //! Pool::rotate     now and then begins the next cloth anew in any case
 //! ```
 //!
-//! The host ([`Pool`]) holds a few whole numbers per cloth. All that is random about a cloth, its [`Script`], follows
-//! from the seed and the numbers of its pool, slot and life; the cloths of a batch follow from the seed and the number of
-//! the step. So a run's random state *is* its seed and its counters, and a run resumed from a checkpoint continues to the
-//! same bits. The device ([`Learner`]) holds positions, velocities, accelerations and the optimizer's memory, and tells a
-//! few numbers per cloth after each step.
+//! The host ([`Pool`]) holds a few integers per cloth. Everything random about a cloth, its [`Script`],
+//! follows from the seed and the indices of its pool, slot and life; the cloths of a batch follow from the
+//! seed and the index of the step. So a run's random state *is* its seed and its counters, and a run resumed
+//! from a checkpoint continues bit for bit. The device ([`Learner`]) holds positions, velocities,
+//! accelerations and the hidden state of the optimizer, and reports a few numbers per cloth after each step.
 //!
 //! # A run
 //!
-//! [`Run`] is a folder and what goes on in it:
+//! [`Run`] is a folder and the training that takes place in it:
 //!
-//! | file | holds |
+//! | file | contents |
 //! |---|---|
-//! | `config.toml` | the exact configuration ([`Config`]), its paths made absolute |
-//! | `metrics.csv` | means over `log_every` steps: loss, its terms and the log mean absolute gradient of each pool, gradient norm, speed |
-//! | `validation.csv` | each rollout of each validation |
-//! | `plot.png` | both as curves |
-//! | `checkpoints/` | the last three whole states of the run, to resume from with as many ranks; a file for each rank |
-//! | `run.lock` | nothing; locked by the process that trains in the folder, and of no meaning afterwards |
-//! | `weights/best.safetensors`, `last.safetensors` | weights (averaged, if that is on), each with a model card in JSON |
+//! | `config.toml` | the exact configuration ([`Config`]), with absolute paths |
+//! | `metrics.csv` | means over `log_every` steps: loss, energy terms and log mean absolute gradient of each pool, gradient norm, speed |
+//! | `validation.csv` | one row per rollout of each validation |
+//! | `plot.png` | both tables as curves |
+//! | `checkpoints/` | the last three complete states of the run, one file per rank; resuming needs the same number of ranks |
+//! | `run.lock` | empty; locked by the process that trains in the folder, meaningless afterwards |
+//! | `weights/best.safetensors`, `last.safetensors` | weights (averaged, if enabled), each with a model card in JSON |
 //!
 //! # Several ranks
 //!
-//! Several processes can train one network together, each with pools of its own ([`Ranks`]); with the crate's feature `mpi`
-//! MPI connects them. Rank 0 writes the folder, and its losses are those in `metrics.csv`; the gradient norm is that of all.
+//! Several processes can train one network together, each with its own pools ([`Ranks`]), connected by MPI if
+//! the crate's feature `mpi` is enabled. Rank 0 writes the folder. `metrics.csv` holds rank 0's losses and
+//! the gradient norm over all ranks.
 
 mod arrays;
 mod card;

@@ -1,4 +1,4 @@
-//! Ranks that MPI connects.
+//! Ranks connected by MPI.
 
 use super::ranks::Ranks;
 use mpi::Threading;
@@ -9,17 +9,18 @@ use mpi::traits::{Communicator, CommunicatorCollectives, Root};
 use std::fmt::Display;
 use std::io::Write;
 
-/// The ranks of an MPI job. MPI adds in an order of its own, which does not change from run to run with as many ranks on
-/// the same machines; so runs repeat to the same bits there.
+/// The ranks of an MPI job. MPI chooses the order of summation, but does not change it between runs with the
+/// same number of ranks on the same machines, so such runs are reproducible bit for bit.
 pub(super) struct Mpi {
     world: SimpleCommunicator,
     on_machine: usize,
-    // Ends MPI when dropped, so it comes last.
+    // Finalizes MPI when dropped, so it must be the last field.
     _universe: Universe,
 }
 
 impl Mpi {
-    /// Joins the job; nothing if MPI was started before. Only this thread may use it.
+    /// Joins the job. Returns `None` if MPI cannot be initialized, for instance because it already was. Only
+    /// this thread may use it.
     pub fn new() -> Option<Self> {
         let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)?;
         let world = universe.world();
@@ -64,7 +65,7 @@ impl Drop for Mpi {
         if std::thread::panicking() {
             self.abort(&"the program panicked");
         }
-        // A rank that ends in a way of its own makes the launcher end the others, which may still be writing.
+        // If a rank exits on its own, the launcher kills the others, which may still be writing.
         self.world.barrier();
     }
 }

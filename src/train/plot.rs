@@ -1,4 +1,4 @@
-//! The curves of a run as a picture.
+//! Plots the curves of a run.
 
 use super::config::PoolConfig;
 use super::metrics::pool_name;
@@ -9,7 +9,8 @@ use crate::render::{Chart, Curve, Image, Scale, charts};
 /// Width and height of the picture \[px\].
 const SIZE: (usize, usize) = (1200, 900);
 
-/// Draws loss and log gradient of each pool, the gradient norm, and the validation of each scene, over the steps.
+/// Draws loss and log gradient of each pool, the gradient norm, and the energy gap of each validation scene,
+/// over the steps.
 pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -> Result<Image> {
     let text = metrics.text()?;
     let curve = |column: &str, label: String| {
@@ -32,7 +33,7 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
     for row in validations.rows(&text) {
         let values: Vec<&str> = row.split(',').collect();
         let (Ok(step), Ok(gap)) = (values[0].parse(), values[2].parse::<f64>()) else { continue };
-        // That of weights which diverge is larger by powers of ten.
+        // Diverging weights have gaps that are larger by powers of ten.
         let value = gap.log10();
         match scenes.iter_mut().find(|curve| curve.label == values[1]) {
             Some(curve) => curve.points.push([step, value]),

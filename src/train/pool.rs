@@ -1,4 +1,5 @@
-//! A pool of cloths: who is drawn, how far each is, who begins anew (paper section 3.3, after Wandel et al. 2020).
+//! A pool of cloths: drawing batches, tracking progress, resetting cloths (paper section 3.3, after Wandel et
+//! al. 2020).
 
 use super::config::{MotionRanges, PoolConfig, ResetRules};
 use super::learner::{Batch, Drawn, Outcome};
@@ -6,10 +7,10 @@ use super::random::{Purpose, generator};
 use super::script::Script;
 use crate::{Error, Result};
 
-/// The most handles of a cloth of a pool.
+/// Maximum number of handles of a cloth in a pool.
 pub const MAX_HANDLES: usize = 16;
 
-/// The host's side of a pool: how far each cloth is. Its arrays are the [`super::Learner`]'s.
+/// The host's side of a pool: the progress of each cloth. The [`super::Learner`] holds its arrays.
 #[derive(Clone, Debug)]
 pub struct Pool {
     index: usize,
@@ -20,28 +21,28 @@ pub struct Pool {
     slots: Vec<Slot>,
 }
 
-/// How far a cloth is.
+/// The progress of a cloth.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Slot {
-    /// How many lives it had before this one.
+    /// Number of lives before this one.
     generation: u32,
-    /// Frames of this life that are done.
+    /// Number of completed frames of this life.
     frame: u32,
-    /// Iterations of the present frame that are done.
+    /// Number of completed iterations of the current frame.
     iterations: u32,
-    /// Whether the arrays hold this life; else it starts when it is next drawn.
+    /// Whether the arrays hold this life; if not, it starts when the cloth is next drawn.
     begun: bool,
 }
 
 impl Slot {
-    /// The next life.
+    /// Starts the next life.
     fn begin_anew(&mut self) {
         *self = Self { generation: self.generation + 1, ..Self::default() };
     }
 }
 
 impl Pool {
-    /// The pool of index `index` in a run with this seed, none of its cloths begun.
+    /// Creates the pool with index `index` of a run with this seed; none of its cloths has started.
     pub fn new(
         index: usize,
         seed: u64,
@@ -52,18 +53,18 @@ impl Pool {
         Self { index, seed, config, motion, reset, slots }
     }
 
-    /// What it was made from.
+    /// Returns the configuration of the pool.
     pub fn config(&self) -> &PoolConfig {
         &self.config
     }
 
-    /// Whether training step `step` draws from this pool. Pools that are drawn from equally seldom and follow each other take
-    /// turns.
+    /// Returns whether training step `step` draws from this pool. Consecutive pools with the same `every`
+    /// alternate.
     pub fn takes_part(&self, step: u64) -> bool {
         (step + self.index as u64).is_multiple_of(self.config.every)
     }
 
-    /// The cloths of training step `step`, all different.
+    /// Draws the cloths of training step `step`, all distinct.
     pub fn draw(&self, step: u64) -> Batch {
         let mut random = generator(self.seed, Purpose::Batch { pool: self.index }, step);
         let slots = rand::seq::index::sample(&mut random, self.config.cloths, self.config.batch);
@@ -82,7 +83,7 @@ impl Pool {
         Batch { pool: self.index, cloths: slots.into_iter().map(drawn).collect() }
     }
 
-    /// Counts the iteration that the cloths of `batch` have done; one that came out wrong begins anew.
+    /// Counts the completed iteration of the cloths of `batch`, and resets cloths that went wrong.
     pub fn record(&mut self, batch: &Batch, outcomes: &[Outcome]) {
         assert_eq!(batch.cloths.len(), outcomes.len(), "every cloth has an outcome");
         for (drawn, outcome) in batch.cloths.iter().zip(outcomes) {
@@ -99,10 +100,11 @@ impl Pool {
         }
     }
 
-    /// After training step `step`: now and then the next cloth in turn begins anew, so that lives last
+    /// Resets the cloths that are due after training step `step`, round-robin, so that lives last
     /// `sequence_length` frames on average.
     pub fn rotate(&mut self, step: u64) {
-        // Iterations of a life, over the whole pool and drawn `batch` at a time.
+        // Iterations per life. Each draw performs `batch` of them, and every `life` iterations one cloth is
+        // reset.
         let frames = self.config.sequence_length.unwrap_or(self.reset.sequence_length);
         let life = u128::from(frames) * u128::from(self.config.iterations);
         let turns = |steps: u64| u128::from(steps / self.config.every) * self.config.batch as u128 / life;
@@ -112,12 +114,13 @@ impl Pool {
         }
     }
 
-    /// How far each cloth is, for a checkpoint.
+    /// Returns the progress of each cloth, for a checkpoint.
     pub(super) fn slots(&self) -> &[Slot] {
         &self.slots
     }
 
-    /// Goes on from [`Pool::slots`] of a checkpoint; `origin` names it in errors.
+    /// Restores the progress from [`Pool::slots`] of a checkpoint; `origin` names it in errors. Fails if the
+    /// number of cloths differs.
     pub(super) fn restore(&mut self, slots: Vec<Slot>, origin: &str) -> Result<()> {
         if slots.len() != self.slots.len() {
             let (field, expected) = (format!("pool {}", self.index), format!("{} cloths", self.slots.len()));
@@ -129,7 +132,7 @@ impl Pool {
 }
 
 impl ResetRules {
-    /// Whether a cloth came out of a step in a state that nothing is to be learned from.
+    /// Returns whether a step left a cloth in a state that is useless for training.
     fn wrong(&self, outcome: &Outcome) -> bool {
         let e = &outcome.energy;
         let inner = e.stretch + e.shear + e.bend;
@@ -137,7 +140,7 @@ impl ResetRules {
             Some([smallest, largest]) => (smallest..=largest).contains(&scale),
             None => scale.is_finite(),
         };
-        // A comparison with NaN is false, so that NaN is wrong too.
+        // Comparisons with NaN are false, so NaN counts as wrong.
         !(inner <= self.energy && e.total().is_finite() && outcome.scale.iter().all(inside))
     }
 }

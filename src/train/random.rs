@@ -1,21 +1,22 @@
-//! Randomness without a state: every draw has a generator of its own, named by what it is for.
+//! Stateless randomness: each draw has its own generator, keyed by its purpose.
 
 use rand::{SeedableRng, rngs::ChaCha8Rng};
 
-/// What a generator is for.
+/// The purpose of a generator.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Purpose {
     /// Fresh weights.
     Weights,
     /// The cloths that a step draws from a pool; index: the step.
     Batch { pool: usize },
-    /// What a slot of a pool keeps for good, its material; index: the slot.
+    /// The material of a slot, which never changes; index: the slot.
     Material { pool: usize },
-    /// One life of a cloth, from its start to the next; index: the slot.
+    /// One life of a cloth, from its start to its reset; index: the slot.
     Life { pool: usize, generation: u32 },
 }
 
-/// The generator for `purpose` number `index` in a run with this seed. ChaCha gives the same numbers on every machine.
+/// Creates the generator for `purpose` and `index` in a run with this seed. ChaCha yields the same numbers on
+/// every machine.
 pub(super) fn generator(seed: u64, purpose: Purpose, index: u64) -> ChaCha8Rng {
     let (kind, pool, generation) = match purpose {
         Purpose::Weights => (0, 0, 0),

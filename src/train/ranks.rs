@@ -4,43 +4,47 @@ use crate::{Error, Result};
 use std::fmt::Display;
 use std::rc::Rc;
 
-/// The processes that train one network together, seen from one of them. Each is a *rank*, numbered from 0.
+/// The processes that train one network together, as seen by one of them. Each is a *rank*, numbered from 0.
 ///
-/// All hold the same weights and AdamW's memory of them. Each has pools of its own, simulated from a seed of its own
-/// ([`Ranks::seed`]), and takes part in every step with the gradient of its own batches ([`Ranks::join`]). Rank 0
-/// alone measures, writes the files of the run and decides when something ends ([`Ranks::decide`]); the others only write
-/// their part of each checkpoint.
+/// All ranks hold the same weights and AdamW moments. Each has its own pools, simulated from its own seed
+/// ([`Ranks::seed`]), and contributes the gradient of its own batches to every step ([`Ranks::join`]). Rank 0
+/// alone measures, writes the files of the run and decides when to stop ([`Ranks::decide`]); the others only
+/// write their part of each checkpoint.
 ///
-/// All methods but `rank`, `count`, `on_machine`, `seed` and `abort` must be called by all ranks, in the same order.
+/// All ranks must call all methods except `rank`, `count`, `on_machine`, `seed` and `abort`, in the same
+/// order.
 pub trait Ranks {
-    /// The number of this rank.
+    /// Returns the number of this rank.
     fn rank(&self) -> usize;
 
-    /// How many ranks there are.
+    /// Returns the number of ranks.
     fn count(&self) -> usize;
 
-    /// The number of this rank among those on its machine, who share its adapters out.
+    /// Returns the number of this rank among those on its machine, which share the machine's adapters.
     fn on_machine(&self) -> usize;
 
-    /// Replaces `values`, of one length on all ranks, by their sums over the ranks: the same bits on each.
+    /// Replaces `values` with their sums over the ranks, bit-identical on all of them. The length must be the
+    /// same on all ranks.
     fn sum(&self, values: &mut [f32]);
 
-    /// Replaces `bytes`, as many on all ranks, by those of rank 0.
+    /// Replaces `bytes` with those of rank 0. The length must be the same on all ranks.
     fn broadcast(&self, bytes: &mut [u8]);
 
-    /// Tells `error` and ends all ranks, which would wait for this one for ever. Returns where there is no other, so that
-    /// the error goes its usual way.
+    /// Prints `error` and aborts all ranks, which would otherwise wait for this one forever. Returns if this
+    /// is the only rank, so that the error is handled as usual.
     fn abort(&self, error: &dyn Display);
 
-    /// The seed of this rank's pools in a run with this seed: `seed + rank 2^32`. That of rank 0 is the run's.
+    /// Returns the seed of this rank's pools in a run with seed `seed`: `seed + rank 2^32`. Rank 0 uses the
+    /// run's seed.
     fn seed(&self, seed: u64) -> u64 {
         seed.wrapping_add((self.rank() as u64) << 32)
     }
 
-    /// Makes the gradient over all weights of this rank's loss that of the sum of all ranks' losses. As the loss of one
-    /// learner is the sum over its pools, ranks are together one learner with the pools of all of them. (And because every
-    /// component, or every cloth, weighs the same on the way back, also one with larger batches: it is not divided by the number of ranks.) If
-    /// a loss is not finite, the gradient is not either, on any rank, so that all skip the step alike.
+    /// Replaces the gradient of this rank's loss over all weights with that of the sum of all ranks' losses.
+    /// The loss of one learner is the sum over its pools, so the ranks together act as one learner with all
+    /// their pools. They also act as one with larger batches, because the backward pass weighs every
+    /// component, or every cloth, the same; hence the sum is not divided by the number of ranks. If any
+    /// rank's loss is not finite, the gradient becomes non-finite on all ranks, so that all skip the step.
     fn join(&self, gradient: &mut [f32], loss: f64) {
         if !loss.is_finite() && self.count() > 1 {
             gradient.fill(f32::NAN);
@@ -48,19 +52,19 @@ pub trait Ranks {
         self.sum(gradient);
     }
 
-    /// Rank 0's number.
+    /// Returns rank 0's number.
     fn first(&self, number: u64) -> u64 {
         let mut bytes = number.to_le_bytes();
         self.broadcast(&mut bytes);
         u64::from_le_bytes(bytes)
     }
 
-    /// Rank 0's decision.
+    /// Returns rank 0's decision.
     fn decide(&self, yes: bool) -> bool {
         self.first(u64::from(yes)) == 1
     }
 
-    /// Whether all ranks say yes. None goes on before all have come here.
+    /// Returns whether all ranks say yes. Also acts as a barrier.
     fn all(&self, yes: bool) -> bool {
         let mut no = [f32::from(u8::from(!yes))];
         self.sum(&mut no);
@@ -68,7 +72,7 @@ pub trait Ranks {
     }
 }
 
-/// A process that trains on its own; nothing is exchanged.
+/// A process that trains alone; nothing is exchanged.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Alone;
 
@@ -92,8 +96,8 @@ impl Ranks for Alone {
     fn abort(&self, _: &dyn Display) {}
 }
 
-/// The ranks of this job: those that `mpirun` or `srun` started, with the crate's feature `mpi`; without it one process
-/// [`Alone`].
+/// Returns the ranks of this job: with the crate's feature `mpi` those started by `mpirun` or `srun`, without
+/// it one process [`Alone`]. Fails if MPI cannot be initialized.
 #[cfg(feature = "mpi")]
 pub fn ranks() -> Result<Rc<dyn Ranks>> {
     match super::mpi::Mpi::new() {
@@ -102,8 +106,9 @@ pub fn ranks() -> Result<Rc<dyn Ranks>> {
     }
 }
 
-/// The ranks of this job: those that `mpirun` or `srun` started, with the crate's feature `mpi`; without it one process
-/// [`Alone`]. An error if a launcher started several, which would all write the same files.
+/// Returns the ranks of this job: with the crate's feature `mpi` those started by `mpirun` or `srun`, without
+/// it one process [`Alone`]. Fails if a launcher started several processes, which would all write the same
+/// files.
 #[cfg(not(feature = "mpi"))]
 pub fn ranks() -> Result<Rc<dyn Ranks>> {
     for name in ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"] {

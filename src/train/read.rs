@@ -15,16 +15,16 @@ use std::path::Path;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// The most particles in all pools: their arrays take 60 bytes each.
+/// Maximum number of particles in all pools; each takes 60 bytes.
 const MAX_PARTICLES: usize = 1 << 28;
-/// The most cloths in all pools.
+/// Maximum number of cloths in all pools.
 const MAX_CLOTHS: usize = 1 << 20;
-/// Parameters of a network at most.
+/// Maximum number of parameters of a network.
 const MAX_PARAMETERS: usize = 1 << 28;
-/// The largest size of a layer.
+/// Maximum width of a layer.
 const MAX_CHANNELS: usize = 4096;
 
-/// See [`Config::parse`].
+/// Parses a configuration; see [`Config::parse`].
 pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
     let origin = path.display().to_string();
     let document = parse_toml(&origin, text)?;
@@ -75,11 +75,12 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
     check(config, &origin)
 }
 
-/// The text of a configuration in the file `path`, with the paths of `init` made absolute; all else stays as it is.
+/// Returns the text of the configuration file `path` with the paths of `init` made absolute and all else
+/// unchanged.
 pub(super) fn absolute_paths(mut text: String, path: &Path) -> Result<String> {
     let origin = path.display().to_string();
     let folder = path.parent().unwrap_or(Path::new("")).join(".");
-    // As the file system has it, so that it is one however the file was reached.
+    // Canonicalize, so that the result does not depend on how the file was reached.
     let folder = folder.canonicalize().map_err(|e| Error::io(&folder, "cannot find", e))?;
     let document = DeTable::parse(&text).map_err(|e| Error::invalid(&origin, "text", "TOML", e.message()))?;
     let mut files = Vec::new();
@@ -92,7 +93,7 @@ pub(super) fn absolute_paths(mut text: String, path: &Path) -> Result<String> {
             _ => file(init),
         }
     }
-    // From the last to the first, so that the places of the others stay.
+    // Replace from last to first, so that the remaining spans stay valid.
     for (place, path) in files.into_iter().rev() {
         let name = path
             .to_str()
@@ -102,7 +103,7 @@ pub(super) fn absolute_paths(mut text: String, path: &Path) -> Result<String> {
     Ok(text)
 }
 
-/// A text as a basic string of TOML.
+/// Returns a text as a TOML basic string.
 fn quoted(text: &str) -> String {
     let escaped = |c: char| match c {
         '"' | '\\' => format!("\\{c}"),
@@ -112,7 +113,7 @@ fn quoted(text: &str) -> String {
     format!("\"{}\"", text.chars().map(escaped).collect::<String>())
 }
 
-/// What concerns several fields.
+/// Checks the conditions that involve several fields.
 fn check(config: Config, origin: &str) -> Result<Config> {
     if config.pools.is_empty() {
         return Err(Error::invalid(origin, "pool", "at least one", "none"));
@@ -130,7 +131,7 @@ fn check(config: Config, origin: &str) -> Result<Config> {
         let expected = format!("at most {MAX_PARTICLES} particles in all pools");
         return Err(Error::invalid(origin, "pool", expected, particles));
     }
-    // How far each of them is goes into the header of a checkpoint.
+    // The progress of each cloth is stored in the header of a checkpoint.
     let cloths: usize = config.pools.iter().map(|p| p.cloths).sum();
     if cloths > MAX_CLOTHS {
         return Err(Error::invalid(
@@ -349,24 +350,24 @@ fn not_negative(node: &Node<'_>) -> Result<f64> {
     node.number().ok().filter(|&v| v >= 0.0).ok_or_else(|| node.invalid("a number, 0 or more"))
 }
 
-/// A probability or the like.
+/// Reads a probability or a fraction.
 fn share(node: &Node<'_>) -> Result<f64> {
     let share = node.number().ok().filter(|v| (0.0..=1.0).contains(v));
     share.ok_or_else(|| node.invalid("a number from 0 to 1"))
 }
 
-/// How much of something is kept each time; 1 would keep all of it for ever.
+/// Reads the fraction that is kept at each repetition; 1 would keep everything forever.
 fn decay(node: &Node<'_>) -> Result<f64> {
     let decay = node.number().ok().filter(|v| (0.0..1.0).contains(v));
     decay.ok_or_else(|| node.invalid("a number, 0 or more and below 1"))
 }
 
-/// A grid as it is written in a configuration, `[h, w]`.
+/// Serializes a grid as it is written in a configuration, `[h, w]`.
 pub(super) fn serialize_grid<S: Serializer>(grid: &Grid, to: S) -> std::result::Result<S::Ok, S::Error> {
     [grid.h, grid.w].serialize(to)
 }
 
-/// Grids as they are written in a configuration, `[[h, w], ..]`.
+/// Serializes grids as they are written in a configuration, `[[h, w], ..]`.
 pub(super) fn serialize_grids<S: Serializer>(grids: &[Grid], to: S) -> std::result::Result<S::Ok, S::Error> {
     grids.iter().map(|g| [g.h, g.w]).collect::<Vec<_>>().serialize(to)
 }

@@ -1,4 +1,4 @@
-//! What rank 0 alone measures and writes while a run goes on: means over steps, validation rollouts, the plot.
+//! The records that rank 0 alone keeps during a run: means over steps, validation rollouts, the plot.
 
 use super::card::Card;
 use super::config::Config;
@@ -23,12 +23,12 @@ pub(super) struct Records {
     validations: Table,
     /// The last validation and its step.
     scores: (u64, Vec<SceneScore>),
-    /// Score of the weights that are kept as the best; none if there are none.
+    /// Score of the best weights so far; `None` if there are none.
     pub best: Option<f64>,
 }
 
 impl Records {
-    /// Opens the tables in the folder; rows after `step` are given up.
+    /// Opens the tables in the folder, dropping rows after `step`.
     pub fn open(folder: &Folder, config: &Config, validation: Validation, step: u64) -> Result<Self> {
         let metrics = Metrics::open(folder.metrics(), &config.pools, step)?;
         let columns = VALIDATION_COLUMNS.map(str::to_owned).to_vec();
@@ -37,18 +37,18 @@ impl Records {
         Ok(Self { metrics, validation, validations, scores: (step, Vec::new()), best })
     }
 
-    /// Adds a step, the learning rate it was taken with and the time it took.
+    /// Adds a step with its learning rate and duration.
     pub fn add(&mut self, report: &StepReport, rate: f64, took: Duration) {
         self.metrics.add(report, rate, took);
     }
 
-    /// Writes the means over the steps up to `step`, if there were any since the last.
+    /// Writes the means over the steps up to `step`, if there were any since the last row.
     pub fn flush(&mut self, step: u64, seconds: f64) -> Result<()> {
         self.metrics.flush(step, seconds)
     }
 
-    /// Rolls the scenes out with the weights after `step` steps, and gives their score; nothing when `tick`, called in each
-    /// frame, ended it.
+    /// Rolls out the scenes with the weights after `step` steps and returns their score, or `None` if `tick`,
+    /// which is called in each frame, breaks.
     pub fn validate(
         &mut self,
         step: u64,
@@ -61,7 +61,7 @@ impl Records {
         Ok(Some(score))
     }
 
-    /// Adds the last validation to the table, all of it at once.
+    /// Appends the last validation to the table in a single write.
     pub fn tell_scores(&self) -> Result<()> {
         let (step, scores) = &self.scores;
         let row = |score: &SceneScore| {
@@ -73,7 +73,7 @@ impl Records {
         self.validations.push_all(&scores.iter().map(row).collect::<Vec<_>>())
     }
 
-    /// Whether the table has a validation of the weights after `step` steps.
+    /// Returns whether the table has a validation of the weights after `step` steps.
     pub fn is_validated(&self, step: u64) -> bool {
         let of_step = |text: &str| {
             let mut rows = self.validations.rows(text);
@@ -82,14 +82,14 @@ impl Records {
         self.validations.text().is_ok_and(|text| of_step(&text))
     }
 
-    /// The validation of the weights after `step` steps; empty if there was none, as figures of other weights would not be
-    /// theirs.
+    /// Returns the validation of the weights after `step` steps; empty if the last validation was of other
+    /// weights.
     pub fn scores(&self, step: u64) -> &[SceneScore] {
         let (validated, scores) = &self.scores;
         if *validated == step { scores } else { &[] }
     }
 
-    /// Draws the curves so far.
+    /// Plots the curves so far.
     pub fn plot(&self, folder: &Folder, config: &Config) -> Result<()> {
         let image = plot::draw(self.metrics.table(), &config.pools, &self.validations)?;
         render::write_png(folder.plot(), &image)

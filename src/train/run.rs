@@ -1,4 +1,4 @@
-//! A training run: its loop, and what it writes.
+//! A training run: its loop, and the files it writes.
 
 use super::card::Card;
 use super::checkpoint::{Checkpoint, Counters};
@@ -18,7 +18,7 @@ use std::rc::Rc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
-/// Steps in a row that may be skipped because they are not finite.
+/// Number of consecutive non-finite steps at which a session gives up.
 const MOST_SKIPPED: u32 = 10;
 
 /// A run and its folder, on one of the [`Ranks`] that train together.
@@ -30,18 +30,19 @@ pub struct Run {
     learner: Box<dyn Learner>,
     pools: Vec<Pool>,
     counters: Counters,
-    /// On rank 0 only.
+    /// `Some` on rank 0 only.
     records: Option<Records>,
 }
 
-/// Where a session ends, if not at the end of the run. The run can be resumed there.
+/// Limits at which a session ends before the run does. The run can be resumed from there.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Limits<'a> {
-    /// When the run has done this many steps, those of earlier sessions included.
+    /// Number of steps of the run at which to stop, including those of earlier sessions.
     pub steps: Option<u64>,
-    /// After this many minutes of this session.
+    /// Length of this session in minutes.
     pub minutes: Option<f64>,
-    /// As soon as this is set: after a step, or within a validation, which is made up for when the run is resumed.
+    /// Flag that stops the session once it is set: after a step, or within a validation, which is repeated
+    /// when the run is resumed.
     pub interrupted: Option<&'a AtomicBool>,
 }
 
@@ -57,29 +58,31 @@ impl Limits<'_> {
 /// How a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// The run or the session's [`Limits`] are reached.
+    /// The end of the run or one of the session's [`Limits`] was reached.
     Done,
-    /// It was asked to stop.
+    /// The session was asked to stop.
     Interrupted,
-    /// Ten steps in a row were not finite, or the last one made weights that are not; the weights are those before them.
+    /// Ten consecutive steps were not finite, or the last one made the weights non-finite. The weights that
+    /// are kept predate these steps.
     NonFinite,
 }
 
-/// What is told after each step.
+/// The report after each step.
 #[derive(Clone, Debug)]
 pub struct Progress<'a> {
-    /// Steps done.
+    /// Number of steps done.
     pub step: u64,
-    /// The step at which the session ends.
+    /// Step at which the session ends.
     pub steps: u64,
-    /// What the step told.
+    /// Result of the step.
     pub report: &'a StepReport,
-    /// Validation, if this step was followed by one; on rank 0 only.
+    /// Validation, if one followed this step; on rank 0 only.
     pub validation: Option<&'a [SceneScore]>,
 }
 
 impl Run {
-    /// Begins a run in the folder `root`. `text` is the configuration as it was read; `learner` holds the first weights.
+    /// Starts a run in the folder `root`. `text` is the configuration as it was read; `learner` holds the
+    /// initial weights.
     pub fn create(
         root: &Path,
         text: &str,
@@ -87,11 +90,11 @@ impl Run {
         learner: Box<dyn Learner>,
         ranks: Rc<dyn Ranks>,
     ) -> Result<Self> {
-        // Before the folder: what is wrong with the configuration leaves no trace.
+        // Validate first: an invalid configuration must not leave a folder behind.
         Validation::new(&config.validation)?;
         let folder = if ranks.rank() == 0 { Folder::create(root, text)? } else { Folder::open(root) };
         let text = shared(text, &*ranks);
-        // Weights are found elsewhere on another machine; those of rank 0 count.
+        // The paths of `init` may differ between machines; rank 0's weights are used.
         let first = Config { init: config.init.clone(), ..Config::parse(&text, &folder.config())? };
         if !ranks.all(first == config) {
             let expected = "the same one on all ranks";
@@ -100,8 +103,9 @@ impl Run {
         Self::open((config, text), folder, Counters::default(), (learner, ranks))
     }
 
-    /// Continues the run in the folder `root`, on the learner that `learner` makes for its configuration. `given` is
-    /// the configuration that it is expected to have, if any. Also tells which damaged checkpoints were passed over.
+    /// Continues the run in the folder `root`, on the learner that `learner` creates for its configuration.
+    /// Fails if `given` differs from that configuration. Also returns the errors of damaged checkpoints that
+    /// were passed over.
     pub fn resume(
         root: &Path,
         given: Option<&Config>,
@@ -145,7 +149,7 @@ impl Run {
         let mut pools: Vec<Pool> = config.pools.iter().enumerate().map(of).collect();
         restore(&mut pools, &mut counters)?;
         counters.ranks = ranks.count();
-        // The sums of gradients mean something only where all vectors have one order.
+        // Gradients can only be summed if all ranks order them alike.
         let order = learner.order();
         let alike = ranks.first(order) == order;
         if !ranks.all(alike) {
@@ -160,30 +164,30 @@ impl Run {
         Ok(Self { config, text, folder, ranks, learner, pools, counters, records })
     }
 
-    /// The configuration.
+    /// Returns the configuration.
     pub fn config(&self) -> &Config {
         &self.config
     }
 
-    /// Steps done.
+    /// Returns the number of steps done.
     pub fn step(&self) -> u64 {
         self.counters.step
     }
 
-    /// Steps that were skipped because they were not finite.
+    /// Returns the number of steps that were skipped because they were not finite.
     pub fn skipped(&self) -> u64 {
         self.counters.step - self.counters.updates
     }
 
-    /// The weights as they are validated and kept.
+    /// Returns the weights as they are validated and saved.
     pub fn weights(&self) -> Result<Weights> {
         self.learner.averaged()
     }
 
-    /// Trains until the end of the run, a limit, or until `watch`, which sees every step, breaks off. The folder then holds
-    /// the weights and what is needed to resume; after [`End::NonFinite`] what is needed to resume before those steps, if
-    /// there was a checkpoint, and after an error whatever was saved before it. All ranks end at the same step: rank 0's clock and
-    /// `watch` count.
+    /// Trains until the run ends, a limit is reached, or `watch`, which is called after every step, breaks.
+    /// The folder then holds the weights and a checkpoint to resume from. After [`End::NonFinite`] the
+    /// checkpoint, if any, predates the non-finite steps; after an error the folder holds whatever was saved
+    /// before it. All ranks end at the same step, decided by rank 0's clock and `watch`.
     pub fn train(
         &mut self,
         limits: &Limits<'_>,
@@ -194,9 +198,10 @@ impl Run {
         let mut validate = Clock::new(self.config.validation.every);
         let mut checkpoint = Clock::new(self.config.checkpoint);
         let (first, before) = (self.counters.step, self.counters.seconds);
-        // A run that is new has nothing to be resumed from yet.
+        // A new run has no checkpoint yet.
         let mut saved = (first > 0).then_some(first);
-        // A validation that was cut off is made up for. One that failed may fail again, and shall not keep the run from going on.
+        // Repeat a validation that was cut short. If it failed, it may fail again, which must not keep the
+        // run from continuing.
         if self.ranks.decide(self.is_validation_missing()) {
             let cut_off = match self.validate(limits) {
                 Ok(whole) => !whole,
@@ -226,7 +231,8 @@ impl Run {
             if step.is_multiple_of(self.config.log_every)
                 && let Err(error) = self.flush()
             {
-                // No step is lost; with other ranks, which wait elsewhere, all end as they are.
+                // Save, so that no step is lost. With several ranks the others are waiting at another
+                // collective, so all end without saving.
                 if self.ranks.count() == 1 && skipped == 0 && self.is_sound()? {
                     self.keep()?;
                 }
@@ -235,8 +241,8 @@ impl Run {
             let last = self.ranks.decide(step == steps || session.is_due(step));
             let due = self.ranks.decide(last || validate.is_due(step));
             let kept = self.ranks.decide(due || checkpoint.is_due(step));
-            // A validation takes a while and may fail: what was computed is safe before. A state that makes steps that are
-            // not finite would push out better ones.
+            // Save before validating, which takes a while and may fail. Never save a state that produces
+            // non-finite steps: it would push out better checkpoints.
             let sound = kept && self.ranks.all(self.is_sound()?);
             let validated = due && sound;
             self.counters.validation_due = validated;
@@ -264,7 +270,7 @@ impl Run {
             }
         };
         let sound = self.ranks.all(self.is_sound()?);
-        // The last step may have been too large, and no other follows that would show it.
+        // The last step may have been too large, with no further step to reveal it.
         let end = if sound { end } else { End::NonFinite };
         match end {
             _ if saved == Some(self.counters.step) => {}
@@ -277,9 +283,10 @@ impl Run {
         Ok(end)
     }
 
-    /// After steps that were not finite: leaves the weights before them, if they are sound, else those of a checkpoint. The
-    /// checkpoints may be of a better state than one that only makes such steps, and it is not saved; the one of step
-    /// `fruitless`, which was followed by nothing else, is not of a better one.
+    /// Writes the weights to keep after non-finite steps: the current ones if they are `sound`, else those of
+    /// the newest checkpoint. Does not save the current state, because the checkpoints may hold a better one
+    /// than a state that produces only such steps. The checkpoint of step `fruitless`, after which no step
+    /// was finite, is not better; it is removed if there is an older one.
     fn leave_weights(&mut self, sound: bool, fruitless: Option<u64>) -> Result<()> {
         self.flush()?;
         let given_up = fruitless.map_or(Ok(false), |step| self.give_up(step))?;
@@ -289,19 +296,19 @@ impl Run {
         Ok(())
     }
 
-    /// Whether the weights are finite, as those are not that a step too large has made.
+    /// Returns whether the weights are finite; a step that is too large makes them non-finite.
     fn is_sound(&self) -> Result<bool> {
         let weights = self.weights()?;
         Ok(weights.parameters().into_iter().flatten().all(|w| w.is_finite()))
     }
 
-    /// Whether there was to be a validation after the last step, and there was none.
+    /// Returns whether the validation due after the last step is missing.
     fn is_validation_missing(&self) -> bool {
         let validated = |records: &Records| records.is_validated(self.counters.step);
         self.counters.validation_due && self.records.as_ref().is_some_and(|records| !validated(records))
     }
 
-    /// Removes a checkpoint if there is an older one that is whole; whether there is.
+    /// Removes the checkpoint of `step` if an older one is intact. Returns whether it did.
     fn give_up(&self, step: u64) -> Result<bool> {
         let removed = self.ranks.rank() == 0 && self.folder.remove_if_older(step)?;
         if removed {
@@ -310,7 +317,7 @@ impl Run {
         Ok(self.ranks.decide(removed))
     }
 
-    /// Goes back to the newest checkpoint; whether there is one.
+    /// Restores the newest checkpoint. Returns whether there is one.
     fn step_back(&mut self) -> Result<bool> {
         let (newest, _) = self.folder.newest(&*self.ranks)?;
         let Some(Checkpoint { mut counters, tensors, .. }) = newest else { return Ok(false) };
@@ -320,14 +327,14 @@ impl Run {
         Ok(true)
     }
 
-    /// One training step.
+    /// Performs one training step.
     fn advance(&mut self) -> Result<StepReport> {
         let began = Instant::now();
         let step = self.counters.step;
         let pools = self.pools.iter().filter(|pool| pool.takes_part(step));
         let batches: Vec<Batch> = pools.map(|pool| pool.draw(step)).collect();
         let number = self.counters.updates + 1;
-        // A mean over a long time begins as one over a short time, or it would remember the first weights for long.
+        // Ramp up the decay, or a slow mean would remember the initial weights for too long.
         let average = self.config.average.min(number as f64 / (number + 9) as f64);
         let rate = self.config.schedule.rate(self.config.optimizer.rate, step, self.config.steps);
         let update = Update { number, rate, average };
@@ -347,7 +354,8 @@ impl Run {
         self.records.iter_mut().try_for_each(|records| records.flush(step, seconds))
     }
 
-    /// Rolls the scenes out and keeps the weights if they are the best so far; whether it was not interrupted. Only rank 0 does.
+    /// Runs the validation rollouts and saves the weights if they are the best so far. Returns whether it
+    /// completed without interruption. Only rank 0 validates.
     fn validate(&mut self, limits: &Limits<'_>) -> Result<bool> {
         let Some(records) = &mut self.records else { return Ok(true) };
         let weights = self.learner.averaged()?;
@@ -359,26 +367,27 @@ impl Run {
             self.write_weights("best")?;
             self.records.iter_mut().for_each(|records| records.best = Some(score));
         }
-        // The table last: what stands there is not made up for.
+        // Write the table last: a validation that it lists is not repeated.
         self.records.iter().try_for_each(Records::tell_scores)?;
         self.show()?;
         Ok(true)
     }
 
-    /// Writes the whole state of this rank; on rank 0 also what is shown of it.
+    /// Writes the complete state of this rank; on rank 0 also metrics, weights and plot.
     fn save(&mut self) -> Result<()> {
         self.keep()?;
         self.flush()?;
         self.show()
     }
 
-    /// Writes the last weights, with the validation if there was one after this step, and the plot. Only rank 0 does.
+    /// Writes the weights `last`, with the validation if one followed this step, and the plot. Only rank 0
+    /// writes.
     fn show(&self) -> Result<()> {
         self.write_weights("last")?;
         self.records.iter().try_for_each(|records| records.plot(&self.folder, &self.config))
     }
 
-    /// Writes the whole state of this rank.
+    /// Writes the complete state of this rank.
     fn keep(&self) -> Result<()> {
         let pools = self.pools.iter().map(|pool| pool.slots().to_vec()).collect();
         let checkpoint = Checkpoint {
@@ -409,13 +418,14 @@ impl Run {
     }
 }
 
-/// Gives pools the slots of a checkpoint, which counters keep no longer than that.
+/// Moves the slots of a checkpoint from `counters` into the pools.
 fn restore(pools: &mut [Pool], counters: &mut Counters) -> Result<()> {
     let all = std::mem::take(&mut counters.pools);
     pools.iter_mut().zip(all).try_for_each(|(pool, slots)| pool.restore(slots, "checkpoint"))
 }
 
-/// Says so where a run goes on on another device: it then does not come to the same bits. Threads of a CPU do not matter.
+/// Warns if a run continues on another device, where it is not bit-reproducible. The number of CPU threads
+/// does not matter.
 fn tell_other_device(before: &str, now: &str) {
     let kind = |name: &str| name.split(',').next().map(str::to_owned);
     if !before.is_empty() && kind(before) != kind(now) {
@@ -423,7 +433,7 @@ fn tell_other_device(before: &str, now: &str) {
     }
 }
 
-/// Rank 0's text: the same folder may have another absolute path on another machine.
+/// Returns rank 0's text: the absolute path of the same folder may differ between machines.
 fn shared(text: &str, ranks: &dyn Ranks) -> String {
     let mut bytes = text.as_bytes().to_vec();
     bytes.resize(ranks.first(bytes.len() as u64) as usize, 0);
@@ -431,7 +441,7 @@ fn shared(text: &str, ranks: &dyn Ranks) -> String {
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// Tells when something is due again.
+/// A timer for recurring work.
 struct Clock {
     every: Every,
     since: Instant,
@@ -442,7 +452,7 @@ impl Clock {
         Self { every, since: Instant::now() }
     }
 
-    /// Whether it is time, when `step` steps are done.
+    /// Returns whether the work is due after `step` steps.
     fn is_due(&self, step: u64) -> bool {
         match self.every {
             Every::Steps(steps) => step > 0 && step.is_multiple_of(steps),
@@ -450,7 +460,7 @@ impl Clock {
         }
     }
 
-    /// Begins the time anew.
+    /// Restarts the timer.
     fn restart(&mut self) {
         self.since = Instant::now();
     }

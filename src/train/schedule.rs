@@ -1,35 +1,35 @@
-//! The learning rate from step to step.
+//! The schedule of the learning rate.
 
 use std::f64::consts::PI;
 
-/// How the learning rate changes during a run.
+/// The learning rate over the course of a run.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct RateSchedule {
-    /// Steps over which the rate rises linearly at the beginning; 0 for none.
+    /// Number of steps over which the rate initially rises linearly; 0 for no warm-up.
     pub warmup: u64,
-    /// What becomes of it afterwards.
+    /// Decay after the warm-up.
     pub decay: Decay,
 }
 
-/// How the learning rate falls.
+/// The decay of the learning rate.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Decay {
-    /// Not at all.
+    /// No decay.
     #[default]
     None,
-    /// By half at each of these steps; the paper's recipe.
+    /// Halving at each of these steps; the paper's recipe.
     Halvings(Vec<u64>),
-    /// Along half a cosine, from the end of the warm-up to the end of the run.
+    /// Half a cosine, from the end of the warm-up to the end of the run.
     Cosine {
-        /// The rate at the end.
+        /// Rate at the end.
         #[serde(rename = "final")]
         last: f64,
     },
 }
 
 impl RateSchedule {
-    /// The learning rate of step `step` of `steps`, counted from 0, where the full rate is `rate`.
+    /// Returns the learning rate of step `step` of `steps`, counted from 0; `rate` is the peak rate.
     pub fn rate(&self, rate: f64, step: u64, steps: u64) -> f64 {
         if step < self.warmup {
             return rate * (step + 1) as f64 / self.warmup as f64;

@@ -1,4 +1,4 @@
-//! What is random about a cloth of a pool: its material, its start, its handles and how they move.
+//! The random properties of a cloth in a pool: its material, its start, its handles and their motion.
 
 use super::config::{MotionRanges, PoolConfig, Range};
 use super::pool::MAX_HANDLES;
@@ -8,21 +8,21 @@ use glam::{DMat3, DVec3, EulerRot};
 use rand::{Rng, RngExt, rngs::ChaCha8Rng};
 use std::f64::consts::TAU;
 
-/// Rows of edges of the sheet that the ranges of a configuration belong to, the paper's 32x32.
+/// Height in edges of the sheet that the ranges of a configuration refer to, the paper's 32x32.
 const PAPER_EDGES: f64 = 31.0;
-/// Largest angle about each axis at the start \[rad\]: a whole turn either way.
+/// Largest initial angle about each axis \[rad\]: a full turn either way.
 const START_ANGLE: f64 = TAU;
 
-/// One life of a cloth, from its start to the next; what its handles do follows from the number of the frame alone.
+/// One life of a cloth, from its start to its reset. Handle positions depend only on the frame number.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Script {
     /// Material, gravity and handles.
     pub cloth: Cloth,
-    /// Where the handles are in the sheet at rest \[edges\].
+    /// Handle positions in the sheet at rest \[edges\].
     anchors: Vec<DVec3>,
     /// Yaw, pitch and roll at the start \[rad\].
     angles: DVec3,
-    /// What is added to them in each frame [rad / frame].
+    /// Increment of the angles per frame [rad / frame].
     spin: DVec3,
     /// Amplitude of the translation \[edges\].
     amplitude: DVec3,
@@ -32,12 +32,12 @@ pub struct Script {
     pinch_frequency: f64,
     /// Depth of the pinch.
     pinch: f64,
-    /// Share of its velocity that the cloth loses per frame.
+    /// Fraction of its velocity that the cloth loses per frame.
     pub damping: f64,
 }
 
 impl Script {
-    /// Life number `generation` of the cloth in `slot` of the pool of index `pool`, in a run with this seed.
+    /// Draws life number `generation` of the cloth in `slot` of pool `pool`, in a run with this seed.
     pub fn new(
         seed: u64,
         motion: &MotionRanges,
@@ -45,7 +45,7 @@ impl Script {
         (slot, generation): (usize, u32),
     ) -> Self {
         let grid = config.grid;
-        // A grid of more rows is the same sheet in smaller edges.
+        // A grid with more rows is the same sheet with shorter edges.
         let size = (grid.h - 1) as f64 / PAPER_EDGES;
         let mut random = generator(seed, Purpose::Material { pool }, slot as u64);
         let ranges = config.material;
@@ -85,13 +85,13 @@ impl Script {
         }
     }
 
-    /// The rotation that takes the sheet at rest to its start, rows of a matrix: `x = R rest`.
+    /// Returns the rotation from the sheet at rest to its start, as the rows of a matrix: `x = R rest`.
     pub fn start(&self) -> [[f64; 3]; 3] {
         self.rotation(0.0).transpose().to_cols_array_2d()
     }
 
-    /// Where the handles are at the end of frame `frame` \[edges\]; frame 0 is the start. The sheet turns about the middle
-    /// of its edge j = 0: first the pinch, then the rotation, then the translation.
+    /// Returns the handle positions at the end of frame `frame` \[edges\]; frame 0 is the start. Applies
+    /// first the pinch, then the rotation, both about the midpoint of the edge j = 0, then the translation.
     pub fn targets(&self, frame: u32) -> Vec<[f64; 3]> {
         let t = f64::from(frame);
         let scale = 1.0 - self.pinch + self.pinch * (self.pinch_frequency * t).cos();
@@ -100,14 +100,15 @@ impl Script {
         self.anchors.iter().map(|&anchor| (rotation * anchor + translation).to_array()).collect()
     }
 
-    /// Yaw about z, then pitch about y, then roll about x, each turned on by its spin.
+    /// Returns the rotation at time `t`: yaw about z, pitch about y, roll about x, each advanced by its spin.
     fn rotation(&self, t: f64) -> DMat3 {
         let [yaw, pitch, roll] = (self.angles + self.spin * t).to_array();
         DMat3::from_euler(EulerRot::ZYX, yaw, pitch, roll)
     }
 }
 
-/// The corners (0, 0) and (H-1, 0), or one particle; then, while a coin says so, one more.
+/// Draws the handles: the corners (0, 0) and (H-1, 0) or one particle, then one more particle for as long as
+/// a biased coin says so.
 fn handles(random: &mut ChaCha8Rng, grid: Grid, corners: f64, more: f64) -> Vec<usize> {
     let mut handles = match random.random_bool(corners) {
         true => vec![0, (grid.h - 1) * grid.w],
@@ -122,17 +123,17 @@ fn handles(random: &mut ChaCha8Rng, grid: Grid, corners: f64, more: f64) -> Vec<
     handles
 }
 
-/// A uniform number between `-largest` and `largest`.
+/// Draws a uniform number between `-largest` and `largest`.
 fn around_zero(random: &mut ChaCha8Rng, largest: f64) -> f64 {
     largest * (2.0 * random.random::<f64>() - 1.0)
 }
 
-/// A number whose logarithm is uniform.
+/// Draws a number whose logarithm is uniform.
 fn log_uniform(random: &mut ChaCha8Rng, [smallest, largest]: Range) -> f64 {
     (smallest.ln() + (largest / smallest).ln() * random.random::<f64>()).exp().clamp(smallest, largest)
 }
 
-/// A uniform direction.
+/// Draws a uniformly distributed direction.
 fn direction(random: &mut impl Rng) -> DVec3 {
     let up = 2.0 * random.random::<f64>() - 1.0;
     let (sin, cos) = (TAU * random.random::<f64>()).sin_cos();
@@ -140,7 +141,7 @@ fn direction(random: &mut impl Rng) -> DVec3 {
     DVec3::new(across * cos, across * sin, up)
 }
 
-/// The axis that is closest to a direction, with its sign.
+/// Returns the axis closest to a direction, with its sign.
 fn along_an_axis(direction: DVec3) -> DVec3 {
     let size = direction.abs();
     let axis = if size.x >= size.y.max(size.z) {

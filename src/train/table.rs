@@ -1,10 +1,10 @@
-//! CSV files that a run appends to and takes up again.
+//! CSV files that a run appends to, also after it is resumed.
 
 use crate::{Error, Result, io};
 use std::io::Write;
 use std::path::PathBuf;
 
-/// A table whose first column is the step.
+/// A CSV table whose first column is the step.
 #[derive(Debug)]
 pub(super) struct Table {
     path: PathBuf,
@@ -12,8 +12,8 @@ pub(super) struct Table {
 }
 
 impl Table {
-    /// Opens the table at `path`. Rows of steps after `step`, which a broken run has left, are given up; a file with other columns,
-    /// as of another version, is put aside.
+    /// Opens the table at `path`. Drops rows after `step`, left by an interrupted session. Renames a file
+    /// with other columns, as written by another version, out of the way.
     pub fn open(path: PathBuf, columns: Vec<String>, step: u64) -> Result<Self> {
         let table = Self { path, columns };
         let mut text = if table.path.exists() { table.text()? } else { String::new() };
@@ -37,12 +37,12 @@ impl Table {
         self.push_all(&[row.to_vec()])
     }
 
-    /// Appends rows at once.
+    /// Appends rows in a single write.
     pub fn push_all(&self, rows: &[Vec<String>]) -> Result<()> {
         assert!(rows.iter().all(|row| row.len() == self.columns.len()), "a row has every column");
         let rows: String = rows.iter().map(|row| row.join(",") + "\n").collect();
         let append = || {
-            // A file that was taken away begins anew.
+            // Recreate a file that was removed.
             let mut file = std::fs::OpenOptions::new().create(true).append(true).open(&self.path)?;
             let titles = match file.metadata()?.len() {
                 0 => format!("{}\n", self.columns.join(",")),
@@ -53,17 +53,17 @@ impl Table {
         append().map_err(|e| Error::io(&self.path, "cannot write", e))
     }
 
-    /// Names of the columns.
+    /// Returns the names of the columns.
     pub fn columns(&self) -> &[String] {
         &self.columns
     }
 
-    /// What the file holds.
+    /// Returns the contents of the file.
     pub fn text(&self) -> Result<String> {
         Ok(String::from_utf8_lossy(&io::read_bytes(&self.path)?).into_owned())
     }
 
-    /// All whole rows of a file with these columns, commas between the values.
+    /// Returns the complete rows of `text`, with comma-separated values; none if its columns differ.
     pub fn rows<'a>(&self, text: &'a str) -> impl Iterator<Item = &'a str> {
         let (titles, count) = (self.columns.join(","), self.columns.len());
         let same = text.lines().next() == Some(&titles);

@@ -1,4 +1,4 @@
-//! Rollouts of fixed scenes, by which weights are judged.
+//! Rollouts of fixed scenes that measure the quality of weights.
 
 use super::config::ValidationConfig;
 use crate::Result;
@@ -8,38 +8,40 @@ use crate::scene::{Motion, Scene, Start};
 use crate::sim::{Device, Grid, Optimizer};
 use std::ops::ControlFlow;
 
-/// What an unstable scene counts for in the score, in energy gaps: more than any gap of a stable one.
+/// Contribution of an unsound rollout to the score, as an energy gap; it exceeds any gap of a sound one.
 const UNSTABLE_GAP: f64 = 10.0;
 
-/// Scenes made ready: a sheet that hangs from two corners and swings along `xy_v2`, on each grid of the configuration, and
-/// a flat sheet that falls, held by two corners, on the finest of them. Default material, air, 60 frames per second.
+/// The prepared scenes: on each grid of the configuration a sheet that hangs from two corners and swings
+/// along `xy_v2`, and on the finest of them a flat sheet that falls, held by two corners. Default material,
+/// air, 60 frames per second.
 pub struct Validation {
     iterations: usize,
-    /// The scenes, and whether the gap counts there or only stability does.
+    /// The scenes, each with whether its gap counts or only its soundness.
     scenes: Vec<(Prepared, bool)>,
 }
 
-/// How weights did in one scene.
+/// The score of weights in one scene.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct SceneScore {
     /// Name of the scene, such as `hanging 64x64`.
     pub scene: String,
-    /// Median over the frames of the energy gap `(L_N - L_ref) / (L_0 - L_ref)` after N iterations, the frames being those of
-    /// a converged simulation; nothing in the falling scene.
+    /// Median over the frames of a converged simulation of the energy gap `(L_N - L_ref) / (L_0 - L_ref)`
+    /// after N iterations; `None` in the falling scene.
     pub gap: Option<f64>,
-    /// Largest `|edge| - 1` over all frames, of the edges that are away from the handles ([`crate::eval::FreeEdges`]).
+    /// Largest `|edge| - 1` over all frames and all edges away from the handles ([`crate::eval::FreeEdges`]).
     pub largest_stretch: f64,
-    /// Whether all frames were finite and no such edge was stretched beyond [`crate::eval::STRETCH_LIMIT`].
+    /// Whether the rollout was sound: all frames finite, and no such edge stretched beyond
+    /// [`crate::eval::STRETCH_LIMIT`].
     pub stable: bool,
 }
 
 impl Validation {
-    /// Makes the scenes ready.
+    /// Prepares the scenes.
     pub fn new(config: &ValidationConfig) -> Result<Self> {
         let prepared = |kind: &str, mut scene: Scene, grid: Grid| {
             scene.regrid(grid)?;
             let case = Case { name: format!("{kind} {grid}"), scene, iterations: None };
-            // The start is a frame, too.
+            // The start counts as a frame.
             Prepared::new(case, config.frames + 1)
         };
         let mut scenes = Vec::new();
@@ -53,8 +55,8 @@ impl Validation {
         Ok(Self { iterations: config.iterations, scenes })
     }
 
-    /// Rolls every scene out on the CPU with these weights, in single precision, and measures the gaps. Nothing when `tick`, called
-    /// in each frame, ended it.
+    /// Rolls out every scene with these weights, on the CPU in single precision, and measures the gaps.
+    /// Returns `None` if `tick`, which is called in each frame, breaks.
     pub fn run(
         &self,
         weights: &Weights,
@@ -68,7 +70,8 @@ impl Validation {
         self.scenes.iter().map(score).collect::<Result<_>>()
     }
 
-    /// One number for weights, smaller is better: the mean gap, in which an unstable scene outweighs all gaps.
+    /// Returns the score of weights, smaller is better: the mean gap, in which an unsound rollout outweighs
+    /// any gap.
     pub fn score(scores: &[SceneScore]) -> f64 {
         let of = |s: &SceneScore| match s.gap.unwrap_or(0.0) {
             gap if s.stable && gap < UNSTABLE_GAP => gap,
@@ -82,7 +85,7 @@ impl SceneScore {
     fn of(score: &CaseScore) -> Self {
         Self {
             scene: score.case.clone(),
-            // None that is not finite: JSON has no number for it, and it would be taken for a scene without one.
+            // Clamp a non-finite gap: JSON would store it as null, which means a scene without a gap.
             gap: score.measured_gap().map(|gap| gap.min(UNSTABLE_GAP)),
             largest_stretch: score.stretch_largest.min(f64::MAX),
             stable: score.sound(),

@@ -1,4 +1,4 @@
-//! How what was computed is compared with what a golden file holds.
+//! Comparisons of computed arrays with those of a golden file.
 
 use super::golden::Golden;
 use super::{Check, Outcome, Precision, Stages};
@@ -7,13 +7,15 @@ use crate::sim::Grid;
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Network stages against the array's largest magnitude: the vectors themselves are in single precision.
+/// Tolerance of network stages, relative to the array's largest magnitude. The golden arrays are in single
+/// precision.
 pub(super) const NETWORK: f64 = 2e-5;
-/// The same where activations and weights are stored in 16 bits, of which 11 are significant: a few of their roundings.
+/// The same if activations and weights are stored in 16 bits, of which 11 are significant: a few of their
+/// roundings.
 const NETWORK_HALF: f64 = 2e-3;
-/// Compares what stages compute with the arrays of a file, and tells of each.
+/// Compares the results of stages with the arrays of a file, and reports each comparison.
 pub(super) struct Checker<'a> {
-    /// The file's name without its ending.
+    /// The file's name without its extension.
     pub file: &'a str,
     pub folder: &'a Path,
     pub stages: &'a mut dyn Stages,
@@ -21,7 +23,7 @@ pub(super) struct Checker<'a> {
 }
 
 impl Checker<'_> {
-    /// Largest error of what the network computes against the array's largest magnitude.
+    /// Compares a network array by its largest error, relative to the array's largest magnitude.
     pub fn network_magnitude(&mut self, array: &str, expected: &[f64], found: &[f64]) {
         let tolerance = match self.stages.precision() {
             Precision::Double | Precision::Single => NETWORK,
@@ -30,7 +32,7 @@ impl Checker<'_> {
         self.magnitude(array, expected, found, tolerance);
     }
 
-    /// A grid that has an energy; smaller ones than the network takes.
+    /// Returns the grid if a cloth on it has an energy. Accepts grids too small for the network.
     pub fn grid_with_cells(&self, h: usize, w: usize) -> Result<Grid> {
         let grid = Grid { h, w };
         match h.min(w) {
@@ -39,12 +41,12 @@ impl Checker<'_> {
         }
     }
 
-    /// The weights of another file of the folder.
+    /// Loads the weights from another file of the folder.
     pub fn weights(&self, name: &str) -> Result<Weights> {
         Weights::load(self.folder.join(name).with_extension("safetensors"))
     }
 
-    /// Compares an array that only some files hold.
+    /// Compares an array that only some files contain.
     pub fn optional(&mut self, golden: &Golden, name: &str, shape: &[usize], found: &[f64]) -> Result<()> {
         if golden.has(name) {
             self.network_magnitude(name, golden.shaped(name, shape)?, found);
@@ -52,14 +54,14 @@ impl Checker<'_> {
         Ok(())
     }
 
-    /// Largest error against the array's largest magnitude.
+    /// Compares by the largest error, relative to the array's largest magnitude.
     pub fn magnitude(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
         let scale = expected.iter().fold(0.0, |m: f64, e| m.max(e.abs()));
         let absolute = largest_error(expected, found);
         self.compared(array, (absolute, ratio(absolute, scale)), tolerance);
     }
 
-    /// Norm of the error against the norm of the array.
+    /// Compares by the norm of the error, relative to the norm of the array.
     pub fn in_norm(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
         let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
         let error = norm(&mut expected.iter().zip(found).map(|(e, f)| f - e));
@@ -67,14 +69,14 @@ impl Checker<'_> {
         self.compared(array, (largest_error(expected, found), relative), tolerance);
     }
 
-    /// Tells whether the relative error is within the tolerance.
+    /// Reports whether the relative error is within the tolerance.
     pub fn compared(&mut self, array: &str, (absolute, relative): (f64, f64), tolerance: f64) {
-        // A NaN is no pass: the comparison is false for it.
+        // A NaN does not pass: the comparison is false for it.
         let outcome = if relative <= tolerance { Outcome::Passed } else { Outcome::Failed };
         self.tell(array, (absolute, relative, tolerance), outcome);
     }
 
-    /// Tells what is no comparison.
+    /// Reports an outcome without a comparison.
     pub fn verdict(&mut self, what: &str, outcome: Outcome) {
         self.tell(what, (0.0, 0.0, 0.0), outcome);
     }
@@ -92,7 +94,7 @@ impl Checker<'_> {
     }
 }
 
-/// Largest difference; infinite where a length or a number is wrong.
+/// Returns the largest difference. It is infinite if the lengths differ or a difference is NaN.
 pub(super) fn largest_error(expected: &[f64], found: &[f64]) -> f64 {
     if expected.len() != found.len() {
         return f64::INFINITY;

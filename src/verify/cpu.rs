@@ -15,12 +15,12 @@ use crate::sim::{Control, EnergyTerms, Grid, Material, Model, Optimizer, Repulsi
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-/// Stages in the precision of `T`.
+/// The stages on the CPU in the precision of `T`.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct CpuStages<T>(PhantomData<T>);
 
 impl<T> CpuStages<T> {
-    /// Stages in the precision of `T`.
+    /// Builds the stages in the precision of `T`.
     pub fn new() -> Self {
         Self(PhantomData)
     }
@@ -105,7 +105,7 @@ impl<T: Real> Stages for CpuStages<T> {
         hidden.scale = cast(&case.scale);
         let norm = |g: &[f64]| g.iter().map(|g| g * g).sum::<f64>().sqrt();
         let norms: Vec<f64> = case.grad.chunks_exact(n).map(norm).collect();
-        // From a = 0 the step is the acceleration.
+        // Starting from a = 0, the acceleration is the step.
         let mut step = vec![T::zero(); samples * n];
         update.step(&cast(&case.grad), &norms, &mut step);
         Ok((double(&step), double(&update.hidden().scale)))

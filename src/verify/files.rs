@@ -1,4 +1,4 @@
-//! Which file checks what, and to which tolerance.
+//! The check for each kind of golden file, and its tolerances.
 
 use super::checker::{Checker, NETWORK, largest_error};
 use super::cpu::CpuStages;
@@ -20,28 +20,29 @@ const ENERGY_DOUBLE: f64 = 1e-9;
 const ENERGY_SINGLE: f64 = 1e-5;
 /// Gradients in single precision, in norm.
 const GRADIENT_SINGLE: f64 = 1e-4;
-/// The same where edges are far from their rest length and angles near 0 and pi.
+/// Gradients in single precision, in norm, if edges are far from their rest length and angles near 0 and pi.
 const GRADIENT_CRUMPLED: f64 = 1e-3;
 /// Loss of a training step, relative.
 const LOSS: f64 = 1e-4;
 /// Gradient of a training step over the numbers of one weight, in norm.
 const WEIGHT_GRADIENT: f64 = 1e-3;
-/// Weights after steps of AdamW, against the largest.
+/// Weights after steps of AdamW, relative to the largest.
 const ADAMW: f64 = 1e-6;
-/// Norm that the gradients of the AdamW files are clipped to.
+/// Norm to which the gradients of the AdamW files are clipped.
 const ADAMW_CLIP: f64 = 0.05;
 /// Learning rate of the AdamW files.
 const ADAMW_RATE: f64 = 1e-3;
 /// First frame of a rollout, absolute in grid units.
 const ROLLOUT_FIRST: f64 = 1e-4;
-/// From 1e-4 in the first frame to 1e-2 in the tenth, or as far as rounding takes a recording.
+/// Growth of a rollout's tolerance per frame: from 1e-4 in the first frame to 1e-2 in the tenth, or as far as
+/// rounding takes a recording.
 ///
-/// A recorded rollout is itself in single precision, in which positions are rounded anew in each of the N iterations of a
-/// frame, and the motion is chaotic. What one rounding does is measured for each array, by moving the start by its
-/// coordinates' last bits; a rollout may be off by N times that.
+/// A recorded rollout is itself in single precision: positions are rounded in each of the N iterations of a
+/// frame, and the motion is chaotic. The effect of one rounding is measured for each array, by moving the
+/// start by the last bit of its coordinates. A rollout may be off by N times that.
 const DRIFT: f64 = 1.668_100_537_200_059;
 
-/// What the names of golden files begin with.
+/// Prefixes of the names of golden files.
 const KINDS: [&str; 9] = [
     "network_forward",
     "network_weights",
@@ -54,13 +55,14 @@ const KINDS: [&str; 9] = [
     "repulsion_",
 ];
 
-/// A file's name without its ending.
+/// Returns a file's name without its extension.
 fn stem(path: &Path) -> String {
     path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-/// Checks every golden file of `folder` on `stages`, telling `report` of each array; an error only if the folder cannot
-/// be read or holds no golden file. Damaged files are failed checks, files of other names are skipped.
+/// Checks every golden file of `folder` on `stages`, and passes the result for each array to `report`.
+/// Returns an error only if the folder cannot be read or contains no golden file. Damaged files count as
+/// failed checks; files with other names are skipped.
 pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn FnMut(Check)) -> Result<()> {
     let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "cannot read", e))?;
     let mut files: Vec<PathBuf> = Vec::new();
@@ -120,7 +122,7 @@ impl Checker<'_> {
         }
     }
 
-    /// Checks a file's arrays, and tells of those that it holds beside them.
+    /// Checks a file's arrays, and reports any that the check did not read.
     fn arrays(&mut self, path: &Path, check: fn(&mut Self, &Golden) -> Result<()>) -> Result<()> {
         let golden = Golden::open(path)?;
         check(self, &golden)?;
@@ -237,7 +239,7 @@ impl Checker<'_> {
         Ok(())
     }
 
-    /// Checks the masses of the particles, which a file of a cloth holds, against those of the grid.
+    /// Checks the particle masses, if the file contains them, against those of the grid.
     fn mass(&mut self, golden: &Golden, grid: Grid) -> Result<()> {
         let found: Vec<f64> = (0..grid.particles()).map(|p| grid.mass(p / grid.w, p % grid.w)).collect();
         if golden.has("mass") {
@@ -251,7 +253,7 @@ impl Checker<'_> {
         if names.is_empty() {
             return Err(Error::invalid(self.file, "before.*", "weights", "none"));
         }
-        // All arrays one after the other: clipping takes the norm of all of them.
+        // All arrays are concatenated, because clipping uses the norm over all of them.
         let joined = |prefix: &str| -> Result<Vec<f64>> {
             let mut all = Vec::new();
             for name in &names {
@@ -381,18 +383,18 @@ impl Checker<'_> {
         ];
         for (name, shape, part) in arrays {
             let expected = golden.shaped(name, &shape)?;
-            // Rounding is random: the largest effect so far is what a frame may be off by.
+            // Rounding is random: a frame may be off by the largest effect up to that frame.
             let mut rounding = 0.0_f64;
             let frame = |(k, expected): (usize, &[f64])| {
                 rounding = rounding.max(largest_error(part(&exact[k]), part(&rounded[k])));
-                // Where the exact rollout is no number there is nothing to agree with.
+                // If the exact rollout is not finite, there is nothing to compare with.
                 let tolerance = match rounding.is_finite() {
                     true => (ROLLOUT_FIRST * DRIFT.powi(k as i32)).max(case.iterations as f64 * rounding),
                     false => f64::NAN,
                 };
                 (k + 1, largest_error(expected, part(&found[k])), tolerance)
             };
-            // One line for the array: the frame that comes closest to its tolerance.
+            // One line per array: the frame that comes closest to its tolerance.
             let chunks = expected.chunks_exact(expected.len() / frames).enumerate();
             let closest = chunks.map(frame).max_by(|a, b| (a.1 / a.2).total_cmp(&(b.1 / b.2)));
             let (k, error, tolerance) = closest.expect("a rollout has frames");
@@ -401,7 +403,7 @@ impl Checker<'_> {
         Ok(())
     }
 
-    /// Of the file's positions, with lambda = 1.
+    /// Checks the repulsion at the file's positions, with lambda = 1.
     fn repulsion(&mut self, golden: &Golden) -> Result<()> {
         let [_, h, w] = golden.shape("positions")?;
         let grid = self.grid_with_cells(h, w)?;
@@ -412,7 +414,7 @@ impl Checker<'_> {
             return Err(Error::invalid(self.file, "threshold", "a distance above 0", distance));
         }
         let (expected, of_grad) = (golden.shaped("energy", &[])?, golden.shaped("gradient", &[3, h, w])?);
-        // A measure of the host's, the same whatever the device.
+        // A measure computed on the host, the same on every device.
         let measured = repulsion(&points, &grid.faces(), distance);
         self.magnitude("energy (measure)", expected, &[measured], ENERGY_DOUBLE);
         let lambda_1 = Repulsion { strength: n as f64, distance };
@@ -427,7 +429,8 @@ impl Checker<'_> {
     }
 }
 
-/// What no acceleration moves the particles of a batch by, [B, 3, H, W]: their velocity, or a handle's way.
+/// Returns the displacements of a batch without acceleration, [B, 3, H, W]: a particle's velocity, or a
+/// handle's way to its target.
 fn base(golden: &Golden, shape: &[usize; 4]) -> Result<Vec<f64>> {
     let &[batch, _, h, w] = shape;
     let n = h * w;
@@ -438,7 +441,7 @@ fn base(golden: &Golden, shape: &[usize; 4]) -> Result<Vec<f64>> {
     Ok((0..x.len()).map(|k| if is_handle(k) { held[k] - x[k] } else { v[k] }).collect())
 }
 
-/// The cloths of a batch: material and handles.
+/// Returns the cloths of a batch with their materials and handles.
 fn cloths(golden: &Golden, batch: usize, grid: Grid) -> Result<Vec<Cloth>> {
     let n = grid.particles();
     let mask = golden.shaped("handle_mask", &[batch, 1, grid.h, grid.w])?;
@@ -453,7 +456,8 @@ fn cloths(golden: &Golden, batch: usize, grid: Grid) -> Result<Vec<Cloth>> {
     Ok((0..batch).map(cloth).collect())
 }
 
-/// Coordinates moved by half the distance of single-precision numbers, up or down by a fixed pseudo-random choice.
+/// Moves each coordinate by half the spacing of single-precision numbers, up or down by a fixed pseudo-random
+/// choice.
 fn nudged(x: &[f64]) -> Vec<f64> {
     let mut bits = 0x9e37_79b9_u32;
     x.iter()
@@ -473,7 +477,7 @@ mod tests {
     use super::*;
     use safetensors::tensor::{Dtype, TensorView, serialize_to_file};
 
-    /// Writes a file of arrays that are `value` everywhere and says why it fails.
+    /// Writes a file of arrays that are `value` everywhere, and returns why it fails.
     fn failure(name: &str, arrays: &[(&str, &[usize])], value: f32) -> String {
         let folder = tempfile::tempdir().unwrap();
         let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
@@ -509,7 +513,7 @@ mod tests {
         };
         assert!(energy(4, 5, 5).contains("positions: expected shape [1, 3, 5, 5], found [1, 4, 5, 5]"));
         assert!(energy(3, 1, 5).contains("two particles or more a side, found 1x5"));
-        // The smallest has an energy, with which this file has nothing to compare.
+        // The smallest grid has an energy, but this file has nothing to compare it with.
         assert!(energy(3, 2, 2).contains("stretching_energy: expected an array of that name"));
 
         let fields = ["grads", "last_grads", "last_steps", "step"].map(|name| (name, &[3, 2, 8, 8][..]));

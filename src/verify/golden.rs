@@ -1,4 +1,4 @@
-//! Arrays of a golden file.
+//! The arrays of a golden file.
 
 use crate::{Error, Result, io};
 use safetensors::tensor::{Dtype, SafeTensors};
@@ -6,7 +6,7 @@ use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// A safetensors file of real arrays, in double precision.
+/// A safetensors file of real arrays, converted to double precision.
 pub struct Golden {
     path: PathBuf,
     origin: String,
@@ -16,12 +16,12 @@ pub struct Golden {
 struct Array {
     shape: Vec<usize>,
     values: Vec<f64>,
-    /// Whether anyone asked for it.
+    /// Whether the array has been read.
     read: Cell<bool>,
 }
 
 impl Golden {
-    /// Reads a file.
+    /// Reads a file. Fails unless it is a safetensors file of finite F32 or F64 numbers.
     pub fn open(path: &Path) -> Result<Self> {
         let origin = path.display().to_string();
         let bytes = io::read_bytes(path)?;
@@ -43,33 +43,33 @@ impl Golden {
         Ok(Self { path: path.to_owned(), origin, arrays })
     }
 
-    /// The file.
+    /// Returns the path of the file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Whether there is an array of that name.
+    /// Returns whether there is an array of that name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)
     }
 
-    /// Names of all arrays.
+    /// Returns the names of all arrays.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.arrays.keys().map(String::as_str)
     }
 
-    /// Names of the arrays that nobody has read.
+    /// Returns the names of the arrays that have not been read.
     pub fn unread(&self) -> impl Iterator<Item = &str> {
         self.arrays.iter().filter(|(_, array)| !array.read.get()).map(|(name, _)| name.as_str())
     }
 
-    /// Counts the arrays whose names begin with this as read.
+    /// Marks the arrays whose names start with `prefix` as read.
     pub fn read_elsewhere(&self, prefix: &str) {
         let of_prefix = self.arrays.iter().filter(|(name, _)| name.starts_with(prefix));
         of_prefix.for_each(|(_, array)| array.read.set(true));
     }
 
-    /// Shape and values of an array.
+    /// Returns the shape and the values of an array, and marks it as read.
     pub fn array(&self, name: &str) -> Result<(&[usize], &[f64])> {
         match self.arrays.get(name) {
             Some(Array { shape, values, read }) => {
@@ -83,7 +83,7 @@ impl Golden {
         }
     }
 
-    /// Values of an array that must have `shape`.
+    /// Returns the values of an array that must have `shape`.
     pub fn shaped(&self, name: &str, shape: &[usize]) -> Result<&[f64]> {
         let (found, values) = self.array(name)?;
         if found != shape {
@@ -92,7 +92,7 @@ impl Golden {
         Ok(values)
     }
 
-    /// Shape of an array that must have N axes, none of them empty.
+    /// Returns the shape of an array that must have N axes, none of them empty.
     pub fn shape<const N: usize>(&self, name: &str) -> Result<[usize; N]> {
         let (found, _) = self.array(name)?;
         match <[usize; N]>::try_from(found) {

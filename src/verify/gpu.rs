@@ -1,4 +1,4 @@
-//! The stages on a GPU, one at a time and waited for.
+//! The stages on a GPU, run one at a time, each to completion.
 
 use super::{
     AdamWCase, EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, TrainingCase,
@@ -22,7 +22,7 @@ use crate::sim::{
 use crate::train::{DeviceAdamW, DeviceLoss};
 use std::sync::Arc;
 
-/// Stages on the device of a context.
+/// The stages on the device of a context.
 #[derive(Debug)]
 pub struct GpuStages {
     context: Context,
@@ -30,12 +30,12 @@ pub struct GpuStages {
 }
 
 impl GpuStages {
-    /// Stages on that device, with the tiles that suit it.
+    /// Builds the stages on that device, with the tuning that suits it.
     pub fn new(context: &Context) -> Self {
         Self { context: context.clone(), tuning: Tuning::new(context) }
     }
 
-    /// The same with other tiles.
+    /// Builds the stages on that device with the given tuning.
     pub fn with_tuning(context: &Context, tuning: Tuning) -> Self {
         Self { context: context.clone(), tuning }
     }
@@ -52,13 +52,13 @@ impl GpuStages {
         Ok(tensor.read_widened(&self.context)?.into_iter().map(f64::from).collect())
     }
 
-    /// A network tensor [.., H, W'] without its padding.
+    /// Reads a network tensor [.., H, W'] without its padding.
     fn read_unpadded(&self, tensor: &Tensor, grid: Grid) -> Result<Vec<f64>> {
         let rows = self.read(tensor)?;
         Ok(rows.chunks_exact(padded(grid.w)).flat_map(|r| &r[..grid.w]).copied().collect())
     }
 
-    /// The first `channels` of those of an activation [S, H, C, W'], shape [S, channels, H, W].
+    /// Reads the first `channels` channels of an activation [S, H, C, W'], returned as [S, channels, H, W].
     fn read_channels(&self, tensor: &Tensor, channels: usize, grid: Grid) -> Result<Vec<f64>> {
         let (rows, stored) = (self.read_unpadded(tensor, grid)?, tensor.shape()[2]);
         let mut values = Vec::with_capacity(rows.len() / stored * channels);
@@ -93,7 +93,7 @@ impl Stages for GpuStages {
         let mut schedule = Schedule::new(context);
         forward.push(&mut schedule, None, Head::Alone);
         self.run(&schedule);
-        // Channels that were added to fill a tile come last.
+        // Channels added to fill a tile come last.
         let kept = |i: usize| self.read_channels(forward.activation(i), weights.config.channels, grid);
         Ok(NetworkOutput {
             embedded: self.read_channels(&forward.embedded, weights.config.inputs(), grid)?,
@@ -158,7 +158,7 @@ impl Stages for GpuStages {
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)> {
         let (context, grid) = (&self.context, case.grid);
         let (n, wanted) = (grid.particles(), case.scale.len());
-        // A cloth has three samples; the last ones may be filled up with copies of the first.
+        // A cloth has three samples. The last cloth may be filled up with copies of the first samples.
         let batch = wanted.div_ceil(3);
         let samples = 3 * batch;
         let filled = |values: &[f64], per: usize| -> Vec<f32> {
@@ -168,7 +168,7 @@ impl Stages for GpuStages {
         let [grad, last_step] = [&case.grad, &case.last_step].map(|field| filled(field, n));
         iterate.grad.write(context, &grad);
         iterate.hidden_state().write(context, &[filled(&case.last_grad, n), last_step.clone()].concat());
-        // The kernel of the gradient would have summed them: all in the first part.
+        // The gradient kernel would have written the sums. Here the whole sum is in the first part.
         let square = |field: &[f32]| field.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() as f32;
         let parts = gradient::parts(grid);
         let mut squares = vec![0.0; samples * parts * 2];
@@ -191,7 +191,7 @@ impl Stages for GpuStages {
             Ok(())
         })?;
         self.run(&schedule);
-        // From a = 0 the step is the acceleration.
+        // Starting from a = 0, the acceleration is the step.
         let step = self.read(&iterate.a)?[..wanted * n].to_vec();
         Ok((step, self.read(&scales)?[samples..][..wanted].to_vec()))
     }
@@ -285,7 +285,7 @@ fn single(values: &[f64]) -> Vec<f32> {
     values.iter().map(|&v| v as f32).collect()
 }
 
-/// Input channels [S, H, fields + 2, W'] from the fields [S, fields, H, W].
+/// Builds the input channels [S, H, fields + 2, W'] from the fields [S, fields, H, W].
 fn embed(fields: &[f32], count: usize, grid: Grid) -> Vec<f32> {
     let (h, w) = (grid.h, padded(grid.w));
     let samples = fields.len() / (count * grid.particles());

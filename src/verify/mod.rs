@@ -1,8 +1,10 @@
-//! Checks of every stage against golden files: vectors computed with the method's original implementation.
+//! Checks of every stage against golden files, which hold arrays computed with the method's original
+//! implementation.
 //!
-//! A file's name says what it holds: `network_weights`, `network_forward_*`, `update_rule_*`, `energy_*`, `repulsion_*`,
-//! `checkpoint_NAME`, `rollout_NAME_*`, `training_step*`, `adamw*`. Sizes are read from the arrays, so files of other grids
-//! and seeds check as well. Every array is compared on its own, so that an error points at one stage.
+//! A file's name determines what it contains: `network_weights`, `network_forward_*`, `update_rule_*`,
+//! `energy_*`, `repulsion_*`, `checkpoint_NAME`, `rollout_NAME_*`, `training_step*`, `adamw*`. Sizes are read
+//! from the arrays, so files with other grids and seeds work as well. Every array is compared separately, so
+//! that an error points to one stage.
 
 mod checker;
 mod cpu;
@@ -19,7 +21,7 @@ use crate::network::Weights;
 use crate::sim::{Cloth, EnergyTerms, Grid, Repulsion};
 use std::sync::Arc;
 
-/// Rounding that a device computes with, which sets what it is held to.
+/// The precision in which a device computes, which determines the tolerances.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
@@ -27,49 +29,51 @@ pub enum Precision {
     Double,
     /// 32-bit floating point.
     Single,
-    /// 32-bit floating point on activations and weights of the network that are stored in 16 bits.
+    /// 32-bit floating point, with activations and weights of the network stored in 16 bits.
     Half,
 }
 
-/// The stages of a frame on some device; every array is in double precision here, whatever the device computes with.
+/// The stages of a frame on some device. Every array is in double precision here, whatever the device
+/// computes in.
 pub trait Stages {
-    /// Name of the device and its precision.
+    /// Returns the name of the device and its precision.
     fn name(&self) -> String;
 
-    /// What it computes with.
+    /// Returns the precision of the device.
     fn precision(&self) -> Precision;
 
-    /// The network on `input` [S, fields, H, W].
+    /// Runs the network on `input` [S, fields, H, W].
     fn network(&mut self, weights: &Weights, grid: Grid, input: &[f64]) -> Result<NetworkOutput>;
 
-    /// Energy terms of each cloth and the gradient dL/da [B, 3, H, W].
+    /// Returns the energy terms of each cloth and the gradient dL/da [B, 3, H, W].
     fn energy(&mut self, case: &EnergyCase) -> Result<(Vec<EnergyTerms>, Vec<f64>)>;
 
-    /// The repulsion of a cloth with positions [3, H, W] \[edges\]: its energy, and the gradient of that over the positions.
+    /// Returns the repulsion of a cloth with positions [3, H, W] \[edges\]: its energy, and the gradient over
+    /// the positions.
     fn repulsion(&mut self, grid: Grid, positions: &[f64], repulsion: Repulsion) -> Result<(f64, Vec<f64>)>;
 
-    /// One application of the update rule: step [S, H, W] and new scales `[S]`.
+    /// Applies the update rule once; returns the step [S, H, W] and the new scales `[S]`.
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)>;
 
-    /// One training step's loss and gradient; not in [`Precision::Half`].
+    /// Returns the loss and the gradient of one training step. Not supported in [`Precision::Half`].
     fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<TrainingOutput>;
 
-    /// The weights after each of some steps of AdamW.
+    /// Returns the weights after each of several steps of AdamW.
     fn adamw(&mut self, case: &AdamWCase) -> Result<Vec<Vec<f64>>>;
 
-    /// Frames from a start at rest with a fresh hidden state.
+    /// Returns the frames of a rollout from rest with a fresh hidden state.
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>>;
 }
 
-/// The gradient of the repulsion's energy over positions [3, H, W], from the accelerations that it pushes particles by: the force
-/// on a particle is its mass over `H W` times its acceleration.
+/// Returns the gradient of the repulsion's energy over positions [3, H, W], given the accelerations that the
+/// repulsion causes: the force on a particle is its mass over `H W` times its acceleration.
 fn gradient_of_push(grid: Grid, pushed: &[f64]) -> Vec<f64> {
     let n = grid.particles();
     let mass = |p: usize| grid.mass(p / grid.w, p % grid.w) / n as f64;
     pushed.iter().enumerate().map(|(k, a)| -mass(k % n) * a).collect()
 }
 
-/// What the network computes on the way and at the end.
+/// The intermediate and final results of the network.
 #[derive(Clone, Debug, Default)]
 pub struct NetworkOutput {
     /// Fields with the positional channels, shape [S, fields + 2, H, W].
@@ -89,11 +93,12 @@ pub struct NetworkOutput {
 pub struct EnergyCase {
     /// The grid.
     pub grid: Grid,
-    /// The cloths, B of them; their gravity and air do not count.
+    /// The cloths, B of them. Their gravity and air are ignored.
     pub cloths: Vec<Cloth>,
     /// Positions at the start of the frame, shape [B, 3, H, W].
     pub x: Vec<f64>,
-    /// What no acceleration moves them by, shape [B, 3, H, W]: the trial moves free particles by `base + a`, handles by `base`.
+    /// Displacements without acceleration, shape [B, 3, H, W]: the trial moves free particles by `base + a`,
+    /// handles by `base`.
     pub base: Vec<f64>,
     /// Accelerations, shape [B, 3, H, W].
     pub a: Vec<f64>,
@@ -121,9 +126,9 @@ pub struct UpdateCase {
 pub struct TrainingCase {
     /// The grid.
     pub grid: Grid,
-    /// The cloths, B of them; still air.
+    /// The cloths, B of them, in still air.
     pub cloths: Vec<Cloth>,
-    /// Handle positions at the end of the frame, of all cloths.
+    /// Handle positions of all cloths at the end of the frame.
     pub targets: Vec<[f64; 3]>,
     /// Positions at the start of the frame, shape [B, 3, H, W].
     pub x: Vec<f64>,
@@ -141,7 +146,7 @@ pub struct TrainingCase {
     pub scale: Vec<f64>,
 }
 
-/// What a training step computes before the weights move.
+/// The results of a training step before the weights are updated.
 #[derive(Clone, Debug)]
 pub struct TrainingOutput {
     /// Mean over the batch of the energy after the step.
@@ -152,14 +157,14 @@ pub struct TrainingOutput {
     pub gradient: Vec<f64>,
 }
 
-/// Some steps of AdamW with the paper's settings.
+/// Several steps of AdamW with the paper's settings.
 #[derive(Clone, Debug)]
 pub struct AdamWCase {
     /// Weights at the start.
     pub before: Vec<f64>,
     /// Gradient of each step.
     pub gradients: Vec<Vec<f64>>,
-    /// Norm that gradients are clipped to.
+    /// Norm to which gradients are clipped.
     pub clip: f64,
     /// Learning rate.
     pub rate: f64,
@@ -170,7 +175,7 @@ pub struct AdamWCase {
 pub struct RolloutCase {
     /// The grid.
     pub grid: Grid,
-    /// The cloth; still air.
+    /// The cloth, in still air.
     pub cloth: Cloth,
     /// Iterations per frame.
     pub iterations: usize,
@@ -195,34 +200,34 @@ pub struct RolloutFrame {
     pub gradient_norms: Vec<f64>,
 }
 
-/// What came of one array, or of a file that could not be checked.
+/// The result for one array, or for a file that could not be checked.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Check {
     /// Name of the file.
     pub file: String,
-    /// Name of the array, or what kept the file from being checked.
+    /// Name of the array, or what prevented the check.
     pub array: String,
     /// Device and precision.
     pub device: String,
     /// Largest absolute error.
     pub absolute: f64,
-    /// Error relative to what the tolerance refers to.
+    /// Relative error, in the measure to which the tolerance applies.
     pub relative: f64,
     /// Largest relative error that passes.
     pub tolerance: f64,
-    /// Verdict.
+    /// The verdict.
     pub outcome: Outcome,
 }
 
-/// Verdict of a [`Check`].
+/// The verdict of a [`Check`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Outcome {
     /// Within the tolerance.
     Passed,
-    /// Not within it, or damaged.
+    /// Not within the tolerance, or damaged.
     Failed,
-    /// Nothing that can be checked on this device.
+    /// Not checkable on this device.
     Skipped,
 }
 

@@ -1,5 +1,5 @@
-//! The backward pass of the network: against differences, layer by layer, and the adjoint transform against its own
-//! definition.
+//! The backward pass of the network against finite differences, layer by layer, and the adjoint transform
+//! against its definition.
 
 use crate::noise::noise;
 use fnopt::cpu::operator::{Adjoint, LaidOut, Network, Spectral, Transform};
@@ -7,14 +7,14 @@ use fnopt::cpu::optim::{Hidden, Normalisation, UpdateAdjoint};
 use fnopt::network::{Config, Weights};
 use fnopt::sim::Grid;
 
-/// Numbers that stay exact in single precision when small multiples of [`STEP`] are added.
+/// Returns weights that stay exact in single precision when small multiples of [`STEP`] are added.
 fn weights(config: Config, seed: u64) -> Weights {
     let count = Weights::zeros(config).flat().len();
     let flat: Vec<f32> = noise(count, seed).iter().map(|v| ((v * 1024.0).round() / 2048.0) as f32).collect();
     Weights::from_flat(config, &flat)
 }
 
-/// Distance between the weights of a difference, a power of two.
+/// Step of the finite differences over the weights, a power of two.
 const STEP: f32 = 1.0 / 4096.0;
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -35,7 +35,7 @@ fn cases() -> [Case; 4] {
         // The last kept column is its own conjugate.
         Case { config: Config { modes_w: 5, ..config }, grid: Grid { h: 8, w: 8 }, samples: 2 },
         Case { config: Config { layers: 2, channels: 17, ..config }, grid: Grid { h: 13, w: 8 }, samples: 1 },
-        // The scalar head hangs at the last block.
+        // With one block, the scalar head reads the last block.
         Case { config: Config { layers: 1, ..config }, grid: Grid { h: 8, w: 9 }, samples: 2 },
     ]
 }
@@ -45,7 +45,7 @@ fn gradients_of_every_parameter_match_differences() {
     for (number, Case { config, grid, samples }) in cases().into_iter().enumerate() {
         let weights = weights(config, 1);
         let input = noise(samples * config.fields * grid.particles(), 2204);
-        // Seeds for which no maximum changes its place within the differences.
+        // With these seeds, no maximum moves to another position within the differences.
         let (adj_field, adj_scalar) = (noise(samples * grid.particles(), 3), noise(samples, 204));
         let value = |weights: &Weights| {
             let mut network = Network::<f64>::new(weights, grid, samples).unwrap();
@@ -63,7 +63,7 @@ fn gradients_of_every_parameter_match_differences() {
         adjoint.backward(&input, (&adj_field, &adj_scalar), &mut gradient);
         let mut start = 0;
         for (index, parameter) in weights.parameters().iter().enumerate() {
-            // Along a direction without pattern, all of a layer's numbers at once.
+            // All numbers of a parameter are moved at once, with random signs.
             let signs: Vec<f64> =
                 noise(parameter.len(), 5 + index as u64).iter().map(|v| v.signum()).collect();
             let moved = |steps: f32| {
@@ -115,7 +115,7 @@ fn the_adjoint_transform_is_the_transpose() {
         let c = 16;
         let transform = Transform::<f64>::new(&config, grid, c).unwrap();
         let adjoint = transform.adjoint();
-        // Along the rows: forward against the adjoint's inverse. Modes only, as one row of the grid and k_w have them.
+        // Each forward transform is paired with the other's inverse. Only the kept modes are compared.
         let modes = noise(config.modes() * c * 2, 8);
         let field = noise(grid.particles() * c, 9);
         let forward = |t: &Transform<f64>| {
@@ -134,7 +134,7 @@ fn the_adjoint_transform_is_the_transpose() {
             }
             found
         };
-        // <F x, z> = <x, F' z> and the same for the inverse.
+        // <F x, z> = <x, F' z>, and the corresponding identity for the inverse.
         let pairs = [
             (dot(&forward(&transform), &modes), dot(&field, &adjoint.inverse(&modes))),
             (dot(&forward(&adjoint), &modes), dot(&field, &transform.inverse(&modes))),
@@ -160,7 +160,8 @@ fn the_adjoint_product_is_the_conjugate_transpose() {
     let (straight, adjoint) = (Spectral::new(&config, block), Spectral::adjoint(&config, block));
     let [x, y] = [11, 12].map(|seed| noise(samples * transform.column_len(), seed));
     let ((wx, x_modes), (wy, y_modes)) = (apply(&straight, &x), apply(&adjoint, &y));
-    // Outputs are (re, im) of all samples, then turned; inputs (re, -im, im, re) per sample.
+    // Outputs are (re, im) of all samples, then those turned by a quarter; inputs (re, -im, im, re) per
+    // sample.
     let product = |out: &[f64], modes: &[f64]| -> f64 {
         let len = 4 * samples * c;
         let per_mode = out.chunks_exact(len).zip(modes.chunks_exact(len));
@@ -177,7 +178,7 @@ fn the_adjoint_product_is_the_conjugate_transpose() {
     assert!((left - right).abs() < 1e-10 * left.abs(), "{left} and {right}");
 }
 
-/// The gradient over the weights of as many equal samples as there are sizes of cotangents.
+/// Returns the gradient over the weights of equal samples, whose cotangents are scaled by `sizes`.
 fn gradient_of_samples(sizes: &[f32], normalisation: Normalisation) -> Vec<f64> {
     let Case { config, grid, .. } = cases()[0];
     let (weights, n) = (weights(config, 6), grid.particles());
@@ -195,13 +196,13 @@ fn gradient_of_samples(sizes: &[f32], normalisation: Normalisation) -> Vec<f64> 
     gradient.into_iter().map(f64::from).collect()
 }
 
-/// That a gradient is so many times another.
+/// Asserts that `found` is `times` times `one`.
 fn assert_times(found: &[f64], times: f64, one: &[f64], what: &str) {
     let apart: Vec<f64> = found.iter().zip(one).map(|(a, b)| a - times * b).collect();
     assert!(dot(&apart, &apart).sqrt() <= 1e-5 * times * dot(one, one).sqrt(), "{what}");
 }
 
-/// Every component of every cloth weighs the same whatever the size of its cotangents, and one in equilibrium weighs nothing.
+/// Every sample weighs the same, whatever the size of its cotangents. A sample in equilibrium weighs nothing.
 #[test]
 fn cotangents_of_the_update_rule_are_normalised_sample_by_sample() {
     let gradient = |sizes: &[f32]| gradient_of_samples(sizes, Normalisation::Component);
@@ -212,12 +213,14 @@ fn cotangents_of_the_update_rule_are_normalised_sample_by_sample() {
     }
 }
 
-/// Every cloth weighs the same whatever the size of its cotangents, and a component what it has of them.
+/// Every cloth weighs the same, whatever the size of its cotangents, and its components in proportion to
+/// theirs.
 #[test]
 fn cotangents_of_the_update_rule_are_normalised_cloth_by_cloth() {
     let gradient = |sizes: &[f32]| gradient_of_samples(sizes, Normalisation::Cloth);
     let one = gradient_of_samples(&[1.0], Normalisation::Component);
-    // Divided by the root mean square of the three sizes; the sum of what is left is what equal samples add up to.
+    // The three sizes are divided by their root mean square. Equal samples add up to the sum of the
+    // quotients.
     for sizes in [[1.0, 1.0, 1.0], [3.0, 2.0, 1.0], [2e-9, 1e-9, 0.0], [0.0, 0.0, 1e6], [0.0; 3]] {
         let mean_square = sizes.iter().map(|s| f64::from(s * s)).sum::<f64>() / 3.0;
         let times = sizes.iter().map(|&s| f64::from(s)).sum::<f64>() / mean_square.sqrt().max(1e-40);

@@ -6,11 +6,11 @@ use proptest::prelude::*;
 use safetensors::tensor::{Dtype, TensorView};
 use std::collections::HashMap;
 
-/// A tensor as bytes of some type.
+/// A tensor as name, type, shape and bytes.
 type Raw = (String, Dtype, Vec<usize>, Vec<u8>);
 
 fn tiny() -> Weights {
-    // The smallest network there can be, so that damaged files are many and quick.
+    // The smallest possible network, so that many damaged files can be tested quickly.
     let config =
         Config { fields: 3, lifting: 2, channels: 3, projection: 2, layers: 2, modes_h: 2, modes_w: 1 };
     let mut next = 0.0;
@@ -88,7 +88,7 @@ fn names_without_prefix_and_other_number_types() {
         bytes.chunks_exact(4).map(|b| f32::from_le_bytes(b.try_into().unwrap()))
     }
     assert_eq!(convert(&|t| t.0 = t.0.trim_start_matches("nn.").to_owned()), weights);
-    // All values of the small network are exact in half precision, and in bfloat16 to 1/256.
+    // Half precision holds all values of the small network exactly, and bfloat16 to 1/256.
     assert_eq!(
         convert(&|t| (t.1, t.3) =
             (Dtype::F16, numbers(&t.3).flat_map(|v| half::f16::from_f32(v).to_le_bytes()).collect())),
@@ -185,7 +185,7 @@ fn a_configuration_in_the_metadata_is_binding() {
     }
 }
 
-/// The update rule has three fields: a network of others has nothing to see.
+/// The update rule has three fields, so a network with another number of fields is refused.
 #[test]
 fn networks_of_other_fields_are_refused() {
     let config = Config { fields: 4, ..tiny().config };

@@ -1,10 +1,10 @@
-//! Steps of the classical optimizers that have closed forms.
+//! Steps of the classical optimizers against closed forms.
 
 use crate::golden::largest_difference as apart;
 use crate::noise::noise;
 use fnopt::cpu::optim::{Adam, GradientDescent, Lbfgs, Minimizer};
 
-/// The iterates from `a` on, under the gradient `k a` with a steepness k for each unknown.
+/// Returns the iterates from `a` on, for the gradient `k a` with one steepness k per unknown.
 fn iterates(
     optimizer: &mut dyn Minimizer<f64>,
     steepness: &[f64],
@@ -37,12 +37,13 @@ fn adam_begins_with_steps_of_its_rate() {
     let steepness: Vec<f64> = noise(12, 2).iter().map(|k| 2.0 + k).collect();
     let adam = &mut Adam::new([rate, betas[0], betas[1], epsilon], 12);
     let all = iterates(adam, &steepness, noise(12, 1), 2);
-    // Both averages are of one gradient: the first step has the rate's size, whatever the gradient's.
+    // Both averages hold one gradient, so the first step has the size of the rate, whatever the gradient.
     let gradient = |k: usize, step: usize| steepness[k] * all[step][k];
     let first = (0..12).map(|k| all[0][k] - rate * gradient(k, 0) / (gradient(k, 0).abs() + epsilon));
     let first: Vec<f64> = first.collect();
     assert!(apart(&all[1], &first) < 1e-12 * rate, "{:e}", apart(&all[1], &first));
-    // The second one weighs two gradients g and h: (b g + h) / (1 + b) over the root of the same of their squares.
+    // The second weighs two gradients g and h: (b g + h) / (1 + b) over the root of the same of their
+    // squares.
     let second = (0..12).map(|k| {
         let (g, h) = (gradient(k, 0), gradient(k, 1));
         let mean = (betas[0] * g + h) / (1.0 + betas[0]);
@@ -56,12 +57,13 @@ fn adam_begins_with_steps_of_its_rate() {
 #[test]
 fn lbfgs_learns_the_curvature_of_a_quadratic() {
     let lbfgs = || Lbfgs::new(5, 1e-12, 12, 1);
-    // Of a sphere in one step.
+    // The second step lands at the minimum of a sphere.
     let all = iterates(&mut lbfgs(), &[0.4; 12], noise(12, 1), 2);
     let first: Vec<f64> = all[0].iter().map(|a| a * (1.0 - 0.4)).collect();
     assert!(apart(&all[1], &first) < 1e-15, "without history the step is the gradient");
     assert!(apart(&all[2], &[0.0; 12]) < 1e-15, "{:?}", all[2]);
-    // The inverse Hessian H is symmetric and maps the newest pair onto itself, H y = s: for any gradient g, y . H g = s . g.
+    // The inverse Hessian H is symmetric and maps the newest pair onto itself, H y = s. Hence y . H g = s . g
+    // for any gradient g.
     let steepness: Vec<f64> = noise(12, 2).iter().map(|k| 1.0 + 0.5 * k).collect();
     let all = iterates(&mut lbfgs(), &steepness, noise(12, 1), 9);
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();

@@ -5,7 +5,7 @@ use crate::noise::noise;
 use fnopt::cpu::cloth::{Frame, GradientRows, Trial, end_frame, energy, gradient, shifts, stretch};
 use fnopt::sim::{EnergyTerms, Grid, Material};
 
-/// A cloth that owns what a trial borrows.
+/// Owns the arrays that a trial borrows.
 struct Sheet {
     grid: Grid,
     material: Material,
@@ -18,7 +18,7 @@ struct Sheet {
 }
 
 impl Sheet {
-    /// A sheet whose particle (i, j) is at `position(j, i)`, everything else zero.
+    /// Builds a sheet with particle (i, j) at `position(j, i)` and everything else zero.
     fn shaped(grid: Grid, material: Material, position: impl Fn(f64, f64) -> [f64; 3]) -> Self {
         let n = grid.particles();
         let mut x = vec![0.0; 3 * n];
@@ -30,7 +30,7 @@ impl Sheet {
         Self { grid, material, x, v: zeros(), a: zeros(), f: zeros(), slots: vec![0; n], handles: vec![] }
     }
 
-    /// Cloth `b` of a golden file.
+    /// Reads cloth `b` of a golden file.
     fn golden(file: &Golden, material: Material, b: usize) -> Self {
         let shape = file.shape("positions");
         let grid = Grid { h: shape[2], w: shape[3] };
@@ -107,7 +107,7 @@ fn energies_and_gradients_agree_with_the_authors() {
     check("energy_rest");
 }
 
-/// A crumpled sheet with velocities, accelerations, forces and two handles.
+/// Builds a crumpled sheet with velocities, accelerations, forces and two handles.
 fn crumpled(grid: Grid) -> Sheet {
     let material = Material { stretch: 300.0, shear: 20.0, bend: 3.0 };
     let mut sheet = Sheet::shaped(grid, material, |j, i| [j, i, 0.0]);
@@ -136,7 +136,7 @@ fn gradient_is_the_slope_of_the_energy() {
             sheet.a[k] = a + offset;
             sheet.energy().total()
         };
-        // Fourth order: the error of the slope is that of the sums, some 1e-10.
+        // Fourth order: only the rounding of the sums remains, about 1e-10.
         let (near, far) = (1e-4, 2e-4);
         let slope =
             (8.0 * (total_at(near) - total_at(-near)) - (total_at(far) - total_at(-far))) / (12.0 * near);
@@ -149,7 +149,7 @@ fn gradient_is_the_slope_of_the_energy() {
 fn gradients_of_rows_of_any_length_agree_in_both_precisions() {
     for w in 8..=35 {
         let mut sheet = crumpled(Grid { h: 8, w });
-        // Numbers that both precisions hold, so that what differs is the arithmetic.
+        // Values that both precisions hold exactly, so that only the arithmetic differs.
         for values in [&mut sheet.x, &mut sheet.v, &mut sheet.a, &mut sheet.f] {
             values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
         }
@@ -157,7 +157,7 @@ fn gradients_of_rows_of_any_length_agree_in_both_precisions() {
         let [x, a, f] = [&sheet.x, &sheet.a, &sheet.f].map(|values| narrowed(values));
         let Sheet { grid, material, slots, .. } = &sheet;
         let trial = Trial { grid: *grid, material: *material, x: &x, shift: &shift, a: &a, f: &f, slots };
-        // Working memory is used again, as from iteration to iteration.
+        // Working memory is reused, as it is between iterations.
         let (mut rows, mut grad) = (GradientRows::new(*grid), vec![f32::NAN; x.len()]);
         for _ in 0..2 {
             gradient(&trial, &mut rows, &mut grad);
@@ -204,7 +204,7 @@ fn uniformly_stretched_sheared_and_bent_sheets() {
     close(sheared.shear, 5.0 * 4.0 * (h - 1.0) * (w - 1.0) / (h * w) * t * t);
     close(1.0 + sheared.stretch + sheared.bend, 1.0);
 
-    // Unit chords of a circle, each turned by t against the one before.
+    // Unit chords of a circle, each turned by t relative to the one before.
     let radius = 0.5 / (t / 2.0).sin();
     let bent =
         Sheet::shaped(grid, material, |j, i| [radius * (t * j).cos(), i, radius * (t * j).sin()]).energy();
@@ -231,7 +231,7 @@ fn a_frame_ends_where_its_trial_was() {
         (0..x.len()).for_each(|k| assert!((trial.x[k] + trial.shift[k] - x[k]).abs() < 1e-14))
     });
     for k in 0..x.len() {
-        // For free particles too: the velocity is the way of this frame.
+        // Free particles, too: the velocity is the displacement over this frame.
         assert!((v[k] - (x[k] - sheet.x[k])).abs() < 1e-14);
     }
     let (n, p) = (sheet.grid.particles(), sheet.grid.w + 3);

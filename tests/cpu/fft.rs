@@ -9,12 +9,12 @@ use fnopt::sim::Grid;
 
 const CHANNELS: usize = 16;
 
-/// Even, odd, prime, smallest.
+/// Even, odd, prime and smallest sizes.
 fn grids() -> [Grid; 7] {
     [(8, 8), (9, 13), (33, 47), (31, 37), (32, 48), (20, 9), (100, 100)].map(|(h, w)| Grid { h, w })
 }
 
-/// The kept modes of `x` [H, W, C] as (re, im), shape [modes_h, modes_w, C, 2].
+/// Returns the kept modes of `x` [H, W, C] as (re, im), shape [modes_h, modes_w, C, 2].
 fn truncated(transform: &Transform<f64>, config: &Config, x: &[f64], grid: Grid) -> Vec<f64> {
     let mut rows = vec![0.0; grid.h * transform.row_len()];
     for (row, x) in rows.chunks_mut(transform.row_len()).zip(x.chunks(grid.w * CHANNELS)) {
@@ -64,7 +64,8 @@ fn truncated_inverse_transform_is_the_full_one_of_the_kept_modes() {
     let config = Config::default();
     for grid in grids() {
         let transform = Transform::new(&config, grid, CHANNELS).unwrap();
-        // Any modes, not only those of a real field: of column 0, and of the last where W = 8, the Hermitian part counts.
+        // Arbitrary modes, not only those of a real field. In column 0, and in the last column if W = 8, only
+        // the Hermitian part counts.
         let modes = noise(config.modes() * CHANNELS * 2, 2);
         let found = transform.inverse(&modes);
         let fft = Fft2::new(grid, Norm::Forward);

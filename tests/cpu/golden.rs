@@ -1,17 +1,17 @@
-//! Vectors computed with the authors' implementation, or from the equations in double precision.
+//! Golden files, computed with the authors' implementation or from the equations in double precision.
 
 use fnopt::network::Weights;
 use safetensors::{Dtype, SafeTensors};
 use std::path::{Path, PathBuf};
 
-/// A file of the golden folder in memory.
+/// A golden file in memory.
 pub struct Golden(Vec<u8>);
 
 pub fn path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("tests/golden/{name}.safetensors"))
 }
 
-/// The perturbed weights that the network and update-rule vectors belong to.
+/// Loads the perturbed weights of the network and update-rule files.
 pub fn weights() -> Weights {
     Weights::load(path("network_weights")).unwrap()
 }
@@ -44,24 +44,24 @@ impl Golden {
     }
 }
 
-/// Largest difference over the largest magnitude of `expected`.
+/// Returns the largest difference over the largest magnitude of `expected`.
 pub fn relative_error(found: &[f64], expected: &[f64]) -> f64 {
     largest_difference(found, expected) / expected.iter().fold(0.0, |m: f64, v| m.max(v.abs()))
 }
 
-/// Largest difference; infinite if a number is not one.
+/// Returns the largest difference, or infinity if one of them is NaN.
 pub fn largest_difference(found: &[f64], expected: &[f64]) -> f64 {
     assert_eq!(found.len(), expected.len());
     let differences = found.iter().zip(expected).map(|(a, b)| (a - b).abs());
     differences.fold(0.0, |m: f64, d| if d.is_nan() { f64::INFINITY } else { m.max(d) })
 }
 
-/// Single precision to double.
+/// Converts single precision to double.
 pub fn widened(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&v| v.into()).collect()
 }
 
-/// Double precision to single.
+/// Converts double precision to single.
 pub fn narrowed(values: &[f64]) -> Vec<f32> {
     values.iter().map(|&v| v as f32).collect()
 }

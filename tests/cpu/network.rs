@@ -4,7 +4,7 @@ use crate::golden::{Golden, narrowed, relative_error, weights, widened};
 use fnopt::cpu::operator::{Network, Stage};
 use fnopt::sim::Grid;
 
-/// Largest error over the largest magnitude.
+/// Largest error allowed, over the largest magnitude.
 const TOLERANCE: f64 = 2e-5;
 
 fn grid_of(golden: &Golden) -> (Grid, usize) {
@@ -52,7 +52,7 @@ fn odd_sizes_keep_modes_in_their_place() {
     check("network_forward_33x47");
 }
 
-/// Weights in which a layer is multiplied into another are those of the same network, to the rounding of the products.
+/// Folding multiplies one layer into another. The network stays the same, up to the rounding of the products.
 #[test]
 fn folded_weights_make_the_same_network() {
     let golden = Golden::open("network_forward_33x47");
@@ -72,7 +72,7 @@ fn folded_weights_make_the_same_network() {
     single.forward(&narrowed(&input));
     assert!(relative_error(&widened(single.field()), &field) < TOLERANCE);
 
-    // Where the shapes do not allow it, the weights stay.
+    // If the shapes do not allow folding, the weights are unchanged.
     let config = fnopt::network::Config { projection: 32, ..weights.config };
     let other = fnopt::network::Weights::zeros(config);
     assert_eq!(other.folded(), other);

@@ -1,4 +1,4 @@
-//! The Hessian of the shape's energy, and Newton's method with it.
+//! The Hessian of the elastic energy, and Newton's method with it.
 
 use crate::noise::noise;
 use fnopt::cpu::cloth::{GradientRows, Hessian, Projection, Trial, gradient};
@@ -7,7 +7,7 @@ use fnopt::cpu::{FactoredHessian, Reference, Solver};
 use fnopt::scene::{Scene, Stiffness};
 use fnopt::sim::{Control, Grid, Material, Model, Optimizer, State};
 
-/// A sheet with its arrays: crumpled by `noise`, some edges longer and some shorter than at rest, two handles.
+/// A sheet with its arrays, crumpled by `noise` so that some edges are longer than at rest and some shorter.
 struct Sheet {
     grid: Grid,
     x: Vec<f64>,
@@ -34,7 +34,7 @@ impl Sheet {
         }
     }
 
-    /// The direction of steepest descent and that of a Newton step.
+    /// Returns the gradient at the free particles and the direction of a Newton step.
     fn directions(&self, hessian: &mut FactoredHessian) -> [Vec<f64>; 2] {
         hessian.reset();
         hessian.factor(&self.at(&self.x)).unwrap();
@@ -52,12 +52,12 @@ impl Sheet {
         grad
     }
 
-    /// The Hessian times a direction.
+    /// Returns the Hessian times a direction.
     fn turned(&self, projection: Projection, direction: &[f64]) -> Vec<f64> {
         let n = self.grid.particles();
         let mut turned = vec![0.0; direction.len()];
         let mut hessian = Hessian::new(self.grid).unwrap();
-        // Nothing is left of another trial.
+        // Filled at another trial first, of which nothing may be left.
         let elsewhere: Vec<f64> =
             self.x.iter().zip(noise(self.x.len(), 9)).map(|(x, d)| x + 0.3 * d).collect();
         hessian.fill(&self.at(&elsewhere), Projection(0.5));
@@ -79,9 +79,9 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 #[test]
 fn the_hessian_is_the_derivative_of_the_gradient() {
-    // Crumpled, nearly flat, and flat, where angles are 0.
+    // Crumpled, nearly flat, and flat, with all angles 0.
     let cases = [(0.2, 1e-7), (1e-3, 1e-5), (0.0, 1e-5)];
-    // Rows that end within a register, and with one.
+    // Rows that end within a SIMD register, and at the end of one.
     let grids = [(9, 12), (8, 8), (10, 15), (8, 16), (11, 17)].map(|(h, w)| Grid { h, w });
     for ((crumpled, tolerance), grid) in cases.into_iter().flat_map(|case| grids.map(|grid| (case, grid))) {
         let sheet = Sheet::new(grid, crumpled);
@@ -105,7 +105,7 @@ fn the_projected_hessian_is_never_negative() {
     let sheet = Sheet::new(Grid { h: 10, w: 8 }, 0.4);
     let (mut lowest, mut exact_lowest) = (f64::INFINITY, f64::INFINITY);
     for seed in 3..40 {
-        // One particle moves alone: the directions in which compressed edges buckle.
+        // One particle moves alone: in such directions compressed edges buckle.
         let mut direction = vec![0.0; sheet.x.len()];
         let n = sheet.grid.particles();
         let p = (seed as usize * 31) % n;
@@ -119,7 +119,7 @@ fn the_projected_hessian_is_never_negative() {
     assert!(exact_lowest < 0.0, "the sheet has no compressed edge: {exact_lowest}");
 }
 
-/// Particles that coincide: their edge has no direction, and no angle with any other.
+/// Two particles coincide. Their edge has no direction, and no angle with any other.
 #[test]
 fn edges_without_length_leave_the_rest_as_it_is() {
     let grid = Grid { h: 9, w: 13 };
@@ -137,7 +137,7 @@ fn edges_without_length_leave_the_rest_as_it_is() {
     }
 }
 
-/// What is left out grows with the share, term by term.
+/// The part left out is proportional to the share, term by term.
 #[test]
 fn a_share_of_the_negative_curvature_is_left_out() {
     let sheet = Sheet::new(Grid { h: 9, w: 11 }, 0.4);
@@ -149,7 +149,7 @@ fn a_share_of_the_negative_curvature_is_left_out() {
     }
 }
 
-/// Factors depend on the trial alone, not on those before it: neither on its handles nor on one that is no number.
+/// Factors depend only on the current trial: earlier handles and non-finite values leave no trace.
 #[test]
 fn factors_are_made_anew() {
     let grid = Grid { h: 17, w: 32 };
@@ -170,7 +170,7 @@ fn factors_are_made_anew() {
     }
 }
 
-/// On a grid whose factors are made number by number, and on those where it is done block by block.
+/// One grid is factored number by number, the others block by block.
 #[test]
 fn the_direction_solves_the_system() {
     for (h, w) in [(8, 11), (24, 33), (32, 32)] {
@@ -194,7 +194,7 @@ fn solves_the_system(grid: Grid) {
     hessian.apply(&mut direction);
     assert!((0..3 * n).filter(|&k| held(k)).all(|k| direction[k] == 0.0));
     let inertia = |k: usize| sheet.grid.mass(k % n / sheet.grid.w, k % n % sheet.grid.w) / n as f64;
-    // What is tried one after the other; the factors are in single precision.
+    // The shares that are tried in order. The factors are in single precision, hence the tolerance.
     let residuals = [0.25, 1.0].map(|share| {
         let mut apart = sheet.turned(Projection(share), &direction);
         (0..3 * n).for_each(|k| {
@@ -206,8 +206,8 @@ fn solves_the_system(grid: Grid) {
     assert!(least < 1e-5, "{grid}: no Hessian times the direction is the gradient: {residuals:?}");
 }
 
-/// Of a sheet that nothing holds, and that is ten billion times as stiff as heavy, rounding leaves no trace of the mass that
-/// makes the Hessian definite; there is a direction all the same, and it leads down.
+/// Nothing holds this sheet, and it is ten billion times as stiff as heavy. Rounding erases the mass that
+/// makes the Hessian definite, yet there is a direction, and it leads down.
 #[test]
 fn pivots_lost_to_rounding_are_replaced() {
     let material = Material { stretch: 1e10, shear: 1e8, bend: 1e8 };
@@ -225,7 +225,7 @@ fn pivots_lost_to_rounding_are_replaced() {
     }
 }
 
-/// Frames of the default scene to |gradient| <= 1e-8: the first 60, `FRAMES=391` for all.
+/// Frames of the default scene converge to |gradient| <= 1e-8: the first 60, or all with `FRAMES=391`.
 #[test]
 fn frames_of_a_swinging_sheet_converge() {
     let setup = Scene::default().setup().unwrap();
@@ -245,8 +245,8 @@ fn frames_of_a_swinging_sheet_converge() {
     );
 }
 
-/// The default cloth's moduli on a finer grid, where stretch outweighs inertia a hundred thousand times: factors in single
-/// precision will do.
+/// The default cloth's moduli on a finer grid, where stretch outweighs inertia a hundred thousand times.
+/// Factors in single precision suffice.
 #[test]
 fn a_stiff_fine_sheet_converges() {
     let mut scene = Scene::default();
@@ -262,7 +262,7 @@ fn a_stiff_fine_sheet_converges() {
     }
 }
 
-/// As a solver, in single precision and for a batch: the frames of the reference to single precision.
+/// As a single-precision solver for a batch, Newton's method follows the reference to single precision.
 #[test]
 fn a_batch_is_solved_cloth_by_cloth() {
     let setup = Scene::default().setup().unwrap();

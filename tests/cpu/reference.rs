@@ -17,7 +17,7 @@ fn scene(h: usize, w: usize) -> Setup {
 
 #[test]
 fn the_cosine_transform_is_orthonormal() {
-    // With inertia alone the Hessian is a multiple of the identity, whatever basis it is written in.
+    // With inertia alone, the Hessian is a multiple of the identity in any basis.
     let grid = Grid { h: 13, w: 18 };
     let material = Material { stretch: 0.0, shear: 0.0, bend: 0.0 };
     let n = grid.particles();
@@ -27,12 +27,13 @@ fn the_cosine_transform_is_orthonormal() {
     RestHessian::new(grid, &cloth).apply(&mut found);
     for (k, (found, direction)) in found.iter().zip(direction).enumerate() {
         let expected = if cloth.handles.contains(&(k % n)) { 0.0 } else { n as f64 * direction };
-        // The handles' zeros spread nowhere: the transform and its inverse cancel.
+        // The zeros of the handles do not spread: the transform and its inverse cancel.
         assert!((found - expected).abs() < 1e-9, "element {k}: {found}, not {expected}");
     }
 }
 
-/// The Hessian of a sheet at rest along a wave, by differences of the gradient, and what the inverse makes of it.
+/// Applies the Hessian of a sheet at rest to a wave, by differences of the gradient, and then the inverse.
+/// Returns the result's factor along the wave, and its squared norm over that of the wave's component.
 fn turned_back(
     grid: Grid,
     material: Material,
@@ -72,21 +73,22 @@ fn waves_of_a_flat_sheet_are_turned_into_themselves() {
     let stretch = Material { stretch: 1000.0, shear: 0.0, bend: 0.0 };
     let bend = Material { stretch: 0.0, shear: 0.0, bend: 10.0 };
     let cosine = |k: usize, i: usize, n: usize| (PI * (k * (2 * i + 1)) as f64 / (2 * n) as f64).cos();
-    // In the sheet's plane, where edges of one direction get longer and shorter: along the width, then along the height.
+    // In-plane waves, which stretch and compress the edges of one direction: along the width, then the
+    // height.
     let waves = [
         turned_back(grid, stretch, 0, move |_, j| cosine(3, j, 19)),
         turned_back(grid, stretch, 1, move |i, _| cosine(5, i, 14)),
     ];
     for (along, spread) in waves {
-        // Inertia is in the inverse and not in the velocities' Hessian: a share of 1 / (n lambda).
+        // The inverse includes inertia, the Hessian of the velocities does not: a share of 1 / (n lambda).
         assert!((along - 1.0).abs() < 0.01 && (spread - 1.0).abs() < 1e-6, "{along} {spread}");
     }
-    // Out of its plane: free borders differ from the cosine's, the more the longer the wave is.
+    // Out-of-plane waves: free borders differ from the cosine's, the more so the longer the wave.
     let (along, _) = turned_back(grid, bend, 2, move |i, _| cosine(9, i, 14));
     assert!((along - 1.0).abs() < 0.15, "{along}");
 }
 
-/// The frames from `first` on of the way of `xy_v2`.
+/// Builds a track of these frames of the motion `xy_v2`.
 fn track(grid: Grid, frames: std::ops::Range<usize>) -> Track {
     let setup = scene(grid.h, grid.w);
     let controls = frames.map(|frame| setup.control(frame));
@@ -102,7 +104,7 @@ fn the_reference_is_the_minimum() {
     assert!(minimum.converged && minimum.gradient < 1e-6, "{} iterations", minimum.iterations);
     assert_eq!(reference.energy(&setup.start, &control, &minimum.a), minimum.energy);
     assert!(minimum.energy < reference.energy(&setup.start, &control, &nothing));
-    // From elsewhere it comes to the same place, handles apart, which are no unknowns.
+    // Another start leads to the same minimum, apart from the handles, which are not unknowns.
     let elsewhere: Vec<f64> = (0..nothing.len()).map(|k| 1e-3 * ((k * 7919 % 101) as f64 - 50.0)).collect();
     let again = reference.minimise(&setup.start, &control, &elsewhere);
     assert!((again.energy - minimum.energy).abs() < 1e-9, "{} and {}", again.energy, minimum.energy);
@@ -116,7 +118,7 @@ fn optimizers_close_a_part_of_the_gap() {
         median_gap(&track, (&optimizer, iterations), &Device::Cpu, tick).unwrap().expect("nobody ended it")
     };
     let quasi_newton = [10, 15, 20].map(|iterations| gap(Optimizer::quasi_newton(), iterations));
-    // Handles that are held exactly.
+    // The variant that holds the handles exactly.
     let exact = gap(Optimizer::quasi_newton_exact(), 10);
     assert!(exact < 1.05 * quasi_newton[0], "{exact:.4}, {quasi_newton:.4?}");
     let (lbfgs, descent) = (gap(Optimizer::lbfgs(), 10), gap(Optimizer::gradient_descent(), 10));
@@ -125,7 +127,7 @@ fn optimizers_close_a_part_of_the_gap() {
     assert!(quasi_newton[0] < 0.1 && quasi_newton[0] < lbfgs && lbfgs < descent && descent < 1.0);
 }
 
-/// From wherever it starts: no optimizer ends a frame of the default scene lower than Newton's method does.
+/// No optimizer, wherever it starts, ends a frame of the default scene with less energy than Newton's method.
 #[test]
 fn nothing_is_below_the_converged_energy() {
     let setup = scene(32, 32);
@@ -153,8 +155,8 @@ fn nothing_is_below_the_converged_energy() {
     }
 }
 
-/// Without handles both ways to invert the Hessian at rest are the same; with them, the factors undo the matrix where
-/// particles are free: the residual of the stencil, worked out here from the eigenvectors of the cosine transform.
+/// Without handles, both inverses of the Hessian at rest agree. With handles, the factors invert the matrix
+/// at the free particles, which is checked with the eigenvectors of the cosine transform.
 #[test]
 fn both_inverses_of_the_hessian_at_rest_agree() {
     let grid = Grid { h: 9, w: 12 };
@@ -171,8 +173,8 @@ fn both_inverses_of_the_hessian_at_rest_agree() {
     let mut solved = field.clone();
     FactoredRestHessian::new(grid, &held).unwrap().apply(&mut solved);
     assert!(held.handles.iter().all(|&p| solved[p] == 0.0 && solved[216 + p] == 0.0));
-    // The free Hessian times the solution is the field where particles are free: its inverse brings the solution back when
-    // the forces that hold the handles are added to the field.
+    // At the free particles, the free Hessian times the solution is the field. Its inverse therefore returns
+    // the solution if the forces that hold the handles are added to the field.
     let mut inverse = RestHessian::<f64>::new(grid, &free);
     let column = |p: usize, inverse: &mut RestHessian<f64>| {
         let mut unit = vec![0.0; 108];
@@ -184,7 +186,7 @@ fn both_inverses_of_the_hessian_at_rest_agree() {
     let mut without = field[..108].to_vec();
     held.handles.iter().for_each(|&p| without[p] = 0.0);
     inverse.apply(&mut without);
-    // What remains of the solution beyond that is a combination of the columns of the handles.
+    // The rest of the solution is a combination of the columns of the handles.
     let rest: Vec<f64> = solved[..108].iter().zip(&without).map(|(a, b)| a - b).collect();
     let matrix = [0, 1, 2].map(|r| [0, 1, 2].map(|c| columns[c][held.handles[r]]));
     let right = [0, 1, 2].map(|r| rest[held.handles[r]]);
@@ -195,7 +197,7 @@ fn both_inverses_of_the_hessian_at_rest_agree() {
     }
 }
 
-/// Cramer's rule.
+/// Solves a 3x3 system by Cramer's rule.
 fn solve3(m: [[f64; 3]; 3], b: [f64; 3]) -> [f64; 3] {
     let det = |m: [[f64; 3]; 3]| {
         m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0])

@@ -1,4 +1,5 @@
-//! The repulsion of near particles: golden vectors, all pairs one by one, central differences and a sheet that falls onto itself.
+//! The repulsion of nearby particles: golden files, a sum over all pairs, central differences, and a sheet
+//! that folds onto itself.
 
 use crate::golden::{Golden, relative_error};
 use crate::noise::noise;
@@ -11,7 +12,7 @@ use fnopt::verify::{CpuStages, Stages};
 
 const GRID: Grid = Grid { h: 12, w: 15 };
 
-/// What the trial of a cloth borrows.
+/// The arrays that a trial borrows.
 struct Sheet {
     x: Vec<f64>,
     shift: Vec<f64>,
@@ -20,7 +21,7 @@ struct Sheet {
 }
 
 impl Sheet {
-    /// A sheet that is drawn together until most particles are near others of other places, two of them held.
+    /// Builds a sheet contracted until most particles are near others than their neighbours. Two are held.
     fn crumpled() -> Self {
         let n = GRID.particles();
         let mut x: Vec<f64> = State::<f64>::rest(GRID, 1).x.iter().map(|x| 0.2 * x).collect();
@@ -55,7 +56,7 @@ fn energies_and_gradients_agree_with_the_authors() {
         let file = Golden::open(name);
         let shape = file.shape("positions");
         let grid = Grid { h: shape[1], w: shape[2] };
-        // Of lambda = 1.
+        // For lambda = 1.
         let of_cloth = Repulsion { strength: grid.particles() as f64, distance: file.get("threshold")[0] };
         let mut stages = CpuStages::<f64>::new();
         let (energy, gradient) = stages.repulsion(grid, &file.get("positions"), of_cloth).unwrap();
@@ -107,7 +108,7 @@ fn every_pair_that_is_near_and_apart_counts() {
     }
 }
 
-/// Where no pair enters or leaves the distance within a difference, the push is the energy's slope.
+/// If no pair enters or leaves the range within a difference, the push is the slope of the energy.
 #[test]
 fn pushes_are_the_slope_of_the_energy() {
     let (mut sheet, n) = (Sheet::crumpled(), GRID.particles());
@@ -131,7 +132,7 @@ fn pushes_are_the_slope_of_the_energy() {
     }
 }
 
-/// What is around a particle, and its order, is the same wherever a walk begins.
+/// The neighbours of a particle, and their order, are the same wherever a walk starts.
 #[test]
 fn walks_find_the_same_wherever_they_begin() {
     let cells = Sheet::crumpled().with_trial(|trial| Cells::new(trial, 0.5));
@@ -146,7 +147,7 @@ fn walks_find_the_same_wherever_they_begin() {
     }
 }
 
-/// Particles at one place, and positions that are no numbers, end in no panic.
+/// Coincident particles and non-finite positions do not cause a panic.
 #[test]
 fn degenerate_cloths_are_no_panic() {
     let mut sheet = Sheet::crumpled();
@@ -157,7 +158,7 @@ fn degenerate_cloths_are_no_panic() {
     let n = GRID.particles();
     for wrong in [f64::NAN, f64::INFINITY, 1e300] {
         sheet.x[7] = wrong;
-        // Nothing is near it, so it takes no other along.
+        // Nothing is near this particle, so no other is affected.
         let (energy, pushed) = sheet.repel(Repulsion { strength: 0.3, distance: 1e-3 });
         assert!(energy.is_finite() && pushed.iter().all(|a| a.is_finite()));
         assert_eq!(
@@ -167,7 +168,7 @@ fn degenerate_cloths_are_no_panic() {
     }
 }
 
-/// Held by the middle of one edge, the sheet folds along it: without repulsion its halves pass through each other.
+/// Held at the middle of one border, the sheet folds; without repulsion its halves pass through each other.
 #[test]
 fn the_layers_of_a_folding_sheet_stay_apart() {
     let of_scene = |repulsion: Option<Separation>| {

@@ -1,4 +1,4 @@
-//! Whole frames: recorded rollouts, batches, repetition, and the classical optimizers.
+//! Whole frames: recorded rollouts, batches, reproducibility, and the classical optimizers.
 
 use crate::golden::{Golden, largest_difference};
 use crate::noise::noise;
@@ -52,11 +52,13 @@ impl<T: Real> Rollout<T> {
     }
 }
 
-/// Positions, velocities and accelerations of the authors' single-precision rollout \[edges\], the first frame to 1e-4.
+/// Compares positions, velocities and accelerations \[edges\] with the authors' single-precision rollout, the
+/// first frame to 1e-4.
 ///
-/// The motion is chaotic, errors grow two to threefold a frame, and the recording itself carries single-precision noise:
-/// it is 9.8e-3 from the double-precision solution in the fifth frame and 8.2e-2 in the tenth. So a run is held to twice
-/// that; `double_precision_rollout_is_exact` holds all ten frames to what the equations say.
+/// The motion is chaotic, and errors grow two- to threefold per frame. The recording itself carries
+/// single-precision noise: it is 9.8e-3 from the double-precision solution in the fifth frame and 8.2e-2 in
+/// the tenth. The tolerance is twice that. `double_precision_rollout_is_exact` compares with the exact
+/// solution.
 fn follow<T: Real>() {
     let golden = Golden::open("rollout_starter_32x32");
     let mut rollout = Rollout::<T>::new(&golden);
@@ -95,8 +97,8 @@ fn rollout_follows_the_authors_in_double_precision() {
 
 #[test]
 fn double_precision_rollout_is_exact() {
-    // The same scene by an independent implementation in double precision, with automatic differentiation and full
-    // Fourier transforms; rounding grows by the same two to threefold a frame.
+    // An independent implementation of the same scene in double precision, with automatic differentiation and
+    // full Fourier transforms. Rounding errors grow by the same two- to threefold per frame.
     let golden = Golden::open("../data/exact_rollout_32x32");
     let expected = golden.get("positions");
     let mut rollout = Rollout::<f64>::new(&Golden::open("rollout_starter_32x32"));
@@ -111,7 +113,7 @@ fn double_precision_rollout_is_exact() {
     }
 }
 
-/// Three different cloths in wind, and what drives them.
+/// Builds three different cloths in wind, their state and their control.
 fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
     let n = grid.particles();
     let cloth = |b: usize| Cloth {
@@ -210,7 +212,7 @@ fn classical_optimizers_lower_the_energy() {
     }
 }
 
-/// The bits are those of a solver that was made with the other cloths.
+/// After `set_cloths`, a solver gives the bits of one built with the new cloths.
 #[test]
 fn cloths_change_between_frames() {
     let (model, state, control) = varied_batch(Grid { h: 11, w: 9 });
@@ -241,7 +243,7 @@ fn cloths_change_between_frames() {
     }
 }
 
-/// One cloth leaves the numbers and begins anew; the others have the bits of a batch in which nothing happened.
+/// One cloth becomes non-finite and starts over. The others have the bits of an undisturbed batch.
 #[test]
 fn a_cloth_that_broke_begins_anew_and_the_others_go_on() {
     let (model, start, control) = varied_batch(Grid { h: 11, w: 9 });

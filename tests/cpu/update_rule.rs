@@ -5,7 +5,7 @@ use fnopt::cpu::Real;
 use fnopt::cpu::optim::{Minimizer, Update};
 use fnopt::sim::Grid;
 
-/// One update from the state in the file, or from a fresh one: the step and the new scales.
+/// Runs one update from the state in the file, or from a fresh one. Returns the step and the new scales.
 fn update<T: Real>(golden: &Golden, fresh: bool) -> (Vec<f64>, Vec<f64>) {
     let shape = golden.shape("grads");
     let grid = Grid { h: shape[2], w: shape[3] };

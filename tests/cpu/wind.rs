@@ -6,7 +6,7 @@ use fnopt::sim::{Air, Grid, State};
 
 const GRID: Grid = Grid { h: 9, w: 12 };
 
-/// Sum of mass times acceleration, the force on the whole sheet.
+/// Returns the force on the whole sheet, the sum of mass times acceleration.
 fn force(f: &[f64]) -> [f64; 3] {
     let n = GRID.particles();
     [0, 1, 2].map(|c| (0..n).map(|p| GRID.mass(p / GRID.w, p % GRID.w) * f[c * n + p]).sum())
@@ -16,7 +16,8 @@ fn force(f: &[f64]) -> [f64; 3] {
 fn drag_of_a_flat_plate() {
     let mut state = State::<f64>::rest(GRID, 1);
     let n = GRID.particles();
-    // The plate moves with (0.1, 0.2, 0.5) in a wind of (0.4, 0, -1): 0.3, -0.2 along it and -1.5 across.
+    // The plate moves with (0.1, 0.2, 0.5) in a wind of (0.4, 0, -1): relative to it the wind is (0.3, -0.2)
+    // along the plate and -1.5 across.
     for (v, speed) in state.v.chunks_mut(n).zip([0.1, 0.2, 0.5]) {
         v.fill(speed);
     }
@@ -28,7 +29,7 @@ fn drag_of_a_flat_plate() {
     for (found, expected) in force(&f).into_iter().zip(expected) {
         assert!((found - expected).abs() < 1e-10, "{found} is not {expected}");
     }
-    // A sheet of particles of the right mass moves like a plate.
+    // A particle inside accelerates like the plate, as its mass is in proportion to its area.
     let inside = 4 * GRID.w + 5;
     assert!((f[2 * n + inside] + 0.7 * 1.5 * 1.5).abs() < 1e-12);
 }
@@ -49,11 +50,11 @@ fn a_sheet_without_area_feels_no_wind() {
     assert!(f.iter().all(|&f| f == 0.0));
 }
 
-/// Turned with the sheet, its motion and the wind: no direction is special, and a folded sheet has normals in all.
+/// Forces rotate with the sheet, its motion and the wind. The folded sheet has normals in all directions.
 #[test]
 fn forces_turn_with_everything_else() {
     let n = GRID.particles();
-    // A product of turns about all three axes.
+    // A product of rotations about all three axes.
     let turn = |p: [f64; 3]| {
         let about = |[a, b]: [f64; 2], angle: f64| {
             let (sin, cos) = angle.sin_cos();

@@ -1,4 +1,4 @@
-//! What the tests of evaluation share.
+//! Helpers shared by the tests of evaluation.
 
 use fnopt::eval::{Entry, Physics, Settings};
 use fnopt::scene::Stiffness;

@@ -9,7 +9,7 @@ use fnopt::sim::{Device, Grid, Material, Optimizer, Simulator, State};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// A trajectory that Newton's method made with a known material: the fit finds it, also when it goes on from a file.
+/// The fit recovers the material of a trajectory made by Newton's method, also when it resumes from a file.
 #[test]
 fn a_known_material_is_found_again() {
     let folder = tempfile::tempdir().unwrap();
@@ -43,20 +43,20 @@ fn a_known_material_is_found_again() {
         sequences: &sequences,
         grid: Grid { h: 12, w: 12 },
         settings: Settings { frames: 20, ..SETTINGS },
-        // The truth is on the way of the refinement: 100 * 16^(1/2).
+        // The refinement visits the true material: 100 * 16^(1/2) = 400.
         ranges: [[100.0, 1600.0], [1.0, 16.0], [0.5; 2], [density; 2], [drag; 2], [time; 2]],
         levels: 2,
         rounds: 1,
     };
     let file = folder.path().join("fit.csv");
     let mut surface = Surface::load(&file, &fit).unwrap();
-    // Ended in the middle: of two points a share is done, of which each has 19 frames.
+    // Interrupts the search after 40 frames, about two points of 19 frames each.
     let frames = AtomicUsize::new(0);
     let few = || match frames.fetch_add(1, Ordering::Relaxed) {
         40.. => ControlFlow::Break(()),
         _ => ControlFlow::Continue(()),
     };
-    // On two threads, whatever the machine has.
+    // Two threads, regardless of the machine.
     let two = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
     two.install(|| fit.search(&mut surface, few, |_, _| Ok(()))).unwrap();
     assert!(!surface.sorted().is_empty(), "nothing was tried in time");
@@ -70,13 +70,13 @@ fn a_known_material_is_found_again() {
     assert_eq!(surface, again, "what another search has found is known, too");
     let ([stretch, shear, ..], error) = again.sorted()[0];
     assert!((stretch / 400.0 - 1.0).abs() < 1e-9 && (shear / 4.0 - 1.0).abs() < 1e-9, "{stretch}, {shear}");
-    // What sampling two equal surfaces leaves.
+    // The error of sampling two equal surfaces remains.
     assert!(error < 3e-3, "{error}");
-    // Errors of fewer frames are others, and damage is named.
+    // A file of errors over fewer frames is refused, and damaged lines are named.
     let shorter = Fit { settings: Settings { frames: 10, ..fit.settings }, ..fit.clone() };
     let refused = Surface::load(&file, &shorter).unwrap_err().to_string();
     assert!(refused.contains("line 1: expected # made (10 frames, "), "{refused}");
-    // So are those of another file of the sequence.
+    // So is one made with other files of the sequence.
     std::fs::write(to.join("meta.json"), r#"{"gravity_m_s2": [0, -9.7, 0]}"#).unwrap();
     let changed = [Sequence::load(folder.path(), "made").unwrap()];
     let changed = Fit { sequences: &changed, ..fit.clone() };
@@ -101,7 +101,7 @@ fn a_known_material_is_found_again() {
     let refused = endless.search(&mut Surface::default(), || ControlFlow::Break(()), |_, _| Ok(()));
     let refused = refused.unwrap_err().to_string();
     assert!(refused.contains("fit: levels") && refused.contains("100000"), "{refused}");
-    // Points of another search are kept and not taken.
+    // Points of another search are kept but not used.
     let elsewhere =
         Fit { ranges: [[800.0, 1600.0], fit.ranges[1], [0.5; 2], [density; 2], [drag; 2], [time; 2]], ..fit };
     let found = elsewhere.found(&again);

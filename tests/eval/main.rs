@@ -1,4 +1,4 @@
-//! Evaluation: measures, sequences as they are read, scores, repeats, tables, and the search for a material.
+//! Evaluation: metrics, reading of sequences, scores, repeats, tables, and the search for a material.
 
 mod common;
 mod fit;

@@ -1,4 +1,4 @@
-//! Measures against brute force and closed forms.
+//! Metrics against brute force and closed forms.
 
 use crate::common::square;
 use crate::noise;
@@ -8,7 +8,7 @@ use fnopt::sim::Grid;
 use safetensors::SafeTensors;
 use std::path::Path;
 
-/// Points without pattern in the unit cube.
+/// Returns random points in the unit cube.
 fn cloud(count: usize, seed: u64) -> Vec<[f64; 3]> {
     let points = noise::noise(3 * count, seed);
     points.as_chunks().0.iter().map(|p: &[f64; 3]| p.map(|c| 0.5 * c + 0.5)).collect()
@@ -27,12 +27,12 @@ fn chamfer_is_that_of_all_pairs() {
         assert_eq!(chamfer(&a, &b), chamfer(&b, &a));
         assert_eq!(chamfer(&a, &a), 0.0);
     }
-    // Two planes at a distance of 0.1, sampled alike: each point's nearest is right above it.
+    // Two planes 0.1 apart, sampled alike: the nearest neighbour of each point is right above or below it.
     let plane = |z: f64| cloud(500, 3).iter().map(|p| [p[0], p[1], z]).collect::<Vec<_>>();
     assert!((chamfer(&plane(0.0), &plane(0.1)) - 2.0 * 0.01).abs() < 1e-12);
 }
 
-/// Random clouds of different sizes and scales, and what the nearest neighbours of `scipy.spatial.cKDTree` make of them.
+/// Random clouds of different sizes and scales, against the nearest neighbours of `scipy.spatial.cKDTree`.
 #[test]
 fn chamfer_is_that_of_scipy() {
     #[derive(serde::Deserialize)]
@@ -53,7 +53,7 @@ fn chamfer_is_that_of_scipy() {
 
 #[test]
 fn samples_are_uniform_by_area() {
-    // Two triangles, one three times as large as the other, and one without area.
+    // Two triangles, one with three times the area of the other, and one without area.
     let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-3.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
     let faces = [[0, 1, 2], [0, 2, 3], [0, 1, 4]];
     let surface = eval::Surface { points: &points, faces: &faces };
@@ -61,7 +61,7 @@ fn samples_are_uniform_by_area() {
     assert_eq!(samples, surface.sample(40_000, 7), "the same seed");
     assert_ne!(samples[..10], surface.sample(10, 8)[..]);
     let right: Vec<_> = samples.iter().filter(|p| p[0] > 0.0).collect();
-    // A share of 1/4 with a deviation of 0.0022.
+    // A share of 1/4, with a standard deviation of 0.0022.
     assert!((right.len() as f64 / 40_000.0 - 0.25).abs() < 0.01);
     assert!(samples.iter().all(|p| p[2] == 0.0 && p[1] >= 0.0 && p[1] <= 1.0));
     // The centroid of the right triangle is at a third of its sides.

@@ -1,4 +1,4 @@
-//! Repeats from starts that are all but the recorded one.
+//! Repeats from starts that differ minimally from the recorded one.
 
 use crate::common::{PHYSICS, SETTINGS, shipped};
 use fnopt::eval::{Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, run};
@@ -29,7 +29,7 @@ fn a_nudge_is_of_the_stated_size_and_leaves_handles_alone() {
             sum += (a - x).abs();
         }
     }
-    // Half of the largest, as of uniform numbers.
+    // Half of the largest, as for uniform numbers.
     let mean = sum / (3 * (576 - handles.len())) as f64;
     assert!((mean / 5e-6 - 1.0).abs() < 0.1, "{mean}");
 }
@@ -44,7 +44,7 @@ fn the_first_of_several_repeats_is_the_one_without() {
         let around = (&Device::Cpu, &settings);
         let (score, found) =
             run((&sequence, Nudge::of(repeat)), grid, &entry, around, tick).unwrap().unwrap();
-        // Times are of no repeat.
+        // Times differ between runs and are left out.
         (Score { ms_per_frame: None, ..score }, found)
     };
     let [first, again, second, third] = [0, 1, 1, 2].map(of);
@@ -52,7 +52,7 @@ fn the_first_of_several_repeats_is_the_one_without() {
     assert!(first.1.frame(0) != second.1.frame(0) && second.1.frame(0) != third.1.frame(0));
     let apart = |a: f64, b: f64| (a / b - 1.0).abs();
     assert!(first.0.e_cd != second.0.e_cd && apart(first.0.e_cd.unwrap(), second.0.e_cd.unwrap()) < 1e-2);
-    // Kept scores of the recorded start stay valid: their key has nothing new in it.
+    // Kept scores of the recorded start stay valid: their keys are unchanged.
     let keys = |score: &Score| -> Vec<String> {
         let document = serde_json::to_value(&score.made_with).unwrap();
         document.as_object().unwrap().keys().cloned().collect()
@@ -64,7 +64,7 @@ fn the_first_of_several_repeats_is_the_one_without() {
     assert_ne!(second.0.made_with.checksum(), third.0.made_with.checksum());
     let unmoved = Conditions::of((&sequence, None), &entry, (&Device::Cpu, &settings));
     assert_eq!(first.0.made_with, unmoved);
-    // Each stands in a table once.
+    // Each repeat appears once in a table.
     let path = Path::new("a.json");
     assert!(belong_together(&[(path, &first.0), (path, &second.0), (path, &third.0)]).is_ok());
     let error = belong_together(&[(path, &second.0), (path, &again.0)]).unwrap_err().to_string();

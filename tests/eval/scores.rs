@@ -1,4 +1,4 @@
-//! Scores: of simulations, of others' trajectories, and which of them belong together.
+//! Scores of simulations and of other systems' trajectories, and which of them belong together.
 
 use crate::common::{MATERIAL, PHYSICS, SETTINGS, newton, shipped};
 use fnopt::eval;
@@ -18,7 +18,7 @@ fn a_sequence_is_repeated_from_its_first_frame() {
         let (score, _) =
             run((&sequence, None), grid, &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
         assert!(score.stable && score.frames == 24 && score.per_frame.e_cd.len() == 24);
-        // The true cloth hangs at rest; ours, of the default material, sags by a few centimetres.
+        // The true cloth hangs at rest. Ours, with the default material, sags by a few centimetres.
         let (e_cd, e_3d) = (score.e_cd.unwrap(), score.e_3d.unwrap());
         assert!(e_cd < 8e-3 && e_3d < 0.25, "{grid}: {e_cd}, {e_3d}");
         assert!(score.ms_per_frame.unwrap() > 0.0 && score.gradient.unwrap() < 1e-2);
@@ -34,7 +34,7 @@ fn the_truth_compared_with_itself_is_exact() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
     let score = compare(&sequence, "itself", &sequence.truth, &SETTINGS).unwrap();
     assert_eq!(score.e_3d, Some(0.0));
-    // Two samples of one surface; more points come closer.
+    // Two samples of one surface: the error falls with the number of points.
     let more = Settings { points: 8000, ..SETTINGS };
     let closer = compare(&sequence, "itself", &sequence.truth, &more).unwrap();
     assert!(closer.e_cd.unwrap() < 0.3 * score.e_cd.unwrap() && score.e_cd.unwrap() < 2e-3);
@@ -43,14 +43,15 @@ fn the_truth_compared_with_itself_is_exact() {
     let short = Trajectory::new(sequence.grid(), 60.0);
     let error = compare(&sequence, "short", &short, &SETTINGS).unwrap_err().to_string();
     assert!(error.contains("short, xy_v2: frames: expected at least 25"), "{error}");
-    // Frames of other times are not the same frames.
+    // Frames at other times cannot be compared.
     let mut slow = Trajectory::new(sequence.grid(), 30.0);
     (0..25).for_each(|f| slow.push(sequence.truth.frame(f), sequence.truth.frame(f)));
     let error = compare(&sequence, "slow", &slow, &SETTINGS).unwrap_err().to_string();
     assert!(error.contains("slow, xy_v2: fps: expected 60 frames per second, found 30"), "{error}");
 }
 
-/// Another system's cloth that is miles away has diverged, as one of our own solvers would have: tables have a dash, no number.
+/// Another system's cloth that is far away has diverged, as one of our own solvers would have. Tables show a
+/// dash instead of a number.
 #[test]
 fn a_trajectory_that_exploded_has_diverged() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
@@ -82,7 +83,7 @@ fn interpolation_is_the_coarse_simulation_between_its_particles() {
     };
     let (_, coarse) = of(32, &descent);
     assert_eq!(of(32, &carried).1.frame(24), coarse.frame(24), "its own grid");
-    // Every other particle of 63 rows is one of 32.
+    // Every other particle of 63 rows coincides with one of 32.
     let (score, fine) = of(63, &carried);
     assert_eq!((score.grid.as_str(), score.gradient, score.stretch_largest), ("63x63", None, None));
     for (p, found) in fine.frame(24).iter().enumerate().filter(|(p, _)| p / 63 % 2 == 0 && p % 63 % 2 == 0) {
@@ -113,7 +114,7 @@ fn vertex_errors_are_distances_at_the_vertices() {
 #[test]
 fn repulsion_is_judged_on_the_grid_of_the_paper() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
-    // A sheet folded onto itself at half of its height, 0.2 edges of 32 rows apart.
+    // A sheet folded onto itself at half its height, 0.2 edges of the 32-row grid apart.
     let folded = |n: usize| {
         let grid = Grid { h: n, w: n };
         let mut trajectory = Trajectory::new(grid, 60.0);
@@ -126,19 +127,20 @@ fn repulsion_is_judged_on_the_grid_of_the_paper() {
         (0..3).for_each(|_| trajectory.push(&frame, &frame));
         compare(&sequence, "folded", &trajectory, &Settings { frames: 3, ..SETTINGS }).unwrap().repulsion
     };
-    // Every other row and column of 63 is one of 32.
+    // Every other row and column of 63 coincides with one of 32.
     let [coarse, fine] = [32, 63].map(|n| folded(n).unwrap());
     assert!(coarse[0] > 1.0 && coarse[1] == 1.0);
     assert!((fine[0] / coarse[0] - 1.0).abs() < 1e-3, "{} and {}", fine[0], coarse[0]);
 }
 
-/// Whatever its first frame looks like: there the corners are handles, which stretch the edges beside them.
+/// Repulsion is measured in rest lengths, whatever the first frame looks like. There the corners are handles,
+/// which stretch the edges next to them.
 #[test]
 fn repulsion_counts_in_edges_at_rest() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
     let folded = |corner: f32| {
         let mut trajectory = Trajectory::new(Grid { h: 32, w: 32 }, 60.0);
-        // Folded onto itself at half of its height, 0.2 edges apart.
+        // Folded onto itself at half its height, 0.2 edges apart.
         let place = |p: usize| {
             let (i, j) = (p / 32, p % 32);
             let (down, side) = if i < 16 { (i, 0.0) } else { (31 - i, 0.2 / 31.0) };
@@ -156,7 +158,7 @@ fn repulsion_counts_in_edges_at_rest() {
     };
     assert!(folded(0.0)[0] > 1.0);
     assert_eq!(folded(0.5), folded(0.0));
-    // Neither is a trajectory without cells a reason to panic.
+    // A trajectory without cells is an error, not a panic.
     let mut point = Trajectory::new(Grid { h: 1, w: 1 }, 60.0);
     (0..3).for_each(|_| point.push(&[[0.0; 3]], &[[0.0; 3]]));
     let error =
@@ -175,7 +177,7 @@ fn only_scores_that_were_made_alike_stand_together() {
         belong_together(&[(a, &score), (b, &other)]).map_err(|e| e.to_string())
     };
     assert_eq!(other(&|_| ()), Ok(()));
-    // A column of its own may be of another device.
+    // Different columns may come from different devices.
     let elsewhere = |s: &mut Score| s.made_with.kind = Some("gpu".into());
     assert_eq!(
         other(&|s| {

@@ -1,4 +1,4 @@
-//! Sequences as they are read: grids and meshes, others' files, checksums, refusals.
+//! Reading of sequences: grids and meshes, other systems' files, checksums, refusals.
 
 use crate::common::{PHYSICS, SETTINGS, newton, shipped, square};
 use fnopt::eval::{Sequence, Settings, compare, run};
@@ -7,8 +7,8 @@ use fnopt::sim::{Device, Grid};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-/// A copy of the shipped sequence whose vertices are numbered backwards, in a mesh with further vertices in the middles of
-/// the cells; at rest it lies in the x-z plane.
+/// Writes a copy of the shipped sequence with its vertices in reverse order, in a mesh with further vertices
+/// at the centres of the cells. At rest it lies in the x-z plane.
 fn meshed(folder: &Path) -> PathBuf {
     let grid = Grid { h: 32, w: 32 };
     let to = folder.join("meshed");
@@ -28,7 +28,7 @@ fn meshed(folder: &Path) -> PathBuf {
     let mut obj = String::new();
     with_middles(&rest).iter().for_each(|[x, y, z]| obj += &format!("v {x} {y} {z}\n"));
     for k in 0..961 {
-        // As numbered in the file, from 1.
+        // Vertex numbers of the file, which start at 1.
         let [a, b, c, d] = corners(k).map(|p| 1024 - p);
         for [p, q] in [[a, b], [b, d], [d, c], [c, a]] {
             obj += &format!("f {p} {q} {}\n", 1025 + k);
@@ -47,7 +47,7 @@ fn a_mesh_that_is_no_grid_is_carried_to_one() {
     let to = meshed(folder.path());
     let sequence = Sequence::load(folder.path(), "meshed").unwrap();
     let original = Sequence::load(&shipped(), "xy_v2").unwrap();
-    // As many particles as vertices, about; the handles without a file are where their vertices are.
+    // About as many particles as vertices. Without a file of handles, they follow their vertices.
     assert_eq!(sequence.grid(), Grid { h: 45, w: 45 });
     let [found, expected] =
         [&sequence, &original].map(|s| s.scene(Grid { h: 32, w: 32 }, &PHYSICS).unwrap().setup().unwrap());
@@ -55,7 +55,7 @@ fn a_mesh_that_is_no_grid_is_carried_to_one() {
     let apart = |a: [f64; 3], b: [f64; 3]| square(a, b).sqrt();
     for frame in [0, 19] {
         for (&a, &b) in found.handles[frame].iter().zip(&expected.handles[frame]) {
-            // The trajectory that ships has half precision; in edges.
+            // In edges. The shipped trajectory is stored in half precision.
             assert!(apart(a, b) < 0.02, "handles of frame {frame}: {a:?}, {b:?}");
         }
     }
@@ -97,7 +97,7 @@ fn a_mesh_that_is_no_grid_is_carried_to_one() {
     assert_eq!(Sequence::load(folder.path(), "meshed").unwrap().grid(), Grid { h: 45, w: 45 });
 }
 
-/// Files without faces are on the truth's grid where they have as many vertices, else on a square one.
+/// Files without faces are on the ground truth's grid if they have as many vertices, else on a square grid.
 #[test]
 fn others_are_on_the_grid_or_the_mesh_of_the_sequence() {
     let folder = tempfile::tempdir().unwrap();
@@ -112,7 +112,7 @@ fn others_are_on_the_grid_or_the_mesh_of_the_sequence() {
     let sequence = Sequence::load(folder.path(), "wide").unwrap();
     let settings = Settings { frames: 3, ..SETTINGS };
     for format in [fnopt::io::Format::Npy, fnopt::io::Format::Pc2] {
-        // 144 vertices could be 12x12 too.
+        // 144 vertices could also be 12x12.
         let found = sequence.read_other(&wide.write(&to, "theirs", format).unwrap()).unwrap();
         assert_eq!(found.grid(), grid);
         assert_eq!(compare(&sequence, "theirs", &found, &settings).unwrap().e_3d, Some(0.0));
@@ -127,7 +127,7 @@ fn others_are_on_the_grid_or_the_mesh_of_the_sequence() {
     let found = sequence.read_other(&to.join("cloth_pos.npy")).unwrap();
     assert_eq!(found.grid().particles(), 1985);
     let score = compare(&sequence, "theirs", &found, &Settings { frames: 20, ..SETTINGS }).unwrap();
-    // Two samples of one surface; and the truth was carried to the grid in the same way.
+    // Two samples of one surface give e_CD. The truth was carried to the grid in the same way, so e_3D is 0.
     assert!(score.e_cd.unwrap() < 2e-3 && score.e_3d == Some(0.0), "{:?}, {:?}", score.e_cd, score.e_3d);
     assert_eq!(
         (score.grid.as_str(), sequence.on_grid(&found).unwrap().grid()),
@@ -135,7 +135,7 @@ fn others_are_on_the_grid_or_the_mesh_of_the_sequence() {
     );
 }
 
-/// Any file of a sequence makes it another.
+/// A change to any file of a sequence changes its checksum.
 #[test]
 fn a_checksum_is_of_all_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -151,7 +151,7 @@ fn a_checksum_is_of_all_files() {
     for file in files {
         let bytes = std::fs::read(to.join(file)).unwrap();
         let mut changed = bytes.clone();
-        // A digit in meta.json, the last bits of a number in the middle of the others.
+        // A digit in meta.json, or the lowest bit of a number in the middle of an array.
         let at = match file {
             "meta.json" => bytes.windows(3).position(|w| w == b"187").unwrap(),
             _ => (bytes.len() / 2) & !3,
@@ -165,7 +165,7 @@ fn a_checksum_is_of_all_files() {
     assert_ne!(sum(), whole);
 }
 
-/// What errors are measured on must be there, and relative to something.
+/// Sequences without anything to measure errors on, or relative to, are refused.
 #[test]
 fn recordings_of_nothing_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -208,7 +208,7 @@ fn bad_sequences_are_refused_by_name() {
     assert!(error("grid").contains("meta.json: line 1, column 1: expected JSON"));
     std::fs::write(grid.join("meta.json"), r#"{"handle_vertices": "corner"}"#).unwrap();
     assert!(error("grid").contains("handle_vertices"));
-    // Without handles.npy they are where their vertices are; start.npy has more digits than cloth_pos.npy.
+    // Without handles.npy, the handles follow their vertices. start.npy has more digits than cloth_pos.npy.
     std::fs::write(grid.join("meta.json"), r#"{"handle_vertices": [992, 0]}"#).unwrap();
     let setup = |folder: &Path, name: &str| {
         let sequence = Sequence::load(folder, name).unwrap();
@@ -225,11 +225,11 @@ fn bad_sequences_are_refused_by_name() {
     assert!(
         given.start.x.iter().zip(&setup(folder.path(), "grid").start.x).all(|(a, b)| (a - b).abs() < 0.02)
     );
-    // Without a meta.json: the default cloth.
+    // Without meta.json, the cloth is the default one.
     std::fs::remove_file(grid.join("meta.json")).unwrap();
     assert_eq!(Sequence::load(folder.path(), "grid").unwrap().grid(), Grid { h: 32, w: 32 });
     assert_eq!(Sequence::names(folder.path()).unwrap(), ["grid"]);
-    // What is misspelt, or no number, or of another number of frames, is not passed over.
+    // Misspelt keys, values that are not numbers, and wrong numbers of frames are not ignored.
     let meta = copy("meta");
     let said = |text: &str, said: &str| {
         std::fs::write(meta.join("meta.json"), text).unwrap();

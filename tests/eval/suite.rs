@@ -4,7 +4,7 @@ use fnopt::eval::Format;
 use fnopt::eval::suite::{CaseScore, Suite, table};
 use serde_json::json;
 
-/// A score with a stretch and, where it was asked for, a gap, both in percent.
+/// Builds a score with a stretch and, if requested, a gap, both in percent.
 fn score(case: &str, grid: &str, stretch: f64, gap: Option<f64>) -> CaseScore {
     let settings = json!({ "gap": gap.is_some() });
     let made_with = json!({
@@ -31,11 +31,11 @@ fn cases_of_a_grid_are_summed_up_in_a_row() {
     let three = [case("a", 4.0, Some(1.0)), case("b", 70.0, Some(9.0)), case("c", 5.0, Some(2.0))];
     let one = score("a", "13x12", 6.0, Some(3.0));
     let last = |scores: &[CaseScore]| rows(scores).pop().unwrap().join(" ");
-    // The case alone on its grid is not summed up.
+    // The only case on its grid has no summary row.
     let all = [&three[..], &[one]].concat();
     assert_eq!((rows(&all).len(), last(&all)), (1 + 4 + 1, "all 3 12x12 10 2 of 3 70.0 2.00 2.0".to_owned()));
     assert_eq!(last(&three[..1]), "a 12x12 10 yes 4.0 1.00 2.0");
-    // A gap that is no number is larger than any; without a gap of each there is none of all.
+    // A non-finite gap counts as larger than any other. The summary has a gap only if all cases have one.
     let diverged = case("d", 5.0, Some(f64::INFINITY));
     assert_eq!(
         last(&[&three[..], std::slice::from_ref(&diverged)].concat()),

@@ -16,7 +16,7 @@ fn a_solver_that_diverges_has_no_numbers() {
     assert!(!diverged.stable && diverged.e_cd.is_none() && diverged.ms_per_frame.is_none());
     let (good, _) =
         run((&sequence, None), sequence.grid(), &newton(), (&Device::Cpu, &SETTINGS), tick).unwrap().unwrap();
-    // Many columns are written in parts.
+    // Many columns are split into parts.
     let many: Vec<Score> = (1..12).map(|n| Score { iterations: 1000 * n, ..good.clone() }).collect();
     for table in tables(&many) {
         let text = table.write(Format::Text { bold: false });
@@ -33,7 +33,7 @@ fn a_solver_that_diverges_has_no_numbers() {
     );
     let csv = tables[0].write(Format::Csv);
     assert!(csv.contains("sequence,newton,\"gd, N = 10\""), "{csv}");
-    // The means over the sequences, and what the energy is made of.
+    // The means over the sequences, and the terms of the energy.
     let of =
         |title: &str| tables.iter().find(|t| t.title == title).unwrap().write(Format::Text { bold: false });
     let overview = of("error and time");
@@ -44,7 +44,7 @@ fn a_solver_that_diverges_has_no_numbers() {
     assert!((terms.total() / good.energy.unwrap() - 1.0).abs() < 1e-9 && good.stretch_mean.unwrap() > 0.0);
 }
 
-/// Deviations over repeats are told apart from those over sequences.
+/// Deviations over repeats are distinguished from those over sequences.
 #[test]
 fn tables_have_means_over_repeats() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
@@ -69,7 +69,7 @@ fn tables_have_means_over_repeats() {
             + &format!("{:.2}\n", 1e3 * itself.e_cd.unwrap())
             + &format!("mean,3.50,{:.2}\ndeviation,2.12,\n", 1e3 * itself.e_cd.unwrap())
     );
-    // Of 1 and 3 it is the root of 2; what was simulated once has none.
+    // The deviation of 1 and 3 is the root of 2. A single simulation has none.
     assert_eq!(
         csv[1],
         "# 32x32: e_CD x 10^3 [m^2], deviations over repeats\nsequence,newton,arcsim\na,1.41,\nb,0.00,\n\
@@ -82,17 +82,17 @@ fn tables_have_means_over_repeats() {
     assert_eq!((told.repeats, told.gradient), (2, None));
     let [mean, deviation] = told.e_cd.unwrap();
     assert!((mean - 2e-3).abs() < 1e-12 && (deviation - 2f64.sqrt() * 1e-3).abs() < 1e-12);
-    // One repeat that diverged leaves no number.
+    // If one repeat diverged, there is no number.
     scores[2] = Score { stable: false, e_cd: None, ..scores[2].clone() };
     let csv = written(&scores);
     assert!(csv[0].contains("\na,-,\n") && csv[0].contains("\nmean,-,"), "{}", csv[0]);
     assert!(csv[1].contains("\na,-,\nb,0.00,\n") && csv[1].contains("square,-,"), "{}", csv[1]);
-    // Without repeats nothing is told of them.
+    // Without repeats, the tables do not mention them.
     scores.retain(|s| s.made_with.nudge.is_none());
     assert!(written(&scores).iter().all(|text| !text.contains("repeats")));
 }
 
-/// As in the paper's Tables 7 and 8, where there are several grids or numbers of iterations.
+/// As in Tables 7 and 8 of the paper, if there are several grids or iteration counts.
 #[test]
 fn errors_stand_by_iterations_and_grid() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
@@ -108,7 +108,7 @@ fn errors_stand_by_iterations_and_grid() {
         ..itself.clone()
     };
     let mut scores = Vec::new();
-    // The order of merged files, by name: 10 before 5.
+    // Merged files are ordered by name: 10 before 5.
     for (grid, error) in [("32x32", 0.0), ("64x64", 4.0)] {
         for (name, more) in [("a", 1.0), ("b", 3.0)] {
             for iterations in [10, 5] {
@@ -141,7 +141,7 @@ fn errors_stand_by_iterations_and_grid() {
          \"lbfgs, N = 20\",,,-,,,,-,\n\
          newton,0.0,,,,1.00,,,\n"
     );
-    // One number of iterations on one grid has neither.
+    // With a single iteration count on a single grid there is neither table.
     assert_eq!(written(&scores, "# newton: "), None);
     assert_eq!(written(&[newton, scores[0].clone()], "# time and error"), None);
 }

@@ -9,7 +9,7 @@ use fnopt::kernels::Tuning;
 use fnopt::network::{Backward, Config, Forward, Head, Keep, Parameters, Plan, Transposed, Weights};
 use fnopt::sim::Grid;
 
-/// Fields and cotangents of a pass.
+/// Input fields and cotangents of a pass.
 struct Case {
     grid: Grid,
     samples: usize,
@@ -25,7 +25,7 @@ impl Case {
         Self { grid, samples, fields, adj_field: noise(samples * n, 182), adj_scalar: noise(samples, 183) }
     }
 
-    /// The gradient on the device, in the order of the weights, of `passes` passes that add up.
+    /// Returns the device's gradient in the order of the weights, accumulated over `passes` passes.
     fn gradient(&self, weights: &Weights, tuning: &Tuning, passes: usize) -> Vec<f32> {
         let (context, grid) = (context(), self.grid);
         let ran = context.checked(|| {
@@ -64,7 +64,7 @@ impl Case {
         embedded
     }
 
-    /// The same on the CPU in double precision.
+    /// Returns the gradient of one pass on the CPU in double precision.
     fn expected(&self, weights: &Weights) -> Vec<f64> {
         let mut adjoint = Adjoint::<f64>::new(weights, self.grid, self.samples).unwrap();
         let mut gradient = vec![0.0; weights.parameter_count()];
@@ -75,7 +75,7 @@ impl Case {
     }
 }
 
-/// Every parameter's gradient to 1e-4 of its norm.
+/// Asserts that every parameter's gradient is accurate to 1e-4 of its norm.
 fn check(weights: &Weights, (grid, samples): (Grid, usize)) {
     let case = Case::new(&weights.config, grid, samples);
     let expected = case.expected(weights);
@@ -101,7 +101,8 @@ fn gradients_of_the_shipped_network_match_the_host() {
     }
 }
 
-/// Channels that fill no tile, other modes, and one, two and five blocks: the scalar head is at the last block or before it.
+/// Channels that do not fill a tile, other modes, and one, two and five blocks: the scalar head reads the
+/// last block or the one before it.
 #[test]
 fn gradients_of_networks_of_other_sizes_match_the_host() {
     let _turn = device();
@@ -119,7 +120,8 @@ fn gradients_of_networks_of_other_sizes_match_the_host() {
     }
 }
 
-/// The lifting's hidden layer in parts, to the same gradient but for the order of a sum; and gradients add up.
+/// Computing the lifting's hidden layer in parts gives the same gradient, up to the order of a sum. Gradients
+/// of several passes add up.
 #[test]
 fn parts_and_passes_add_up() {
     let _turn = device();
@@ -139,7 +141,7 @@ fn parts_and_passes_add_up() {
         let apart: Vec<f64> = parts.iter().zip(&whole).map(|(&p, &w)| f64::from(p) - f64::from(w)).collect();
         assert!(norm(&apart) < 1e-6 * norm(&widened(&whole)), "{activation_bytes} bytes");
     }
-    // Nothing goes through the channels that fill up a tile.
+    // Nothing goes through the channels that pad a tile.
     let parameters = Parameters::new(context(), &weights, &own).unwrap();
     let host = parameters.layout().to_device(&weights.flat());
     assert_eq!(read(&tensor("weights", &[host.len()], &host)), read(&parameters.flat));

@@ -1,24 +1,24 @@
-//! What the tests share: one device for all of them, tensors that betray what was not written, and comparisons.
+//! Helpers shared by the GPU tests: one device for all, tensors that reveal unwritten elements, comparisons.
 
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Schedule, Sharing, Storage, Tensor};
 use fnopt::kernels::{Tuning, padded};
 use fnopt::sim::Grid;
 use std::sync::{LazyLock, Mutex, MutexGuard};
 
-/// Grids of the parity tests: the smallest, one with odd sides, a wide and a larger one.
+/// Grids of the parity tests: the smallest, one with odd sides, a tall one and a larger one.
 pub const GRIDS: [Grid; 4] =
     [Grid { h: 8, w: 8 }, Grid { h: 31, w: 33 }, Grid { h: 48, w: 32 }, Grid { h: 100, w: 100 }];
-/// Batches of the parity tests.
+/// Batch sizes of the parity tests.
 pub const BATCHES: [usize; 2] = [1, 3];
-/// The distance from 1 to the next f32: the largest relative error of a product and a sum, one rounding each.
+/// The distance from 1 to the next f32: the largest relative error of a product and a sum, each rounded once.
 pub const ROUNDING: f64 = f32::EPSILON as f64;
 
-/// Every grid with every batch.
+/// Returns every grid with every batch size.
 pub fn cases() -> impl Iterator<Item = (Grid, usize)> {
     GRIDS.into_iter().flat_map(|grid| BATCHES.map(|batch| (grid, batch)))
 }
 
-/// The device of all tests: compiling the kernels anew for each test would take most of the time.
+/// Returns the device of all tests. Compiling the kernels for each test would take most of the time.
 pub fn context() -> &'static Context {
     static CONTEXT: LazyLock<Context> = LazyLock::new(|| {
         Context::headless(&AdapterChoice::Best).unwrap_or_else(|e| {
@@ -31,7 +31,7 @@ pub fn context() -> &'static Context {
     &CONTEXT
 }
 
-/// A device of the same adapter that binds at most so many bytes at once.
+/// Opens a device on the same adapter that binds at most `bytes` bytes at once.
 pub fn narrow(bytes: u64) -> Context {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
     let opened = pollster::block_on(async {
@@ -45,21 +45,21 @@ pub fn narrow(bytes: u64) -> Context {
     Context::new(device, queue).unwrap()
 }
 
-/// The same device with networks in 16 bits; without it, said, on an adapter that lacks them.
+/// Returns the device with networks stored in 16 bits, or `None`, with a message, if the adapter lacks f16.
 pub fn half() -> Option<Context> {
     let half = context().with_storage(Storage::F16);
     assert!(half.is_ok() || context().kind() == AdapterKind::Hardware, "the software adapter has them");
     half.inspect_err(|e| eprintln!("skipped: {e}")).ok()
 }
 
-/// Keeps other tests off the device: software adapters use all cores for one dispatch anyway.
+/// Keeps other tests off the device. Software adapters use all cores for one dispatch anyway.
 pub fn device() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
-    // A test that failed leaves nothing behind that another one could see.
+    // A failed test leaves nothing behind that another one could see.
     TURN.lock().unwrap_or_else(|e| e.into_inner())
 }
 
-/// The tunings of both kinds of adapter, then the other widths of tile that the kernels allow.
+/// Returns the tunings of both kinds of adapter, then the other tile widths that the kernels allow.
 pub fn tunings() -> [Tuning; 5] {
     let software = Tuning::of(AdapterKind::Software, context().sharing());
     let hardware = Tuning::of(AdapterKind::Hardware, Sharing::Loads);
@@ -91,23 +91,23 @@ pub fn tunings() -> [Tuning; 5] {
     ]
 }
 
-/// The two tunings that differ in how a subgroup shares its operands.
+/// Returns the two tunings that differ in how a subgroup shares its operands.
 pub fn sharings() -> [Tuning; 2] {
     let [software, hardware, ..] = tunings();
     [software, hardware]
 }
 
-/// A tensor that holds `data`.
+/// Creates a tensor that holds `data`.
 pub fn tensor(label: &'static str, shape: &[usize], data: &[f32]) -> Tensor {
     Tensor::from_slice(context(), label, shape, data).unwrap()
 }
 
-/// A tensor of NaN: an element that a kernel does not write stays one.
+/// Creates a tensor of NaN: elements that a kernel does not write remain NaN.
 pub fn poisoned(label: &'static str, shape: &[usize]) -> Tensor {
     tensor(label, shape, &vec![f32::NAN; shape.iter().product()])
 }
 
-/// Builds a schedule and runs it; fails on whatever the device reports.
+/// Builds a schedule and runs it. Panics if the device reports an error.
 pub fn run(build: impl FnOnce(&mut Schedule)) {
     let context = context();
     let ran = context.checked(|| {
@@ -119,18 +119,18 @@ pub fn run(build: impl FnOnce(&mut Schedule)) {
     ran.unwrap();
 }
 
-/// The content of a tensor.
+/// Reads back a tensor.
 pub fn read(tensor: &Tensor) -> Vec<f32> {
     tensor.read(context()).unwrap()
 }
 
-/// The content of a network tensor [.., H, W'] without the padding of its rows.
+/// Reads back a network tensor [.., H, W'] without the padding of its rows.
 pub fn read_unpadded(tensor: &Tensor, grid: Grid) -> Vec<f32> {
     let rows = read(tensor);
     rows.chunks_exact(padded(grid.w)).flat_map(|row| &row[..grid.w]).copied().collect()
 }
 
-/// Rows of `grid` padded as in a network tensor, with `filler` in the padding.
+/// Pads rows of `grid` as in a network tensor, with `filler` in the padding.
 pub fn pad(rows: &[f32], grid: Grid, filler: f32) -> Vec<f32> {
     let spare = padded(grid.w) - grid.w;
     rows.chunks_exact(grid.w)
@@ -138,7 +138,7 @@ pub fn pad(rows: &[f32], grid: Grid, filler: f32) -> Vec<f32> {
         .collect()
 }
 
-/// Channels of samples [S, C, H, W] in the order of a network tensor, [S, H, C, W'], with `filler` in the padding.
+/// Reorders samples [S, C, H, W] into a network tensor [S, H, C, W'], with `filler` in the padding.
 pub fn by_rows(dense: &[f32], channels: usize, grid: Grid, filler: f32) -> Vec<f32> {
     let mut rows = Vec::with_capacity(dense.len());
     for sample in dense.chunks_exact(channels * grid.particles()) {
@@ -151,7 +151,7 @@ pub fn by_rows(dense: &[f32], channels: usize, grid: Grid, filler: f32) -> Vec<f
     pad(&rows, grid, filler)
 }
 
-/// A network tensor [S, H, C, W'] as channels of samples [S, C, H, W].
+/// Reads back a network tensor [S, H, C, W'] as samples [S, C, H, W].
 pub fn read_channels(tensor: &Tensor, grid: Grid) -> Vec<f32> {
     let (rows, channels) = (read_unpadded(tensor, grid), tensor.shape()[2]);
     let mut dense = Vec::with_capacity(rows.len());
@@ -165,30 +165,30 @@ pub fn read_channels(tensor: &Tensor, grid: Grid) -> Vec<f32> {
     dense
 }
 
-/// Numbers without pattern in -1..1.
+/// Returns random numbers in -1..1.
 pub fn noise(len: usize, seed: u64) -> Vec<f32> {
     crate::noise::noise(len, seed).into_iter().map(|v| v as f32).collect()
 }
 
-/// Single precision to double.
+/// Converts single precision to double.
 pub fn widened(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&v| f64::from(v)).collect()
 }
 
-/// Double precision to single.
+/// Converts double precision to single.
 pub fn narrowed(values: &[f64]) -> Vec<f32> {
     values.iter().map(|&v| v as f32).collect()
 }
 
-/// Largest magnitude.
+/// Returns the largest magnitude.
 pub fn largest(values: &[f64]) -> f64 {
     values.iter().fold(0.0, |m: f64, v| m.max(v.abs()))
 }
 
-/// Fails unless `|found - expected| <= atol + rtol |expected|` for every element; NaN fails.
+/// Asserts that `|found - expected| <= atol + rtol |expected|` for every element; NaN fails.
 pub fn assert_close(what: &str, found: &[f32], expected: &[f64], (atol, rtol): (f64, f64)) {
     assert_eq!(found.len(), expected.len(), "{what}: number of elements");
-    // How much of its tolerance each element uses.
+    // The share of its tolerance that each element uses.
     let used =
         |(&f, &e): (&f32, &f64)| (f64::from(f) - e).abs() / (atol + rtol * e.abs()).max(f64::MIN_POSITIVE);
     let mut worst = (0, 0.0);
@@ -199,7 +199,7 @@ pub fn assert_close(what: &str, found: &[f32], expected: &[f64], (atol, rtol): (
         }
     }
     let (at, used) = worst;
-    // Shown with --nocapture: what the tolerances are chosen by.
+    // Shown with --nocapture: the basis for choosing tolerances.
     println!("{what}: {:.0} % of the tolerance {atol:.1e} + {rtol:.1e} |x|", 100.0 * used);
     if used > 1.0 {
         panic!("{what}: element {at} is {}, not {} ({used:.2} of the tolerance)", found[at], expected[at]);

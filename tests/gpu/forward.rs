@@ -11,7 +11,7 @@ use fnopt::kernels::Tuning;
 use fnopt::network::{Backward, Block, Config, Dense, Forward, Head, Keep, Parameters, Plan, Weights};
 use fnopt::sim::Grid;
 
-/// Random weights of about the size that keeps activations at about 1.
+/// Returns random weights, scaled to keep activations at about 1.
 pub fn random(config: Config) -> Weights {
     let values = |len: usize, inputs: usize, seed: u64| -> Vec<f32> {
         noise(len, seed).iter().map(|v| v * (3.0 / inputs as f32).sqrt()).collect()
@@ -35,7 +35,7 @@ pub fn random(config: Config) -> Weights {
     }
 }
 
-/// A forward pass and the results of its stages, without padding.
+/// The results of the stages of a forward pass, without padding.
 struct Pass {
     lifted: Vec<f32>,
     blocks: Vec<Vec<f32>>,
@@ -43,14 +43,14 @@ struct Pass {
     scalar: Vec<f32>,
 }
 
-/// The sum of the parts of a field, without padding.
+/// Returns the sum of the parts of a field, without padding.
 fn added_up(field: &Tensor, grid: Grid) -> Vec<f32> {
     let parts = read_unpadded(field, grid);
     let one = parts.len() / field.shape()[0];
     (0..one).map(|at| parts[at..].iter().step_by(one).sum()).collect()
 }
 
-/// A pass over `fields`, done.
+/// Builds a pass over `fields` and submits it.
 fn done(weights: &Weights, tuning: &Tuning, shape: (Grid, usize), (fields, keep): (&[f32], Keep)) -> Forward {
     done_on(context(), weights, tuning, shape, (fields, keep))
 }
@@ -82,7 +82,7 @@ fn done_on(
 fn forward(weights: &Weights, tuning: &Tuning, (grid, samples): (Grid, usize), fields: &[f32]) -> Pass {
     let (config, n) = (weights.config, grid.particles());
     let pass = done(weights, tuning, (grid, samples), (fields, Keep::Blocks));
-    // Channels that were added to fill a tile come last in each sample.
+    // Channels that pad a tile come last in each sample.
     let channels = |i: usize| -> Vec<f32> {
         let activation = pass.activation(i);
         let stored = activation.shape()[2] * n;
@@ -97,7 +97,7 @@ fn forward(weights: &Weights, tuning: &Tuning, (grid, samples): (Grid, usize), f
     }
 }
 
-/// Every stage to 2e-5 of its largest magnitude, as the files of reference vectors ask for.
+/// Asserts that every stage is accurate to 2e-5 of its largest magnitude, as for the golden files.
 fn check(weights: &Weights, (grid, samples): (Grid, usize)) {
     let config = weights.config;
     let fields: Vec<f32> =
@@ -123,7 +123,7 @@ fn check(weights: &Weights, (grid, samples): (Grid, usize)) {
     }
 }
 
-/// Weights whose projection is multiplied into the last block, as solvers use them: a layer less, the same results.
+/// Folding the projection into the last block, as solvers do, saves a layer and gives the same results.
 #[test]
 fn folded_networks_match_the_host() {
     let _turn = device();
@@ -151,8 +151,8 @@ fn a_trained_network_matches_the_host() {
     }
 }
 
-/// Rows that take a second workgroup where they are staged, that are too long for a lifting with all channels in one, and too
-/// long for any workgroup.
+/// Rows that need a second workgroup if they are staged, rows too long for a lifting with all channels in one
+/// workgroup, and rows too long for any workgroup.
 #[test]
 fn rows_longer_than_a_workgroup_match_the_host() {
     let _turn = device();
@@ -161,7 +161,7 @@ fn rows_longer_than_a_workgroup_match_the_host() {
     }
 }
 
-/// Channels that fill no tile, other modes, one, two and five blocks, and fewer fields than an optimizer's.
+/// Channels that do not fill a tile, other modes, one, two and five blocks, and fewer fields than usual.
 #[test]
 fn networks_of_other_sizes_match_the_host() {
     let _turn = device();
@@ -181,8 +181,8 @@ fn networks_of_other_sizes_match_the_host() {
     }
 }
 
-/// Samples that do not fit the lifting's hidden layer at once are lifted in turn, and rows of a sample that does not, to the
-/// same bits.
+/// If the lifting's hidden layer does not fit for all samples, samples are lifted in groups. If it does not
+/// fit for one sample, its rows are. The bits are the same.
 #[test]
 fn lifting_in_parts_gives_the_same_bits() {
     let _turn = device();
@@ -190,7 +190,7 @@ fn lifting_in_parts_gives_the_same_bits() {
     let weights = starter();
     let fields = noise(samples * 3 * grid.particles(), 121);
     let own = Tuning::new(context());
-    // Where the backward pass wants it, the lifting's layers are not joined.
+    // The backward pass needs the hidden layer, so the lifting's layers are not fused.
     let results = |tuning: &Tuning| {
         let pass = done(weights, tuning, (grid, samples), (&fields, Keep::Adjoint));
         [pass.activation(0), &pass.field, &pass.scalar].map(read)
@@ -202,8 +202,8 @@ fn lifting_in_parts_gives_the_same_bits() {
     }
 }
 
-/// Samples whose hidden layer is more than the device binds at once, though their activations are not: lifted in turn, too,
-/// forward and on the way back.
+/// The hidden layer of all samples exceeds what the device binds at once, although their activations do not.
+/// Both passes then process the samples in groups.
 #[test]
 fn lifting_takes_no_more_than_the_device_binds() {
     let _turn = device();
@@ -225,7 +225,7 @@ fn lifting_takes_no_more_than_the_device_binds() {
     Backward::new(&narrow, &forward, &parameters, &gradient, &tuning).unwrap();
 }
 
-/// A sample whose hidden layer alone is more than the device binds at once.
+/// The hidden layer of a single sample exceeds what the device binds at once.
 #[test]
 fn grids_are_larger_than_a_binding_of_the_hidden_layer() {
     let _turn = device();
@@ -239,8 +239,8 @@ fn grids_are_larger_than_a_binding_of_the_hidden_layer() {
     assert_eq!(parts.field.read::<f32>(&narrow).unwrap(), read(&whole.field));
 }
 
-/// Networks whose activations and weights are stored in 16 bits, eleven of them significant: every output to a few of their
-/// roundings, with every tile, whether blocks take their rows or not.
+/// Activations and weights are stored in 16 bits, eleven of them significant. Every output is accurate to a
+/// few of their roundings, with every tile, whether or not blocks transform their rows.
 #[test]
 fn networks_stored_in_half_precision_are_near_the_host() {
     let _turn = device();

@@ -1,5 +1,5 @@
-//! The WGSL files and the table of kernels: every file is in the table, valid, and keeps the rules that the host side and
-//! the reader rely on. Needs no adapter.
+//! The WGSL files and the table of kernels: every file is in the table, is valid, and follows the rules that
+//! the host side and readers rely on. Needs no adapter.
 
 use fnopt::gpu::{Order, Sharing, Source, Storage, Unroll};
 use fnopt::kernels::ALL;
@@ -8,10 +8,10 @@ use naga::{AddressSpace, StorageAccess};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// Kernels without a parity test of their own stem, and where they are tested.
+/// Kernels without a parity test of that name, and the test that covers them.
 const TESTED_ELSEWHERE: &[(&str, &str)] = &[
     ("energy_sum", "energy"),
-    // They mean something only together.
+    // Meaningful only together.
     ("cell_count", "cells"),
     ("cell_scan", "cells"),
     ("cell_fill", "cells"),
@@ -24,7 +24,7 @@ const TESTED_ELSEWHERE: &[(&str, &str)] = &[
     ("squares", "adamw"),
     ("cosine_order", "quasi_newton"),
     ("rest_modes", "quasi_newton"),
-    // The passes of a transform mean something only together.
+    // The passes of a transform are meaningful only together.
     ("pack_pairs", "real_fft2"),
     ("unpack_pairs", "real_fft2"),
     ("split_spectra", "real_fft2"),
@@ -33,7 +33,7 @@ const TESTED_ELSEWHERE: &[(&str, &str)] = &[
     ("radix_prime", "real_fft2"),
 ];
 
-/// Kernels whose meaning the CPU path has under another name.
+/// Kernels whose counterpart on the CPU path has another name.
 const TWINS: &[(&str, &str)] = &[
     ("external_force", "cloth/wind"),
     ("predict", "cloth/integrate"),
@@ -76,7 +76,7 @@ fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
 }
 
-/// Files with this ending below a folder, as `folder/stem`, those of `common` and `pieces` left out.
+/// Returns the files with this ending as `subfolder/stem`, without the subfolders `common` and `pieces`.
 fn stems(folder: &str, ending: &str) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for entry in std::fs::read_dir(root().join(folder)).unwrap() {
@@ -94,7 +94,7 @@ fn stems(folder: &str, ending: &str) -> BTreeSet<String> {
     found
 }
 
-/// The stem with its folder, as in `optim/update`.
+/// Returns the stem with its folder, such as `optim/update`.
 fn place(source: &Source) -> String {
     let found = stems("shaders", ".wgsl");
     let place = found.into_iter().find(|p| p.ends_with(&format!("/{}", source.name)));
@@ -108,7 +108,7 @@ fn parsed(source: &Source, unroll: impl Into<Unroll>) -> (String, naga::Module) 
     (text, module)
 }
 
-/// The tiles and spans that a kernel is unrolled to, among them those that the table names.
+/// Returns the tiles and spans that a kernel is unrolled to, including those in the table.
 fn tiles(source: &Source, tile: usize) -> Vec<(usize, usize)> {
     let spans: &[usize] = if source.name == "block" { &[1, 2, 4] } else { &[1] };
     let tiles =
@@ -133,7 +133,7 @@ fn every_file_is_in_the_table_once() {
 fn every_kernel_is_valid_wgsl() {
     for &(source, tile) in ALL {
         for (tile, span) in tiles(source, tile) {
-            // Nothing beyond what WebGPU has, no optional capability, but where operands are broadcast or stored in 16 bits.
+            // Nothing beyond core WebGPU, except where operands are broadcast or stored in 16 bits.
             let (subgroup, half) = (Capabilities::SUBGROUP, Capabilities::SHADER_FLOAT16);
             let variants = [
                 (Sharing::Loads, Storage::F32, Capabilities::empty()),
@@ -193,7 +193,7 @@ fn bindings_are_parameters_then_reads_then_writes() {
     }
 }
 
-/// Parameters are uniforms of 16 bytes' multiples, so that the host side's size is the WGSL's on every device.
+/// Parameters are uniforms sized in multiples of 16 bytes, so that host and WGSL agree on every device.
 #[test]
 fn parameters_fill_their_binding() {
     for &(source, tile) in ALL {
@@ -215,12 +215,12 @@ fn headers_tell_purpose_threads_and_adjoint() {
         for word in ["// Adjoint: ", "One ", "Workgroups: "] {
             assert!(has(word), "{}.wgsl: its header has no '{word}'", source.name);
         }
-        // The first line is the purpose, then a blank one.
+        // The first line is the purpose, followed by a blank one.
         assert!(header.len() > 3 && header.contains(&"//"), "{}.wgsl: {header:#?}", source.name);
     }
 }
 
-/// The texts of a folder of `shaders`.
+/// Reads the files of a folder of `shaders`.
 fn texts(folder: &str) -> Vec<String> {
     let files = std::fs::read_dir(root().join("shaders").join(folder)).unwrap();
     files.map(|file| std::fs::read_to_string(file.unwrap().path()).unwrap()).collect()
@@ -237,7 +237,7 @@ fn shared_texts_hold_functions_only() {
             let module = naga::front::wgsl::parse_str(text).unwrap();
             assert!(module.global_variables.is_empty() && module.entry_points.is_empty(), "{}", source.name);
         }
-        // Names of the kernel's functions and of the shared ones do not meet: the whole parses.
+        // The kernel's functions and the shared ones have different names: the whole parses.
         parsed(source, *tile);
     }
 }
@@ -258,7 +258,7 @@ fn every_kernel_has_its_host_side_twin_and_parity_test() {
     }
 }
 
-/// The array that is not bounded by a tensor's size: the host refuses longer histories.
+/// The one array that is not bounded by a tensor's size. The host refuses longer histories.
 #[test]
 fn the_longest_history_is_the_same_on_both_sides() {
     let longest = fnopt::kernels::optim::lbfgs::MAX_HISTORY;

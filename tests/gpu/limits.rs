@@ -1,4 +1,4 @@
-//! Batches and grids that are more than a device takes at once, and what it does not take at all.
+//! Batches and grids beyond what a device takes at once, and requests that it cannot serve at all.
 
 use crate::common::{assert_close, context, device, narrow, read, run, sharings, tensor, widened};
 use crate::forward::random;
@@ -12,13 +12,13 @@ use fnopt::sim::{
     Cloth, Control, Device, Grid, Material, Model, Optimizer, Simulator, Solver, SolverOptions, State,
 };
 
-/// The network takes as many samples at once as the tuning and the device allow: single ones, whole cloths, or all.
+/// The network takes as many samples at once as tuning and device allow: single ones, whole cloths, or all.
 #[test]
 fn samples_in_turns_have_the_same_bits() {
     let _turn = device();
     let (model, start, control) = varied_batch();
     let optimizer = Optimizer::Learned(starter().clone());
-    // 18 columns are 20 with the padding.
+    // 18 columns are padded to 20.
     let one = 4 * 64 * 21 * 20;
     for table in [Tuning::table(context()), Tuning { busy_groups: 60, ..sharings()[1] }] {
         let run = |activation_bytes: usize| {
@@ -29,7 +29,7 @@ fn samples_in_turns_have_the_same_bits() {
         };
         let (whole, few) = run(9 * one);
         let mut dispatches = vec![few];
-        // A cloth at once, two and then one, one component, and more than fits.
+        // Room for one cloth, for two (two, then one), for single samples, and for less than one.
         for at_once in [3, 7, 2, 0] {
             let (found, more) = run(at_once * one);
             assert_same("positions", &found.x, &whole.x);
@@ -37,12 +37,13 @@ fn samples_in_turns_have_the_same_bits() {
             dispatches.push(more);
         }
         let [one, three, two, nine, again] = dispatches[..] else { panic!("{dispatches:?}") };
-        // Where not even one component fits, its lifting is divided further.
+        // If not even one sample fits, its lifting is divided further.
         assert!(one < two && two < three && three < nine && nine <= again, "{dispatches:?}");
     }
 }
 
-/// The parameters of a schedule are in one buffer, and in another where that is full; those that are there already are used again.
+/// The parameters of a schedule are in one buffer, and in another once that is full. Parameters that are
+/// already there are reused.
 #[test]
 fn a_schedule_has_more_parameters_than_one_buffer_holds() {
     let _turn = device();
@@ -51,7 +52,7 @@ fn a_schedule_has_more_parameters_than_one_buffer_holds() {
     let [grad, base, a] = [1.0, 0.0, 0.0].map(|v| tensor("field", &[1, 3, n], &[v; 192]));
     let slots = Tensor::from_slice(context(), "slots", &[1, n], &vec![0u32; n]).unwrap();
     let iterate = Iterate { grad, hidden: None, base, slots, a };
-    // Whole numbers, so that their sum is exact; all of them twice.
+    // Whole numbers, so that their sum is exact. Each appears twice.
     run(|schedule| {
         for rate in (1..=3000).chain(1..=3000) {
             kernel.push(schedule, f64::from(rate), &iterate);
@@ -60,7 +61,7 @@ fn a_schedule_has_more_parameters_than_one_buffer_holds() {
     assert_eq!(read(&iterate.a), [-9_003_000.0; 192]);
 }
 
-/// A batch whose activations are more than the device binds.
+/// The activations of this batch exceed what the device binds.
 #[test]
 fn batches_are_larger_than_a_binding() {
     let _turn = device();
@@ -75,7 +76,7 @@ fn batches_are_larger_than_a_binding() {
         let wind = vec![control.wind[0]; batch];
         (model, state, Control { handles, wind, external: repeat(&control.external) })
     };
-    // 18 columns are 20 with the padding.
+    // 18 columns are padded to 20.
     assert!((4 * 64 * 21 * 20 * 3 * batch) as u64 > narrow.largest_binding());
     let (model, start, control) = cloth(batch);
     let tuning = Tuning::table(&narrow);
@@ -92,7 +93,7 @@ fn batches_are_larger_than_a_binding() {
     }
 }
 
-/// A grid of more particles than one row of workgroups has invocations.
+/// This grid has more particles than one row of workgroups has invocations.
 #[test]
 fn grids_are_larger_than_a_row_of_workgroups() {
     let _turn = device();
@@ -115,7 +116,7 @@ fn grids_are_larger_than_a_row_of_workgroups() {
     assert!((stats.stretch_largest - wanted[0].stretch_largest).abs() < 1e-5, "{stats:?}");
 }
 
-/// In mid-run: an error that a program can keep its frames on.
+/// Losing the device in mid-run is an error, so that a program can keep its frames.
 #[test]
 fn a_device_that_is_lost_is_an_error() {
     let _turn = device();
@@ -126,14 +127,14 @@ fn a_device_that_is_lost_is_an_error() {
     simulator.set_state(&start);
     simulator.step(&control).unwrap();
     lost.device.destroy();
-    // However often it is asked.
+    // Every further step fails, too.
     for _ in 0..4 {
         let error = simulator.step(&control).unwrap_err().to_string();
         assert!(error.starts_with("device: "), "{error}");
     }
 }
 
-/// What would make kernels read beyond their tensors, or cannot be dispatched, is refused before anything runs.
+/// Kernels that would read beyond their tensors, or cannot be dispatched, are refused before anything runs.
 #[test]
 fn what_the_device_cannot_do_is_refused() {
     let _turn = device();
@@ -146,7 +147,7 @@ fn what_the_device_cannot_do_is_refused() {
     };
     let default = SolverOptions::default();
 
-    // One sample too many along an axis.
+    // One cloth too many along an axis.
     let error = refused(&model(grid, 21846), &gd, &default);
     assert!(error.contains("workgroups, and it has 65535 along an axis"), "{error}");
 
@@ -169,7 +170,7 @@ fn what_the_device_cannot_do_is_refused() {
         let refused = |model: &Model, optimizer: &Optimizer| {
             Simulator::new(&device, model, optimizer, 1).err().expect("it is refused").to_string()
         };
-        // A particle of the next cloth, and one twice.
+        // A particle of the next cloth, and a particle listed twice.
         assert_eq!(
             refused(&held(&[3, 64]), &gd),
             "model: handles of cloth 1: expected particles 0 to 63 of a grid of 8x8, found 64"
@@ -186,7 +187,7 @@ fn what_the_device_cannot_do_is_refused() {
     }
 }
 
-/// What one cloth waits for on llvmpipe and on hardware.
+/// The number of dispatches per frame, on llvmpipe and on hardware.
 #[test]
 fn a_frame_is_few_dispatches() {
     let _turn = device();

@@ -1,4 +1,4 @@
-//! That no result depends on the order in which a device runs invocations and workgroups.
+//! No result depends on the order in which a device runs invocations and workgroups.
 
 use crate::common::{context, device, half, noise, poisoned, read, run, tensor};
 use crate::repelling::crowded;
@@ -8,7 +8,7 @@ use fnopt::gpu::{Context, Order};
 use fnopt::kernels::fft::{Fields, RealFft2};
 use fnopt::sim::{Grid, Model, Optimizer, Solver, SolverOptions, State};
 
-/// Frames of all optimizers, of layers that repel each other, of rows longer than a workgroup and in 16 bits.
+/// Frames of all optimizers, with repulsion, with rows longer than a workgroup, and in 16 bits.
 #[test]
 fn frames_have_the_same_bits_in_either_order() {
     let _turn = device();

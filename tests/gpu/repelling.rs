@@ -1,11 +1,11 @@
-//! Whole frames of cloths whose layers repel each other: against the CPU path, repeated, and with repulsion given and taken.
+//! Frames of cloths with repulsion: against the CPU path, repeated, and with repulsion added and removed.
 
 use crate::common::{assert_close, context, device, largest, read};
 use crate::solver::{assert_same, optimizers, solver, starter, statistics, step, varied_batch};
 use fnopt::cpu;
 use fnopt::sim::{Cloth, Control, FrameStats, Model, Optimizer, Repulsion, State};
 
-/// Cloths that are drawn together until their layers repel each other, but for those of one of them.
+/// Builds cloths that are contracted until their layers repel each other, and one without repulsion.
 pub fn crowded() -> (Model, State<f32>, Control<f32>) {
     let (mut model, mut state, control) = varied_batch();
     model.cloths[0].repulsion = Some(Repulsion { strength: 0.05, distance: 0.8 });
@@ -18,8 +18,8 @@ pub fn crowded() -> (Model, State<f32>, Control<f32>) {
     (model, state, Control { handles, ..control })
 }
 
-/// Layers that repel each other do so as on the host, with every optimizer; runs repeat, and several frames in one submission are
-/// those one after the other.
+/// Repulsion agrees with the host for every optimizer. Runs repeat, and several frames in one submission
+/// equal frames submitted one by one.
 #[test]
 fn frames_of_cloths_that_repel_themselves_agree_with_the_host() {
     let _turn = device();
@@ -50,7 +50,7 @@ fn frames_of_cloths_that_repel_themselves_agree_with_the_host() {
     }
 }
 
-/// Particles that were counted and never sorted, as when a kernel is measured alone, do not outlive the next evaluation.
+/// Particles counted but never sorted, as when a kernel is timed alone, do not affect later evaluations.
 #[test]
 fn counts_that_are_left_over_are_harmless() {
     let _turn = device();
@@ -64,7 +64,7 @@ fn counts_that_are_left_over_are_harmless() {
     assert_same("positions", &step(&solver, &control).x, &expected.x);
 }
 
-/// What is repelled at a strength of nothing is pushed by nothing: to the bit as in a solver that has no repulsion.
+/// Removed repulsion has zero strength and pushes nothing: the bits are those of a solver that never had any.
 #[test]
 fn cloths_that_no_longer_repel_themselves_are_as_those_that_never_did() {
     let _turn = device();

@@ -1,4 +1,4 @@
-//! Whole frames: against the CPU path, repeated, in batches, in a host's encoder.
+//! Whole frames: against the CPU path, repeated, in batches, and in a host's encoder.
 
 use crate::common::{assert_close, context, device, half, largest, noise, sharings, widened};
 use fnopt::cpu::{self, Track};
@@ -15,7 +15,7 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
-/// The weights of the golden rollouts.
+/// Returns the weights of the golden rollouts.
 pub fn starter() -> &'static Arc<Weights> {
     static WEIGHTS: LazyLock<Arc<Weights>> = LazyLock::new(|| {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/checkpoint_starter.safetensors");
@@ -24,22 +24,22 @@ pub fn starter() -> &'static Arc<Weights> {
     &WEIGHTS
 }
 
-/// Those that a device has.
+/// Returns the optimizers that a device supports.
 pub fn optimizers() -> [Optimizer; 5] {
     let learned = Optimizer::Learned(starter().clone());
     let [gd, adam] = [Optimizer::gradient_descent(), Optimizer::adam()];
     [learned, gd, adam, Optimizer::lbfgs(), Optimizer::quasi_newton()]
 }
 
-/// The optimizers with the adapter's own tuning, and the learned one as on hardware, where one cloth's convolutions are divided in
-/// other ways than those of three.
+/// Returns the optimizers with the adapter's own tuning, and the learned one with a hardware tuning, which
+/// divides the convolutions of one cloth differently from those of three.
 pub fn tuned() -> Vec<(Optimizer, Tuning)> {
     let [own, hardware] = [Tuning::new(context()), Tuning { busy_groups: 60, ..sharings()[1] }];
     let learned = Optimizer::Learned(starter().clone());
     optimizers().map(|optimizer| (optimizer, own)).into_iter().chain([(learned, hardware)]).collect()
 }
 
-/// A solver on the device, in the given state.
+/// Creates a solver on the device, in the given state.
 pub fn solver(model: &Model, optimizer: &Optimizer, iterations: usize, start: &State<f32>) -> Solver {
     solver_with(Tuning::new(context()), model, (optimizer, iterations), start)
 }
@@ -60,7 +60,7 @@ fn read(tensor: &Tensor) -> Vec<f32> {
     tensor.read(context()).unwrap()
 }
 
-/// Fails unless both have the same bits.
+/// Asserts that both have the same bits and are finite.
 pub fn assert_same(what: &str, found: &[f32], expected: &[f32]) {
     let differ = found.iter().zip(expected).filter(|(f, e)| f.to_bits() != e.to_bits()).count();
     let most = found.iter().zip(expected).fold(0.0, |m: f32, (f, e)| m.max((f - e).abs()));
@@ -69,7 +69,7 @@ pub fn assert_same(what: &str, found: &[f32], expected: &[f32]) {
     assert!(found.iter().all(|f| f.is_finite()), "{what}");
 }
 
-/// The state after a frame.
+/// Returns the state after a frame.
 pub fn step(solver: &Solver, control: &Control<f32>) -> State<f32> {
     solver.set_control(control);
     context().submit(|encoder| solver.record(encoder));
@@ -81,7 +81,7 @@ pub fn statistics(solver: &Solver) -> Vec<FrameStats> {
     solver.statistics(&contents)
 }
 
-/// Three different cloths in wind, and what drives them.
+/// Builds three different cloths in wind, their state and their control.
 pub fn varied_batch() -> (Model, State<f32>, Control<f32>) {
     let grid = Grid { h: 21, w: 18 };
     let n = grid.particles();
@@ -104,16 +104,16 @@ pub fn varied_batch() -> (Model, State<f32>, Control<f32>) {
     (model, state, Control { handles, wind, external })
 }
 
-/// Root mean square and largest of the differences [edges].
+/// Returns the root mean square and the largest magnitude of the differences [edges].
 fn apart(found: &[f32], exact: &[f64]) -> (f64, f64) {
     let differences: Vec<f64> = found.iter().zip(exact).map(|(&f, &e)| f64::from(f) - e).collect();
     let squares: f64 = differences.iter().map(|d| d * d).sum();
     ((squares / found.len() as f64).sqrt(), largest(&differences))
 }
 
-/// Each of twenty frames of the default scene, from where double precision brings the sheet: after one frame the device is as
-/// close to double precision as the host is in single. (Frames that begin where the device ended show what roundings of the
-/// frames before grow to: the next test.)
+/// Computes each of twenty frames of the default scene from the state that double precision reached. After
+/// one frame, the device is as close to double precision as the host is in single. (The next test starts
+/// frames where the device ended, and shows what earlier roundings grow to.)
 #[test]
 fn frames_on_the_device_are_as_exact_as_on_the_host() {
     let _turn = device();
@@ -149,11 +149,13 @@ fn frames_on_the_device_are_as_exact_as_on_the_host() {
 
 /// Twenty frames of the default scene, each from where the last one ended.
 ///
-/// An optimizer that stops far from the minimum multiplies what differs at the start of a frame, the learned one by two or
-/// three, L-BFGS a hundredfold in ten frames: in single precision the host, too, is soon far from double precision. Gradient
-/// descent and L-BFGS keep within a share of the side, on average and at most; with the learned optimizer a device, which rounds
-/// in every operation, is held to ten times the host's distance where that is more, after one frame to the share. (Not adam: where a gradient is 0 but for roundings, its
-/// sign decides about a whole step. Quasi-Newton's distances are those of L-BFGS within five frames.)
+/// An optimizer that stops far from the minimum amplifies differences at the start of a frame: the learned
+/// one two- or threefold, L-BFGS a hundredfold in ten frames. In single precision, the host, too, is soon far
+/// from double precision. With gradient descent and L-BFGS, the mean and the largest difference stay within a
+/// share of the side. With the learned optimizer, this holds for the first frame. After that a device, which
+/// rounds in every operation, may differ by ten times the host's distance if that is more. (Adam is left out:
+/// where a gradient is 0 but for roundings, its sign decides about a whole step. Quasi-Newton's distances are
+/// those of L-BFGS within five frames.)
 #[test]
 fn twenty_frames_drift_as_little_as_on_the_host() {
     let _turn = device();
@@ -198,12 +200,13 @@ fn twenty_frames_drift_as_little_as_on_the_host() {
     }
 }
 
-/// Frames of all optimizers, for cloths that differ, in wind and under external accelerations: state, energies, norms, stretch, scales.
+/// Frames of all optimizers, for different cloths in wind and under external accelerations: state, energies,
+/// norms, stretch and scales.
 #[test]
 fn frames_of_all_optimizers_agree_with_the_host() {
     let _turn = device();
     let (model, start, control) = varied_batch();
-    // One iteration ends with the scale in the place where it began.
+    // A single iteration updates the scale in place.
     for ((optimizer, tuning), n) in tuned().into_iter().flat_map(|tuned| [(tuned.clone(), 5), (tuned, 1)]) {
         let solver = solver_with(tuning, &model, (&optimizer, n), &start);
         let mut host = cpu::Solver::<f64>::new(&model, &optimizer, n).unwrap();
@@ -217,7 +220,8 @@ fn frames_of_all_optimizers_agree_with_the_host() {
             let found = step(&solver, &control);
             let stats = host.step(&mut expected, &double);
             let what = format!("{}:{n}, frame {frame}", optimizer.name());
-            // Adam divides by the size of the gradient, L-BFGS by curvatures: where these are small, digits are lost.
+            // Adam divides by the gradient's size, L-BFGS by curvatures: digits are lost where these are
+            // small.
             let digits =
                 if matches!(optimizer.name(), "adam" | "lbfgs" | "quasi-newton") { 2e-4 } else { 2e-5 };
             let atol = digits * 5f64.powi(frame) * largest(&expected.v);
@@ -281,7 +285,7 @@ fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
     }
 }
 
-/// A host records frames into an encoder of its own, several if it likes, among its own commands.
+/// A host can record any number of frames into its own encoder, among its own commands.
 #[test]
 fn frames_are_recorded_into_a_hosts_encoder() {
     let _turn = device();
@@ -309,7 +313,7 @@ fn frames_are_recorded_into_a_hosts_encoder() {
     assert_same("second of two frames", &v, &apart.v);
 }
 
-/// One submission of several frames, each with a control of its own: wind and forces come and go.
+/// One submission of several frames, each with its own control: wind and forces come and go.
 #[test]
 fn frames_of_one_submission_are_those_of_several() {
     let _turn = device();
@@ -366,8 +370,8 @@ fn a_ring_hands_out_frames_in_order_waiting_or_not() {
     assert!(readback.next(context(), positions).unwrap().is_none());
 }
 
-/// What a host changes while the others go on: the state of one cloth, and materials. The bits are those of solvers that were
-/// made so.
+/// A host may change the state of one cloth, or materials, while the other cloths go on. The bits are those
+/// of solvers built that way from the start.
 #[test]
 fn single_cloths_begin_anew_and_materials_change() {
     let _turn = device();
@@ -376,7 +380,7 @@ fn single_cloths_begin_anew_and_materials_change() {
     for optimizer in [Optimizer::Learned(starter().clone()), Optimizer::quasi_newton()] {
         let whole = solver(&model, &optimizer, 2, &start);
         let first = step(&whole, &control);
-        // The second cloth goes back to its start, the others are where they are.
+        // The second cloth goes back to its start; the others stay where they are.
         let at = 3 * n..6 * n;
         whole.set_cloth_state(1, &State { x: start.x[at.clone()].to_vec(), v: start.v[at.clone()].to_vec() });
         let again = step(&whole, &control);
@@ -399,7 +403,7 @@ fn single_cloths_begin_anew_and_materials_change() {
     }
 }
 
-/// One cloth leaves the numbers and begins anew; the others have the bits of a batch in which nothing happened.
+/// One cloth becomes non-finite and starts over. The others have the bits of an undisturbed batch.
 #[test]
 fn a_cloth_that_broke_begins_anew_and_the_others_go_on() {
     let _turn = device();
@@ -427,7 +431,7 @@ fn a_cloth_that_broke_begins_anew_and_the_others_go_on() {
     }
 }
 
-/// Particles are let go of and held at any time: as in a solver that was made for them.
+/// Particles may be released and held at any time. The bits are those of a solver built with these handles.
 #[test]
 fn handles_change_at_any_time() {
     let _turn = device();
@@ -439,7 +443,7 @@ fn handles_change_at_any_time() {
         let mut host = start.clone();
         step(&changing, &control);
         on_host.step(&mut host, &control);
-        // None, more than there were, others.
+        // No handles, more than before, and others.
         for handles in [
             [vec![], vec![], vec![]],
             [vec![0, 3, n - 1], vec![5], vec![1, 2]],
@@ -449,7 +453,7 @@ fn handles_change_at_any_time() {
             for (cloth, handles) in other.cloths.iter_mut().zip(handles) {
                 cloth.handles = handles;
             }
-            // The optimizer's memory apart, which stays.
+            // Changing handles keeps the optimizer's memory, so it is reset here.
             changing.reset_memory();
             on_host.reset();
             let before = State {
@@ -478,7 +482,7 @@ fn handles_change_at_any_time() {
     }
 }
 
-/// A control without wind and forces used to leave those of the frame before in place.
+/// A control without wind and forces used to leave those of the previous frame in place.
 #[test]
 fn wind_and_forces_end_with_the_control_that_has_them() {
     let _turn = device();
@@ -492,7 +496,7 @@ fn wind_and_forces_end_with_the_control_that_has_them() {
     assert_same("calm again", &step(&solver, &calm).x, &expected.x);
 }
 
-/// What the learned optimizer remembers goes with the state it belongs to.
+/// Setting a state resets the hidden state of the learned optimizer.
 #[test]
 fn a_new_state_forgets_the_hidden_one() {
     let _turn = device();
@@ -504,7 +508,8 @@ fn a_new_state_forgets_the_hidden_one() {
     assert_same("after a reset", &step(&solver, &control).x, &first.x);
 }
 
-/// Until a control is set: the corners used to jump to the targets of the state before, at first those of the sheet at rest.
+/// Handles stay in place until a control is set. The corners used to jump to the targets of the previous
+/// state, at first those of the sheet at rest.
 #[test]
 fn a_new_state_holds_its_handles() {
     let _turn = device();
@@ -534,7 +539,8 @@ fn a_new_state_holds_its_handles() {
     assert_eq!(found[first + second..], lifted[first + second..]);
 }
 
-/// A device minimises as well as the host, and the network in 16 bits as well as in 32: the same median energy gap to a tenth.
+/// Device and host, and the network in 16 and in 32 bits, minimise equally well: median gaps agree to a
+/// tenth.
 #[test]
 fn half_precision_closes_the_gap_as_far() {
     let _turn = device();
@@ -557,7 +563,7 @@ fn half_precision_closes_the_gap_as_far() {
     }
 }
 
-/// Kernels are made with the table's sizes unless a program asks for others, whatever is stored on this machine.
+/// Kernels have the table's sizes unless a program specifies others, whatever is stored on this machine.
 #[test]
 fn a_context_keeps_its_tuning() {
     let other = Tuning { channels: 16, ..Tuning::table(context()) };
@@ -566,7 +572,7 @@ fn a_context_keeps_its_tuning() {
     assert_eq!(Tuning::new(context()), Tuning::table(context()));
 }
 
-/// What hosts move between threads, and share.
+/// Types that hosts move between threads or share.
 #[test]
 fn handles_to_the_device_go_between_threads() {
     fn moves<T: Send>() {}

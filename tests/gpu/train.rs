@@ -1,4 +1,4 @@
-//! Training on the device: against the CPU path step by step, and to the same bits again.
+//! Training on the device: against the CPU path step by step, and reproducible to the bit.
 
 use crate::common::{context, device, half};
 use fnopt::cpu::optim::Normalisation;
@@ -9,7 +9,8 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::rc::Rc;
 
-/// Grids with odd sides, batches of one and more, channels that fill no tile; frames end and lives begin within a few steps.
+/// Grids with odd sides, batches of one and more, channels that do not fill a tile. Frames end and cloths
+/// start over within a few steps.
 const CONFIG: &str = r#"
     steps = 6
     log_every = 2
@@ -77,7 +78,7 @@ fn compare_steps(config: &Config) {
         begun += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.start.is_some()).count();
         advanced += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.advance).count();
         let update = Update { number: step + 1, rate: 1e-3, average: 0.9 };
-        // From the same state, or weights that drift apart would be compared instead of steps.
+        // Both start from the same state. Otherwise diverging weights would be compared instead of steps.
         let before = learners[0].save().unwrap();
         learners[1].load(&before).unwrap();
         let [host, found] =
@@ -92,8 +93,8 @@ fn compare_steps(config: &Config) {
             close("log gradient", found.log_gradient, host.log_gradient, 1e-3);
             (0..3).for_each(|k| close("scale", found.scale[k], host.scale[k], 1e-3));
         }
-        // The mean gradient moves by a share of the gradient. (The weights would tell less: AdamW makes a whole step even of
-        // a gradient that is all rounding.)
+        // The mean gradient moves by a share of the gradient. (The weights would show less: AdamW makes a
+        // whole step even if the gradient is all rounding.)
         let [ours, theirs] = learners.each_ref().map(|learner| learner.save().unwrap());
         let [before, ours, theirs] =
             [&before, &ours, &theirs].map(|state| state.get("adamw.mean", &[count]).unwrap());
@@ -127,7 +128,7 @@ fn runs_repeat_and_resume_to_the_same_bits() {
     assert_eq!(unbroken.weights().unwrap(), resumed.weights().unwrap());
 }
 
-/// Which invocation runs first is the device's matter.
+/// Which invocation runs first is up to the device.
 #[test]
 fn steps_have_the_same_bits_in_either_order() {
     let _turn = device();
@@ -158,7 +159,7 @@ fn a_run_moves_from_device_to_device() {
     assert_eq!(back.weights().unwrap(), host.weights().unwrap());
 }
 
-/// Also on a context whose networks are stored in 16 bits: weights must move by less than such a number tells apart.
+/// Holds even if the context stores networks in 16 bits, since weights move by less than those resolve.
 #[test]
 fn training_is_in_single_precision_whatever_the_context() {
     let _turn = device();

@@ -1,6 +1,6 @@
-//! Numbers without pattern, the same on every machine.
+//! Pseudorandom numbers, the same on every machine.
 
-/// Numbers in -1..1 (xorshift).
+/// Returns numbers in -1..1 (xorshift).
 pub fn noise(len: usize, seed: u64) -> Vec<f64> {
     let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
     let mut next = || {

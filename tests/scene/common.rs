@@ -1,4 +1,4 @@
-//! What the tests of scenes share.
+//! Helpers shared by the tests of scenes.
 
 use fnopt::scene::{Scene, Setup};
 use fnopt::sim::Grid;
@@ -17,7 +17,7 @@ pub fn parse(text: &str) -> fnopt::Result<Scene> {
     Scene::parse(text, "scene.json", &assets("scenes"))
 }
 
-/// The error of a scene that must be refused, in loading or in setting up.
+/// Returns the error of a scene that must be refused when it is parsed or set up.
 pub fn refusal(text: &str) -> String {
     parse(text).and_then(|s| s.setup()).map(|_| ()).expect_err(text).to_string()
 }
@@ -33,7 +33,7 @@ pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|c| (a[c] - b[c]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Lengths of the edges [edges] along the height and along the width.
+/// Returns the lengths of the edges, in edges at rest, along the height and along the width.
 pub fn edges(setup: &Setup) -> [Vec<f64>; 2] {
     let Grid { h, w } = setup.model.grid;
     let at = |i: usize, j: usize| std::array::from_fn(|c| setup.start.x[(c * h + i) * w + j]);

@@ -1,4 +1,4 @@
-//! Scene files that are right: the examples, the defaults, and the authors' own format.
+//! Valid scene files: the examples, the defaults, and the authors' own format.
 
 use crate::common::{assets, distance, parse};
 use fnopt::scene::{Handles, Placement, Scene, Separation, Side, UpAxis};
@@ -11,7 +11,7 @@ fn every_example_loads_sets_up_and_survives_a_round_trip() {
         let path = entry.unwrap().path();
         let scene = Scene::load(&path).unwrap_or_else(|e| panic!("{e}"));
         scene.setup().unwrap_or_else(|e| panic!("{e}"));
-        // A number of seventeen digits, which a careless reader is off by one in the last of.
+        // A number with seventeen digits, whose last digit an imprecise parser gets wrong.
         let scene = Scene { speed: 5.0 * 5f64.sqrt(), ..scene };
         let setup = scene.setup().unwrap();
         let folder = tempfile::tempdir().unwrap();
@@ -54,7 +54,7 @@ fn the_authors_scenes_are_read() {
     assert_eq!((scene.grid, scene.up), (Grid { h: 12, w: 9 }, UpAxis::Z));
     assert_eq!((scene.frame_time_s, scene.side_m), (0.02, Side::Height(0.55)));
     let setup = scene.setup().unwrap();
-    // Their order of handles is from the last to the first.
+    // Their handles are ordered from the last to the first.
     assert_eq!(setup.model.cloths[0].handles, [99, 0]);
     // z up, a quarter turn about +x: (x, y, z) -> (x, -z, y).
     assert!(distance(setup.vertices_m(&setup.start.x)[8], [0.4, 0.194454, 0.5]) < 1e-6);
@@ -68,7 +68,7 @@ fn variants_of_the_authors_scenes_are_read() {
         parse(&format!("{{\"mesh_file\": \"../starts/tent_12x9.obj\", {fields}}}"))
             .unwrap_or_else(|e| panic!("{e}"))
     };
-    // The faces decide which side is which; a matrix, a translation and a scalar gravity are accepted.
+    // The faces determine which side is which. A matrix, a translation and a scalar gravity are accepted.
     let a = read(
         r#""mesh_resolution": [12, 9], "mesh_size": [0.55, 0.4], "gravity": -9.8, "transform": [0, 0, 1]"#,
     );

@@ -1,4 +1,4 @@
-//! Scenes: documents, what is made of them, units, and refusals.
+//! Scenes: documents, setups, units, and refusals.
 
 mod common;
 mod documents;

@@ -1,4 +1,4 @@
-//! Scenes and files that are wrong are refused by name and never panic.
+//! Invalid scenes and files are refused by name and never cause a panic.
 
 use crate::common::{assets, expect_refusal, parse};
 use fnopt::scene::{BuiltIn, Motion, Scene, Start};
@@ -161,7 +161,7 @@ fn wrong_files_of_a_scene_are_refused() {
         &["line 65", "one cell of the 8x8 grid"],
     );
     refused("holes.obj", format!("{obj}f 1 2 10 9\n").as_bytes(), "start", &["cell (0, 1)", "0 triangles"]);
-    // Faces with texture coordinates and counted from the end are fine, and so is a mesh without faces.
+    // Faces with texture coordinates, and faces that count from the end, are accepted.
     for i in 0..7i32 {
         for j in 0..7i32 {
             let a = i * 8 + j + 1;
@@ -190,7 +190,7 @@ fn numbers_set_by_hand_are_checked_too() {
     assert!(BuiltIn::named("xy_opp_opp").is_none());
 }
 
-/// Texts that a scene's field could hold by mistake.
+/// Generates texts that a field of a scene could hold by mistake.
 fn junk() -> impl Strategy<Value = String> {
     prop_oneof![
         Just("null".to_owned()),
@@ -223,7 +223,7 @@ proptest! {
         cut in any::<prop::sample::Index>(),
     ) {
         let text = std::fs::read_to_string(assets(&format!("scenes/{file}.json"))).unwrap();
-        // One field replaced, at any depth of one, and the text cut short or with one byte changed.
+        // One top-level field is replaced; the text is cut short; one byte of it is changed.
         let mut document: serde_json::Value = serde_json::from_str(&text).unwrap();
         let object = document.as_object_mut().unwrap();
         let key = object.keys().nth(field.index(object.len())).unwrap().clone();

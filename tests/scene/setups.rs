@@ -1,4 +1,4 @@
-//! What a scene makes: starts, grids, handles, motions and batches of them.
+//! What a scene sets up: starts, grids, handles, motions, and batches of them.
 
 use crate::common::{assets, distance, edges, expect_refusal, mean, parse, read};
 use fnopt::io::{Format, Trajectory};
@@ -67,7 +67,7 @@ fn a_faster_motion_takes_fewer_frames() {
         };
         let (slow, fast) = (at(1.0), at(1.5));
         assert_eq!((slow.frames(), fast.frames(), at(2.0).frames()), (391, 261, 196));
-        // Frame 50 at 1.5 times the speed is frame 75; linear interpolation of a recording is off by its curvature.
+        // Frame 50 at 1.5 times the speed is frame 75. Interpolating a recording is off by its curvature.
         assert!(distance(fast.handles[50][0], slow.handles[75][0]) < tolerance);
         let between = distance(fast.handles[51][0], slow.handles[76][0]);
         assert!(between > 0.0);
@@ -152,7 +152,7 @@ fn a_new_grid_keeps_the_sheet() {
     let k = |s: &Setup| s.model.cloths[0].material;
     assert!((k(&after).stretch / k(&before).stretch - 4.0).abs() < 1e-12);
     assert!((k(&after).bend / k(&before).bend - 16.0).abs() < 1e-11);
-    // Grid coefficients stay as they are given.
+    // Grid coefficients are kept as given.
     scene.stiffness = Stiffness::Grid(Material { stretch: 5.0, shear: 6.0, bend: 7.0 });
     scene.regrid(Grid { h: 40, w: 40 }).unwrap();
     assert_eq!(k(&scene.setup().unwrap()), Material { stretch: 5.0, shear: 6.0, bend: 7.0 });
@@ -221,7 +221,7 @@ fn a_run_goes_on_from_where_another_ended() {
     let setup = scene.setup().unwrap();
     let single = |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
     let still = vec![[0.0; 3]; grid.particles()];
-    // It falls and is carried along.
+    // The sheet falls and drifts.
     let speed = |p: usize| [0.25, -1.0, p as f32 / 64.0];
     let moving: Vec<_> = (0..grid.particles()).map(speed).collect();
     let mut trajectory = Trajectory::new(grid, 60.0);
@@ -233,7 +233,7 @@ fn a_run_goes_on_from_where_another_ended() {
     let next = parse(&text(&format!("{path:?}"))).unwrap().setup().unwrap();
     assert!(next.start.x.iter().zip(&setup.start.x).all(|(a, b)| (a - b).abs() < 1e-5));
     assert_eq!(single(next.velocities_m_s(&next.start.v)), moving);
-    // Turned about y by a quarter, velocities too, but not shifted.
+    // A quarter turn about y rotates velocities, too, but the translation does not affect them.
     let turned = text(&format!(
         r#"{{"file": {path:?}, "transform": {{"rotate": [90, 0, 1, 0], "translate": [5, 0, 0]}}}}"#
     ));
@@ -242,7 +242,7 @@ fn a_run_goes_on_from_where_another_ended() {
         let expected = [p[2], p[1], -p[0]].map(f64::from);
         assert!(distance(found, expected) < 1e-9, "{found:?}, not {expected:?}");
     }
-    // On a grid of its own it is resampled.
+    // On another grid it is resampled.
     let mut finer = parse(&text(&format!("{path:?}"))).unwrap();
     finer.regrid(Grid { h: 23, w: 33 }).unwrap();
     let finer = finer.setup().unwrap();
@@ -250,7 +250,7 @@ fn a_run_goes_on_from_where_another_ended() {
     assert!(falls && finer.start.x.len() == 3 * 23 * 33);
 }
 
-/// What a host tells in metres comes back from where the cloth is.
+/// Positions and velocities in SI units convert to grid units and back.
 #[test]
 fn metres_go_into_a_control_and_come_back() {
     for up in [UpAxis::Y, UpAxis::Z] {
@@ -260,7 +260,7 @@ fn metres_go_into_a_control_and_come_back() {
         assert!(distance(setup.vertices_m(&handle)[0], at) < 1e-12);
         let wind: [f64; 3] = setup.wind_of(at);
         assert!(distance(setup.velocities_m_s(&wind)[0], at) < 1e-12);
-        // Handles of the start are where the start has them.
+        // A handle of the start converts to its position in the start.
         let (p, n) = (setup.model.cloths[0].handles[0], setup.model.grid.particles());
         let there = [0, 1, 2].map(|c| setup.start.x[c * n + p]);
         assert!(distance(setup.handle_at(setup.vertices_m(&setup.start.x)[p]), there) < 1e-9);

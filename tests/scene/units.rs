@@ -4,7 +4,7 @@ use crate::common::distance;
 use fnopt::scene::{Moduli, Separation, Units, UpAxis};
 use fnopt::sim::{Material, Repulsion};
 
-/// The energy of section 3 of one cloth without inertia and external work; `x` of shape [H][W].
+/// Returns the energy of section 3 of one cloth, without inertia and external work; `x` has shape [H][W].
 fn energy(x: &[Vec<[f64; 3]>], k: Material) -> f64 {
     let (h, w) = (x.len(), x[0].len());
     let sub = |a: [f64; 3], b: [f64; 3]| -> [f64; 3] { std::array::from_fn(|c| a[c] - b[c]) };
@@ -41,7 +41,8 @@ fn energy(x: &[Vec<[f64; 3]>], k: Material) -> f64 {
     k.stretch * stretch + (k.shear * shear + k.bend * bend) / (h * w) as f64
 }
 
-/// Deforms a sheet of given moduli uniformly and compares the energy of section 3, in joules, with elasticity.
+/// Deforms a sheet of given moduli uniformly and compares the energy of section 3, in joules, with
+/// elasticity.
 #[test]
 fn moduli_are_those_of_a_stretched_a_sheared_and_a_bent_sheet() {
     let moduli = Moduli { stretch_modulus: 900.0, shear_modulus: 40.0, bending_stiffness: 2e-4 };
@@ -57,7 +58,7 @@ fn moduli_are_those_of_a_stretched_a_sheared_and_a_bent_sheet() {
         let (strain, curvature) = (1e-4, 2.0);
         let stretched = sheet(&|i, j| [j, i * (1.0 + strain), 0.0]);
         let sheared = sheet(&|i, j| [j + strain * i, i, 0.0]);
-        // Points on an arc whose chords are one edge long; the angle between them is curvature times length.
+        // Points on an arc with chords of one edge; the angle between chords is curvature times length.
         let turn = curvature * length;
         let radius = 0.5 / (turn / 2.0).sin();
         let bent = sheet(&|i, j| [radius * (turn * j).sin(), i, radius * (1.0 - (turn * j).cos())]);
@@ -93,13 +94,14 @@ fn units_go_both_ways() {
     assert_eq!(UpAxis::Y.to_z_up([1.0, 2.0, 3.0]), [1.0, -3.0, 2.0]);
 }
 
-/// Two particles of a cell's mass that repel each other: what the energy by mass falls by when they part is what they move with.
+/// Two particles, each with the mass of a cell, repel each other. The energy per mass that they lose as they
+/// part becomes their speed.
 #[test]
 fn the_same_repulsion_parts_layers_as_fast_on_every_grid() {
     for (length_m, frame_time_s) in [(1.0 / 31.0, 1.0 / 60.0), (0.01, 1.0 / 60.0), (0.01, 0.005)] {
         let units = Units { length_m, frame_time_s, areal_mass_kg_m2: 0.3 };
         let Repulsion { strength, distance } = units.repulsion(Separation { strength: 2.0, distance: 0.8 });
-        // Both orders of the pair, from half the distance: 2 k log 4 = 2 (v^2 / 2) in edges and frames.
+        // Both orders of the pair, from half the distance: 2 k log 4 = 2 (v^2 / 2), in edges and frames.
         let v = (2.0 * strength * 4f64.ln()).sqrt();
         let speed = units.velocity_m_s([v, 0.0, 0.0])[0];
         assert!((speed - (2.0 * 2.0 * 4f64.ln()).sqrt()).abs() < 1e-12 && distance == 0.8, "{speed} m/s");
@@ -110,7 +112,7 @@ fn the_same_repulsion_parts_layers_as_fast_on_every_grid() {
 fn the_same_wind_accelerates_a_cell_by_its_physics() {
     let units = Units { length_m: 0.02, frame_time_s: 0.01, areal_mass_kg_m2: 0.3 };
     let air = units.air(1.2, 0.5);
-    // A free cell across a wind of 3 m/s along x, and one along it.
+    // A free cell perpendicular to a wind of 3 m/s along x, and one parallel to it.
     let u = units.velocity([3.0, 0.0, 0.0])[0];
     let across = units.acceleration_m_s2([air.density * u * u, 0.0, 0.0])[0];
     assert!((across - 1.2 * 9.0 / 0.3).abs() < 1e-12);

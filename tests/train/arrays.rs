@@ -15,7 +15,7 @@ fn small_network() -> network::Weights {
     initial_weights(config, 3)
 }
 
-/// One iteration of the update rule on the cloths of a batch.
+/// Runs one iteration of the update rule on the cloths of a batch.
 fn iterate(batch: &Batch, drawn: &mut Arrays<f64>) {
     let (model, control) = (batch.model(GRID), batch.control());
     let mut objective = Objective::new(&model);

@@ -141,7 +141,7 @@ fn the_text_of_a_file_names_the_same_files_from_anywhere() {
         ("# kept\n", &[]),
     ] {
         std::fs::write(&name, init.to_owned() + tail).unwrap();
-        // However the file is reached.
+        // The path to the file does not matter.
         for path in [name.clone(), root.join("deep/../deep/some.toml")] {
             let (text, config) = Config::load(&path).unwrap();
             assert_eq!(config.init, files.iter().map(|file| root.join(file)).collect::<Vec<_>>());

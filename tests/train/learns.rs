@@ -1,4 +1,4 @@
-//! Training on the CPU path, for real: it learns, and a run in two sessions has the bits of a run in one.
+//! Training on the CPU path with a real learner: it learns, and two sessions have the bits of one.
 
 use fnopt::sim::Device;
 use fnopt::train::{Alone, Config, Learner, Limits, Run, first_weights, learner};
@@ -52,7 +52,7 @@ fn two_hundred_steps_from_scratch_lower_the_gradient() {
     for (log, iterations) in logs.iter().zip([10, 30]) {
         let (first, last) = (mean(&log[..50]), mean(&log[150..]));
         println!("{iterations} iterations: log mean gradient {first:.2}, then {last:.2}");
-        // Less than half of what it was.
+        // The gradient is less than half of what it was.
         assert!(last < first - 0.7, "{iterations} iterations: log mean gradient {first}, then {last}");
     }
 }

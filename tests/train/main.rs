@@ -1,4 +1,4 @@
-//! The host's side of training: configuration, pools, the run and its folder.
+//! The host side of training: configuration, pools, the run and its folder.
 
 mod arrays;
 mod config;

@@ -1,4 +1,4 @@
-//! Pools: who is drawn, how long frames last, when cloths begin anew, how handles move.
+//! Pools: which cloths are drawn, how long frames last, when cloths start over, how handles move.
 
 use super::support::outcome;
 use fnopt::sim::Grid;
@@ -15,7 +15,7 @@ fn pool(config: PoolConfig, reset: ResetRules) -> Pool {
     Pool::new(0, 5, config, (MotionRanges::default(), reset))
 }
 
-/// Draws and records; all cloths do well.
+/// Draws and records a batch in which all cloths do well.
 fn step(pool: &mut Pool, step: u64) -> Batch {
     let batch = pool.draw(step);
     pool.record(&batch, &vec![outcome(1.0); batch.cloths.len()]);
@@ -51,7 +51,7 @@ fn a_frame_ends_after_its_iterations_and_handles_move_on() {
         assert_eq!(cloth.advance, k % 3 == 2, "step {k}");
         targets.push(cloth.targets.clone());
     }
-    // Within a frame the targets stay; from frame to frame they are those of the script.
+    // Targets are constant within a frame and follow the script from frame to frame.
     assert!(targets[0] == targets[2] && targets[3] == targets[5]);
     let script = Script::new(5, &MotionRanges::default(), (0, pool.config()), (0, 0));
     assert_eq!(targets[0], script.targets(1));
@@ -60,7 +60,7 @@ fn a_frame_ends_after_its_iterations_and_handles_move_on() {
 
 #[test]
 fn cloths_begin_anew_in_turn() {
-    // A life of 20 frames of 3 iterations, 2 cloths per step: one cloth every 30 steps.
+    // A life of 20 frames of 3 iterations, with 2 cloths per step: one cloth starts over every 30 steps.
     let mut pool = pool(config(3, 4, 2), ResetRules { sequence_length: 20, ..ResetRules::default() });
     let mut starts = vec![Vec::new(); 4];
     for k in 0..400 {
@@ -93,7 +93,7 @@ fn a_pool_drawn_from_seldom_takes_turns_and_lives_as_long() {
         }
         pool.rotate(k);
     }
-    // The first lives, and one for each turn; the last of these need not have been drawn yet.
+    // The first lives, and one per turn. The cloth of the last turn may not have been drawn yet.
     assert!((13..=14).contains(&starts), "{starts} lives");
     let rules = (MotionRanges::default(), ResetRules::default());
     let other = Pool::new(1, 5, config, rules);
@@ -149,13 +149,14 @@ fn materials_and_handles_are_those_of_the_paper() {
         extra += cloth.handles.len() - 2;
         // A sheet of 8 edges: gravity is 8 / 31 of the paper's.
         assert!((distance(cloth.gravity, [0.0; 3]) - 0.125 * 8.0 / 31.0).abs() < 1e-12);
-        // The start is a rotation: lengths stay.
+        // The start is a rotation, so lengths are unchanged.
         let start = script.targets(0);
         assert!((distance(start[0], start[1]) - 8.0).abs() < 1e-12);
         let rotated = script.start().map(|row| row[1] * -4.0);
         assert!(distance(rotated, start[0]) < 1e-12);
     }
-    // One more with probability 1/2, so one on average; the mean of 400 lies within 0.25 with 3.5 deviations.
+    // Each further handle has probability 1/2, so there is one on average. An error of 0.25 in the mean of
+    // 400 is 3.5 standard deviations.
     assert!((extra as f64 / 400.0 - 1.0).abs() < 0.25, "{extra} further handles");
     let mean = scripts.iter().map(|s| s.cloth.material.stretch.log10()).sum::<f64>() / 400.0;
     assert!((mean - 2.5).abs() < 0.05, "log-uniform: {mean}");
@@ -182,7 +183,7 @@ fn sheets_along_the_axes_and_held_anywhere_are_drawn_when_asked_for() {
 
 #[test]
 fn a_pool_may_be_held_in_a_way_of_its_own() {
-    // The motion says two corners, the pool a single particle anywhere; material and start stay.
+    // The motion specifies two corners, the pool one particle anywhere. Material and start are unchanged.
     let motion = MotionRanges { more_handles: 0.0, ..Default::default() };
     let anywhere = PoolConfig { corners: Some(0.0), ..config(1, 50, 1) };
     for (slot, corners) in scripts(motion, 50).into_iter().enumerate() {
@@ -218,7 +219,7 @@ fn handles_turn_translate_and_pinch_as_told() {
     let largest = |motion: MotionRanges, what: &dyn Fn(&Script, u32) -> f64| {
         scripts(motion, 200).iter().flat_map(|s| (0..200).map(|f| what(s, f))).fold(0.0, f64::max)
     };
-    // Translation: all handles alike, within the amplitude on each axis, 8/31 of the paper's.
+    // Translation: all handles move alike, within the amplitude on each axis, 8/31 of the paper's.
     let sway = |s: &Script, f: u32| {
         let (at, start) = (s.targets(f), s.targets(0));
         let moved = |k: usize| [0, 1, 2].map(|c| at[k][c] - start[k][c]);
@@ -227,11 +228,11 @@ fn handles_turn_translate_and_pinch_as_told() {
     };
     let reached = largest(MotionRanges { amplitude: 10.0, ..still }, &sway);
     assert!(reached <= 10.0 * 8.0 / 31.0 && reached > 2.3, "{reached}");
-    // Pinch: the corners, 8 apart, come as near as 0.2 of it.
+    // Pinch: the corners, 8 apart, come as close as 0.2 of that.
     let gap = |s: &Script, f: u32| 8.0 - distance(s.targets(f)[0], s.targets(f)[1]);
     let reached = largest(MotionRanges { pinch: 0.4, ..still }, &gap);
     assert!(reached <= 0.8 * 8.0 + 1e-9 && reached > 0.78 * 8.0, "{reached}");
-    // Rotation: of three axes by at most the increment each, so that the corner, 4 from the axis, moves that far.
+    // Rotation: by at most the increment about each of three axes; the corner is 4 from the axis.
     let turn = |s: &Script, f: u32| distance(s.targets(f)[0], s.targets(f + 1)[0]);
     let reached = largest(MotionRanges { rotation: 0.0628, ..still }, &turn);
     assert!(reached <= 4.0 * 3.0 * 0.0628 && reached > 0.2, "{reached}");

@@ -1,4 +1,4 @@
-//! Several ranks, as threads: their gradient is that of one learner, they stay together, their checkpoints are one.
+//! Ranks as threads: they have the gradient of one learner, stay together, and write one checkpoint.
 
 use super::support::{Fake, Thread};
 use fnopt::sim::Device;
@@ -44,7 +44,7 @@ fn cpu(config: &Config) -> Box<dyn Learner> {
     learner(&Device::Cpu, config, &first_weights(config, &Alone).unwrap()).unwrap()
 }
 
-/// One run on each of `count` ranks.
+/// Runs `body` on each of `count` ranks.
 fn on_ranks<R: Send>(count: usize, body: impl Fn(Rc<dyn Ranks>) -> R + Sync) -> Vec<R> {
     Thread::run(count, |thread| body(Rc::new(thread)))
 }
@@ -71,7 +71,7 @@ fn checkpoints(root: &Path) -> Vec<String> {
 #[test]
 fn two_ranks_have_the_gradient_of_one_learner_with_the_batches_of_both() {
     const STEPS: u64 = 4;
-    // Weights that stay, so that only gradients are compared.
+    // The weights do not change, so that only gradients are compared.
     let update = |step| Update { number: step + 1, rate: 0.0, average: 0.0 };
     let mean_gradient = |learner: &dyn Learner| {
         let count = first_weights(&config(), &Alone).unwrap().flat().len();
@@ -101,7 +101,7 @@ fn two_ranks_have_the_gradient_of_one_learner_with_the_batches_of_both() {
             [&ranks[0], &ranks[1]].map(|rank| &rank[step as usize]);
         assert_ne!(ours, others, "each rank has cloths of its own");
         assert!(mean == other_mean && report.gradient_norm == other_report.gradient_norm, "step {step}");
-        // The pools of the second rank come behind those of the first.
+        // The pools of the second rank follow those of the first.
         let behind = others.iter().map(|batch| Batch { pool: batch.pool + ours.len(), ..batch.clone() });
         let batches: Vec<Batch> = ours.iter().cloned().chain(behind).collect();
         let together = learner.step(&batches, update(step), &Alone).unwrap();
@@ -146,7 +146,7 @@ fn a_run_of_two_ranks_in_two_sessions_has_the_bits_of_one() {
         assert!(state(&once, rank) == state(&twice, rank), "part '{rank}' differs");
     }
     assert_eq!(checkpoints(&once).len(), 6, "three checkpoints of two ranks are kept");
-    // The same weights and memory of them, but cloths of their own.
+    // The weights and AdamW's moments are equal; the cloths differ.
     let differing: Vec<String> = (state(&once, "").into_iter().zip(state(&once, ".rank1")))
         .filter(|(first, second)| first != second)
         .map(|((name, _), _)| name)
@@ -214,7 +214,7 @@ fn a_checkpoint_that_is_damaged_on_one_rank_is_passed_over_by_all() {
     let folder = tempfile::tempdir().unwrap();
     on_ranks(2, |ranks| train(&mut create(folder.path(), Box::new(Fake::new(&config())), &ranks), 6));
     std::fs::write(folder.path().join("checkpoints/step-00000006.rank1.safetensors"), "").unwrap();
-    // What a rank wrote for a checkpoint that rank 0 did not come to write.
+    // A rank's part of a checkpoint that rank 0 did not get to write.
     let left = folder.path().join("checkpoints/step-00000007.rank1.safetensors");
     std::fs::write(&left, "").unwrap();
     let resumed = on_ranks(2, |ranks| {

@@ -1,4 +1,4 @@
-//! Runs with a learner that computes nothing: what the folder holds, resuming, damage, losses that are not finite.
+//! Runs with a learner that computes nothing: what the folder holds, resuming, damage, non-finite losses.
 
 use super::support::Fake;
 use fnopt::train::{Alone, Config, End, Learner, Limits, Progress, Run};
@@ -48,7 +48,7 @@ fn fresh(root: &Path) -> Run {
     create(root, Fake::new(&config()))
 }
 
-/// A run of 30 steps.
+/// Creates a run of 30 steps.
 fn longer(root: &Path, learner: impl FnOnce(Fake) -> Fake) -> Run {
     let text = CONFIG.replace("steps = 12", "steps = 30");
     let config = Config::parse(&text, Path::new("test.toml")).unwrap();
@@ -69,7 +69,7 @@ fn train(run: &mut Run, steps: u64) -> End {
     run.train(&Limits { steps: Some(steps), ..Limits::default() }, |_| ControlFlow::Continue(())).unwrap()
 }
 
-/// Interrupts a run after so many steps.
+/// Interrupts a run after step `at`.
 fn stop(at: u64) -> impl Fn(&Progress<'_>) -> ControlFlow<()> {
     move |progress| if progress.step == at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
@@ -110,7 +110,7 @@ fn a_run_fills_its_folder() {
     );
     assert!(metrics[0].ends_with("pool1_9x12_n3_log_gradient"));
     assert!(metrics[6].starts_with("12,"));
-    // The second pool takes part in steps 2, 5, 8 and 11, counted from 0, of which the first row holds none.
+    // The second pool takes part in steps 2, 5, 8 and 11, counted from 0. The first row covers none of them.
     assert!(metrics[1].ends_with(&",".repeat(7)) && !metrics[2].ends_with(','), "{metrics:?}");
     let validation = lines(root.join("validation.csv"));
     assert_eq!(validation.len(), 1 + 3 * 2);
@@ -136,7 +136,7 @@ fn a_resumed_run_has_the_bits_of_an_unbroken_one() {
     let mut run = fresh(&whole);
     train(&mut run, 10);
     train(&mut fresh(&broken), 5);
-    // What a run that was killed in between leaves behind the checkpoint is given up.
+    // Rows that a killed run wrote after its checkpoint are discarded.
     let metrics = broken.join("metrics.csv");
     let left = std::fs::read_to_string(&metrics).unwrap();
     std::fs::write(&metrics, left.clone() + &left.lines().last().unwrap().replacen('5', "6", 1) + "\n7,hal")
@@ -186,7 +186,7 @@ fn a_damaged_checkpoint_is_passed_over_and_told() {
 #[test]
 fn runs_are_not_mixed_up() {
     let folder = tempfile::tempdir().unwrap();
-    // A run that ended before its first checkpoint has nothing to keep.
+    // A run that ended before its first checkpoint has nothing worth keeping.
     fresh(folder.path());
     train(&mut fresh(folder.path()), 2);
     let again = Run::create(folder.path(), CONFIG, config(), Box::new(Fake::new(&config())), Rc::new(Alone));
@@ -240,13 +240,13 @@ fn steps_that_are_not_finite_are_skipped_and_ten_in_a_row_end_the_run() {
     });
     assert_eq!((end.unwrap(), run.step(), run.skipped()), (End::NonFinite, 12, 10));
     assert!(Some(last()) == good, "the weights are not those of the last good step");
-    // Nor is what to resume from.
+    // Nor are the checkpoints from after it.
     let names: Vec<_> =
         checkpoints(folder.path()).iter().map(|p| p.file_name().unwrap().to_owned()).collect();
     assert_eq!(names, ["step-00000002.safetensors"]);
 }
 
-/// A step too large leaves weights that are no numbers: neither a checkpoint nor a file of weights gets them.
+/// A step that is too large leaves non-finite weights. No checkpoint and no weights file gets them.
 #[test]
 fn weights_that_are_not_finite_are_never_written() {
     let folder = tempfile::tempdir().unwrap();
@@ -260,12 +260,12 @@ fn weights_that_are_not_finite_are_never_written() {
     let (run, passed_over) = resume(folder.path()).unwrap();
     assert_eq!((run.step(), passed_over.len()), (2, 0));
 
-    // Nor does it count as done where the session ends before a step shows it.
+    // A session that ends before a step reveals such weights is not done, either.
     let folder = tempfile::tempdir().unwrap();
     let mut run = longer(folder.path(), |fake| fake.overflows_after(3));
     assert_eq!(train(&mut run, 4), End::NonFinite);
 
-    // With nothing to go back to there are none.
+    // With nothing to go back to, nothing is written.
     let folder = tempfile::tempdir().unwrap();
     let mut run = longer(folder.path(), |fake| fake.overflows_after(0));
     assert_eq!(run.train(&Limits::default(), |_| ControlFlow::Continue(())).unwrap(), End::NonFinite);
@@ -274,7 +274,7 @@ fn weights_that_are_not_finite_are_never_written() {
     longer(folder.path(), |fake| fake);
 }
 
-/// The weights of a checkpoint may be finite, and so large that no step is.
+/// The weights of a checkpoint may be finite, yet so large that no step from them is.
 #[test]
 fn a_checkpoint_that_no_step_follows_is_given_up() {
     let folder = tempfile::tempdir().unwrap();
@@ -287,12 +287,12 @@ fn a_checkpoint_that_no_step_follows_is_given_up() {
         assert_eq!(run.step(), from);
         assert_eq!(run.train(&Limits::default(), |_| ControlFlow::Continue(())).unwrap(), End::NonFinite);
         drop(run);
-        // The last one is all that there is.
+        // The last checkpoint is the only one left, so it is kept.
         assert_eq!(resume(folder.path()).unwrap().0.step(), to);
     }
 }
 
-/// What ends a run while it validates takes no validation away.
+/// A run that ends during a validation does not lose that validation.
 #[test]
 fn a_validation_that_was_cut_off_is_made_up_for() {
     let folder = tempfile::tempdir().unwrap();
@@ -302,7 +302,7 @@ fn a_validation_that_was_cut_off_is_made_up_for() {
     let [table, of_whole] = of("validation.csv").map(lines);
     assert_eq!(table, of_whole);
     drop(run);
-    // As if it had been killed in its last validation.
+    // As if the run had been killed in its last validation.
     let cut: String =
         table.iter().filter(|row| !row.starts_with("12,")).map(|row| format!("{row}\n")).collect();
     assert!(cut.lines().count() < table.len());
@@ -313,7 +313,7 @@ fn a_validation_that_was_cut_off_is_made_up_for() {
         assert_eq!(lines(folder.path().join("validation.csv")), of_whole);
     }
 
-    // One that was there is not made again after other steps.
+    // An existing validation is not repeated after further steps.
     let folder = tempfile::tempdir().unwrap();
     let stop_at = |run: &mut Run, step| {
         assert_eq!(run.train(&Limits::default(), stop(step)).unwrap(), End::Interrupted);
@@ -335,7 +335,7 @@ fn steps_that_are_not_finite_count_over_sessions() {
     let mut run = create(folder.path(), Fake::new(&config()).broken_at(1..50));
     assert_eq!(train(&mut run, 8), End::Done);
     drop(run);
-    // What a process that was killed has left goes, too.
+    // An unfinished file of a killed process is removed, too.
     let unfinished = folder.path().join("checkpoints/.writing-abc");
     std::fs::write(&unfinished, "half").unwrap();
     let learner = |config: &Config| Ok(Box::new(Fake::new(config).broken_at(0..50)) as Box<dyn Learner>);
@@ -369,7 +369,7 @@ fn a_folder_is_of_one_run_and_of_one_process_at_a_time() {
         || Run::create(folder.path(), CONFIG, config(), Box::new(Fake::new(&config())), Rc::new(Alone));
     let mut run = fresh(folder.path());
     refused(again().map(drop), "no other process that trains in it");
-    // Nothing was done yet, and that can be resumed.
+    // A run without any steps can be resumed.
     train(&mut run, 0);
     refused(resume(folder.path()).map(drop), "no other process that trains in it");
     drop(run);
@@ -379,7 +379,7 @@ fn a_folder_is_of_one_run_and_of_one_process_at_a_time() {
     refused(again().map(drop), "last.safetensors");
 }
 
-/// The rate goes by steps, AdamW's correction and the running mean by those that were taken.
+/// The rate depends on all steps, AdamW's bias correction and the running mean only on those that were taken.
 #[test]
 fn each_step_is_told_its_rate_and_number() {
     let folder = tempfile::tempdir().unwrap();
@@ -419,7 +419,7 @@ fn tables_of_others_are_not_written_over() {
     let mut run = new().unwrap();
     train(&mut run, 2);
     drop(run);
-    // The table of a version that had other columns.
+    // A table of a version with other columns.
     std::fs::write(&metrics, "step,other\n1,2\n").unwrap();
     train(&mut resume(folder.path()).unwrap().0, 3);
     assert_eq!(lines(folder.path().join("metrics.csv.old")), ["step,other", "1,2"]);
@@ -434,7 +434,7 @@ fn a_validation_that_is_interrupted_is_made_up_for() {
     let learner = Box::new(Fake::new(&config));
     let mut run = Run::create(folder.path(), &text, config, learner, Rc::new(Alone)).unwrap();
     let interrupted = AtomicBool::new(true);
-    // The first step is the last; without its validation the session is not done.
+    // The first step is the last. Without its validation, the session is not done.
     let limits = Limits { steps: Some(1), interrupted: Some(&interrupted), ..Limits::default() };
     let watch = |_: &Progress<'_>| -> ControlFlow<()> { panic!("the step was told without its validation") };
     assert_eq!(run.train(&limits, watch).unwrap(), End::Interrupted);
@@ -459,7 +459,7 @@ fn a_validation_that_fails_again_leaves_the_run_going() {
     let limits = Limits { steps: Some(6), ..Limits::default() };
     run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err();
     drop(run);
-    // The validation after step 4 is due again, and fails as it did; the steps after it do not wait for it.
+    // The validation after step 4 is due again, and fails again. Later steps do not wait for it.
     let (mut run, _) = resume(folder.path()).unwrap();
     let limits = Limits { steps: Some(5), ..Limits::default() };
     run.train(&limits, |progress| {
@@ -475,7 +475,7 @@ fn a_validation_that_fails_again_leaves_the_run_going() {
 fn no_step_is_lost_where_validation_fails() {
     let folder = tempfile::tempdir().unwrap();
     let mut run = fresh(folder.path());
-    // Validation is due after four steps and cannot keep the weights that it finds best.
+    // Validation is due after four steps and cannot save the weights that it finds best.
     std::fs::create_dir_all(folder.path().join("weights/best.safetensors")).unwrap();
     let limits = Limits { steps: Some(6), ..Limits::default() };
     let error = run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err().to_string();
@@ -491,7 +491,7 @@ fn no_step_is_lost_where_metrics_cannot_be_written() {
     let metrics = folder.path().join("metrics.csv");
     std::fs::remove_file(&metrics).unwrap();
     train(&mut run, 1);
-    // A file that was taken away begins anew; a folder in its place ends the session after the next row.
+    // A missing file is started again. A folder in its place ends the session after the next row.
     assert!(lines(metrics.clone())[0].starts_with("step,") && lines(metrics.clone())[1].starts_with("1,"));
     std::fs::remove_file(&metrics).unwrap();
     std::fs::create_dir(&metrics).unwrap();
@@ -509,7 +509,7 @@ fn the_best_weights_are_those_that_the_folder_holds() {
     let best = folder.path().join("weights/best.json");
     let card = std::fs::read_to_string(&best).unwrap();
     let mut card: serde_json::Value = serde_json::from_str(&card).unwrap();
-    // Better than any: they stay.
+    // Unbeatable scores, so these weights are kept.
     for scene in card["validation"].as_array_mut().unwrap() {
         (scene["gap"], scene["stable"], scene["largest_stretch"]) = (0.into(), true.into(), 0.1.into());
     }
@@ -517,13 +517,13 @@ fn the_best_weights_are_those_that_the_folder_holds() {
     std::fs::write(&best, &kept).unwrap();
     train(&mut resume(folder.path()).unwrap().0, 4);
     assert_eq!(std::fs::read_to_string(&best).unwrap(), kept);
-    // A card that tells nothing does not give them up.
+    // An unreadable card does not make the run give them up.
     std::fs::write(&best, "{").unwrap();
     let error = resume(folder.path()).err().expect("a card that ends after its first letter").to_string();
     assert!(error.contains("best.json") && error.contains("validation"), "{error}");
     assert_eq!(std::fs::read_to_string(&best).unwrap(), "{");
     std::fs::write(&best, &kept).unwrap();
-    // Without them the next are.
+    // Without best weights, the next ones take their place.
     std::fs::remove_file(folder.path().join("weights/best.safetensors")).unwrap();
     train(&mut resume(folder.path()).unwrap().0, 6);
     assert_ne!(std::fs::read_to_string(&best).unwrap(), kept);
@@ -533,7 +533,7 @@ fn the_best_weights_are_those_that_the_folder_holds() {
 fn the_last_good_checkpoint_survives_one_that_cannot_be_written() {
     let folder = tempfile::tempdir().unwrap();
     train(&mut fresh(folder.path()), 2);
-    // A folder of that name stands in for a full disk: the file is written and cannot take its place.
+    // A folder of this name stands in for a full disk: the file is written but cannot take its place.
     let taken = folder.path().join("checkpoints/step-00000004.safetensors");
     std::fs::create_dir(&taken).unwrap();
     let (mut run, _) = resume(folder.path()).unwrap();

@@ -1,4 +1,4 @@
-//! A learner that computes nothing but keeps what a real one would, and ranks that are threads.
+//! A learner that computes nothing but keeps the state that a real one would, and ranks that are threads.
 
 use fnopt::Result;
 use fnopt::network::Weights;
@@ -10,22 +10,22 @@ use std::fmt::Display;
 use std::rc::Rc;
 use std::sync::mpsc::{Receiver, Sender, channel};
 
-/// A cloth that came out of a step with this external energy.
+/// Returns the outcome of a step with this external energy.
 pub fn outcome(external: f64) -> Outcome {
     Outcome { energy: EnergyTerms { external, ..Default::default() }, log_gradient: -2.0, scale: [0.05; 3] }
 }
 
-/// Its weights are mixed with all that it is told, so that any difference between two runs shows in them.
+/// A learner whose weights depend on all its inputs, so that any difference between two runs shows in them.
 pub struct Fake {
     weights: Weights,
-    /// One number for each cloth of each pool.
+    /// One number per cloth of each pool.
     cloths: Vec<Vec<f32>>,
-    /// Steps, counted by this object, whose loss is not finite.
+    /// Steps with a non-finite loss, as counted by this object.
     broken: HashSet<u64>,
-    /// The one after which the weights are not.
+    /// The step after which the weights are not finite.
     overflows: Option<u64>,
     step: u64,
-    /// What it was told of each step.
+    /// The update of each step.
     pub updates: Rc<RefCell<Vec<Update>>>,
 }
 
@@ -108,17 +108,17 @@ impl Learner for Fake {
     }
 }
 
-/// One of several threads that train together. One that panics takes the others with it.
+/// One of several threads that train together. If one panics, the others do, too.
 pub struct Thread {
     rank: usize,
-    /// To each rank, this one included.
+    /// Senders to each rank, including this one.
     to: Vec<Sender<Vec<u8>>>,
-    /// From each rank.
+    /// Receivers from each rank.
     from: Vec<Receiver<Vec<u8>>>,
 }
 
 impl Thread {
-    /// Calls `body` on each of `count` ranks and gives what they return, in their order.
+    /// Calls `body` on each of `count` ranks and returns the results in order of rank.
     pub fn run<R: Send>(count: usize, body: impl Fn(Thread) -> R + Sync) -> Vec<R> {
         let of = |rank| Thread { rank, to: Vec::new(), from: Vec::new() };
         let mut ranks: Vec<Thread> = (0..count).map(of).collect();
@@ -134,7 +134,7 @@ impl Thread {
         })
     }
 
-    /// What all ranks bring, in their order.
+    /// Returns the bytes of all ranks, in order of rank.
     fn exchange(&self, bytes: &[u8]) -> Vec<Vec<u8>> {
         self.to.iter().for_each(|to| to.send(bytes.to_vec()).expect("another rank has ended"));
         self.from.iter().map(|from| from.recv().expect("another rank has ended")).collect()

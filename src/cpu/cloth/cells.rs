@@ -1,21 +1,21 @@
-//! The particles of a cloth by the cells of a uniform grid in space, in which what is near a particle is found (paper section 3.4).
+//! A uniform grid of cells in space, in which the neighbours of a particle are found (paper section 3.4).
 
 use super::Trial;
 use super::vector::{add, at};
 use crate::cpu::Real;
 
-/// Bits of a cell's number along each axis; cells count from the middle of what they span.
+/// Bits of a cell's index along each axis. Indices count from the middle of the range.
 const BITS: u32 = 21;
 
-/// The particles of one cloth, sorted by the cubes of space that they are in.
+/// The particles of one cloth, sorted by cell.
 pub struct Cells<T> {
     sorted: Vec<Placed<T>>,
 }
 
-/// A particle where the trial has it.
+/// A particle at its trial position.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Placed<T> {
-    /// Its cell: the numbers along x, y and z, one behind the other. Cells that are neighbours along z follow each other.
+    /// Its cell: the indices along x, y and z, concatenated. Neighbours along z are consecutive.
     pub cell: u64,
     /// Its number.
     pub particle: usize,
@@ -23,15 +23,15 @@ pub struct Placed<T> {
     pub place: [T; 3],
 }
 
-/// Finds what is near one particle after the other, in the order of [`Cells::sorted`].
+/// Finds the neighbours of one particle after another, in the order of [`Cells::sorted`].
 pub struct Walk<'a, T> {
     sorted: &'a [Placed<T>],
-    /// For each column of three cells around the particle, how many particles lie before it.
+    /// For each column of three cells around the particle, the number of particles before it.
     before: [usize; 9],
 }
 
 impl<T: Real> Cells<T> {
-    /// Sorts the particles of a trial into cubes of this side \[edges\], above 0.
+    /// Sorts the particles of a trial into cubes of this side \[edges\], which must be above 0.
     pub fn new(trial: &Trial<'_, T>, side: T) -> Self {
         let n = trial.grid.particles();
         let placed = |particle| {
@@ -43,12 +43,12 @@ impl<T: Real> Cells<T> {
         Self { sorted }
     }
 
-    /// The particles, cell by cell, in a cell by their numbers.
+    /// Returns the particles, ordered by cell, and within a cell by number.
     pub fn sorted(&self) -> &[Placed<T>] {
         &self.sorted
     }
 
-    /// A walk that begins with `first`.
+    /// Starts a walk at `first`.
     pub fn walk(&self, first: &Placed<T>) -> Walk<'_, T> {
         let before =
             columns(first.cell).map(|[begin, _]| self.sorted.partition_point(|placed| placed.cell < begin));
@@ -57,11 +57,11 @@ impl<T: Real> Cells<T> {
 }
 
 impl<T: Real> Walk<'_, T> {
-    /// The particles in the cell of `own` and the 26 around it, itself among them: all that are nearer than a cell's side, in an
-    /// order that does not depend on where the walk began.
+    /// Returns the particles in the cell of `own` and the 26 around it, including `own`. They contain all
+    /// that are closer than a cell's side. The order does not depend on where the walk started.
     pub fn around(&mut self, own: &Placed<T>) -> impl Iterator<Item = &Placed<T>> {
         let columns = columns(own.cell);
-        // As the particles go up from cell to cell, so do the columns around them.
+        // The particles advance from cell to cell, and so do the columns around them.
         for (before, [begin, _]) in self.before.iter_mut().zip(columns) {
             *before += self.sorted[*before..].iter().take_while(|placed| placed.cell < begin).count();
         }
@@ -73,22 +73,24 @@ impl<T: Real> Walk<'_, T> {
 }
 
 impl<T: Real> Placed<T> {
-    /// Whether it is less than a million edges (2^20) away along each axis: what lies beyond, or is no number, is near nothing.
+    /// Whether it is less than a million edges (2^20) from the origin along each axis. A particle beyond, or
+    /// at NaN, counts as near nothing.
     pub fn is_within_reach(&self) -> bool {
         self.place.iter().all(|x| x.f64().abs() < (1u64 << (BITS - 1)) as f64)
     }
 }
 
-/// The cube of space that a place is in; the outermost has all that lies beyond it, and what is no number is in some one.
+/// Returns the cell that contains a position. The outermost cells contain everything beyond them; NaN gets an
+/// arbitrary one.
 fn cell<T: Real>(place: [T; 3], side: T) -> u64 {
     let (middle, last) = (1i64 << (BITS - 1), (1i64 << BITS) - 1);
-    // A cell has one before and one behind it.
+    // Every cell has a cell before and one after it along each axis.
     let number = |x: T| (((x / side).f64().floor() as i64).saturating_add(middle)).clamp(1, last - 1) as u64;
     let [x, y, z] = place.map(number);
     (x << (2 * BITS)) | (y << BITS) | z
 }
 
-/// First and last cell of each column of three around a cell.
+/// Returns the first and the last cell of each column of three around a cell.
 fn columns(cell: u64) -> [[u64; 2]; 9] {
     let corner = cell - (1 << (2 * BITS)) - (1 << BITS);
     std::array::from_fn(|k| {

@@ -9,7 +9,7 @@ use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 
-/// The terms of the energy of one cloth but for its repulsion, summed in double precision row by row.
+/// Returns the energy terms of one cloth, except its repulsion, summed in double precision row by row.
 pub fn energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTerms {
     let stored = Stored::new(trial.grid.w);
     let row = |work: &mut Work<T>, i| Arch::new().dispatch(Row { trial, i, stored, work });
@@ -18,7 +18,7 @@ pub fn energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTerms {
     EnergyTerms::from_array([0, 1, 2, 3, 4, 5].map(|k| rows.iter().map(|row| row.to_array()[k]).sum()))
 }
 
-/// Edges of a row and of the next one, shape [3, W'], and the squares that are added up, shape \[W'\].
+/// Edges of a row and of the next one, shape [3, W'], and the squares to be summed, shape \[W'\].
 struct Work<T> {
     vertical: [Vec<T>; 2],
     horizontal: [Vec<T>; 2],
@@ -32,7 +32,7 @@ impl<T: Real> Work<T> {
     }
 }
 
-/// What row `i` of particles and row `i` of cells contribute.
+/// The contribution of row `i` of particles and row `i` of cells.
 struct Row<'a, 'b, T> {
     trial: &'a Trial<'b, T>,
     i: usize,
@@ -75,7 +75,8 @@ impl<T: Real> WithSimd for Row<'_, '_, T> {
     }
 }
 
-/// Sums of squares over the first edges, or pairs of edges, of a row: squared in the precision of the cloth, added up in double.
+/// Sums of squares over the first edges, or pairs of edges, of a row: squared in the precision of the cloth,
+/// summed in double precision.
 struct Squares<'a, T, S> {
     simd: S,
     stored: Stored,
@@ -84,7 +85,7 @@ struct Squares<'a, T, S> {
 }
 
 impl<T: Real, S: Simd> Squares<'_, T, S> {
-    /// `(|e| - 1)^2`.
+    /// Sums `(|e| - 1)^2`.
     #[inline(always)]
     fn of_lengths(&mut self, edges: &[T], len: usize) -> f64 {
         let Self { simd, stored, .. } = *self;
@@ -98,7 +99,8 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
         self.sum(len)
     }
 
-    /// `(angle - rest)^2` between u and w, with the angle `atan2(|u x w|, u . w)`: unlike the arc cosine it keeps small angles.
+    /// Sums `(angle - rest)^2` between u and w, with the angle `atan2(|u x w|, u . w)`, which unlike the arc
+    /// cosine is accurate for small angles.
     #[inline(always)]
     fn of_angles(&mut self, (u, w): (&[T], &[T]), rest: f64, len: usize) -> f64 {
         let Self { simd, stored, .. } = *self;
@@ -130,7 +132,7 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
     }
 }
 
-/// Inertia and external work of row `i`.
+/// Returns the inertia and the external work of row `i`.
 fn external_terms<T: Real>(trial: &Trial<'_, T>, i: usize) -> EnergyTerms {
     let Grid { h, w } = trial.grid;
     let n = h * w;

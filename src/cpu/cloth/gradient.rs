@@ -1,8 +1,10 @@
-//! The gradient `dL/da` of the energy, in two passes over the rows: first each row of cells writes the gradient with
-//! respect to its edges, every angle once; then each row of particles gathers those of the edges that meet there.
-//! Rows write apart from each other, so that the result does not depend on the number of threads.
+//! The gradient `dL/da` of the energy, in two passes over the rows. First each row of cells writes the
+//! gradient with respect to its edges, evaluating every angle once; then each row of particles gathers from
+//! the edges that meet there. Rows write to separate places, so the result does not depend on the number of
+//! threads.
 //!
-//! Both passes go along [rows](super::rows) a register at a time; the edges of length zero at their ends contribute nothing.
+//! Both passes process [rows](super::rows) one register at a time. The edges of length zero at their ends
+//! contribute nothing.
 
 use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
 use super::{Factors, Trial};
@@ -11,20 +13,21 @@ use crate::sim::Grid;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-/// Particles of a task, at least: to wake a thread for it takes as long as about two thousand of them, twice in a gradient.
+/// Minimum number of particles per task. Waking a thread takes as long as processing about two thousand
+/// particles, and happens twice per gradient.
 const TASK: usize = 8192;
 
-/// Gradients with respect to edges, as one row of cells leaves them, and working memory.
+/// Gradients with respect to edges, as the rows of cells write them, with working memory.
 pub struct GradientRows<T> {
     /// Shape [H, 4, 3, W'].
     edges: Vec<T>,
-    /// Of each task, which takes some rows.
+    /// One per task, which processes a range of rows.
     tasks: Vec<Work<T>>,
     grid: Grid,
     stored: Stored,
 }
 
-/// Edges of a row and of the next one, shape [4, W']: behind the components of an edge is what it takes to divide by its square.
+/// Edges of a row and of the next one, shape [4, W']: three components, then one over the squared length.
 struct Work<T> {
     vertical: [Vec<T>; 2],
     horizontal: [Vec<T>; 2],
@@ -40,7 +43,7 @@ const HORIZONTAL: usize = 2;
 const NEXT_HORIZONTAL: usize = 3;
 
 impl<T: Real> GradientRows<T> {
-    /// Working memory for cloths on this grid.
+    /// Allocates working memory for cloths on this grid.
     pub fn new(grid: Grid) -> Self {
         let stored = Stored::new(grid.w);
         let tasks = (grid.particles() / TASK).clamp(1, grid.h);
@@ -52,7 +55,8 @@ impl<T: Real> GradientRows<T> {
         }
     }
 
-    /// Where one component of the gradients begins that row `i` of cells left for one kind of edges, shape \[W'\].
+    /// Returns where row `i` of cells writes one component of the gradients for one kind of edges, shape
+    /// \[W'\].
     fn row(&self, i: usize, kind: usize, component: usize) -> usize {
         ((i * 4 + kind) * 3 + component) * self.stored.stride
     }
@@ -65,7 +69,7 @@ impl<T: Real> Work<T> {
     }
 }
 
-/// `dL/da` of one cloth, `grad` [3, H, W]. At handles only inertia and external work depend on a.
+/// Computes `dL/da` of one cloth, `grad` [3, H, W]. At handles only inertia and external work depend on a.
 pub fn gradient<T: Real>(trial: &Trial<'_, T>, rows: &mut GradientRows<T>, grad: &mut [T]) {
     let Grid { h, w } = trial.grid;
     assert_eq!(rows.grid, trial.grid, "working memory and cloth share a grid");
@@ -82,7 +86,7 @@ pub fn gradient<T: Real>(trial: &Trial<'_, T>, rows: &mut GradientRows<T>, grad:
     }
     let rows = &*rows;
     let particles_of_task = |(task, grad): (usize, &mut [T])| {
-        // The bands of one component do not end where the next one begins.
+        // The rows are numbered through all components: a band may extend from one component into the next.
         let rows_of_task = grad.chunks_exact_mut(w).zip(task * band..);
         rows_of_task.for_each(|(grad, row)| Arch::new().dispatch(ParticleRow { trial, rows, row, grad }));
     };
@@ -92,7 +96,8 @@ pub fn gradient<T: Real>(trial: &Trial<'_, T>, rows: &mut GradientRows<T>, grad:
     }
 }
 
-/// Fills `edges` [4, 3, W'] with what row `i` of cells, and the edges that begin in row `i`, contribute.
+/// Fills `edges` [4, 3, W'] with the contributions of row `i` of cells and of the edges that begin in row
+/// `i`.
 struct EdgeRow<'a, 'b, T> {
     trial: &'a Trial<'b, T>,
     i: usize,
@@ -140,7 +145,7 @@ impl<T: Real> WithSimd for EdgeRow<'_, '_, T> {
     }
 }
 
-/// Adds `factor v` there.
+/// Adds `factor v` at `place`.
 #[inline(always)]
 fn add_at<T: Real, S: Simd>(
     simd: S,
@@ -154,21 +159,21 @@ fn add_at<T: Real, S: Simd>(
     }
 }
 
-/// Sets what is behind the components of `edges` [4, W'] to one over their squares: an edge takes part in six angles, and divisions
-/// are most of the time of an angle.
+/// Sets the fourth component of `edges` [4, W'] to one over the squared length. An edge takes part in six
+/// angles, and divisions dominate the cost of an angle.
 #[inline(always)]
 fn invert<T: Real, S: Simd>(simd: S, stored: Stored, edges: &mut [T]) {
     let (one, least) = (T::splat(simd, T::one()), T::splat(simd, T::min_positive_value()));
     for k in 0..stored.count / width::<T, S>() {
         let place = k * width::<T, S>();
         let e = vector_at::<T, S>(edges, place, stored.stride);
-        // The smallest normal number keeps 0 / 0 out where an edge has no length.
+        // The smallest normal number avoids 0 / 0 for edges of length zero.
         let square = T::larger(simd, dot::<T, S>(simd, e, e), least);
         T::lanes_mut::<S>(&mut edges[3 * stored.stride + place..])[0] = T::quotient(simd, one, square);
     }
 }
 
-/// Adds to `to` the gradient of `factor (|e| - 1)^2`; 0 where an edge has no length and no direction.
+/// Adds to `to` the gradient of `factor (|e| - 1)^2`, which is taken as 0 for an edge of length zero.
 #[inline(always)]
 fn stretch<T: Real, S: Simd>(simd: S, edges: &[T], factor: T, stored: Stored, to: &mut [T]) {
     let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
@@ -178,7 +183,7 @@ fn stretch<T: Real, S: Simd>(simd: S, edges: &[T], factor: T, stored: Stored, to
         let e = vector_at::<T, S>(edges, place, stored.stride);
         let length = T::root(simd, dot::<T, S>(simd, e, e));
         let slope = T::quotient(simd, T::difference(simd, length, one), length);
-        // A length that is not a number is not above 0: its edge tells.
+        // A NaN length also fails the comparison, but the edge itself carries the NaN on.
         let slope = T::where_above(simd, (length, zero), T::product(simd, twice, slope), zero);
         add_at(simd, to, (place, stored.stride), (e, slope));
     }
@@ -190,17 +195,18 @@ struct Angles<T, S> {
     simd: S,
     stored: Stored,
     rest: T,
-    /// What `(angle - rest) (u . w) / |u x w|` is taken to be for parallel edges.
+    /// Value of `(angle - rest) (u . w) / |u x w|` for parallel edges.
     parallel: T,
     factor: T,
 }
 
 impl<T: Real, S: Simd> Angles<T, S> {
-    /// Adds its gradients with respect to the edges `u` and `w` [4, W'] of each pair to the two places in `edges`.
+    /// Adds the gradients with respect to the edges `u` and `w` [4, W'] of each pair to the two places in
+    /// `edges`.
     ///
-    /// With `c = u x w` and the angle t, `dt/du = u x c / (|c| |u|^2)` and `dt/dw = c x w / (|c| |w|^2)`. For parallel
-    /// edges `(t - rest) / |c|` has the limit `1 / (u . w)` if rest = 0; elsewhere the direction is undefined and the
-    /// gradient taken to be 0, as it is for an edge without length.
+    /// With `c = u x w` and the angle t, `dt/du = u x c / (|c| |u|^2)` and `dt/dw = c x w / (|c| |w|^2)`. For
+    /// parallel edges `(t - rest) / |c|` has the limit `1 / (u . w)` if rest = 0. Otherwise the direction is
+    /// undefined and the gradient is taken as 0, as it is for an edge of length zero.
     #[inline(always)]
     fn add(self, (u, w): (&[T], &[T]), edges: &mut [T], (to_u, to_w): (usize, usize)) {
         let Self { simd, stored: Stored { stride, count }, rest, parallel, factor } = self;
@@ -213,13 +219,14 @@ impl<T: Real, S: Simd> Angles<T, S> {
             let (u, w) = (vector_at::<T, S>(u, place, stride), vector_at::<T, S>(w, place, stride));
             let c = cross::<T, S>(simd, u, w);
             let (sine, cosine) = (T::root(simd, dot::<T, S>(simd, c, c)), dot::<T, S>(simd, u, w));
-            // One division for both: of the angle by the sine, or of 1 by the cosine.
+            // One division serves both cases: of the angle by the sine, or of 1 by the cosine.
             let parallel = T::where_above(simd, (cosine, least), limit, zero);
             let bent = T::difference(simd, T::angle(simd, sine, cosine), rest);
             let above = T::where_above(simd, (sine, zero), bent, parallel);
             let below = T::where_above(simd, (sine, zero), sine, T::larger(simd, cosine, least));
             let ratio = T::product(simd, twice, T::quotient(simd, above, below));
-            // Dividing by the square first keeps the product of two large factors out where an edge has hardly any length.
+            // Dividing by the square first avoids the product of two large factors for edges of almost no
+            // length.
             let (along_u, along_w) = (cross::<T, S>(simd, u, c), cross::<T, S>(simd, c, w));
             add_at(simd, edges, (to_u + place, stride), (scaled::<T, S>(simd, along_u, by_u), ratio));
             add_at(simd, edges, (to_w + place, stride), (scaled::<T, S>(simd, along_w, by_w), ratio));
@@ -231,7 +238,7 @@ impl<T: Real, S: Simd> Angles<T, S> {
 struct ParticleRow<'a, 'b, T> {
     trial: &'a Trial<'b, T>,
     rows: &'a GradientRows<T>,
-    /// Number of the row, of all components.
+    /// Number of the row, counted through all components.
     row: usize,
     grad: &'a mut [T],
 }
@@ -246,7 +253,7 @@ impl<T: Real> WithSimd for ParticleRow<'_, '_, T> {
         let (component, i) = (row / h, row % h);
         let (above, two_above) = (i.checked_sub(1), i.checked_sub(2));
         let edges = |i: Option<usize>, kind: usize| i.map(|i| rows.row(i, kind, component));
-        // Edges that end here pull one way, those that begin here the other; what is in front of a row is zero.
+        // Edges that end here pull one way, those that begin here the other. The number before a row is zero.
         let ends = [
             edges(above, VERTICAL),
             edges(two_above, NEXT_VERTICAL),

@@ -1,8 +1,9 @@
-//! The Hessian of the shape's energy (stretch, shear, bend) with respect to positions, along [rows](super::rows) a register at a
-//! time.
+//! The Hessian of the elastic energy (stretch, shear, bend) with respect to positions, computed along
+//! [rows](super::rows) one register at a time.
 //!
-//! A particle shares terms with twelve others, and only those blocks are computed term by term: energy does not change when the
-//! whole cloth moves, so that a particle's own block is minus the sum of its others.
+//! A particle shares terms with twelve others, and only those blocks are computed term by term. The energy
+//! does not change when the whole cloth moves, so a particle's own (diagonal) block is minus the sum of its
+//! others.
 
 use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
 use super::{Factors, Trial};
@@ -16,17 +17,17 @@ use std::f64::consts::FRAC_PI_2;
 /// A block of the Hessian: second derivatives with respect to the positions of two particles.
 pub type Block = [[f64; 3]; 3];
 
-/// How much is left out, term by term, of what could be negative: a share from 0 to 1.
+/// The share, from 0 to 1, of each term's possibly negative part that is removed.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Projection(pub f64);
 
 impl Projection {
     /// The Hessian itself, which away from a minimum may have directions of negative curvature.
     pub const NONE: Self = Self(0.0);
-    /// Never less than zero along any direction.
+    /// Positive semidefinite: the curvature is never negative along any direction.
     pub const FULL: Self = Self(1.0);
 
-    /// Numbers without this share of what is below zero.
+    /// Removes this share of the negative part of each number.
     #[inline(always)]
     fn of<S: Simd>(self, simd: S, value: S::f64s) -> S::f64s {
         let below = simd.min_f64s(value, simd.splat_f64s(0.0));
@@ -37,42 +38,43 @@ impl Projection {
 /// Number of particles that come after a particle in the grid and share a term with it.
 pub const AFTER: usize = 6;
 
-/// Particles that come after a particle in the grid and share a term with it: rows and columns from there.
+/// Particles that come after a particle in the grid and share a term with it, as offsets in rows and columns.
 const NEIGHBOURS: [(isize, isize); AFTER] = [(0, 1), (0, 2), (1, -1), (1, 0), (1, 1), (2, 0)];
 
-/// Where the block with each of them begins, in planes of W' numbers.
+/// Start of the block with each of them, in planes of W' numbers.
 const RIGHT: usize = 0;
 const RIGHT_TWICE: usize = 9;
 const DOWN_LEFT: usize = 18;
 const DOWN: usize = 27;
 const DOWN_RIGHT: usize = 36;
 const DOWN_TWICE: usize = 45;
-/// Where the lower triangle of a particle's own block does, row by row.
+/// Start of the lower triangle of a particle's own block, stored row by row.
 const OWN: usize = 54;
 const PLANES: usize = 60;
 
-/// Sines below this are those of parallel edges.
+/// Edges whose sine is below this count as parallel.
 const PARALLEL: f64 = 1e-9;
 
 /// The Hessian of one cloth.
 pub struct Hessian {
     grid: Grid,
     stored: Stored,
-    /// Shape [H, 60, W'], after some zeros: of each particle, the blocks with its neighbours that come after it, the
-    /// neighbour's component first, and the lower triangle of its own. Behind the particles of a row each plane is zero, and so
-    /// is what is in front of one.
+    /// Shape [H, 60, W'], preceded by some zeros. Each particle holds its blocks with the neighbours that
+    /// come after it, indexed by the neighbour's component first, and the lower triangle of its own block.
+    /// Each plane is zero past the particles of its row, and so are the numbers before it.
     values: Vec<f64>,
     work: Work,
 }
 
-/// Edges of a row and of the next one, shape [4, W']: directions and, behind them, one over the length; zeros where there is none.
+/// Edges of a row and of the next one, shape [4, W']: direction, then one over the length; zeros for an edge
+/// of length zero.
 struct Work {
     vertical: [Vec<f64>; 2],
     horizontal: [Vec<f64>; 2],
 }
 
 impl Hessian {
-    /// Zeros, for cloths on this grid; an error when memory does not suffice.
+    /// Allocates a zero Hessian for cloths on this grid. Returns an error if there is not enough memory.
     pub fn new(grid: Grid) -> Result<Self> {
         let stored = Stored::new(grid.w);
         let edges = || [(); 2].map(|()| vec![0.0; 4 * stored.stride]);
@@ -82,25 +84,26 @@ impl Hessian {
         Ok(Self { grid, stored, values, work: Work { vertical: edges(), horizontal: edges() } })
     }
 
-    /// Computes it at a trial; handles are not left out.
+    /// Computes the Hessian at a trial. Handles are included.
     pub fn fill(&mut self, trial: &Trial<'_, f64>, projection: Projection) {
         assert_eq!(self.grid, trial.grid, "working memory and cloth share a grid");
         Arch::new().dispatch(Fill { trial, projection, hessian: self });
     }
 
-    /// All numbers: see [`Hessian::place`].
+    /// Returns all numbers, as indexed by [`Hessian::place`].
     pub fn values(&self) -> &[f64] {
         &self.values
     }
 
-    /// The derivative with respect to components of two particles, to change; panics where they share no term.
+    /// Returns the second derivative with respect to one component each of two particles, for modification.
+    /// Panics if the particles share no term.
     pub fn at_mut(&mut self, one: (usize, usize), other: (usize, usize)) -> &mut f64 {
         let place = self.place(one, other).expect("the particles share a term");
         &mut self.values[place]
     }
 
-    /// Where in [`Hessian::values`] the derivative with respect to a component of one particle and a component of another one is;
-    /// none where they share no term.
+    /// Returns the place in [`Hessian::values`] of the second derivative with respect to one component each
+    /// of two particles, or `None` if they share no term.
     pub fn place(&self, (p, row): (usize, usize), (q, column): (usize, usize)) -> Option<usize> {
         let ((p, row), (q, column)) = if p < q { ((q, column), (p, row)) } else { ((p, row), (q, column)) };
         let w = self.grid.w;
@@ -115,14 +118,14 @@ impl Hessian {
         Some(LANES + (i * PLANES + plane) * self.stored.stride + j)
     }
 
-    /// The block of two particles, zeros where they share no term.
+    /// Returns the block of two particles, which is zero if they share no term.
     pub fn block(&self, p: usize, q: usize) -> Block {
         let entry = |row, column| self.place((p, row), (q, column)).map_or(0.0, |place| self.values[place]);
         [0, 1, 2].map(|row| [0, 1, 2].map(|column| entry(row, column)))
     }
 }
 
-/// The other particles that share a term with particle `p`.
+/// Returns the other particles that share a term with particle `p`.
 pub fn neighbours(grid: Grid, p: usize) -> impl Iterator<Item = usize> {
     let Grid { h, w } = grid;
     let ways = NEIGHBOURS.into_iter().flat_map(|(down, across)| [(down, across), (-down, -across)]);
@@ -182,7 +185,8 @@ impl WithSimd for Fill<'_, '_> {
                     (terms.plane(here, DOWN), terms.plane(here, RIGHT), terms.plane(next, RIGHT));
                 let (down_left, down_right) =
                     (terms.plane(here, DOWN_LEFT) + 1, terms.plane(here, DOWN_RIGHT));
-                // The four corners of each cell: two edges share a particle, and three pairs of their ends are left.
+                // The four corners of each cell. Their two edges share a particle, which leaves three pairs
+                // of their ends.
                 terms.angle(
                     square,
                     (v, e),
@@ -242,8 +246,8 @@ impl WithSimd for Fill<'_, '_> {
     }
 }
 
-/// How the block of two edges enters that of two particles: an edge is its second end minus its first, and the particle that
-/// comes later in the grid, whose components are the rows, may be one of either edge.
+/// How the block of two edges enters that of two particles. An edge is its second end minus its first, and
+/// the particle that comes later in the grid, whose components are the rows, may belong to either edge.
 #[derive(Clone, Copy)]
 enum Mixed {
     Plus,
@@ -252,11 +256,11 @@ enum Mixed {
     MinusTransposed,
 }
 
-/// An angle's energy `factor (t - rest)^2`.
+/// The energy of an angle, `factor (t - rest)^2`.
 #[derive(Clone, Copy)]
 struct Angle {
     rest: f64,
-    /// What `(t - rest) / sin t` is taken to be for parallel edges; for opposite ones it is 0.
+    /// Value of `(t - rest) / sin t` for parallel edges. For antiparallel ones it is 0.
     parallel: f64,
     factor: f64,
 }
@@ -269,13 +273,13 @@ struct Terms<S> {
 }
 
 impl<S: Simd> Terms<S> {
-    /// Where a plane of the row of particles that starts there begins.
+    /// Returns where a plane begins in the row of particles that starts at `start`.
     #[inline(always)]
     fn plane(self, start: usize, plane: usize) -> usize {
         start + plane * self.stored.stride
     }
 
-    /// Makes edges [4, W'] directions, and sets what is behind them.
+    /// Normalises edges [4, W'] and sets their fourth component to one over the length.
     #[inline(always)]
     fn direct(self, edges: &mut [f64]) {
         let Self { simd, stored: Stored { stride, count }, .. } = self;
@@ -293,8 +297,8 @@ impl<S: Simd> Terms<S> {
         }
     }
 
-    /// Second derivatives of `factor (|e| - 1)^2`: 2 along the edge, and 2 (1 - 1 / |e|) across it, which is negative for a
-    /// compressed one. The block of an edge's ends is minus that of the edge.
+    /// Adds the second derivatives of `factor (|e| - 1)^2`: 2 along the edge, and 2 (1 - 1 / |e|) across it,
+    /// which is negative for a compressed edge. The block of the edge's two ends is minus that of the edge.
     #[inline(always)]
     fn stretch(self, edges: &[f64], factor: f64, (values, to): (&mut [f64], usize)) {
         let Self { simd, stored: Stored { stride, count }, projection } = self;
@@ -321,13 +325,15 @@ impl<S: Simd> Terms<S> {
         }
     }
 
-    /// Second derivatives of an angle's energy between edges u and w: with respect to u twice and w twice, minus these to the blocks
-    /// of the two ends of u and of w (`ends`), and with respect to u and w, to blocks of an end of each (`mixed`).
+    /// Adds the second derivatives of the energy of an angle between edges u and w. Those with respect to u
+    /// twice and to w twice are subtracted from the blocks of the two ends of u and of w (`ends`); those with
+    /// respect to u and w enter the blocks of one end of each (`mixed`).
     ///
-    /// With the unit normal n of their plane, m_u the unit vector across u towards w, and m_w that across w towards u,
-    /// `dt/du = -m_u / |u|`, `d2t/du2 = (cot t nn' + m_u u' + u m_u') / |u|^2` (u of length 1) and `d2t/du dw = -nn' / (|u| |w|
-    /// sin t)`. The part along n of the whole is `s [[cos t, -1], [-1, cos t]]` with `s = (t - rest) / sin t`, whose eigenvalues
-    /// are `s (cos t + 1)` and `s (cos t - 1)`; the projection keeps the positive ones and leaves the products of m and u out.
+    /// With the unit normal n of their plane, m_u the unit vector across u towards w, and m_w that across w
+    /// towards u, `dt/du = -m_u / |u|`, `d2t/du2 = (cot t nn' + m_u u' + u m_u') / |u|^2` (u of length 1) and
+    /// `d2t/du dw = -nn' / (|u| |w| sin t)`. The part along n of the whole is `s [[cos t, -1], [-1, cos t]]`
+    /// with `s = (t - rest) / sin t`, whose eigenvalues are `s (cos t + 1)` and `s (cos t - 1)`. The
+    /// projection keeps the positive ones and removes the products of m and u.
     #[inline(always)]
     fn angle(
         self,
@@ -352,14 +358,15 @@ impl<S: Simd> Terms<S> {
             let c = cross::<f64, S>(simd, u, w);
             let (sine, cosine) = (simd.sqrt_f64s(dot::<f64, S>(simd, c, c)), dot::<f64, S>(simd, u, w));
             let delta = simd.sub_f64s(f64::angle(simd, sine, cosine), rest);
-            // Between parallel edges every normal will do.
+            // For parallel edges any normal will do.
             let any = any_normal(simd, u);
             let across = simd.sqrt_f64s(dot::<f64, S>(simd, any, any));
             let length = simd.max_f64s(f64::where_above(simd, (sine, limit), sine, across), least);
             let inverse = simd.div_f64s(one, length);
             let parallel = f64::where_above(simd, (cosine, zero), parallel, zero);
             let s = f64::where_above(simd, (sine, limit), simd.mul_f64s(delta, inverse), parallel);
-            // An edge without length has no angle with any other: of such a u there is no normal anyway.
+            // An edge of length zero forms no angle. If it is w, the normal must be zeroed; if it is u, the
+            // normal is zero already.
             let inverse = f64::where_above(simd, (by_w, zero), inverse, zero);
             let n = [
                 f64::where_above(simd, (sine, limit), c[0], any[0]),
@@ -410,13 +417,14 @@ impl<S: Simd> Terms<S> {
         }
     }
 
-    /// Sets the own blocks of the particles of row `i`, which begins `here`, from their blocks with all others.
+    /// Sets the own blocks of the particles of row `i`, which starts at `here`, from their blocks with all
+    /// others.
     #[inline(always)]
     fn own(self, values: &mut [f64], i: usize, here: usize) {
         let Self { simd, stored: Stored { stride, count }, .. } = self;
         let length = PLANES * stride;
         let above = |rows: usize, plane: usize| self.plane(here.saturating_sub(rows * length), plane);
-        // With particles that come before: those of this row, of the row above and of that above it.
+        // Blocks with the particles before: those of this row, of the row above and of the one above that.
         let before = [
             above(0, RIGHT) - 1,
             above(0, RIGHT_TWICE) - 2,
@@ -449,7 +457,7 @@ impl<S: Simd> Terms<S> {
     }
 }
 
-/// A vector across the unit vectors `u`, not of length 1.
+/// Returns vectors orthogonal to the unit vectors `u`, not normalised.
 #[inline(always)]
 fn any_normal<S: Simd>(simd: S, u: [S::f64s; 3]) -> [S::f64s; 3] {
     let zero = simd.splat_f64s(0.0);

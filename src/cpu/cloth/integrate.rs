@@ -2,18 +2,19 @@
 
 use crate::cpu::Real;
 
-/// What one frame of one cloth starts from.
+/// The inputs of one frame of one cloth.
 #[derive(Clone, Copy)]
 pub struct Frame<'a, T> {
     /// Handle slots, shape [H, W], see [`crate::sim::Model::handle_slots`].
     pub slots: &'a [u32],
-    /// Handle positions at the end of the frame \[edges\], of all cloths.
+    /// Handle positions of all cloths at the end of the frame \[edges\].
     pub handles: &'a [[T; 3]],
     /// Trial accelerations [edges / frame^2], shape [3, H, W].
     pub a: &'a [T],
 }
 
-/// What a trial acceleration moves the particles by: `shift = v + a`, or the way to where the handle is to be.
+/// Computes the displacements at a trial acceleration: `shift = v + a`, or for a handle the way to its
+/// target.
 pub fn shifts<T: Real>(frame: Frame<'_, T>, x: &[T], v: &[T], shift: &mut [T]) {
     let n = frame.slots.len();
     for (component, shift) in shift.chunks_exact_mut(n).enumerate() {
@@ -28,7 +29,8 @@ pub fn shifts<T: Real>(frame: Frame<'_, T>, x: &[T], v: &[T], shift: &mut [T]) {
     }
 }
 
-/// The end of the frame: the accepted `shift` is the velocity, `x <- x + v`; handles are exactly where they are to be.
+/// Ends the frame: the accepted `shift` becomes the velocity, and `x <- x + v`. Handles end exactly at their
+/// targets.
 pub fn end_frame<T: Real>(frame: Frame<'_, T>, shift: &[T], x: &mut [T], v: &mut [T]) {
     let n = frame.slots.len();
     v.copy_from_slice(shift);

@@ -1,4 +1,5 @@
-//! The cloth on the CPU: energies, their gradient, wind and the end of a frame, for one cloth at a time (paper section 3).
+//! The cloth on the CPU: energies, their gradient, wind and the end of a frame, for one cloth at a time
+//! (paper section 3).
 
 mod cells;
 mod energy;
@@ -24,7 +25,7 @@ use super::Real;
 use crate::sim::{Grid, Material};
 use vector::{add, at, sub};
 
-/// One cloth at a trial acceleration: all that its energy depends on.
+/// One cloth at a trial acceleration: everything that its energy depends on.
 #[derive(Clone, Copy)]
 pub struct Trial<'a, T> {
     /// The grid.
@@ -33,8 +34,9 @@ pub struct Trial<'a, T> {
     pub material: Material,
     /// Positions at the start of the frame \[edges\], shape [3, H, W].
     pub x: &'a [T],
-    /// What the trial moves them by \[edges\], shape [3, H, W]. Kept apart from `x`: in single precision a sum would
-    /// round an edge by the size of the coordinates, and the stiff edges would turn that into noise in the gradient.
+    /// Displacements of the trial \[edges\], shape [3, H, W]. They are kept separate from `x`: in single
+    /// precision a sum would round an edge by the size of the coordinates, and the stiff edges would turn
+    /// that into noise in the gradient.
     pub shift: &'a [T],
     /// Trial accelerations [edges / frame^2], shape [3, H, W].
     pub a: &'a [T],
@@ -45,26 +47,26 @@ pub struct Trial<'a, T> {
 }
 
 impl<T: Real> Trial<'_, T> {
-    /// The edge from particle (i, j) to (i+1, j).
+    /// Returns the edge from particle (i, j) to (i+1, j).
     #[inline(always)]
     fn vertical(&self, i: usize, j: usize) -> [T; 3] {
         self.edge(i * self.grid.w + j, (i + 1) * self.grid.w + j)
     }
 
-    /// The edge from particle (i, j) to (i, j+1).
+    /// Returns the edge from particle (i, j) to (i, j+1).
     #[inline(always)]
     fn horizontal(&self, i: usize, j: usize) -> [T; 3] {
         self.edge(i * self.grid.w + j, i * self.grid.w + j + 1)
     }
 
-    /// The way from particle p to q at the trial acceleration.
+    /// Returns the vector from particle p to q at the trial acceleration.
     #[inline(always)]
     fn edge(&self, p: usize, q: usize) -> [T; 3] {
         let n = self.grid.particles();
         add(sub(at(self.x, n, q), at(self.x, n, p)), sub(at(self.shift, n, q), at(self.shift, n, p)))
     }
 
-    /// Factors of one vertical edge, one horizontal edge, one corner angle and one bend angle.
+    /// Returns the factors of one vertical edge, one horizontal edge, one corner angle and one bend angle.
     fn factors(&self) -> Factors<T> {
         let Grid { h, w } = self.grid;
         let Material { stretch, shear, bend } = self.material;
@@ -77,7 +79,7 @@ impl<T: Real> Trial<'_, T> {
     }
 }
 
-/// The coefficients of a material over the number of terms that they are the mean of.
+/// The coefficients of a material, divided by the number of terms that they average over.
 struct Factors<T> {
     vertical: T,
     horizontal: T,

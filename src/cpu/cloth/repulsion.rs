@@ -1,4 +1,4 @@
-//! The repulsion of particles that come near each other, which keeps the layers of a cloth apart (paper section 3.4).
+//! The repulsion between nearby particles, which keeps the layers of a cloth apart (paper section 3.4).
 
 use super::Trial;
 use super::cells::{Cells, Placed, Walk};
@@ -7,15 +7,16 @@ use crate::cpu::Real;
 use crate::sim::Repulsion;
 use rayon::prelude::*;
 
-/// Particles of a task, at least.
+/// Number of particles per task.
 const TASK: usize = 1024;
 
-/// Sets `pushed` [3, H, W] to the external accelerations of a trial and the repulsion's, and gives the energy that it adds.
+/// Sets `pushed` [3, H, W] to the external accelerations of a trial plus those of the repulsion, and returns
+/// the repulsion's energy.
 ///
-/// With the strength k and the distance delta the energy is `-k / (H W)` times the sum of `log(d^2 + 1e-8)` over ordered pairs
-/// of particles at a distance d < delta that no edge of the triangulated grid joins. It depends on positions alone, so its
-/// gradient over the acceleration of a free particle of mass m is that of a force, the acceleration
-/// `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`; a handle goes where it is told.
+/// With strength k and distance delta, the energy is `-k / (H W)` times the sum of `log(d^2 + 1e-8)` over
+/// ordered pairs of particles at a distance d < delta that no edge of the triangulated grid joins. It depends
+/// on positions alone, so its gradient with respect to the acceleration of a free particle of mass m is that
+/// of a force, the acceleration `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`. Handles are not pushed.
 pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, pushed: &mut [T]) -> f64 {
     let (grid, n) = (trial.grid, trial.grid.particles());
     let Repulsion { strength, distance } = repulsion;

@@ -1,7 +1,7 @@
-//! Rows of particles and edges a register at a time, for what goes through a whole cloth.
+//! Rows of particles and edges, one register at a time, for computations over a whole cloth.
 //!
-//! A stored row ends in edges of length zero, so that no loop needs a remainder. As in [`crate::cpu::real`], closures and
-//! iterator adapters stay out of these functions.
+//! A stored row ends in edges of length zero, so that no loop needs a remainder. As in
+//! [`crate::cpu::elementary`], these functions contain neither closures nor iterator adapters.
 
 use super::Trial;
 use crate::cpu::Real;
@@ -9,36 +9,36 @@ use crate::cpu::matmul::LANES;
 use crate::sim::Grid;
 use pulp::Simd;
 
-/// A row as it is stored: zero from its own length on.
+/// The layout of a stored row, which is zero past its own length.
 #[derive(Clone, Copy)]
 pub(super) struct Stored {
-    /// Numbers from one row to the next, W'.
+    /// Distance from one row to the next, W'.
     pub stride: usize,
-    /// Numbers that are computed: what begins one further on is inside too.
+    /// Numbers that are computed. A register that starts one later still lies inside the row.
     pub count: usize,
 }
 
 impl Stored {
-    /// Rows of `len` numbers.
+    /// Returns the layout of rows of `len` numbers.
     pub fn new(len: usize) -> Self {
         let count = len.next_multiple_of(LANES);
         Self { stride: count + LANES, count }
     }
 }
 
-/// Numbers in a register.
+/// Returns the number of lanes of a register.
 #[inline(always)]
 pub(super) fn width<T: Real, S: Simd>() -> usize {
     size_of::<T::Lanes<S>>() / size_of::<T>()
 }
 
-/// The register that begins at a place.
+/// Returns the register that starts at `place`.
 #[inline(always)]
 pub(super) fn at<T: Real, S: Simd>(values: &[T], place: usize) -> T::Lanes<S> {
     T::lanes::<S>(&values[place..])[0]
 }
 
-/// The registers at the same place of three components.
+/// Returns the registers at the same place of three components.
 #[inline(always)]
 pub(super) fn vector_at<T: Real, S: Simd>(values: &[T], place: usize, stride: usize) -> [T::Lanes<S>; 3] {
     [at::<T, S>(values, place), at::<T, S>(values, place + stride), at::<T, S>(values, place + 2 * stride)]
@@ -67,8 +67,8 @@ pub(super) fn scaled<T: Real, S: Simd>(
     [T::product(simd, u[0], factor), T::product(simd, u[1], factor), T::product(simd, u[2], factor)]
 }
 
-/// Sets `edges` [3, W'] to the edges from the first `count` particles of row `i` to those `step` further on; there are as many
-/// particles behind `step`.
+/// Sets `edges` [3, W'] to the edges from the first `count` particles of row `i` to the particles `step`
+/// later in the array, which must hold `count` particles from there on.
 #[inline(always)]
 pub(super) fn load<T: Real, S: Simd>(
     simd: S,

@@ -1,11 +1,11 @@
-//! How far the edges are from their rest length.
+//! The deviation of the edges from their rest length.
 
 use super::Trial;
 use super::vector::length;
 use crate::cpu::Real;
 use crate::sim::Grid;
 
-/// The largest `|e| - 1` and the mean of `| |e| - 1 |` over the edges of one cloth.
+/// Returns the largest `|e| - 1` and the mean of `| |e| - 1 |` over the edges of one cloth.
 pub fn stretch<T: Real>(trial: &Trial<'_, T>) -> (f64, f64) {
     let Grid { h, w } = trial.grid;
     let (mut largest, mut sum) = (f64::NEG_INFINITY, 0.0);

@@ -1,8 +1,8 @@
-//! Vectors of three components.
+//! Vectors with three components.
 
 use crate::cpu::Real;
 
-/// Particle `p` of an array [3, n].
+/// Returns the vector of particle `p` in an array [3, n].
 #[inline(always)]
 pub(super) fn at<T: Real>(x: &[T], n: usize, p: usize) -> [T; 3] {
     [x[p], x[n + p], x[2 * n + p]]

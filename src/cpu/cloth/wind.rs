@@ -1,14 +1,15 @@
-//! Drag of the air on the triangles of a cloth.
+//! Air drag on the triangles of a cloth.
 
 use super::vector::{at, cross, dot, length, scaled, sub};
 use crate::cpu::Real;
 use crate::sim::{Air, Grid};
 
-/// Adds to the accelerations `f` [3, H, W] what air that moves with velocity `wind` [edges / frame] does to a cloth with
-/// positions `x` and velocities `v`, shape [3, H, W].
+/// Adds to the accelerations `f` [3, H, W] the effect of air that moves with velocity `wind` [edges / frame]
+/// on a cloth with positions `x` and velocities `v`, shape [3, H, W].
 ///
 /// Per triangle, with the unit normal n and `v_rel = wind - mean velocity of the corners`, the force is
-/// `density area |n . v_rel| (n . v_rel) n + drag area (v_rel - (n . v_rel) n)`, a third of it on each corner.
+/// `density area |n . v_rel| (n . v_rel) n + drag area (v_rel - (n . v_rel) n)`, one third of it on each
+/// corner.
 pub fn add_wind<T: Real>(grid: Grid, air: Air, wind: [T; 3], (x, v): (&[T], &[T]), f: &mut [T]) {
     if air == Air::default() {
         return;

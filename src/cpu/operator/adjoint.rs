@@ -1,11 +1,13 @@
-//! The backward pass of the network: from the cotangents of field and scalar to the gradient over all weights.
+//! The backward pass of the network: from the cotangents of field and scalar to the gradient over all
+//! weights.
 //!
-//! The adjoint of a block is built like a block: transform along the rows and the columns, spectral product, inverse, skip,
-//! with the adjoint of each ([`Transform::adjoint`], [`Spectral::adjoint`], [`Skip::adjoint`]) in the reverse order, so it
-//! runs through the same stages. The network's inputs are constants of training: nothing goes back beyond the lifting.
+//! The adjoint of a block has the structure of a block: transform along the rows and the columns, spectral
+//! product, inverse, skip, each replaced by its adjoint ([`Transform::adjoint`], [`Spectral::adjoint`],
+//! [`Skip::adjoint`]) in reverse order. It therefore runs through the same stages. The network's inputs are
+//! constants of training: nothing propagates beyond the lifting.
 //!
-//! A sum over positions is taken in [`PARTS`] parts, each in order, that are then added in order: the result does not
-//! depend on the number of threads.
+//! A sum over positions is taken in [`PARTS`] parts, each in order, which are then added in order. The result
+//! does not depend on the number of threads.
 
 use super::block::Skip;
 use super::lifting::{Fields, LiftingGradient};
@@ -23,7 +25,7 @@ use crate::sim::Grid;
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// Number of parts of a sum over the positions of all samples, at most.
+/// Maximum number of parts of a sum over the positions of all samples.
 const PARTS: usize = 16;
 
 /// The network for a number of samples on one grid, forward and backward.
@@ -35,7 +37,8 @@ pub struct Adjoint<T: Real> {
     buffers: Buffers<T>,
 }
 
-/// Weights in the order that both ways through the network read them: laid out once, for all that share them.
+/// Weights in the order in which the forward and the backward pass read them, laid out once for all networks
+/// that share them.
 pub struct LaidOut<T> {
     config: Config,
     layers: Arc<Layers<T>>,
@@ -43,7 +46,7 @@ pub struct LaidOut<T> {
 }
 
 impl<T: Real> LaidOut<T> {
-    /// Of these weights.
+    /// Lays out these weights.
     pub fn new(weights: &Weights) -> Self {
         let (layers, adjoint) = (Layers::new(weights), AdjointWeights::new(weights));
         Self { config: weights.config, layers: Arc::new(layers), adjoint: Arc::new(adjoint) }
@@ -59,9 +62,9 @@ struct AdjointWeights<T> {
     projection: Vec<T>,
 }
 
-/// One part of the sums over positions: some rows of the samples, and working memory.
+/// One part of the sums over positions: a range of rows, with working memory.
 struct Part<T> {
-    /// Rows of all samples, one after the other.
+    /// Range of rows, numbered through all samples.
     rows: std::ops::Range<usize>,
     lifting: LiftingGradient<T>,
     skips: Vec<PointwiseGradient<T>>,
@@ -73,12 +76,12 @@ struct Part<T> {
 struct Buffers<T> {
     /// Cotangents of a block's output before its GELU, shape [S, H, W, C].
     adj_y: Vec<T>,
-    /// Row spectra of these, then what the spectral product sends back, shape [S, H, modes_w, 2, C].
+    /// Row spectra of these, then the cotangents from the spectral product, shape [S, H, modes_w, 2, C].
     rows: Vec<T>,
     sums: Vec<T>,
     modes: Vec<T>,
     spectral: Vec<T>,
-    /// Of the size of a block's spectral weights.
+    /// Working memory the size of a block's spectral weights.
     matrices: Vec<T>,
 }
 
@@ -134,11 +137,12 @@ struct Band {
     sample: usize,
     /// Number of the first row in the sample.
     first: usize,
-    /// The rows among those of all samples.
+    /// Row numbers through all samples.
     rows: std::ops::Range<usize>,
 }
 
-/// The bands of `band` rows at most into which `rows` of all samples of `h` rows fall.
+/// Splits `rows`, numbered through all samples of `h` rows, into bands of at most `band` rows within one
+/// sample.
 fn bands(rows: std::ops::Range<usize>, h: usize, band: usize) -> impl Iterator<Item = Band> {
     let mut next = rows.start;
     std::iter::from_fn(move || {
@@ -149,7 +153,8 @@ fn bands(rows: std::ops::Range<usize>, h: usize, band: usize) -> impl Iterator<I
 }
 
 impl<T: Real> Adjoint<T> {
-    /// The network with `weights` for `samples` samples on `grid`; an error if the grid is too small for the kept modes.
+    /// Builds the network with `weights` for `samples` samples on `grid`. Returns an error if the grid is too
+    /// small for the kept modes or there is not enough memory.
     pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
         let mut network = Network::new(weights, grid, samples)?;
         network.keep();
@@ -172,7 +177,7 @@ impl<T: Real> Adjoint<T> {
         Ok(Self { network, transform, weights, parts: (0..count).map(part).collect(), buffers })
     }
 
-    /// Takes other weights of the same sizes.
+    /// Replaces the weights with others of the same sizes. Panics if the sizes differ.
     pub fn set_weights(&mut self, weights: &LaidOut<T>) {
         assert_eq!(weights.config, self.network.config, "the sizes of a network stay");
         self.network.layers = weights.layers.clone();
@@ -184,18 +189,18 @@ impl<T: Real> Adjoint<T> {
         self.network.forward(input);
     }
 
-    /// The field of the last run, shape [S, 1, H, W].
+    /// Returns the field of the last run, shape [S, 1, H, W].
     pub fn field(&self) -> &[T] {
         self.network.field()
     }
 
-    /// The scalars of the last run, shape \[S\].
+    /// Returns the scalars of the last run, shape \[S\].
     pub fn scalar(&self) -> &[T] {
         self.network.scalar()
     }
 
-    /// Adds the gradient over all weights to `gradient`, in the order of [`Weights::parameters`], for the cotangents
-    /// `adj_field` [S, 1, H, W] and `adj_scalar` \[S\] of the last run, whose `input` it takes again.
+    /// Adds the gradient over all weights to `gradient`, in the order of [`Weights::parameters`], given the
+    /// cotangents `adj_field` [S, 1, H, W] and `adj_scalar` \[S\] of the last run and that run's `input`.
     pub fn backward(&mut self, input: &[T], (adj_field, adj_scalar): (&[T], &[T]), gradient: &mut [T]) {
         let config = self.network.config;
         assert_eq!(adj_field.len(), self.field().len(), "adj_field has shape [S, 1, H, W]");
@@ -217,8 +222,8 @@ impl<T: Real> Adjoint<T> {
         slices.add(first);
     }
 
-    /// Backward through the field head, and through the scalar head if it is at the last block; sets the cotangents of the
-    /// last block's output.
+    /// Goes back through the field head, and through the scalar head if it reads the last block. Sets the
+    /// cotangents of the last block's output.
     fn heads(&mut self, adj_field: &[T], adj_scalar: &[T]) {
         let Network { config, grid, channels, layers, kept, .. } = &self.network;
         let (h, row) = (grid.h, grid.w * channels);
@@ -246,7 +251,8 @@ impl<T: Real> Adjoint<T> {
         });
     }
 
-    /// The adjoint of the columns and of the spectral product of block `index`, whose gradient is added to `gradient`.
+    /// Goes back through the column transform and the spectral product of block `index`, whose gradient is
+    /// added to `gradient`.
     fn mix(&mut self, index: usize, gradient: &mut [T]) {
         let transform = &self.transform;
         let Buffers { rows, sums, modes, spectral, matrices, .. } = &mut self.buffers;
@@ -262,7 +268,7 @@ impl<T: Real> Adjoint<T> {
         product.add_gradient(gradient, (&kept.modes[index], spectral), matrices);
     }
 
-    /// The rest of block `index`, and the GELU before it or the lifting.
+    /// Goes back through the rest of block `index`, and through the GELU before it or the lifting.
     fn finish_block(&mut self, index: usize, input: &[T], adj_scalar: &[T]) {
         let Network { config, grid, channels, layers, kept, .. } = &self.network;
         let (h, row, samples) = (grid.h, grid.w * channels, adj_scalar.len());
@@ -317,7 +323,7 @@ impl<T: Real> Adjoint<T> {
     }
 }
 
-/// Adds the scalar head's cotangents to a band `adj_x` of the output `x` of its block.
+/// Adds the scalar head's cotangents to `adj_x`, a band of the cotangents of its block's output `x`.
 fn add_scalar_head<T: Real>(
     layers: &Layers<T>,
     kept: &Kept<T>,
@@ -334,7 +340,7 @@ fn add_scalar_head<T: Real>(
     }
 }
 
-/// Each part with its rows of two buffers, given with the size of a row.
+/// Pairs each part with its rows of two buffers, each given with its row length.
 fn parts_of<'a, T>(
     parts: &'a mut [Part<T>],
     (mut a, a_row): (&'a mut [T], usize),
@@ -350,10 +356,10 @@ fn parts_of<'a, T>(
     split
 }
 
-/// The flat gradient, cut into that of each layer: weight, bias.
+/// The flat gradient, split by layer into weight and bias.
 struct Slices<'a, T> {
     lifting: [[&'a mut [T]; 2]; 2],
-    /// Spectral weight, bias, skip.
+    /// Spectral weight, bias, skip of each block.
     blocks: Vec<[&'a mut [T]; 3]>,
     projection: [[&'a mut [T]; 2]; 2],
     scalar: [&'a mut [T]; 2],

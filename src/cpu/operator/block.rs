@@ -1,4 +1,4 @@
-//! The position-wise half of a Fourier block: `y = K(x) + S x + bias` with the inverse transform fused in.
+//! The position-wise half of a Fourier block: `y = K(x) + S x + bias`, fused with the inverse transform.
 
 use super::padded;
 use super::pointwise::{straight, transposed};
@@ -7,7 +7,7 @@ use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
 use crate::network::{self, Config};
 
-/// Skip and bias of a Fourier block.
+/// The skip and the bias of a Fourier block.
 pub(super) struct Skip<T> {
     /// Transposed weight of `S`, shape [C, C].
     weight: Vec<T>,
@@ -24,14 +24,15 @@ impl<T: Real> Skip<T> {
         Self { weight: transposed(&block.skip, n, n, c), bias }
     }
 
-    /// The adjoint, for cotangents: `adj_x = S^T adj_y` and the adjoint transform of what the spectral product sends back.
+    /// Builds the adjoint, for cotangents: `adj_x = S^T adj_y` plus the adjoint transform of the spectral
+    /// product's cotangents.
     pub fn adjoint(config: &Config, block: &network::Block) -> Self {
         let c = config.channels;
         Self { weight: straight(&block.skip, c, c), bias: vec![T::zero(); padded(c)] }
     }
 
-    /// One row of the grid: `out` [W, C] from `x` [W, C] and the row spectrum `z` [modes_w, 2, C] that the inverse
-    /// transform along the columns has left. The GELU is left to the caller.
+    /// Computes one row of the grid: `out` [W, C] from `x` [W, C] and the row spectrum `z` [modes_w, 2, C]
+    /// that the inverse transform along the columns produced. The caller applies the GELU.
     pub fn row(&self, out: &mut [T], x: &[T], z: &[T], transform: &Transform<T>) {
         let c = self.bias.len();
         let skip = Term { a: x, a_stride: c, a_transposed: false, b: &self.weight, b_stride: c, depth: c };

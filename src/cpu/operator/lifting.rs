@@ -1,4 +1,5 @@
-//! Lifting: normalised fields and positions to channels, through a hidden layer that never leaves the cache.
+//! Lifting: from normalised fields and positions to channels, through a hidden layer that never leaves the
+//! cache.
 
 use super::pointwise::{Pointwise, PointwiseGradient};
 use super::{ADJOINT_SEGMENT, SEGMENT, padded};
@@ -14,7 +15,7 @@ pub(super) struct Lifting<T> {
     fields: usize,
 }
 
-/// What one sample gives to the network, [fields, H, W].
+/// The input fields of one sample, [fields, H, W].
 #[derive(Clone, Copy)]
 pub(super) struct Fields<'a, T> {
     pub values: &'a [T],
@@ -27,7 +28,7 @@ pub(super) struct LiftingScratch<T> {
     hidden: Vec<T>,
 }
 
-/// A part of the gradient of [`Lifting`], and working memory.
+/// A partial gradient of [`Lifting`], with working memory.
 pub(super) struct LiftingGradient<T> {
     pub hidden: PointwiseGradient<T>,
     pub out: PointwiseGradient<T>,
@@ -77,9 +78,9 @@ impl<T: Real> Lifting<T> {
         }
     }
 
-    /// Adds to the gradient, for the cotangents `adj_out` [positions, C] of the positions of a sample from number
-    /// `first` on. The hidden layer is computed again; its inputs are constants of training, so that nothing goes further
-    /// back. `turned` is the weight of the second layer [C, hidden].
+    /// Adds to the gradient, given the cotangents `adj_out` [positions, C] of a sample's positions from
+    /// number `first` on. The hidden layer is recomputed. Its inputs are constants of training, so nothing
+    /// propagates further back. `turned` is the weight of the second layer [C, hidden].
     pub fn backward(
         &self,
         adj_out: &[T],
@@ -117,7 +118,7 @@ impl<T: Real> Lifting<T> {
         }
     }
 
-    /// The inputs of the network at (i, j): the fields, then `i / (H-1)` and `j / (W-1)`.
+    /// Writes the network's inputs at (i, j): the fields, then `i / (H-1)` and `j / (W-1)`.
     pub fn embed(&self, at: &mut [T], fields: Fields<'_, T>, i: usize, j: usize) {
         let Fields { values, grid: Grid { h, w } } = fields;
         for (c, at) in at[..self.fields].iter_mut().enumerate() {

@@ -1,8 +1,8 @@
 //! The Fourier neural operator on the CPU (paper section 4), one file per stage.
 //!
-//! Activations are stored as [S, H, W, C], channels innermost and padded to whole registers: every stage is then a
-//! product of small matrices whose columns are channels, and no grid size needs padding. A sample (S of them) is one
-//! component of one cloth.
+//! Activations are stored as [S, H, W, C], channels innermost and padded to whole registers. Every stage is
+//! then a product of small matrices whose columns are channels, and no grid size needs padding. A sample (S
+//! of them) is one component of one cloth.
 
 mod adjoint;
 mod block;
@@ -21,22 +21,23 @@ pub use transform::Transform;
 
 use super::matmul::LANES;
 
-/// Positions of a row that pass through a hidden layer at a time: its activations then stay in the first-level cache.
+/// Positions of a row that pass through a hidden layer at a time. Their activations stay in the first-level
+/// cache.
 const SEGMENT: usize = 24;
 
-/// Positions that pass through a hidden layer at a time on the way back: a sum over positions wants to be longer, and the
-/// second-level cache holds this many.
+/// Positions that pass through a hidden layer at a time in the backward pass. Sums over positions favour
+/// longer segments, and this many fit into the second-level cache.
 const ADJOINT_SEGMENT: usize = 96;
 
-/// Positions of the rows that one task processes, about.
+/// Approximate number of positions per task.
 const BAND: usize = 256;
 
-/// A number of channels padded to whole registers.
+/// Returns the number of channels padded to whole registers.
 fn padded(channels: usize) -> usize {
     channels.next_multiple_of(LANES)
 }
 
-/// Rows of a grid of this width that one task processes.
+/// Returns how many rows of a grid of width `w` one task processes.
 fn band_rows(w: usize) -> usize {
     (BAND / w).max(1)
 }

@@ -14,14 +14,14 @@ use crate::{Result, memory};
 use rayon::prelude::*;
 use std::sync::Arc;
 
-/// A point inside the network whose values [`Network::forward_observed`] shows.
+/// A point inside the network at which [`Network::forward_observed`] reports the values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// The fields with the two positional fields behind them, [S, fields + 2, H, W].
+    /// The fields followed by the two positional fields, [S, fields + 2, H, W].
     Embedded,
     /// The output of the lifting, [S, C, H, W].
     Lifted,
-    /// The output of a Fourier block, after its GELU where it has one, [S, C, H, W].
+    /// The output of a Fourier block, after its GELU if it has one, [S, C, H, W].
     Block(usize),
 }
 
@@ -29,7 +29,7 @@ pub enum Stage {
 pub struct Network<T: Real> {
     pub(super) config: Config,
     pub(super) grid: Grid,
-    /// Channels as they lie in memory.
+    /// Number of channels as stored.
     pub(super) channels: usize,
     pub(super) transform: Transform<T>,
     pub(super) layers: Arc<Layers<T>>,
@@ -37,7 +37,7 @@ pub struct Network<T: Real> {
     buffers: Buffers<T>,
 }
 
-/// The weights, each layer in the order that its stage reads.
+/// The weights, each layer in the order in which its stage reads them.
 pub(super) struct Layers<T> {
     pub lifting: Lifting<T>,
     pub blocks: Vec<(Spectral<T>, Skip<T>)>,
@@ -45,13 +45,14 @@ pub(super) struct Layers<T> {
     pub scalar_head: ScalarHead<T>,
 }
 
-/// What the backward pass needs of a forward pass. Hidden layers of lifting and projection are computed again instead.
+/// The results of a forward pass that the backward pass needs. The hidden layers of lifting and projection
+/// are recomputed instead.
 pub(super) struct Kept<T> {
     /// Output of the lifting, shape [S, H, W, C].
     pub lifted: Vec<T>,
     /// Output of each block before its GELU, shape [S, H, W, C].
     pub blocks: Vec<Vec<T>>,
-    /// Kept modes of each block's input, as the spectral product takes them.
+    /// Kept modes of each block's input, in the layout that the spectral product reads.
     pub modes: Vec<Vec<T>>,
     /// The largest value of each channel, shape [S, C], and the first row that attains it.
     pub pooled: Vec<T>,
@@ -91,7 +92,7 @@ struct Buffers<T> {
     scalar: Vec<T>,
 }
 
-/// Room for activations [positions, channels], by far the largest of what a pass needs.
+/// Allocates activations [positions, channels], by far the largest buffers of a pass.
 fn activation<T: Real>(positions: usize, channels: usize) -> Result<Vec<T>> {
     let mut room = Vec::new();
     memory::reserve(&mut room, positions * channels, "activations")?;
@@ -100,7 +101,8 @@ fn activation<T: Real>(positions: usize, channels: usize) -> Result<Vec<T>> {
 }
 
 impl<T: Real> Network<T> {
-    /// Lays the weights out for `samples` samples on `grid`; an error if the grid is too small for the kept modes.
+    /// Lays out the weights for `samples` samples on `grid`. Returns an error if the grid is too small for
+    /// the kept modes or there is not enough memory.
     pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
         let config = weights.config;
         let channels = padded(config.channels);
@@ -123,7 +125,7 @@ impl<T: Real> Network<T> {
         Ok(Self { config, grid, channels, transform, layers, kept: None, buffers })
     }
 
-    /// From now on keeps what the backward pass needs.
+    /// Makes every later run keep what the backward pass needs.
     pub(super) fn keep(&mut self) {
         let zeros = |like: &Vec<T>| vec![T::zero(); like.len()];
         let Buffers { x, spectral, scalar, .. } = &self.buffers;
@@ -143,19 +145,19 @@ impl<T: Real> Network<T> {
         self.run(input, &mut |_, _| {});
     }
 
-    /// [`Network::forward`] that also shows each [`Stage`] on the way, channels first.
+    /// Runs the network as [`Network::forward`] does and passes each [`Stage`] to `observer`, channels first.
     pub fn forward_observed(&mut self, input: &[T], observer: &mut dyn FnMut(Stage, &[T])) {
         observer(Stage::Embedded, &self.embedded(input));
         let (c, stored, n) = (self.config.channels, self.channels, self.grid.particles());
         self.run(input, &mut |stage, x| observer(stage, &channels_first(x, n, stored, c)));
     }
 
-    /// The field of the last run, shape [S, 1, H, W].
+    /// Returns the field of the last run, shape [S, 1, H, W].
     pub fn field(&self) -> &[T] {
         &self.buffers.field
     }
 
-    /// The scalars of the last run, shape \[S\].
+    /// Returns the scalars of the last run, shape \[S\].
     pub fn scalar(&self) -> &[T] {
         &self.buffers.scalar
     }
@@ -187,7 +189,7 @@ impl<T: Real> Network<T> {
         }
     }
 
-    /// Lifting and the row transform, band by band.
+    /// Applies the lifting and the row transform, band by band.
     fn lift(&mut self, input: &[T]) {
         let Grid { h, w } = self.grid;
         let (lifting, transform) = (&self.layers.lifting, &self.transform);
@@ -212,7 +214,7 @@ impl<T: Real> Network<T> {
         });
     }
 
-    /// The column transform and the spectral product of block `index`.
+    /// Applies the column transform and the spectral product of block `index`.
     fn mix(&mut self, index: usize) {
         let transform = &self.transform;
         let Buffers { rows, sums, modes, spectral, .. } = &mut self.buffers;
@@ -226,8 +228,8 @@ impl<T: Real> Network<T> {
         self.layers.blocks[index].0.apply(modes, sums, transform, scratch);
     }
 
-    /// The rest of block `index`, band by band, and what follows it position by position: the GELU and the row transform
-    /// of the next block, or the projection; and the maximum for the scalar head.
+    /// Finishes block `index` band by band, with the position-wise work that follows it: the GELU and the row
+    /// transform of the next block, or the projection; and the maximum for the scalar head.
     fn finish_block(&mut self, index: usize) {
         let Grid { h, w } = self.grid;
         let Layers { blocks, projection, scalar_head, .. } = &*self.layers;
@@ -290,7 +292,7 @@ impl<T: Real> Network<T> {
         });
     }
 
-    /// The inputs of the lifting, shape [S, fields + 2, H, W].
+    /// Returns the inputs of the lifting, shape [S, fields + 2, H, W].
     fn embedded(&self, input: &[T]) -> Vec<T> {
         let Grid { h, w } = self.grid;
         let (inputs, n) = (self.config.inputs(), h * w);
@@ -307,7 +309,7 @@ impl<T: Real> Network<T> {
     }
 }
 
-/// The chunks of `size` numbers of a slice that may not be there: `count` of them in either case.
+/// Splits an optional slice into chunks of `size` numbers. Without a slice, returns `count` times `None`.
 fn optional_chunks<T>(all: Option<&mut [T]>, size: usize, count: usize) -> Vec<Option<&mut [T]>> {
     match all {
         Some(all) => all.chunks_mut(size).map(Some).collect(),
@@ -315,7 +317,7 @@ fn optional_chunks<T>(all: Option<&mut [T]>, size: usize, count: usize) -> Vec<O
     }
 }
 
-/// [S, n, stored channels] to [S, channels, n].
+/// Converts [S, n, stored channels] to [S, channels, n].
 fn channels_first<T: Real>(x: &[T], n: usize, stored: usize, channels: usize) -> Vec<T> {
     let samples = x.chunks_exact(n * stored);
     samples.flat_map(|x| (0..channels).flat_map(move |c| (0..n).map(move |p| x[p * stored + c]))).collect()

@@ -5,18 +5,18 @@ use crate::cpu::matmul::{Start, Target, Term, add_rows, product};
 use crate::cpu::real::Real;
 use crate::network::Dense;
 
-/// A pointwise layer `y = weight x + bias`, its output channels padded to whole registers with zeros.
+/// A pointwise layer `y = weight x + bias`. Its output channels are padded with zeros to whole registers.
 pub(super) struct Pointwise<T> {
     /// Transposed weight, shape [in, out padded].
     pub weight: Vec<T>,
     /// Bias, shape [out padded].
     pub bias: Vec<T>,
-    /// Input channels as they lie in memory.
+    /// Number of input channels as stored.
     inputs: usize,
 }
 
 impl<T: Real> Pointwise<T> {
-    /// A layer that reads `stored` channels, of which those beyond the layer's own inputs carry weight 0.
+    /// Builds a layer that reads `stored` channels. Those beyond the layer's own inputs have weight 0.
     pub fn new(dense: &Dense, inputs: usize, stored: usize) -> Self {
         let outputs = dense.bias.len();
         let mut bias = vec![T::zero(); padded(outputs)];
@@ -26,12 +26,12 @@ impl<T: Real> Pointwise<T> {
         Self { weight: transposed(&dense.weight, outputs, inputs, stored), bias, inputs: stored }
     }
 
-    /// Output channels as they lie in memory.
+    /// Returns the number of output channels as stored.
     pub fn outputs(&self) -> usize {
         self.bias.len()
     }
 
-    /// `out` [positions, out padded] from `x` [positions, in stored].
+    /// Computes `out` [positions, out padded] from `x` [positions, in stored].
     pub fn apply(&self, out: &mut [T], x: &[T]) {
         let columns = self.outputs();
         let rows = out.len() / columns;
@@ -60,13 +60,14 @@ pub(super) struct PointwiseGradient<T> {
 }
 
 impl<T: Real> PointwiseGradient<T> {
-    /// Zero, for a layer that reads `stored` channels.
+    /// Builds a zero gradient for a layer that reads `stored` channels.
     pub fn new(stored: usize, outputs: usize) -> Self {
         let zeros = |n| vec![T::zero(); n];
         Self { weight: zeros(stored * padded(outputs)), bias: zeros(padded(outputs)), inputs: stored }
     }
 
-    /// Adds `sum over positions of x adj_y`, from `x` [positions, in stored] and `adj_y` [positions, out padded].
+    /// Adds `sum over positions of x adj_y`, given `x` [positions, in stored] and `adj_y`
+    /// [positions, out padded].
     pub fn add(&mut self, x: &[T], adj_y: &[T]) {
         let columns = self.bias.len();
         let target = Target {
@@ -104,14 +105,15 @@ impl<T: Real> PointwiseGradient<T> {
         }
     }
 
-    /// Back to zero.
+    /// Resets to zero.
     pub fn clear(&mut self) {
         self.weight.fill(T::zero());
         self.bias.fill(T::zero());
     }
 }
 
-/// A weight [out, in] as it is, of shape [stored out, in padded], zero in what is padded: `adj_x = adj_y weight`.
+/// Returns a weight [out, in] untransposed, shape [stored out, in padded], with zeros in the padding:
+/// `adj_x = adj_y weight`.
 pub(super) fn straight<T: Real>(weight: &[f32], outputs: usize, inputs: usize) -> Vec<T> {
     let columns = padded(inputs);
     let mut result = vec![T::zero(); padded(outputs) * columns];
@@ -123,7 +125,7 @@ pub(super) fn straight<T: Real>(weight: &[f32], outputs: usize, inputs: usize) -
     result
 }
 
-/// The transpose of a weight [out, in], of shape [stored, out padded], zero in what is padded.
+/// Returns the transpose of a weight [out, in], shape [stored, out padded], with zeros in the padding.
 pub(super) fn transposed<T: Real>(weight: &[f32], outputs: usize, inputs: usize, stored: usize) -> Vec<T> {
     let columns = padded(outputs);
     let mut result = vec![T::zero(); stored * columns];

@@ -1,4 +1,4 @@
-//! The field head: channels to one field, through a hidden layer that never leaves the cache.
+//! The field head: from channels to one field, through a hidden layer that never leaves the cache.
 
 use super::pointwise::{Pointwise, PointwiseGradient};
 use super::{ADJOINT_SEGMENT, SEGMENT, padded};
@@ -6,7 +6,7 @@ use crate::cpu::matmul::{Start, Target, Term, product, weighted_rows};
 use crate::cpu::real::Real;
 use crate::network::{Config, Weights};
 
-/// A part of the gradient of [`Projection`], and working memory.
+/// A partial gradient of [`Projection`], with working memory.
 pub(super) struct ProjectionGradient<T> {
     pub hidden: PointwiseGradient<T>,
     /// Shape [hidden padded].
@@ -30,7 +30,7 @@ impl<T: Real> ProjectionGradient<T> {
 /// The two layers of the projection, `C -> hidden -> 1`.
 pub(super) struct Projection<T> {
     hidden: Pointwise<T>,
-    /// Whether the first layer changes nothing, as in [`Weights::folded`].
+    /// Whether the first layer is the identity, as in [`Weights::folded`].
     folded: bool,
     weight: Vec<T>,
     bias: T,
@@ -48,8 +48,8 @@ impl<T: Real> Projection<T> {
         Self { hidden, folded: weights.is_folded(), weight, bias: T::of(second.bias[0] as f64) }
     }
 
-    /// The cotangents `adj_x` [positions, C] for those of the field, `adj_field` \[positions\], at the input `x`
-    /// [positions, C]; adds to the gradient. The hidden layer is computed again.
+    /// Computes the cotangents `adj_x` [positions, C] at the input `x` [positions, C] from those of the
+    /// field, `adj_field` \[positions\], and adds to the gradient. The hidden layer is recomputed.
     pub fn backward(
         &self,
         adj_x: &mut [T],
@@ -106,7 +106,7 @@ impl<T: Real> Projection<T> {
         vec![T::zero(); SEGMENT * self.hidden.outputs()]
     }
 
-    /// `field` \[positions\] from `x` [positions, C], which may be changed.
+    /// Computes `field` \[positions\] from `x` [positions, C], which may be overwritten.
     pub fn apply(&self, field: &mut [T], x: &mut [T], scratch: &mut [T]) {
         if self.folded {
             T::gelu(x);

@@ -20,14 +20,14 @@ impl<T: Real> ScalarHead<T> {
         Self { weight, bias: T::of(weights.scalar.bias[0] as f64) }
     }
 
-    /// The largest value of each channel, `pooled` \[C\], over `x` [positions, C].
+    /// Computes the largest value of each channel, `pooled` \[C\], over `x` [positions, C].
     pub fn pool(&self, pooled: &mut [T], x: &[T]) {
         pooled.fill(T::neg_infinity());
         largest_rows(pooled, x);
     }
 
-    /// The first row that holds the largest value of each channel, `rows` [S, C], of the pooled rows `pooled` [S, H, C]:
-    /// the maximum's cotangent goes to the first position that attains it.
+    /// Finds the first row that holds the largest value of each channel, `rows` [S, C], from the pooled rows
+    /// `pooled` [S, H, C]. The maximum's cotangent goes to the first position that attains it.
     pub fn first_rows(&self, rows: &mut [u32], pooled: &[T]) {
         let c = self.weight.len();
         let sample = pooled.len() / (rows.len() / c);
@@ -43,8 +43,9 @@ impl<T: Real> ScalarHead<T> {
         }
     }
 
-    /// Adds the cotangents of row `i` of a sample to `adj_x` [W, C], for `adj_scalar` of the head's output: where `x`
-    /// [W, C] first attains its maximum, for the channels whose maximum `first_rows` \[C\] puts into this row.
+    /// Adds to `adj_x` [W, C] the cotangents of row `i` of a sample, given the cotangent `adj_scalar` of the
+    /// head's output. They go to where `x` [W, C] first attains its maximum, for the channels whose maximum
+    /// lies in this row according to `first_rows` \[C\].
     pub fn backward_row(&self, adj_x: &mut [T], x: &[T], (i, first_rows): (usize, &[u32]), adj_scalar: T) {
         let c = self.weight.len();
         for (k, &weight) in self.weight.iter().enumerate().filter(|(k, _)| first_rows[*k] as usize == i) {
@@ -58,7 +59,8 @@ impl<T: Real> ScalarHead<T> {
         }
     }
 
-    /// Adds the gradient of the weight, `weight` \[C\], and of the bias, from the largest values `pooled` \[C\] of a sample.
+    /// Adds the gradients of the weight, `weight` \[C\], and of the bias, given the largest values `pooled`
+    /// \[C\] of a sample.
     pub fn add_gradient(weight: &mut [T], bias: &mut T, pooled: &[T], adj_scalar: T) {
         for (to, &largest) in weight.iter_mut().zip(pooled) {
             *to = *to + adj_scalar * largest;
@@ -66,7 +68,8 @@ impl<T: Real> ScalarHead<T> {
         *bias = *bias + adj_scalar;
     }
 
-    /// `scalar` \[S\] from the pooled rows `pooled` [S, H, C]; overwrites the first row of each sample.
+    /// Computes `scalar` \[S\] from the pooled rows `pooled` [S, H, C]. Overwrites the first row of each
+    /// sample.
     pub fn apply(&self, scalar: &mut [T], pooled: &mut [T]) {
         let c = self.weight.len();
         let sample = pooled.len() / scalar.len();

@@ -1,4 +1,4 @@
-//! The spectral product: for every kept mode a complex matrix over the channels.
+//! The spectral product: one complex matrix over the channels per kept mode.
 
 use super::padded;
 use super::transform::Transform;
@@ -7,9 +7,10 @@ use crate::cpu::real::Real;
 use crate::network::{Block, Config};
 use rayon::prelude::*;
 
-/// Weights of the spectral products of one block, laid out so that all samples of a batch share one reading of them.
+/// Weights of one block's spectral products, laid out so that all samples of a batch share one read of them.
 pub struct Spectral<T> {
-    /// Real parts of all input channels, then imaginary parts, per mode: shape [modes_h, modes_w, 2, in, out].
+    /// For each mode, the real parts of all input channels, then the imaginary parts: shape
+    /// [modes_h, modes_w, 2, in, out].
     weight: Vec<T>,
     channels: usize,
     modes_h: usize,
@@ -23,7 +24,7 @@ impl<T: Real> Spectral<T> {
         Self::laid_out(config, |i, o, m, part| block.spectral[((i * n + o) * config.modes() + m) * 2 + part])
     }
 
-    /// The adjoint, for cotangents: the conjugate of the weights, with inputs and outputs exchanged.
+    /// Builds the adjoint, for cotangents: the conjugate of the weights, with inputs and outputs exchanged.
     pub fn adjoint(config: &Config, block: &Block) -> Self {
         let n = config.channels;
         Self::laid_out(config, |i, o, m, part| {
@@ -45,21 +46,22 @@ impl<T: Real> Spectral<T> {
         Self { weight, channels: c, modes_h: config.modes_h, modes_w: config.modes_w }
     }
 
-    /// Numbers of working memory that [`Spectral::apply`] needs for `samples` samples.
+    /// Returns the length of the working memory that [`Spectral::apply`] needs for `samples` samples.
     pub fn scratch_len(&self, samples: usize) -> usize {
         self.modes_h * self.modes_w * 4 * samples * self.channels
     }
 
     /// Adds the gradient of the weights to `gradient` [in, out, modes_h, modes_w, 2]: the sum over samples of
-    /// `conj(x) adj_y`, from what [`Spectral::apply`] left in `scratch` for the inputs and, applied by the adjoint, for the
-    /// cotangents of the outputs. `matrices` is working memory of the size of the weights.
+    /// `conj(x) adj_y`. `x` is what [`Spectral::apply`] left in `scratch`, `adj_y` what the adjoint's `apply`
+    /// left there for the cotangents of the outputs. `matrices` is working memory of the size of the weights.
     pub fn add_gradient(&self, gradient: &mut [T], (x, adj_y): (&[T], &[T]), matrices: &mut [T]) {
         let (c, modes) = (self.channels, self.modes_h * self.modes_w);
         let mode_len = x.len() / modes;
         let parts = x.par_chunks_exact(mode_len).zip(adj_y.par_chunks_exact(mode_len));
         matrices.par_chunks_exact_mut(2 * c * c).zip(parts).for_each(|(matrices, (x, adj_y))| {
-            // Every other row is (re), (im), (re), ..; those between are (-im), (re), ..: with the first the sum is the
-            // gradient's real part, with the second its imaginary part, negative.
+            // Of the rows of `c` numbers the even ones are (re), (im), (re), .., the odd ones (-im), (re),
+            // ... The sum with the even rows is the gradient's real part, that with the odd rows its negative
+            // imaginary part.
             let (real, imaginary) = matrices.split_at_mut(c * c);
             for (out, b) in [(real, adj_y), (imaginary, &adj_y[c..])] {
                 product(
@@ -88,15 +90,17 @@ impl<T: Real> Spectral<T> {
         });
     }
 
-    /// Numbers of working memory that [`Spectral::add_gradient`] needs.
+    /// Returns the length of the working memory that [`Spectral::add_gradient`] needs.
     pub(super) fn weight_len(&self) -> usize {
         self.weight.len()
     }
 
-    /// `out` [modes_h, modes_w, 2, S, 2, C] from the column sums `sums` [S, modes_w, 2 modes_h, 2, C] of the forward
-    /// transform: `out = sum over in of x[in] weight[in, out]`, and behind it the same times the imaginary unit.
+    /// Computes `out` [modes_h, modes_w, 2, S, 2, C] from the column sums `sums`
+    /// [S, modes_w, 2 modes_h, 2, C] of the forward transform: `out = sum over in of x[in] weight[in, out]`,
+    /// followed by the same times the imaginary unit.
     ///
-    /// The complex product is a real one: rows (re, -im) and (im, re) times the real parts above the imaginary parts.
+    /// The complex product is computed as a real one: rows (re, -im) and (im, re) times the real parts above
+    /// the imaginary parts.
     pub fn apply(&self, out: &mut [T], sums: &[T], transform: &Transform<T>, scratch: &mut [T]) {
         let c = self.channels;
         let samples = sums.len() / transform.column_len();

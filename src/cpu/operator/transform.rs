@@ -1,8 +1,9 @@
 //! The truncated two-dimensional real Fourier transform and its inverse, as products with trigonometric tables.
 //!
-//! Of the spectrum only `modes_h` rows `k_h = -modes_h/2 ..` and `modes_w` columns `k_w = 0 ..` are kept, so each direction
-//! is one product along the rows of the grid and one along its columns. A row spectrum `R` keeps, for one grid row, the
-//! columns k_w as (re, im) pairs: shape [modes_w, 2, C]. The forward transform carries the factor 1/(HW), the inverse none.
+//! Only `modes_h` rows `k_h = -modes_h/2 ..` and `modes_w` columns `k_w = 0 ..` of the spectrum are kept, so
+//! each direction is one product along the rows of the grid and one along its columns. A row spectrum `R`
+//! holds the columns k_w of one grid row as (re, im) pairs, shape [modes_w, 2, C]. The forward transform
+//! carries the factor 1/(HW), the inverse none.
 
 use crate::Result;
 use crate::cpu::matmul::{Start, Target, Term, product};
@@ -11,16 +12,17 @@ use crate::network::Config;
 use crate::sim::Grid;
 use std::f64::consts::TAU;
 
-/// The tables of one grid for `channels` channels as they lie in memory.
+/// The trigonometric tables of one grid, for `channels` channels as stored.
 #[derive(Clone)]
 pub struct Transform<T> {
     grid: Grid,
     channels: usize,
     modes_h: usize,
     modes_w: usize,
-    /// `cos`, `-sin` of `2 pi k_w j / W`, over HW, shape [modes_w * 2, W].
+    /// `cos`, `-sin` of `2 pi k_w j / W`, divided by HW, shape [modes_w * 2, W].
     row_forward: Vec<T>,
-    /// `cos`, `-sin` of `2 pi k_w j / W`, doubled where a column stands for its conjugate too, shape [W, modes_w * 2].
+    /// `cos`, `-sin` of `2 pi k_w j / W`, doubled where a column also stands for its conjugate, shape
+    /// [W, modes_w * 2].
     row_inverse: Vec<T>,
     /// `cos`, then `sin`, of `2 pi k_h i / H`, shape [2 * modes_h, H].
     column_forward: Vec<T>,
@@ -29,17 +31,17 @@ pub struct Transform<T> {
 }
 
 impl<T: Real> Transform<T> {
-    /// Tables for a grid; an error if the grid is too small for the kept modes.
+    /// Builds the tables of a grid. Returns an error if the grid is too small for the kept modes.
     pub fn new(config: &Config, grid: Grid, channels: usize) -> Result<Self> {
         let Grid { h, w } = grid;
         let (modes_h, modes_w) = (config.modes_h, config.modes_w);
         config.check_grid(grid, "network", "grid")?;
-        // Reducing the argument exactly keeps the tables good to the last bit for long rows.
+        // Reducing the argument exactly keeps the tables accurate to the last bit for long rows.
         let angle = |k: usize, j: usize, n: usize| TAU * ((k * j) % n) as f64 / n as f64;
         let mut row_forward = vec![T::zero(); modes_w * 2 * w];
         let mut row_inverse = vec![T::zero(); modes_w * 2 * w];
         for k in 0..modes_w {
-            // The columns 0 and W/2 are their own conjugates; the inverse reads the real part of their sum only.
+            // Columns 0 and W/2 are their own conjugates, of whose sum the inverse reads only the real part.
             let copies = if k == 0 || 2 * k == w { 1.0 } else { 2.0 };
             for j in 0..w {
                 let (sin, cos) = angle(k, j, w).sin_cos();
@@ -73,9 +75,10 @@ impl<T: Real> Transform<T> {
         })
     }
 
-    /// The adjoint: forward is the adjoint of the inverse, inverse that of the forward transform. Along the columns each
-    /// is the other's adjoint already; along the rows the tables trade places. So the weight that a mode carries in the
-    /// inverse, 2 where it stands for its conjugate too, is in the adjoint's forward transform.
+    /// Returns the adjoint: its forward transform is the adjoint of the inverse, its inverse that of the
+    /// forward transform. Along the columns the two are each other's adjoint already; along the rows the
+    /// tables trade places. The weight that a mode carries in the inverse, 2 if it also stands for its
+    /// conjugate, is therefore in the adjoint's forward transform.
     pub fn adjoint(&self) -> Self {
         let (w, modes) = (self.grid.w, 2 * self.modes_w);
         let transposed = |table: &[T], rows: usize, columns: usize| {
@@ -88,17 +91,17 @@ impl<T: Real> Transform<T> {
         }
     }
 
-    /// Numbers in the row spectrum of one grid row, shape [modes_w, 2, C].
+    /// Returns the length of the row spectrum of one grid row, shape [modes_w, 2, C].
     pub fn row_len(&self) -> usize {
         self.modes_w * 2 * self.channels
     }
 
-    /// Numbers in the column sums of one sample, shape [modes_w, 2 modes_h, 2, C].
+    /// Returns the length of the column sums of one sample, shape [modes_w, 2 modes_h, 2, C].
     pub fn column_len(&self) -> usize {
         2 * self.modes_h * self.row_len()
     }
 
-    /// Forward along a row: `out` [modes_w, 2, C] from `x` [W, C].
+    /// Transforms along a row: `out` [modes_w, 2, C] from `x` [W, C].
     pub fn row_forward(&self, out: &mut [T], x: &[T]) {
         let (w, c) = (self.grid.w, self.channels);
         product(
@@ -107,7 +110,7 @@ impl<T: Real> Transform<T> {
         );
     }
 
-    /// The term that adds the inverse along a row, [W, C], of a row spectrum `z` [modes_w, 2, C].
+    /// Returns the term that adds the inverse along a row, [W, C], of a row spectrum `z` [modes_w, 2, C].
     pub(super) fn row_inverse<'a>(&'a self, z: &'a [T]) -> Term<'a, T> {
         let depth = 2 * self.modes_w;
         Term {
@@ -120,8 +123,9 @@ impl<T: Real> Transform<T> {
         }
     }
 
-    /// Forward along the columns, of column `k_w` of a sample: `out` [2 modes_h, 2, C], the sums with the cosines and then
-    /// those with the sines, from the row spectra `rows` [H, modes_w, 2, C]. [`Transform::mode`] joins them.
+    /// Transforms along column `k_w` of a sample: `out` [2 modes_h, 2, C], the sums with the cosines followed
+    /// by those with the sines, from the row spectra `rows` [H, modes_w, 2, C]. [`Transform::mode`] combines
+    /// them.
     pub fn column_forward(&self, out: &mut [T], rows: &[T], k_w: usize) {
         let (h, columns) = (self.grid.h, 2 * self.channels);
         let b = &rows[k_w * columns..];
@@ -138,14 +142,15 @@ impl<T: Real> Transform<T> {
         );
     }
 
-    /// Real and imaginary part of mode (m_h, k_w), channel c, from the column sums [2 modes_h, 2, C] of that k_w.
+    /// Returns the real and the imaginary part of mode (m_h, k_w), channel c, from the column sums
+    /// [2 modes_h, 2, C] of that k_w.
     pub fn mode(&self, sums: &[T], m_h: usize, c: usize) -> (T, T) {
         let at = |row: usize, part: usize| sums[(row * 2 + part) * self.channels + c];
         let (cos, sin) = (m_h, self.modes_h + m_h);
         (at(cos, 0) + at(sin, 1), at(cos, 1) - at(sin, 0))
     }
 
-    /// The whole inverse: the field, shape [H, W, C], of `modes` [modes_h, modes_w, C, 2].
+    /// Applies the whole inverse: returns the field, shape [H, W, C], of `modes` [modes_h, modes_w, C, 2].
     pub fn inverse(&self, modes: &[T]) -> Vec<T> {
         let (c, row_len) = (self.channels, self.row_len());
         let mut parts = vec![T::zero(); 2 * modes.len()];
@@ -167,9 +172,8 @@ impl<T: Real> Transform<T> {
         field
     }
 
-    /// Inverse along the columns, for grid rows from `i` on: `out` [rows, modes_w, 2, C] from the modes of a sample.
-    /// These are the parts of `modes` [modes_h, modes_w, 2, S, 2, C] that begin at `offset`: first the modes (re, im),
-    /// then the same turned by a quarter (-im, re).
+    /// Applies the inverse along the columns, for grid rows from `i` on: `out` [rows, modes_w, 2, C] from the
+    /// `modes` of a sample, stored twice: as (re, im), then times the imaginary unit, (-im, re).
     pub(super) fn column_inverse(&self, out: &mut [T], i: usize, modes: ModeParts<'_, T>) {
         let columns = 2 * self.channels;
         let rows = out.len() / self.row_len();
@@ -191,13 +195,13 @@ impl<T: Real> Transform<T> {
     }
 }
 
-/// The modes of one sample among those of all, see [`Transform::column_inverse`].
+/// The modes of one sample among those of all, as [`Transform::column_inverse`] reads them.
 #[derive(Clone, Copy)]
 pub(super) struct ModeParts<'a, T> {
     /// Modes of all samples, shape [modes_h, modes_w, 2, S, 2, C].
     pub values: &'a [T],
     /// S.
     pub samples: usize,
-    /// Which of them.
+    /// Number of the sample.
     pub sample: usize,
 }

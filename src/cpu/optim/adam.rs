@@ -4,7 +4,8 @@ use super::Minimizer;
 use crate::cpu::Real;
 use pulp::{Arch, Simd, WithSimd};
 
-/// `a <- a - rate m / (sqrt(v) + epsilon)` with the corrected moments m and v of the frame's gradients.
+/// Adam: `a <- a - rate m / (sqrt(v) + epsilon)`, with m and v the bias-corrected moments of the frame's
+/// gradients.
 pub struct Adam<T> {
     rate: f64,
     beta1: f64,
@@ -17,7 +18,7 @@ pub struct Adam<T> {
 }
 
 impl<T: Real> Adam<T> {
-    /// Adam for `len` unknowns with `[rate, beta1, beta2, epsilon]`.
+    /// Builds Adam for `len` unknowns with `[rate, beta1, beta2, epsilon]`.
     pub fn new([rate, beta1, beta2, epsilon]: [f64; 4], len: usize) -> Self {
         let zeros = || vec![T::zero(); len];
         Self { rate, beta1, beta2, epsilon, mean: zeros(), square: zeros(), steps: 0 }
@@ -48,12 +49,12 @@ impl<T: Real> Minimizer<T> for Adam<T> {
     }
 }
 
-/// One step of all unknowns, a register at a time.
+/// One step for all unknowns, one register at a time.
 struct Step<'a, T> {
     betas: [T; 2],
-    /// The rate, with the correction of the mean.
+    /// The rate, with the bias correction of the mean.
     rate: T,
-    /// The correction of the root of the mean square.
+    /// The bias correction of the root mean square.
     root: T,
     epsilon: T,
     grad: &'a [T],

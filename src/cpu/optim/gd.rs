@@ -3,13 +3,13 @@
 use super::Minimizer;
 use crate::cpu::Real;
 
-/// `a <- a - rate g`.
+/// Gradient descent: `a <- a - rate g`.
 pub struct GradientDescent {
     rate: f64,
 }
 
 impl GradientDescent {
-    /// Gradient descent with this rate.
+    /// Builds gradient descent with this rate.
     pub fn new(rate: f64) -> Self {
         Self { rate }
     }

@@ -1,5 +1,6 @@
-//! Limited-memory BFGS by the two-loop recursion, with step 1 and a history that is cleared every frame; from a multiple of
-//! the identity, or from the Hessian at rest, with which it is the quasi-Newton method.
+//! Limited-memory BFGS by the two-loop recursion, with step length 1 and a history that is cleared every
+//! frame. The initial inverse Hessian is a multiple of the identity, or that of the cloth at rest, which
+//! makes it the quasi-Newton method.
 
 use super::{FactoredRestHessian, InverseHessian, Minimizer, RestHessian, dot};
 use crate::Result;
@@ -11,24 +12,25 @@ use rayon::prelude::*;
 pub struct Lbfgs<T> {
     cloths: Vec<(History<T>, Initial<T>)>,
     curvature: f64,
-    /// Unknowns of one cloth.
+    /// Number of unknowns per cloth.
     len: usize,
 }
 
-/// The inverse Hessian without history; the identity, scaled by the newest pair, if there is none.
+/// The initial inverse Hessian. If `None`, the identity, scaled by the newest pair.
 type Initial<T> = Option<Box<dyn InverseHessian<T>>>;
 
-/// What L-BFGS remembers of one cloth.
+/// The L-BFGS history of one cloth.
 pub(in crate::cpu) struct History<T> {
-    /// Pairs of step s and gradient difference y with `1 / (s . y)`; only `pairs` of them, the oldest first, count.
+    /// Pairs of step s and gradient difference y, with `1 / (s . y)`. Only the first `pairs` are valid,
+    /// oldest first.
     ring: Vec<Pair<T>>,
     pairs: usize,
-    /// The gradient at the last iterate, and the step from there.
+    /// The gradient at the last iterate, and the step taken from there.
     last_grad: Vec<T>,
     last_step: Vec<T>,
-    /// Whether there was such a step.
+    /// Whether that step has been taken.
     started: bool,
-    /// What [`History::turn`] found.
+    /// The result of [`History::turn`].
     pub direction: Vec<T>,
 }
 
@@ -39,14 +41,16 @@ struct Pair<T> {
 }
 
 impl<T: Real> Lbfgs<T> {
-    /// L-BFGS for `batch` cloths of `len` unknowns each, with at most `history` pairs of `s . y > curvature`.
+    /// Builds L-BFGS for `batch` cloths of `len` unknowns each, with at most `history` pairs of
+    /// `s . y > curvature`.
     pub fn new(history: usize, curvature: f64, len: usize, batch: usize) -> Self {
         let cloths = (0..batch).map(|_| (History::new(history, len), None)).collect();
         Self { cloths, curvature, len }
     }
 
-    /// The quasi-Newton method: the same for the cloths of `model`, from their Hessians at rest, which are `factored` or
-    /// inverted by a cosine transform; an error when there is no memory for the factors.
+    /// Builds the quasi-Newton method for the cloths of `model`: L-BFGS that starts from their Hessians at
+    /// rest, either `factored` or inverted by a cosine transform. Returns an error if there is not enough
+    /// memory for the factors.
     pub fn from_rest((history, curvature): (usize, f64), factored: bool, model: &Model) -> Result<Self> {
         let len = 3 * model.grid.particles();
         let cloth = |cloth| -> Result<_> {
@@ -77,7 +81,7 @@ impl<T: Real> Minimizer<T> for Lbfgs<T> {
 }
 
 impl<T: Real> History<T> {
-    /// An empty history of at most `pairs` pairs for `len` unknowns.
+    /// Builds an empty history of at most `pairs` pairs for `len` unknowns.
     pub fn new(pairs: usize, len: usize) -> Self {
         let zeros = || vec![T::zero(); len];
         let pair = |_| Pair { s: zeros(), y: zeros(), inverse: 0.0 };
@@ -91,14 +95,14 @@ impl<T: Real> History<T> {
         }
     }
 
-    /// Forgets all pairs, and that there was a step.
+    /// Forgets all pairs and the last step.
     pub fn clear(&mut self) {
         self.pairs = 0;
         self.started = false;
     }
 
-    /// Keeps the pair of the last step, if there was one, that led to this gradient: if its curvature suffices, in place of the
-    /// oldest if the ring is full.
+    /// Stores the pair of the last step, if any, that led to this gradient, provided that its curvature
+    /// suffices. A full ring drops its oldest pair.
     pub fn remember(&mut self, grad: &[T], curvature: f64) {
         if !self.started {
             return;
@@ -122,7 +126,7 @@ impl<T: Real> History<T> {
         }
     }
 
-    /// Sets `direction` to the inverse Hessian of the history, which begins with `initial`, times `grad`.
+    /// Sets `direction` to the inverse Hessian times `grad`: that of the history, starting from `initial`.
     pub fn turn(&mut self, grad: &[T], initial: Option<&mut (dyn InverseHessian<T> + 'static)>) {
         self.last_grad.copy_from_slice(grad);
         let pairs = &self.ring[..self.pairs];
@@ -145,7 +149,8 @@ impl<T: Real> History<T> {
         }
     }
 
-    /// Goes against the direction: adds `-length direction` to `a`, the iterate that it was found for.
+    /// Steps against the direction: adds `-length direction` to `a`, the iterate at which the direction was
+    /// computed.
     pub fn step(&mut self, length: T, a: &mut [T]) {
         for ((a, step), &d) in a.iter_mut().zip(&mut self.last_step).zip(&self.direction) {
             *step = -length * d;

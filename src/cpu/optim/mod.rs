@@ -1,4 +1,4 @@
-//! The optimizers on the CPU: from the gradient of a frame's energy to a step of the accelerations.
+//! The optimizers on the CPU, which turn the gradient of a frame's energy into a step of the accelerations.
 
 mod adam;
 mod gd;
@@ -22,29 +22,28 @@ use super::Real;
 use crate::sim::{Model, Optimizer};
 use crate::{Error, Result};
 
-/// One optimizer at work on a batch of cloths.
+/// An optimizer running on a batch of cloths.
 pub trait Minimizer<T>: Send + Sync {
     /// Starts a frame, at a = 0.
     fn begin_frame(&mut self) {}
-    /// Adds a step to the accelerations `a`, given `grad` = dL/da at `a` and its norm `norms` for each component of each
-    /// cloth; shapes [B, 3, H, W] and \[S\] with S = 3 B.
+    /// Adds a step to the accelerations `a`, given `grad` = dL/da at `a` and `norms`, the norm of each
+    /// component of each cloth; shapes [B, 3, H, W] and \[S\] with S = 3 B.
     fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]);
-    /// Forgets what it remembers from frame to frame of the cloth of this number, as when that begins anew; most begin each frame
-    /// with nothing.
+    /// Clears the state kept across frames for this cloth, as when it restarts. Most optimizers keep none.
     fn forget(&mut self, _cloth: usize) {}
-    /// The scale of each sample, shape \[S\], if the optimizer has one.
+    /// Returns the scale of each sample, shape \[S\]; empty if the optimizer has none.
     fn scales(&self) -> &[T] {
         &[]
     }
 }
 
-/// The optimizer for the cloths of `model`; an error if the grid does not suit the network, or the optimizer is Newton's
-/// method, which is [`crate::cpu::Reference`].
+/// Builds the optimizer for the cloths of `model`. Returns an error if the grid does not suit the network, or
+/// if the optimizer is Newton's method, which [`crate::cpu::Reference`] implements.
 pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dyn Minimizer<T>>> {
     let (grid, batch) = (model.grid, model.batch());
     let cloth = 3 * grid.particles();
     Ok(match *optimizer {
-        // In double precision the digits of the weights as they are count for more than a layer less.
+        // Folding saves a layer but rounds the weights; double precision keeps them as they are.
         Optimizer::Learned(ref weights) => match size_of::<T>() < size_of::<f64>() {
             true => Box::new(Update::new(&weights.folded(), grid, 3 * batch)?),
             false => Box::new(Update::new(weights, grid, 3 * batch)?),

@@ -1,4 +1,5 @@
-//! The Hessian of a flat sheet's energy, inverted by a cosine transform or factored: where quasi-Newton methods start from.
+//! The Hessian of a flat sheet's energy, inverted by a cosine transform or factored: the starting point of
+//! quasi-Newton methods.
 
 use crate::cpu::Real;
 use crate::cpu::matmul::{LANES, Start, Target, Term, product};
@@ -11,38 +12,41 @@ use faer::{MatMut, Side};
 use rayon::prelude::*;
 use std::f64::consts::PI;
 
-/// What quasi-Newton methods take for the inverse Hessian before they know better.
+/// The initial inverse Hessian of a quasi-Newton method.
 pub trait InverseHessian<T>: Send + Sync {
-    /// Replaces each component of `direction` [3, H, W] by the inverse Hessian times it; 0 at handles.
+    /// Multiplies each component of `direction` [3, H, W] by the inverse Hessian; the result is 0 at handles.
     fn apply(&mut self, direction: &mut [T]);
 }
 
-/// `H0^-1 = P C^T diag(1 / lambda) C P`: the two-dimensional cosine transform C (DCT-II, orthonormal) makes the energy's
-/// Hessian at rest nearly diagonal; P zeroes the handles, which do not move (after Liu, Bouaziz and Kavan 2017).
+/// `H0^-1 = P C^T diag(1 / lambda) C P`. The two-dimensional cosine transform C (DCT-II, orthonormal) makes
+/// the energy's Hessian at rest nearly diagonal; P zeroes the handles, which do not move (after Liu, Bouaziz
+/// and Kavan 2017).
 pub struct RestHessian<T> {
     grid: Grid,
-    /// Numbers of a row in memory.
+    /// Length of a row in memory.
     stride: usize,
-    /// Cosine matrices along the height [H, H] and the width, the latter padded [W, stride], and its transpose.
+    /// Cosine matrices along the height [H, H] and along the width, padded to [W, stride], and the transpose
+    /// of the latter.
     rows: Vec<T>,
     columns: Vec<T>,
     columns_transposed: Vec<T>,
     /// 1 / lambda, shape [H, stride], 0 in the padding.
     inverse: Vec<T>,
     handles: Vec<usize>,
-    /// Of each component.
+    /// Two buffers per component.
     scratch: [[Vec<T>; 2]; 3],
 }
 
-/// The orthonormal DCT-II of n points: row k, column i.
+/// Returns the element in row k, column i of the orthonormal DCT-II of n points.
 fn cosine(n: usize, k: usize, i: usize) -> f64 {
     let scale = if k == 0 { 1.0 } else { 2.0 };
-    // An argument reduced exactly keeps long transforms good to the last bit.
+    // Reducing the argument exactly keeps long transforms accurate to the last bit.
     let angle = PI * (k * (2 * i + 1) % (4 * n)) as f64 / (2 * n) as f64;
     (scale / n as f64).sqrt() * angle.cos()
 }
 
-/// The eigenvalue of mode (k, l): inertia, stretch, bend and shear of a small wave on the sheet at rest.
+/// Returns the eigenvalue of mode (k, l): inertia, stretch, bend and shear of a small wave on the sheet at
+/// rest.
 fn eigenvalue(grid: Grid, material: Material, (k, l): (usize, usize)) -> f64 {
     let mu = |n: usize, k: usize| 2.0 - 2.0 * (PI * k as f64 / n as f64).cos();
     let Grid { h, w } = grid;
@@ -56,7 +60,7 @@ fn eigenvalue(grid: Grid, material: Material, (k, l): (usize, usize)) -> f64 {
 }
 
 impl<T: Real> RestHessian<T> {
-    /// For one cloth.
+    /// Builds the inverse Hessian of one cloth.
     pub fn new(grid: Grid, cloth: &Cloth) -> Self {
         let Grid { h, w } = grid;
         let stride = w.next_multiple_of(LANES);
@@ -114,10 +118,11 @@ impl<T: Real> InverseHessian<T> for RestHessian<T> {
     }
 }
 
-/// The same Hessian on the free particles alone, by its sparse Cholesky factors in double precision: exact at the handles, too.
+/// The Hessian at rest of the free particles alone, by its sparse Cholesky factors in double precision.
+/// Unlike [`RestHessian`], it is exact at the handles too.
 ///
-/// With the second differences D of a row and of a column of particles it is
-/// `1/(HW) + 2 k_stretch (D_H / ((H-1) W) + D_W / (H (W-1))) + 2 k_bend/(HW) (D_H^2 + D_W^2) + 4 k_shear/(HW) (D_H + D_W)`.
+/// With the second differences D of a row and of a column of particles, the Hessian is `1/(HW) + 2 k_stretch
+/// (D_H / ((H-1) W) + D_W / (H (W-1))) + 2 k_bend/(HW) (D_H^2 + D_W^2) + 4 k_shear/(HW) (D_H + D_W)`.
 pub struct FactoredRestHessian {
     factors: Llt<usize, f64>,
     handles: Vec<usize>,
@@ -126,7 +131,7 @@ pub struct FactoredRestHessian {
 }
 
 impl FactoredRestHessian {
-    /// For one cloth; an error when there is no memory for the factors.
+    /// Factors the Hessian of one cloth. Returns an error if there is not enough memory for the factors.
     pub fn new(grid: Grid, cloth: &Cloth) -> Result<Self> {
         let Grid { h, w } = grid;
         let (n, Material { stretch, shear, bend }) = ((h * w) as f64, cloth.material);
@@ -165,7 +170,7 @@ impl FactoredRestHessian {
     }
 }
 
-/// `D[a, b]` of a line of `n` particles: 2 (1 at its ends) on the diagonal, -1 beside it.
+/// Returns `D[a, b]` for a line of `n` particles: 2 (1 at its ends) on the diagonal, -1 next to it.
 fn second_difference(n: usize, a: usize, b: usize) -> f64 {
     match a.abs_diff(b) {
         0 => 2.0 - f64::from(u8::from(a == 0)) - f64::from(u8::from(a + 1 == n)),
@@ -174,7 +179,7 @@ fn second_difference(n: usize, a: usize, b: usize) -> f64 {
     }
 }
 
-/// `(D D)[a, b]`.
+/// Returns `(D D)[a, b]`.
 fn square_of_it(n: usize, a: usize, b: usize) -> f64 {
     (a.saturating_sub(1)..(a + 2).min(n))
         .map(|k| second_difference(n, a, k) * second_difference(n, k, b))

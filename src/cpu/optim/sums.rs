@@ -1,11 +1,12 @@
-//! Sums over the numbers of a field, in double precision, where the square of no single-precision number vanishes.
+//! Sums over a field, in double precision, in which the square of no nonzero single-precision number
+//! underflows.
 
 use crate::cpu::Real;
 
-/// Partial sums: one alone would wait for each addition before the next.
+/// Number of partial sums. With a single one, each addition would wait for the one before.
 const PARTS: usize = 16;
 
-/// The dot product, in an order that depends on nothing but the length.
+/// Returns the dot product, summed in an order that depends only on the length.
 pub(in crate::cpu) fn dot<T: Real>(u: &[T], w: &[T]) -> f64 {
     let ((u, u_rest), (w, w_rest)) = (u.as_chunks::<PARTS>(), w.as_chunks::<PARTS>());
     let mut sums = [0.0; PARTS];
@@ -18,7 +19,7 @@ pub(in crate::cpu) fn dot<T: Real>(u: &[T], w: &[T]) -> f64 {
     sums.into_iter().chain(rest).sum()
 }
 
-/// The Euclidean norm.
+/// Returns the Euclidean norm.
 pub(in crate::cpu) fn norm<T: Real>(values: &[T]) -> f64 {
     dot(values, values).sqrt()
 }

@@ -1,4 +1,5 @@
-//! The learned update rule (paper section 4): gradients in, a step out, with a memory of the step before.
+//! The learned update rule (paper section 4), which turns gradients into a step and remembers the step
+//! before.
 
 use super::{Minimizer, norm};
 use crate::Result;
@@ -8,12 +9,12 @@ use crate::network::Weights;
 use crate::sim::{Grid, INITIAL_SCALE};
 use rayon::prelude::*;
 
-/// Amplitude that the normalised fields are squashed to, `10 tanh(. / 10)`.
+/// Amplitude to which the normalised fields are squashed, `10 tanh(. / 10)`.
 const SQUASH: f64 = 10.0;
-/// Floor of a norm; below the smallest normal f32, hence used in double precision only.
+/// Lower bound of a norm. Below the smallest normal f32, hence used in double precision only.
 pub(super) const NORM_FLOOR: f64 = 1e-40;
 
-/// What the update rule remembers from one iteration to the next, across frames.
+/// The hidden state that the update rule carries from one iteration to the next, across frames.
 #[derive(Clone, Debug)]
 pub struct Hidden<T> {
     /// The last gradient, shape [S, H, W].
@@ -24,7 +25,7 @@ pub struct Hidden<T> {
     pub scale: Vec<T>,
 }
 
-/// The update rule for a number of samples on one grid; a sample is one component of one cloth.
+/// The update rule for a number of samples on one grid. A sample is one component of one cloth.
 pub struct Update<T: Real> {
     network: Network<T>,
     hidden: Hidden<T>,
@@ -33,7 +34,8 @@ pub struct Update<T: Real> {
 }
 
 impl<T: Real> Update<T> {
-    /// A fresh update rule; an error if the grid is too small for the kept modes.
+    /// Builds the update rule with a fresh hidden state. Returns an error if the grid is too small for the
+    /// kept modes.
     pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
         let len = samples * grid.particles();
         let zeros = |n| vec![T::zero(); n];
@@ -42,24 +44,24 @@ impl<T: Real> Update<T> {
         Ok(Self { network: Network::new(weights, grid, samples)?, hidden, input: zeros(3 * len) })
     }
 
-    /// What it remembers.
+    /// Returns the hidden state.
     pub fn hidden(&self) -> &Hidden<T> {
         &self.hidden
     }
 
-    /// What it remembers, to set it.
+    /// Returns the hidden state for modification.
     pub fn hidden_mut(&mut self) -> &mut Hidden<T> {
         &mut self.hidden
     }
 }
 
 impl<T: Real> Hidden<T> {
-    /// Writes the network's input for the gradient `grad`: each field over the gradient's, or the last step's, root mean
-    /// square, squashed.
+    /// Writes the network's input for the gradient `grad`, whose norms are `norms`: both gradients over the
+    /// root mean square of `grad`, and the last step over its own, all squashed.
     pub(super) fn normalise(&self, input: &mut [T], grad: &[T], norms: &[f64]) {
         let samples = norms.len();
         let n = grad.len() / samples;
-        // Where all is zero the factor stays finite, so that 0 times it is 0 and not NaN.
+        // If all values are zero the factor stays finite, so that 0 times it is 0 and not NaN.
         let factor = |norm: f64| {
             let scale = norm.max(NORM_FLOOR) / (n as f64).sqrt();
             T::of((SQUASH * scale).recip()).min(T::max_value())
@@ -74,7 +76,8 @@ impl<T: Real> Hidden<T> {
         });
     }
 
-    /// Remembers `grad` and the step that the network's `field` and `scalar` make of it, and adds the step to `a`.
+    /// Computes the step from the network's `field` and `scalar`, adds it to `a`, and stores it along with
+    /// `grad`.
     pub(super) fn remember(&mut self, grad: &[T], (field, scalar): (&[T], &[T]), a: &mut [T]) {
         for (scale, scalar) in self.scale.iter_mut().zip(scalar) {
             *scale = *scale * T::of((2.0 * (scalar.f64() / 2.0).tanh() - 1.0).exp());

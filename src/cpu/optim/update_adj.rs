@@ -1,5 +1,5 @@
-//! The update rule with its backward pass, as training takes it (paper section 3.3): through step, tanh, scale and network;
-//! gradients, states and memory are constants.
+//! The update rule with its backward pass for training (paper section 3.3). It differentiates through step,
+//! tanh, scale and network; gradients, states and the hidden state are constants.
 
 use super::update::NORM_FLOOR;
 use super::{Hidden, norm};
@@ -10,23 +10,24 @@ use crate::network::Weights;
 use crate::sim::Grid;
 use rayon::prelude::*;
 
-/// Bound of a normalised cotangent.
+/// Bound on the magnitude of a normalised cotangent.
 pub(crate) const CLAMP: f64 = 10.0;
 
-/// What training divides the cotangents of a step by.
+/// The norm by which training divides the cotangents of a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Normalisation {
-    /// Each component's by its own norm: every component of every cloth weighs the same (the authors' rule).
+    /// Each component is divided by its own norm: every component of every cloth weighs the same (the
+    /// authors' rule).
     #[default]
     Component,
-    /// Each component's by the root mean square of the norms of its cloth's three: every cloth weighs the same, and a component
-    /// as much as it has of the cloth's gradient.
+    /// Each component is divided by the root mean square of the three norms of its cloth. Every cloth weighs
+    /// the same, and a component in proportion to its share of the cloth's gradient.
     Cloth,
 }
 
 impl Normalisation {
-    /// Samples that one norm is of.
+    /// Returns the number of samples that share a norm.
     pub fn samples(self) -> usize {
         match self {
             Self::Component => 1,
@@ -35,7 +36,8 @@ impl Normalisation {
     }
 }
 
-/// The update rule for a number of samples on one grid, forward and backward. The memory is the caller's.
+/// The update rule for a number of samples on one grid, forward and backward. The caller owns the hidden
+/// state.
 pub struct UpdateAdjoint<T: Real> {
     network: Adjoint<T>,
     normalisation: Normalisation,
@@ -43,14 +45,15 @@ pub struct UpdateAdjoint<T: Real> {
     input: Vec<T>,
     adj_field: Vec<T>,
     adj_scalar: Vec<T>,
-    /// Of each sample, before they are normalised: the norm of the cotangent of tanh(field), and that of the scale's exponent.
+    /// Per sample, before normalisation: the norm of the cotangent of tanh(field), and the cotangent of the
+    /// scale's exponent.
     sizes: Vec<[f64; 2]>,
 }
 
 impl<T: Real> UpdateAdjoint<T> {
-    /// The update rule of a network; an error if the grid is too small for the kept modes.
+    /// Builds the update rule of a network. Returns an error if the grid is too small for the kept modes.
     ///
-    /// Panics when the number of samples is none of whole cloths and the normalisation one over cloths.
+    /// Panics if `normalisation` is over cloths and `samples` is not a multiple of three.
     pub fn new(
         weights: &Weights,
         (grid, samples): (Grid, usize),
@@ -69,24 +72,25 @@ impl<T: Real> UpdateAdjoint<T> {
         })
     }
 
-    /// Takes other weights of the same sizes.
+    /// Replaces the weights with others of the same sizes.
     pub fn set_weights(&mut self, weights: &LaidOut<T>) {
         self.network.set_weights(weights);
     }
 
-    /// Adds a step to `a` [S, H, W] for the gradient `grad` [S, H, W] with norms `norms` \[S\]; `hidden` remembers it.
+    /// Adds a step to `a` [S, H, W] for the gradient `grad` [S, H, W] with norms `norms` \[S\], and stores
+    /// both in `hidden`.
     pub fn forward(&mut self, (grad, norms): (&[T], &[f64]), hidden: &mut Hidden<T>, a: &mut [T]) {
         hidden.normalise(&mut self.input, grad, norms);
         self.network.forward(&self.input);
         hidden.remember(grad, (self.network.field(), self.network.scalar()), a);
     }
 
-    /// Adds the gradient over all weights to `gradient`, for the cotangents `adj_step` [S, H, W] of the last step, which
-    /// `hidden` still remembers.
+    /// Adds the gradient over all weights to `gradient`, given the cotangents `adj_step` [S, H, W] of the
+    /// last step, which `hidden` must still hold.
     ///
-    /// On the way back the cotangent of `tanh(field)` and that of `2 tanh(scalar / 2) - 1` are each divided by a norm, as the
-    /// [`Normalisation`] has it, and clamped: every component or every cloth weighs the same, whatever its energies are
-    /// (the authors' rule; no true adjoint).
+    /// The cotangents of `tanh(field)` and of `2 tanh(scalar / 2) - 1` are each divided by the norm that
+    /// [`Normalisation`] selects, and clamped. Every component, or every cloth, then weighs the same,
+    /// whatever its energy. This is the authors' rule, not a true adjoint.
     pub fn backward(&mut self, adj_step: &[T], hidden: &Hidden<T>, gradient: &mut [T]) {
         let n = adj_step.len() / hidden.scale.len();
         let steps = || adj_step.par_chunks_exact(n).zip(&hidden.scale);
@@ -110,9 +114,9 @@ impl<T: Real> UpdateAdjoint<T> {
             let adj_exponent = (self.sizes[sample][1] / norms[1]).clamp(-CLAMP, CLAMP);
             let tanh = (scalar.f64() / 2.0).tanh();
             *adj_scalar = T::of(adj_exponent * (1.0 - tanh * tanh));
-            // A cloth in equilibrium has cotangents near 0: the factor stays finite, so that 0 times it is 0.
+            // A cloth in equilibrium has cotangents near 0. The factor stays finite, so that 0 times it is 0.
             let factor = scale.f64() / norms[0];
-            // tanh(field) gives way to its cotangent's.
+            // Replaces tanh(field) by the cotangent of the field.
             for (u, &adj) in field.iter_mut().zip(adj_step) {
                 let adj = T::of((adj.f64() * factor).clamp(-CLAMP, CLAMP));
                 *u = adj * (T::one() - *u * *u);

@@ -1,5 +1,5 @@
-//! The loss of a batch of cloths on one grid and its gradient over the weights (paper section 3.3): one iteration of the
-//! learned optimizer, judged by the energies where it leads.
+//! The loss of a batch of cloths on one grid and its gradient over the weights (paper section 3.3): the
+//! energies that one iteration of the learned optimizer leads to.
 
 use crate::Result;
 use crate::cpu::operator::LaidOut;
@@ -15,7 +15,7 @@ pub struct Loss<T: Real> {
     adj_step: Vec<T>,
 }
 
-/// What one cloth contributes.
+/// The result of a step for one cloth.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Outcome {
     /// Energy terms after the step.
@@ -25,7 +25,8 @@ pub struct Outcome {
 }
 
 impl<T: Real> Loss<T> {
-    /// For batches like `model`; an error if the grid is too small for the kept modes.
+    /// Builds the loss for batches of the sizes of `model`. Returns an error if the grid is too small for the
+    /// kept modes.
     pub fn new(weights: &Weights, model: &Model, normalisation: Normalisation) -> Result<Self> {
         let objective = Objective::new(model);
         let update = UpdateAdjoint::new(weights, (model.grid, 3 * model.batch()), normalisation)?;
@@ -33,18 +34,19 @@ impl<T: Real> Loss<T> {
         Ok(Self { objective, update, adj_step })
     }
 
-    /// Takes other weights of the same sizes.
+    /// Replaces the weights with others of the same sizes.
     pub fn set_weights(&mut self, weights: &LaidOut<T>) {
         self.update.set_weights(weights);
     }
 
-    /// Takes other cloths, as many on the same grid.
+    /// Replaces the cloths with as many others on the same grid.
     pub fn set_model(&mut self, model: &Model) {
         self.objective.set_model(model);
     }
 
-    /// One iteration of the frame that `control` drives from `state`: adds the step to `a` [B, 3, H, W] and remembers it
-    /// in `hidden`, adds the gradient over all weights of `share` times the sum of the energies to `gradient`.
+    /// Runs one iteration of the frame that `control` drives from `state`: adds the step to `a` [B, 3, H, W]
+    /// and stores it in `hidden`. Adds to `gradient` the gradient over all weights of `share` times the sum
+    /// of the energies.
     pub fn step(
         &mut self,
         (state, control): (&State<T>, &Control<T>),

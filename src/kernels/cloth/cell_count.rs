@@ -7,7 +7,7 @@ use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
 use crate::sim::Grid;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "cell_count",
     wgsl: include_str!("../../../shaders/cloth/cell_count.wgsl"),
@@ -22,19 +22,20 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// Counts the particles in buckets of cells.
+/// Counts the particles in each bucket of cells.
 #[derive(Clone, Debug)]
 pub struct CellCount {
     kernel: Kernel,
 }
 
 impl CellCount {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Adds to `counts` [B, buckets] and sets `placed` [B, n, 4] and `in_bucket` [B, n], at `iterate.a`.
+    /// Adds the particles at `iterate.a` to `counts` [B, buckets], and sets `placed` [B, n, 4] and
+    /// `in_bucket` [B, n].
     pub fn push(
         &self,
         schedule: &mut Schedule,

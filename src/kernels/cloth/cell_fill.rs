@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{pieces, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "cell_fill",
     wgsl: include_str!("../../../shaders/cloth/cell_fill.wgsl"),
@@ -19,19 +19,19 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// The particles of each bucket.
+/// Lists the particles of each bucket.
 #[derive(Clone, Debug)]
 pub struct CellFill {
     kernel: Kernel,
 }
 
 impl CellFill {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `numbers` [B, n] from `ends` [B, buckets], `placed` [B, n, 4] and `in_bucket` [B, n].
+    /// Sets `numbers` [B, n] from `ends` [B, buckets], `placed` [B, n, 4] and `in_bucket` [B, n].
     pub fn push(&self, schedule: &mut Schedule, [ends, placed, in_bucket]: [&Tensor; 3], numbers: &Tensor) {
         let (&[batch, buckets], &[_, n]) = (ends.shape(), numbers.shape()) else {
             panic!("cell_fill: {:?}, {:?}", ends.shape(), numbers.shape())

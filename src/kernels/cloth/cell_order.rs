@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{pieces, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "cell_order",
     wgsl: include_str!("../../../shaders/cloth/cell_order.wgsl"),
@@ -19,19 +19,20 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// Gives the particles of each bucket one order.
+/// Sorts the particles of each bucket by number.
 #[derive(Clone, Debug)]
 pub struct CellOrder {
     kernel: Kernel,
 }
 
 impl CellOrder {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `sorted` [B, n, 4] from `ends` [B, buckets], `placed` [B, n, 4], `in_bucket` and `numbers` [B, n].
+    /// Sets `sorted` [B, n, 4] from `ends` [B, buckets], `placed` [B, n, 4], `in_bucket` and `numbers`
+    /// [B, n].
     pub fn push(
         &self,
         schedule: &mut Schedule,

@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "cell_scan", wgsl: include_str!("../../../shaders/cloth/cell_scan.wgsl"), appended: &[] };
 
@@ -15,22 +15,22 @@ struct Params {
     pad: [u32; 3],
 }
 
-/// Where the buckets end.
+/// Finds where each bucket ends among the sorted particles.
 #[derive(Clone, Debug)]
 pub struct CellScan {
     kernel: Kernel,
 }
 
 impl CellScan {
-    /// What the number of buckets is a multiple of: four for each invocation.
+    /// Divisor of the number of buckets: four for each invocation.
     pub const MULTIPLE: usize = 1024;
 
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets `ends` [B, buckets] from `counts`, and these to 0.
+    /// Sets `ends` [B, buckets] from `counts`, then `counts` to 0.
     pub fn push(&self, schedule: &mut Schedule, counts: &Tensor, ends: &Tensor) {
         let &[batch, buckets] = counts.shape() else { panic!("cell_scan: {:?}", counts.shape()) };
         assert_eq!(ends.shape(), counts.shape());

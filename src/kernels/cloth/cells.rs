@@ -1,4 +1,4 @@
-//! The plan of sorting the particles of a trial by the cells of a uniform grid in space.
+//! The plan that sorts the particles of a trial by the cells of a uniform grid in space.
 
 use super::{CellCount, CellFill, CellOrder, CellScan, Physics};
 use crate::Result;
@@ -6,34 +6,37 @@ use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::optim::Iterate;
 use crate::sim::Grid;
 
-/// The particles of a trial, sorted by cells that are hashed into buckets: what is near a particle is in 27 of them.
+/// The particles of a trial, sorted by cells that are hashed into buckets. The neighbours of a particle are
+/// in 27 of them.
 #[derive(Clone, Debug)]
 pub struct Cells {
     count: CellCount,
     scan: CellScan,
     fill: CellFill,
     order: CellOrder,
-    /// Particles in each bucket while they are counted, else 0, shape [B, buckets].
+    /// Number of particles in each bucket while they are counted, otherwise 0; shape [B, buckets].
     counts: Tensor,
-    /// Where each particle is, and how many came to its bucket before, shape [B, n, 4].
+    /// Position of each particle, and how many came to its bucket before it, shape [B, n, 4].
     placed: Tensor,
-    /// The bucket of each particle, shape [B, n].
+    /// Bucket of each particle, shape [B, n].
     in_bucket: Tensor,
-    /// The particles of each bucket, shape [B, n].
+    /// Particles of each bucket, shape [B, n].
     numbers: Tensor,
-    /// Where the buckets end, shape [B, buckets]; of whole numbers.
+    /// Ends of the buckets among the sorted particles, shape [B, buckets]; integers.
     pub ends: Tensor,
-    /// The particles by buckets and in these by number, shape [B, n, 4]: bits of the position \[edges\], and the number.
+    /// Particles sorted by bucket, then by number, shape [B, n, 4]: bits of the position \[edges\], and the
+    /// number.
     pub sorted: Tensor,
 }
 
-/// Number of buckets of a cloth, a power of two: about as many as particles, so that few hold those of several cells.
+/// Returns the number of buckets of a cloth, a power of two: about one per particle, so that few hold
+/// particles of several cells.
 pub fn buckets(grid: Grid) -> usize {
     grid.particles().next_power_of_two().max(CellScan::MULTIPLE)
 }
 
 impl Cells {
-    /// For this many cloths on a grid.
+    /// Builds the kernels and tensors for this many cloths on a grid.
     pub fn new(context: &Context, batch: usize, grid: Grid) -> Result<Self> {
         let (n, buckets) = (grid.particles(), buckets(grid));
         Ok(Self {

@@ -8,7 +8,7 @@ use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
 use crate::sim::Grid;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "energy",
     wgsl: include_str!("../../../shaders/cloth/energy.wgsl"),
@@ -24,27 +24,27 @@ struct Params {
     zero: u32,
 }
 
-/// Energy terms, summed over workgroups.
+/// Computes the energy terms, summed over each workgroup.
 #[derive(Clone, Debug)]
 pub struct Energy {
     kernel: Kernel,
 }
 
-/// Particles of a part: a workgroup's.
+/// Number of particles in a part: those of a workgroup.
 const PART: usize = 64;
 
-/// Shape of the parts that the energy of each of `batch` cloths is summed in, [B, parts, 8].
+/// Returns the shape of the parts in which the energy of each of `batch` cloths is summed, [B, parts, 8].
 pub fn parts_shape(batch: usize, grid: Grid) -> [usize; 3] {
     [batch, grid.particles().div_ceil(PART), TERMS]
 }
 
 impl Energy {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `parts` [B, parts, 8] at `iterate.a`.
+    /// Sets `parts` [B, parts, 8] at `iterate.a`.
     pub fn push(
         &self,
         schedule: &mut Schedule,

@@ -5,7 +5,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 use crate::sim::EnergyTerms;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "energy_sum",
     wgsl: include_str!("../../../shaders/cloth/energy_sum.wgsl"),
@@ -19,10 +19,10 @@ struct Params {
     pad: [u32; 3],
 }
 
-/// Numbers that the device keeps of a cloth's energy, or of a part of it: see [`ClothTerms`].
+/// Number of values that the device keeps for the energy of a cloth or of a part of it: see [`ClothTerms`].
 pub const TERMS: usize = 8;
 
-/// What the device tells of a cloth at a trial.
+/// What the device reports about a cloth at a trial.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClothTerms {
     /// Terms of the energy.
@@ -34,7 +34,7 @@ pub struct ClothTerms {
 }
 
 impl ClothTerms {
-    /// That of each cloth, from the contents of `terms` [B, 8].
+    /// Returns the terms of each cloth, read from the contents of `terms` [B, 8].
     pub fn all(terms: &[f32]) -> impl Iterator<Item = Self> {
         terms.chunks_exact(TERMS).map(|of_cloth| {
             let at = |k: usize| f64::from(of_cloth[k]);
@@ -44,19 +44,19 @@ impl ClothTerms {
     }
 }
 
-/// Energy terms of each cloth from their parts.
+/// Sums the energy terms of each cloth over its parts.
 #[derive(Clone, Debug)]
 pub struct EnergySum {
     kernel: Kernel,
 }
 
 impl EnergySum {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `parts` [B, parts, 8], `terms` [B, 8].
+    /// Sets `terms` [B, 8] from `parts` [B, parts, 8].
     pub fn push(&self, schedule: &mut Schedule, parts: &Tensor, terms: &Tensor) {
         let &[batch, count, TERMS] = parts.shape() else { panic!("energy_sum: {:?}", parts.shape()) };
         assert_eq!(terms.shape(), [batch, TERMS]);

@@ -5,7 +5,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 use crate::sim::Grid;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "external_force",
     wgsl: include_str!("../../../shaders/cloth/external_force.wgsl"),
@@ -20,13 +20,13 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// External acceleration: gravity, what the caller gives, and air.
+/// Computes the external acceleration: gravity, the caller's accelerations, and air.
 #[derive(Clone, Debug)]
 pub struct ExternalForce {
     kernel: Kernel,
 }
 
-/// What external forces depend on.
+/// Inputs of the external forces.
 #[derive(Clone, Copy, Debug)]
 pub struct ExternalForceTensors<'a> {
     /// Constants of the cloths, see [`super::ClothParams`].
@@ -35,17 +35,17 @@ pub struct ExternalForceTensors<'a> {
     pub x: &'a Tensor,
     /// Velocities, shape [B, 3, H, W].
     pub v: &'a Tensor,
-    /// Accelerations that the caller gives, shape [B, 3, H, W].
+    /// Accelerations given by the caller, shape [B, 3, H, W].
     pub given: &'a Tensor,
 }
 
 impl ExternalForce {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `external` [B, 3, H, W] from `tensors`.
+    /// Sets `external` [B, 3, H, W] from `tensors`.
     pub fn push(
         &self,
         schedule: &mut Schedule,

@@ -7,7 +7,7 @@ use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
 use crate::sim::Grid;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "gradient",
     wgsl: include_str!("../../../shaders/cloth/gradient.wgsl"),
@@ -26,31 +26,32 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// Gradient of the energy with respect to the acceleration, and partial sums of squares for its norm and that of the last step.
+/// Computes the gradient of the energy with respect to the acceleration, and partial sums of squares for its
+/// norm and that of the last step.
 #[derive(Clone, Debug)]
 pub struct Gradient {
     alone: Kernel,
     with_last_step: Kernel,
 }
 
-/// Most parts that a sample is summed in: whoever wants a sum adds them up.
+/// Most parts in which a sample is summed. Kernels that need the whole sum add them up.
 const MAX_PARTS: usize = 256;
 
-/// Number of parts that the squares of a sample are summed in.
+/// Returns the number of parts in which the squares of a sample are summed.
 pub fn parts(grid: Grid) -> usize {
     let Grid { h, w } = grid;
     (h.div_ceil(8) * w.div_ceil(8)).min(MAX_PARTS)
 }
 
 impl Gradient {
-    /// Makes it.
+    /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
         let kernel = |last_step: f64| Kernel::new(context, &SOURCE, 0, &[("LAST_STEP", last_step)]);
         Ok(Self { alone: kernel(0.0)?, with_last_step: kernel(1.0)? })
     }
 
-    /// Sets `iterate.grad` at `iterate.a`, and `sums` [S, parts, 2] to the partial sums of squares of gradient and last step, which
-    /// is 0 where the iterate has no hidden state.
+    /// Sets `iterate.grad` at `iterate.a`, and `sums` [S, parts, 2] to the partial sums of squares of the
+    /// gradient and of the last step. The latter are 0 if the iterate has no hidden state.
     pub fn push(
         &self,
         schedule: &mut Schedule,

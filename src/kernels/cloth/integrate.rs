@@ -6,7 +6,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::optim::Iterate;
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "integrate", wgsl: include_str!("../../../shaders/cloth/integrate.wgsl"), appended: &[] };
 
@@ -17,14 +17,14 @@ struct Params {
     pad: [u32; 3],
 }
 
-/// End of a frame.
+/// Ends a frame.
 #[derive(Clone, Debug)]
 pub struct Integrate {
     kernel: Kernel,
 }
 
 impl Integrate {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -30,7 +30,7 @@ use crate::gpu::Tensor;
 use crate::kernels::optim::Iterate;
 use crate::sim::{Cloth, Grid, Model};
 
-/// What the energy of a trial depends on, beside the trial itself.
+/// What the energy of a trial depends on, besides the trial itself.
 #[derive(Clone, Copy, Debug)]
 pub struct Physics<'a> {
     /// Constants of the cloths, see [`ClothParams`].
@@ -41,14 +41,14 @@ pub struct Physics<'a> {
     pub x: &'a Tensor,
 }
 
-/// The state of the cloths and where their handles are to be.
+/// The state of the cloths and the targets of their handles.
 #[derive(Clone, Copy, Debug)]
 pub struct StateTensors<'a> {
     /// Positions, shape [B, 3, n].
     pub x: &'a Tensor,
     /// Velocities, shape [B, 3, n].
     pub v: &'a Tensor,
-    /// Handle positions, shape [handles, 3].
+    /// Handle targets, shape [handles, 3].
     pub targets: &'a Tensor,
 }
 
@@ -64,10 +64,10 @@ pub struct ClothParams {
 }
 
 impl ClothParams {
-    /// Numbers of an element.
+    /// Number of `f32` values in an element.
     pub const LEN: usize = size_of::<Self>() / size_of::<f32>();
 
-    /// The constants of each cloth in its wind [edges / frame], in still air where `wind` is empty.
+    /// Returns the constants of each cloth in its wind [edges / frame]; the air is still if `wind` is empty.
     pub fn all(model: &Model, wind: &[[f32; 3]]) -> Vec<Self> {
         let wind = |b: usize| wind.get(b).copied().unwrap_or_default();
         model.cloths.iter().enumerate().map(|(b, cloth)| Self::new(cloth, wind(b))).collect()
@@ -75,7 +75,7 @@ impl ClothParams {
 
     fn new(cloth: &Cloth, wind: [f32; 3]) -> Self {
         let m = cloth.material;
-        // Without a repulsion cells of an edge, in which nothing is looked for.
+        // Without repulsion, cells are one edge wide and are not searched.
         let [strength, distance, per_edge] =
             cloth.repulsion.map_or([0.0, 0.0, 1.0], |r| [r.strength, r.distance, r.distance.recip()]);
         let [gx, gy, gz] = cloth.gravity.map(|g| g as f32);
@@ -90,7 +90,7 @@ impl ClothParams {
 }
 
 impl Physics<'_> {
-    /// Number of cloths, whose tensors fit each other and the trial.
+    /// Returns the number of cloths. Panics if the tensors do not fit each other and the trial.
     fn batch(&self, grid: Grid, iterate: &Iterate) -> usize {
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((n, self.external.len(), self.x.len()), (grid.particles(), samples * n, samples * n));

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "predict", wgsl: include_str!("../../../shaders/cloth/predict.wgsl"), appended: &[] };
 
@@ -16,24 +16,24 @@ struct Params {
     pad: [u32; 3],
 }
 
-/// Start of a frame.
+/// Starts a frame.
 #[derive(Clone, Debug)]
 pub struct Predict {
     kernel: Kernel,
 }
 
 impl Predict {
-    /// Makes it for the start of frames.
+    /// Builds the kernel for the start of a frame.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Makes it for the middle of frames, where a is what it is.
+    /// Builds the kernel for the middle of a frame, where `iterate.a` is left unchanged.
     pub fn in_a_frame(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("FRESH", 0.0)])? })
     }
 
-    /// Sets the base of `iterate`, and its a to 0 at the start of a frame.
+    /// Sets `iterate.base`, and at the start of a frame sets `iterate.a` to 0.
     pub fn push(
         &self,
         schedule: &mut Schedule,

@@ -7,7 +7,7 @@ use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
 use crate::sim::{self, Grid};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "repulsion",
     wgsl: include_str!("../../../shaders/cloth/repulsion.wgsl"),
@@ -23,18 +23,18 @@ struct Params {
     groups: u32,
 }
 
-/// Repulsion of particles that come near each other, with the search for them.
+/// Computes the repulsion between particles within its range, including the search for them.
 #[derive(Clone, Debug)]
 pub struct Repulsion {
     cells: Cells,
     kernel: Kernel,
-    /// External accelerations and those of the repulsion [edges / frame^2], shape [B, 3, n]: what a gradient takes for the
-    /// external ones, since the repulsion depends on positions alone.
+    /// External accelerations plus those of the repulsion [edges / frame^2], shape [B, 3, n]. A gradient
+    /// takes these in place of the external ones, since the repulsion depends on positions alone.
     pub pushed: Tensor,
 }
 
 impl Repulsion {
-    /// For this many cloths on a grid.
+    /// Builds the kernels and tensors for this many cloths on a grid.
     pub fn new(context: &Context, batch: usize, grid: Grid) -> Result<Self> {
         Ok(Self {
             cells: Cells::new(context, batch, grid)?,
@@ -43,7 +43,8 @@ impl Repulsion {
         })
     }
 
-    /// Sets [`Repulsion::pushed`] at `iterate.a`, and in the `parts` of the energy [B, parts, 8] its own.
+    /// Sets [`Repulsion::pushed`] at `iterate.a`, and the repulsion's term in the `parts` of the energy
+    /// [B, parts, 8].
     pub fn push(
         &self,
         schedule: &mut Schedule,

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "join_spectra",
     wgsl: include_str!("../../../shaders/fft/join_spectra.wgsl"),
@@ -21,19 +21,19 @@ struct Params {
     pad: u32,
 }
 
-/// The spectrum of a complex row from those of its two real rows.
+/// Joins the spectra of two real rows into that of their complex row.
 #[derive(Clone, Debug)]
 pub struct JoinSpectra {
     kernel: Kernel,
 }
 
 impl JoinSpectra {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `z` [B, ceil(H / 2), W, 2] from `y` [B, H, W / 2 + 1, 2]; both may be larger.
+    /// Sets `z` [B, ceil(H / 2), W, 2] from `y` [B, H, W / 2 + 1, 2]. Both may be larger.
     pub fn push(&self, schedule: &mut Schedule, fields: Fields, y: &Tensor, z: &Tensor) {
         let Fields { batch, h, w } = fields;
         let count = fields.pairs() * fields.half();

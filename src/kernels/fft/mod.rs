@@ -1,7 +1,8 @@
-//! The full two-dimensional real Fourier transform of a batch, of any size: [`RealFft2`] and the passes it is made of.
+//! The full two-dimensional real Fourier transform of a batch, of any size: [`RealFft2`] and its passes.
 //!
-//! The quasi-Newton method inverts the Hessian of a flat sheet with it ([`crate::kernels::optim::QuasiNewton`]). The operator
-//! keeps few modes and has truncated transforms of its own ([`crate::kernels::operator`]).
+//! The quasi-Newton method uses it to invert the Hessian of a flat sheet
+//! ([`crate::kernels::optim::QuasiNewton`]). The operator keeps few modes and has truncated transforms
+//! instead ([`crate::kernels::operator`]).
 
 pub mod join_spectra;
 pub mod pack_pairs;
@@ -21,10 +22,10 @@ pub use unpack_pairs::UnpackPairs;
 
 use crate::gpu::Tensor;
 
-/// The fields that are transformed: `batch` of them, each of `h` rows of `w` numbers.
+/// The fields to transform: `batch` of them, each with `h` rows of `w` numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fields {
-    /// Fields (B).
+    /// Number of fields (B).
     pub batch: usize,
     /// Rows of a field (H).
     pub h: usize,
@@ -33,27 +34,27 @@ pub struct Fields {
 }
 
 impl Fields {
-    /// Complex rows that two real rows each are packed in, `ceil(H / 2)`.
+    /// Returns the number of complex rows, each of which packs two real rows: `ceil(H / 2)`.
     pub fn pairs(&self) -> usize {
         self.h.div_ceil(2)
     }
 
-    /// Columns of a half spectrum, `floor(W / 2) + 1`.
+    /// Returns the number of columns of a half spectrum, `floor(W / 2) + 1`.
     pub fn half(&self) -> usize {
         self.w / 2 + 1
     }
 }
 
-/// One pass of a complex transform along the middle axis of [batch, lines, length, inner].
+/// One pass of a complex transform along the `length` axis of [batch, lines, length, inner].
 #[derive(Clone, Copy, Debug)]
 pub struct Pass {
-    /// Items of the batch.
+    /// Number of items in the batch.
     pub batch: usize,
-    /// Number of transforms of an item before the axis.
+    /// Size of an item's axes before the transformed one.
     pub lines: usize,
     /// Length of the transforms.
     pub length: usize,
-    /// Number of transforms of an item behind the axis.
+    /// Size of an item's axes after the transformed one.
     pub inner: usize,
     /// Product of the radices of the passes before this one.
     pub span: usize,
@@ -64,7 +65,7 @@ pub struct Pass {
 }
 
 impl Pass {
-    /// Complex elements of one item of the batch.
+    /// Returns the number of complex elements of one item of the batch.
     pub fn elements(&self) -> usize {
         self.lines * self.length * self.inner
     }

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "pack_pairs", wgsl: include_str!("../../../shaders/fft/pack_pairs.wgsl"), appended: &[] };
 
@@ -18,19 +18,19 @@ struct Params {
     scale: f32,
 }
 
-/// Two real rows as one complex row.
+/// Packs two real rows into one complex row.
 #[derive(Clone, Debug)]
 pub struct PackPairs {
     kernel: Kernel,
 }
 
 impl PackPairs {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `z` [B, ceil(H / 2), W, 2] from `x` [B, H, W], times `scale`.
+    /// Sets `z` [B, ceil(H / 2), W, 2] to `x` [B, H, W] times `scale`, packed.
     pub fn push(&self, schedule: &mut Schedule, fields: Fields, scale: f32, x: &Tensor, z: &Tensor) {
         let Fields { batch, h, w } = fields;
         let count = fields.pairs() * w;

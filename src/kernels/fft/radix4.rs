@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "radix4", wgsl: include_str!("../../../shaders/fft/radix4.wgsl"), appended: &[] };
 
@@ -27,13 +27,13 @@ pub struct Radix4 {
 }
 
 impl Radix4 {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `result` from `source`, both [batch, lines, length, inner, 2] or larger, with `table` [length, 2] of the roots
-    /// of unity.
+    /// Computes `result` from `source`, both [batch, lines, length, inner, 2] or larger, with `table`
+    /// [length, 2] of the roots of unity.
     pub fn push(
         &self,
         schedule: &mut Schedule,

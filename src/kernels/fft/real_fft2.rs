@@ -6,18 +6,18 @@ use crate::gpu::{Context, Schedule, Tensor};
 use crate::{Error, Result};
 use std::f64::consts::TAU;
 
-/// The longest side. Direct sums over a prime of this size still stay below the 65,535 loop iterations that some
-/// software drivers run before they stop silently.
+/// Longest side. Direct sums over a prime of this size still stay below the 65,535 loop iterations after
+/// which some software drivers stop silently.
 pub const MAX_LENGTH: usize = 65_535;
 
 /// Batched two-dimensional real Fourier transforms of one size, forward and inverse.
 ///
-/// `spectrum[b, k_h, k_w] = factor sum_(i, j) x[b, i, j] exp(-2 pi i (k_h i / H + k_w j / W))` for all rows k_h, 0 first,
-/// and the columns `k_w = 0 ..= W / 2`; the others are the conjugates of these. Any size works: a Stockham transform
-/// with passes of radix 4 and of the prime factors that remain, which cost as many steps per element as they are large.
-/// Two real rows travel as one complex row, so the rows cost half a complex transform. Neither direction changes its
-/// input. Everything is made in `new`; transforms of one plan share its working memory, so record them one after the
-/// other on one queue.
+/// `spectrum[b, k_h, k_w] = factor sum_(i, j) x[b, i, j] exp(-2 pi i (k_h i / H + k_w j / W))` for all rows
+/// k_h, 0 first, and the columns `k_w = 0 ..= W / 2`; the other columns follow by conjugation. Any size
+/// works: this is a Stockham transform with passes of radix 4 and of the remaining prime factors, where a
+/// factor p costs p steps per element. Two real rows travel as one complex row, so the rows cost half a
+/// complex transform. Neither direction changes its input. `new` allocates everything. The transforms of one
+/// plan share its working memory, so record them sequentially on one queue.
 #[derive(Clone, Debug)]
 pub struct RealFft2 {
     fields: Fields,
@@ -46,8 +46,8 @@ struct Kernels {
 }
 
 impl RealFft2 {
-    /// Makes tables, working memory and kernels for `fields`; fails when a side is 0 or above [`MAX_LENGTH`], or the
-    /// device cannot hold them.
+    /// Builds the tables, working memory and kernels for `fields`. Fails if a side is 0 or above
+    /// [`MAX_LENGTH`], if the batch is empty, or if the device cannot hold it.
     pub fn new(context: &Context, fields: Fields, norm: Norm) -> Result<Self> {
         for (name, length) in [("height", fields.h), ("width", fields.w)] {
             if !(1..=MAX_LENGTH).contains(&length) {
@@ -79,30 +79,30 @@ impl RealFft2 {
         })
     }
 
-    /// Size and number of the fields.
+    /// Returns the size and number of the fields.
     pub fn fields(&self) -> Fields {
         self.fields
     }
 
-    /// Shape of a spectrum, [B, H, W / 2 + 1, 2].
+    /// Returns the shape of a spectrum, [B, H, W / 2 + 1, 2].
     pub fn spectrum_shape(&self) -> [usize; 4] {
         [self.fields.batch, self.fields.h, self.fields.half(), 2]
     }
 
-    /// `spectrum` [B, H, W / 2 + 1, 2] of `x` [B, H, W].
+    /// Computes `spectrum` [B, H, W / 2 + 1, 2] from `x` [B, H, W].
     pub fn push_forward(&self, schedule: &mut Schedule, x: &Tensor, spectrum: &Tensor) {
         assert_eq!(spectrum.shape(), self.spectrum_shape());
         let (k, packed) = (&self.kernels, &self.scratch[0]);
         k.pack_pairs.push(schedule, self.fields, self.factor(Norm::Forward), x, packed);
         let rows = self.push_axis(schedule, (&self.rows, self.row_pass(false)), packed, None);
-        // The last pass of the columns writes the spectrum; without any, the step before them does.
+        // The last column pass writes the spectrum; if there are no column passes, the step before them does.
         let halves = if self.columns.radices.is_empty() { spectrum } else { self.scratch_beside(rows) };
         k.split_spectra.push(schedule, self.fields, rows, halves);
         self.push_axis(schedule, (&self.columns, self.column_pass(false)), halves, Some(spectrum));
     }
 
-    /// `x` [B, H, W] of `spectrum` [B, H, W / 2 + 1, 2], of which the imaginary parts of columns that are their own
-    /// conjugates do not count.
+    /// Computes `x` [B, H, W] from `spectrum` [B, H, W / 2 + 1, 2]. In columns that are their own conjugates,
+    /// imaginary parts that remain after the column passes are ignored.
     pub fn push_inverse(&self, schedule: &mut Schedule, spectrum: &Tensor, x: &Tensor) {
         assert_eq!(spectrum.shape(), self.spectrum_shape());
         let k = &self.kernels;
@@ -113,8 +113,9 @@ impl RealFft2 {
         k.unpack_pairs.push(schedule, self.fields, self.factor(Norm::Backward), rows, x);
     }
 
-    /// The passes of one axis from `source`, and where their result is: in `target` if there is one, else in a scratch
-    /// tensor, or still in `source` when the axis has length 1 and needs none.
+    /// Pushes the passes of one axis over `source` and returns the tensor with their result: `target` if
+    /// there is one, or else a scratch tensor. If the axis has length 1, it needs no passes, and the result
+    /// is `source` itself.
     fn push_axis<'a>(
         &'a self,
         schedule: &mut Schedule,
@@ -138,18 +139,18 @@ impl RealFft2 {
         at
     }
 
-    /// A scratch tensor that is not `taken`.
+    /// Returns a scratch tensor other than `taken`.
     fn scratch_beside(&self, taken: &Tensor) -> &Tensor {
         &self.scratch[usize::from(std::ptr::eq(taken, &self.scratch[0]))]
     }
 
-    /// The first pass over the packed rows, shape [B, ceil(H / 2), W].
+    /// Returns the first pass over the packed rows, shape [B, ceil(H / 2), W].
     fn row_pass(&self, inverse: bool) -> Pass {
         let Fields { batch, w, .. } = self.fields;
         Pass { batch, lines: self.fields.pairs(), length: w, inner: 1, span: 1, radix: 1, inverse }
     }
 
-    /// The first pass over the columns of the half spectra, shape [B, H, W / 2 + 1].
+    /// Returns the first pass over the columns of the half spectra, shape [B, H, W / 2 + 1].
     fn column_pass(&self, inverse: bool) -> Pass {
         let Fields { batch, h, .. } = self.fields;
         Pass { batch, lines: 1, length: h, inner: self.fields.half(), span: 1, radix: 1, inverse }
@@ -162,7 +163,8 @@ impl RealFft2 {
 
 impl Axis {
     fn new(context: &Context, label: &'static str, length: usize) -> Result<Self> {
-        // Devices disagree on sines and cosines, so the roots of unity come from here, in double precision.
+        // Devices disagree on sines and cosines, so the roots of unity are computed here, in double
+        // precision.
         let root = |j: usize| {
             let theta = TAU * j as f64 / length as f64;
             [theta.cos() as f32, theta.sin() as f32]
@@ -175,12 +177,12 @@ impl Axis {
     }
 }
 
-/// The length as a product: fours, then at most one two, then odd primes; nothing for 1.
+/// Factors a length: fours, then at most one two, then odd primes. Empty for 1.
 fn radices(mut length: usize) -> Vec<usize> {
     let mut found = Vec::new();
     let mut factor = 4;
     while length > 1 {
-        // Without a small factor what remains is prime.
+        // Without a small factor, what remains is prime.
         let next = if factor * factor > length && factor > 4 { length } else { factor };
         if length.is_multiple_of(next) {
             found.push(next);

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "split_spectra",
     wgsl: include_str!("../../../shaders/fft/split_spectra.wgsl"),
@@ -21,19 +21,19 @@ struct Params {
     pad: u32,
 }
 
-/// The spectra of two real rows from that of their complex row.
+/// Splits the spectrum of a complex row into those of its two real rows.
 #[derive(Clone, Debug)]
 pub struct SplitSpectra {
     kernel: Kernel,
 }
 
 impl SplitSpectra {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `y` [B, H, W / 2 + 1, 2] from `z` [B, ceil(H / 2), W, 2]; both may be larger.
+    /// Sets `y` [B, H, W / 2 + 1, 2] from `z` [B, ceil(H / 2), W, 2]. Both may be larger.
     pub fn push(&self, schedule: &mut Schedule, fields: Fields, z: &Tensor, y: &Tensor) {
         let Fields { batch, h, w } = fields;
         let count = fields.pairs() * fields.half();

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "unpack_pairs",
     wgsl: include_str!("../../../shaders/fft/unpack_pairs.wgsl"),
@@ -21,19 +21,19 @@ struct Params {
     scale: f32,
 }
 
-/// Complex rows as pairs of real ones.
+/// Unpacks complex rows into pairs of real ones.
 #[derive(Clone, Debug)]
 pub struct UnpackPairs {
     kernel: Kernel,
 }
 
 impl UnpackPairs {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `x` [B, H, W] from `z` [B, ceil(H / 2), W, 2], times `scale`.
+    /// Sets `x` [B, H, W] to `z` [B, ceil(H / 2), W, 2] times `scale`, unpacked.
     pub fn push(&self, schedule: &mut Schedule, fields: Fields, scale: f32, z: &Tensor, x: &Tensor) {
         let Fields { batch, h, w } = fields;
         let count = fields.pairs() * w;

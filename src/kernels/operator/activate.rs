@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "activate",
     wgsl: include_str!("../../../shaders/operator/activate.wgsl"),
@@ -18,19 +18,19 @@ struct Params {
     pad: [u32; 3],
 }
 
-/// GELU of each element.
+/// Applies GELU to each element.
 #[derive(Clone, Debug)]
 pub struct Activate {
     kernel: Kernel,
 }
 
 impl Activate {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `y = gelu(x)`, of one shape with padded rows.
+    /// Sets `y = gelu(x)`. Both have the same shape, with padded rows.
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, y: &Tensor) {
         assert_eq!((x.shape(), x.len() % 4), (y.shape(), 0));
         let quads = x.len() / 4;

@@ -8,25 +8,25 @@ use crate::sim::Grid;
 use crate::{Error, Result};
 use bytemuck::Zeroable;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "block",
     wgsl: include_str!("../../../shaders/operator/block.wgsl"),
     appended: &[common::GELU, pieces::BLOCK_INPUTS],
 };
 
-/// The WGSL of the lifting.
+/// The kernel's WGSL as a lifting.
 pub const LIFTING: Source =
     Source { appended: &[common::GELU, pieces::LIFTING_INPUTS, pieces::LIFTED_EMBEDDING], ..SOURCE };
 
-/// The WGSL of the lifting of what it embeds itself.
+/// The kernel's WGSL as a lifting that embeds its input from fields itself.
 pub const LIFTING_OF_FIELDS: Source = Source {
     appended: &[common::GELU, pieces::LIFTING_INPUTS, pieces::LIFTED_FIELDS, pieces::FEATURES, common::TANH],
     ..SOURCE
 };
 
-/// Workgroup memory for inputs and weights on their way, where that is not needed for rows: enough for few turns, and for several
-/// workgroups to a multiprocessor.
+/// Workgroup memory for staged inputs and weights \[bytes\], unless rows need more: enough for few rounds of
+/// staging, and for several workgroups per multiprocessor.
 const STAGE_BYTES: usize = 16 << 10;
 
 #[repr(C)]
@@ -45,36 +45,36 @@ struct Params {
     place: Place,
 }
 
-/// What a layer does beside the linear part of its output.
+/// What a layer does in addition to the linear part of its output.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Epilogue {
-    /// The activation.
+    /// Whether to apply the activation.
     pub gelu: bool,
-    /// The row transform of the output, for the next block.
+    /// Whether to transform the output's rows for the next block.
     pub rows: bool,
-    /// The largest value of each row of the output, for the scalar head.
+    /// Whether to compute the largest value of each row of the output, for the scalar head.
     pub pool: bool,
-    /// The last layer of the field head, in place of the output.
+    /// Whether to apply the last layer of the field head and write the field in place of the output.
     pub field: bool,
 }
 
 impl Epilogue {
-    /// Whether it wants whole rows in a workgroup.
+    /// Whether it needs whole rows in a workgroup.
     fn whole_rows(&self) -> bool {
         self.rows || self.pool
     }
 }
 
-/// Sizes that a layer is compiled for.
+/// Sizes for which a layer is compiled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LayerSize {
-    /// Quads of columns to a row (Q).
+    /// Quads of columns per row (Q).
     pub row_quads: usize,
     /// Kept columns.
     pub modes_w: usize,
     /// Channels of the output (C).
     pub channels: usize,
-    /// What a lifting has more of; none for a block.
+    /// Further sizes of a lifting; `None` for a block.
     pub lifting: Option<Lifting>,
 }
 
@@ -90,7 +90,7 @@ pub struct Lifting {
 }
 
 impl LayerSize {
-    /// Inputs that are summed: channels and columns of spectra, or hidden units.
+    /// Returns the number of inputs that are summed: channels and columns of spectra, or hidden units.
     fn summed(&self) -> usize {
         self.lifting.map_or(self.channels + 2 * self.modes_w, |lifting| lifting.hidden)
     }
@@ -102,26 +102,28 @@ struct Group {
     wide: usize,
     span: usize,
     deep: usize,
-    /// Inputs that are staged at a time, and quads that take that.
+    /// Number of inputs staged at a time, and (`staged`) of the quads of memory that they take.
     chunk: usize,
     staged: usize,
-    /// Quads of what a lifting of fields embeds.
+    /// Quads of memory for the embedding of a lifting of fields.
     embedded_quads: usize,
-    /// Quads of its memory.
+    /// Quads of workgroup memory.
     memory: usize,
 }
 
 impl Group {
-    /// The group of a layer, with as many tiles of channels as the tuning allows and fit; none if a row is too long for the device.
+    /// Returns the group of a layer, with as many tiles of channels as the tuning allows and the device can
+    /// hold. `None` if a row is too long for the device.
     fn new(limits: &wgpu::Limits, tuning: &Tuning, layer: &LayerSize, epilogue: Epilogue) -> Option<Self> {
         let room = limits.max_compute_workgroup_storage_size as usize / 16;
         let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
-        // Subgroups that share operands want steps of the narrowest lanes there are.
+        // Subgroups that share operands need rows of whole subgroups, of eight lanes each.
         let lanes = |span: usize| match tuning.sharing {
             Sharing::Loads => layer.row_quads.div_ceil(span),
             Sharing::Broadcast => layer.row_quads.div_ceil(span).next_multiple_of(8),
         };
-        // As many quads to an invocation as leave no more lanes idle, and more than one only where each has a subgroup's.
+        // As many quads per invocation as possible without idling more lanes, and more than one only if each
+        // gets the lanes of a subgroup.
         let suits =
             |&span: &usize| span == 1 || (8 * span <= layer.row_quads && span * lanes(span) <= lanes(1));
         let span = (1..=tuning.block_span as usize).rev().find(suits)?;
@@ -170,8 +172,8 @@ impl Group {
     }
 }
 
-/// A layer over rows and what the next kernels want of them: a Fourier block after its columns (inverse rows, skip, bias,
-/// activation), or the lifting.
+/// A layer over rows, and what the next kernels need of its output: a Fourier block after its columns
+/// (inverse rows, skip, bias, activation), or the lifting.
 #[derive(Clone, Debug)]
 pub struct Block {
     kernel: Kernel,
@@ -179,13 +181,14 @@ pub struct Block {
     group: Group,
     layer: LayerSize,
     epilogue: Epilogue,
-    /// What is bound where nothing is made of the rows.
+    /// Bound in place of `made` and `rows_max` if these are not computed.
     nothing: [Tensor; 2],
 }
 
 impl Block {
-    /// Whether a whole row fits a workgroup, as [`Epilogue::rows`] and [`Epilogue::pool`] want it, and whether the tuning wants it there.
-    /// A lifting's must fit with all channels: each workgroup of a part of them would make the hidden layer anew.
+    /// Whether a whole row fits a workgroup, as [`Epilogue::rows`] and [`Epilogue::pool`] require, and the
+    /// tuning puts it there. For a lifting it must fit with all channels: workgroups with part of them would
+    /// each recompute the hidden layer.
     pub fn takes_rows(context: &Context, tuning: &Tuning, layer: &LayerSize) -> bool {
         Self::rows_fit(&context.device.limits(), tuning, layer) && tuning.rows_in_blocks
     }
@@ -196,7 +199,7 @@ impl Block {
         Group::new(limits, tuning, layer, epilogue).is_some_and(suits)
     }
 
-    /// Makes it; an error if the device's workgroups are too small.
+    /// Builds the kernel. Fails if the device's workgroups are too small.
     pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, epilogue: Epilogue) -> Result<Self> {
         assert!(!(epilogue.field && epilogue.whole_rows()), "the field takes the place of the output");
         assert!(layer.lifting.is_none() || !epilogue.pool, "only blocks pool");
@@ -229,7 +232,8 @@ impl Block {
         if layer.lifting.is_some_and(|lifting| lifting.of_fields) {
             constants.extend([("EMBEDDED", group.embedded_quads as f64), ("AHEAD", group.staged as f64)]);
         }
-        // Where operands are broadcast, loads are dear, and a row is read once for all columns; else invocations share them.
+        // If operands are broadcast, loads are expensive, and a row is read once for all columns. Otherwise
+        // the columns are spread over invocations.
         let second = if tuning.sharing == Sharing::Broadcast { 2 * layer.modes_w } else { 2 };
         let unroll = Unroll { span: group.span, second, ..tuning.unroll(tuning.channels) };
         let kernel = Kernel::new(context, &source, unroll, &constants)?;
@@ -238,18 +242,19 @@ impl Block {
         Ok(Self { kernel, tile: tuning.channels, group, layer, epilogue, nothing })
     }
 
-    /// What it does beside the linear part.
+    /// Returns what the layer does in addition to the linear part.
     pub fn epilogue(&self) -> Epilogue {
         self.epilogue
     }
 
-    /// Parts in which it makes the field.
+    /// Returns the number of parts in which the field is computed.
     pub fn field_parts(&self) -> usize {
         self.layer.channels / (self.tile * self.group.deep)
     }
 
-    /// `weight` [C / tile, inputs, tile] and `bias` `[C]`, or [2 C + 4] with the field head behind it (see [`with_head`]); `tables`
-    /// [2 modes_w, W'] for a block, behind it the row transform's table [W' / 4, 2 modes_w, 4] if that is what comes after;
+    /// Applies the layer to `tensors`. `weight` has shape [C / tile, inputs, tile]; `bias` has shape `[C]`,
+    /// or [2 C + 4] if it includes the field head (see [`with_head`]). `tables` holds [2 modes_w, W'] for a
+    /// block, followed by the row transform's table [W' / 4, 2 modes_w, 4] if the rows are transformed.
     /// `width` is the number of columns of the grid.
     pub fn push(
         &self,
@@ -325,37 +330,38 @@ impl Block {
 /// The input of a layer.
 #[derive(Clone, Copy, Debug)]
 pub enum Inputs<'a> {
-    /// Shape [S, H, C, W'], of a lifting [S, H, E, W'].
+    /// A tensor of shape [S, H, C, W'], or [S, H, E, W'] for a lifting.
     Stored(&'a Tensor),
-    /// What a lifting embeds itself.
+    /// The fields that a lifting embeds itself.
     Fields(Fields<'a>),
 }
 
-/// What a layer reads and writes.
+/// Inputs and outputs of a layer.
 #[derive(Clone, Copy, Debug)]
 pub struct BlockTensors<'a> {
     /// Input.
     pub x: Inputs<'a>,
-    /// Inverse columns of the spectral product, shape [S, H, 2 modes_w, C]; of the lifting its first layer, see [`hidden_units`].
+    /// Inverse columns of the spectral product, shape [S, H, 2 modes_w, C]; for the lifting, its first layer
+    /// (see [`hidden_units`]).
     pub r: &'a Tensor,
-    /// Output, shape [S, H, C, W']; not written where the field is made.
+    /// Output, shape [S, H, C, W']; not written if the field is computed.
     pub y: &'a Tensor,
-    /// Rows' spectra of the output, shape [S, H, 2 modes_w, C], or the field in parts, [parts, S, H, W']; given if and only if either
-    /// is wanted.
+    /// Row spectra of the output, shape [S, H, 2 modes_w, C], or the field in parts, [parts, S, H, W']. Given
+    /// if and only if either is computed.
     pub made: Option<&'a Tensor>,
-    /// Largest values of the output's rows, shape [S, H, C]; given if and only if they are wanted.
+    /// Largest value of each output row, shape [S, H, C]. Given if and only if these are computed.
     pub rows_max: Option<&'a Tensor>,
 }
 
-/// A bias with a head of one output behind it, as [`Epilogue::field`] wants it.
+/// Appends a head of one output to a bias, as [`Epilogue::field`] requires.
 pub fn with_head(bias: &[f32], head: (&[f32], f32)) -> Vec<f32> {
     let (weight, head_bias) = head;
     assert_eq!(weight.len(), bias.len());
     [bias, weight, &[head_bias, 0.0, 0.0, 0.0]].concat()
 }
 
-/// A first layer, weight [outputs, inputs] and bias, in the order in which the lifting reads it: [outputs, inputs + 1 in quads], each
-/// bias behind the weights.
+/// Returns a first layer, weight [outputs, inputs] and bias, in the order in which the lifting reads it:
+/// [outputs, inputs + 1 in quads], with each bias after the weights.
 pub fn hidden_units(weight: &[f32], bias: &[f32]) -> Vec<f32> {
     let inputs = weight.len() / bias.len();
     let mut units = vec![0.0; bias.len() * padded(inputs + 1)];
@@ -372,7 +378,8 @@ mod tests {
     use super::*;
     use crate::gpu::AdapterKind;
 
-    /// A lifting that embeds on its way has the workgroups of one that does not, and rows fit as far as the README tells.
+    /// A lifting that embeds its input itself has the same workgroups as one that does not, and rows fit up
+    /// to the length given in the README.
     #[test]
     fn workgroups_hold_what_a_lifting_embeds() {
         let tuning = Tuning::of(AdapterKind::Hardware, Sharing::Loads);

@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "gelu_adj",
     wgsl: include_str!("../../../shaders/operator/gelu_adj.wgsl"),
@@ -25,12 +25,12 @@ pub struct GeluAdj {
 }
 
 impl GeluAdj {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `adj *= gelu'(x)`, then `x = gelu(x)`, of one shape with padded rows.
+    /// Sets `adj *= gelu'(x)`, then `x = gelu(x)`. Both have the same shape, with padded rows.
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, adj: &Tensor) {
         assert_eq!((x.shape(), x.len() % 4), (adj.shape(), 0));
         let quads = x.len() / 4;

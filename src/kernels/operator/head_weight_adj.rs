@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "head_weight_adj",
     wgsl: include_str!("../../../shaders/operator/head_weight_adj.wgsl"),
@@ -21,20 +21,20 @@ struct Params {
     bias: u32,
 }
 
-/// Gradient over weight and bias of a head with one output.
+/// Computes the gradient with respect to weight and bias of a head with one output.
 #[derive(Clone, Debug)]
 pub struct HeadWeightAdj {
     kernel: Kernel,
 }
 
 impl HeadWeightAdj {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Adds to `gradient`, which holds the weight \[C\] first and the bias at element `bias`: `x` [.., C, W'] are the head's
-    /// inputs, `adj` [.., W'] the cotangents of its output.
+    /// Adds to `gradient`, which holds the weight \[C\] first and the bias at element `bias`. `x` [.., C, W']
+    /// are the head's inputs, `adj` [.., W'] the cotangents of its output.
     pub fn push(
         &self,
         schedule: &mut Schedule,

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{Tuning, common, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "pointwise",
     wgsl: include_str!("../../../shaders/operator/pointwise.wgsl"),
@@ -33,7 +33,7 @@ pub struct Pointwise {
 }
 
 impl Pointwise {
-    /// Compiles the layer, with GELU after it or without.
+    /// Builds the kernel, with or without a GELU after the layer.
     pub fn new(context: &Context, tuning: &Tuning, gelu: bool) -> Result<Self> {
         let group = tuning.pointwise_group as usize;
         let constants = [("GELU", f64::from(u8::from(gelu))), ("WORKGROUP", group as f64)];
@@ -41,14 +41,15 @@ impl Pointwise {
         Ok(Self { kernel, tile: tuning.channels, group })
     }
 
-    /// `layer.weight` [O / tile, I, tile] (see [`index`]), `x` [.., I, W'], `y` [.., O, W'] with padded rows, of as many lines.
+    /// Computes `y` [.., O, W'] from `x` [.., I, W'], both with padded rows and the same number of lines. The
+    /// shape of `layer.weight` is [O / tile, I, tile] (see [`index`]).
     pub fn push(&self, schedule: &mut Schedule, layer: &Layer, x: &Tensor, y: &Tensor) {
         assert_eq!(lines(x), lines(y));
         let all = Lines { count: lines(x), x_first: 0, y_first: 0 };
         self.push_lines(schedule, layer, (x, y), all);
     }
 
-    /// The same for some of their lines.
+    /// As [`Pointwise::push`], for some of the lines.
     pub fn push_lines(
         &self,
         schedule: &mut Schedule,
@@ -78,24 +79,25 @@ impl Pointwise {
     }
 }
 
-/// Which lines of input and output a dispatch takes: a line is a row of a sample, with all channels.
+/// The lines of input and output that a dispatch processes. A line is a row of a sample, with all channels.
 #[derive(Clone, Copy, Debug)]
 pub struct Lines {
-    /// How many.
+    /// Number of lines.
     pub count: usize,
-    /// The first one of the input.
+    /// First line of the input.
     pub x_first: usize,
-    /// The first one of the output.
+    /// First line of the output.
     pub y_first: usize,
 }
 
-/// The lines of a tensor [.., C, W'].
+/// Returns the number of lines of a tensor [.., C, W'].
 pub(crate) fn lines(tensor: &Tensor) -> usize {
     let &[ref lines @ .., _, _] = tensor.shape() else { panic!("no lines: {:?}", tensor.shape()) };
     lines.iter().product()
 }
 
-/// Where the weight from input `input` to output `output` lies in the order of the kernels, [O / tile, I, tile].
+/// Returns the index of the weight from input `input` to output `output` in the order of the kernels,
+/// [O / tile, I, tile].
 pub fn index(output: usize, input: usize, (inputs, tile): (usize, usize)) -> usize {
     (output / tile * inputs + input) * tile + output % tile
 }

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "pointwise_weight_adj",
     wgsl: include_str!("../../../shaders/operator/pointwise_weight_adj.wgsl"),
@@ -28,12 +28,13 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// Outputs and inputs of a workgroup.
+/// Number of outputs, and of inputs, per workgroup.
 const SIDE: usize = 32;
-/// Quads of positions that a part has at most: enough to keep a workgroup busy, few enough for a sum in single precision.
+/// Most quads of positions per part: enough to keep a workgroup busy, few enough for a sum in single
+/// precision.
 const PART: usize = 256;
 
-/// Gradient over weight and bias of a pointwise layer, in parts.
+/// Computes the gradient with respect to weight and bias of a pointwise layer, in parts.
 #[derive(Clone, Debug)]
 pub struct PointwiseWeightAdj {
     kernel: Kernel,
@@ -42,29 +43,29 @@ pub struct PointwiseWeightAdj {
 /// Where the gradient of a layer is summed.
 #[derive(Clone, Copy, Debug)]
 pub struct Parts<'a> {
-    /// One row for each part of the positions.
+    /// The partial gradients, one row for each part of the positions.
     pub partial: &'a Tensor,
-    /// Elements of a row: those of weight and bias, with what lies between them.
+    /// Number of elements in a row: weight and bias, with the gap between them.
     pub len: usize,
-    /// First element of the bias in a row.
+    /// Index of the first element of the bias in a row.
     pub bias: usize,
-    /// Output channels of a tile of the weight.
+    /// Output channels per tile of the weight.
     pub tile: usize,
 }
 
-/// Number of parts that so many quads of positions are summed in.
+/// Returns the number of parts in which this many quads of positions are summed.
 pub fn parts(quads: usize) -> usize {
     quads.div_ceil(PART)
 }
 
 impl PointwiseWeightAdj {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets the rows of `to` for some of the lines of the layer's input `x` [.., I, W'] and of the cotangents `adj` [.., O, W'] of
-    /// its output (`part.y_first` counts there), and gives their number.
+    /// Sets rows of `to` for some lines of the layer's input `x` [.., I, W'] and of the cotangents `adj`
+    /// [.., O, W'] of its output, whose first line is `part.y_first`. Returns the number of rows.
     pub fn push(
         &self,
         schedule: &mut Schedule,

@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "pool_adj", wgsl: include_str!("../../../shaders/operator/pool_adj.wgsl"), appended: &[] };
 
@@ -24,12 +24,13 @@ pub struct PoolAdj {
 }
 
 impl PoolAdj {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Adds to `adj` [S, H, C, W'] what goes back through the head of weight `[C]`; sets `pooled` [S, C].
+    /// Adds to `adj` [S, H, C, W'] the cotangent that passes back through the head with weight `[C]`, and
+    /// sets `pooled` [S, C].
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -50,15 +51,15 @@ impl PoolAdj {
     }
 }
 
-/// What the maximum was taken of, and the cotangent of the scalar.
+/// The pooled values, and the cotangent of the scalar.
 #[derive(Clone, Copy, Debug)]
 pub struct PoolAdjTensors<'a> {
     /// Cotangent of the scalar, shape `[S]`.
     pub adj_scalar: &'a Tensor,
     /// Largest value of each row, shape [S, H, C].
     pub rows_max: &'a Tensor,
-    /// What was pooled, shape [S, H, C, W'].
+    /// Pooled values, shape [S, H, C, W'].
     pub x: &'a Tensor,
-    /// Columns of a row that count (W).
+    /// Number of columns of a row without the padding (W).
     pub columns: usize,
 }

@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{padded, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "pool_rows",
     wgsl: include_str!("../../../shaders/operator/pool_rows.wgsl"),
@@ -20,19 +20,19 @@ struct Params {
     columns: u32,
 }
 
-/// Largest value of each row.
+/// Computes the largest value of each row.
 #[derive(Clone, Debug)]
 pub struct PoolRows {
     kernel: Kernel,
 }
 
 impl PoolRows {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `x` [S, H, C, W'] of which `columns` count, `rows_max` [S, H, C].
+    /// Sets `rows_max` [S, H, C] from the first `columns` columns of `x` [S, H, C, W'].
     pub fn push(&self, schedule: &mut Schedule, columns: usize, x: &Tensor, rows_max: &Tensor) {
         let &[samples, h, channels, w] = x.shape() else { panic!("pool_rows: {:?}", x.shape()) };
         assert_eq!(rows_max.shape(), [samples, h, channels]);

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "project", wgsl: include_str!("../../../shaders/operator/project.wgsl"), appended: &[] };
 
@@ -25,12 +25,12 @@ pub struct Project {
 }
 
 impl Project {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `layer` `[C]` and `[1]`, `x` [S, H, C, W'], `field` [1, S, H, W'].
+    /// Computes `field` [1, S, H, W'] from `x` [S, H, C, W'] with `layer` (weight `[C]`, bias `[1]`).
     pub fn push(&self, schedule: &mut Schedule, layer: &Layer, x: &Tensor, field: &Tensor) {
         let &[samples, h, channels, w] = x.shape() else { panic!("project: {:?}", x.shape()) };
         assert_eq!((layer.weight.len(), layer.bias.len()), (channels, 1));

@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "project_adj",
     wgsl: include_str!("../../../shaders/operator/project_adj.wgsl"),
@@ -27,12 +27,12 @@ pub struct ProjectAdj {
 }
 
 impl ProjectAdj {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `adj` [S, H, C, W'] from `adj_field` [S, H, W'], through the layer of weight `[C]`.
+    /// Computes `adj` [S, H, C, W'] from `adj_field` [S, H, W'], through the layer with weight `[C]`.
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, adj_field: &Tensor, adj: &Tensor) {
         let &[samples, h, channels, w] = adj.shape() else { panic!("project_adj: {:?}", adj.shape()) };
         assert_eq!((adj_field.shape(), weight.len()), (&[samples, h, w][..], channels));

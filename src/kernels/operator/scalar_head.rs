@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, pieces, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "scalar_head",
     wgsl: include_str!("../../../shaders/operator/scalar_head.wgsl"),
@@ -21,42 +21,43 @@ struct Params {
     after: u32,
 }
 
-/// The scalar head after its rows' maxima, and the persistent scale that it changes.
+/// The scalar head, from the row maxima on, and the persistent scale that it updates.
 #[derive(Clone, Debug)]
 pub struct ScalarHead {
     alone: Kernel,
     rescaling: Kernel,
-    /// What is bound where there is no scale.
+    /// Bound in place of the scales if there are none.
     nothing: Tensor,
 }
 
-/// Where a pass finds and leaves the persistent scales of its samples.
+/// Where a pass reads and writes the persistent scales of its samples.
 #[derive(Clone, Copy, Debug)]
 pub struct Scales<'a> {
     /// The tensor.
     pub tensor: &'a Tensor,
-    /// First of the S elements before the pass.
+    /// Index of the first of the S scales before the pass.
     pub before: usize,
-    /// First of the S elements after it; may be the same.
+    /// Index of the first of the S scales after the pass; may be the same.
     pub after: usize,
 }
 
 impl<'a> Scales<'a> {
-    /// Scales `[S]` that are changed in place.
+    /// Returns scales `[S]` that are updated in place.
     pub fn in_place(tensor: &'a Tensor) -> Self {
         Self { tensor, before: 0, after: 0 }
     }
 }
 
 impl ScalarHead {
-    /// Makes it.
+    /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
         let kernel = |rescale: f64| Kernel::new(context, &SOURCE, 0, &[("RESCALE", rescale)]);
         let nothing = Tensor::zeros(context, "no scale", &[1])?;
         Ok(Self { alone: kernel(0.0)?, rescaling: kernel(1.0)?, nothing })
     }
 
-    /// `layer` `[C]` and `[1]`, `rows_max` [S, H, C], `scalar` `[S]`.
+    /// Computes `scalar` `[S]` from `rows_max` [S, H, C] with `layer` (weight `[C]`, bias `[1]`), and updates
+    /// `scales` if they are given.
     pub fn push(
         &self,
         schedule: &mut Schedule,

@@ -5,20 +5,22 @@ use crate::kernels::{Tuning, size};
 use crate::network::Config;
 use crate::{Error, Result};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "spectral", wgsl: include_str!("../../../shaders/operator/spectral.wgsl"), appended: &[] };
 
-/// Samples that share one reading of the weights: the three components of a cloth.
+/// Number of samples that share a read of the weights: the three components of a cloth.
 const TILE: usize = 3;
 
-/// Output channels that a workgroup may have, the most first.
+/// Numbers of output channels that a workgroup may have, in descending order.
 const ACROSS: [usize; 4] = [64, 32, 16, 8];
 
-/// Most bytes of a workgroup whose sums are divided: beyond, too few of them are at work on a processor at once.
+/// Most workgroup memory with which sums are still divided \[bytes\]: beyond it, too few workgroups run on a
+/// processor at once.
 const ROOM: usize = 32 << 10;
 
-/// Most rows of the inverse per invocation: few enough to share them out, enough to read a column's modes seldom.
+/// Most rows of the inverse per invocation: few enough to spread the work, enough that a column's modes are
+/// seldom read.
 const STRIP: usize = 8;
 
 #[repr(C)]
@@ -33,22 +35,23 @@ struct Params {
 /// How the work is divided, see the WGSL.
 #[derive(Clone, Copy, Debug)]
 struct Division {
-    /// Invocations of a workgroup.
+    /// Number of invocations per workgroup.
     lanes: usize,
-    /// Samples of a workgroup.
+    /// Number of samples per workgroup.
     tile: usize,
-    /// Output channels of a workgroup.
+    /// Number of output channels per workgroup.
     across: usize,
-    /// Parts that every sum is made of, whatever the division: as many as there are teams.
+    /// Number of parts of every sum, however the work is divided: one per team.
     parts: usize,
-    /// Parts that invocations of their own make.
+    /// Parts that separate invocations sum: of the rows, then of the inputs. 1 if none do, otherwise `parts`.
     row_parts: usize,
     input_parts: usize,
 }
 
 impl Division {
-    /// The largest workgroups that keep the adapter busy, and in them parts to invocations of their own where there are some to
-    /// spare; none if not even the smallest workgroup fits `room` bytes of memory.
+    /// Chooses the largest workgroups that keep the adapter busy, and in them gives parts to separate
+    /// invocations if there are invocations to spare. `None` if not even the smallest workgroup fits `room`
+    /// bytes of memory.
     fn new(tuning: &Tuning, config: &Config, samples: usize, room: usize) -> Option<Self> {
         let parts = tuning.spectral_teams as usize;
         let tiles = [TILE, 1].into_iter().filter(|&tile| samples.is_multiple_of(tile));
@@ -67,12 +70,12 @@ impl Division {
         Some(divided.into_iter().find(small).unwrap_or(chosen))
     }
 
-    /// Workgroups for one tile of samples.
+    /// Returns the number of workgroups per tile of samples.
     fn groups(&self, config: &Config) -> usize {
         config.modes_w * config.channels.div_ceil(self.across)
     }
 
-    /// Complex numbers of the spectrum and of the products that a workgroup holds.
+    /// Returns how many complex numbers of the spectrum and of the products a workgroup holds.
     fn held(&self, config: &Config) -> [usize; 2] {
         let rows_of_modes = self.tile * config.modes_h;
         [rows_of_modes * config.channels * self.row_parts, rows_of_modes * self.across * self.input_parts]
@@ -82,7 +85,7 @@ impl Division {
         8 * self.held(config).iter().sum::<usize>()
     }
 
-    /// Rows of the inverse that an invocation takes in turn.
+    /// Returns the number of consecutive rows of the inverse that an invocation computes.
     fn strip(&self, rows: usize) -> usize {
         (rows * self.tile * self.across).div_ceil(self.lanes).clamp(1, STRIP)
     }
@@ -95,27 +98,28 @@ pub struct Spectral {
     division: Division,
     config: Config,
     keep: bool,
-    /// What is bound where the spectrum is not kept.
+    /// Bound in place of the spectrum if it is not kept.
     nothing: Tensor,
 }
 
-/// What a spectral convolution reads and writes.
+/// Inputs and outputs of a spectral convolution.
 #[derive(Clone, Copy, Debug)]
 pub struct SpectralTensors<'a> {
-    /// Column transform, shape [H, modes_h / 2 + 1, 2].
+    /// Table of the column transform, shape [H, modes_h / 2 + 1, 2].
     pub table: &'a Tensor,
-    /// Rows' spectra of the input, shape [S, H, 2 modes_w, C].
+    /// Row spectra of the input, shape [S, H, 2 modes_w, C].
     pub r: &'a Tensor,
-    /// Rows' spectra of the output, shape [S, H, 2 modes_w, C].
+    /// Row spectra of the output, shape [S, H, 2 modes_w, C].
     pub inverse: &'a Tensor,
-    /// Spectrum of the input, shape [S, modes_h, modes_w, C, 2]; given if and only if it is kept.
+    /// Spectrum of the input, shape [S, modes_h, modes_w, C, 2]. Given if and only if it is kept.
     pub spectrum: Option<&'a Tensor>,
 }
 
 impl Spectral {
-    /// Makes it for the modes and channels of a padded `config` and for `samples` samples, whose spectra it keeps or not.
+    /// Builds the kernel for the modes and channels of a padded `config` and for `samples` samples, whose
+    /// spectra are kept if `keep` is set.
     ///
-    /// An error if the spectrum of a column does not fit the device's workgroup memory.
+    /// Fails if the spectrum of a column does not fit the device's workgroup memory.
     pub fn new(
         context: &Context,
         tuning: &Tuning,
@@ -150,7 +154,7 @@ impl Spectral {
         Ok(Self { kernel, division, config: *config, keep, nothing })
     }
 
-    /// `weight` [modes, C, C, 2] (see [`index`]).
+    /// Convolves `tensors` with `weight` [modes, C, C, 2] (see [`index`]).
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, tensors: SpectralTensors<'_>) {
         let SpectralTensors { table, r, inverse, spectrum } = tensors;
         let &[samples, h, columns, c] = r.shape() else { panic!("spectral: {:?}", r.shape()) };
@@ -172,8 +176,8 @@ impl Spectral {
     }
 }
 
-/// Where the real part of the weight of `mode` from input `i` to output `o` lies in the order of the kernel,
-/// [modes, I, O, 2].
+/// Returns the index of the real part of the weight of `mode` from input `i` to output `o` in the order of
+/// the kernel, [modes, I, O, 2].
 pub fn index(mode: usize, (i, o): (usize, usize), (inputs, outputs): (usize, usize)) -> usize {
     2 * ((mode * inputs + i) * outputs + o)
 }

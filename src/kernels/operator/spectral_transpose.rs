@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "spectral_transpose",
     wgsl: include_str!("../../../shaders/operator/spectral_transpose.wgsl"),
@@ -19,19 +19,19 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// The spectral product's weight the other way round, conjugated.
+/// Computes the conjugate transpose of the spectral product's weight.
 #[derive(Clone, Debug)]
 pub struct SpectralTranspose {
     kernel: Kernel,
 }
 
 impl SpectralTranspose {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `weight` [modes, I, O, 2] into `turned` [modes, O, I, 2].
+    /// Sets `turned` [modes, O, I, 2] to the conjugate transpose of `weight` [modes, I, O, 2].
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, turned: &Tensor) {
         let &[modes, inputs, outputs, 2] = weight.shape() else {
             panic!("spectral_transpose: {:?}", weight.shape())

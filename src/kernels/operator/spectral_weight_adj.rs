@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{Tuning, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "spectral_weight_adj",
     wgsl: include_str!("../../../shaders/operator/spectral_weight_adj.wgsl"),
@@ -20,23 +20,23 @@ struct Params {
     samples: u32,
 }
 
-/// Inputs that share a reading of the cotangents; a divisor of [`crate::kernels::CHANNEL_MULTIPLE`].
+/// Number of inputs that share a read of the cotangents; a divisor of [`crate::kernels::CHANNEL_MULTIPLE`].
 const TILE: usize = 4;
 
-/// Gradient over the weight of the spectral product.
+/// Computes the gradient with respect to the weight of the spectral product.
 #[derive(Clone, Debug)]
 pub struct SpectralWeightAdj {
     kernel: Kernel,
 }
 
 impl SpectralWeightAdj {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context, tuning: &Tuning) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(TILE), &[])? })
     }
 
-    /// Adds to `gradient` [modes, I, O, 2]: `x` [S, .., I, 2] is what the product took, `adj` [S, .., O, 2] the cotangent of
-    /// what it gave.
+    /// Adds to `gradient` [modes, I, O, 2]. `x` [S, .., I, 2] is the input of the product, `adj`
+    /// [S, .., O, 2] the cotangent of its output.
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, adj: &Tensor, gradient: &Tensor) {
         let &[modes, inputs, outputs, 2] = gradient.shape() else {
             panic!("spectral_weight_adj: {:?}", gradient.shape())

@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "sum_parts",
     wgsl: include_str!("../../../shaders/operator/sum_parts.wgsl"),
@@ -19,14 +19,14 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// Adds the parts of a gradient up.
+/// Sums the parts of a gradient.
 #[derive(Clone, Debug)]
 pub struct SumParts {
     kernel: Kernel,
 }
 
 impl SumParts {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

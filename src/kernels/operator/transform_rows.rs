@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{Tuning, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "transform_rows",
     wgsl: include_str!("../../../shaders/operator/transform_rows.wgsl"),
@@ -20,7 +20,7 @@ struct Params {
     pad: u32,
 }
 
-/// Rows of the truncated transform.
+/// Row part of the truncated transform.
 #[derive(Clone, Debug)]
 pub struct TransformRows {
     kernel: Kernel,
@@ -28,13 +28,13 @@ pub struct TransformRows {
 }
 
 impl TransformRows {
-    /// Makes it for `modes_w` kept columns.
+    /// Builds the kernel for `modes_w` kept columns.
     pub fn new(context: &Context, tuning: &Tuning, modes_w: usize) -> Result<Self> {
         let columns = 2 * modes_w;
         Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(columns), &[])?, columns })
     }
 
-    /// `table` [W' / 4, 2 modes_w, 4], `x` [S, H, C, W'], `r` [S, H, 2 modes_w, C].
+    /// Computes `r` [S, H, 2 modes_w, C] from `x` [S, H, C, W'] with `table` [W' / 4, 2 modes_w, 4].
     pub fn push(&self, schedule: &mut Schedule, table: &Tensor, x: &Tensor, r: &Tensor) {
         let &[samples, h, channels, w] = x.shape() else { panic!("transform_rows: {:?}", x.shape()) };
         assert_eq!(table.shape(), [w / 4, self.columns, 4]);

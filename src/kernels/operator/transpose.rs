@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "transpose",
     wgsl: include_str!("../../../shaders/operator/transpose.wgsl"),
@@ -20,19 +20,19 @@ struct Params {
     pad: u32,
 }
 
-/// A pointwise layer's weight the other way round.
+/// Transposes a pointwise layer's weight.
 #[derive(Clone, Debug)]
 pub struct Transpose {
     kernel: Kernel,
 }
 
 impl Transpose {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `weight` [O / tile, I, tile] into `turned` [I / tile, O, tile].
+    /// Sets `turned` [I / tile, O, tile] to the transpose of `weight` [O / tile, I, tile].
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, turned: &Tensor) {
         let &[tiles, inputs, tile] = weight.shape() else { panic!("transpose: {:?}", weight.shape()) };
         let outputs = tiles * tile;

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "adam", wgsl: include_str!("../../../shaders/optim/adam.wgsl"), appended: &[] };
 
@@ -22,7 +22,7 @@ struct Params {
     correction2: f32,
 }
 
-/// Adam.
+/// The Adam optimizer.
 #[derive(Clone, Debug)]
 pub struct Adam {
     kernel: Kernel,
@@ -42,12 +42,12 @@ pub struct AdamSettings {
 }
 
 impl Adam {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Moves `iterate` by the step of `iteration`, counted from 0; `moments` [S, n, 2].
+    /// Moves `iterate` by the step of `iteration`, counted from 0. `moments` has shape [S, n, 2].
     pub fn push(
         &self,
         schedule: &mut Schedule,

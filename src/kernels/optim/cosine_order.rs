@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "cosine_order",
     wgsl: include_str!("../../../shaders/optim/cosine_order.wgsl"),
@@ -20,19 +20,19 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// The order in which a Fourier transform gives the cosine transform, there or back.
+/// Puts a field into the order in which its Fourier transform gives its cosine transform, or back.
 #[derive(Clone, Debug)]
 pub struct CosineOrder {
     kernel: Kernel,
 }
 
 impl CosineOrder {
-    /// Makes it for one direction.
+    /// Builds the kernel for one direction.
     pub fn new(context: &Context, back: bool) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("BACK", f64::from(u8::from(back)))])? })
     }
 
-    /// Between the direction that L-BFGS turns (`memory.last`) and `ordered` [3 B, H, W].
+    /// Copies between the direction that L-BFGS modifies (`memory.last`) and `ordered` [3 B, H, W].
     pub fn push(&self, schedule: &mut Schedule, iterate: &Iterate, memory: &LbfgsMemory, ordered: &Tensor) {
         let &[samples, h, w] = ordered.shape() else { panic!("cosine_order: {:?}", ordered.shape()) };
         assert_eq!(iterate.samples_and_particles(), (samples, h * w));

@@ -7,17 +7,17 @@ use crate::kernels::cloth::gradient;
 use crate::kernels::{common, padded, pieces, size};
 use crate::sim::Grid;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "features",
     wgsl: include_str!("../../../shaders/optim/features.wgsl"),
     appended: &[pieces::FEATURES, common::TANH],
 };
 
-/// Channels of the network's input: gradient, last gradient, last step, and the position.
+/// Channels of the network's input: gradient, last gradient, last step, and two for the position.
 pub const CHANNELS: usize = 5;
 
-/// Workgroup memory for the sums of the fields' squares.
+/// Workgroup memory for the sums of the fields' squares \[bytes\].
 pub(crate) const SUMS_BYTES: usize = 4 * 32;
 
 #[repr(C)]
@@ -30,7 +30,7 @@ struct Params {
     place: Place,
 }
 
-/// Where a kernel finds what the features of its samples are made of.
+/// Where a kernel finds the data from which the features of its samples are computed.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, bytemuck::Pod, bytemuck::Zeroable)]
 pub(crate) struct Place {
@@ -40,19 +40,20 @@ pub(crate) struct Place {
     pub first_sum: u32,
 }
 
-/// What the features of some samples are made of.
+/// What the features of some samples are computed from.
 #[derive(Clone, Copy, Debug)]
 pub struct Fields<'a> {
     /// Gradient and hidden state.
     pub iterate: &'a Iterate,
-    /// Partial sums of their squares, shape [S, parts, 2] ([`gradient::parts`]).
+    /// Partial sums of squares of these, shape [S, parts, 2] ([`gradient::parts`]).
     pub sums: &'a Tensor,
-    /// The first of the samples.
+    /// Index of the first of these samples.
     pub first: usize,
 }
 
 impl Fields<'_> {
-    /// What a kernel binds of it, fields and sums, and where it finds that of `count` samples of a grid.
+    /// Returns the tensors that a kernel binds (fields and sums), and where it finds `count` samples of a
+    /// grid in them.
     pub(crate) fn bound(&self, grid: Grid, count: usize) -> ([Tensor; 2], Place) {
         let (samples, n) = self.iterate.samples_and_particles();
         assert_eq!((n, self.sums.shape()), (grid.particles(), &[samples, gradient::parts(grid), 2][..]));
@@ -73,19 +74,19 @@ impl Fields<'_> {
     }
 }
 
-/// Input of the network from gradient and hidden state.
+/// Computes the network's input from the gradient and the hidden state.
 #[derive(Clone, Debug)]
 pub struct Features {
     kernel: Kernel,
 }
 
 impl Features {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `embedded` [s, H, 5, W'], of s samples.
+    /// Sets `embedded` [s, H, 5, W'] for s samples.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: Fields<'_>, embedded: &Tensor) {
         let (w, made) = (padded(grid.w), embedded.shape()[0]);
         assert_eq!(embedded.shape(), [made, grid.h, CHANNELS, w]);

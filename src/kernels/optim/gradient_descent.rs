@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "gradient_descent",
     wgsl: include_str!("../../../shaders/optim/gradient_descent.wgsl"),
@@ -27,7 +27,7 @@ pub struct GradientDescent {
 }
 
 impl GradientDescent {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }

@@ -7,7 +7,7 @@ use crate::gpu::AdapterKind;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "lbfgs", wgsl: include_str!("../../../shaders/optim/lbfgs.wgsl"), appended: &[] };
 
@@ -19,15 +19,15 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// What of a step a dispatch does: something else than a multiple of the identity may be the initial inverse Hessian, and is
-/// applied to the direction in between.
+/// The part of a step that a dispatch performs. If the initial inverse Hessian is not a multiple of the
+/// identity, it is applied to the direction between two dispatches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// All of it.
+    /// The whole step.
     Whole,
-    /// What comes before the initial inverse Hessian.
+    /// The part before the initial inverse Hessian.
     Before,
-    /// What comes after it.
+    /// The part after it.
     After,
 }
 
@@ -45,12 +45,13 @@ pub struct LbfgsMemory {
     pub history: Tensor,
     /// Last gradient and last step, shape [B, 2, 3 n].
     pub last: Tensor,
-    /// Number of pairs, place of the newest, curvatures, weights of the first loop, shape [B, 2 history + 2].
+    /// Number of pairs, index of the newest, curvatures, and weights of the first loop, shape
+    /// [B, 2 history + 2].
     pub pairs: Tensor,
 }
 
 impl LbfgsMemory {
-    /// Memory for `batch` cloths of `particles`.
+    /// Allocates the memory for `batch` cloths of `particles` particles.
     pub fn new(context: &Context, batch: usize, particles: usize, history: usize) -> Result<Self> {
         let n = 3 * particles;
         Ok(Self {
@@ -61,16 +62,16 @@ impl LbfgsMemory {
     }
 }
 
-/// The longest history that the kernel holds.
+/// Longest history that the kernel supports.
 pub const MAX_HISTORY: usize = 32;
 
 impl Lbfgs {
-    /// Makes it for a history of up to [`MAX_HISTORY`] pairs, kept when `y.s > curvature`.
+    /// Builds the kernel for a history of up to [`MAX_HISTORY`] pairs, which are kept if `y.s > curvature`.
     pub fn new(context: &Context, history: usize, curvature: f64) -> Result<Self> {
         Self::part(context, history, curvature, Part::Whole)
     }
 
-    /// Compiles a part of the step, else as [`Lbfgs::new`].
+    /// Builds the kernel for a part of the step, otherwise like [`Lbfgs::new`].
     pub fn part(context: &Context, history: usize, curvature: f64, part: Part) -> Result<Self> {
         assert!((1..=MAX_HISTORY).contains(&history), "a history of 1 to {MAX_HISTORY} pairs, not {history}");
         let constants =
@@ -78,7 +79,8 @@ impl Lbfgs {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, history })
     }
 
-    /// Fails where llvmpipe would stop the loops of one invocation silently, after 65,535 iterations.
+    /// Fails on software adapters if the loops of one invocation might exceed 65,535 iterations, after which
+    /// llvmpipe stops them silently.
     pub fn check_size(&self, context: &Context, particles: usize) -> Result<()> {
         let iterations = (3 * particles).div_ceil(256) * (4 * self.history + 4) + 16 * self.history;
         if context.kind() == AdapterKind::Software && iterations > 65_000 {

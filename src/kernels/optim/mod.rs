@@ -1,4 +1,5 @@
-//! What moves the acceleration: the learned update rule and the classical optimizers (paper sections 3.3 and 4.3).
+//! The optimizers, which move the acceleration: the learned update rule and the classical ones (paper
+//! sections 3.3 and 4.3).
 
 pub mod adam;
 pub mod cosine_order;
@@ -23,31 +24,31 @@ pub use update_adj::{UpdateAdj, UpdateAdjTensors};
 use crate::Result;
 use crate::gpu::{Context, Tensor};
 
-/// The unknown of a frame and what follows from it.
+/// The unknown of a frame, and what is derived from it.
 #[derive(Clone, Debug)]
 pub struct Iterate {
     /// Gradient of the energy with respect to `a`, shape [B, 3, n].
     pub grad: Tensor,
-    /// What the learned optimizer remembers: last gradient and last step, shape [2, S, n]. It lies in one buffer with `grad`, for
-    /// kernels that write one of them to bind both as one.
+    /// What the learned optimizer remembers: last gradient and last step, shape [2, S, n]. It is in one
+    /// buffer with `grad`, so that kernels that write either can bind both as one.
     pub hidden: Option<Tensor>,
-    /// What `a = 0` moves the particles by: the velocity, or the way of a handle, shape [B, 3, n]. A trial moves free particles
-    /// by `base + a`, and handles by `base`.
+    /// What `a = 0` moves the particles by, shape [B, 3, n]: the velocity, or the displacement of a handle to
+    /// its target. A trial moves free particles by `base + a`, and handles by `base`.
     pub base: Tensor,
-    /// 0 for a free particle, else 1 + the place of its handle, shape [B, n].
+    /// 0 for a free particle, otherwise 1 + the index of its handle, shape [B, n].
     pub slots: Tensor,
     /// Acceleration, shape [B, 3, n].
     pub a: Tensor,
 }
 
 impl Iterate {
-    /// Tensors for the cloths whose handle slots are `slots` [B, n].
+    /// Allocates the tensors for cloths whose handle slots are `slots` [B, n].
     pub fn new(context: &Context, batch: usize, slots: &[u32]) -> Result<Self> {
         let grad = Tensor::zeros(context, "grad", &[batch, 3, slots.len() / batch])?;
         Self::of(context, slots, grad, None)
     }
 
-    /// The same with a hidden state, of zeros.
+    /// As [`Iterate::new`], with a hidden state of zeros.
     pub fn with_hidden(context: &Context, batch: usize, slots: &[u32]) -> Result<Self> {
         let (samples, n) = (3 * batch, slots.len() / batch);
         let first = (samples * n).next_multiple_of(Tensor::VIEW_ALIGNMENT);
@@ -64,12 +65,13 @@ impl Iterate {
         Ok(Self { grad, hidden, base, slots, a })
     }
 
-    /// The hidden state of an iterate that has one.
+    /// Returns the hidden state. Panics if the iterate has none.
     pub fn hidden_state(&self) -> &Tensor {
         self.hidden.as_ref().expect("the iterate of a learned optimizer has a hidden state")
     }
 
-    /// Number of samples, three to a cloth, and of particles. Panics when the tensors do not fit each other.
+    /// Returns the number of samples, three per cloth, and of particles. Panics if the tensors do not fit
+    /// each other.
     pub fn samples_and_particles(&self) -> (usize, usize) {
         let Self { grad, hidden, base, slots, a } = self;
         let &[batch, 3, n] = a.shape() else { panic!("an acceleration is [B, 3, n]: {:?}", a.shape()) };
@@ -79,7 +81,8 @@ impl Iterate {
         (3 * batch, n)
     }
 
-    /// The buffer that begins with the gradient, and the element of it that the hidden state begins with, if there is one.
+    /// Returns the buffer that begins with the gradient, and the element at which the hidden state begins in
+    /// it, if there is one.
     pub(crate) fn fields(&self) -> (Tensor, Option<usize>) {
         let Some(hidden) = &self.hidden else { return (self.grad.clone(), None) };
         let ((fields, of_grad), (same, first)) = (self.grad.whole(), hidden.whole());

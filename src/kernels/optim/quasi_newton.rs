@@ -7,10 +7,11 @@ use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::fft::{Fields, RealFft2};
 use crate::sim::Grid;
 
-/// L-BFGS with the initial inverse Hessian `P C^T diag(1 / lambda) C P`: the cosine transform C (DCT-II) of a sheet nearly
-/// diagonalises its Hessian at rest, P zeroes the handles (after Liu, Bouaziz and Kavan 2017).
+/// L-BFGS with the initial inverse Hessian `P C^T diag(1 / lambda) C P`: the cosine transform C (DCT-II)
+/// nearly diagonalises the Hessian of a sheet at rest, and P zeroes the handles (after Liu, Bouaziz and Kavan
+/// 2017).
 ///
-/// The cosine transform is a Fourier transform of the field in another order.
+/// The cosine transform is computed as a Fourier transform of the reordered field.
 #[derive(Clone, Debug)]
 pub struct QuasiNewton {
     before: Lbfgs,
@@ -19,14 +20,15 @@ pub struct QuasiNewton {
     modes: RestModes,
     restore: CosineOrder,
     after: Lbfgs,
-    /// The direction in the order of the transform, shape [3 B, H, W].
+    /// The direction, in the order of the transform, shape [3 B, H, W].
     ordered: Tensor,
-    /// Spectra before and after, shape [3 B, H, W / 2 + 1, 2].
+    /// Spectra before and after the division by lambda, shape [3 B, H, W / 2 + 1, 2].
     spectra: [Tensor; 2],
 }
 
 impl QuasiNewton {
-    /// Makes it for `batch` cloths of a grid and a history of up to [`super::lbfgs::MAX_HISTORY`] pairs.
+    /// Builds the kernels and tensors for `batch` cloths on a grid, and a history of up to
+    /// [`super::lbfgs::MAX_HISTORY`] pairs.
     pub fn new(
         context: &Context,
         history: usize,
@@ -49,12 +51,12 @@ impl QuasiNewton {
         })
     }
 
-    /// As [`Lbfgs::check_size`].
+    /// Checks the size like [`Lbfgs::check_size`].
     pub fn check_size(&self, context: &Context, particles: usize) -> Result<()> {
         self.before.check_size(context, particles)
     }
 
-    /// Moves `iterate` by the step of `iteration`, counted from 0, for the materials of `cloths` \[B\].
+    /// Moves `iterate` by the step of `iteration`, counted from 0, with the materials of `cloths` \[B\].
     pub fn push(
         &self,
         schedule: &mut Schedule,

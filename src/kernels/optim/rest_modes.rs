@@ -7,7 +7,7 @@ use crate::kernels::{common, size};
 use crate::sim::Grid;
 use std::f64::consts::PI;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "rest_modes",
     wgsl: include_str!("../../../shaders/optim/rest_modes.wgsl"),
@@ -22,7 +22,7 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// The inverse Hessian of a flat sheet, between spectra.
+/// Applies the inverse Hessian of a flat sheet to spectra.
 #[derive(Clone, Debug)]
 pub struct RestModes {
     grid: Grid,
@@ -32,9 +32,9 @@ pub struct RestModes {
 }
 
 impl RestModes {
-    /// Makes it and the tables of a grid.
+    /// Builds the kernel and the tables for a grid.
     pub fn new(context: &Context, grid: Grid) -> Result<Self> {
-        // Devices disagree on sines and cosines, so they come from here, in double precision.
+        // Devices disagree on sines and cosines, so these are computed here, in double precision.
         let table = |label, length: usize, count: usize| {
             let angle = |k: usize| PI * k as f64 / (2 * length) as f64;
             let values: Vec<_> = (0..count).map(|k| [angle(k).cos() as f32, angle(k).sin() as f32]).collect();
@@ -48,7 +48,7 @@ impl RestModes {
         })
     }
 
-    /// `out` of `spectrum`, both [3 B, H, W / 2 + 1, 2], for the materials of `cloths` \[B\].
+    /// Sets `out` from `spectrum`, both [3 B, H, W / 2 + 1, 2], with the materials of `cloths` \[B\].
     pub fn push(&self, schedule: &mut Schedule, cloths: &Tensor, spectrum: &Tensor, out: &Tensor) {
         let Grid { h, w } = self.grid;
         let (samples, half) = (spectrum.shape()[0], w / 2 + 1);

@@ -7,7 +7,7 @@ use crate::kernels::operator::{Layer, Scales};
 use crate::kernels::{common, pieces, size};
 use crate::sim::Grid;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "update",
     wgsl: include_str!("../../../shaders/optim/update.wgsl"),
@@ -36,29 +36,29 @@ struct Params {
 pub struct Update {
     alone: Kernel,
     with_head: Kernel,
-    /// What is bound where there is no head.
+    /// Bound in place of the head if there is none.
     nothing: Tensor,
 }
 
-/// What the learned step is made of, beside the iterate.
+/// Inputs of the learned step, besides the iterate.
 #[derive(Clone, Copy, Debug)]
 pub struct UpdateTensors<'a> {
-    /// Field head in parts to be added up, shape [parts, s, H, W'].
+    /// Output of the field head, in parts to be summed, shape [parts, s, H, W'].
     pub field: &'a Tensor,
-    /// The sample of S that is the field's first.
+    /// Index among the S samples of the field's first one.
     pub first: usize,
     /// Persistent scales of the s samples.
     pub scales: Scales<'a>,
-    /// The scalar head and its rows' maxima [s, H, C], to make the scales after the pass of those before it in another place; none
-    /// where they are made.
+    /// The scalar head and its row maxima [s, H, C], to compute the scales after the pass from those before
+    /// it, at another offset. `None` if they are already computed.
     pub head: Option<(&'a Layer, &'a Tensor)>,
 }
 
-/// Most workgroups to a sample: with a head each of them makes the scale.
+/// Most workgroups per sample: with a head, each of them computes the scale.
 const MAX_GROUPS: usize = 64;
 
 impl Update {
-    /// Makes it.
+    /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
         let kernel = |head: f64| Kernel::new(context, &SOURCE, 0, &[("HEAD", head)]);
         Ok(Self {
@@ -68,7 +68,7 @@ impl Update {
         })
     }
 
-    /// Moves the samples of `iterate` that the field is of by one learned step.
+    /// Moves the samples of `iterate` that `from.field` covers by one learned step.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: UpdateTensors<'_>, iterate: &Iterate) {
         let UpdateTensors { field, first, scales, head } = from;
         let &[parts, in_field, h, w] = field.shape() else { panic!("update: {:?}", field.shape()) };

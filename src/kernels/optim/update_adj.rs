@@ -6,7 +6,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 use crate::sim::Grid;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "update_adj",
     wgsl: include_str!("../../../shaders/optim/update_adj.wgsl"),
@@ -22,16 +22,16 @@ struct Params {
     share: f32,
 }
 
-/// The update rule backwards.
+/// Adjoint of the update rule.
 #[derive(Clone, Debug)]
 pub struct UpdateAdj {
     kernel: Kernel,
-    /// Samples that one norm is of.
+    /// Number of samples that share a norm.
     together: usize,
 }
 
 impl UpdateAdj {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context, normalisation: Normalisation) -> Result<Self> {
         let together = normalisation.samples();
         let constants = [("TOGETHER", together as f64), ("CLAMP", CLAMP)];
@@ -39,8 +39,8 @@ impl UpdateAdj {
         Ok(Self { kernel, together })
     }
 
-    /// Sets the cotangents of field and scalar of the step that was made, normalised, for `share` times the gradient `grad`
-    /// [S, n] where it led.
+    /// Sets the normalised cotangents of the field and the scalar of the step that was taken, for `share`
+    /// times the gradient `grad` [S, n] at the point it reached.
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -60,14 +60,14 @@ impl UpdateAdj {
     }
 }
 
-/// What the step was made of, and where it led.
+/// What the step was computed from, and the gradient at the point it reached.
 #[derive(Clone, Copy, Debug)]
 pub struct UpdateAdjTensors<'a> {
-    /// Field head, shape [1, S, H, W'].
+    /// Output of the field head, shape [1, S, H, W'].
     pub field: &'a Tensor,
-    /// Scalar head, shape `[S]`.
+    /// Output of the scalar head, shape `[S]`.
     pub scalar: &'a Tensor,
-    /// Scale that the step had, shape `[S]`.
+    /// Scale of the step, shape `[S]`.
     pub scale: &'a Tensor,
     /// dL/da after the step, shape [S, H, W].
     pub grad: &'a Tensor,

@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "adamw", wgsl: include_str!("../../../shaders/train/adamw.wgsl"), appended: &[] };
 
@@ -15,11 +15,11 @@ struct Params {
     pad: [u32; 3],
 }
 
-/// The factors of a step, made by the host in double precision: the content of a tensor of 12 elements.
+/// The factors of a step, computed by the host in double precision: the content of a tensor of 12 elements.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Factors {
-    /// What the gradient is multiplied by, so that its norm is at most the clip: `min(clip / (norm + 1e-6), 1)`.
+    /// Factor of the gradient that limits its norm to the clip: `min(clip / (norm + 1e-6), 1)`.
     pub shorten: f32,
     /// `1 - rate decay`.
     pub shrink: f32,
@@ -43,7 +43,7 @@ pub struct Factors {
     pub pad: [f32; 2],
 }
 
-/// The vectors of the optimizer, all of one length.
+/// The optimizer's vectors, all of the same length.
 #[derive(Clone, Debug)]
 pub struct Moments {
     /// Mean gradient.
@@ -61,12 +61,13 @@ pub struct AdamW {
 }
 
 impl AdamW {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Moves `weight` along `gradient`, by the `factors` ([`Factors`]) that the tensor holds when it runs.
+    /// Moves `weight` along `gradient`, by the [`Factors`] that the tensor `factors` holds when the kernel
+    /// runs.
     pub fn push(
         &self,
         schedule: &mut Schedule,

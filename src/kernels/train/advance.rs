@@ -6,7 +6,7 @@ use crate::kernels::cloth::StateTensors;
 use crate::kernels::optim::Iterate;
 use crate::kernels::{common, size};
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "advance",
     wgsl: include_str!("../../../shaders/train/advance.wgsl"),
@@ -27,12 +27,12 @@ pub struct Advance {
 }
 
 impl Advance {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Moves `state` to where `iterate` leads, whose `a` it zeroes, where `drawn` \[B\] says so.
+    /// For the cloths marked in `drawn` \[B\], moves `state` to where `iterate` leads and zeroes `iterate.a`.
     pub fn push(&self, schedule: &mut Schedule, drawn: &Tensor, state: StateTensors<'_>, iterate: &Iterate) {
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((state.x.len(), state.v.len()), (samples * n, samples * n));

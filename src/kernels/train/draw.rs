@@ -6,7 +6,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 use crate::sim::Grid;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "draw",
     wgsl: include_str!("../../../shaders/train/draw.wgsl"),
@@ -22,19 +22,20 @@ struct Params {
     scale: f32,
 }
 
-/// Takes the cloths of a batch out of their pool.
+/// Copies the cloths of a batch out of their pool.
 #[derive(Clone, Debug)]
 pub struct Draw {
     kernel: Kernel,
 }
 
 impl Draw {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// From `pool` into the tensors of the batch; a fresh memory has `scale`.
+    /// Fills the tensors of the batch from `pool`. Cloths that are reset start with the persistent scale
+    /// `scale`.
     pub fn push(
         &self,
         schedule: &mut Schedule,

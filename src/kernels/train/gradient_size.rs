@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "gradient_size",
     wgsl: include_str!("../../../shaders/train/gradient_size.wgsl"),
@@ -18,19 +18,19 @@ struct Params {
     pad: [u32; 3],
 }
 
-/// Mean magnitude of the gradient of each cloth.
+/// Computes the mean magnitude of the gradient of each cloth.
 #[derive(Clone, Debug)]
 pub struct GradientSize {
     kernel: Kernel,
 }
 
 impl GradientSize {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// `sizes` \[B\] of `grad` \[B, 3, n\].
+    /// Sets `sizes` \[B\] from `grad` \[B, 3, n\].
     pub fn push(&self, schedule: &mut Schedule, grad: &Tensor, sizes: &Tensor) {
         let batch = sizes.len();
         assert_eq!(grad.shape()[0], batch);

@@ -21,15 +21,15 @@ use crate::sim::Grid;
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Drawn {
-    /// Its place in the pool.
+    /// Index of the cloth in the pool.
     pub slot: u32,
-    /// 1 where a life starts.
+    /// 1 if the cloth is reset to its start, otherwise 0.
     pub begin: u32,
-    /// 1 where the frame ends after this iteration.
+    /// 1 if the frame ends after this iteration, otherwise 0.
     pub advance: u32,
-    /// Share of the velocity that is left when the frame ends.
+    /// Fraction of the velocity that remains when the frame ends.
     pub keep: f32,
-    /// Rows of the matrix that turns the sheet at rest to its start; the last column is unused.
+    /// Rows of the matrix that rotates the sheet at rest to its start; the last column is unused.
     pub rotation: [[f32; 4]; 3],
 }
 
@@ -57,7 +57,7 @@ pub struct BatchTensors<'a> {
     pub scale: &'a Tensor,
 }
 
-/// Number of samples of a batch, whose tensors fit each other and the pool.
+/// Returns the number of samples of a batch. Panics if its tensors do not fit each other and the pool.
 fn samples(grid: Grid, drawn: &Tensor, pool: PoolTensors<'_>, batch: BatchTensors<'_>) -> usize {
     let (n, samples) = (grid.particles(), batch.scale.len());
     let BatchTensors { x, v, a, hidden, .. } = batch;

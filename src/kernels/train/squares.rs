@@ -4,7 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source =
     Source { name: "squares", wgsl: include_str!("../../../shaders/train/squares.wgsl"), appended: &[] };
 
@@ -16,30 +16,31 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// Elements of a part, about.
+/// Number of elements in a part, approximately.
 const PART: usize = 4096;
 
-/// Sum of the squares of a vector.
+/// Sums the squares of a vector.
 #[derive(Clone, Debug)]
 pub struct Squares {
     of_parts: Kernel,
     of_sums: Kernel,
 }
 
-/// Number of parts that a vector's squares are summed in.
+/// Returns the number of parts in which the squares of a vector of `n` elements are summed.
 pub fn parts(n: usize) -> usize {
     n.div_ceil(PART)
 }
 
 impl Squares {
-    /// Makes it.
+    /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
         let kernel =
             |square: bool| Kernel::new(context, &SOURCE, 0, &[("SQUARE", f64::from(u8::from(square)))]);
         Ok(Self { of_parts: kernel(true)?, of_sums: kernel(false)? })
     }
 
-    /// `sum` \[1\] of the squares of `x`, through `sums` with an element for each of its [`parts`].
+    /// Sets `sum` \[1\] to the sum of the squares of `x`, by way of `sums`, which has one element for each of
+    /// its [`parts`].
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, sums: &Tensor, sum: &Tensor) {
         assert_eq!((sums.len(), sum.len()), (parts(x.len()), 1));
         let params = |n: usize, parts: usize| Params { n: size(n), parts: size(parts), pad: [0; 2] };

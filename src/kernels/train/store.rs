@@ -6,7 +6,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 use crate::sim::Grid;
 
-/// The WGSL.
+/// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "store",
     wgsl: include_str!("../../../shaders/train/store.wgsl"),
@@ -21,19 +21,19 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// Puts the cloths of a batch back into their pool.
+/// Copies the cloths of a batch back into their pool.
 #[derive(Clone, Debug)]
 pub struct Store {
     kernel: Kernel,
 }
 
 impl Store {
-    /// Makes it.
+    /// Builds the kernel.
     pub fn new(context: &Context) -> Result<Self> {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// From the tensors of the batch into `pool`.
+    /// Copies the tensors of the batch into `pool`.
     pub fn push(
         &self,
         schedule: &mut Schedule,

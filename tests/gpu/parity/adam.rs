@@ -15,8 +15,8 @@ fn steps_match() {
         let moments = poisoned("moments", &[3 * batch, grid.particles(), 2]);
         let push =
             |s: &mut _, iteration, iterate: &_| kernel.push(s, settings, iteration, (iterate, &moments));
-        // A dozen steps, each of half a dozen roundings; 1 - beta2 as a single-precision number is off by 6e-5 of itself,
-        // which the correction of the first iterations undoes.
+        // A dozen steps, each with half a dozen roundings. In single precision, 1 - beta2 has a relative
+        // error of 6e-5, which the bias correction of the first iterations undoes.
         frames_match(&Optimizer::adam(), &push, (grid, batch), 100.0 * ROUNDING);
     }
 }

@@ -7,9 +7,9 @@ use fnopt::train::DeviceAdamW;
 #[test]
 fn updates_and_the_running_mean_match() {
     let _turn = device();
-    // Exact in single precision: its rounding would be most of what the running mean is off by.
+    // Exact in single precision; otherwise its rounding would dominate the error of the running mean.
     let average = 0.875;
-    // One part of the sum of squares, and several.
+    // A sum of squares in one part, and in several.
     for n in [61, 70_000] {
         let settings = AdamWSettings { clip: 0.5, ..Default::default() };
         let mut host = AdamW::<f64>::new(settings, n);
@@ -19,7 +19,7 @@ fn updates_and_the_running_mean_match() {
         let adamw = DeviceAdamW::new(context(), n, settings).unwrap();
         adamw.moments.averaged.write(context(), &noise(n, 172));
         for number in 1..4_u64 {
-            // The first gradient is short enough to stay as it is.
+            // The first gradient is short enough not to be clipped.
             let size = [1e-4, 1.0, 30.0][number as usize - 1];
             let gradient: Vec<f32> = noise(n, 173 + number).iter().map(|g| g * size).collect();
             let norm = AdamW::norm(&widened(&gradient));
@@ -34,11 +34,11 @@ fn updates_and_the_running_mean_match() {
             adamw.set_factors(norm, number, (0.01, average));
             run(|schedule| adamw.push_step(schedule, &on_device).unwrap());
         }
-        // Steps of 0.01 in which the roundings of a few operations show.
+        // In steps of 0.01, the roundings of a few operations show.
         let tolerance = (1e-7, 4.0 * ROUNDING);
         assert_close(&format!("adamw {n}"), &read(&on_device), &weights, tolerance);
         assert_close(&format!("adamw {n}, mean"), &read(&adamw.moments.averaged), &averaged, tolerance);
-        // Gradients of either sign cancel; squares do not.
+        // Gradients of either sign cancel, which leaves an absolute error; squares do not.
         let tolerance = (8.0 * ROUNDING * largest(&host.mean), 4.0 * ROUNDING);
         assert_close("mean gradient", &read(&adamw.moments.mean), &host.mean, tolerance);
         assert_close("mean square", &read(&adamw.moments.square), &host.square, (0.0, 16.0 * ROUNDING));

@@ -1,5 +1,5 @@
-//! `block` against its formula: inverse rows, skip, bias and activation; and what it makes of its rows against the formulas
-//! of the kernels that do that alone.
+//! `block` against its formula: inverse rows, skip, bias and activation. What it computes from its rows is
+//! compared with the formulas of the kernels that do only that.
 
 use super::features::sums;
 use super::operator::{MODES, activate, activations, config, copies, dense, head, layer, turn};
@@ -17,7 +17,7 @@ use fnopt::sim::Grid;
 
 const CHANNELS: usize = 64;
 
-/// Adds the inverse rows of `r` [S, H, 2 modes_w, C] to `y` [S, C, H, W].
+/// Adds the inverse transform of the rows `r` [S, H, 2 modes_w, C] to `y` [S, C, H, W].
 fn add_inverse_rows(y: &mut [f64], r: &[f32], modes_w: usize, grid: Grid) {
     let Grid { h, w } = grid;
     for (index, y) in y.iter_mut().enumerate() {
@@ -30,7 +30,7 @@ fn add_inverse_rows(y: &mut [f64], r: &[f32], modes_w: usize, grid: Grid) {
     }
 }
 
-/// Of a block on `grid`.
+/// Returns the size of a block on `grid`.
 fn size(grid: Grid, modes_w: usize) -> LayerSize {
     LayerSize { row_quads: padded(grid.w) / 4, modes_w, channels: CHANNELS, lifting: None }
 }
@@ -59,7 +59,7 @@ fn blocks_of_all_tiles_match() {
                     BlockTensors { x: Inputs::Stored(&x_tensor), r: &r, y: &y, made: None, rows_max: None };
                 run(|schedule| kernel.push(schedule, &skip, (&table, grid.w), tensors));
                 let what = format!("block {} gelu {gelu} {batch} x {grid}", tuning.channels);
-                // A rounding for each of the 42 products, of sums about as large as the result.
+                // One rounding per product, of sums about as large as the result.
                 let atol = (7.0 * ROUNDING + if gelu { 3e-7 } else { 0.0 }) * largest(&expected);
                 assert_close(&what, &read_channels(&y, grid), &expected, (atol, ROUNDING));
                 assert!(read(&y).iter().all(|y| y.is_finite()), "the padding stays finite");
@@ -68,7 +68,7 @@ fn blocks_of_all_tiles_match() {
     }
 }
 
-/// Rows' spectra [S, H, 2 modes_w, C] and largest values [S, H, C] of `y` [S, C, H, W].
+/// Returns the spectra [S, H, 2 modes_w, C] and the maxima [S, H, C] of the rows of `y` [S, C, H, W].
 fn of_rows(y: &[f32], modes_w: usize, grid: Grid) -> (Vec<f64>, Vec<f32>) {
     let Grid { h, w } = grid;
     let samples = y.len() / (CHANNELS * h * w);
@@ -90,7 +90,8 @@ fn of_rows(y: &[f32], modes_w: usize, grid: Grid) -> (Vec<f64>, Vec<f32>) {
     (spectra, largest)
 }
 
-/// Blocks that transform and pool their rows: the same output to the bit, and of it what the other kernels would make.
+/// Blocks that also transform and pool their rows have the same output to the bit, and the spectra and maxima
+/// that the other kernels would compute from it.
 #[test]
 fn blocks_that_take_rows_match() {
     let _turn = device();
@@ -144,7 +145,7 @@ fn blocks_that_take_rows_match() {
     }
 }
 
-/// Blocks that end in the field head: the parts add up to the last layer of the block's output.
+/// Blocks that end in the field head: the parts add up to the head's layer applied to the block's output.
 #[test]
 fn blocks_with_the_field_head_match() {
     let _turn = device();
@@ -185,13 +186,13 @@ fn blocks_with_the_field_head_match() {
     }
 }
 
-/// The two layers of the lifting in one: as the pointwise layers make them, and the rows' spectra of that.
+/// The fused lifting agrees with its two pointwise layers, and so do its rows' spectra.
 #[test]
 fn liftings_match() {
     let _turn = device();
     const HIDDEN: usize = 64;
     let mut with_rows = 0;
-    // What is not staged holds an embedded quad in registers, of five channels always.
+    // Without staging, registers hold an embedded quad, always of five channels.
     let counts =
         |tuning: Tuning| if tuning.staged { vec![(tuning, 5), (tuning, 3)] } else { vec![(tuning, 5)] };
     for (tuning, inputs) in tunings().into_iter().flat_map(counts) {
@@ -234,7 +235,7 @@ fn liftings_match() {
     assert!(with_rows > 0, "no lifting transforms its rows");
 }
 
-/// Liftings that embed what they lift: what they make of the features that another kernel embeds.
+/// Liftings that embed their input agree with liftings of features that another kernel embeds.
 #[test]
 fn liftings_of_fields_match() {
     let _turn = device();
@@ -242,7 +243,7 @@ fn liftings_of_fields_match() {
     let features = Features::new(context()).unwrap();
     let mut with_rows = 0;
     let staged = tunings().into_iter().find(|tuning| tuning.staged).unwrap();
-    // Several workgroups to a row, each of some of the channels.
+    // Several workgroups per row, each with some of the channels.
     let narrow = Tuning { rows_in_blocks: false, block_wide: 8, block_deep: 2, ..staged };
     for tuning in tunings().into_iter().chain([narrow]) {
         for (grid, batch) in cases() {
@@ -254,7 +255,7 @@ fn liftings_of_fields_match() {
             iterate.hidden_state().write(context(), &hidden);
             let squares = sums(grid, samples, [&grad, &hidden[samples * n..]]);
             let shape = [samples, squares.len() / samples / 2, 2];
-            // A view, as the rows of a solver's iterations are.
+            // A view, like the rows of a solver's iterations.
             let rows = tensor("sums", &[64 + squares.len()], &[vec![f32::NAN; 64], squares].concat());
             let sums = &rows.view(64, &shape);
             let inner = hidden_units(&noise(HIDDEN * 5, 15), &noise(HIDDEN, 16));

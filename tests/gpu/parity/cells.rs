@@ -5,7 +5,8 @@ use crate::common::{ROUNDING, cases, context, device, run};
 use fnopt::cpu::cloth;
 use fnopt::kernels::cloth::{Cells, Physics, buckets};
 
-/// Every particle once, where the trial has it, in the bucket of its cell, and in a bucket by number.
+/// Every particle appears once, at the position of the trial, in its cell's bucket, which is sorted by
+/// number.
 #[test]
 fn particles_are_sorted_by_cells() {
     let _turn = device();
@@ -21,7 +22,7 @@ fn particles_are_sorted_by_cells() {
         let cells = Cells::new(context(), batch, grid).unwrap();
         cells.ends.write(context(), &vec![u32::MAX; cells.ends.len()]);
         cells.sorted.write(context(), &vec![f32::NAN; cells.sorted.len()]);
-        // Twice, as nothing of the first time may be left.
+        // Twice, since nothing of the first run may be left.
         (0..2).for_each(|_| run(|schedule| cells.push(schedule, grid, physics, &iterate)));
         let sorted = cells.sorted.read::<[f32; 4]>(context()).unwrap();
         let ends = cells.ends.read::<u32>(context()).unwrap();
@@ -46,7 +47,7 @@ fn particles_are_sorted_by_cells() {
             sorted.iter().for_each(|p| place_of[p[3].to_bits() as usize] = [p[0], p[1], p[2]]);
             for pair in expected.sorted().windows(2) {
                 let [one, next] = [&pair[0], &pair[1]];
-                // What lies at the border of its cell may be rounded into the next one.
+                // A particle at the border of its cell may be rounded into the next one.
                 let inside = |p: &cloth::Placed<f64>| {
                     p.place.iter().all(|x| ((x / side) - (x / side).round()).abs() > 1e-4)
                 };

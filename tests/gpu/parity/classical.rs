@@ -1,4 +1,4 @@
-//! What the tests of the classical optimizers share: frames of iterations, the same gradients on both sides.
+//! Helpers shared by the tests of the classical optimizers: frames with the same gradients on both sides.
 
 use super::cloth::{field, iterate, model};
 use crate::common::{assert_close, context, largest, narrowed, read, run, widened};
@@ -7,21 +7,23 @@ use fnopt::gpu::Schedule;
 use fnopt::kernels::optim::Iterate;
 use fnopt::sim::{Grid, Optimizer};
 
-/// Iterations of a frame.
+/// Iterations per frame.
 const ITERATIONS: usize = 12;
 
 /// Appends an iteration's dispatch.
 pub type Push<'a> = &'a dyn Fn(&mut Schedule, usize, &Iterate);
 
-/// Runs two frames of `optimizer` on a quadratic energy of a batch with handles, on the device by `push` and on the CPU
-/// path in double precision with the device's gradients; accelerations agree to `tolerance` of the
-/// largest. In between the energy turns over once, so that some curvature is negative.
+/// Runs two frames of `optimizer` on a quadratic energy of a batch with handles, on the device with `push`
+/// and on the CPU path in double precision with the device's gradients. Asserts that the accelerations agree
+/// to `tolerance` of the largest. In one iteration of each frame the energy changes sign, so that some
+/// curvature is negative.
 pub fn frames_match(optimizer: &Optimizer, push: Push<'_>, (grid, batch): (Grid, usize), tolerance: f64) {
     let model = model(grid, batch);
     let n = grid.particles();
     let iterate = iterate(&model);
     let start = widened(&field(&model, 1.0, 112));
-    // No stiffer than the Hessian at rest, whose smallest eigenvalue is that of inertia, or its steps would diverge.
+    // No stiffer than the Hessian at rest, whose smallest eigenvalue is that of inertia. Otherwise its steps
+    // would diverge.
     let scale = if matches!(optimizer, Optimizer::QuasiNewton { .. }) { 1.0 / n as f64 } else { 1.0 };
     let stiffness: Vec<f64> = field(&model, 0.7, 113).iter().map(|&d| scale * (1.0 + f64::from(d))).collect();
     let mut host = minimizer::<f64>(optimizer, &model).unwrap();

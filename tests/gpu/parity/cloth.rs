@@ -1,4 +1,4 @@
-//! What the tests of the cloth's and the optimizers' kernels share.
+//! Helpers shared by the tests of the cloth and optimizer kernels.
 
 use crate::common::{context, noise, poisoned, tensor, widened};
 use fnopt::cpu::cloth::Trial;
@@ -10,7 +10,7 @@ use fnopt::sim::{Air, Cloth, Grid, Material, Model, Repulsion, State};
 /// Wind of each cloth [edges / frame].
 pub const WIND: [[f32; 3]; 3] = [[0.3, -0.2, 0.1], [0.0, 0.0, 0.0], [-0.5, 0.4, 0.2]];
 
-/// Cloths of different materials, in different air, held by different handles.
+/// Builds cloths with different materials, air and handles.
 pub fn model(grid: Grid, batch: usize) -> Model {
     let (h, w) = (grid.h, grid.w);
     let cloth = |b: usize| Cloth {
@@ -23,7 +23,7 @@ pub fn model(grid: Grid, batch: usize) -> Model {
     Model { grid, cloths: (0..batch).map(cloth).collect() }
 }
 
-/// The same with layers that repel each other, but for those of the second cloth.
+/// Adds repulsion to all cloths but the second.
 pub fn repelling(model: &Model) -> Model {
     let mut model = model.clone();
     for (cloth, distance) in model.cloths.iter_mut().zip([0.5, 0.0, 1.0]) {
@@ -32,35 +32,35 @@ pub fn repelling(model: &Model) -> Model {
     model
 }
 
-/// Handle positions of a model [handles, 3].
+/// Returns the handle positions of a model [handles, 3].
 pub fn targets(model: &Model) -> Vec<[f32; 3]> {
     noise(3 * model.handles(), 71).chunks_exact(3).map(|p| [3.0 * p[0], 3.0 * p[1], 3.0 * p[2]]).collect()
 }
 
-/// A field [B, 3, n] of noise.
+/// Returns a field [B, 3, n] of noise.
 pub fn field(model: &Model, amplitude: f32, seed: u64) -> Vec<f32> {
     let len = model.batch() * 3 * model.grid.particles();
     noise(len, seed).into_iter().map(|v| amplitude * v).collect()
 }
 
-/// Positions of cloths at rest plus noise, so that edges are strained and every angle is bent.
+/// Returns positions at rest plus noise, so that edges are strained and every angle is bent.
 pub fn crumpled(model: &Model, amplitude: f32) -> Vec<f32> {
     let rest = State::<f32>::rest(model.grid, model.batch()).x;
     rest.iter().zip(field(model, amplitude, 72)).map(|(x, d)| x + d).collect()
 }
 
-/// A field on the device.
+/// Uploads a field.
 pub fn upload(label: &'static str, model: &Model, values: &[f32]) -> Tensor {
     tensor(label, &[model.batch(), 3, model.grid.particles()], values)
 }
 
-/// The constants of the cloths on the device, in [`WIND`].
+/// Uploads the constants of the cloths, in the wind [`WIND`].
 pub fn constants(model: &Model) -> Tensor {
     let params = ClothParams::all(model, &WIND);
     Tensor::from_slice(context(), "cloths", &[model.batch(), ClothParams::LEN], &params).unwrap()
 }
 
-/// The unknown of a frame, all of it NaN but the slots.
+/// Creates the unknown of a frame, filled with NaN except for the slots.
 pub fn iterate(model: &Model) -> Iterate {
     let iterate = Iterate::new(context(), model.batch(), &model.handle_slots()).unwrap();
     let nan = vec![f32::NAN; iterate.a.len()];
@@ -70,7 +70,7 @@ pub fn iterate(model: &Model) -> Iterate {
     iterate
 }
 
-/// The same with a hidden state, of NaN, too.
+/// Creates the unknown of a frame with a hidden state, also filled with NaN.
 pub fn iterate_with_hidden(model: &Model) -> Iterate {
     let slots = model.handle_slots();
     let with_hidden = Iterate::with_hidden(context(), model.batch(), &slots).unwrap();
@@ -80,7 +80,7 @@ pub fn iterate_with_hidden(model: &Model) -> Iterate {
     iterate
 }
 
-/// What a trial moves the particles by.
+/// Returns the displacements of the particles in a trial.
 pub fn shift(model: &Model, base: &[f32], a: &[f32]) -> Vec<f64> {
     let (slots, n) = (model.handle_slots(), model.grid.particles());
     let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
@@ -88,12 +88,12 @@ pub fn shift(model: &Model, base: &[f32], a: &[f32]) -> Vec<f64> {
     (0..base.len()).map(moved).collect()
 }
 
-/// A field of NaN.
+/// Creates a field of NaN.
 pub fn poisoned_field(model: &Model) -> Tensor {
     poisoned("output", &[model.batch(), 3, model.grid.particles()])
 }
 
-/// All cloths in double precision, at the numbers that the device has.
+/// All cloths in double precision, with the values of the device.
 pub struct Doubles {
     model: Model,
     slots: Vec<u32>,
@@ -104,14 +104,14 @@ pub struct Doubles {
 }
 
 impl Doubles {
-    /// Positions, what no acceleration moves them by, accelerations and external accelerations, each [B, 3, n].
+    /// Takes positions, displacements at a = 0, accelerations and external accelerations, each [B, 3, n].
     pub fn new(model: &Model, fields: [&[f32]; 4]) -> Self {
         let shift = shift(model, fields[1], fields[2]);
         let [x, _, a, f] = fields.map(widened);
         Self { model: model.clone(), slots: model.handle_slots(), x, shift, a, f }
     }
 
-    /// Cloth `b`.
+    /// Returns cloth `b`.
     pub fn cloth(&self, b: usize) -> Trial<'_, f64> {
         let n = self.model.grid.particles();
         let at = 3 * n * b..3 * n * (b + 1);

@@ -1,4 +1,4 @@
-//! `draw`, `advance` and `store` against their meaning.
+//! `draw`, `advance` and `store` against their definitions.
 
 use super::cloth::{field, iterate, model, targets, upload};
 use crate::common::{ROUNDING, assert_close, context, device, noise, poisoned, read, run, tensor};
@@ -8,7 +8,7 @@ use fnopt::kernels::train::{Advance, BatchTensors, Draw, Drawn, PoolTensors, Sto
 use fnopt::sim::{Grid, State};
 
 const GRID: Grid = Grid { h: 9, w: 13 };
-/// Cloths of the pool, and those drawn: the middle one begins anew, the last one ends its frame.
+/// Cloths of the pool, and the slots drawn: the middle one starts over, the last one ends its frame.
 const CLOTHS: usize = 5;
 const SLOTS: [usize; 3] = [4, 0, 2];
 
@@ -38,7 +38,7 @@ fn cloths_leave_their_pool_and_come_back() {
     let tensors = PoolTensors { fields: &pool, scale: &pool_scale };
     let drawn = drawn();
     run(|schedule| draw.push(schedule, (GRID, 0.05), (&drawn, tensors), batch));
-    // Field k of a slot, and what was drawn of it.
+    // Field k of a slot in the pool.
     let of_pool = |fields: &[f32], k: usize, slot: usize| fields[(5 * slot + k) * 3 * n..][..3 * n].to_vec();
     let memory = read(&hidden);
     let (last_grad, last_step) = memory.split_at(9 * n);
@@ -49,7 +49,7 @@ fn cloths_leave_their_pool_and_come_back() {
         }
         assert_eq!(read(&scale)[3 * place..][..3], scales[3 * slot..][..3]);
     }
-    // A life that starts: the sheet at rest, turned; the rest is zero.
+    // A cloth that starts over: the sheet at rest, rotated; the rest is zero.
     let rest = State::<f64>::rest(GRID, 1).x;
     let turned: Vec<f64> = [[0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.8, 0.0, -0.6]]
         .iter()
@@ -59,7 +59,7 @@ fn cloths_leave_their_pool_and_come_back() {
     assert!(found[1..].iter().all(|field| field[3 * n..][..3 * n].iter().all(|&v| v == 0.0)));
     assert_eq!(read(&scale)[3..6], [0.05; 3]);
 
-    // Other values come back to the same places, and nothing else changes.
+    // Other values return to the same places, and nothing else changes.
     let next = [141, 142, 143, 144, 145].map(|seed| noise(9 * n, seed));
     for (tensor, values) in [&x, &v, &a].into_iter().zip(&next) {
         tensor.write(context(), values);

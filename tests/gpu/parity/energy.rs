@@ -40,8 +40,9 @@ fn energies_and_stretch_match() {
                 let (largest, mean) = stretch(&doubles.cloth(b));
                 let edges = ((grid.h - 1) * grid.w + grid.h * (grid.w - 1)) as f64;
                 let expected = [e.stretch, e.shear, e.bend, e.inertia, e.external, largest, mean * edges];
-                // Squares of strains and angles, which the rounding of an edge changes by that much, and sums of
-                // positive terms; the external term's have both signs, so it is held to the size of its terms.
+                // Squares of strains and angles, which the rounding of an edge changes by the absolute
+                // tolerance, and sums of positive terms. The terms of the external energy have both signs, so
+                // its tolerance is relative to their size.
                 let what = format!("energy {name} {b} of {batch} x {grid}");
                 assert_close(&what, &found[..4], &expected[..4], (1e-9, 16.0 * ROUNDING));
                 assert_close(&what, &found[4..5], &expected[4..5], (4.0 * ROUNDING * 0.03, 4.0 * ROUNDING));
@@ -52,7 +53,7 @@ fn energies_and_stretch_match() {
     }
 }
 
-/// Particles that coincide, and edges without a length.
+/// Particles that coincide, and edges without length.
 #[test]
 fn degenerate_cloths_have_finite_energies() {
     let _turn = device();
@@ -82,7 +83,7 @@ fn degenerate_cloths_have_finite_energies() {
     assert_close("energy of coinciding particles", &read(&terms)[..4], &expected, (1e-9, 16.0 * ROUNDING));
 }
 
-/// More parts than a workgroup has invocations: each takes several in turn.
+/// There are more parts than a workgroup has invocations, so each invocation takes several.
 #[test]
 fn many_parts_are_all_summed() {
     let _turn = device();

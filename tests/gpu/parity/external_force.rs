@@ -31,13 +31,13 @@ fn gravity_forces_and_air_match() {
         let (cloths, external) = (constants(&model), poisoned_field(&model));
         let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, given: &given };
         run(|schedule| kernel.push(schedule, grid, tensors, &external));
-        // Differences of positions, two products and six triangles.
+        // The roundings of differences of positions, two products and six triangles.
         let atol = 16.0 * ROUNDING * largest(&expected);
         assert_close(&format!("external_force {batch} x {grid}"), &read(&external), &expected, (atol, 0.0));
     }
 }
 
-/// Triangles without area have no normal; they feel no air.
+/// Triangles without area have no normal and feel no air.
 #[test]
 fn air_ignores_triangles_without_area() {
     let _turn = device();

@@ -9,15 +9,16 @@ use fnopt::kernels::optim::{Features, Fields, Iterate};
 use fnopt::kernels::padded;
 use fnopt::sim::Grid;
 
-/// `10 tanh(field / rms / 10)`, with the root mean square of `of`.
+/// Returns `10 tanh(field / rms / 10)`, with the root mean square of `of`.
 fn squashed(field: &[f32], of: &[f32]) -> Vec<f64> {
     let squares: f64 = widened(of).iter().map(|v| v * v).sum();
-    // The shader keeps it above this, so that a zero field stays zero.
+    // The shader clamps it to at least this, so that a zero field stays zero.
     let rms = (squares / of.len() as f64).sqrt().max(1e-19);
     field.iter().map(|&v| 10.0 * (f64::from(v) / rms / 10.0).tanh()).collect()
 }
 
-/// Partial sums of squares of two fields [S, n], shape [S, parts, 2], dealt out particle by particle.
+/// Returns partial sums of squares of two fields [S, n], shape [S, parts, 2], with particles dealt out in
+/// turn.
 pub fn sums(grid: Grid, samples: usize, fields: [&[f32]; 2]) -> Vec<f32> {
     let (n, count) = (grid.particles(), parts(grid));
     let mut sums = vec![0.0; samples * count * 2];
@@ -54,7 +55,7 @@ fn check(kernel: &Features, (grid, samples): (Grid, usize), grad: &[f32], hidden
             kernel.push(schedule, grid, Fields { iterate: &iterate, sums, first }, &embedded);
         });
         let expected = &expected[5 * n * first..][..5 * n * count];
-        // Roundings of the norm and of tanh, a few each.
+        // A few roundings each of the norm and of tanh.
         assert_close(what, &read_channels(&embedded, grid), expected, (1e-36, 8.0 * ROUNDING));
         let rows = read(&embedded);
         let padding = rows.chunks_exact(padded(grid.w)).flat_map(|row| &row[grid.w..]);
@@ -68,8 +69,8 @@ fn normalised_fields_and_positions_match() {
     let kernel = Features::new(context()).unwrap();
     for (grid, batch) in cases() {
         let (samples, n) = (3 * batch, grid.particles());
-        // Samples of very different sizes; high powers, so that some elements are saturated. None is so small that a tenth of it
-        // is subnormal: a device may take such a number for zero.
+        // Samples of very different sizes, raised to a high power so that some elements are saturated. None
+        // is so small that a tenth of it is subnormal, which a device may flush to zero.
         let size = |s: usize| 10f32.powi(3 * (s % 3) as i32 - 6);
         let normal = |v: f32| if (0.1 * v).is_subnormal() { 0.0 } else { v };
         let spiky = |len, seed| {
@@ -81,7 +82,7 @@ fn normalised_fields_and_positions_match() {
     }
 }
 
-/// Where squares are no normal numbers, which a device may take for zeros, a field is not blown up.
+/// If squares fall below the normal numbers, where a device may flush them to zero, a field is not blown up.
 #[test]
 fn tiny_fields_stay_small() {
     let _turn = device();
@@ -107,7 +108,7 @@ fn tiny_fields_stay_small() {
     }
 }
 
-/// The first iteration of a run knows no last step, and a cloth at rest no gradient: zero fields stay zero.
+/// The first iteration of a run has no last step, and a cloth at rest has no gradient: zero fields stay zero.
 #[test]
 fn zero_fields_stay_zero() {
     let _turn = device();

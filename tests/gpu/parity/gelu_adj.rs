@@ -8,7 +8,7 @@ use fnopt::kernels::operator::{Activate, GeluAdj};
 fn values_and_slopes_match() {
     let _turn = device();
     let (activate, gelu_adj) = (Activate::new(context()).unwrap(), GeluAdj::new(context()).unwrap());
-    // From deep in both tails to tiny; the last number of elements is no multiple of a workgroup's.
+    // From deep in both tails to tiny. The last size is not a multiple of the workgroup size.
     for n in [4, 256, 100_004] {
         let x: Vec<f32> = noise(n, 31).iter().map(|v| 30.0 * v.powi(3)).collect();
         let adj = noise(n, 32);
@@ -21,7 +21,7 @@ fn values_and_slopes_match() {
             activate.push(schedule, &x, &y);
             gelu_adj.push(schedule, &x, &adj);
         });
-        // The fit of erf, times an x of up to 30.
+        // The error of the fit to erf, times an x of up to 30.
         let tolerance = (2e-6, 8.0 * ROUNDING);
         assert_close(&format!("activate {n}"), &read(&y), &values, tolerance);
         assert_close(&format!("gelu_adj {n}, values"), &read(&x), &values, tolerance);

@@ -6,8 +6,8 @@ use fnopt::cpu::cloth::{GradientRows, gradient};
 use fnopt::kernels::cloth::{Gradient, Physics, gradient::parts};
 use fnopt::sim::{Grid, Model, State};
 
-/// The gradient on the device, and in double precision, for positions, what no acceleration moves them by, accelerations and
-/// external accelerations.
+/// Returns the gradient on the device and in double precision, for positions, displacements at a = 0,
+/// accelerations and external accelerations.
 fn both(kernel: &Gradient, model: &Model, fields: [&[f32]; 4]) -> (Vec<f32>, Vec<f64>) {
     let iterate = iterate(model);
     let [x, base, a, f] = fields;
@@ -26,7 +26,7 @@ fn both(kernel: &Gradient, model: &Model, fields: [&[f32]; 4]) -> (Vec<f32>, Vec
     (read(&iterate.grad), expected)
 }
 
-/// Of more tiles than parts: a workgroup takes several in turn.
+/// A grid with more tiles than parts, so that a workgroup takes several tiles.
 const LARGE: Grid = Grid { h: 130, w: 139 };
 
 #[test]
@@ -39,7 +39,8 @@ fn gradients_of_crumpled_cloths_match() {
             let (x, base) = (crumpled(&model, amplitude), field(&model, 0.1 * amplitude, 79));
             let (a, f) = (field(&model, 0.1 * amplitude, 73), field(&model, 0.1, 74));
             let (found, expected) = both(&kernel, &model, [&x, &base, &a, &f]);
-            // Stretch dominates: four edges of nearly unit length, each rounded, times the coefficient over the edges.
+            // Stretch dominates: four edges of nearly unit length, each rounded, times the coefficient over
+            // the number of edges.
             let edges = ((grid.h - 1) * grid.w) as f64;
             let atol = 8.0 * ROUNDING * 1000.0 / edges;
             let what = format!("gradient {amplitude} {batch} x {grid}");
@@ -48,7 +49,7 @@ fn gradients_of_crumpled_cloths_match() {
     }
 }
 
-/// At rest the edges are straight and square, where directions of angles are not defined: nothing but inertia remains.
+/// At rest the edges are straight and square, and angles have no direction. Nothing but inertia remains.
 #[test]
 fn rest_has_no_gradient_but_inertia() {
     let _turn = device();
@@ -57,12 +58,12 @@ fn rest_has_no_gradient_but_inertia() {
         let model = model(grid, batch);
         let x = State::<f32>::rest(grid, batch).x;
         let (a, f) = (field(&model, 0.1, 73), field(&model, 0.1, 74));
-        // The sheet stays at rest: what the acceleration moves it by is taken out again.
+        // The sheet stays at rest: `base` cancels the displacement by the acceleration.
         let (slots, n) = (model.handle_slots(), grid.particles());
         let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
         let base: Vec<f32> = (0..a.len()).map(|k| if free(k) { -a[k] } else { 0.0 }).collect();
         let (found, expected) = both(&kernel, &model, [&x, &base, &a, &f]);
-        // A right angle differs from the constant for it by a rounding.
+        // A right angle differs from its constant by a rounding.
         let count = grid.particles() as f64;
         let atol = 100.0 * ROUNDING / count;
         assert!(largest(&expected) < 0.3 / count, "the test's idea of a rest state");
@@ -75,7 +76,7 @@ fn rest_has_no_gradient_but_inertia() {
     }
 }
 
-/// Particles on top of each other and rows folded flat have edges without length and angles of pi; all stays finite.
+/// Coincident particles and flat folds have edges without length and angles of pi. Everything stays finite.
 #[test]
 fn degenerate_cloths_have_finite_gradients() {
     let _turn = device();
@@ -98,7 +99,7 @@ fn degenerate_cloths_have_finite_gradients() {
     }
 }
 
-/// Edges of hardly any length: what divides by them must not overflow.
+/// Edges have hardly any length, and divisions by it must not overflow.
 #[test]
 fn collapsed_cloths_have_finite_gradients() {
     let _turn = device();
@@ -106,7 +107,7 @@ fn collapsed_cloths_have_finite_gradients() {
     let grid = Grid { h: 9, w: 8 };
     let (model, n) = (model(grid, 1), grid.particles());
     for size in [1e-9, 2e-10, 1e-15, 1e-19, 1e-30] {
-        // A plane, one whose rows lie in one line, and a crumpled lump.
+        // A plane, a sheet whose rows all lie on one line, and a crumpled lump.
         let plane: Vec<f32> = State::<f32>::rest(grid, 1).x.iter().map(|x| size * x).collect();
         let line: Vec<f32> = plane.iter().enumerate().map(|(k, x)| if k < n { *x } else { 0.0 }).collect();
         let lump: Vec<f32> = noise(3 * n, 86).into_iter().map(|v| size * v).collect();
@@ -114,15 +115,15 @@ fn collapsed_cloths_have_finite_gradients() {
             let zero = vec![0.0; x.len()];
             let (found, _) = both(&kernel, &model, [&x, &zero, &zero, &zero]);
             let largest = found.iter().fold(0.0, |most: f64, v| most.max(f64::from(v.abs())));
-            // Of an angle it is no more than pi by a side.
+            // The gradient of an angle is at most pi over a side.
             let bound = 1e3 * (1.0 + 1.0 / f64::from(size).max(1e-18));
             assert!(found.iter().all(|v| v.is_finite()) && largest < bound, "{size:e}: {largest:e}");
         }
     }
 }
 
-/// The sums of squares that the gradient leaves for its norm and that of the last step, on grids with as many parts as tiles, and
-/// on one with fewer.
+/// The gradient leaves sums of squares for its norm and for that of the last step. Most grids have as many
+/// parts as tiles, one has fewer.
 #[test]
 fn partial_sums_of_squares_match() {
     let _turn = device();
@@ -146,7 +147,7 @@ fn partial_sums_of_squares_match() {
         let (cloths, external) = (constants(&model), upload("external", &model, &field(&model, 0.1, 74)));
         let x = upload("x", &model, &crumpled(&model, 0.1));
         let physics = Physics { cloths: &cloths, external: &external, x: &x };
-        // A view, as the rows of a solver's iterations are.
+        // A view, like the rows of a solver's iterations.
         let rows = poisoned("sums", &[192 + 2 * samples * count]);
         let sums = rows.view(192, &[samples, count, 2]);
         run(|schedule| kernel.push(schedule, grid, physics, (&iterate, &sums)));
@@ -160,7 +161,7 @@ fn partial_sums_of_squares_match() {
             expected[at + 1] += if with_hidden { f64::from(d) * f64::from(d) } else { 0.0 };
         }
         let what = format!("sums {with_hidden} {batch} x {grid}");
-        // A few squares in turn, then eight sums and eight of those.
+        // A few squares one by one, then eight sums and eight of those.
         assert_close(&what, &read(&sums), &expected, (0.0, 16.0 * ROUNDING));
         assert!(read(&rows)[..192].iter().all(|v| v.is_nan()), "{what} wrote in front of its view");
         if with_hidden {

@@ -7,7 +7,7 @@ use fnopt::kernels::operator::HeadWeightAdj;
 fn gradients_over_a_heads_weights_match() {
     let _turn = device();
     let kernel = HeadWeightAdj::new(context()).unwrap();
-    // A field head, and a scalar head, which has one place to a sample.
+    // A field head, and a scalar head, which has one position per sample.
     for (lines, channels, width) in [(93, 40, 36), (7, 80, 1)] {
         let (x, adj) = (noise(lines * channels * width, 56), noise(lines * width, 57));
         let bias_at = channels + 24;
@@ -24,7 +24,7 @@ fn gradients_over_a_heads_weights_match() {
         let x = tensor("x", &[lines, channels, width], &x);
         let adj = tensor("adj", &[lines, width], &adj);
         run(|schedule| kernel.push(schedule, &x, &adj, (&gradient, bias_at)));
-        // The roundings of 50 terms to an invocation, then of the tree.
+        // The roundings of 50 terms per invocation, then those of the tree.
         let atol = 8.0 * ROUNDING * largest(&expected).max(1.0);
         assert_close(&format!("head {lines} {channels}"), &read(&gradient), &expected, (atol, 0.0));
     }

@@ -30,9 +30,9 @@ fn frames_end_alike() {
         let targets = tensor("targets", &[model.handles(), 3], targets.as_flattened());
         run(|schedule| kernel.push(schedule, StateTensors { x: &x, v: &v, targets: &targets }, &iterate));
         let what = format!("integrate {batch} x {grid}");
-        // What the particle is moved by, of up to 1, is rounded before it is added.
+        // The displacement, of up to 1, is rounded before it is added.
         assert_close(&what, &read(&x), &x_next, (ROUNDING, ROUNDING));
-        // The velocity is what the trial moved the particle by.
+        // The velocity is the displacement in the trial.
         assert_close(&what, &read(&v), &moved, (0.0, ROUNDING));
     }
 }

@@ -6,13 +6,13 @@ use fnopt::gpu::AdapterKind;
 use fnopt::kernels::optim::{Lbfgs, LbfgsMemory};
 use fnopt::sim::{Grid, Optimizer};
 
-/// The directions of two dozen iterations amplify roundings of the sums by the condition of the problem, about 6.
+/// Two dozen iterations amplify the roundings of the sums by the condition number of the problem, about 6.
 const TOLERANCE: f64 = 2e-5;
 
 fn check(history: usize, curvature: f64, (grid, batch): (Grid, usize)) {
     let kernel = Lbfgs::new(context(), history, curvature).unwrap();
     let memory = LbfgsMemory::new(context(), batch, grid.particles(), history).unwrap();
-    // A frame forgets whatever was remembered.
+    // Whatever the memory holds, a frame starts without it.
     for tensor in [&memory.history, &memory.last, &memory.pairs] {
         tensor.write(context(), &vec![f32::NAN; tensor.len()]);
     }
@@ -28,7 +28,7 @@ fn steps_match() {
     }
 }
 
-/// Histories of one pair, of more pairs than a frame makes, and of the most that the kernel holds.
+/// Histories of one pair, of more pairs than a frame produces, and of the most that the kernel holds.
 #[test]
 fn histories_of_all_lengths_match() {
     let _turn = device();
@@ -37,7 +37,7 @@ fn histories_of_all_lengths_match() {
     }
 }
 
-/// Software drivers stop long loops silently, so sizes beyond are refused.
+/// Software drivers stop long loops silently, so larger sizes are refused there.
 #[test]
 fn sizes_beyond_the_loop_limit_are_refused() {
     let kernel = Lbfgs::new(context(), 32, 1e-12).unwrap();

@@ -1,4 +1,4 @@
-//! Each shader against the CPU path in double precision, or against its formula where the CPU path has no such seam.
+//! Each shader against the CPU path in double precision, or against its formula if that has no such stage.
 //!
 //! Outputs start as NaN, so that an element that is not written shows. Tolerances are a few roundings of the terms that
 //! are summed; each file says how many.

@@ -1,4 +1,4 @@
-//! What the tests of the operator's kernels share.
+//! Helpers shared by the tests of the operator kernels.
 
 use crate::common::{by_rows, noise, tensor};
 use fnopt::cpu::Real;
@@ -9,17 +9,17 @@ use fnopt::network::Config;
 use fnopt::sim::Grid;
 use std::f64::consts::TAU;
 
-/// The network's modes, and others: fewer, and an odd number of rows.
+/// The network's modes, and fewer modes with an odd number of rows.
 pub const MODES: [[usize; 2]; 2] = [[8, 5], [7, 3]];
 /// More channels than a workgroup has invocations.
 pub const CHANNELS: usize = 80;
 
-/// A configuration with these modes and channels.
+/// Returns a configuration with these modes and channels.
 pub fn config([modes_h, modes_w]: [usize; 2], channels: usize) -> Config {
     Config { modes_h, modes_w, channels, ..Config::default() }
 }
 
-/// Random activations: dense [S, C, H, W] for formulas, and a tensor of them with `filler` in the padding.
+/// Returns random activations: dense [S, C, H, W] for formulas, and as a tensor with `filler` in the padding.
 pub fn activations(samples: usize, channels: usize, grid: Grid, filler: f32) -> (Vec<f32>, Tensor) {
     let dense = noise(samples * channels * grid.particles(), 11);
     let shape = [samples, grid.h, channels, padded(grid.w)];
@@ -27,7 +27,7 @@ pub fn activations(samples: usize, channels: usize, grid: Grid, filler: f32) -> 
     (dense, padded)
 }
 
-/// A weight [O, I] in the order of the kernels.
+/// Reorders a weight [O, I] for the kernels.
 pub fn tiled(weight: &[f32], inputs: usize, tile: usize) -> Vec<f32> {
     let mut ordered = vec![0.0; weight.len()];
     for (k, &w) in weight.iter().enumerate() {
@@ -36,7 +36,7 @@ pub fn tiled(weight: &[f32], inputs: usize, tile: usize) -> Vec<f32> {
     ordered
 }
 
-/// A checkpoint's spectral weight [I, O, modes, 2] in the order of the kernel.
+/// Reorders a checkpoint's spectral weight [I, O, modes, 2] for the kernel.
 pub fn by_mode(weight: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
     let modes = weight.len() / (2 * inputs * outputs);
     let mut ordered = vec![0.0; weight.len()];
@@ -48,7 +48,7 @@ pub fn by_mode(weight: &[f32], inputs: usize, outputs: usize) -> Vec<f32> {
     ordered
 }
 
-/// A random layer: weight [outputs, inputs] and bias [outputs] for formulas, and tensors in tiles.
+/// Returns a random layer: weight [outputs, inputs] and bias [outputs] for formulas, and tensors in tiles.
 pub fn layer(outputs: usize, inputs: usize, tile: usize) -> (Vec<f32>, Vec<f32>, Layer) {
     let (weight, bias) = (noise(outputs * inputs, 12), noise(outputs, 13));
     let shape = [outputs / tile, inputs, tile];
@@ -59,7 +59,7 @@ pub fn layer(outputs: usize, inputs: usize, tile: usize) -> (Vec<f32>, Vec<f32>,
     (weight, bias, on_device)
 }
 
-/// A random layer with one output, as the heads take it.
+/// Returns a random layer with one output, as in the heads.
 pub fn head(inputs: usize) -> (Vec<f32>, f32, Layer) {
     let (weight, bias) = (noise(inputs, 14), 0.3);
     let on_device =
@@ -67,7 +67,7 @@ pub fn head(inputs: usize) -> (Vec<f32>, f32, Layer) {
     (weight, bias, on_device)
 }
 
-/// `weight x + bias` at every position, [S, O, n] from `x` [S, I, n].
+/// Returns `weight x + bias` at every position, [S, O, n] from `x` [S, I, n].
 pub fn dense(weight: &[f32], bias: &[f32], x: &[f32], n: usize) -> Vec<f64> {
     let (outputs, inputs) = (bias.len(), weight.len() / bias.len());
     let mut y = Vec::with_capacity(x.len() / inputs * outputs);
@@ -83,20 +83,20 @@ pub fn dense(weight: &[f32], bias: &[f32], x: &[f32], n: usize) -> Vec<f64> {
     y
 }
 
-/// The activation, where there is one.
+/// Applies the activation if `gelu` is set.
 pub fn activate(y: &mut [f64], gelu: bool) {
     if gelu {
         f64::gelu(y);
     }
 }
 
-/// cos and sin of `2 pi k j / n`, k negative or not.
+/// Returns the cosine and sine of `2 pi k j / n`; k may be negative.
 pub fn turn(k: i64, j: usize, n: usize) -> (f64, f64) {
     let theta = TAU * (k * j as i64).rem_euclid(n as i64) as f64 / n as f64;
     (theta.cos(), theta.sin())
 }
 
-/// How often a kept column counts in the inverse: twice where it stands for its conjugate too.
+/// Returns how often a kept column counts in the inverse: twice if it also stands for its conjugate.
 pub fn copies(mode: usize, w: usize) -> f64 {
     if mode == 0 || 2 * mode == w { 1.0 } else { 2.0 }
 }

@@ -8,8 +8,8 @@ use crate::common::{
 use fnopt::kernels::operator::{Pointwise, pointwise::Lines};
 use fnopt::kernels::padded;
 
-/// One rounding for each of the inputs' products, whose sum is a few times larger than they are; and the activation, whose
-/// polynomial is good to 4e-7 of its argument.
+/// One rounding per product, with sums a few times larger than the products, and the activation, whose
+/// polynomial is accurate to 4e-7 of its argument.
 fn tolerance(inputs: usize, expected: &[f64], gelu: bool) -> (f64, f64) {
     let sums = ROUNDING * (inputs as f64).sqrt() * largest(expected);
     (sums + if gelu { 3e-7 * largest(expected) } else { 0.0 }, ROUNDING)
@@ -39,7 +39,7 @@ fn layers_of_all_tiles_match() {
     }
 }
 
-/// The lifting takes some lines at a time, from and to any place, which need not be whole samples.
+/// The lifting takes some lines at a time, at any offset. They need not be whole samples.
 #[test]
 fn some_of_the_lines_are_taken_alone() {
     let _turn = device();
@@ -50,7 +50,7 @@ fn some_of_the_lines_are_taken_alone() {
     let (w, lines) = (grid.w, 50);
     let y = poisoned("y", &[lines, 64, padded(w)]);
     let kernel = Pointwise::new(context(), &tuning, false).unwrap();
-    // From the 20th row of the first sample to the 6th of the third.
+    // From row 20 of the first sample to row 5 of the third.
     let part = Lines { count: 48, x_first: 20, y_first: 1 };
     run(|schedule| kernel.push_lines(schedule, &layer, (&x_tensor, &y), part));
     let found = read_unpadded(&y, grid);
@@ -66,7 +66,7 @@ fn some_of_the_lines_are_taken_alone() {
     }
 }
 
-/// Far from zero the activation is its argument or nothing.
+/// Far from zero, GELU is its argument or zero.
 #[test]
 fn gelu_of_large_arguments() {
     let _turn = device();

@@ -8,7 +8,7 @@ use fnopt::kernels::operator::{Parts, PointwiseWeightAdj, SumParts, pointwise::L
 use fnopt::kernels::padded;
 use fnopt::sim::Grid;
 
-/// Gradient over weight and bias of a layer in tiles, with `gap` elements in between.
+/// Returns the gradients over weight [O, I] and bias of a layer.
 fn expected(x: &[f32], adj: &[f32], (outputs, inputs, n): (usize, usize, usize)) -> (Vec<f64>, Vec<f64>) {
     let (mut weight, mut bias) = (vec![0.0; outputs * inputs], vec![0.0; outputs]);
     for (x, adj) in x.chunks_exact(inputs * n).zip(adj.chunks_exact(outputs * n)) {
@@ -29,13 +29,13 @@ fn gradients_over_the_weights_match() {
     let kernel = PointwiseWeightAdj::new(context()).unwrap();
     let sum = SumParts::new(context()).unwrap();
     let large = Grid { h: 100, w: 100 };
-    // Inputs that fill no tile, several tiles, and tiles of another width.
+    // Inputs that do not fill a tile, several tiles, and tiles of another width.
     let sizes = [(64, 5, 8), (32, 96, 32), (48, 40, 16)];
     for (index, (grid, samples)) in cases().filter(|case| case.0 != large).chain([(large, 1)]).enumerate() {
         let (outputs, inputs, tile) = sizes[index % sizes.len()];
         let (w, n) = (padded(grid.w), grid.h * padded(grid.w));
         let (x, mut adj) = (noise(samples * inputs * n, 43), noise(samples * outputs * n, 44));
-        // As cotangents are: nothing in the padding.
+        // As for any cotangents, the padding is zero.
         adj.iter_mut().enumerate().filter(|(k, _)| k % w >= grid.w).for_each(|(_, adj)| *adj = 0.0);
         let (weight, bias) = expected(&x, &adj, (outputs, inputs, n));
         let narrow: Vec<f32> = weight.iter().map(|&w| w as f32).collect();
@@ -62,7 +62,7 @@ fn gradients_over_the_weights_match() {
         whole.extend(vec![0.0; gap]);
         whole.extend(&bias);
         whole.iter_mut().zip(&before).for_each(|(expected, &before)| *expected += f64::from(before));
-        // An invocation sums up to 2048 products one by one, whose roundings add up like a walk.
+        // An invocation sums up to 2048 products one by one, whose roundings add up like a random walk.
         let atol = 0.5 * ROUNDING * (n.min(2048) as f64).sqrt() * largest(&whole);
         assert_close(&format!("weights {outputs}x{inputs} {samples} x {grid}"), &found, &whole, (atol, 0.0));
     }
@@ -74,7 +74,7 @@ fn some_of_the_lines_alone() {
     let kernel = PointwiseWeightAdj::new(context()).unwrap();
     let (outputs, inputs, tile, w, lines) = (32, 32, 8, 100, 27);
     let (x, adj) = (noise(40 * inputs * w, 46), noise(60 * outputs * w, 47));
-    // Lines from 7 on of x, from 11 on of the cotangents, each as if it were a sample.
+    // Lines of `x` from 7 on and of the cotangents from 11 on, each as if it were a sample.
     let (weight, _) =
         expected(&x[7 * inputs * w..][..lines * inputs * w], &adj[11 * outputs * w..], (outputs, inputs, w));
     let len = outputs * inputs + outputs;
@@ -92,6 +92,6 @@ fn some_of_the_lines_alone() {
     let found: Vec<f32> =
         (0..weight.len()).map(|k| (0..parts).map(|part| rows[part * len + k]).sum()).collect();
     let expected: Vec<f64> = order.iter().map(|&k| weight[k as usize]).collect();
-    // An invocation sums up to 1024 products one by one, whose roundings add up like a walk.
+    // An invocation sums up to 1024 products one by one, whose roundings add up like a random walk.
     assert_close("some lines", &found, &expected, (16.0 * ROUNDING * largest(&expected), 0.0));
 }

@@ -13,7 +13,7 @@ fn the_first_largest_position_takes_the_cotangent() {
     let (kernel, pool) = (PoolAdj::new(context()).unwrap(), PoolRows::new(context()).unwrap());
     for (grid, samples) in cases() {
         let n = grid.particles();
-        // Steps of a quarter: most maxima are attained more than once. The padding is larger than all.
+        // Multiples of a quarter, so that most maxima occur more than once. The padding is larger.
         let x: Vec<f32> = noise(samples * CHANNELS * n, 61).iter().map(|v| (4.0 * v).round() / 4.0).collect();
         let (weight, _, layer) = head(CHANNELS);
         let (adj_scalar, before) = (noise(samples, 62), noise(x.len(), 63));

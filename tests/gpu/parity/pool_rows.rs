@@ -1,4 +1,4 @@
-//! `pool_rows` against a maximum.
+//! `pool_rows` against the maximum of each row.
 
 use super::operator::{CHANNELS, activations};
 use crate::common::{cases, context, device, poisoned, read, run};

@@ -10,15 +10,15 @@ use fnopt::sim::{Grid, Optimizer};
 
 fn memory(grid: Grid, batch: usize, history: usize) -> LbfgsMemory {
     let memory = LbfgsMemory::new(context(), batch, grid.particles(), history).unwrap();
-    // A frame forgets whatever was remembered.
+    // Whatever the memory holds, a frame starts without it.
     for tensor in [&memory.history, &memory.last, &memory.pairs] {
         tensor.write(context(), &vec![f32::NAN; tensor.len()]);
     }
     memory
 }
 
-/// Without history the step is the inverse Hessian at rest times the gradient: grids of all parities, also those with a side
-/// that is a prime.
+/// Without history, the step is the inverse Hessian at rest times the gradient. Grids have sides of all
+/// parities, some of them prime.
 #[test]
 fn first_steps_match() {
     let _turn = device();
@@ -42,7 +42,7 @@ fn first_steps_match() {
     }
 }
 
-/// The pairs of earlier steps enter before and after.
+/// With history, the pairs of earlier steps are applied before and after the inverse Hessian at rest.
 #[test]
 fn steps_match() {
     let _turn = device();

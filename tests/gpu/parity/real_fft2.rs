@@ -8,7 +8,7 @@ use fnopt::gpu::Tensor;
 use fnopt::kernels::fft::{Fields, RealFft2};
 use fnopt::sim::Grid;
 
-/// Sides of one, powers of two, odd and even ones, primes, prime squares, and one side much longer than the other.
+/// Sides of one, powers of two, odd and even sides, primes and their squares, and very unequal sides.
 const SIZES: [[usize; 2]; 17] = [
     [1, 1],
     [1, 7],
@@ -56,8 +56,8 @@ impl Case {
         tensor("x", &[self.fields.batch, self.fields.h, self.fields.w], x)
     }
 
-    /// Roundings grow with the number of passes, and as the root of a prime factor in its direct sum; noise has spectra
-    /// whose largest magnitude is that of a typical element, times 3 or 4.
+    /// Rounding errors grow with the number of passes, and as the root of a prime factor in its direct sum.
+    /// In the spectra of noise, the largest magnitude is 3 or 4 times that of a typical element.
     fn tolerance(&self, expected: &[f64]) -> f64 {
         let Fields { h, w, .. } = self.fields;
         let passes = ((h * w) as f64).log2() + 2.0;
@@ -102,7 +102,7 @@ fn forward_and_inverse_match_a_library() {
     }
 }
 
-/// Any numbers are a spectrum for the inverse: what is not Hermitian in columns that are their own conjugates is left out.
+/// The inverse takes any numbers and ignores what is not Hermitian in columns that are their own conjugates.
 #[test]
 fn inverse_ignores_what_is_not_hermitian() {
     let _turn = device();
@@ -121,7 +121,7 @@ fn inverse_ignores_what_is_not_hermitian() {
     }
 }
 
-/// Two rows share a complex row, but never rows of two fields: a field alone has the same bits as in a batch.
+/// Two rows share a complex row, but never across fields: a field alone has the same bits as in a batch.
 #[test]
 fn fields_of_a_batch_do_not_touch() {
     let _turn = device();

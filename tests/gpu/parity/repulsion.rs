@@ -6,7 +6,8 @@ use fnopt::cpu::cloth::repulsion;
 use fnopt::kernels::cloth::{EnergySum, Physics, Repulsion, TERMS, energy::parts_shape};
 use fnopt::sim::{Cloth, Grid, Model};
 
-/// External accelerations with the repulsion's, and the repulsion's energy of each cloth, on the device and in double precision.
+/// Returns external accelerations including repulsion, and the repulsion energy of each cloth, on the device
+/// and in double precision.
 fn both(model: &Model, fields: [&[f32]; 4]) -> [(Vec<f32>, Vec<f64>); 2] {
     let (grid, batch) = (model.grid, model.batch());
     let (kernel, sum) = (Repulsion::new(context(), batch, grid).unwrap(), EnergySum::new(context()).unwrap());
@@ -38,21 +39,21 @@ fn pushes_and_energies_match() {
     let _turn = device();
     for (grid, batch) in cases() {
         let model = repelling(&model(grid, batch));
-        // Drawn together, so that a particle is near to a dozen others.
+        // Contracted, so that a particle is near a dozen others.
         let x: Vec<f32> = crumpled(&model, 0.4).iter().map(|x| 0.4 * x).collect();
         let fields = [field(&model, 0.02, 79), field(&model, 0.02, 73), field(&model, 0.1, 74)];
         let [base, a, f] = &fields;
         let [(pushed, expected), (energies, wanted)] = both(&model, [&x, base, a, f]);
         let what = format!("repulsion {batch} x {grid}");
         assert!(largest(&expected) > 0.5 && wanted[0].abs() > 0.01, "{what}: {wanted:?}");
-        // Positions are rounded by the size of the sheet; a particle that is near to another feels it most.
+        // Positions are rounded in proportion to the sheet's size, which close particles feel most.
         let off = f64::from(f32::EPSILON) * 0.4 * grid.h.max(grid.w) as f64;
         assert_close(&what, &pushed, &expected, (20.0 * off * largest(&expected), 1e-5));
         assert_close(&format!("energy of {what}"), &energies, &wanted, (1e-6 * largest(&wanted), 1e-5));
     }
 }
 
-/// Particles at one place, all in one bucket, and a cloth none of whose particles is near another.
+/// Coincident particles, all in one bucket, and a cloth in which no particles are near each other.
 #[test]
 fn degenerate_cloths_are_finite() {
     let _turn = device();
@@ -66,7 +67,7 @@ fn degenerate_cloths_are_finite() {
     assert!(pushed.iter().chain(&energies).all(|&v| v == 0.0), "nothing is near");
 }
 
-/// A cloth that is no number any more takes no other one of its batch along, nor those of its particles that are well.
+/// A non-finite cloth affects neither the other cloths of its batch nor its own finite particles.
 #[test]
 fn what_is_no_number_is_near_nothing() {
     let _turn = device();
@@ -84,7 +85,7 @@ fn what_is_no_number_is_near_nothing() {
     }
 }
 
-/// A sum has one order, whatever order particles come to their buckets in.
+/// Sums have a fixed order, whatever the order in which particles reach their buckets.
 #[test]
 fn repulsion_repeats_bit_for_bit() {
     let _turn = device();

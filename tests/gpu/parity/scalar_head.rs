@@ -23,13 +23,13 @@ fn scalars_match() {
         let rows = tensor("rows_max", &[batch, grid.h, CHANNELS], &rows);
         let found = poisoned("scalar", &[batch]);
         run(|schedule| kernel.push(schedule, &layer, (&rows, &found), None));
-        // A rounding of each of the terms, which are at most 3.
+        // One rounding per term; terms are at most 3.
         let atol = 3.0 * ROUNDING * (CHANNELS as f64).sqrt();
         assert_close(&format!("scalar_head {batch} x {grid}"), &read(&found), &expected, (atol, 0.0));
     }
 }
 
-/// The persistent scale follows the scalar, in place and from one part of a tensor to another.
+/// The scalar updates the persistent scale, in place or from one part of a tensor to another.
 #[test]
 fn scales_match() {
     let _turn = device();

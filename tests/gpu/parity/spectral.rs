@@ -11,7 +11,7 @@ use fnopt::kernels::operator::{Spectral, SpectralTensors};
 use fnopt::network::{Config, tables};
 use fnopt::sim::Grid;
 
-/// The spectrum [S, modes_h, modes_w, C, 2] of rows' spectra `r` [S, H, 2 modes_w, C].
+/// Returns the spectrum [S, modes_h, modes_w, C, 2] of the rows' spectra `r` [S, H, 2 modes_w, C].
 fn spectrum(config: &Config, grid: Grid, r: &[f32]) -> Vec<f64> {
     let Config { modes_h, modes_w, channels, .. } = *config;
     let transform = Transform::<f64>::new(config, grid, channels).unwrap();
@@ -31,7 +31,7 @@ fn spectrum(config: &Config, grid: Grid, r: &[f32]) -> Vec<f64> {
     spectrum
 }
 
-/// The channel product of each mode with `weight` [C, C, modes, 2].
+/// Returns the channel product of each mode with `weight` [C, C, modes, 2].
 fn product(config: &Config, x: &[f64], weight: &[f32]) -> Vec<f64> {
     let (modes, channels) = (config.modes(), config.channels);
     let mut y = vec![0.0; x.len()];
@@ -48,7 +48,7 @@ fn product(config: &Config, x: &[f64], weight: &[f32]) -> Vec<f64> {
     y
 }
 
-/// The inverse column transform of `z`, shape [S, H, 2 modes_w, C].
+/// Returns the inverse column transform of `z`, shape [S, H, 2 modes_w, C].
 fn inverse(config: &Config, grid: Grid, z: &[f64]) -> Vec<f64> {
     let Config { modes_h, modes_w, channels, .. } = *config;
     let mut r = Vec::new();
@@ -69,7 +69,7 @@ fn inverse(config: &Config, grid: Grid, z: &[f64]) -> Vec<f64> {
     r
 }
 
-/// With every division of a workgroup's work, and with the spectrum kept or not.
+/// Covers every division of a workgroup's work, with the spectrum kept and not kept.
 #[test]
 fn convolutions_match() {
     let _turn = device();

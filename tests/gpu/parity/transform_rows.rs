@@ -18,7 +18,7 @@ fn rows_match() {
         let kernels =
             sharings().map(|tuning| TransformRows::new(context(), &tuning, config.modes_w).unwrap());
         for (grid, batch) in cases() {
-            // What is in the padding must not count.
+            // The content of the padding must not count.
             let (x, x_tensor) = activations(batch, CHANNELS, grid, 1e3);
             let transform = Transform::<f64>::new(&config, grid, CHANNELS).unwrap();
             let mut expected = vec![0.0; batch * grid.h * transform.row_len()];
@@ -34,7 +34,7 @@ fn rows_match() {
             for kernel in &kernels {
                 let r = poisoned("r", &[batch, grid.h, columns, CHANNELS]);
                 run(|schedule| kernel.push(schedule, &table, &x_tensor, &r));
-                // Roundings of sums of W terms that grow as the root of their number.
+                // The roundings of sums of W terms grow as the root of W.
                 let atol = ROUNDING * (grid.w as f64).sqrt() * largest(&expected);
                 assert_close(&format!("transform_rows {batch} x {grid}"), &read(&r), &expected, (atol, 0.0));
             }

@@ -1,4 +1,5 @@
-//! `transpose` and `spectral_transpose` against their meaning: only places and signs change, so they are exact.
+//! `transpose` and `spectral_transpose` against their definitions, exactly: they only move or negate
+//! elements.
 
 use super::operator::{by_mode, tiled};
 use crate::common::{context, device, noise, poisoned, read, run, tensor};

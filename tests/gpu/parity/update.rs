@@ -9,7 +9,7 @@ use fnopt::kernels::optim::{Update, UpdateTensors};
 use fnopt::kernels::padded;
 use fnopt::sim::Grid;
 
-/// More particles than the workgroups of a sample have invocations.
+/// A grid with more particles than the workgroups of a sample have invocations.
 const LARGE: Grid = Grid { h: 130, w: 139 };
 
 #[test]
@@ -20,7 +20,7 @@ fn learned_steps_match() {
         let model = model(grid, batch);
         let (samples, n) = (3 * batch, grid.particles());
         let [grad, a] = [101, 103].map(|seed| field(&model, 1.0, seed));
-        // Some far beyond where tanh is 1, some tiny.
+        // Some far beyond where tanh saturates, some tiny.
         let output: Vec<f32> = noise(samples * n, 104).iter().map(|v| 40.0 * v.powi(5)).collect();
         let scale: Vec<f32> = (0..samples).map(|s| 0.05 * (s + 1) as f32).collect();
         let step: Vec<f64> =
@@ -33,7 +33,7 @@ fn learned_steps_match() {
         let scale = tensor("scale", &[64 + samples], &[vec![f32::NAN; 64], scale].concat());
         for (first, count) in [(0, 1), (1, samples - 1)] {
             let output = &output[first * n..][..count * n];
-            // In parts whose sum is exact.
+            // Split into parts whose sum is exact.
             let parts =
                 [0.5, 0.25, 0.25].map(|part| output.iter().map(|v| part * v).collect::<Vec<_>>()).concat();
             let field = tensor("field", &[3, count, grid.h, padded(grid.w)], &pad(&parts, grid, f32::NAN));
@@ -49,7 +49,7 @@ fn learned_steps_match() {
     }
 }
 
-/// Or a frame that is lost would look finite.
+/// NaN stays NaN. Otherwise a frame that is lost would look finite.
 #[test]
 fn what_is_no_number_stays_so() {
     let _turn = device();
@@ -68,7 +68,7 @@ fn what_is_no_number_stays_so() {
     }
 }
 
-/// Steps that make the scale themselves: the bits of a scalar head before them.
+/// Steps that compute the scale themselves have the bits of a scalar head followed by a step.
 #[test]
 fn steps_with_the_scalar_head_match() {
     let _turn = device();

@@ -30,7 +30,7 @@ fn matches(normalisation: Normalisation) {
         let row = |v: &[f32], s: usize| v[s * n..][..n].iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
         let tanh = |s: usize| row(&field, s).iter().map(|f| f.tanh()).collect::<Vec<_>>();
         let pace = |s: usize| f64::from(share) * f64::from(scale[s]);
-        // Cotangent of the exponent, and norm of that of tanh(field).
+        // The cotangent of the exponent, and the norm of that of tanh(field).
         let along = |s: usize| pace(s) * tanh(s).iter().zip(row(&grad, s)).map(|(u, g)| u * g).sum::<f64>();
         let norm = |s: usize| pace(s) * row(&grad, s).iter().map(|g| g * g).sum::<f64>().sqrt();
         let together = normalisation.samples();
@@ -39,8 +39,8 @@ fn matches(normalisation: Normalisation) {
             let squares: f64 = (begin..begin + together).map(|s| size(s).powi(2)).sum();
             (squares / together as f64).sqrt().max(1e-40)
         };
-        // Terms of the sum `along` cancel, and what each of them and each addition is rounded by stays: as a random walk along the
-        // additions of an invocation, then of the workgroup.
+        // The terms of the sum `along` cancel, but the roundings of terms and additions remain. They grow as
+        // a random walk over the additions of an invocation, then over those of the workgroup.
         let additions = (padded(grid.w) * grid.h).div_ceil(256) + 8;
         let lost = |s: usize| {
             let squares: f64 = tanh(s).iter().zip(row(&grad, s)).map(|(u, g)| (u * g).powi(2)).sum();
@@ -50,7 +50,7 @@ fn matches(normalisation: Normalisation) {
         for (s, &scalar) in scalar.iter().enumerate() {
             let begin = s / together * together;
             let most = (begin..begin + together).map(lost).fold(0.0, f64::max);
-            // Over a norm of its own it is its sign.
+            // Divided by its own norm, it is its sign.
             rounding = if together == 1 { 0.0 } else { rounding.max(most / shared(s, &along)) };
             let half = (f64::from(scalar) / 2.0).tanh();
             adj_scalar.push((along(s) / shared(s, &along)).clamp(-10.0, 10.0) * (1.0 - half * half));
