@@ -28,7 +28,7 @@ fn frames(c: &mut Criterion) {
             for batch in [1, 16] {
                 if software && n * n * batch > 20_000 {
                     eprintln!(
-                        "{name}: {n}x{n} batch {batch} takes many seconds a frame: hardware adapters only"
+                        "{name}: {n}x{n} batch {batch} skipped: many seconds per frame without a hardware adapter"
                     );
                     continue;
                 }
@@ -62,7 +62,7 @@ fn recording(c: &mut Criterion, context: &Context) {
     let solver = Solver::new(context, &cloths.model, &learned(), &SolverOptions::default())
         .expect("a benchmark fits any adapter");
     let mut group = c.benchmark_group("recording");
-    group.bench_function(format!("32x32, {} dispatches", solver.frame().dispatches()), |b| {
+    group.bench_function(format!("32x32, {} dispatches", solver.schedule().dispatches()), |b| {
         b.iter(|| {
             let mut encoder = context.device.create_command_encoder(&Default::default());
             solver.record(&mut encoder);

@@ -45,15 +45,15 @@ fn of_frame(
     let solver = Solver::new(context, &cloth.model, optimizer, &SolverOptions::default())
         .expect("a benchmark fits any adapter");
     let mut group = c.benchmark_group(format!("kernels {n}x{n}"));
-    for kernel in solver.frame().kernels() {
+    for kernel in solver.schedule().kernels() {
         if !measured.insert(kernel) {
             continue;
         }
         // Run a whole frame first, so that the kernel works on the data of a real frame.
         solver.set_state(&cloth.start.cast());
         solver.set_control(&cloth.control(1));
-        run(context, solver.frame());
-        let alone = solver.frame().only(kernel);
+        run(context, solver.schedule());
+        let alone = solver.schedule().only(kernel);
         group.bench_function(format!("{kernel}, {} dispatches", alone.dispatches()), |b| {
             b.iter(|| run(context, &alone));
         });

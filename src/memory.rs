@@ -7,15 +7,15 @@ use std::path::Path;
 /// successful reservation alone proves little on systems that overcommit, as most Linux systems do.
 pub(crate) fn reserve<T>(values: &mut Vec<T>, more: usize, what: &str) -> Result<()> {
     let bytes = more.saturating_mul(size_of::<T>());
-    if holds(bytes) && values.try_reserve_exact(more).is_ok() {
+    if is_available(bytes) && values.try_reserve_exact(more).is_ok() {
         return Ok(());
     }
-    Err(Error::Device(format!("cpu: no memory for {} of {what}", gib(bytes))))
+    Err(Error::Device(format!("cpu: not enough memory: {what} needs {}", gib(bytes))))
 }
 
 /// Whether `bytes` of memory are available, or the amount is unknown. Memory that is reserved but not yet
 /// used still counts as available, so ask for everything at once.
-pub(crate) fn holds(bytes: usize) -> bool {
+pub(crate) fn is_available(bytes: usize) -> bool {
     available().is_none_or(|available| bytes as u64 <= available)
 }
 

@@ -39,7 +39,7 @@ END
 
 echo "== six steps"
 ranks 2 "$scratch/tiny.toml" --out "$scratch/once" --steps 6 | tee "$scratch/said"
-[[ "$(grep -c "6 steps of" "$scratch/said")" == 1 ]] || fail "not one rank tells that the run is done"
+[[ "$(grep -c "6 of" "$scratch/said")" == 1 ]] || fail "not one rank tells that the run is done"
 [[ "$(wc -l <"$scratch/once/metrics.csv")" == 4 ]] || fail "not one rank writes metrics.csv"
 
 echo "== three steps, and three after resuming"

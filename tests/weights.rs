@@ -28,7 +28,7 @@ fn sound(suite: Suite, names: &[&str], (grid, frames, iterations): (Grid, usize,
         let name = case.name.clone();
         let prepared = Prepared::new(case, frames).unwrap();
         let ran = prepared.run((&learned(), iterations), &Device::Cpu, false, tick);
-        let (score, trajectory) = ran.unwrap().expect("nobody ended it");
+        let (score, trajectory) = ran.unwrap().expect("the run was interrupted");
         assert_eq!(trajectory.frames(), frames);
         let stretch = score.stretch_largest;
         assert!(score.sound(), "{grid} {name}, {iterations} iterations: stretch {stretch:.3}");
@@ -59,7 +59,9 @@ fn ten_iterations_come_close_to_the_minimum() {
         let track = Track::new(&setup.model, setup.start.clone(), controls).unwrap();
         let tick = || ControlFlow::Continue(());
         let gap = |optimizer| {
-            median_gap(&track, (&optimizer, 10), &Device::Cpu, tick).unwrap().expect("nobody ended it")
+            median_gap(&track, (&optimizer, 10), &Device::Cpu, tick)
+                .unwrap()
+                .expect("the run was interrupted")
         };
         let (learned, classical) = (gap(learned()), gap(Optimizer::quasi_newton()));
         println!("{n}x{n}: {learned:.4}, quasi-newton {classical:.4}");

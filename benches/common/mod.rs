@@ -19,7 +19,7 @@ pub fn adapter() -> Option<Context> {
     match Context::headless(&AdapterChoice::Best) {
         Ok(context) => Some(context),
         Err(error) => {
-            eprintln!("nothing is measured on a GPU: {error}");
+            eprintln!("skipping the GPU: {error}");
             None
         }
     }

@@ -7,7 +7,7 @@
 // (i, j) - (i+1, j+1). Forces are evaluated at the start of the frame.
 //
 // cloths: [B]
-// x, v, given, external_acceleration: [B, 3, H, W]
+// x, v, control_accelerations, external_acceleration: [B, 3, H, W]
 //
 // One invocation per particle, which gathers from the up to six triangles around it.
 // Workgroups: (W / 8, H / 8, B).
@@ -24,7 +24,7 @@ struct Params {
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
 @group(0) @binding(2) var<storage, read> x: array<f32>;
 @group(0) @binding(3) var<storage, read> v: array<f32>;
-@group(0) @binding(4) var<storage, read> given: array<f32>;
+@group(0) @binding(4) var<storage, read> control_accelerations: array<f32>;
 @group(0) @binding(5) var<storage, read_write> external_acceleration: array<f32>;
 
 fn position(b: u32, i: i32, j: i32) -> vec3f {
@@ -77,7 +77,7 @@ fn external_force(@builtin(global_invocation_id) id: vec3u) {
     let j = i32(id.x);
     let n = params.rows * params.columns;
     let at = b * 3u * n + id.y * params.columns + id.x;
-    var f = cloths[b].gravity.xyz + vec3f(given[at], given[at + n], given[at + 2u * n]);
+    var f = cloths[b].gravity.xyz + vec3f(control_accelerations[at], control_accelerations[at + n], control_accelerations[at + 2u * n]);
     if cloths[b].air.x != 0.0 || cloths[b].air.y != 0.0 {
         let air = lower(b, i, j) + upper(b, i, j)
             + lower(b, i - 1, j) + lower(b, i - 1, j - 1)

@@ -39,11 +39,11 @@ fn predict(
     }
     let at = group.z * params.particles + p;
     let slot = slots[group.z / 3u * params.particles + p];
-    var way = v[at];
+    var displacement = v[at];
     if slot != 0u {
-        way = targets[3u * (slot - 1u) + group.z % 3u] - x[at];
+        displacement = targets[3u * (slot - 1u) + group.z % 3u] - x[at];
     }
-    base[at] = way;
+    base[at] = displacement;
     if FRESH {
         a[at] = 0.0;
     }

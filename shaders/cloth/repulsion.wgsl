@@ -7,7 +7,7 @@
 //
 // cloths: [B]
 // slots: [B, n]
-// external_acceleration, pushed: [B, 3, n]
+// external_acceleration, total_acceleration: [B, 3, n]
 // ends: [B, buckets], see `cell_scan`
 // sorted: [B, n], see `cell_order`
 // parts: [B, groups, 8], of which the last number is set
@@ -29,7 +29,7 @@ struct Params {
 @group(0) @binding(3) var<storage, read> external_acceleration: array<f32>;
 @group(0) @binding(4) var<storage, read> ends: array<u32>;
 @group(0) @binding(5) var<storage, read> sorted: array<vec4u>;
-@group(0) @binding(6) var<storage, read_write> pushed: array<f32>;
+@group(0) @binding(6) var<storage, read_write> total_acceleration: array<f32>;
 @group(0) @binding(7) var<storage, read_write> parts: array<f32>;
 
 override SOFTENING: f32;
@@ -91,12 +91,12 @@ fn repulsion(
             }
         }
         energy = strength / f32(n) * sum.w;
-        let held = slots[b * n + p] != 0u;
+        let is_handle = slots[b * n + p] != 0u;
         let m = mass(p / params.columns, p % params.columns, params.rows, params.columns);
-        let push = select(4.0 * strength / m * sum.xyz, vec3f(), held);
+        let push = select(4.0 * strength / m * sum.xyz, vec3f(), is_handle);
         let at = b * 3u * n + p;
         for (var c = 0u; c < 3u; c++) {
-            pushed[at + c * n] = external_acceleration[at + c * n] + push[c];
+            total_acceleration[at + c * n] = external_acceleration[at + c * n] + push[c];
         }
     }
     energies[lane] = energy;

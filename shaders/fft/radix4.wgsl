@@ -28,7 +28,7 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> result: array<vec2f>;
 
 // Returns z times the j-th root of the table, conjugated for the forward transform.
-fn turned(z: vec2f, j: u32) -> vec2f {
+fn times_root(z: vec2f, j: u32) -> vec2f {
     let w = vec2f(table[j].x, params.sign * table[j].y);
     return vec2f(z.x * w.x - z.y * w.y, z.x * w.y + z.y * w.x);
 }
@@ -53,9 +53,9 @@ fn radix4(
     let at = first + (place + 3u * k * s) * params.inner;
     let step = s * params.inner;
     let z0 = source[at];
-    let z1 = turned(source[at + step], k * s);
-    let z2 = turned(source[at + 2u * step], 2u * k * s);
-    let z3 = turned(source[at + 3u * step], 3u * k * s);
+    let z1 = times_root(source[at + step], k * s);
+    let z2 = times_root(source[at + 2u * step], 2u * k * s);
+    let z3 = times_root(source[at + 3u * step], 3u * k * s);
     let odd = z1 - z3;
     let quarter_turn = params.sign * vec2f(-odd.y, odd.x);
     let out = first + place * params.inner;

@@ -13,9 +13,9 @@
 // lifting_inputs with lifted_embedding or lifted_fields.
 //
 // Epilogues:
-//   ROWS: made[s, i, k, o] = sum_j y[s, i, o, j] forward[j, k], as `transform_rows` does for the next block
+//   ROWS: rows_or_field[s, i, k, o] = sum_j y[s, i, o, j] forward[j, k], as `transform_rows` does for the next block
 //   POOL: rows_max[s, i, o] = max_j y[s, i, o, j], as `pool_rows` does
-//   FIELD: made[part, s, i, j] = sum_o head[o] y[s, i, o, j] over the channels of a workgroup, instead of y
+//   FIELD: rows_or_field[part, s, i, j] = sum_o head[o] y[s, i, o, j] over the channels of a workgroup, instead of y
 // ROWS and POOL need a whole row in a workgroup, WIDE * SPAN >= Q. FIELD is the last layer of the field head,
 // as in `project`, in parts to be summed. The first part includes the bias of the head.
 //
@@ -25,12 +25,12 @@
 // r: [S, H, 2 modes_w, C]; for the lifting [inputs, E + 1 rounded up to quads]
 // x: [S, H, C, Q] quads; for the lifting [S, H, E, Q] quads, or the fields it embeds
 // y: [S, H, C, Q] quads
-// made: [S, H, 2 modes_w, C] with ROWS, [parts, S, H, Q] quads with FIELD
+// rows_or_field: [S, H, 2 modes_w, C] with ROWS, [parts, S, H, Q] quads with FIELD
 // rows_max: [S, H, C]
 //
 // One invocation per tile of output channels and SPAN quads, WIDE apart. With STAGED, inputs and weights pass
 // through workgroup memory, CHUNK inputs at a time, so that a workgroup reads each of them once and in
-// parallel. The second tile is the number of columns k of `made` that an invocation sums for a quad of
+// parallel. The second tile is the number of columns k of `rows_or_field` that an invocation sums for a quad of
 // channels. It divides their number, 2 modes_w.
 // Workgroups: (Q / (SPAN * WIDE), H, S * C / (tile * DEEP)) of WIDE * DEEP invocations, those of a row side
 //   by side.
@@ -249,8 +249,8 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
 }
 
 fn keep_quad(quad: u32, v: vec4f) {
-    made[4u * quad] = v.x;
-    made[4u * quad + 1u] = v.y;
-    made[4u * quad + 2u] = v.z;
-    made[4u * quad + 3u] = v.w;
+    rows_or_field[4u * quad] = v.x;
+    rows_or_field[4u * quad + 1u] = v.y;
+    rows_or_field[4u * quad + 2u] = v.z;
+    rows_or_field[4u * quad + 3u] = v.w;
 }

@@ -13,7 +13,7 @@
 // r, inverse: [S, H, modes_w, (re, im), C]
 // spectrum: [S, modes_h, modes_w, C] complex, written if KEEP
 //
-// One workgroup per ACROSS output channels of a kept column, for a tile of samples. It first computes the
+// One workgroup per OUT_CHANNELS output channels of a kept column, for a tile of samples. It first computes the
 // spectrum of all input channels in workgroup memory. With fewer output channels there are more workgroups,
 // but each column is transformed more often. The invocations divide among them the rows and channels of the
 // transform, then the inputs and modes of the product, then strips of rows of the inverse. Every sum consists
@@ -21,7 +21,7 @@
 // depend on how the work is divided.
 // The tile is modes_h / 2 + 1, the number of magnitudes k of k_h. The second tile is the number of samples
 // that share one read of the weights. It divides S.
-// Workgroups: (modes_w * C / ACROSS, S / second tile).
+// Workgroups: (modes_w * C / OUT_CHANNELS, S / second tile).
 // Adjoint: itself with the `spectral_transpose`d weight (r), `spectral_weight_adj` (weight).
 
 struct Params {
@@ -41,16 +41,16 @@ struct Params {
 override KEEP: bool = false;
 override MODES: u32 = 8; // modes_h
 override LANES: u32 = 256;
-override ACROSS: u32 = 64;
+override OUT_CHANNELS: u32 = 64;
 override PARTS: u32 = 1;
 // Parts of a column's rows, and of the input channels, that separate invocations sum: 1 or PARTS.
 override ROW_PARTS: u32 = 1;
 override INPUT_PARTS: u32 = 1;
-// Elements in workgroup memory: MODES * second tile times C * ROW_PARTS and ACROSS * INPUT_PARTS, respectively.
+// Elements in workgroup memory: MODES * second tile times C * ROW_PARTS and OUT_CHANNELS * INPUT_PARTS, respectively.
 override INPUTS: u32 = 2048;
 override OUTPUTS: u32 = 2048;
 
-// [second tile, ROW_PARTS, MODES, C] and [INPUT_PARTS, second tile, MODES, ACROSS].
+// [second tile, ROW_PARTS, MODES, C] and [INPUT_PARTS, second tile, MODES, OUT_CHANNELS].
 var<workgroup> inputs: array<vec2f, INPUTS>;
 var<workgroup> outputs: array<vec2f, OUTPUTS>;
 
@@ -59,7 +59,7 @@ var<workgroup> outputs: array<vec2f, OUTPUTS>;
 fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) group: vec3u$lane) {
     let channels = params.channels;
     let column = group.x % params.modes_w;
-    let slice = group.x / params.modes_w * ACROSS;
+    let slice = group.x / params.modes_w * OUT_CHANNELS;
     let first = group.y * $t;
     let row_part = (params.rows + PARTS - 1u) / PARTS;
     let transforms = $t * ROW_PARTS * channels;
@@ -112,11 +112,11 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
         }
     }
     let input_part = (channels + PARTS - 1u) / PARTS;
-    let products = MODES * INPUT_PARTS * ACROSS;
+    let products = MODES * INPUT_PARTS * OUT_CHANNELS;
     for (var begin = 0u; begin < products; begin += LANES) {
         let item = min(begin + index, products - 1u);
-        let channel = min(slice + item % ACROSS, channels - 1u);
-        let of_parts = item / ACROSS;
+        let channel = min(slice + item % OUT_CHANNELS, channels - 1u);
+        let of_parts = item / OUT_CHANNELS;
         let mode = of_parts / INPUT_PARTS;
         let part = of_parts % INPUT_PARTS;
         var p$k = vec2f();
@@ -131,22 +131,22 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
             p$k += part$k;
         }
         if begin + index < products {
-            outputs[((part * $t + $k) * MODES + mode) * ACROSS + item % ACROSS] = p$k;
+            outputs[((part * $t + $k) * MODES + mode) * OUT_CHANNELS + item % OUT_CHANNELS] = p$k;
         }
     }
     workgroupBarrier();
     let strips = (params.rows + params.strip - 1u) / params.strip;
-    let inverses = $t * strips * ACROSS;
+    let inverses = $t * strips * OUT_CHANNELS;
     for (var begin = 0u; begin < inverses; begin += LANES) {
         let item = min(begin + index, inverses - 1u);
-        let channel = slice + item % ACROSS;
-        let of_tile = item / ACROSS % $t;
-        let top = item / (ACROSS * $t) * params.strip;
+        let channel = slice + item % OUT_CHANNELS;
+        let of_tile = item / OUT_CHANNELS % $t;
+        let top = item / (OUT_CHANNELS * $t) * params.strip;
         let bottom = min(top + params.strip, params.rows);
-        let zero = (of_tile * MODES + MODES / 2u) * ACROSS + item % ACROSS;
-        let lower$c = product(zero - $cu * ACROSS);
+        let zero = (of_tile * MODES + MODES / 2u) * OUT_CHANNELS + item % OUT_CHANNELS;
+        let lower$c = product(zero - $cu * OUT_CHANNELS);
         var upper$c = vec2f();
-        if $cu > 0u && $cu + MODES / 2u < MODES { upper$c = product(zero + $cu * ACROSS); }
+        if $cu > 0u && $cu + MODES / 2u < MODES { upper$c = product(zero + $cu * OUT_CHANNELS); }
         let q$c = vec4f(upper$c + lower$c, upper$c - lower$c);
         for (var y = top; y < bottom; y++) {
             var re = 0.0;

@@ -1,9 +1,9 @@
-// Conjugate transpose of the weight of `spectral`: turned[m, o, i] = conj(weight[m, i, o]).
+// Conjugate transpose of the weight of `spectral`: transposed[m, o, i] = conj(weight[m, i, o]).
 //
 // `spectral` with this weight is the adjoint of `spectral` with respect to its input.
 //
 // weight: [M, I, O] complex
-// turned: [M, O, I] complex
+// transposed: [M, O, I] complex
 //
 // One invocation per weight. Workgroups: (I / 64, O, M).
 // Adjoint: itself; the weight gradient comes from `spectral_weight_adj`.
@@ -17,7 +17,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> weight: array<vec2f>;
-@group(0) @binding(2) var<storage, read_write> turned: array<vec2f>;
+@group(0) @binding(2) var<storage, read_write> transposed: array<vec2f>;
 
 @compute @workgroup_size(64)
 fn spectral_transpose(@builtin(global_invocation_id) id: vec3u) {
@@ -26,5 +26,5 @@ fn spectral_transpose(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let w = weight[(id.z * params.inputs + i) * params.outputs + id.y];
-    turned[(id.z * params.outputs + id.y) * params.inputs + i] = vec2f(w.x, -w.y);
+    transposed[(id.z * params.outputs + id.y) * params.inputs + i] = vec2f(w.x, -w.y);
 }

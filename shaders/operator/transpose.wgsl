@@ -3,7 +3,7 @@
 // With this weight, `pointwise` and `block` are their own adjoints with respect to their inputs.
 //
 // weight: [O / tile, I, tile]
-// turned: [I / tile, O, tile]
+// transposed: [I / tile, O, tile]
 //
 // One invocation per weight. Workgroups: (O I / 64).
 // Adjoint: itself; the weight gradient comes from `pointwise_weight_adj` in the order of the layer.
@@ -17,7 +17,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> weight: array<f32>;
-@group(0) @binding(2) var<storage, read_write> turned: array<f32>;
+@group(0) @binding(2) var<storage, read_write> transposed: array<f32>;
 
 @compute @workgroup_size(64)
 fn transpose(@builtin(global_invocation_id) id: vec3u) {
@@ -28,5 +28,5 @@ fn transpose(@builtin(global_invocation_id) id: vec3u) {
     let of_tile = id.x % (params.outputs * tile);
     let o = of_tile / tile;
     let i = id.x / (params.outputs * tile) * tile + of_tile % tile;
-    turned[id.x] = weight[(o / tile * params.inputs + i) * tile + o % tile];
+    transposed[id.x] = weight[(o / tile * params.inputs + i) * tile + o % tile];
 }

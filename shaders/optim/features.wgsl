@@ -41,7 +41,7 @@ fn features(
         params.parts,
         params.first_sum,
     );
-    let inverse = inverse_sizes(at, index, 64u);
+    let inverse = inverse_rms(at, index, 64u);
     if id.x >= params.row_quads || id.y >= params.rows {
         return;
     }

@@ -9,8 +9,8 @@
 // Each is divided by its eigenvalue lambda, and out[k, l] = conj(e_H(k) e_W(l)) (cc - ss - i (sc + cs)).
 //
 // cloths: [B]
-// row_turns: [H], (cos, sin)(pi k / 2 H)
-// column_turns: [W / 2 + 1], (cos, sin)(pi l / 2 W)
+// row_twiddles: [H], (cos, sin)(pi k / 2 H)
+// column_twiddles: [W / 2 + 1], (cos, sin)(pi l / 2 W)
 // z, out: [3 B, H, W / 2 + 1] complex
 //
 // One invocation per element of the spectrum. Workgroups: (H (W / 2 + 1) / 64 over x and y, 3 B in z).
@@ -25,8 +25,8 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> row_turns: array<vec2f>;
-@group(0) @binding(3) var<storage, read> column_turns: array<vec2f>;
+@group(0) @binding(2) var<storage, read> row_twiddles: array<vec2f>;
+@group(0) @binding(3) var<storage, read> column_twiddles: array<vec2f>;
 @group(0) @binding(4) var<storage, read> z: array<vec2f>;
 @group(0) @binding(5) var<storage, read_write> out: array<vec2f>;
 
@@ -59,15 +59,15 @@ fn rest_modes(
     let material = cloths[group.z / 3u].material;
 
     let conj = vec2f(1.0, -1.0);
-    let e_h = conj * row_turns[k];
-    let e_w = conj * column_turns[l];
+    let e_h = conj * row_twiddles[k];
+    let e_w = conj * column_twiddles[l];
     let opposite = z[field + (params.rows - k) % params.rows * half + l];
     let a = times(times(e_h, e_w), z[field + element]);
     let b = times(times(e_h, conj * e_w), conj * opposite);
 
     // mu of n - k (x) and of k (y), without the cancellation in 1 - cos.
-    let mu_h = 4.0 * row_turns[k] * row_turns[k];
-    let mu_w = 4.0 * column_turns[l] * column_turns[l];
+    let mu_h = 4.0 * row_twiddles[k] * row_twiddles[k];
+    let mu_w = 4.0 * column_twiddles[l] * column_twiddles[l];
     let cc = 0.5 * (a.x + b.x) / eigenvalue(vec2f(mu_h.y, mu_w.y), material);
     let sc = -0.5 * (a.y + b.y) / eigenvalue(vec2f(mu_h.x, mu_w.y), material);
     let cs = -0.5 * (a.y - b.y) / eigenvalue(vec2f(mu_h.y, mu_w.x), material);

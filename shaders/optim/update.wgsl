@@ -49,15 +49,15 @@ fn update(
 ) {
     let n = params.rows * params.columns;
     let sample = params.first + group.y;
-    var pace = 0.0;
+    var step_scale = 0.0;
     if HEAD {
         let value = scalar_of(group.y, params.rows, params.channels, index);
-        pace = rescaled(scale[params.before + group.y], value);
+        step_scale = rescaled(scale[params.before + group.y], value);
         if group.x == 0u && index == 0u {
-            scale[params.after + group.y] = pace;
+            scale[params.after + group.y] = step_scale;
         }
     } else {
-        pace = scale[params.after + group.y];
+        step_scale = scale[params.after + group.y];
     }
     for (var p = group.x * 64u * TEAMS + index; p < n; p += groups.x * 64u * TEAMS) {
         let at = sample * n + p;
@@ -67,7 +67,7 @@ fn update(
         for (var part = 1u; part < params.parts; part++) {
             value += field[padded + part * params.in_field * params.rows * 4u * params.row_quads];
         }
-        let step = pace * tanh_exact(vec4f(value)).x;
+        let step = step_scale * tanh_exact(vec4f(value)).x;
         fields[params.hidden + at] = fields[at];
         fields[params.hidden + params.samples * n + at] = step;
         a[at] += step;

@@ -50,7 +50,7 @@ fn update_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id)
     let sample = group.x;
     let all = params.rows * params.stride;
     let first = sample * params.rows * params.columns;
-    let pace = params.share * scale[sample];
+    let step_scale = params.share * scale[sample];
     // Per sample of the group: the norm of the cotangent of tanh(field), and the cotangent of the exponent.
     var sizes: array<vec2f, 3>;
     let begin = sample / TOGETHER * TOGETHER;
@@ -74,7 +74,7 @@ fn update_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id)
         let t = tanh_exact(vec4f(0.5 * scalar[sample])).x;
         adj_scalar[sample] = normalised * (1.0 - t * t);
     }
-    let factor = pace / norms.x;
+    let factor = step_scale / norms.x;
     for (var k = lane; k < all; k += 256u) {
         let column = k % params.stride;
         var value = 0.0;

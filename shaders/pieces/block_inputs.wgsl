@@ -3,11 +3,11 @@
 //
 // x: [S, H, C, Q] quads
 // y: [S, H, C, Q] quads
-// made: see `block`
+// rows_or_field: see `block`
 // rows_max: [S, H, C]
 @group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
-@group(0) @binding(7) var<storage, read_write> made: array<f32>;
+@group(0) @binding(7) var<storage, read_write> rows_or_field: array<f32>;
 @group(0) @binding(8) var<storage, read_write> rows_max: array<f32>;
 
 const LIFTING: bool = false;

@@ -22,7 +22,7 @@ var<workgroup> sums_of_parts: array<f32, 32>;
 // Returns sqrt n / |g| and sqrt n / |d| of a sample. All `lanes` invocations of a workgroup must call it. The
 // root mean square has a floor of 1e-19, so that a zero field stays zero and one whose squares are subnormal
 // is not blown up.
-fn inverse_sizes(at: FieldsOf, index: u32, lanes: u32) -> vec2f {
+fn inverse_rms(at: FieldsOf, index: u32, lanes: u32) -> vec2f {
     for (var k = index; k < 32u; k += lanes) {
         var sum = 0.0;
         for (var part = k / 2u; part < at.parts; part += 16u) {

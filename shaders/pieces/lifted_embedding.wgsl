@@ -2,10 +2,10 @@
 // Bindings of a lifting whose input another kernel has embedded.
 //
 // x: [S, H, E, Q] quads
-// y, made: see `block`
+// y, rows_or_field: see `block`
 @group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
-@group(0) @binding(7) var<storage, read_write> made: array<f32>;
+@group(0) @binding(7) var<storage, read_write> rows_or_field: array<f32>;
 
 fn prepare(_sample: u32, _row: u32, _first_quad: u32, _index: u32) {}
 

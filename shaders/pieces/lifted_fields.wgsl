@@ -2,25 +2,25 @@
 // Bindings of a lifting that embeds its own input, for the quads of its workgroup.
 //
 // fields, partial_sums: see `features`
-// y, made: see `block`
+// y, rows_or_field: see `block`
 @group(0) @binding(5) var<storage, read> fields: array<f32>;
 @group(0) @binding(6) var<storage, read> partial_sums: array<f32>;
 @group(0) @binding(7) var<storage, read_write> y: array<StoredQuad>;
-@group(0) @binding(8) var<storage, read_write> made: array<f32>;
+@group(0) @binding(8) var<storage, read_write> rows_or_field: array<f32>;
 
-// Embedded quads in workgroup memory, E channels of SPAN * WIDE quads. They follow the staged quads, AHEAD in
+// Embedded quads in workgroup memory, E channels of SPAN * WIDE quads. They follow the staged quads, STAGED_QUADS in
 // number.
 override EMBEDDED: u32 = 1;
-override AHEAD: u32 = 0;
+override STAGED_QUADS: u32 = 0;
 
 var<private> inverse: vec2f;
 
 fn prepare(sample: u32, row: u32, first_quad: u32, index: u32) {
-    inverse = inverse_sizes(fields_of(sample), index, WIDE * DEEP);
+    inverse = inverse_rms(fields_of(sample), index, WIDE * DEEP);
     if STAGED {
         let quads = SPAN * WIDE;
         for (var k = index; k < EMBEDDED; k += WIDE * DEEP) {
-            memory[AHEAD + k] = feature(fields_of(sample), inverse, k / quads, row, first_quad + k % quads);
+            memory[STAGED_QUADS + k] = feature(fields_of(sample), inverse, k / quads, row, first_quad + k % quads);
         }
     }
 }
@@ -28,7 +28,7 @@ fn prepare(sample: u32, row: u32, first_quad: u32, index: u32) {
 // Returns channel e at a quad of a row. A workgroup's first quad is a multiple of SPAN * WIDE.
 fn channel(sample: u32, e: u32, row: u32, quad: u32) -> vec4f {
     if STAGED {
-        return memory[AHEAD + e * SPAN * WIDE + quad % (SPAN * WIDE)];
+        return memory[STAGED_QUADS + e * SPAN * WIDE + quad % (SPAN * WIDE)];
     }
     return feature(fields_of(sample), inverse, e, row, quad);
 }

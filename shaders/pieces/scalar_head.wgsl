@@ -4,7 +4,7 @@
 
 const TEAMS: u32 = 4;
 
-var<workgroup> held: array<array<f32, 64>, TEAMS>;
+var<workgroup> maxima: array<array<f32, 64>, TEAMS>;
 
 // Returns bias + sum_c weight[c] max_i rows_max[sample, i, c], the same in every invocation of a workgroup of
 // (64, TEAMS). The workgroup takes 64 channels at a time, and each team of 64 invocations a share of the
@@ -20,27 +20,27 @@ fn scalar_of(sample: u32, rows: u32, channels: u32, index: u32) -> f32 {
         for (var i = team + TEAMS; i < rows; i += TEAMS) {
             most = max(most, rows_max[first + i * channels]);
         }
-        held[team][lane] = most;
+        maxima[team][lane] = most;
         workgroupBarrier();
         if team == 0u && begin + lane < channels {
             for (var other = 1u; other < TEAMS; other++) {
-                most = max(most, held[other][lane]);
+                most = max(most, maxima[other][lane]);
             }
             sum += weight[channel] * most;
         }
         workgroupBarrier();
     }
     if team == 0u {
-        held[0][lane] = sum;
+        maxima[0][lane] = sum;
     }
     for (var half = 32u; half > 0u; half /= 2u) {
         workgroupBarrier();
         if team == 0u && lane < half {
-            held[0][lane] += held[0][lane + half];
+            maxima[0][lane] += maxima[0][lane + half];
         }
     }
     workgroupBarrier();
-    return held[0][0] + bias[0];
+    return maxima[0][0] + bias[0];
 }
 
 // Returns the persistent scale after a pass whose scalar head is `value` (update rule, paper section 3.3).

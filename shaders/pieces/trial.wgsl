@@ -9,8 +9,8 @@ struct Trial {
 // Returns particle p of cloth b, out of n, from the kernel's bindings slots [B, n] and x, base, a [B, 3, n].
 fn trial(b: u32, p: u32, n: u32) -> Trial {
     let at = b * 3u * n + p;
-    let held = slots[b * n + p] != 0u;
+    let is_handle = slots[b * n + p] != 0u;
     let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
-    let way = vec3f(base[at], base[at + n], base[at + 2u * n]);
-    return Trial(vec3f(x[at], x[at + n], x[at + 2u * n]), way + select(acceleration, vec3f(), held));
+    let displacement = vec3f(base[at], base[at + n], base[at + 2u * n]);
+    return Trial(vec3f(x[at], x[at + n], x[at + 2u * n]), displacement + select(acceleration, vec3f(), is_handle));
 }

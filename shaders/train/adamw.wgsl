@@ -1,14 +1,14 @@
 // AdamW on the whole weight vector (Loshchilov and Hutter 2019), with the gradient clipped to a norm, and the
 // running mean of the weights.
 //
-// g <- shorten gradient
+// g <- clip gradient
 // m <- beta1 m + (1 - beta1) g
 // v <- beta2 v + (1 - beta2) g^2
-// w <- shrink w - pace m / (sqrt(v) / root + epsilon)
+// w <- decay w - step_size m / (sqrt(v) / sqrt_correction + epsilon)
 // averaged <- average averaged + (1 - average) w
 // The host computes the factors in double precision:
-//   shorten = min(clip / (norm + 1e-6), 1), shrink = 1 - rate decay
-//   pace = rate / (1 - beta1^t), root = sqrt(1 - beta2^t)
+//   clip = min(clip / (norm + 1e-6), 1), decay = 1 - rate decay
+//   step_size = rate / (1 - beta1^t), sqrt_correction = sqrt(1 - beta2^t)
 //
 // factors: one `Factors`
 // gradient, weight (w), mean (m), square (v), averaged: [n]
@@ -24,10 +24,10 @@ struct Params {
 }
 
 struct Factors {
-    shorten: f32,
-    shrink: f32,
-    pace: f32,
-    root: f32,
+    clip: f32,
+    decay: f32,
+    step_size: f32,
+    sqrt_correction: f32,
     beta1: f32,
     beta2: f32,
     add1: f32, // 1 - beta1
@@ -56,10 +56,10 @@ fn adamw(
     if k >= params.n {
         return;
     }
-    let g = factors.shorten * gradient[k];
+    let g = factors.clip * gradient[k];
     let m = factors.beta1 * mean[k] + factors.add1 * g;
     let v = factors.beta2 * square[k] + factors.add2 * g * g;
-    let w = factors.shrink * weight[k] - factors.pace * m / (sqrt(v) / factors.root + factors.epsilon);
+    let w = factors.decay * weight[k] - factors.step_size * m / (sqrt(v) / factors.sqrt_correction + factors.epsilon);
     mean[k] = m;
     square[k] = v;
     weight[k] = w;

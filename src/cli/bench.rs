@@ -1,4 +1,4 @@
-//! `fnopt bench`: time of frames, of each kernel and of recording.
+//! `fnopt bench`: times frames, kernels and command recording.
 
 use super::device::InferenceArgs;
 use super::output::{output, tell};
@@ -19,24 +19,24 @@ use std::time::Instant;
 /// Arguments of `fnopt bench`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Grids
+    /// Grids to time
     #[arg(long, value_delimiter = ',', default_value = "32,64,100", value_name = "N|HxW,..")]
     grid: Vec<String>,
-    /// Cloths that advance together
+    /// Numbers of cloths simulated together
     #[arg(long, value_delimiter = ',', default_value = "1", value_name = "B,..", value_parser = clap::value_parser!(u32).range(1..=4096))]
     batch: Vec<u32>,
-    /// Particles of all cloths together above which a grid and a number of cloths are left out
+    /// Skip combinations of a grid and a batch with more than N particles in all
     #[arg(long, value_name = "N")]
     most_particles: Option<usize>,
-    /// Frames that are timed, after three that are not
+    /// Frames to time, after three untimed ones
     #[arg(long, default_value_t = 10, value_name = "F", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
     #[command(flatten)]
     solver: SolverArgs,
     #[command(flatten)]
     device: InferenceArgs,
-    /// Draw ms per frame over particles and cloths (PNG), beside what the network's operations alone would take at the speed of
-    /// the device's matrix product
+    /// Plot ms per frame over particles and cloths (PNG), with the time that the network's operations alone
+    /// would take at the speed of the device's matrix product
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     /// Print JSON
@@ -44,9 +44,9 @@ pub struct Args {
     json: bool,
 }
 
-/// Frames of one submission, to time those that nothing is read from.
+/// Frames per submission when frames are timed without a readback in between.
 const TOGETHER: usize = 4;
-/// How often a frame is recorded to time that, if it takes no longer than so many seconds; five times at least.
+/// Most timed recordings of a frame, and the seconds after which to stop early. At least five are timed.
 const RECORDINGS: (usize, f64) = (100, 1.0);
 
 #[derive(serde::Serialize)]
@@ -59,14 +59,14 @@ struct Row {
     ms_per_frame: f64,
     ms_least: f64,
     cloth_frames_per_s: f64,
-    /// Floating-point operations of the network alone; `null` for the classical optimizers.
+    /// GFLOP/s, counting the operations of the network alone; `null` for the classical optimizers.
     gflop_per_s: Option<f64>,
-    /// Per frame where one submission advances several; `null` on the CPU.
+    /// Time per frame when one submission advances several; `null` on the CPU.
     ms_together: Option<f64>,
-    /// Recording one frame on the host; `null` on the CPU.
+    /// Time to record one frame on the host; `null` on the CPU.
     encode_ms: Option<f64>,
     dispatches: Option<usize>,
-    /// Time on the device by kernel, each dispatch in a pass of its own.
+    /// Device time by kernel, with a pass for each dispatch.
     kernels: Vec<KernelRow>,
 }
 
@@ -92,7 +92,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     for size in sizes {
         let row = match measure(args, &device, &optimizer, size) {
             Ok(row) => row,
-            // The others are measured all the same.
+            // The remaining sizes are still measured.
             Err(error) => {
                 let (grid, batch) = size;
                 if many {
@@ -134,7 +134,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     ended
 }
 
-/// The grids and numbers of cloths to measure; an error where all of them have too many particles.
+/// Returns the grids and batch sizes to measure. Fails if all of them have too many particles.
 fn sizes(args: &Args, grids: &[Grid]) -> Result<Vec<(Grid, usize)>> {
     let all = grids.iter().flat_map(|&grid| args.batch.iter().map(move |&batch| (grid, batch as usize)));
     let most = args.most_particles.unwrap_or(usize::MAX);
@@ -142,14 +142,14 @@ fn sizes(args: &Args, grids: &[Grid]) -> Result<Vec<(Grid, usize)>> {
     let (taken, left): (Vec<_>, Vec<_>) = all.partition(|size| particles(size) <= most);
     match left.iter().map(particles).min() {
         Some(least) if taken.is_empty() => {
-            let expected = format!("{least} or more, as all that is to be measured has so many");
+            let expected = format!("{least} or more, as the smallest size has that many");
             Err(Error::invalid("bench", "--most-particles", expected, most).into())
         }
         _ => Ok(taken),
     }
 }
 
-/// Operations per second of the device's matrix product where nothing else limits it.
+/// Measures the operations per second of the device's matrix product when nothing else limits it.
 fn product_rate(device: &Device) -> Result<f64> {
     Ok(match device {
         Device::Cpu => fnopt::cpu::product_rate(),
@@ -157,8 +157,8 @@ fn product_rate(device: &Device) -> Result<f64> {
     })
 }
 
-/// Operations per second of a pointwise layer where nothing else limits it: 64 channels to 64, on many positions, one
-/// dispatch after the other. Takes about a third of a second, and as long as compiling takes.
+/// Measures the operations per second of a pointwise layer when nothing else limits it: 64 to 64 channels,
+/// many positions, dispatches back to back. Takes about a third of a second, plus the time to compile.
 fn product_rate_on(context: &Context) -> Result<f64> {
     const SHAPE: [usize; 4] = [12, 64, 64, 64];
     const DISPATCHES: usize = 10;
@@ -184,7 +184,8 @@ fn product_rate_on(context: &Context) -> Result<f64> {
     Ok((2 * DISPATCHES * samples * channels * channels * h * w) as f64 / best)
 }
 
-/// Time and speed over the particles of all cloths, for each number of cloths, beside the matrix product's.
+/// Plots time and speed over the particles of all cloths, with a curve for each batch size and one for the
+/// matrix product.
 fn plot(rows: &[Row], product: f64) -> Image {
     let particles = |row: &Row| (row.particles * row.batch) as f64;
     let mut batches: Vec<usize> = rows.iter().map(|row| row.batch).collect();
@@ -225,7 +226,7 @@ fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (
     let mut simulator = Simulator::new(device, &setups.model, optimizer, iterations)?;
     simulator.set_state(&setups.start.cast());
     let mut times = Vec::with_capacity(frames);
-    // Through the whole motion and over again, so that any number of frames has something to do.
+    // Repeats the motion as often as needed, so that every frame has work to do.
     let controls = (0..WARM_UP + frames).map(|f| setups.control(1 + f % (setups.frames() - 1)));
     simulator.rollout(controls, |frame| {
         if frame.index > WARM_UP {
@@ -264,11 +265,12 @@ fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (
     Ok(row)
 }
 
-/// Times recording, and each kernel where the device has timestamps.
+/// Times command recording and, if the device has timestamps, each kernel.
 fn record_times(context: &Context, solver: &Solver, row: &mut Row) -> Result<()> {
     let (most, seconds) = RECORDINGS;
     let (begun, mut encode) = (Instant::now(), Vec::new());
-    // As in a run each frame is computed before the next one is recorded: what it finds in the caches is part of the time.
+    // As in a run, each frame is computed before the next is recorded: the state of the caches is part of the
+    // time.
     while encode.len() < 5 || (encode.len() < most && begun.elapsed().as_secs_f64() < seconds) {
         let mut encoder = context.device.create_command_encoder(&Default::default());
         let start = Instant::now();
@@ -279,9 +281,9 @@ fn record_times(context: &Context, solver: &Solver, row: &mut Row) -> Result<()>
         context.wait()?;
     }
     row.encode_ms = Some(median(&encode));
-    row.dispatches = Some(solver.frame().dispatches());
+    row.dispatches = Some(solver.schedule().dispatches());
     if let Some(mut profile) = Profile::new(context) {
-        context.submit(|encoder| solver.frame().record_timed(encoder, &mut profile));
+        context.submit(|encoder| solver.schedule().record_timed(encoder, &mut profile));
         let times = profile.read(context)?;
         row.kernels =
             times.into_iter().map(|(name, (ms, dispatches))| KernelRow { name, ms, dispatches }).collect();
@@ -290,7 +292,8 @@ fn record_times(context: &Context, solver: &Solver, row: &mut Row) -> Result<()>
     Ok(())
 }
 
-/// Milliseconds per frame where one submission advances several: nothing is read back or waited for in between.
+/// Returns the milliseconds per frame when one submission advances several, with no readback or wait in
+/// between.
 fn time_together(context: &Context, solver: &Solver, controls: &[Control<f32>]) -> Result<f64> {
     let (_, seconds) = RECORDINGS;
     let (begun, mut times) = (Instant::now(), Vec::new());
@@ -306,7 +309,7 @@ fn time_together(context: &Context, solver: &Solver, controls: &[Control<f32>]) 
 fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
     let Row { grid, batch, iterations, ms_per_frame, ms_least, cloth_frames_per_s, .. } = row;
     write!(out, "{grid} batch {batch}, {iterations} iterations: {ms_per_frame:.3} ms/frame")?;
-    write!(out, " (least {ms_least:.3}), {cloth_frames_per_s:.1} cloth-frames/s")?;
+    write!(out, " (minimum {ms_least:.3}), {cloth_frames_per_s:.1} cloth-frames/s")?;
     if let Some(rate) = row.gflop_per_s {
         write!(out, ", {rate:.1} GFLOP/s")?;
     }
@@ -315,11 +318,11 @@ fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
         writeln!(out, "  recording {ms:.3} ms, {count} dispatches")?;
     }
     if let Some(ms) = row.ms_together {
-        writeln!(out, "  {ms:.3} ms/frame where a submission is of {TOGETHER} frames")?;
+        writeln!(out, "  {ms:.3} ms/frame with {TOGETHER} frames per submission")?;
     }
     let timed: usize = row.kernels.iter().map(|k| k.dispatches).sum();
     if timed > 0 && row.dispatches.is_some_and(|all| all > timed) {
-        writeln!(out, "  the first {timed} of them by kernel:")?;
+        writeln!(out, "  the first {timed} dispatches by kernel:")?;
     }
     let total: f64 = row.kernels.iter().map(|k| k.ms).sum();
     for k in &row.kernels {

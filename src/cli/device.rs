@@ -13,7 +13,7 @@ pub enum DeviceKind {
     /// A hardware adapter if there is one, else the CPU
     #[default]
     Auto,
-    /// The best adapter, a software one included
+    /// The best adapter, which may be a software one
     Gpu,
     /// The CPU path
     Cpu,
@@ -22,22 +22,24 @@ pub enum DeviceKind {
 /// Options that choose a device.
 #[derive(Clone, Debug, clap::Args)]
 pub struct DeviceArgs {
-    /// Where to run: auto takes a hardware adapter if there is one, else the CPU; gpu takes a software adapter too
+    /// Device to run on: auto takes a hardware adapter if there is one, else the CPU; gpu also accepts a
+    /// software adapter
     #[arg(long, value_enum, default_value_t)]
     pub device: DeviceKind,
-    /// Adapter to run on, by part of its name or by its number in `fnopt doctor`
+    /// Adapter to run on, by part of its name or by its index in `fnopt doctor`
     #[arg(long, value_name = "NAME|INDEX")]
     pub adapter: Option<String>,
 }
 
 impl DeviceArgs {
-    /// Opens the device and says in one line which and why.
+    /// Opens the device. Also returns a line that reports which device was chosen and why.
     pub fn open(&self) -> Result<(Device, String)> {
-        self.open_in_turn(0)
+        self.open_for_process(0)
     }
 
-    /// The same for one of several processes on this machine, which share its hardware adapters out unless one is asked for.
-    pub fn open_in_turn(&self, turn: usize) -> Result<(Device, String)> {
+    /// Like [`DeviceArgs::open`], for process number `turn` of several on this machine, which take its
+    /// hardware adapters in turn unless an adapter was asked for.
+    pub fn open_for_process(&self, turn: usize) -> Result<(Device, String)> {
         if let (DeviceKind::Cpu, Some(adapter)) = (self.device, &self.adapter) {
             return Err(Error::invalid("--adapter", "adapter", "none with --device cpu", adapter));
         }
@@ -81,7 +83,7 @@ impl DeviceArgs {
 /// The context that [`DeviceArgs::open`] opened last.
 static OPENED: Mutex<Option<Context>> = Mutex::new(None);
 
-/// Stores the pipelines that the command has compiled, for the next one. It is no failure of the command where that fails.
+/// Stores the pipelines that the command has compiled, for the next command. A failure is only logged.
 pub fn store_pipelines() {
     let opened = OPENED.lock().unwrap_or_else(PoisonError::into_inner).take();
     if let Some(Err(error)) = opened.map(|context| context.store_pipelines()) {
@@ -89,14 +91,14 @@ pub fn store_pipelines() {
     }
 }
 
-/// How the network is stored.
+/// How the network's activations and weights are stored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Precision {
     /// 32-bit floating point
     #[default]
     F32,
-    /// 16-bit floating point, summed up in 32 bits; on GPUs that have it
+    /// 16-bit floating point with 32-bit sums, on GPUs that support it
     F16,
 }
 
@@ -111,31 +113,33 @@ pub struct InferenceArgs {
 }
 
 impl InferenceArgs {
-    /// Opens the device and says in one line which and why.
+    /// Opens the device. Also returns a line that reports which device was chosen and why.
     pub fn open(&self) -> Result<(Device, String)> {
         self.store(self.on.open()?)
     }
 
-    /// The same for an optimizer: `auto` is the CPU for one that runs there alone.
+    /// Like [`InferenceArgs::open`], for an optimizer: `auto` chooses the CPU if the optimizer runs only
+    /// there.
     pub fn open_for(&self, optimizer: &Optimizer) -> Result<(Device, String)> {
         match (self.on.device, &self.on.adapter) {
             (DeviceKind::Auto, None) if !optimizer.runs_on_gpu() => {
-                self.store(cpu("the solver runs there alone"))
+                self.store(cpu("the solver runs only on the CPU"))
             }
             _ => self.open(),
         }
     }
 
-    /// Opens the device for a simulation and makes its simulator there; also says in one line which device and why. A GPU that
-    /// `auto` chose, and whose driver or memory is not up to it, gives way to the CPU.
+    /// Opens the device for a simulation and creates its simulator. Also returns a line that reports which
+    /// device was chosen and why. If `auto` chose a GPU whose driver or memory is not up to it, falls back to
+    /// the CPU, except in f16, which the CPU lacks.
     pub fn simulator(
         &self,
         model: &Model,
         solver: (&Optimizer, usize),
     ) -> Result<(Simulator, Device, String)> {
         let opened = self.open_for(solver.0)?;
-        let gives_way = self.on.device == DeviceKind::Auto && self.on.adapter.is_none();
-        simulator(opened, gives_way && self.precision == Precision::F32, model, solver)
+        let falls_back_to_cpu = self.on.device == DeviceKind::Auto && self.on.adapter.is_none();
+        simulator(opened, falls_back_to_cpu && self.precision == Precision::F32, model, solver)
     }
 
     fn store(&self, (device, line): (Device, String)) -> Result<(Device, String)> {
@@ -153,15 +157,18 @@ impl InferenceArgs {
     }
 }
 
-/// Makes the simulator on the device that was opened; on the CPU where that is a GPU which is not up to it and gives way.
+/// Creates the simulator on the opened device. A GPU that is not up to it is replaced by the CPU if
+/// `falls_back_to_cpu` is set.
 fn simulator(
     (device, line): (Device, String),
-    gives_way: bool,
+    falls_back_to_cpu: bool,
     model: &Model,
     (optimizer, iterations): (&Optimizer, usize),
 ) -> Result<(Simulator, Device, String)> {
     match Simulator::new(&device, model, optimizer, iterations) {
-        Err(Error::Device(why) | Error::Lost(why)) if gives_way && matches!(device, Device::Gpu(_)) => {
+        Err(Error::Device(why) | Error::Lost(why))
+            if falls_back_to_cpu && matches!(device, Device::Gpu(_)) =>
+        {
             tracing::warn!("{why}");
             let (device, line) = cpu("the hardware adapter cannot run this");
             let simulator = Simulator::new(&device, model, optimizer, iterations)?;
@@ -183,15 +190,15 @@ mod tests {
     use fnopt::scene::Scene;
     use fnopt::sim::Grid;
 
-    /// Software adapters have no L-BFGS on so many particles.
+    /// Software adapters refuse L-BFGS on this many particles.
     #[test]
     fn a_gpu_that_cannot_run_a_simulation_gives_way_only_to_auto() {
         let mut scene = Scene::default();
         scene.regrid(Grid { h: 500, w: 500 }).unwrap();
         let model = scene.setup().unwrap().model;
         let device = Device::Gpu(Context::headless(&AdapterChoice::Name("llvmpipe".into())).unwrap());
-        let made = |gives_way| {
-            simulator((device.clone(), "opened".into()), gives_way, &model, (&Optimizer::lbfgs(), 1))
+        let made = |falls_back_to_cpu| {
+            simulator((device.clone(), "opened".into()), falls_back_to_cpu, &model, (&Optimizer::lbfgs(), 1))
         };
         let (_, on, line) = made(true).unwrap();
         assert!(

@@ -18,20 +18,21 @@ pub struct Args {
     json: bool,
 }
 
-/// How far a frame may be from that of the CPU path in double precision [m]: single precision reaches 1e-6 of the side.
+/// Largest accepted error of a coordinate against the CPU path in double precision [m]. Single precision is
+/// accurate to 1e-6 of the side.
 const TOLERANCE_M: f64 = 2e-5;
-/// Frames that are timed, after one that is not.
+/// Frames that are timed, after one untimed frame.
 const FRAMES: usize = 5;
 
 #[derive(serde::Serialize)]
 struct Report {
     device: String,
-    /// What keeps it from running.
+    /// Why it cannot run, if it cannot.
     problem: Option<String>,
     /// Largest error of the self-test [m].
     error_m: Option<f64>,
     passed: bool,
-    /// Whether it computes something wrong, or is the CPU path and does not run.
+    /// Whether it computes wrong results, or is the CPU path and does not run.
     failed: bool,
     /// Milliseconds per frame by grid size.
     ms_per_frame: Vec<(usize, f64)>,
@@ -50,7 +51,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     if !args.json {
         writeln!(out, "fnopt {}", env!("CARGO_PKG_VERSION"))?;
         if found.is_empty() {
-            writeln!(out, "no adapters (a software one: Debian's package mesa-vulkan-drivers)")?;
+            writeln!(out, "no adapters (Debian's package mesa-vulkan-drivers provides a software one)")?;
         }
         for (i, adapter) in found.iter().enumerate() {
             describe(&mut out, i, adapter)?;
@@ -83,8 +84,9 @@ impl Report {
         Self { device, problem: Some(problem), error_m: None, passed: false, failed: false, ms_per_frame }
     }
 
-    /// What came of the self-test (its error) and the timings. An adapter that cannot run fnopt is a fact; one that runs
-    /// it wrongly is a failure, and so is a CPU path that does not run.
+    /// Builds the report from the outcome of the self-test (its error) and the timings. An adapter that
+    /// cannot run fnopt is not a failure. One that computes wrong results is, and so is a CPU path that does
+    /// not run.
     fn of(device: String, on_cpu: bool, outcome: fnopt::Result<Measured>) -> Self {
         match outcome {
             Ok((error, ms_per_frame)) => {
@@ -117,8 +119,8 @@ fn examine(name: String, open: impl FnOnce() -> fnopt::Result<Device>) -> Report
     Report::of(name, on_cpu, outcome)
 }
 
-/// Largest distance of a coordinate from where the CPU path in double precision has it after the first frame of the default
-/// scene [m].
+/// Returns the largest difference of a coordinate from the CPU path in double precision after the first frame
+/// of the default scene [m].
 fn self_test(device: &Device, optimizer: &Optimizer) -> fnopt::Result<f64> {
     let setup = Scene::default().setup()?;
     let mut simulator = Simulator::new(device, &setup.model, optimizer, 10)?;
@@ -147,7 +149,7 @@ fn time(device: &Device, optimizer: &Optimizer, n: usize) -> fnopt::Result<f64> 
     Ok(median(&times))
 }
 
-/// Features and limits that matter here.
+/// The features and limits that matter to fnopt.
 fn facts(adapter: &AdapterSummary) -> [(&'static str, String); 7] {
     let has = |feature| if adapter.features.contains(feature) { "yes" } else { "no" }.to_owned();
     let limits = &adapter.limits;

@@ -1,4 +1,4 @@
-//! `fnopt fit-material`: finds the material of recorded trajectories.
+//! `fnopt fit-material`: fits the material to recorded trajectories.
 
 use super::output::{output, tell};
 use super::{
@@ -6,7 +6,7 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Error;
-use fnopt::eval::fit::{Fit, PARAMETERS, Point, Surface};
+use fnopt::eval::fit::{ErrorSurface, Fit, PARAMETERS, Point};
 use fnopt::eval::{Physics, Sequence, Settings};
 use fnopt::io::write_atomic;
 use fnopt::scene::{Moduli, Stiffness};
@@ -25,19 +25,19 @@ pub struct Args {
     /// Folder of sequences, as for evaluate
     #[arg(long, default_value = SHIPPED_SEQUENCES, value_name = "DIR")]
     ground_truth: PathBuf,
-    /// Sequences whose mean error counts [default: all]
+    /// Sequences over which the error is averaged [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
-    /// Grid that is simulated on
+    /// Grid to simulate on
     #[arg(long, num_args = 1..=2, value_name = "N|HxW|H W", default_value = "32")]
     grid: Vec<String>,
-    /// Frames of each sequence, the start included [default: all]
+    /// Frames of each sequence, including the start [default: all]
     #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(2..))]
     frames: Option<u32>,
     /// Points sampled from each surface
     #[arg(long, default_value_t = 3000, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_POINTS))]
     points: u32,
-    /// Range of the stretch coefficient; one number to keep it
+    /// Range of the stretch coefficient, or one number to fix it
     #[arg(long, value_delimiter = ',', default_value = "300,10000", value_name = "LOW,HIGH")]
     stretch: Vec<f64>,
     /// Range of the shear coefficient
@@ -55,14 +55,14 @@ pub struct Args {
     /// Range of the frame time [s] [default: the first sequence's]
     #[arg(long, value_delimiter = ',', value_name = "LOW,HIGH")]
     frame_time: Option<Vec<f64>>,
-    /// Values of each parameter in the coarse grid
+    /// Values per parameter in the coarse grid
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=50))]
     levels: u32,
-    /// Rounds of refinement around the best point, the step halved in each
+    /// Rounds of refinement around the best point, halving the step in each
     #[arg(long, default_value_t = 3, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=30))]
     rounds: u32,
-    /// File of the errors (CSV); what it holds already is not computed again. The best set is written beside it, with the ending
-    /// json, as `evaluate --material` reads it
+    /// File of the errors (CSV); points that it already holds are not computed again. The best set is written
+    /// next to it, with the extension json, for `evaluate --material`
     #[arg(long, default_value = "out/fit.csv", value_name = "FILE")]
     out: PathBuf,
 }
@@ -70,7 +70,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result<Ending> {
     let best = args.out.with_extension("json");
     if best == args.out {
-        let expected = "another ending than that of the best set beside it";
+        let expected = "an extension other than json, which the best set has";
         return Err(Error::invalid("--out", "file", expected, args.out.display()).into());
     }
     let sequences = sequences(&args.ground_truth, args.sequences.as_deref())?;
@@ -80,7 +80,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         sequences: &sequences,
         grid: one_grid(&args.grid)?,
         settings: Settings {
-            // Replaced by those of each point.
+            // Replaced by the physics of each point.
             physics: Physics::default(),
             points: args.points as usize,
             frames: args.frames.map_or(usize::MAX, |frames| frames as usize),
@@ -91,7 +91,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     };
     writable_file(&args.out)?;
     writable_file(&best)?;
-    let mut surface = Surface::load(&args.out, &fit)?;
+    let mut surface = ErrorSurface::load(&args.out, &fit)?;
     let style = ProgressStyle::with_template("{spinner} {pos} points tried, {elapsed}  {msg}");
     let bar = ProgressBar::new_spinner().with_style(style.expect("the template is valid"));
     bar.set_position(fit.found(&surface).len() as u64);
@@ -99,8 +99,8 @@ pub fn run(args: &Args) -> Result<Ending> {
     let interrupted = interrupt_flag();
     let tick = || go_on(&interrupted);
     let outcome = fit.search(&mut surface, tick, |surface, left| {
-        // With what another search has found since.
-        let mut all = Surface::load(&args.out, &fit)?;
+        // Merged with what another search has found in the meantime.
+        let mut all = ErrorSurface::load(&args.out, &fit)?;
         all.add(surface);
         all.write(&args.out)?;
         let sorted = fit.found(surface);
@@ -111,7 +111,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     });
     bar.finish_and_clear();
     outcome?;
-    surface.add(&Surface::load(&args.out, &fit)?);
+    surface.add(&ErrorSurface::load(&args.out, &fit)?);
     let found = fit.found(&surface).first().copied().filter(|(_, error)| error.is_finite());
     if let Some((point, error)) = found {
         let mut document = args.document(&point, fit.grid, &sequences)?;
@@ -131,14 +131,15 @@ pub fn run(args: &Args) -> Result<Ending> {
         writeln!(out, "the best of them: {}", best.display())?;
     }
     if tick().is_break() {
-        tell!("interrupted; run again to go on");
+        tell!("interrupted; run again to continue");
         return Ok(Ending::Interrupted);
     }
     Ok(Ending::Done)
 }
 
 impl Args {
-    /// A point as physics: air and frame time where they were asked for, else the sequences' own.
+    /// Returns a point as physics: air and frame time are the point's if they are fitted, else the sequences'
+    /// own.
     fn physics(&self, &[stretch, shear, bend, density, drag, frame_time]: &Point) -> Physics {
         Physics {
             stiffness: Stiffness::Grid(Material { stretch, shear, bend }),
@@ -148,8 +149,8 @@ impl Args {
         }
     }
 
-    /// A point as `--material` reads it: in moduli, which are the same cloth on every grid, with the coefficients beside them; in
-    /// coefficients where the sequences are not of one cloth.
+    /// Returns a point in the format of `--material`: as moduli, which describe the same cloth on every grid,
+    /// together with the coefficients, or as coefficients alone if the sequences differ in their cloth.
     fn document(
         &self,
         point: &Point,
@@ -172,7 +173,8 @@ impl Args {
         Ok(in_moduli)
     }
 
-    /// Air and frame time of the sequences, which must be alike where they are not fitted: a point has one value of each.
+    /// Returns the air and the frame time of the sequences. Fails if they differ and are not fitted: a point
+    /// has one value of each.
     fn kept(&self, sequences: &[Sequence]) -> fnopt::Result<[f64; 3]> {
         let first = sequences[0].air_and_frame_time();
         let fitted = [&self.density, &self.drag, &self.frame_time].map(Option::is_some);
@@ -188,7 +190,8 @@ impl Args {
         Ok(first)
     }
 
-    /// Smallest and largest value of each parameter; `kept` are those of air and frame time that are not fitted.
+    /// Returns the smallest and largest value of each parameter. `kept` holds air and frame time, for those
+    /// that are not fitted.
     fn ranges(&self, kept: [f64; 3]) -> fnopt::Result<[[f64; 2]; 6]> {
         let range = |name: &str, given: Option<&Vec<f64>>, kept: f64| {
             let Some(values) = given else { return Ok([kept; 2]) };

@@ -1,4 +1,4 @@
-//! `fnopt inspect`: what a checkpoint holds.
+//! `fnopt inspect`: shows the contents of a checkpoint.
 
 use super::Ending;
 use super::output::output;

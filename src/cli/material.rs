@@ -1,4 +1,4 @@
-//! `--material`: what the cloth is made of.
+//! `--material`: the energy coefficients or moduli of the cloth.
 
 use super::numbers;
 use fnopt::eval::Physics;
@@ -6,15 +6,15 @@ use fnopt::scene::Stiffness;
 use fnopt::sim::Material;
 use fnopt::{Error, Result};
 
-/// The fitted material.
+/// The fitted material, as JSON.
 const FITTED: &str = include_str!("../../assets/materials/arcsim.json");
 
-/// The fitted material.
+/// Parses the fitted material.
 pub fn fitted() -> Result<Physics> {
     Physics::parse(FITTED, "the fitted material")
 }
 
-/// Three energy coefficients, or a file.
+/// Reads `--material`: three energy coefficients, or a file.
 pub fn read(text: &str) -> Result<Physics> {
     if !text.contains(',') && text.parse::<f64>().is_err() {
         let content = std::fs::read_to_string(text).map_err(|e| Error::io(text, "cannot read", e))?;

@@ -1,4 +1,4 @@
-//! Subcommands and what they share.
+//! Subcommands and the code they share.
 
 mod bench;
 mod device;
@@ -31,11 +31,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tracing_subscriber::{EnvFilter, filter::LevelFilter};
 
-/// Neural cloth: simulates a cloth with a Fourier neural operator trained to be an optimizer.
+/// Simulate cloth with a Fourier neural operator trained as an optimizer
 ///
-/// Exit codes: 0 done, 1 a check failed (verify, doctor, inspect, evaluate --suite), 2 bad input or environment,
-/// 3 the simulation or the loss became non-finite, 130 interrupted (what is finished is kept, but for tune). Logs go to stderr;
-/// FNOPT_LOG=info also tells which scene, weights and tuning are used.
+/// Exit codes: 0 success; 1 a check failed (verify, doctor, inspect, evaluate --suite); 2 bad input or
+/// environment; 3 the simulation or the loss became non-finite; 130 interrupted (finished work is kept,
+/// except by tune). Logs go to stderr; FNOPT_LOG=info also logs the scene, weights and tuning in use.
 #[derive(Debug, Parser)]
 #[command(name = "fnopt", version)]
 pub struct Cli {
@@ -47,55 +47,57 @@ pub struct Cli {
 enum Command {
     /// Simulate a scene and write positions, a report and pictures
     Rollout(rollout::Args),
-    /// Train weights of the learned optimizer
+    /// Train weights for the learned optimizer
     Train(train::Args),
-    /// Compare solvers with recorded trajectories, in tables
+    /// Compare solvers with recorded trajectories and print tables
     Evaluate(Box<evaluate::Args>),
     /// Find the material that brings the converged simulation closest to recorded trajectories
     FitMaterial(fit_material::Args),
     /// Check every stage against a folder of golden files
     ///
-    /// On the CPU each file is checked in double and in single precision; --device auto adds a hardware adapter if there
-    /// is one.
+    /// On the CPU, each file is checked in double and in single precision; --device auto also checks on a
+    /// hardware adapter if there is one.
     Verify(verify::Args),
-    /// Show what this machine can run, test it and time it
+    /// List the devices of this machine, test them and time them
     Doctor(doctor::Args),
-    /// Show what a checkpoint holds
+    /// Show the contents of a checkpoint
     Inspect(inspect::Args),
-    /// Time frames, kernels and their recording
+    /// Time frames, kernels and command recording
     Bench(bench::Args),
-    /// Find the tile sizes that suit this machine's adapter and keep them
+    /// Find and store the fastest tile sizes for this machine's adapter
     Tune(tune::Args),
 }
 
-/// How a subcommand ended when it did not fail.
+/// How a subcommand that did not fail ended.
 pub enum Ending {
     /// All done.
     Done,
     /// A check failed.
     CheckFailed,
-    /// The simulation or the loss became non-finite; this was told and what was before it is kept.
+    /// The simulation or the loss became non-finite. This has been reported, and the results before it are
+    /// kept.
     NonFinite,
-    /// Ctrl-C; what was computed so far is kept.
+    /// Ctrl-C or SIGTERM; finished work is kept, except by `tune`.
     Interrupted,
 }
 
-/// Points that are sampled from a surface at most.
+/// Most points sampled from a surface.
 const MOST_POINTS: i64 = 10_000_000;
-/// Iterations of a frame at most.
+/// Most iterations per frame.
 const MOST_ITERATIONS: i64 = 100_000;
-/// Particles of all cloths that are timed together at most: the host keeps some 200 bytes of each.
+/// Most particles, over all cloths, that are timed together: the host keeps some 200 bytes per particle.
 const MOST_PARTICLES: usize = 1 << 26;
 
-/// The environment's variable that says what is logged.
+/// The environment variable that selects what is logged.
 const LOG: &str = "FNOPT_LOG";
 
-/// Begins to log what FNOPT_LOG asks for; without it warnings. What wgpu tells through another facade is not among it.
+/// Starts logging to stderr what `FNOPT_LOG` selects, or warnings if it is not set. wgpu's own messages,
+/// which go through the `log` crate, are not included.
 pub fn log_to_stderr() -> Result<()> {
     let wanted = std::env::var_os(LOG).filter(|wanted| !wanted.is_empty()).unwrap_or("warn".into());
     let invalid = |found| Error::invalid(LOG, "filter", "a level such as info, or TARGET=LEVEL,..", found);
     let text = wanted.to_str().ok_or_else(|| invalid(wanted.display().to_string()))?;
-    // A word that is no level would be the name of a module, of which there are none but ours.
+    // EnvFilter takes a word that is not a level for the name of a module, and only our own modules log.
     let is_known = |word: &str| {
         word.contains(['=', '[']) || word.starts_with("fnopt") || word.parse::<LevelFilter>().is_ok()
     };
@@ -111,14 +113,14 @@ pub fn log_to_stderr() -> Result<()> {
     Ok(())
 }
 
-/// Runs the command line and tells how it ended.
+/// Runs the command line and returns its exit code.
 pub fn run(cli: Cli) -> ExitCode {
-    // Where a container or a batch system grants no threads, this is said before anything waits for them.
+    // If a container or batch system grants no threads, report it before anything waits for them.
     if let Err(error) = rayon::ThreadPoolBuilder::new().build_global() {
-        tell!("error: threads: expected to start {}: {error}", rayon_threads());
+        tell!("error: threads: cannot start {}: {error}", rayon_threads());
         return ExitCode::from(2);
     }
-    // What `tune` compiles beside the best is not needed again.
+    // `tune` compiles pipelines for many tunings, most of which are never used again.
     let stores = !matches!(cli.command, Command::Tune(_));
     let ending = match cli.command {
         Command::Rollout(args) => rollout::run(&args),
@@ -146,22 +148,22 @@ pub fn run(cli: Cli) -> ExitCode {
     }
 }
 
-/// What tells how many threads there are to be.
+/// Describes how many threads are to start, and what sets their number.
 fn rayon_threads() -> String {
     match std::env::var("RAYON_NUM_THREADS") {
         Ok(count) => format!("{count} (RAYON_NUM_THREADS)"),
-        Err(_) => "one for each core (RAYON_NUM_THREADS may ask for fewer)".into(),
+        Err(_) => "one per core (set RAYON_NUM_THREADS for fewer)".into(),
     }
 }
 
-/// Which optimizer, with which weights.
+/// Options that choose the optimizer, its weights and its iterations.
 #[derive(Debug, clap::Args)]
 pub struct SolverArgs {
-    /// Optimizer of each frame: fnopt (learned), gd, adam, lbfgs, quasi-newton; on the CPU alone quasi-newton-exact, and newton,
-    /// which converges whatever the number of iterations
+    /// Optimizer for each frame: fnopt (learned), gd, adam, lbfgs or quasi-newton; on the CPU only,
+    /// quasi-newton-exact or newton, which runs to convergence whatever the number of iterations
     #[arg(long, default_value = "fnopt", value_name = "S")]
     solver: String,
-    /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]
+    /// Weights of the learned optimizer, a safetensors file [default: the weights that ship with the program]
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Iterations per frame
@@ -170,7 +172,7 @@ pub struct SolverArgs {
 }
 
 impl SolverArgs {
-    /// The optimizer, its weights read and checked.
+    /// Returns the optimizer, with its weights read and checked.
     pub fn optimizer(&self) -> Result<Optimizer> {
         let weights = || load_weights(self.checkpoint.as_deref());
         let optimizer = Optimizer::named(&self.solver, "--solver", weights)?;
@@ -189,18 +191,18 @@ impl SolverArgs {
     }
 }
 
-/// The weights in a file, or those that come with the program.
+/// Loads the weights from a file, or those that ship with the program.
 pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
     let weights = match path {
         Some(path) => Weights::load(path)?,
         None => Weights::shipped(),
     };
-    let from = path.map_or("those that come with the program".into(), |path| path.display().to_string());
+    let from = path.map_or("shipped with the program".into(), |path| path.display().to_string());
     tracing::info!("weights: {from}, {} parameters", weights.parameter_count());
     Ok(weights)
 }
 
-/// A grid as options give it: `32` for 32x32, or `48x32`.
+/// Parses a grid option: `32` for 32x32, or `48x32`.
 pub fn grid(text: &str) -> fnopt::Result<Grid> {
     let (h, w) = text.split_once('x').unwrap_or((text, text));
     match (h.parse(), w.parse()) {
@@ -209,7 +211,7 @@ pub fn grid(text: &str) -> fnopt::Result<Grid> {
     }
 }
 
-/// Several of them.
+/// Parses several grids and drops duplicates.
 pub fn grids(texts: &[String]) -> fnopt::Result<Vec<Grid>> {
     let mut grids: Vec<Grid> = Vec::new();
     for text in texts {
@@ -221,30 +223,31 @@ pub fn grids(texts: &[String]) -> fnopt::Result<Vec<Grid>> {
     Ok(grids)
 }
 
-/// As many numbers as asked for, with commas between them; nothing of other texts.
+/// Parses exactly `N` comma-separated numbers. Returns `None` for any other text.
 pub fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let numbers: Option<Vec<f64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
     numbers?.try_into().ok()
 }
 
-/// A single one, whose height and width may also be two values.
+/// Parses a single grid, whose height and width may also be two values.
 pub fn one_grid(values: &[String]) -> fnopt::Result<Grid> {
     if let [_, width] = values
         && width.parse::<usize>().is_err()
     {
-        let expected = "N, HxW or H W; the name of a file goes before it";
+        let expected = "N, HxW or H W, with any file name before --grid";
         return Err(Error::invalid("--grid", "grid", expected, values.join(" ")));
     }
     grid(&values.join("x"))
 }
 
-/// Where the sequence that ships is, in a checkout's root.
+/// Folder of the sequence that ships, relative to the root of a checkout.
 pub const SHIPPED_SEQUENCES: &str = "assets/ground_truth";
 
-/// The sequences of a folder, those that are named or all of them, and what is wrong with one.
+/// Loads the named sequences of a folder, or all of them. A sequence that cannot be loaded does not affect
+/// the others.
 pub fn sequences(folder: &Path, named: Option<&[String]>) -> fnopt::Result<Vec<fnopt::Result<Sequence>>> {
     if folder == Path::new(SHIPPED_SEQUENCES) && !folder.exists() {
-        let expected = "a folder of sequences; the one that ships is in the root of a checkout";
+        let expected = "a folder of sequences (the default is relative to the root of a checkout)";
         return Err(Error::invalid(
             "--ground-truth",
             "folder",
@@ -255,7 +258,7 @@ pub fn sequences(folder: &Path, named: Option<&[String]>) -> fnopt::Result<Vec<f
     Sequence::load_all(folder, named)
 }
 
-/// The default scene on a grid, as many times as there are cloths.
+/// Sets up a batch of copies of the default scene on a grid. Fails if they have too many particles.
 pub fn default_scenes(grid: Grid, batch: usize) -> Result<Batch> {
     let most = MOST_PARTICLES / grid.particles();
     if batch > most {
@@ -266,14 +269,14 @@ pub fn default_scenes(grid: Grid, batch: usize) -> Result<Batch> {
     Setup::batch(&vec![scene.setup()?; batch])
 }
 
-/// Makes sure that a folder is there and can be written into, before anything is computed.
+/// Creates a folder if necessary, and checks before any computation that files can be written into it.
 pub fn writable_folder(folder: &Path) -> Result<()> {
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
     tempfile::tempfile_in(folder).map_err(|e| Error::io(folder, "cannot write into the folder", e))?;
     Ok(())
 }
 
-/// [`writable_folder`] for the folder of a file, which must not be one itself.
+/// Applies [`writable_folder`] to the folder of a file. Fails if the path itself is a folder.
 pub fn writable_file(path: &Path) -> Result<()> {
     if path.is_dir() {
         return Err(Error::invalid(path.display().to_string(), "type", "a file", "a folder"));
@@ -285,41 +288,41 @@ pub fn writable_file(path: &Path) -> Result<()> {
     writable_folder(path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))
 }
 
-/// Whether to go on: not once Ctrl-C has set the flag.
+/// Returns `Break` once Ctrl-C has set the flag.
 pub fn go_on(interrupted: &AtomicBool) -> ControlFlow<()> {
     if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
-/// Set by Ctrl-C, and by SIGTERM, with which batch systems and launchers end what they started; a second one ends the process
-/// at once.
+/// Returns a flag that is set by Ctrl-C, and by SIGTERM, which batch systems and launchers send to end a
+/// process. A second signal ends the process at once.
 pub fn interrupt_flag() -> Arc<AtomicBool> {
     let flag = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
-        // In this order: the first one finds the flag unset.
+        // In this order, so that the first signal finds the flag unset.
         let installed = signals::register_conditional_shutdown(signal, 130, flag.clone())
             .and_then(|_| signals::register(signal, flag.clone()));
         if let Err(error) = installed {
-            tracing::warn!("signal {signal} will not keep what was computed so far: {error}");
+            tracing::warn!("signal {signal} will discard the results so far: {error}");
         }
     }
     #[cfg(unix)]
-    if let Err(error) = tell_what_is_waited_for() {
-        tracing::warn!("Ctrl-C will not be answered at once: {error}");
+    if let Err(error) = acknowledge_ctrl_c() {
+        tracing::warn!("Ctrl-C will not be acknowledged at once: {error}");
     }
     flag
 }
 
-/// A frame of many iterations, or a step of a large run, may take long: where Ctrl-C does not end the process within a second, it is
-/// said to have been heard.
+/// Acknowledges Ctrl-C on stderr if the process has not ended within a second: a frame of many iterations, or
+/// a step of a large run, may take long.
 #[cfg(unix)]
-fn tell_what_is_waited_for() -> std::io::Result<()> {
+fn acknowledge_ctrl_c() -> std::io::Result<()> {
     use std::io::Read;
     let (mut heard, signalled) = std::os::unix::net::UnixStream::pair()?;
     signal_hook::low_level::pipe::register(SIGINT, signalled)?;
     std::thread::Builder::new().name("ctrl-c".into()).spawn(move || {
         if heard.read_exact(&mut [0]).is_ok() {
             std::thread::sleep(std::time::Duration::from_secs(1));
-            tell!("interrupted: finishing what is under way; again to end at once");
+            tell!("interrupted: finishing the work in progress; Ctrl-C again to end at once");
         }
     })?;
     Ok(())

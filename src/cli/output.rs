@@ -1,9 +1,10 @@
-//! What a command tells: results on stdout, all else on stderr. That nobody listens changes nothing about how it ends.
+//! Output of the commands: results on stdout, everything else on stderr. A reader that goes away does not
+//! change how a command ends.
 
 use std::io::{ErrorKind, Result, StdoutLock, Write};
 
-/// Prints a line on stderr, in one piece. A log whose disk is full, or a terminal that was closed, is no reason to end hours
-/// of work.
+/// Prints a line to stderr in a single write. Errors are ignored: a full disk under a log or a closed
+/// terminal is no reason to end hours of work.
 macro_rules! tell {
     ($($line:tt)*) => {{
         let line = format!($($line)*) + "\n";
@@ -12,19 +13,19 @@ macro_rules! tell {
 }
 pub(crate) use tell;
 
-/// The standard output, until its reader has had enough (`fnopt inspect X | head`): what comes after that goes nowhere.
+/// Standard output. Once its reader has gone away (`fnopt inspect X | head`), further output is discarded.
 pub struct Output {
     to: StdoutLock<'static>,
     closed: bool,
 }
 
-/// Takes the standard output.
+/// Locks standard output.
 pub fn output() -> Output {
     Output { to: std::io::stdout().lock(), closed: false }
 }
 
 impl Output {
-    /// Whether nobody reads it any more.
+    /// Whether the reader has gone away.
     pub fn is_closed(&self) -> bool {
         self.closed
     }

@@ -1,4 +1,4 @@
-//! `fnopt rollout`: simulates a scene and writes what came of it.
+//! `fnopt rollout`: simulates a scene and writes the results.
 
 use super::device::InferenceArgs;
 use super::output::{output, tell};
@@ -9,7 +9,7 @@ use anyhow::Result;
 use fnopt::eval::{FreeEdges, STRETCH_LIMIT, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
-use fnopt::scene::{Motion, Scene, Separation, Setup};
+use fnopt::scene::{Motion, RepulsionSettings, Scene, Setup};
 use fnopt::sim::{Frame, FrameStats, Optimizer};
 use fnopt::{Error, io};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -21,29 +21,30 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Scene file (JSON) [default: a sheet hanging from two corners that move along xy_v2, in air]
     scene: Option<PathBuf>,
-    /// Motion of the handles: a built-in name such as xy_v2, yz, rot_h0, updown_opp, `none`, or a .npy of [frames, handles, 3] metres
+    /// Motion of the handles: a built-in one such as xy_v2, yz, rot_h0 or updown_opp, `none`, or a .npy of
+    /// [frames, handles, 3] metres
     #[arg(long, value_name = "M")]
     motion: Option<String>,
-    /// Particles along the height and the width. Energy coefficients stay, with which a finer grid is a softer cloth; moduli make it
-    /// the same
+    /// Particles along the height and the width. Energy coefficients are kept, so a finer grid is a softer
+    /// cloth; with moduli it is the same cloth
     #[arg(long, num_args = 1..=2, value_name = "N|HxW|H W")]
     grid: Option<Vec<String>>,
-    /// Energy coefficients stretch, shear, bend, or a JSON file with them, or with moduli, under "material" as in a scene; density
-    /// and drag of its "wind" and its "frame_time_s" count too
+    /// Energy coefficients stretch, shear, bend, or a JSON file with coefficients or moduli under "material"
+    /// as in a scene; its "frame_time_s" and the density and drag of its "wind" apply too
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
-    /// Keep the layers of the cloth apart, as "repulsion" in a scene does: with the numbers of the scene, else the usual ones, or
-    /// with these
+    /// Keep the layers of the cloth apart, as "repulsion" in a scene does, with these values or else the
+    /// scene's or the default ones
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "", value_name = "STRENGTH,DISTANCE")]
     repulsion: Option<String>,
-    /// Frames to simulate, the start included
+    /// Frames to simulate, including the start
     #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
     #[command(flatten)]
     solver: SolverArgs,
     #[command(flatten)]
     device: InferenceArgs,
-    /// Folder to write into
+    /// Folder to write to
     #[arg(long, default_value = "out", value_name = "DIR")]
     out: PathBuf,
     /// Formats of the positions: npz, npy, obj, ply, pc2
@@ -57,11 +58,11 @@ pub struct Args {
     json: bool,
 }
 
-/// Name of the files that are written.
+/// Base name of the output files.
 const NAME: &str = "rollout";
 /// Name of the report.
 const REPORT: &str = "report.json";
-/// Name of the file of the last good state.
+/// Base name of the file of the last good state.
 const REPLAY: &str = "replay";
 
 pub fn run(args: &Args) -> Result<Ending> {
@@ -69,8 +70,8 @@ pub fn run(args: &Args) -> Result<Ending> {
     let setup = scene.setup()?;
     tracing::info!("scene: {}, {} frames of {}", scene.origin, setup.frames(), setup.model.grid);
     let optimizer = args.solver.optimizer()?;
-    args.spare(&scene)?;
-    args.format.iter().try_for_each(|format| format.holds(setup.frames(), "--format"))?;
+    args.check_inputs_are_kept(&scene)?;
+    args.format.iter().try_for_each(|format| format.check_capacity(setup.frames(), "--format"))?;
     let trajectory = setup.trajectory()?;
     let solver = (&optimizer, args.solver.iterations());
     let (mut simulator, device, line) = args.device.simulator(&setup.model, solver)?;
@@ -95,7 +96,7 @@ pub fn run(args: &Args) -> Result<Ending> {
 }
 
 impl Args {
-    /// The scene with what the command line changes in it.
+    /// Returns the scene with the changes made on the command line.
     fn scene(&self) -> Result<Scene> {
         let mut scene = match &self.scene {
             Some(path) => Scene::load(path)?,
@@ -119,21 +120,21 @@ impl Args {
         Ok(scene)
     }
 
-    /// Makes sure that no file which the scene is read from is written over.
-    fn spare(&self, scene: &Scene) -> Result<()> {
+    /// Returns an error if an output file would overwrite a file that the scene is read from.
+    fn check_inputs_are_kept(&self, scene: &Scene) -> Result<()> {
         let same =
             |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
         let written = [self.files(), vec![self.replay()]].concat();
         match scene.files().find(|read| written.iter().any(|file| same(read, file))) {
             Some(read) => {
-                let expected = "a folder whose files the scene is not read from";
+                let expected = "one in which no file that the scene reads is overwritten";
                 Err(Error::invalid("--out", "folder", expected, read.display()).into())
             }
             None => Ok(()),
         }
     }
 
-    /// The files that will be written, frames in folders of their own aside.
+    /// The files that will be written, except those in folders of frames.
     fn files(&self) -> Vec<PathBuf> {
         let endings = |format: &Format| match format {
             Format::Obj | Format::Ply => vec![],
@@ -153,29 +154,29 @@ impl Args {
         self.format.iter().filter(frames).map(|format| self.out.join(format!("{NAME}_{format}"))).collect()
     }
 
-    /// Where the last good state is kept when a simulation becomes non-finite.
+    /// Where the last good state is kept if the simulation becomes non-finite.
     fn replay(&self) -> PathBuf {
         self.out.join(format!("{REPLAY}.npz"))
     }
 }
 
-/// The repulsion that `--repulsion` asks for: where it tells no numbers, that of the scene or the usual one.
-fn repulsion(text: &str, of_scene: Option<Separation>) -> Result<Separation> {
+/// Parses `--repulsion`. Without numbers, returns the scene's repulsion or the default one.
+fn repulsion(text: &str, of_scene: Option<RepulsionSettings>) -> Result<RepulsionSettings> {
     if text.is_empty() {
         return Ok(of_scene.unwrap_or_default());
     }
     let [strength, distance] = numbers(text)
         .ok_or_else(|| Error::invalid("--repulsion", "value", "two numbers, STRENGTH,DISTANCE", text))?;
-    Ok(Separation { strength, distance })
+    Ok(RepulsionSettings { strength, distance })
 }
 
-/// A bar on stderr, hidden when that is no terminal.
+/// Returns a progress bar on stderr, hidden if that is not a terminal.
 fn progress(frames: usize) -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left  {msg}");
     ProgressBar::new(frames as u64).with_style(style.expect("the template is valid"))
 }
 
-/// A run and what it keeps of its frames.
+/// A run and what it keeps of each frame.
 struct Run<'a> {
     args: &'a Args,
     scene: &'a Scene,
@@ -184,9 +185,9 @@ struct Run<'a> {
     device: String,
     trajectory: Trajectory,
     per_frame: Vec<PerFrame>,
-    /// The edges away from the handles, and the largest `|edge| - 1` of them so far.
+    /// The edges away from the handles, and the largest `|edge| - 1` among them so far.
     edges: FreeEdges,
-    torn: f64,
+    largest_free_stretch: f64,
 }
 
 #[derive(serde::Serialize)]
@@ -216,12 +217,22 @@ impl<'a> Run<'a> {
         (device, trajectory): (String, Trajectory),
     ) -> Self {
         let edges = FreeEdges::new(&setup.model, 0);
-        Self { args, scene, setup, optimizer, device, trajectory, per_frame: Vec::new(), edges, torn: 0.0 }
+        Self {
+            args,
+            scene,
+            setup,
+            optimizer,
+            device,
+            trajectory,
+            per_frame: Vec::new(),
+            edges,
+            largest_free_stretch: 0.0,
+        }
     }
 
     fn keep(&mut self, frame: &Frame) {
         self.setup.push(&mut self.trajectory, &frame.state);
-        self.torn = self.torn.max(self.edges.largest(&frame.state.x));
+        self.largest_free_stretch = self.largest_free_stretch.max(self.edges.largest(&frame.state.x));
         let stats = frame.stats[0];
         self.per_frame.push(PerFrame {
             frame: frame.index,
@@ -231,7 +242,7 @@ impl<'a> Run<'a> {
         });
     }
 
-    /// Writes the frames, whatever ended the run, and tells how it ended.
+    /// Writes the frames, however the run ended, and reports how it ended.
     fn end(&self, outcome: fnopt::Result<()>) -> Result<Ending> {
         let status = match &outcome {
             Ok(()) if self.per_frame.len() + 1 < self.setup.frames() => Status::Interrupted,
@@ -254,7 +265,7 @@ impl<'a> Run<'a> {
             Ok(()) => Ending::Done,
             Err(error @ Error::NonFinite { .. }) if !written.is_empty() => {
                 let replay = self.write_replay()?.display().to_string();
-                tell!("error: {error}; the frames before it are kept, the last good state is {replay}");
+                tell!("error: {error}; the frames before it are kept; the last good state is in {replay}");
                 Ending::NonFinite
             }
             Err(error) => {
@@ -264,23 +275,23 @@ impl<'a> Run<'a> {
                 return Err(error.into());
             }
         };
-        if self.torn > STRETCH_LIMIT {
-            let percent = 100.0 * self.torn;
+        if self.largest_free_stretch > STRETCH_LIMIT {
+            let percent = 100.0 * self.largest_free_stretch;
             tell!(
-                "warning: an edge away from the handles was stretched by {percent:.0} %, as no cloth is: this is not sound"
+                "warning: an edge away from the handles was stretched by {percent:.0} %, more than any cloth: the rollout is not sound"
             );
         }
         self.summarise(status, &written)?;
         Ok(ending)
     }
 
-    /// Median time after the warm-up, or of all frames when there are no more.
+    /// Returns the median time per frame after the warm-up, or of all frames if there are no others.
     fn ms_per_frame(&self) -> f64 {
         let times: Vec<f64> = self.per_frame.iter().map(|f| f.ms).collect();
         median_time(&times)
     }
 
-    /// The last good state as a trajectory of one frame.
+    /// Writes the last good state as a trajectory of one frame.
     fn write_replay(&self) -> fnopt::Result<PathBuf> {
         let mut last = Trajectory::new(self.trajectory.grid(), self.trajectory.fps());
         let frame = self.trajectory.frames() - 1;
@@ -288,8 +299,9 @@ impl<'a> Run<'a> {
         last.write(&self.args.out, REPLAY, Format::Npz)
     }
 
-    /// Writes all files but the replay, and removes that of an earlier run: it would be taken for this one's. What cannot be
-    /// written keeps nothing else from it; the files, and the first trouble.
+    /// Writes all files except the replay, and removes the replay of an earlier run, which would be taken for
+    /// this run's. A file that cannot be written does not keep the others from being written. Returns the
+    /// written files and the first error.
     fn write(&self, status: Status) -> (Vec<PathBuf>, Option<Error>) {
         let frames = self.args.format.iter().map(|&format| self.write_frames(format));
         let pictures = (!self.args.no_pictures).then(|| std::iter::once_with(|| self.write_pictures()));
@@ -299,7 +311,8 @@ impl<'a> Run<'a> {
             Err(error) => trouble = trouble.take().or(Some(error)),
         };
         frames.chain(pictures.into_iter().flatten()).for_each(|result| note(result, &mut written));
-        // The report last, which tells what there is of this run: a file of an earlier one may have stayed.
+        // The report goes last and lists the files of this run, because files of an earlier run may be left
+        // over.
         note(self.write_report(status, &written), &mut written);
         (written, trouble)
     }
@@ -380,7 +393,7 @@ impl<'a> Run<'a> {
             writeln!(out, "ms/frame        {:.2}", self.ms_per_frame())?;
             writeln!(out, "energy          {energy:.5} (last frame, grid units)")?;
             writeln!(out, "|gradient|      {gradient:.2e} (last iteration of the last frame)")?;
-            writeln!(out, "largest stretch {:.1} % (of all edges, those at handles too)", 100.0 * stretch)?;
+            writeln!(out, "largest stretch {:.1} % (of all edges, including at handles)", 100.0 * stretch)?;
         }
         for path in written {
             writeln!(out, "wrote           {}", path.display())?;

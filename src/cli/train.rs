@@ -20,25 +20,25 @@ use std::time::Instant;
 pub struct Args {
     /// Configuration (TOML) [default: the paper's recipe, assets/training/paper.toml]
     config: Option<PathBuf>,
-    /// Folder of a new run
+    /// Folder for a new run
     #[arg(long, default_value = "out", value_name = "DIR", conflicts_with = "resume")]
     out: PathBuf,
-    /// Folder of a run to continue; a CONFIG that is given too must be the run's
+    /// Folder of a run to continue; a CONFIG given as well must be the run's
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
     #[command(flatten)]
     device: DeviceArgs,
-    /// End when the run has done N steps; it can be resumed
+    /// Stop once the run has done N steps in all; it can be resumed
     #[arg(long, value_name = "N")]
     steps: Option<u64>,
-    /// End after M minutes; it can be resumed
+    /// Stop after M minutes; the run can be resumed
     #[arg(long, value_name = "M", value_parser = minutes)]
     minutes: Option<f64>,
 }
 
-/// The configuration of a run that is given none.
+/// The configuration if none is given.
 const PAPER: &str = include_str!("../../assets/training/paper.toml");
-/// How that one is named in errors.
+/// Its name in errors.
 const PAPER_NAME: &str = "assets/training/paper.toml";
 
 pub fn run(args: &Args) -> Result<Ending> {
@@ -46,7 +46,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     train(args, &ranks).inspect_err(|error| ranks.abort(error))
 }
 
-/// Trains as one of the ranks; only rank 0 tells how it goes.
+/// Trains as one of the ranks; only rank 0 reports progress.
 fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
     let first = ranks.rank() == 0;
     let given = args.config.as_deref().map(Config::load).transpose()?;
@@ -86,7 +86,7 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
         n => format!(", {n} skipped because they were not finite"),
     };
     let line =
-        format!("{} steps of {} done{skipped}; {folder} holds the run", run.step(), run.config().steps);
+        format!("{} of {} steps done{skipped}; {folder} holds the run", run.step(), run.config().steps);
     if first {
         say_end(end, &line)?;
     }
@@ -97,14 +97,14 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
     })
 }
 
-/// Says how the run ended; `line` says where it is.
+/// Reports how the run ended; `line` counts its steps and names its folder.
 fn say_end(end: End, line: &str) -> std::io::Result<()> {
     match end {
         End::Done => writeln!(output(), "{line}")?,
         End::Interrupted => tell!("interrupted: {line}; continue with --resume"),
         End::NonFinite => {
             tell!(
-                "error: the loss became non-finite and stayed so, or the weights did: {line}, with the weights before, if there were any"
+                "error: the loss stayed non-finite, or the weights became so: {line}, with the last finite weights, if any"
             )
         }
     }
@@ -112,11 +112,11 @@ fn say_end(end: End, line: &str) -> std::io::Result<()> {
 }
 
 impl Args {
-    /// An error if the run has fewer steps than are asked for.
+    /// Returns an error if `--steps` asks for more steps than the run has.
     fn check(&self, config: &Config) -> fnopt::Result<()> {
         match self.steps {
             Some(steps) if steps > config.steps => {
-                let expected = format!("at most {}, the steps of the configuration", config.steps);
+                let expected = format!("at most {}, the number in the configuration", config.steps);
                 Err(Error::invalid("options", "--steps", expected, steps))
             }
             _ => Ok(()),
@@ -128,7 +128,7 @@ impl Args {
             |config: &Config| learner(&self.opened(&**ranks)?, config, &Weights::zeros(config.network));
         let (run, passed_over) = Run::resume(folder, given.as_ref(), learner, ranks.clone())?;
         for error in passed_over {
-            tell!("warning: passed over a damaged checkpoint: {error}");
+            tell!("warning: skipped a damaged checkpoint: {error}");
         }
         if ranks.rank() == 0 {
             tell!("continuing after step {}", run.step());
@@ -136,9 +136,9 @@ impl Args {
         Ok(run)
     }
 
-    /// The device of this rank.
+    /// Opens the device of this rank.
     fn opened(&self, ranks: &dyn Ranks) -> fnopt::Result<Device> {
-        let (device, line) = self.device.open_in_turn(ranks.on_machine())?;
+        let (device, line) = self.device.open_for_process(ranks.local_rank())?;
         let line = match ranks.count() {
             1 => line,
             count => format!("rank {} of {count}: {line}", ranks.rank()),
@@ -148,13 +148,13 @@ impl Args {
     }
 }
 
-/// A number of minutes.
+/// Parses a number of minutes.
 fn minutes(text: &str) -> std::result::Result<f64, String> {
     let minutes = text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0);
     minutes.ok_or_else(|| "expected a number above 0".into())
 }
 
-/// A bar on stderr, hidden when that is no terminal.
+/// Returns a progress bar on stderr, hidden if that is not a terminal.
 fn progress(from: u64, to: u64) -> ProgressBar {
     let style = ProgressStyle::with_template("{bar:30} {pos}/{len} steps, {per_sec}, {eta} left  {msg}");
     let bar = ProgressBar::new(to).with_style(style.expect("the template is valid")).with_position(from);
@@ -162,17 +162,17 @@ fn progress(from: u64, to: u64) -> ProgressBar {
     bar
 }
 
-/// Shows a step, with the minutes that `--minutes` leaves.
+/// Shows a step, with the minutes left if `--minutes` is given.
 fn show(bar: &ProgressBar, progress: &Progress<'_>, minutes: Option<f64>) {
     bar.set_position(progress.step);
     let limit =
-        minutes.map_or_else(String::new, |left| format!(", at most {:.0} minutes more", left.max(0.0)));
+        minutes.map_or_else(String::new, |left| format!(", at most {:.0} minutes left", left.max(0.0)));
     bar.set_message(format!("loss {:.4}{limit}", progress.report.loss()));
     for SceneScore { scene, gap, largest_stretch, stable } in progress.validation.into_iter().flatten() {
         let stable = if *stable { "stable" } else { "UNSTABLE" };
         let gap = gap.map_or_else(String::new, |gap| format!(", energy gap {:.2} %", 100.0 * gap));
         let (step, percent) = (progress.step, 100.0 * largest_stretch);
-        // Also where the bar is hidden, as in a batch job's log.
+        // Printed even if the bar is hidden, as in a batch job's log.
         bar.suspend(|| tell!("step {step}: {scene}: {stable}{gap}, largest stretch {percent:.1} %"));
     }
 }

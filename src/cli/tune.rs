@@ -1,4 +1,4 @@
-//! `fnopt tune`: finds the tile sizes that suit the adapter at hand.
+//! `fnopt tune`: finds the fastest tile sizes for an adapter.
 
 use super::device::{DeviceArgs, DeviceKind};
 use super::output::{output, tell};
@@ -13,13 +13,13 @@ use std::ops::ControlFlow;
 /// Arguments of `fnopt tune`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Grid of the cloths that are timed; what is found serves all grids, batches and precisions of the adapter
+    /// Grid of the cloths to time; the result serves all grids, batches and precisions of the adapter
     #[arg(long, num_args = 1..=2, default_value = "64", value_name = "N|HxW|H W")]
     grid: Vec<String>,
-    /// Cloths that advance together
+    /// Number of cloths simulated together
     #[arg(long, default_value_t = 1, value_name = "B", value_parser = clap::value_parser!(u32).range(1..=4096))]
     batch: u32,
-    /// Adapter to run on, by part of its name or by its number in `fnopt doctor` [default: the best]
+    /// Adapter to run on, by part of its name or by its index in `fnopt doctor` [default: the best]
     #[arg(long, value_name = "NAME|INDEX")]
     adapter: Option<String>,
     #[command(flatten)]
@@ -54,7 +54,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     let best = tune(&context, (&setups.model, &start), &optimizer, args.solver.iterations(), &mut tried)?;
     failed?;
     if go_on(&interrupted).is_break() {
-        tell!("interrupted; nothing is stored");
+        tell!("interrupted; nothing was stored");
         return Ok(Ending::Interrupted);
     }
     let stored = match args.dry_run {
@@ -69,12 +69,12 @@ pub fn run(args: &Args) -> Result<Ending> {
         return Ok(Ending::Done);
     }
     if best == Tuning::table(&context) {
-        writeln!(out, "nothing beats the table's twice: {}", describe(&best))?;
+        writeln!(out, "nothing beats the built-in tuning twice: {}", describe(&best))?;
     } else {
         writeln!(out, "best: {}", describe(&best))?;
     }
     if let Some(path) = stored {
-        writeln!(out, "stored in {}; remove the file to go back", path.display())?;
+        writeln!(out, "stored in {}; remove the file to undo", path.display())?;
     }
     Ok(Ending::Done)
 }

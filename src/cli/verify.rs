@@ -1,4 +1,4 @@
-//! `fnopt verify`: every stage against golden files.
+//! `fnopt verify`: checks every stage against golden files.
 
 use super::Ending;
 use super::device::{DeviceKind, InferenceArgs};

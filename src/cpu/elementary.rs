@@ -326,8 +326,8 @@ mod tests {
         fn with_simd<S: Simd>(self, simd: S) {
             let width = size_of::<T::Lanes<S>>() / size_of::<T>();
             for (sines, cosines) in self.sines.chunks_mut(width).zip(self.cosines.chunks(width)) {
-                let angle = T::angle(simd, T::first(simd, sines), T::first(simd, cosines));
-                T::store(simd, sines, angle);
+                let angle = T::angle(simd, T::load_partial(simd, sines), T::load_partial(simd, cosines));
+                T::store_partial(simd, sines, angle);
             }
         }
     }

@@ -226,5 +226,5 @@ fn minimum_degree(grid: Grid) -> Result<(Vec<usize>, Vec<usize>)> {
 }
 
 fn unsolved(e: impl std::fmt::Debug) -> Error {
-    Error::Device(format!("cpu: the Hessian cannot be factored: {e:?}"))
+    Error::Device(format!("cpu: factoring the Hessian failed: {e:?}"))
 }

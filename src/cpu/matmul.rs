@@ -224,7 +224,7 @@ impl<T: Real> WithSimd for WeightedRows<'_, T> {
             for (&a, &w) in T::lanes::<S>(a).iter().zip(weight) {
                 sum = T::fma(simd, a, w, sum);
             }
-            *out = self.start + T::across(simd, sum);
+            *out = self.start + T::reduce_sum(simd, sum);
         }
     }
 }
@@ -264,7 +264,7 @@ impl<T: Real> WithSimd for LargestRows<'_, T> {
         let largest = T::lanes_mut::<S>(self.largest);
         for row in self.rows.chunks_exact(columns) {
             for (largest, &x) in largest.iter_mut().zip(T::lanes::<S>(row)) {
-                *largest = T::larger(simd, *largest, x);
+                *largest = T::max_lanes(simd, *largest, x);
             }
         }
     }

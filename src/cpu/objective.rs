@@ -16,7 +16,7 @@ pub struct Objective<T> {
     rows: Vec<GradientRows<T>>,
     /// External accelerations plus those of the repulsion [edges / frame^2], shape [B, 3, H, W]; empty if no
     /// cloth repels.
-    pushed: Vec<T>,
+    total_acceleration: Vec<T>,
     /// Gradient dL/da, shape [B, 3, H, W].
     pub(super) grad: Vec<T>,
     /// The norm of the gradient for each component of each cloth, shape [B, 3].
@@ -40,7 +40,7 @@ impl<T: Real> Objective<T> {
     /// Builds the objective for the cloths of `model`, at a = 0.
     pub fn new(model: &Model) -> Self {
         let zeros = || vec![T::zero(); model.batch() * 3 * model.grid.particles()];
-        let pushed = if model.repels() { zeros() } else { Vec::new() };
+        let total_acceleration = if model.repels() { zeros() } else { Vec::new() };
         Self {
             trial: Trials {
                 model: model.clone(),
@@ -50,7 +50,7 @@ impl<T: Real> Objective<T> {
                 slots: model.handle_slots(),
             },
             rows: (0..model.batch()).map(|_| GradientRows::new(model.grid)).collect(),
-            pushed,
+            total_acceleration,
             grad: zeros(),
             norms: vec![0.0; 3 * model.batch()],
         }
@@ -59,9 +59,12 @@ impl<T: Real> Objective<T> {
     /// Replaces the cloths with as many others on the same grid. Panics if the sizes differ.
     pub fn set_model(&mut self, model: &Model) {
         let old = &mut self.trial.model;
-        assert!(model.grid == old.grid && model.batch() == old.batch(), "the sizes stay");
+        assert!(
+            model.grid == old.grid && model.batch() == old.batch(),
+            "grid and batch size must not change"
+        );
         old.clone_from(model);
-        self.pushed.resize(if model.repels() { self.grad.len() } else { 0 }, T::zero());
+        self.total_acceleration.resize(if model.repels() { self.grad.len() } else { 0 }, T::zero());
         self.trial.slots = model.handle_slots();
     }
 
@@ -134,19 +137,19 @@ impl<T: Real> Objective<T> {
     pub fn evaluate(&mut self, state: &State<T>, control: &Control<T>) {
         self.place(state, control);
         let cloth = self.cloth_len();
-        let Self { trial, rows, pushed, grad, norms } = self;
-        pushed.par_chunks_exact_mut(cloth).enumerate().for_each(|(b, pushed)| {
+        let Self { trial, rows, total_acceleration, grad, norms } = self;
+        total_acceleration.par_chunks_exact_mut(cloth).enumerate().for_each(|(b, total_acceleration)| {
             let before = trial.cloth(state, b);
             match trial.model.cloths[b].repulsion {
-                Some(of_cloth) => _ = repulsion(&before, of_cloth, pushed),
-                None => pushed.copy_from_slice(before.f),
+                Some(of_cloth) => _ = repulsion(&before, of_cloth, total_acceleration),
+                None => total_acceleration.copy_from_slice(before.f),
             }
         });
         let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
             let mut of_gradient = trial.cloth(state, b);
-            if !pushed.is_empty() {
+            if !total_acceleration.is_empty() {
                 // The repulsion depends on positions alone, so to the gradient it is an external force.
-                of_gradient.f = &pushed[b * cloth..][..cloth];
+                of_gradient.f = &total_acceleration[b * cloth..][..cloth];
             }
             gradient(&of_gradient, rows, grad);
             for (norm_of, grad) in norms.iter_mut().zip(grad.chunks_exact(cloth / 3)) {

@@ -19,17 +19,17 @@ pub trait Real: Float + FftNum + Default + std::iter::Sum {
     /// Returns `a b + c`, fused if the machine supports it.
     fn fma<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>, c: Self::Lanes<S>) -> Self::Lanes<S>;
     /// Returns `a + b`.
-    fn total<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
+    fn add_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
     /// Returns `a - b`.
-    fn difference<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
+    fn sub_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
     /// Returns `a b`.
-    fn product<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
+    fn mul_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
     /// Returns `a / b`.
-    fn quotient<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
+    fn div_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
     /// Returns the square root.
-    fn root<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self::Lanes<S>;
+    fn sqrt_lanes<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self::Lanes<S>;
     /// Selects `then` where the first of `pair` is greater than the second, `other` elsewhere.
-    fn where_above<S: Simd>(
+    fn select_greater<S: Simd>(
         simd: S,
         pair: (Self::Lanes<S>, Self::Lanes<S>),
         then: Self::Lanes<S>,
@@ -39,13 +39,13 @@ pub trait Real: Float + FftNum + Default + std::iter::Sum {
     /// common scale.
     fn angle<S: Simd>(simd: S, sine: Self::Lanes<S>, cosine: Self::Lanes<S>) -> Self::Lanes<S>;
     /// Loads the first numbers of a slice, with zeros past its end.
-    fn first<S: Simd>(simd: S, values: &[Self]) -> Self::Lanes<S>;
+    fn load_partial<S: Simd>(simd: S, values: &[Self]) -> Self::Lanes<S>;
     /// Stores into the first numbers of a slice, as many as it has.
-    fn store<S: Simd>(simd: S, values: &mut [Self], lanes: Self::Lanes<S>);
+    fn store_partial<S: Simd>(simd: S, values: &mut [Self], lanes: Self::Lanes<S>);
     /// Returns the larger of two, lane by lane.
-    fn larger<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
+    fn max_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S>;
     /// Returns the sum of all lanes.
-    fn across<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self;
+    fn reduce_sum<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self;
 
     /// Replaces each number by its exact GELU, `x / 2 (1 + erf(x / sqrt 2))`.
     fn gelu(values: &mut [Self]);
@@ -82,35 +82,35 @@ macro_rules! registers {
             simd.$fma(a, b, c)
         }
         #[inline(always)]
-        fn larger<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
+        fn max_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
             simd.$max(a, b)
         }
         #[inline(always)]
-        fn across<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self {
+        fn reduce_sum<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self {
             simd.$across(a)
         }
         #[inline(always)]
-        fn total<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
+        fn add_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
             simd.$add(a, b)
         }
         #[inline(always)]
-        fn difference<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
+        fn sub_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
             simd.$sub(a, b)
         }
         #[inline(always)]
-        fn product<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
+        fn mul_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
             simd.$mul(a, b)
         }
         #[inline(always)]
-        fn quotient<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
+        fn div_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
             simd.$div(a, b)
         }
         #[inline(always)]
-        fn root<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self::Lanes<S> {
+        fn sqrt_lanes<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self::Lanes<S> {
             simd.$sqrt(a)
         }
         #[inline(always)]
-        fn where_above<S: Simd>(
+        fn select_greater<S: Simd>(
             simd: S,
             (a, b): (Self::Lanes<S>, Self::Lanes<S>),
             then: Self::Lanes<S>,
@@ -119,12 +119,12 @@ macro_rules! registers {
             simd.$select(simd.$above(a, b), then, other)
         }
         #[inline(always)]
-        fn first<S: Simd>(simd: S, values: &[Self]) -> Self::Lanes<S> {
+        fn load_partial<S: Simd>(simd: S, values: &[Self]) -> Self::Lanes<S> {
             let whole = S::$as(values).0;
             if whole.is_empty() { simd.$load(values) } else { whole[0] }
         }
         #[inline(always)]
-        fn store<S: Simd>(simd: S, values: &mut [Self], lanes: Self::Lanes<S>) {
+        fn store_partial<S: Simd>(simd: S, values: &mut [Self], lanes: Self::Lanes<S>) {
             let whole = S::$as_mut(values).0;
             if whole.is_empty() { simd.$store(values, lanes) } else { whole[0] = lanes }
         }

@@ -77,7 +77,7 @@ impl Reference {
             return Err(Error::invalid("model", "cloths", "one", model.batch()));
         }
         if model.repels() {
-            let found = "one, whose Hessian Newton's method does not have";
+            let found = "one, which Newton's method does not support";
             return Err(Error::invalid("model", "repulsion of cloth 0", "none", found));
         }
         let hessian = FactoredHessian::new(model.grid)?;
@@ -113,8 +113,8 @@ impl Reference {
             }
             self.history.remember(&grad, 0.0);
             match inverse {
-                Inverse::AtRest => self.history.turn(&grad, Some(&mut self.rest)),
-                _ => self.history.turn(&grad, Some(&mut self.hessian)),
+                Inverse::AtRest => self.history.compute_direction(&grad, Some(&mut self.rest)),
+                _ => self.history.compute_direction(&grad, Some(&mut self.hessian)),
             }
             let Some(lower) = self.search(energy, &grad, (state, control)) else {
                 if inverse == Inverse::Here {

@@ -105,7 +105,7 @@ impl<T: Real> Solver<T> {
                     if !minimum.converged {
                         let Minimum { iterations, gradient, .. } = minimum;
                         tracing::warn!(
-                            "cloth {b}: |gradient| {gradient:.1e} after {iterations} iterations of newton"
+                            "cloth {b}: newton did not converge: |gradient| {gradient:.1e} after {iterations} iterations"
                         );
                     }
                     for (a, minimum) in objective.trial.a[b * cloth..].iter_mut().zip(minimum.a) {

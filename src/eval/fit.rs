@@ -40,13 +40,13 @@ pub struct Fit<'a> {
 
 /// Errors of the points tried so far: mean e_CD [m^2], infinite if the simulation diverged.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Surface {
+pub struct ErrorSurface {
     /// What the errors were measured on ([`Fit::subject`]).
     subject: String,
     errors: BTreeMap<Key, (Point, f64)>,
 }
 
-impl Surface {
+impl ErrorSurface {
     /// Reads the errors of an earlier search with the same subject as `fit`. Returns an empty surface if
     /// there is no such file.
     pub fn load(path: &Path, fit: &Fit<'_>) -> Result<Self> {
@@ -62,7 +62,7 @@ impl Surface {
         };
         let first = text.lines().next().unwrap_or_default();
         if first.strip_prefix("# ") != Some(&surface.subject) {
-            return Err(bad(0, &format!("# {}, as in a search for the same", surface.subject), first));
+            return Err(bad(0, &format!("# {}, as in this search", surface.subject), first));
         }
         let heads = heads();
         match text.lines().nth(1) {
@@ -138,9 +138,9 @@ impl Fit<'_> {
     /// which discards unfinished points.
     pub fn search(
         &self,
-        surface: &mut Surface,
+        surface: &mut ErrorSurface,
         tick: impl Fn() -> ControlFlow<()> + Sync,
-        mut tried: impl FnMut(&Surface, usize) -> Result<()>,
+        mut tried: impl FnMut(&ErrorSurface, usize) -> Result<()>,
     ) -> Result<()> {
         let free: Vec<usize> = (0..6).filter(|&k| self.ranges[k][0] < self.ranges[k][1]).collect();
         let count = self.levels.checked_pow(free.len() as u32).filter(|&count| count <= MOST_POINTS);
@@ -192,7 +192,7 @@ impl Fit<'_> {
 
     /// Returns the points of a surface that lie in the ranges, with their errors, the best first: an earlier
     /// search may have had other ranges.
-    pub fn found(&self, surface: &Surface) -> Vec<(Point, f64)> {
+    pub fn found(&self, surface: &ErrorSurface) -> Vec<(Point, f64)> {
         let inside = |point: &Point| {
             let in_range = |(&v, range): (&f64, &[f64; 2])| {
                 // In single precision, like [`Key`]: points are computed from the ranges with rounding.
@@ -203,7 +203,7 @@ impl Fit<'_> {
         surface.sorted().into_iter().filter(|(point, _)| inside(point)).collect()
     }
 
-    fn best(&self, surface: &Surface) -> Result<(Point, f64)> {
+    fn best(&self, surface: &ErrorSurface) -> Result<(Point, f64)> {
         let best = self.found(surface).first().copied().filter(|best| best.1.is_finite());
         best.ok_or_else(|| Error::invalid("fit", "ranges", "a point that does not diverge", "none"))
     }
@@ -212,12 +212,12 @@ impl Fit<'_> {
     fn try_all<Tick, Tried>(
         &self,
         points: &[Point],
-        surface: &mut Surface,
+        surface: &mut ErrorSurface,
         (tick, tried): (&Tick, &mut Tried),
     ) -> Result<ControlFlow<()>>
     where
         Tick: Fn() -> ControlFlow<()> + Sync,
-        Tried: FnMut(&Surface, usize) -> Result<()>,
+        Tried: FnMut(&ErrorSurface, usize) -> Result<()>,
     {
         let mut seen: BTreeSet<Key> = surface.errors.keys().copied().collect();
         let new: Vec<Point> = points.iter().copied().filter(|point| seen.insert(key(point))).collect();

@@ -91,17 +91,17 @@ impl FlatMesh {
     }
 
     /// Builds the interpolation from the vertices to the particles of a grid.
-    pub fn carrier(&self, grid: Grid) -> Result<Carrier> {
+    pub fn interpolation_to(&self, grid: Grid) -> Result<MeshInterpolation> {
         let place = |p: usize| {
             let at = [(p / grid.w, grid.h), (p % grid.w, grid.w)].map(|(k, n)| k as f64 / (n - 1) as f64);
             self.locate([at[0] * self.sides[0], at[1] * self.sides[1]])
         };
-        Ok(Carrier((0..grid.particles()).into_par_iter().map(place).collect::<Result<_>>()?))
+        Ok(MeshInterpolation((0..grid.particles()).into_par_iter().map(place).collect::<Result<_>>()?))
     }
 
     /// Finds the triangle that contains a point of the sheet, up to rounding, and the barycentric coordinates
     /// of the point. Fails if there is none.
-    fn locate(&self, at: [f64; 2]) -> Result<Shares> {
+    fn locate(&self, at: [f64; 2]) -> Result<Barycentric> {
         let shares = |face: &[u32; 3]| {
             let [a, b, c] = face.map(|k| self.places[k as usize]);
             let cross = |p: [f64; 2], q: [f64; 2]| p[0] * q[1] - p[1] * q[0];
@@ -124,15 +124,15 @@ impl FlatMesh {
 }
 
 /// The corners of a triangle, and the barycentric coordinates of a point inside.
-type Shares = ([u32; 3], [f64; 3]);
+type Barycentric = ([u32; 3], [f64; 3]);
 
 /// Interpolates positions from a mesh to a grid, linearly within each triangle.
-pub(super) struct Carrier(Vec<Shares>);
+pub(super) struct MeshInterpolation(Vec<Barycentric>);
 
-impl Carrier {
+impl MeshInterpolation {
     /// Returns the positions of the particles, given those of the vertices.
     pub fn apply(&self, vertices: &[[f32; 3]]) -> Vec<[f64; 3]> {
-        let carry = |(face, shares): &Shares| {
+        let carry = |(face, shares): &Barycentric| {
             let part = |k: usize, c: usize| shares[k] * f64::from(vertices[face[k] as usize][c]);
             std::array::from_fn(|c| part(0, c) + part(1, c) + part(2, c))
         };

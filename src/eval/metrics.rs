@@ -6,14 +6,14 @@ use rand::{RngExt, SeedableRng};
 
 /// A cloth as a triangle mesh.
 #[derive(Clone, Copy, Debug)]
-pub struct Surface<'a> {
+pub struct TriangleMesh<'a> {
     /// Vertices \[m\].
     pub points: &'a [[f64; 3]],
     /// Vertex numbers of the corners of each triangle.
     pub faces: &'a [[u32; 3]],
 }
 
-impl Surface<'_> {
+impl TriangleMesh<'_> {
     /// Samples `count` points uniformly by area, grouped by triangle. The same seed gives the same points.
     pub fn sample(&self, count: usize, seed: u64) -> Vec<[f64; 3]> {
         let mut until = Vec::with_capacity(self.faces.len());

@@ -25,7 +25,7 @@ mod tables;
 pub use crate::statistics::{WARM_UP, mean_and_deviation, median, median_time};
 pub use conditions::{Conditions, belong_together};
 pub use gap::{median_gap, track};
-pub use metrics::{Surface, chamfer, relative_error};
+pub use metrics::{TriangleMesh, chamfer, relative_error};
 pub use nearness::repulsion;
 pub use physics::Physics;
 pub use repeats::{Nudge, OverRepeats};

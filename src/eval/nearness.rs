@@ -34,13 +34,13 @@ pub fn repulsion(points: &[[f64; 3]], faces: &[[u32; 3]], delta: f64) -> f64 {
 /// The repulsion measure on a grid. As in the authors' evaluation, frames are resampled to a grid of 32 rows,
 /// whose edges are the unit of length: on a finer grid, particles are closer than the repulsion distance in
 /// any fold.
-pub(super) struct Nearness {
+pub(super) struct LayerProximity {
     resampling: Resampling,
     faces: Vec<[u32; 3]>,
     unit_m: f64,
 }
 
-impl Nearness {
+impl LayerProximity {
     /// Prepares the measure for a sheet on a grid with this side along the height \[m\].
     pub fn new(grid: Grid, side_m: f64) -> Self {
         let coarse = coarse(grid);
@@ -56,7 +56,7 @@ impl Nearness {
 }
 
 /// Returns the mean over frames, and the shares of frames above 0.1 and above 0.02.
-pub(super) fn mean_and_shares(of_frames: &[f64]) -> [f64; 3] {
+pub(super) fn mean_and_fractions_above(of_frames: &[f64]) -> [f64; 3] {
     let mean =
         |of: &dyn Fn(f64) -> f64| of_frames.iter().map(|&r| of(r)).sum::<f64>() / of_frames.len() as f64;
     let above = |limit: f64| mean(&|r| if r > limit { 1.0 } else { 0.0 });

@@ -1,7 +1,7 @@
 //! The score of one solver on one sequence: its cost and its distance from the truth.
 
-use super::metrics::{Surface, chamfer, relative_error};
-use super::nearness::{Nearness, mean_and_shares};
+use super::metrics::{TriangleMesh, chamfer, relative_error};
+use super::nearness::{LayerProximity, mean_and_fractions_above};
 use super::physics::Physics;
 use super::resampling::{Resampling, coarse};
 use super::{Conditions, FreeEdges, Nudge, Sequence, median_time};
@@ -44,13 +44,13 @@ impl Entry {
     }
 
     /// Returns the iterations as recorded in scores: 0 for an optimizer that always converges.
-    pub(super) fn told_iterations(&self) -> usize {
+    pub(super) fn recorded_iterations(&self) -> usize {
         if matches!(self.optimizer, Optimizer::Newton) { 0 } else { self.iterations }
     }
 
     /// Returns the name of its column in tables: the solver and its iterations.
     pub fn column(&self) -> String {
-        column(&self.name, self.told_iterations())
+        column(&self.name, self.recorded_iterations())
     }
 }
 
@@ -171,7 +171,12 @@ pub(super) fn read_kept<T: serde::de::DeserializeOwned>(path: &Path) -> Result<T
     let bytes = io::read_bytes(path)?;
     let origin = path.display().to_string();
     serde_json::from_slice(&bytes).map_err(|e| {
-        Error::invalid(origin, "score", "one that was kept (without the file it is made anew)", e)
+        Error::invalid(
+            origin,
+            "score",
+            "a score written by this program (delete the file to compute it again)",
+            e,
+        )
     })
 }
 
@@ -228,7 +233,7 @@ pub fn run(
         simulated.trajectory = carried(&simulated.trajectory, grid, &start.vertices_m(&start.start.x));
     }
     let mut score = Score {
-        iterations: entry.told_iterations(),
+        iterations: entry.recorded_iterations(),
         made_with: Conditions::of((sequence, nudge), entry, (device, settings)),
         ..judge(sequence, (&entry.name, &simulated.trajectory), simulated.stable, settings)?
     };
@@ -390,15 +395,15 @@ fn judge(
         None => Cow::Owned(found.grid().faces()),
     };
     let resampled = Resampling::new(found.grid(), truth.grid());
-    let nearness = Nearness::new(found.grid(), sequence.side_m());
+    let nearness = LayerProximity::new(found.grid(), sequence.side_m());
     let figures: Vec<[f64; 3]> = (1..frames)
         .into_par_iter()
         .map(|frame| {
             let (a, (b, of_truth)) = (wide(found.frame(frame)), sequence.surface(frame));
             let (seed, own) = (frame as u64, wide(recorded.frame(frame)));
             let clouds = [
-                Surface { points: &own, faces: &faces }.sample(settings.points, 2 * seed),
-                Surface { points: &b, faces: &of_truth }.sample(settings.points, 2 * seed + 1),
+                TriangleMesh { points: &own, faces: &faces }.sample(settings.points, 2 * seed),
+                TriangleMesh { points: &b, faces: &of_truth }.sample(settings.points, 2 * seed + 1),
             ];
             [
                 chamfer(&clouds[0], &clouds[1]),
@@ -413,7 +418,7 @@ fn judge(
     score.frames = figures.len();
     score.e_cd = Some(mean(&per_frame.e_cd));
     score.e_3d = Some(mean(&per_frame.e_3d));
-    score.repulsion = Some(mean_and_shares(&per_frame.repulsion));
+    score.repulsion = Some(mean_and_fractions_above(&per_frame.repulsion));
     let last = ((found.fps() * SETTLED_S) as usize).clamp(1, frames - 1);
     let speeds: Vec<f64> = (frames - last..frames).map(|f| mean_speed(found, f)).collect();
     score.speed_at_end = Some(mean(&speeds));

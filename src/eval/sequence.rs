@@ -147,8 +147,8 @@ impl Sequence {
                 })?;
                 let mesh = FlatMesh::read(&obj, recorded.grid().particles(), vertices)?;
                 let grid = mesh.grid();
-                let carrier = mesh.carrier(grid)?;
-                let truth = carrier.trajectory(&recorded, grid);
+                let interpolation_to = mesh.interpolation_to(grid)?;
+                let truth = interpolation_to.trajectory(&recorded, grid);
                 let handles = Handles::Cells(vertices.iter().map(|&v| mesh.cell(grid, v)).collect());
                 (truth, Some((mesh, recorded)), handles)
             }
@@ -224,7 +224,7 @@ impl Sequence {
     pub fn on_grid<'a>(&self, found: &'a Trajectory) -> Result<Cow<'a, Trajectory>> {
         match self.mesh_of(found) {
             None => Ok(Cow::Borrowed(found)),
-            Some(mesh) => Ok(Cow::Owned(mesh.carrier(self.grid())?.trajectory(found, self.grid()))),
+            Some(mesh) => Ok(Cow::Owned(mesh.interpolation_to(self.grid())?.trajectory(found, self.grid()))),
         }
     }
 
@@ -240,7 +240,7 @@ impl Sequence {
         let own = self.truth.grid();
         if let Some((mesh, recorded)) = &self.mesh {
             let grid = if grid.particles() <= own.particles() { grid } else { own };
-            return Ok(Start::Vertices(grid, mesh.carrier(grid)?.apply(recorded.frame(0))));
+            return Ok(Start::Vertices(grid, mesh.interpolation_to(grid)?.apply(recorded.frame(0))));
         }
         let files = ["start.npy", "cloth_pos.npy"].map(|file| self.folder.join(file));
         let [precise, all] = files;
@@ -278,7 +278,7 @@ impl Sequence {
         if (columns - grid.w as f64).abs() <= 1.0 {
             return Ok(());
         }
-        let expected = format!("{}x{:.0}, as its cloth has {own}", grid.h, columns);
+        let expected = format!("{}x{:.0}, to match its cloth of {own}", grid.h, columns);
         Err(Error::invalid(self.folder.display().to_string(), "grid", expected, grid))
     }
 }
@@ -291,7 +291,7 @@ impl Meta {
             let bytes = io::read_bytes(&path)?;
             io::parse_json(&origin, &String::from_utf8_lossy(&bytes))?
         } else {
-            tracing::warn!("{origin}: not there; the cloth is taken to be the default scene's");
+            tracing::warn!("{origin}: not found; using the cloth of the default scene");
             Value::Object(Map::new())
         };
         let node = Node::root(&origin, &document);

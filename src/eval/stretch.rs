@@ -31,7 +31,7 @@ impl FreeEdges {
     }
 
     /// Returns the largest `|edge| - 1` for positions `x` [3, H, W] in edges; NaN if the length of an edge is
-    /// NaN.
+    /// NaN, and 0 if no edge is free.
     pub fn largest<T: Copy + Into<f64>>(&self, x: &[T]) -> f64 {
         let n = x.len() / 3;
         let length = |&[p, q]: &[usize; 2]| {
@@ -39,7 +39,8 @@ impl FreeEdges {
             (square(0) + square(1) + square(2)).sqrt()
         };
         // `f64::max` would ignore NaN.
-        self.edges.iter().map(length).fold(0.0, |a, b| if a > b || a.is_nan() { a } else { b }) - 1.0
+        let largest = self.edges.iter().map(length).reduce(|a, b| if a > b || a.is_nan() { a } else { b });
+        largest.map_or(0.0, |length| length - 1.0)
     }
 }
 

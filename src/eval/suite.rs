@@ -3,13 +3,13 @@
 //! reference.
 
 use super::gap::{median_gap, track};
-use super::nearness::{Nearness, mean_and_shares};
+use super::nearness::{LayerProximity, mean_and_fractions_above};
 use super::score::{keep, read_kept, simulate};
 use super::tables::DIVERGED;
 use super::{Cell, Conditions, Entry, STRETCH_LIMIT, Table};
 use crate::cpu::Track;
 use crate::io::Trajectory;
-use crate::scene::{BuiltIn, Handles, Motion, Placement, Scene, Separation, Setup, Start, Stiffness};
+use crate::scene::{BuiltIn, Handles, Motion, Placement, RepulsionSettings, Scene, Setup, Start, Stiffness};
 use crate::sim::{Device, Grid, Material, Optimizer};
 use crate::statistics::median;
 use crate::{Error, Result};
@@ -176,7 +176,8 @@ impl Suite {
                 for (placement, motion) in
                     [(Placement::CornerCenter, "rot_h1"), (Placement::SingleMidEdge, "xy_v2")]
                 {
-                    for (kind, repulsion) in [("without", None), ("with", Some(Separation::default()))] {
+                    for (kind, repulsion) in [("without", None), ("with", Some(RepulsionSettings::default()))]
+                    {
                         let motion = BuiltIn::named(motion).map_or(Motion::Still, Motion::BuiltIn);
                         let handles = Handles::Placement(placement);
                         let scene = Scene { handles, motion, repulsion, ..Scene::default() };
@@ -268,7 +269,7 @@ impl Prepared {
         let score = CaseScore {
             case: case.name.clone(),
             grid: setup.model.grid.to_string(),
-            iterations: entry.told_iterations(),
+            iterations: entry.recorded_iterations(),
             finite: simulated.stable,
             stretch_largest: simulated.stretch_largest,
             gap,
@@ -282,12 +283,12 @@ impl Prepared {
     /// Measures how near the layers came to each other; `None` without a frame after the start.
     fn repulsion_of(&self, trajectory: &Trajectory) -> Option<[f64; 3]> {
         let Setup { model, units, .. } = &self.setup;
-        let measure = Nearness::new(model.grid, units.length_m * (model.grid.h - 1) as f64);
+        let measure = LayerProximity::new(model.grid, units.length_m * (model.grid.h - 1) as f64);
         let wide =
             |frame: usize| trajectory.frame(frame).iter().map(|p| p.map(f64::from)).collect::<Vec<_>>();
         let of_frames: Vec<f64> =
             (1..trajectory.frames()).into_par_iter().map(|frame| measure.of(&wide(frame))).collect();
-        (!of_frames.is_empty()).then(|| mean_and_shares(&of_frames))
+        (!of_frames.is_empty()).then(|| mean_and_fractions_above(&of_frames))
     }
 
     fn track(&self, tick: impl FnMut() -> ControlFlow<()>) -> Result<Option<&Track>> {

@@ -94,13 +94,13 @@ impl<'a> Group<'a> {
 
     /// Returns the mean of a figure over the sequences, and the deviation if there are several. A figure that
     /// no score has is left empty: another system has no time and no energy.
-    fn mean_and_deviation(&self, figure: &Figure) -> [Told; 2] {
+    fn mean_and_deviation(&self, figure: &Figure) -> [CellValue; 2] {
         let told = self.scores().any(|s| !s.stable || (figure.of)(s).is_some());
         match over_sequences(self.spreads(figure)).when(told) {
-            Told::Nothing => [Told::Nothing; 2],
-            Told::Diverged => [Told::Diverged, Told::Nothing],
-            Told::Value((mean, apart)) => {
-                [Told::Value(mean), Told::Value(apart).when(self.sequences.len() > 1)]
+            CellValue::Nothing => [CellValue::Nothing; 2],
+            CellValue::Diverged => [CellValue::Diverged, CellValue::Nothing],
+            CellValue::Value((mean, apart)) => {
+                [CellValue::Value(mean), CellValue::Value(apart).when(self.sequences.len() > 1)]
             }
         }
     }
@@ -108,7 +108,7 @@ impl<'a> Group<'a> {
 
 /// The content of a cell.
 #[derive(Clone, Copy)]
-enum Told<T = f64> {
+enum CellValue<T = f64> {
     /// Nothing: no score has the figure.
     Nothing,
     /// A mark that the solver diverged.
@@ -117,7 +117,7 @@ enum Told<T = f64> {
     Value(T),
 }
 
-impl<T> Told<T> {
+impl<T> CellValue<T> {
     /// Wraps the figure of a solver; `None` means that it diverged.
     fn of(figure: Option<T>) -> Self {
         figure.map_or(Self::Diverged, Self::Value)
@@ -128,11 +128,11 @@ impl<T> Told<T> {
         if told { self } else { Self::Nothing }
     }
 
-    fn map<U>(self, of: impl FnOnce(T) -> U) -> Told<U> {
+    fn map<U>(self, of: impl FnOnce(T) -> U) -> CellValue<U> {
         match self {
-            Self::Nothing => Told::Nothing,
-            Self::Diverged => Told::Diverged,
-            Self::Value(figure) => Told::Value(of(figure)),
+            Self::Nothing => CellValue::Nothing,
+            Self::Diverged => CellValue::Diverged,
+            Self::Value(figure) => CellValue::Value(of(figure)),
         }
     }
 
@@ -235,7 +235,7 @@ impl BySequence {
     fn means(&self) -> Vec<(String, Vec<Cell>)> {
         let row = |(name, spreads): &(String, Vec<Option<Spread>>)| {
             let means: Vec<_> =
-                spreads.iter().map(|s| s.map_or(Told::Nothing, |s| Told::of(s.mean))).collect();
+                spreads.iter().map(|s| s.map_or(CellValue::Nothing, |s| CellValue::of(s.mean))).collect();
             (name.clone(), cells(&means, self.digits))
         };
         let all = self.of_groups(|spreads| over_sequences(spreads));
@@ -255,10 +255,10 @@ impl BySequence {
     /// sequence was repeated.
     fn deviations(&self) -> Option<Vec<(String, Vec<Cell>)>> {
         let all = self.of_groups(|spreads| pooled(spreads));
-        (!all.iter().all(Told::is_nothing)).then(|| {
+        (!all.iter().all(CellValue::is_nothing)).then(|| {
             let row = |(name, spreads): &(String, Vec<Option<Spread>>)| {
                 let told: Vec<_> =
-                    spreads.iter().map(|s| s.map_or(Told::Nothing, Spread::told_deviation)).collect();
+                    spreads.iter().map(|s| s.map_or(CellValue::Nothing, Spread::told_deviation)).collect();
                 (name.clone(), unmarked(&told, self.digits))
             };
             let last = ("root mean square".into(), unmarked(&all, self.digits));
@@ -343,7 +343,7 @@ fn times_and_errors(groups: &[Group]) -> Table {
     let row = |(_, _, name): (Option<usize>, usize, String)| {
         let of = |figure: &Figure, grid: &String| {
             let group = groups.iter().find(|group| group.grid == *grid && group.column() == name);
-            let both = group.map_or([Told::Nothing; 2], |group| group.mean_and_deviation(figure));
+            let both = group.map_or([CellValue::Nothing; 2], |group| group.mean_and_deviation(figure));
             unmarked(&both, figure.digits)
         };
         let cells =
@@ -377,25 +377,25 @@ impl Spread {
     }
 
     /// Returns the deviation as the content of a cell: nothing for a single simulation.
-    fn told_deviation(self) -> Told {
-        Told::of(self.deviation).when(self.repeats > 1)
+    fn told_deviation(self) -> CellValue {
+        CellValue::of(self.deviation).when(self.repeats > 1)
     }
 }
 
 /// Returns the mean and deviation over sequences, on all of which a solver must have succeeded; nothing
 /// without sequences.
-fn over_sequences(spreads: impl Iterator<Item = Spread>) -> Told<(f64, f64)> {
+fn over_sequences(spreads: impl Iterator<Item = Spread>) -> CellValue<(f64, f64)> {
     of_all(spreads.map(|s| s.mean).collect()).map(|means| mean_and_deviation(&means))
 }
 
 /// Returns the figures: `Diverged` if one is missing, `Nothing` if there are none.
-fn of_all(figures: Vec<Option<f64>>) -> Told<Vec<f64>> {
+fn of_all(figures: Vec<Option<f64>>) -> CellValue<Vec<f64>> {
     let some = !figures.is_empty();
-    Told::of(figures.into_iter().collect()).when(some)
+    CellValue::of(figures.into_iter().collect()).when(some)
 }
 
 /// Returns the deviation over repeats: the root mean square over the sequences that were repeated.
-fn pooled(spreads: impl Iterator<Item = Spread>) -> Told {
+fn pooled(spreads: impl Iterator<Item = Spread>) -> CellValue {
     let repeated = spreads.filter(|s| s.repeats > 1).map(|s| s.deviation);
     of_all(repeated.collect()).map(|v| (v.iter().map(|d| d * d).sum::<f64>() / v.len() as f64).sqrt())
 }
@@ -467,22 +467,24 @@ fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
 }
 
 /// Builds cells of numbers without marking the best.
-fn unmarked(values: &[Told], digits: usize) -> Vec<Cell> {
+fn unmarked(values: &[CellValue], digits: usize) -> Vec<Cell> {
     let mut cells = cells(values, digits);
     cells.iter_mut().for_each(|cell| cell.best = false);
     cells
 }
 
 /// Builds the cells of a row of numbers, the smallest marked; a dash means that the solver diverged.
-fn cells(values: &[Told], digits: usize) -> Vec<Cell> {
+fn cells(values: &[CellValue], digits: usize) -> Vec<Cell> {
     let smallest = values.iter().fold(f64::INFINITY, |least, value| match value {
-        Told::Value(v) => v.min(least),
+        CellValue::Value(v) => v.min(least),
         _ => least,
     });
-    let cell = |value: &Told| match value {
-        Told::Nothing => Cell { text: String::new(), best: false },
-        Told::Diverged => Cell { text: DIVERGED.into(), best: false },
-        Told::Value(v) => Cell { text: format!("{v:.digits$}"), best: values.len() > 1 && *v == smallest },
+    let cell = |value: &CellValue| match value {
+        CellValue::Nothing => Cell { text: String::new(), best: false },
+        CellValue::Diverged => Cell { text: DIVERGED.into(), best: false },
+        CellValue::Value(v) => {
+            Cell { text: format!("{v:.digits$}"), best: values.len() > 1 && *v == smallest }
+        }
     };
     values.iter().map(cell).collect()
 }

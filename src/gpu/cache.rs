@@ -91,7 +91,7 @@ impl Context {
     fn stored_pipelines(&self, path: &Path) -> Option<Vec<u8>> {
         let mut bytes = std::fs::read(path).ok()?;
         if bytes.len() > MOST {
-            tracing::info!("{}: more than {} MiB; begun anew", path.display(), MOST >> 20);
+            tracing::info!("{}: larger than {} MiB; starting a new one", path.display(), MOST >> 20);
             return None;
         }
         match bytes.split_last_chunk() {
@@ -100,7 +100,11 @@ impl Context {
                 Some(bytes)
             }
             _ => {
-                tracing::warn!("{}: no pipelines of {}; they are compiled anew", path.display(), self.name());
+                tracing::warn!(
+                    "{}: not a pipeline cache of {}; compiling again",
+                    path.display(),
+                    self.name()
+                );
                 None
             }
         }

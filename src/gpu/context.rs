@@ -178,7 +178,10 @@ impl Context {
     /// Fails if the device does not support it ([`wgpu::Features::SHADER_F16`]).
     pub fn with_storage(&self, storage: Storage) -> Result<Self> {
         if storage == Storage::F16 && !self.device.features().contains(wgpu::Features::SHADER_F16) {
-            return Err(Error::Device(format!("{}: has no 16-bit floating point (f16)", self.name)));
+            return Err(Error::Device(format!(
+                "{}: does not support 16-bit floating point (f16)",
+                self.name
+            )));
         }
         Ok(Self { storage, ..self.clone() })
     }
@@ -288,7 +291,7 @@ impl Context {
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(until))) {
             Ok(Ok(_)) => Ok(()),
             Ok(Err(e)) => lost(&e),
-            Err(_) => lost(&"it is gone"),
+            Err(_) => lost(&"no longer available"),
         }
     }
 }
@@ -330,7 +333,7 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
             AdapterChoice::Name(name) => format!("no adapter named '{name}'"),
         };
         let there = if names.is_empty() {
-            "this machine shows none (a software one: Debian's package mesa-vulkan-drivers)".to_owned()
+            "none found (Debian's package mesa-vulkan-drivers provides a software one)".to_owned()
         } else {
             format!("this machine has: {}", names.join("; "))
         };
@@ -346,11 +349,19 @@ fn named(names: &[String], text: &str) -> Option<usize> {
 }
 
 /// Returns the index of the first name that contains this number as a word. Part of another number does not
-/// count, nor does anything from the first parenthesis on, such as a version.
+/// count, nor does anything in parentheses, such as a version.
 fn numbered(names: &[String], number: usize) -> Option<usize> {
     let number = number.to_string();
     let has_word = |name: &String| {
-        let own = name.split('(').next().unwrap_or_default();
+        let mut depth = 0;
+        let own: String = name
+            .chars()
+            .filter(|c| {
+                let before = depth;
+                depth += i32::from(*c == '(') - i32::from(*c == ')');
+                before.max(depth) == 0
+            })
+            .collect();
         own.split([' ', '-', '/']).any(|word| word == number)
     };
     names.iter().position(has_word)
@@ -417,6 +428,7 @@ mod tests {
         assert_eq!(numbered(&names, 4090), Some(0));
         assert_eq!([1, 2, 5, 15, 40, 256].map(|number| numbered(&names, number)), [None; 6]);
         assert_eq!(numbered(&["NVIDIA GeForce RTX 4090/PCIe/SSE2".into()], 4090), Some(0));
+        assert_eq!(numbered(&["Intel(R) UHD Graphics 630 (CFL GT2)".into()], 630), Some(0));
         assert_eq!(
             ["4090", "LLVM 15", "", " "].map(|text| named(&names, text)),
             [Some(0), Some(1), None, None]

@@ -76,10 +76,10 @@ pub(crate) struct Kernel {
 /// The kernels built on a device, by their text and constants. All its solvers share them, since a pipeline
 /// takes tens of milliseconds to compile.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Kernels(Arc<Mutex<HashMap<Made, Kernel>>>);
+pub(super) struct Kernels(Arc<Mutex<HashMap<KernelKey, Kernel>>>);
 
 /// The text of a kernel and the bits of its constants.
-type Made = (String, Vec<(&'static str, u64)>);
+type KernelKey = (String, Vec<(&'static str, u64)>);
 
 impl Kernels {
     /// Forgets all kernels, so that the next solver does not get one that failed to compile.
@@ -87,7 +87,7 @@ impl Kernels {
         self.lock().clear();
     }
 
-    fn lock(&self) -> MutexGuard<'_, HashMap<Made, Kernel>> {
+    fn lock(&self) -> MutexGuard<'_, HashMap<KernelKey, Kernel>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -116,7 +116,7 @@ impl Kernel {
         let text =
             source.unrolled(Unroll { storage: context.storage(), order: context.order(), ..unroll.into() });
         let bits = constants.iter().map(|&(name, value)| (name, value.to_bits())).collect();
-        let made: Made = (text, bits);
+        let made: KernelKey = (text, bits);
         if let Some(known) = context.kernels.lock().get(&made) {
             return Ok(known.clone());
         }

@@ -4,14 +4,14 @@
 ///
 /// The device decides in which order they run, and no result may depend on it. Software drivers run them one
 /// by one in the order of their numbers, so a missing barrier goes unnoticed if the invocation to be waited
-/// for has the lower number. With [`Backward`](Order::Backward) it has the higher one. For tests.
+/// for has the lower number. With [`Reversed`](Order::Reversed) it has the higher one. For tests.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Order {
     /// The device's numbering.
     #[default]
-    Forward,
+    Natural,
     /// The reverse: the last is 0, and the first is last.
-    Backward,
+    Reversed,
 }
 
 impl Order {
@@ -19,8 +19,8 @@ impl Order {
     /// numbers do not change.
     pub(super) fn apply(self, text: String, name: &str) -> String {
         match self {
-            Self::Forward => text,
-            Self::Backward => backward(&text, name),
+            Self::Natural => text,
+            Self::Reversed => backward(&text, name),
         }
     }
 }
@@ -73,10 +73,10 @@ mod tests {
     fn numbers_count_down_and_lines_stay() {
         let text = "@compute @workgroup_size(8, LANES)\nfn f(\n    @builtin(global_invocation_id) id: vec3u,\n    \
                     @builtin(local_invocation_index) lane: u32,\n) {\n    out[lane] = id.x;\n}\n";
-        assert_eq!(Order::Forward.apply(text.into(), "f"), text);
+        assert_eq!(Order::Natural.apply(text.into(), "f"), text);
         let size = "vec3u(8, LANES, 1)";
         assert_eq!(
-            Order::Backward.apply(text.into(), "f"),
+            Order::Reversed.apply(text.into(), "f"),
             format!(
                 "@compute @workgroup_size(8, LANES)\nfn f(@builtin(global_invocation_id) id_given: vec3u, \
                  @builtin(local_invocation_index) lane_given: u32, @builtin(num_workgroups) number_of_groups: vec3u\n\n\n) {{ \
@@ -91,7 +91,7 @@ mod tests {
         let text = "@compute @workgroup_size(64) fn g(@builtin(workgroup_id) group: vec3u, \
                     @builtin(num_workgroups) groups: vec3u) { }";
         assert_eq!(
-            Order::Backward.apply(text.into(), "g"),
+            Order::Reversed.apply(text.into(), "g"),
             "@compute @workgroup_size(64) fn g(@builtin(workgroup_id) group_given: vec3u, \
              @builtin(num_workgroups) groups: vec3u) { let group = groups - 1u - group_given; }"
         );

@@ -88,9 +88,11 @@ impl Schedule {
         let context = &self.context;
         let most = context.device.limits().max_compute_workgroups_per_dimension;
         if groups.iter().any(|&g| g > most) {
-            let wants = format!("{name} on this grid and batch takes {groups:?} workgroups");
-            self.refused
-                .get_or_insert(format!("{}: {wants}, and it has {most} along an axis", context.name()));
+            let needs = format!("{name} needs {groups:?} workgroups for this grid and batch");
+            self.refused.get_or_insert(format!(
+                "{}: {needs}, and the device takes {most} along an axis",
+                context.name()
+            ));
             return;
         }
         if groups.contains(&0) {

@@ -64,7 +64,7 @@ impl From<usize> for Unroll {
             second: 1,
             sharing: Sharing::Loads,
             storage: Storage::F32,
-            order: Order::Forward,
+            order: Order::Natural,
         }
     }
 }

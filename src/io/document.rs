@@ -29,7 +29,7 @@ impl<'a> Node<'a> {
     }
 
     /// Fails unless this is an object whose keys are all among `known`.
-    pub fn only(&self, known: &[&str]) -> Result<()> {
+    pub fn deny_unknown(&self, known: &[&str]) -> Result<()> {
         self.refuse(known, |_| true)
     }
 

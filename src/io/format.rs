@@ -34,7 +34,7 @@ impl Format {
     }
 
     /// Checks that a file of this format can hold `frames` frames. Fails with an error that names `origin`.
-    pub fn holds(self, frames: usize, origin: &str) -> Result<()> {
+    pub fn check_capacity(self, frames: usize, origin: &str) -> Result<()> {
         if self == Self::Pc2 && i32::try_from(frames).is_err() {
             return Err(Error::invalid(origin, self.name(), "at most 2^31 - 1 frames", frames));
         }
@@ -72,8 +72,8 @@ mod tests {
 
     #[test]
     fn what_is_too_long_for_a_format_is_told_beforehand() {
-        Format::ALL.iter().for_each(|format| format.holds(1_000_000, "--format").unwrap());
-        let error = Format::Pc2.holds(1 << 31, "--format").unwrap_err().to_string();
+        Format::ALL.iter().for_each(|format| format.check_capacity(1_000_000, "--format").unwrap());
+        let error = Format::Pc2.check_capacity(1 << 31, "--format").unwrap_err().to_string();
         assert!(error.contains("pc2: expected at most 2^31 - 1 frames"), "{error}");
     }
 }

@@ -55,7 +55,7 @@ pub(super) struct Array<R> {
 }
 
 /// Maximum number of axes that NumPy allows.
-const MAX_AXES: usize = 32;
+const MAX_AXES: usize = 64;
 /// Maximum length of a header; that of a plain array has about 100 bytes. Guards against a bogus length.
 const MAX_HEADER: u64 = 4096;
 

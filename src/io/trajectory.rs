@@ -58,7 +58,7 @@ impl Trajectory {
     pub fn reserve(&mut self, frames: usize) -> Result<()> {
         let points = frames.saturating_mul(self.grid.particles());
         let bytes = points.saturating_mul(24);
-        if memory::holds(bytes)
+        if memory::is_available(bytes)
             && self.positions.try_reserve_exact(points).is_ok()
             && self.velocities.try_reserve_exact(points).is_ok()
         {
@@ -125,11 +125,11 @@ impl Trajectory {
     /// Writes the trajectory into the folder `dir` and returns the path: the file `NAME.EXT`, or for OBJ and
     /// PLY the folder `NAME_EXT` with a file `00000.EXT` per frame. Each file appears only once it is
     /// complete. Files that a longer run left in such a folder are removed. Fails if the format
-    /// [cannot hold](Format::holds) the trajectory.
+    /// [cannot hold](Format::check_capacity) the trajectory.
     pub fn write(&self, dir: impl AsRef<Path>, name: &str, format: Format) -> Result<PathBuf> {
         let file = dir.as_ref().join(format!("{name}.{format}"));
         let folder = dir.as_ref().join(format!("{name}_{format}"));
-        format.holds(self.frames(), &file.display().to_string())?;
+        format.check_capacity(self.frames(), &file.display().to_string())?;
         match format {
             Format::Npz => write_atomic(&file, |w| npz::write(self, w)).map(|()| file),
             Format::Npy => {

@@ -18,7 +18,7 @@ use crate::kernels::{Tuning, padded};
 
 /// The transposed weights, as the adjoint of each layer reads them.
 #[derive(Debug)]
-pub struct Transposed {
+pub struct TransposedWeights {
     /// The original weights.
     layers: Layers,
     /// Skips of the blocks. Their biases are zero, as are those of `lifting`, from its second layer, and
@@ -64,12 +64,12 @@ struct Kernels {
     project_adj: ProjectAdj,
 }
 
-impl Transposed {
-    /// Allocates the transposes of the weights in `parameters`; [`Transposed::push`] fills them.
+impl TransposedWeights {
+    /// Allocates the transposes of the weights in `parameters`; [`TransposedWeights::push`] fills them.
     pub fn new(context: &Context, parameters: &Parameters) -> Result<Self> {
         let layout = parameters.layout();
         let layers = layout.layers(&parameters.flat);
-        let turned = |layer: &Layer| -> Result<Layer> {
+        let transposed = |layer: &Layer| -> Result<Layer> {
             let &[tiles, inputs, tile] = layer.weight.shape() else { panic!("a layer is tiled") };
             Ok(Layer {
                 weight: Tensor::zeros(context, "transposed weight", &[inputs / tile, tiles * tile, tile])?,
@@ -78,10 +78,10 @@ impl Transposed {
         };
         let product = |weight: &Tensor| Tensor::zeros(context, "transposed product", weight.shape());
         Ok(Self {
-            skips: layers.skips.iter().map(turned).collect::<Result<_>>()?,
+            skips: layers.skips.iter().map(transposed).collect::<Result<_>>()?,
             products: layers.products.iter().map(product).collect::<Result<_>>()?,
-            lifting: turned(&layers.lifting[1])?,
-            projection: turned(&layers.projection[0])?,
+            lifting: transposed(&layers.lifting[1])?,
+            projection: transposed(&layers.projection[0])?,
             transpose: Transpose::new(context)?,
             spectral_transpose: SpectralTranspose::new(context)?,
             layers,
@@ -90,14 +90,14 @@ impl Transposed {
 
     /// Appends the transposition of the weights, with the values they have when it runs.
     pub fn push(&self, schedule: &mut Schedule) {
-        for (weight, turned) in self.layers.products.iter().zip(&self.products) {
-            self.spectral_transpose.push(schedule, weight, turned);
+        for (weight, transposed) in self.layers.products.iter().zip(&self.products) {
+            self.spectral_transpose.push(schedule, weight, transposed);
         }
         let [_, lifting] = &self.layers.lifting;
         let [projection, _] = &self.layers.projection;
         let skips = self.layers.skips.iter().zip(&self.skips);
-        for (layer, turned) in skips.chain([(lifting, &self.lifting), (projection, &self.projection)]) {
-            self.transpose.push(schedule, &layer.weight, &turned.weight);
+        for (layer, transposed) in skips.chain([(lifting, &self.lifting), (projection, &self.projection)]) {
+            self.transpose.push(schedule, &layer.weight, &transposed.weight);
         }
     }
 }
@@ -119,7 +119,8 @@ impl Backward {
         let gradient = parameters.layout().gradient_layers(gradient);
         let parts = pointwise_weight_adj::parts(samples * h * w / 4);
         let layers = [&gradient.lifting[0], &gradient.lifting[1], &gradient.projection[0]];
-        let longest = layers.into_iter().chain(&gradient.skips).map(|g| g.both.len()).max().unwrap_or(0);
+        let longest =
+            layers.into_iter().chain(&gradient.skips).map(|g| g.weight_and_bias.len()).max().unwrap_or(0);
         let (columns, c) = (2 * config.modes_w, config.channels);
         let adj = || zeros("adj", &[samples, h, c, w]);
         Ok(Self {
@@ -156,7 +157,7 @@ impl Backward {
     }
 
     /// Appends the backward pass from `adj_field` and `adj_scalar` through the last pass of `forward`.
-    pub fn push(&self, schedule: &mut Schedule, forward: &Forward, transposed: &Transposed) {
+    pub fn push(&self, schedule: &mut Schedule, forward: &Forward, transposed: &TransposedWeights) {
         let (config, k) = (&forward.config, &self.kernels);
         self.push_heads(schedule, forward, transposed);
         let [mut adj_y, mut adj_x] = self.adj.each_ref();
@@ -164,7 +165,7 @@ impl Backward {
             self.push_block(schedule, (forward, transposed), block, (adj_y, adj_x));
             if block > 0 {
                 self.push_pool(schedule, forward, block - 1, adj_x);
-                k.gelu_adj.push(schedule, &forward.before_gelu[block - 1], adj_x);
+                k.gelu_adj.push(schedule, &forward.pre_activations[block - 1], adj_x);
             }
             std::mem::swap(&mut adj_y, &mut adj_x);
         }
@@ -173,12 +174,12 @@ impl Backward {
 
     /// Appends the adjoint of the field head down to the last block's output, and the gradients with respect
     /// to its weights.
-    fn push_heads(&self, schedule: &mut Schedule, forward: &Forward, transposed: &Transposed) {
+    fn push_heads(&self, schedule: &mut Schedule, forward: &Forward, transposed: &TransposedWeights) {
         let (config, k) = (&forward.config, &self.kernels);
         let [_, outer] = &forward.layers.projection;
         let [inner_gradient, outer_gradient] = &self.gradient.projection;
-        let (y, before) = (forward.activation(config.layers), &forward.before_gelu[config.layers - 1]);
-        let to = (&outer_gradient.both, outer_gradient.bias);
+        let (y, before) = (forward.activation(config.layers), &forward.pre_activations[config.layers - 1]);
+        let to = (&outer_gradient.weight_and_bias, outer_gradient.bias);
         k.head_weight_adj.push(schedule, &forward.projected, &self.adj_field, to);
         k.project_adj.push(schedule, &outer.weight, &self.adj_field, &self.adj_projected);
         k.gelu_adj.push(schedule, before, &self.adj_projected);
@@ -198,10 +199,10 @@ impl Backward {
         let from = PoolAdjTensors { adj_scalar: &self.adj_scalar, rows_max, x, columns };
         let head = &forward.layers.scalar.weight;
         self.kernels.pool_adj.push(schedule, head, from, (adj, &self.pooled));
-        let GradientLayer { both, bias } = &self.gradient.scalar;
+        let GradientLayer { weight_and_bias, bias } = &self.gradient.scalar;
         let &[samples, channels] = self.pooled.shape() else { unreachable!("what is pooled is [S, C]") };
         let pooled = self.pooled.view(0, &[samples, channels, 1]);
-        self.kernels.head_weight_adj.push(schedule, &pooled, &self.adj_scalar, (both, *bias));
+        self.kernels.head_weight_adj.push(schedule, &pooled, &self.adj_scalar, (weight_and_bias, *bias));
     }
 
     /// Appends the adjoint of a block, from its output before the GELU to its input, and the gradients with
@@ -209,7 +210,7 @@ impl Backward {
     fn push_block(
         &self,
         schedule: &mut Schedule,
-        (forward, transposed): (&Forward, &Transposed),
+        (forward, transposed): (&Forward, &TransposedWeights),
         block: usize,
         (adj_y, adj_x): (&Tensor, &Tensor),
     ) {
@@ -218,8 +219,13 @@ impl Backward {
         k.spectral.push(schedule, &transposed.products[block], s.columns(Some(&self.adj_spectrum)));
         let to = &self.gradient.products[block];
         self.kernels.spectral_weight_adj.push(schedule, &s.modes[block], &self.adj_spectrum, to);
-        let tensors =
-            BlockTensors { x: Inputs::Stored(adj_y), r: &s.inverse, y: adj_x, made: None, rows_max: None };
+        let tensors = BlockTensors {
+            x: Inputs::Stored(adj_y),
+            r: &s.inverse,
+            y: adj_x,
+            rows_or_field: None,
+            rows_max: None,
+        };
         let tables = (&self.forward_rows_adj, forward.grid.w);
         k.block(Epilogue::default()).push(schedule, &transposed.skips[block], tables, tensors);
         let x = forward.activation(block);
@@ -230,7 +236,7 @@ impl Backward {
     fn push_lifting(
         &self,
         schedule: &mut Schedule,
-        (forward, transposed): (&Forward, &Transposed),
+        (forward, transposed): (&Forward, &TransposedWeights),
         adj: &Tensor,
     ) {
         let (dense, hidden) = (&forward.kernels.dense, &forward.hidden);
@@ -260,9 +266,10 @@ impl Backward {
         part: Lines,
         gradient: &GradientLayer,
     ) {
-        let GradientLayer { both, bias } = gradient;
-        let parts = Parts { partial: &self.partial, len: both.len(), bias: *bias, tile: self.tile };
+        let GradientLayer { weight_and_bias, bias } = gradient;
+        let parts =
+            Parts { partial: &self.partial, len: weight_and_bias.len(), bias: *bias, tile: self.tile };
         let count = self.kernels.pointwise_weight_adj.push(schedule, (x, adj), part, parts);
-        self.kernels.sum_parts.push(schedule, (&self.partial, count), both);
+        self.kernels.sum_parts.push(schedule, (&self.partial, count), weight_and_bias);
     }
 }

@@ -41,7 +41,7 @@ impl Checkpoint {
     pub fn from_bytes(bytes: &[u8], origin: &str) -> Result<Self> {
         let broken = |e: safetensors::SafeTensorError| {
             let found = format!("{e} ({} bytes)", bytes.len());
-            Error::invalid(origin, "header", "a whole safetensors file", found)
+            Error::invalid(origin, "header", "a complete safetensors file", found)
         };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
         let file = SafeTensors::deserialize(bytes).map_err(broken)?;
@@ -70,8 +70,7 @@ impl Checkpoint {
     /// finite.
     pub fn weights(&self) -> Result<Weights> {
         if self.metadata.contains_key("counters") {
-            let expected =
-                "weights; they are in the run's folder, weights/last.safetensors and best.safetensors";
+            let expected = "weights (see weights/last.safetensors and best.safetensors in the run's folder)";
             return Err(Error::invalid(&self.origin, "checkpoint", expected, "the state of a training run"));
         }
         let config = match self.metadata.get("config") {
@@ -166,8 +165,8 @@ impl Checkpoint {
 
     fn require(&self, name: &str) -> Result<(&String, &Tensor)> {
         self.find(name).ok_or_else(|| {
-            let found = format!("{} other tensors", self.tensors.len());
-            Error::invalid(&self.origin, format!("tensor '{name}'"), "a tensor of this name", found)
+            let found = format!("none among {} tensors", self.tensors.len());
+            Error::invalid(&self.origin, format!("tensor '{name}'"), "a tensor with this name", found)
         })
     }
 }

@@ -1,6 +1,6 @@
 //! The forward pass of the network as dispatches.
 
-use super::joined::Joined;
+use super::fused::Fused;
 use super::parameters::Layers;
 use super::plan::{block_size, epilogue};
 use super::{Config, Keep, Layout, Parameters, Plan, Weights, tables};
@@ -10,7 +10,7 @@ use crate::kernels::operator::{
     Activate, Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
     ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, pointwise::Lines,
 };
-use crate::kernels::optim::{Features, Fields};
+use crate::kernels::optim::{FeatureInputs, Features};
 use crate::kernels::{Tuning, padded};
 use crate::sim::Grid;
 
@@ -31,7 +31,7 @@ pub struct Forward {
     /// Output of the field head in parts to be summed, shape [parts, S, H, W']; a single part unless
     /// [`Plan::keep`] is [`Keep::Nothing`].
     pub field: Tensor,
-    /// Output of the scalar head, shape `[S]`; not written by [`Head::Left`].
+    /// Output of the scalar head, shape `[S]`; not written by [`Head::Deferred`].
     pub scalar: Tensor,
     /// Hidden layer of the lifting, shape [lines, lifting, W'], for the lines that are lifted at once. A line
     /// is a row of a sample.
@@ -46,7 +46,7 @@ pub struct Forward {
     activations: Vec<Tensor>,
     /// Pre-activations of each block but the last, shape [S, H, C, W'], and of the projection's hidden layer;
     /// only with [`Keep::Adjoint`].
-    pub(super) before_gelu: Vec<Tensor>,
+    pub(super) pre_activations: Vec<Tensor>,
     /// Hidden layer of the projection, shape [S, H, projection, W'].
     pub(super) projected: Tensor,
     pub(super) spectral: Spectra,
@@ -68,11 +68,11 @@ struct Lifted {
 #[derive(Clone, Copy, Debug)]
 pub enum Head<'a> {
     /// Writes it to [`Forward::scalar`].
-    Alone,
+    Store,
     /// Writes it to [`Forward::scalar`] and updates the persistent scales of the samples.
-    Rescaling(Scales<'a>),
+    StoreAndRescale(Scales<'a>),
     /// Leaves it to the update kernel, which computes it from the row maxima ([`Forward::pooled`]).
-    Left,
+    Deferred,
 }
 
 #[derive(Debug)]
@@ -119,8 +119,8 @@ impl Forward {
         let context = &context.with_storage(storage)?;
         let layout = plan.layout(context, weights.config);
         let layers = layout.stored_layers(context, weights)?;
-        let joined = Joined::new(context, weights, (layout.padded(), &layers), plan)?;
-        Self::build(context, &layout, layers, joined, plan)
+        let fused = Fused::new(context, weights, (layout.padded(), &layers), plan)?;
+        Self::build(context, &layout, layers, fused, plan)
     }
 
     /// Builds the network on weights that are already on the device and may change there. It uses single
@@ -128,23 +128,17 @@ impl Forward {
     pub fn with_parameters(context: &Context, parameters: &Parameters, plan: &Plan) -> Result<Self> {
         let context = &context.with_storage(Storage::F32)?;
         let layout = parameters.layout();
-        Self::build(context, layout, layout.layers(&parameters.flat), Joined::default(), plan)
+        Self::build(context, layout, layout.layers(&parameters.flat), Fused::default(), plan)
     }
 
-    fn build(
-        context: &Context,
-        layout: &Layout,
-        layers: Layers,
-        joined: Joined,
-        plan: &Plan,
-    ) -> Result<Self> {
+    fn build(context: &Context, layout: &Layout, layers: Layers, fused: Fused, plan: &Plan) -> Result<Self> {
         let config = layout.padded();
         let plan = &Plan { tuning: Tuning { channels: layout.tile(), ..plan.tuning }, ..*plan };
         let &Plan { grid, samples, ref tuning, keep } = plan;
         config.check_grid(grid, "network", "grid")?;
         let (h, w) = (grid.h, padded(grid.w));
-        let lifted_at_once = match joined.units {
-            // Joined layers need no buffer between them.
+        let lifted_at_once = match fused.units {
+            // Fused layers need no buffer between them.
             Some(_) => 0,
             None => tuning.most_samples(context, config.lifting * w).clamp(1, (samples * h).max(1)),
         };
@@ -163,21 +157,21 @@ impl Forward {
         } else {
             stored("projected", &[samples, h, config.projection, w])?
         };
-        let mut before_gelu = Vec::new();
+        let mut pre_activations = Vec::new();
         if keep == Keep::Adjoint {
             for _ in 1..config.layers {
-                before_gelu.push(activation("before GELU")?);
+                pre_activations.push(activation("before GELU")?);
             }
-            before_gelu.push(zeros("before GELU", &[samples, h, config.projection, w])?);
+            pre_activations.push(zeros("before GELU", &[samples, h, config.projection, w])?);
         }
         // For the backward pass a block outputs its pre-activations, but its rows are transformed after the
         // GELU.
         let size = block_size(&config, grid);
         let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
-        let Joined { head, units } = joined;
-        let joins_head = head.is_some();
+        let Fused { head, units } = fused;
+        let fuses_head = head.is_some();
         let epilogues: Vec<Epilogue> = (0..config.layers)
-            .map(|block| epilogue(&config, block, keep, joins_head, rows_in_blocks))
+            .map(|block| epilogue(&config, block, keep, fuses_head, rows_in_blocks))
             .collect();
         let lifting = |of_fields| {
             let lifting = Lifting { hidden: config.lifting, inputs: config.inputs(), of_fields };
@@ -189,7 +183,7 @@ impl Forward {
             Ok(Lifted { of_embedded: lifting(false)?, of_fields: lifting(true)?, units })
         };
         let kernels = Kernels::new(context, &config, size, &epilogues, plan)?;
-        let parts = if joins_head { kernels.block(epilogues[config.layers - 1]).field_parts() } else { 1 };
+        let parts = if fuses_head { kernels.block(epilogues[config.layers - 1]).field_parts() } else { 1 };
         let mut block_rows = tables::inverse_rows(&config, grid.w);
         if rows_in_blocks {
             block_rows.extend(tables::forward_rows(&config, h, grid.w));
@@ -210,7 +204,7 @@ impl Forward {
             head,
             lifting: units.map(lifted).transpose()?,
             activations,
-            before_gelu,
+            pre_activations,
             projected,
             spectral: Spectra {
                 rows: zeros("rows", &[samples, h, columns, config.channels])?,
@@ -236,7 +230,7 @@ impl Forward {
     }
 
     /// Appends a pass over all samples; see [`Forward::push_first`].
-    pub fn push(&self, schedule: &mut Schedule, from: Option<Fields<'_>>, head: Head<'_>) {
+    pub fn push(&self, schedule: &mut Schedule, from: Option<FeatureInputs<'_>>, head: Head<'_>) {
         self.push_first(schedule, self.samples(), from, head);
     }
 
@@ -264,7 +258,7 @@ impl Forward {
         &self,
         schedule: &mut Schedule,
         samples: usize,
-        from: Option<Fields<'_>>,
+        from: Option<FeatureInputs<'_>>,
         head: Head<'_>,
     ) {
         let k = &self.kernels;
@@ -285,12 +279,13 @@ impl Forward {
             let spectrum = s.modes.get(block).map(first);
             let columns = SpectralTensors { r: &rows, inverse: &inverse, ..s.columns(spectrum.as_ref()) };
             k.spectral.push(schedule, &self.layers.products[block], columns);
-            let before = self.before_gelu.get(block).filter(|_| block + 1 < self.config.layers).map(first);
+            let before =
+                self.pre_activations.get(block).filter(|_| block + 1 < self.config.layers).map(first);
             let tensors = BlockTensors {
                 x: Inputs::Stored(x),
                 r: &inverse,
                 y: before.as_ref().unwrap_or(y),
-                made: if epilogue.field { Some(field) } else { epilogue.rows.then_some(&rows) },
+                rows_or_field: if epilogue.field { Some(field) } else { epilogue.rows.then_some(&rows) },
                 rows_max: epilogue.pool.then_some(&rows_max),
             };
             let with_head = self.head.as_ref().filter(|_| epilogue.field);
@@ -308,9 +303,9 @@ impl Forward {
                     k.scalar_head.push(schedule, &self.layers.scalar, tensors, scales);
                 };
                 match head {
-                    Head::Alone => scalar(None),
-                    Head::Rescaling(scales) => scalar(Some(scales)),
-                    Head::Left => {}
+                    Head::Store => scalar(None),
+                    Head::StoreAndRescale(scales) => scalar(Some(scales)),
+                    Head::Deferred => {}
                 }
             }
         }
@@ -319,7 +314,7 @@ impl Forward {
         }
         let [inner, outer] = &self.layers.projection;
         let (y, projected) = (&slot(self.config.layers), &first(&self.projected));
-        match self.before_gelu.last().map(first) {
+        match self.pre_activations.last().map(first) {
             Some(before) => {
                 k.dense.push(schedule, inner, y, &before);
                 k.activate.push(schedule, &before, projected);
@@ -347,17 +342,23 @@ impl Forward {
     }
 
     /// Appends the lifting. Returns whether it also transforms the rows of its output.
-    fn push_lifting(&self, schedule: &mut Schedule, samples: usize, from: Option<Fields<'_>>) -> bool {
+    fn push_lifting(&self, schedule: &mut Schedule, samples: usize, from: Option<FeatureInputs<'_>>) -> bool {
         let (k, lifted) = (&self.kernels, &self.activations[0]);
         if let Some(Lifted { of_embedded, of_fields, units }) = &self.lifting {
-            let [embedded, y, made] =
+            let [embedded, y, rows_or_field] =
                 [&self.embedded, lifted, &self.spectral.rows].map(|tensor| tensor.first(samples));
             let (kernel, x) = match from {
                 Some(fields) => (of_fields, Inputs::Fields(fields)),
                 None => (of_embedded, Inputs::Stored(&embedded)),
             };
             let rows = kernel.epilogue().rows;
-            let tensors = BlockTensors { x, r: units, y: &y, made: rows.then_some(&made), rows_max: None };
+            let tensors = BlockTensors {
+                x,
+                r: units,
+                y: &y,
+                rows_or_field: rows.then_some(&rows_or_field),
+                rows_max: None,
+            };
             let tables = (&self.spectral.forward_rows, self.grid.w);
             kernel.push(schedule, &self.layers.lifting[1], tables, tensors);
             return rows;
@@ -406,6 +407,6 @@ impl Kernels {
     /// Returns the kernel of a block with this epilogue.
     pub fn block(&self, epilogue: Epilogue) -> &Block {
         let found = self.blocks.iter().find(|b| b.epilogue() == epilogue);
-        found.expect("every kind of block of the network is made")
+        found.expect("every kind of block of the network is built")
     }
 }

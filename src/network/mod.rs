@@ -5,13 +5,13 @@
 mod backward;
 mod checkpoint;
 mod forward;
-mod joined;
+mod fused;
 mod parameters;
 mod plan;
 pub mod tables;
 mod weights;
 
-pub use backward::{Backward, Transposed};
+pub use backward::{Backward, TransposedWeights};
 pub use checkpoint::{Checkpoint, Description, TensorSummary};
 pub use forward::{Forward, Head};
 pub use parameters::{Layout, Parameters};

@@ -71,7 +71,7 @@ pub(super) struct GradientLayers {
 #[derive(Clone, Debug)]
 pub(super) struct GradientLayer {
     /// The weight in the order of the kernels, followed by the bias.
-    pub both: Tensor,
+    pub weight_and_bias: Tensor,
     /// First element of the bias.
     pub bias: usize,
 }
@@ -237,7 +237,7 @@ impl Layout {
             let bias = place.bias - place.weight;
             // Whole quads: the elements after the bias are padding, too.
             let len = (bias + place.outputs).next_multiple_of(4);
-            GradientLayer { both: flat.view(place.weight, &[len]), bias }
+            GradientLayer { weight_and_bias: flat.view(place.weight, &[len]), bias }
         };
         let c = self.padded.channels;
         let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c, c, 2]);

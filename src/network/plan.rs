@@ -34,13 +34,14 @@ impl Plan {
     /// Returns a plan with as many samples per pass as fit: within the tuning's limit on activations and
     /// within what the device can bind and dispatch. A batch is divided into passes of nearly equal length,
     /// of whole cloths or, if no cloth fits, of single samples.
-    pub fn in_turns(&self, context: &Context, config: Config) -> Self {
+    pub fn fit_passes(&self, context: &Context, config: Config) -> Self {
         let layout = Layout::new(config, self.tuning.channels);
         let widest = layout.padded().channels.max(layout.padded().projection);
         let bound = self.tuning.most_samples(context, widest * self.grid.h * padded(self.grid.w));
         // A workgroup of a block covers this many channels, and their axis of a dispatch is limited to
         // `WORKGROUPS`.
-        let dispatched = WORKGROUPS as usize * layout.tile() * self.tuning.block_deep as usize / widest;
+        let covered = widest.min(layout.tile() * self.tuning.block_deep as usize);
+        let dispatched = WORKGROUPS as usize * covered / widest;
         let cloths = bound.min(dispatched) / 3;
         let samples = match cloths {
             0 => 1,
@@ -78,13 +79,13 @@ pub(super) fn epilogue(
     config: &Config,
     block: usize,
     keep: Keep,
-    joins_head: bool,
+    fuses_head: bool,
     rows_in_blocks: bool,
 ) -> Epilogue {
     let last = block + 1 == config.layers;
     Epilogue {
-        gelu: if last { joins_head } else { keep != Keep::Adjoint },
-        field: last && joins_head,
+        gelu: if last { fuses_head } else { keep != Keep::Adjoint },
+        field: last && fuses_head,
         rows: rows_in_blocks && !last,
         pool: rows_in_blocks && block == config.scalar_block(),
     }

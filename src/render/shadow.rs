@@ -1,6 +1,6 @@
 //! The soft shadow on the floor.
 
-use super::surface::{NOTHING, Surface};
+use super::surface::{DepthBuffer, NOTHING};
 use glam::Vec3;
 
 /// Pixels of the picture per pixel of the shadow along each axis: a blurred shadow needs no higher
@@ -19,7 +19,7 @@ impl Shadow {
     /// [`PIXELS`] pixels.
     pub fn new(size: [usize; 2], triangles: impl Iterator<Item = [Vec3; 3]>) -> Self {
         let [width, height] = size.map(|n| n.div_ceil(PIXELS));
-        let mut mask = Surface::new(width, height);
+        let mut mask = DepthBuffer::new(width, height);
         triangles.for_each(|corners| mask.triangle(0, corners));
         let mut dark: Vec<f32> =
             mask.seen.iter().map(|&seen| if seen == NOTHING { 0.0 } else { 1.0 }).collect();

@@ -6,7 +6,7 @@ use super::{
     look::Look,
     shade::{self, Lights},
     shadow::{self, Shadow},
-    surface::{NOTHING, Surface},
+    surface::{DepthBuffer, NOTHING},
 };
 use crate::{
     io::{Trajectory, vertex_normals},
@@ -115,7 +115,7 @@ impl Stage {
         let [width, height] = self.size;
         let n = self.samples;
         let projected: Vec<Vec3> = positions.iter().map(|p| self.camera.project(place(p))).collect();
-        let mut surface = Surface::new(width * n, height * n);
+        let mut surface = DepthBuffer::new(width * n, height * n);
         for (k, face) in self.faces.iter().enumerate() {
             surface.triangle(k as u32, face.map(|v| projected[v as usize]));
         }

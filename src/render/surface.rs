@@ -3,7 +3,7 @@
 use glam::{Vec3, vec3};
 
 /// A depth buffer: for each sample, the number of the nearest object, or [`NOTHING`].
-pub(super) struct Surface {
+pub(super) struct DepthBuffer {
     pub width: usize,
     pub height: usize,
     /// Number of the object seen, row by row.
@@ -28,7 +28,7 @@ fn area(a: Vec3, b: Vec3, x: f32, y: f32) -> f32 {
     (b.y - a.y) * (x - a.x) - (b.x - a.x) * (y - a.y)
 }
 
-impl Surface {
+impl DepthBuffer {
     pub fn new(width: usize, height: usize) -> Self {
         let samples = width * height;
         Self {
@@ -112,7 +112,7 @@ mod tests {
 
     #[test]
     fn a_square_of_two_triangles_is_covered_once_and_the_nearer_wins() {
-        let mut s = Surface::new(20, 10);
+        let mut s = DepthBuffer::new(20, 10);
         let p = |x, y, z| vec3(x, y, z);
         s.triangle(0, [p(2.0, 2.0, 1.0), p(12.0, 2.0, 1.0), p(12.0, 8.0, 1.0)]);
         s.triangle(1, [p(2.0, 2.0, 1.0), p(12.0, 8.0, 1.0), p(2.0, 8.0, 1.0)]);
@@ -125,7 +125,7 @@ mod tests {
 
     #[test]
     fn impossible_corners_are_left_out() {
-        let mut s = Surface::new(4, 4);
+        let mut s = DepthBuffer::new(4, 4);
         for bad in [f32::NAN, f32::INFINITY, -f32::INFINITY] {
             s.triangle(0, [vec3(bad, 0.0, 1.0), vec3(4.0, 0.0, 1.0), vec3(0.0, 4.0, 1.0)]);
             s.triangle(0, [vec3(0.0, 0.0, bad), vec3(4.0, 0.0, 1.0), vec3(0.0, 4.0, 1.0)]);
@@ -138,7 +138,7 @@ mod tests {
 
     #[test]
     fn a_burst_cloth_does_not_take_forever() {
-        let mut s = Surface::new(8, 8);
+        let mut s = DepthBuffer::new(8, 8);
         for k in 0..100 {
             let z = 2.0 - k as f32 / 100.0;
             s.triangle(k, [vec3(-9.0, -9.0, z), vec3(30.0, -9.0, z), vec3(-9.0, 30.0, z)]);

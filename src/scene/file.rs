@@ -2,8 +2,8 @@
 
 use super::start::read_transform;
 use super::{
-    Handles, Mass, Moduli, Motion, Placement, Scene, Separation, Side, Start, StartFile, Stiffness, UpAxis,
-    Wind, authors,
+    Handles, Mass, Moduli, Motion, Placement, RepulsionSettings, Scene, Side, Start, StartFile, Stiffness,
+    UpAxis, Wind, authors,
 };
 use crate::io::Node;
 use crate::sim::{Grid, Material};
@@ -127,7 +127,7 @@ impl Scene {
 
 /// Reads our own format; see the documentation of [`super`].
 fn read(node: &Node, folder: &Path) -> Result<Scene> {
-    node.only(&FIELDS)?;
+    node.deny_unknown(&FIELDS)?;
     let fallback = Scene::default();
     let up = node.get_or("up", UpAxis::Y, read_up)?;
     Ok(Scene {
@@ -189,7 +189,7 @@ fn read_stiffness(node: &Node) -> Result<Stiffness> {
     const MODULI: [&str; 3] = ["stretch_modulus", "shear_modulus", "bending_stiffness"];
     const GRID: [&str; 3] = ["stretch", "shear", "bend"];
     let known: Vec<&str> = GRID.into_iter().chain(MODULI).collect();
-    node.only(&known)?;
+    node.deny_unknown(&known)?;
     if MODULI.iter().all(|key| node.get(key).is_none()) {
         let typical = Material::default();
         return Ok(Stiffness::Grid(Material {
@@ -219,7 +219,7 @@ pub(super) fn read_gravity(node: &Node, up: UpAxis) -> Result<[f64; 3]> {
 }
 
 fn read_wind(node: &Node) -> Result<Wind> {
-    node.only(&["velocity", "density", "drag"])?;
+    node.deny_unknown(&["velocity", "density", "drag"])?;
     let fallback = Wind::default();
     Ok(Wind {
         velocity: node.get_or("velocity", fallback.velocity, Node::vector)?,
@@ -228,13 +228,13 @@ fn read_wind(node: &Node) -> Result<Wind> {
     })
 }
 
-fn read_repulsion(node: &Node) -> Result<Option<Separation>> {
-    let fallback = Separation::default();
+fn read_repulsion(node: &Node) -> Result<Option<RepulsionSettings>> {
+    let fallback = RepulsionSettings::default();
     match node.value {
         Value::Bool(wanted) => Ok(wanted.then_some(fallback)),
         Value::Object(_) => {
-            node.only(&["strength", "distance"])?;
-            Ok(Some(Separation {
+            node.deny_unknown(&["strength", "distance"])?;
+            Ok(Some(RepulsionSettings {
                 strength: node.get_or("strength", fallback.strength, Node::number)?,
                 distance: node.get_or("distance", fallback.distance, Node::number)?,
             }))
@@ -248,12 +248,11 @@ fn read_start(node: &Node, folder: &Path) -> Result<Start> {
         return Start::parse(node.text()?, node.origin, folder);
     }
     if let Some(vertices) = node.get("vertices") {
-        node.only(&["vertices", "grid"])?;
-        let grid =
-            node.get("grid").ok_or_else(|| node.invalid("the \"grid\" of the vertices beside them"))?;
+        node.deny_unknown(&["vertices", "grid"])?;
+        let grid = node.get("grid").ok_or_else(|| node.invalid("a \"grid\" next to \"vertices\""))?;
         return Ok(Start::Vertices(read_grid(&grid)?, read_points(&vertices)?));
     }
-    node.only(&["file", "grid", "transform"])?;
+    node.deny_unknown(&["file", "grid", "transform"])?;
     let file = node.get("file").ok_or_else(|| node.invalid("a name, a path or {\"file\": path, ..}"))?;
     match Start::parse(file.text()?, node.origin, folder)? {
         Start::File(StartFile { path, .. }) => Ok(Start::File(StartFile {

@@ -225,14 +225,14 @@ impl Default for Wind {
 /// Repulsion that keeps the layers of a cloth apart: particles that come close without sharing an edge repel
 /// each other ([`crate::sim::Repulsion`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Separation {
+pub struct RepulsionSettings {
     /// Strength, as an energy per unit mass [m^2/s^2].
     pub strength: f64,
     /// Distance below which particles repel each other \[edges\], 0.001 to 1.
     pub distance: f64,
 }
 
-impl Default for Separation {
+impl Default for RepulsionSettings {
     /// A strength that stops particles meeting at a few metres per second, and a distance at which layers do
     /// not slip through each other's gaps.
     fn default() -> Self {
@@ -256,7 +256,7 @@ pub struct Scene {
     /// The air.
     pub wind: Wind,
     /// Repulsion between the layers of the cloth; `None` for a cloth that passes through itself.
-    pub repulsion: Option<Separation>,
+    pub repulsion: Option<RepulsionSettings>,
     /// Duration of a frame \[s\].
     pub frame_time_s: f64,
     /// Number of frames, including the start; `None` for the length of the motion.
@@ -340,7 +340,7 @@ impl Scene {
         self.positive("areal_mass_kg_m2", areal_mass_kg_m2)?;
         self.positive("frame_time_s", self.frame_time_s)?;
         if !self.frame_time_s.recip().is_finite() {
-            let (expected, found) = ("a time of which a second has finitely many", self.frame_time_s);
+            let (expected, found) = ("a time whose reciprocal is finite", self.frame_time_s);
             return Err(Error::invalid(&self.origin, "frame_time_s", expected, format!("{found:e}")));
         }
         self.positive("speed", self.speed)?;

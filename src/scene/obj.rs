@@ -51,7 +51,7 @@ impl Mesh {
                 if triangles != 2 || !matches!(left_out, 0 | 0b0101 | 0b1010) {
                     let field = format!("faces of cell ({i}, {j})");
                     let found = format!("{triangles} triangles that do not");
-                    return Err(Error::invalid(origin, field, "two triangles that cover it", found));
+                    return Err(Error::invalid(origin, field, "two triangles that cover the cell", found));
                 }
             }
         }

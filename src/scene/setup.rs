@@ -184,7 +184,7 @@ impl Scene {
         let [mut points, velocities] = self.start.on(grid, &units, self.up)?;
         let at_start: Vec<[f64; 3]> = particles.iter().map(|&p| points[p]).collect();
         let handles = self.trajectory(&units, &at_start)?;
-        self.tell_other_size(&points);
+        self.warn_if_size_differs(&points);
         // The first row of a recording places the handles at the start; for a built-in motion this changes
         // nothing.
         let gaps =
@@ -192,7 +192,7 @@ impl Scene {
         let far: Vec<(f64, usize)> = gaps.filter(|&(gap, _)| gap > 1.0).collect();
         if let Some(&(gap, p)) = far.iter().max_by(|a, b| a.0.total_cmp(&b.0)) {
             tracing::warn!(
-                "{}: motion: {} of {} handles begin elsewhere than the start state has them, handle {p} by {gap:.1} edges",
+                "{}: motion: {} of {} handles do not begin where the start state has them; handle {p} is off by {gap:.1} edges",
                 self.origin,
                 far.len(),
                 particles.len()
@@ -219,7 +219,7 @@ impl Scene {
         if farthest * f64::from(f32::EPSILON) > COARSEST {
             let away = farthest * units.length_m;
             tracing::warn!(
-                "{}: the cloth lies {away:.0} m from the origin, where single precision tells apart what is {:.3} edges apart",
+                "{}: the cloth lies {away:.0} m from the origin, where single precision resolves only {:.3} edges",
                 self.origin,
                 farthest * f64::from(f32::EPSILON)
             );
@@ -229,7 +229,7 @@ impl Scene {
 
     /// Warns if the start's edges are not about as long as the sheet's. The usual mistake is a wrong unit or
     /// side.
-    fn tell_other_size(&self, points: &[[f64; 3]]) {
+    fn warn_if_size_differs(&self, points: &[[f64; 3]]) {
         let Grid { h, w } = self.grid;
         let mean = |edges: &mut dyn Iterator<Item = (usize, usize)>| {
             let lengths: Vec<f64> =

@@ -2,7 +2,7 @@
 
 use super::obj::Mesh;
 use super::points;
-use super::surface::Surface;
+use super::surface::Sheet;
 use super::units::{Units, UpAxis};
 use crate::io::{Node, ReadOptions, Trajectory};
 use crate::sim::Grid;
@@ -85,7 +85,7 @@ impl Start {
             Start::Settled => {
                 // Stored for a height of 1 m, which is H - 1 edges.
                 let edges = |p: [f64; 3]| UpAxis::Y.to_z_up(p).map(|c| c * (grid.h - 1) as f64);
-                Surface::settled(grid)?.points.into_iter().map(edges).collect()
+                Sheet::settled(grid)?.points.into_iter().map(edges).collect()
             }
             Start::Flat => (0..grid.particles()).map(|p| grid.rest(p)).collect(),
             // In the axes of the drape: with y up, i runs along +z and the upper edge is half a side above
@@ -106,7 +106,7 @@ impl Start {
                 points
             }
             Start::Vertices(of, points) => {
-                let sheet = Surface { grid: *of, points: points.clone() }.regrid(grid);
+                let sheet = Sheet { grid: *of, points: points.clone() }.regrid(grid);
                 sheet.points.into_iter().map(|p| units.position(up.to_z_up(p))).collect()
             }
         };
@@ -118,14 +118,14 @@ impl Start {
 impl StartFile {
     /// Reads the sheet on the grid of the file, before the transform, and its velocities [m/s] if the file
     /// has them.
-    fn read(&self, scene_grid: Grid) -> Result<(Surface, Option<Surface>)> {
+    fn read(&self, scene_grid: Grid) -> Result<(Sheet, Option<Sheet>)> {
         if self.is_trajectory() {
             let trajectory =
                 Trajectory::read(&self.path, &ReadOptions { grid: self.grid, ..Default::default() })?;
             let Grid { h, w } = trajectory.grid();
             let grid = Grid::new(h, w, &self.path.display().to_string())?;
             let last = trajectory.frames() - 1;
-            let sheet = |points: &[[f32; 3]]| Surface {
+            let sheet = |points: &[[f32; 3]]| Sheet {
                 grid,
                 points: points.iter().map(|p| p.map(f64::from)).collect(),
             };
@@ -151,9 +151,16 @@ impl StartFile {
                 points.truncate(n);
                 points
             }
-            _ => return Err(Error::invalid(origin, "start", "an .obj, .npy or .npz file", "another ending")),
+            _ => {
+                return Err(Error::invalid(
+                    origin,
+                    "start",
+                    "an .obj, .npy or .npz file",
+                    "another extension",
+                ));
+            }
         };
-        Ok((Surface { grid, points }, None))
+        Ok((Sheet { grid, points }, None))
     }
 
     /// Whether the file is a `.npz` trajectory, which has its own grid and velocities.
@@ -172,7 +179,7 @@ impl StartFile {
 /// `{"rotate": [degrees, x, y, z], "scale": s, "translate": [x, y, z]}`, applied in this order.
 pub(super) fn read_transform(node: &Node) -> Result<Transform> {
     if node.value.is_object() {
-        node.only(&["rotate", "scale", "translate"])?;
+        node.deny_unknown(&["rotate", "scale", "translate"])?;
         let rotate = |n: &Node| n.array("[degrees, x, y, z]", Node::number).and_then(|r| rotation(n, r));
         let turn = node.get_or("rotate", [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], rotate)?;
         let scale = node.get_or("scale", 1.0, Node::number)?;

@@ -12,14 +12,14 @@ const SETTLED: [&[u8]; 2] = [
 
 /// Positions of the particles of a grid, in the order of their numbers.
 #[derive(Clone, Debug)]
-pub(super) struct Surface {
+pub(super) struct Sheet {
     /// The grid.
     pub grid: Grid,
     /// The position of each particle.
     pub points: Vec<[f64; 3]>,
 }
 
-impl Surface {
+impl Sheet {
     /// Returns the settled drape on `grid` for a sheet of height 1 m, y up \[m\].
     pub fn settled(grid: Grid) -> Result<Self> {
         // The stored grid nearer in size; at 48 x 48, in between, the finer one, which loses less.
@@ -71,7 +71,7 @@ impl Surface {
 
     /// Shifts every column as a whole along its mean direction from the previous column, until the edges
     /// between the two are on average `ratio` times as long. Edges along the height do not change: stretching
-    /// each row separately, as [`Surface::shorten`] does, would tear apart the neighbouring rows of a fold.
+    /// each row separately, as [`Sheet::shorten`] does, would tear apart the neighbouring rows of a fold.
     fn lengthen(&mut self, ratio: f64) {
         let Grid { h, w } = self.grid;
         let before = self.points.clone();

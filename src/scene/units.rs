@@ -1,6 +1,6 @@
 //! Conversion between SI units outside and grid units inside (paper section 3.2).
 
-use super::Separation;
+use super::RepulsionSettings;
 use crate::sim::{Air, Material, Repulsion};
 
 /// The axis of a scene's positions, vectors and files that points up. Internally, everything is z up.
@@ -113,9 +113,9 @@ impl Units {
     }
 
     /// Converts repulsion to grid units: an energy per unit mass [m^2/s^2] becomes [edges^2 / frame^2].
-    pub fn repulsion(&self, separation: Separation) -> Repulsion {
+    pub fn repulsion(&self, separation: RepulsionSettings) -> Repulsion {
         let edge_per_frame = self.length_m / self.frame_time_s;
-        let Separation { strength, distance } = separation;
+        let RepulsionSettings { strength, distance } = separation;
         Repulsion { strength: strength / (edge_per_frame * edge_per_frame), distance }
     }
 

@@ -67,11 +67,11 @@ impl Grid {
 
     /// Returns the triangles as particle numbers: two per cell, cut along the diagonal (i, j) - (i+1, j+1).
     pub fn faces(&self) -> Vec<[u32; 3]> {
-        self.faces_in_turn().collect()
+        self.iter_faces().collect()
     }
 
     /// Iterates over the triangles of [`Grid::faces`].
-    pub(crate) fn faces_in_turn(self) -> impl Iterator<Item = [u32; 3]> {
+    pub(crate) fn iter_faces(self) -> impl Iterator<Item = [u32; 3]> {
         let at = move |i: usize, j: usize| (i * self.w + j) as u32;
         let cell = move |i: usize, j: usize| {
             let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));

@@ -5,7 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{Fields, Iterate, Update, UpdateTensors};
+use crate::kernels::optim::{FeatureInputs, Iterate, Update, UpdateTensors};
 use crate::network::{Forward, Head, Keep, Plan, Weights};
 
 /// The network and the update rule for the samples of a batch, in several passes if their activations do not
@@ -17,7 +17,7 @@ pub(crate) struct Learned {
     update: Update,
     /// Whether the update kernel computes the scalar head: one dispatch fewer, but every workgroup repeats
     /// the work.
-    joins_head: bool,
+    fuses_head: bool,
 }
 
 impl Learned {
@@ -25,9 +25,9 @@ impl Learned {
     pub fn new(context: &Context, weights: &Weights, tuning: &Tuning, shape: (Grid, usize)) -> Result<Self> {
         let (grid, samples) = shape;
         let plan = Plan { grid, samples, tuning: *tuning, keep: Keep::Nothing };
-        let plan = plan.in_turns(context, weights.config);
+        let plan = plan.fit_passes(context, weights.config);
         let forward = Forward::new(context, &weights.folded(), &plan)?;
-        Ok(Self { grid, forward, update: Update::new(context)?, joins_head: tuning.staged })
+        Ok(Self { grid, forward, update: Update::new(context)?, fuses_head: tuning.staged })
     }
 
     /// Appends the step that updates `iterate` and its hidden state from its gradient. `sums` [S, parts, 2]
@@ -36,19 +36,19 @@ impl Learned {
     pub fn push(&self, schedule: &mut Schedule, (iterate, sums): (&Iterate, &Tensor), scales: Scales<'_>) {
         let (samples, _) = iterate.samples_and_particles();
         // Every workgroup of the update reads the old scales, so the new ones must go elsewhere.
-        let joins_head = self.joins_head && scales.before != scales.after;
+        let fuses_head = self.fuses_head && scales.before != scales.after;
         for first in (0..samples).step_by(self.forward.samples()) {
             let count = self.forward.samples().min(samples - first);
             let Scales { tensor, before, after } = scales;
             let scales = Scales { tensor, before: before + first, after: after + first };
-            let head = if joins_head { Head::Left } else { Head::Rescaling(scales) };
-            self.forward.push_first(schedule, count, Some(Fields { iterate, sums, first }), head);
+            let head = if fuses_head { Head::Deferred } else { Head::StoreAndRescale(scales) };
+            self.forward.push_first(schedule, count, Some(FeatureInputs { iterate, sums, first }), head);
             let (layer, rows_max) = self.forward.pooled(count);
             let from = UpdateTensors {
                 field: &self.forward.first_field(count),
                 first,
                 scales,
-                head: joins_head.then_some((layer, &rows_max)),
+                head: fuses_head.then_some((layer, &rows_max)),
             };
             self.update.push(schedule, self.grid, from, iterate);
         }

@@ -122,7 +122,7 @@ impl Model {
             if let Some(&(what, k)) =
                 coefficients.iter().find(|(_, k)| !(*k >= 0.0 && (*k as f32).is_finite()))
             {
-                return refused(what, "a finite number that is not negative", k);
+                return refused(what, "a finite number, 0 or greater", k);
             }
             if let Some(&g) = gravity.iter().find(|g| !(**g as f32).is_finite()) {
                 return refused("gravity", "finite numbers", g);
@@ -139,7 +139,7 @@ impl Model {
                     None => {
                         return refused(format!("particles 0 to {} of a grid of {}", n - 1, self.grid), p);
                     }
-                    Some(true) => return refused("each particle once".into(), p),
+                    Some(true) => return refused("no particle more than once".into(), p),
                     Some(seen) => *seen = true,
                 }
             }
@@ -155,7 +155,7 @@ impl Model {
         match model.batch() == self.batch() {
             true => Ok(model),
             false => {
-                let expected = format!("{}, as many as the solver was made for", self.batch());
+                let expected = format!("{}, the number that the solver was built for", self.batch());
                 Err(Error::invalid("model", "cloths", expected, model.batch()))
             }
         }

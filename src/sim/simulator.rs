@@ -19,10 +19,13 @@ impl Device {
     /// Returns the name of the device, and the storage of networks on it if it is not single precision.
     pub fn name(&self) -> String {
         match self {
-            Self::Cpu => format!("cpu, {} threads", rayon::current_num_threads()),
+            Self::Cpu => match rayon::current_num_threads() {
+                1 => "cpu, 1 thread".into(),
+                threads => format!("cpu, {threads} threads"),
+            },
             Self::Gpu(context) => match context.storage() {
                 Storage::F32 => context.name().to_owned(),
-                Storage::F16 => format!("{}, the network in f16", context.name()),
+                Storage::F16 => format!("{}, network in f16", context.name()),
             },
         }
     }

@@ -47,16 +47,16 @@ pub struct Solver {
     x: Tensor,
     v: Tensor,
     cloths: Tensor,
-    /// Handle targets, shape [handles, 3]: the beginning of `room`.
+    /// Handle targets, shape [handles, 3]: the beginning of `target_storage`.
     targets: Tensor,
     /// Storage for the targets, with room for every particle.
-    room: Tensor,
-    given: Tensor,
+    target_storage: Tensor,
+    control_accelerations: Tensor,
     /// Whether a frame looks for pairs within repulsion range.
     repels: bool,
     /// Whether `cloths` holds any wind.
     windy: AtomicBool,
-    /// Whether `given` holds any acceleration.
+    /// Whether `control_accelerations` holds any acceleration.
     accelerated: AtomicBool,
     external: Tensor,
     iterate: Iterate,
@@ -149,17 +149,17 @@ impl Solver {
                 Rule::QuasiNewton { history, curvature, memory }
             }
             Optimizer::QuasiNewton { factored: true, .. } | Optimizer::Newton => {
-                let found = format!("{}, which lacks it; the CPU path has it", context.name());
+                let found = format!("{}, which does not (use the CPU)", context.name());
                 return Err(Error::invalid(
                     "optimizer",
                     optimizer.name(),
-                    "a device that has this optimizer",
+                    "a device that supports this optimizer",
                     found,
                 ));
             }
         };
         let slots = model.handle_slots();
-        let room = zeros("handle targets", &[batch * n, 3])?;
+        let target_storage = zeros("handle targets", &[batch * n, 3])?;
         let iterate = match rule {
             Rule::Learned { .. } => Iterate::with_hidden(context, batch, &slots)?,
             _ => Iterate::new(context, batch, &slots)?,
@@ -179,9 +179,9 @@ impl Solver {
                 &[batch, ClothParams::LEN],
                 &ClothParams::all(model, &[]),
             )?,
-            targets: room.view(0, &[model.handles(), 3]),
-            room,
-            given: field("given accelerations")?,
+            targets: target_storage.view(0, &[model.handles(), 3]),
+            target_storage,
+            control_accelerations: field("control accelerations")?,
             repels: model.repels(),
             windy: AtomicBool::new(false),
             accelerated: AtomicBool::new(false),
@@ -193,31 +193,32 @@ impl Solver {
             rule,
             frame: Schedule::new(context),
         };
-        solver.frame = solver.schedule()?;
+        solver.frame = solver.build_schedule()?;
         solver.set_state(&State::rest(grid, batch));
         Ok(solver)
     }
 
     /// Builds the schedule of one frame, in the order given in the crate's documentation.
-    fn schedule(&self) -> Result<Schedule> {
+    fn build_schedule(&self) -> Result<Schedule> {
         let (context, grid) = (&self.context, self.model.grid);
         let mut frame = Schedule::new(context);
-        let Self { x, v, cloths, room, given, external, iterate, .. } = self;
+        let Self { x, v, cloths, target_storage, control_accelerations, external, iterate, .. } = self;
         let batch = self.model.batch();
 
-        let state = StateTensors { x, v, targets: room };
+        let state = StateTensors { x, v, targets: target_storage };
         Predict::new(context)?.push(&mut frame, state, iterate);
         ExternalForce::new(context)?.push(
             &mut frame,
             grid,
-            ExternalForceTensors { cloths, x, v, given },
+            ExternalForceTensors { cloths, x, v, control_accelerations },
             external,
         );
 
         let physics = Physics { cloths, external, x };
         let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(batch, grid))?;
         let repulsion = self.repels.then(|| Repulsion::new(context, batch, grid)).transpose()?;
-        let pushed = Physics { external: repulsion.as_ref().map_or(external, |r| &r.pushed), ..physics };
+        let pushed =
+            Physics { external: repulsion.as_ref().map_or(external, |r| &r.total_acceleration), ..physics };
         let repel = |frame: &mut Schedule| {
             if let Some(repulsion) = &repulsion {
                 repulsion.push(frame, grid, physics, (iterate, &parts));
@@ -246,7 +247,7 @@ impl Solver {
     }
 
     /// Returns the dispatches of one frame.
-    pub fn frame(&self) -> &Schedule {
+    pub fn schedule(&self) -> &Schedule {
         &self.frame
     }
 
@@ -318,13 +319,13 @@ impl Solver {
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
         if model.repels() && !self.repels {
-            let expected = "none, as when the solver was made";
+            let expected = "none, since the solver was built without";
             return Err(Error::invalid("model", "repulsion", expected, "some"));
         }
         let slots = model.handle_slots();
         if slots != self.model.handle_slots() {
             self.iterate.slots.write(&self.context, &slots);
-            self.targets = self.room.view(0, &[model.handles(), 3]);
+            self.targets = self.target_storage.view(0, &[model.handles(), 3]);
         }
         self.model = model;
         self.windy.store(false, Ordering::Relaxed);
@@ -388,7 +389,7 @@ impl Solver {
         assert!(control.wind.is_empty() || control.wind.len() == batch, "one wind velocity for each cloth");
         let accelerated = !control.external.is_empty();
         assert!(
-            !accelerated || control.external.len() == self.given.len(),
+            !accelerated || control.external.len() == self.control_accelerations.len(),
             "external has shape [B, 3, H, W]"
         );
         let mut changes = vec![(&self.targets, Cow::from(bytemuck::cast_slice(&control.handles)))];
@@ -401,9 +402,12 @@ impl Solver {
         }
         let was_accelerated = self.accelerated.fetch_or(accelerated, Ordering::Relaxed);
         if accelerated {
-            changes.push((&self.given, Cow::from(bytemuck::cast_slice(&control.external))));
+            changes.push((&self.control_accelerations, Cow::from(bytemuck::cast_slice(&control.external))));
         } else if was_accelerated {
-            changes.push((&self.given, vec![0; self.given.bytes() as usize].into()));
+            changes.push((
+                &self.control_accelerations,
+                vec![0; self.control_accelerations.bytes() as usize].into(),
+            ));
         }
         changes
     }

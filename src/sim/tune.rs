@@ -51,7 +51,7 @@ pub fn tune(
     let table = Tuning::table(context);
     let mut best = table;
     let of_best = solver(&best)?;
-    let mut dispatches = of_best.frame().dispatches();
+    let mut dispatches = of_best.schedule().dispatches();
     let (mut least, mut flow) = time(&best, &of_best)?;
     drop(of_best);
     for respect in 0..best.neighbours(context).len() {
@@ -63,18 +63,18 @@ pub fn tune(
             let tried = solver(tuning)?;
             // Skip activation limits that lead to as many passes here: chance would choose between them, and
             // other batches would bear the consequences.
-            let as_many_turns = tried.frame().dispatches() == dispatches;
-            if as_many_turns && (Tuning { activation_bytes: best.activation_bytes, ..*tuning }) == best {
+            let same_passes = tried.schedule().dispatches() == dispatches;
+            if same_passes && (Tuning { activation_bytes: best.activation_bytes, ..*tuning }) == best {
                 continue;
             }
             let measured;
             (measured, flow) = time(tuning, &tried)?;
             if measured < GAIN * least {
-                (best, least, dispatches) = (*tuning, measured, tried.frame().dispatches());
+                (best, least, dispatches) = (*tuning, measured, tried.schedule().dispatches());
             }
         }
     }
-    if best == table {
+    if best == table || flow.is_break() {
         return Ok(table);
     }
     // If both solvers do not fit in memory together, the gain cannot be confirmed.

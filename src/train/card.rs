@@ -44,8 +44,7 @@ impl Card<'_> {
         }
         let bytes = std::fs::read(&card).map_err(|e| Error::io(&card, "cannot read", e))?;
         let Told { validation } = serde_json::from_slice(&bytes).map_err(|e| {
-            let expected =
-                "the scores of the weights beside it (without both files the next weights are the best)";
+            let expected = "the validation scores of the weights (delete both files to start over)";
             Error::invalid(card.display().to_string(), "validation", expected, e)
         })?;
         Ok(Some(validation).filter(|scores| !scores.is_empty()))

@@ -143,7 +143,7 @@ impl Checkpoint {
 fn checksum<'a>(texts: [&[u8]; 2], tensors: impl Iterator<Item = (&'a str, TensorView<'a>)>) -> String {
     let mut hasher = crc32fast::Hasher::new();
     for text in texts {
-        hasher.update(&text.len().to_le_bytes());
+        hasher.update(&(text.len() as u64).to_le_bytes());
         hasher.update(text);
     }
     for (name, view) in tensors {

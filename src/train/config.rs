@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 /// | `normalisation` | `"component"`; or `"cloth"` ([`Normalisation`]) |
 /// | `init` | fresh weights; or a safetensors file, relative to the configuration, or several to average |
 /// | `[network]` `lifting`, `channels`, `projection`, `layers`, `modes_h`, `modes_w` | 256, 64, 64, 4, 8, 5 |
-/// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in an explicit pool `[32, 32]`, 10, 1000, 10 |
+/// | `[[pool]]` `grid`, `iterations`, `cloths`, `batch` | four pools of 1, 3, 10 and 30 iterations; in an explicit pool `[32, 32]`, 10, 1000, 10 (at most `cloths`) |
 /// | `[[pool]]` `sequence_length`, `corners`, `every` | that of `[reset]`, that of `[motion]`, 1 |
 /// | `[pool.material]` `stretch`, `shear`, `bend` | `[100, 1000]`, `[1, 100]`, `[0.01, 10]` |
 /// | `[motion]` `moving`, `rotation`, `amplitude`, `frequency`, `pinch`, `gravity`, `aligned`, `corners`, `more_handles`, `damping` | 0.8, 0.0628, 10, 0.2, 0.4, 0.125, 0, 1, 0.5, 0 |

@@ -14,7 +14,7 @@ use crate::sim::{Cloth, Device, Model};
 /// The learner on the CPU, in single precision, on all threads of the current rayon pool.
 pub(super) struct CpuLearner {
     network: network::Config,
-    pools: Vec<Room>,
+    pools: Vec<PoolState>,
     weights: Vec<f32>,
     averaged: Vec<f32>,
     gradient: Vec<f32>,
@@ -22,7 +22,7 @@ pub(super) struct CpuLearner {
 }
 
 /// A pool: all its cloths, those of the current batch, and the batch's loss.
-struct Room {
+struct PoolState {
     all: Arrays<f32>,
     drawn: Arrays<f32>,
     loss: Loss<f32>,
@@ -31,10 +31,10 @@ struct Room {
 impl CpuLearner {
     /// Creates a learner that starts from `weights`. Fails if a grid is too small for the modes.
     pub fn new(config: &Config, weights: &Weights) -> Result<Self> {
-        let room = |pool: &super::PoolConfig| {
+        let state = |pool: &super::PoolConfig| {
             let model = Model { grid: pool.grid, cloths: vec![Cloth::default(); pool.batch] };
             let drawn = Arrays::new(pool.grid, pool.batch);
-            Ok(Room {
+            Ok(PoolState {
                 all: Arrays::of_pool(pool),
                 drawn,
                 loss: Loss::new(weights, &model, config.normalisation)?,
@@ -44,7 +44,7 @@ impl CpuLearner {
         let adamw = AdamW::new(config.optimizer.settings, flat.len());
         Ok(Self {
             network: weights.config,
-            pools: config.pools.iter().map(room).collect::<Result<_>>()?,
+            pools: config.pools.iter().map(state).collect::<Result<_>>()?,
             averaged: flat.clone(),
             gradient: vec![0.0; flat.len()],
             adamw,
@@ -57,7 +57,7 @@ impl CpuLearner {
     /// Steps the cloths of all batches, accumulates their gradients and reports their outcomes.
     fn add_gradients(&mut self, batches: &[Batch], weights: &LaidOut<f32>, report: &mut StepReport) {
         for batch in batches {
-            let Room { all, drawn, loss } = &mut self.pools[batch.pool];
+            let PoolState { all, drawn, loss } = &mut self.pools[batch.pool];
             all.draw(batch, drawn);
             loss.set_weights(weights);
             loss.set_model(&batch.model(drawn.grid()));
@@ -65,12 +65,12 @@ impl CpuLearner {
             let Arrays { state, a, hidden, .. } = &mut *drawn;
             let outcomes = loss.step((state, &batch.control()), (a, hidden), share, &mut self.gradient);
             let scales = hidden.scale.chunks_exact(3).map(|s| [s[0], s[1], s[2]].map(f64::from));
-            let told = outcomes.iter().zip(scales).map(|(outcome, scale)| Outcome {
+            let outcomes = outcomes.iter().zip(scales).map(|(outcome, scale)| Outcome {
                 energy: outcome.energy,
                 log_gradient: outcome.mean_gradient.ln(),
                 scale,
             });
-            report.outcomes[batch.pool] = told.collect();
+            report.outcomes[batch.pool] = outcomes.collect();
             all.store(batch, drawn);
         }
     }
@@ -84,7 +84,7 @@ impl Learner for CpuLearner {
         // Run as one task inside the rayon pool, like a frame: from outside, each parallel loop would wait
         // for a thread to wake.
         rayon::scope(|_| self.add_gradients(batches, &weights, &mut report));
-        ranks.join(&mut self.gradient, report.loss());
+        ranks.sum_gradients(&mut self.gradient, report.loss());
         report.gradient_norm = AdamW::norm(&self.gradient);
         if report.is_finite() {
             let gradient = (&self.gradient[..], report.gradient_norm);
@@ -120,8 +120,8 @@ impl Learner for CpuLearner {
         for (name, values) in vectors {
             tensors.insert(name.to_owned(), &[values.len()], values.clone());
         }
-        for (k, room) in self.pools.iter().enumerate() {
-            room.all.save(&format!("pool{k}"), &mut tensors);
+        for (k, state) in self.pools.iter().enumerate() {
+            state.all.save(&format!("pool{k}"), &mut tensors);
         }
         Ok(tensors)
     }
@@ -137,8 +137,8 @@ impl Learner for CpuLearner {
         for (name, values) in vectors {
             values.copy_from_slice(saved.get(name, &shape)?);
         }
-        for (k, room) in self.pools.iter_mut().enumerate() {
-            room.all.load(&format!("pool{k}"), saved)?;
+        for (k, state) in self.pools.iter_mut().enumerate() {
+            state.all.load(&format!("pool{k}"), saved)?;
         }
         Ok(())
     }

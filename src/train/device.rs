@@ -11,9 +11,9 @@ use crate::kernels::cloth::{
     StateTensors, TERMS, energy, gradient,
 };
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{Fields, Iterate, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors};
+use crate::kernels::optim::{FeatureInputs, Iterate, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors};
 use crate::kernels::train::{AdamW, BatchTensors, Factors, GradientSize, Moments, Squares, squares};
-use crate::network::{Backward, Forward, Head, Keep, Parameters, Plan, Transposed};
+use crate::network::{Backward, Forward, Head, Keep, Parameters, Plan, TransposedWeights};
 use crate::sim::{Control, Grid, Model};
 
 /// The loss of a batch of B cloths on one grid, and its gradient over the weights (paper section 3.3): one
@@ -29,7 +29,7 @@ pub struct DeviceLoss {
     cloths: Tensor,
     targets: Tensor,
     /// External accelerations, set by the caller [edges / frame^2], shape [B, 3, n].
-    pub given: Tensor,
+    pub control_accelerations: Tensor,
     external: Tensor,
     iterate: Iterate,
     scale: Tensor,
@@ -66,7 +66,7 @@ impl DeviceLoss {
             v: field("velocities")?,
             cloths: zeros("cloths", &[batch, ClothParams::LEN])?,
             targets: zeros("handle targets", &[batch * MAX_HANDLES, 3])?,
-            given: field("given accelerations")?,
+            control_accelerations: field("control accelerations")?,
             external: field("external")?,
             iterate: Iterate::with_hidden(context, batch, &vec![0; batch * n])?,
             scale: zeros("scale", &[samples])?,
@@ -115,20 +115,21 @@ impl DeviceLoss {
 
     /// Appends an iteration: adds the step to a, updates the hidden state, and adds the gradient of the mean
     /// energy over all weights to the vector passed to [`DeviceLoss::new`]. `transposed` holds the weights.
-    pub fn push(&self, schedule: &mut Schedule, transposed: &Transposed) -> Result<()> {
+    pub fn push(&self, schedule: &mut Schedule, transposed: &TransposedWeights) -> Result<()> {
         let (context, grid) = (&self.context, self.grid);
-        let Self { x, v, cloths, given, external, iterate, scale, forward, backward, .. } = self;
+        let Self { x, v, cloths, control_accelerations, external, iterate, scale, forward, backward, .. } =
+            self;
         let (samples, _) = iterate.samples_and_particles();
         let (state, _) = self.state();
         Predict::in_a_frame(context)?.push(schedule, state, iterate);
-        let from = ExternalForceTensors { cloths, x, v, given };
+        let from = ExternalForceTensors { cloths, x, v, control_accelerations };
         ExternalForce::new(context)?.push(schedule, grid, from, external);
         let physics = Physics { cloths, external, x };
         let kernel = Gradient::new(context)?;
         let sums = &Tensor::zeros(context, "sums of squares", &[samples, gradient::parts(grid), 2])?;
         kernel.push(schedule, grid, physics, (iterate, sums));
-        let (fields, scales) = (Fields { iterate, sums, first: 0 }, Scales::in_place(scale));
-        forward.push(schedule, Some(fields), Head::Rescaling(scales));
+        let (fields, scales) = (FeatureInputs { iterate, sums, first: 0 }, Scales::in_place(scale));
+        forward.push(schedule, Some(fields), Head::StoreAndRescale(scales));
         let from = UpdateTensors { field: &forward.field, first: 0, scales, head: None };
         Update::new(context)?.push(schedule, grid, from, iterate);
 
@@ -199,12 +200,13 @@ impl DeviceAdamW {
     /// next submission. `average` is the decay of the running mean of the weights.
     pub fn set_factors(&self, norm: f64, number: u64, (rate, average): (f64, f64)) {
         let AdamWSettings { betas: [beta1, beta2], epsilon, .. } = self.settings;
-        let AdamWFactors { shorten, shrink, pace, root } = self.settings.factors(norm, number, rate);
+        let AdamWFactors { clip, decay, step_size, sqrt_correction } =
+            self.settings.factors(norm, number, rate);
         let factors = Factors {
-            shorten: shorten as f32,
-            shrink: shrink as f32,
-            pace: pace as f32,
-            root: root as f32,
+            clip: clip as f32,
+            decay: decay as f32,
+            step_size: step_size as f32,
+            sqrt_correction: sqrt_correction as f32,
             beta1: beta1 as f32,
             beta2: beta2 as f32,
             add1: (1.0 - beta1) as f32,

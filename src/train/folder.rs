@@ -42,14 +42,14 @@ impl Folder {
         let table = tables.into_iter().find(|path| path.exists() && !folder.config().exists());
         for (what, found) in [("checkpoints", checkpoint), ("weights", weights), ("tables", table)] {
             if let Some(path) = found {
-                let expected = "none in the folder of a new run (--resume continues an old one)";
+                let expected = "none in the folder of a new run (--resume continues an existing run)";
                 return Err(Error::invalid(root.display().to_string(), what, expected, path.display()));
             }
         }
         // If such a run is restarted, the configuration is the same. Any other may be the only copy: keep it.
         let other = std::fs::read(folder.config()).is_ok_and(|found| found != config.as_bytes());
         if other {
-            let expected = "none of another run, nor anything else of that name, in the folder of a new run";
+            let expected = "no config.toml of another run in the folder of a new run";
             let found = folder.config().display().to_string();
             return Err(Error::invalid(root.display().to_string(), "configuration", expected, found));
         }
@@ -73,7 +73,8 @@ impl Folder {
             }
             Err(TryLockError::WouldBlock) => {
                 let origin = self.root.display().to_string();
-                let (expected, found) = ("no other process that trains in it", "one that does");
+                let (expected, found) =
+                    ("no other process training in the folder", "one that holds the lock");
                 return Err(Error::invalid(origin, "run.lock", expected, found));
             }
             // Some shared file systems do not support locks.
@@ -151,12 +152,12 @@ impl Folder {
         let count = ranks.count() as u64;
         let mut steps = self.checkpoints()?.into_iter().filter(|file| file.rank == 0).map(|file| file.step);
         loop {
-            let step = ranks.first(steps.next().unwrap_or(NONE));
+            let step = ranks.broadcast_u64(steps.next().unwrap_or(NONE));
             if step == NONE {
                 return Ok((None, passed_over));
             }
             let read = Checkpoint::read(&self.checkpoint(step, ranks.rank()));
-            let began = ranks.first(read.as_ref().map_or(count, |c| c.counters.ranks as u64));
+            let began = ranks.broadcast_u64(read.as_ref().map_or(count, |c| c.counters.ranks as u64));
             if began != count {
                 let expected = format!("{began}, as many as the run began with");
                 return Err(Error::invalid(self.root.display().to_string(), "ranks", expected, count));

@@ -12,7 +12,7 @@ use crate::gpu::{Context, Readback, Schedule, Tensor};
 use crate::kernels::Tuning;
 use crate::kernels::cloth::{ClothTerms, TERMS};
 use crate::kernels::train::{Advance, Draw, Drawn, PoolTensors, Store};
-use crate::network::{self, Parameters, Transposed, Weights};
+use crate::network::{self, Parameters, TransposedWeights, Weights};
 use crate::sim::{Grid, INITIAL_SCALE};
 
 /// The learner on a GPU. Weights, moments and pools stay on the device. A step takes two submissions, because
@@ -22,18 +22,18 @@ pub(super) struct GpuLearner {
     network: network::Config,
     parameters: Parameters,
     adamw: DeviceAdamW,
-    pools: Vec<Room>,
+    pools: Vec<PoolState>,
     /// Runs before the batches: clears the gradient and transposes the weights.
     prepare: Schedule,
     /// Runs after the batches: computes the norm of the gradient.
     norm: Schedule,
     /// Reads the squared norm back.
-    told: Readback,
+    norm_readback: Readback,
     update: Schedule,
 }
 
 /// A pool: all its cloths, and the buffers and schedule of a step on one batch.
-struct Room {
+struct PoolState {
     grid: Grid,
     /// Fields of all cloths, shape [P, 5, 3, n], see [`PoolTensors`].
     fields: Tensor,
@@ -45,11 +45,11 @@ struct Room {
     readback: Readback,
 }
 
-impl Room {
+impl PoolState {
     fn new(
         context: &Context,
         pool: &PoolConfig,
-        (parameters, transposed): (&Parameters, &Transposed),
+        (parameters, transposed): (&Parameters, &TransposedWeights),
         into: (&Tensor, Normalisation),
         tuning: &Tuning,
     ) -> Result<Self> {
@@ -111,9 +111,9 @@ impl Room {
 }
 
 /// Decodes the outcomes of the last step's `batch` cloths from the bytes read back.
-fn outcomes(told: &[u8], batch: usize) -> Vec<Outcome> {
-    let told: Vec<f32> = bytemuck::pod_collect_to_vec(told);
-    let (terms, rest) = told.split_at(TERMS * batch);
+fn outcomes(bytes: &[u8], batch: usize) -> Vec<Outcome> {
+    let numbers: Vec<f32> = bytemuck::pod_collect_to_vec(bytes);
+    let (terms, rest) = numbers.split_at(TERMS * batch);
     let (sizes, scales) = rest.split_at(batch);
     let outcome = |((terms, &size), scale): ((ClothTerms, &f32), &[f32])| Outcome {
         energy: terms.energy,
@@ -136,22 +136,22 @@ impl GpuLearner {
         let parameters = Parameters::new(context, weights, &tuning)?;
         let adamw = DeviceAdamW::new(context, parameters.flat.len(), config.optimizer.settings)?;
         adamw.moments.averaged.write(context, &parameters.layout().to_device(&weights.flat()));
-        let transposed = Transposed::new(context, &parameters)?;
+        let transposed = TransposedWeights::new(context, &parameters)?;
         let mut prepare = Schedule::new(context);
         prepare.clear(&adamw.gradient);
         transposed.push(&mut prepare);
-        let room = |pool: &PoolConfig| {
+        let state = |pool: &PoolConfig| {
             let into = (&adamw.gradient, config.normalisation);
-            Room::new(context, pool, (&parameters, &transposed), into, &tuning)
+            PoolState::new(context, pool, (&parameters, &transposed), into, &tuning)
         };
-        let pools = config.pools.iter().map(room).collect::<Result<_>>()?;
+        let pools = config.pools.iter().map(state).collect::<Result<_>>()?;
         let [mut norm, mut update] = [(); 2].map(|()| Schedule::new(context));
         adamw.push_norm(&mut norm)?;
         adamw.push_step(&mut update, &parameters.flat)?;
         let [prepare, norm, update] = [prepare.finish()?, norm.finish()?, update.finish()?];
-        let told = Readback::new(context, &[&adamw.norm_squared], 1);
+        let norm_readback = Readback::new(context, &[&adamw.norm_squared], 1);
         let (context, network) = (context.clone(), weights.config);
-        Ok(Self { context, network, parameters, adamw, pools, prepare, norm, told, update })
+        Ok(Self { context, network, parameters, adamw, pools, prepare, norm, norm_readback, update })
     }
 
     /// Returns the vectors of a checkpoint with their names.
@@ -183,35 +183,35 @@ impl Learner for GpuLearner {
         let submission = context.submit(|encoder| {
             self.prepare.record(encoder);
             for batch in batches {
-                let room = &mut pools[batch.pool];
-                room.step.record(encoder);
-                room.readback.record(encoder);
+                let state = &mut pools[batch.pool];
+                state.step.record(encoder);
+                state.readback.record(encoder);
             }
             if ranks.count() == 1 {
                 self.norm.record(encoder);
-                self.told.record(encoder);
+                self.norm_readback.record(encoder);
             }
         });
         let mut report = StepReport { outcomes: vec![Vec::new(); pools.len()], ..StepReport::default() };
         for batch in batches {
-            let room = &mut pools[batch.pool];
-            room.readback.submitted(&submission);
-            let outcomes = room.readback.next(context, |told| outcomes(told, room.loss.batch()))?;
+            let state = &mut pools[batch.pool];
+            state.readback.submitted(&submission);
+            let outcomes = state.readback.next(context, |bytes| outcomes(bytes, state.loss.batch()))?;
             report.outcomes[batch.pool] = outcomes.expect("one read is under way");
         }
         let mut submission = submission;
         if ranks.count() > 1 {
             // Only with several ranks does the gradient leave the device.
             let mut gradient = adamw.gradient.read(context)?;
-            ranks.join(&mut gradient, report.loss());
+            ranks.sum_gradients(&mut gradient, report.loss());
             adamw.gradient.write(context, &gradient);
             submission = context.submit(|encoder| {
                 self.norm.record(encoder);
-                self.told.record(encoder);
+                self.norm_readback.record(encoder);
             });
         }
-        self.told.submitted(&submission);
-        let norm_squared: Option<f32> = self.told.next(context, bytemuck::pod_read_unaligned)?;
+        self.norm_readback.submitted(&submission);
+        let norm_squared: Option<f32> = self.norm_readback.next(context, bytemuck::pod_read_unaligned)?;
         report.gradient_norm = f64::from(norm_squared.expect("one read is under way")).sqrt();
         if report.is_finite() {
             adamw.set_factors(report.gradient_norm, update.number, (update.rate, update.average));
@@ -228,7 +228,7 @@ impl Learner for GpuLearner {
         Ok(Weights::from_flat(self.network, &self.download(&self.adamw.moments.averaged)?))
     }
 
-    fn order(&self) -> u64 {
+    fn gradient_order(&self) -> u64 {
         self.parameters.layout().tile() as u64
     }
 
@@ -242,8 +242,8 @@ impl Learner for GpuLearner {
             let values = self.download(vector)?;
             tensors.insert(name.to_owned(), &[values.len()], values);
         }
-        for (k, room) in self.pools.iter().enumerate() {
-            room.read(&self.context)?.save(&format!("pool{k}"), &mut tensors);
+        for (k, state) in self.pools.iter().enumerate() {
+            state.read(&self.context)?.save(&format!("pool{k}"), &mut tensors);
         }
         Ok(tensors)
     }
@@ -253,10 +253,10 @@ impl Learner for GpuLearner {
         for (name, vector) in self.vectors() {
             self.upload(vector, saved.get(name, &shape)?);
         }
-        for (k, room) in self.pools.iter().enumerate() {
-            let mut arrays = Arrays::new(room.grid, room.scale.shape()[0]);
+        for (k, state) in self.pools.iter().enumerate() {
+            let mut arrays = Arrays::new(state.grid, state.scale.shape()[0]);
             arrays.load(&format!("pool{k}"), saved)?;
-            room.write(&self.context, arrays);
+            state.write(&self.context, arrays);
         }
         Ok(())
     }

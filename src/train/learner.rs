@@ -22,7 +22,7 @@ pub trait Learner {
     /// 4. If `advance` is set, the frame ends: v <- v + a, x <- x + v, a <- 0, handles are at their targets
     ///    with velocity 0, and v loses the fraction `damping`.
     ///
-    /// Then [`Ranks::join`] sums the gradients of all ranks, the gradient is clipped by its norm, and AdamW
+    /// Then [`Ranks::sum_gradients`] sums the gradients of all ranks, the gradient is clipped by its norm, and AdamW
     /// updates the weights and their running mean. If the loss or the norm is not finite
     /// ([`StepReport::is_finite`]), the weights, AdamW's moments and the running mean do not change. With one
     /// rank the gradient need not leave the device.
@@ -42,7 +42,7 @@ pub trait Learner {
 
     /// Returns an identifier of the parameter order in gradient vectors. Only gradients of the same order can
     /// be summed.
-    fn order(&self) -> u64 {
+    fn gradient_order(&self) -> u64 {
         0
     }
 
@@ -127,7 +127,7 @@ impl StepReport {
         self.outcomes.iter().filter(|outcomes| !outcomes.is_empty()).map(mean).sum()
     }
 
-    /// Returns whether the step is usable. All ranks agree, because [`Ranks::join`] propagates non-finite
+    /// Returns whether the step is usable. All ranks agree, because [`Ranks::sum_gradients`] propagates non-finite
     /// losses.
     pub fn is_finite(&self) -> bool {
         self.gradient_norm.is_finite() && self.loss().is_finite()

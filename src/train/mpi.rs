@@ -13,7 +13,7 @@ use std::io::Write;
 /// same number of ranks on the same machines, so such runs are reproducible bit for bit.
 pub(super) struct Mpi {
     world: SimpleCommunicator,
-    on_machine: usize,
+    local_rank: usize,
     // Finalizes MPI when dropped, so it must be the last field.
     _universe: Universe,
 }
@@ -24,8 +24,8 @@ impl Mpi {
     pub fn new() -> Option<Self> {
         let (universe, _) = mpi::initialize_with_threading(Threading::Funneled)?;
         let world = universe.world();
-        let on_machine = world.split_shared(world.rank()).rank() as usize;
-        Some(Self { world, on_machine, _universe: universe })
+        let local_rank = world.split_shared(world.rank()).rank() as usize;
+        Some(Self { world, local_rank, _universe: universe })
     }
 }
 
@@ -38,8 +38,8 @@ impl Ranks for Mpi {
         self.world.size() as usize
     }
 
-    fn on_machine(&self) -> usize {
-        self.on_machine
+    fn local_rank(&self) -> usize {
+        self.local_rank
     }
 
     fn sum(&self, values: &mut [f32]) {

@@ -7,11 +7,11 @@ use std::rc::Rc;
 /// The processes that train one network together, as seen by one of them. Each is a *rank*, numbered from 0.
 ///
 /// All ranks hold the same weights and AdamW moments. Each has its own pools, simulated from its own seed
-/// ([`Ranks::seed`]), and contributes the gradient of its own batches to every step ([`Ranks::join`]). Rank 0
+/// ([`Ranks::seed`]), and contributes the gradient of its own batches to every step ([`Ranks::sum_gradients`]). Rank 0
 /// alone measures, writes the files of the run and decides when to stop ([`Ranks::decide`]); the others only
 /// write their part of each checkpoint.
 ///
-/// All ranks must call all methods except `rank`, `count`, `on_machine`, `seed` and `abort`, in the same
+/// All ranks must call all methods except `rank`, `count`, `local_rank`, `seed` and `abort`, in the same
 /// order.
 pub trait Ranks {
     /// Returns the number of this rank.
@@ -21,7 +21,7 @@ pub trait Ranks {
     fn count(&self) -> usize;
 
     /// Returns the number of this rank among those on its machine, which share the machine's adapters.
-    fn on_machine(&self) -> usize;
+    fn local_rank(&self) -> usize;
 
     /// Replaces `values` with their sums over the ranks, bit-identical on all of them. The length must be the
     /// same on all ranks.
@@ -45,7 +45,7 @@ pub trait Ranks {
     /// their pools. They also act as one with larger batches, because the backward pass weighs every
     /// component, or every cloth, the same; hence the sum is not divided by the number of ranks. If any
     /// rank's loss is not finite, the gradient becomes non-finite on all ranks, so that all skip the step.
-    fn join(&self, gradient: &mut [f32], loss: f64) {
+    fn sum_gradients(&self, gradient: &mut [f32], loss: f64) {
         if !loss.is_finite() && self.count() > 1 {
             gradient.fill(f32::NAN);
         }
@@ -53,7 +53,7 @@ pub trait Ranks {
     }
 
     /// Returns rank 0's number.
-    fn first(&self, number: u64) -> u64 {
+    fn broadcast_u64(&self, number: u64) -> u64 {
         let mut bytes = number.to_le_bytes();
         self.broadcast(&mut bytes);
         u64::from_le_bytes(bytes)
@@ -61,7 +61,7 @@ pub trait Ranks {
 
     /// Returns rank 0's decision.
     fn decide(&self, yes: bool) -> bool {
-        self.first(u64::from(yes)) == 1
+        self.broadcast_u64(u64::from(yes)) == 1
     }
 
     /// Returns whether all ranks say yes. Also acts as a barrier.
@@ -85,7 +85,7 @@ impl Ranks for Alone {
         1
     }
 
-    fn on_machine(&self) -> usize {
+    fn local_rank(&self) -> usize {
         0
     }
 

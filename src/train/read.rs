@@ -29,7 +29,7 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
     let origin = path.display().to_string();
     let document = parse_toml(&origin, text)?;
     let root = Node::root(&origin, &document);
-    root.only(&[
+    root.deny_unknown(&[
         "notes",
         "seed",
         "steps",
@@ -68,7 +68,7 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
         schedule: root.get_or("schedule", base.schedule, schedule)?,
         validation: root.get_or("validation", base.validation, validation)?,
         checkpoint: root.get_or("checkpoint", base.checkpoint, |n| {
-            n.only(&["every"])?;
+            n.deny_unknown(&["every"])?;
             n.get_or("every", base.checkpoint, every)
         })?,
     };
@@ -122,7 +122,7 @@ fn check(config: Config, origin: &str) -> Result<Config> {
         return Err(Error::invalid(
             origin,
             "pool",
-            "one with every = 1, for a step without cloths teaches nothing",
+            "at least one with every = 1, so that every step draws cloths",
             "none",
         ));
     }
@@ -173,7 +173,7 @@ fn check(config: Config, origin: &str) -> Result<Config> {
 }
 
 fn network(node: &Node<'_>) -> Result<network::Config> {
-    node.only(&["lifting", "channels", "projection", "layers", "modes_h", "modes_w"])?;
+    node.deny_unknown(&["lifting", "channels", "projection", "layers", "modes_h", "modes_w"])?;
     let base = network::Config::default();
     let size = |key, default, most| node.get_or(key, default, |n| count(n, 1, most));
     Ok(network::Config {
@@ -188,7 +188,16 @@ fn network(node: &Node<'_>) -> Result<network::Config> {
 }
 
 fn pool(node: &Node<'_>) -> Result<PoolConfig> {
-    node.only(&["grid", "iterations", "cloths", "batch", "material", "sequence_length", "corners", "every"])?;
+    node.deny_unknown(&[
+        "grid",
+        "iterations",
+        "cloths",
+        "batch",
+        "material",
+        "sequence_length",
+        "corners",
+        "every",
+    ])?;
     let base = PoolConfig::default();
     let cloths = node.get_or("cloths", base.cloths, |n| count(n, 1, 1 << 24))?;
     Ok(PoolConfig {
@@ -197,7 +206,7 @@ fn pool(node: &Node<'_>) -> Result<PoolConfig> {
         cloths,
         batch: node.get_or("batch", base.batch.min(cloths), |n| count(n, 1, cloths))?,
         material: node.get_or("material", base.material, |n| {
-            n.only(&["stretch", "shear", "bend"])?;
+            n.deny_unknown(&["stretch", "shear", "bend"])?;
             Ok(MaterialRanges {
                 stretch: n.get_or("stretch", base.material.stretch, range)?,
                 shear: n.get_or("shear", base.material.shear, range)?,
@@ -213,7 +222,7 @@ fn pool(node: &Node<'_>) -> Result<PoolConfig> {
 fn motion(node: &Node<'_>) -> Result<MotionRanges> {
     const SIZES: [&str; 4] = ["rotation", "amplitude", "frequency", "gravity"];
     const SHARES: [&str; 6] = ["moving", "pinch", "aligned", "corners", "more_handles", "damping"];
-    node.only(&[&SIZES[..], &SHARES].concat())?;
+    node.deny_unknown(&[&SIZES[..], &SHARES].concat())?;
     let base = MotionRanges::default();
     let size = |key, default| node.get_or(key, default, not_negative);
     Ok(MotionRanges {
@@ -231,7 +240,7 @@ fn motion(node: &Node<'_>) -> Result<MotionRanges> {
 }
 
 fn reset(node: &Node<'_>) -> Result<ResetRules> {
-    node.only(&["energy", "sequence_length", "scale"])?;
+    node.deny_unknown(&["energy", "sequence_length", "scale"])?;
     let base = ResetRules::default();
     Ok(ResetRules {
         energy: node.get_or("energy", base.energy, positive)?,
@@ -241,7 +250,7 @@ fn reset(node: &Node<'_>) -> Result<ResetRules> {
 }
 
 fn optimizer(node: &Node<'_>) -> Result<AdamWOptions> {
-    node.only(&["rate", "betas", "epsilon", "weight_decay", "clip"])?;
+    node.deny_unknown(&["rate", "betas", "epsilon", "weight_decay", "clip"])?;
     let AdamWOptions { rate, settings: base } = AdamWOptions::default();
     let settings = AdamWSettings {
         betas: node.get_or("betas", base.betas, |n| n.array("two numbers [b1, b2]", decay))?,
@@ -261,7 +270,7 @@ fn normalisation(node: &Node<'_>) -> Result<Normalisation> {
 }
 
 fn schedule(node: &Node<'_>) -> Result<RateSchedule> {
-    node.only(&["warmup", "decay"])?;
+    node.deny_unknown(&["warmup", "decay"])?;
     let read_decay = |node: &Node<'_>| {
         if node.value.as_str() == Some("none") {
             return Ok(Decay::None);
@@ -270,13 +279,13 @@ fn schedule(node: &Node<'_>) -> Result<RateSchedule> {
         if !node.value.is_object() {
             return Err(node.invalid(expected));
         }
-        node.only(&["halvings", "cosine"])?;
+        node.deny_unknown(&["halvings", "cosine"])?;
         match (node.get("halvings"), node.get("cosine")) {
             (Some(at), None) => {
                 Ok(Decay::Halvings(at.items()?.iter().map(above_zero).collect::<Result<_>>()?))
             }
             (None, Some(cosine)) => {
-                cosine.only(&["final"])?;
+                cosine.deny_unknown(&["final"])?;
                 Ok(Decay::Cosine { last: cosine.get_or("final", 0.0, not_negative)? })
             }
             _ => Err(node.invalid(expected)),
@@ -289,7 +298,7 @@ fn schedule(node: &Node<'_>) -> Result<RateSchedule> {
 }
 
 fn validation(node: &Node<'_>) -> Result<ValidationConfig> {
-    node.only(&["every", "frames", "iterations", "grids"])?;
+    node.deny_unknown(&["every", "frames", "iterations", "grids"])?;
     let base = ValidationConfig::default();
     let grids = |n: &Node<'_>| {
         let grids: Vec<Grid> = n.items()?.iter().map(grid).collect::<Result<_>>()?;
@@ -308,7 +317,7 @@ fn every(node: &Node<'_>) -> Result<Every> {
     if !node.value.is_object() {
         return Err(node.invalid(expected));
     }
-    node.only(&["steps", "minutes"])?;
+    node.deny_unknown(&["steps", "minutes"])?;
     match (node.get("steps"), node.get("minutes")) {
         (Some(steps), None) => Ok(Every::Steps(above_zero(&steps)?)),
         (None, Some(minutes)) => Ok(Every::Minutes(positive(&minutes)?)),

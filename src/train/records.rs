@@ -62,7 +62,7 @@ impl Records {
     }
 
     /// Appends the last validation to the table in a single write.
-    pub fn tell_scores(&self) -> Result<()> {
+    pub fn append_scores(&self) -> Result<()> {
         let (step, scores) = &self.scores;
         let row = |score: &SceneScore| {
             let gap = score.gap.map_or_else(String::new, |gap| format!("{gap:.6}"));

@@ -133,7 +133,7 @@ impl Run {
         }
         let mut learner = learner(&config)?;
         learner.load(&tensors)?;
-        tell_other_device(&counters.device, &learner.device());
+        warn_of_other_device(&counters.device, &learner.device());
         let run = Self::open((config, text), folder, counters, (learner, ranks))?;
         Ok((run, passed_over))
     }
@@ -150,8 +150,8 @@ impl Run {
         restore(&mut pools, &mut counters)?;
         counters.ranks = ranks.count();
         // Gradients can only be summed if all ranks order them alike.
-        let order = learner.order();
-        let alike = ranks.first(order) == order;
+        let order = learner.gradient_order();
+        let alike = ranks.broadcast_u64(order) == order;
         if !ranks.all(alike) {
             let expected = "devices of one kind, whose gradients have one order";
             return Err(Error::invalid("ranks", "devices", expected, "several kinds"));
@@ -193,7 +193,7 @@ impl Run {
         limits: &Limits<'_>,
         mut watch: impl FnMut(&Progress<'_>) -> ControlFlow<()>,
     ) -> Result<End> {
-        let steps = self.ranks.first(limits.steps.unwrap_or(u64::MAX)).min(self.config.steps);
+        let steps = self.ranks.broadcast_u64(limits.steps.unwrap_or(u64::MAX)).min(self.config.steps);
         let session = Clock::new(limits.minutes.map_or(Every::Steps(u64::MAX), Every::Minutes));
         let mut validate = Clock::new(self.config.validation.every);
         let mut checkpoint = Clock::new(self.config.checkpoint);
@@ -206,7 +206,7 @@ impl Run {
             let cut_off = match self.validate(limits) {
                 Ok(whole) => !whole,
                 Err(error) => {
-                    tracing::warn!("the validation after step {first} is left out: {error}");
+                    tracing::warn!("skipping the validation after step {first}: {error}");
                     false
                 }
             };
@@ -233,8 +233,8 @@ impl Run {
             {
                 // Save, so that no step is lost. With several ranks the others are waiting at another
                 // collective, so all end without saving.
-                if self.ranks.count() == 1 && skipped == 0 && self.is_sound()? {
-                    self.keep()?;
+                if self.ranks.count() == 1 && skipped == 0 && self.weights_are_finite()? {
+                    self.write_checkpoint()?;
                 }
                 return Err(error);
             }
@@ -243,7 +243,7 @@ impl Run {
             let kept = self.ranks.decide(due || checkpoint.is_due(step));
             // Save before validating, which takes a while and may fail. Never save a state that produces
             // non-finite steps: it would push out better checkpoints.
-            let sound = kept && self.ranks.all(self.is_sound()?);
+            let sound = kept && self.ranks.all(self.weights_are_finite()?);
             let validated = due && sound;
             self.counters.validation_due = validated;
             if sound && skipped == 0 {
@@ -269,7 +269,7 @@ impl Run {
                 break End::Interrupted;
             }
         };
-        let sound = self.ranks.all(self.is_sound()?);
+        let sound = self.ranks.all(self.weights_are_finite()?);
         // The last step may have been too large, with no further step to reveal it.
         let end = if sound { end } else { End::NonFinite };
         match end {
@@ -297,7 +297,7 @@ impl Run {
     }
 
     /// Returns whether the weights are finite; a step that is too large makes them non-finite.
-    fn is_sound(&self) -> Result<bool> {
+    fn weights_are_finite(&self) -> Result<bool> {
         let weights = self.weights()?;
         Ok(weights.parameters().into_iter().flatten().all(|w| w.is_finite()))
     }
@@ -312,7 +312,9 @@ impl Run {
     fn give_up(&self, step: u64) -> Result<bool> {
         let removed = self.ranks.rank() == 0 && self.folder.remove_if_older(step)?;
         if removed {
-            tracing::warn!("after the checkpoint of step {step} no step is finite: the one before it counts");
+            tracing::warn!(
+                "no finite step followed the checkpoint of step {step}; going back to the one before"
+            );
         }
         Ok(self.ranks.decide(removed))
     }
@@ -368,27 +370,27 @@ impl Run {
             self.records.iter_mut().for_each(|records| records.best = Some(score));
         }
         // Write the table last: a validation that it lists is not repeated.
-        self.records.iter().try_for_each(Records::tell_scores)?;
-        self.show()?;
+        self.records.iter().try_for_each(Records::append_scores)?;
+        self.write_outputs()?;
         Ok(true)
     }
 
     /// Writes the complete state of this rank; on rank 0 also metrics, weights and plot.
     fn save(&mut self) -> Result<()> {
-        self.keep()?;
+        self.write_checkpoint()?;
         self.flush()?;
-        self.show()
+        self.write_outputs()
     }
 
     /// Writes the weights `last`, with the validation if one followed this step, and the plot. Only rank 0
     /// writes.
-    fn show(&self) -> Result<()> {
+    fn write_outputs(&self) -> Result<()> {
         self.write_weights("last")?;
         self.records.iter().try_for_each(|records| records.plot(&self.folder, &self.config))
     }
 
     /// Writes the complete state of this rank.
-    fn keep(&self) -> Result<()> {
+    fn write_checkpoint(&self) -> Result<()> {
         let pools = self.pools.iter().map(|pool| pool.slots().to_vec()).collect();
         let checkpoint = Checkpoint {
             config: self.text.clone(),
@@ -426,17 +428,17 @@ fn restore(pools: &mut [Pool], counters: &mut Counters) -> Result<()> {
 
 /// Warns if a run continues on another device, where it is not bit-reproducible. The number of CPU threads
 /// does not matter.
-fn tell_other_device(before: &str, now: &str) {
+fn warn_of_other_device(before: &str, now: &str) {
     let kind = |name: &str| name.split(',').next().map(str::to_owned);
     if !before.is_empty() && kind(before) != kind(now) {
-        tracing::warn!("the run was on {before} so far; on {now} it does not continue to the same bits");
+        tracing::warn!("the run was trained on {before}; on {now} it does not continue to the same bits");
     }
 }
 
 /// Returns rank 0's text: the absolute path of the same folder may differ between machines.
 fn shared(text: &str, ranks: &dyn Ranks) -> String {
     let mut bytes = text.as_bytes().to_vec();
-    bytes.resize(ranks.first(bytes.len() as u64) as usize, 0);
+    bytes.resize(ranks.broadcast_u64(bytes.len() as u64) as usize, 0);
     ranks.broadcast(&mut bytes);
     String::from_utf8_lossy(&bytes).into_owned()
 }

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rate_rises_and_falls_as_told() {
+    fn the_rate_rises_and_falls_as_configured() {
         let paper = RateSchedule { warmup: 0, decay: Decay::Halvings(vec![10, 20, 30]) };
         let rates = [0, 9, 10, 19, 20, 30, 1000].map(|step| paper.rate(8.0, step, 40));
         assert_eq!(rates, [8.0, 8.0, 4.0, 4.0, 2.0, 1.0, 1.0]);

@@ -20,7 +20,7 @@ impl Table {
         if text.lines().next().is_some_and(|titles| titles != table.columns.join(",")) {
             let aside = table.path.with_extension("csv.old");
             std::fs::rename(&table.path, &aside).map_err(|e| Error::io(&table.path, "cannot rename", e))?;
-            tracing::warn!("{} has other columns: it is now {}", table.path.display(), aside.display());
+            tracing::warn!("{} has other columns; renamed it to {}", table.path.display(), aside.display());
             text.clear();
         }
         let is_kept =

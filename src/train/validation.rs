@@ -9,7 +9,7 @@ use crate::sim::{Device, Grid, Optimizer};
 use std::ops::ControlFlow;
 
 /// Contribution of an unsound rollout to the score, as an energy gap; it exceeds any gap of a sound one.
-const UNSTABLE_GAP: f64 = 10.0;
+const UNSOUND_GAP: f64 = 10.0;
 
 /// The prepared scenes: on each grid of the configuration a sheet that hangs from two corners and swings
 /// along `xy_v2`, and on the finest of them a flat sheet that falls, held by two corners. Default material,
@@ -74,8 +74,8 @@ impl Validation {
     /// any gap.
     pub fn score(scores: &[SceneScore]) -> f64 {
         let of = |s: &SceneScore| match s.gap.unwrap_or(0.0) {
-            gap if s.stable && gap < UNSTABLE_GAP => gap,
-            _ => UNSTABLE_GAP,
+            gap if s.stable && gap < UNSOUND_GAP => gap,
+            _ => UNSOUND_GAP,
         };
         scores.iter().map(of).sum::<f64>() / scores.len() as f64
     }
@@ -86,7 +86,7 @@ impl SceneScore {
         Self {
             scene: score.case.clone(),
             // Clamp a non-finite gap: JSON would store it as null, which means a scene without a gap.
-            gap: score.measured_gap().map(|gap| gap.min(UNSTABLE_GAP)),
+            gap: score.measured_gap().map(|gap| gap.min(UNSOUND_GAP)),
             largest_stretch: score.stretch_largest.min(f64::MAX),
             stable: score.sound(),
         }

@@ -36,7 +36,7 @@ impl Checker<'_> {
     pub fn grid_with_cells(&self, h: usize, w: usize) -> Result<Grid> {
         let grid = Grid { h, w };
         match h.min(w) {
-            0 | 1 => Err(Error::invalid(self.file, "positions", "two particles or more a side", grid)),
+            0 | 1 => Err(Error::invalid(self.file, "positions", "at least two particles per side", grid)),
             _ => Ok(grid),
         }
     }

@@ -77,7 +77,7 @@ pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn Fn
         let expected = format!("golden files ({}*.safetensors)", KINDS.join("*, "));
         let found = match files.len() {
             0 => "none".to_owned(),
-            count => format!("{count} of other names, such as {}", stem(&files[0])),
+            count => format!("{count} files with other names, such as {}", stem(&files[0])),
         };
         return Err(Error::invalid(folder.display().to_string(), "folder", expected, found));
     }
@@ -127,7 +127,7 @@ impl Checker<'_> {
         let golden = Golden::open(path)?;
         check(self, &golden)?;
         for name in golden.unread() {
-            self.verdict(&format!("{name}: no array of such a file"), Outcome::Skipped);
+            self.verdict(&format!("{name}: unexpected array"), Outcome::Skipped);
         }
         Ok(())
     }
@@ -185,8 +185,8 @@ impl Checker<'_> {
         let grid = Grid::new(h, w, self.file)?;
         let [shape, samples] = [[batch, 3, h, w], [3 * batch, 1, h, w]];
         if self.stages.precision() == Precision::Half {
-            self.verdict("training is in 32 bits", Outcome::Skipped);
-            golden.read_elsewhere("");
+            self.verdict("training needs 32-bit storage", Outcome::Skipped);
+            golden.mark_read("");
             return Ok(());
         }
         let weights = self.weights("network_weights")?;
@@ -208,7 +208,7 @@ impl Checker<'_> {
             scale: field("scales", &[3 * batch, 1, 1, 1])?,
         };
         let expected = Checkpoint::open(golden.path())?.part("gradient.").weights()?;
-        golden.read_elsewhere("gradient.");
+        golden.mark_read("gradient.");
         if expected.config != weights.config {
             let (wanted, found) = (format!("{:?}", weights.config), format!("{:?}", expected.config));
             return Err(Error::invalid(self.file, "gradient.*", wanted, found));
@@ -325,11 +325,8 @@ impl Checker<'_> {
 
     fn rollout(&mut self, golden: &Golden) -> Result<()> {
         if self.stages.precision() == Precision::Half {
-            self.verdict(
-                "says nothing of networks stored in 16 bits: the motion is chaotic",
-                Outcome::Skipped,
-            );
-            golden.read_elsewhere("");
+            self.verdict("not comparable in 16 bits: the motion is chaotic", Outcome::Skipped);
+            golden.mark_read("");
             return Ok(());
         }
         let [frames, _, h, w] = golden.shape("positions")?;
@@ -345,7 +342,7 @@ impl Checker<'_> {
             ));
         }
         if !rows.is_multiple_of(frames) {
-            let expected = format!("as many rows for each of {frames} frames");
+            let expected = format!("a multiple of {frames} rows, one set per frame");
             return Err(Error::invalid(self.file, "gradient_norms", expected, rows));
         }
         // "rollout_starter_32x32" belongs to "checkpoint_starter".
@@ -512,7 +509,7 @@ mod tests {
             failure("energy_x", &arrays, 1.0)
         };
         assert!(energy(4, 5, 5).contains("positions: expected shape [1, 3, 5, 5], found [1, 4, 5, 5]"));
-        assert!(energy(3, 1, 5).contains("two particles or more a side, found 1x5"));
+        assert!(energy(3, 1, 5).contains("at least two particles per side, found 1x5"));
         // The smallest grid has an energy, but this file has nothing to compare it with.
         assert!(energy(3, 2, 2).contains("stretching_energy: expected an array of that name"));
 
@@ -541,7 +538,7 @@ mod tests {
             let (of, one): (&[usize], &[usize]) = (&[3, h, 8], &[]);
             failure("repulsion_x", &[("positions", of), ("threshold", one), ("energy", one)], value)
         };
-        assert!(repulsion(1, 1.0).contains("two particles or more a side"));
+        assert!(repulsion(1, 1.0).contains("at least two particles per side"));
         assert!(repulsion(8, f32::NAN).contains("finite numbers, found NaN"));
         assert!(repulsion(8, 0.0).contains("threshold: expected a distance above 0"));
 

@@ -26,7 +26,7 @@ impl Golden {
         let origin = path.display().to_string();
         let bytes = io::read_bytes(path)?;
         let file = SafeTensors::deserialize(&bytes)
-            .map_err(|e| Error::invalid(&origin, "header", "a whole safetensors file", e))?;
+            .map_err(|e| Error::invalid(&origin, "header", "a complete safetensors file", e))?;
         let mut arrays = BTreeMap::new();
         for (name, view) in file.iter() {
             let values: Vec<f64> = match view.dtype() {
@@ -64,7 +64,7 @@ impl Golden {
     }
 
     /// Marks the arrays whose names start with `prefix` as read.
-    pub fn read_elsewhere(&self, prefix: &str) {
+    pub fn mark_read(&self, prefix: &str) {
         let of_prefix = self.arrays.iter().filter(|(name, _)| name.starts_with(prefix));
         of_prefix.for_each(|(_, array)| array.read.set(true));
     }

@@ -15,7 +15,7 @@ use crate::kernels::operator::Scales;
 use crate::kernels::optim::Iterate;
 use crate::kernels::train::BatchTensors;
 use crate::kernels::{self, Tuning, padded};
-use crate::network::{Forward, Head, Keep, Parameters, Plan, Transposed, Weights};
+use crate::network::{Forward, Head, Keep, Parameters, Plan, TransposedWeights, Weights};
 use crate::sim::{
     Cloth, Control, EnergyTerms, Grid, Learned, Model, Optimizer, Repulsion, Solver, SolverOptions, State,
 };
@@ -91,7 +91,7 @@ impl Stages for GpuStages {
         let forward = context.checked(|| Forward::new(context, weights, &plan))?;
         forward.embedded.write_narrowed(context, &embed(&single(input), weights.config.fields, grid));
         let mut schedule = Schedule::new(context);
-        forward.push(&mut schedule, None, Head::Alone);
+        forward.push(&mut schedule, None, Head::Store);
         self.run(&schedule);
         // Channels added to fill a tile come last.
         let kept = |i: usize| self.read_channels(forward.activation(i), weights.config.channels, grid);
@@ -152,7 +152,7 @@ impl Stages for GpuStages {
         self.run(&schedule);
         let terms = terms.read::<f32>(context)?;
         let energy = ClothTerms::all(&terms).map(|terms| terms.energy.repulsion).sum();
-        Ok((energy, gradient_of_push(grid, &self.read(&repulsion.pushed)?)))
+        Ok((energy, gradient_of_push(grid, &self.read(&repulsion.total_acceleration)?)))
     }
 
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)> {
@@ -211,26 +211,26 @@ impl Stages for GpuStages {
                 (&gradient, Normalisation::Component),
                 &self.tuning,
             )?;
-            let transposed = Transposed::new(context, &parameters)?;
+            let transposed = TransposedWeights::new(context, &parameters)?;
             transposed.push(&mut schedule);
             loss.push(&mut schedule, &transposed)?;
             Ok((parameters, gradient, loss))
         })?;
         let handles = case.targets.iter().map(|p| p.map(|c| c as f32)).collect();
         loss.set_cloths(&model, &Control { handles, ..Default::default() });
-        loss.given.write(context, &single(&case.external));
+        loss.control_accelerations.write(context, &single(&case.external));
         let BatchTensors { x, v, a, hidden, scale } = loss.tensors();
         for (tensor, values) in [(x, &case.x), (v, &case.v), (a, &case.a), (scale, &case.scale)] {
             tensor.write(context, &single(values));
         }
         hidden.write(context, &single(&[&case.last_grad[..], &case.last_step].concat()));
         self.run(&schedule);
-        let energy = |t: &[f64]| t[..5].iter().sum::<f64>();
-        let terms = self.read(&loss.terms)?;
+        let terms: Vec<f32> = loss.terms.read(context)?;
         let step = self.read(hidden)?.split_off(case.last_grad.len());
         let gradient = parameters.layout().to_host(&gradient.read(context)?);
         Ok(TrainingOutput {
-            loss: terms.chunks_exact(8).map(energy).sum::<f64>() / model.batch() as f64,
+            loss: ClothTerms::all(&terms).map(|of_cloth| of_cloth.energy.total()).sum::<f64>()
+                / model.batch() as f64,
             step,
             gradient: gradient.into_iter().map(f64::from).collect(),
         })

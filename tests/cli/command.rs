@@ -1,10 +1,11 @@
-//! The command as tests start it.
+//! Helpers that start the `fnopt` command.
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output};
 
-/// What the command reads of its caller: a test that runs in a job of a cluster must not become a part of that job.
+/// Environment variables that the command reads. They are removed, so that a test inside a cluster job does
+/// not become part of that job.
 const INHERITED: [&str; 9] = [
     "SLURM_ARRAY_TASK_ID",
     "SLURM_ARRAY_TASK_COUNT",
@@ -17,7 +18,7 @@ const INHERITED: [&str; 9] = [
     "FNOPT_LOG",
 ];
 
-/// The command in `folder`, where its cache is, too.
+/// Builds the command with `folder` as its working directory and `folder/cache` as its cache.
 pub fn command(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_fnopt"));
     command.current_dir(folder).args(arguments).env("FNOPT_CACHE", folder.join("cache"));
@@ -37,19 +38,20 @@ pub fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// The same, without a log.
+/// Builds the command with its log turned off.
 pub fn quiet(folder: &Path, arguments: &[&str]) -> Command {
     let mut command = command(folder, arguments);
     command.env("FNOPT_LOG", "off");
     command
 }
 
-/// Runs it.
+/// Runs the command with its log turned off.
 pub fn fnopt(folder: &Path, arguments: &[&str]) -> Output {
     quiet(folder, arguments).output().expect("the command starts")
 }
 
-/// Runs the command, which must refuse its input, say all of `said`, and write nothing into `out`.
+/// Runs the command and asserts that it refuses its input: a message with every part of `said`, no standard
+/// output, and nothing written into `out`.
 pub fn refused_cleanly(folder: &Path, arguments: &[&str], said: &[&str]) {
     let output = fnopt(folder, arguments);
     let message = text(&output.stderr);
@@ -66,7 +68,7 @@ pub fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/ground_truth")
 }
 
-/// A few frames of the shipped sequence on a small grid.
+/// Evaluates four frames of the shipped sequence with 100 points.
 pub fn evaluate(folder: &Path, more: &[&str]) -> Output {
     let truth = shipped();
     let few = ["--frames", "4", "--points", "100", "--ground-truth", truth.to_str().unwrap()];
@@ -88,7 +90,7 @@ pub fn json(path: &Path) -> Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
-/// The files of scores in a folder.
+/// Returns the score files in a folder.
 pub fn scores(folder: &Path) -> Vec<PathBuf> {
     let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     files.filter(|path| path.extension().is_some_and(|e| e == "json")).collect()

@@ -1,23 +1,24 @@
-//! Adapters: tunings, pipelines, precision, and solvers that only the CPU has. On the software adapter that the tests need anyway.
+//! Adapters: tunings, the pipeline cache, half precision, and solvers that exist only on the CPU. GPU tests
+//! run on the software adapter, which the test suite needs anyway.
 
 use super::command::{command, done, evaluate, fnopt, json, quiet, text};
 use std::path::Path;
 
-/// Whether or not there is a GPU that `auto` would take.
+/// Holds whether or not there is a GPU that `auto` would take.
 #[test]
 fn a_solver_that_only_the_cpu_has_runs_there_unasked() {
     let folder = tempfile::tempdir().unwrap();
     let newton = ["rollout", "--solver", "newton", "--frames", "2", "--grid", "8x8", "--no-pictures"];
     let output = fnopt(folder.path(), &newton);
     let log = text(&output.stderr);
-    assert!(output.status.success() && log.contains("the solver runs there alone"), "{log}");
+    assert!(output.status.success() && log.contains("the solver runs only on the CPU"), "{log}");
 }
 
-/// Mesa's device selection used to say twice that there is no desktop, in lines that begin with "error:".
+/// On machines without a desktop, Mesa's device selection used to print two lines that began with "error:".
 #[test]
 fn machines_without_a_desktop_get_no_errors_of_the_driver() {
     let folder = tempfile::tempdir().unwrap();
-    // It looks at all adapters, and has no such one.
+    // An unknown adapter makes the command look at all adapters.
     let mut asking = command(folder.path(), &["rollout", "--adapter", "nope"]);
     for name in ["XDG_RUNTIME_DIR", "DISPLAY", "NODEVICE_SELECT", "MESA_VK_DEVICE_SELECT", "DRI_PRIME"] {
         asking.env_remove(name);
@@ -37,7 +38,10 @@ fn a_tuning_is_stored_for_its_adapter_and_used() {
         (text(&output.stdout), text(&output.stderr))
     };
     let (dry, _) = run(&["tune", "--grid", "8", "--dry-run"]);
-    assert!(dry.contains("best: tile ") || dry.contains("nothing beats the table's twice: tile "), "{dry}");
+    assert!(
+        dry.contains("best: tile ") || dry.contains("nothing beats the built-in tuning twice: tile "),
+        "{dry}"
+    );
     assert!(!cache.exists());
     let (tuned, _) = run(&["tune", "--grid", "8", "--json"]);
     let tuned: serde_json::Value = serde_json::from_str(&tuned).unwrap();
@@ -51,7 +55,7 @@ fn a_tuning_is_stored_for_its_adapter_and_used() {
     let rollout = ["rollout", "--device", "gpu", "--frames", "2", "--no-pictures"];
     let (_, log) = run(&rollout);
     assert!(!log.contains("no tuning of"), "{log}");
-    // What is damaged, or asks for what the kernels cannot do, is said and passed over.
+    // A tuning that is damaged, or that the kernels do not support, is reported and ignored.
     for damage in ["{", &stored.to_string().replace("\"channels\":", "\"channels\":3")] {
         std::fs::write(file, damage).unwrap();
         let (_, log) = run(&rollout);
@@ -59,7 +63,7 @@ fn a_tuning_is_stored_for_its_adapter_and_used() {
     }
 }
 
-/// On the software adapter, whose cache holds next to nothing: the file is read and written like any other's.
+/// The software adapter caches next to nothing, but its file is written and read like any other.
 #[test]
 fn pipelines_are_stored_for_their_adapter_and_read_again() {
     let folder = tempfile::tempdir().unwrap();
@@ -85,7 +89,7 @@ fn pipelines_are_stored_for_their_adapter_and_read_again() {
     let before = written();
     let again = run(&cache);
     assert!(!again.contains(", 0 bytes") && !again.contains("WARN"), "{again}");
-    assert_eq!(written(), before, "nothing was new, and the file was written");
+    assert_eq!(written(), before, "the cache was rewritten although nothing changed");
 
     let mut changed = stored.clone();
     changed[stored.len() / 2] ^= 1;
@@ -93,15 +97,15 @@ fn pipelines_are_stored_for_their_adapter_and_read_again() {
         std::fs::write(file, damage).unwrap();
         let log = run(&cache);
         assert!(log.contains("no pipelines of") && log.contains(", 0 bytes"), "{log}");
-        assert_eq!(std::fs::read(file).unwrap().len(), stored.len(), "it was not replaced");
+        assert_eq!(std::fs::read(file).unwrap().len(), stored.len(), "the damaged cache was not replaced");
         assert!(!run(&cache).contains("no pipelines of"));
     }
-    // Nowhere to store them.
+    // The cache folder cannot be created: a file is in its place.
     let log = run(file);
     assert!(log.contains("the next start will be as slow"), "{log}");
 }
 
-/// On the software adapter, which has f16.
+/// The software adapter supports f16.
 #[test]
 fn networks_run_in_half_precision() {
     let folder = tempfile::tempdir().unwrap();
@@ -121,13 +125,16 @@ fn networks_run_in_half_precision() {
     }
 }
 
-/// On the software adapter that the tests need anyway.
+/// The CPU-only solvers run on the CPU even if an adapter is named; the others run on that adapter.
 #[test]
 fn solvers_that_only_the_cpu_has_run_there() {
     let folder = tempfile::tempdir().unwrap();
     let gpu = ["--adapter", "llvmpipe", "--grid", "8", "--solver", "newton,quasi-newton-exact:2,gd:2"];
     let (_, log) = done(evaluate(folder.path(), &[&gpu[..], &["--json", "s.json", "--plots", "p"]].concat()));
-    assert!(log.contains("on the CPU, as no other device has them: newton, quasi-newton-exact"), "{log}");
+    assert!(
+        log.contains("running on the CPU, as they have no GPU version: newton, quasi-newton-exact"),
+        "{log}"
+    );
     assert!(folder.path().join("p/convergence.png").is_file());
     let scores = json(&folder.path().join("s.json"));
     let made_with = |k: usize, field: &str| scores[k]["made_with"][field].as_str().unwrap().to_owned();

@@ -1,10 +1,10 @@
-//! `fnopt evaluate` and `fnopt fit-material`: their options, materials and files, and other systems.
+//! `fnopt evaluate` and `fnopt fit-material`: options, materials, output files, and other systems.
 
 use super::command::{done, evaluate, json, quiet, refused, scores, shipped};
 use serde_json::Value;
 use std::process::Stdio;
 
-/// A chart for each grid: two side by side, so that three need two rows.
+/// Each grid has a chart. Two charts fit in a row, so three grids need two rows.
 #[test]
 fn the_convergence_is_drawn_on_each_grid() {
     let folder = tempfile::tempdir().unwrap();
@@ -19,7 +19,7 @@ fn the_convergence_is_drawn_on_each_grid() {
     assert_eq!(height("8,9,10", "three"), 2 * height("8", "one"));
 }
 
-/// A file used to take its place where the user may do that.
+/// Writing to a pipe used to replace it with a file if the user had permission to.
 #[cfg(target_os = "linux")]
 #[test]
 fn tables_go_into_a_pipe() {
@@ -31,7 +31,7 @@ fn tables_go_into_a_pipe() {
     assert!(csv < plain, "{printed}");
 }
 
-/// Only the last of them used to be there in the end.
+/// Only the last of the files used to survive.
 #[test]
 fn files_of_one_name_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -40,7 +40,7 @@ fn files_of_one_name_are_refused() {
     assert!(!folder.path().join("all").exists());
 }
 
-/// Newton's method takes no number of iterations, but to be asked for one is no error.
+/// Newton's method has no iteration count, but specifying one is not an error.
 #[test]
 fn numbers_of_iterations_are_columns_and_curves() {
     let folder = tempfile::tempdir().unwrap();
@@ -54,7 +54,7 @@ fn numbers_of_iterations_are_columns_and_curves() {
     columns.sort();
     let expected = [("gd", 7), ("lbfgs", 2), ("lbfgs", 4), ("newton", 0)].map(|(s, n)| (s.to_owned(), n));
     assert_eq!(columns, expected);
-    // A row for each grid: the errors, and beside them the times.
+    // One row per grid: the errors, and next to them the times.
     let more = ["--iterations", "2,4", "--grid", "8,9", "--plots", "two"];
     done(evaluate(folder.path(), &[&["--device", "cpu", "--solver", "lbfgs"], &more[..]].concat()));
     let height = |plots: &str| {
@@ -104,7 +104,7 @@ fn a_material_is_what_a_scene_takes() {
     refused(evaluate(at, &["--wind=-1"]), &["wind.density"]);
 }
 
-/// Before anything is simulated.
+/// Everything is checked before anything is simulated.
 #[test]
 fn what_would_never_end_or_cannot_be_written_is_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -115,7 +115,7 @@ fn what_would_never_end_or_cannot_be_written_is_refused() {
     refused(quiet(folder.path(), &many).output().unwrap(), &["--points", "10000000"]);
     std::fs::create_dir(folder.path().join("tables.csv")).unwrap();
     std::fs::write(folder.path().join("taken"), "").unwrap();
-    // The sheet that was recorded is square.
+    // The recorded sheet is square.
     refused(of(&["--grid", "48x32"]), &["xy_v2", "grid", "48x48", "found 48x32"]);
     refused(of(&["--csv", "tables.csv"]), &["tables.csv", "a folder"]);
     refused(evaluate(folder.path(), &["--out", "taken/scores"]), &["taken", "cannot create"]);
@@ -132,7 +132,7 @@ fn what_would_be_ignored_or_spoil_the_scores_is_refused() {
     refused(evaluate(at, &among), &["--json", "outside the folders of scores"]);
     let mut task = quiet(at, &["evaluate", "--suite", "motions"]);
     task.env("SLURM_ARRAY_TASK_ID", "1").env("SLURM_ARRAY_TASK_COUNT", "4");
-    refused(task.output().unwrap(), &["--suite", "not shared out", "4 of them"]);
+    refused(task.output().unwrap(), &["--suite", "cannot be split", "4 of them"]);
 }
 
 #[test]
@@ -161,7 +161,7 @@ fn a_fit_writes_a_material_that_an_evaluation_reads() {
     let best = json(&at.join("out/fit.json"));
     let lines = std::fs::read_to_string(at.join("out/fit.csv")).unwrap();
     let first: Vec<f64> = lines.lines().nth(2).unwrap().split(',').map(|v| v.parse().unwrap()).collect();
-    // In moduli, with the coefficients that were found beside them.
+    // The file holds the moduli, and next to them the coefficients that were found.
     assert_eq!(best["coefficients"]["stretch"].as_f64().unwrap(), first[0]);
     assert_eq!(best["coefficients"]["grid"], "8x8");
     done(evaluate(
@@ -173,7 +173,7 @@ fn a_fit_writes_a_material_that_an_evaluation_reads() {
     assert_eq!(settings["material"], best["material"]);
     assert_eq!((settings["density"].as_f64(), &settings["drag"]), (Some(first[3]), &Value::Null));
     refused(fit(&["--levels", "50"]), &["levels", "at most 100000 points"]);
-    // A point has one air for all sequences: it is asked for, or theirs must be the same.
+    // A point has the same air for all sequences, so `--density` must be given or the sequences must agree.
     for (name, density) in [("thin", "0.5"), ("thick", "1.5")] {
         let to = at.join("airs").join(name);
         std::fs::create_dir_all(&to).unwrap();
@@ -187,10 +187,10 @@ fn a_fit_writes_a_material_that_an_evaluation_reads() {
     let airs = ["fit-material", "--ground-truth", "airs", "--frames", "3", "--points", "100", "--grid", "8"];
     let refusal = quiet(at, &airs).output().unwrap();
     refused(refusal, &["thin", "density", "as in thick, or --density", "0.5"]);
-    refused(fit(&["--out", "fit.json"]), &["--out", "another ending"]);
+    refused(fit(&["--out", "fit.json"]), &["--out", "an extension other than json"]);
 }
 
-/// A reader that reads nothing, as `| head -0`, leaves the files.
+/// A reader that reads nothing, such as `| head -0`, does not keep the files from being written.
 #[test]
 fn files_are_there_when_nobody_reads_the_tables() {
     let folder = tempfile::tempdir().unwrap();
@@ -204,7 +204,7 @@ fn files_are_there_when_nobody_reads_the_tables() {
     assert!(csv.contains("mean stretch") && csv.contains("inertia"), "{csv}");
 }
 
-/// The truth itself as another system's result, in each format that is read.
+/// Passes the ground truth itself as another system's result, in each format that can be read.
 #[test]
 fn other_systems_come_in_every_format() {
     use fnopt::io::{Format, Trajectory};

@@ -1,4 +1,4 @@
-//! What all commands have in common: how they refuse, end, log and name files.
+//! Behaviour common to all commands: refusals, exit codes, logs and file names.
 
 use super::command::{command, fnopt, refused_cleanly, text};
 use std::path::Path;
@@ -49,7 +49,10 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["rollout", "none.json"], &["none.json", "cannot read"]),
         (&["rollout", "--grid", "4", "32"], &["--grid", "8 to 4096", "found 4"]),
         (&["rollout", "--grid", "48,32"], &["--grid", "N or HxW", "48,32"]),
-        (&["rollout", "--grid", "48", "scene.json"], &["--grid", "a file goes before it", "48 scene.json"]),
+        (
+            &["rollout", "--grid", "48", "scene.json"],
+            &["--grid", "with any file name before --grid", "48 scene.json"],
+        ),
         (&["tune", "--grid", "8x5"], &["--grid", "found 5"]),
         (&["rollout", "--motion", "xz_v3"], &["--motion", "did you mean xyz_v3"]),
         (&["rollout", "--motion", "short.npy"], &["short.npy"]),
@@ -63,7 +66,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["verify", ".", "--device", "cpu", "--precision", "f8"], &["--precision", "f16"]),
         (&["rollout", "--format", "obx"], &["obx"]),
         (&["rollout", "instant.json"], &["instant.json", "frame_time_s"]),
-        // Finite, but not in single precision.
+        // Finite in double precision, but not in single.
         (&["rollout", "brief.json"], &["brief.json", "frame_time_s", "single precision"]),
         (&["rollout", "wide.json"], &["wide.json", "side_m", "single precision"]),
         (&["rollout", "--out", "taken"], &["taken/rollout.npz", "a folder"]),
@@ -83,7 +86,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
             &["bench", "--device", "cpu", "--solver", "gd", "--grid", "4096", "--batch", "5", "--json"],
             &["--batch", "at most 4 of 4096x4096"],
         ),
-        // Nothing is measured before all is checked.
+        // Everything is checked before anything is measured.
         (&["bench", "--device", "cpu", "--grid", "8,5", "--json"], &["--grid", "found 5"]),
         (&["bench", "--device", "cpu", "--plot", "key.json/plot.png"], &["key.json", "cannot create"]),
         (&["bench", "--device", "cpu", "--plot", "."], &[".: type", "a folder"]),
@@ -102,7 +105,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
     }
 }
 
-/// A reader that has had enough, and a log that cannot be written, change nothing about how a command ends.
+/// A reader that closes its pipe early, or a log that cannot be written, does not change the exit code.
 #[test]
 fn exit_codes_do_not_hang_on_who_listens() {
     let folder = tempfile::tempdir().unwrap();
@@ -110,7 +113,7 @@ fn exit_codes_do_not_hang_on_who_listens() {
     let rollout = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "3", "--no-pictures"];
     let cases: [(&[&str], i32); 3] = [
         (&rollout, 0),
-        // No network, and nothing at all.
+        // A file that is not a network, and a missing file.
         (&["inspect", golden.to_str().unwrap()], 1),
         (&["inspect", "missing.safetensors"], 2),
     ];
@@ -169,7 +172,7 @@ fn what_is_logged_is_asked_for() {
         text(&output.stderr)
     };
     let told = log("info", 0);
-    for line in ["scene: ", "weights: those that come with the program, ", "device: cpu"] {
+    for line in ["scene: ", "weights: shipped with the program, ", "device: cpu"] {
         assert!(told.contains(line), "no '{line}' in: {told}");
     }
     assert!(!told.contains('\u{1b}'), "colours in a file: {told:?}");
@@ -194,7 +197,7 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
     std::fs::write(&name, &bytes).unwrap();
     assert_eq!(fnopt(folder.path(), &["verify", ".", "--device", "cpu"]).status.code(), Some(1));
 
-    // A check of nothing is none, and what is passed over is told.
+    // Checking nothing is an error, and files that are skipped are reported.
     std::fs::rename(&name, folder.path().join("enrgy_small.safetensors")).unwrap();
     let nothing = fnopt(folder.path(), &["verify", ".", "--device", "cpu"]);
     assert_eq!(nothing.status.code(), Some(2), "{}", text(&nothing.stdout));
@@ -206,7 +209,7 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
     let said = text(&some.stdout);
     assert!(said.contains("unknown kind of golden file 'enrgy' (did you mean energy"), "{said}");
 
-    // One line for each array of each file, in both precisions; nothing is passed over.
+    // One line for each array of each file, in both precisions; nothing is skipped.
     let all = fnopt(folder.path(), &["verify", golden.to_str().unwrap(), "--device", "cpu"]);
     assert_eq!(all.status.code(), Some(0), "{}", text(&all.stdout));
     for stage in ["training_step", "adamw", "energy_crumpled", "repulsion_threshold0.5"] {

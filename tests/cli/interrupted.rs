@@ -1,17 +1,17 @@
-//! Ctrl-C ends what would take minutes of Newton's method.
+//! Ctrl-C ends runs that would spend minutes in Newton's method.
 
 use super::command::{quiet, send, shipped};
 use std::io::BufRead;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-/// Waits until a child listens to Ctrl-C, and a little more, so that it is at work.
+/// Waits until a child handles Ctrl-C, and then a little longer, so that it is at work.
 fn at_work(child: Child) -> Child {
     let begun = Instant::now();
     let listens = || {
         let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
         let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-        // The second bit is that of SIGINT.
+        // SIGINT is signal 2, and so the second bit.
         caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 2 != 0)
     };
     while !listens() {
@@ -22,7 +22,7 @@ fn at_work(child: Child) -> Child {
     child
 }
 
-/// Waits for a child that was interrupted: it must end soon, and say how.
+/// Interrupts a child and asserts that it ends soon, with the exit code for an interrupt.
 fn ends_soon(mut child: Child) {
     send("-INT", &child);
     let begun = Instant::now();
@@ -36,7 +36,8 @@ fn ends_soon(mut child: Child) {
     assert_eq!(child.wait().unwrap().code(), Some(130));
 }
 
-/// A frame is not cut short, so that what is kept is whole; but it is said, and the second time nothing is waited for.
+/// The current frame is completed, so that the frames kept are whole. The first Ctrl-C is acknowledged at
+/// once; the second ends the command without waiting.
 #[test]
 fn ctrl_c_is_heard_within_a_frame_too() {
     let folder = tempfile::tempdir().unwrap();
@@ -47,12 +48,15 @@ fn ctrl_c_is_heard_within_a_frame_too() {
     send("-INT", &child);
     let mut told = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
     let said = told.any(|line| line.unwrap().contains("again to end at once"));
-    assert!(said && child.try_wait().unwrap().is_none(), "nothing is said, or the frame was over");
+    assert!(
+        said && child.try_wait().unwrap().is_none(),
+        "Ctrl-C was not acknowledged, or the frame had ended already"
+    );
     send("-INT", &child);
     assert_eq!(child.wait().unwrap().code(), Some(130));
 }
 
-/// Each of these has minutes of Newton's method before it.
+/// Each of these runs has minutes of Newton's method ahead of it.
 #[test]
 fn ctrl_c_ends_whatever_is_simulated() {
     let folder = tempfile::tempdir().unwrap();
@@ -76,7 +80,7 @@ fn ctrl_c_ends_whatever_is_simulated() {
     ends_soon(at_work(suite));
     let fit = spawn(&["fit-material", "--ground-truth", truth]);
     ends_soon(at_work(fit));
-    // Between the plots of the scores and the one of the convergence.
+    // Between the plots of the scores and the convergence plot.
     let plots = ["--solver", "gd:1", "--grid", "64", "--frames", "41", "--plots", "p"];
     let mut plots = spawn(&[&["evaluate", "--ground-truth", truth], &plots[..]].concat());
     let (first, begun) = (folder.path().join("p/errors_xy_v2_64x64.png"), Instant::now());

@@ -1,4 +1,4 @@
-//! The command as a script meets it: exit codes, messages, files.
+//! The command as a script sees it: exit codes, messages, files.
 
 mod command;
 mod devices;

@@ -1,4 +1,4 @@
-//! `fnopt rollout`: what it writes, and what it keeps when it ends early.
+//! `fnopt rollout`: the files it writes, and those it keeps when it ends early.
 
 use super::command::{command, fnopt, json, refused_cleanly, send, text};
 use std::path::Path;
@@ -108,7 +108,7 @@ fn layers_are_kept_apart_where_that_is_asked_for() {
         assert_eq!(repulsion["distance"], distance, "{more:?}");
         assert_eq!(report["per_frame"][0]["energy"]["repulsion"], 0.0, "nothing is near");
     }
-    // A sheet that lies drawn together.
+    // A sheet contracted to about a third of its size.
     let vertices: Vec<[f64; 3]> =
         (0..64).map(|p| [f64::from(p % 8) * 0.05, 0.0, f64::from(p / 8) * 0.05]).collect();
     let scene = serde_json::json!({
@@ -147,13 +147,13 @@ fn a_run_that_explodes_keeps_the_frames_before_and_a_replay() {
         assert!(folder.path().join(file).exists(), "{file}");
     }
     assert_eq!(json(&folder.path().join("out/report.json"))["status"], "non-finite");
-    // The replay is not taken for one of the next run, which is good.
+    // The next run succeeds and leaves no replay behind that could be mistaken for its own.
     let good = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "2", "--no-pictures"];
     assert_eq!(fnopt(folder.path(), &good).status.code(), Some(0));
     assert!(!folder.path().join("out/replay.npz").exists());
 }
 
-/// A simulation that begins with what another one wrote does not write over it.
+/// A simulation that starts from the output of another one does not overwrite it.
 #[test]
 fn what_a_scene_is_read_from_is_not_written_over() {
     let folder = tempfile::tempdir().unwrap();
@@ -175,12 +175,12 @@ fn what_a_scene_is_read_from_is_not_written_over() {
     }
 }
 
-/// What fails to be written after the frames are there takes nothing else with it.
+/// A file that cannot be written once the frames are computed does not take others with it.
 #[cfg(target_os = "linux")]
 #[test]
 fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
     let folder = tempfile::tempdir().unwrap();
-    // No file beyond 1000 blocks of 512 bytes: the archive is larger, the positions alone are not.
+    // Files are limited to 1000 blocks of 512 bytes. The archive is larger; the positions alone are not.
     let limited = format!(
         "ulimit -f 1000; trap '' XFSZ; exec '{}' rollout --device cpu --solver gd --frames 30 --no-pictures --format npz,npy",
         env!("CARGO_BIN_EXE_fnopt")
@@ -196,7 +196,7 @@ fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
         std::fs::read_dir(&out).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     assert_eq!(names, ["report.json", "rollout.npy"]);
-    // The report does not name what an earlier run may have left there.
+    // The report does not list files that an earlier run may have left there.
     let told = json(&out.join("report.json"))["files"].clone();
     assert_eq!(told, serde_json::json!(["rollout.npy", "report.json"]));
 }
@@ -210,7 +210,7 @@ fn an_interrupted_rollout_keeps_the_frames_so_far() {
         let rollout = ["rollout", "--device", "cpu", "--grid", "64", "64", "--no-pictures"];
         let mut child = command(folder.path(), &rollout).stderr(Stdio::piped()).spawn().unwrap();
         let mut log = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
-        // From the line that names the device on, the command listens.
+        // The command handles signals once it has named the device.
         assert!(log.by_ref().map(Result::unwrap).any(|line| line.starts_with("device: ")));
         send(signal, &child);
         let told: Vec<String> = log.map(Result::unwrap).collect();
@@ -235,12 +235,12 @@ fn what_is_not_sound_or_of_another_size_is_told() {
         let few = ["rollout", "s.json", "--device", "cpu", "--no-pictures"];
         text(&command(folder.path(), &[&few[..], more].concat()).output().unwrap().stderr)
     };
-    // Quasi-Newton tears a sheet of so few rows before it leaves the numbers.
+    // Quasi-Newton tears a sheet with so few rows before it becomes non-finite.
     let torn = told(r#"{"grid": [16, 16], "frames": 14}"#, &["--solver", "quasi-newton"]);
     assert!(torn.contains("away from the handles was stretched by"), "{torn}");
     let sound = told(r#"{"grid": [16, 16], "frames": 4}"#, &["--solver", "newton"]);
     assert!(!sound.contains("warning") && !sound.contains("WARN"), "{sound}");
-    // Half a metre of sheet in a scene of one, and handles that begin elsewhere: a line for each.
+    // A sheet of half a metre in a scene of one, and handles that start elsewhere: one line for each.
     let vertices: Vec<[f64; 3]> =
         (0..64).map(|p| [0.5 * f64::from(p % 8) / 7.0, 0.0, 0.5 * f64::from(p / 8) / 7.0]).collect();
     let motion: Vec<[f64; 3]> = vec![[9.0, 0.0, 0.0], [9.0, 9.0, 0.0]];
@@ -248,7 +248,7 @@ fn what_is_not_sound_or_of_another_size_is_told() {
         "grid": [8, 8], "start": { "vertices": vertices, "grid": [8, 8] }, "motion": [motion, motion],
     });
     let told = told(&scene.to_string(), &["--solver", "gd", "--iterations", "1", "--frames", "2"]);
-    for said in ["along the height are 0.500 times", "along the width", "2 of 2 handles begin elsewhere"] {
+    for said in ["along the height are 0.500 times", "along the width", "2 of 2 handles do not begin where"] {
         assert_eq!(told.matches(said).count(), 1, "{said}: {told}");
     }
 }

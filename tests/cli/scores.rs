@@ -1,10 +1,10 @@
-//! Scores of `fnopt evaluate`: kept, used again, shared out and put together.
+//! Scores of `fnopt evaluate`: kept, reused, sharded and merged.
 
 use super::command::{done, evaluate, fnopt, json, quiet, refused, refused_cleanly, scores, shipped, text};
 use serde_json::Value;
 use std::path::Path;
 
-/// Copies the sequence that ships.
+/// Copies the shipped sequence.
 fn copy_sequence(to: &Path) {
     std::fs::create_dir_all(to).unwrap();
     for file in ["cloth_pos.npy", "handles.npy", "start.npy", "meta.json"] {
@@ -32,10 +32,10 @@ fn an_evaluation_keeps_its_scores() {
     for (file, says) in [("t.md", "| xy_v2 |"), ("t.csv", "xy_v2,"), ("t.json", "\"sequence\": \"xy_v2\"")] {
         assert!(std::fs::read_to_string(at.join(file)).unwrap().contains(says), "{file}");
     }
-    // Times would differ if anything were simulated again.
+    // The times would differ if anything were simulated again.
     assert_eq!(evaluate(&[]), whole);
 
-    // Another system, here the truth itself, stands beside them.
+    // Another system, here the ground truth itself, has a column next to the solvers.
     let other = evaluate(&["--compare", &format!("arcsim={truth}")]);
     assert!(other.contains("arcsim"), "{other}");
 
@@ -75,7 +75,7 @@ fn scores_are_those_of_the_files_that_are_there() {
     std::fs::write(to.join("meta.json"), meta.replace("0.187", "0.5")).unwrap();
     assert_ne!(done(run()).0, first);
     assert_eq!(scores(&at.join("out/evaluate")).len(), 4);
-    // A score whose frames are not there, or not all, is made again with them.
+    // A score whose frames are missing or incomplete is computed again, with its frames.
     for damage in [(|file: &Path| std::fs::remove_file(file).unwrap()) as fn(&Path), |file| {
         let frames = fnopt::io::Trajectory::read(file, &Default::default()).unwrap();
         let mut one = fnopt::io::Trajectory::new(frames.grid(), 1.0);
@@ -96,11 +96,11 @@ fn scores_are_those_of_the_files_that_are_there() {
             .iter()
             .zip(&before)
             .filter(|(file, before)| std::fs::read(file).is_ok_and(|found| found == **before));
-        // Those of the earlier truth are of no interest.
+        // Two of four: the scores of the earlier ground truth are not needed.
         assert_eq!(same.count(), 2);
         all.iter().zip(&before).for_each(|(file, before)| std::fs::write(file, before).unwrap());
     }
-    // One that cannot be read is told, after what is finished.
+    // An unreadable score is reported, after the finished scores are printed.
     let damaged =
         scores(&at.join("out/evaluate")).into_iter().filter(|f| f.to_string_lossy().contains("lbfgs"));
     damaged.for_each(|file| std::fs::write(file, "{").unwrap());
@@ -126,7 +126,7 @@ fn repeats_are_kept_and_merged_as_other_scores_are() {
     let all = told();
     assert_eq!((all.len(), scores(&at.join("out/evaluate")).len()), (6, 6));
     for (k, first) in once.iter().enumerate() {
-        // Its time too: it was not simulated again.
+        // The time is equal, too: it was not simulated again.
         assert_eq!(
             (&all[k]["per_frame"], &all[k]["ms_per_frame"]),
             (&first["per_frame"], &first["ms_per_frame"])
@@ -187,7 +187,7 @@ fn only_scores_that_belong_together_are_merged() {
     }
 }
 
-/// As many as there are cores: what each of them comes to does not depend on the others.
+/// Jobs run in parallel, up to one per core. Their results do not depend on each other.
 #[test]
 fn jobs_side_by_side_come_to_what_they_come_to_alone() {
     let folder = tempfile::tempdir().unwrap();
@@ -207,16 +207,16 @@ fn jobs_side_by_side_come_to_what_they_come_to_alone() {
     };
     let all = "newton,fnopt:2,lbfgs:3,adam:5";
     let (together, devices) = told("together", "3", all);
-    // Eight jobs on three threads: one each.
-    assert_eq!(devices, ["cpu, 1 threads"; 8]);
+    // Eight jobs on three threads: one thread each.
+    assert_eq!(devices, ["cpu, 1 thread"; 8]);
     assert_eq!(told("one", "1", all).0, together);
-    // Two jobs on five threads: two each.
+    // Two jobs on five threads: two threads each.
     let (alone, devices) = told("alone", "5", "fnopt:2");
     assert_eq!(devices, ["cpu, 2 threads"; 2]);
     assert!(alone.iter().all(|figures| together.contains(figures)), "{alone:?} in {together:?}");
 }
 
-/// Arrays of Slurm may begin anywhere and count in steps.
+/// Slurm arrays may start at any index and have any stride.
 #[test]
 fn a_task_of_an_array_does_its_share_and_says_so() {
     let folder = tempfile::tempdir().unwrap();
@@ -239,7 +239,7 @@ fn a_task_of_an_array_does_its_share_and_says_so() {
     refused(array("7", "3"), &["SLURM_ARRAY_TASK_ID", "0 to 2"]);
 }
 
-/// What is wrong with one sequence, or with another system's trajectory of it, is told and takes no others along.
+/// A damaged sequence, or another system's damaged trajectory, is reported and does not affect the others.
 #[test]
 fn damaged_sequences_leave_the_others() {
     let folder = tempfile::tempdir().unwrap();
@@ -265,7 +265,8 @@ fn damaged_sequences_leave_the_others() {
     refused(run(&["--sequences", "torn"]), &["torn/cloth_pos.npy"]);
 }
 
-/// Another system's trajectory stands in the table of each grid, whatever its own is, and in those of merged scores.
+/// Another system's trajectory appears in the table of every grid, whatever its own grid is, and in the
+/// tables of merged scores.
 #[test]
 fn other_systems_stand_beside_the_solvers() {
     let folder = tempfile::tempdir().unwrap();
@@ -284,23 +285,23 @@ fn other_systems_stand_beside_the_solvers() {
         assert!(table.lines().nth(1).unwrap().contains("gd, N = 3  A b (16x16)"), "{table}");
     }
     compared(&["--out", "shares", "--shard", "0/2"]);
-    // The second share has a grid of the only sequence, and the third nothing at all.
+    // The second of two shares has one grid of the only sequence; the third of three has nothing.
     compared(&["--out", "shares", "--shard", "1/2"]);
     let nothing = compared(&["--out", "none", "--shard", "2/3", "--json"]);
     assert_eq!(nothing.trim(), "[]");
     let merged = done(quiet(at, &["evaluate", "--merge", "shares"]).output().unwrap()).0;
     assert!(merged.contains("gd, N = 3  A b (16x16)"), "{merged}");
 
-    // A sequence or a grid that is named twice is there once.
+    // A sequence or grid that is named twice appears once.
     let once = compared(&["--sequences", "xy_v2", "--json", "--out", "once"]);
     let twice = ["--sequences", "xy_v2,xy_v2", "--grid", "9", "--json", "--out", "once"];
     let count = |told: &str| serde_json::from_str::<Vec<Value>>(told).unwrap().len();
     assert_eq!((count(&once), count(&compared(&twice))), (3, 3));
-    // A name that tables would take for a solver's.
+    // This name would clash with the column of a solver.
     let compare = ["--compare", "gd=theirs"];
     refused(evaluate(at, &[&few[..], &compare].concat()), &["--compare", "no other column has"]);
 
-    // One that has left the numbers has diverged.
+    // A non-finite trajectory counts as diverged.
     let mut bytes = std::fs::read(&file).unwrap();
     let end = bytes.len() - 4;
     bytes[end..].copy_from_slice(&f32::NAN.to_le_bytes());
@@ -310,7 +311,7 @@ fn other_systems_stand_beside_the_solvers() {
     assert_eq!((&theirs["stable"], &theirs["e_cd"]), (&Value::Bool(false), &Value::Null));
 }
 
-/// The figures of shares that are put together are those of one run over all, score by score.
+/// Merged shares have the figures of a single run over everything, score by score.
 #[test]
 fn shares_together_are_the_whole() {
     let folder = tempfile::tempdir().unwrap();
@@ -337,7 +338,7 @@ fn shares_together_are_the_whole() {
     assert_eq!(figures(&done(merged).0), whole);
 }
 
-/// A solver that is added later runs on as many threads as those before it, whose times are kept.
+/// A solver added later runs on as many threads as the earlier ones, whose times are kept.
 #[test]
 fn times_in_one_table_are_of_as_many_threads() {
     let folder = tempfile::tempdir().unwrap();

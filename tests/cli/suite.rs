@@ -15,11 +15,11 @@ fn a_suite_fails_when_a_case_is_not_sound() {
     let picture = folder.path().join("out/evaluate/newton_1_12x12_corners_flat.png");
     assert!(picture.is_file());
     assert_eq!(suite("interpolation").status.code(), Some(2));
-    // Two numbers of iterations are two tables.
+    // Two iteration counts give two tables.
     let both = suite("lbfgs:50,lbfgs:100");
     let rows = text(&both.stdout).lines().filter(|line| line.starts_with("corners flat")).count();
     assert_eq!(rows, 2, "{}", text(&both.stdout));
-    // The classical method diverges from a flat sheet on so coarse a grid.
+    // Quasi-Newton diverges from a flat start on a grid this coarse.
     let bad = suite("quasi-newton:10");
     assert_eq!(bad.status.code(), Some(1), "{}", text(&bad.stdout));
 }
@@ -29,14 +29,14 @@ fn a_suite_honours_its_options_or_refuses_them() {
     let folder = tempfile::tempdir().unwrap();
     let suite = |name: &str, more: &[&str]| {
         let few = ["--frames", "3", "--no-gap", "--device", "cpu", "--json", "s.json"];
-        // The suite of iterations sets them itself.
+        // The suite `iterations` sets the iteration counts itself.
         let usual = if name == "iterations" { "lbfgs" } else { "lbfgs:2" };
         let solver = if more.contains(&"--solver") { vec![] } else { vec!["--solver", usual] };
         quiet(folder.path(), &[&["evaluate", "--suite", name], &few[..], &solver, more].concat())
             .output()
             .unwrap()
     };
-    // The scores, which are of this run and of no other.
+    // Returns the scores of this run. Those of an earlier one are removed first.
     let scores = |name: &str, more: &[&str]| {
         let file = folder.path().join("s.json");
         let _ = std::fs::remove_file(&file);
@@ -53,7 +53,7 @@ fn a_suite_honours_its_options_or_refuses_them() {
     assert_eq!(usual, largest(&["--material", "1000,8,0.5"]));
     assert_ne!(usual, largest(&["--material", "10,8,0.5"]));
     assert_ne!(usual, largest(&["--wind", "50"]));
-    // The suite of grids has its own, once.
+    // The suite `grids` has its own grids, and runs each once.
     let of_grids = scores("grids", &["--sequences", "48x32"]);
     assert_eq!((of_grids.len(), &of_grids[0]["grid"]), (1, &"48x32".into()));
     let five = ["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs,lbfgs"];
@@ -72,7 +72,7 @@ fn a_suite_honours_its_options_or_refuses_them() {
     refused(suite("speeds", &["--ground-truth", "."]), &["cannot be used with", "--ground-truth"]);
 }
 
-/// The sheet that folds on a single handle lies in itself without repulsion.
+/// Without repulsion, a sheet that folds on a single handle intersects itself.
 #[test]
 fn layers_that_are_kept_apart_are_told_of() {
     let folder = tempfile::tempdir().unwrap();
@@ -85,27 +85,27 @@ fn layers_that_are_kept_apart_are_told_of() {
     let figure = |k: usize, name: &str| scores[k][name].clone();
     let [without, with] = [0, 1].map(|k| figure(k, "repulsion")[0].as_f64().unwrap());
     assert!(without > 1.0 && with < 0.01 * without, "{without} without, {with} with");
-    // The converged simulation cannot keep them apart.
+    // The converged simulation does not support repulsion, so there is no gap.
     assert!(figure(0, "gap").is_number() && figure(1, "gap").is_null());
     let row = |name: &str| printed.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
     assert!(!row("single-mid-edge with ").contains(" - "), "{printed}");
-    // Newton's method, which is among the solvers by default, takes part where it can.
+    // Newton's method, one of the default solvers, runs the cases that it supports.
     let few = ["--frames", "2", "--grid", "8", "--no-gap", "--device", "cpu", "--json", "all.json"];
     let output = fnopt(folder.path(), &[&["evaluate", "--suite", "repulsion"], &few[..]].concat());
-    // On so coarse a grid not all of them are sound.
+    // On a grid this coarse not all cases are sound.
     assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
     assert!(text(&output.stderr).contains("newton does not take part in single-mid-edge with"), "{output:?}");
     let scores = json(&folder.path().join("all.json"));
     let of = |case: &str| scores.as_array().unwrap().iter().filter(|s| s["case"] == case).count();
     assert_eq!((of("corner-center without"), of("corner-center with")), (5, 4));
-    // Without solvers of its own the suite of iterations takes those that have iterations.
+    // Without `--solver`, the suite `iterations` takes the solvers that have an iteration count.
     let few = ["--frames", "2", "--grid", "12", "--sequences", "3 iterations", "--no-gap", "--device", "cpu"];
     let output = fnopt(folder.path(), &[&["evaluate", "--suite", "iterations", "--json"], &few[..]].concat());
     assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
     let scores: Value = serde_json::from_slice(&output.stdout).unwrap();
     let solvers: Vec<_> = scores.as_array().unwrap().iter().map(|s| s["solver"].as_str().unwrap()).collect();
     assert_eq!(solvers, ["fnopt", "quasi-newton", "lbfgs", "adam"]);
-    // Where no case keeps them apart, nothing is said of it.
+    // If no case has repulsion, the tables do not mention it.
     let speeds = ["--suite", "speeds", "--grid", "8", "--frames", "3", "--solver", "gd:1", "--no-gap"];
     let (printed, _) = done(quiet(folder.path(), &[&["evaluate"], &speeds[..]].concat()).output().unwrap());
     assert!(!printed.contains("repulsion"), "{printed}");
@@ -124,9 +124,9 @@ fn cases_of_a_suite_are_kept() {
     };
     let usual = ["--frames", "3"];
     let first = suite(&usual);
-    // Times would differ if anything were simulated again.
+    // The times would differ if anything were simulated again.
     assert_eq!((first.len(), suite(&usual)), (4, first.clone()));
-    // What is damaged, or without a picture, is made again; the other two are those that were kept.
+    // A score that is damaged or lacks its picture is computed again; the other two are reused.
     let [png, kept] = ["gd_2_12x12_speed_1.png", "cases/lbfgs_2_12x12_speed_1.json"].map(|file| {
         let path = at.join("out/evaluate").join(file);
         assert!(path.is_file(), "{file}");
@@ -136,14 +136,14 @@ fn cases_of_a_suite_are_kept() {
     std::fs::remove_file(&png).unwrap();
     assert_eq!(suite(&usual)[2..], first[2..]);
     assert!(png.is_file() && json(&kept)["case"] == "speed 1");
-    // All that a score depends on is looked at.
+    // Everything that a score depends on is compared.
     for other in [&["--material", "10,8,0.5"], &["--wind", "50"], &["--frames", "4"]] {
         let others =
             suite(&if other[0] == "--frames" { other.to_vec() } else { [&usual[..], other].concat() });
         assert!(others.iter().zip(&first).all(|(other, first)| other["made_with"] != first["made_with"]));
     }
     assert_eq!(suite(&usual)[0]["stretch_largest"], first[0]["stretch_largest"]);
-    // One without the gap is not one with it.
+    // A score without the gap is not taken for one with it.
     let without = suite(&[&usual[..], &["--no-gap"]].concat());
     assert!(
         without[0]["gap"].is_null()

@@ -4,7 +4,7 @@ use super::command::{command, fnopt, refused, send, text};
 use std::path::Path;
 use std::process::Stdio;
 
-/// A run small enough to take no time, which validates on one small grid.
+/// A run that takes almost no time and validates on one small grid.
 const TINY: &str = "steps = 4\nnetwork = { lifting = 8, channels = 8, projection = 8 }\n\
     pool = [{ grid = [9, 12], iterations = 2, cloths = 3, batch = 2 }]\n\
     validation = { frames = 2, grids = [[9, 12]] }\n";
@@ -17,13 +17,13 @@ fn a_training_run_fills_its_folder_and_resumes() {
         let output = fnopt(folder.path(), &[&["train", "--device", "cpu"], arguments].concat());
         let log = text(&output.stderr);
         assert_eq!(output.status.code(), Some(0), "{log}");
-        // Validation is told where there is no terminal for a bar as well.
+        // Validation is also logged if there is no terminal for a progress bar.
         assert!(log.contains(": hanging 9x12: "), "{log}");
         text(&output.stdout)
     };
-    assert!(train(&["tiny.toml", "--out", "once"]).contains("4 steps of 4 done"));
-    assert!(train(&["tiny.toml", "--out", "twice", "--steps", "2"]).contains("2 steps of 4 done"));
-    assert!(train(&["--resume", "twice"]).contains("4 steps of 4 done"));
+    assert!(train(&["tiny.toml", "--out", "once"]).contains("4 of 4 steps done"));
+    assert!(train(&["tiny.toml", "--out", "twice", "--steps", "2"]).contains("2 of 4 steps done"));
+    assert!(train(&["--resume", "twice"]).contains("4 of 4 steps done"));
     let weights = |run: &str| {
         let root = folder.path().join(run);
         for file in ["config.toml", "metrics.csv", "validation.csv", "plot.png", "weights/last.json"] {
@@ -32,22 +32,22 @@ fn a_training_run_fills_its_folder_and_resumes() {
         std::fs::read(root.join("weights/last.safetensors")).unwrap()
     };
     assert!(weights("once") == weights("twice"), "a run in two sessions has other bits");
-    // One that begins with those weights is continued with its own configuration, and tells where they are.
+    // A run that starts from those weights resumes with its own configuration, and records where they are.
     std::fs::create_dir(folder.path().join("more")).unwrap();
     let more = "init = '../once/weights/last.safetensors'\n".to_owned() + TINY;
     std::fs::write(folder.path().join("more/more.toml"), more).unwrap();
     train(&["more/more.toml", "--out", "third", "--steps", "2"]);
-    assert!(train(&["more/more.toml", "--resume", "third"]).contains("4 steps of 4 done"));
+    assert!(train(&["more/more.toml", "--resume", "third"]).contains("4 of 4 steps done"));
     let card = std::fs::read(folder.path().join("third/weights/last.json")).unwrap();
     let card: serde_json::Value = serde_json::from_slice(&card).unwrap();
     let init = Path::new(card["config"]["init"][0].as_str().unwrap());
     assert!(init.is_absolute() && init.is_file(), "{card}");
-    // What it trained can be used.
+    // The trained weights can be used.
     let arguments =
         ["rollout", "--device", "cpu", "--frames", "3", "--checkpoint", "once/weights/last.safetensors"];
     let output = fnopt(folder.path(), &arguments);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-    // The state of the run is no weights, but tells where they are.
+    // The state of a run is not a weights file, but the error names the file that is.
     let state = ["rollout", "--device", "cpu", "--checkpoint", "once/checkpoints/step-00000004.safetensors"];
     refused(fnopt(folder.path(), &state), &["step-00000004", "weights/last.safetensors", "training run"]);
 }
@@ -86,7 +86,7 @@ fn an_interrupted_training_run_keeps_what_is_done() {
     std::fs::write(folder.path().join("long.toml"), TINY.replace("steps = 4", "steps = 1000000")).unwrap();
     let train = ["train", "long.toml", "--device", "cpu", "--out", "run"];
     let mut child = command(folder.path(), &train).stderr(Stdio::piped()).spawn().unwrap();
-    // The first checkpoint would come after minutes; metrics come early.
+    // The first checkpoint would take minutes; metrics are written early.
     let metrics = folder.path().join("run/metrics.csv");
     let begun = std::time::Instant::now();
     while std::fs::read_to_string(&metrics).map_or(0, |text| text.lines().count()) < 2 {
@@ -96,7 +96,7 @@ fn an_interrupted_training_run_keeps_what_is_done() {
         }
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
-    // As Slurm, `timeout` and `kill` end what they started.
+    // Slurm, `timeout` and `kill` end processes this way.
     send("-TERM", &child);
     assert_eq!(child.wait().unwrap().code(), Some(130));
     let output = fnopt(folder.path(), &["train", "--resume", "run", "--device", "cpu", "--minutes", "0.001"]);

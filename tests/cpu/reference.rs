@@ -34,7 +34,7 @@ fn the_cosine_transform_is_orthonormal() {
 
 /// Applies the Hessian of a sheet at rest to a wave, by differences of the gradient, and then the inverse.
 /// Returns the result's factor along the wave, and its squared norm over that of the wave's component.
-fn turned_back(
+fn hessian_then_inverse(
     grid: Grid,
     material: Material,
     component: usize,
@@ -76,15 +76,15 @@ fn waves_of_a_flat_sheet_are_turned_into_themselves() {
     // In-plane waves, which stretch and compress the edges of one direction: along the width, then the
     // height.
     let waves = [
-        turned_back(grid, stretch, 0, move |_, j| cosine(3, j, 19)),
-        turned_back(grid, stretch, 1, move |i, _| cosine(5, i, 14)),
+        hessian_then_inverse(grid, stretch, 0, move |_, j| cosine(3, j, 19)),
+        hessian_then_inverse(grid, stretch, 1, move |i, _| cosine(5, i, 14)),
     ];
     for (along, spread) in waves {
         // The inverse includes inertia, the Hessian of the velocities does not: a share of 1 / (n lambda).
         assert!((along - 1.0).abs() < 0.01 && (spread - 1.0).abs() < 1e-6, "{along} {spread}");
     }
     // Out-of-plane waves: free borders differ from the cosine's, the more so the longer the wave.
-    let (along, _) = turned_back(grid, bend, 2, move |i, _| cosine(9, i, 14));
+    let (along, _) = hessian_then_inverse(grid, bend, 2, move |i, _| cosine(9, i, 14));
     assert!((along - 1.0).abs() < 0.15, "{along}");
 }
 
@@ -115,7 +115,9 @@ fn optimizers_close_a_part_of_the_gap() {
     let track = track(Grid { h: 32, w: 32 }, 1..41);
     let tick = || ControlFlow::Continue(());
     let gap = |optimizer, iterations| {
-        median_gap(&track, (&optimizer, iterations), &Device::Cpu, tick).unwrap().expect("nobody ended it")
+        median_gap(&track, (&optimizer, iterations), &Device::Cpu, tick)
+            .unwrap()
+            .expect("the run was interrupted")
     };
     let quasi_newton = [10, 15, 20].map(|iterations| gap(Optimizer::quasi_newton(), iterations));
     // The variant that holds the handles exactly.

@@ -6,7 +6,7 @@ use crate::noise::noise;
 use fnopt::cpu::cloth::{Cells, Trial, repulsion};
 use fnopt::cpu::{Reference, Solver};
 use fnopt::eval;
-use fnopt::scene::{Scene, Separation};
+use fnopt::scene::{RepulsionSettings, Scene};
 use fnopt::sim::{Grid, Material, Optimizer, Repulsion, State};
 use fnopt::verify::{CpuStages, Stages};
 
@@ -171,7 +171,7 @@ fn degenerate_cloths_are_no_panic() {
 /// Held at the middle of one border, the sheet folds; without repulsion its halves pass through each other.
 #[test]
 fn the_layers_of_a_folding_sheet_stay_apart() {
-    let of_scene = |repulsion: Option<Separation>| {
+    let of_scene = |repulsion: Option<RepulsionSettings>| {
         let text = r#"{ "handles": "single-mid-edge", "motion": "none", "frames": 76 }"#;
         let scene = Scene::parse(text, "test", std::path::Path::new("")).unwrap();
         let setup = Scene { repulsion, ..scene }.setup().unwrap();
@@ -189,14 +189,14 @@ fn the_layers_of_a_folding_sheet_stay_apart() {
         }
         sum
     };
-    let (without, with) = (of_scene(None), of_scene(Some(Separation::default())));
-    assert!(without > 500.0, "{without}: the test's idea of a fold");
+    let (without, with) = (of_scene(None), of_scene(Some(RepulsionSettings::default())));
+    assert!(without > 500.0, "the sheet did not fold onto itself: {without}");
     assert!(with < 0.01 * without, "{with} with repulsion, {without} without");
 }
 
 #[test]
 fn newton_refuses_what_its_hessian_lacks() {
-    let scene = Scene { repulsion: Some(Separation::default()), ..Scene::default() };
+    let scene = Scene { repulsion: Some(RepulsionSettings::default()), ..Scene::default() };
     let setup = scene.setup().unwrap();
     let error = Reference::new(&setup.model).err().unwrap().to_string();
     assert!(error.contains("repulsion") && error.contains("Hessian"), "{error}");

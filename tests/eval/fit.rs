@@ -1,7 +1,7 @@
 //! The search for a material.
 
 use crate::common::SETTINGS;
-use fnopt::eval::fit::{Fit, Surface};
+use fnopt::eval::fit::{ErrorSurface, Fit};
 use fnopt::eval::{Sequence, Settings};
 use fnopt::io::Trajectory;
 use fnopt::scene::{Scene, Stiffness};
@@ -49,7 +49,7 @@ fn a_known_material_is_found_again() {
         rounds: 1,
     };
     let file = folder.path().join("fit.csv");
-    let mut surface = Surface::load(&file, &fit).unwrap();
+    let mut surface = ErrorSurface::load(&file, &fit).unwrap();
     // Interrupts the search after 40 frames, about two points of 19 frames each.
     let frames = AtomicUsize::new(0);
     let few = || match frames.fetch_add(1, Ordering::Relaxed) {
@@ -61,7 +61,7 @@ fn a_known_material_is_found_again() {
     two.install(|| fit.search(&mut surface, few, |_, _| Ok(()))).unwrap();
     assert!(!surface.sorted().is_empty(), "nothing was tried in time");
     surface.write(&file).unwrap();
-    let mut again = Surface::load(&file, &fit).unwrap();
+    let mut again = ErrorSurface::load(&file, &fit).unwrap();
     assert_eq!(again, surface, "what was tried is known again");
     let known = again.sorted().len();
     fit.search(&mut again, || ControlFlow::Continue(()), |_, _| Ok(())).unwrap();
@@ -74,13 +74,15 @@ fn a_known_material_is_found_again() {
     assert!(error < 3e-3, "{error}");
     // A file of errors over fewer frames is refused, and damaged lines are named.
     let shorter = Fit { settings: Settings { frames: 10, ..fit.settings }, ..fit.clone() };
-    let refused = Surface::load(&file, &shorter).unwrap_err().to_string();
+    let refused = ErrorSurface::load(&file, &shorter).unwrap_err().to_string();
     assert!(refused.contains("line 1: expected # made (10 frames, "), "{refused}");
     // So is one made with other files of the sequence.
     std::fs::write(to.join("meta.json"), r#"{"gravity_m_s2": [0, -9.7, 0]}"#).unwrap();
     let changed = [Sequence::load(folder.path(), "made").unwrap()];
     let changed = Fit { sequences: &changed, ..fit.clone() };
-    assert!(Surface::load(&file, &changed).unwrap_err().to_string().contains("line 1: expected # made (20"));
+    assert!(
+        ErrorSurface::load(&file, &changed).unwrap_err().to_string().contains("line 1: expected # made (20")
+    );
     let heads = "stretch,shear,bend,density,drag,frame_time,e_cd";
     for (heads, line, said) in [
         (heads, "1,2", "line 3: expected seven numbers"),
@@ -94,11 +96,11 @@ fn a_known_material_is_found_again() {
         ),
     ] {
         std::fs::write(&file, format!("# {}\n{heads}\n{line}\n", fit.subject())).unwrap();
-        let refused = Surface::load(&file, &fit).unwrap_err().to_string();
+        let refused = ErrorSurface::load(&file, &fit).unwrap_err().to_string();
         assert!(refused.contains(said), "{refused}");
     }
     let endless = Fit { levels: 1000, ..fit.clone() };
-    let refused = endless.search(&mut Surface::default(), || ControlFlow::Break(()), |_, _| Ok(()));
+    let refused = endless.search(&mut ErrorSurface::default(), || ControlFlow::Break(()), |_, _| Ok(()));
     let refused = refused.unwrap_err().to_string();
     assert!(refused.contains("fit: levels") && refused.contains("100000"), "{refused}");
     // Points of another search are kept but not used.

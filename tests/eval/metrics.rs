@@ -56,7 +56,7 @@ fn samples_are_uniform_by_area() {
     // Two triangles, one with three times the area of the other, and one without area.
     let points = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-3.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
     let faces = [[0, 1, 2], [0, 2, 3], [0, 1, 4]];
-    let surface = eval::Surface { points: &points, faces: &faces };
+    let surface = eval::TriangleMesh { points: &points, faces: &faces };
     let samples = surface.sample(40_000, 7);
     assert_eq!(samples, surface.sample(40_000, 7), "the same seed");
     assert_ne!(samples[..10], surface.sample(10, 8)[..]);

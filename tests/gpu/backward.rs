@@ -6,7 +6,7 @@ use crate::solver::starter;
 use fnopt::cpu::operator::Adjoint;
 use fnopt::gpu::{Schedule, Tensor};
 use fnopt::kernels::Tuning;
-use fnopt::network::{Backward, Config, Forward, Head, Keep, Parameters, Plan, Transposed, Weights};
+use fnopt::network::{Backward, Config, Forward, Head, Keep, Parameters, Plan, TransposedWeights, Weights};
 use fnopt::sim::Grid;
 
 /// Input fields and cotangents of a pass.
@@ -34,7 +34,7 @@ impl Case {
             let plan = Plan { grid, samples: self.samples, tuning: *tuning, keep: Keep::Adjoint };
             let forward = Forward::with_parameters(context, &parameters, &plan)?;
             let backward = Backward::new(context, &forward, &parameters, &gradient, tuning)?;
-            let transposed = Transposed::new(context, &parameters)?;
+            let transposed = TransposedWeights::new(context, &parameters)?;
             forward.embedded.write(
                 context,
                 &by_rows(&self.embedded(&weights.config), weights.config.inputs(), grid, 0.0),
@@ -43,7 +43,7 @@ impl Case {
             backward.adj_scalar.write(context, &self.adj_scalar);
             let mut schedule = Schedule::new(context);
             transposed.push(&mut schedule);
-            forward.push(&mut schedule, None, Head::Alone);
+            forward.push(&mut schedule, None, Head::Store);
             backward.push(&mut schedule, &forward, &transposed);
             for _ in 0..passes {
                 context.submit(|encoder| schedule.record(encoder));

@@ -48,7 +48,7 @@ pub fn narrow(bytes: u64) -> Context {
 /// Returns the device with networks stored in 16 bits, or `None`, with a message, if the adapter lacks f16.
 pub fn half() -> Option<Context> {
     let half = context().with_storage(Storage::F16);
-    assert!(half.is_ok() || context().kind() == AdapterKind::Hardware, "the software adapter has them");
+    assert!(half.is_ok() || context().kind() == AdapterKind::Hardware, "the software adapter supports f16");
     half.inspect_err(|e| eprintln!("skipped: {e}")).ok()
 }
 

@@ -51,11 +51,16 @@ fn added_up(field: &Tensor, grid: Grid) -> Vec<f32> {
 }
 
 /// Builds a pass over `fields` and submits it.
-fn done(weights: &Weights, tuning: &Tuning, shape: (Grid, usize), (fields, keep): (&[f32], Keep)) -> Forward {
-    done_on(context(), weights, tuning, shape, (fields, keep))
+fn submit_pass(
+    weights: &Weights,
+    tuning: &Tuning,
+    shape: (Grid, usize),
+    (fields, keep): (&[f32], Keep),
+) -> Forward {
+    submit_pass_on(context(), weights, tuning, shape, (fields, keep))
 }
 
-fn done_on(
+fn submit_pass_on(
     context: &Context,
     weights: &Weights,
     tuning: &Tuning,
@@ -74,14 +79,14 @@ fn done_on(
     }
     pass.embedded.write_narrowed(context, &by_rows(&embedded, weights.config.inputs(), grid, 0.0));
     let mut schedule = Schedule::new(context);
-    pass.push(&mut schedule, None, Head::Alone);
+    pass.push(&mut schedule, None, Head::Store);
     context.submit(|encoder| schedule.record(encoder));
     pass
 }
 
 fn forward(weights: &Weights, tuning: &Tuning, (grid, samples): (Grid, usize), fields: &[f32]) -> Pass {
     let (config, n) = (weights.config, grid.particles());
-    let pass = done(weights, tuning, (grid, samples), (fields, Keep::Blocks));
+    let pass = submit_pass(weights, tuning, (grid, samples), (fields, Keep::Blocks));
     // Channels that pad a tile come last in each sample.
     let channels = |i: usize| -> Vec<f32> {
         let activation = pass.activation(i);
@@ -135,7 +140,7 @@ fn folded_networks_match_the_host() {
         let mut host = Network::<f64>::new(&weights, grid, samples).unwrap();
         host.forward(&widened(&fields));
         for tuning in tunings() {
-            let pass = done(&weights.folded(), &tuning, (grid, samples), (&fields, Keep::Nothing));
+            let pass = submit_pass(&weights.folded(), &tuning, (grid, samples), (&fields, Keep::Nothing));
             let field = added_up(&pass.field, grid);
             assert_close("field", &field, host.field(), (2e-5 * largest(host.field()), 0.0));
             assert_close("scalar", &read(&pass.scalar), host.scalar(), (2e-5 * largest(host.scalar()), 0.0));
@@ -192,7 +197,7 @@ fn lifting_in_parts_gives_the_same_bits() {
     let own = Tuning::new(context());
     // The backward pass needs the hidden layer, so the lifting's layers are not fused.
     let results = |tuning: &Tuning| {
-        let pass = done(weights, tuning, (grid, samples), (&fields, Keep::Adjoint));
+        let pass = submit_pass(weights, tuning, (grid, samples), (&fields, Keep::Adjoint));
         [pass.activation(0), &pass.field, &pass.scalar].map(read)
     };
     let whole = results(&own);
@@ -214,8 +219,8 @@ fn lifting_takes_no_more_than_the_device_binds() {
     let fields = noise(samples * 3 * grid.particles(), 121);
     let tuning = Tuning::table(&narrow);
     let keep = Keep::Adjoint;
-    let parts = done_on(&narrow, starter(), &tuning, (grid, samples), (&fields, keep));
-    let whole = done(starter(), &tuning, (grid, samples), (&fields, keep));
+    let parts = submit_pass_on(&narrow, starter(), &tuning, (grid, samples), (&fields, keep));
+    let whole = submit_pass(starter(), &tuning, (grid, samples), (&fields, keep));
     let field = parts.field.read::<f32>(&narrow).unwrap();
     assert_eq!(field, read(&whole.field));
     let parameters = Parameters::new(&narrow, starter(), &tuning).unwrap();
@@ -234,8 +239,8 @@ fn grids_are_larger_than_a_binding_of_the_hidden_layer() {
     assert!((4 * starter().config.lifting * grid.h * 92) as u64 > narrow.largest_binding());
     let fields = noise(samples * 3 * grid.particles(), 122);
     let (tuning, keep) = (Tuning::table(&narrow), Keep::Adjoint);
-    let parts = done_on(&narrow, starter(), &tuning, (grid, samples), (&fields, keep));
-    let whole = done(starter(), &tuning, (grid, samples), (&fields, keep));
+    let parts = submit_pass_on(&narrow, starter(), &tuning, (grid, samples), (&fields, keep));
+    let whole = submit_pass(starter(), &tuning, (grid, samples), (&fields, keep));
     assert_eq!(parts.field.read::<f32>(&narrow).unwrap(), read(&whole.field));
 }
 
@@ -252,7 +257,7 @@ fn networks_stored_in_half_precision_are_near_the_host() {
             let mut host = Network::<f64>::new(&weights, grid, samples).unwrap();
             host.forward(&widened(&fields));
             for tuning in tunings() {
-                let pass = done_on(&half, &weights, &tuning, shape, (&fields, Keep::Nothing));
+                let pass = submit_pass_on(&half, &weights, &tuning, shape, (&fields, Keep::Nothing));
                 assert_eq!((pass.embedded.storage(), pass.field.storage()), (Storage::F16, Storage::F32));
                 let field = added_up(&pass.field, grid);
                 let what = format!("f16 {} {samples} x {grid}", tuning.channels);

@@ -142,7 +142,7 @@ fn every_kernel_is_valid_wgsl() {
                 (Sharing::Broadcast, Storage::F16, subgroup | half),
             ];
             for (sharing, storage, capabilities) in variants {
-                let order = Order::Forward;
+                let order = Order::Natural;
                 let (text, module) =
                     parsed(source, Unroll { tile, span, second: 10, sharing, storage, order });
                 let mut validator = Validator::new(ValidationFlags::all(), capabilities);

@@ -25,7 +25,7 @@ fn samples_in_turns_have_the_same_bits() {
             let tuning = Tuning { activation_bytes: activation_bytes.max(1), ..table };
             let solver = solver_with(tuning, &model, (&optimizer, 3), &start);
             step(&solver, &control);
-            (step(&solver, &control), solver.frame().dispatches())
+            (step(&solver, &control), solver.schedule().dispatches())
         };
         let (whole, few) = run(9 * one);
         let mut dispatches = vec![few];
@@ -177,7 +177,7 @@ fn what_the_device_cannot_do_is_refused() {
         );
         assert_eq!(
             refused(&held(&[3, 5, 3]), &gd),
-            "model: handles of cloth 1: expected each particle once, found 3"
+            "model: handles of cloth 1: expected no particle more than once, found 3"
         );
         assert_eq!(
             refused(&held(&[]), &Optimizer::learned(weights.clone())),
@@ -195,6 +195,6 @@ fn a_frame_is_few_dispatches() {
     let optimizer = Optimizer::Learned(starter().clone());
     for (tuning, of_iteration) in sharings().into_iter().zip([12, 11]) {
         let solver = solver_with(tuning, &model, (&optimizer, 10), &start);
-        assert_eq!(solver.frame().dispatches(), 10 * of_iteration + 5);
+        assert_eq!(solver.schedule().dispatches(), 10 * of_iteration + 5);
     }
 }

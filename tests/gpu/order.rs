@@ -14,7 +14,7 @@ fn frames_have_the_same_bits_in_either_order() {
     let _turn = device();
     let compare = |context: &Context, (model, start, control), optimizer: &Optimizer, tuning| {
         let options = SolverOptions { iterations: 3, tuning };
-        let [forward, backward] = [Order::Forward, Order::Backward].map(|order| {
+        let [forward, backward] = [Order::Natural, Order::Reversed].map(|order| {
             let solver = Solver::new(&context.with_order(order), &model, optimizer, &options).unwrap();
             solver.set_state(&start);
             step(&solver, &control);
@@ -51,7 +51,7 @@ fn transforms_have_the_same_bits_in_either_order() {
     for [h, w] in [[33, 47], [64, 64], [3, 1009], [100, 100]] {
         let fields = Fields { batch: 2, h, w };
         let x = tensor("x", &[2, h, w], &noise(2 * h * w, 8));
-        let [forward, backward] = [Order::Forward, Order::Backward].map(|order| {
+        let [forward, backward] = [Order::Natural, Order::Reversed].map(|order| {
             let plan = RealFft2::new(&context().with_order(order), fields, Norm::Forward).unwrap();
             let (spectrum, again) =
                 (poisoned("spectrum", &plan.spectrum_shape()), poisoned("again", &[2, h, w]));

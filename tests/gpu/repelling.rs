@@ -57,7 +57,7 @@ fn counts_that_are_left_over_are_harmless() {
     let (model, start, control) = crowded();
     let solver = solver(&model, &Optimizer::gradient_descent(), 2, &start);
     let expected = step(&solver, &control);
-    let alone = solver.frame().only("cell_count");
+    let alone = solver.schedule().only("cell_count");
     context().submit(|encoder| alone.record(encoder));
     step(&solver, &control);
     solver.set_state(&start);

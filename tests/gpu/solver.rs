@@ -399,7 +399,7 @@ fn single_cloths_begin_anew_and_materials_change() {
         assert_ne!(made_frame.x[..3 * n], first.x[..3 * n]);
 
         let refused = changed.set_cloths(&other.cloths[1..]).unwrap_err().to_string();
-        assert!(refused.contains("as many as the solver was made for"), "{refused}");
+        assert!(refused.contains("the number that the solver was built for"), "{refused}");
     }
 }
 

@@ -135,7 +135,7 @@ fn steps_have_the_same_bits_in_either_order() {
     for normalisation in ["component", "cloth"] {
         let text = format!("normalisation = \"{normalisation}\"\n{CONFIG}");
         let config = Config::parse(&text, Path::new("test.toml")).unwrap();
-        let [forward, backward] = [Order::Forward, Order::Backward].map(|order| {
+        let [forward, backward] = [Order::Natural, Order::Reversed].map(|order| {
             let folder = tempfile::tempdir().unwrap();
             let learner = of(&config, &Device::Gpu(context().with_order(order)));
             let mut run = Run::create(folder.path(), &text, config.clone(), learner, Rc::new(Alone)).unwrap();

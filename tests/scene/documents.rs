@@ -1,7 +1,7 @@
 //! Valid scene files: the examples, the defaults, and the authors' own format.
 
 use crate::common::{assets, distance, parse};
-use fnopt::scene::{Handles, Placement, Scene, Separation, Side, UpAxis};
+use fnopt::scene::{Handles, Placement, RepulsionSettings, Scene, Side, UpAxis};
 use fnopt::sim::Grid;
 
 #[test]
@@ -42,10 +42,13 @@ fn an_empty_document_and_the_default_file_are_the_default_scene() {
 fn repulsion_is_asked_for_with_or_without_numbers() {
     let of = |text: &str| parse(&format!("{{\"repulsion\": {text}}}")).unwrap().repulsion;
     assert_eq!([of("false"), of("null")], [None; 2]);
-    assert_eq!([of("true"), of("{}")], [Some(Separation::default()); 2]);
-    let distance = Separation { distance: 0.5, ..Separation::default() };
+    assert_eq!([of("true"), of("{}")], [Some(RepulsionSettings::default()); 2]);
+    let distance = RepulsionSettings { distance: 0.5, ..RepulsionSettings::default() };
     assert_eq!(of(r#"{"distance": 0.5}"#), Some(distance));
-    assert_eq!(of(r#"{"strength": 0, "distance": 0.5}"#), Some(Separation { strength: 0.0, ..distance }));
+    assert_eq!(
+        of(r#"{"strength": 0, "distance": 0.5}"#),
+        Some(RepulsionSettings { strength: 0.0, ..distance })
+    );
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Units: moduli, masses and wind against elasticity and mechanics.
 
 use crate::common::distance;
-use fnopt::scene::{Moduli, Separation, Units, UpAxis};
+use fnopt::scene::{Moduli, RepulsionSettings, Units, UpAxis};
 use fnopt::sim::{Material, Repulsion};
 
 /// Returns the energy of section 3 of one cloth, without inertia and external work; `x` has shape [H][W].
@@ -100,7 +100,8 @@ fn units_go_both_ways() {
 fn the_same_repulsion_parts_layers_as_fast_on_every_grid() {
     for (length_m, frame_time_s) in [(1.0 / 31.0, 1.0 / 60.0), (0.01, 1.0 / 60.0), (0.01, 0.005)] {
         let units = Units { length_m, frame_time_s, areal_mass_kg_m2: 0.3 };
-        let Repulsion { strength, distance } = units.repulsion(Separation { strength: 2.0, distance: 0.8 });
+        let Repulsion { strength, distance } =
+            units.repulsion(RepulsionSettings { strength: 2.0, distance: 0.8 });
         // Both orders of the pair, from half the distance: 2 k log 4 = 2 (v^2 / 2), in edges and frames.
         let v = (2.0 * strength * 4f64.ln()).sqrt();
         let speed = units.velocity_m_s([v, 0.0, 0.0])[0];

@@ -1,6 +1,6 @@
 //! Ranks as threads: they have the gradient of one learner, stay together, and write one checkpoint.
 
-use super::support::{Fake, Thread};
+use super::support::{Fake, ThreadRank};
 use fnopt::sim::Device;
 use fnopt::train::{
     Alone, Batch, Config, End, Learner, Limits, Pool, Ranks, Run, Update, first_weights, learner,
@@ -46,7 +46,7 @@ fn cpu(config: &Config) -> Box<dyn Learner> {
 
 /// Runs `body` on each of `count` ranks.
 fn on_ranks<R: Send>(count: usize, body: impl Fn(Rc<dyn Ranks>) -> R + Sync) -> Vec<R> {
-    Thread::run(count, |thread| body(Rc::new(thread)))
+    ThreadRank::run(count, |thread| body(Rc::new(thread)))
 }
 
 fn fake(config: &Config) -> fnopt::Result<Box<dyn Learner>> {

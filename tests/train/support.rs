@@ -64,7 +64,7 @@ impl Learner for Fake {
             report.outcomes[batch.pool] = outcomes;
         }
         let mut gradient = [report.loss() as f32];
-        ranks.join(&mut gradient, report.loss());
+        ranks.sum_gradients(&mut gradient, report.loss());
         report.gradient_norm = gradient[0].abs().into();
         if report.is_finite() {
             let share = update.rate * update.number as f64 * (1.0 - update.average);
@@ -109,7 +109,7 @@ impl Learner for Fake {
 }
 
 /// One of several threads that train together. If one panics, the others do, too.
-pub struct Thread {
+pub struct ThreadRank {
     rank: usize,
     /// Senders to each rank, including this one.
     to: Vec<Sender<Vec<u8>>>,
@@ -117,11 +117,11 @@ pub struct Thread {
     from: Vec<Receiver<Vec<u8>>>,
 }
 
-impl Thread {
+impl ThreadRank {
     /// Calls `body` on each of `count` ranks and returns the results in order of rank.
-    pub fn run<R: Send>(count: usize, body: impl Fn(Thread) -> R + Sync) -> Vec<R> {
-        let of = |rank| Thread { rank, to: Vec::new(), from: Vec::new() };
-        let mut ranks: Vec<Thread> = (0..count).map(of).collect();
+    pub fn run<R: Send>(count: usize, body: impl Fn(ThreadRank) -> R + Sync) -> Vec<R> {
+        let of = |rank| ThreadRank { rank, to: Vec::new(), from: Vec::new() };
+        let mut ranks: Vec<ThreadRank> = (0..count).map(of).collect();
         for (from, to) in (0..count).flat_map(|from| (0..count).map(move |to| (from, to))) {
             let (sender, receiver) = channel();
             ranks[from].to.push(sender);
@@ -141,7 +141,7 @@ impl Thread {
     }
 }
 
-impl Ranks for Thread {
+impl Ranks for ThreadRank {
     fn rank(&self) -> usize {
         self.rank
     }
@@ -150,7 +150,7 @@ impl Ranks for Thread {
         self.to.len()
     }
 
-    fn on_machine(&self) -> usize {
+    fn local_rank(&self) -> usize {
         self.rank
     }
 

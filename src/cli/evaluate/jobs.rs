@@ -1,4 +1,4 @@
-//! The simulations of an evaluation, and their scores in files.
+//! The simulations of an evaluation, and the files that hold their scores.
 
 use super::progress;
 use crate::cli::go_on;
@@ -17,53 +17,55 @@ use std::path::{Path, PathBuf};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-/// How work ended: whether to go on, or why it failed.
+/// How work ended: whether to continue, or why it failed.
 type Ended = Result<ControlFlow<()>>;
 
-/// What every solver is run on.
+/// The simulations to run: every solver on every sequence and grid.
 pub struct Plan<'a> {
     pub sequences: &'a [Sequence],
     pub grids: &'a [Grid],
     pub entries: &'a [Entry],
     pub device: &'a Device,
     pub settings: Settings,
-    /// How often each is done, first from the recorded start, then from others that are all but the same.
+    /// Number of times to run each simulation: first from the recorded start, then from slightly perturbed
+    /// ones.
     pub repeats: u64,
 }
 
-/// A solver on a grid, to be run on a sequence.
+/// A solver to run on a sequence and grid.
 pub struct Job<'a> {
-    /// The piece of the work that it belongs to. The solvers on one sequence and grid are not shared out: their times are compared.
+    /// Index of the piece of work that it belongs to. The solvers on one sequence and grid stay in one piece,
+    /// because their times are compared.
     pub piece: usize,
     sequence: &'a Sequence,
     nudge: Option<Nudge>,
     grid: Grid,
     entry: &'a Entry,
-    /// Where its score is kept; a few of its frames are kept beside it.
+    /// File of its score; a few of its frames are kept next to it.
     file: PathBuf,
 }
 
-/// A score and a few frames of what it is of, if they are there.
+/// A score and, if available, a few frames of the simulation.
 pub struct Kept {
     pub score: Score,
     pub snapshots: Option<Trajectory>,
 }
 
 impl<'a> Plan<'a> {
-    /// All jobs, each once, with their files in a folder.
+    /// Lists all jobs, each once, with their files in `folder`.
     pub fn jobs(&self, folder: &Path) -> Result<Vec<Job<'a>>> {
         for sequence in self.sequences {
             for &grid in self.grids {
                 let coarser = coarse(grid);
                 let scene = || sequence.scene(coarser, &self.settings.physics)?.setup();
                 if self.entries.iter().any(|entry| entry.coarse) && scene().is_err() {
-                    let expected = format!("a coarser grid of the shape of {grid}");
+                    let expected = format!("a coarser grid with the proportions of {grid}");
                     return Err(Error::invalid("--solver", "interpolation", expected, coarser));
                 }
             }
         }
         let (mut jobs, mut known) = (Vec::new(), BTreeSet::new());
-        // All are done once before any is done again.
+        // All simulations run once before any is repeated.
         let starts = (0..self.repeats).map(Nudge::of);
         let of_start = |nudge| self.sequences.iter().map(move |sequence| (nudge, sequence));
         let of_sequence = |(nudge, sequence)| self.grids.iter().map(move |&grid| (nudge, sequence, grid));
@@ -80,10 +82,11 @@ impl<'a> Plan<'a> {
         Ok(jobs)
     }
 
-    /// Does the jobs whose scores are not there yet: the scores, in the order of the jobs, and how it ended, which is early when
-    /// it was interrupted. Those of the CPU run side by side, as many as there are cores, on one each, or on as many as the whole
-    /// plan's jobs leave, whichever of them are still missing: so their times are alike. One frame after the other keeps
-    /// several cores far less busy. A GPU's have it to themselves, one by one.
+    /// Runs the jobs that have no score yet. Returns the scores in the order of the jobs, and how the work
+    /// ended, which is early if it was interrupted. CPU jobs run side by side, one per core, or on equal
+    /// shares of the cores if the whole plan has fewer CPU jobs. The shares do not depend on which jobs are
+    /// still missing, so that times are comparable. Several cores that share one simulation, frame by frame,
+    /// would be far less busy. GPU jobs run one at a time, with the GPU to themselves.
     pub fn work(&self, jobs: &[Job], interrupted: &AtomicBool) -> (Vec<Kept>, Ended) {
         let frames = |job: &Job| job.sequence.truth.frames().min(self.settings.frames) - 1;
         let bar = progress(jobs.iter().map(frames).sum(), "frames");
@@ -122,7 +125,8 @@ impl<'a> Plan<'a> {
         let read = read();
         let of_cpu = |&job: &usize| matches!(jobs[job].entry.device(self.device), Device::Cpu);
         let (mut on_cpu, on_gpu): (Vec<usize>, Vec<usize>) = missing.into_iter().partition(of_cpu);
-        // The finest grids first, so that at the end no core waits long for another; but once all, before any is repeated.
+        // The finest grids first, so that no core waits long for another at the end. All jobs run once before
+        // any is repeated.
         on_cpu.sort_by_key(|&job| {
             let Job { nudge, grid, .. } = &jobs[job];
             (nudge.map_or(0, |nudge| nudge.repeat), Reverse(grid.particles()))
@@ -136,26 +140,26 @@ impl<'a> Plan<'a> {
         (all.into_iter().map(|(_, kept)| kept).collect(), ending)
     }
 
-    /// Number of the jobs that run on the CPU, whatever share of them is to be done here.
+    /// Number of jobs that run on the CPU, over all shards.
     fn on_cpu(&self) -> usize {
         let entries = self.entries.iter().filter(|entry| matches!(entry.device(self.device), Device::Cpu));
         self.sequences.len() * self.grids.len() * entries.count() * self.repeats as usize
     }
 }
 
-/// Goes on with `next` unless it has ended.
+/// Continues with `next` unless the work has ended.
 fn then(ended: ControlFlow<()>, next: impl FnOnce() -> Ended) -> Ended {
     if ended.is_break() { Ok(ended) } else { next() }
 }
 
-/// Does one job after the other, until one fails or ends everything.
+/// Runs one job after another, until one fails or ends the work.
 fn in_turn(jobs: &[usize], done: impl Fn(usize) -> Ended) -> Ended {
     jobs.iter().try_fold(ControlFlow::Continue(()), |ended, &job| then(ended, || done(job)))
 }
 
-/// Does jobs, of `all` that there are, on threads of their own, each with a pool of its share of the cores: those of a common one
-/// would begin another job in the middle of a frame that waits, and its time with it. One that fails sets `failed`, which ends the
-/// others, and is told.
+/// Runs jobs on separate threads, each with a pool of its share of the cores; `all` counts the CPU jobs of
+/// the whole plan. With a common pool, a frame that waits would begin another job and count its time as well.
+/// A job that fails sets `failed`, which ends the others, and its error is returned.
 fn side_by_side(
     (jobs, all): (&[usize], usize),
     failed: &AtomicBool,
@@ -165,7 +169,7 @@ fn side_by_side(
     let threads = cores / cores.min(all).max(1);
     let workers = (cores / threads).min(count);
     if workers > 1 {
-        tell!("{count} simulations, {workers} side by side on {threads} of {cores} threads each");
+        tell!("{count} simulations, {workers} at a time, each on {threads} of {cores} threads");
     }
     let next = AtomicUsize::new(0);
     let mine = || {
@@ -189,20 +193,20 @@ fn side_by_side(
         for _ in 0..workers {
             match std::thread::Builder::new().spawn_scoped(scope, in_pool) {
                 Ok(worker) => spawned.push(worker),
-                // Those that there are do the work of all.
+                // The threads that did start do all the work.
                 Err(_) if !spawned.is_empty() => break,
-                Err(e) => return Err(Error::Device(format!("cpu: no thread to simulate on: {e}"))),
+                Err(e) => return Err(Error::Device(format!("cpu: cannot start a thread: {e}"))),
             }
         }
         let mut all = spawned.into_iter().map(|w| w.join().unwrap_or_else(|e| std::panic::resume_unwind(e)));
-        // What failed is told, not that others ended early because of it.
+        // Report the failure rather than that others ended early because of it.
         all.try_fold(ControlFlow::Continue(()), |ended, next| {
             next.map(|next| if ended.is_break() { ended } else { next })
         })
     })
 }
 
-/// Tells the others to end when the thread that holds it panics.
+/// Ends the other workers if the thread that holds it panics.
 struct Unwinding<'a>(&'a AtomicBool);
 
 impl Drop for Unwinding<'_> {
@@ -211,19 +215,21 @@ impl Drop for Unwinding<'_> {
     }
 }
 
-/// A sequence whose scene can be made on all grids: what is wrong with one is said before the work and not in the middle of it.
-pub fn playable(sequence: Sequence, grids: &[Grid], settings: &Settings) -> Result<Sequence> {
+/// Returns a sequence if its scene can be built on all grids, so that errors are reported before the work and
+/// not during it.
+pub fn with_valid_scenes(sequence: Sequence, grids: &[Grid], settings: &Settings) -> Result<Sequence> {
     grids.iter().try_for_each(|&grid| sequence.scene(grid, &settings.physics)?.setup().map(drop))?;
     Ok(sequence)
 }
 
-/// The file of a score: all that it depends on is in its name, or in the checksum there.
+/// Returns the file of a score. Everything that the score depends on is in its name, directly or in the
+/// checksum.
 fn file(folder: &Path, what: &str, conditions: &Conditions) -> PathBuf {
     folder.join(format!("{what}_{:08x}.json", conditions.checksum()))
 }
 
 impl Kept {
-    /// Another system's score, and a few frames of it on a grid.
+    /// Scores another system's trajectory and takes a few frames of it on a grid.
     pub fn imported(
         sequence: &Sequence,
         name: &str,
@@ -239,11 +245,12 @@ impl Kept {
         Ok(Self { score, snapshots })
     }
 
-    /// Keeps another system's score beside those of the solvers.
+    /// Stores another system's score with those of the solvers, in place of an earlier one of the same system
+    /// and sequence.
     pub fn keep_imported(&self, folder: &Path) -> Result<()> {
         let Score { sequence, grid, solver, made_with, .. } = &self.score;
         let plain: String = solver.chars().map(|c| if c.is_alphanumeric() { c } else { '-' }).collect();
-        // Of the name itself, too: several may look alike without their signs.
+        // With a checksum of the name itself, because names may differ only in their special characters.
         let system = format!("_{plain}-{:08x}_compared_", crc32fast::hash(solver.as_bytes()));
         let own = file(folder, &format!("{sequence}_{grid}{}", system.trim_end_matches('_')), made_with);
         // An earlier trajectory may have been on another grid.
@@ -252,7 +259,7 @@ impl Kept {
             let path = entry.map_err(fail)?.path();
             let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
             let rest = name.strip_prefix(&format!("{sequence}_")).and_then(|rest| rest.split_once(&system));
-            // What is between is a grid, and no part of another sequence's name.
+            // The text in between must be a grid, not part of another sequence's name.
             if rest.is_some_and(|(grid, _)| !grid.contains('_')) && path != own {
                 io::remove(&path)?;
             }
@@ -260,7 +267,8 @@ impl Kept {
         self.write(&own)
     }
 
-    /// The score in a file, and the frames beside it; nothing where it is not there, or where frames of a stable one are not.
+    /// Reads a score and the frames next to it. Returns `None` if there is no score, or if it is stable and
+    /// its frames are missing.
     fn read(file: &Path) -> Result<Option<Self>> {
         if !file.is_file() {
             return Ok(None);
@@ -279,7 +287,7 @@ impl Kept {
         Ok(read().map(|snapshots| Self { score, snapshots: Some(snapshots) }))
     }
 
-    /// The score last: once it is there, all is.
+    /// Writes the frames, then the score: if the score exists, so do its frames.
     fn write(&self, file: &Path) -> Result<()> {
         if let (Some(frames), Some(folder), Some(stem)) = (&self.snapshots, file.parent(), file.file_stem()) {
             frames.write(folder, &stem.to_string_lossy(), io::Format::Npy)?;
@@ -288,7 +296,7 @@ impl Kept {
     }
 }
 
-/// All scores that folders keep, by sequence and grid; they must belong together.
+/// Reads all scores in the folders, by sequence and grid. Fails if they do not belong together.
 pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
     let mut files = Vec::new();
     for folder in folders {
@@ -301,7 +309,7 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
             }
         }
         if own.is_empty() {
-            return Err(Error::invalid(folder.display().to_string(), "scores", "files of scores", "none"));
+            return Err(Error::invalid(folder.display().to_string(), "scores", "score files", "none"));
         }
         own.sort();
         files.extend(own);
@@ -309,7 +317,7 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
     let (mut scores, mut of_files): (Vec<Score>, Vec<&Path>) = (Vec::new(), Vec::new());
     for file in &files {
         let score = Score::read(file)?;
-        // Another system's may have been kept beside the solvers of several folders.
+        // Another system's score may be in several folders.
         if !(score.is_imported() && scores.contains(&score)) {
             scores.push(score);
             of_files.push(file);
@@ -317,7 +325,7 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
     }
     let told: Vec<(&Path, &Score)> = of_files.into_iter().zip(&scores).collect();
     belong_together(&told)?;
-    // As tables of one run have them, whichever folder a score is in.
+    // In the order of a single run's tables, whichever folder a score is in.
     let particles = |score: &Score| {
         let sides = score.grid.split('x').map(|side| side.parse::<usize>().unwrap_or(0));
         sides.product::<usize>()

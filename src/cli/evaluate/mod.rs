@@ -18,7 +18,7 @@ use fnopt::io::write_atomic;
 use fnopt::network::Weights;
 use fnopt::sim::{Device, Optimizer};
 use indicatif::{ProgressBar, ProgressStyle};
-use jobs::{Kept, Plan, playable};
+use jobs::{Kept, Plan, with_valid_scenes};
 use std::collections::BTreeSet;
 use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
@@ -26,96 +26,100 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
-/// The file that is standard output.
+/// The file name that stands for standard output.
 const STDOUT: &str = "-";
 
-/// The solvers that take part where none are named, and where a suite sets the number of their iterations.
+/// The solvers that take part if none are named, and those if a suite sets the number of iterations.
 const SOLVERS: [&str; 5] = ["newton", "fnopt", "quasi-newton", "lbfgs:100", "adam:500"];
-const OF_ANY_ITERATIONS: [&str; 4] = ["fnopt", "quasi-newton", "lbfgs", "adam"];
+const SOLVERS_OF_ITERATIONS_SUITE: [&str; 4] = ["fnopt", "quasi-newton", "lbfgs", "adam"];
 
 /// Arguments of `fnopt evaluate`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Folder of sequences, each a folder with cloth_pos.npy and, where there are such, meta.json (what is told of the cloth),
-    /// handles.npy, start.npy, and mesh.obj where the vertices are no grid
+    /// Folder of sequences, each a folder with cloth_pos.npy and optionally meta.json (properties of the
+    /// cloth), handles.npy, start.npy, and mesh.obj if the vertices do not form a grid
     #[arg(long, default_value = SHIPPED_SEQUENCES, value_name = "DIR")]
     ground_truth: PathBuf,
-    /// Sequences, or cases of a suite, to take part [default: all]
+    /// Sequences, or cases of a suite, to simulate [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
-    /// Grids to simulate on, of the shape that the cloth has [default: 32]
+    /// Grids to simulate on, with the proportions of the cloth [default: 32]
     #[arg(long, value_delimiter = ',', value_name = "N|HxW,..")]
     grid: Option<Vec<String>>,
-    /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton, quasi-newton-exact and newton, which run on the CPU whatever the device,
-    /// single-pass, which is fnopt:1, or interpolation, which is fnopt on 32 rows carried to the grid; with iterations of
-    /// their own after a colon [default: newton,fnopt,quasi-newton,lbfgs:100,adam:500; of these, those with iterations where a suite
-    /// sets their number]
+    /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton; quasi-newton-exact and newton, which run on the CPU
+    /// whatever the device; single-pass, which is fnopt:1; interpolation, which is fnopt on 32 rows,
+    /// interpolated to the grid. A number of iterations may follow after a colon [default:
+    /// newton,fnopt,quasi-newton,lbfgs:100,adam:500; in the suite iterations fnopt,quasi-newton,lbfgs,adam]
     #[arg(long, value_delimiter = ',', value_name = "NAME[:N],..")]
     solver: Option<Vec<String>>,
-    /// Iterations per frame of the solvers without their own [default: 10]
+    /// Iterations per frame for solvers given without a number [default: 10]
     #[arg(long, value_delimiter = ',', value_name = "N,..", allow_negative_numbers = true)]
     iterations: Option<Vec<usize>>,
-    /// Weights of the learned optimizer, a safetensors file [default: those that come with the program]
+    /// Weights of the learned optimizer, a safetensors file [default: the weights that ship with the program]
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Energy coefficients stretch, shear, bend, or a JSON file with them, or with moduli, under "material" as in a scene, such
-    /// as fit-material writes; density and drag of its "wind" and its "frame_time_s" count too [default: the moduli fitted to three
-    /// trajectories of ARCSim, assets/materials/arcsim.json; in a suite the default scene's]
+    /// Energy coefficients stretch, shear, bend, or a JSON file with coefficients or moduli under "material"
+    /// as in a scene, such as fit-material writes; its "frame_time_s" and the density and drag of its "wind"
+    /// apply too [default: the moduli fitted to three trajectories of ARCSim, assets/materials/arcsim.json;
+    /// in a suite the default scene's]
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
     /// Density of the air [kg/m^3] [default: the sequence's, or in a suite the default scene's]
     #[arg(long, value_name = "DENSITY", visible_alias = "density", allow_negative_numbers = true)]
     wind: Option<f64>,
-    /// Frames of each sequence, the start included [default: all]
+    /// Frames of each sequence, including the start [default: all]
     #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
     /// Points sampled from each surface for e_CD
     #[arg(long, default_value_t = 10_000, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_POINTS))]
     points: u32,
-    /// Simulations of each sequence by each solver: the first from the recorded start, the others with every particle but the
-    /// handles moved by up to 1e-5 edges at random, alike for all solvers. Tables have the means, and the deviations over
-    /// repeats apart from those over sequences: where a solver stops short of convergence, which way a fold goes is chance
+    /// Simulations of each sequence by each solver: the first from the recorded start, the others with every
+    /// particle except the handles moved at random by up to 1e-5 edges, in the same way for all solvers.
+    /// Tables show the means, and the deviations over repeats separately from those over sequences: if a
+    /// solver stops short of convergence, chance decides which way a fold goes
     #[arg(long, default_value_t = 1, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=1000))]
     repeats: u64,
     /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or on the sequence's
     /// mesh; may be given more than once. Its scores are kept with those of the solvers
     #[arg(long, value_name = "NAME=DIR")]
     compare: Vec<String>,
-    /// Folder of the scores; those that are there already are used again
+    /// Folder for the scores; those already there are reused
     #[arg(long, default_value = "out/evaluate", value_name = "DIR")]
     out: PathBuf,
-    /// Do every n-th piece of the work only, beginning with the i-th (from 0): a piece is a sequence on a grid, by all solvers, or
-    /// another system's trajectory [default: SLURM_ARRAY_TASK_ID of
-    /// SLURM_ARRAY_TASK_COUNT where these are set]
+    /// Do only every N-th piece of the work, starting with the I-th (from 0); a piece is a sequence on a grid
+    /// with all solvers, or another system's trajectory [default: SLURM_ARRAY_TASK_ID of
+    /// SLURM_ARRAY_TASK_COUNT if these are set]
     #[arg(long, value_name = "I/N")]
     shard: Option<String>,
-    /// Simulate nothing; make the tables of all scores in these folders, which must have been made alike
+    /// Simulate nothing; print the tables of all scores in these folders, which must be made with the same
+    /// settings
     #[arg(long, value_name = "DIR", num_args = 1.., conflicts_with_all = [
         "ground_truth", "sequences", "grid", "solver", "iterations", "checkpoint", "material", "wind", "frames", "points",
         "repeats", "compare", "out", "shard", "device", "adapter", "precision",
     ])]
     merge: Vec<PathBuf>,
-    /// Instead of recorded trajectories, how far each solver generalises from the default scene: motions, handles, speeds,
-    /// grids, materials or iterations, or how near the layers of a folding sheet come to each other without and with repulsion;
-    /// tables, and a picture and the score of each case in --out, which are used again
+    /// Instead of comparing with recorded trajectories, measure how far each solver generalises from the
+    /// default scene: motions, handles, speeds, grids, materials or iterations; the suite repulsion measures
+    /// how close the layers of a folding sheet come to each other without and with it. Prints tables; the
+    /// score and a picture of each case are kept in --out and reused
     #[arg(long, value_name = "SUITE", conflicts_with_all = [
         "repeats", "compare", "shard", "merge", "plots", "points", "ground_truth",
     ])]
     suite: Option<String>,
-    /// Leave the energy gap out of a suite: its converged simulation takes most of the time
+    /// Omit the energy gap from a suite; its converged simulation takes most of the time
     #[arg(long, requires = "suite")]
     no_gap: bool,
-    /// Scores as JSON, into a file or, without one, in place of the tables
+    /// Write the scores as JSON to FILE or, without FILE, print them in place of the tables
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
     json: Option<PathBuf>,
-    /// Tables as CSV
+    /// Write the tables as CSV
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Tables as Markdown
+    /// Write the tables as Markdown
     #[arg(long, value_name = "FILE")]
     markdown: Option<PathBuf>,
-    /// Folder for plots (PNG); with --merge those of the scores alone, without the errors on the cloth and the convergence,
-    /// and with --shard without the convergence
+    /// Folder for plots (PNG); --merge leaves out the error maps and the convergence, --shard only the
+    /// convergence
     #[arg(long, value_name = "DIR")]
     plots: Option<PathBuf>,
     #[command(flatten)]
@@ -138,27 +142,28 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     if let Some(suite) = suite {
         if let Some((_, count)) = share_of_slurm().filter(|&(_, count)| count > 1) {
             let found = format!("{count} of them (SLURM_ARRAY_TASK_COUNT)");
-            return Err(Error::invalid("--suite", "tasks", "one, as a suite is not shared out", found).into());
+            return Err(Error::invalid("--suite", "tasks", "one, as a suite cannot be split", found).into());
         }
         return args.run_suite(suite, entries, &grids);
     }
-    // What is wrong with one sequence, or another system's trajectory of it, takes no others along.
+    // An error in one sequence, or in another system's trajectory of it, does not affect the others.
     let mut wrong: Vec<Error> = Vec::new();
     let read = sequences(&args.ground_truth, args.sequences.as_deref())?;
     let sequences: Vec<Sequence> = read
         .into_iter()
-        .map(|read| read.and_then(|sequence| playable(sequence, &grids, &settings)))
+        .map(|read| read.and_then(|sequence| with_valid_scenes(sequence, &grids, &settings)))
         .filter_map(|read| read.map_err(|error| wrong.push(error)).ok())
         .collect();
     let (index, count) = args.shard()?;
-    // Others' trajectories first: what is wrong with them is then said before the work, not after it.
+    // Other systems' trajectories first, so that errors in them are reported before the work and not after
+    // it.
     let systems = args.imported((&sequences, &entries), (index, count), &settings, &mut wrong)?;
     if sequences.is_empty() && !wrong.is_empty() {
         let first = wrong.remove(0);
         wrong.iter().for_each(|error| tell!("error: {error}"));
         return Err(first.into());
     }
-    wrong.iter().for_each(|error| tell!("error: {error}; the rest goes on"));
+    wrong.iter().for_each(|error| tell!("error: {error}; continuing with the rest"));
     let device = args.open(&entries)?;
     let plan = Plan {
         sequences: &sequences,
@@ -171,10 +176,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let mut jobs = plan.jobs(&args.out)?;
     jobs.retain(|job| job.piece % count == index);
     if jobs.is_empty() {
-        tell!("share {index} of {count} has nothing to do: there are fewer sequences and grids");
+        tell!("share {index} of {count} has nothing to do: there are fewer pieces of work than shares");
     }
     if args.plots.is_some() && count > 1 {
-        tell!("the convergence is not plotted: it belongs to no share");
+        tell!("the convergence is not plotted, as the work is split into shares");
     }
     writable_folder(&args.out)?;
     args.writable()?;
@@ -183,7 +188,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let interrupted = interrupt_flag();
     let (mut all, ending) = plan.work(&jobs, &interrupted);
     all.extend(systems);
-    // What is finished is told however it ended.
+    // Finished work is reported however the run ended.
     let complete = matches!(ending, Ok(ControlFlow::Continue(()))) && count == 1;
     let written = match all.is_empty() && !jobs.is_empty() {
         true => Ok(()),
@@ -207,14 +212,14 @@ impl Args {
         Ok(Settings { physics, points: self.points as usize, frames: self.most_frames() })
     }
 
-    /// Frames of each sequence, or of a case of a suite, if it has as many.
+    /// Returns the largest number of frames to simulate of a sequence, or of a case of a suite.
     fn most_frames(&self) -> usize {
         self.frames.map_or(usize::MAX, |frames| frames as usize)
     }
 
-    /// Makes sure, before the work, that the files which are asked for can be written after it.
+    /// Checks, before the work, that the requested files can be written after it.
     fn writable(&self) -> fnopt::Result<()> {
-        // --merge reads every JSON file of a folder of scores.
+        // --merge reads every JSON file in a folder of scores.
         if let Some(file) = self.json_file() {
             let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
             let folder = folder.canonicalize().ok();
@@ -241,12 +246,12 @@ impl Args {
         self.plots.iter().try_for_each(|folder| writable_folder(folder))
     }
 
-    /// The file that the scores are written to as JSON, unless they are printed.
+    /// Returns the file to write the scores to as JSON, unless they are printed.
     fn json_file(&self) -> Option<&Path> {
         self.json.as_deref().filter(|file| *file != Path::new(STDOUT))
     }
 
-    /// Opens the device and says which; solvers that only the CPU has run there.
+    /// Opens the device and reports which. Solvers that exist only for the CPU run there.
     fn open(&self, entries: &[Entry]) -> Result<Device> {
         let (device, line) = self.device.open()?;
         tell!("{line}");
@@ -257,17 +262,17 @@ impl Args {
             names.dedup();
         }
         if !names.is_empty() {
-            tell!("on the CPU, as no other device has them: {}", names.join(", "));
+            tell!("running on the CPU, as they have no GPU version: {}", names.join(", "));
         }
         Ok(device)
     }
 
-    /// The solvers with each of their numbers of iterations.
+    /// Returns the solvers, each with every number of iterations asked for.
     fn entries(&self, suite: Option<Suite>) -> fnopt::Result<Vec<Entry>> {
         let mut weights: Option<Weights> = None;
         let mut entries = Vec::new();
         let any = suite == Some(Suite::Iterations);
-        let usual: &[&str] = if any { &OF_ANY_ITERATIONS } else { &SOLVERS };
+        let usual: &[&str] = if any { &SOLVERS_OF_ITERATIONS_SUITE } else { &SOLVERS };
         let named = self.solver.clone().unwrap_or_else(|| usual.iter().map(|&name| name.into()).collect());
         for text in &named {
             let (name, own) = match text.split_once(':') {
@@ -289,7 +294,7 @@ impl Args {
                     return Err(Error::invalid(
                         "--solver",
                         name,
-                        "no iterations, as it is a single one",
+                        "no number of iterations other than 1",
                         text,
                     ));
                 }
@@ -303,7 +308,7 @@ impl Args {
             };
             let optimizer = Optimizer::named(known, "--solver", &mut load)?;
             let all = match (own, &optimizer) {
-                // It converges, whatever it is told.
+                // Newton's method converges whatever the number.
                 (_, Optimizer::Newton) => vec![1],
                 (Some(n), _) => vec![n],
                 (None, _) => self.iterations.clone().unwrap_or(vec![10]),
@@ -336,7 +341,8 @@ impl Args {
         }
     }
 
-    /// Names and folders of the systems to compare with, whose names stand for no solver and no other column.
+    /// Returns the names and folders of the systems to compare with. Fails if a name is that of a solver or
+    /// another column.
     fn systems(&self, entries: &[Entry]) -> fnopt::Result<Vec<(String, PathBuf)>> {
         let mut columns: Vec<String> =
             entries.iter().flat_map(|entry| [entry.column(), entry.name.clone()]).collect();
@@ -357,7 +363,8 @@ impl Args {
         self.compare.iter().map(&mut parse).collect()
     }
 
-    /// The scores of other systems on every `count`-th sequence from `index` on; what is wrong with one is added to `wrong`.
+    /// Returns the scores of other systems on every `count`-th sequence from `index` on. Adds errors in
+    /// single trajectories to `wrong`.
     fn imported(
         &self,
         (sequences, entries): (&[Sequence], &[Entry]),
@@ -388,7 +395,8 @@ impl Args {
         Ok(all)
     }
 
-    /// Number of this share and number of shares; says which it is where nobody gave it.
+    /// Returns the index of this share and the number of shares. Reports the share if it was not given
+    /// explicitly.
     fn shard(&self) -> fnopt::Result<(usize, usize)> {
         let (origin, (index, count)) = match &self.shard {
             None => ("SLURM_ARRAY_TASK_ID", share_of_slurm().unwrap_or((0, 1))),
@@ -403,17 +411,18 @@ impl Args {
             return Err(Error::invalid(origin, "share", expected, index));
         }
         if count > 1 && self.shard.is_none() {
-            tell!("share {index} of {count}, as SLURM_ARRAY_TASK_ID says; --merge makes the tables of all");
+            tell!("share {index} of {count}, from SLURM_ARRAY_TASK_ID; --merge prints the tables of all");
         }
         Ok((index, count))
     }
 
-    /// Writes what was asked for and prints the tables. Without `simulate` no more is simulated for the plots.
+    /// Writes the requested files and prints the tables. Unless `simulate` is set, plots that need further
+    /// simulations are left out.
     fn write(&self, all: &[Kept], plan: &Plan, (simulate, interrupted): (bool, &AtomicBool)) -> Result<()> {
         let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
         let written = self.write_tables(&tables(&scores), &documents(&scores));
         tell_devices(&scores);
-        // The tables are there whatever becomes of the plots.
+        // The tables come first, so that they are there whatever becomes of the plots.
         let drawn = self.plots.as_ref().map_or(Ok(()), |folder| {
             plots::draw(folder, &scores)?;
             for sequence in plan.sequences {
@@ -424,7 +433,7 @@ impl Args {
         written.and(Ok(drawn?))
     }
 
-    /// Writes the files that were asked for and prints the tables, neither of which takes the other along when it fails.
+    /// Writes the requested files and prints the tables. If the files fail, the tables are still printed.
     fn write_tables(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> Result<()> {
         let written = self.write_files(tables, scores);
         match self.json.as_deref() {
@@ -457,12 +466,12 @@ impl Args {
     }
 }
 
-/// A score as JSON tells it.
+/// A score as written to JSON.
 #[derive(serde::Serialize)]
 struct Document<'a> {
     #[serde(flatten)]
     score: &'a Score,
-    /// Of the first of several repeats: the means over all of them.
+    /// The means over all repeats, on the first of several.
     #[serde(skip_serializing_if = "Option::is_none")]
     over_repeats: Option<OverRepeats>,
 }
@@ -475,7 +484,8 @@ fn documents(scores: &[Score]) -> Vec<Document<'_>> {
     scores.iter().map(|score| Document { score, over_repeats: over_repeats(score) }).collect()
 }
 
-/// Says so where times were measured in ways that do not compare, as kept ones may have been on more threads.
+/// Warns if times were measured in ways that do not compare: stored scores may come from another number of
+/// threads.
 fn tell_devices(scores: &[Score]) {
     let on_cpu =
         |score: &&Score| score.made_with.kind.as_deref() == Some("cpu") && score.ms_per_frame.is_some();
@@ -484,7 +494,7 @@ fn tell_devices(scores: &[Score]) {
     if devices.len() > 1 {
         let devices: Vec<_> = devices.into_iter().collect();
         tell!(
-            "ms/frame is not comparable throughout: some were measured on {}",
+            "ms/frame values are not all comparable: some were measured on {}",
             devices.join(", others on ")
         );
     }
@@ -498,7 +508,7 @@ fn text(tables: &[Table], format: Format) -> String {
     tables.iter().map(|table| table.write(format)).collect::<Vec<_>>().join("\n")
 }
 
-/// A bar of so many frames, cases or the like.
+/// Returns a progress bar over `length` items; `of` names them, as in "frames".
 fn progress(length: usize, of: &str) -> ProgressBar {
     let template = format!("{{bar:30}} {{pos}}/{{len}} {of}, {{eta}} left  {{msg}}");
     let style = ProgressStyle::with_template(&template).expect("the template is valid");
@@ -507,14 +517,15 @@ fn progress(length: usize, of: &str) -> ProgressBar {
     bar
 }
 
-/// The number of this task in an array of Slurm's, from 0, and how many there are.
+/// Returns the index of this task in a Slurm array, from 0, and the number of tasks, if there is such an
+/// array.
 fn share_of_slurm() -> Option<(usize, usize)> {
     let number = |name: &str| std::env::var(format!("SLURM_ARRAY_TASK_{name}")).ok()?.parse::<usize>().ok();
     let (first, step) = (number("MIN").unwrap_or(0), number("STEP").unwrap_or(1).max(1));
     Some((number("ID")?.checked_sub(first)? / step, number("COUNT")?))
 }
 
-/// The file or folder of another system's trajectory of a sequence, if there is one.
+/// Returns the file or folder of another system's trajectory of a sequence, if there is one.
 fn trajectory(folder: &Path, sequence: &Sequence) -> Option<PathBuf> {
     let names = ["npz", "npy", "pc2"].map(|e| format!("{}.{e}", sequence.name));
     let inside = ["rollout.npz", "cloth_pos.npy"].map(|file| format!("{}/{file}", sequence.name));

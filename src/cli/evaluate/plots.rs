@@ -12,14 +12,14 @@ use std::path::Path;
 
 /// Width and height of a chart \[px\].
 const SIZE: (usize, usize) = (640, 420);
-/// Numbers of iterations after which the energy is looked at: of every optimizer up to 30, and of one that is asked for more up to
-/// its own.
+/// Numbers of iterations at which the energy is evaluated: up to [`MOST_ITERATIONS_OF_ALL`] for every optimizer, and up to
+/// its own number for one that is given more.
 const ITERATIONS: [usize; 14] = [1, 2, 3, 5, 8, 10, 15, 20, 30, 50, 100, 150, 250, 500];
-const OF_EVERY: usize = 30;
-/// Frames in which it is looked at, the start included.
+const MOST_ITERATIONS_OF_ALL: usize = 30;
+/// Frames in which the energy is evaluated, including the start.
 const CONVERGENCE_FRAMES: usize = 41;
 
-/// The axis of the Chamfer distance.
+/// Axis label of the Chamfer distance.
 const E_CD: &str = "e_CD \u{b7} 10\u{b3} [m\u{b2}]";
 
 fn write(folder: &Path, name: &str, all: &[Chart]) -> Result<()> {
@@ -30,7 +30,8 @@ fn write(folder: &Path, name: &str, all: &[Chart]) -> Result<()> {
     write_png(folder.join(name), &image)
 }
 
-/// Error and repulsion per frame of every sequence and grid, and error and time against the number of iterations.
+/// Draws error and repulsion per frame for every sequence and grid, and error and time against the number of
+/// iterations.
 pub(super) fn draw(folder: &Path, scores: &[Score]) -> Result<()> {
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
     per_frame(folder, "per_frame.png", scores, (E_CD, 1e3, |s| &s.per_frame.e_cd))?;
@@ -38,12 +39,13 @@ pub(super) fn draw(folder: &Path, scores: &[Score]) -> Result<()> {
     iterations(folder, scores)
 }
 
-/// Whether a score is of the recorded start: frames are drawn of that alone.
+/// Whether a score is of a simulation from the recorded start. Only those are drawn frame by frame.
 fn recorded_start(score: &Score) -> bool {
     score.made_with.nudge.is_none()
 }
 
-/// The value of a key, made where there is none yet: as in a map, but in the order of first appearance, as tables are.
+/// Returns the value of a key, inserting a default if there is none. Keys stay in order of first appearance,
+/// as in the tables.
 fn entry<K: PartialEq, V: Default>(all: &mut Vec<(K, V)>, key: K) -> &mut V {
     let place = all.iter().position(|(known, _)| *known == key).unwrap_or_else(|| {
         all.push((key, V::default()));
@@ -52,7 +54,7 @@ fn entry<K: PartialEq, V: Default>(all: &mut Vec<(K, V)>, key: K) -> &mut V {
     &mut all[place].1
 }
 
-/// What is plotted of a score: its name, a factor and the figures of the frames.
+/// What to plot of a score: a name, a factor and the values per frame.
 type Figure = (&'static str, f64, fn(&Score) -> &Vec<f64>);
 
 fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Figure) -> Result<()> {
@@ -71,10 +73,10 @@ fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Fi
     write(folder, file, &curves.into_iter().map(chart).collect::<Vec<_>>())
 }
 
-/// Means over the sequences of a grid and solver, by the number of iterations: of the error (x 1000) and the time \[ms\]. No
-/// point where the solver diverged in one of them.
+/// Draws means over the sequences of a grid and solver against the number of iterations: of 1000 times the
+/// error and of the time \[ms\]. There is no point where the solver diverged on any sequence.
 fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
-    /// Error and time of every sequence, by the number of iterations; none of one that diverged.
+    /// Error and time of every sequence, by the number of iterations; `None` if the solver diverged.
     type Figures = BTreeMap<usize, Vec<Option<[f64; 2]>>>;
     let mut of: Vec<((&str, &str), Figures)> = Vec::new();
     for score in scores.iter().filter(|s| s.iterations > 0) {
@@ -109,10 +111,10 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
     write(folder, "iterations.png", &charts)
 }
 
-/// A chart of the convergence for each sequence and grid. Those that are finished are drawn when `tick`, called in each frame,
-/// ends it.
+/// Draws a convergence chart for each sequence and grid. If `tick`, which is called every frame, ends it, the
+/// finished charts are drawn.
 pub(super) fn convergence(folder: &Path, plan: &Plan, tick: impl Fn() -> ControlFlow<()>) -> Result<()> {
-    let bar = progress(plan.sequences.len() * plan.grids.len(), "charts of the convergence");
+    let bar = progress(plan.sequences.len() * plan.grids.len(), "convergence charts");
     let mut charts = Vec::new();
     let all = plan.sequences.iter().flat_map(|sequence| plan.grids.iter().map(move |&grid| (sequence, grid)));
     for (sequence, grid) in all {
@@ -125,8 +127,8 @@ pub(super) fn convergence(folder: &Path, plan: &Plan, tick: impl Fn() -> Control
     write(folder, "convergence.png", &charts)
 }
 
-/// The median energy gap of every optimizer after some numbers of iterations, on a converged simulation of the first frames of a
-/// sequence.
+/// Charts the median energy gap of every optimizer after various numbers of iterations, on a converged
+/// simulation of a sequence's first frames. Returns `None` if `tick` ended it.
 fn convergence_on(
     sequence: &Sequence,
     grid: Grid,
@@ -139,17 +141,17 @@ fn convergence_on(
     let mut curves: Vec<Curve> = Vec::new();
     for entry in plan.entries {
         let optimizer = &entry.optimizer;
-        // One that converges whatever the number of iterations has no curve, and neither has one twice.
+        // Newton's method converges whatever the number of iterations and has no curve; no optimizer has two.
         if matches!(optimizer, Optimizer::Newton) || curves.iter().any(|c| c.label == optimizer.name()) {
             continue;
         }
         let most = plan.entries.iter().filter(|other| other.optimizer.name() == optimizer.name());
-        let most = most.map(|other| other.iterations).fold(OF_EVERY, usize::max);
+        let most = most.map(|other| other.iterations).fold(MOST_ITERATIONS_OF_ALL, usize::max);
         let mut points = Vec::new();
         for n in ITERATIONS.into_iter().filter(|&n| n <= most) {
             let gap = median_gap(&track, (optimizer, n), entry.device(plan.device), tick)?;
             let Some(gap) = gap else { return Ok(None) };
-            // Beyond the start it has diverged, and no more is to be seen.
+            // Beyond the start, the optimizer has diverged, and there is nothing more to see.
             points.push([n as f64, if gap < 1.0 { gap } else { f64::NAN }]);
         }
         curves.push(Curve { label: optimizer.name().to_owned(), points });
@@ -159,7 +161,8 @@ fn convergence_on(
     Ok(Some(Chart { title, axes, curves, scale: Scale::Logarithmic }))
 }
 
-/// A few frames of a sequence and, for each grid, of all that simulated it, coloured by their distance from the truth.
+/// Draws a few frames of a sequence and, for each grid, of every simulation of it, coloured by the distance
+/// from the truth.
 pub(super) fn error_maps(folder: &Path, sequence: &Sequence, (all, frames): (&[Kept], usize)) -> Result<()> {
     let truth = snapshots(&sequence.truth, frames);
     let here = |kept: &&Kept| kept.score.sequence == sequence.name && recorded_start(&kept.score);

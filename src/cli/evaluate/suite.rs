@@ -1,4 +1,4 @@
-//! `fnopt evaluate --suite`: how far solvers generalise.
+//! `fnopt evaluate --suite`: measures how far solvers generalise.
 
 use super::{Args, progress};
 use crate::cli::output::tell;
@@ -12,7 +12,7 @@ use fnopt::{Error, io};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 
-/// A score as JSON tells it.
+/// A score as written to JSON.
 #[derive(serde::Serialize)]
 struct Document<'a> {
     solver: &'a str,
@@ -21,7 +21,7 @@ struct Document<'a> {
 }
 
 impl Args {
-    /// The cases of a suite that take part, each once, with the cloth and the air that were asked for.
+    /// Returns the selected cases of a suite, each once, with the cloth and the air that were asked for.
     fn cases(&self, suite: Suite, grids: &[Grid]) -> fnopt::Result<Vec<Case>> {
         let given = self.material.as_deref().map(material::read).transpose()?;
         if let (Suite::Materials, Some(text)) = (suite, &self.material) {
@@ -31,7 +31,7 @@ impl Args {
         let all = grids.iter().map(|&grid| suite.cases(grid)).collect::<fnopt::Result<Vec<_>>>()?;
         let mut cases = all.concat();
         let mut known = BTreeSet::new();
-        // The suite of grids has the same ones whatever the grid.
+        // The suite of grids has the same cases for every grid.
         cases.retain(|case| known.insert((case.name.clone(), case.scene.grid.to_string())));
         if let Some(names) = &self.sequences {
             let known = || cases.iter().map(|case| case.name.as_str());
@@ -45,14 +45,15 @@ impl Args {
                 physics.apply(scene);
             }
             scene.wind.density = self.wind.unwrap_or(scene.wind.density);
-            // What is wrong with a scene is said before the work.
+            // Report errors in a scene before the work.
             scene.setup()?;
         }
         Ok(cases)
     }
 
-    /// The score of a solver in a case: the one that is kept, if it was made in the same way and its picture is there. There is one
-    /// of each: another material takes the place of both. Nothing when `tick` ended it.
+    /// Returns the score of a solver in a case: the stored one, if it was made in the same way and its
+    /// picture exists, else a new one. Each solver has one score and one picture per case: a run with another
+    /// material replaces both. Returns `None` if `tick` ended the simulation.
     fn score(
         &self,
         prepared: &Prepared,
@@ -63,12 +64,12 @@ impl Args {
         let solver = (&entry.optimizer, entry.iterations);
         let name = prepared.name(&entry.name, entry.iterations).replace(' ', "_");
         let picture = self.out.join(format!("{name}.png"));
-        // Apart from the scores of sequences, which --merge reads.
+        // Kept apart from the scores of sequences, which --merge reads.
         let file = self.out.join("cases").join(format!("{name}.json"));
         if file.is_file() && picture.is_file() {
-            // On a CPU the number of threads does not count.
+            // On a CPU, the number of threads does not matter.
             let wanted = prepared.conditions(solver.0, device, !self.no_gap).checksum();
-            // What another version kept may have other fields.
+            // A score stored by another version may have other fields.
             if let Some(kept) = CaseScore::read(&file).ok().filter(|kept| kept.made_with.checksum() == wanted)
             {
                 return Ok(Some(kept));
@@ -77,12 +78,12 @@ impl Args {
         let Some((score, trajectory)) = prepared.run(solver, device, !self.no_gap, tick)? else {
             return Ok(None);
         };
-        // Never another's score beside this picture.
+        // Never leave an earlier score next to this picture.
         io::remove(&file)?;
         let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
         let options = StripOptions { view, ..Default::default() };
         write_png(picture, &strip(&trajectory, &prepared.setup.model.cloths[0].handles, &options))?;
-        // The score last: once it is there, all is.
+        // The score is written last: if it exists, so does its picture.
         score.write(&file)?;
         Ok(Some(score))
     }
@@ -99,13 +100,13 @@ impl Args {
             }
         }
         if entries.iter().any(|entry| entry.coarse) {
-            let expected = "solvers of the grid itself in a suite";
+            let expected = "solvers other than this in a suite";
             return Err(Error::invalid("--solver", "interpolation", expected, "interpolation").into());
         }
         let fixed =
             |entry: &&Entry| entry.name == "single-pass" || matches!(entry.optimizer, Optimizer::Newton);
         if let (Suite::Iterations, Some(entry)) = (suite, entries.iter().find(fixed)) {
-            let expected = "solvers with a number of iterations in this suite";
+            let expected = "solvers whose iterations can vary in this suite";
             return Err(Error::invalid("--solver", "iterations", expected, &entry.name).into());
         }
         let mut known = BTreeSet::new();
@@ -118,11 +119,11 @@ impl Args {
         let bar = progress(cases.len() * entries.len(), "cases");
         let interrupted = interrupt_flag();
         let tick = || go_on(&interrupted);
-        // With the number of the entry: one solver may take part with several numbers of iterations.
+        // With the index of the entry, because one solver may take part with several numbers of iterations.
         let mut scores: Vec<(usize, CaseScore)> = Vec::new();
         let mut work = || -> Result<bool> {
             for case in &cases {
-                // All solvers of a case in turn: they share its converged frames.
+                // All solvers of a case run before the next case: they share its converged frames.
                 let prepared = Prepared::new(case.clone(), frames)?;
                 for (number, entry) in entries.iter().enumerate() {
                     bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
@@ -152,12 +153,12 @@ impl Args {
         let tables: Vec<Table> = entries.iter().enumerate().map(of).collect();
         let named: Vec<_> =
             scores.iter().map(|(number, score)| Document { solver: &entries[*number].name, score }).collect();
-        // What is finished is told however it ended.
+        // Finished work is reported however the run ended.
         let written = self.write_tables(&tables, &named);
         let complete = ending?;
         written?;
         if !complete {
-            tell!("interrupted; the cases so far are above, and kept in {}", self.out.display());
+            tell!("interrupted; the finished cases are above and kept in {}", self.out.display());
         }
         let sound = scores.iter().all(|(_, score)| score.sound());
         Ok(match (complete, sound) {

@@ -93,8 +93,8 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
         for k in 0..stored.count / width::<T, S>() {
             let place = k * width::<T, S>();
             let e = vector_at::<T, S>(edges, place, stored.stride);
-            let length = T::root(simd, dot::<T, S>(simd, e, e));
-            self.keep(place, T::difference(simd, length, one));
+            let length = T::sqrt_lanes(simd, dot::<T, S>(simd, e, e));
+            self.keep(place, T::sub_lanes(simd, length, one));
         }
         self.sum(len)
     }
@@ -110,16 +110,16 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
             let u = vector_at::<T, S>(u, place, stored.stride);
             let w = vector_at::<T, S>(w, place, stored.stride);
             let c = cross::<T, S>(simd, u, w);
-            let sine = T::root(simd, dot::<T, S>(simd, c, c));
+            let sine = T::sqrt_lanes(simd, dot::<T, S>(simd, c, c));
             let angle = T::angle(simd, sine, dot::<T, S>(simd, u, w));
-            self.keep(place, T::difference(simd, angle, rest));
+            self.keep(place, T::sub_lanes(simd, angle, rest));
         }
         self.sum(len)
     }
 
     #[inline(always)]
     fn keep(&mut self, place: usize, v: T::Lanes<S>) {
-        T::lanes_mut::<S>(&mut self.squares[place..])[0] = T::product(self.simd, v, v);
+        T::lanes_mut::<S>(&mut self.squares[place..])[0] = T::mul_lanes(self.simd, v, v);
     }
 
     #[inline(always)]

@@ -168,8 +168,8 @@ fn invert<T: Real, S: Simd>(simd: S, stored: Stored, edges: &mut [T]) {
         let place = k * width::<T, S>();
         let e = vector_at::<T, S>(edges, place, stored.stride);
         // The smallest normal number avoids 0 / 0 for edges of length zero.
-        let square = T::larger(simd, dot::<T, S>(simd, e, e), least);
-        T::lanes_mut::<S>(&mut edges[3 * stored.stride + place..])[0] = T::quotient(simd, one, square);
+        let square = T::max_lanes(simd, dot::<T, S>(simd, e, e), least);
+        T::lanes_mut::<S>(&mut edges[3 * stored.stride + place..])[0] = T::div_lanes(simd, one, square);
     }
 }
 
@@ -181,10 +181,10 @@ fn stretch<T: Real, S: Simd>(simd: S, edges: &[T], factor: T, stored: Stored, to
     for k in 0..stored.count / width::<T, S>() {
         let place = k * width::<T, S>();
         let e = vector_at::<T, S>(edges, place, stored.stride);
-        let length = T::root(simd, dot::<T, S>(simd, e, e));
-        let slope = T::quotient(simd, T::difference(simd, length, one), length);
+        let length = T::sqrt_lanes(simd, dot::<T, S>(simd, e, e));
+        let slope = T::div_lanes(simd, T::sub_lanes(simd, length, one), length);
         // A NaN length also fails the comparison, but the edge itself carries the NaN on.
-        let slope = T::where_above(simd, (length, zero), T::product(simd, twice, slope), zero);
+        let slope = T::select_greater(simd, (length, zero), T::mul_lanes(simd, twice, slope), zero);
         add_at(simd, to, (place, stored.stride), (e, slope));
     }
 }
@@ -218,13 +218,13 @@ impl<T: Real, S: Simd> Angles<T, S> {
             let (by_u, by_w) = (at::<T, S>(u, place + 3 * stride), at::<T, S>(w, place + 3 * stride));
             let (u, w) = (vector_at::<T, S>(u, place, stride), vector_at::<T, S>(w, place, stride));
             let c = cross::<T, S>(simd, u, w);
-            let (sine, cosine) = (T::root(simd, dot::<T, S>(simd, c, c)), dot::<T, S>(simd, u, w));
+            let (sine, cosine) = (T::sqrt_lanes(simd, dot::<T, S>(simd, c, c)), dot::<T, S>(simd, u, w));
             // One division serves both cases: of the angle by the sine, or of 1 by the cosine.
-            let parallel = T::where_above(simd, (cosine, least), limit, zero);
-            let bent = T::difference(simd, T::angle(simd, sine, cosine), rest);
-            let above = T::where_above(simd, (sine, zero), bent, parallel);
-            let below = T::where_above(simd, (sine, zero), sine, T::larger(simd, cosine, least));
-            let ratio = T::product(simd, twice, T::quotient(simd, above, below));
+            let parallel = T::select_greater(simd, (cosine, least), limit, zero);
+            let bent = T::sub_lanes(simd, T::angle(simd, sine, cosine), rest);
+            let above = T::select_greater(simd, (sine, zero), bent, parallel);
+            let below = T::select_greater(simd, (sine, zero), sine, T::max_lanes(simd, cosine, least));
+            let ratio = T::mul_lanes(simd, twice, T::div_lanes(simd, above, below));
             // Dividing by the square first avoids the product of two large factors for edges of almost no
             // length.
             let (along_u, along_w) = (cross::<T, S>(simd, u, c), cross::<T, S>(simd, c, w));
@@ -274,14 +274,15 @@ impl<T: Real> WithSimd for ParticleRow<'_, '_, T> {
             let mut sum = T::splat(simd, T::zero());
             for kind in 0..4 {
                 if let Some(start) = ends[kind] {
-                    sum = T::total(simd, sum, at::<T, S>(&rows.edges, start + place));
+                    sum = T::add_lanes(simd, sum, at::<T, S>(&rows.edges, start + place));
                 }
                 if let Some(start) = begins[kind] {
-                    sum = T::difference(simd, sum, at::<T, S>(&rows.edges, start + place));
+                    sum = T::sub_lanes(simd, sum, at::<T, S>(&rows.edges, start + place));
                 }
             }
-            let work = T::difference(simd, T::first(simd, &a[place..]), T::first(simd, &f[place..]));
-            T::store(simd, &mut grad[place..], T::fma(simd, factor, work, sum));
+            let work =
+                T::sub_lanes(simd, T::load_partial(simd, &a[place..]), T::load_partial(simd, &f[place..]));
+            T::store_partial(simd, &mut grad[place..], T::fma(simd, factor, work, sum));
         }
         // Particles of the first and the last column have half the mass of the others.
         let half = inertia * T::of(0.5);

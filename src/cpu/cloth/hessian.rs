@@ -49,7 +49,7 @@ const DOWN: usize = 27;
 const DOWN_RIGHT: usize = 36;
 const DOWN_TWICE: usize = 45;
 /// Start of the lower triangle of a particle's own block, stored row by row.
-const OWN: usize = 54;
+const DIAGONAL: usize = 54;
 const PLANES: usize = 60;
 
 /// Edges whose sine is below this count as parallel.
@@ -110,7 +110,7 @@ impl Hessian {
         let (i, j) = (q / w, q % w);
         let plane = if p == q {
             let (low, high) = (row.min(column), row.max(column));
-            OWN + high * (high + 1) / 2 + low
+            DIAGONAL + high * (high + 1) / 2 + low
         } else {
             let way = ((p / w - i) as isize, (p % w) as isize - j as isize);
             9 * NEIGHBOURS.iter().position(|&neighbour| neighbour == way)? + 3 * row + column
@@ -158,9 +158,9 @@ impl WithSimd for Fill<'_, '_> {
         let row = PLANES * stored.stride;
         values[LANES..][..row].fill(0.0);
         load(simd, trial, (0, 1, w - 1), stored, e);
-        terms.direct(e);
+        terms.normalise(e);
         load(simd, trial, (0, w, w), stored, v);
-        terms.direct(v);
+        terms.normalise(v);
         for i in 0..h {
             let here = LANES + i * row;
             let next = here + row;
@@ -180,7 +180,7 @@ impl WithSimd for Fill<'_, '_> {
                 values[next..][..row].fill(0.0);
                 terms.stretch(v, vertical, (values, terms.plane(here, DOWN)));
                 load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
-                terms.direct(next_e);
+                terms.normalise(next_e);
                 let (down, right, below) =
                     (terms.plane(here, DOWN), terms.plane(here, RIGHT), terms.plane(next, RIGHT));
                 let (down_left, down_right) =
@@ -226,7 +226,7 @@ impl WithSimd for Fill<'_, '_> {
             }
             if i + 2 < h {
                 load(simd, trial, (i + 1, w, w), stored, next_v);
-                terms.direct(next_v);
+                terms.normalise(next_v);
                 terms.angle(
                     straight,
                     (next_v, v),
@@ -239,7 +239,7 @@ impl WithSimd for Fill<'_, '_> {
                     ],
                 );
             }
-            terms.own(values, i, here);
+            terms.diagonal(values, i, here);
             std::mem::swap(&mut v, &mut next_v);
             std::mem::swap(&mut e, &mut next_e);
         }
@@ -281,14 +281,14 @@ impl<S: Simd> Terms<S> {
 
     /// Normalises edges [4, W'] and sets their fourth component to one over the length.
     #[inline(always)]
-    fn direct(self, edges: &mut [f64]) {
+    fn normalise(self, edges: &mut [f64]) {
         let Self { simd, stored: Stored { stride, count }, .. } = self;
         let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
         for k in 0..count / width::<f64, S>() {
             let place = k * width::<f64, S>();
             let e = vector_at::<f64, S>(edges, place, stride);
             let length = simd.sqrt_f64s(dot::<f64, S>(simd, e, e));
-            let inverse = f64::where_above(simd, (length, zero), simd.div_f64s(one, length), zero);
+            let inverse = f64::select_greater(simd, (length, zero), simd.div_f64s(one, length), zero);
             for component in 0..3 {
                 let to = &mut edges[place + component * stride..];
                 f64::lanes_mut::<S>(to)[0] = simd.mul_f64s(e[component], inverse);
@@ -310,7 +310,7 @@ impl<S: Simd> Terms<S> {
             let inverse = at::<f64, S>(edges, place + 3 * stride);
             let across = projection.of(simd, simd.sub_f64s(one, inverse));
             let along = simd.mul_f64s(twice, simd.sub_f64s(one, across));
-            let across = f64::where_above(simd, (inverse, zero), simd.mul_f64s(twice, across), zero);
+            let across = f64::select_greater(simd, (inverse, zero), simd.mul_f64s(twice, across), zero);
             for row in 0..3 {
                 let of_d = simd.mul_f64s(along, d[row]);
                 for column in 0..3 {
@@ -361,17 +361,17 @@ impl<S: Simd> Terms<S> {
             // For parallel edges any normal will do.
             let any = any_normal(simd, u);
             let across = simd.sqrt_f64s(dot::<f64, S>(simd, any, any));
-            let length = simd.max_f64s(f64::where_above(simd, (sine, limit), sine, across), least);
+            let length = simd.max_f64s(f64::select_greater(simd, (sine, limit), sine, across), least);
             let inverse = simd.div_f64s(one, length);
-            let parallel = f64::where_above(simd, (cosine, zero), parallel, zero);
-            let s = f64::where_above(simd, (sine, limit), simd.mul_f64s(delta, inverse), parallel);
+            let parallel = f64::select_greater(simd, (cosine, zero), parallel, zero);
+            let s = f64::select_greater(simd, (sine, limit), simd.mul_f64s(delta, inverse), parallel);
             // An edge of length zero forms no angle. If it is w, the normal must be zeroed; if it is u, the
             // normal is zero already.
-            let inverse = f64::where_above(simd, (by_w, zero), inverse, zero);
+            let inverse = f64::select_greater(simd, (by_w, zero), inverse, zero);
             let n = [
-                f64::where_above(simd, (sine, limit), c[0], any[0]),
-                f64::where_above(simd, (sine, limit), c[1], any[1]),
-                f64::where_above(simd, (sine, limit), c[2], any[2]),
+                f64::select_greater(simd, (sine, limit), c[0], any[0]),
+                f64::select_greater(simd, (sine, limit), c[1], any[1]),
+                f64::select_greater(simd, (sine, limit), c[2], any[2]),
             ];
             let n = scaled::<f64, S>(simd, n, inverse);
             let (m_u, m_w) = (cross::<f64, S>(simd, n, u), cross::<f64, S>(simd, w, n));
@@ -420,7 +420,7 @@ impl<S: Simd> Terms<S> {
     /// Sets the own blocks of the particles of row `i`, which starts at `here`, from their blocks with all
     /// others.
     #[inline(always)]
-    fn own(self, values: &mut [f64], i: usize, here: usize) {
+    fn diagonal(self, values: &mut [f64], i: usize, here: usize) {
         let Self { simd, stored: Stored { stride, count }, .. } = self;
         let length = PLANES * stride;
         let above = |rows: usize, plane: usize| self.plane(here.saturating_sub(rows * length), plane);
@@ -449,7 +449,7 @@ impl<S: Simd> Terms<S> {
                         let before = start + mine * stride + place;
                         sum = simd.sub_f64s(sum, at::<f64, S>(values, before));
                     }
-                    f64::lanes_mut::<S>(&mut values[self.plane(here, OWN + plane) + place..])[0] = sum;
+                    f64::lanes_mut::<S>(&mut values[self.plane(here, DIAGONAL + plane) + place..])[0] = sum;
                     plane += 1;
                 }
             }
@@ -463,8 +463,8 @@ fn any_normal<S: Simd>(simd: S, u: [S::f64s; 3]) -> [S::f64s; 3] {
     let zero = simd.splat_f64s(0.0);
     let level = (simd.splat_f64s(0.7), simd.abs_f64s(u[0]));
     [
-        f64::where_above(simd, level, zero, simd.neg_f64s(u[2])),
-        f64::where_above(simd, level, u[2], zero),
-        f64::where_above(simd, level, simd.neg_f64s(u[1]), u[0]),
+        f64::select_greater(simd, level, zero, simd.neg_f64s(u[2])),
+        f64::select_greater(simd, level, u[2], zero),
+        f64::select_greater(simd, level, simd.neg_f64s(u[1]), u[0]),
     ]
 }

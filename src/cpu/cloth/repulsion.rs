@@ -10,14 +10,14 @@ use rayon::prelude::*;
 /// Number of particles per task.
 const TASK: usize = 1024;
 
-/// Sets `pushed` [3, H, W] to the external accelerations of a trial plus those of the repulsion, and returns
+/// Sets `total_acceleration` [3, H, W] to the external accelerations of a trial plus those of the repulsion, and returns
 /// the repulsion's energy.
 ///
 /// With strength k and distance delta, the energy is `-k / (H W)` times the sum of `log(d^2 + 1e-8)` over
 /// ordered pairs of particles at a distance d < delta that no edge of the triangulated grid joins. It depends
 /// on positions alone, so its gradient with respect to the acceleration of a free particle of mass m is that
-/// of a force, the acceleration `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`. Handles are not pushed.
-pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, pushed: &mut [T]) -> f64 {
+/// of a force, the acceleration `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`. Handles are not total_acceleration.
+pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, total_acceleration: &mut [T]) -> f64 {
     let (grid, n) = (trial.grid, trial.grid.particles());
     let Repulsion { strength, distance } = repulsion;
     let (distance, softening) = (T::of(distance), T::of(Repulsion::SOFTENING));
@@ -45,7 +45,7 @@ pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, pushed: &m
     let tasks: Vec<Vec<_>> = cells.sorted().par_chunks(TASK).map(of_task).collect();
     let mut energy = 0.0;
     for (p, acceleration, of_particle) in tasks.into_iter().flatten() {
-        [pushed[p], pushed[n + p], pushed[2 * n + p]] = acceleration;
+        [total_acceleration[p], total_acceleration[n + p], total_acceleration[2 * n + p]] = acceleration;
         energy += of_particle;
     }
     strength / n as f64 * energy

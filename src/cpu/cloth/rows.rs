@@ -46,15 +46,15 @@ pub(super) fn vector_at<T: Real, S: Simd>(values: &[T], place: usize, stride: us
 
 #[inline(always)]
 pub(super) fn dot<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], w: [T::Lanes<S>; 3]) -> T::Lanes<S> {
-    T::fma(simd, u[0], w[0], T::fma(simd, u[1], w[1], T::product(simd, u[2], w[2])))
+    T::fma(simd, u[0], w[0], T::fma(simd, u[1], w[1], T::mul_lanes(simd, u[2], w[2])))
 }
 
 #[inline(always)]
 pub(super) fn cross<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3], w: [T::Lanes<S>; 3]) -> [T::Lanes<S>; 3] {
     [
-        T::difference(simd, T::product(simd, u[1], w[2]), T::product(simd, u[2], w[1])),
-        T::difference(simd, T::product(simd, u[2], w[0]), T::product(simd, u[0], w[2])),
-        T::difference(simd, T::product(simd, u[0], w[1]), T::product(simd, u[1], w[0])),
+        T::sub_lanes(simd, T::mul_lanes(simd, u[1], w[2]), T::mul_lanes(simd, u[2], w[1])),
+        T::sub_lanes(simd, T::mul_lanes(simd, u[2], w[0]), T::mul_lanes(simd, u[0], w[2])),
+        T::sub_lanes(simd, T::mul_lanes(simd, u[0], w[1]), T::mul_lanes(simd, u[1], w[0])),
     ]
 }
 
@@ -64,7 +64,7 @@ pub(super) fn scaled<T: Real, S: Simd>(
     u: [T::Lanes<S>; 3],
     factor: T::Lanes<S>,
 ) -> [T::Lanes<S>; 3] {
-    [T::product(simd, u[0], factor), T::product(simd, u[1], factor), T::product(simd, u[2], factor)]
+    [T::mul_lanes(simd, u[0], factor), T::mul_lanes(simd, u[1], factor), T::mul_lanes(simd, u[2], factor)]
 }
 
 /// Sets `edges` [3, W'] to the edges from the first `count` particles of row `i` to the particles `step`
@@ -85,10 +85,14 @@ pub(super) fn load<T: Real, S: Simd>(
         let edges = T::lanes_mut::<S>(&mut edges[component * stored.stride..][..stored.count]);
         let mut place = 0;
         for edge in edges {
-            let way = T::difference(simd, T::first(simd, &x_to[place..]), T::first(simd, &x[place..]));
-            let further =
-                T::difference(simd, T::first(simd, &shift_to[place..]), T::first(simd, &shift[place..]));
-            *edge = T::total(simd, way, further);
+            let way =
+                T::sub_lanes(simd, T::load_partial(simd, &x_to[place..]), T::load_partial(simd, &x[place..]));
+            let further = T::sub_lanes(
+                simd,
+                T::load_partial(simd, &shift_to[place..]),
+                T::load_partial(simd, &shift[place..]),
+            );
+            *edge = T::add_lanes(simd, way, further);
             place = (place + width::<T, S>()).min(count);
         }
     }

@@ -16,7 +16,7 @@ pub fn add_wind<T: Real>(grid: Grid, air: Air, wind: [T; 3], (x, v): (&[T], &[T]
     }
     let n = grid.particles();
     let (density, drag, third) = (T::of(air.density), T::of(air.drag), T::of(1.0 / 3.0));
-    for corners in grid.faces_in_turn() {
+    for corners in grid.iter_faces() {
         let [a, b, c] = corners.map(|p| at(x, n, p as usize));
         let normal = cross(sub(b, a), sub(c, a));
         let double_area = length(normal);

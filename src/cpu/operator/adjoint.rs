@@ -179,7 +179,7 @@ impl<T: Real> Adjoint<T> {
 
     /// Replaces the weights with others of the same sizes. Panics if the sizes differ.
     pub fn set_weights(&mut self, weights: &LaidOut<T>) {
-        assert_eq!(weights.config, self.network.config, "the sizes of a network stay");
+        assert_eq!(weights.config, self.network.config, "the network's sizes must not change");
         self.network.layers = weights.layers.clone();
         self.weights = weights.adjoint.clone();
     }

@@ -80,12 +80,12 @@ impl<T: Real> Lifting<T> {
 
     /// Adds to the gradient, given the cotangents `adj_out` [positions, C] of a sample's positions from
     /// number `first` on. The hidden layer is recomputed. Its inputs are constants of training, so nothing
-    /// propagates further back. `turned` is the weight of the second layer [C, hidden].
+    /// propagates further back. `weight` is the weight of the second layer [C, hidden].
     pub fn backward(
         &self,
         adj_out: &[T],
         (fields, first): (Fields<'_, T>, usize),
-        turned: &[T],
+        weight: &[T],
         gradient: &mut LiftingGradient<T>,
     ) {
         let (c, inputs, hidden) = (self.out.outputs(), self.fields + 2, self.hidden.outputs());
@@ -106,7 +106,7 @@ impl<T: Real> Lifting<T> {
                     a: adj_out,
                     a_stride: c,
                     a_transposed: false,
-                    b: turned,
+                    b: weight,
                     b_stride: hidden,
                     depth: c,
                 }],

@@ -54,7 +54,7 @@ impl<T: Real> Projection<T> {
         &self,
         adj_x: &mut [T],
         (x, adj_field): (&[T], &[T]),
-        turned: &[T],
+        weight: &[T],
         gradient: &mut ProjectionGradient<T>,
     ) {
         let (c, hidden) = (x.len() / adj_field.len(), self.hidden.outputs());
@@ -94,7 +94,7 @@ impl<T: Real> Projection<T> {
                     a: slopes,
                     a_stride: hidden,
                     a_transposed: false,
-                    b: turned,
+                    b: weight,
                     b_stride: c,
                     depth: hidden,
                 }],

@@ -74,17 +74,17 @@ impl<T: Real> WithSimd for Step<'_, T> {
         let [rate, root, epsilon] = [T::splat(simd, rate), T::splat(simd, root), T::splat(simd, epsilon)];
         let mut place = 0;
         while place < a.len() {
-            let g = T::first(simd, &grad[place..]);
-            let old = T::product(simd, beta1, T::first(simd, &mean[place..]));
-            let m = T::total(simd, old, T::product(simd, new1, g));
-            let old = T::product(simd, beta2, T::first(simd, &square[place..]));
-            let v = T::total(simd, old, T::product(simd, T::product(simd, new2, g), g));
-            T::store(simd, &mut mean[place..], m);
-            T::store(simd, &mut square[place..], v);
-            let below = T::total(simd, T::product(simd, root, T::root(simd, v)), epsilon);
-            let way = T::quotient(simd, T::product(simd, rate, m), below);
-            let next = T::difference(simd, T::first(simd, &a[place..]), way);
-            T::store(simd, &mut a[place..], next);
+            let g = T::load_partial(simd, &grad[place..]);
+            let old = T::mul_lanes(simd, beta1, T::load_partial(simd, &mean[place..]));
+            let m = T::add_lanes(simd, old, T::mul_lanes(simd, new1, g));
+            let old = T::mul_lanes(simd, beta2, T::load_partial(simd, &square[place..]));
+            let v = T::add_lanes(simd, old, T::mul_lanes(simd, T::mul_lanes(simd, new2, g), g));
+            T::store_partial(simd, &mut mean[place..], m);
+            T::store_partial(simd, &mut square[place..], v);
+            let below = T::add_lanes(simd, T::mul_lanes(simd, root, T::sqrt_lanes(simd, v)), epsilon);
+            let way = T::div_lanes(simd, T::mul_lanes(simd, rate, m), below);
+            let next = T::sub_lanes(simd, T::load_partial(simd, &a[place..]), way);
+            T::store_partial(simd, &mut a[place..], next);
             place += size_of::<T::Lanes<S>>() / size_of::<T>();
         }
     }

@@ -30,7 +30,7 @@ pub(in crate::cpu) struct History<T> {
     last_step: Vec<T>,
     /// Whether that step has been taken.
     started: bool,
-    /// The result of [`History::turn`].
+    /// The result of [`History::compute_direction`].
     pub direction: Vec<T>,
 }
 
@@ -74,7 +74,7 @@ impl<T: Real> Minimizer<T> for Lbfgs<T> {
         let batch = grad.par_chunks(self.len).zip(a.par_chunks_mut(self.len));
         self.cloths.par_iter_mut().zip(batch).for_each(|((history, initial), (grad, a))| {
             history.remember(grad, curvature);
-            history.turn(grad, initial.as_deref_mut());
+            history.compute_direction(grad, initial.as_deref_mut());
             history.step(T::one(), a);
         });
     }
@@ -127,7 +127,7 @@ impl<T: Real> History<T> {
     }
 
     /// Sets `direction` to the inverse Hessian times `grad`: that of the history, starting from `initial`.
-    pub fn turn(&mut self, grad: &[T], initial: Option<&mut (dyn InverseHessian<T> + 'static)>) {
+    pub fn compute_direction(&mut self, grad: &[T], initial: Option<&mut (dyn InverseHessian<T> + 'static)>) {
         self.last_grad.copy_from_slice(grad);
         let pairs = &self.ring[..self.pairs];
         let direction = &mut self.direction;

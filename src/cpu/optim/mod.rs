@@ -57,8 +57,8 @@ pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dy
             Box::new(Lbfgs::from_rest((history, curvature), factored, model)?)
         }
         Optimizer::Newton => {
-            let expected = "an optimizer that takes nothing but the gradient";
-            return Err(Error::invalid("optimizer", "newton", expected, "one that takes the Hessian"));
+            let expected = "a gradient-based optimizer";
+            return Err(Error::invalid("optimizer", "newton", expected, "newton, which needs the Hessian"));
         }
     })
 }

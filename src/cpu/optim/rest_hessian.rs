@@ -161,7 +161,9 @@ impl FactoredRestHessian {
             }
         }
         triplets.retain(|t| t.row == t.col || !held[t.row]);
-        let failed = |e: &dyn std::fmt::Debug| Error::Device(format!("cpu: the Hessian at rest: {e:?}"));
+        let failed = |e: &dyn std::fmt::Debug| {
+            Error::Device(format!("cpu: factoring the Hessian at rest failed: {e:?}"))
+        };
         let particles = grid.particles();
         let matrix = SparseColMat::<usize, f64>::try_new_from_triplets(particles, particles, &triplets)
             .map_err(|e| failed(&e))?;

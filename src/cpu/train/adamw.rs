@@ -19,18 +19,18 @@ pub struct AdamWSettings {
     pub clip: f64,
 }
 
-/// The factors of one update of each weight: `g <- shorten g`, the means of g and g^2 are updated, then
-/// `w <- shrink w - pace mean / (sqrt(square) / root + epsilon)`.
+/// The factors of one update of each weight: `g <- clip g`, the means of g and g^2 are updated, then
+/// `w <- decay w - step_size mean / (sqrt(square) / sqrt_correction + epsilon)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamWFactors {
     /// Factor applied to the gradient.
-    pub shorten: f64,
+    pub clip: f64,
     /// Factor applied to the weights.
-    pub shrink: f64,
+    pub decay: f64,
     /// The learning rate over the bias correction of the mean gradient.
-    pub pace: f64,
-    /// Square root of the bias correction of the mean squared gradient.
-    pub root: f64,
+    pub step_size: f64,
+    /// Square sqrt_correction of the bias correction of the mean squared gradient.
+    pub sqrt_correction: f64,
 }
 
 impl Default for AdamWSettings {
@@ -47,10 +47,10 @@ impl AdamWSettings {
         let [first, second] = self.betas.map(|beta| 1.0 - beta.powi(number));
         AdamWFactors {
             // The small constant is PyTorch's.
-            shorten: (self.clip / (norm + 1e-6)).min(1.0),
-            shrink: 1.0 - rate * self.weight_decay,
-            pace: rate / first,
-            root: second.sqrt(),
+            clip: (self.clip / (norm + 1e-6)).min(1.0),
+            decay: 1.0 - rate * self.weight_decay,
+            step_size: rate / first,
+            sqrt_correction: second.sqrt(),
         }
     }
 }
@@ -82,8 +82,10 @@ impl<T: Real> AdamW<T> {
     /// Applies update number `number`, counted from 1, to `weights`, given the gradient and its norm.
     pub fn step(&mut self, weights: &mut [T], (gradient, norm): (&[T], f64), number: u64, rate: f64) {
         let AdamWSettings { betas, epsilon, .. } = self.settings;
-        let AdamWFactors { shorten, shrink, pace, root } = self.settings.factors(norm, number, rate);
-        let [shorten, shrink, pace, root, epsilon] = [shorten, shrink, pace, root, epsilon].map(T::of);
+        let AdamWFactors { clip, decay, step_size, sqrt_correction } =
+            self.settings.factors(norm, number, rate);
+        let [clip, decay, step_size, sqrt_correction, epsilon] =
+            [clip, decay, step_size, sqrt_correction, epsilon].map(T::of);
         let [keep1, keep2] = betas.map(T::of);
         let [add1, add2] = betas.map(|beta| T::of(1.0 - beta));
         let memory = self.mean.par_chunks_mut(CHUNK).zip(self.square.par_chunks_mut(CHUNK));
@@ -91,10 +93,10 @@ impl<T: Real> AdamW<T> {
         all.for_each(|((weights, gradient), (mean, square))| {
             let memory = mean.iter_mut().zip(square);
             for ((weight, &gradient), (mean, square)) in weights.iter_mut().zip(gradient).zip(memory) {
-                let gradient = gradient * shorten;
+                let gradient = gradient * clip;
                 *mean = *mean * keep1 + gradient * add1;
                 *square = *square * keep2 + gradient * gradient * add2;
-                *weight = *weight * shrink - pace * *mean / (square.sqrt() / root + epsilon);
+                *weight = *weight * decay - step_size * *mean / (square.sqrt() / sqrt_correction + epsilon);
             }
         });
     }

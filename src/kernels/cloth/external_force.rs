@@ -36,7 +36,7 @@ pub struct ExternalForceTensors<'a> {
     /// Velocities, shape [B, 3, H, W].
     pub v: &'a Tensor,
     /// Accelerations given by the caller, shape [B, 3, H, W].
-    pub given: &'a Tensor,
+    pub control_accelerations: &'a Tensor,
 }
 
 impl ExternalForce {
@@ -53,12 +53,15 @@ impl ExternalForce {
         tensors: ExternalForceTensors<'_>,
         external: &Tensor,
     ) {
-        let ExternalForceTensors { cloths, x, v, given } = tensors;
+        let ExternalForceTensors { cloths, x, v, control_accelerations } = tensors;
         let batch = external.len() / (3 * grid.particles());
-        assert_eq!([external, x, v, given].map(Tensor::len), [batch * 3 * grid.particles(); 4]);
+        assert_eq!(
+            [external, x, v, control_accelerations].map(Tensor::len),
+            [batch * 3 * grid.particles(); 4]
+        );
         assert_eq!(cloths.bytes() as usize, batch * size_of::<super::ClothParams>());
         let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
         let count = self.kernel.groups([grid.w, grid.h, batch]);
-        schedule.dispatch(&self.kernel, &params, &[cloths, x, v, given, external], count);
+        schedule.dispatch(&self.kernel, &params, &[cloths, x, v, control_accelerations, external], count);
     }
 }

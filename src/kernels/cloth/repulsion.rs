@@ -30,7 +30,7 @@ pub struct Repulsion {
     kernel: Kernel,
     /// External accelerations plus those of the repulsion [edges / frame^2], shape [B, 3, n]. A gradient
     /// takes these in place of the external ones, since the repulsion depends on positions alone.
-    pub pushed: Tensor,
+    pub total_acceleration: Tensor,
 }
 
 impl Repulsion {
@@ -39,11 +39,11 @@ impl Repulsion {
         Ok(Self {
             cells: Cells::new(context, batch, grid)?,
             kernel: Kernel::new(context, &SOURCE, 0, &[("SOFTENING", sim::Repulsion::SOFTENING)])?,
-            pushed: Tensor::zeros(context, "pushed", &[batch, 3, grid.particles()])?,
+            total_acceleration: Tensor::zeros(context, "total_acceleration", &[batch, 3, grid.particles()])?,
         })
     }
 
-    /// Sets [`Repulsion::pushed`] at `iterate.a`, and the repulsion's term in the `parts` of the energy
+    /// Sets [`Repulsion::total_acceleration`] at `iterate.a`, and the repulsion's term in the `parts` of the energy
     /// [B, parts, 8].
     pub fn push(
         &self,
@@ -54,13 +54,17 @@ impl Repulsion {
     ) {
         let batch = physics.batch(grid, iterate);
         let shape @ [_, groups, _] = energy::parts_shape(batch, grid);
-        assert_eq!((parts.shape(), self.pushed.len()), (&shape[..], 3 * batch * grid.particles()));
-        let Self { cells, kernel, pushed } = self;
+        assert_eq!(
+            (parts.shape(), self.total_acceleration.len()),
+            (&shape[..], 3 * batch * grid.particles())
+        );
+        let Self { cells, kernel, total_acceleration } = self;
         cells.push(schedule, grid, physics, iterate);
         let Cells { ends, sorted, .. } = cells;
         let buckets = size(ends.shape()[1]);
         let params = Params { rows: size(grid.h), columns: size(grid.w), buckets, groups: size(groups) };
-        let tensors = [physics.cloths, &iterate.slots, physics.external, ends, sorted, pushed, parts];
+        let tensors =
+            [physics.cloths, &iterate.slots, physics.external, ends, sorted, total_acceleration, parts];
         schedule.dispatch(kernel, &params, &tensors, kernel.spread(grid.particles(), batch));
     }
 }

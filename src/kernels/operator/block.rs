@@ -2,7 +2,7 @@
 
 use super::Layer;
 use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll, WORKGROUP_INVOCATIONS};
-use crate::kernels::optim::features::{self, Fields, Place};
+use crate::kernels::optim::features::{self, FeatureInputs, Place};
 use crate::kernels::{Tuning, common, padded, pieces, size};
 use crate::sim::Grid;
 use crate::{Error, Result};
@@ -181,7 +181,7 @@ pub struct Block {
     group: Group,
     layer: LayerSize,
     epilogue: Epilogue,
-    /// Bound in place of `made` and `rows_max` if these are not computed.
+    /// Bound in place of `rows_or_field` and `rows_max` if these are not computed.
     nothing: [Tensor; 2],
 }
 
@@ -201,7 +201,7 @@ impl Block {
 
     /// Builds the kernel. Fails if the device's workgroups are too small.
     pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, epilogue: Epilogue) -> Result<Self> {
-        assert!(!(epilogue.field && epilogue.whole_rows()), "the field takes the place of the output");
+        assert!(!(epilogue.field && epilogue.whole_rows()), "FIELD excludes ROWS and POOL");
         assert!(layer.lifting.is_none() || !epilogue.pool, "only blocks pool");
         let group = Group::new(&context.device.limits(), tuning, &layer, epilogue).ok_or_else(|| {
             let quads = layer.row_quads;
@@ -226,11 +226,12 @@ impl Block {
             ("MEMORY", group.memory as f64),
         ];
         if let Some(Lifting { inputs, of_fields, .. }) = layer.lifting {
-            let as_many = "as many inputs as a lifting embeds, or holds in registers";
+            let as_many = "a lifting that embeds its input or is not staged has five input channels";
             assert!((tuning.staged && !of_fields) || inputs == features::CHANNELS, "{as_many}");
         }
         if layer.lifting.is_some_and(|lifting| lifting.of_fields) {
-            constants.extend([("EMBEDDED", group.embedded_quads as f64), ("AHEAD", group.staged as f64)]);
+            constants
+                .extend([("EMBEDDED", group.embedded_quads as f64), ("STAGED_QUADS", group.staged as f64)]);
         }
         // If operands are broadcast, loads are expensive, and a row is read once for all columns. Otherwise
         // the columns are spread over invocations.
@@ -263,7 +264,7 @@ impl Block {
         (tables, width): (&Tensor, usize),
         tensors: BlockTensors<'_>,
     ) {
-        let BlockTensors { x, r, y, made, rows_max } = tensors;
+        let BlockTensors { x, r, y, rows_or_field, rows_max } = tensors;
         let (epilogue, LayerSize { row_quads, channels, lifting, .. }) = (self.epilogue, self.layer);
         let columns = 2 * self.layer.modes_w;
         let &[samples, h, _, w] = y.shape() else { panic!("block: {:?}", y.shape()) };
@@ -282,7 +283,7 @@ impl Block {
                 (vec![x.clone()], 0, Place::zeroed())
             }
             Inputs::Fields(fields) => {
-                assert!(of_fields, "the kernel was made for another input");
+                assert!(of_fields, "the kernel was built for another kind of input");
                 let (bound, place) = fields.bound(Grid { h, w: width }, samples);
                 (bound.to_vec(), fields.sums.shape()[0], place)
             }
@@ -291,13 +292,16 @@ impl Block {
         assert_eq!(y.shape(), [samples, h, channels, w]);
         assert_eq!(weight.shape(), [channels / self.tile, inputs, self.tile]);
         assert_eq!(bias.len(), if epilogue.field { 2 * channels + 4 } else { channels });
-        assert_eq!((made.is_some(), rows_max.is_some()), (epilogue.rows || epilogue.field, epilogue.pool));
+        assert_eq!(
+            (rows_or_field.is_some(), rows_max.is_some()),
+            (epilogue.rows || epilogue.field, epilogue.pool)
+        );
         let wanted = if epilogue.field {
             [self.field_parts(), samples, h, w]
         } else {
             [samples, h, columns, channels]
         };
-        assert!(made.is_none_or(|made| made.shape() == wanted));
+        assert!(rows_or_field.is_none_or(|rows_or_field| rows_or_field.shape() == wanted));
         assert!(rows_max.is_none_or(|most| most.shape() == [samples, h, channels]));
         let params = Params {
             inputs: size(inputs),
@@ -315,11 +319,12 @@ impl Block {
         let Group { wide, span, deep, .. } = self.group;
         let tiles = samples * channels / self.tile;
         let count = [row_quads.div_ceil(span * wide), h, tiles / deep].map(size);
-        let [nothing_made, no_maxima] = &self.nothing;
-        let (made, rows_max) = (made.unwrap_or(nothing_made), rows_max.unwrap_or(no_maxima));
+        let [no_rows_or_field, no_maxima] = &self.nothing;
+        let (rows_or_field, rows_max) =
+            (rows_or_field.unwrap_or(no_rows_or_field), rows_max.unwrap_or(no_maxima));
         let mut tensors = vec![weight, bias, tables, r];
         tensors.extend(&bound);
-        tensors.extend([y, made]);
+        tensors.extend([y, rows_or_field]);
         if lifting.is_none() {
             tensors.push(rows_max);
         }
@@ -333,7 +338,7 @@ pub enum Inputs<'a> {
     /// A tensor of shape [S, H, C, W'], or [S, H, E, W'] for a lifting.
     Stored(&'a Tensor),
     /// The fields that a lifting embeds itself.
-    Fields(Fields<'a>),
+    Fields(FeatureInputs<'a>),
 }
 
 /// Inputs and outputs of a layer.
@@ -348,7 +353,7 @@ pub struct BlockTensors<'a> {
     pub y: &'a Tensor,
     /// Row spectra of the output, shape [S, H, 2 modes_w, C], or the field in parts, [parts, S, H, W']. Given
     /// if and only if either is computed.
-    pub made: Option<&'a Tensor>,
+    pub rows_or_field: Option<&'a Tensor>,
     /// Largest value of each output row, shape [S, H, C]. Given if and only if these are computed.
     pub rows_max: Option<&'a Tensor>,
 }

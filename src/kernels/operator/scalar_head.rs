@@ -71,7 +71,7 @@ impl ScalarHead {
         assert_eq!((layer.weight.len(), layer.bias.len()), (channels, 1));
         assert_eq!(scalar.shape(), [samples]);
         let [_, teams, _] = self.alone.workgroup();
-        assert!(rows >= teams as usize, "scalar_head: a row for each team");
+        assert!(rows >= teams as usize, "scalar_head: at least one row per team");
         let Scales { tensor, before, after } = scales.unwrap_or(Scales::in_place(&self.nothing));
         assert!(scales.is_none() || before.max(after) + samples <= tensor.len());
         let params =

@@ -132,7 +132,7 @@ impl Spectral {
         let division = Division::new(tuning, config, samples, room).ok_or_else(|| {
             let least = 8 * modes_h * (channels + ACROSS[ACROSS.len() - 1]);
             Error::Device(format!(
-                "{}: {modes_h} rows of modes of {channels} channels take {least} bytes of workgroup memory, and it has {room}",
+                "{}: {modes_h} rows of modes with {channels} channels need {least} bytes of workgroup memory; the device has {room}",
                 context.name()
             ))
         })?;
@@ -141,7 +141,7 @@ impl Spectral {
             ("KEEP", f64::from(u8::from(keep))),
             ("MODES", modes_h as f64),
             ("LANES", division.lanes as f64),
-            ("ACROSS", division.across as f64),
+            ("OUT_CHANNELS", division.across as f64),
             ("PARTS", division.parts as f64),
             ("ROW_PARTS", division.row_parts as f64),
             ("INPUT_PARTS", division.input_parts as f64),

@@ -31,14 +31,14 @@ impl SpectralTranspose {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets `turned` [modes, O, I, 2] to the conjugate transpose of `weight` [modes, I, O, 2].
-    pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, turned: &Tensor) {
+    /// Sets `transposed` [modes, O, I, 2] to the conjugate transpose of `weight` [modes, I, O, 2].
+    pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, transposed: &Tensor) {
         let &[modes, inputs, outputs, 2] = weight.shape() else {
             panic!("spectral_transpose: {:?}", weight.shape())
         };
-        assert_eq!(turned.shape(), [modes, outputs, inputs, 2]);
+        assert_eq!(transposed.shape(), [modes, outputs, inputs, 2]);
         let params = Params { inputs: size(inputs), outputs: size(outputs), pad: [0; 2] };
         let count = self.kernel.groups([inputs, outputs, modes]);
-        schedule.dispatch(&self.kernel, &params, &[weight, turned], count);
+        schedule.dispatch(&self.kernel, &params, &[weight, transposed], count);
     }
 }

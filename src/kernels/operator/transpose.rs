@@ -32,14 +32,14 @@ impl Transpose {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets `turned` [I / tile, O, tile] to the transpose of `weight` [O / tile, I, tile].
-    pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, turned: &Tensor) {
+    /// Sets `transposed` [I / tile, O, tile] to the transpose of `weight` [O / tile, I, tile].
+    pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, transposed: &Tensor) {
         let &[tiles, inputs, tile] = weight.shape() else { panic!("transpose: {:?}", weight.shape()) };
         let outputs = tiles * tile;
-        assert_eq!(turned.shape(), [inputs / tile, outputs, tile]);
-        assert_eq!(inputs % tile, 0, "inputs are whole tiles, too");
+        assert_eq!(transposed.shape(), [inputs / tile, outputs, tile]);
+        assert_eq!(inputs % tile, 0, "the inputs must be whole tiles");
         let params = Params { outputs: size(outputs), inputs: size(inputs), tile: size(tile), pad: 0 };
         let count = self.kernel.groups([outputs * inputs, 1, 1]);
-        schedule.dispatch(&self.kernel, &params, &[weight, turned], count);
+        schedule.dispatch(&self.kernel, &params, &[weight, transposed], count);
     }
 }

@@ -42,7 +42,7 @@ pub(crate) struct Place {
 
 /// What the features of some samples are computed from.
 #[derive(Clone, Copy, Debug)]
-pub struct Fields<'a> {
+pub struct FeatureInputs<'a> {
     /// Gradient and hidden state.
     pub iterate: &'a Iterate,
     /// Partial sums of squares of these, shape [S, parts, 2] ([`gradient::parts`]).
@@ -51,7 +51,7 @@ pub struct Fields<'a> {
     pub first: usize,
 }
 
-impl Fields<'_> {
+impl FeatureInputs<'_> {
     /// Returns the tensors that a kernel binds (fields and sums), and where it finds `count` samples of a
     /// grid in them.
     pub(crate) fn bound(&self, grid: Grid, count: usize) -> ([Tensor; 2], Place) {
@@ -87,7 +87,7 @@ impl Features {
     }
 
     /// Sets `embedded` [s, H, 5, W'] for s samples.
-    pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: Fields<'_>, embedded: &Tensor) {
+    pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: FeatureInputs<'_>, embedded: &Tensor) {
         let (w, made) = (padded(grid.w), embedded.shape()[0]);
         assert_eq!(embedded.shape(), [made, grid.h, CHANNELS, w]);
         let ([fields, sums], place) = from.bound(grid, made);

@@ -13,7 +13,7 @@ pub mod update_adj;
 
 pub use adam::{Adam, AdamSettings};
 pub use cosine_order::CosineOrder;
-pub use features::{Features, Fields};
+pub use features::{FeatureInputs, Features};
 pub use gradient_descent::GradientDescent;
 pub use lbfgs::{Lbfgs, LbfgsMemory, Part};
 pub use quasi_newton::QuasiNewton;

@@ -27,8 +27,8 @@ struct Params {
 pub struct RestModes {
     grid: Grid,
     kernel: Kernel,
-    row_turns: Tensor,
-    column_turns: Tensor,
+    row_twiddles: Tensor,
+    column_twiddles: Tensor,
 }
 
 impl RestModes {
@@ -43,8 +43,8 @@ impl RestModes {
         Ok(Self {
             grid,
             kernel: Kernel::new(context, &SOURCE, 0, &[])?,
-            row_turns: table("rest_modes.row_turns", grid.h, grid.h)?,
-            column_turns: table("rest_modes.column_turns", grid.w, grid.w / 2 + 1)?,
+            row_twiddles: table("rest_modes.row_twiddles", grid.h, grid.h)?,
+            column_twiddles: table("rest_modes.column_twiddles", grid.w, grid.w / 2 + 1)?,
         })
     }
 
@@ -56,7 +56,7 @@ impl RestModes {
         assert_eq!(out.shape(), spectrum.shape());
         assert_eq!(3 * cloths.bytes() as usize, samples * size_of::<ClothParams>());
         let params = Params { rows: size(h), columns: size(w), pad: [0; 2] };
-        let tensors = [cloths, &self.row_turns, &self.column_turns, spectrum, out];
+        let tensors = [cloths, &self.row_twiddles, &self.column_twiddles, spectrum, out];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(h * half, samples));
     }
 }

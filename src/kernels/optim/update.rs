@@ -80,9 +80,9 @@ impl Update {
         let channels = head.map_or(0, |(layer, _)| layer.weight.len());
         if let Some((layer, rows_max)) = head {
             assert_eq!((rows_max.shape(), layer.bias.len()), (&[in_field, h, channels][..], 1));
-            assert!(before.abs_diff(after) >= in_field, "workgroups read scales that another one writes");
+            assert!(before.abs_diff(after) >= in_field, "the scales before and after must not overlap");
             let [_, teams, _] = self.with_head.workgroup();
-            assert!(h >= teams as usize, "update: a row for each team");
+            assert!(h >= teams as usize, "update: at least one row per team");
         }
         let (fields, hidden) = iterate.fields();
         let params = Params {

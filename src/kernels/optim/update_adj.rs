@@ -53,7 +53,7 @@ impl UpdateAdj {
         assert_eq!(adj_field.shape(), [samples, h, w]);
         assert_eq!((h, grad.len()), (grid.h, samples * grid.particles()));
         assert_eq!([scalar.len(), scale.len(), adj_scalar.len()], [samples; 3]);
-        assert_eq!(samples % self.together, 0, "whole cloths");
+        assert_eq!(samples % self.together, 0, "groups must be complete");
         let params = Params { rows: size(h), columns: size(grid.w), stride: size(w), share };
         let tensors = [field, scalar, scale, grad, adj_field, adj_scalar];
         schedule.dispatch(&self.kernel, &params, &tensors, [size(samples), 1, 1]);

@@ -20,13 +20,13 @@ struct Params {
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Factors {
     /// Factor of the gradient that limits its norm to the clip: `min(clip / (norm + 1e-6), 1)`.
-    pub shorten: f32,
+    pub clip: f32,
     /// `1 - rate decay`.
-    pub shrink: f32,
+    pub decay: f32,
     /// `rate / (1 - beta1^t)`.
-    pub pace: f32,
+    pub step_size: f32,
     /// `sqrt(1 - beta2^t)`.
-    pub root: f32,
+    pub sqrt_correction: f32,
     /// Decay of the mean gradient.
     pub beta1: f32,
     /// Decay of the mean squared gradient.

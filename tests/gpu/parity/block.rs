@@ -10,7 +10,7 @@ use crate::common::{
 use fnopt::kernels::Tuning;
 use fnopt::kernels::operator::block::{hidden_units, with_head};
 use fnopt::kernels::operator::{Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting};
-use fnopt::kernels::optim::{Features, Fields, Iterate};
+use fnopt::kernels::optim::{FeatureInputs, Features, Iterate};
 use fnopt::kernels::padded;
 use fnopt::network::tables;
 use fnopt::sim::Grid;
@@ -55,8 +55,13 @@ fn blocks_of_all_tiles_match() {
                 let y = poisoned("y", &[batch, grid.h, CHANNELS, w]);
                 let epilogue = Epilogue { gelu, ..Epilogue::default() };
                 let kernel = Block::new(context(), &tuning, size(grid, config.modes_w), epilogue).unwrap();
-                let tensors =
-                    BlockTensors { x: Inputs::Stored(&x_tensor), r: &r, y: &y, made: None, rows_max: None };
+                let tensors = BlockTensors {
+                    x: Inputs::Stored(&x_tensor),
+                    r: &r,
+                    y: &y,
+                    rows_or_field: None,
+                    rows_max: None,
+                };
                 run(|schedule| kernel.push(schedule, &skip, (&table, grid.w), tensors));
                 let what = format!("block {} gelu {gelu} {batch} x {grid}", tuning.channels);
                 // One rounding per product, of sums about as large as the result.
@@ -115,10 +120,15 @@ fn blocks_that_take_rows_match() {
                 let [alone, y] = [(); 2].map(|()| poisoned("y", x.shape()));
                 let spectra = poisoned("rows", &shape);
                 let most = poisoned("rows_max", &[batch, grid.h, CHANNELS]);
-                let none =
-                    BlockTensors { x: Inputs::Stored(&x), r: &r, y: &alone, made: None, rows_max: None };
+                let none = BlockTensors {
+                    x: Inputs::Stored(&x),
+                    r: &r,
+                    y: &alone,
+                    rows_or_field: None,
+                    rows_max: None,
+                };
                 let (wanted, maxima) = (rows.then_some(&spectra), pool.then_some(&most));
-                let some = BlockTensors { y: &y, made: wanted, rows_max: maxima, ..none };
+                let some = BlockTensors { y: &y, rows_or_field: wanted, rows_max: maxima, ..none };
                 for (epilogue, tables, tensors) in [
                     (Epilogue { gelu: true, ..Epilogue::default() }, &table, none),
                     (
@@ -164,7 +174,8 @@ fn blocks_with_the_field_head_match() {
             let [alone, joined] = [alone, Epilogue { field: true, ..alone }].map(|epilogue| {
                 Block::new(context(), &tuning, size(grid, config.modes_w), epilogue).unwrap()
             });
-            let tensors = BlockTensors { x: Inputs::Stored(&x), r: &r, y: &y, made: None, rows_max: None };
+            let tensors =
+                BlockTensors { x: Inputs::Stored(&x), r: &r, y: &y, rows_or_field: None, rows_max: None };
             run(|schedule| alone.push(schedule, &skip, (&table, grid.w), tensors));
             let with_head = with_head(&bias, (&head, head_bias));
             let with_head = Layer {
@@ -173,7 +184,7 @@ fn blocks_with_the_field_head_match() {
             };
             let parts = joined.field_parts();
             let field = poisoned("field", &[parts, batch, grid.h, w]);
-            let tensors = BlockTensors { made: Some(&field), ..tensors };
+            let tensors = BlockTensors { rows_or_field: Some(&field), ..tensors };
             run(|schedule| joined.push(schedule, &with_head, (&table, grid.w), tensors));
             let expected = dense(&head, &[head_bias], &read_channels(&y, grid), grid.particles());
             let found = read_unpadded(&field, grid);
@@ -217,9 +228,14 @@ fn liftings_match() {
             let rows = Block::takes_rows(context(), &tuning, &size);
             let epilogue = Epilogue { rows, ..Epilogue::default() };
             let kernel = Block::new(context(), &tuning, size, epilogue).unwrap();
-            let made = rows.then_some(&spectra);
-            let tensors =
-                BlockTensors { x: Inputs::Stored(&x_tensor), r: &units, y: &y, made, rows_max: None };
+            let rows_or_field = rows.then_some(&spectra);
+            let tensors = BlockTensors {
+                x: Inputs::Stored(&x_tensor),
+                r: &units,
+                y: &y,
+                rows_or_field,
+                rows_max: None,
+            };
             run(|schedule| kernel.push(schedule, &outer, (&table, grid.w), tensors));
             let what = format!("lifting {} of {inputs} {batch} x {grid}", tuning.channels);
             let atol = (8.0 * ROUNDING + 3e-7) * largest(&expected);
@@ -264,7 +280,7 @@ fn liftings_of_fields_match() {
             let table = tables::forward_rows(&config, grid.h, grid.w);
             let table = tensor("table", &[w / 4, columns, 4], &table);
             for (first, count) in [(0, samples), (1, samples - 2)] {
-                let from = Fields { iterate: &iterate, sums, first };
+                let from = FeatureInputs { iterate: &iterate, sums, first };
                 let embedded = poisoned("embedded", &[count, grid.h, 5, w]);
                 run(|schedule| features.push(schedule, grid, from, &embedded));
                 let results = [Inputs::Stored(&embedded), Inputs::Fields(from)].map(|x| {
@@ -277,8 +293,8 @@ fn liftings_of_fields_match() {
                             .unwrap();
                     let y = poisoned("y", &[count, grid.h, CHANNELS, w]);
                     let spectra = poisoned("rows", &[count, grid.h, columns, CHANNELS]);
-                    let made = rows.then_some(&spectra);
-                    let tensors = BlockTensors { x, r: &units, y: &y, made, rows_max: None };
+                    let rows_or_field = rows.then_some(&spectra);
+                    let tensors = BlockTensors { x, r: &units, y: &y, rows_or_field, rows_max: None };
                     run(|schedule| kernel.push(schedule, &outer, (&table, grid.w), tensors));
                     with_rows += usize::from(rows && of_fields);
                     (read(&y), if rows { read(&spectra) } else { Vec::new() })

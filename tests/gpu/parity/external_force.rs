@@ -29,7 +29,7 @@ fn gravity_forces_and_air_match() {
         let expected = expected(&model, &x, &v, &given);
         let [x, v, given] = [x, v, given].map(|values| upload("input", &model, &values));
         let (cloths, external) = (constants(&model), poisoned_field(&model));
-        let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, given: &given };
+        let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, control_accelerations: &given };
         run(|schedule| kernel.push(schedule, grid, tensors, &external));
         // The roundings of differences of positions, two products and six triangles.
         let atol = 16.0 * ROUNDING * largest(&expected);
@@ -49,7 +49,7 @@ fn air_ignores_triangles_without_area() {
     let expected = expected(&model, &x, &v, &given);
     let [x, v, given] = [x, v, given].map(|values| upload("input", &model, &values));
     let (cloths, external) = (constants(&model), poisoned_field(&model));
-    let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, given: &given };
+    let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, control_accelerations: &given };
     run(|schedule| kernel.push(schedule, grid, tensors, &external));
     assert_close("external_force collapsed", &read(&external), &expected, (0.0, ROUNDING));
 }

@@ -5,7 +5,7 @@ use crate::common::{
     widened,
 };
 use fnopt::kernels::cloth::gradient::parts;
-use fnopt::kernels::optim::{Features, Fields, Iterate};
+use fnopt::kernels::optim::{FeatureInputs, Features, Iterate};
 use fnopt::kernels::padded;
 use fnopt::sim::Grid;
 
@@ -52,7 +52,7 @@ fn check(kernel: &Features, (grid, samples): (Grid, usize), grad: &[f32], hidden
     for (first, count) in [(0, samples), (1, samples - 2)] {
         let embedded = poisoned("embedded", &[count, grid.h, 5, padded(grid.w)]);
         run(|schedule| {
-            kernel.push(schedule, grid, Fields { iterate: &iterate, sums, first }, &embedded);
+            kernel.push(schedule, grid, FeatureInputs { iterate: &iterate, sums, first }, &embedded);
         });
         let expected = &expected[5 * n * first..][..5 * n * count];
         // A few roundings each of the norm and of tanh.
@@ -100,7 +100,7 @@ fn tiny_fields_stay_small() {
         let squares = sums(grid, samples, [&grad, &step]);
         let sums = &tensor("sums", &[samples, parts(grid), 2], &squares);
         let embedded = poisoned("embedded", &[samples, grid.h, 5, padded(grid.w)]);
-        let fields = Fields { iterate: &iterate, sums, first: 0 };
+        let fields = FeatureInputs { iterate: &iterate, sums, first: 0 };
         run(|schedule| kernel.push(schedule, grid, fields, &embedded));
         let found = read_channels(&embedded, grid);
         let largest = found.iter().fold(0.0, |most: f32, v| most.max(v.abs()));

@@ -66,7 +66,7 @@ fn rest_has_no_gradient_but_inertia() {
         // A right angle differs from its constant by a rounding.
         let count = grid.particles() as f64;
         let atol = 100.0 * ROUNDING / count;
-        assert!(largest(&expected) < 0.3 / count, "the test's idea of a rest state");
+        assert!(largest(&expected) < 0.3 / count, "at rest the gradient is that of inertia alone");
         assert_close(
             &format!("gradient at rest {batch} x {grid}"),
             &found,

@@ -11,7 +11,7 @@ use fnopt::sim::{Cloth, Grid, Model};
 fn both(model: &Model, fields: [&[f32]; 4]) -> [(Vec<f32>, Vec<f64>); 2] {
     let (grid, batch) = (model.grid, model.batch());
     let (kernel, sum) = (Repulsion::new(context(), batch, grid).unwrap(), EnergySum::new(context()).unwrap());
-    kernel.pushed.write(context(), &read(&poisoned_field(model)));
+    kernel.total_acceleration.write(context(), &read(&poisoned_field(model)));
     let iterate = iterate(model);
     let [x, base, a, f] = fields;
     iterate.base.write(context(), base);
@@ -31,7 +31,7 @@ fn both(model: &Model, fields: [&[f32]; 4]) -> [(Vec<f32>, Vec<f64>); 2] {
         energies[b] = model.cloths[b].repulsion.map_or(0.0, |of_cloth| repulsion(&trial, of_cloth, pushed));
     }
     let found = read(&terms).chunks_exact(TERMS).map(|terms| terms[TERMS - 1]).collect();
-    [(read(&kernel.pushed), pushed), (found, energies)]
+    [(read(&kernel.total_acceleration), pushed), (found, energies)]
 }
 
 #[test]

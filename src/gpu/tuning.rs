@@ -148,7 +148,7 @@ impl Tuning {
         if self.works(context) {
             return Ok(());
         }
-        let expected = format!("sizes that the kernels can be made with on {}", context.name());
+        let expected = format!("tile sizes that the kernels support on {}", context.name());
         Err(Error::invalid("options", "tuning", expected, format!("{self:?}")))
     }
 
@@ -193,7 +193,11 @@ impl Tuning {
         let fits = |s: &Stored| s.adapter == context.name() && s.version == env!("CARGO_PKG_VERSION");
         let found = stored.filter(fits).map(|s| s.tuning).filter(|tuning| tuning.works(context));
         if found.is_none() {
-            tracing::warn!("{}: no tuning of {}; the table's is used", path.display(), context.name());
+            tracing::warn!(
+                "{}: not a tuning for {} and this version; using the built-in one",
+                path.display(),
+                context.name()
+            );
         }
         found
     }

@@ -7,9 +7,9 @@ use crate::gpu::{Context, Tensor};
 use crate::kernels::operator::{Layer, block};
 use crate::kernels::optim::features;
 
-/// The weights that joined layers read.
+/// The weights that fused layers read.
 #[derive(Default)]
-pub(super) struct Joined {
+pub(super) struct Fused {
     /// Of the last block and the last layer of the field head, if the head's first layer is the identity
     /// ([`Weights::folded`]).
     pub head: Option<Layer>,
@@ -17,8 +17,8 @@ pub(super) struct Joined {
     pub units: Option<Tensor>,
 }
 
-impl Joined {
-    /// Joins what can be joined of `weights`. Their layers are on the device, padded to the sizes of
+impl Fused {
+    /// Joins what can be fused of `weights`. Their layers are on the device, padded to the sizes of
     /// `config`.
     pub fn new(
         context: &Context,
