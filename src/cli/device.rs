@@ -1,8 +1,7 @@
 //! `--device`, `--adapter` and `--precision`.
 
 use clap::ValueEnum;
-use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Storage};
-use fnopt::kernels::Tuning;
+use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Storage, Tuning};
 use fnopt::sim::{Device, Model, Optimizer, Simulator};
 use fnopt::{Error, Result};
 use std::sync::{Mutex, PoisonError};

@@ -5,7 +5,7 @@ use super::output::{output, tell};
 use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag, one_grid};
 use anyhow::Result;
 use fnopt::Error;
-use fnopt::kernels::Tuning;
+use fnopt::gpu::Tuning;
 use fnopt::sim::{Device, tune};
 use std::io::Write;
 use std::ops::ControlFlow;

@@ -3,8 +3,7 @@
 use super::cache::PipelineCache;
 use super::kernel::Kernels;
 use super::template::LANES;
-use super::{Order, Sharing, Storage};
-use crate::kernels::Tuning;
+use super::{Order, Sharing, Storage, Tuning};
 use crate::{Error, Result};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;

@@ -2,7 +2,7 @@
 //!
 //! [`Context`] wraps the caller's device and queue (or opens its own). [`Tensor`] is a typed storage buffer.
 //! [`Source`] is a kernel's WGSL, unrolled to suit an adapter. `Kernel` is its entry point, compiled on first
-//! use and shared by all solvers of a device. [`Schedule`] is a list of dispatches with everything bound.
+//! use and shared by all solvers of a device. [`Tuning`] holds the tile sizes for an adapter. [`Schedule`] is a list of dispatches with everything bound.
 //! [`Readback`] brings results to the host without stalling the queue. [`Profile`] times dispatches if the
 //! adapter has timestamps. Compiled pipelines outlast the process if the adapter has a pipeline cache
 //! ([`Context::with_stored_pipelines`]).
@@ -17,6 +17,7 @@ mod schedule;
 mod storage;
 mod template;
 mod tensor;
+mod tuning;
 
 pub(crate) use cache::CACHE_FOLDER;
 pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters};
@@ -30,3 +31,4 @@ pub use schedule::Schedule;
 pub use storage::Storage;
 pub use template::{Sharing, Source, Unroll};
 pub use tensor::Tensor;
+pub use tuning::Tuning;

@@ -1,6 +1,6 @@
 //! Sizes that suit an adapter: a table of good ones, and those measured on the adapter itself.
 
-use crate::gpu::{AdapterKind, CACHE_FOLDER, Context, Sharing, Unroll, WORKGROUP_INVOCATIONS};
+use super::{AdapterKind, CACHE_FOLDER, Context, Sharing, Unroll, WORKGROUP_INVOCATIONS};
 use crate::{Error, Result, io};
 use std::io::Write;
 use std::path::PathBuf;
@@ -40,9 +40,6 @@ pub struct Tuning {
     /// are processed in further passes.
     pub activation_bytes: usize,
 }
-
-/// Channel counts are padded to a multiple of this.
-pub const CHANNEL_MULTIPLE: usize = 32;
 
 /// Numbers of output channels that an invocation of the matrix products may have.
 const TILES: [usize; 5] = [4, 8, 16, 32, 64];

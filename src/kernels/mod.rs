@@ -8,11 +8,11 @@ pub mod fft;
 pub mod operator;
 pub mod optim;
 pub mod train;
-mod tuning;
-
-pub use tuning::{CHANNEL_MULTIPLE, Tuning};
 
 use crate::gpu::Source;
+
+/// Channel counts are padded to a multiple of this.
+pub const CHANNEL_MULTIPLE: usize = 32;
 
 /// Shader text that holds only functions and constants, appended to the kernels that call them.
 pub(crate) mod common {

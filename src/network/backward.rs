@@ -8,13 +8,13 @@
 use super::parameters::{GradientLayer, GradientLayers, Layers};
 use super::{Forward, Parameters, tables};
 use crate::Result;
-use crate::gpu::{Context, Schedule, Tensor};
+use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::operator::{
     BlockTensors, Epilogue, GeluAdj, HeadWeightAdj, Inputs, Layer, Parts, PointwiseWeightAdj, PoolAdj,
     PoolAdjTensors, ProjectAdj, SpectralTranspose, SpectralWeightAdj, SumParts, Transpose, pointwise::Lines,
     pointwise_weight_adj,
 };
-use crate::kernels::{Tuning, padded};
+use crate::kernels::padded;
 
 /// The transposed weights, as the adjoint of each layer reads them.
 #[derive(Debug)]

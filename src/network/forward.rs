@@ -5,13 +5,13 @@ use super::parameters::Layers;
 use super::plan::{block_size, epilogue};
 use super::{Config, Keep, Layout, Parameters, Plan, Weights, tables};
 use crate::Result;
-use crate::gpu::{Context, Schedule, Storage, Tensor};
+use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::operator::{
     Activate, Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
     ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, pointwise::Lines,
 };
 use crate::kernels::optim::{FeatureInputs, Features};
-use crate::kernels::{Tuning, padded};
+use crate::kernels::padded;
 use crate::sim::Grid;
 
 /// The network on a device, for samples on one grid. Its input is [`Forward::embedded`], or the fields from

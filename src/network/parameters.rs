@@ -3,9 +3,9 @@
 
 use super::{Config, Weights};
 use crate::Result;
-use crate::gpu::{Context, Storage, Tensor};
+use crate::gpu::{Context, Storage, Tensor, Tuning};
+use crate::kernels::CHANNEL_MULTIPLE;
 use crate::kernels::operator::{Layer, pointwise, spectral};
-use crate::kernels::{CHANNEL_MULTIPLE, Tuning};
 
 /// The weights of a network on a device.
 #[derive(Clone, Debug)]

@@ -1,9 +1,9 @@
 //! The plan of a forward pass, and what its blocks compute.
 
 use super::{Config, Layout};
-use crate::gpu::{Context, WORKGROUPS};
+use crate::gpu::{Context, Tuning, WORKGROUPS};
 use crate::kernels::operator::{Block, Epilogue, LayerSize};
-use crate::kernels::{CHANNEL_MULTIPLE, Tuning, padded};
+use crate::kernels::{CHANNEL_MULTIPLE, padded};
 use crate::sim::Grid;
 
 /// What a network on a device is built for.

@@ -2,8 +2,7 @@
 
 use super::Grid;
 use crate::Result;
-use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::Tuning;
+use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::{FeatureInputs, Iterate, Update, UpdateTensors};
 use crate::network::{Forward, Head, Keep, Plan, Weights};

@@ -2,8 +2,7 @@
 
 use super::learned::Learned;
 use super::{Cloth, Control, FrameStats, Grid, Iterations, Model, Optimizer, State};
-use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::Tuning;
+use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::{
     ClothParams, ClothTerms, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate,
     Physics, Predict, Repulsion, StateTensors, TERMS, energy, gradient,

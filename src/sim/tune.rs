@@ -2,8 +2,7 @@
 
 use super::{Model, Optimizer, Solver, SolverOptions, State};
 use crate::Result;
-use crate::gpu::Context;
-use crate::kernels::Tuning;
+use crate::gpu::{Context, Tuning};
 use std::ops::ControlFlow;
 use std::time::Instant;
 

@@ -4,8 +4,7 @@ use super::pool::MAX_HANDLES;
 use crate::Result;
 use crate::cpu::optim::Normalisation;
 use crate::cpu::train::{AdamWFactors, AdamWSettings};
-use crate::gpu::{Context, Schedule, Storage, Tensor};
-use crate::kernels::Tuning;
+use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::cloth::{
     ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Physics, Predict,
     StateTensors, TERMS, energy, gradient,

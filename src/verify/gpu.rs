@@ -7,14 +7,14 @@ use super::{
 use crate::Result;
 use crate::cpu::optim::Normalisation;
 use crate::cpu::train::AdamWSettings;
-use crate::gpu::{Context, Schedule, Storage, Tensor};
+use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::cloth::{
     ClothParams, ClothTerms, Energy, EnergySum, Gradient, Physics, TERMS, energy, gradient,
 };
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::Iterate;
 use crate::kernels::train::BatchTensors;
-use crate::kernels::{self, Tuning, padded};
+use crate::kernels::{self, padded};
 use crate::network::{Forward, Head, Keep, Parameters, Plan, TransposedWeights, Weights};
 use crate::sim::{
     Cloth, Control, EnergyTerms, Grid, Learned, Model, Optimizer, Repulsion, Solver, SolverOptions, State,

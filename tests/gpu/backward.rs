@@ -4,8 +4,7 @@ use crate::common::{by_rows, context, device, noise, pad, read, tensor, tunings,
 use crate::forward::random;
 use crate::solver::starter;
 use fnopt::cpu::operator::Adjoint;
-use fnopt::gpu::{Schedule, Tensor};
-use fnopt::kernels::Tuning;
+use fnopt::gpu::{Schedule, Tensor, Tuning};
 use fnopt::network::{Backward, Config, Forward, Head, Keep, Parameters, Plan, TransposedWeights, Weights};
 use fnopt::sim::Grid;
 

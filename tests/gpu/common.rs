@@ -1,7 +1,7 @@
 //! Helpers shared by the GPU tests: one device for all, tensors that reveal unwritten elements, comparisons.
 
-use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Schedule, Sharing, Storage, Tensor};
-use fnopt::kernels::{Tuning, padded};
+use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Schedule, Sharing, Storage, Tensor, Tuning};
+use fnopt::kernels::padded;
 use fnopt::sim::Grid;
 use std::sync::{LazyLock, Mutex, MutexGuard};
 

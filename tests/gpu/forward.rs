@@ -6,8 +6,7 @@ use crate::common::{
 };
 use crate::solver::starter;
 use fnopt::cpu::operator::{Network, Stage};
-use fnopt::gpu::{Context, Schedule, Storage, Tensor};
-use fnopt::kernels::Tuning;
+use fnopt::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use fnopt::network::{Backward, Block, Config, Dense, Forward, Head, Keep, Parameters, Plan, Weights};
 use fnopt::sim::Grid;
 

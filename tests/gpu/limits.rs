@@ -4,8 +4,7 @@ use crate::common::{assert_close, context, device, narrow, read, run, sharings, 
 use crate::forward::random;
 use crate::solver::{assert_same, solver, solver_with, starter, statistics, step, varied_batch};
 use fnopt::cpu;
-use fnopt::gpu::Tensor;
-use fnopt::kernels::Tuning;
+use fnopt::gpu::{Tensor, Tuning};
 use fnopt::kernels::optim::{GradientDescent, Iterate};
 use fnopt::network::Config;
 use fnopt::sim::{

@@ -3,8 +3,7 @@
 use crate::common::{assert_close, context, device, half, largest, noise, sharings, widened};
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
-use fnopt::gpu::{Context, Readback, Tensor};
-use fnopt::kernels::Tuning;
+use fnopt::gpu::{Context, Readback, Tensor, Tuning};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{

@@ -1,9 +1,9 @@
 //! Host side of `shaders/operator/block.wgsl`.
 
 use super::Layer;
-use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Unroll, WORKGROUP_INVOCATIONS};
+use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Tuning, Unroll, WORKGROUP_INVOCATIONS};
 use crate::kernels::optim::features::{self, FeatureInputs, Place};
-use crate::kernels::{Tuning, common, padded, pieces, size};
+use crate::kernels::{common, padded, pieces, size};
 use crate::sim::Grid;
 use crate::{Error, Result};
 use bytemuck::Zeroable;

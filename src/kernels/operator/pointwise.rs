@@ -2,8 +2,8 @@
 
 use super::Layer;
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{Tuning, common, size};
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor, Tuning};
+use crate::kernels::{common, size};
 
 /// The kernel's WGSL.
 pub const SOURCE: Source = Source {

@@ -1,7 +1,7 @@
 //! Host side of `shaders/operator/spectral.wgsl`.
 
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor, Unroll};
-use crate::kernels::{Tuning, size};
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor, Tuning, Unroll};
+use crate::kernels::size;
 use crate::network::Config;
 use crate::{Error, Result};
 

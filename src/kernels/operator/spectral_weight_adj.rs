@@ -1,8 +1,8 @@
 //! Host side of `shaders/operator/spectral_weight_adj.wgsl`.
 
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{Tuning, size};
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor, Tuning};
+use crate::kernels::size;
 
 /// The kernel's WGSL.
 pub const SOURCE: Source = Source {

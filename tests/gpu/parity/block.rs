@@ -7,7 +7,7 @@ use crate::common::{
     ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_channels,
     read_unpadded, run, tensor, tunings,
 };
-use fnopt::kernels::Tuning;
+use fnopt::gpu::Tuning;
 use fnopt::kernels::operator::block::{hidden_units, with_head};
 use fnopt::kernels::operator::{Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting};
 use fnopt::kernels::optim::{FeatureInputs, Features, Iterate};

@@ -6,7 +6,7 @@ use crate::common::{
     widened,
 };
 use fnopt::cpu::operator::Transform;
-use fnopt::kernels::Tuning;
+use fnopt::gpu::Tuning;
 use fnopt::kernels::operator::{Spectral, SpectralTensors};
 use fnopt::network::{Config, tables};
 use fnopt::sim::Grid;
