@@ -1,5 +1,5 @@
 //! A cloth inside an engine. The engine (`host/mod.rs`) owns the device, queue, encoder and pipeline. fnopt
-//! records its frame into that encoder, and the sheet is drawn from the buffer in which it was computed,
+//! records its frame into that encoder, and the sheet is drawn from a vertex buffer that never leaves the device,
 //! without copies or waiting.
 
 mod host;
@@ -12,12 +12,15 @@ use fnopt::wgpu;
 use host::Host;
 
 const FRAMES: usize = 30;
-/// Looks along the x axis, z up. Positions are in edges; the sheet has 31 along each side.
+/// Looks along the x axis, y up, at about a metre, with a light behind the eye.
 const SHADER: &str = "
-@vertex fn corner(@location(0) x: f32, @location(1) y: f32, @location(2) z: f32) -> @builtin(position) vec4f {
-    return vec4f(y / 40.0, z / 40.0, 0.5 + x / 400.0, 1.0);
+struct Corner { @builtin(position) place: vec4f, @location(0) normal: vec3f }
+@vertex fn corner(@location(0) p: vec3f, @location(1) normal: vec3f) -> Corner {
+    return Corner(vec4f(-0.8 * p.z, 0.8 * p.y, 0.5 + 0.1 * p.x, 1.0), normal);
 }
-@fragment fn colour() -> @location(0) vec4f { return vec4f(0.0, 0.4, 0.6, 1.0); }";
+@fragment fn colour(@location(0) normal: vec3f) -> @location(0) vec4f {
+    return vec4f(vec3f(0.2, 0.4, 0.6) * (0.5 + 0.5 * abs(normalize(normal).x)), 1.0);
+}";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let host = Host::open(SHADER)?;
@@ -29,10 +32,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let solver = Solver::new(&context, &setup.model, &optimizer, &SolverOptions::default())?;
     solver.set_state(&setup.start.cast());
 
-    // Positions have shape [B, 3, H, W]: all x of the first cloth, then all y, then all z. Each axis is a
-    // vertex buffer.
+    // Positions and normals in one vertex buffer, in metres along the scene's axes, y up.
+    let vertices = solver.vertices()?;
+    vertices.set_view(&setup.vertex_view());
     let (grid, handle) = (setup.model.grid, setup.model.cloths[0].handles[0]);
-    let plane = 4 * grid.particles() as u64;
     let faces = grid.faces().concat();
     let indices = host.index_buffer(&faces);
 
@@ -43,15 +46,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
         let mut encoder = host.device.create_command_encoder(&Default::default());
         solver.record(&mut encoder);
+        vertices.record(&mut encoder);
         let mut pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
             color_attachments: &[Some(host.attachment())],
             ..Default::default()
         });
         pass.set_pipeline(&host.pipeline);
-        for axis in 0..3 {
-            let from = u64::from(axis) * plane;
-            pass.set_vertex_buffer(axis, solver.positions().buffer().slice(from..from + plane));
-        }
+        pass.set_vertex_buffer(0, vertices.tensor().buffer().slice(..));
         pass.set_index_buffer(indices.slice(..), wgpu::IndexFormat::Uint32);
         pass.draw_indexed(0..faces.len() as u32, 0, 0..1);
         drop(pass);

@@ -26,7 +26,7 @@
 //! ```text
 //! scene::Scene (SI units) -> scene::Setup: sim::Model (grid, material, air, handles) + sim::State (x, v), grid units
 //! sim::Control (this frame's handles, wind, external accelerations) -> sim::Solver or cpu::Solver -> the next State
-//! sim::Simulator: submits, reads back -> io::Trajectory, render::strip; or the caller's own use of the position buffer
+//! sim::Simulator: submits, reads back -> io::Trajectory, render::strip; or sim::Vertices, a vertex buffer in the caller's pass
 //! ```
 //!
 //! The stages exist twice, with the same meaning. [`cpu`] implements them in plain Rust, in single or double

@@ -99,7 +99,7 @@ mod tests {
         assert!(reserve(&mut Vec::<u64>::new(), usize::MAX, "everything").is_err());
         if let Some(available) = available() {
             let error = reserve(&mut values, 2 * available as usize, "bytes").unwrap_err().to_string();
-            assert!(error.contains("no memory for") && error.ends_with("GiB of bytes"), "{error}");
+            assert!(error.contains("not enough memory: bytes needs") && error.ends_with("GiB"), "{error}");
         }
     }
 }

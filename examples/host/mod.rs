@@ -2,6 +2,7 @@
 //! window).
 
 use fnopt::gpu::{Context, Tensor};
+use fnopt::sim::Vertices;
 use fnopt::wgpu::{self, util::DeviceExt};
 
 /// The engine.
@@ -70,15 +71,13 @@ impl Host {
     }
 }
 
-/// Builds a pipeline that draws triangles from three vertex buffers, one per coordinate.
+/// Builds a pipeline that draws triangles from positions and normals in one vertex buffer.
 fn pipeline(device: &wgpu::Device, shader: &str) -> wgpu::RenderPipeline {
     let source = wgpu::ShaderSource::Wgsl(shader.into());
     let module = device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source });
-    let attributes = [0, 1, 2].map(|axis| wgpu::vertex_attr_array![axis => Float32]);
+    let attributes = &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
     let step_mode = wgpu::VertexStepMode::Vertex;
-    let buffers = attributes
-        .each_ref()
-        .map(|attributes| Some(wgpu::VertexBufferLayout { array_stride: 4, step_mode, attributes }));
+    let buffer = wgpu::VertexBufferLayout { array_stride: Vertices::STRIDE, step_mode, attributes };
     device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: None,
         layout: None,
@@ -86,7 +85,7 @@ fn pipeline(device: &wgpu::Device, shader: &str) -> wgpu::RenderPipeline {
             module: &module,
             entry_point: None,
             compilation_options: Default::default(),
-            buffers: &buffers,
+            buffers: &[Some(buffer)],
         },
         primitive: Default::default(),
         depth_stencil: None,

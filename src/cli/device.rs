@@ -146,7 +146,7 @@ impl InferenceArgs {
             (device, Precision::F32) => Ok((device, line)),
             (Device::Gpu(context), Precision::F16) => {
                 let context = context.with_storage(Storage::F16)?;
-                Ok((Device::Gpu(context), format!("{line}, the network in f16")))
+                Ok((Device::Gpu(context), format!("{line}, network in f16")))
             }
             (Device::Cpu, Precision::F16) => {
                 let expected = format!("f32 on {}", Device::Cpu.name());

@@ -4,7 +4,7 @@ use super::motion::Recording;
 use super::points::{norm, zip};
 use super::{Handles, Motion, Scene, Units, UpAxis};
 use crate::io::Trajectory;
-use crate::sim::{Cloth, Control, Grid, Model, State, cast};
+use crate::sim::{Cloth, Control, Grid, Model, State, VertexView, cast};
 use crate::{Error, Result};
 use num_traits::Float;
 use std::ops::RangeInclusive;
@@ -105,6 +105,17 @@ impl Setup {
     /// `[H W]`.
     pub fn vertices_m<T: Float>(&self, x: &[T]) -> Vec<[f64; 3]> {
         each_point(x, |p| self.up.from_z_up(self.units.position_m(p)))
+    }
+
+    /// Returns the view in which vertices are in metres along the scene's axes, at the end of the frame.
+    pub fn vertex_view(&self) -> VertexView {
+        let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+            .map(|axis| self.up.from_z_up(self.units.position_m(axis)));
+        let transform = [0, 1, 2].map(|row| {
+            let [a, b, c] = columns.map(|column| column[row] as f32);
+            [a, b, c, 0.0]
+        });
+        VertexView { transform, ..Default::default() }
     }
 
     /// Converts velocities [edges / frame], z up, shape [3, H, W], to velocities [m/s] in the scene's axes,

@@ -10,6 +10,7 @@ mod simulator;
 mod solver;
 mod stats;
 mod tune;
+mod vertices;
 
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub(crate) use learned::Learned;
@@ -20,3 +21,4 @@ pub use simulator::{Device, Frame, Simulator};
 pub use solver::{INITIAL_SCALE, Solver, SolverOptions};
 pub use stats::{EnergyTerms, FrameStats, Iterations};
 pub use tune::tune;
+pub use vertices::{VertexView, Vertices};

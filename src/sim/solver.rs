@@ -1,7 +1,7 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
 use super::learned::Learned;
-use super::{Cloth, Control, FrameStats, Grid, Iterations, Model, Optimizer, State};
+use super::{Cloth, Control, FrameStats, Grid, Iterations, Model, Optimizer, State, Vertices};
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::{
     ClothParams, ClothTerms, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate,
@@ -37,7 +37,7 @@ impl Default for SolverOptions {
 /// [`Solver::new`] fills buffers through the caller's queue and waits until the kernels are compiled. After
 /// that, [`Solver::record`] records one frame into the caller's encoder. It submits, polls and maps nothing,
 /// and it neither allocates nor creates bind groups. The positions stay in a buffer that can be bound as a
-/// vertex buffer ([`Solver::positions`]).
+/// vertex buffer ([`Solver::positions`]); [`Solver::vertices`] makes one with normals.
 #[derive(Debug)]
 pub struct Solver {
     context: Context,
@@ -409,6 +409,12 @@ impl Solver {
             ));
         }
         changes
+    }
+
+    /// Makes a vertex buffer of the cloths, with positions and normals, seen as in
+    /// [`VertexView::default`](super::VertexView::default). Fails if the device cannot bind it.
+    pub fn vertices(&self) -> Result<Vertices> {
+        Vertices::new(&self.context, self)
     }
 
     /// Returns the tensors that [`Solver::statistics`] reads, in the order in which it expects their

@@ -54,12 +54,12 @@ fn a_tuning_is_stored_for_its_adapter_and_used() {
 
     let rollout = ["rollout", "--device", "gpu", "--frames", "2", "--no-pictures"];
     let (_, log) = run(&rollout);
-    assert!(!log.contains("no tuning of"), "{log}");
+    assert!(!log.contains("not a tuning for"), "{log}");
     // A tuning that is damaged, or that the kernels do not support, is reported and ignored.
     for damage in ["{", &stored.to_string().replace("\"channels\":", "\"channels\":3")] {
         std::fs::write(file, damage).unwrap();
         let (_, log) = run(&rollout);
-        assert!(log.contains("no tuning of"), "{damage}: {log}");
+        assert!(log.contains("not a tuning for"), "{damage}: {log}");
     }
 }
 
@@ -96,9 +96,9 @@ fn pipelines_are_stored_for_their_adapter_and_read_again() {
     for damage in [&changed[..], &stored[..stored.len() - 1], b"", b"of something else"] {
         std::fs::write(file, damage).unwrap();
         let log = run(&cache);
-        assert!(log.contains("no pipelines of") && log.contains(", 0 bytes"), "{log}");
+        assert!(log.contains("not a pipeline cache of") && log.contains(", 0 bytes"), "{log}");
         assert_eq!(std::fs::read(file).unwrap().len(), stored.len(), "the damaged cache was not replaced");
-        assert!(!run(&cache).contains("no pipelines of"));
+        assert!(!run(&cache).contains("not a pipeline cache of"));
     }
     // The cache folder cannot be created: a file is in its place.
     let log = run(file);
@@ -112,11 +112,8 @@ fn networks_run_in_half_precision() {
     let on = ["--device", "gpu", "--adapter", "llvmpipe", "--precision", "f16"];
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden");
     for (arguments, said) in [
-        (
-            &["rollout", "--frames", "3", "--grid", "12", "8", "--no-pictures", "--json"][..],
-            "the network in f16",
-        ),
-        (&["bench", "--grid", "8", "--frames", "1", "--json"], "the network in f16"),
+        (&["rollout", "--frames", "3", "--grid", "12", "8", "--no-pictures", "--json"][..], "network in f16"),
+        (&["bench", "--grid", "8", "--frames", "1", "--json"], "network in f16"),
         (&["verify", golden.to_str().unwrap()], "gpu f16"),
     ] {
         let output = fnopt(folder.path(), &[arguments, &on].concat());

@@ -39,7 +39,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["rollout", "--checkpoint", "missing.safetensors"], &["missing.safetensors", "cannot read"]),
         (
             &["rollout", "--checkpoint", "cut.safetensors"],
-            &["cut.safetensors", "expected a whole safetensors"],
+            &["cut.safetensors", "expected a complete safetensors"],
         ),
         (&["rollout", "--checkpoint", "nan.safetensors"], &["nan.safetensors", "finite"]),
         (&["rollout", "key.json"], &["key.json", "gravty", "did you mean gravity?"]),

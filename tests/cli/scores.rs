@@ -106,7 +106,7 @@ fn scores_are_those_of_the_files_that_are_there() {
     damaged.for_each(|file| std::fs::write(file, "{").unwrap());
     let failed = run();
     assert!(text(&failed.stdout).contains("8x8 gd, N = 3"), "{}", text(&failed.stdout));
-    refused(failed, &["lbfgs", "one that was kept"]);
+    refused(failed, &["lbfgs", "a score written by this program"]);
 }
 
 #[test]

@@ -145,7 +145,7 @@ fn damage_is_told_by_name() {
         with(&|t| {
             t.remove(skip);
         }),
-        "test.safetensors: tensor 'fno_blocks.fno_skips.1.conv.weight': expected a tensor with this name, found 14 other tensors"
+        "test.safetensors: tensor 'fno_blocks.fno_skips.1.conv.weight': expected a tensor with this name, found none among 14 tensors"
     );
     assert_eq!(
         with(&|t| t.push(("nn.lifting.fcs.0.weigth".into(), Dtype::F32, vec![1], vec![0; 4]))),

@@ -199,5 +199,5 @@ fn newton_refuses_what_its_hessian_lacks() {
     let scene = Scene { repulsion: Some(RepulsionSettings::default()), ..Scene::default() };
     let setup = scene.setup().unwrap();
     let error = Reference::new(&setup.model).err().unwrap().to_string();
-    assert!(error.contains("repulsion") && error.contains("Hessian"), "{error}");
+    assert!(error.contains("repulsion") && error.contains("Newton's method"), "{error}");
 }

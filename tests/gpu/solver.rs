@@ -4,11 +4,12 @@ use crate::common::{assert_close, context, device, half, largest, noise, sharing
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
 use fnopt::gpu::{Context, Readback, Tensor, Tuning};
+use fnopt::io::vertex_normals;
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{
     Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Simulator, Solver,
-    SolverOptions, State,
+    SolverOptions, State, VertexView,
 };
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -582,4 +583,30 @@ fn handles_to_the_device_go_between_threads() {
     is_shared::<fnopt::gpu::Schedule>();
     moves::<fnopt::sim::Simulator>();
     moves::<cpu::Solver<f32>>();
+}
+
+/// A host that runs three times as fast as the simulation draws between the frames before and after.
+#[test]
+fn vertices_follow_a_solver_between_its_frames() {
+    let _turn = device();
+    let setup = Scene::default().setup().unwrap();
+    let grid = setup.model.grid;
+    let solver = solver(&setup.model, &Optimizer::gradient_descent(), 2, &setup.start.cast());
+    let vertices = solver.vertices().unwrap();
+    solver.set_control(&setup.control(40));
+    let before = read(solver.positions());
+    context().submit(|encoder| solver.record(encoder));
+    let after = read(solver.positions());
+    for time in [0.0, 1.0 / 3.0, 1.0] {
+        vertices.set_view(&VertexView { time, ..setup.vertex_view() });
+        context().submit(|encoder| vertices.record(encoder));
+        let between: Vec<f32> =
+            before.iter().zip(&after).map(|(before, after)| before + time * (after - before)).collect();
+        let positions = setup.vertices_m(&between);
+        let single: Vec<_> = positions.iter().map(|p| p.map(|c| c as f32)).collect();
+        let expected = single.iter().zip(vertex_normals(&single, &grid.faces()));
+        let expected: Vec<f64> = expected.flat_map(|(p, n)| [*p, n]).flatten().map(f64::from).collect();
+        // Metres are single, and so are the edges of a hundredth of one that the normals are expected from.
+        assert_close(&format!("time {time}"), &read(vertices.tensor()), &expected, (3e-5, 0.0));
+    }
 }

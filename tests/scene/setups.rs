@@ -1,7 +1,7 @@
 //! What a scene sets up: starts, grids, handles, motions, and batches of them.
 
 use crate::common::{assets, distance, edges, expect_refusal, mean, parse, read};
-use fnopt::io::{Format, Trajectory};
+use fnopt::io::{Format, Trajectory, vertex_normals};
 use fnopt::scene::{Handles, Mass, Motion, Placement, Scene, Setup, Side, Start, Stiffness, UpAxis};
 use fnopt::sim::{Grid, Material};
 
@@ -264,5 +264,25 @@ fn metres_go_into_a_control_and_come_back() {
         let (p, n) = (setup.model.cloths[0].handles[0], setup.model.grid.particles());
         let there = [0, 1, 2].map(|c| setup.start.x[c * n + p]);
         assert!(distance(setup.handle_at(setup.vertices_m(&setup.start.x)[p]), there) < 1e-9);
+    }
+}
+
+/// Vertices in a scene's view are its positions in metres, with the normals of its triangles.
+#[test]
+fn vertices_in_a_scenes_view_are_in_metres() {
+    for up in [UpAxis::Y, UpAxis::Z] {
+        let setup = Scene { up, side_m: Side::Height(2.5), ..Scene::default() }.setup().unwrap();
+        let grid = setup.model.grid;
+        let positions = setup.vertices_m(&setup.start.x);
+        let single: Vec<_> = positions.iter().map(|p| p.map(|c| c as f32)).collect();
+        let normals = vertex_normals(&single, &grid.faces());
+        let still = vec![0.0; setup.start.x.len()];
+        let vertices = fnopt::cpu::cloth::vertices(grid, &setup.vertex_view(), &setup.start.x, &still);
+        for ([x, y, z, a, b, c], (position, normal)) in
+            vertices.into_iter().zip(positions.iter().zip(normals))
+        {
+            assert!(distance([x, y, z], *position) < 1e-6, "{position:?}");
+            assert!(distance([a, b, c], normal.map(f64::from)) < 1e-4, "{normal:?}");
+        }
     }
 }

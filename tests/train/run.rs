@@ -368,10 +368,10 @@ fn a_folder_is_of_one_run_and_of_one_process_at_a_time() {
     let again =
         || Run::create(folder.path(), CONFIG, config(), Box::new(Fake::new(&config())), Rc::new(Alone));
     let mut run = fresh(folder.path());
-    refused(again().map(drop), "no other process that trains in it");
+    refused(again().map(drop), "no other process training in the folder");
     // A run without any steps can be resumed.
     train(&mut run, 0);
-    refused(resume(folder.path()).map(drop), "no other process that trains in it");
+    refused(resume(folder.path()).map(drop), "no other process training in the folder");
     drop(run);
     assert_eq!(resume(folder.path()).unwrap().0.step(), 0);
     refused(again().map(drop), "checkpoints");

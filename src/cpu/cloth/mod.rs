@@ -10,6 +10,7 @@ mod repulsion;
 mod rows;
 mod stretch;
 mod vector;
+mod vertices;
 mod wind;
 
 pub use cells::{Cells, Placed, Walk};
@@ -19,6 +20,7 @@ pub use hessian::{AFTER, Block, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};
 pub use repulsion::repulsion;
 pub use stretch::stretch;
+pub use vertices::vertices;
 pub use wind::add_wind;
 
 use super::Real;

@@ -12,6 +12,7 @@ pub mod gradient;
 pub mod integrate;
 pub mod predict;
 pub mod repulsion;
+pub mod vertices;
 
 pub use cell_count::CellCount;
 pub use cell_fill::CellFill;
@@ -25,6 +26,7 @@ pub use gradient::Gradient;
 pub use integrate::Integrate;
 pub use predict::Predict;
 pub use repulsion::Repulsion;
+pub use vertices::Vertices;
 
 use crate::gpu::Tensor;
 use crate::kernels::optim::Iterate;

@@ -38,3 +38,4 @@ mod transform_rows;
 mod transpose;
 mod update;
 mod update_adj;
+mod vertices;

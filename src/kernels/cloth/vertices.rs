@@ -1,0 +1,48 @@
+//! Host side of `shaders/cloth/vertices.wgsl`.
+
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::size;
+use crate::sim::Grid;
+
+/// The kernel's WGSL.
+pub const SOURCE: Source =
+    Source { name: "vertices", wgsl: include_str!("../../../shaders/cloth/vertices.wgsl"), appended: &[] };
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    pad: [u32; 2],
+}
+
+/// Computes positions and normals for rendering.
+#[derive(Clone, Debug)]
+pub struct Vertices {
+    kernel: Kernel,
+}
+
+impl Vertices {
+    /// Builds the kernel.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Sets `interleaved` [B, H W, 6] from positions `x` and velocities `v` [B, 3, H W], seen as in `view`
+    /// [4, 4] ([`crate::sim::VertexView::to_rows`]).
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        (view, x, v): (&Tensor, &Tensor, &Tensor),
+        interleaved: &Tensor,
+    ) {
+        let n = grid.particles();
+        let batch = x.len() / (3 * n);
+        assert_eq!(interleaved.shape(), [batch, n, 6]);
+        assert_eq!((view.shape(), x.len(), v.len()), (&[4, 4][..], 3 * batch * n, 3 * batch * n));
+        let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
+        schedule.dispatch(&self.kernel, &params, &[view, x, v, interleaved], self.kernel.spread(n, batch));
+    }
+}

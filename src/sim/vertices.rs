@@ -1,0 +1,80 @@
+//! A vertex buffer of the cloths, for rendering.
+
+use super::Solver;
+use crate::Result;
+use crate::gpu::{Context, Schedule, Tensor};
+use crate::kernels;
+
+/// How [`Vertices`] sees the cloths.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VertexView {
+    /// Rows of the affine transform `[A | c]` from positions \[edges\], z up, to vertices. A transform that
+    /// mirrors turns the normals to the other side, together with the winding of the triangles.
+    pub transform: [[f32; 4]; 3],
+    /// Time between the frame before (0) and the current one (1), for a host with another frame rate.
+    pub time: f32,
+}
+
+impl Default for VertexView {
+    /// The positions as they are, at the end of the frame.
+    fn default() -> Self {
+        Self { transform: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]], time: 1.0 }
+    }
+}
+
+impl VertexView {
+    /// Returns the view as the kernel reads it, shape [4, 4].
+    pub fn to_rows(&self) -> [[f32; 4]; 4] {
+        let [a, b, c] = self.transform;
+        [a, b, c, [self.time, 0.0, 0.0, 0.0]]
+    }
+}
+
+/// Interleaved positions and normals of all cloths of a [`Solver`], computed on its device
+/// ([`Solver::vertices`]).
+///
+/// [`Vertices::record`] updates them in the caller's encoder, behind [`Solver::record`]; nothing is read back or
+/// copied. The vertices of cloth b begin at vertex `b H W`, so that one index buffer
+/// ([`Grid::faces`](super::Grid::faces)) serves all cloths with a base vertex.
+#[derive(Debug)]
+pub struct Vertices {
+    context: Context,
+    view: Tensor,
+    interleaved: Tensor,
+    schedule: Schedule,
+}
+
+impl Vertices {
+    /// Bytes from one vertex to the next: the position is `Float32x3` at offset 0, the normal at 12.
+    pub const STRIDE: u64 = 24;
+
+    /// See [`Solver::vertices`].
+    pub(super) fn new(context: &Context, solver: &Solver) -> Result<Self> {
+        context.checked(|| {
+            let (grid, batch) = (solver.model().grid, solver.model().batch());
+            let view =
+                Tensor::from_slice(context, "view", &[4, 4], VertexView::default().to_rows().as_flattened())?;
+            let interleaved = Tensor::zeros(context, "vertices", &[batch, grid.particles(), 6])?;
+            let mut schedule = Schedule::new(context);
+            let from = (&view, solver.positions(), solver.velocities());
+            kernels::cloth::Vertices::new(context)?.push(&mut schedule, grid, from, &interleaved);
+            Ok(Self { context: context.clone(), view, interleaved, schedule: schedule.finish()? })
+        })
+    }
+
+    /// Sets the view, ahead of whatever is submitted next.
+    pub fn set_view(&self, view: &VertexView) {
+        self.view.write(&self.context, view.to_rows().as_flattened());
+    }
+
+    /// Records the update of the vertices to the positions present when the encoder runs.
+    pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
+        self.schedule.record(encoder);
+    }
+
+    /// Returns the vertices, shape [B, H W, 6]: position, then unit normal, which is zero where all triangles
+    /// around a particle are degenerate. Their buffer can be bound as a vertex buffer and for storage.
+    pub fn tensor(&self) -> &Tensor {
+        &self.interleaved
+    }
+}

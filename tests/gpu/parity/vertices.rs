@@ -1,0 +1,71 @@
+//! `vertices` against the CPU path.
+
+use super::cloth::{crumpled, field, model, upload};
+use crate::common::{assert_close, cases, context, device, poisoned, read, run, tensor, widened};
+use fnopt::cpu;
+use fnopt::kernels::cloth::Vertices;
+use fnopt::sim::VertexView;
+
+/// A rotation, a scale, a shift, and a time between two frames.
+const VIEW: VertexView = VertexView {
+    transform: [[0.06, 0.0, 0.08, 0.5], [0.0, 0.1, 0.0, -2.0], [-0.08, 0.0, 0.06, 1.0]],
+    time: 0.3,
+};
+
+#[test]
+fn vertices_are_seen_alike() {
+    let _turn = device();
+    let kernel = Vertices::new(context()).unwrap();
+    for (grid, batch) in cases() {
+        let (model, n) = (model(grid, batch), grid.particles());
+        let (mut x, v) = (crumpled(&model, 0.3), field(&model, 0.5, 80));
+        // The triangles around the first particle of the last cloth are degenerate after they are moved back.
+        let first = 3 * n * (batch - 1);
+        for p in [0, 1, grid.w, grid.w + 1] {
+            (0..3).for_each(|c| x[first + c * n + p] = 0.7 * v[first + c * n + p]);
+        }
+        let cloths = x.chunks_exact(3 * n).zip(v.chunks_exact(3 * n));
+        let expected: Vec<f64> = cloths
+            .flat_map(|(x, v)| cpu::cloth::vertices(grid, &VIEW, &widened(x), &widened(v)))
+            .flatten()
+            .collect();
+        let view = tensor("view", &[4, 4], VIEW.to_rows().as_flattened());
+        let interleaved = poisoned("vertices", &[batch, n, 6]);
+        let [x, v] = [x, v].map(|values| upload("state", &model, &values));
+        run(|schedule| kernel.push(schedule, grid, (&view, &x, &v), &interleaved));
+        let what = format!("vertices {batch} x {grid}");
+        let (found, normal) = (read(&interleaved), 6 * n * (batch - 1) + 3);
+        assert!(
+            found[normal..normal + 3].iter().all(|c| c.abs() <= 1.0),
+            "{what}: {:?}",
+            &found[normal..normal + 3]
+        );
+        // Nothing but rounding is around that particle, and its normal may point anywhere.
+        let but_one = |k: usize| (normal..normal + 3).contains(&k);
+        let (found, expected): (Vec<f32>, Vec<f64>) = found
+            .into_iter()
+            .zip(expected)
+            .enumerate()
+            .filter(|(k, _)| !but_one(*k))
+            .map(|(_, pair)| pair)
+            .unzip();
+        // Edges of a length of about 1 are good to some roundings, and normals turn by as much over the size of
+        // the sum, the smallest of which is some hundredths here.
+        assert_close(&what, &found, &expected, (2e-5, 1e-6));
+    }
+}
+
+#[test]
+fn a_sheet_without_an_extent_has_no_normals() {
+    let _turn = device();
+    let kernel = Vertices::new(context()).unwrap();
+    let (grid, batch) = cases().next().unwrap();
+    let model = model(grid, batch);
+    let view = tensor("view", &[4, 4], VertexView::default().to_rows().as_flattened());
+    let interleaved = poisoned("vertices", &[batch, grid.particles(), 6]);
+    let [x, v] = [3.0, 0.0].map(|value| upload("state", &model, &vec![value; 3 * batch * grid.particles()]));
+    run(|schedule| kernel.push(schedule, grid, (&view, &x, &v), &interleaved));
+    for vertex in read(&interleaved).chunks_exact(6) {
+        assert_eq!(vertex, [3.0, 3.0, 3.0, 0.0, 0.0, 0.0]);
+    }
+}
