@@ -154,7 +154,7 @@ fn what_the_device_cannot_do_is_refused() {
     for tuning in [Tuning { channels: 6, ..own }, Tuning { spectral_teams: 0, ..own }] {
         let learned = Optimizer::Learned(starter().clone());
         let error = refused(&model(grid, 1), &learned, &SolverOptions { tuning: Some(tuning), ..default });
-        assert!(error.contains("options: tuning: expected sizes"), "{error}");
+        assert!(error.contains("options: tuning: expected tile sizes"), "{error}");
         assert!(context().with_tuning(tuning).is_err());
     }
     let error = refused(&model(grid, 1), &gd, &SolverOptions { iterations: 0, ..default });
