@@ -8,7 +8,7 @@ use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use fnopt::sim::Device;
 use fnopt::train::{Alone, Config, Pool, Update, first_weights, learner};
 
-/// Cloths per pool. Their number does not affect the time of a step; with few there is no wait for memory.
+/// Cloths per pool. Their number does not affect the time of a step, and few are quick to set up.
 const CLOTHS: usize = 40;
 
 fn steps(c: &mut Criterion) {

@@ -1,6 +1,6 @@
 //! A cloth inside an engine. The engine (`host/mod.rs`) owns the device, queue, encoder and pipeline. fnopt
-//! records its frame into that encoder, and the sheet is drawn from a vertex buffer that never leaves the device,
-//! without copies or waiting.
+//! records its frame into that encoder, and the sheet is drawn from a vertex buffer that never leaves the
+//! device, without copies or waiting.
 
 mod host;
 
@@ -12,7 +12,7 @@ use fnopt::wgpu;
 use host::Host;
 
 const FRAMES: usize = 30;
-/// Looks along the x axis, y up, at about a metre, with a light behind the eye.
+/// Looks along the x axis, y up, at a view 2.5 m across, with a light behind the eye.
 const SHADER: &str = "
 struct Corner { @builtin(position) place: vec4f, @location(0) normal: vec3f }
 @vertex fn corner(@location(0) p: vec3f, @location(1) normal: vec3f) -> Corner {

@@ -122,18 +122,18 @@ mod tests {
     #[test]
     fn names_are_shown_in_brief_and_without_control_characters() {
         let long = format!("grid\u{1b}[2J{}", "x".repeat(100_000));
-        let told = Error::unknown("scene.json", "field", &long, ["grid"]).to_string();
+        let message = Error::unknown("scene.json", "field", &long, ["grid"]).to_string();
         assert!(
-            told.starts_with("scene.json: unknown field 'grid?[2Jxx") && told.contains("xx..'"),
-            "{told}"
+            message.starts_with("scene.json: unknown field 'grid?[2Jxx") && message.contains("xx..'"),
+            "{message}"
         );
-        assert!(told.len() < 150 && !told.contains('\u{1b}'), "{told}");
-        let told =
+        assert!(message.len() < 150 && !message.contains('\u{1b}'), "{message}");
+        let message =
             Error::invalid("a\u{1b}[2J.obj", "line 3", "numbers", "\u{1b}[31mred\nand more").to_string();
-        assert_eq!(told, "a?[2J.obj: line 3: expected numbers, found ?[31mred\nand more");
-        let told = Error::io("a\u{7}.obj", "cannot read", std::io::Error::other("gone")).to_string();
-        assert_eq!(told, "a?.obj: cannot read: gone");
-        let told = Error::unknown("scene.json", "field", "grd", ["up", "grid"]).to_string();
-        assert_eq!(told, "scene.json: unknown field 'grd' (did you mean grid, up?)");
+        assert_eq!(message, "a?[2J.obj: line 3: expected numbers, found ?[31mred\nand more");
+        let message = Error::io("a\u{7}.obj", "cannot read", std::io::Error::other("gone")).to_string();
+        assert_eq!(message, "a?.obj: cannot read: gone");
+        let message = Error::unknown("scene.json", "field", "grd", ["up", "grid"]).to_string();
+        assert_eq!(message, "scene.json: unknown field 'grd' (did you mean grid, up?)");
     }
 }

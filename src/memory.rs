@@ -28,7 +28,7 @@ fn available() -> Option<u64> {
 /// Returns the bytes that this process's control groups leave it: the least over its groups and their
 /// ancestors, or `None` if none has a limit.
 fn of_control_groups() -> Option<u64> {
-    let told = std::fs::read_to_string("/proc/self/cgroup").ok()?;
+    let text = std::fs::read_to_string("/proc/self/cgroup").ok()?;
     let of_line = |line: &str| {
         let (controllers, path) = line.split_once(':')?.1.split_once(':')?;
         let (root, files) = match controllers {
@@ -43,7 +43,7 @@ fn of_control_groups() -> Option<u64> {
         let around = Path::new(path.trim_start_matches('/')).ancestors();
         around.filter_map(|path| left_by(&Path::new(root).join(path), files)).min()
     };
-    told.lines().filter_map(of_line).min()
+    text.lines().filter_map(of_line).min()
 }
 
 /// Returns the bytes that a control group leaves, counting its inactive page cache as available. Returns
@@ -58,9 +58,9 @@ fn left_by(group: &Path, [limit, used, cached]: [&str; 3]) -> Option<u64> {
 
 /// Returns the bytes that the machine has left, swap included, if known.
 fn of_machine() -> Option<u64> {
-    let told = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
     let bytes = |name: &str| {
-        let line = told.lines().find_map(|line| line.strip_prefix(name))?;
+        let line = text.lines().find_map(|line| line.strip_prefix(name))?;
         let kilobytes: u64 = line.trim().strip_suffix("kB")?.trim_end().parse().ok()?;
         Some(1024 * kilobytes)
     };
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_there_is_not_promised() {
+    fn memory_that_is_not_there_is_refused() {
         let mut values: Vec<u8> = Vec::new();
         reserve(&mut values, 1000, "nothing").unwrap();
         assert!(values.capacity() >= 1000);

@@ -129,8 +129,8 @@ fn a_shorter_run_leaves_no_frames_of_a_longer_one() {
 fn a_grid_that_contradicts_the_faces_is_refused() {
     let dir = tempfile::tempdir().unwrap();
     let path = waving(GRID, 2).write(dir.path(), "cloth", Format::Npz).unwrap();
-    let turned = ReadOptions { grid: Some(Grid { h: GRID.w, w: GRID.h }), ..ReadOptions::default() };
-    let error = Trajectory::read(&path, &turned).unwrap_err().to_string();
+    let transposed = ReadOptions { grid: Some(Grid { h: GRID.w, w: GRID.h }), ..ReadOptions::default() };
+    let error = Trajectory::read(&path, &transposed).unwrap_err().to_string();
     assert!(error.contains(&format!("faces: expected those of {}x{}", GRID.w, GRID.h)), "{error}");
     assert!(error.ends_with(&format!("found those of {GRID}")), "{error}");
 }

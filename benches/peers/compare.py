@@ -1,10 +1,11 @@
-"""Runs fnopt and the same frame in PyTorch in turn on this machine and writes a table of their times.
+"""Times fnopt and a PyTorch implementation of the same frame on this machine and writes a table.
 
     python3 benches/peers/compare.py [--grid 32,64,100] [--rounds 3] [--device cpu|cuda] [--adapter NAME] [--markdown FILE]
 
-Each round runs everything once, one after the other, on as many threads; a cell is the median of the rounds. Before that
-both compute the same frames from the same sheet, which must agree to 1e-3 of its side; exit code 1 when they do not. Needs
-PyTorch, numpy and safetensors, and the program built (`cargo build --release`).
+Each round runs every column once, interleaved and with the same number of threads; a cell is the median over
+the rounds. First, both programs compute the same frames from the same sheet. The exit code is 1 if these differ
+by more than 1e-3 of its side. Needs PyTorch, numpy and safetensors, and a built program
+(`cargo build --release`).
 """
 
 import argparse
@@ -27,7 +28,7 @@ TOLERANCE = 1e-3
 
 
 def run(command, threads=None):
-    """What a command prints; fnopt on that many threads."""
+    """Returns the output of a command; fnopt runs on this many threads."""
     env = os.environ | ({"RAYON_NUM_THREADS": str(threads)} if threads else {})
     done = subprocess.run([str(part) for part in command], capture_output=True, text=True, env=env)
     if done.returncode != 0:
@@ -45,8 +46,9 @@ class Comparison:
             self.ours[f"fnopt on {options.adapter}"] = gpu
 
     def sheet(self, n, device):
-        """A drape that the air stops carrying: our frames of it in edges, [F, n, n, 3]. (A flat sheet would not do: whole
-        components of its first gradient are zero, and what the optimizer makes of their rounding differs.)"""
+        """Returns fnopt's frames of a drape that loses the support of the air, in edges, [F, n, n, 3]. (A
+        flat sheet would not do: whole components of its first gradient are zero, and the optimizer amplifies
+        their rounding.)"""
         scene = {
             "grid": [n, n],
             "up": "z",
@@ -73,7 +75,8 @@ class Comparison:
         return json.loads(run(command).splitlines()[-1])
 
     def check(self, n):
-        """All from the same sheet; the largest distance from the peer's after a few frames, in sides."""
+        """Returns the largest distance between both programs' sheets after a few frames from one start, in
+        sides."""
         ours = {name: self.sheet(n, device) for name, device in self.ours.items()}
         numpy.save(self.folder / f"start_{n}.npy", ours["fnopt"][0])
         path = self.folder / f"peer_{n}.npy"
@@ -106,11 +109,11 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--grid", default="32,64,100")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--frames", type=int, default=10, help="timed in each run, after three that are not")
+    parser.add_argument("--frames", type=int, default=10, help="frames timed in each run, after three warm-up frames")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
     parser.add_argument("--modes", default="eager,compiled", help="on the CPU: eager, compiled or both")
-    parser.add_argument("--threads", type=int, default=2, help="of either on the CPU")
-    parser.add_argument("--adapter", help="of fnopt; on the CPU a column of its own beside the CPU path")
+    parser.add_argument("--threads", type=int, default=2, help="threads of both programs on the CPU")
+    parser.add_argument("--adapter", help="adapter for fnopt; with --device cpu it adds a column")
     parser.add_argument("--program", default=ROOT / "target/release/fnopt")
     parser.add_argument("--checkpoint", default=ROOT / "assets/weights/fnopt.safetensors")
     parser.add_argument("--markdown", type=pathlib.Path)

@@ -1,8 +1,8 @@
 """One frame of FNOpt in PyTorch: what a user of that library would write and run.
 
-The energy is written as in the specification and differentiated by autograd, the network is made of PyTorch's own
-transforms and matrix products. Lengths are in edges, times in frames, as inside fnopt. `compare.py` runs this beside the
-program; alone it prints one JSON line with the median time of a frame.
+The energy is written as in the specification and differentiated by autograd; the network uses PyTorch's own
+transforms and matrix products. Lengths are in edges, times in frames, as inside fnopt. `compare.py` runs this
+alongside fnopt; run alone, it prints one JSON line with the median time of a frame.
 """
 
 import argparse
@@ -18,7 +18,7 @@ SCALE_OF_A_FRESH_CLOTH = 0.05
 
 
 class Network:
-    """The Fourier neural operator: three fields of one component in, a field and a number out."""
+    """The Fourier neural operator: maps three fields of one component to a field and a scalar."""
 
     def __init__(self, path, device):
         stored = load_file(path)
@@ -59,7 +59,8 @@ def layers(two, x):
 
 
 def spectral(x, modes):
-    """The lowest modes [I, O, 8, 5], rows from -4 to 3, through a complex matrix each; the others are dropped."""
+    """Multiplies the lowest modes, rows -4 to 3, by a complex matrix each, `modes` [I, O, 8, 5]; drops the
+    others."""
     h, w = x.shape[2:]
     rows, columns = modes.shape[2:]
     half = rows // 2
@@ -78,7 +79,7 @@ def angle(u, v):
 
 
 class Cloth:
-    """Copies of one sheet, held at some particles, without air."""
+    """Copies of one sheet, with some particles held, without air."""
 
     def __init__(self, start, held, gravity, material, device):
         h, w = start.shape[2:]
@@ -145,7 +146,7 @@ class Cloth:
 
 
 def captured(cloth, network, iterations):
-    """The frame as a CUDA graph; what it reads and writes stays where it is."""
+    """Returns the frame as a CUDA graph; its inputs and outputs keep their addresses."""
     state = [cloth.x, cloth.v, *cloth.hidden]
     begun = [tensor.clone() for tensor in state]
 
@@ -176,7 +177,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--checkpoint", required=True, help="weights, a safetensors file")
     parser.add_argument("--start", required=True, help="positions [H, W, 3] in edges, .npy")
-    parser.add_argument("--held", type=int, nargs="+", required=True, help="particles that stay, as i W + j")
+    parser.add_argument("--held", type=int, nargs="+", required=True, help="held particles, numbered i W + j")
     parser.add_argument("--gravity", type=float, nargs=3, required=True, help="edges / frame^2")
     parser.add_argument("--material", type=float, nargs=3, default=(1000.0, 8.0, 0.5))
     parser.add_argument("--batch", type=int, default=1)

@@ -1,4 +1,4 @@
-// External acceleration: gravity, the given accelerations, and pressure and friction of the air on each
+// External acceleration: gravity, the control's accelerations, and pressure and friction of the air on each
 // triangle.
 //
 // With v_rel = wind - mean velocity of the corners of a triangle and v_n = n . v_rel, the force on the
@@ -77,7 +77,8 @@ fn external_force(@builtin(global_invocation_id) id: vec3u) {
     let j = i32(id.x);
     let n = params.rows * params.columns;
     let at = b * 3u * n + id.y * params.columns + id.x;
-    var f = cloths[b].gravity.xyz + vec3f(control_accelerations[at], control_accelerations[at + n], control_accelerations[at + 2u * n]);
+    var f = cloths[b].gravity.xyz
+        + vec3f(control_accelerations[at], control_accelerations[at + n], control_accelerations[at + 2u * n]);
     if cloths[b].air.x != 0.0 || cloths[b].air.y != 0.0 {
         let air = lower(b, i, j) + upper(b, i, j)
             + lower(b, i - 1, j) + lower(b, i - 1, j - 1)

@@ -1,6 +1,5 @@
-// Start of a frame: a = 0, and base, the displacement for a = 0, is v for a free particle and target - x for
-// a handle.
-//
+// Start of a frame: sets a = 0 and base, the displacement at a = 0:
+//   base = v at a free particle, target - x at a handle
 // Within a frame (FRESH false), a keeps its value.
 //
 // x, v, base, a: [B, 3, n]

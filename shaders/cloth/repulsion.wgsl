@@ -45,7 +45,8 @@ fn joined(p: u32, q: u32) -> bool {
     return apart == 0u || apart == params.columns || (along && last % params.columns != 0u);
 }
 
-// Returns the sums of d / (d^2 + e) and -log(d^2 + e) over the particles of a cell that repel the one at `own`.
+// Returns the sums of d / (d^2 + e) and -log(d^2 + e) over the particles of a cell that repel the one at
+// `own`.
 fn from_cell(b: u32, cell: vec3i, own: vec3f, p: u32) -> vec4f {
     let n = params.rows * params.columns;
     let distance = cloths[b].repulsion.y;
@@ -56,11 +57,11 @@ fn from_cell(b: u32, cell: vec3i, own: vec3f, p: u32) -> vec4f {
     for (var k = begin_of(b, bucket, params.buckets); k < end; k++) {
         let other = sorted[b * n + k];
         let place = bitcast<vec3f>(other.xyz);
-        let way = own - place;
-        let square = dot(way, way);
+        let difference = own - place;
+        let square = dot(difference, difference);
         // Other cells may share the bucket.
         if square < distance * distance && all(cell_of(place, per_edge) == cell) && !joined(p, other.w) {
-            sum += vec4f(way / (square + SOFTENING), -log(square + SOFTENING));
+            sum += vec4f(difference / (square + SOFTENING), -log(square + SOFTENING));
         }
     }
     return sum;
@@ -86,8 +87,8 @@ fn repulsion(
         if cloths[b].repulsion.y > 0.0 && is_within_reach(place) {
             let cell = cell_of(place, cloths[b].repulsion.z);
             for (var neighbour = 0; neighbour < 27; neighbour++) {
-                let way = vec3i(neighbour / 9, neighbour / 3 % 3, neighbour % 3) - 1;
-                sum += from_cell(b, cell + way, place, p);
+                let direction = vec3i(neighbour / 9, neighbour / 3 % 3, neighbour % 3) - 1;
+                sum += from_cell(b, cell + direction, place, p);
             }
         }
         energy = strength / f32(n) * sum.w;

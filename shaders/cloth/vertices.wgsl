@@ -1,15 +1,15 @@
 // Vertices for rendering: position and smooth normal of every particle, at a time t between two frames.
 //
 //   position = A (x - (1 - t) v) + c, where [A | c] are the rows of the affine transform
-//   normal = the unit vector along the sum of (q - p) x (r - p) over the triangles (p, q, r) around p after the
-//     transform, which is their area-weighted mean; zero where all of them are degenerate
+//   normal = the unit vector along the sum of (q - p) x (r - p) over the triangles (p, q, r) around p after
+//     the transform, which is their area-weighted mean; zero if that sum is zero
 //
 // view: [4, 4], the rows of [A | c], then (t, 0, 0, 0)
 // x, v: [B, 3, H, W]
 // interleaved: [B, H W, 6], position then normal
 //
 // One invocation per particle. Workgroups: (H W / 64 over x and y, B in z).
-// Adjoint: none, pictures are not part of the training loss.
+// Adjoint: none, rendering is not part of the training loss.
 
 struct Params {
     rows: u32, // H

@@ -5,7 +5,7 @@ fn gelu(x: vec4f) -> vec4f {
 }
 
 // Returns GELU'(x) = Phi(x) + x exp(-x^2 / 2) / sqrt(2 pi). The exponent is clamped: beyond the bound the
-// product is 0, and some drivers do not recover from infinity.
+// product is negligible, and some drivers do not recover from infinity.
 fn gelu_slope(x: vec4f) -> vec4f {
     return normal_cdf(x) + 0.3989422804014327 * x * exp(-min(0.5 * x * x, vec4f(80.0)));
 }

@@ -13,11 +13,12 @@
 // lifting_inputs with lifted_embedding or lifted_fields.
 //
 // Epilogues:
-//   ROWS: rows_or_field[s, i, k, o] = sum_j y[s, i, o, j] forward[j, k], as `transform_rows` does for the next block
-//   POOL: rows_max[s, i, o] = max_j y[s, i, o, j], as `pool_rows` does
-//   FIELD: rows_or_field[part, s, i, j] = sum_o head[o] y[s, i, o, j] over the channels of a workgroup, instead of y
-// ROWS and POOL need a whole row in a workgroup, WIDE * SPAN >= Q. FIELD is the last layer of the field head,
-// as in `project`, in parts to be summed. The first part includes the bias of the head.
+//   ROWS: rows_or_field[s, i, k, o] = sum_j y[s, i, o, j] forward[j, k], for the next block
+//   POOL: rows_max[s, i, o] = max_j y[s, i, o, j]
+//   FIELD: rows_or_field[part, s, i, j] = sum_o head[o] y[s, i, o, j] over the channels of a workgroup
+// ROWS does what `transform_rows` does, and POOL what `pool_rows` does. Both need a whole row in a workgroup,
+// WIDE * SPAN >= Q. FIELD is the last layer of the field head, as in `project`, in parts to be summed, of
+// which the first includes the bias of the head. It replaces y, which is not written.
 //
 // skip: [C / tile, inputs, tile]
 // bias: [C]; with FIELD followed by head [C] and its bias
@@ -30,10 +31,10 @@
 //
 // One invocation per tile of output channels and SPAN quads, WIDE apart. With STAGED, inputs and weights pass
 // through workgroup memory, CHUNK inputs at a time, so that a workgroup reads each of them once and in
-// parallel. The second tile is the number of columns k of `rows_or_field` that an invocation sums for a quad of
-// channels. It divides their number, 2 modes_w.
-// Workgroups: (Q / (SPAN * WIDE), H, S * C / (tile * DEEP)) of WIDE * DEEP invocations, those of a row side
-//   by side.
+// parallel. The second tile is the number of columns k of `rows_or_field` that an invocation sums for a quad
+// of channels. It divides their number, 2 modes_w.
+// Workgroups: (Q / (SPAN * WIDE), H, S * C / (tile * DEEP)) of DEEP rows of WIDE consecutive invocations. A
+// row has one tile of output channels.
 // Adjoint: itself with the `transpose`d skip, no bias and the table of the row transform (x),
 // `transform_rows` with this table (r), `pointwise_weight_adj` (skip, bias). The lifting has none in this
 // form, because training runs its layers one by one.
@@ -132,7 +133,8 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         }
         workgroupBarrier();
     } else {
-        // Several inputs at a time: sums that do not fit in registers are loaded and stored once for all of them.
+        // Several inputs at a time: sums that do not fit in registers are loaded and stored once for all of
+        // them.
         var embedded$x = mat4x4f();
         var last$x = vec4f();
         if LIFTING {
@@ -204,8 +206,8 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
     if !ROWS && !POOL {
         return;
     }
-    // Memory holds the workgroup's part of y, [DEEP, tile, Q]. An odd stride in quads spreads the same quad of
-    // different channels over the banks.
+    // Memory holds the workgroup's part of y, [DEEP, tile, Q]. An odd stride in quads spreads the same quad
+    // of different channels over the banks.
     let stride = params.row_quads | 1u;
     if exists$x { memory[(depth * $n + $o) * stride + quad$x] = y$c; }
     workgroupBarrier();

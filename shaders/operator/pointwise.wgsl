@@ -7,7 +7,7 @@
 //
 // One invocation per quad and tile of output channels, held in named registers. All invocations of a
 // workgroup read the same weights.
-// Workgroups: (quads over x and y, O / tile in z).
+// Workgroups: (quads / WORKGROUP over x and y, O / tile in z).
 // Adjoint: itself with the `transpose`d weight and no bias (x), `pointwise_weight_adj` (weight, bias).
 
 struct Params {

@@ -78,11 +78,11 @@ fn pointwise_weight_adj(
             if x_channel + 2u < params.inputs { b[2] = x[x_from + 2u * params.row_quads]; }
             if x_channel + 3u < params.inputs { b[3] = x[x_from + 3u * params.row_quads]; }
         }
-        let a_turned = transpose(a);
-        let b_turned = transpose(b);
+        let a_transposed = transpose(a);
+        let b_transposed = transpose(b);
         for (var k = 0u; k < 4u; k++) {
-            adj_tile[(4u * quad + k) * 8u + channels] = a_turned[k];
-            x_tile[(4u * quad + k) * 8u + channels] = b_turned[k];
+            adj_tile[(4u * quad + k) * 8u + channels] = a_transposed[k];
+            x_tile[(4u * quad + k) * 8u + channels] = b_transposed[k];
         }
         workgroupBarrier();
         for (var p = 0u; p < 32u; p++) {
@@ -98,7 +98,7 @@ fn pointwise_weight_adj(
     }
     let part = group.y * params.stride;
     if group.x == 0u {
-        // The norm of the gradient includes these gaps.
+        // Zero the gap before the bias, as the norm of the gradient includes it.
         for (var k = params.inputs * params.outputs / 4u + lane; k < params.bias; k += 64u) {
             partial[part + k] = vec4f();
         }

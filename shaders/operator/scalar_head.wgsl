@@ -1,8 +1,8 @@
 // Scalar head: scalar[s] = bias + sum_c weight[c] max_i rows_max[s, i, c].
 //
 // With RESCALE, also updates the persistent scale, scale <- scale exp(2 tanh(scalar / 2) - 1) (update rule,
-// paper section 3.3). Where a dispatch of one workgroup per sample would keep all others waiting, `update`
-// does this instead.
+// paper section 3.3). Where a dispatch of only one workgroup per sample would hold up all later ones,
+// `update` computes the new scale instead.
 //
 // weight: [C]
 // bias: [1]

@@ -13,12 +13,12 @@
 // r, inverse: [S, H, modes_w, (re, im), C]
 // spectrum: [S, modes_h, modes_w, C] complex, written if KEEP
 //
-// One workgroup per OUT_CHANNELS output channels of a kept column, for a tile of samples. It first computes the
-// spectrum of all input channels in workgroup memory. With fewer output channels there are more workgroups,
-// but each column is transformed more often. The invocations divide among them the rows and channels of the
-// transform, then the inputs and modes of the product, then strips of rows of the inverse. Every sum consists
-// of PARTS partial sums, whether one invocation computes all of them or only one, so that results do not
-// depend on how the work is divided.
+// One workgroup per OUT_CHANNELS output channels of a kept column, for a tile of samples. It first computes
+// the spectrum of all input channels in workgroup memory. With fewer output channels there are more
+// workgroups, but each column is transformed more often. Its invocations divide up the rows and channels of
+// the transform, then the inputs and modes of the product, then strips of rows of the inverse. Every sum
+// consists of PARTS partial sums, whether one invocation computes all of them or only one, so that results do
+// not depend on how the work is divided.
 // The tile is modes_h / 2 + 1, the number of magnitudes k of k_h. The second tile is the number of samples
 // that share one read of the weights. It divides S.
 // Workgroups: (modes_w * C / OUT_CHANNELS, S / second tile).
@@ -46,7 +46,8 @@ override PARTS: u32 = 1;
 // Parts of a column's rows, and of the input channels, that separate invocations sum: 1 or PARTS.
 override ROW_PARTS: u32 = 1;
 override INPUT_PARTS: u32 = 1;
-// Elements in workgroup memory: MODES * second tile times C * ROW_PARTS and OUT_CHANNELS * INPUT_PARTS, respectively.
+// Elements of `inputs`, MODES * second tile * C * ROW_PARTS, and of `outputs`, MODES * second tile *
+// OUT_CHANNELS * INPUT_PARTS.
 override INPUTS: u32 = 2048;
 override OUTPUTS: u32 = 2048;
 

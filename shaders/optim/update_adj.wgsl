@@ -1,9 +1,8 @@
 // Backward pass of the update rule, with the authors' rule in place of the true adjoint (paper section 3.3).
 //
 // step = scale tanh(field). The cotangents of tanh(field) and of 2 tanh(scalar / 2) - 1 are divided by norms
-// and clamped to -CLAMP..CLAMP. Each norm is the root mean square, over a group of samples, of the samples'
-// own norms. With groups of one sample, every component of every cloth has the same weight, whatever its
-// energies.
+// and clamped to -CLAMP..CLAMP. Each norm is the root mean square of the norms of a group of samples. With
+// groups of one sample, every component of every cloth has the same weight, whatever its energies.
 // The cotangent of the step is grad, that of the loss, times any positive factor, which the division cancels.
 // Norms have a floor of 1e-30, so that the cotangents of a cloth in equilibrium are 0.
 //
@@ -99,7 +98,7 @@ fn sums_of(sample: u32, lane: u32) -> vec2f {
             sums += vec2f(g * g, g * tanh_exact(vec4f(field[sample * all + k])).x);
         }
     }
-    // All invocations have read the sums of the previous sample.
+    // Wait until all invocations have read the sums of the previous sample.
     workgroupBarrier();
     partial[lane] = sums;
     for (var half = 128u; half > 0u; half /= 2u) {

@@ -1,6 +1,6 @@
 
-// Returns where a bucket of cloth b begins among its sorted particles, from the kernel's binding ends [B,
-// buckets].
+// Returns where a bucket of cloth b begins among its sorted particles, from the kernel's binding
+// ends [B, buckets].
 fn begin_of(b: u32, bucket: u32, buckets: u32) -> u32 {
     if bucket == 0u {
         return 0u;

@@ -8,8 +8,8 @@
 @group(0) @binding(7) var<storage, read_write> y: array<StoredQuad>;
 @group(0) @binding(8) var<storage, read_write> rows_or_field: array<f32>;
 
-// Embedded quads in workgroup memory, E channels of SPAN * WIDE quads. They follow the staged quads, STAGED_QUADS in
-// number.
+// Embedded quads in workgroup memory, E channels of SPAN * WIDE quads. They follow the STAGED_QUADS staged
+// ones.
 override EMBEDDED: u32 = 1;
 override STAGED_QUADS: u32 = 0;
 
@@ -20,7 +20,8 @@ fn prepare(sample: u32, row: u32, first_quad: u32, index: u32) {
     if STAGED {
         let quads = SPAN * WIDE;
         for (var k = index; k < EMBEDDED; k += WIDE * DEEP) {
-            memory[STAGED_QUADS + k] = feature(fields_of(sample), inverse, k / quads, row, first_quad + k % quads);
+            memory[STAGED_QUADS + k] =
+                feature(fields_of(sample), inverse, k / quads, row, first_quad + k % quads);
         }
     }
 }

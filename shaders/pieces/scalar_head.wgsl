@@ -1,6 +1,6 @@
 
-// The scalar head, and the persistent scale it sets. Reads the kernel's bindings rows_max [s, H, C], weight
-// [C] and bias [1].
+// The scalar head, and the persistent scale it sets, from the kernel's bindings rows_max [s, H, C],
+// weight [C] and bias [1].
 
 const TEAMS: u32 = 4;
 

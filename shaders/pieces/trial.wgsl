@@ -12,5 +12,6 @@ fn trial(b: u32, p: u32, n: u32) -> Trial {
     let is_handle = slots[b * n + p] != 0u;
     let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
     let displacement = vec3f(base[at], base[at + n], base[at + 2u * n]);
-    return Trial(vec3f(x[at], x[at + n], x[at + 2u * n]), displacement + select(acceleration, vec3f(), is_handle));
+    let shift = displacement + select(acceleration, vec3f(), is_handle);
+    return Trial(vec3f(x[at], x[at + n], x[at + 2u * n]), shift);
 }

@@ -7,7 +7,7 @@
 // w <- decay w - step_size m / (sqrt(v) / sqrt_correction + epsilon)
 // averaged <- average averaged + (1 - average) w
 // The host computes the factors in double precision:
-//   clip = min(clip / (norm + 1e-6), 1), decay = 1 - rate decay
+//   clip = min(largest norm / (norm + 1e-6), 1), decay = 1 - rate weight_decay
 //   step_size = rate / (1 - beta1^t), sqrt_correction = sqrt(1 - beta2^t)
 //
 // factors: one `Factors`
@@ -59,7 +59,8 @@ fn adamw(
     let g = factors.clip * gradient[k];
     let m = factors.beta1 * mean[k] + factors.add1 * g;
     let v = factors.beta2 * square[k] + factors.add2 * g * g;
-    let w = factors.decay * weight[k] - factors.step_size * m / (sqrt(v) / factors.sqrt_correction + factors.epsilon);
+    let w = factors.decay * weight[k]
+        - factors.step_size * m / (sqrt(v) / factors.sqrt_correction + factors.epsilon);
     mean[k] = m;
     square[k] = v;
     weight[k] = w;

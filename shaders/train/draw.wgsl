@@ -43,20 +43,20 @@ fn draw(@builtin(global_invocation_id) id: vec3u) {
     let slot = drawn[sample / 3u].slot;
     let at_pool = (slot * 15u + component) * n + p;
     var state = array(pool[at_pool], pool[at_pool + 3u * n], pool[at_pool + 6u * n]);
-    var memory = array(pool[at_pool + 9u * n], pool[at_pool + 12u * n]);
+    var last = array(pool[at_pool + 9u * n], pool[at_pool + 12u * n]);
     var next = pool_scale[3u * slot + component];
     if drawn[sample / 3u].begin != 0u {
         let row = drawn[sample / 3u].rotation[component];
         let rest = vec2f(f32(p % params.columns), f32(p / params.columns) - 0.5 * f32(params.rows - 1u));
         state = array(dot(row.xy, rest), 0.0, 0.0);
-        memory = array(0.0, 0.0);
+        last = array(0.0, 0.0);
         next = params.scale;
     }
     x[at] = state[0];
     v[at] = state[1];
     a[at] = state[2];
-    hidden[at] = memory[0];
-    hidden[params.samples * n + at] = memory[1];
+    hidden[at] = last[0];
+    hidden[params.samples * n + at] = last[1];
     if p == 0u {
         scale[sample] = next;
     }

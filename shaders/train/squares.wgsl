@@ -1,5 +1,5 @@
-// Sums a vector in parts: sums[part] = sum x[k]^2 over the part, or sum x[k] without SQUARE, where x holds
-// squares already.
+// Sums a vector in parts: sums[part] = sum x[k]^2 over the part, or sum x[k] without SQUARE, where x already
+// holds sums of squares.
 //
 // x: [n]
 // sums: [parts]

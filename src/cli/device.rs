@@ -36,19 +36,19 @@ impl DeviceArgs {
         self.open_for_process(0)
     }
 
-    /// Like [`DeviceArgs::open`], for process number `turn` of several on this machine, which take its
+    /// Like [`DeviceArgs::open`], for the process of this index among several on this machine, which take its
     /// hardware adapters in turn unless an adapter was asked for.
-    pub fn open_for_process(&self, turn: usize) -> Result<(Device, String)> {
+    pub fn open_for_process(&self, process: usize) -> Result<(Device, String)> {
         if let (DeviceKind::Cpu, Some(adapter)) = (self.device, &self.adapter) {
             return Err(Error::invalid("--adapter", "adapter", "none with --device cpu", adapter));
         }
         let context = match (&self.adapter, self.device) {
             (Some(name), _) => Context::headless(&AdapterChoice::parse(name))?,
-            (None, DeviceKind::Gpu) => match Context::hardware(turn)? {
+            (None, DeviceKind::Gpu) => match Context::hardware(process)? {
                 Some(context) => context,
                 None => Context::headless(&AdapterChoice::Best)?,
             },
-            (None, DeviceKind::Auto) => match Context::hardware(turn) {
+            (None, DeviceKind::Auto) => match Context::hardware(process) {
                 Ok(Some(context)) => context,
                 Ok(None) => return Ok(cpu("no hardware adapter")),
                 Err(error) => {
@@ -173,7 +173,7 @@ fn simulator(
             let simulator = Simulator::new(&device, model, optimizer, iterations)?;
             Ok((simulator, device, line))
         }
-        made => made.map(|simulator| (simulator, device, line)),
+        created => created.map(|simulator| (simulator, device, line)),
     }
 }
 
@@ -196,14 +196,14 @@ mod tests {
         scene.regrid(Grid { h: 500, w: 500 }).unwrap();
         let model = scene.setup().unwrap().model;
         let device = Device::Gpu(Context::headless(&AdapterChoice::Name("llvmpipe".into())).unwrap());
-        let made = |falls_back_to_cpu| {
+        let created = |falls_back_to_cpu| {
             simulator((device.clone(), "opened".into()), falls_back_to_cpu, &model, (&Optimizer::lbfgs(), 1))
         };
-        let (_, on, line) = made(true).unwrap();
+        let (_, on, line) = created(true).unwrap();
         assert!(
             matches!(on, Device::Cpu) && line.ends_with("(the hardware adapter cannot run this)"),
             "{line}"
         );
-        assert!(matches!(made(false), Err(Error::Device(_))));
+        assert!(matches!(created(false), Err(Error::Device(_))));
     }
 }

@@ -209,7 +209,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_that_are_none_and_a_cpu_path_that_does_not_run_are_failures() {
+    fn non_finite_results_and_a_failing_cpu_path_are_failures() {
         let failed = |on_cpu, outcome| Report::of("device".into(), on_cpu, outcome).failed;
         assert!(!failed(false, Ok((1e-6, Vec::new()))));
         assert!(failed(false, Ok((1e-3, Vec::new()))) && failed(false, Ok((f64::NAN, Vec::new()))));

@@ -276,7 +276,8 @@ pub fn writable_folder(folder: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Applies [`writable_folder`] to the folder of a file. Fails if the path itself is a folder.
+/// Applies [`writable_folder`] to the folder of a file; a device or pipe is accepted as it is. Fails if the
+/// path itself is a folder.
 pub fn writable_file(path: &Path) -> Result<()> {
     if path.is_dir() {
         return Err(Error::invalid(path.display().to_string(), "type", "a file", "a folder"));

@@ -120,12 +120,19 @@ impl Args {
         Ok(scene)
     }
 
-    /// Returns an error if an output file would overwrite a file that the scene is read from.
+    /// Returns an error if the output would overwrite a file that the scene is read from, or remove it from a
+    /// folder of frames.
     fn check_inputs_are_kept(&self, scene: &Scene) -> Result<()> {
         let same =
             |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
-        let written = [self.files(), vec![self.replay()]].concat();
-        match scene.files().find(|read| written.iter().any(|file| same(read, file))) {
+        let (written, folders) = ([self.files(), vec![self.replay()]].concat(), self.folders());
+        let overwritten = |read: &Path| {
+            let in_folder = |folder: &PathBuf| {
+                read.canonicalize().is_ok_and(|read| read.parent().is_some_and(|own| same(own, folder)))
+            };
+            written.iter().any(|file| same(read, file)) || folders.iter().any(in_folder)
+        };
+        match scene.files().find(|read| overwritten(read)) {
             Some(read) => {
                 let expected = "one in which no file that the scene reads is overwritten";
                 Err(Error::invalid("--out", "folder", expected, read.display()).into())

@@ -4,11 +4,11 @@
 use pulp::{Arch, Simd, WithSimd};
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
-/// The GELU is `max(x, 0) - h(|x|)` with `h(t) = t erfc(t / sqrt 2) / 2 <= 0.17`, so an error of `h` stays
-/// small relative to it. `h(t)` is approximately `t / p(t)^8` with the polynomial p below, lowest power
-/// first: minimax over 0 <= t <= 6 in the error of `h`, by iteratively reweighted least squares (Lawson) on
-/// 2000 Chebyshev nodes in double precision, 4.2e-8. Beyond 6 the eighth power makes `h` negligible. With
-/// rounding the largest error is 2e-7 for |x| < 3, and half an ulp beyond.
+/// The GELU is `max(x, 0) - h(|x|)` with `h(t) = t erfc(t / sqrt 2) / 2 <= 0.17`, so a relative error of `h`
+/// stays small in absolute terms. `h(t)` is approximately `t / p(t)^8` with the polynomial p below, lowest
+/// power first: minimax over 0 <= t <= 6 in the error of `h`, by iteratively reweighted least squares
+/// (Lawson) on 2000 Chebyshev nodes in double precision, 4.2e-8. Beyond 6 the eighth power makes `h`
+/// negligible. With rounding the largest error is 2e-7 for |x| < 3, and half an ulp beyond.
 const GELU_TAIL: [f32; 9] = [
     1.090_508_3,
     1.087_520_05e-1,
@@ -206,8 +206,8 @@ pub(super) fn angle<S: Simd>(simd: S, sine: S::f32s, cosine: S::f32s) -> S::f32s
     simd.select_f32s(obtuse, simd.sub_f32s(simd.splat_f32s(PI as f32), right), right)
 }
 
-/// Computes [`Real::angle`](super::Real::angle) in double precision. Unlike [`angle`], also reduces at 22.5
-/// degrees: `atan (s / l) = 45 degrees - atan ((l - s) / (l + s))`.
+/// Computes [`Real::angle`](super::Real::angle) in double precision. Unlike [`angle`], it also reduces at
+/// 22.5 degrees: `atan (s / l) = 45 degrees - atan ((l - s) / (l + s))`.
 #[inline(always)]
 pub(super) fn double_angle<S: Simd>(simd: S, sine: S::f64s, cosine: S::f64s) -> S::f64s {
     let c = simd.abs_f64s(cosine);

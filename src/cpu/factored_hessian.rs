@@ -28,7 +28,7 @@ const EASE: f64 = 2.0;
 /// particle favour larger supernodes than faer's default; measured on 100x100.
 const RELAX: &[(usize, f64)] = &[(12, 1.0), (24, 0.8), (64, 0.1), (usize::MAX, 0.05)];
 
-/// What the error names when memory runs out.
+/// Names the factors in out-of-memory errors.
 const FACTORS: &str = "a Hessian's factors";
 
 /// Smallest pivot of a definite matrix, relative to its largest element.
@@ -93,8 +93,8 @@ impl FactoredHessian {
         let supernodal_params = SymbolicSupernodalParams { relax: Some(RELAX) };
         let params = CholeskySymbolicParams { supernodal_params, ..Default::default() };
         let symbolic = {
-            // With the identity ordering faer analyses the upper triangle, but factors the lower one as
-            // given.
+            // With the identity ordering faer analyses the upper triangle, but factors the lower one
+            // unchanged.
             let upper = pattern.as_ref().transpose().to_col_major().map_err(unsolved)?;
             let ordering = SymmetricOrdering::Identity;
             factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, ordering, params).map_err(unsolved)?

@@ -281,7 +281,7 @@ mod tests {
             let a: Vec<f64> = (0..rows * (depth + 2)).map(|n| value(n, 1)).collect();
             let b: Vec<f64> = (0..depth * (columns + 3)).map(|n| value(n, 2)).collect();
             let start: Vec<f64> = (0..columns).map(|n| value(n, 3)).collect();
-            let turned: Vec<f64> = (0..depth * (rows + 1))
+            let transposed: Vec<f64> = (0..depth * (rows + 1))
                 .map(|n| {
                     if n % (rows + 1) < rows {
                         a[n % (rows + 1) * (depth + 2) + n / (rows + 1)]
@@ -292,13 +292,14 @@ mod tests {
                 .collect();
             let b_stride = columns + 3;
             let straight = Term { a: &a, a_stride: depth + 2, a_transposed: false, b: &b, b_stride, depth };
-            let turned = Term { a: &turned, a_stride: rows + 1, a_transposed: true, b: &b, b_stride, depth };
+            let transposed =
+                Term { a: &transposed, a_stride: rows + 1, a_transposed: true, b: &b, b_stride, depth };
             let stride = columns + 1;
             let mut out = vec![f64::NAN; rows * stride];
             let target = Target { out: &mut out, stride, rows, columns, start: Start::Row(&start) };
             product(target, &[straight]);
             let target = Target { out: &mut out, stride, rows, columns, start: Start::Target };
-            product(target, &[turned]);
+            product(target, &[transposed]);
             for m in 0..rows {
                 for n in 0..columns {
                     let ab: f64 = (0..depth).map(|k| a[m * (depth + 2) + k] * b[k * (columns + 3) + n]).sum();

@@ -107,8 +107,8 @@ impl<T: Real> Objective<T> {
             }
             let at = b * cloth..(b + 1) * cloth;
             if !control.external.is_empty() {
-                for (f, &given) in f.iter_mut().zip(&control.external[at.clone()]) {
-                    *f = *f + given;
+                for (f, &external) in f.iter_mut().zip(&control.external[at.clone()]) {
+                    *f = *f + external;
                 }
             }
             let wind = control.wind.get(b).copied().unwrap_or([T::zero(); 3]);

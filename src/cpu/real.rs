@@ -61,8 +61,9 @@ pub trait Real: Float + FftNum + Default + std::iter::Sum {
 }
 
 macro_rules! registers {
-    ($real:ty, $lanes:ident, $as:ident, $as_mut:ident, $splat:ident, $fma:ident, $max:ident, $across:ident,
-     $add:ident, $sub:ident, $mul:ident, $div:ident, $sqrt:ident, $above:ident, $select:ident, $load:ident, $store:ident) => {
+    ($real:ty, $lanes:ident, $as:ident, $as_mut:ident, $splat:ident, $fma:ident, $max:ident, $sum:ident,
+     $add:ident, $sub:ident, $mul:ident, $div:ident, $sqrt:ident, $greater:ident, $select:ident, $load:ident,
+     $store:ident) => {
         type Lanes<S: Simd> = S::$lanes;
 
         #[inline(always)]
@@ -87,7 +88,7 @@ macro_rules! registers {
         }
         #[inline(always)]
         fn reduce_sum<S: Simd>(simd: S, a: Self::Lanes<S>) -> Self {
-            simd.$across(a)
+            simd.$sum(a)
         }
         #[inline(always)]
         fn add_lanes<S: Simd>(simd: S, a: Self::Lanes<S>, b: Self::Lanes<S>) -> Self::Lanes<S> {
@@ -116,7 +117,7 @@ macro_rules! registers {
             then: Self::Lanes<S>,
             other: Self::Lanes<S>,
         ) -> Self::Lanes<S> {
-            simd.$select(simd.$above(a, b), then, other)
+            simd.$select(simd.$greater(a, b), then, other)
         }
         #[inline(always)]
         fn load_partial<S: Simd>(simd: S, values: &[Self]) -> Self::Lanes<S> {

@@ -91,8 +91,8 @@ impl Conditions {
     /// number of threads.
     pub fn checksum(&self) -> u32 {
         let device = self.device.clone().filter(|_| self.kind.as_deref() != Some("cpu"));
-        let told = Self { device, ..self.clone() };
-        crc32fast::hash(&serde_json::to_vec(&told).expect("conditions are plain data"))
+        let relevant = Self { device, ..self.clone() };
+        crc32fast::hash(&serde_json::to_vec(&relevant).expect("conditions are plain data"))
     }
 }
 
@@ -101,21 +101,21 @@ impl Conditions {
 /// on the same kind of device, and no score may occur twice.
 pub fn belong_together(scores: &[(&Path, &Score)]) -> Result<()> {
     /// A property of a score, as text.
-    type Told = fn(&Score) -> String;
+    type Property = fn(&Score) -> String;
     fn sum(sum: Option<u32>) -> String {
         sum.map_or_else(String::new, |sum| format!("{sum:08x}"))
     }
-    let rules: [(&str, Told, Told); 5] = [
+    let rules: [(&str, Property, Property); 5] = [
         ("version", |_| String::new(), |s| s.made_with.version.clone()),
         ("settings", |_| String::new(), |s| s.made_with.settings.to_string()),
         ("truth", |s| s.sequence.clone(), |s| sum(s.made_with.truth)),
         ("device", of_column, |s| s.made_with.kind.clone().unwrap_or_default()),
         ("weights", of_column, |s| sum(s.made_with.weights)),
     ];
-    for (field, group, told) in rules {
+    for (field, group, property) in rules {
         let mut firsts: BTreeMap<String, (&Path, String)> = BTreeMap::new();
         for &(path, score) in scores {
-            let found = told(score);
+            let found = property(score);
             let (other, expected) = firsts.entry(group(score)).or_insert_with(|| (path, found.clone()));
             if *expected != found {
                 let expected = format!("{expected}, as in {}", other.display());

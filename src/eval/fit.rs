@@ -47,8 +47,8 @@ pub struct ErrorSurface {
 }
 
 impl ErrorSurface {
-    /// Reads the errors of an earlier search with the same subject as `fit`. Returns an empty surface if
-    /// there is no such file.
+    /// Reads the errors of an earlier search. Fails if its subject is not that of `fit`. Returns an empty
+    /// surface if there is no such file.
     pub fn load(path: &Path, fit: &Fit<'_>) -> Result<Self> {
         let mut surface = Self { subject: fit.subject(), ..Self::default() };
         if !path.is_file() {
@@ -135,7 +135,8 @@ impl Fit<'_> {
 
     /// Runs the search, starting from the points in `surface`. After every few points, `tried` is called with
     /// the surface and the number of points left. `tick` is called after each frame and may end the search,
-    /// which discards unfinished points.
+    /// which discards unfinished points. Fails if the coarse grid has too many points, or if all points
+    /// diverge.
     pub fn search(
         &self,
         surface: &mut ErrorSurface,

@@ -65,9 +65,9 @@ impl FlatMesh {
             2.0 * at(handle, width) > low + high
         });
         let place = |p: &[f32; 3]| {
-            [(height, down), (width, away)].map(|(axis, turned)| {
+            [(height, down), (width, away)].map(|(axis, reversed)| {
                 let (low, high) = bounds[axis];
-                if turned { high - f64::from(p[axis]) } else { f64::from(p[axis]) - low }
+                if reversed { high - f64::from(p[axis]) } else { f64::from(p[axis]) - low }
             })
         };
         let places = mesh.positions.iter().map(place).collect();
@@ -99,8 +99,8 @@ impl FlatMesh {
         Ok(MeshInterpolation((0..grid.particles()).into_par_iter().map(place).collect::<Result<_>>()?))
     }
 
-    /// Finds the triangle that contains a point of the sheet, up to rounding, and the barycentric coordinates
-    /// of the point. Fails if there is none.
+    /// Finds the triangle that contains a point of the sheet, up to the tolerance [`FLAT`], and the
+    /// barycentric coordinates of the point. Fails if there is none.
     fn locate(&self, at: [f64; 2]) -> Result<Barycentric> {
         let shares = |face: &[u32; 3]| {
             let [a, b, c] = face.map(|k| self.places[k as usize]);
@@ -132,22 +132,22 @@ pub(super) struct MeshInterpolation(Vec<Barycentric>);
 impl MeshInterpolation {
     /// Returns the positions of the particles, given those of the vertices.
     pub fn apply(&self, vertices: &[[f32; 3]]) -> Vec<[f64; 3]> {
-        let carry = |(face, shares): &Barycentric| {
+        let interpolate = |(face, shares): &Barycentric| {
             let part = |k: usize, c: usize| shares[k] * f64::from(vertices[face[k] as usize][c]);
             std::array::from_fn(|c| part(0, c) + part(1, c) + part(2, c))
         };
-        self.0.iter().map(carry).collect()
+        self.0.iter().map(interpolate).collect()
     }
 
     /// Converts a trajectory of the vertices to one of the particles of `grid`, for which `self` was built;
     /// without velocities.
     pub fn trajectory(&self, vertices: &Trajectory, grid: Grid) -> Trajectory {
-        let mut carried = Trajectory::new(grid, vertices.fps());
+        let mut interpolated = Trajectory::new(grid, vertices.fps());
         for frame in 0..vertices.frames() {
             let positions = self.apply(vertices.frame(frame)).into_iter().map(|p| p.map(|c| c as f32));
             let positions: Vec<[f32; 3]> = positions.collect();
-            carried.push(&positions, &vec![[0.0; 3]; positions.len()]);
+            interpolated.push(&positions, &vec![[0.0; 3]; positions.len()]);
         }
-        carried
+        interpolated
     }
 }

@@ -19,7 +19,8 @@ pub fn track(setup: &Setup, mut tick: impl FnMut() -> ControlFlow<()>) -> Result
 }
 
 /// Returns the median energy gap of an optimizer after `iterations` on the frames of `track`; infinite if one
-/// of the gaps is not finite. `tick` is called before each frame; if it breaks, the result is `None`.
+/// of the gaps is not finite, or if there are none. `tick` is called before each frame; if it breaks, the
+/// result is `None`.
 pub fn median_gap(
     track: &Track,
     (optimizer, iterations): (&Optimizer, usize),

@@ -7,7 +7,7 @@ use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 /// Distance below which particles repel each other [edges of the 32x32 grid].
 const DELTA: f64 = 0.5;
-/// Edges along the height of the grid whose edges are the unit of length, whatever the actual grid.
+/// Edges along the height of the 32x32 grid, whose edge is the unit of length whatever the actual grid.
 const EDGES: f64 = 31.0;
 
 /// Returns the repulsion energy (paper section 3.4): the sum of `-log(d^2 + 1e-8)` over ordered pairs of

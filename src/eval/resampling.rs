@@ -7,7 +7,7 @@ use crate::sim::{Grid, MIN_GRID};
 const COARSE_ROWS: usize = 32;
 
 /// Returns the grid on which `interpolation` computes the accelerations for another, and on which repulsion
-/// is measured: of the same shape with 32 rows, or `grid` itself if it has no more.
+/// is measured: of the same shape with 32 rows, or `grid` itself if it has no more rows.
 pub fn coarse(grid: Grid) -> Grid {
     if grid.h <= COARSE_ROWS {
         return grid;

@@ -305,8 +305,8 @@ pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &S
         let (origin, expected) = (format!("{name}, {}", sequence.name), format!("{rate} frames per second"));
         return Err(Error::invalid(origin, "fps", expected, found.fps()));
     }
-    // A vertex farther away than a cloth at the divergence limit could reach has exploded, which counts as
-    // divergence as it does for our own solvers.
+    // A vertex farther away than the cloth could be stretched to has exploded. That counts as divergence, as
+    // for our own solvers.
     let reach = DIVERGED * sequence.side_m() * (1.0 + sequence.grid().aspect());
     let near = |frame: usize| {
         let centre = sequence.truth.frame(frame)[0];
@@ -395,7 +395,7 @@ fn judge(
         None => Cow::Owned(found.grid().faces()),
     };
     let resampled = Resampling::new(found.grid(), truth.grid());
-    let nearness = LayerProximity::new(found.grid(), sequence.side_m());
+    let proximity = LayerProximity::new(found.grid(), sequence.side_m());
     let figures: Vec<[f64; 3]> = (1..frames)
         .into_par_iter()
         .map(|frame| {
@@ -408,7 +408,7 @@ fn judge(
             [
                 chamfer(&clouds[0], &clouds[1]),
                 relative_error(&resampled.apply(&a), &wide(truth.frame(frame))),
-                nearness.of(&a),
+                proximity.of(&a),
             ]
         })
         .collect();

@@ -147,8 +147,8 @@ impl Sequence {
                 })?;
                 let mesh = FlatMesh::read(&obj, recorded.grid().particles(), vertices)?;
                 let grid = mesh.grid();
-                let interpolation_to = mesh.interpolation_to(grid)?;
-                let truth = interpolation_to.trajectory(&recorded, grid);
+                let interpolation = mesh.interpolation_to(grid)?;
+                let truth = interpolation.trajectory(&recorded, grid);
                 let handles = Handles::Cells(vertices.iter().map(|&v| mesh.cell(grid, v)).collect());
                 (truth, Some((mesh, recorded)), handles)
             }
@@ -209,14 +209,11 @@ impl Sequence {
                 return Ok(found);
             }
         }
-        let told = || Trajectory::read_as_it_is(path, &ReadOptions { grid: None, fps });
+        let derived = || Trajectory::read_as_it_is(path, &ReadOptions { grid: None, fps });
         let own = || Trajectory::read_as_it_is(path, &ReadOptions { grid: Some(self.grid()), fps });
-        match path.extension().is_some_and(|e| e == "npy" || e == "pc2") {
-            // Without faces, a trajectory with as many vertices as the truth is taken to be on its grid, even
-            // if a square one would fit.
-            true => own().or_else(|error| told().map_err(|_| error)),
-            false => told().or_else(|error| own().map_err(|_| error)),
-        }
+        // Without faces, a trajectory with as many vertices as the truth is taken to be on its grid, even if a
+        // square one would fit.
+        own().or_else(|error| derived().map_err(|_| error))
     }
 
     /// Returns a trajectory on a grid: unchanged, or resampled to the truth's grid if its vertices are those
@@ -233,9 +230,8 @@ impl Sequence {
         self.mesh.as_ref().filter(|(_, recorded)| recorded.grid() == found.grid()).map(|(mesh, _)| mesh)
     }
 
-    /// Returns the start state on a grid. A mesh is resampled directly to that grid, unless the grid is finer
-    /// than the truth's, on which the triangles of the mesh would leave creases: then it is resampled to the
-    /// truth's.
+    /// Returns the start state on a grid. A mesh is resampled directly to `grid`, or to the truth's grid if
+    /// `grid` is finer than that, because there the triangles of the mesh would leave creases.
     fn start(&self, grid: Grid) -> Result<Start> {
         let own = self.truth.grid();
         if let Some((mesh, recorded)) = &self.mesh {
@@ -329,8 +325,8 @@ impl Meta {
     /// such file.
     fn mesh_file(&self, folder: &Path) -> Option<PathBuf> {
         let named = self.obj_code.iter().map(|code| format!("{code}.obj"));
-        let beside = named.flat_map(|name| [folder.join(&name), folder.join("..").join(&name)]);
-        let mut files = std::iter::once(folder.join("mesh.obj")).chain(beside);
+        let candidates = named.flat_map(|name| [folder.join(&name), folder.join("..").join(&name)]);
+        let mut files = std::iter::once(folder.join("mesh.obj")).chain(candidates);
         files.find(|file| self.grid.is_none() && file.is_file())
     }
 }

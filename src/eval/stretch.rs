@@ -6,7 +6,7 @@ use crate::sim::Model;
 pub const STRETCH_LIMIT: f64 = 0.6;
 
 /// The edges of one cloth that are more than H/10 edges away from each of its handles. Next to a handle that
-/// carries half of the sheet, an edge on a fine grid may well double its length; away from handles, none
+/// carries half of the sheet, an edge on a fine grid rightly doubles its length; away from handles, none
 /// should.
 pub struct FreeEdges {
     /// The two particles of each edge.
@@ -50,7 +50,7 @@ mod tests {
     use crate::scene::{Scene, Start};
 
     #[test]
-    fn edges_beside_a_handle_do_not_count() {
+    fn edges_next_to_a_handle_do_not_count() {
         let setup = Scene { start: Start::Flat, ..Scene::default() }.setup().unwrap();
         let edges = FreeEdges::new(&setup.model, 0);
         let n = setup.model.grid.particles();

@@ -328,8 +328,8 @@ pub fn table(title: &str, suite: Suite, scores: &[CaseScore]) -> Table {
             .map(|score| (case_row(score), score.repulsion))
             .chain(groups.iter().map(|group| (row_of_all(group), None)))
             .map(|((name, mut cells), repulsion)| {
-                let told = |k: usize| repulsion.map_or_else(String::new, |told| format!("{:.3}", told[k]));
-                cells.extend((0..of_repulsion.len()).map(|k| Cell { text: told(k), best: false }));
+                let text = |k: usize| repulsion.map_or_else(String::new, |all| format!("{:.3}", all[k]));
+                cells.extend((0..of_repulsion.len()).map(|k| Cell { text: text(k), best: false }));
                 (name, cells)
             })
             .collect(),

@@ -36,8 +36,8 @@ pub fn tables(scores: &[Score]) -> Vec<Table> {
     let mut tables = Vec::new();
     for grid in distinct(own(groups.iter()).map(|group| group.grid.clone())) {
         // Another system has a grid of its own, and is shown next to the solvers on every grid.
-        let beside = |group: &&Group| group.grid == grid || group.is_imported();
-        let here: Vec<&Group> = groups.iter().filter(beside).collect();
+        let is_shown = |group: &&Group| group.grid == grid || group.is_imported();
+        let here: Vec<&Group> = groups.iter().filter(is_shown).collect();
         for figure in &FIGURES {
             if here.iter().any(|group| group.scores().any(|s| (figure.of)(s).is_some())) {
                 tables.extend(per_sequence(figure, &grid, &here));
@@ -83,8 +83,8 @@ impl<'a> Group<'a> {
     /// Returns the spread of a figure on a sequence; `None` if no score of it has the figure or diverged.
     fn spread(&self, sequence: &str, figure: &Figure) -> Option<Spread> {
         let (_, repeats) = self.sequences.iter().find(|(name, _)| name == sequence)?;
-        let told = repeats.iter().any(|s| !s.stable || (figure.of)(s).is_some());
-        told.then(|| Spread::new(repeats, figure))
+        let shown = repeats.iter().any(|s| !s.stable || (figure.of)(s).is_some());
+        shown.then(|| Spread::new(repeats, figure))
     }
 
     /// Returns the spread of a figure on every sequence.
@@ -95,8 +95,8 @@ impl<'a> Group<'a> {
     /// Returns the mean of a figure over the sequences, and the deviation if there are several. A figure that
     /// no score has is left empty: another system has no time and no energy.
     fn mean_and_deviation(&self, figure: &Figure) -> [CellValue; 2] {
-        let told = self.scores().any(|s| !s.stable || (figure.of)(s).is_some());
-        match over_sequences(self.spreads(figure)).when(told) {
+        let shown = self.scores().any(|s| !s.stable || (figure.of)(s).is_some());
+        match over_sequences(self.spreads(figure)).when(shown) {
             CellValue::Nothing => [CellValue::Nothing; 2],
             CellValue::Diverged => [CellValue::Diverged, CellValue::Nothing],
             CellValue::Value((mean, apart)) => {
@@ -123,9 +123,9 @@ impl<T> CellValue<T> {
         figure.map_or(Self::Diverged, Self::Value)
     }
 
-    /// Returns `self` if `told`, otherwise `Nothing`.
-    fn when(self, told: bool) -> Self {
-        if told { self } else { Self::Nothing }
+    /// Returns `self` if `shown`, otherwise `Nothing`.
+    fn when(self, shown: bool) -> Self {
+        if shown { self } else { Self::Nothing }
     }
 
     fn map<U>(self, of: impl FnOnce(T) -> U) -> CellValue<U> {
@@ -257,9 +257,9 @@ impl BySequence {
         let all = self.of_groups(|spreads| pooled(spreads));
         (!all.iter().all(CellValue::is_nothing)).then(|| {
             let row = |(name, spreads): &(String, Vec<Option<Spread>>)| {
-                let told: Vec<_> =
+                let deviations: Vec<_> =
                     spreads.iter().map(|s| s.map_or(CellValue::Nothing, Spread::told_deviation)).collect();
-                (name.clone(), unmarked(&told, self.digits))
+                (name.clone(), unmarked(&deviations, self.digits))
             };
             let last = ("root mean square".into(), unmarked(&all, self.digits));
             self.rows.iter().map(row).chain([last]).collect()
@@ -452,8 +452,8 @@ fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
     };
     let heads = means.iter().flat_map(|Mean { figure, deviation }| {
         let deviations = [(*deviation, "±"), (*deviation && repeated, "± repeats")];
-        let told = deviations.into_iter().filter_map(|(told, head)| told.then_some(head));
-        std::iter::once(figure.title).chain(told)
+        let heads = deviations.into_iter().filter_map(|(shown, head)| shown.then_some(head));
+        std::iter::once(figure.title).chain(heads)
     });
     let counts = ["sequences"].into_iter().chain(repeated.then_some("simulations"));
     let columns = ["solver"].into_iter().chain(counts).chain(heads).map(str::to_owned).collect();

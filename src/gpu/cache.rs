@@ -70,8 +70,8 @@ impl Context {
     }
 
     /// Stores the pipelines compiled so far, where [`Context::with_stored_pipelines`] will find them. Returns
-    /// the path of the file, or `None` if there was nothing to add to it. If several processes store their
-    /// pipelines, the last one wins.
+    /// the path of the file, or `None` if the device has no cache or there was nothing to add to the file. If
+    /// several processes store their pipelines, the last one wins. Fails if the file cannot be written.
     pub fn store_pipelines(&self) -> Result<Option<PathBuf>> {
         let Some(cache) = &self.pipelines else { return Ok(None) };
         let data = cache.raw.get_data().unwrap_or_default();
@@ -86,8 +86,8 @@ impl Context {
         Ok(Some(cache.path.clone()))
     }
 
-    /// Reads the data that [`Context::store_pipelines`] wrote to a file. `None` if it is missing, damaged or
-    /// too large.
+    /// Reads the data that [`Context::store_pipelines`] wrote to a file. `None` if the file is missing,
+    /// damaged, too large or belongs to something else.
     fn stored_pipelines(&self, path: &Path) -> Option<Vec<u8>> {
         let mut bytes = std::fs::read(path).ok()?;
         if bytes.len() > MOST {

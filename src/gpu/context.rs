@@ -380,8 +380,8 @@ fn kind(info: &wgpu::AdapterInfo) -> AdapterKind {
     }
 }
 
-/// Chooses how operands are read. They are broadcast only if subgroups are exactly as wide as the kernels
-/// assume: in a wider one the operands differ.
+/// Chooses how operands are read. They are broadcast only on software adapters whose subgroups are exactly as
+/// wide as the kernels assume: in a wider one the operands differ.
 fn sharing(kind: AdapterKind, features: wgpu::Features, lanes: [u32; 2]) -> Sharing {
     let fits = features.contains(wgpu::Features::SUBGROUP) && lanes == [LANES as u32; 2];
     if fits && kind == AdapterKind::Software { Sharing::Broadcast } else { Sharing::Loads }
@@ -411,7 +411,7 @@ fn missing_limit(limits: &wgpu::Limits) -> Option<String> {
 mod tests {
     use super::*;
 
-    /// A subgroup of 16 lanes spans two steps of a row, whose operands differ.
+    /// A subgroup of 16 lanes may span two rows of a workgroup, whose operands differ.
     #[test]
     fn operands_are_broadcast_in_subgroups_of_one_width_only() {
         let of = |lanes| sharing(AdapterKind::Software, wgpu::Features::SUBGROUP, lanes);

@@ -116,11 +116,11 @@ impl Kernel {
         let text =
             source.unrolled(Unroll { storage: context.storage(), order: context.order(), ..unroll.into() });
         let bits = constants.iter().map(|&(name, value)| (name, value.to_bits())).collect();
-        let made: KernelKey = (text, bits);
-        if let Some(known) = context.kernels.lock().get(&made) {
+        let key: KernelKey = (text, bits);
+        if let Some(known) = context.kernels.lock().get(&key) {
             return Ok(known.clone());
         }
-        let module = source.parsed(&made.0)?;
+        let module = source.parsed(&key.0)?;
         let entry = module.entry_points.first();
         let literal = entry.filter(|e| e.workgroup_size_overrides.is_none());
         let workgroup = literal.map(|e| e.workgroup_size);
@@ -133,7 +133,7 @@ impl Kernel {
             pipeline: OnceLock::new(),
         };
         let kernel = Self { bindings, workgroup, program: Arc::new(program) };
-        context.kernels.lock().insert(made, kernel.clone());
+        context.kernels.lock().insert(key, kernel.clone());
         Ok(kernel)
     }
 

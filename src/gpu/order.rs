@@ -20,13 +20,13 @@ impl Order {
     pub(super) fn apply(self, text: String, name: &str) -> String {
         match self {
             Self::Natural => text,
-            Self::Reversed => backward(&text, name),
+            Self::Reversed => reversed(&text, name),
         }
     }
 }
 
 /// Renames the entry point's builtins, and begins its body with variables of the old names that count down.
-fn backward(text: &str, name: &str) -> String {
+fn reversed(text: &str, name: &str) -> String {
     let entry = format!("fn {name}(");
     let (before, rest) = text.split_once(&entry).expect("the entry point has the name of its file");
     let (parameters, body) = rest.split_once(") {").expect("a body follows the parameters");
@@ -35,7 +35,7 @@ fn backward(text: &str, name: &str) -> String {
     let size: Vec<&str> = size.split(',').map(str::trim).chain(["1", "1"]).take(3).collect();
     let size = format!("vec3u({})", size.join(", "));
 
-    let (mut given, mut groups, mut lets) = (Vec::new(), None, Vec::new());
+    let (mut builtins, mut groups, mut lets) = (Vec::new(), None, Vec::new());
     for parameter in parameters.split("@builtin(").skip(1) {
         let (builtin, variable) = parameter.split_once(") ").expect("a variable follows its builtin");
         let (variable, ty) = variable.split_once(": ").expect("a type follows the variable");
@@ -49,20 +49,20 @@ fn backward(text: &str, name: &str) -> String {
                 if builtin == "num_workgroups" {
                     groups = Some(variable);
                 }
-                given.push(format!("@builtin({builtin}) {variable}: {ty}"));
+                builtins.push(format!("@builtin({builtin}) {variable}: {ty}"));
                 continue;
             }
         };
-        given.push(format!("@builtin({builtin}) {variable}_given: {ty}"));
+        builtins.push(format!("@builtin({builtin}) {variable}_given: {ty}"));
         lets.push(format!("let {variable} = {last} - {variable}_given;"));
     }
     if groups.is_none() {
-        given.push("@builtin(num_workgroups) number_of_groups: vec3u".into());
+        builtins.push("@builtin(num_workgroups) number_of_groups: vec3u".into());
     }
     let lets = lets.join(" ").replace("number_of_groups", groups.unwrap_or("number_of_groups"));
     // The line breaks between the parameters are kept, so that the lines of the body keep their numbers.
     let lines = "\n".repeat(parameters.matches('\n').count());
-    format!("{before}{entry}{}{lines}) {{ {lets}{body}", given.join(", "))
+    format!("{before}{entry}{}{lines}) {{ {lets}{body}", builtins.join(", "))
 }
 
 #[cfg(test)]

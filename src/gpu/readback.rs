@@ -101,14 +101,14 @@ impl Readback {
         read: impl FnOnce(&[u8]) -> T,
     ) -> Result<T> {
         let mapped = mapping.map_err(|e| e.to_string()).and_then(|mapped| mapped.map_err(|e| e.to_string()));
-        let made = mapped.and_then(|()| {
+        let value = mapped.and_then(|()| {
             let view = slot.get_mapped_range(..).map_err(|e| e.to_string())?;
-            let made = read(&view[..self.bytes as usize]);
+            let value = read(&view[..self.bytes as usize]);
             drop(view);
             slot.unmap();
-            Ok(made)
+            Ok(value)
         });
         self.free.push(slot);
-        made.map_err(|e| Error::Lost(format!("{}: cannot read back: {e}", context.name())))
+        value.map_err(|e| Error::Lost(format!("{}: cannot read back: {e}", context.name())))
     }
 }

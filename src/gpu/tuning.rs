@@ -23,8 +23,8 @@ pub struct Tuning {
     pub block_deep: u32,
     /// Whether the inputs and weights of a block are staged in workgroup memory. Each is then read once for
     /// all channels of a workgroup, and an invocation waits for a few reads instead of one per input. The
-    /// scalar head, which is little work in comparison, is then repeated in every workgroup that takes a
-    /// step, instead of in a dispatch that all others wait for.
+    /// scalar head, which is little work in comparison, is then repeated in every workgroup of the update
+    /// kernel, instead of in a dispatch that all later ones wait for.
     pub staged: bool,
     /// Whether blocks transform their rows for the next block if a row fits a workgroup. This saves
     /// dispatches, whose latency dominates a frame of few cloths, and one read.
@@ -111,10 +111,10 @@ impl Tuning {
         let spans = [1, 2, 4].map(|block_span| Self { block_span, ..*self });
         let depths = [1, 2, 4, 8, 16].map(|block_deep| Self { block_deep, ..*self });
         let staged = [true, false].map(|staged| Self { staged, ..*self });
-        let places = [true, false].map(|rows_in_blocks| Self { rows_in_blocks, ..*self });
+        let rows = [true, false].map(|rows_in_blocks| Self { rows_in_blocks, ..*self });
         let teams = [1, 2, 4].map(|spectral_teams| Self { spectral_teams, ..*self });
         let busy = [1, 8, 32, 128, 512].map(|busy_groups| Self { busy_groups, ..*self });
-        let turns = [4, 16, 64, 256, 1024].map(|mib| Self { activation_bytes: mib << 20, ..*self });
+        let sizes = [4, 16, 64, 256, 1024].map(|mib| Self { activation_bytes: mib << 20, ..*self });
         let sharings = [Sharing::Loads, context.sharing()].map(|sharing| Self { sharing, ..*self });
         let others = |all: &[Self]| -> Vec<Self> {
             let mut found: Vec<Self> = Vec::new();
@@ -132,11 +132,11 @@ impl Tuning {
             others(&widths),
             others(&spans),
             others(&groups),
-            others(&places),
+            others(&rows),
             others(&teams),
             others(&busy),
             others(&sharings),
-            others(&turns),
+            others(&sizes),
         ]
     }
 
@@ -151,7 +151,7 @@ impl Tuning {
 
     /// Whether the kernels can be built with it on the adapter.
     pub fn works(&self, context: &Context) -> bool {
-        // Subgroups share operands within one row only, with staging as well.
+        // A subgroup that shares operands must lie within one row of a workgroup, with staging as well.
         let in_rows = self.sharing == Sharing::Loads || self.block_wide.is_multiple_of(8);
         let shared = in_rows && [Sharing::Loads, context.sharing()].contains(&self.sharing);
         let tile = TILES.contains(&self.channels);
@@ -200,7 +200,7 @@ impl Tuning {
     }
 
     /// Stores the tuning for the adapter, where [`Tuning::measured`] will find it, and returns the path of
-    /// the file. Fails if there is no cache directory.
+    /// the file. Fails if there is no cache directory or the file cannot be written.
     pub fn store(&self, context: &Context) -> Result<PathBuf> {
         let nowhere =
             || Error::Device(format!("no cache directory to store a tuning in; set {CACHE_FOLDER}"));

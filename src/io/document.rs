@@ -234,7 +234,7 @@ mod tests {
 
     /// Earlier versions silently used the last one.
     #[test]
-    fn a_field_that_is_told_twice_is_refused() {
+    fn a_duplicate_field_is_refused() {
         for text in [r#"{"grid": 8, "up": "y", "grid": 9}"#, r#"{"wind": [{"grid": 1, "grid": 1}]}"#] {
             let error = parse_json("scene.json", text).unwrap_err().to_string();
             assert!(error.starts_with("scene.json: line 1, column "), "{error}");

@@ -71,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_too_long_for_a_format_is_told_beforehand() {
+    fn frames_beyond_a_format_are_refused_beforehand() {
         Format::ALL.iter().for_each(|format| format.check_capacity(1_000_000, "--format").unwrap());
         let error = Format::Pc2.check_capacity(1 << 31, "--format").unwrap_err().to_string();
         assert!(error.contains("pc2: expected at most 2^31 - 1 frames"), "{error}");

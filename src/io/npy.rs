@@ -54,7 +54,7 @@ pub(super) struct Array<R> {
     len: usize,
 }
 
-/// Maximum number of axes that NumPy allows.
+/// Maximum number of axes that NumPy 2 allows.
 const MAX_AXES: usize = 64;
 /// Maximum length of a header; that of a plain array has about 100 bytes. Guards against a bogus length.
 const MAX_HEADER: u64 = 4096;

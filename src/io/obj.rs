@@ -78,7 +78,7 @@ impl<T: Float + FromStr> Polygons<T> {
 }
 
 impl Polygons<f32> {
-    /// Splits the polygons into triangle fans around their first corners.
+    /// Splits the polygons into triangle fans around their first corners. Fails if there are no vertices.
     fn into_mesh(self) -> Result<Mesh> {
         if self.positions.is_empty() {
             return Err(Error::invalid(self.origin, "vertices", "at least one 'v' line", "none"));

@@ -22,7 +22,8 @@ pub struct Trajectory {
 /// Properties of a trajectory that a file may lack.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReadOptions {
-    /// The grid. If `None`, it is derived from the faces in the file; without faces the grid must be square.
+    /// The grid. If `None`, it is derived from the faces in the file; if they do not determine one, it must
+    /// be square.
     pub grid: Option<Grid>,
     /// Frames per second [1/s] if the file does not specify them.
     pub fps: f64,
@@ -164,8 +165,8 @@ impl Trajectory {
     }
 
     /// Reads a trajectory from an npz, npy or pc2 file or a folder of OBJ files. Positions and velocities
-    /// must be finite. If the file has no velocities, they are computed from differences of positions, and
-    /// are 0 in the first frame.
+    /// must be finite. If the file has no velocities, they are the differences to the previous positions over
+    /// the frame time, and 0 in the first frame.
     pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Self> {
         let path = path.as_ref();
         Self::read_as_it_is(path, options)?.finite(path)

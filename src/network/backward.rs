@@ -21,11 +21,12 @@ use crate::kernels::padded;
 pub struct TransposedWeights {
     /// The original weights.
     layers: Layers,
-    /// Skips of the blocks. Their biases are zero, as are those of `lifting`, from its second layer, and
-    /// `projection`, from its first.
+    /// Skips of the blocks. Their biases are zero, as are those of `lifting` and `projection`.
     skips: Vec<Layer>,
     products: Vec<Tensor>,
+    /// Second layer of the lifting.
     lifting: Layer,
+    /// First layer of the projection.
     projection: Layer,
     transpose: Transpose,
     spectral_transpose: SpectralTranspose,
@@ -172,8 +173,8 @@ impl Backward {
         self.push_lifting(schedule, (forward, transposed), adj_y);
     }
 
-    /// Appends the adjoint of the field head down to the last block's output, and the gradients with respect
-    /// to its weights.
+    /// Appends the adjoint of the field head down to the last block's output, that of the scalar head if it
+    /// reads that output, and the gradients with respect to their weights.
     fn push_heads(&self, schedule: &mut Schedule, forward: &Forward, transposed: &TransposedWeights) {
         let (config, k) = (&forward.config, &self.kernels);
         let [_, outer] = &forward.layers.projection;
@@ -189,7 +190,8 @@ impl Backward {
         self.push_pool(schedule, forward, config.layers - 1, adj_y);
     }
 
-    /// Appends the adjoint of the scalar head if it reads the output of `block`.
+    /// Appends the adjoint of the scalar head, and the gradient with respect to its weights, if it reads the
+    /// output of `block`.
     fn push_pool(&self, schedule: &mut Schedule, forward: &Forward, block: usize, adj: &Tensor) {
         if forward.config.scalar_block() != block {
             return;

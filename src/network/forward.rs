@@ -31,7 +31,7 @@ pub struct Forward {
     /// Output of the field head in parts to be summed, shape [parts, S, H, W']; a single part unless
     /// [`Plan::keep`] is [`Keep::Nothing`].
     pub field: Tensor,
-    /// Output of the scalar head, shape `[S]`; not written by [`Head::Deferred`].
+    /// Output of the scalar head, shape `[S]`; not written with [`Head::Deferred`].
     pub scalar: Tensor,
     /// Hidden layer of the lifting, shape [lines, lifting, W'], for the lines that are lifted at once. A line
     /// is a row of a sample.
@@ -64,7 +64,7 @@ struct Lifted {
     units: Tensor,
 }
 
-/// The use of the scalar head in a pass.
+/// How a pass treats the scalar head.
 #[derive(Clone, Copy, Debug)]
 pub enum Head<'a> {
     /// Writes it to [`Forward::scalar`].
@@ -160,9 +160,9 @@ impl Forward {
         let mut pre_activations = Vec::new();
         if keep == Keep::Adjoint {
             for _ in 1..config.layers {
-                pre_activations.push(activation("before GELU")?);
+                pre_activations.push(activation("pre-activations")?);
             }
-            pre_activations.push(zeros("before GELU", &[samples, h, config.projection, w])?);
+            pre_activations.push(zeros("pre-activations", &[samples, h, config.projection, w])?);
         }
         // For the backward pass a block outputs its pre-activations, but its rows are transformed after the
         // GELU.
@@ -345,7 +345,7 @@ impl Forward {
     fn push_lifting(&self, schedule: &mut Schedule, samples: usize, from: Option<FeatureInputs<'_>>) -> bool {
         let (k, lifted) = (&self.kernels, &self.activations[0]);
         if let Some(Lifted { of_embedded, of_fields, units }) = &self.lifting {
-            let [embedded, y, rows_or_field] =
+            let [embedded, y, row_spectra] =
                 [&self.embedded, lifted, &self.spectral.rows].map(|tensor| tensor.first(samples));
             let (kernel, x) = match from {
                 Some(fields) => (of_fields, Inputs::Fields(fields)),
@@ -356,7 +356,7 @@ impl Forward {
                 x,
                 r: units,
                 y: &y,
-                rows_or_field: rows.then_some(&rows_or_field),
+                rows_or_field: rows.then_some(&row_spectra),
                 rows_max: None,
             };
             let tables = (&self.spectral.forward_rows, self.grid.w);

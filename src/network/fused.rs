@@ -10,16 +10,16 @@ use crate::kernels::optim::features;
 /// The weights that fused layers read.
 #[derive(Default)]
 pub(super) struct Fused {
-    /// Of the last block and the last layer of the field head, if the head's first layer is the identity
-    /// ([`Weights::folded`]).
+    /// Those of the last block and of the last layer of the field head, if the head's first layer is the
+    /// identity ([`Weights::folded`]).
     pub head: Option<Layer>,
-    /// Of the first layer of the lifting, for a kernel that computes both of its layers.
+    /// Those of the first layer of the lifting, for a kernel that computes both of its layers.
     pub units: Option<Tensor>,
 }
 
 impl Fused {
-    /// Joins what can be fused of `weights`. Their layers are on the device, padded to the sizes of
-    /// `config`.
+    /// Uploads those of `weights` that can be fused under `plan`. `layers` are all layers on the device,
+    /// padded to the sizes of `config`.
     pub fn new(
         context: &Context,
         weights: &Weights,

@@ -270,7 +270,7 @@ mod tests {
     use super::{Config, Layout, Weights};
 
     #[test]
-    fn every_weight_has_a_place_of_its_own() {
+    fn every_weight_has_its_own_place() {
         let config = Config { lifting: 40, channels: 12, projection: 20, layers: 2, ..Default::default() };
         let layout = Layout::new(config, 16);
         let mut places = layout.places();

@@ -1,4 +1,17 @@
 //! The plan of a forward pass, and what its blocks compute.
+//!
+//! One set of kernels serves a single cloth, which waits for dispatches, and large batches, which wait for
+//! memory and arithmetic. What a pass consists of follows from grid, samples, the device's limits and the
+//! [`Tuning`], which [`crate::sim::SolverOptions`] overrides:
+//!
+//! - If a row of all channels fits the workgroup memory and [`Tuning::rows_in_blocks`] is set, the lifting and
+//!   the blocks transform their rows and reduce their maxima on the way: 11 dispatches per iteration. Else
+//!   these are dispatches of their own, and rows may have any length.
+//! - A spectral convolution has one workgroup per kept column and tile of samples, and is divided by output
+//!   channels until there are [`Tuning::busy_groups`] of them: one cloth repeats some column transforms to fill
+//!   the device, a batch that fills it repeats none.
+//! - Samples whose activations exceed [`Tuning::activation_bytes`], or what the device binds, take turns in
+//!   passes of nearly equal length ([`Plan::fit_passes`]).
 
 use super::{Config, Layout};
 use crate::gpu::{Context, Tuning, WORKGROUPS};

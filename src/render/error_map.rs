@@ -83,7 +83,7 @@ mod tests {
     use crate::sim::Grid;
 
     #[test]
-    fn what_is_off_is_darker() {
+    fn errors_are_darker() {
         let sheet = |grid: Grid, off: f32| {
             let at = |k: usize, n: usize| k as f32 / (n - 1) as f32;
             let place = |p: usize| [off, 1.0 - at(p / grid.w, grid.h), at(p % grid.w, grid.w)];

@@ -8,7 +8,7 @@ const BITS: u32 = 6;
 const LEVELS: usize = 1 << BITS;
 /// Rounds of k-means refinement of the colours.
 const ROUNDS: usize = 6;
-/// Amplitude of the dither [levels of 256].
+/// Peak-to-peak amplitude of the dither [levels of 256].
 const DITHER: f32 = 4.0;
 /// A [`distance`] too small to be seen: about two levels of 256 in each channel.
 const ALIKE: f32 = 35.0;

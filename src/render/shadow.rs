@@ -15,8 +15,8 @@ pub(super) struct Shadow {
 }
 
 impl Shadow {
-    /// Computes the shadow of `triangles`, given as they project from the floor into the picture, in units of
-    /// [`PIXELS`] pixels.
+    /// Computes the shadow of `triangles`, which are given on the floor, as it appears in the picture, in units
+    /// of [`PIXELS`] pixels.
     pub fn new(size: [usize; 2], triangles: impl Iterator<Item = [Vec3; 3]>) -> Self {
         let [width, height] = size.map(|n| n.div_ceil(PIXELS));
         let mut mask = DepthBuffer::new(width, height);

@@ -115,16 +115,16 @@ impl Stage {
         let [width, height] = self.size;
         let n = self.samples;
         let projected: Vec<Vec3> = positions.iter().map(|p| self.camera.project(place(p))).collect();
-        let mut surface = DepthBuffer::new(width * n, height * n);
+        let mut buffer = DepthBuffer::new(width * n, height * n);
         for (k, face) in self.faces.iter().enumerate() {
-            surface.triangle(k as u32, face.map(|v| projected[v as usize]));
+            buffer.triangle(k as u32, face.map(|v| projected[v as usize]));
         }
-        let radius = MARKER * surface.height as f32;
+        let radius = MARKER * buffer.height as f32;
         for (k, &handle) in self.handles.iter().enumerate() {
             // A marker is a sphere around its vertex, so its front is nearer than the cloth around it.
             let centre = projected[handle];
             let front = vec3(centre.x, centre.y, centre.z * (1.0 - 1.5 * radius / self.camera.focal));
-            surface.disc((self.faces.len() + k) as u32, front, radius);
+            buffer.disc((self.faces.len() + k) as u32, front, radius);
         }
 
         let shadow = self.shadow(positions);
@@ -136,7 +136,7 @@ impl Stage {
                 let (mut sum, mut bare) = (Vec3::ZERO, 0);
                 for sy in y * n..(y + 1) * n {
                     for sx in x * n..(x + 1) * n {
-                        match surface.seen[sy * surface.width + sx] {
+                        match buffer.seen[sy * buffer.width + sx] {
                             NOTHING => bare += 1,
                             seen => sum += look.at(seen, sx, sy),
                         }

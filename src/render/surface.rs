@@ -46,17 +46,17 @@ impl DepthBuffer {
         (low - 0.5).ceil().max(0.0) as usize..((high - 0.5).floor() + 1.0).clamp(0.0, n as f32) as usize
     }
 
-    fn put(&mut self, x: usize, y: usize, thing: u32, nearness: f32) {
+    fn put(&mut self, x: usize, y: usize, object: u32, nearness: f32) {
         let at = y * self.width + x;
         if nearness > self.nearness[at] {
             self.nearness[at] = nearness;
-            self.seen[at] = thing;
+            self.seen[at] = object;
         }
     }
 
     /// Draws a triangle given its projected corners (picture coordinates and distance); both sides are
     /// visible.
-    pub fn triangle(&mut self, thing: u32, [a, b, c]: [Vec3; 3]) {
+    pub fn triangle(&mut self, object: u32, [a, b, c]: [Vec3; 3]) {
         let whole = area(a, b, c.x, c.y);
         let (low, high) = (a.min(b).min(c), a.max(b).max(c));
         // Written so that NaN fails.
@@ -73,14 +73,14 @@ impl DepthBuffer {
                 let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
                 let (u, v, w) = (area(b, c, px, py), area(c, a, px, py), area(a, b, px, py));
                 if (sign * u).min(sign * v).min(sign * w) >= 0.0 {
-                    self.put(x, y, thing, u * near_a + v * near_b + w * near_c);
+                    self.put(x, y, object, u * near_a + v * near_b + w * near_c);
                 }
             }
         }
     }
 
     /// Draws a disc about a projected centre.
-    pub fn disc(&mut self, thing: u32, centre: Vec3, radius: f32) {
+    pub fn disc(&mut self, object: u32, centre: Vec3, radius: f32) {
         if !(centre.is_finite() && centre.z > 0.0) {
             return;
         }
@@ -88,7 +88,7 @@ impl DepthBuffer {
             for x in Self::span(centre.x - radius, centre.x + radius, self.width) {
                 let (dx, dy) = (x as f32 + 0.5 - centre.x, y as f32 + 0.5 - centre.y);
                 if dx * dx + dy * dy <= radius * radius {
-                    self.put(x, y, thing, 1.0 / centre.z);
+                    self.put(x, y, object, 1.0 / centre.z);
                 }
             }
         }

@@ -47,7 +47,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn captions_are_as_wide_as_told_and_stay_in_their_line() {
+    fn captions_are_as_wide_as_measured_and_stay_in_their_line() {
         for text in ["0.50 s", "newton, N = 10", "\u{3b1} \u{b7} 10\u{b3}"] {
             let mut image = Image::new(400, 60);
             write(&mut image, text, [20.0, 10.0], 24.0);

@@ -40,13 +40,13 @@ pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
     node.no_misspelling(&FIELDS)?;
     let file = node.get("mesh_file").ok_or_else(|| node.invalid("a field mesh_file"))?;
     let path = find(node, folder, file.text()?)?;
-    let (mut grid, turned) = resolution(node)?;
+    let (mut grid, swapped) = resolution(node)?;
     let mut sizes = pair(node, "mesh_size", Node::number)?.unwrap_or([1.0; 2]);
     // Their code takes mesh_resolution_w for the rows. If only the other order fits the faces of the mesh,
     // the faces are right.
     let mesh = Mesh::read(&path)?;
-    if !mesh.fits(grid) && mesh.fits(turned) {
-        grid = turned;
+    if !mesh.fits(grid) && mesh.fits(swapped) {
+        grid = swapped;
         sizes.reverse();
     }
     let transform = node.get_or("transform", None, |n| read_transform(n).map(Some))?;

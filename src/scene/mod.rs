@@ -209,9 +209,9 @@ impl Stiffness {
 pub struct Wind {
     /// Velocity [m/s] in the scene's axes.
     pub velocity: [f64; 3],
-    /// Density [kg/m^3]: resistance to motion across the sheet. 0 for a vacuum.
+    /// Density [kg/m^3]: resistance to motion along the normal of the sheet. 0 for a vacuum.
     pub density: f64,
-    /// Drag [N s/m^3]: resistance to motion along the sheet.
+    /// Drag [N s/m^3]: resistance to motion in the plane of the sheet.
     pub drag: f64,
 }
 
@@ -368,9 +368,9 @@ impl Scene {
             return Err(Error::invalid(&self.origin, "frames", "1 or more", 0));
         }
         let units = Units { length_m, frame_time_s: self.frame_time_s, areal_mass_kg_m2 };
-        if let Some(separation) = self.repulsion {
-            self.not_negative("repulsion.strength", separation.strength)?;
-            units.repulsion(separation).check(&self.origin, "repulsion")?;
+        if let Some(settings) = self.repulsion {
+            self.not_negative("repulsion.strength", settings.strength)?;
+            units.repulsion(settings).check(&self.origin, "repulsion")?;
         }
         Ok(units)
     }

@@ -65,9 +65,9 @@ impl Mesh {
 
     /// Returns a hint for faces that do not fit: most often the sides are swapped.
     fn hint(&self, grid: Grid) -> String {
-        let turned = Grid { h: grid.w, w: grid.h };
+        let swapped = Grid { h: grid.w, w: grid.h };
         let fits = |grid| self.0.faces.iter().all(|(face, _)| place(grid, face).is_some());
-        if grid.h != grid.w && fits(turned) { format!("; they fit {turned}") } else { String::new() }
+        if grid.h != grid.w && fits(swapped) { format!("; they fit {swapped}") } else { String::new() }
     }
 }
 

@@ -214,7 +214,7 @@ impl Scene {
             material: self.stiffness.in_grid_units(&units),
             gravity: units.acceleration(self.up.to_z_up(self.gravity)),
             air: units.air(self.wind.density, self.wind.drag),
-            repulsion: self.repulsion.map(|separation| units.repulsion(separation)),
+            repulsion: self.repulsion.map(|settings| units.repulsion(settings)),
             handles: particles,
         };
         let setup = Setup {
@@ -299,7 +299,7 @@ impl Scene {
     fn frame_count(&self, steps: f64, handles: usize) -> Result<usize> {
         let (field, frames) = match self.frames {
             Some(frames) => ("frames", frames),
-            // A hair less, lest 390.00000000000006 become 391 steps.
+            // Slightly less, so that 390.00000000000006 steps do not become 391.
             None => ("frame_time_s, speed", ((steps - 1e-6).ceil().max(0.0) as usize).saturating_add(1)),
         };
         let most = MAX_FRAMES.min(MAX_HANDLE_POSITIONS / handles.max(1));

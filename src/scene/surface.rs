@@ -60,8 +60,8 @@ impl Sheet {
         Self { grid, points }
     }
 
-    /// Contracts every row of particles towards its end at j = 0. Edges along the width shrink by exactly
-    /// `ratio`; edges along the height become blends of two of the original ones.
+    /// Contracts every row of particles towards its end at j = 0. Edges along the width become exactly `ratio`
+    /// times as long; edges along the height become blends of two of the original ones.
     fn shorten(&mut self, ratio: f64) {
         for row in self.points.chunks_mut(self.grid.w) {
             let end = row[0];

@@ -113,9 +113,9 @@ impl Units {
     }
 
     /// Converts repulsion to grid units: an energy per unit mass [m^2/s^2] becomes [edges^2 / frame^2].
-    pub fn repulsion(&self, separation: RepulsionSettings) -> Repulsion {
+    pub fn repulsion(&self, settings: RepulsionSettings) -> Repulsion {
         let edge_per_frame = self.length_m / self.frame_time_s;
-        let RepulsionSettings { strength, distance } = separation;
+        let RepulsionSettings { strength, distance } = settings;
         Repulsion { strength: strength / (edge_per_frame * edge_per_frame), distance }
     }
 

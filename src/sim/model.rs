@@ -98,8 +98,9 @@ impl Model {
         self.cloths.len()
     }
 
-    /// Fails if there is no cloth, a handle is outside the grid or listed twice, a number of a repulsion is
-    /// out of the range given in [`Repulsion`], a coefficient is negative, or any number is not finite.
+    /// Fails if the grid is too small or too large ([`Grid::new`]), there is no cloth, a handle is outside
+    /// the grid or listed twice, a number of a repulsion is out of the range given in [`Repulsion`], a
+    /// coefficient is negative, or any number is not finite in single precision.
     pub fn check(&self) -> Result<()> {
         Grid::new(self.grid.h, self.grid.w, "model")?;
         let n = self.grid.particles();

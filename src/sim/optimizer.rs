@@ -101,8 +101,8 @@ impl Optimizer {
         }
     }
 
-    /// Fails if the weights of a learned optimizer belong to a network with other inputs than the update
-    /// rule's fields, or if a history is too long for the kernels.
+    /// Fails if the weights of a learned optimizer belong to a network whose inputs are not the update rule's
+    /// fields, or if a history is empty or too long for the kernels.
     pub(crate) fn check(&self) -> Result<()> {
         match *self {
             Self::Learned(ref weights) => weights.config.check_fields("optimizer", "network"),

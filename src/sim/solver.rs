@@ -37,7 +37,7 @@ impl Default for SolverOptions {
 /// [`Solver::new`] fills buffers through the caller's queue and waits until the kernels are compiled. After
 /// that, [`Solver::record`] records one frame into the caller's encoder. It submits, polls and maps nothing,
 /// and it neither allocates nor creates bind groups. The positions stay in a buffer that can be bound as a
-/// vertex buffer ([`Solver::positions`]); [`Solver::vertices`] makes one with normals.
+/// vertex buffer ([`Solver::positions`]); [`Solver::vertices`] creates one with normals.
 #[derive(Debug)]
 pub struct Solver {
     context: Context,
@@ -216,7 +216,7 @@ impl Solver {
         let physics = Physics { cloths, external, x };
         let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(batch, grid))?;
         let repulsion = self.repels.then(|| Repulsion::new(context, batch, grid)).transpose()?;
-        let pushed =
+        let with_repulsion =
             Physics { external: repulsion.as_ref().map_or(external, |r| &r.total_acceleration), ..physics };
         let repel = |frame: &mut Schedule| {
             if let Some(repulsion) = &repulsion {
@@ -228,7 +228,7 @@ impl Solver {
         for iteration in 0..self.iterations {
             let sums = row(&self.sums, iteration, self.ends[0].shape());
             repel(&mut frame);
-            gradient.push(&mut frame, grid, pushed, (iterate, &sums));
+            gradient.push(&mut frame, grid, with_repulsion, (iterate, &sums));
             step(&mut frame, iteration, &sums);
         }
 
@@ -411,8 +411,9 @@ impl Solver {
         changes
     }
 
-    /// Makes a vertex buffer of the cloths, with positions and normals, seen as in
-    /// [`VertexView::default`](super::VertexView::default). Fails if the device cannot bind it.
+    /// Creates a vertex buffer of the cloths, with positions and normals. Its view is
+    /// [`VertexView::default`](super::VertexView::default) until [`Vertices::set_view`] replaces it. Fails if
+    /// the device cannot bind a buffer of that size.
     pub fn vertices(&self) -> Result<Vertices> {
         Vertices::new(&self.context, self)
     }

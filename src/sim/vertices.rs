@@ -5,18 +5,18 @@ use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels;
 
-/// How [`Vertices`] sees the cloths.
+/// The transform and the time at which [`Vertices`] shows the cloths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VertexView {
-    /// Rows of the affine transform `[A | c]` from positions \[edges\], z up, to vertices. A transform that
-    /// mirrors turns the normals to the other side, together with the winding of the triangles.
+    /// Rows of the affine transform `[A | c]` from positions \[edges\], z up, to vertices. A mirroring
+    /// transform reverses the winding of the triangles, and with it the normals.
     pub transform: [[f32; 4]; 3],
-    /// Time between the frame before (0) and the current one (1), for a host with another frame rate.
+    /// Time between the previous frame (0) and the current one (1), for a host with another frame rate.
     pub time: f32,
 }
 
 impl Default for VertexView {
-    /// The positions as they are, at the end of the frame.
+    /// Returns the identity transform, at the end of the frame.
     fn default() -> Self {
         Self { transform: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]], time: 1.0 }
     }
@@ -33,9 +33,9 @@ impl VertexView {
 /// Interleaved positions and normals of all cloths of a [`Solver`], computed on its device
 /// ([`Solver::vertices`]).
 ///
-/// [`Vertices::record`] updates them in the caller's encoder, behind [`Solver::record`]; nothing is read back or
-/// copied. The vertices of cloth b begin at vertex `b H W`, so that one index buffer
-/// ([`Grid::faces`](super::Grid::faces)) serves all cloths with a base vertex.
+/// [`Vertices::record`] updates them in the caller's encoder, after [`Solver::record`]. Nothing is read back
+/// or copied. The vertices of cloth b begin at vertex `b H W`, so one index buffer
+/// ([`Grid::faces`](super::Grid::faces)) serves all cloths, with a base vertex for each.
 #[derive(Debug)]
 pub struct Vertices {
     context: Context,
@@ -48,7 +48,7 @@ impl Vertices {
     /// Bytes from one vertex to the next: the position is `Float32x3` at offset 0, the normal at 12.
     pub const STRIDE: u64 = 24;
 
-    /// See [`Solver::vertices`].
+    /// Builds the vertices of `solver`; see [`Solver::vertices`].
     pub(super) fn new(context: &Context, solver: &Solver) -> Result<Self> {
         context.checked(|| {
             let (grid, batch) = (solver.model().grid, solver.model().batch());
@@ -62,7 +62,7 @@ impl Vertices {
         })
     }
 
-    /// Sets the view, ahead of whatever is submitted next.
+    /// Sets the view, ahead of the next submission.
     pub fn set_view(&self, view: &VertexView) {
         self.view.write(&self.context, view.to_rows().as_flattened());
     }
@@ -72,8 +72,9 @@ impl Vertices {
         self.schedule.record(encoder);
     }
 
-    /// Returns the vertices, shape [B, H W, 6]: position, then unit normal, which is zero where all triangles
-    /// around a particle are degenerate. Their buffer can be bound as a vertex buffer and for storage.
+    /// Returns the vertices, shape [B, H W, 6]: position, then unit normal, which is zero if those of the
+    /// triangles around a particle vanish or cancel. Their buffer can be bound as a vertex buffer and for
+    /// storage.
     pub fn tensor(&self) -> &Tensor {
         &self.interleaved
     }

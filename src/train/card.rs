@@ -35,7 +35,7 @@ impl Card<'_> {
     /// replace the best ones.
     pub(super) fn validation(path: &Path) -> Result<Option<Vec<SceneScore>>> {
         #[derive(serde::Deserialize)]
-        struct Told {
+        struct Stored {
             validation: Vec<SceneScore>,
         }
         let card = path.with_extension("json");
@@ -43,7 +43,7 @@ impl Card<'_> {
             return Ok(None);
         }
         let bytes = std::fs::read(&card).map_err(|e| Error::io(&card, "cannot read", e))?;
-        let Told { validation } = serde_json::from_slice(&bytes).map_err(|e| {
+        let Stored { validation } = serde_json::from_slice(&bytes).map_err(|e| {
             let expected = "the validation scores of the weights (delete both files to start over)";
             Error::invalid(card.display().to_string(), "validation", expected, e)
         })?;

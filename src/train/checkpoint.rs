@@ -166,7 +166,7 @@ mod tests {
     }
 
     #[test]
-    fn a_checkpoint_comes_back_bit_by_bit() {
+    fn a_checkpoint_is_restored_bit_for_bit() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("c.safetensors");
         let written = example();
@@ -199,7 +199,7 @@ mod tests {
             let mut bad = good.clone();
             bad[at] ^= 0x10;
             std::fs::write(&path, bad).unwrap();
-            // A change in the header's padding may go unnoticed, but never in anything that is read.
+            // A change in the header's padding may go unnoticed; a change in anything that is read may not.
             if let Ok(read) = Checkpoint::read(&path) {
                 assert_eq!(read.config, "seed = 3", "byte {at}");
                 assert_eq!(read.counters, example().counters, "byte {at}");

@@ -163,15 +163,15 @@ pub struct AdamWOptions {
 pub enum Every {
     /// At every multiple of this many steps.
     Steps(u64),
-    /// Whenever this many minutes have passed since the last time.
+    /// Whenever this many minutes have passed since the last time, or since the session started.
     Minutes(f64),
 }
 
 /// Rollouts of fixed scenes by which weights are judged ([`super::Validation`]).
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ValidationConfig {
-    /// How often to validate. A validation also takes place where a session reaches its limit or the end of
-    /// the run, but not where it is interrupted.
+    /// How often to validate. A validation also takes place when a session reaches its limit or the end of
+    /// the run, but not when it is interrupted.
     pub every: Every,
     /// Frames of each rollout.
     pub frames: usize,

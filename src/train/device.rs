@@ -113,7 +113,8 @@ impl DeviceLoss {
     }
 
     /// Appends an iteration: adds the step to a, updates the hidden state, and adds the gradient of the mean
-    /// energy over all weights to the vector passed to [`DeviceLoss::new`]. `transposed` holds the weights.
+    /// energy over all weights to the vector passed to [`DeviceLoss::new`]. `transposed` holds the transposed
+    /// weights.
     pub fn push(&self, schedule: &mut Schedule, transposed: &TransposedWeights) -> Result<()> {
         let (context, grid) = (&self.context, self.grid);
         let Self { x, v, cloths, control_accelerations, external, iterate, scale, forward, backward, .. } =

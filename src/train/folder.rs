@@ -62,7 +62,8 @@ impl Folder {
         Self { root: root.to_owned(), lock: None }
     }
 
-    /// Locks the folder against other processes until `self` is dropped.
+    /// Locks the folder against other processes until `self` is dropped, and removes unfinished files. Fails
+    /// if another process holds the lock; only warns if the folder cannot be locked.
     pub fn claim(&mut self) -> Result<()> {
         let path = self.root.join("run.lock");
         let file = File::create(&path).map_err(|e| Error::io(&path, "cannot create", e))?;

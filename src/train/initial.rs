@@ -21,7 +21,8 @@ pub fn first_weights(config: &Config, ranks: &dyn Ranks) -> Result<Weights> {
     Ok(Weights::from_flat(config.network, &flat))
 }
 
-/// Returns the mean of the weights in these files. Fails if one is of a network of other sizes.
+/// Returns the mean of the weights in these files. Fails if a file cannot be read or is of a network of other
+/// sizes.
 fn mean(config: &Config, files: &[PathBuf]) -> Result<Vec<f32>> {
     let mut sums: Vec<f64> = Vec::new();
     for path in files {

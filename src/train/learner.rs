@@ -22,8 +22,8 @@ pub trait Learner {
     /// 4. If `advance` is set, the frame ends: v <- v + a, x <- x + v, a <- 0, handles are at their targets
     ///    with velocity 0, and v loses the fraction `damping`.
     ///
-    /// Then [`Ranks::sum_gradients`] sums the gradients of all ranks, the gradient is clipped by its norm, and AdamW
-    /// updates the weights and their running mean. If the loss or the norm is not finite
+    /// Then [`Ranks::sum_gradients`] sums the gradients of all ranks, the gradient is clipped by its norm,
+    /// and AdamW updates the weights and their running mean. If the loss or the norm is not finite
     /// ([`StepReport::is_finite`]), the weights, AdamW's moments and the running mean do not change. With one
     /// rank the gradient need not leave the device.
     fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport>;
@@ -127,8 +127,8 @@ impl StepReport {
         self.outcomes.iter().filter(|outcomes| !outcomes.is_empty()).map(mean).sum()
     }
 
-    /// Returns whether the step is usable. All ranks agree, because [`Ranks::sum_gradients`] propagates non-finite
-    /// losses.
+    /// Returns whether the step is usable. All ranks agree, because [`Ranks::sum_gradients`] propagates
+    /// non-finite losses.
     pub fn is_finite(&self) -> bool {
         self.gradient_norm.is_finite() && self.loss().is_finite()
     }

@@ -65,7 +65,7 @@ impl Drop for Mpi {
         if std::thread::panicking() {
             self.abort(&"the program panicked");
         }
-        // If a rank exits on its own, the launcher kills the others, which may still be writing.
+        // Wait: if a rank exits before the others, the launcher kills them, and they may still be writing.
         self.world.barrier();
     }
 }

@@ -33,7 +33,7 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
     for row in validations.rows(&text) {
         let values: Vec<&str> = row.split(',').collect();
         let (Ok(step), Ok(gap)) = (values[0].parse(), values[2].parse::<f64>()) else { continue };
-        // Diverging weights have gaps that are larger by powers of ten.
+        // Logarithmic, because the gaps of diverging weights are larger by powers of ten.
         let value = gap.log10();
         match scenes.iter_mut().find(|curve| curve.label == values[1]) {
             Some(curve) => curve.points.push([step, value]),

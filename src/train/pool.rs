@@ -59,7 +59,7 @@ impl Pool {
     }
 
     /// Returns whether training step `step` draws from this pool. Consecutive pools with the same `every`
-    /// alternate.
+    /// take turns.
     pub fn takes_part(&self, step: u64) -> bool {
         (step + self.index as u64).is_multiple_of(self.config.every)
     }
@@ -107,9 +107,9 @@ impl Pool {
         // reset.
         let frames = self.config.sequence_length.unwrap_or(self.reset.sequence_length);
         let life = u128::from(frames) * u128::from(self.config.iterations);
-        let turns = |steps: u64| u128::from(steps / self.config.every) * self.config.batch as u128 / life;
-        for turn in turns(step)..turns(step + 1) {
-            let slot = (turn % self.slots.len() as u128) as usize;
+        let resets = |steps: u64| u128::from(steps / self.config.every) * self.config.batch as u128 / life;
+        for reset in resets(step)..resets(step + 1) {
+            let slot = (reset % self.slots.len() as u128) as usize;
             self.slots[slot].begin_anew();
         }
     }

@@ -7,12 +7,12 @@ use std::rc::Rc;
 /// The processes that train one network together, as seen by one of them. Each is a *rank*, numbered from 0.
 ///
 /// All ranks hold the same weights and AdamW moments. Each has its own pools, simulated from its own seed
-/// ([`Ranks::seed`]), and contributes the gradient of its own batches to every step ([`Ranks::sum_gradients`]). Rank 0
-/// alone measures, writes the files of the run and decides when to stop ([`Ranks::decide`]); the others only
-/// write their part of each checkpoint.
+/// ([`Ranks::seed`]), and contributes the gradient of its own batches to every step
+/// ([`Ranks::sum_gradients`]). Rank 0 alone measures, writes the files of the run and decides when to stop
+/// ([`Ranks::decide`]); the others only write their part of each checkpoint.
 ///
-/// All ranks must call all methods except `rank`, `count`, `local_rank`, `seed` and `abort`, in the same
-/// order.
+/// Every call of a method other than `rank`, `count`, `local_rank`, `seed` and `abort` must be made by all
+/// ranks, in the same order.
 pub trait Ranks {
     /// Returns the number of this rank.
     fn rank(&self) -> usize;
@@ -40,11 +40,12 @@ pub trait Ranks {
         seed.wrapping_add((self.rank() as u64) << 32)
     }
 
-    /// Replaces the gradient of this rank's loss over all weights with that of the sum of all ranks' losses.
-    /// The loss of one learner is the sum over its pools, so the ranks together act as one learner with all
-    /// their pools. They also act as one with larger batches, because the backward pass weighs every
-    /// component, or every cloth, the same; hence the sum is not divided by the number of ranks. If any
-    /// rank's loss is not finite, the gradient becomes non-finite on all ranks, so that all skip the step.
+    /// Replaces `gradient`, that of this rank's loss with respect to all weights, with that of the sum of all
+    /// ranks' losses. The loss of one learner is the sum over its pools, so the ranks together act as one
+    /// learner with all their pools. They also act as one with larger batches, because the backward pass
+    /// weighs every component, or every cloth, the same; hence the sum is not divided by the number of ranks.
+    /// If any rank's loss is not finite, the gradient becomes non-finite on all ranks, so that all skip the
+    /// step.
     fn sum_gradients(&self, gradient: &mut [f32], loss: f64) {
         if !loss.is_finite() && self.count() > 1 {
             gradient.fill(f32::NAN);

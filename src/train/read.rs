@@ -47,10 +47,10 @@ pub(super) fn config(text: &str, path: &Path) -> Result<Config> {
         "checkpoint",
     ])?;
     let base = Config::default();
-    let beside = |file: &Node<'_>| Ok(path.parent().unwrap_or(Path::new("")).join(file.text()?));
+    let resolved = |file: &Node<'_>| Ok(path.parent().unwrap_or(Path::new("")).join(file.text()?));
     let files = |n: &Node<'_>| match n.items() {
-        Ok(several) => several.iter().map(beside).collect(),
-        Err(_) => Ok(vec![beside(n)?]),
+        Ok(several) => several.iter().map(resolved).collect(),
+        Err(_) => Ok(vec![resolved(n)?]),
     };
     let config = Config {
         notes: root.get_or("notes", base.notes, |n| Ok(n.text()?.to_owned()))?,
@@ -365,7 +365,8 @@ fn share(node: &Node<'_>) -> Result<f64> {
     share.ok_or_else(|| node.invalid("a number from 0 to 1"))
 }
 
-/// Reads the fraction that is kept at each repetition; 1 would keep everything forever.
+/// Reads a factor that is applied repeatedly, such as a decay or a probability of continuing. It must be
+/// below 1, with which nothing would ever decay or end.
 fn decay(node: &Node<'_>) -> Result<f64> {
     let decay = node.number().ok().filter(|v| (0.0..1.0).contains(v));
     decay.ok_or_else(|| node.invalid("a number, 0 or more and below 1"))

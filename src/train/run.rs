@@ -241,8 +241,8 @@ impl Run {
             let last = self.ranks.decide(step == steps || session.is_due(step));
             let due = self.ranks.decide(last || validate.is_due(step));
             let kept = self.ranks.decide(due || checkpoint.is_due(step));
-            // Save before validating, which takes a while and may fail. Never save a state that produces
-            // non-finite steps: it would push out better checkpoints.
+            // Save before validating, which takes a while and may fail. Do not save after a skipped step: a
+            // state that only produces non-finite steps would push out better checkpoints.
             let sound = kept && self.ranks.all(self.weights_are_finite()?);
             let validated = due && sound;
             self.counters.validation_due = validated;
@@ -283,10 +283,11 @@ impl Run {
         Ok(end)
     }
 
-    /// Writes the weights to keep after non-finite steps: the current ones if they are `sound`, else those of
-    /// the newest checkpoint. Does not save the current state, because the checkpoints may hold a better one
-    /// than a state that produces only such steps. The checkpoint of step `fruitless`, after which no step
-    /// was finite, is not better; it is removed if there is an older one.
+    /// Writes the weights to keep after non-finite steps. Does not save the current state, because the
+    /// checkpoints may hold a better one than a state that produces only such steps. The checkpoint of step
+    /// `fruitless`, after which no step was finite, is not better; it is removed if an older one is intact.
+    /// The weights are the current ones if they are `sound` and no checkpoint was removed, else those of the
+    /// newest checkpoint.
     fn leave_weights(&mut self, sound: bool, fruitless: Option<u64>) -> Result<()> {
         self.flush()?;
         let given_up = fruitless.map_or(Ok(false), |step| self.give_up(step))?;

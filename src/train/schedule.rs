@@ -38,8 +38,8 @@ impl RateSchedule {
             Decay::None => rate,
             Decay::Halvings(at) => rate * 0.5f64.powi(at.iter().filter(|&&at| at <= step).count() as i32),
             Decay::Cosine { last } => {
-                let way = steps.saturating_sub(self.warmup).max(1) as f64;
-                let done = ((step - self.warmup) as f64 / way).min(1.0);
+                let span = steps.saturating_sub(self.warmup).max(1) as f64;
+                let done = ((step - self.warmup) as f64 / span).min(1.0);
                 last + (rate - last) * 0.5 * (1.0 + (PI * done).cos())
             }
         }

@@ -8,7 +8,7 @@ use crate::scene::{Motion, Scene, Start};
 use crate::sim::{Device, Grid, Optimizer};
 use std::ops::ControlFlow;
 
-/// Contribution of an unsound rollout to the score, as an energy gap; it exceeds any gap of a sound one.
+/// Contribution of an unsound rollout to the score, as an energy gap. Gaps of sound ones are capped at it.
 const UNSOUND_GAP: f64 = 10.0;
 
 /// The prepared scenes: on each grid of the configuration a sheet that hangs from two corners and swings
@@ -85,7 +85,7 @@ impl SceneScore {
     fn of(score: &CaseScore) -> Self {
         Self {
             scene: score.case.clone(),
-            // Clamp a non-finite gap: JSON would store it as null, which means a scene without a gap.
+            // Cap the gap, also if it is infinite or NaN: JSON would store that as null, which means no gap.
             gap: score.measured_gap().map(|gap| gap.min(UNSOUND_GAP)),
             largest_stretch: score.stretch_largest.min(f64::MAX),
             stable: score.sound(),

@@ -10,8 +10,8 @@ use std::path::Path;
 /// Tolerance of network stages, relative to the array's largest magnitude. The golden arrays are in single
 /// precision.
 pub(super) const NETWORK: f64 = 2e-5;
-/// The same if activations and weights are stored in 16 bits, of which 11 are significant: a few of their
-/// roundings.
+/// Tolerance of network stages if activations and weights are stored in 16 bits, of which 11 are significant:
+/// a few roundings.
 const NETWORK_HALF: f64 = 2e-3;
 /// Compares the results of stages with the arrays of a file, and reports each comparison.
 pub(super) struct Checker<'a> {
@@ -32,7 +32,8 @@ impl Checker<'_> {
         self.magnitude(array, expected, found, tolerance);
     }
 
-    /// Returns the grid if a cloth on it has an energy. Accepts grids too small for the network.
+    /// Returns a grid on which a cloth has an energy, though it may be too small for the network. Fails
+    /// unless there are at least two particles per side.
     pub fn grid_with_cells(&self, h: usize, w: usize) -> Result<Grid> {
         let grid = Grid { h, w };
         match h.min(w) {

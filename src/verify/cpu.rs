@@ -82,7 +82,8 @@ impl<T: Real> Stages for CpuStages<T> {
 
     fn repulsion(&mut self, grid: Grid, positions: &[f64], of_cloth: Repulsion) -> Result<(f64, Vec<f64>)> {
         let n = grid.particles();
-        let (x, zeros, mut pushed) = (cast::<T>(positions), vec![T::zero(); 3 * n], vec![T::zero(); 3 * n]);
+        let (x, zeros, mut accelerations) =
+            (cast::<T>(positions), vec![T::zero(); 3 * n], vec![T::zero(); 3 * n]);
         let trial = Trial {
             grid,
             material: Material::default(),
@@ -92,8 +93,8 @@ impl<T: Real> Stages for CpuStages<T> {
             f: &zeros,
             slots: &vec![0; n],
         };
-        let energy = repulsion(&trial, of_cloth, &mut pushed);
-        Ok((energy, gradient_of_push(grid, &double(&pushed))))
+        let energy = repulsion(&trial, of_cloth, &mut accelerations);
+        Ok((energy, gradient_of_push(grid, &double(&accelerations))))
     }
 
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)> {

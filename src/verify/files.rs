@@ -34,12 +34,12 @@ const ADAMW_CLIP: f64 = 0.05;
 const ADAMW_RATE: f64 = 1e-3;
 /// First frame of a rollout, absolute in grid units.
 const ROLLOUT_FIRST: f64 = 1e-4;
-/// Growth of a rollout's tolerance per frame: from 1e-4 in the first frame to 1e-2 in the tenth, or as far as
-/// rounding takes a recording.
+/// Growth of a rollout's tolerance per frame: from 1e-4 in the first frame to 1e-2 in the tenth, or more if
+/// rounding takes a recording further.
 ///
 /// A recorded rollout is itself in single precision: positions are rounded in each of the N iterations of a
 /// frame, and the motion is chaotic. The effect of one rounding is measured for each array, by moving the
-/// start by the last bit of its coordinates. A rollout may be off by N times that.
+/// coordinates of the start by half their last bit. A rollout may be off by N times that.
 const DRIFT: f64 = 1.668_100_537_200_059;
 
 /// Prefixes of the names of golden files.
@@ -116,8 +116,8 @@ impl Checker<'_> {
         } else {
             let known = KINDS.map(|kind| kind.trim_end_matches('_'));
             let kind = name.split('_').next().unwrap_or_default();
-            let told = Error::unknown("name", "kind of golden file", kind, known);
-            self.verdict(&told.to_string(), Outcome::Skipped);
+            let error = Error::unknown("name", "kind of golden file", kind, known);
+            self.verdict(&error.to_string(), Outcome::Skipped);
             Ok(())
         }
     }
@@ -192,12 +192,12 @@ impl Checker<'_> {
         let weights = self.weights("network_weights")?;
         let field = |name: &str, shape: &[usize]| Ok::<_, Error>(golden.shaped(name, shape)?.to_vec());
         let cloths = cloths(golden, batch, grid)?;
-        let (n, held) = (h * w, field("handle_positions", &shape)?);
+        let (n, targets) = (h * w, field("handle_positions", &shape)?);
         let handles =
             cloths.iter().enumerate().flat_map(|(b, c)| c.handles.iter().map(move |p| 3 * n * b + p));
         let case = TrainingCase {
             grid,
-            targets: handles.map(|at| [0, 1, 2].map(|k| held[at + k * n])).collect(),
+            targets: handles.map(|at| [0, 1, 2].map(|k| targets[at + k * n])).collect(),
             cloths,
             x: field("positions", &shape)?,
             v: field("velocities", &shape)?,
@@ -254,7 +254,7 @@ impl Checker<'_> {
             return Err(Error::invalid(self.file, "before.*", "weights", "none"));
         }
         // All arrays are concatenated, because clipping uses the norm over all of them.
-        let joined = |prefix: &str| -> Result<Vec<f64>> {
+        let concatenated = |prefix: &str| -> Result<Vec<f64>> {
             let mut all = Vec::new();
             for name in &names {
                 let (shape, _) = golden.array(&format!("before.{name}"))?;
@@ -262,13 +262,13 @@ impl Checker<'_> {
             }
             Ok(all)
         };
-        let before = joined("before")?;
+        let before = concatenated("before")?;
         let steps = (0..).take_while(|k| golden.has(&format!("grad{k}.{}", names[0]))).count();
         if before.is_empty() || steps == 0 {
             let (expected, found) = ("weights, and gradients of a step", format!("{steps} steps"));
             return Err(Error::invalid(self.file, "before.*, grad0.*", expected, found));
         }
-        let gradients = (0..steps).map(|k| joined(&format!("grad{k}"))).collect::<Result<_>>()?;
+        let gradients = (0..steps).map(|k| concatenated(&format!("grad{k}"))).collect::<Result<_>>()?;
         let case = AdamWCase { before, gradients, clip: ADAMW_CLIP, rate: ADAMW_RATE };
         let found = self.stages.adamw(&case)?;
         for (k, found) in found.iter().enumerate() {
@@ -426,16 +426,17 @@ impl Checker<'_> {
     }
 }
 
-/// Returns the displacements of a batch without acceleration, [B, 3, H, W]: a particle's velocity, or a
-/// handle's way to its target.
+/// Returns the displacements of a batch without acceleration, [B, 3, H, W]: a particle's velocity, or
+/// for a handle the displacement to its target.
 fn base(golden: &Golden, shape: &[usize; 4]) -> Result<Vec<f64>> {
     let &[batch, _, h, w] = shape;
     let n = h * w;
     let mask = golden.shaped("handle_mask", &[batch, 1, h, w])?;
-    let [x, v, held] = ["positions", "velocities", "handle_positions"].map(|name| golden.shaped(name, shape));
-    let (x, v, held) = (x?, v?, held?);
+    let [x, v, targets] =
+        ["positions", "velocities", "handle_positions"].map(|name| golden.shaped(name, shape));
+    let (x, v, targets) = (x?, v?, targets?);
     let is_handle = |k: usize| mask[k / (3 * n) * n + k % n] != 0.0;
-    Ok((0..x.len()).map(|k| if is_handle(k) { held[k] - x[k] } else { v[k] }).collect())
+    Ok((0..x.len()).map(|k| if is_handle(k) { targets[k] - x[k] } else { v[k] }).collect())
 }
 
 /// Returns the cloths of a batch with their materials and handles.
@@ -515,8 +516,8 @@ mod tests {
 
         let fields = ["grads", "last_grads", "last_steps", "step"].map(|name| (name, &[3, 2, 8, 8][..]));
         let scales = ["scales", "new_scales"].map(|name| (name, &[3, 1, 1, 1][..]));
-        let told = failure("update_rule_x", &[&fields[..], &scales].concat(), 0.5);
-        assert!(told.contains("grads: expected shape [3, 1, 8, 8]"), "{told}");
+        let message = failure("update_rule_x", &[&fields[..], &scales].concat(), 0.5);
+        assert!(message.contains("grads: expected shape [3, 1, 8, 8]"), "{message}");
 
         let rollout = |three, handles, rows| {
             let arrays: [(&str, &[usize]); 6] = [

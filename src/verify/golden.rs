@@ -48,7 +48,7 @@ impl Golden {
         &self.path
     }
 
-    /// Returns whether there is an array of that name.
+    /// Whether there is an array of that name.
     pub fn has(&self, name: &str) -> bool {
         self.arrays.contains_key(name)
     }

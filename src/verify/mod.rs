@@ -67,10 +67,10 @@ pub trait Stages {
 
 /// Returns the gradient of the repulsion's energy over positions [3, H, W], given the accelerations that the
 /// repulsion causes: the force on a particle is its mass over `H W` times its acceleration.
-fn gradient_of_push(grid: Grid, pushed: &[f64]) -> Vec<f64> {
+fn gradient_of_push(grid: Grid, accelerations: &[f64]) -> Vec<f64> {
     let n = grid.particles();
     let mass = |p: usize| grid.mass(p / grid.w, p % grid.w) / n as f64;
-    pushed.iter().enumerate().map(|(k, a)| -mass(k % n) * a).collect()
+    accelerations.iter().enumerate().map(|(k, a)| -mass(k % n) * a).collect()
 }
 
 /// The intermediate and final results of the network.

@@ -28,7 +28,7 @@ fn machines_without_a_desktop_get_no_errors_of_the_driver() {
 }
 
 #[test]
-fn a_tuning_is_stored_for_its_adapter_and_used() {
+fn a_tuning_is_stored_for_its_adapter_and_read_again() {
     let folder = tempfile::tempdir().unwrap();
     let cache = folder.path().join("cache");
     let run = |arguments: &[&str]| {

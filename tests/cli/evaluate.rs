@@ -19,7 +19,7 @@ fn the_convergence_is_drawn_on_each_grid() {
     assert_eq!(height("8,9,10", "three"), 2 * height("8", "one"));
 }
 
-/// Writing to a pipe used to replace it with a file if the user had permission to.
+/// Writing tables to a pipe used to replace the pipe with a file, if permissions allowed that.
 #[cfg(target_os = "linux")]
 #[test]
 fn tables_go_into_a_pipe() {
@@ -31,7 +31,7 @@ fn tables_go_into_a_pipe() {
     assert!(csv < plain, "{printed}");
 }
 
-/// Only the last of the files used to survive.
+/// Two outputs with the same name used to overwrite each other, so that only the last survived.
 #[test]
 fn files_of_one_name_are_refused() {
     let folder = tempfile::tempdir().unwrap();
@@ -65,7 +65,7 @@ fn numbers_of_iterations_are_columns_and_curves() {
 }
 
 #[test]
-fn a_material_is_what_a_scene_takes() {
+fn a_material_reads_as_in_a_scene() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let write = |name: &str, content: &str| std::fs::write(at.join(name), content).unwrap();
@@ -156,8 +156,8 @@ fn a_fit_writes_a_material_that_an_evaluation_reads() {
     };
     let ranges =
         ["--stretch", "100,400", "--shear", "5", "--bend", "0.1", "--density", "1,2", "--levels", "2"];
-    let (told, _) = done(fit(&[&ranges[..], &["--rounds", "0"]].concat()));
-    assert!(told.contains("out/fit.json"), "{told}");
+    let (printed, _) = done(fit(&[&ranges[..], &["--rounds", "0"]].concat()));
+    assert!(printed.contains("out/fit.json"), "{printed}");
     let best = json(&at.join("out/fit.json"));
     let lines = std::fs::read_to_string(at.join("out/fit.csv")).unwrap();
     let first: Vec<f64> = lines.lines().nth(2).unwrap().split(',').map(|v| v.parse().unwrap()).collect();

@@ -163,7 +163,7 @@ fn paths_need_not_be_utf_8() {
 }
 
 #[test]
-fn what_is_logged_is_asked_for() {
+fn logging_follows_its_variable() {
     let folder = tempfile::tempdir().unwrap();
     let log = |filter: &str, code| {
         let rollout = ["rollout", "--device", "cpu", "--frames", "2", "--grid", "8", "8", "--no-pictures"];
@@ -171,11 +171,11 @@ fn what_is_logged_is_asked_for() {
         assert_eq!(output.status.code(), Some(code), "{}", text(&output.stderr));
         text(&output.stderr)
     };
-    let told = log("info", 0);
+    let info = log("info", 0);
     for line in ["scene: ", "weights: shipped with the program, ", "device: cpu"] {
-        assert!(told.contains(line), "no '{line}' in: {told}");
+        assert!(info.contains(line), "no '{line}' in: {info}");
     }
-    assert!(!told.contains('\u{1b}'), "colours in a file: {told:?}");
+    assert!(!info.contains('\u{1b}'), "colours in a file: {info:?}");
     assert!(!log("", 0).contains("scene: ") && !log("off", 0).contains("scene: "));
     let refused = log("fnopt=loud", 2);
     assert!(refused.contains("FNOPT_LOG") && refused.contains("fnopt=loud"), "{refused}");
@@ -209,7 +209,7 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
     let said = text(&some.stdout);
     assert!(said.contains("unknown kind of golden file 'enrgy' (did you mean energy"), "{said}");
 
-    // One line for each array of each file, in both precisions; nothing is skipped.
+    // Among all golden files, each of these stages has checks that pass.
     let all = fnopt(folder.path(), &["verify", golden.to_str().unwrap(), "--device", "cpu"]);
     assert_eq!(all.status.code(), Some(0), "{}", text(&all.stdout));
     for stage in ["training_step", "adamw", "energy_crumpled", "repulsion_threshold0.5"] {

@@ -46,8 +46,8 @@ fn ctrl_c_is_heard_within_a_frame_too() {
     let mut child =
         at_work(command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the command starts"));
     send("-INT", &child);
-    let mut told = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
-    let said = told.any(|line| line.unwrap().contains("again to end at once"));
+    let mut lines = std::io::BufReader::new(child.stderr.take().unwrap()).lines();
+    let said = lines.any(|line| line.unwrap().contains("again to end at once"));
     assert!(
         said && child.try_wait().unwrap().is_none(),
         "Ctrl-C was not acknowledged, or the frame had ended already"

@@ -35,15 +35,15 @@ fn a_rollout_writes_what_it_says() {
     assert_eq!(report["version"], env!("CARGO_PKG_VERSION"));
     assert_eq!(report["settings"]["precision"], "f32");
     assert_eq!((&report["status"], &summary["status"]), (&"done".into(), &"done".into()));
-    let mut told: Vec<&str> =
+    let mut listed: Vec<&str> =
         report["files"].as_array().unwrap().iter().map(|name| name.as_str().unwrap()).collect();
     let mut there: Vec<String> = std::fs::read_dir(folder.path().join("out"))
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
     there.sort();
-    told.sort_unstable();
-    assert_eq!(told, there);
+    listed.sort_unstable();
+    assert_eq!(listed, there);
     let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/fnopt.safetensors");
     let sum = crc32fast::hash(&std::fs::read(weights).unwrap());
     assert_eq!(report["weights_crc32"], format!("{sum:08x}"));
@@ -155,7 +155,7 @@ fn a_run_that_explodes_keeps_the_frames_before_and_a_replay() {
 
 /// A simulation that starts from the output of another one does not overwrite it.
 #[test]
-fn what_a_scene_is_read_from_is_not_written_over() {
+fn inputs_of_a_scene_are_not_overwritten() {
     let folder = tempfile::tempdir().unwrap();
     let rollout = |more: &[&str]| {
         let few = ["--device", "cpu", "--solver", "gd", "--grid", "8", "--frames", "2", "--no-pictures"];
@@ -173,6 +173,15 @@ fn what_a_scene_is_read_from_is_not_written_over() {
         assert!(std::fs::read(&first).unwrap() == before && replay.is_file());
         assert_eq!(rollout(&["next.json", "--out", "next"]).status.code(), Some(0));
     }
+    // A frame in a folder of frames would be overwritten, or removed as one of a longer run.
+    assert_eq!(rollout(&["--format", "obj"]).status.code(), Some(0));
+    let frame = folder.path().join("out/rollout_obj/00001.obj");
+    let before = std::fs::read(&frame).unwrap();
+    std::fs::write(folder.path().join("next.json"), r#"{"start": "out/rollout_obj/00001.obj"}"#).unwrap();
+    let output = rollout(&["next.json", "--format", "obj"]);
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    assert!(std::fs::read(&frame).unwrap() == before);
+    assert_eq!(rollout(&["next.json"]).status.code(), Some(0));
 }
 
 /// A file that cannot be written once the frames are computed does not take others with it.
@@ -197,8 +206,8 @@ fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
     names.sort();
     assert_eq!(names, ["report.json", "rollout.npy"]);
     // The report does not list files that an earlier run may have left there.
-    let told = json(&out.join("report.json"))["files"].clone();
-    assert_eq!(told, serde_json::json!(["rollout.npy", "report.json"]));
+    let listed = json(&out.join("report.json"))["files"].clone();
+    assert_eq!(listed, serde_json::json!(["rollout.npy", "report.json"]));
 }
 
 #[cfg(unix)]
@@ -213,8 +222,8 @@ fn an_interrupted_rollout_keeps_the_frames_so_far() {
         // The command handles signals once it has named the device.
         assert!(log.by_ref().map(Result::unwrap).any(|line| line.starts_with("device: ")));
         send(signal, &child);
-        let told: Vec<String> = log.map(Result::unwrap).collect();
-        assert!(told.iter().any(|line| line.starts_with("interrupted after frame ")), "{told:?}");
+        let rest: Vec<String> = log.map(Result::unwrap).collect();
+        assert!(rest.iter().any(|line| line.starts_with("interrupted after frame ")), "{rest:?}");
         assert_eq!(child.wait().unwrap().code(), Some(130), "{signal}");
         let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
         let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
@@ -228,27 +237,27 @@ fn an_interrupted_rollout_keeps_the_frames_so_far() {
 }
 
 #[test]
-fn what_is_not_sound_or_of_another_size_is_told() {
+fn unsound_rollouts_and_other_sizes_are_reported() {
     let folder = tempfile::tempdir().unwrap();
-    let told = |scene: &str, more: &[&str]| {
+    let log = |scene: &str, more: &[&str]| {
         std::fs::write(folder.path().join("s.json"), scene).unwrap();
         let few = ["rollout", "s.json", "--device", "cpu", "--no-pictures"];
         text(&command(folder.path(), &[&few[..], more].concat()).output().unwrap().stderr)
     };
-    // Quasi-Newton tears a sheet with so few rows before it becomes non-finite.
-    let torn = told(r#"{"grid": [16, 16], "frames": 14}"#, &["--solver", "quasi-newton"]);
+    // Quasi-Newton tears a sheet with so few rows before positions become non-finite.
+    let torn = log(r#"{"grid": [16, 16], "frames": 14}"#, &["--solver", "quasi-newton"]);
     assert!(torn.contains("away from the handles was stretched by"), "{torn}");
-    let sound = told(r#"{"grid": [16, 16], "frames": 4}"#, &["--solver", "newton"]);
+    let sound = log(r#"{"grid": [16, 16], "frames": 4}"#, &["--solver", "newton"]);
     assert!(!sound.contains("warning") && !sound.contains("WARN"), "{sound}");
-    // A sheet of half a metre in a scene of one, and handles that start elsewhere: one line for each.
+    // A half-metre sheet in a one-metre scene, and handles that start elsewhere: one line for each.
     let vertices: Vec<[f64; 3]> =
         (0..64).map(|p| [0.5 * f64::from(p % 8) / 7.0, 0.0, 0.5 * f64::from(p / 8) / 7.0]).collect();
     let motion: Vec<[f64; 3]> = vec![[9.0, 0.0, 0.0], [9.0, 9.0, 0.0]];
     let scene = serde_json::json!({
         "grid": [8, 8], "start": { "vertices": vertices, "grid": [8, 8] }, "motion": [motion, motion],
     });
-    let told = told(&scene.to_string(), &["--solver", "gd", "--iterations", "1", "--frames", "2"]);
+    let log = log(&scene.to_string(), &["--solver", "gd", "--iterations", "1", "--frames", "2"]);
     for said in ["along the height are 0.500 times", "along the width", "2 of 2 handles do not begin where"] {
-        assert_eq!(told.matches(said).count(), 1, "{said}: {told}");
+        assert_eq!(log.matches(said).count(), 1, "{said}: {log}");
     }
 }

@@ -96,7 +96,7 @@ fn scores_are_those_of_the_files_that_are_there() {
             .iter()
             .zip(&before)
             .filter(|(file, before)| std::fs::read(file).is_ok_and(|found| found == **before));
-        // Two of four: the scores of the earlier ground truth are not needed.
+        // Two of the four are back: those of the earlier ground truth are not computed again.
         assert_eq!(same.count(), 2);
         all.iter().zip(&before).for_each(|(file, before)| std::fs::write(file, before).unwrap());
     }
@@ -117,13 +117,13 @@ fn repeats_are_kept_and_merged_as_other_scores_are() {
         let few = ["--grid", "8", "--solver", "gd:3,lbfgs:3", "--device", "cpu", "--json", "s.json"];
         evaluate(at, &[&few[..], more].concat())
     };
-    let told = || json(&at.join("s.json")).as_array().unwrap().clone();
+    let written = || json(&at.join("s.json")).as_array().unwrap().clone();
     done(run(&[]));
-    let once = told();
+    let once = written();
     assert!(once.iter().all(|score| score.get("over_repeats").is_none()));
     let (repeated, _) = done(run(&["--repeats", "3"]));
     assert!(repeated.contains("means over repeats") && repeated.contains("± repeats"), "{repeated}");
-    let all = told();
+    let all = written();
     assert_eq!((all.len(), scores(&at.join("out/evaluate")).len()), (6, 6));
     for (k, first) in once.iter().enumerate() {
         // The time is equal, too: it was not simulated again.
@@ -149,7 +149,7 @@ fn repeats_are_kept_and_merged_as_other_scores_are() {
     let merged = quiet(at, &["evaluate", "--merge", "shares", "--json", "s.json"]).output().unwrap();
     assert!(done(merged).0.contains("means over repeats"));
     let over: Vec<Value> =
-        told().into_iter().filter_map(|mut s| s.get_mut("over_repeats").map(Value::take)).collect();
+        written().into_iter().filter_map(|mut s| s.get_mut("over_repeats").map(Value::take)).collect();
     assert!(over.len() == 2 && over.iter().all(|over| over["repeats"] == 3), "{over:?}");
     for count in ["0", "1001", "x"] {
         refused(run(&["--repeats", count]), &["--repeats", count]);
@@ -189,9 +189,9 @@ fn only_scores_that_belong_together_are_merged() {
 
 /// Jobs run in parallel, up to one per core. Their results do not depend on each other.
 #[test]
-fn jobs_side_by_side_come_to_what_they_come_to_alone() {
+fn parallel_jobs_have_the_results_of_single_ones() {
     let folder = tempfile::tempdir().unwrap();
-    let told = |out: &str, threads: &str, solvers: &str| {
+    let evaluated = |out: &str, threads: &str, solvers: &str| {
         let more = ["--device", "cpu", "--grid", "8,12", "--solver", solvers, "--json", "--out", out];
         let truth = shipped();
         let few = ["--frames", "4", "--points", "100", "--ground-truth", truth.to_str().unwrap()];
@@ -206,12 +206,12 @@ fn jobs_side_by_side_come_to_what_they_come_to_alone() {
         (scores.iter().map(figures).collect::<Vec<_>>(), devices)
     };
     let all = "newton,fnopt:2,lbfgs:3,adam:5";
-    let (together, devices) = told("together", "3", all);
+    let (together, devices) = evaluated("together", "3", all);
     // Eight jobs on three threads: one thread each.
     assert_eq!(devices, ["cpu, 1 thread"; 8]);
-    assert_eq!(told("one", "1", all).0, together);
+    assert_eq!(evaluated("one", "1", all).0, together);
     // Two jobs on five threads: two threads each.
-    let (alone, devices) = told("alone", "5", "fnopt:2");
+    let (alone, devices) = evaluated("alone", "5", "fnopt:2");
     assert_eq!(devices, ["cpu, 2 threads"; 2]);
     assert!(alone.iter().all(|figures| together.contains(figures)), "{alone:?} in {together:?}");
 }
@@ -231,9 +231,9 @@ fn a_task_of_an_array_does_its_share_and_says_so() {
     };
     for (id, share) in [("1", 0), ("3", 1), ("5", 2)] {
         let output = array(id, "3");
-        let told = text(&output.stderr);
+        let log = text(&output.stderr);
         done(output);
-        assert!(told.contains(&format!("share {share} of 3")), "{told}");
+        assert!(log.contains(&format!("share {share} of 3")), "{log}");
         assert_eq!(scores(&folder.path().join("out/evaluate")).len(), 2 * (share + 1));
     }
     refused(array("7", "3"), &["SLURM_ARRAY_TASK_ID", "0 to 2"]);
@@ -253,14 +253,17 @@ fn damaged_sequences_leave_the_others() {
     std::fs::copy(at.join("truth/good/cloth_pos.npy"), at.join("theirs/good.npy")).unwrap();
     std::fs::write(at.join("theirs/torn.npy"), "nothing").unwrap();
     let output = run(&["--compare", "them=theirs"]);
-    let told = text(&output.stdout);
-    assert!(told.contains("good") && told.contains("torn") && told.contains("them (32x32)"), "{told}");
+    let printed = text(&output.stdout);
+    assert!(
+        printed.contains("good") && printed.contains("torn") && printed.contains("them (32x32)"),
+        "{printed}"
+    );
     refused(output, &["theirs/torn.npy"]);
 
     std::fs::write(at.join("truth/torn/cloth_pos.npy"), "nothing").unwrap();
     let output = run(&[]);
-    let told = text(&output.stdout);
-    assert!(told.contains("good") && !told.contains("torn"), "{told}");
+    let printed = text(&output.stdout);
+    assert!(printed.contains("good") && !printed.contains("torn"), "{printed}");
     refused(output, &["torn/cloth_pos.npy"]);
     refused(run(&["--sequences", "torn"]), &["torn/cloth_pos.npy"]);
 }
@@ -268,7 +271,7 @@ fn damaged_sequences_leave_the_others() {
 /// Another system's trajectory appears in the table of every grid, whatever its own grid is, and in the
 /// tables of merged scores.
 #[test]
-fn other_systems_stand_beside_the_solvers() {
+fn other_systems_are_columns_next_to_the_solvers() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let rollout = ["rollout", "--device", "cpu", "--solver", "gd", "--grid", "16", "--frames", "4"];
@@ -280,8 +283,8 @@ fn other_systems_stand_beside_the_solvers() {
     let compared =
         |more: &[&str]| done(evaluate(at, &[&few[..], &["--compare", "A b=theirs"], more].concat())).0;
     for grid in ["8x8", "9x9"] {
-        let told = compared(&[]);
-        let table = told.split("\n\n").find(|table| table.starts_with(&format!("{grid}: e_CD"))).unwrap();
+        let printed = compared(&[]);
+        let table = printed.split("\n\n").find(|table| table.starts_with(&format!("{grid}: e_CD"))).unwrap();
         assert!(table.lines().nth(1).unwrap().contains("gd, N = 3  A b (16x16)"), "{table}");
     }
     compared(&["--out", "shares", "--shard", "0/2"]);
@@ -295,7 +298,7 @@ fn other_systems_stand_beside_the_solvers() {
     // A sequence or grid that is named twice appears once.
     let once = compared(&["--sequences", "xy_v2", "--json", "--out", "once"]);
     let twice = ["--sequences", "xy_v2,xy_v2", "--grid", "9", "--json", "--out", "once"];
-    let count = |told: &str| serde_json::from_str::<Vec<Value>>(told).unwrap().len();
+    let count = |printed: &str| serde_json::from_str::<Vec<Value>>(printed).unwrap().len();
     assert_eq!((count(&once), count(&compared(&twice))), (3, 3));
     // This name would clash with the column of a solver.
     let compare = ["--compare", "gd=theirs"];
@@ -318,8 +321,8 @@ fn shares_together_are_the_whole() {
     let figures = |printed: &str| {
         let scores: Vec<Value> = serde_json::from_str(printed).unwrap();
         let of = |score: &Value| {
-            let told = ["sequence", "grid", "solver", "iterations", "e_cd", "e_3d", "energy", "gradient"];
-            told.map(|key| score[key].to_string())
+            let keys = ["sequence", "grid", "solver", "iterations", "e_cd", "e_3d", "energy", "gradient"];
+            keys.map(|key| score[key].to_string())
         };
         let mut all: Vec<_> = scores.iter().map(of).collect();
         all.sort();

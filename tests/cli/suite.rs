@@ -74,7 +74,7 @@ fn a_suite_honours_its_options_or_refuses_them() {
 
 /// Without repulsion, a sheet that folds on a single handle intersects itself.
 #[test]
-fn layers_that_are_kept_apart_are_told_of() {
+fn repulsion_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let few = ["--sequences", "single-mid-edge without,single-mid-edge with", "--frames", "70"];
     let rest = ["--solver", "fnopt", "--device", "cpu", "--json", "s.json"];
@@ -85,7 +85,7 @@ fn layers_that_are_kept_apart_are_told_of() {
     let figure = |k: usize, name: &str| scores[k][name].clone();
     let [without, with] = [0, 1].map(|k| figure(k, "repulsion")[0].as_f64().unwrap());
     assert!(without > 1.0 && with < 0.01 * without, "{without} without, {with} with");
-    // The converged simulation does not support repulsion, so there is no gap.
+    // The converged simulation does not support repulsion, so the case with it has no gap.
     assert!(figure(0, "gap").is_number() && figure(1, "gap").is_null());
     let row = |name: &str| printed.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
     assert!(!row("single-mid-edge with ").contains(" - "), "{printed}");

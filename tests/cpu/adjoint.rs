@@ -160,8 +160,8 @@ fn the_adjoint_product_is_the_conjugate_transpose() {
     let (straight, adjoint) = (Spectral::new(&config, block), Spectral::adjoint(&config, block));
     let [x, y] = [11, 12].map(|seed| noise(samples * transform.column_len(), seed));
     let ((wx, x_modes), (wy, y_modes)) = (apply(&straight, &x), apply(&adjoint, &y));
-    // Outputs are (re, im) of all samples, then those turned by a quarter; inputs (re, -im, im, re) per
-    // sample.
+    // Outputs are (re, im) of all samples, then the same times the imaginary unit; inputs are
+    // (re, -im, im, re) per sample.
     let product = |out: &[f64], modes: &[f64]| -> f64 {
         let len = 4 * samples * c;
         let per_mode = out.chunks_exact(len).zip(modes.chunks_exact(len));
@@ -178,7 +178,8 @@ fn the_adjoint_product_is_the_conjugate_transpose() {
     assert!((left - right).abs() < 1e-10 * left.abs(), "{left} and {right}");
 }
 
-/// Returns the gradient over the weights of equal samples, whose cotangents are scaled by `sizes`.
+/// Returns the gradient over the weights of equal samples, one per element of `sizes`, which scales its
+/// cotangents.
 fn gradient_of_samples(sizes: &[f32], normalisation: Normalisation) -> Vec<f64> {
     let Case { config, grid, .. } = cases()[0];
     let (weights, n) = (weights(config, 6), grid.particles());
@@ -219,8 +220,8 @@ fn cotangents_of_the_update_rule_are_normalised_sample_by_sample() {
 fn cotangents_of_the_update_rule_are_normalised_cloth_by_cloth() {
     let gradient = |sizes: &[f32]| gradient_of_samples(sizes, Normalisation::Cloth);
     let one = gradient_of_samples(&[1.0], Normalisation::Component);
-    // The three sizes are divided by their root mean square. Equal samples add up to the sum of the
-    // quotients.
+    // The three sizes are divided by their root mean square. The samples are equal, so their gradients add up
+    // to the sum of the quotients times one of them.
     for sizes in [[1.0, 1.0, 1.0], [3.0, 2.0, 1.0], [2e-9, 1e-9, 0.0], [0.0, 0.0, 1e6], [0.0; 3]] {
         let mean_square = sizes.iter().map(|s| f64::from(s * s)).sum::<f64>() / 3.0;
         let times = sizes.iter().map(|&s| f64::from(s)).sum::<f64>() / mean_square.sqrt().max(1e-40);

@@ -69,7 +69,7 @@ fn saving_and_loading_keeps_every_bit() {
 }
 
 #[test]
-fn unwritable_and_missing_files_are_told() {
+fn unwritable_and_missing_files_are_reported() {
     let missing = Weights::load(path("nowhere")).unwrap_err().to_string();
     assert!(missing.contains("nowhere.safetensors: cannot read"), "{missing}");
     let unwritable = tiny().save(&path("no/such/folder")).unwrap_err().to_string();
@@ -132,7 +132,7 @@ fn soft_gates_become_diagonal_skips() {
 }
 
 #[test]
-fn damage_is_told_by_name() {
+fn damage_is_reported_by_name() {
     let good = raw(&tiny());
     let with = |change: &dyn Fn(&mut Vec<Raw>)| {
         let mut tensors = good.clone();
@@ -198,7 +198,7 @@ fn networks_of_other_fields_are_refused() {
 }
 
 #[test]
-fn description_tells_each_tensor() {
+fn description_lists_each_tensor() {
     let description = Checkpoint::open(&path("network_weights")).unwrap().describe();
     assert_eq!((description.tensors.len(), description.parameter_count()), (19, 1_349_634));
     let text = description.to_string();

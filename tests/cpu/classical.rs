@@ -42,8 +42,8 @@ fn adam_begins_with_steps_of_its_rate() {
     let first = (0..12).map(|k| all[0][k] - rate * gradient(k, 0) / (gradient(k, 0).abs() + epsilon));
     let first: Vec<f64> = first.collect();
     assert!(apart(&all[1], &first) < 1e-12 * rate, "{:e}", apart(&all[1], &first));
-    // The second weighs two gradients g and h: (b g + h) / (1 + b) over the root of the same of their
-    // squares.
+    // The second step weighs two gradients g and h: (b g + h) / (1 + b), over the root of the same mean of
+    // their squares.
     let second = (0..12).map(|k| {
         let (g, h) = (gradient(k, 0), gradient(k, 1));
         let mean = (betas[0] * g + h) / (1.0 + betas[0]);

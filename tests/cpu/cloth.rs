@@ -1,11 +1,11 @@
-//! Energies and gradients: golden vectors, central differences and sheets whose energy is known in closed form.
+//! Energies and gradients: golden files, central differences, and sheets whose energy has a closed form.
 
 use crate::golden::{Golden, narrowed, relative_error, widened};
 use crate::noise::noise;
 use fnopt::cpu::cloth::{Frame, GradientRows, Trial, end_frame, energy, gradient, shifts, stretch};
 use fnopt::sim::{EnergyTerms, Grid, Material};
 
-/// Owns the arrays that a trial borrows.
+/// The arrays that a trial borrows.
 struct Sheet {
     grid: Grid,
     material: Material,
@@ -213,7 +213,7 @@ fn uniformly_stretched_sheared_and_bent_sheets() {
 }
 
 #[test]
-fn stretch_tells_largest_and_mean() {
+fn stretch_has_the_largest_and_the_mean() {
     let grid = Grid { h: 9, w: 14 };
     let sheet = Sheet::shaped(grid, Material::default(), |j, i| [1.1 * j, 0.8 * i, 0.0]);
     let (largest, mean) = sheet.with_trial(stretch);

@@ -53,11 +53,11 @@ impl Sheet {
     }
 
     /// Returns the Hessian times a direction.
-    fn turned(&self, projection: Projection, direction: &[f64]) -> Vec<f64> {
+    fn hessian_times(&self, projection: Projection, direction: &[f64]) -> Vec<f64> {
         let n = self.grid.particles();
-        let mut turned = vec![0.0; direction.len()];
+        let mut found = vec![0.0; direction.len()];
         let mut hessian = Hessian::new(self.grid).unwrap();
-        // Filled at another trial first, of which nothing may be left.
+        // Filled at another trial first, of which nothing may remain.
         let elsewhere: Vec<f64> =
             self.x.iter().zip(noise(self.x.len(), 9)).map(|(x, d)| x + 0.3 * d).collect();
         hessian.fill(&self.at(&elsewhere), Projection(0.5));
@@ -66,10 +66,10 @@ impl Sheet {
         for (p, q) in (0..n).flat_map(|p| (0..n).map(move |q| (p, q))) {
             for (row, line) in hessian.block(p, q).iter().enumerate() {
                 let product = line.iter().enumerate().map(|(column, b)| b * direction[column * n + q]);
-                turned[row * n + p] += product.sum::<f64>();
+                found[row * n + p] += product.sum::<f64>();
             }
         }
-        turned
+        found
     }
 }
 
@@ -93,7 +93,7 @@ fn the_hessian_is_the_derivative_of_the_gradient() {
         let step = 1e-6;
         let difference: Vec<f64> =
             moved(step).iter().zip(moved(-step)).map(|(plus, minus)| (plus - minus) / (2.0 * step)).collect();
-        let found = sheet.turned(Projection::NONE, &direction);
+        let found = sheet.hessian_times(Projection::NONE, &direction);
         let apart: Vec<f64> = found.iter().zip(&difference).map(|(f, d)| f - d).collect();
         let error = (dot(&apart, &apart) / dot(&difference, &difference)).sqrt();
         assert!(error < tolerance, "{grid}, crumpled by {crumpled}: {error:.1e}");
@@ -110,10 +110,10 @@ fn the_projected_hessian_is_never_negative() {
         let n = sheet.grid.particles();
         let p = (seed as usize * 31) % n;
         (0..3).for_each(|c| direction[c * n + p] = noise(3, seed)[c]);
-        lowest = lowest.min(dot(&direction, &sheet.turned(Projection::FULL, &direction)));
-        exact_lowest = exact_lowest.min(dot(&direction, &sheet.turned(Projection::NONE, &direction)));
+        lowest = lowest.min(dot(&direction, &sheet.hessian_times(Projection::FULL, &direction)));
+        exact_lowest = exact_lowest.min(dot(&direction, &sheet.hessian_times(Projection::NONE, &direction)));
         let all = noise(sheet.x.len(), seed);
-        assert!(dot(&all, &sheet.turned(Projection::FULL, &all)) >= 0.0);
+        assert!(dot(&all, &sheet.hessian_times(Projection::FULL, &all)) >= 0.0);
     }
     assert!(lowest >= 0.0, "{lowest}");
     assert!(exact_lowest < 0.0, "the sheet has no compressed edge: {exact_lowest}");
@@ -121,7 +121,7 @@ fn the_projected_hessian_is_never_negative() {
 
 /// Two particles coincide. Their edge has no direction, and no angle with any other.
 #[test]
-fn edges_without_length_leave_the_rest_as_it_is() {
+fn collapsed_edges_leave_a_usable_hessian() {
     let grid = Grid { h: 9, w: 13 };
     let n = grid.particles();
     for (p, q) in [(0, 1), (0, grid.w), (40, 41), (40, 40 + grid.w), (n - 2, n - 1), (n - 1 - grid.w, n - 1)]
@@ -130,7 +130,7 @@ fn edges_without_length_leave_the_rest_as_it_is() {
         (0..3).for_each(|c| sheet.x[c * n + q] = sheet.x[c * n + p]);
         for seed in 11..14 {
             let all = noise(sheet.x.len(), seed);
-            assert!(dot(&all, &sheet.turned(Projection::FULL, &all)) >= 0.0, "{p} on {q}");
+            assert!(dot(&all, &sheet.hessian_times(Projection::FULL, &all)) >= 0.0, "{p} on {q}");
         }
         let [grad, direction] = sheet.directions(&mut FactoredHessian::new(grid).unwrap());
         assert!(dot(&direction, &grad) > 0.0, "{p} on {q}");
@@ -142,7 +142,7 @@ fn edges_without_length_leave_the_rest_as_it_is() {
 fn a_share_of_the_negative_curvature_is_left_out() {
     let sheet = Sheet::new(Grid { h: 9, w: 11 }, 0.4);
     let direction = noise(sheet.x.len(), 21);
-    let [none, part, full] = [0.0, 0.25, 1.0].map(|share| sheet.turned(Projection(share), &direction));
+    let [none, part, full] = [0.0, 0.25, 1.0].map(|share| sheet.hessian_times(Projection(share), &direction));
     let size = dot(&full, &full).sqrt();
     for ((none, part), full) in none.iter().zip(part).zip(full) {
         assert!((part - (0.75 * none + 0.25 * full)).abs() < 1e-12 * size);
@@ -151,7 +151,7 @@ fn a_share_of_the_negative_curvature_is_left_out() {
 
 /// Factors depend only on the current trial: earlier handles and non-finite values leave no trace.
 #[test]
-fn factors_are_made_anew() {
+fn factors_are_computed_again() {
     let grid = Grid { h: 17, w: 32 };
     let mut reused = FactoredHessian::new(grid).unwrap();
     let mut broken = Sheet::new(grid, 0.1);
@@ -196,7 +196,7 @@ fn solves_the_system(grid: Grid) {
     let inertia = |k: usize| sheet.grid.mass(k % n / sheet.grid.w, k % n % sheet.grid.w) / n as f64;
     // The shares that are tried in order. The factors are in single precision, hence the tolerance.
     let residuals = [0.25, 1.0].map(|share| {
-        let mut apart = sheet.turned(Projection(share), &direction);
+        let mut apart = sheet.hessian_times(Projection(share), &direction);
         (0..3 * n).for_each(|k| {
             apart[k] = if held(k) { 0.0 } else { apart[k] + inertia(k) * direction[k] - grad[k] };
         });

@@ -32,8 +32,9 @@ fn the_cosine_transform_is_orthonormal() {
     }
 }
 
-/// Applies the Hessian of a sheet at rest to a wave, by differences of the gradient, and then the inverse.
-/// Returns the result's factor along the wave, and its squared norm over that of the wave's component.
+/// Applies the Hessian of a sheet at rest to a wave of one component, by differences of the gradient, and
+/// then the inverse. Returns the factor of the result along the wave, and the squared norm of the result over
+/// that of this component of it.
 fn hessian_then_inverse(
     grid: Grid,
     material: Material,
@@ -56,19 +57,19 @@ fn hessian_then_inverse(
         objective.grad().to_vec()
     };
     let step = 1e-5;
-    let mut turned: Vec<f64> = gradient(step)
+    let mut result: Vec<f64> = gradient(step)
         .iter()
         .zip(gradient(-step))
         .map(|(plus, minus)| (plus - minus) / (2.0 * step))
         .collect();
-    RestHessian::new(grid, &cloth).apply(&mut turned);
+    RestHessian::new(grid, &cloth).apply(&mut result);
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-    let along = &turned[component * n..][..n];
-    (dot(along, &wave) / dot(&wave, &wave), dot(&turned, &turned) / dot(along, along))
+    let along = &result[component * n..][..n];
+    (dot(along, &wave) / dot(&wave, &wave), dot(&result, &result) / dot(along, along))
 }
 
 #[test]
-fn waves_of_a_flat_sheet_are_turned_into_themselves() {
+fn waves_of_a_flat_sheet_are_eigenvectors() {
     let grid = Grid { h: 14, w: 19 };
     let stretch = Material { stretch: 1000.0, shear: 0.0, bend: 0.0 };
     let bend = Material { stretch: 0.0, shear: 0.0, bend: 10.0 };
@@ -129,7 +130,7 @@ fn optimizers_close_a_part_of_the_gap() {
     assert!(quasi_newton[0] < 0.1 && quasi_newton[0] < lbfgs && lbfgs < descent && descent < 1.0);
 }
 
-/// No optimizer, wherever it starts, ends a frame of the default scene with less energy than Newton's method.
+/// No optimizer ends a frame of the default scene with less energy than Newton's method from the same state.
 #[test]
 fn nothing_is_below_the_converged_energy() {
     let setup = scene(32, 32);
@@ -158,7 +159,7 @@ fn nothing_is_below_the_converged_energy() {
 }
 
 /// Without handles, both inverses of the Hessian at rest agree. With handles, the factors invert the matrix
-/// at the free particles, which is checked with the eigenvectors of the cosine transform.
+/// at the free particles, which is checked with the inverse by cosine transforms.
 #[test]
 fn both_inverses_of_the_hessian_at_rest_agree() {
     let grid = Grid { h: 9, w: 12 };

@@ -21,7 +21,8 @@ struct Sheet {
 }
 
 impl Sheet {
-    /// Builds a sheet contracted until most particles are near others than their neighbours. Two are held.
+    /// Builds a sheet contracted until most particles are near particles that they share no edge with. Two
+    /// are held.
     fn crumpled() -> Self {
         let n = GRID.particles();
         let mut x: Vec<f64> = State::<f64>::rest(GRID, 1).x.iter().map(|x| 0.2 * x).collect();
@@ -33,9 +34,9 @@ impl Sheet {
     }
 
     fn repel(&self, of_cloth: Repulsion) -> (f64, Vec<f64>) {
-        let mut pushed = vec![f64::NAN; self.x.len()];
-        let energy = self.with_trial(|trial| repulsion(trial, of_cloth, &mut pushed));
-        (energy, pushed)
+        let mut total = vec![f64::NAN; self.x.len()];
+        let energy = self.with_trial(|trial| repulsion(trial, of_cloth, &mut total));
+        (energy, total)
     }
 
     fn with_trial<R>(&self, use_it: impl FnOnce(&Trial<'_, f64>) -> R) -> R {
@@ -67,30 +68,30 @@ fn energies_and_gradients_agree_with_the_authors() {
 }
 
 #[test]
-fn every_pair_that_is_near_and_apart_counts() {
+fn every_pair_in_range_and_not_adjacent_counts() {
     let (sheet, n) = (Sheet::crumpled(), GRID.particles());
     for distance in [0.2, 0.5, 1.0] {
         let of_cloth = Repulsion { strength: 0.3, distance };
-        let (energy, pushed) = sheet.repel(of_cloth);
-        let mut joined = vec![vec![false; n]; n];
+        let (energy, total) = sheet.repel(of_cloth);
+        let mut adjacent = vec![vec![false; n]; n];
         for face in GRID.faces() {
             for (p, q) in [(0, 1), (1, 2), (2, 0)] {
                 let (p, q) = (face[p] as usize, face[q] as usize);
-                (joined[p][q], joined[q][p]) = (true, true);
+                (adjacent[p][q], adjacent[q][p]) = (true, true);
             }
         }
         let (mut sum, mut pairs, mut expected) = (0.0, 0, sheet.f.clone());
-        for (p, joined) in joined.iter().enumerate() {
-            for q in (0..n).filter(|&q| q != p && !joined[q]) {
+        for (p, adjacent) in adjacent.iter().enumerate() {
+            for q in (0..n).filter(|&q| q != p && !adjacent[q]) {
                 let (own, other) = (sheet.place(p), sheet.place(q));
-                let way = [0, 1, 2].map(|c| own[c] - other[c]);
-                let square: f64 = way.iter().map(|d| d * d).sum();
+                let offset = [0, 1, 2].map(|c| own[c] - other[c]);
+                let square: f64 = offset.iter().map(|d| d * d).sum();
                 if square.sqrt() < distance {
                     pairs += 1;
                     sum -= (square + 1e-8).ln();
                     let factor = 4.0 * 0.3 / GRID.mass(p / GRID.w, p % GRID.w) / (square + 1e-8);
                     if sheet.slots[p] == 0 {
-                        (0..3).for_each(|c| expected[c * n + p] += factor * way[c]);
+                        (0..3).for_each(|c| expected[c * n + p] += factor * offset[c]);
                     }
                 }
             }
@@ -99,7 +100,7 @@ fn every_pair_that_is_near_and_apart_counts() {
         sum *= 0.3 / n as f64;
         assert!((energy - sum).abs() < 1e-12 * sum.abs(), "{energy}, not {sum}");
         let largest = expected.iter().fold(0.0, |most: f64, a| most.max(a.abs()));
-        for (found, expected) in pushed.iter().zip(&expected) {
+        for (found, expected) in total.iter().zip(&expected) {
             assert!((found - expected).abs() < 1e-12 * largest, "{found}, not {expected}");
         }
         let points: Vec<[f64; 3]> = (0..n).map(|p| sheet.place(p)).collect();
@@ -108,12 +109,13 @@ fn every_pair_that_is_near_and_apart_counts() {
     }
 }
 
-/// If no pair enters or leaves the range within a difference, the push is the slope of the energy.
+/// The repulsive force is minus the slope of the energy, since no pair enters or leaves the range within a
+/// difference.
 #[test]
 fn pushes_are_the_slope_of_the_energy() {
     let (mut sheet, n) = (Sheet::crumpled(), GRID.particles());
     let of_cloth = Repulsion { strength: 0.3, distance: 0.8 };
-    let (_, pushed) = sheet.repel(of_cloth);
+    let (_, total) = sheet.repel(of_cloth);
     let step = 1e-6;
     let free: Vec<usize> = (0..n).filter(|&p| sheet.slots[p] == 0).collect();
     for p in free {
@@ -126,7 +128,7 @@ fn pushes_are_the_slope_of_the_energy() {
             sheet.x[at] = before;
             let slope = (more - less) / (2.0 * step);
             let mass = GRID.mass(p / GRID.w, p % GRID.w) / n as f64;
-            let expected = -mass * (pushed[at] - sheet.f[at]);
+            let expected = -mass * (total[at] - sheet.f[at]);
             assert!((slope - expected).abs() < 1e-6 * expected.abs().max(1e-2), "{slope}, not {expected}");
         }
     }
@@ -149,20 +151,20 @@ fn walks_find_the_same_wherever_they_begin() {
 
 /// Coincident particles and non-finite positions do not cause a panic.
 #[test]
-fn degenerate_cloths_are_no_panic() {
+fn degenerate_cloths_do_not_panic() {
     let mut sheet = Sheet::crumpled();
     sheet.x.fill(0.0);
     sheet.shift.fill(0.0);
-    let (energy, pushed) = sheet.repel(Repulsion { strength: 0.3, distance: 1.0 });
-    assert!(energy.is_finite() && pushed.iter().all(|a| a.is_finite()));
+    let (energy, total) = sheet.repel(Repulsion { strength: 0.3, distance: 1.0 });
+    assert!(energy.is_finite() && total.iter().all(|a| a.is_finite()));
     let n = GRID.particles();
     for wrong in [f64::NAN, f64::INFINITY, 1e300] {
         sheet.x[7] = wrong;
         // Nothing is near this particle, so no other is affected.
-        let (energy, pushed) = sheet.repel(Repulsion { strength: 0.3, distance: 1e-3 });
-        assert!(energy.is_finite() && pushed.iter().all(|a| a.is_finite()));
+        let (energy, total) = sheet.repel(Repulsion { strength: 0.3, distance: 1e-3 });
+        assert!(energy.is_finite() && total.iter().all(|a| a.is_finite()));
         assert_eq!(
-            pushed[7..].iter().step_by(n).collect::<Vec<_>>(),
+            total[7..].iter().step_by(n).collect::<Vec<_>>(),
             sheet.f[7..].iter().step_by(n).collect::<Vec<_>>()
         );
     }
@@ -195,7 +197,7 @@ fn the_layers_of_a_folding_sheet_stay_apart() {
 }
 
 #[test]
-fn newton_refuses_what_its_hessian_lacks() {
+fn newton_refuses_repulsion() {
     let scene = Scene { repulsion: Some(RepulsionSettings::default()), ..Scene::default() };
     let setup = scene.setup().unwrap();
     let error = Reference::new(&setup.model).err().unwrap().to_string();

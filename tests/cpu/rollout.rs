@@ -212,7 +212,7 @@ fn classical_optimizers_lower_the_energy() {
     }
 }
 
-/// After `set_cloths`, a solver gives the bits of one built with the new cloths.
+/// After `set_cloths` and `reset`, a solver gives the bits of one built with the new cloths.
 #[test]
 fn cloths_change_between_frames() {
     let (model, state, control) = varied_batch(Grid { h: 11, w: 9 });
@@ -235,8 +235,8 @@ fn cloths_change_between_frames() {
         changed.set_cloths(&other.cloths).unwrap();
         changed.reset();
         let after = step(&mut changed, &held);
-        let made = step(&mut Solver::new(&other, &optimizer, 4).unwrap(), &held);
-        assert_eq!(after, made, "{}", optimizer.name());
+        let fresh = step(&mut Solver::new(&other, &optimizer, 4).unwrap(), &held);
+        assert_eq!(after, fresh, "{}", optimizer.name());
         let same = |b: usize| before.x[3 * n * b..][..3 * n] == after.x[3 * n * b..][..3 * n];
         assert_eq!([0, 1, 2].map(same), [false; 3], "{}", optimizer.name());
         assert!(changed.set_cloths(&other.cloths[1..]).is_err());
@@ -245,7 +245,7 @@ fn cloths_change_between_frames() {
 
 /// One cloth becomes non-finite and starts over. The others have the bits of an undisturbed batch.
 #[test]
-fn a_cloth_that_broke_begins_anew_and_the_others_go_on() {
+fn a_broken_cloth_restarts_and_the_others_continue() {
     let (model, start, control) = varied_batch(Grid { h: 11, w: 9 });
     let len = 3 * model.grid.particles();
     let second = len..2 * len;

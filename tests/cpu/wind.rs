@@ -35,7 +35,7 @@ fn drag_of_a_flat_plate() {
 }
 
 #[test]
-fn still_air_without_density_does_nothing() {
+fn wind_without_density_and_drag_does_nothing() {
     let state = State::<f64>::rest(GRID, 1);
     let mut f = vec![1.0; 3 * GRID.particles()];
     add_wind(GRID, Air::default(), [3.0, 2.0, 1.0], (&state.x, &state.v), &mut f);
@@ -50,12 +50,12 @@ fn a_sheet_without_area_feels_no_wind() {
     assert!(f.iter().all(|&f| f == 0.0));
 }
 
-/// Forces rotate with the sheet, its motion and the wind. The folded sheet has normals in all directions.
+/// Forces rotate with the sheet, its motion and the wind. The crumpled sheet has normals in all directions.
 #[test]
-fn forces_turn_with_everything_else() {
+fn forces_rotate_with_everything_else() {
     let n = GRID.particles();
     // A product of rotations about all three axes.
-    let turn = |p: [f64; 3]| {
+    let rotate = |p: [f64; 3]| {
         let about = |[a, b]: [f64; 2], angle: f64| {
             let (sin, cos) = angle.sin_cos();
             [cos * a - sin * b, sin * a + cos * b]
@@ -65,13 +65,13 @@ fn forces_turn_with_everything_else() {
         let [z, x] = about([z, x], 2.3);
         [x, y, z]
     };
-    let turned = |field: &[f64]| {
-        let mut turned = field.to_vec();
+    let rotated = |field: &[f64]| {
+        let mut rotated = field.to_vec();
         for p in 0..n {
-            let at = turn([0, 1, 2].map(|c| field[c * n + p]));
-            (0..3).for_each(|c| turned[c * n + p] = at[c]);
+            let at = rotate([0, 1, 2].map(|c| field[c * n + p]));
+            (0..3).for_each(|c| rotated[c * n + p] = at[c]);
         }
-        turned
+        rotated
     };
     let mut state = State::<f64>::rest(GRID, 1);
     state.x.iter_mut().zip(noise(3 * n, 11)).for_each(|(x, noise)| *x += 0.4 * noise);
@@ -79,9 +79,9 @@ fn forces_turn_with_everything_else() {
     let (air, wind) = (Air { density: 0.7, drag: 0.3 }, [0.4, -0.8, 1.0]);
     let [mut straight, mut around] = [vec![0.0; 3 * n], vec![0.0; 3 * n]];
     add_wind(GRID, air, wind, (&state.x, &state.v), &mut straight);
-    add_wind(GRID, air, turn(wind), (&turned(&state.x), &turned(&state.v)), &mut around);
+    add_wind(GRID, air, rotate(wind), (&rotated(&state.x), &rotated(&state.v)), &mut around);
     let largest = straight.iter().fold(0.0, |most: f64, f| most.max(f.abs()));
-    for (found, expected) in around.iter().zip(turned(&straight)) {
+    for (found, expected) in around.iter().zip(rotated(&straight)) {
         assert!((found - expected).abs() < 1e-12 * largest, "{found} is not {expected}");
     }
 }

@@ -72,7 +72,7 @@ fn a_known_material_is_found_again() {
     assert!((stretch / 400.0 - 1.0).abs() < 1e-9 && (shear / 4.0 - 1.0).abs() < 1e-9, "{stretch}, {shear}");
     // The error of sampling two equal surfaces remains.
     assert!(error < 3e-3, "{error}");
-    // A file of errors over fewer frames is refused, and damaged lines are named.
+    // A file of errors over another number of frames is refused.
     let shorter = Fit { settings: Settings { frames: 10, ..fit.settings }, ..fit.clone() };
     let refused = ErrorSurface::load(&file, &shorter).unwrap_err().to_string();
     assert!(refused.contains("line 1: expected # made (10 frames, "), "{refused}");
@@ -83,6 +83,7 @@ fn a_known_material_is_found_again() {
     assert!(
         ErrorSurface::load(&file, &changed).unwrap_err().to_string().contains("line 1: expected # made (20")
     );
+    // Damaged lines are refused by number.
     let heads = "stretch,shear,bend,density,drag,frame_time,e_cd";
     for (heads, line, said) in [
         (heads, "1,2", "line 3: expected seven numbers"),

@@ -35,7 +35,7 @@ fn a_nudge_is_of_the_stated_size_and_leaves_handles_alone() {
 }
 
 #[test]
-fn the_first_of_several_repeats_is_the_one_without() {
+fn the_first_repeat_is_not_nudged() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
     let entry = Entry { name: "lbfgs".into(), optimizer: Optimizer::lbfgs(), iterations: 5, coarse: false };
     let (grid, settings) = (Grid { h: 12, w: 12 }, Settings { frames: 8, ..SETTINGS });

@@ -167,7 +167,7 @@ fn repulsion_counts_in_edges_at_rest() {
 }
 
 #[test]
-fn only_scores_that_were_made_alike_stand_together() {
+fn only_scores_made_alike_are_merged() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
     let score = compare(&sequence, "itself", &sequence.truth, &SETTINGS).unwrap();
     let other = |change: &dyn Fn(&mut Score)| {

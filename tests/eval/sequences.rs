@@ -42,12 +42,12 @@ fn meshed(folder: &Path) -> PathBuf {
 }
 
 #[test]
-fn a_mesh_that_is_no_grid_is_carried_to_one() {
+fn a_mesh_that_is_not_a_grid_is_resampled_to_one() {
     let folder = tempfile::tempdir().unwrap();
     let to = meshed(folder.path());
     let sequence = Sequence::load(folder.path(), "meshed").unwrap();
     let original = Sequence::load(&shipped(), "xy_v2").unwrap();
-    // About as many particles as vertices. Without a file of handles, they follow their vertices.
+    // About as many particles as vertices. Without handles.npy, the handles follow their vertices.
     assert_eq!(sequence.grid(), Grid { h: 45, w: 45 });
     let [found, expected] =
         [&sequence, &original].map(|s| s.scene(Grid { h: 32, w: 32 }, &PHYSICS).unwrap().setup().unwrap());
@@ -117,6 +117,11 @@ fn others_are_on_the_grid_or_the_mesh_of_the_sequence() {
         assert_eq!(found.grid(), grid);
         assert_eq!(compare(&sequence, "theirs", &found, &settings).unwrap().e_3d, Some(0.0));
     }
+    let bare = to.join("bare");
+    std::fs::create_dir(&bare).unwrap();
+    let points: String = frame.iter().map(|[x, y, z]| format!("v {x} {y} {z}\n")).collect();
+    (0..3).for_each(|k| std::fs::write(bare.join(format!("{k:05}.obj")), &points).unwrap());
+    assert_eq!(sequence.read_other(&bare).unwrap().grid(), grid);
     let mut square = Trajectory::new(Grid { h: 10, w: 10 }, 60.0);
     (0..3).for_each(|_| square.push(&frame[..100], &frame[..100]));
     let file = square.write(&to, "square", fnopt::io::Format::Npy).unwrap();
@@ -127,7 +132,7 @@ fn others_are_on_the_grid_or_the_mesh_of_the_sequence() {
     let found = sequence.read_other(&to.join("cloth_pos.npy")).unwrap();
     assert_eq!(found.grid().particles(), 1985);
     let score = compare(&sequence, "theirs", &found, &Settings { frames: 20, ..SETTINGS }).unwrap();
-    // Two samples of one surface give e_CD. The truth was carried to the grid in the same way, so e_3D is 0.
+    // e_CD is that of two samples of one surface. The truth was resampled in the same way, so e_3D is 0.
     assert!(score.e_cd.unwrap() < 2e-3 && score.e_3d == Some(0.0), "{:?}, {:?}", score.e_cd, score.e_3d);
     assert_eq!(
         (score.grid.as_str(), sequence.on_grid(&found).unwrap().grid()),
@@ -214,16 +219,16 @@ fn bad_sequences_are_refused_by_name() {
         let sequence = Sequence::load(folder, name).unwrap();
         sequence.scene(Grid { h: 32, w: 32 }, &PHYSICS).unwrap().setup().unwrap()
     };
-    let given = setup(&shipped(), "xy_v2");
+    let recorded = setup(&shipped(), "xy_v2");
     std::fs::remove_file(grid.join("handles.npy")).unwrap();
     let followed = setup(folder.path(), "grid");
     let gap = |a: &[[f64; 3]], b: &[[f64; 3]]| square(a[0], b[0]).max(square(a[1], b[1])).sqrt();
-    let farthest = given.handles.iter().zip(&followed.handles).map(|(a, b)| gap(a, b)).fold(0.0, f64::max);
+    let farthest = recorded.handles.iter().zip(&followed.handles).map(|(a, b)| gap(a, b)).fold(0.0, f64::max);
     assert!(farthest > 0.0 && farthest < 0.02, "half precision: {farthest} edges");
-    assert_ne!(given.start.x, followed.start.x);
+    assert_ne!(recorded.start.x, followed.start.x);
     std::fs::copy(shipped().join("xy_v2/start.npy"), grid.join("start.npy")).unwrap();
     assert!(
-        given.start.x.iter().zip(&setup(folder.path(), "grid").start.x).all(|(a, b)| (a - b).abs() < 0.02)
+        recorded.start.x.iter().zip(&setup(folder.path(), "grid").start.x).all(|(a, b)| (a - b).abs() < 0.02)
     );
     // Without meta.json, the cloth is the default one.
     std::fs::remove_file(grid.join("meta.json")).unwrap();

@@ -78,9 +78,9 @@ fn tables_have_means_over_repeats() {
     let overview = csv.iter().find(|text| text.starts_with("# error and time")).unwrap();
     assert!(overview.contains("solver,sequences,simulations,e_CD x 10^3 [m^2],±,± repeats,"), "{overview}");
     assert!(overview.contains("32x32 newton,2,4,3.50,2.12,1.00,"), "{overview}");
-    let told = OverRepeats::of(&scores[0], &scores);
-    assert_eq!((told.repeats, told.gradient), (2, None));
-    let [mean, deviation] = told.e_cd.unwrap();
+    let over = OverRepeats::of(&scores[0], &scores);
+    assert_eq!((over.repeats, over.gradient), (2, None));
+    let [mean, deviation] = over.e_cd.unwrap();
     assert!((mean - 2e-3).abs() < 1e-12 && (deviation - 2f64.sqrt() * 1e-3).abs() < 1e-12);
     // If one repeat diverged, there is no number.
     scores[2] = Score { stable: false, e_cd: None, ..scores[2].clone() };

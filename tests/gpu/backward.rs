@@ -1,4 +1,4 @@
-//! The backward pass of the network: against the CPU path parameter by parameter, with every tile, and in parts.
+//! The backward pass of the network: against the CPU path for each parameter, with every tile, and in parts.
 
 use crate::common::{by_rows, context, device, noise, pad, read, tensor, tunings, widened};
 use crate::forward::random;
@@ -140,7 +140,7 @@ fn parts_and_passes_add_up() {
         let apart: Vec<f64> = parts.iter().zip(&whole).map(|(&p, &w)| f64::from(p) - f64::from(w)).collect();
         assert!(norm(&apart) < 1e-6 * norm(&widened(&whole)), "{activation_bytes} bytes");
     }
-    // Nothing goes through the channels that pad a tile.
+    // The weights are uploaded in the order of their layout, which pads channels to whole tiles with zeros.
     let parameters = Parameters::new(context(), &weights, &own).unwrap();
     let host = parameters.layout().to_device(&weights.flat());
     assert_eq!(read(&tensor("weights", &[host.len()], &host)), read(&parameters.flat));

@@ -207,7 +207,7 @@ fn lifting_in_parts_gives_the_same_bits() {
 }
 
 /// The hidden layer of all samples exceeds what the device binds at once, although their activations do not.
-/// Both passes then process the samples in groups.
+/// The forward pass then processes the samples in groups, to the same bits. The backward pass is only built.
 #[test]
 fn lifting_takes_no_more_than_the_device_binds() {
     let _turn = device();

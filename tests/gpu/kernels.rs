@@ -208,7 +208,7 @@ fn parameters_fill_their_binding() {
 }
 
 #[test]
-fn headers_tell_purpose_threads_and_adjoint() {
+fn headers_state_purpose_threads_and_adjoint() {
     for (source, _) in ALL {
         let header: Vec<&str> = source.wgsl.lines().take_while(|l| l.starts_with("//")).collect();
         let has = |word: &str| header.iter().any(|l| l.contains(word));

@@ -13,7 +13,7 @@ use fnopt::sim::{
 
 /// The network takes as many samples at once as tuning and device allow: single ones, whole cloths, or all.
 #[test]
-fn samples_in_turns_have_the_same_bits() {
+fn samples_in_passes_have_the_same_bits() {
     let _turn = device();
     let (model, start, control) = varied_batch();
     let optimizer = Optimizer::Learned(starter().clone());
@@ -133,9 +133,10 @@ fn a_device_that_is_lost_is_an_error() {
     }
 }
 
-/// Kernels that would read beyond their tensors, or cannot be dispatched, are refused before anything runs.
+/// Models, networks and tunings that would make kernels read beyond their tensors, or that cannot be
+/// dispatched, are refused before anything runs.
 #[test]
-fn what_the_device_cannot_do_is_refused() {
+fn unsupported_models_and_options_are_refused() {
     let _turn = device();
     let grid = Grid { h: 8, w: 8 };
     let cloth = Cloth { material: Material::default(), ..Cloth::default() };

@@ -1,9 +1,9 @@
 //! Tests that run on an adapter; a software one is enough. Without one they fail and say how to get one.
 //!
 //! `parity` compares each shader with the CPU path, or with plain formulas in double precision. `forward` and
-//! `backward` cover the network, `solver` whole frames, `limits` sizes beyond what a device takes at once,
-//! `train` training steps, and `order` that it does not matter which invocation runs first. `kernels` reads
-//! the WGSL files themselves and needs no adapter.
+//! `backward` cover the network, `solver` whole frames, `repelling` frames with repulsion, `limits` sizes
+//! beyond what a device takes at once, `train` training steps, and `order` that it does not matter which
+//! invocation runs first. `kernels` reads the WGSL files themselves and needs no adapter.
 
 mod backward;
 mod common;

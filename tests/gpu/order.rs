@@ -14,7 +14,7 @@ fn frames_have_the_same_bits_in_either_order() {
     let _turn = device();
     let compare = |context: &Context, (model, start, control), optimizer: &Optimizer, tuning| {
         let options = SolverOptions { iterations: 3, tuning };
-        let [forward, backward] = [Order::Natural, Order::Reversed].map(|order| {
+        let [natural, reversed] = [Order::Natural, Order::Reversed].map(|order| {
             let solver = Solver::new(&context.with_order(order), &model, optimizer, &options).unwrap();
             solver.set_state(&start);
             step(&solver, &control);
@@ -23,10 +23,10 @@ fn frames_have_the_same_bits_in_either_order() {
         });
         let Model { grid, .. } = model;
         let what = format!("{} on {grid}", optimizer.name());
-        assert_same(&what, &backward.0.x, &forward.0.x);
-        assert_same(&what, &backward.0.v, &forward.0.v);
-        let pairs = backward.1.iter().zip(&forward.1);
-        pairs.for_each(|(backward, forward)| assert_same(&what, backward, forward));
+        assert_same(&what, &reversed.0.x, &natural.0.x);
+        assert_same(&what, &reversed.0.v, &natural.0.v);
+        let pairs = reversed.1.iter().zip(&natural.1);
+        pairs.for_each(|(reversed, natural)| assert_same(&what, reversed, natural));
     };
     for (optimizer, tuning) in tuned() {
         compare(context(), varied_batch(), &optimizer, Some(tuning));
@@ -51,7 +51,7 @@ fn transforms_have_the_same_bits_in_either_order() {
     for [h, w] in [[33, 47], [64, 64], [3, 1009], [100, 100]] {
         let fields = Fields { batch: 2, h, w };
         let x = tensor("x", &[2, h, w], &noise(2 * h * w, 8));
-        let [forward, backward] = [Order::Natural, Order::Reversed].map(|order| {
+        let [natural, reversed] = [Order::Natural, Order::Reversed].map(|order| {
             let plan = RealFft2::new(&context().with_order(order), fields, Norm::Forward).unwrap();
             let (spectrum, again) =
                 (poisoned("spectrum", &plan.spectrum_shape()), poisoned("again", &[2, h, w]));
@@ -61,7 +61,7 @@ fn transforms_have_the_same_bits_in_either_order() {
             });
             [read(&spectrum), read(&again)]
         });
-        let pairs = backward.iter().zip(&forward);
-        pairs.for_each(|(backward, forward)| assert_same(&format!("{h}x{w}"), backward, forward));
+        let pairs = reversed.iter().zip(&natural);
+        pairs.for_each(|(reversed, natural)| assert_same(&format!("{h}x{w}"), reversed, natural));
     }
 }

@@ -50,7 +50,7 @@ fn frames_of_cloths_that_repel_themselves_agree_with_the_host() {
     }
 }
 
-/// Particles counted but never sorted, as when a kernel is timed alone, do not affect later evaluations.
+/// Particles counted but never sorted, as when a kernel is timed alone, affect no frame but the next one.
 #[test]
 fn counts_that_are_left_over_are_harmless() {
     let _turn = device();
@@ -84,7 +84,7 @@ fn cloths_that_no_longer_repel_themselves_are_as_those_that_never_did() {
 }
 
 #[test]
-fn a_solver_that_was_made_without_repulsion_gets_none_later() {
+fn a_solver_without_repulsion_refuses_it_later() {
     let _turn = device();
     let (model, start, _) = varied_batch();
     let mut solver = solver(&model, &Optimizer::gradient_descent(), 1, &start);
@@ -94,7 +94,7 @@ fn a_solver_that_was_made_without_repulsion_gets_none_later() {
 }
 
 #[test]
-fn repulsions_that_are_none_are_refused() {
+fn invalid_repulsions_are_refused() {
     let (mut model, ..) = crowded();
     for (strength, distance, field) in [
         (-1.0, 1.0, "strength"),

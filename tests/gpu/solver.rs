@@ -112,10 +112,10 @@ fn apart(found: &[f32], exact: &[f64]) -> (f64, f64) {
 }
 
 /// Computes each of twenty frames of the default scene from the state that double precision reached. After
-/// one frame, the device is as close to double precision as the host is in single. (The next test starts
-/// frames where the device ended, and shows what earlier roundings grow to.)
+/// one frame, the device is as close to double precision as the host is in single, to a factor of three. (The
+/// next test starts frames where the device ended, and shows what earlier roundings grow to.)
 #[test]
-fn frames_on_the_device_are_as_exact_as_on_the_host() {
+fn frames_on_the_device_are_nearly_as_exact_as_on_the_host() {
     let _turn = device();
     let setup = Scene::default().setup().unwrap();
     for optimizer in optimizers() {
@@ -151,13 +151,13 @@ fn frames_on_the_device_are_as_exact_as_on_the_host() {
 ///
 /// An optimizer that stops far from the minimum amplifies differences at the start of a frame: the learned
 /// one two- or threefold, L-BFGS a hundredfold in ten frames. In single precision, the host, too, is soon far
-/// from double precision. With gradient descent and L-BFGS, the mean and the largest difference stay within a
-/// share of the side. With the learned optimizer, this holds for the first frame. After that a device, which
-/// rounds in every operation, may differ by ten times the host's distance if that is more. (Adam is left out:
-/// where a gradient is 0 but for roundings, its sign decides about a whole step. Quasi-Newton's distances are
-/// those of L-BFGS within five frames.)
+/// from double precision. With gradient descent and L-BFGS, the root mean square and the largest magnitude of
+/// the differences stay within a share of the side. With the learned optimizer, this holds for the first
+/// frame. After that a device, which rounds in every operation, may differ by ten times the host's distance
+/// if that is more. (Adam is left out: where a gradient is 0 but for roundings, its sign decides about a
+/// whole step. Quasi-Newton's distances are those of L-BFGS within five frames.)
 #[test]
-fn twenty_frames_drift_as_little_as_on_the_host() {
+fn twenty_frames_drift_within_bounds_of_the_host() {
     let _turn = device();
     let learned = Optimizer::Learned(starter().clone());
     for (optimizer, first, (mean, most)) in [
@@ -373,7 +373,7 @@ fn a_ring_hands_out_frames_in_order_waiting_or_not() {
 /// A host may change the state of one cloth, or materials, while the other cloths go on. The bits are those
 /// of solvers built that way from the start.
 #[test]
-fn single_cloths_begin_anew_and_materials_change() {
+fn single_cloths_restart_and_materials_change() {
     let _turn = device();
     let (model, start, control) = varied_batch();
     let n = model.grid.particles();
@@ -393,10 +393,10 @@ fn single_cloths_begin_anew_and_materials_change() {
         let mut changed = solver(&model, &optimizer, 2, &start);
         changed.set_control(&control);
         changed.set_cloths(&other.cloths).unwrap();
-        let made = solver(&other, &optimizer, 2, &start);
-        let (changed_frame, made_frame) = (step(&changed, &control), step(&made, &control));
-        assert_same("other cloths", &changed_frame.x, &made_frame.x);
-        assert_ne!(made_frame.x[..3 * n], first.x[..3 * n]);
+        let fresh = solver(&other, &optimizer, 2, &start);
+        let (changed_frame, fresh_frame) = (step(&changed, &control), step(&fresh, &control));
+        assert_same("other cloths", &changed_frame.x, &fresh_frame.x);
+        assert_ne!(fresh_frame.x[..3 * n], first.x[..3 * n]);
 
         let refused = changed.set_cloths(&other.cloths[1..]).unwrap_err().to_string();
         assert!(refused.contains("the number that the solver was built for"), "{refused}");
@@ -405,7 +405,7 @@ fn single_cloths_begin_anew_and_materials_change() {
 
 /// One cloth becomes non-finite and starts over. The others have the bits of an undisturbed batch.
 #[test]
-fn a_cloth_that_broke_begins_anew_and_the_others_go_on() {
+fn a_broken_cloth_restarts_and_the_others_continue() {
     let _turn = device();
     let (model, start, control) = varied_batch();
     let len = 3 * model.grid.particles();
@@ -462,21 +462,21 @@ fn handles_change_at_any_time() {
             };
             changing.set_cloths(&other.cloths).unwrap();
             on_host.set_cloths(&other.cloths).unwrap();
-            let made = solver_with(tuning, &other, (&optimizer, 2), &before);
-            let mut made_on_host = cpu::Solver::<f32>::new(&other, &optimizer, 2).unwrap();
-            let held = made.handles_of(&before);
+            let fresh = solver_with(tuning, &other, (&optimizer, 2), &before);
+            let mut fresh_on_host = cpu::Solver::<f32>::new(&other, &optimizer, 2).unwrap();
+            let held = fresh.handles_of(&before);
             let moved = Control {
                 handles: held.iter().map(|p| [p[0], p[1] + 0.1, p[2] - 0.2]).collect(),
                 ..control.clone()
             };
             let name = optimizer.name();
-            let (changed, expected) = (step(&changing, &moved), step(&made, &moved));
+            let (changed, expected) = (step(&changing, &moved), step(&fresh, &moved));
             assert_same(name, &changed.x, &expected.x);
             assert_same(name, &changed.v, &expected.v);
             assert_eq!(changing.handles_of(&State { x: changed.x, v: changed.v }), moved.handles, "{name}");
             let mut same = host.clone();
             on_host.step(&mut host, &moved);
-            made_on_host.step(&mut same, &moved);
+            fresh_on_host.step(&mut same, &moved);
             assert!(host == same, "{name} on the host");
         }
     }
@@ -574,7 +574,7 @@ fn a_context_keeps_its_tuning() {
 
 /// Types that hosts move between threads or share.
 #[test]
-fn handles_to_the_device_go_between_threads() {
+fn device_types_are_send_and_sync() {
     fn moves<T: Send>() {}
     fn is_shared<T: Send + Sync>() {}
     is_shared::<Context>();
@@ -585,7 +585,8 @@ fn handles_to_the_device_go_between_threads() {
     moves::<cpu::Solver<f32>>();
 }
 
-/// A host that runs three times as fast as the simulation draws between the frames before and after.
+/// Vertices at a time between two frames are interpolated, so that a host can draw more often than it
+/// simulates.
 #[test]
 fn vertices_follow_a_solver_between_its_frames() {
     let _turn = device();
@@ -606,7 +607,8 @@ fn vertices_follow_a_solver_between_its_frames() {
         let single: Vec<_> = positions.iter().map(|p| p.map(|c| c as f32)).collect();
         let expected = single.iter().zip(vertex_normals(&single, &grid.faces()));
         let expected: Vec<f64> = expected.flat_map(|(p, n)| [*p, n]).flatten().map(f64::from).collect();
-        // Metres are single, and so are the edges of a hundredth of one that the normals are expected from.
+        // The expected normals come from positions in metres in single precision, which round edges of a few
+        // hundredths of a metre.
         assert_close(&format!("time {time}"), &read(vertices.tensor()), &expected, (3e-5, 0.0));
     }
 }

@@ -135,7 +135,7 @@ fn steps_have_the_same_bits_in_either_order() {
     for normalisation in ["component", "cloth"] {
         let text = format!("normalisation = \"{normalisation}\"\n{CONFIG}");
         let config = Config::parse(&text, Path::new("test.toml")).unwrap();
-        let [forward, backward] = [Order::Natural, Order::Reversed].map(|order| {
+        let [natural, reversed] = [Order::Natural, Order::Reversed].map(|order| {
             let folder = tempfile::tempdir().unwrap();
             let learner = of(&config, &Device::Gpu(context().with_order(order)));
             let mut run = Run::create(folder.path(), &text, config.clone(), learner, Rc::new(Alone)).unwrap();
@@ -143,7 +143,7 @@ fn steps_have_the_same_bits_in_either_order() {
             run.train(&limits, |_| ControlFlow::Continue(())).unwrap();
             run.weights().unwrap()
         });
-        assert_eq!(forward, backward);
+        assert_eq!(natural, reversed);
     }
 }
 
@@ -159,7 +159,7 @@ fn a_run_moves_from_device_to_device() {
     assert_eq!(back.weights().unwrap(), host.weights().unwrap());
 }
 
-/// Holds even if the context stores networks in 16 bits, since weights move by less than those resolve.
+/// Training ignores that a context stores networks in 16 bits: weights move by less than 16 bits resolve.
 #[test]
 fn training_is_in_single_precision_whatever_the_context() {
     let _turn = device();

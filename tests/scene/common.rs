@@ -33,7 +33,7 @@ pub fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
     (0..3).map(|c| (a[c] - b[c]).powi(2)).sum::<f64>().sqrt()
 }
 
-/// Returns the lengths of the edges, in edges at rest, along the height and along the width.
+/// Returns the lengths of the edges, in rest lengths, along the height and along the width.
 pub fn edges(setup: &Setup) -> [Vec<f64>; 2] {
     let Grid { h, w } = setup.model.grid;
     let at = |i: usize, j: usize| std::array::from_fn(|c| setup.start.x[(c * h + i) * w + j]);

@@ -126,7 +126,7 @@ fn flat_and_hanging_sheets_are_at_rest_length() {
 }
 
 #[test]
-fn an_obj_start_is_transformed_and_turned() {
+fn an_obj_start_is_transformed_and_rotated() {
     let setup = Scene::load(assets("scenes/obj_start.json")).unwrap().setup().unwrap();
     let at = setup.vertices_m(&setup.start.x);
     // Vertex 8 of the file is at (0.4, 0, -0.194454): a quarter turn about +y makes (x, y, z) -> (z, y, -x).
@@ -198,7 +198,7 @@ fn placements_are_inside_every_grid() {
 }
 
 #[test]
-fn listed_handles_that_come_to_one_particle_are_one_unless_a_recording_moves_them() {
+fn handles_that_fall_on_one_particle_merge_unless_a_recording_moves_them() {
     let row = |h: usize| (0..h).map(|i| [i, 0]).collect::<Vec<_>>();
     let mut scene = Scene { handles: Handles::Cells(row(32)), ..Scene::default() };
     scene.regrid(Grid { h: 16, w: 16 }).unwrap();
@@ -213,7 +213,7 @@ fn listed_handles_that_come_to_one_particle_are_one_unless_a_recording_moves_the
 }
 
 #[test]
-fn a_run_goes_on_from_where_another_ended() {
+fn a_run_continues_where_another_ended() {
     let folder = tempfile::tempdir().unwrap();
     let grid = Grid { h: 12, w: 17 };
     let mut scene = Scene { motion: Motion::Still, ..Scene::default() };
@@ -234,11 +234,11 @@ fn a_run_goes_on_from_where_another_ended() {
     assert!(next.start.x.iter().zip(&setup.start.x).all(|(a, b)| (a - b).abs() < 1e-5));
     assert_eq!(single(next.velocities_m_s(&next.start.v)), moving);
     // A quarter turn about y rotates velocities, too, but the translation does not affect them.
-    let turned = text(&format!(
+    let rotated = text(&format!(
         r#"{{"file": {path:?}, "transform": {{"rotate": [90, 0, 1, 0], "translate": [5, 0, 0]}}}}"#
     ));
-    let turned = parse(&turned).unwrap().setup().unwrap();
-    for (found, p) in turned.velocities_m_s(&turned.start.v).into_iter().zip(&moving) {
+    let rotated = parse(&rotated).unwrap().setup().unwrap();
+    for (found, p) in rotated.velocities_m_s(&rotated.start.v).into_iter().zip(&moving) {
         let expected = [p[2], p[1], -p[0]].map(f64::from);
         assert!(distance(found, expected) < 1e-9, "{found:?}, not {expected:?}");
     }

@@ -59,7 +59,7 @@ fn a_frame_ends_after_its_iterations_and_handles_move_on() {
 }
 
 #[test]
-fn cloths_begin_anew_in_turn() {
+fn cloths_are_reset_in_turn() {
     // A life of 20 frames of 3 iterations, with 2 cloths per step: one cloth starts over every 30 steps.
     let mut pool = pool(config(3, 4, 2), ResetRules { sequence_length: 20, ..ResetRules::default() });
     let mut starts = vec![Vec::new(); 4];
@@ -80,7 +80,7 @@ fn cloths_begin_anew_in_turn() {
 }
 
 #[test]
-fn a_pool_drawn_from_seldom_takes_turns_and_lives_as_long() {
+fn a_pool_drawn_from_seldom_rotates_and_lives_as_long() {
     // As above, but only every third step draws: one cloth every 90 steps.
     let config = PoolConfig { every: 3, ..config(3, 4, 2) };
     let mut pool = pool(config.clone(), ResetRules { sequence_length: 20, ..ResetRules::default() });
@@ -101,7 +101,7 @@ fn a_pool_drawn_from_seldom_takes_turns_and_lives_as_long() {
 }
 
 #[test]
-fn cloths_that_go_wrong_begin_anew_with_the_same_material() {
+fn broken_cloths_are_reset_with_the_same_material() {
     let rules = ResetRules { scale: Some([1e-3, 10.0]), ..ResetRules::default() };
     let good = outcome(1.0);
     let stretched = Outcome { energy: fnopt::sim::EnergyTerms { stretch: 20_001.0, ..good.energy }, ..good };
@@ -182,7 +182,7 @@ fn sheets_along_the_axes_and_held_anywhere_are_drawn_when_asked_for() {
 }
 
 #[test]
-fn a_pool_may_be_held_in_a_way_of_its_own() {
+fn a_pool_may_have_its_own_handles() {
     // The motion specifies two corners, the pool one particle anywhere. Material and start are unchanged.
     let motion = MotionRanges { more_handles: 0.0, ..Default::default() };
     let anywhere = PoolConfig { corners: Some(0.0), ..config(1, 50, 1) };

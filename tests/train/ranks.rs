@@ -234,14 +234,14 @@ fn a_checkpoint_that_is_damaged_on_one_rank_is_passed_over_by_all() {
 #[test]
 fn ranks_of_different_configurations_are_refused() {
     let folder = tempfile::tempdir().unwrap();
-    let told = on_ranks(2, |ranks| {
+    let errors = on_ranks(2, |ranks| {
         let mut config = config();
         // The second machine has a copy with another rate.
         config.optimizer.rate *= (1 + ranks.rank()) as f64;
         let learner = fake(&config).unwrap();
         Run::create(folder.path(), CONFIG, config, learner, ranks).err().map(|error| error.to_string())
     });
-    for error in told {
+    for error in errors {
         let error = error.expect("the ranks differ");
         assert!(error.contains("configuration") && error.contains("the same one on all ranks"), "{error}");
     }

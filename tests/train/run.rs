@@ -163,7 +163,7 @@ fn a_resumed_run_has_the_bits_of_an_unbroken_one() {
 }
 
 #[test]
-fn a_damaged_checkpoint_is_passed_over_and_told() {
+fn a_damaged_checkpoint_is_skipped_and_reported() {
     let folder = tempfile::tempdir().unwrap();
     train(&mut fresh(folder.path()), 6);
     let all = checkpoints(folder.path());
@@ -175,8 +175,11 @@ fn a_damaged_checkpoint_is_passed_over_and_told() {
     std::fs::write(&all[1], flipped).unwrap();
     let (run, passed_over) = resume(folder.path()).unwrap();
     assert_eq!(run.step(), 2);
-    let told: Vec<String> = passed_over.iter().map(ToString::to_string).collect();
-    assert!(told.len() == 2 && told[0].contains("step-00000006") && told[1].contains("checksum"), "{told:?}");
+    let messages: Vec<String> = passed_over.iter().map(ToString::to_string).collect();
+    assert!(
+        messages.len() == 2 && messages[0].contains("step-00000006") && messages[1].contains("checksum"),
+        "{messages:?}"
+    );
     std::fs::write(&all[0], "").unwrap();
     drop(run);
     let message = resume(folder.path()).err().expect("no checkpoint is left").to_string();
@@ -240,7 +243,7 @@ fn steps_that_are_not_finite_are_skipped_and_ten_in_a_row_end_the_run() {
     });
     assert_eq!((end.unwrap(), run.step(), run.skipped()), (End::NonFinite, 12, 10));
     assert!(Some(last()) == good, "the weights are not those of the last good step");
-    // Nor are the checkpoints from after it.
+    // There is no checkpoint from after it, either.
     let names: Vec<_> =
         checkpoints(folder.path()).iter().map(|p| p.file_name().unwrap().to_owned()).collect();
     assert_eq!(names, ["step-00000002.safetensors"]);
@@ -274,7 +277,7 @@ fn weights_that_are_not_finite_are_never_written() {
     longer(folder.path(), |fake| fake);
 }
 
-/// The weights of a checkpoint may be finite, yet so large that no step from them is.
+/// The weights of a checkpoint may be finite, yet so large that every step from them is non-finite.
 #[test]
 fn a_checkpoint_that_no_step_follows_is_given_up() {
     let folder = tempfile::tempdir().unwrap();
@@ -381,7 +384,7 @@ fn a_folder_is_of_one_run_and_of_one_process_at_a_time() {
 
 /// The rate depends on all steps, AdamW's bias correction and the running mean only on those that were taken.
 #[test]
-fn each_step_is_told_its_rate_and_number() {
+fn each_step_gets_its_rate_and_number() {
     let folder = tempfile::tempdir().unwrap();
     let more = "average = 0.3\noptimizer = { rate = 1e-2 }\nschedule = { warmup = 4, decay = { cosine = { final = 1e-4 } } }\n";
     let text = more.to_owned() + CONFIG;
@@ -436,7 +439,8 @@ fn a_validation_that_is_interrupted_is_made_up_for() {
     let interrupted = AtomicBool::new(true);
     // The first step is the last. Without its validation, the session is not done.
     let limits = Limits { steps: Some(1), interrupted: Some(&interrupted), ..Limits::default() };
-    let watch = |_: &Progress<'_>| -> ControlFlow<()> { panic!("the step was told without its validation") };
+    let watch =
+        |_: &Progress<'_>| -> ControlFlow<()> { panic!("the step was reported without its validation") };
     assert_eq!(run.train(&limits, watch).unwrap(), End::Interrupted);
     drop(run);
     let mut run = resume(folder.path()).unwrap().0;

@@ -56,9 +56,9 @@ impl Learner for Fake {
             let mut outcomes = Vec::new();
             for drawn in &batch.cloths {
                 let cloth = &mut self.cloths[batch.pool][drawn.slot];
-                let told = drawn.targets.iter().flatten().chain(&drawn.cloth.gravity).sum::<f64>();
+                let inputs = drawn.targets.iter().flatten().chain(&drawn.cloth.gravity).sum::<f64>();
                 let from = if drawn.start.is_some() { 0.1 } else { *cloth };
-                *cloth = (from * 0.9 + told as f32).sin() + f32::from(u8::from(drawn.advance));
+                *cloth = (from * 0.9 + inputs as f32).sin() + f32::from(u8::from(drawn.advance));
                 outcomes.push(outcome(if broken { f64::NAN } else { f64::from(*cloth) }));
             }
             report.outcomes[batch.pool] = outcomes;

@@ -323,8 +323,8 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
             of_files.push(file);
         }
     }
-    let told: Vec<(&Path, &Score)> = of_files.into_iter().zip(&scores).collect();
-    belong_together(&told)?;
+    let pairs: Vec<(&Path, &Score)> = of_files.into_iter().zip(&scores).collect();
+    belong_together(&pairs)?;
     // In the order of a single run's tables, whichever folder a score is in.
     let particles = |score: &Score| {
         let sides = score.grid.split('x').map(|side| side.parse::<usize>().unwrap_or(0));

@@ -79,8 +79,8 @@ pub struct Args {
     /// solver stops short of convergence, chance decides which way a fold goes
     #[arg(long, default_value_t = 1, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=1000))]
     repeats: u64,
-    /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or on the sequence's
-    /// mesh; may be given more than once. Its scores are kept with those of the solvers
+    /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or on
+    /// the sequence's mesh; may be given more than once. Its scores are kept with those of the solvers
     #[arg(long, value_name = "NAME=DIR")]
     compare: Vec<String>,
     /// Folder for the scores; those already there are reused
@@ -471,7 +471,7 @@ impl Args {
 struct Document<'a> {
     #[serde(flatten)]
     score: &'a Score,
-    /// The means over all repeats, on the first of several.
+    /// Means over all repeats, only with the score from the recorded start and if there are several repeats.
     #[serde(skip_serializing_if = "Option::is_none")]
     over_repeats: Option<OverRepeats>,
 }

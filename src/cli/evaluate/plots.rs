@@ -12,8 +12,8 @@ use std::path::Path;
 
 /// Width and height of a chart \[px\].
 const SIZE: (usize, usize) = (640, 420);
-/// Numbers of iterations at which the energy is evaluated: up to [`MOST_ITERATIONS_OF_ALL`] for every optimizer, and up to
-/// its own number for one that is given more.
+/// Numbers of iterations at which the energy is evaluated: up to [`MOST_ITERATIONS_OF_ALL`] for every
+/// optimizer, and up to its own number for one that is given more.
 const ITERATIONS: [usize; 14] = [1, 2, 3, 5, 8, 10, 15, 20, 30, 50, 100, 150, 250, 500];
 const MOST_ITERATIONS_OF_ALL: usize = 30;
 /// Frames in which the energy is evaluated, including the start.

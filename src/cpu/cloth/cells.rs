@@ -4,7 +4,7 @@ use super::Trial;
 use super::vector::{add, at};
 use crate::cpu::Real;
 
-/// Bits of a cell's index along each axis. Indices count from the middle of the range.
+/// Bits of a cell's index along each axis. The origin lies in the middle of the range.
 const BITS: u32 = 21;
 
 /// The particles of one cloth, sorted by cell.

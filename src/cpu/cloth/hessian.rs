@@ -84,7 +84,7 @@ impl Hessian {
         Ok(Self { grid, stored, values, work: Work { vertical: edges(), horizontal: edges() } })
     }
 
-    /// Computes the Hessian at a trial. Handles are included.
+    /// Computes the Hessian at a trial, as if the handles were free.
     pub fn fill(&mut self, trial: &Trial<'_, f64>, projection: Projection) {
         assert_eq!(self.grid, trial.grid, "working memory and cloth share a grid");
         Arch::new().dispatch(Fill { trial, projection, hessian: self });
@@ -112,8 +112,8 @@ impl Hessian {
             let (low, high) = (row.min(column), row.max(column));
             DIAGONAL + high * (high + 1) / 2 + low
         } else {
-            let way = ((p / w - i) as isize, (p % w) as isize - j as isize);
-            9 * NEIGHBOURS.iter().position(|&neighbour| neighbour == way)? + 3 * row + column
+            let offset = ((p / w - i) as isize, (p % w) as isize - j as isize);
+            9 * NEIGHBOURS.iter().position(|&neighbour| neighbour == offset)? + 3 * row + column
         };
         Some(LANES + (i * PLANES + plane) * self.stored.stride + j)
     }
@@ -128,8 +128,8 @@ impl Hessian {
 /// Returns the other particles that share a term with particle `p`.
 pub fn neighbours(grid: Grid, p: usize) -> impl Iterator<Item = usize> {
     let Grid { h, w } = grid;
-    let ways = NEIGHBOURS.into_iter().flat_map(|(down, across)| [(down, across), (-down, -across)]);
-    ways.filter_map(move |(down, across)| {
+    let offsets = NEIGHBOURS.into_iter().flat_map(|(down, across)| [(down, across), (-down, -across)]);
+    offsets.filter_map(move |(down, across)| {
         let (i, j) = ((p / w).checked_add_signed(down)?, (p % w).checked_add_signed(across)?);
         (i < h && j < w).then_some(i * w + j)
     })

@@ -13,8 +13,7 @@ pub struct Frame<'a, T> {
     pub a: &'a [T],
 }
 
-/// Computes the displacements at a trial acceleration: `shift = v + a`, or for a handle the way to its
-/// target.
+/// Computes the displacements at a trial acceleration: `shift = v + a`, or for a handle `target - x`.
 pub fn shifts<T: Real>(frame: Frame<'_, T>, x: &[T], v: &[T], shift: &mut [T]) {
     let n = frame.slots.len();
     for (component, shift) in shift.chunks_exact_mut(n).enumerate() {

@@ -10,13 +10,14 @@ use rayon::prelude::*;
 /// Number of particles per task.
 const TASK: usize = 1024;
 
-/// Sets `total_acceleration` [3, H, W] to the external accelerations of a trial plus those of the repulsion, and returns
-/// the repulsion's energy.
+/// Sets `total_acceleration` [3, H, W] to the external accelerations of a trial plus those of the repulsion,
+/// and returns the repulsion's energy.
 ///
 /// With strength k and distance delta, the energy is `-k / (H W)` times the sum of `log(d^2 + 1e-8)` over
 /// ordered pairs of particles at a distance d < delta that no edge of the triangulated grid joins. It depends
 /// on positions alone, so its gradient with respect to the acceleration of a free particle of mass m is that
-/// of a force, the acceleration `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`. Handles are not total_acceleration.
+/// of a force, the acceleration `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`. Handles repel others, but are not
+/// accelerated themselves.
 pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, total_acceleration: &mut [T]) -> f64 {
     let (grid, n) = (trial.grid, trial.grid.particles());
     let Repulsion { strength, distance } = repulsion;
@@ -26,11 +27,11 @@ pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, total_acce
         let (mut sum, mut energy, p) = ([T::zero(); 3], 0.0, own.particle);
         let around = own.is_within_reach().then(|| walk.around(own));
         for other in around.into_iter().flatten() {
-            let way = sub(own.place, other.place);
-            let square = dot(way, way);
+            let difference = sub(own.place, other.place);
+            let square = dot(difference, difference);
             if square < distance * distance && !grid.joined(p, other.particle) {
                 let square = square + softening;
-                sum = add(sum, scaled(way, square.recip()));
+                sum = add(sum, scaled(difference, square.recip()));
                 energy -= square.f64().ln();
             }
         }

@@ -85,14 +85,14 @@ pub(super) fn load<T: Real, S: Simd>(
         let edges = T::lanes_mut::<S>(&mut edges[component * stored.stride..][..stored.count]);
         let mut place = 0;
         for edge in edges {
-            let way =
+            let initial =
                 T::sub_lanes(simd, T::load_partial(simd, &x_to[place..]), T::load_partial(simd, &x[place..]));
-            let further = T::sub_lanes(
+            let change = T::sub_lanes(
                 simd,
                 T::load_partial(simd, &shift_to[place..]),
                 T::load_partial(simd, &shift[place..]),
             );
-            *edge = T::add_lanes(simd, way, further);
+            *edge = T::add_lanes(simd, initial, change);
             place = (place + width::<T, S>()).min(count);
         }
     }

@@ -3,9 +3,9 @@
 use crate::cpu::Real;
 use crate::sim::{Grid, VertexView};
 
-/// Returns position and unit normal of each particle of one cloth, shape [H W, 6], from positions `x` \[edges\]
-/// and velocities `v` [edges / frame], shape [3, H, W]. A normal is the area-weighted mean over the adjacent
-/// triangles ([`Grid::faces`]); zero where all of them are degenerate.
+/// Returns the position and the unit normal of each particle of one cloth, shape [H W, 6], from positions `x`
+/// \[edges\] and velocities `v` [edges / frame], shape [3, H, W]. A normal has the direction of the
+/// area-weighted mean over the adjacent triangles ([`Grid::faces`]); it is zero if that mean is zero.
 pub fn vertices<T: Real>(grid: Grid, view: &VertexView, x: &[T], v: &[T]) -> Vec<[T; 6]> {
     let n = grid.particles();
     let transform = view.transform.map(|row| row.map(|c| T::of(c.into())));

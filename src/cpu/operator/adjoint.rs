@@ -212,7 +212,7 @@ impl<T: Real> Adjoint<T> {
             self.mix(index, slices.blocks[index][0]);
             self.finish_block(index, input, adj_scalar);
         }
-        let kept = self.network.kept.as_ref().expect("made to keep");
+        let kept = self.network.kept.as_ref().expect("the network keeps its activations");
         let [weight, bias] = &mut slices.scalar;
         for (pooled, &adj) in kept.pooled.chunks_exact(self.network.channels).zip(adj_scalar) {
             ScalarHead::add_gradient(weight, &mut bias[0], pooled, adj);
@@ -227,9 +227,9 @@ impl<T: Real> Adjoint<T> {
     fn heads(&mut self, adj_field: &[T], adj_scalar: &[T]) {
         let Network { config, grid, channels, layers, kept, .. } = &self.network;
         let (h, row) = (grid.h, grid.w * channels);
-        let kept = kept.as_ref().expect("made to keep");
+        let kept = kept.as_ref().expect("the network keeps its activations");
         let last = config.layers - 1;
-        let (transform, turned) = (&self.transform, &self.weights.projection);
+        let (transform, weight) = (&self.transform, &self.weights.projection);
         let Buffers { adj_y, rows, .. } = &mut self.buffers;
         let band = band_rows(grid.w);
         let split = parts_of(&mut self.parts, (adj_y, row), (rows, transform.row_len()));
@@ -239,7 +239,7 @@ impl<T: Real> Adjoint<T> {
                 let adj_y = &mut adj_y[at * row..][..b.rows.len() * row];
                 let y = &kept.blocks[last][b.rows.start * row..][..adj_y.len()];
                 let adj_field = &adj_field[b.rows.start * grid.w..b.rows.end * grid.w];
-                layers.projection.backward(adj_y, (y, adj_field), turned, &mut part.projection);
+                layers.projection.backward(adj_y, (y, adj_field), weight, &mut part.projection);
                 if config.scalar_block() == last {
                     add_scalar_head(layers, kept, (adj_y, y), &b, adj_scalar);
                 }
@@ -264,7 +264,7 @@ impl<T: Real> Adjoint<T> {
         });
         let product = &self.weights.blocks[index].0;
         product.apply(modes, sums, transform, spectral);
-        let kept = self.network.kept.as_ref().expect("made to keep");
+        let kept = self.network.kept.as_ref().expect("the network keeps its activations");
         product.add_gradient(gradient, (&kept.modes[index], spectral), matrices);
     }
 
@@ -272,7 +272,7 @@ impl<T: Real> Adjoint<T> {
     fn finish_block(&mut self, index: usize, input: &[T], adj_scalar: &[T]) {
         let Network { config, grid, channels, layers, kept, .. } = &self.network;
         let (h, row, samples) = (grid.h, grid.w * channels, adj_scalar.len());
-        let kept = kept.as_ref().expect("made to keep");
+        let kept = kept.as_ref().expect("the network keeps its activations");
         let (transform, weights) = (&self.transform, &self.weights);
         let skip = &weights.blocks[index].1;
         let row_len = transform.row_len();

@@ -94,10 +94,10 @@ struct Buffers<T> {
 
 /// Allocates activations [positions, channels], by far the largest buffers of a pass.
 fn activation<T: Real>(positions: usize, channels: usize) -> Result<Vec<T>> {
-    let mut room = Vec::new();
-    memory::reserve(&mut room, positions * channels, "activations")?;
-    room.resize(positions * channels, T::zero());
-    Ok(room)
+    let mut values = Vec::new();
+    memory::reserve(&mut values, positions * channels, "activations")?;
+    values.resize(positions * channels, T::zero());
+    Ok(values)
 }
 
 impl<T: Real> Network<T> {

@@ -50,6 +50,7 @@ impl<T: Real> Projection<T> {
 
     /// Computes the cotangents `adj_x` [positions, C] at the input `x` [positions, C] from those of the
     /// field, `adj_field` \[positions\], and adds to the gradient. The hidden layer is recomputed.
+    /// `weight` is the weight of the first layer [hidden, C].
     pub fn backward(
         &self,
         adj_x: &mut [T],

@@ -59,9 +59,9 @@ impl<T: Real> Spectral<T> {
         let mode_len = x.len() / modes;
         let parts = x.par_chunks_exact(mode_len).zip(adj_y.par_chunks_exact(mode_len));
         matrices.par_chunks_exact_mut(2 * c * c).zip(parts).for_each(|(matrices, (x, adj_y))| {
-            // Of the rows of `c` numbers the even ones are (re), (im), (re), .., the odd ones (-im), (re),
-            // ... The sum with the even rows is the gradient's real part, that with the odd rows its negative
-            // imaginary part.
+            // Of the rows of `c` numbers the even ones alternate re and im, the odd ones -im and re. The sum
+            // with the even rows is the gradient's real part, that with the odd rows its negative imaginary
+            // part.
             let (real, imaginary) = matrices.split_at_mut(c * c);
             for (out, b) in [(real, adj_y), (imaginary, &adj_y[c..])] {
                 product(
@@ -119,7 +119,7 @@ impl<T: Real> Spectral<T> {
                     rows[3 * c + i] = re;
                 }
             }
-            let (straight, turned) = out.split_at_mut(2 * samples * c);
+            let (straight, times_i) = out.split_at_mut(2 * samples * c);
             let weight = &self.weight[mode * 2 * c * c..][..2 * c * c];
             product(
                 Target { out: straight, stride: c, rows: 2 * samples, columns: c, start: Start::Zero },
@@ -132,7 +132,7 @@ impl<T: Real> Spectral<T> {
                     depth: 2 * c,
                 }],
             );
-            for (from, to) in straight.chunks_exact(2 * c).zip(turned.chunks_exact_mut(2 * c)) {
+            for (from, to) in straight.chunks_exact(2 * c).zip(times_i.chunks_exact_mut(2 * c)) {
                 for o in 0..c {
                     to[o] = -from[c + o];
                     to[c + o] = from[o];

@@ -1,4 +1,5 @@
-//! The truncated two-dimensional real Fourier transform and its inverse, as products with trigonometric tables.
+//! The truncated two-dimensional real Fourier transform and its inverse, as products with trigonometric
+//! tables.
 //!
 //! Only `modes_h` rows `k_h = -modes_h/2 ..` and `modes_w` columns `k_w = 0 ..` of the spectrum are kept, so
 //! each direction is one product along the rows of the grid and one along its columns. A row spectrum `R`
@@ -41,7 +42,7 @@ impl<T: Real> Transform<T> {
         let mut row_forward = vec![T::zero(); modes_w * 2 * w];
         let mut row_inverse = vec![T::zero(); modes_w * 2 * w];
         for k in 0..modes_w {
-            // Columns 0 and W/2 are their own conjugates, of whose sum the inverse reads only the real part.
+            // Columns 0 and W/2 are their own conjugates; of their sum the inverse needs only the real part.
             let copies = if k == 0 || 2 * k == w { 1.0 } else { 2.0 };
             for j in 0..w {
                 let (sin, cos) = angle(k, j, w).sin_cos();
@@ -178,11 +179,11 @@ impl<T: Real> Transform<T> {
         let columns = 2 * self.channels;
         let rows = out.len() / self.row_len();
         for k_w in 0..self.modes_w {
-            let part = |turned: usize| Term {
-                a: &self.column_inverse[i * 2 * self.modes_h + turned * self.modes_h..],
+            let part = |times_i: usize| Term {
+                a: &self.column_inverse[i * 2 * self.modes_h + times_i * self.modes_h..],
                 a_stride: 2 * self.modes_h,
                 a_transposed: false,
-                b: &modes.values[(k_w * 2 + turned) * modes.samples * columns + modes.sample * columns..],
+                b: &modes.values[(k_w * 2 + times_i) * modes.samples * columns + modes.sample * columns..],
                 b_stride: self.modes_w * 2 * modes.samples * columns,
                 depth: self.modes_h,
             };

@@ -82,8 +82,8 @@ impl<T: Real> WithSimd for Step<'_, T> {
             T::store_partial(simd, &mut mean[place..], m);
             T::store_partial(simd, &mut square[place..], v);
             let below = T::add_lanes(simd, T::mul_lanes(simd, root, T::sqrt_lanes(simd, v)), epsilon);
-            let way = T::div_lanes(simd, T::mul_lanes(simd, rate, m), below);
-            let next = T::sub_lanes(simd, T::load_partial(simd, &a[place..]), way);
+            let change = T::div_lanes(simd, T::mul_lanes(simd, rate, m), below);
+            let next = T::sub_lanes(simd, T::load_partial(simd, &a[place..]), change);
             T::store_partial(simd, &mut a[place..], next);
             place += size_of::<T::Lanes<S>>() / size_of::<T>();
         }

@@ -126,7 +126,8 @@ impl<T: Real> History<T> {
         }
     }
 
-    /// Sets `direction` to the inverse Hessian times `grad`: that of the history, starting from `initial`.
+    /// Sets `direction` to the inverse Hessian times `grad`. The inverse Hessian is `initial`, updated by the
+    /// pairs of the history.
     pub fn compute_direction(&mut self, grad: &[T], initial: Option<&mut (dyn InverseHessian<T> + 'static)>) {
         self.last_grad.copy_from_slice(grad);
         let pairs = &self.ring[..self.pairs];

@@ -26,7 +26,7 @@ use crate::{Error, Result};
 pub trait Minimizer<T>: Send + Sync {
     /// Starts a frame, at a = 0.
     fn begin_frame(&mut self) {}
-    /// Adds a step to the accelerations `a`, given `grad` = dL/da at `a` and `norms`, the norm of each
+    /// Adds a step to the accelerations `a`, given `grad` = dL/da at `a` and `norms`, its norm for each
     /// component of each cloth; shapes [B, 3, H, W] and \[S\] with S = 3 B.
     fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]);
     /// Clears the state kept across frames for this cloth, as when it restarts. Most optimizers keep none.
@@ -37,8 +37,9 @@ pub trait Minimizer<T>: Send + Sync {
     }
 }
 
-/// Builds the optimizer for the cloths of `model`. Returns an error if the grid does not suit the network, or
-/// if the optimizer is Newton's method, which [`crate::cpu::Reference`] implements.
+/// Builds the optimizer for the cloths of `model`. Returns an error if the grid does not suit the network, if
+/// there is not enough memory, or if the optimizer is Newton's method, which [`crate::cpu::Reference`]
+/// implements.
 pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dyn Minimizer<T>>> {
     let (grid, batch) = (model.grid, model.batch());
     let cloth = 3 * grid.particles();

@@ -14,7 +14,7 @@ use std::f64::consts::PI;
 
 /// The initial inverse Hessian of a quasi-Newton method.
 pub trait InverseHessian<T>: Send + Sync {
-    /// Multiplies each component of `direction` [3, H, W] by the inverse Hessian; the result is 0 at handles.
+    /// Multiplies `direction` [3, H, W] by the inverse Hessian. The result is 0 at handles.
     fn apply(&mut self, direction: &mut [T]);
 }
 
@@ -118,11 +118,12 @@ impl<T: Real> InverseHessian<T> for RestHessian<T> {
     }
 }
 
-/// The Hessian at rest of the free particles alone, by its sparse Cholesky factors in double precision.
+/// The inverse Hessian at rest of the free particles alone, by sparse Cholesky factors in double precision.
 /// Unlike [`RestHessian`], it is exact at the handles too.
 ///
-/// With the second differences D of a row and of a column of particles, the Hessian is `1/(HW) + 2 k_stretch
-/// (D_H / ((H-1) W) + D_W / (H (W-1))) + 2 k_bend/(HW) (D_H^2 + D_W^2) + 4 k_shear/(HW) (D_H + D_W)`.
+/// With the second differences D of a row and of a column of particles, the Hessian is
+/// `1/(HW) + 2 k_stretch (D_H / ((H-1) W) + D_W / (H (W-1))) + 2 k_bend/(HW) (D_H^2 + D_W^2) +
+/// 4 k_shear/(HW) (D_H + D_W)`.
 pub struct FactoredRestHessian {
     factors: Llt<usize, f64>,
     handles: Vec<usize>,
@@ -138,12 +139,12 @@ impl FactoredRestHessian {
         let along = |length: usize, lines: usize, d: f64, d2: f64| {
             d * (2.0 * stretch / ((length - 1) * lines) as f64 + 4.0 * shear / n) + d2 * 2.0 * bend / n
         };
-        let mut held = vec![false; grid.particles()];
-        cloth.handles.iter().for_each(|&p| held[p] = true);
+        let mut is_handle = vec![false; grid.particles()];
+        cloth.handles.iter().for_each(|&p| is_handle[p] = true);
         let mut triplets = Vec::new();
-        for (q, &held) in held.iter().enumerate() {
+        for (q, &is_handle) in is_handle.iter().enumerate() {
             let (i, j) = (q / w, q % w);
-            if held {
+            if is_handle {
                 triplets.push(Triplet::new(q, q, 1.0));
                 continue;
             }
@@ -160,7 +161,7 @@ impl FactoredRestHessian {
                 triplets.push(Triplet::new(i * w + l, q, value));
             }
         }
-        triplets.retain(|t| t.row == t.col || !held[t.row]);
+        triplets.retain(|t| t.row == t.col || !is_handle[t.row]);
         let failed = |e: &dyn std::fmt::Debug| {
             Error::Device(format!("cpu: factoring the Hessian at rest failed: {e:?}"))
         };

@@ -1,5 +1,5 @@
-//! The learned update rule (paper section 4), which turns gradients into a step and remembers the step
-//! before.
+//! The learned update rule (paper section 4), which turns gradients into a step and remembers the previous
+//! one.
 
 use super::{Minimizer, norm};
 use crate::Result;
@@ -35,7 +35,7 @@ pub struct Update<T: Real> {
 
 impl<T: Real> Update<T> {
     /// Builds the update rule with a fresh hidden state. Returns an error if the grid is too small for the
-    /// kept modes.
+    /// kept modes or there is not enough memory.
     pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
         let len = samples * grid.particles();
         let zeros = |n| vec![T::zero(); n];

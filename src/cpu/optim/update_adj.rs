@@ -51,7 +51,8 @@ pub struct UpdateAdjoint<T: Real> {
 }
 
 impl<T: Real> UpdateAdjoint<T> {
-    /// Builds the update rule of a network. Returns an error if the grid is too small for the kept modes.
+    /// Builds the update rule of a network. Returns an error if the grid is too small for the kept modes
+    /// or there is not enough memory.
     ///
     /// Panics if `normalisation` is over cloths and `samples` is not a multiple of three.
     pub fn new(
@@ -102,14 +103,14 @@ impl<T: Real> UpdateAdjoint<T> {
             let adj_scale: f64 = tanh.iter().zip(adj_step).map(product).sum();
             *sizes = [norm(adj_step), adj_scale].map(|size| size * scale.f64());
         });
-        let together = self.normalisation.samples();
+        let group = self.normalisation.samples();
         let cotangents = self.adj_field.par_chunks_exact_mut(n).zip(&mut self.adj_scalar);
         let each = cotangents.zip(self.network.scalar()).zip(steps()).enumerate();
         each.for_each(|(sample, (((field, adj_scalar), scalar), (adj_step, &scale)))| {
-            let cloth = &self.sizes[sample / together * together..][..together];
+            let cloth = &self.sizes[sample / group * group..][..group];
             let norms = [0, 1].map(|k| {
                 let squares: f64 = cloth.iter().map(|sizes| sizes[k] * sizes[k]).sum();
-                (squares / together as f64).sqrt().max(NORM_FLOOR)
+                (squares / group as f64).sqrt().max(NORM_FLOOR)
             });
             let adj_exponent = (self.sizes[sample][1] / norms[1]).clamp(-CLAMP, CLAMP);
             let tanh = (scalar.f64() / 2.0).tanh();

@@ -29,7 +29,7 @@ pub struct AdamWFactors {
     pub decay: f64,
     /// The learning rate over the bias correction of the mean gradient.
     pub step_size: f64,
-    /// Square sqrt_correction of the bias correction of the mean squared gradient.
+    /// Square root of the bias correction of the mean squared gradient.
     pub sqrt_correction: f64,
 }
 

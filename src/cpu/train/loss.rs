@@ -26,7 +26,7 @@ pub struct Outcome {
 
 impl<T: Real> Loss<T> {
     /// Builds the loss for batches of the sizes of `model`. Returns an error if the grid is too small for the
-    /// kept modes.
+    /// kept modes or there is not enough memory.
     pub fn new(weights: &Weights, model: &Model, normalisation: Normalisation) -> Result<Self> {
         let objective = Objective::new(model);
         let update = UpdateAdjoint::new(weights, (model.grid, 3 * model.batch()), normalisation)?;

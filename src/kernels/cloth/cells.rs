@@ -7,7 +7,7 @@ use crate::kernels::optim::Iterate;
 use crate::sim::Grid;
 
 /// The particles of a trial, sorted by cells that are hashed into buckets. The neighbours of a particle are
-/// in 27 of them.
+/// in its own cell and the 26 around it.
 #[derive(Clone, Debug)]
 pub struct Cells {
     count: CellCount,

@@ -20,7 +20,7 @@ struct Params {
     pad: [u32; 2],
 }
 
-/// Computes the external acceleration: gravity, the caller's accelerations, and air.
+/// Computes the external acceleration: gravity, the control's accelerations, and air.
 #[derive(Clone, Debug)]
 pub struct ExternalForce {
     kernel: Kernel,
@@ -35,7 +35,7 @@ pub struct ExternalForceTensors<'a> {
     pub x: &'a Tensor,
     /// Velocities, shape [B, 3, H, W].
     pub v: &'a Tensor,
-    /// Accelerations given by the caller, shape [B, 3, H, W].
+    /// Accelerations of the control, shape [B, 3, H, W].
     pub control_accelerations: &'a Tensor,
 }
 

@@ -39,12 +39,12 @@ impl Repulsion {
         Ok(Self {
             cells: Cells::new(context, batch, grid)?,
             kernel: Kernel::new(context, &SOURCE, 0, &[("SOFTENING", sim::Repulsion::SOFTENING)])?,
-            total_acceleration: Tensor::zeros(context, "total_acceleration", &[batch, 3, grid.particles()])?,
+            total_acceleration: Tensor::zeros(context, "total acceleration", &[batch, 3, grid.particles()])?,
         })
     }
 
-    /// Sets [`Repulsion::total_acceleration`] at `iterate.a`, and the repulsion's term in the `parts` of the energy
-    /// [B, parts, 8].
+    /// Sets [`Repulsion::total_acceleration`] at `iterate.a`, and the repulsion's term in the `parts` of the
+    /// energy [B, parts, 8].
     pub fn push(
         &self,
         schedule: &mut Schedule,

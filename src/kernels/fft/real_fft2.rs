@@ -47,7 +47,8 @@ struct Kernels {
 
 impl RealFft2 {
     /// Builds the tables, working memory and kernels for `fields`. Fails if a side is 0 or above
-    /// [`MAX_LENGTH`], if the batch is empty, or if the device cannot hold it.
+    /// [`MAX_LENGTH`], if the batch is empty or exceeds the device's workgroups along an axis, or if the
+    /// device cannot hold the tensors.
     pub fn new(context: &Context, fields: Fields, norm: Norm) -> Result<Self> {
         for (name, length) in [("height", fields.h), ("width", fields.w)] {
             if !(1..=MAX_LENGTH).contains(&length) {

@@ -115,7 +115,7 @@ impl Group {
     /// Returns the group of a layer, with as many tiles of channels as the tuning allows and the device can
     /// hold. `None` if a row is too long for the device.
     fn new(limits: &wgpu::Limits, tuning: &Tuning, layer: &LayerSize, epilogue: Epilogue) -> Option<Self> {
-        let room = limits.max_compute_workgroup_storage_size as usize / 16;
+        let capacity = limits.max_compute_workgroup_storage_size as usize / 16;
         let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
         // Subgroups that share operands need rows of whole subgroups, of eight lanes each.
         let lanes = |span: usize| match tuning.sharing {
@@ -135,7 +135,7 @@ impl Group {
         let embedded_quads =
             of_fields.filter(|_| tuning.staged).map_or(0, |lifting| lifting.inputs * span * wide);
         let of_depth = |deep: usize| {
-            let held = match epilogue {
+            let kept = match epilogue {
                 _ if epilogue.whole_rows() => deep * tuning.channels * (layer.row_quads | 1),
                 _ if epilogue.field => span * wide * deep,
                 _ => 1,
@@ -144,7 +144,7 @@ impl Group {
             if tuning.staged {
                 let input = span * wide + deep * quads;
                 let at_once =
-                    (held.max(STAGE_BYTES / 16).saturating_sub(embedded_quads + sums) / input).max(1);
+                    (kept.max(STAGE_BYTES / 16).saturating_sub(embedded_quads + sums) / input).max(1);
                 chunk = layer.summed().div_ceil(layer.summed().div_ceil(at_once));
                 staged = chunk * input;
             }
@@ -155,14 +155,14 @@ impl Group {
                 chunk,
                 staged,
                 embedded_quads,
-                memory: held.max(staged + embedded_quads),
+                memory: kept.max(staged + embedded_quads),
             }
         };
         let tiles = layer.channels / tuning.channels;
         let depths = (1..=tuning.block_deep as usize).rev().filter(|&deep| tiles.is_multiple_of(deep));
         let fits = |g: &Self| {
             let few = g.deep == 1 || g.lanes() <= WORKGROUP_INVOCATIONS as usize;
-            few && g.lanes() <= most as usize && g.memory + sums <= room
+            few && g.lanes() <= most as usize && g.memory + sums <= capacity
         };
         depths.map(of_depth).find(fits)
     }
@@ -226,8 +226,8 @@ impl Block {
             ("MEMORY", group.memory as f64),
         ];
         if let Some(Lifting { inputs, of_fields, .. }) = layer.lifting {
-            let as_many = "a lifting that embeds its input or is not staged has five input channels";
-            assert!((tuning.staged && !of_fields) || inputs == features::CHANNELS, "{as_many}");
+            let why = "a lifting that embeds its input or is not staged has five input channels";
+            assert!((tuning.staged && !of_fields) || inputs == features::CHANNELS, "{why}");
         }
         if layer.lifting.is_some_and(|lifting| lifting.of_fields) {
             constants
@@ -366,7 +366,7 @@ pub fn with_head(bias: &[f32], head: (&[f32], f32)) -> Vec<f32> {
 }
 
 /// Returns a first layer, weight [outputs, inputs] and bias, in the order in which the lifting reads it:
-/// [outputs, inputs + 1 in quads], with each bias after the weights.
+/// [outputs, inputs + 1 rounded up to quads], with each bias after its weights.
 pub fn hidden_units(weight: &[f32], bias: &[f32]) -> Vec<f32> {
     let inputs = weight.len() / bias.len();
     let mut units = vec![0.0; bias.len() * padded(inputs + 1)];

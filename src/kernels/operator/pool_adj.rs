@@ -51,14 +51,14 @@ impl PoolAdj {
     }
 }
 
-/// The pooled values, and the cotangent of the scalar.
+/// The values of which the maximum was taken, and the cotangent of the scalar.
 #[derive(Clone, Copy, Debug)]
 pub struct PoolAdjTensors<'a> {
     /// Cotangent of the scalar, shape `[S]`.
     pub adj_scalar: &'a Tensor,
     /// Largest value of each row, shape [S, H, C].
     pub rows_max: &'a Tensor,
-    /// Pooled values, shape [S, H, C, W'].
+    /// Values of which the maximum was taken, shape [S, H, C, W'].
     pub x: &'a Tensor,
     /// Number of columns of a row without the padding (W).
     pub columns: usize,

@@ -13,11 +13,11 @@ pub const SOURCE: Source =
 const TILE: usize = 3;
 
 /// Numbers of output channels that a workgroup may have, in descending order.
-const ACROSS: [usize; 4] = [64, 32, 16, 8];
+const OUT_CHANNELS: [usize; 4] = [64, 32, 16, 8];
 
 /// Most workgroup memory with which sums are still divided \[bytes\]: beyond it, too few workgroups run on a
 /// processor at once.
-const ROOM: usize = 32 << 10;
+const DIVIDED_BYTES: usize = 32 << 10;
 
 /// Most rows of the inverse per invocation: few enough to spread the work, enough that a column's modes are
 /// seldom read.
@@ -40,7 +40,7 @@ struct Division {
     /// Number of samples per workgroup.
     tile: usize,
     /// Number of output channels per workgroup.
-    across: usize,
+    out_channels: usize,
     /// Number of parts of every sum, however the work is divided: one per team.
     parts: usize,
     /// Parts that separate invocations sum: of the rows, then of the inputs. 1 if none do, otherwise `parts`.
@@ -50,35 +50,44 @@ struct Division {
 
 impl Division {
     /// Chooses the largest workgroups that keep the adapter busy, and in them gives parts to separate
-    /// invocations if there are invocations to spare. `None` if not even the smallest workgroup fits `room`
-    /// bytes of memory.
-    fn new(tuning: &Tuning, config: &Config, samples: usize, room: usize) -> Option<Self> {
+    /// invocations if there are invocations to spare. `None` if not even the smallest workgroup fits
+    /// `capacity` bytes of memory.
+    fn new(tuning: &Tuning, config: &Config, samples: usize, capacity: usize) -> Option<Self> {
         let parts = tuning.spectral_teams as usize;
         let tiles = [TILE, 1].into_iter().filter(|&tile| samples.is_multiple_of(tile));
-        let all = tiles.flat_map(|tile| ACROSS.map(|across| (tile, across)));
-        let whole =
-            |(tile, across)| Self { lanes: 64 * parts, tile, across, parts, row_parts: 1, input_parts: 1 };
-        let fit: Vec<Self> = all.map(whole).filter(|division| division.bytes(config) <= room).collect();
+        let all = tiles.flat_map(|tile| OUT_CHANNELS.map(|out_channels| (tile, out_channels)));
+        let whole = |(tile, out_channels)| Self {
+            lanes: 64 * parts,
+            tile,
+            out_channels,
+            parts,
+            row_parts: 1,
+            input_parts: 1,
+        };
+        let fit: Vec<Self> = all.map(whole).filter(|division| division.bytes(config) <= capacity).collect();
         let busy = |d: &&Self| samples / d.tile * d.groups(config) >= tuning.busy_groups;
         let chosen = *fit.iter().find(busy).or(fit.last())?;
         let spare = |pieces: usize| if pieces < chosen.lanes { parts } else { 1 };
         let rows = spare(chosen.tile * config.channels);
-        let inputs = spare(config.modes_h * chosen.across);
+        let inputs = spare(config.modes_h * chosen.out_channels);
         let divided = [(rows, inputs), (1, inputs), (rows, 1)];
         let divided = divided.map(|(row_parts, input_parts)| Self { row_parts, input_parts, ..chosen });
-        let small = |division: &Self| division.bytes(config) <= room.min(ROOM);
+        let small = |division: &Self| division.bytes(config) <= capacity.min(DIVIDED_BYTES);
         Some(divided.into_iter().find(small).unwrap_or(chosen))
     }
 
     /// Returns the number of workgroups per tile of samples.
     fn groups(&self, config: &Config) -> usize {
-        config.modes_w * config.channels.div_ceil(self.across)
+        config.modes_w * config.channels.div_ceil(self.out_channels)
     }
 
     /// Returns how many complex numbers of the spectrum and of the products a workgroup holds.
     fn held(&self, config: &Config) -> [usize; 2] {
         let rows_of_modes = self.tile * config.modes_h;
-        [rows_of_modes * config.channels * self.row_parts, rows_of_modes * self.across * self.input_parts]
+        [
+            rows_of_modes * config.channels * self.row_parts,
+            rows_of_modes * self.out_channels * self.input_parts,
+        ]
     }
 
     fn bytes(&self, config: &Config) -> usize {
@@ -87,7 +96,7 @@ impl Division {
 
     /// Returns the number of consecutive rows of the inverse that an invocation computes.
     fn strip(&self, rows: usize) -> usize {
-        (rows * self.tile * self.across).div_ceil(self.lanes).clamp(1, STRIP)
+        (rows * self.tile * self.out_channels).div_ceil(self.lanes).clamp(1, STRIP)
     }
 }
 
@@ -127,12 +136,12 @@ impl Spectral {
         samples: usize,
         keep: bool,
     ) -> Result<Self> {
-        let room = context.device.limits().max_compute_workgroup_storage_size as usize;
+        let capacity = context.device.limits().max_compute_workgroup_storage_size as usize;
         let Config { modes_h, channels, .. } = *config;
-        let division = Division::new(tuning, config, samples, room).ok_or_else(|| {
-            let least = 8 * modes_h * (channels + ACROSS[ACROSS.len() - 1]);
+        let division = Division::new(tuning, config, samples, capacity).ok_or_else(|| {
+            let least = 8 * modes_h * (channels + OUT_CHANNELS[OUT_CHANNELS.len() - 1]);
             Error::Device(format!(
-                "{}: {modes_h} rows of modes with {channels} channels need {least} bytes of workgroup memory; the device has {room}",
+                "{}: {modes_h} rows of modes with {channels} channels need {least} bytes of workgroup memory; the device has {capacity}",
                 context.name()
             ))
         })?;
@@ -141,7 +150,7 @@ impl Spectral {
             ("KEEP", f64::from(u8::from(keep))),
             ("MODES", modes_h as f64),
             ("LANES", division.lanes as f64),
-            ("OUT_CHANNELS", division.across as f64),
+            ("OUT_CHANNELS", division.out_channels as f64),
             ("PARTS", division.parts as f64),
             ("ROW_PARTS", division.row_parts as f64),
             ("INPUT_PARTS", division.input_parts as f64),

@@ -88,9 +88,9 @@ impl Features {
 
     /// Sets `embedded` [s, H, 5, W'] for s samples.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: FeatureInputs<'_>, embedded: &Tensor) {
-        let (w, made) = (padded(grid.w), embedded.shape()[0]);
-        assert_eq!(embedded.shape(), [made, grid.h, CHANNELS, w]);
-        let ([fields, sums], place) = from.bound(grid, made);
+        let (w, embedded_samples) = (padded(grid.w), embedded.shape()[0]);
+        assert_eq!(embedded.shape(), [embedded_samples, grid.h, CHANNELS, w]);
+        let ([fields, sums], place) = from.bound(grid, embedded_samples);
         let (samples, _) = from.iterate.samples_and_particles();
         let params = Params {
             rows: size(grid.h),
@@ -99,7 +99,7 @@ impl Features {
             samples: size(samples),
             place,
         };
-        let count = self.kernel.groups([w / 4, grid.h, made]);
+        let count = self.kernel.groups([w / 4, grid.h, embedded_samples]);
         schedule.dispatch(&self.kernel, &params, &[&fields, &sums, embedded], count);
     }
 }

@@ -43,9 +43,10 @@ pub struct Lbfgs {
 pub struct LbfgsMemory {
     /// Pairs, shape [B, history, 2, 3 n].
     pub history: Tensor,
-    /// Last gradient and last step, shape [B, 2, 3 n].
+    /// Last gradient and last step, shape [B, 2, 3 n]. Between the parts of a step the direction replaces
+    /// the last step.
     pub last: Tensor,
-    /// Number of pairs, index of the newest, curvatures, and weights of the first loop, shape
+    /// Number of pairs, index of the newest, 1 / y.s of each pair, and alpha of the first loop, shape
     /// [B, 2 history + 2].
     pub pairs: Tensor,
 }

@@ -22,7 +22,7 @@ struct Params {
     share: f32,
 }
 
-/// Adjoint of the update rule.
+/// Backward pass of the update rule, with normalised cotangents.
 #[derive(Clone, Debug)]
 pub struct UpdateAdj {
     kernel: Kernel,

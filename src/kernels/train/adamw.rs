@@ -19,9 +19,9 @@ struct Params {
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Factors {
-    /// Factor of the gradient that limits its norm to the clip: `min(clip / (norm + 1e-6), 1)`.
+    /// Factor of the gradient that limits its norm: `min(largest norm / (norm + 1e-6), 1)`.
     pub clip: f32,
-    /// `1 - rate decay`.
+    /// Factor of the weights: `1 - rate weight_decay`.
     pub decay: f32,
     /// `rate / (1 - beta1^t)`.
     pub step_size: f32,

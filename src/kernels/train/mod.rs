@@ -1,4 +1,5 @@
-//! Training: the pools of cloths, the norm of the gradient and the optimizer of the weights (paper sections 3.3 and 4).
+//! Training: the pools of cloths, the norm of the gradient and the optimizer of the weights (paper sections
+//! 3.3 and 4).
 
 pub mod adamw;
 pub mod advance;

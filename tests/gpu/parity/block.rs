@@ -171,7 +171,7 @@ fn blocks_with_the_field_head_match() {
             let table = tensor("table", &[columns, w], &tables::inverse_rows(&config, grid.w));
             let y = poisoned("y", x.shape());
             let alone = Epilogue { gelu: true, ..Epilogue::default() };
-            let [alone, joined] = [alone, Epilogue { field: true, ..alone }].map(|epilogue| {
+            let [alone, fused] = [alone, Epilogue { field: true, ..alone }].map(|epilogue| {
                 Block::new(context(), &tuning, size(grid, config.modes_w), epilogue).unwrap()
             });
             let tensors =
@@ -182,10 +182,10 @@ fn blocks_with_the_field_head_match() {
                 bias: tensor("bias and head", &[with_head.len()], &with_head),
                 weight: skip.weight.clone(),
             };
-            let parts = joined.field_parts();
+            let parts = fused.field_parts();
             let field = poisoned("field", &[parts, batch, grid.h, w]);
             let tensors = BlockTensors { rows_or_field: Some(&field), ..tensors };
-            run(|schedule| joined.push(schedule, &with_head, (&table, grid.w), tensors));
+            run(|schedule| fused.push(schedule, &with_head, (&table, grid.w), tensors));
             let expected = dense(&head, &[head_bias], &read_channels(&y, grid), grid.particles());
             let found = read_unpadded(&field, grid);
             let sum = |at: usize| found[at..].iter().step_by(expected.len()).sum::<f32>();
@@ -197,7 +197,8 @@ fn blocks_with_the_field_head_match() {
     }
 }
 
-/// The fused lifting agrees with its two pointwise layers, and so do its rows' spectra.
+/// The fused lifting agrees with the formulas of its two pointwise layers, and the spectra of its rows with
+/// that of its output.
 #[test]
 fn liftings_match() {
     let _turn = device();

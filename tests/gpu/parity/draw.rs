@@ -49,13 +49,13 @@ fn cloths_leave_their_pool_and_come_back() {
         }
         assert_eq!(read(&scale)[3 * place..][..3], scales[3 * slot..][..3]);
     }
-    // A cloth that starts over: the sheet at rest, rotated; the rest is zero.
+    // A cloth that starts over: the positions are those of the sheet at rest, rotated; other fields are zero.
     let rest = State::<f64>::rest(GRID, 1).x;
-    let turned: Vec<f64> = [[0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.8, 0.0, -0.6]]
+    let rotated: Vec<f64> = [[0.0, -1.0, 0.0], [0.6, 0.0, 0.8], [0.8, 0.0, -0.6]]
         .iter()
         .flat_map(|row| (0..n).map(|p| (0..3).map(|c| row[c] * rest[c * n + p]).sum()).collect::<Vec<f64>>())
         .collect();
-    assert_close("start", &found[0][3 * n..][..3 * n], &turned, (4.0 * ROUNDING, 4.0 * ROUNDING));
+    assert_close("start", &found[0][3 * n..][..3 * n], &rotated, (4.0 * ROUNDING, 4.0 * ROUNDING));
     assert!(found[1..].iter().all(|field| field[3 * n..][..3 * n].iter().all(|&v| v == 0.0)));
     assert_eq!(read(&scale)[3..6], [0.05; 3]);
 

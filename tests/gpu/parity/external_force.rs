@@ -6,9 +6,9 @@ use fnopt::cpu::cloth::add_wind;
 use fnopt::kernels::cloth::{ExternalForce, ExternalForceTensors};
 use fnopt::sim::Model;
 
-fn expected(model: &Model, x: &[f32], v: &[f32], given: &[f32]) -> Vec<f64> {
+fn expected(model: &Model, x: &[f32], v: &[f32], control: &[f32]) -> Vec<f64> {
     let n = model.grid.particles();
-    let (x, v, mut f) = (widened(x), widened(v), widened(given));
+    let (x, v, mut f) = (widened(x), widened(v), widened(control));
     for (b, f) in f.chunks_exact_mut(3 * n).enumerate() {
         for (f, g) in f.chunks_exact_mut(n).zip(model.cloths[b].gravity) {
             f.iter_mut().for_each(|f| *f += g);
@@ -25,11 +25,11 @@ fn gravity_forces_and_air_match() {
     let kernel = ExternalForce::new(context()).unwrap();
     for (grid, batch) in cases() {
         let model = model(grid, batch);
-        let (x, v, given) = (crumpled(&model, 0.3), field(&model, 0.5, 75), field(&model, 0.1, 76));
-        let expected = expected(&model, &x, &v, &given);
-        let [x, v, given] = [x, v, given].map(|values| upload("input", &model, &values));
+        let (x, v, control) = (crumpled(&model, 0.3), field(&model, 0.5, 75), field(&model, 0.1, 76));
+        let expected = expected(&model, &x, &v, &control);
+        let [x, v, control] = [x, v, control].map(|values| upload("input", &model, &values));
         let (cloths, external) = (constants(&model), poisoned_field(&model));
-        let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, control_accelerations: &given };
+        let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, control_accelerations: &control };
         run(|schedule| kernel.push(schedule, grid, tensors, &external));
         // The roundings of differences of positions, two products and six triangles.
         let atol = 16.0 * ROUNDING * largest(&expected);
@@ -45,11 +45,11 @@ fn air_ignores_triangles_without_area() {
     let (grid, _) = cases().next().unwrap();
     let model = model(grid, 1);
     let x = vec![1.0; 3 * grid.particles()];
-    let (v, given) = (field(&model, 0.5, 75), vec![0.0; x.len()]);
-    let expected = expected(&model, &x, &v, &given);
-    let [x, v, given] = [x, v, given].map(|values| upload("input", &model, &values));
+    let (v, control) = (field(&model, 0.5, 75), vec![0.0; x.len()]);
+    let expected = expected(&model, &x, &v, &control);
+    let [x, v, control] = [x, v, control].map(|values| upload("input", &model, &values));
     let (cloths, external) = (constants(&model), poisoned_field(&model));
-    let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, control_accelerations: &given };
+    let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, control_accelerations: &control };
     run(|schedule| kernel.push(schedule, grid, tensors, &external));
     assert_close("external_force collapsed", &read(&external), &expected, (0.0, ROUNDING));
 }

@@ -69,8 +69,8 @@ fn normalised_fields_and_positions_match() {
     let kernel = Features::new(context()).unwrap();
     for (grid, batch) in cases() {
         let (samples, n) = (3 * batch, grid.particles());
-        // Samples of very different sizes, raised to a high power so that some elements are saturated. None
-        // is so small that a tenth of it is subnormal, which a device may flush to zero.
+        // Samples of very different sizes. The high power of noise saturates some elements. None is so small
+        // that a tenth of it is subnormal, which a device may flush to zero.
         let size = |s: usize| 10f32.powi(3 * (s % 3) as i32 - 6);
         let normal = |v: f32| if (0.1 * v).is_subnormal() { 0.0 } else { v };
         let spiky = |len, seed| {

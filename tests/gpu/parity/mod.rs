@@ -1,7 +1,8 @@
-//! Each shader against the CPU path in double precision, or against its formula if that has no such stage.
+//! Each shader against the CPU path in double precision, or against its formula if the CPU path lacks that
+//! stage.
 //!
-//! Outputs start as NaN, so that an element that is not written shows. Tolerances are a few roundings of the terms that
-//! are summed; each file says how many.
+//! Outputs start as NaN, so that an element that is not written shows. Tolerances are a few roundings of the
+//! terms that are summed; each file says how many.
 
 mod adam;
 mod adamw;

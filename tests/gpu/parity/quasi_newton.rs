@@ -1,5 +1,5 @@
-//! `cosine_order` and `rest_modes`, with both parts of `lbfgs`: the quasi-Newton step against the CPU path, whose cosine
-//! transforms are dense matrices.
+//! `cosine_order` and `rest_modes`, with both parts of `lbfgs`: the quasi-Newton step against the CPU path,
+//! whose cosine transforms are dense matrices.
 
 use super::classical::frames_match;
 use super::cloth::{constants, field, iterate, model};

@@ -104,7 +104,7 @@ fn forward_and_inverse_match_a_library() {
 
 /// The inverse takes any numbers and ignores what is not Hermitian in columns that are their own conjugates.
 #[test]
-fn inverse_ignores_what_is_not_hermitian() {
+fn the_inverse_ignores_the_non_hermitian_part() {
     let _turn = device();
     for size in SIZES {
         let case = Case::new(size, 2, Norm::Forward);
@@ -141,7 +141,8 @@ fn fields_of_a_batch_do_not_touch() {
     }
 }
 
-/// A prime close to the longest side of a grid, summed directly, stays below the loop limit of software drivers.
+/// A prime close to the longest side of a grid, summed directly, stays below the loop limit of software
+/// drivers.
 #[test]
 fn long_primes_are_summed_to_the_end() {
     let _turn = device();

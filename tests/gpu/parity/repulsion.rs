@@ -24,14 +24,14 @@ fn both(model: &Model, fields: [&[f32]; 4]) -> [(Vec<f32>, Vec<f64>); 2] {
         sum.push(schedule, &parts, &terms);
     });
     let doubles = Doubles::new(model, fields);
-    let (mut pushed, mut energies) = (vec![0.0; f.len()], vec![0.0; batch]);
-    for (b, pushed) in pushed.chunks_exact_mut(3 * grid.particles()).enumerate() {
+    let (mut total, mut energies) = (vec![0.0; f.len()], vec![0.0; batch]);
+    for (b, total) in total.chunks_exact_mut(3 * grid.particles()).enumerate() {
         let trial = doubles.cloth(b);
-        pushed.copy_from_slice(trial.f);
-        energies[b] = model.cloths[b].repulsion.map_or(0.0, |of_cloth| repulsion(&trial, of_cloth, pushed));
+        total.copy_from_slice(trial.f);
+        energies[b] = model.cloths[b].repulsion.map_or(0.0, |of_cloth| repulsion(&trial, of_cloth, total));
     }
     let found = read(&terms).chunks_exact(TERMS).map(|terms| terms[TERMS - 1]).collect();
-    [(read(&kernel.total_acceleration), pushed), (found, energies)]
+    [(read(&kernel.total_acceleration), total), (found, energies)]
 }
 
 #[test]
@@ -43,12 +43,12 @@ fn pushes_and_energies_match() {
         let x: Vec<f32> = crumpled(&model, 0.4).iter().map(|x| 0.4 * x).collect();
         let fields = [field(&model, 0.02, 79), field(&model, 0.02, 73), field(&model, 0.1, 74)];
         let [base, a, f] = &fields;
-        let [(pushed, expected), (energies, wanted)] = both(&model, [&x, base, a, f]);
+        let [(total, expected), (energies, wanted)] = both(&model, [&x, base, a, f]);
         let what = format!("repulsion {batch} x {grid}");
         assert!(largest(&expected) > 0.5 && wanted[0].abs() > 0.01, "{what}: {wanted:?}");
         // Positions are rounded in proportion to the sheet's size, which close particles feel most.
         let off = f64::from(f32::EPSILON) * 0.4 * grid.h.max(grid.w) as f64;
-        assert_close(&what, &pushed, &expected, (20.0 * off * largest(&expected), 1e-5));
+        assert_close(&what, &total, &expected, (20.0 * off * largest(&expected), 1e-5));
         assert_close(&format!("energy of {what}"), &energies, &wanted, (1e-6 * largest(&wanted), 1e-5));
     }
 }
@@ -60,16 +60,16 @@ fn degenerate_cloths_are_finite() {
     let grid = Grid { h: 31, w: 33 };
     let model = repelling(&model(grid, 1));
     let zeros = vec![0.0; 3 * grid.particles()];
-    let [(pushed, _), (energies, _)] = both(&model, [&zeros; 4].map(|z| &z[..]));
-    assert!(pushed.iter().chain(&energies).all(|v| v.is_finite()));
+    let [(total, _), (energies, _)] = both(&model, [&zeros; 4].map(|z| &z[..]));
+    assert!(total.iter().chain(&energies).all(|v| v.is_finite()));
     let apart: Vec<f32> = crumpled(&model, 0.1).iter().map(|x| 2.0 * x).collect();
-    let [(pushed, _), (energies, _)] = both(&model, [&apart, &zeros, &zeros, &zeros]);
-    assert!(pushed.iter().chain(&energies).all(|&v| v == 0.0), "nothing is near");
+    let [(total, _), (energies, _)] = both(&model, [&apart, &zeros, &zeros, &zeros]);
+    assert!(total.iter().chain(&energies).all(|&v| v == 0.0), "nothing is near");
 }
 
-/// A non-finite cloth affects neither the other cloths of its batch nor its own finite particles.
+/// A cloth with non-finite or huge positions has no repulsion and does not affect the others of its batch.
 #[test]
-fn what_is_no_number_is_near_nothing() {
+fn particles_without_a_position_have_no_neighbours() {
     let _turn = device();
     let grid = Grid { h: 31, w: 33 };
     let (model, n) = (repelling(&model(grid, 3)), grid.particles());
@@ -79,9 +79,9 @@ fn what_is_no_number_is_near_nothing() {
     for wrong in [f32::NAN, f32::INFINITY, 1e30] {
         let mut x = x.clone();
         x[..2 * n].fill(wrong);
-        let [(pushed, _), (others, _)] = both(&model, [&x, &zeros, &zeros, &zeros]);
-        assert!(pushed[..3 * n].iter().chain(&others[..1]).all(|&v| v == 0.0), "{wrong}");
-        assert!(pushed[3 * n..] == well[3 * n..] && others[1..] == energies[1..], "{wrong}");
+        let [(total, _), (others, _)] = both(&model, [&x, &zeros, &zeros, &zeros]);
+        assert!(total[..3 * n].iter().chain(&others[..1]).all(|&v| v == 0.0), "{wrong}");
+        assert!(total[3 * n..] == well[3 * n..] && others[1..] == energies[1..], "{wrong}");
     }
 }
 
@@ -95,8 +95,8 @@ fn repulsion_repeats_bit_for_bit() {
     let x: Vec<f32> = crumpled(&model, 0.4).iter().map(|x| 0.3 * x).collect();
     let zeros = vec![0.0; x.len()];
     let runs = [(); 4].map(|()| both(&model, [&x, &zeros, &zeros, &zeros]).map(|(found, _)| found));
-    let bits = |[pushed, energies]: &[Vec<f32>; 2]| {
-        pushed.iter().chain(energies).map(|v| v.to_bits()).collect::<Vec<_>>()
+    let bits = |[total, energies]: &[Vec<f32>; 2]| {
+        total.iter().chain(energies).map(|v| v.to_bits()).collect::<Vec<_>>()
     };
     runs[1..].iter().for_each(|run| assert!(bits(run) == bits(&runs[0])));
 }

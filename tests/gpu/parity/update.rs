@@ -51,7 +51,7 @@ fn learned_steps_match() {
 
 /// NaN stays NaN. Otherwise a frame that is lost would look finite.
 #[test]
-fn what_is_no_number_stays_so() {
+fn non_finite_numbers_stay_non_finite() {
     let _turn = device();
     let grid = Grid { h: 8, w: 8 };
     let iterate = iterate_with_hidden(&model(grid, 1));
@@ -85,7 +85,7 @@ fn steps_with_the_scalar_head_match() {
         let [grad, a] = [101, 103].map(|seed| field(&model, 1.0, seed));
         let before: Vec<f32> = (0..samples).map(|s| 0.05 * (s + 1) as f32).collect();
         let scales = [before, vec![f32::NAN; samples]].concat();
-        let outcomes = [false, true].map(|joined| {
+        let outcomes = [false, true].map(|fused| {
             let iterate = iterate_with_hidden(&model);
             iterate.grad.write(context(), &grad);
             iterate.a.write(context(), &a);
@@ -98,11 +98,11 @@ fn steps_with_the_scalar_head_match() {
                 let rows_max = tensor("rows_max", &[count, grid.h, channels], &rows);
                 run(|schedule| {
                     let scales = Scales { tensor: &scale, before: first, after: samples + first };
-                    if !joined {
+                    if !fused {
                         let scalar = poisoned("scalar", &[count]);
                         head.push(schedule, &layer, (&rows_max, &scalar), Some(scales));
                     }
-                    let head = joined.then_some((&layer, &rows_max));
+                    let head = fused.then_some((&layer, &rows_max));
                     kernel.push(
                         schedule,
                         grid,
@@ -113,8 +113,8 @@ fn steps_with_the_scalar_head_match() {
             }
             (read(&scale), read(&iterate.a), read(iterate.hidden_state()))
         });
-        let [alone, joined] = outcomes;
-        assert!(joined.1.iter().all(|a| a.is_finite()), "{batch} x {grid}");
-        assert_eq!(alone, joined, "{channels} channels, {batch} x {grid}");
+        let [alone, fused] = outcomes;
+        assert!(fused.1.iter().all(|a| a.is_finite()), "{batch} x {grid}");
+        assert_eq!(alone, fused, "{channels} channels, {batch} x {grid}");
     }
 }

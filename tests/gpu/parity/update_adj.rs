@@ -29,10 +29,11 @@ fn matches(normalisation: Normalisation) {
         let share = 0.25;
         let row = |v: &[f32], s: usize| v[s * n..][..n].iter().map(|&v| f64::from(v)).collect::<Vec<f64>>();
         let tanh = |s: usize| row(&field, s).iter().map(|f| f.tanh()).collect::<Vec<_>>();
-        let pace = |s: usize| f64::from(share) * f64::from(scale[s]);
+        let step_scale = |s: usize| f64::from(share) * f64::from(scale[s]);
         // The cotangent of the exponent, and the norm of that of tanh(field).
-        let along = |s: usize| pace(s) * tanh(s).iter().zip(row(&grad, s)).map(|(u, g)| u * g).sum::<f64>();
-        let norm = |s: usize| pace(s) * row(&grad, s).iter().map(|g| g * g).sum::<f64>().sqrt();
+        let along =
+            |s: usize| step_scale(s) * tanh(s).iter().zip(row(&grad, s)).map(|(u, g)| u * g).sum::<f64>();
+        let norm = |s: usize| step_scale(s) * row(&grad, s).iter().map(|g| g * g).sum::<f64>().sqrt();
         let together = normalisation.samples();
         let shared = |s: usize, size: &dyn Fn(usize) -> f64| {
             let begin = s / together * together;
@@ -44,18 +45,18 @@ fn matches(normalisation: Normalisation) {
         let additions = (padded(grid.w) * grid.h).div_ceil(256) + 8;
         let lost = |s: usize| {
             let squares: f64 = tanh(s).iter().zip(row(&grad, s)).map(|(u, g)| (u * g).powi(2)).sum();
-            pace(s) * squares.sqrt() * 0.5 * ROUNDING * (additions as f64).sqrt()
+            step_scale(s) * squares.sqrt() * 0.5 * ROUNDING * (additions as f64).sqrt()
         };
         let (mut adj_field, mut adj_scalar, mut rounding) = (Vec::new(), Vec::new(), 0.0f64);
         for (s, &scalar) in scalar.iter().enumerate() {
             let begin = s / together * together;
             let most = (begin..begin + together).map(lost).fold(0.0, f64::max);
-            // Divided by its own norm, it is its sign.
+            // Divided by its own magnitude, `along` is its sign.
             rounding = if together == 1 { 0.0 } else { rounding.max(most / shared(s, &along)) };
             let half = (f64::from(scalar) / 2.0).tanh();
             adj_scalar.push((along(s) / shared(s, &along)).clamp(-10.0, 10.0) * (1.0 - half * half));
             let norm = shared(s, &norm);
-            let back = |(u, g): (f64, f64)| (pace(s) * g / norm).clamp(-10.0, 10.0) * (1.0 - u * u);
+            let back = |(u, g): (f64, f64)| (step_scale(s) * g / norm).clamp(-10.0, 10.0) * (1.0 - u * u);
             adj_field.extend(tanh(s).into_iter().zip(row(&grad, s)).map(back));
         }
         let field = tensor("field", &[1, samples, grid.h, padded(grid.w)], &pad(&field, grid, f32::NAN));

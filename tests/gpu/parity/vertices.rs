@@ -13,13 +13,13 @@ const VIEW: VertexView = VertexView {
 };
 
 #[test]
-fn vertices_are_seen_alike() {
+fn vertices_match() {
     let _turn = device();
     let kernel = Vertices::new(context()).unwrap();
     for (grid, batch) in cases() {
         let (model, n) = (model(grid, batch), grid.particles());
         let (mut x, v) = (crumpled(&model, 0.3), field(&model, 0.5, 80));
-        // The triangles around the first particle of the last cloth are degenerate after they are moved back.
+        // Moved back by 0.7 v, the triangles around the first particle of the last cloth are degenerate.
         let first = 3 * n * (batch - 1);
         for p in [0, 1, grid.w, grid.w + 1] {
             (0..3).for_each(|c| x[first + c * n + p] = 0.7 * v[first + c * n + p]);
@@ -40,7 +40,7 @@ fn vertices_are_seen_alike() {
             "{what}: {:?}",
             &found[normal..normal + 3]
         );
-        // Nothing but rounding is around that particle, and its normal may point anywhere.
+        // Around that particle there is nothing but rounding, so its normal may point anywhere.
         let but_one = |k: usize| (normal..normal + 3).contains(&k);
         let (found, expected): (Vec<f32>, Vec<f64>) = found
             .into_iter()
@@ -49,8 +49,8 @@ fn vertices_are_seen_alike() {
             .filter(|(k, _)| !but_one(*k))
             .map(|(_, pair)| pair)
             .unzip();
-        // Edges of a length of about 1 are good to some roundings, and normals turn by as much over the size of
-        // the sum, the smallest of which is some hundredths here.
+        // Edges, of length about 1, are accurate to a few roundings. A normal is accurate to as much over the
+        // length of the sum that it is normalised from, which is at least a few hundredths here.
         assert_close(&what, &found, &expected, (2e-5, 1e-6));
     }
 }
