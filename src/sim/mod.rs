@@ -6,6 +6,7 @@ mod grid;
 mod learned;
 mod model;
 mod optimizer;
+mod rule;
 mod simulator;
 mod solver;
 mod stats;

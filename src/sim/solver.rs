@@ -1,14 +1,13 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
-use super::learned::Learned;
+use super::rule::{Rule, row, rows};
 use super::{Cloth, Control, FrameStats, Grid, Iterations, Model, Optimizer, State, Vertices};
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::{
     ClothParams, ClothTerms, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate,
     Physics, Predict, Repulsion, StateTensors, TERMS, energy, gradient,
 };
-use crate::kernels::operator::Scales;
-use crate::kernels::optim::{Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, QuasiNewton};
+use crate::kernels::optim::Iterate;
 use crate::{Error, Result};
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -70,34 +69,6 @@ pub struct Solver {
     frame: Schedule,
 }
 
-/// The state that an optimizer keeps on the device.
-#[derive(Debug)]
-enum Rule {
-    /// `scales` holds the persistent scale after each iteration, in rows of `[S]`. The next frame starts from
-    /// the last row.
-    Learned {
-        step: Box<Learned>,
-        scales: Tensor,
-    },
-    GradientDescent {
-        rate: f64,
-    },
-    Adam {
-        settings: AdamSettings,
-        moments: Tensor,
-    },
-    Lbfgs {
-        history: usize,
-        curvature: f64,
-        memory: LbfgsMemory,
-    },
-    QuasiNewton {
-        history: usize,
-        curvature: f64,
-        memory: LbfgsMemory,
-    },
-}
-
 impl Solver {
     /// Creates buffers and kernels and builds the schedule of a frame. The cloths start at rest
     /// ([`State::rest`]).
@@ -130,33 +101,7 @@ impl Solver {
         let samples = 3 * batch;
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let field = |label| zeros(label, &[batch, 3, n]);
-        let rule = match *optimizer {
-            Optimizer::Learned(ref weights) => {
-                let step = Box::new(Learned::new(context, weights, &tuning, (grid, samples))?);
-                Rule::Learned { step, scales: rows(context, "scales", options.iterations, samples)? }
-            }
-            Optimizer::GradientDescent { rate } => Rule::GradientDescent { rate },
-            Optimizer::Adam { rate, beta1, beta2, epsilon } => Rule::Adam {
-                settings: AdamSettings { rate, beta1, beta2, epsilon },
-                moments: zeros("adam.moments", &[samples, n, 2])?,
-            },
-            Optimizer::Lbfgs { history, curvature } => {
-                Rule::Lbfgs { history, curvature, memory: LbfgsMemory::new(context, batch, n, history)? }
-            }
-            Optimizer::QuasiNewton { history, curvature, factored: false } => {
-                let memory = LbfgsMemory::new(context, batch, n, history)?;
-                Rule::QuasiNewton { history, curvature, memory }
-            }
-            Optimizer::QuasiNewton { factored: true, .. } | Optimizer::Newton => {
-                let found = format!("{}, which does not (use the CPU)", context.name());
-                return Err(Error::invalid(
-                    "optimizer",
-                    optimizer.name(),
-                    "a device that supports this optimizer",
-                    found,
-                ));
-            }
-        };
+        let rule = Rule::new(context, optimizer, &tuning, (grid, batch, options.iterations))?;
         let slots = model.handle_slots();
         let target_storage = zeros("handle targets", &[batch * n, 3])?;
         let iterate = match rule {
@@ -224,7 +169,7 @@ impl Solver {
             }
         };
         let gradient = Gradient::new(context)?;
-        let mut step = self.rule.kernels(context, self)?;
+        let mut step = self.rule.step(context, (iterate, cloths), (grid, batch))?;
         for iteration in 0..self.iterations {
             let sums = row(&self.sums, iteration, self.ends[0].shape());
             repel(&mut frame);
@@ -477,55 +422,4 @@ impl Solver {
 /// Returns the position of particle `p` in a cloth of `n` particles with positions `x` [3, n].
 fn particle(x: &[f32], n: usize, p: usize) -> [f32; 3] {
     [0, 1, 2].map(|c| x[c * n + p])
-}
-
-/// Allocates a row of at least `len` elements for each iteration, aligned so that it can be a tensor view
-/// ([`row`]).
-fn rows(context: &Context, label: &'static str, iterations: usize, len: usize) -> Result<Tensor> {
-    Tensor::zeros(context, label, &[iterations, len.next_multiple_of(Tensor::VIEW_ALIGNMENT)])
-}
-
-/// Returns the row of an iteration as a tensor of `shape`.
-fn row(rows: &Tensor, iteration: usize, shape: &[usize]) -> Tensor {
-    rows.view(iteration * rows.shape()[1], shape)
-}
-
-/// Appends the dispatches that turn an iteration's gradient and its sums of squares into the next iterate.
-type Step<'a> = Box<dyn FnMut(&mut Schedule, usize, &Tensor) + 'a>;
-
-impl Rule {
-    fn kernels<'a>(&'a self, context: &Context, solver: &'a Solver) -> Result<Step<'a>> {
-        let (iterate, grid) = (&solver.iterate, solver.model.grid);
-        let (_, n) = iterate.samples_and_particles();
-        Ok(match self {
-            Self::Learned { step, scales } => Box::new(move |frame, iteration, sums| {
-                let last = (iteration + solver.iterations - 1) % solver.iterations;
-                let [before, after] = [last, iteration].map(|row| row * scales.shape()[1]);
-                step.push(frame, (iterate, sums), Scales { tensor: scales, before, after });
-            }),
-            Self::GradientDescent { rate } => {
-                let kernel = GradientDescent::new(context)?;
-                Box::new(move |frame, _, _| kernel.push(frame, *rate, iterate))
-            }
-            Self::Adam { settings, moments } => {
-                let kernel = Adam::new(context)?;
-                Box::new(move |frame, iteration, _| {
-                    kernel.push(frame, *settings, iteration, (iterate, moments))
-                })
-            }
-            Self::Lbfgs { history, curvature, memory } => {
-                let kernel = Lbfgs::new(context, *history, *curvature)?;
-                kernel.check_size(context, n)?;
-                Box::new(move |frame, iteration, _| kernel.push(frame, iteration, iterate, memory))
-            }
-            Self::QuasiNewton { history, curvature, memory } => {
-                let batch = solver.model.batch();
-                let plan = QuasiNewton::new(context, *history, *curvature, (grid, batch))?;
-                plan.check_size(context, n)?;
-                Box::new(move |frame, iteration, _| {
-                    plan.push(frame, iteration, (iterate, &solver.cloths), memory)
-                })
-            }
-        })
-    }
 }
