@@ -11,7 +11,7 @@ fn main() -> ExitCode {
     match cli::log_to_stderr() {
         Ok(()) => cli::run(cli),
         Err(error) => {
-            cli::output::tell!("error: {error}");
+            cli::output::status!("error: {error}");
             ExitCode::from(2)
         }
     }

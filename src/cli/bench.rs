@@ -1,7 +1,7 @@
 //! `fnopt bench`: times frames, kernels and command recording.
 
 use super::device::InferenceArgs;
-use super::output::{output, tell};
+use super::output::{output, status};
 use super::{Ending, SolverArgs, default_scenes, grids, median, writable_file};
 use anyhow::Result;
 use fnopt::Error;
@@ -84,7 +84,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     }
     let sizes = sizes(args, &grids)?;
     let (device, line) = args.device.open_for(&optimizer)?;
-    tell!("{line}");
+    status!("{line}");
     let mut rows = Vec::new();
     let mut out = output();
     let (mut ended, many) = (Ok(Ending::Done), sizes.len() > 1);
@@ -95,7 +95,7 @@ pub fn run(args: &Args) -> Result<Ending> {
             Err(error) => {
                 let (grid, batch) = size;
                 if many {
-                    tell!("{grid} batch {batch}: {error:#}");
+                    status!("{grid} batch {batch}: {error:#}");
                 }
                 ended = ended.and(Err(error));
                 continue;

@@ -1,6 +1,6 @@
 //! `fnopt fit-material`: fits the material to recorded trajectories.
 
-use super::output::{output, tell};
+use super::output::{output, status};
 use super::{
     Ending, MOST_POINTS, SHIPPED_SEQUENCES, go_on, interrupt_flag, one_grid, sequences, writable_file,
 };
@@ -131,7 +131,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         writeln!(out, "the best of them: {}", best.display())?;
     }
     if tick().is_break() {
-        tell!("interrupted; run again to continue");
+        status!("interrupted; run again to continue");
         return Ok(Ending::Interrupted);
     }
     Ok(Ending::Done)

@@ -20,7 +20,7 @@ use fnopt::network::Weights;
 use fnopt::scene::{Batch, Scene, Setup};
 use fnopt::sim::{Grid, Optimizer};
 use fnopt::{Error, Result};
-use output::tell;
+use output::status;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag as signals;
 use std::io::IsTerminal;
@@ -117,7 +117,7 @@ pub fn log_to_stderr() -> Result<()> {
 pub fn run(cli: Cli) -> ExitCode {
     // If a container or batch system grants no threads, report it before anything waits for them.
     if let Err(error) = rayon::ThreadPoolBuilder::new().build_global() {
-        tell!("error: threads: cannot start {}: {error}", rayon_threads());
+        status!("error: threads: cannot start {}: {error}", rayon_threads());
         return ExitCode::from(2);
     }
     // `tune` compiles pipelines for many tunings, most of which are never used again.
@@ -142,7 +142,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Ok(Ending::NonFinite) => ExitCode::from(3),
         Ok(Ending::Interrupted) => ExitCode::from(130),
         Err(error) => {
-            tell!("error: {error}");
+            status!("error: {error}");
             ExitCode::from(if matches!(error.downcast_ref(), Some(Error::NonFinite { .. })) { 3 } else { 2 })
         }
     }
@@ -323,7 +323,7 @@ fn acknowledge_ctrl_c() -> std::io::Result<()> {
     std::thread::Builder::new().name("ctrl-c".into()).spawn(move || {
         if heard.read_exact(&mut [0]).is_ok() {
             std::thread::sleep(std::time::Duration::from_secs(1));
-            tell!("interrupted: finishing the work in progress; Ctrl-C again to end at once");
+            status!("interrupted: finishing the work in progress; Ctrl-C again to end at once");
         }
     })?;
     Ok(())

@@ -5,13 +5,13 @@ use std::io::{ErrorKind, Result, StdoutLock, Write};
 
 /// Prints a line to stderr in a single write. Errors are ignored: a full disk under a log or a closed
 /// terminal is no reason to end hours of work.
-macro_rules! tell {
+macro_rules! status {
     ($($line:tt)*) => {{
         let line = format!($($line)*) + "\n";
         let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
     }};
 }
-pub(crate) use tell;
+pub(crate) use status;
 
 /// Standard output. Once its reader has gone away (`fnopt inspect X | head`), further output is discarded.
 pub struct Output {

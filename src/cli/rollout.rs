@@ -1,7 +1,7 @@
 //! `fnopt rollout`: simulates a scene and writes the results.
 
 use super::device::InferenceArgs;
-use super::output::{output, tell};
+use super::output::{output, status};
 use super::{
     Ending, SolverArgs, go_on, interrupt_flag, material, numbers, one_grid, writable_file, writable_folder,
 };
@@ -76,7 +76,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     let solver = (&optimizer, args.solver.iterations());
     let (mut simulator, device, line) = args.device.simulator(&setup.model, solver)?;
     let interrupted = interrupt_flag();
-    tell!("{line}");
+    status!("{line}");
     writable_folder(&args.out)?;
     args.files().iter().chain([&args.replay()]).try_for_each(|file| writable_file(file))?;
     args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
@@ -261,30 +261,30 @@ impl<'a> Run<'a> {
         match (trouble, &outcome) {
             (None, _) => {}
             (Some(late), Ok(())) => return Err(late.into()),
-            (Some(late), Err(_)) => tell!("error: {late}"),
+            (Some(late), Err(_)) => status!("error: {late}"),
         }
         let last = self.per_frame.len();
         let ending = match outcome {
             Ok(()) if status == Status::Interrupted => {
-                tell!("interrupted after frame {last}; the frames so far are kept");
+                status!("interrupted after frame {last}; the frames so far are kept");
                 Ending::Interrupted
             }
             Ok(()) => Ending::Done,
             Err(error @ Error::NonFinite { .. }) if !written.is_empty() => {
                 let replay = self.write_replay()?.display().to_string();
-                tell!("error: {error}; the frames before it are kept; the last good state is in {replay}");
+                status!("error: {error}; the frames before it are kept; the last good state is in {replay}");
                 Ending::NonFinite
             }
             Err(error) => {
                 if !written.is_empty() {
-                    tell!("stopped after frame {last}; the frames so far are kept");
+                    status!("stopped after frame {last}; the frames so far are kept");
                 }
                 return Err(error.into());
             }
         };
         if self.largest_free_stretch > STRETCH_LIMIT {
             let percent = 100.0 * self.largest_free_stretch;
-            tell!(
+            status!(
                 "warning: an edge away from the handles was stretched by {percent:.0} %, more than any cloth: the rollout is not sound"
             );
         }

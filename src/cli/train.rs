@@ -1,7 +1,7 @@
 //! `fnopt train`: trains weights in a folder.
 
 use super::device::DeviceArgs;
-use super::output::{output, tell};
+use super::output::{output, status};
 use super::{Ending, interrupt_flag};
 use anyhow::Result;
 use fnopt::Error;
@@ -101,9 +101,9 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
 fn say_end(end: End, line: &str) -> std::io::Result<()> {
     match end {
         End::Done => writeln!(output(), "{line}")?,
-        End::Interrupted => tell!("interrupted: {line}; continue with --resume"),
+        End::Interrupted => status!("interrupted: {line}; continue with --resume"),
         End::NonFinite => {
-            tell!(
+            status!(
                 "error: the loss stayed non-finite, or the weights became so: {line}, with the last finite weights, if any"
             )
         }
@@ -128,10 +128,10 @@ impl Args {
             |config: &Config| learner(&self.opened(&**ranks)?, config, &Weights::zeros(config.network));
         let (run, passed_over) = Run::resume(folder, given.as_ref(), learner, ranks.clone())?;
         for error in passed_over {
-            tell!("warning: skipped a damaged checkpoint: {error}");
+            status!("warning: skipped a damaged checkpoint: {error}");
         }
         if ranks.rank() == 0 {
-            tell!("continuing after step {}", run.step());
+            status!("continuing after step {}", run.step());
         }
         Ok(run)
     }
@@ -143,7 +143,7 @@ impl Args {
             1 => line,
             count => format!("rank {} of {count}: {line}", ranks.rank()),
         };
-        tell!("{line}");
+        status!("{line}");
         Ok(device)
     }
 }
@@ -173,6 +173,6 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>, minutes: Option<f64>) {
         let gap = gap.map_or_else(String::new, |gap| format!(", energy gap {:.2} %", 100.0 * gap));
         let (step, percent) = (progress.step, 100.0 * largest_stretch);
         // Printed even if the bar is hidden, as in a batch job's log.
-        bar.suspend(|| tell!("step {step}: {scene}: {stable}{gap}, largest stretch {percent:.1} %"));
+        bar.suspend(|| status!("step {step}: {scene}: {stable}{gap}, largest stretch {percent:.1} %"));
     }
 }

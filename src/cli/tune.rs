@@ -1,7 +1,7 @@
 //! `fnopt tune`: finds the fastest tile sizes for an adapter.
 
 use super::device::{DeviceArgs, DeviceKind};
-use super::output::{output, tell};
+use super::output::{output, status};
 use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag, one_grid};
 use anyhow::Result;
 use fnopt::Error;
@@ -37,7 +37,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     let (Device::Gpu(context), line) = device.open()? else {
         return Err(Error::Device("the CPU path has nothing to tune".into()).into());
     };
-    tell!("{line}");
+    status!("{line}");
     let setups = default_scenes(one_grid(&args.grid)?, args.batch as usize)?;
     let (optimizer, start) = (args.solver.optimizer()?, setups.start.cast());
     let interrupted = interrupt_flag();
@@ -54,7 +54,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     let best = tune(&context, (&setups.model, &start), &optimizer, args.solver.iterations(), &mut tried)?;
     failed?;
     if go_on(&interrupted).is_break() {
-        tell!("interrupted; nothing was stored");
+        status!("interrupted; nothing was stored");
         return Ok(Ending::Interrupted);
     }
     let stored = match args.dry_run {

@@ -2,7 +2,7 @@
 
 use super::Ending;
 use super::device::{DeviceKind, InferenceArgs};
-use super::output::{output, tell};
+use super::output::{output, status};
 use anyhow::Result;
 use fnopt::sim::Device;
 use fnopt::verify::{Check, CpuStages, GpuStages, Outcome, Stages, verify_folder};
@@ -23,7 +23,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<Ending> {
     let (device, line) = args.device.open()?;
-    tell!("{line}");
+    status!("{line}");
     let mut stages: Vec<Box<dyn Stages>> = Vec::new();
     if matches!(device, Device::Cpu)
         || args.device.on.device == DeviceKind::Auto && args.device.on.adapter.is_none()

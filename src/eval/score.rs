@@ -230,7 +230,7 @@ pub fn run(
     }
     if own != grid {
         let start = setup(grid)?;
-        simulated.trajectory = carried(&simulated.trajectory, grid, &start.vertices_m(&start.start.x));
+        simulated.trajectory = resampled(&simulated.trajectory, grid, &start.vertices_m(&start.start.x));
     }
     let mut score = Score {
         iterations: entry.recorded_iterations(),
@@ -257,7 +257,7 @@ pub fn run(
 
 /// Resamples the accelerations of a trajectory to a finer grid and integrates them there from `start`. Both
 /// are linear, so it suffices to resample the displacements from the first frame.
-fn carried(coarse: &Trajectory, grid: Grid, start: &[[f64; 3]]) -> Trajectory {
+fn resampled(coarse: &Trajectory, grid: Grid, start: &[[f64; 3]]) -> Trajectory {
     let resampling = Resampling::new(coarse.grid(), grid);
     let mut fine = Trajectory::new(grid, coarse.fps());
     for frame in 0..coarse.frames() {

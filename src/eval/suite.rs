@@ -195,7 +195,7 @@ impl Suite {
 pub struct Prepared {
     case: Case,
     /// The scene and its number of frames, for [`Conditions`].
-    told: serde_json::Value,
+    settings: serde_json::Value,
     /// The scene in grid units.
     pub setup: Setup,
     /// The converged frames, computed when the first gap is measured.
@@ -209,8 +209,8 @@ impl Prepared {
         if setup.frames() > frames {
             setup = Scene { frames: Some(frames), ..case.scene.clone() }.setup()?;
         }
-        let told = serde_json::json!({ "scene": case.scene.to_json(), "frames": setup.frames() });
-        Ok(Self { case, told, setup, track: OnceCell::new() })
+        let settings = serde_json::json!({ "scene": case.scene.to_json(), "frames": setup.frames() });
+        Ok(Self { case, settings, setup, track: OnceCell::new() })
     }
 
     fn entry(&self, (optimizer, iterations): (&Optimizer, usize)) -> Entry {
@@ -237,7 +237,7 @@ impl Prepared {
 
     /// Returns the conditions of a score of [`Prepared::run`], apart from the iterations.
     pub fn conditions(&self, optimizer: &Optimizer, device: &Device, with_gap: bool) -> Conditions {
-        let mut settings = self.told.clone();
+        let mut settings = self.settings.clone();
         settings["gap"] = (with_gap && self.has_newton()).into();
         Conditions::of_scene(settings, &self.entry((optimizer, 1)), device)
     }

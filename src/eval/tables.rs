@@ -258,7 +258,7 @@ impl BySequence {
         (!all.iter().all(CellValue::is_nothing)).then(|| {
             let row = |(name, spreads): &(String, Vec<Option<Spread>>)| {
                 let deviations: Vec<_> =
-                    spreads.iter().map(|s| s.map_or(CellValue::Nothing, Spread::told_deviation)).collect();
+                    spreads.iter().map(|s| s.map_or(CellValue::Nothing, Spread::deviation_cell)).collect();
                 (name.clone(), unmarked(&deviations, self.digits))
             };
             let last = ("root mean square".into(), unmarked(&all, self.digits));
@@ -377,7 +377,7 @@ impl Spread {
     }
 
     /// Returns the deviation as the content of a cell: nothing for a single simulation.
-    fn told_deviation(self) -> CellValue {
+    fn deviation_cell(self) -> CellValue {
         CellValue::of(self.deviation).when(self.repeats > 1)
     }
 }

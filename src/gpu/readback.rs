@@ -18,7 +18,7 @@ pub struct Readback {
     sources: Vec<Tensor>,
     free: Vec<wgpu::Buffer>,
     recorded: Vec<wgpu::Buffer>,
-    under_way: VecDeque<(wgpu::Buffer, oneshot::Receiver<Mapping>, wgpu::SubmissionIndex)>,
+    in_flight: VecDeque<(wgpu::Buffer, oneshot::Receiver<Mapping>, wgpu::SubmissionIndex)>,
     bytes: u64,
 }
 
@@ -36,7 +36,7 @@ impl Readback {
         };
         let free = (0..depth).map(|_| slot()).collect();
         let sources = sources.iter().map(|&t| t.clone()).collect();
-        Self { sources, free, recorded: Vec::new(), under_way: VecDeque::new(), bytes }
+        Self { sources, free, recorded: Vec::new(), in_flight: VecDeque::new(), bytes }
     }
 
     /// Records the copies into a free slot. Panics if all slots are in flight ([`Readback::is_full`]): free
@@ -63,7 +63,7 @@ impl Readback {
             let (done, mapped) = oneshot::channel();
             // If the receiver is gone, the ring was dropped and nobody is left to notify.
             slot.map_async(wgpu::MapMode::Read, .., move |r| drop(done.send(r)));
-            self.under_way.push_back((slot, mapped, submission.clone()));
+            self.in_flight.push_back((slot, mapped, submission.clone()));
         }
     }
 
@@ -75,20 +75,20 @@ impl Readback {
     /// Applies `read` to the bytes of the oldest result and returns its value, waiting for the result if
     /// necessary. `None` if nothing is in flight.
     pub fn next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
-        let Some((_, _, submission)) = self.under_way.front() else { return Ok(None) };
+        let Some((_, _, submission)) = self.in_flight.front() else { return Ok(None) };
         // Wait for this submission and no longer: later ones may still be computing.
         let poll = wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: None };
         context.poll(poll)?;
-        let (slot, mapped, _) = self.under_way.pop_front().expect("the oldest is there");
+        let (slot, mapped, _) = self.in_flight.pop_front().expect("the oldest is there");
         self.take(context, slot, pollster::block_on(mapped), read).map(Some)
     }
 
     /// As [`Readback::next`], but without waiting: also `None` if the oldest result has not arrived yet.
     pub fn try_next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
         context.poll(wgpu::PollType::Poll)?;
-        let Some((_, mapped, _)) = self.under_way.front_mut() else { return Ok(None) };
+        let Some((_, mapped, _)) = self.in_flight.front_mut() else { return Ok(None) };
         let Some(mapping) = mapped.try_recv().transpose() else { return Ok(None) };
-        let (slot, ..) = self.under_way.pop_front().expect("the oldest is there");
+        let (slot, ..) = self.in_flight.pop_front().expect("the oldest is there");
         self.take(context, slot, mapping, read).map(Some)
     }
 

@@ -36,7 +36,7 @@ pub(super) struct Slot {
 
 impl Slot {
     /// Starts the next life.
-    fn begin_anew(&mut self) {
+    fn reset(&mut self) {
         *self = Self { generation: self.generation + 1, ..Self::default() };
     }
 }
@@ -95,7 +95,7 @@ impl Pool {
                 slot.frame += 1;
             }
             if self.reset.wrong(outcome) {
-                slot.begin_anew();
+                slot.reset();
             }
         }
     }
@@ -110,7 +110,7 @@ impl Pool {
         let resets = |steps: u64| u128::from(steps / self.config.every) * self.config.batch as u128 / life;
         for reset in resets(step)..resets(step + 1) {
             let slot = (reset % self.slots.len() as u128) as usize;
-            self.slots[slot].begin_anew();
+            self.slots[slot].reset();
         }
     }
 

@@ -74,15 +74,15 @@ impl Checker<'_> {
     pub fn compared(&mut self, array: &str, (absolute, relative): (f64, f64), tolerance: f64) {
         // A NaN does not pass: the comparison is false for it.
         let outcome = if relative <= tolerance { Outcome::Passed } else { Outcome::Failed };
-        self.tell(array, (absolute, relative, tolerance), outcome);
+        self.report(array, (absolute, relative, tolerance), outcome);
     }
 
     /// Reports an outcome without a comparison.
     pub fn verdict(&mut self, what: &str, outcome: Outcome) {
-        self.tell(what, (0.0, 0.0, 0.0), outcome);
+        self.report(what, (0.0, 0.0, 0.0), outcome);
     }
 
-    fn tell(&mut self, array: &str, numbers: (f64, f64, f64), outcome: Outcome) {
+    fn report(&mut self, array: &str, numbers: (f64, f64, f64), outcome: Outcome) {
         (self.report)(Check {
             file: self.file.to_owned(),
             array: array.to_owned(),

@@ -2,7 +2,7 @@
 
 use super::progress;
 use crate::cli::go_on;
-use crate::cli::output::tell;
+use crate::cli::output::status;
 use fnopt::eval::{
     Conditions, Entry, Nudge, SNAPSHOTS, Score, Sequence, Settings, belong_together, coarse, compare, run,
     snapshots,
@@ -169,7 +169,7 @@ fn side_by_side(
     let threads = cores / cores.min(all).max(1);
     let workers = (cores / threads).min(count);
     if workers > 1 {
-        tell!("{count} simulations, {workers} at a time, each on {threads} of {cores} threads");
+        status!("{count} simulations, {workers} at a time, each on {threads} of {cores} threads");
     }
     let next = AtomicUsize::new(0);
     let mine = || {

@@ -5,7 +5,7 @@ mod plots;
 mod suite;
 
 use super::device::InferenceArgs;
-use super::output::{output, tell};
+use super::output::{output, status};
 use super::{
     Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, go_on, grids, interrupt_flag, load_weights,
     material, sequences, writable_file, writable_folder,
@@ -160,10 +160,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let systems = args.imported((&sequences, &entries), (index, count), &settings, &mut wrong)?;
     if sequences.is_empty() && !wrong.is_empty() {
         let first = wrong.remove(0);
-        wrong.iter().for_each(|error| tell!("error: {error}"));
+        wrong.iter().for_each(|error| status!("error: {error}"));
         return Err(first.into());
     }
-    wrong.iter().for_each(|error| tell!("error: {error}; continuing with the rest"));
+    wrong.iter().for_each(|error| status!("error: {error}; continuing with the rest"));
     let device = args.open(&entries)?;
     let plan = Plan {
         sequences: &sequences,
@@ -176,10 +176,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     let mut jobs = plan.jobs(&args.out)?;
     jobs.retain(|job| job.piece % count == index);
     if jobs.is_empty() {
-        tell!("share {index} of {count} has nothing to do: there are fewer pieces of work than shares");
+        status!("share {index} of {count} has nothing to do: there are fewer pieces of work than shares");
     }
     if args.plots.is_some() && count > 1 {
-        tell!("the convergence is not plotted, as the work is split into shares");
+        status!("the convergence is not plotted, as the work is split into shares");
     }
     writable_folder(&args.out)?;
     args.writable()?;
@@ -195,7 +195,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         false => args.write(&all, &plan, (complete, &interrupted)),
     };
     if ending?.is_break() || go_on(&interrupted).is_break() {
-        tell!("interrupted; the scores so far are kept in {}", args.out.display());
+        status!("interrupted; the scores so far are kept in {}", args.out.display());
         return written.map(|()| Ending::Interrupted);
     }
     written?;
@@ -254,7 +254,7 @@ impl Args {
     /// Opens the device and reports which. Solvers that exist only for the CPU run there.
     fn open(&self, entries: &[Entry]) -> Result<Device> {
         let (device, line) = self.device.open()?;
-        tell!("{line}");
+        status!("{line}");
         let mut names: Vec<&str> = Vec::new();
         if matches!(device, Device::Gpu(_)) {
             let elsewhere = entries.iter().filter(|entry| matches!(entry.device(&device), Device::Cpu));
@@ -262,7 +262,7 @@ impl Args {
             names.dedup();
         }
         if !names.is_empty() {
-            tell!("running on the CPU, as they have no GPU version: {}", names.join(", "));
+            status!("running on the CPU, as they have no GPU version: {}", names.join(", "));
         }
         Ok(device)
     }
@@ -388,7 +388,7 @@ impl Args {
                     let folder = folder.display().to_string();
                     return Err(Error::invalid(folder, "trajectory", expected, "none of them").into());
                 }
-                Some(_) => tell!("{name} lacks {}: those cells stay empty", missing.join(", ")),
+                Some(_) => status!("{name} lacks {}: those cells stay empty", missing.join(", ")),
                 None => {}
             }
         }
@@ -411,7 +411,7 @@ impl Args {
             return Err(Error::invalid(origin, "share", expected, index));
         }
         if count > 1 && self.shard.is_none() {
-            tell!("share {index} of {count}, from SLURM_ARRAY_TASK_ID; --merge prints the tables of all");
+            status!("share {index} of {count}, from SLURM_ARRAY_TASK_ID; --merge prints the tables of all");
         }
         Ok((index, count))
     }
@@ -493,7 +493,7 @@ fn tell_devices(scores: &[Score]) {
         scores.iter().filter(on_cpu).filter_map(|score| score.made_with.device.as_deref()).collect();
     if devices.len() > 1 {
         let devices: Vec<_> = devices.into_iter().collect();
-        tell!(
+        status!(
             "ms/frame values are not all comparable: some were measured on {}",
             devices.join(", others on ")
         );

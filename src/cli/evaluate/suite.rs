@@ -1,7 +1,7 @@
 //! `fnopt evaluate --suite`: measures how far solvers generalise.
 
 use super::{Args, progress};
-use crate::cli::output::tell;
+use crate::cli::output::status;
 use crate::cli::{Ending, go_on, interrupt_flag, material, writable_folder};
 use anyhow::Result;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
@@ -128,7 +128,7 @@ impl Args {
                 for (number, entry) in entries.iter().enumerate() {
                     bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
                     if !prepared.takes(&entry.optimizer) {
-                        tell!(
+                        status!(
                             "{} does not take part in {}: it cannot keep layers apart",
                             entry.name,
                             case.name
@@ -158,7 +158,7 @@ impl Args {
         let complete = ending?;
         written?;
         if !complete {
-            tell!("interrupted; the finished cases are above and kept in {}", self.out.display());
+            status!("interrupted; the finished cases are above and kept in {}", self.out.display());
         }
         let sound = scores.iter().all(|(_, score)| score.sound());
         Ok(match (complete, sound) {

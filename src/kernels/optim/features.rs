@@ -65,7 +65,7 @@ impl FeatureInputs<'_> {
         let ((fields, hidden), (sums, first_sum)) = (self.iterate.fields(), self.sums.whole());
         let place = Place {
             first: size(self.first),
-            hidden: size(hidden.expect("features are made of a hidden state, too")),
+            hidden: size(hidden.expect("features need a hidden state")),
             parts: size(gradient::parts(grid)),
             // Views begin at an even element.
             first_sum: size(first_sum / 2),
