@@ -177,9 +177,11 @@ fn inputs_of_a_scene_are_not_overwritten() {
     assert_eq!(rollout(&["--format", "obj"]).status.code(), Some(0));
     let frame = folder.path().join("out/rollout_obj/00001.obj");
     let before = std::fs::read(&frame).unwrap();
-    std::fs::write(folder.path().join("next.json"), r#"{"start": "out/rollout_obj/00001.obj"}"#).unwrap();
+    let next = r#"{"grid": [8, 8], "start": "out/rollout_obj/00001.obj"}"#;
+    std::fs::write(folder.path().join("next.json"), next).unwrap();
     let output = rollout(&["next.json", "--format", "obj"]);
-    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("--out"), "{}", text(&output.stderr));
     assert!(std::fs::read(&frame).unwrap() == before);
     assert_eq!(rollout(&["next.json"]).status.code(), Some(0));
 }
