@@ -39,7 +39,7 @@ END
 
 echo "== six steps"
 ranks 2 "$scratch/tiny.toml" --out "$scratch/once" --steps 6 | tee "$scratch/said"
-[[ "$(grep -c "6 of" "$scratch/said")" == 1 ]] || fail "not one rank tells that the run is done"
+[[ "$(grep -c "6 of" "$scratch/said")" == 1 ]] || fail "expected exactly one rank to report completion"
 [[ "$(wc -l <"$scratch/once/metrics.csv")" == 4 ]] || fail "not one rank writes metrics.csv"
 
 echo "== three steps, and three after resuming"
@@ -60,7 +60,7 @@ mkdir "$scratch/once/checkpoints/step-00000008.rank1.safetensors"
 code=0
 ranks 2 --resume "$scratch/once" --steps 8 2>"$scratch/said" || code=$?
 [[ "$code" == 2 ]] || fail "exit code $code, not 2"
-grep -q "error on rank 1: .*cannot write" "$scratch/said" || fail "nothing tells of the error"
+grep -q "error on rank 1: .*cannot write" "$scratch/said" || fail "the error was not reported"
 
 echo "== interrupted, with the signal that launchers send"
 ranks 2 "$scratch/tiny.toml" --out "$scratch/stopped" 2>"$scratch/said" &
@@ -75,7 +75,7 @@ done
 code=0
 wait "$job" || code=$?
 [[ "$code" == 130 ]] || fail "exit code $code, not 130"
-grep -q "interrupted: .* continue with --resume" "$scratch/said" || fail "nothing tells of the interruption"
+grep -q "interrupted: .* continue with --resume" "$scratch/said" || fail "the interruption was not reported"
 [[ "$(ls "$scratch/stopped/checkpoints" | wc -l)" == 2 ]] || fail "not a checkpoint of both ranks"
 step=$(ls "$scratch/stopped/checkpoints" | sed -n 's/^step-0*\([0-9]*\)\.safetensors$/\1/p')
 ranks 2 --resume "$scratch/stopped" --steps "$((step + 2))"

@@ -4,10 +4,10 @@
 //! # One training step
 //!
 //! ```text
-//! Pool::draw       which cloths, with their handles' targets; which begin anew; which end their frame with this step
+//! Pool::draw       which cloths, with their handles' targets; which restart; which end their frame with this step
 //! Learner::step    gradient g -> update rule -> a + step -> energy -> backward -> AdamW; the cloths' arrays stay there
-//! Pool::record     counts iterations and frames; begins cloths anew that went wrong
-//! Pool::rotate     now and then begins the next cloth anew in any case
+//! Pool::record     counts iterations and frames; restarts cloths that went wrong
+//! Pool::rotate     restarts the next cloth now and then, in any case
 //! ```
 //!
 //! The host ([`Pool`]) holds a few integers per cloth. Everything random about a cloth, its [`Script`],

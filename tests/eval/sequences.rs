@@ -91,7 +91,7 @@ fn a_mesh_that_is_not_a_grid_is_resampled_to_one() {
     let holed: Vec<&str> = obj.lines().filter(|line| !line.ends_with(" 1500")).collect();
     refused("mesh.obj", &holed.join("\n"), &["mesh.obj", "fills a rectangle"]);
     std::fs::rename(to.join("mesh.obj"), folder.path().join("sheet.obj")).unwrap();
-    assert!(Sequence::load(folder.path(), "meshed").is_err(), "1985 vertices are no square");
+    assert!(Sequence::load(folder.path(), "meshed").is_err(), "1985 vertices are not a square grid");
     let meta = r#"{"handle_vertices": [31, 1023], "obj_code": "sheet"}"#;
     std::fs::write(to.join("meta.json"), meta).unwrap();
     assert_eq!(Sequence::load(folder.path(), "meshed").unwrap().grid(), Grid { h: 45, w: 45 });

@@ -384,7 +384,7 @@ fn single_cloths_restart_and_materials_change() {
         let at = 3 * n..6 * n;
         whole.set_cloth_state(1, &State { x: start.x[at.clone()].to_vec(), v: start.v[at.clone()].to_vec() });
         let again = step(&whole, &control);
-        assert_same("the cloth that began anew", &again.x[at.clone()], &first.x[at.clone()]);
+        assert_same("the restarted cloth", &again.x[at.clone()], &first.x[at.clone()]);
         assert_ne!(again.x[..3 * n], first.x[..3 * n]);
 
         let mut other = model.clone();
@@ -425,7 +425,7 @@ fn a_broken_cloth_restarts_and_the_others_continue() {
         assert!(matches!(error, fnopt::Error::NonFinite { frame: 1, cloth: 1 }), "{error}");
         simulator.set_cloth_state(1, &own);
         let next = simulator.step(&control).unwrap().state;
-        assert_same("the cloth that began anew", &next.x[second.clone()], &first.x[second.clone()]);
+        assert_same("the restarted cloth", &next.x[second.clone()], &first.x[second.clone()]);
         assert_same("the first cloth", &next.x[..len], &undisturbed.x[..len]);
         assert_same("the third cloth", &next.x[2 * len..], &undisturbed.x[2 * len..]);
     }
