@@ -352,16 +352,8 @@ fn named(names: &[String], text: &str) -> Option<usize> {
 fn numbered(names: &[String], number: usize) -> Option<usize> {
     let number = number.to_string();
     let has_word = |name: &String| {
-        let mut depth = 0;
-        let own: String = name
-            .chars()
-            .filter(|c| {
-                let before = depth;
-                depth += i32::from(*c == '(') - i32::from(*c == ')');
-                before.max(depth) == 0
-            })
-            .collect();
-        own.split([' ', '-', '/']).any(|word| word == number)
+        let outside = name.split('(').map(|part| part.rsplit(')').next().unwrap_or_default());
+        outside.flat_map(|part| part.split([' ', '-', '/'])).any(|word| word == number)
     };
     names.iter().position(has_word)
 }

@@ -2,8 +2,9 @@
 //!
 //! `parity` compares each shader with the CPU path, or with plain formulas in double precision. `forward` and
 //! `backward` cover the network, `solver` whole frames, `repelling` frames with repulsion, `limits` sizes
-//! beyond what a device takes at once, `train` training steps, and `order` that it does not matter which
-//! invocation runs first. `kernels` reads the WGSL files themselves and needs no adapter.
+//! beyond what a device takes at once, `train` training steps, `vertices` the vertex buffer, and `order` that
+//! it does not matter which invocation runs first. `kernels` reads the WGSL files themselves and needs no
+//! adapter.
 
 mod backward;
 mod common;
@@ -17,3 +18,4 @@ mod parity;
 mod repelling;
 mod solver;
 mod train;
+mod vertices;

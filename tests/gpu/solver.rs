@@ -4,12 +4,11 @@ use crate::common::{assert_close, context, device, half, largest, noise, sharing
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
 use fnopt::gpu::{Context, Readback, Tensor, Tuning};
-use fnopt::io::vertex_normals;
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
 use fnopt::sim::{
     Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Simulator, Solver,
-    SolverOptions, State, VertexView,
+    SolverOptions, State,
 };
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -583,32 +582,4 @@ fn device_types_are_send_and_sync() {
     is_shared::<fnopt::gpu::Schedule>();
     moves::<fnopt::sim::Simulator>();
     moves::<cpu::Solver<f32>>();
-}
-
-/// Vertices at a time between two frames are interpolated, so that a host can draw more often than it
-/// simulates.
-#[test]
-fn vertices_follow_a_solver_between_its_frames() {
-    let _turn = device();
-    let setup = Scene::default().setup().unwrap();
-    let grid = setup.model.grid;
-    let solver = solver(&setup.model, &Optimizer::gradient_descent(), 2, &setup.start.cast());
-    let vertices = solver.vertices().unwrap();
-    solver.set_control(&setup.control(40));
-    let before = read(solver.positions());
-    context().submit(|encoder| solver.record(encoder));
-    let after = read(solver.positions());
-    for time in [0.0, 1.0 / 3.0, 1.0] {
-        vertices.set_view(&VertexView { time, ..setup.vertex_view() });
-        context().submit(|encoder| vertices.record(encoder));
-        let between: Vec<f32> =
-            before.iter().zip(&after).map(|(before, after)| before + time * (after - before)).collect();
-        let positions = setup.vertices_m(&between);
-        let single: Vec<_> = positions.iter().map(|p| p.map(|c| c as f32)).collect();
-        let expected = single.iter().zip(vertex_normals(&single, &grid.faces()));
-        let expected: Vec<f64> = expected.flat_map(|(p, n)| [*p, n]).flatten().map(f64::from).collect();
-        // The expected normals come from positions in metres in single precision, which round edges of a few
-        // hundredths of a metre.
-        assert_close(&format!("time {time}"), &read(vertices.tensor()), &expected, (3e-5, 0.0));
-    }
 }

@@ -1,5 +1,6 @@
 //! Vertices for rendering: positions and smooth normals.
 
+use super::vector::{add, at, cross, length, scaled, sub};
 use crate::cpu::Real;
 use crate::sim::{Grid, VertexView};
 
@@ -11,30 +12,27 @@ pub fn vertices<T: Real>(grid: Grid, view: &VertexView, x: &[T], v: &[T]) -> Vec
     let transform = view.transform.map(|row| row.map(|c| T::of(c.into())));
     let back = T::of(1.0 - f64::from(view.time));
     let position = |p: usize| {
-        let moved = [0, 1, 2].map(|c| x[c * n + p] - back * v[c * n + p]);
-        transform.map(|[a, b, c, d]| a * moved[0] + b * moved[1] + c * moved[2] + d)
+        let [x, y, z] = sub(at(x, n, p), scaled(at(v, n, p), back));
+        transform.map(|[a, b, c, d]| a * x + b * y + c * z + d)
     };
     let positions: Vec<[T; 3]> = (0..n).map(position).collect();
     let mut normals = vec![[T::zero(); 3]; n];
     for face in grid.iter_faces() {
-        let [p, q, r] = face.map(|p| positions[p as usize]);
-        let (u, w) = ([0, 1, 2].map(|c| q[c] - p[c]), [0, 1, 2].map(|c| r[c] - p[c]));
-        let area = [0, 1, 2].map(|c| {
-            let (d, e) = ((c + 1) % 3, (c + 2) % 3);
-            u[d] * w[e] - u[e] * w[d]
-        });
-        for p in face {
-            (0..3).for_each(|c| normals[p as usize][c] = normals[p as usize][c] + area[c]);
-        }
+        let face = face.map(|p| p as usize);
+        let [p, q, r] = face.map(|p| positions[p]);
+        let area = cross(sub(q, p), sub(r, p));
+        face.iter().for_each(|&p| normals[p] = add(normals[p], area));
     }
-    let unit = |normal: [T; 3]| {
+    let vertex = |([x, y, z], normal): ([T; 3], [T; 3])| {
+        // Scaled first, so that no square underflows.
         let size = normal.iter().fold(T::zero(), |most, c| most.max(c.abs()));
-        let scaled = normal.map(|c| if size > T::zero() { c / size } else { T::zero() });
-        let length = scaled.iter().map(|&c| c * c).sum::<T>().sqrt();
-        scaled.map(|c| if length > T::zero() { c / length } else { c })
+        let [a, b, c] = if size > T::zero() {
+            let normal = scaled(normal, size.recip());
+            scaled(normal, length(normal).recip())
+        } else {
+            [T::zero(); 3]
+        };
+        [x, y, z, a, b, c]
     };
-    let both = positions.into_iter().zip(normals);
-    both.map(|([x, y, z], normal)| (unit(normal), [x, y, z]))
-        .map(|([a, b, c], [x, y, z])| [x, y, z, a, b, c])
-        .collect()
+    positions.into_iter().zip(normals).map(vertex).collect()
 }
