@@ -59,7 +59,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> skip: array<StoredQuad>;
+@group(0) @binding(1) var<$space> skip: array<StoredQuad$length>;
 @group(0) @binding(2) var<storage, read> bias: array<vec4f>;
 @group(0) @binding(3) var<storage, read> tables: array<vec4f>;
 @group(0) @binding(4) var<storage, read> r: array<vec4f>;

@@ -19,6 +19,7 @@
 // the transform, then the inputs and modes of the product, then strips of rows of the inverse. Every sum
 // consists of PARTS partial sums, whether one invocation computes all of them or only one, so that results do
 // not depend on how the work is divided.
+// C is a multiple of 8, and so are the inputs of a part, which are read eight at a time.
 // The tile is modes_h / 2 + 1, the number of magnitudes k of k_h. The second tile is the number of samples
 // that share one read of the weights. It divides S.
 // Workgroups: (modes_w * C / OUT_CHANNELS, S / second tile).
@@ -112,7 +113,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
                 inputs[k + of_tile * (ROW_PARTS - 1u) * MODES * channels];
         }
     }
-    let input_part = (channels + PARTS - 1u) / PARTS;
+    let input_part = (channels / 8u + PARTS - 1u) / PARTS * 8u;
     let products = MODES * INPUT_PARTS * OUT_CHANNELS;
     for (var begin = 0u; begin < products; begin += LANES) {
         let item = min(begin + index, products - 1u);
@@ -124,10 +125,10 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
         for (var turn = 0u; turn < PARTS / INPUT_PARTS; turn++) {
             let to = min((part + turn + 1u) * input_part, channels);
             var part$k = vec2f();
-            for (var i = (part + turn) * input_part; i < to; i++) {
-                let w = vec2f(weight[((mode * params.modes_w + column) * channels + i) * channels + channel]);
-                let x$k = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i]);
-                part$k += vec2f(x$k.x * w.x - x$k.y * w.y, x$k.x * w.y + x$k.y * w.x);
+            for (var i = (part + turn) * input_part; i < to; i += 8u) {
+                let w$8 = vec2f(weight[((mode * params.modes_w + column) * channels + i + $8) * channels + channel]);
+                let x$k_$8 = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i + $8]);
+                part$k += vec2f(x$k_$8.x * w$8.x - x$k_$8.y * w$8.y, x$k_$8.x * w$8.y + x$k_$8.y * w$8.x);
             }
             p$k += part$k;
         }

@@ -97,9 +97,9 @@ pub(crate) const WORKGROUPS: u32 = 65535;
 impl Context {
     /// Wraps the caller's device and queue. Fails if the device's limits are too small for the kernels.
     ///
-    /// Request the adapter's own limits when creating the device: the kernels run with WebGPU's defaults, but
-    /// these allow bindings of at most 128 MiB. [`Context::optional_features`] are used if the device has
-    /// them.
+    /// Request the adapter's own limits when creating the device: the kernels run with WebGPU's defaults
+    /// (`wgpu::Limits::default()`), but these allow bindings of at most 128 MiB.
+    /// [`Context::optional_features`] are used if the device has them.
     pub fn new(device: wgpu::Device, queue: wgpu::Queue) -> Result<Self> {
         let info = device.adapter_info();
         if let Some(missing) = missing_limit(&device.limits()) {
@@ -147,13 +147,14 @@ impl Context {
     }
 
     /// Returns the features beyond WebGPU's defaults that fnopt can use: timestamps
-    /// ([`Profile`](super::Profile)), subgroups ([`Sharing::Broadcast`]), 16-bit floating point
-    /// ([`Storage::F16`]) and a pipeline cache ([`Context::with_stored_pipelines`]). Request those that the
+    /// ([`Profile`](super::Profile)), subgroups and 64-bit integers ([`Sharing::Broadcast`]), 16-bit floating
+    /// point ([`Storage::F16`]) and a pipeline cache ([`Context::with_stored_pipelines`]). Request those that the
     /// adapter offers.
     pub fn optional_features() -> wgpu::Features {
         wgpu::Features::TIMESTAMP_QUERY
             | wgpu::Features::SUBGROUP
             | wgpu::Features::SHADER_F16
+            | wgpu::Features::SHADER_INT64
             | wgpu::Features::PIPELINE_CACHE
     }
 
@@ -372,10 +373,11 @@ fn kind(info: &wgpu::AdapterInfo) -> AdapterKind {
     }
 }
 
-/// Chooses how operands are read. They are broadcast only on software adapters whose subgroups are exactly as
-/// wide as the kernels assume: in a wider one the operands differ.
+/// Chooses how operands are read. They are broadcast only on software adapters that load words of 64 bits and
+/// whose subgroups are exactly as wide as the kernels assume: in a wider one the operands differ.
 fn sharing(kind: AdapterKind, features: wgpu::Features, lanes: [u32; 2]) -> Sharing {
-    let fits = features.contains(wgpu::Features::SUBGROUP) && lanes == [LANES as u32; 2];
+    let needed = wgpu::Features::SUBGROUP | wgpu::Features::SHADER_INT64;
+    let fits = features.contains(needed) && lanes == [LANES as u32; 2];
     if fits && kind == AdapterKind::Software { Sharing::Broadcast } else { Sharing::Loads }
 }
 
@@ -406,7 +408,8 @@ mod tests {
     /// A subgroup of 16 lanes may span two rows of a workgroup, whose operands differ.
     #[test]
     fn operands_are_broadcast_in_subgroups_of_one_width_only() {
-        let of = |lanes| sharing(AdapterKind::Software, wgpu::Features::SUBGROUP, lanes);
+        let features = wgpu::Features::SUBGROUP | wgpu::Features::SHADER_INT64;
+        let of = |lanes| sharing(AdapterKind::Software, features, lanes);
         assert_eq!(of([8, 8]), Sharing::Broadcast);
         for lanes in [[4, 4], [4, 8], [8, 16], [16, 16], [8, 128]] {
             assert_eq!(of(lanes), Sharing::Loads, "{lanes:?}");

@@ -212,7 +212,7 @@ fn layout(device: &wgpu::Device, name: &'static str, bindings: &[Binding]) -> wg
         ty: wgpu::BindingType::Buffer {
             ty: b.ty,
             // One buffer holds the parameters of many dispatches.
-            has_dynamic_offset: b.ty == wgpu::BufferBindingType::Uniform,
+            has_dynamic_offset: i == 0,
             // If known here, it is checked once per bind group instead of at every dispatch.
             min_binding_size: std::num::NonZeroU64::new(b.size.into()),
         },

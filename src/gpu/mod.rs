@@ -18,6 +18,7 @@ mod storage;
 mod template;
 mod tensor;
 mod tuning;
+mod wide;
 
 pub(crate) use cache::CACHE_FOLDER;
 pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters};

@@ -9,11 +9,12 @@
 //! | `$q` | a quad of channels of the tile | once per quad |
 //! | `$x` | a position | once per position |
 //! | `$k` | an output of the second tile | once per output |
-//! | `$8` | 0 to 7 | eight times |
+//! | `$8` | 0 to 7 | eight times, also for each `$k` |
 //! | `$n`, `$m` | number of channels of the tile, of its quads | |
 //! | `$t` | number of outputs of the second tile | |
 //! | `$same(array[index])` | an operand shared by a subgroup: apart from the line's marker it depends on nothing that varies within the subgroup, all of whose invocations reach the line ([`Sharing`]) | |
 //! | `$lane` | the last parameter of an entry point with such operands | |
+//! | `$space`, `$length` | address space of an operand, and length of its array if that is fixed ([`Unroll::uniform`]) | |
 //!
 //! `StoredQuad` and `StoredPair` are four and two numbers in the storage format of the network's activations
 //! and weights ([`Storage`]).
@@ -22,7 +23,7 @@
 //! into registers. The copies of a line share one line of the text, so that line numbers in messages are
 //! those of the file.
 
-use super::{Order, Storage};
+use super::{Order, Storage, wide};
 use std::fmt::Write;
 
 /// The WGSL text of one kernel: the file itself, then the shared functions it calls.
@@ -50,6 +51,8 @@ pub struct Unroll {
     pub second: usize,
     /// How operands are read whose address is the same in all invocations of a subgroup.
     pub sharing: Sharing,
+    /// Elements of the operand that is bound as a uniform buffer; 0 if it is bound as storage.
+    pub uniform: usize,
     /// Element type of `StoredQuad` and `StoredPair`; taken from the context when a kernel is built.
     pub storage: Storage,
     /// How invocations are numbered; taken from the context when a kernel is built.
@@ -63,6 +66,7 @@ impl From<usize> for Unroll {
             span: 1,
             second: 1,
             sharing: Sharing::Loads,
+            uniform: 0,
             storage: Storage::F32,
             order: Order::Natural,
         }
@@ -76,7 +80,8 @@ pub enum Sharing {
     /// Every invocation loads them. Hardware serves equal addresses at once.
     Loads,
     /// Eight invocations each load one of eight operands and broadcast it ([`wgpu::Features::SUBGROUP`], in
-    /// subgroups of exactly eight). Software drivers load lane by lane, so this takes an eighth of the loads.
+    /// subgroups of exactly eight). Software drivers load lane by lane, so this takes an eighth of the loads,
+    /// and half of those with words of 64 bits ([`wgpu::Features::SHADER_INT64`]).
     Broadcast,
 }
 
@@ -107,12 +112,19 @@ impl Source {
             let _ = writeln!(text, "alias StoredQuad = vec4<{name}>; alias StoredPair = vec2<{name}>;");
         }
         self.appended.iter().for_each(|part| text.push_str(part));
+        if unroll.sharing == Sharing::Broadcast {
+            text = wide::apply(&text, unroll.storage == Storage::F32);
+        }
         unroll.order.apply(text, self.name)
     }
 
     /// Returns all copies of a line, joined into one line.
     fn unrolled_line(&self, line: &str, unroll: Unroll) -> String {
-        let Unroll { tile, span, second, sharing, .. } = unroll;
+        let Unroll { tile, span, second, sharing, uniform, .. } = unroll;
+        if line.contains("$k") && line.contains("$8") {
+            let of_output = |k: usize| self.unrolled_line(&line.replace("$k", &k.to_string()), unroll);
+            return (0..second).map(of_output).collect::<Vec<_>>().join(" ");
+        }
         let times = [tile * span, tile / 4, span, second, 8];
         let marker = REPEATING.iter().zip(times).find(|(marker, _)| line.contains(**marker));
         let copies: Vec<String> = match (marker, line.split_once("$same(")) {
@@ -131,6 +143,11 @@ impl Source {
         };
         let line = copies.iter().enumerate().map(numbered).collect::<Vec<_>>().join(" ");
         let line = line.replace("$n", &format!("{tile}u")).replace("$m", &format!("{}u", tile / 4));
+        let (space, length) = match uniform {
+            0 => ("storage, read", String::new()),
+            _ => ("uniform", format!(", {uniform}")),
+        };
+        let line = line.replace("$space", space).replace("$length", &length);
         line.replace("$t", &format!("{second}u")).replace("$lane", lane)
     }
 

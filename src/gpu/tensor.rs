@@ -46,6 +46,7 @@ impl Tensor {
             // A multiple of 16 bytes, so that any tensor can be read as an array of vec4.
             size: bytes.next_multiple_of(16),
             usage: wgpu::BufferUsages::STORAGE
+                | wgpu::BufferUsages::UNIFORM
                 | wgpu::BufferUsages::COPY_SRC
                 | wgpu::BufferUsages::COPY_DST
                 | wgpu::BufferUsages::VERTEX,

@@ -134,17 +134,19 @@ fn every_kernel_is_valid_wgsl() {
     for &(source, tile) in ALL {
         for (tile, span) in tiles(source, tile) {
             // Nothing beyond core WebGPU, except where operands are broadcast or stored in 16 bits.
-            let (subgroup, half) = (Capabilities::SUBGROUP, Capabilities::SHADER_FLOAT16);
+            let (broadcast, half) =
+                (Capabilities::SUBGROUP | Capabilities::SHADER_INT64, Capabilities::SHADER_FLOAT16);
             let variants = [
-                (Sharing::Loads, Storage::F32, Capabilities::empty()),
-                (Sharing::Loads, Storage::F16, half),
-                (Sharing::Broadcast, Storage::F32, subgroup),
-                (Sharing::Broadcast, Storage::F16, subgroup | half),
+                (Sharing::Loads, Storage::F32, 0, Capabilities::empty()),
+                (Sharing::Loads, Storage::F16, 0, half),
+                (Sharing::Broadcast, Storage::F32, 0, broadcast),
+                (Sharing::Broadcast, Storage::F32, 1024, broadcast),
+                (Sharing::Broadcast, Storage::F16, 0, broadcast | half),
             ];
-            for (sharing, storage, capabilities) in variants {
+            for (sharing, storage, uniform, capabilities) in variants {
                 let order = Order::Natural;
                 let (text, module) =
-                    parsed(source, Unroll { tile, span, second: 10, sharing, storage, order });
+                    parsed(source, Unroll { tile, span, second: 10, sharing, uniform, storage, order });
                 let mut validator = Validator::new(ValidationFlags::all(), capabilities);
                 validator
                     .subgroup_stages(ShaderStages::COMPUTE)

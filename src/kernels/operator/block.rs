@@ -1,7 +1,9 @@
 //! Host side of `shaders/operator/block.wgsl`.
 
 use super::Layer;
-use crate::gpu::{Context, Kernel, Schedule, Sharing, Source, Tensor, Tuning, Unroll, WORKGROUP_INVOCATIONS};
+use crate::gpu::{
+    Context, Kernel, Schedule, Sharing, Source, Storage, Tensor, Tuning, Unroll, WORKGROUP_INVOCATIONS,
+};
 use crate::kernels::optim::features::{self, FeatureInputs, Place};
 use crate::kernels::{common, padded, pieces, size};
 use crate::sim::Grid;
@@ -93,6 +95,15 @@ impl LayerSize {
     /// Returns the number of inputs that are summed: channels and columns of spectra, or hidden units.
     fn summed(&self) -> usize {
         self.lifting.map_or(self.channels + 2 * self.modes_w, |lifting| lifting.hidden)
+    }
+
+    /// Returns the number of quads of the weights if they are bound as a uniform buffer, otherwise 0. Where
+    /// loads from storage are expensive, those from uniform buffers are not.
+    fn uniform_quads(&self, context: &Context, tuning: &Tuning) -> usize {
+        let weights = self.channels * self.lifting.map_or(self.channels, |lifting| lifting.hidden);
+        let most = context.device.limits().max_uniform_buffer_binding_size;
+        let fits = context.storage() == Storage::F32 && 4 * weights as u64 <= most;
+        if fits && tuning.sharing == Sharing::Broadcast { weights / 4 } else { 0 }
     }
 }
 
@@ -236,7 +247,8 @@ impl Block {
         // If operands are broadcast, loads are expensive, and a row is read once for all columns. Otherwise
         // the columns are spread over invocations.
         let second = if tuning.sharing == Sharing::Broadcast { 2 * layer.modes_w } else { 2 };
-        let unroll = Unroll { span: group.span, second, ..tuning.unroll(tuning.channels) };
+        let uniform = layer.uniform_quads(context, tuning);
+        let unroll = Unroll { span: group.span, second, uniform, ..tuning.unroll(tuning.channels) };
         let kernel = Kernel::new(context, &source, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
         let nothing = [nothing()?, nothing()?];

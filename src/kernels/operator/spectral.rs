@@ -138,6 +138,7 @@ impl Spectral {
     ) -> Result<Self> {
         let capacity = context.device.limits().max_compute_workgroup_storage_size as usize;
         let Config { modes_h, channels, .. } = *config;
+        assert!(channels.is_multiple_of(8), "{channels} channels are not padded");
         let division = Division::new(tuning, config, samples, capacity).ok_or_else(|| {
             let least = 8 * modes_h * (channels + OUT_CHANNELS[OUT_CHANNELS.len() - 1]);
             Error::Device(format!(
