@@ -7,6 +7,7 @@
 // (i, j) - (i+1, j+1). Forces are evaluated at the start of the frame.
 //
 // cloths: [B]
+// wind: [B, 3], velocity of the air
 // x, v, control_accelerations, external_acceleration: [B, 3, H, W]
 //
 // One invocation per particle, which gathers from the up to six triangles around it.
@@ -22,10 +23,11 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> x: array<f32>;
-@group(0) @binding(3) var<storage, read> v: array<f32>;
-@group(0) @binding(4) var<storage, read> control_accelerations: array<f32>;
-@group(0) @binding(5) var<storage, read_write> external_acceleration: array<f32>;
+@group(0) @binding(2) var<storage, read> wind: array<f32>;
+@group(0) @binding(3) var<storage, read> x: array<f32>;
+@group(0) @binding(4) var<storage, read> v: array<f32>;
+@group(0) @binding(5) var<storage, read> control_accelerations: array<f32>;
+@group(0) @binding(6) var<storage, read_write> external_acceleration: array<f32>;
 
 fn position(b: u32, i: i32, j: i32) -> vec3f {
     let n = params.rows * params.columns;
@@ -53,7 +55,7 @@ fn triangle(b: u32, i: i32, j: i32, second: vec2i, third: vec2i) -> vec3f {
     let normal = across / twice;
     let mean = (velocity(b, i, j) + velocity(b, i + second.x, j + second.y)
         + velocity(b, i + third.x, j + third.y)) / 3.0;
-    let relative = cloths[b].wind.xyz - mean;
+    let relative = vec3f(wind[3u * b], wind[3u * b + 1u], wind[3u * b + 2u]) - mean;
     let along = dot(normal, relative);
     let air = cloths[b].air;
     return 0.5 * twice * (air.x * abs(along) * along * normal + air.y * (relative - along * normal));

@@ -4,7 +4,7 @@
 //   normal = the unit vector along the sum of (q - p) x (r - p) over the triangles (p, q, r) around p after
 //     the transform, which is their area-weighted mean; zero if that sum is zero
 //
-// view: [4, 4], the rows of [A | c], then (t, 0, 0, 0)
+// view: [B, 4, 4], the rows of [A | c], then (t, 0, 0, 0)
 // x, v: [B, 3, H, W]
 // interleaved: [B, H W, 6], position then normal
 //
@@ -36,8 +36,9 @@ fn edge(at: u32, i: i32, j: i32, down: i32, right: i32) -> vec3f {
     // Differences of the positions and of the velocities are nearly exact; those of moved positions are not.
     let start = vec3f(x[other] - x[at], x[other + n] - x[at + n], x[other + 2u * n] - x[at + 2u * n]);
     let rate = vec3f(v[other] - v[at], v[other + n] - v[at + n], v[other + 2u * n] - v[at + 2u * n]);
-    let d = start - (1.0 - view[3].x) * rate;
-    return vec3f(dot(view[0].xyz, d), dot(view[1].xyz, d), dot(view[2].xyz, d));
+    let rows = at / (3u * n) * 4u;
+    let d = start - (1.0 - view[rows + 3u].x) * rate;
+    return vec3f(dot(view[rows].xyz, d), dot(view[rows + 1u].xyz, d), dot(view[rows + 2u].xyz, d));
 }
 
 @compute @workgroup_size(64)
@@ -54,7 +55,7 @@ fn vertices(
     let at = group.z * 3u * n + p;
     let i = i32(p / params.columns);
     let j = i32(p % params.columns);
-    let back = 1.0 - view[3].x;
+    let back = 1.0 - view[4u * group.z + 3u].x;
     let moved = vec4f(x[at] - back * v[at], x[at + n] - back * v[at + n], x[at + 2u * n] - back * v[at + 2u * n], 1.0);
     // The fan of triangles around p: cells are cut along the diagonal from (i, j) to (i + 1, j + 1).
     let below = edge(at, i, j, 1, 0);
@@ -73,7 +74,7 @@ fn vertices(
     }
     let to = 6u * (group.z * n + p);
     for (var c = 0u; c < 3u; c++) {
-        interleaved[to + c] = dot(view[c], moved);
+        interleaved[to + c] = dot(view[4u * group.z + c], moved);
         interleaved[to + 3u + c] = normal[c];
     }
 }

@@ -4,7 +4,6 @@ struct Cloth {
     material: vec4f, // stretch, shear, bend, unused
     gravity: vec4f, // acceleration, unused
     air: vec4f, // density and drag coefficients, unused
-    wind: vec4f, // velocity, unused
     repulsion: vec4f, // strength, distance (0 for no repulsion), search cells per edge length, unused
 }
 

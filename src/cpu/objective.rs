@@ -95,12 +95,7 @@ impl<T: Real> Objective<T> {
         let (grid, batch, cloth) = (model.grid, model.batch(), 3 * model.grid.particles());
         let len = batch * cloth;
         assert!(state.x.len() == len && state.v.len() == len, "a state has shape [B, 3, H, W]");
-        assert_eq!(control.handles.len(), model.handles(), "every handle needs a position");
-        assert!(control.wind.is_empty() || control.wind.len() == batch, "wind has shape [B]");
-        assert!(
-            control.external.is_empty() || control.external.len() == len,
-            "external has shape [B, 3, H, W]"
-        );
+        control.check(model).unwrap_or_else(|e| panic!("{e}"));
         for (b, (f, setting)) in f.chunks_exact_mut(cloth).zip(&model.cloths).enumerate() {
             for (f, &g) in f.chunks_exact_mut(cloth / 3).zip(&setting.gravity) {
                 f.fill(T::of(g));

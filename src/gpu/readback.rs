@@ -23,10 +23,11 @@ pub struct Readback {
 }
 
 impl Readback {
-    /// Creates a ring of `depth` slots for the concatenated contents of `sources`.
-    pub fn new(context: &Context, sources: &[&Tensor], depth: usize) -> Self {
+    /// Creates a ring of `depth` slots for the concatenated contents of `sources`. Fails if there is not
+    /// enough memory, or if the device is lost.
+    pub fn new(context: &Context, sources: &[&Tensor], depth: usize) -> Result<Self> {
         let bytes: u64 = sources.iter().map(|t| t.bytes()).sum();
-        let slot = || {
+        let slot = |_| {
             context.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some("readback"),
                 size: bytes.max(4),
@@ -34,9 +35,9 @@ impl Readback {
                 mapped_at_creation: false,
             })
         };
-        let free = (0..depth).map(|_| slot()).collect();
+        let free = context.checked(|| Ok((0..depth).map(slot).collect()))?;
         let sources = sources.iter().map(|&t| t.clone()).collect();
-        Self { sources, free, recorded: Vec::new(), in_flight: VecDeque::new(), bytes }
+        Ok(Self { sources, free, recorded: Vec::new(), in_flight: VecDeque::new(), bytes })
     }
 
     /// Records the copies into a free slot. Panics if all slots are in flight ([`Readback::is_full`]): free

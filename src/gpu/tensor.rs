@@ -159,7 +159,7 @@ impl Tensor {
     /// of a run, not for frames.
     pub fn read<T: bytemuck::Pod>(&self, context: &Context) -> Result<Vec<T>> {
         // On a lost device the buffer would be invalid, and mapping it panics.
-        let mut readback = context.checked(|| Ok(super::Readback::new(context, &[self], 1)))?;
+        let mut readback = super::Readback::new(context, &[self], 1)?;
         let submission = context.submit(|encoder| readback.record(encoder));
         readback.submitted(&submission);
         let content = readback.next(context, bytemuck::pod_collect_to_vec)?;

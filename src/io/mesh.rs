@@ -51,29 +51,9 @@ pub(super) fn grid_of(vertices: usize, faces: &[[u32; 3]]) -> Option<Grid> {
     sides.into_iter().map(|w| grid(w as usize)).find(|g| fits(g) && within_cells(g))
 }
 
-/// Returns the texture coordinates of a grid, shape [V, 2]: `u = 1 - i / (H - 1)`, `v = 1 - j / (W - 1)`. An
-/// image appears upright on a sheet that hangs from the edge j = 0, and unmirrored on the side of the
-/// normals.
-pub(super) fn texture_coordinates(grid: Grid) -> Vec<[f32; 2]> {
-    let part = |k: usize, n: usize| 1.0 - k as f32 / (n.max(2) - 1) as f32;
-    (0..grid.particles()).map(|p| [part(p / grid.w, grid.h), part(p % grid.w, grid.w)]).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn textures_turn_as_triangles_do() {
-        let grid = Grid { h: 4, w: 7 };
-        let uv = texture_coordinates(grid);
-        for face in grid.faces() {
-            let [a, b, c] = face.map(|k| glam::Vec2::from(uv[k as usize]));
-            assert!((b - a).perp_dot(c - a) > 0.0, "{face:?}");
-        }
-        // Upper left, upper right and lower left on a sheet that hangs from j = 0.
-        assert_eq!((uv[3 * 7], uv[0], uv[3 * 7 + 6]), ([0.0, 1.0], [1.0, 1.0], [0.0, 0.0]));
-    }
 
     #[test]
     fn normals_of_a_flat_sheet_point_along_z() {

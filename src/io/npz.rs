@@ -1,6 +1,6 @@
 //! Trajectories as NumPy archives (`.npz`).
 
-use super::{Trajectory, mesh, npy::Array, open, trajectory::Parts, zip::Archive};
+use super::{Trajectory, npy::Array, open, trajectory::Parts, zip::Archive};
 use crate::{Error, Result};
 use ::zip::{CompressionMethod, write::SimpleFileOptions};
 use ndarray::{Array2, aview0};
@@ -26,7 +26,7 @@ pub(super) fn write(trajectory: &Trajectory, writer: impl Write + Seek) -> io::R
 /// Writes with 64-bit lengths if `large`, else with 32-bit lengths, which more programs can read.
 fn write_arrays(trajectory: &Trajectory, writer: impl Write + Seek, large: bool) -> io::Result<()> {
     let faces: Vec<[i32; 3]> = trajectory.grid().faces().iter().map(|f| f.map(|k| k as i32)).collect();
-    let coordinates = mesh::texture_coordinates(trajectory.grid());
+    let coordinates = trajectory.grid().texture_coordinates();
     let options =
         SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(large);
     let mut npz = NpzWriter::new_with_options(writer, options);

@@ -3,7 +3,7 @@
 //! Parsed by hand: the usual crate renumbers vertices in the order in which faces use them, but here a vertex
 //! index is a position in the grid.
 
-use super::{Mesh, mesh, read_bytes};
+use super::{Mesh, read_bytes};
 use crate::{Error, Result, sim::Grid};
 use num_traits::Float;
 use std::{
@@ -119,7 +119,7 @@ pub(super) fn write(grid: Grid, positions: &[[f32; 3]], mut writer: impl Write) 
     for [x, y, z] in positions {
         writeln!(writer, "v {x} {y} {z}")?;
     }
-    for [u, v] in mesh::texture_coordinates(grid) {
+    for [u, v] in grid.texture_coordinates() {
         writeln!(writer, "vt {u} {v}")?;
     }
     for [a, b, c] in grid.faces().iter().map(|f| f.map(|k| k + 1)) {

@@ -2,6 +2,7 @@
 
 use super::motion::Recording;
 use super::points::{norm, zip};
+use super::surface::Sheet;
 use super::{Handles, Motion, Scene, Units, UpAxis};
 use crate::io::Trajectory;
 use crate::sim::{Cloth, Control, Grid, Model, State, VertexView, cast};
@@ -69,6 +70,17 @@ fn field(points: &[[f64; 3]]) -> Vec<f64> {
     (0..3).flat_map(|c| points.iter().map(move |p| p[c])).collect()
 }
 
+/// Returns the view in which vertices are in metres along a scene's axes, at the end of the frame.
+fn view_m(units: &Units, up: UpAxis) -> VertexView {
+    let columns =
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(|axis| up.from_z_up(units.position_m(axis)));
+    let transform = [0, 1, 2].map(|row| {
+        let [a, b, c] = columns.map(|column| column[row] as f32);
+        [a, b, c, 0.0]
+    });
+    VertexView { transform, ..Default::default() }
+}
+
 /// Returns the control of a frame; past the end, the handles keep their last positions.
 fn control<T: Float>(handles: &[Vec<[f64; 3]>], wind: &[[f64; 3]], frame: usize) -> Control<T> {
     let row = handles.get(frame).or(handles.last()).map_or(&[][..], Vec::as_slice);
@@ -101,6 +113,12 @@ impl Setup {
         self.units.velocity(self.up.to_z_up(m_s)).map(cast)
     }
 
+    /// Converts an acceleration [m/s^2] in the scene's axes to gravity of a [`Cloth`] or an external
+    /// acceleration of a [`Control`]: in edges per frame squared, z up.
+    pub fn acceleration_of<T: Float>(&self, m_s2: [f64; 3]) -> [T; 3] {
+        self.units.acceleration(self.up.to_z_up(m_s2)).map(cast)
+    }
+
     /// Converts positions \[edges\], z up, shape [3, H, W], to vertices \[m\] in the scene's axes, shape
     /// `[H W]`.
     pub fn vertices_m<T: Float>(&self, x: &[T]) -> Vec<[f64; 3]> {
@@ -109,19 +127,46 @@ impl Setup {
 
     /// Returns the view in which vertices are in metres along the scene's axes, at the end of the frame.
     pub fn vertex_view(&self) -> VertexView {
-        let columns = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-            .map(|axis| self.up.from_z_up(self.units.position_m(axis)));
-        let transform = [0, 1, 2].map(|row| {
-            let [a, b, c] = columns.map(|column| column[row] as f32);
-            [a, b, c, 0.0]
-        });
-        VertexView { transform, ..Default::default() }
+        view_m(&self.units, self.up)
     }
 
     /// Converts velocities [edges / frame], z up, shape [3, H, W], to velocities [m/s] in the scene's axes,
     /// shape `[H W]`.
     pub fn velocities_m_s<T: Float>(&self, v: &[T]) -> Vec<[f64; 3]> {
         each_point(v, |p| self.up.from_z_up(self.units.velocity_m_s(p)))
+    }
+
+    /// Converts the positions \[m\] and velocities [m/s] of the particles of `grid`, in particle order and
+    /// the scene's axes, to a state of this setup's own grid, on which they are resampled: what
+    /// [`Setup::vertices_m`] and [`Setup::velocities_m_s`] gave for another grid continues on this one.
+    ///
+    /// Fails if the grid is too small or too large ([`Grid::new`]), or if there is not one finite position and
+    /// velocity for each of its particles.
+    pub fn state_of(
+        &self,
+        grid: Grid,
+        positions_m: &[[f64; 3]],
+        velocities_m_s: &[[f64; 3]],
+    ) -> Result<State<f64>> {
+        let grid = Grid::new(grid.h, grid.w, "state")?;
+        let on_grid = |name: &str, points: &[[f64; 3]], convert: &dyn Fn([f64; 3]) -> [f64; 3]| {
+            if points.len() != grid.particles() {
+                let expected = format!("{} for a grid of {grid}", grid.particles());
+                return Err(Error::invalid("state", name, expected, points.len()));
+            }
+            if let Some(p) = points.iter().position(|point| point.iter().any(|c| !c.is_finite())) {
+                let field = format!("{name} of particle {p}");
+                return Err(Error::invalid("state", field, "finite numbers", format!("{:?}", points[p])));
+            }
+            let sheet = Sheet { grid, points: points.to_vec() }.regrid(self.model.grid);
+            Ok(field(
+                &sheet.points.into_iter().map(|point| convert(self.up.to_z_up(point))).collect::<Vec<_>>(),
+            ))
+        };
+        Ok(State {
+            x: on_grid("positions", positions_m, &|p| self.units.position(p))?,
+            v: on_grid("velocities", velocities_m_s, &|v| self.units.velocity(v))?,
+        })
     }
 
     /// Returns a trajectory that holds the start and has capacity for all frames. Fails if there is not
@@ -183,6 +228,12 @@ impl Batch {
     /// handles keep their last positions.
     pub fn control<T: Float>(&self, frame: usize) -> Control<T> {
         control(&self.handles, &self.wind, frame)
+    }
+
+    /// Returns the view in which the vertices of cloth `b` are in metres along the axes of its scene, at the
+    /// end of the frame. Panics if there is no cloth `b`.
+    pub fn vertex_view(&self, b: usize) -> VertexView {
+        view_m(&self.units[b], self.up[b])
     }
 }
 

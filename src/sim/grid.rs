@@ -66,8 +66,18 @@ impl Grid {
     }
 
     /// Returns the triangles as particle numbers: two per cell, cut along the diagonal (i, j) - (i+1, j+1).
+    /// They turn counter-clockwise seen from the side of the normals, which is the lower side of a flat sheet
+    /// at its start.
     pub fn faces(&self) -> Vec<[u32; 3]> {
         self.iter_faces().collect()
+    }
+
+    /// Returns the texture coordinates of the particles: `u = 1 - i / (H - 1)`, `v = 1 - j / (W - 1)`. An
+    /// image appears upright on a sheet that hangs from the edge j = 0, and unmirrored on the side of the
+    /// normals.
+    pub fn texture_coordinates(&self) -> Vec<[f32; 2]> {
+        let part = |k: usize, n: usize| 1.0 - k as f32 / (n.max(2) - 1) as f32;
+        (0..self.particles()).map(|p| [part(p / self.w, self.h), part(p % self.w, self.w)]).collect()
     }
 
     /// Iterates over the triangles of [`Grid::faces`].
@@ -90,6 +100,18 @@ impl std::fmt::Display for Grid {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn textures_turn_as_triangles_do() {
+        let grid = Grid { h: 4, w: 7 };
+        let uv = grid.texture_coordinates();
+        for face in grid.faces() {
+            let [a, b, c] = face.map(|k| glam::Vec2::from(uv[k as usize]));
+            assert!((b - a).perp_dot(c - a) > 0.0, "{face:?}");
+        }
+        // Upper left, upper right and lower left on a sheet that hangs from j = 0.
+        assert_eq!((uv[3 * 7], uv[0], uv[3 * 7 + 6]), ([0.0, 1.0], [1.0, 1.0], [0.0, 0.0]));
+    }
 
     #[test]
     fn masses_add_up_to_the_cells() {

@@ -3,6 +3,7 @@
 use super::Grid;
 use crate::{Error, Result};
 use num_traits::Float;
+use std::ops::Range;
 
 /// Energy coefficients in grid units, the paper's material parameters; see
 /// [`EnergyTerms`](super::EnergyTerms) for the energy.
@@ -73,7 +74,8 @@ impl Repulsion {
 pub struct Cloth {
     /// Energy coefficients.
     pub material: Material,
-    /// Gravity as an acceleration [edges / frame^2].
+    /// Gravity as an acceleration [edges / frame^2]
+    /// ([`Setup::acceleration_of`](crate::scene::Setup::acceleration_of)).
     pub gravity: [f64; 3],
     /// Air around it; zero for none.
     pub air: Air,
@@ -172,6 +174,12 @@ impl Model {
         self.cloths.iter().map(|c| c.handles.len()).sum()
     }
 
+    /// Returns the places of cloth `b` in [`Control::handles`]. Panics if there is no cloth `b`.
+    pub fn handle_range(&self, b: usize) -> Range<usize> {
+        let before: usize = self.cloths[..b].iter().map(|cloth| cloth.handles.len()).sum();
+        before..before + self.cloths[b].handles.len()
+    }
+
     /// Returns the handle slot of every particle, shape [B, H, W]: 0 for a free particle, else 1 + the index
     /// of its position in [`Control::handles`]. Panics if a handle is outside the grid ([`Model::check`]).
     pub fn handle_slots(&self) -> Vec<u32> {
@@ -224,6 +232,25 @@ impl<T: Float> State<T> {
 }
 
 impl<T: Float> Control<T> {
+    /// Fails unless the control has a position for each handle of the model, and wind and accelerations for
+    /// all of its cloths or for none. Solvers panic in such a case.
+    pub fn check(&self, model: &Model) -> Result<()> {
+        let batch = model.batch();
+        let fits = |field: &str, found: usize, allowed: [usize; 2]| match allowed.contains(&found) {
+            true => Ok(()),
+            false => {
+                let expected = match allowed {
+                    [0, all] => format!("{all}, or none"),
+                    [all, _] => all.to_string(),
+                };
+                Err(Error::invalid("control", field, expected, found))
+            }
+        };
+        fits("handles", self.handles.len(), [model.handles(); 2])?;
+        fits("wind", self.wind.len(), [0, batch])?;
+        fits("external", self.external.len(), [0, 3 * batch * model.grid.particles()])
+    }
+
     /// Returns the control in another precision.
     pub fn cast<U: Float>(&self) -> Control<U> {
         let points = |points: &[[T; 3]]| points.iter().map(|p| p.map(cast)).collect();
@@ -242,6 +269,6 @@ pub struct Control<T> {
     pub wind: Vec<[T; 3]>,
     /// External acceleration of each particle [edges / frame^2], in addition to gravity and air, shape
     /// [B, 3, H, W]; empty for none. Divide a force by the particle's mass;
-    /// [`Units::acceleration`](crate::scene::Units::acceleration) converts.
+    /// [`Setup::acceleration_of`](crate::scene::Setup::acceleration_of) converts.
     pub external: Vec<T>,
 }

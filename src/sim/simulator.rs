@@ -3,6 +3,7 @@
 use super::{Cloth, Control, FrameStats, Model, Optimizer, Solver, SolverOptions, State};
 use crate::gpu::{Context, Readback, Storage};
 use crate::{Error, Result, cpu};
+use std::iter::Peekable;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
@@ -86,7 +87,7 @@ impl Simulator {
                 let solver = Solver::new(context, model, optimizer, &options)?;
                 let [terms, first, last] = solver.statistics_tensors();
                 let sources = [solver.positions(), solver.velocities(), terms, first, last];
-                let readback = context.checked(|| Ok(Readback::new(context, &sources, IN_FLIGHT)))?;
+                let readback = Readback::new(context, &sources, IN_FLIGHT)?;
                 Backend::Gpu { context: context.clone(), solver: Box::new(solver), readback }
             }
         };
@@ -137,8 +138,27 @@ impl Simulator {
         }
     }
 
-    /// Computes one frame and waits for it. Fails with [`Error::NonFinite`] if it is not finite. Panics if a
-    /// length of the control does not match the model.
+    /// Returns the model.
+    pub fn model(&self) -> &Model {
+        match &self.backend {
+            Backend::Cpu { solver, .. } => solver.model(),
+            Backend::Gpu { solver, .. } => solver.model(),
+        }
+    }
+
+    /// Returns the state on the device, also after a frame that is not finite. Waits for a GPU. Fails if the
+    /// device is lost.
+    pub fn state(&self) -> Result<State<f32>> {
+        match &self.backend {
+            Backend::Cpu { state, .. } => Ok(state.clone()),
+            Backend::Gpu { context, solver, .. } => {
+                Ok(State { x: solver.positions().read(context)?, v: solver.velocities().read(context)? })
+            }
+        }
+    }
+
+    /// Computes one frame and waits for it. Fails with [`Error::NonFinite`] if it is not finite, and if a
+    /// length of the control does not match the model ([`Control::check`]).
     pub fn step(&mut self, control: &Control<f32>) -> Result<Frame> {
         let mut result = None;
         self.rollout(std::iter::once(control.clone()), |frame| {
@@ -151,14 +171,16 @@ impl Simulator {
     /// Computes a frame for each control and passes it to `take`, which may end the rollout.
     ///
     /// On a GPU the next frame is computed while `take` runs, so a rollout that ends early leaves the
-    /// device's state up to one frame ahead; set a state before the next rollout. Fails with
-    /// [`Error::NonFinite`] at the first frame that is not finite, after passing on the frames before it.
+    /// device's state up to one frame ahead: that frame counts, but nobody receives it.
+    ///
+    /// Fails with [`Error::NonFinite`] at the first frame that is not finite, after passing on the frames
+    /// before it, and if a length of a control does not match the model ([`Control::check`]).
     pub fn rollout(
         &mut self,
         controls: impl IntoIterator<Item = Control<f32>>,
         mut take: impl FnMut(Frame) -> ControlFlow<()>,
     ) -> Result<()> {
-        let mut controls = controls.into_iter();
+        let mut controls = controls.into_iter().peekable();
         let mut begun = Instant::now();
         loop {
             let Some((state, stats)) = self.backend.next(&mut controls)? else { return Ok(()) };
@@ -167,11 +189,12 @@ impl Simulator {
             let frame = Frame { index: self.frame, state, stats, wall: now - begun };
             begun = now;
             if let Some(cloth) = frame.first_broken() {
-                self.backend.drain()?;
+                self.frame += self.backend.drain()?;
                 return Err(Error::NonFinite { frame: frame.index, cloth });
             }
             if take(frame).is_break() {
-                return self.backend.drain();
+                self.frame += self.backend.drain()?;
+                return Ok(());
             }
             // On a GPU the next frame is already being computed.
             if let Backend::Cpu { .. } = self.backend {
@@ -197,39 +220,51 @@ impl Backend {
     /// Returns the next frame, or `None` if there are no more controls.
     fn next(
         &mut self,
-        controls: &mut impl Iterator<Item = Control<f32>>,
+        controls: &mut Peekable<impl Iterator<Item = Control<f32>>>,
     ) -> Result<Option<(State<f32>, Vec<FrameStats>)>> {
         match self {
             Self::Cpu { solver, state } => {
                 let Some(control) = controls.next() else { return Ok(None) };
+                control.check(solver.model())?;
                 let stats = solver.step(state, &control);
                 Ok(Some((state.clone(), stats)))
             }
             Self::Gpu { context, solver, readback } => {
-                while !readback.is_full() {
-                    let Some(control) = controls.next() else { break };
-                    solver.set_control(&control);
+                // A control that does not fit the model is refused after the frames before it.
+                let mut checked = Ok(());
+                while let Some(control) = controls.peek().filter(|_| !readback.is_full()) {
+                    checked = control.check(solver.model());
+                    if checked.is_err() {
+                        break;
+                    }
+                    solver.set_control(control);
+                    controls.next();
                     let submission = context.submit(|encoder| {
                         solver.record(encoder);
                         readback.record(encoder);
                     });
                     readback.submitted(&submission);
                 }
-                readback.next(context, |bytes| {
+                let next = readback.next(context, |bytes| {
                     let (x, rest) = bytes.split_at(solver.positions().bytes() as usize);
                     let (v, stats) = rest.split_at(solver.velocities().bytes() as usize);
                     let [x, v, stats]: [Vec<f32>; 3] = [x, v, stats].map(bytemuck::pod_collect_to_vec);
                     (State { x, v }, solver.statistics(&stats))
-                })
+                })?;
+                next.map_or_else(|| checked.map(|()| None), |frame| Ok(Some(frame)))
             }
         }
     }
 
-    /// Waits for the frames in flight, so that the next rollout does not receive them.
-    fn drain(&mut self) -> Result<()> {
+    /// Waits for the frames in flight, so that the next rollout does not receive them, and returns their
+    /// number.
+    fn drain(&mut self) -> Result<usize> {
+        let mut frames = 0;
         if let Self::Gpu { context, readback, .. } = self {
-            while readback.next(context, |_| ())?.is_some() {}
+            while readback.next(context, |_| ())?.is_some() {
+                frames += 1;
+            }
         }
-        Ok(())
+        Ok(frames)
     }
 }

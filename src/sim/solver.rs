@@ -45,6 +45,8 @@ pub struct Solver {
     x: Tensor,
     v: Tensor,
     cloths: Tensor,
+    /// Wind velocities, shape [B, 3].
+    wind: Tensor,
     /// Handle targets, shape [handles, 3]: the beginning of `target_storage`.
     targets: Tensor,
     /// Storage for the targets, with room for every particle.
@@ -52,7 +54,7 @@ pub struct Solver {
     control_accelerations: Tensor,
     /// Whether a frame looks for pairs within repulsion range.
     repels: bool,
-    /// Whether `cloths` holds any wind.
+    /// Whether `wind` holds any.
     windy: AtomicBool,
     /// Whether `control_accelerations` holds any acceleration.
     accelerated: AtomicBool,
@@ -121,8 +123,9 @@ impl Solver {
                 context,
                 "cloths",
                 &[batch, ClothParams::LEN],
-                &ClothParams::all(model, &[]),
+                &ClothParams::all(model),
             )?,
+            wind: zeros("wind", &[batch, 3])?,
             targets: target_storage.view(0, &[model.handles(), 3]),
             target_storage,
             control_accelerations: field("control accelerations")?,
@@ -146,7 +149,7 @@ impl Solver {
     fn build_schedule(&self) -> Result<Schedule> {
         let (context, grid) = (&self.context, self.model.grid);
         let mut frame = Schedule::new(context);
-        let Self { x, v, cloths, target_storage, control_accelerations, external, iterate, .. } = self;
+        let Self { x, v, cloths, wind, target_storage, control_accelerations, external, iterate, .. } = self;
         let batch = self.model.batch();
 
         let state = StateTensors { x, v, targets: target_storage };
@@ -154,7 +157,7 @@ impl Solver {
         ExternalForce::new(context)?.push(
             &mut frame,
             grid,
-            ExternalForceTensors { cloths, x, v, control_accelerations },
+            ExternalForceTensors { cloths, wind, x, v, control_accelerations },
             external,
         );
 
@@ -221,6 +224,19 @@ impl Solver {
         &self.iterate.a
     }
 
+    /// Returns the handle targets \[edges\] of the next frame, in the order of [`Control::handles`], shape
+    /// [handles, 3]. [`Solver::set_control`] writes them; what the host's own commands write between that and
+    /// [`Solver::record`] holds, such as the position of a particle that is to stay where it is.
+    pub fn handle_targets(&self) -> &Tensor {
+        &self.targets
+    }
+
+    /// Returns the external accelerations of the next frame [edges / frame^2], shape [B, 3, H, W]. Controls
+    /// without any leave alone what the host's own commands write here.
+    pub fn control_accelerations(&self) -> &Tensor {
+        &self.control_accelerations
+    }
+
     /// Replaces the state, holds the handles at their positions in it and resets the optimizer's memory,
     /// ahead of the next submission. Wind and accelerations keep their values. A later control sets all
     /// three.
@@ -240,10 +256,13 @@ impl Solver {
         assert_eq!((state.x.len(), state.v.len()), (3 * n, 3 * n), "[3, H, W]");
         self.x.write_at(&self.context, 3 * b * n, &state.x);
         self.v.write_at(&self.context, 3 * b * n, &state.v);
-        let before: usize = self.model.cloths[..b].iter().map(|cloth| cloth.handles.len()).sum();
         let handles: Vec<_> =
             self.model.cloths[b].handles.iter().map(|&p| particle(&state.x, n, p)).collect();
-        self.targets.write_at(&self.context, 3 * before, bytemuck::cast_slice(&handles));
+        self.targets.write_at(
+            &self.context,
+            3 * self.model.handle_range(b).start,
+            bytemuck::cast_slice(&handles),
+        );
         if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
             for half in [0, 3 * batch * n] {
                 hidden.write_at(&self.context, half + 3 * b * n, &vec![0.0; 3 * n]);
@@ -254,9 +273,9 @@ impl Solver {
         }
     }
 
-    /// Replaces the cloths' materials, gravity, air, repulsion or handles, ahead of the next submission.
-    /// Clears the wind until a control sets it again. If the handles change, a control must set their
-    /// positions before the next frame.
+    /// Replaces the cloths' materials, gravity, air, repulsion or handles, ahead of the next submission. Wind
+    /// and accelerations keep their values. If the handles change, a control must set their positions before
+    /// the next frame.
     ///
     /// Fails if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a
     /// repulsion although the solver was built without any, which requires a new solver.
@@ -271,9 +290,8 @@ impl Solver {
             self.iterate.slots.write(&self.context, &slots);
             self.targets = self.target_storage.view(0, &[model.handles(), 3]);
         }
+        self.cloths.write(&self.context, &ClothParams::all(&model));
         self.model = model;
-        self.windy.store(false, Ordering::Relaxed);
-        self.cloths.write(&self.context, &ClothParams::all(&self.model, &[]));
         Ok(())
     }
 
@@ -296,7 +314,7 @@ impl Solver {
 
     /// Sets the control of the next frame, ahead of the next submission.
     ///
-    /// Panics if a length does not match the model.
+    /// Panics if a length does not match the model ([`Control::check`]).
     pub fn set_control(&self, control: &Control<f32>) {
         for (tensor, bytes) in self.changes(control) {
             tensor.write(&self.context, &bytes);
@@ -308,7 +326,7 @@ impl Solver {
     /// Records a frame for each control, so that one submission advances them all. Intermediate states are
     /// not kept. The controls travel with the encoder: submit it before you set or record another one.
     ///
-    /// Panics if a length does not match the model.
+    /// Panics if a length does not match the model ([`Control::check`]).
     pub fn record_frames(&self, encoder: &mut wgpu::CommandEncoder, controls: &[Control<f32>]) {
         let changes: Vec<_> = controls.iter().map(|control| self.changes(control)).collect();
         let contents: Vec<u8> =
@@ -328,30 +346,21 @@ impl Solver {
     /// Returns the tensors that a control changes relative to the controls before it, with their new
     /// contents.
     fn changes<'a>(&'a self, control: &'a Control<f32>) -> Vec<(&'a Tensor, Cow<'a, [u8]>)> {
-        let batch = self.model.batch();
-        assert_eq!(control.handles.len(), self.model.handles(), "every handle needs a position");
-        assert!(control.wind.is_empty() || control.wind.len() == batch, "one wind velocity for each cloth");
-        let accelerated = !control.external.is_empty();
-        assert!(
-            !accelerated || control.external.len() == self.control_accelerations.len(),
-            "external has shape [B, 3, H, W]"
-        );
+        control.check(&self.model).unwrap_or_else(|e| panic!("{e}"));
         let mut changes = vec![(&self.targets, Cow::from(bytemuck::cast_slice(&control.handles)))];
         // A control without wind or accelerations clears those of earlier controls. A recorded control may
         // never be submitted, so recording only raises these flags; `set_control` also lowers them.
-        let windy = !control.wind.is_empty();
-        if self.windy.fetch_or(windy, Ordering::Relaxed) || windy {
-            let params = ClothParams::all(&self.model, &control.wind);
-            changes.push((&self.cloths, bytemuck::cast_slice(&params).to_vec().into()));
-        }
-        let was_accelerated = self.accelerated.fetch_or(accelerated, Ordering::Relaxed);
-        if accelerated {
-            changes.push((&self.control_accelerations, Cow::from(bytemuck::cast_slice(&control.external))));
-        } else if was_accelerated {
-            changes.push((
-                &self.control_accelerations,
-                vec![0; self.control_accelerations.bytes() as usize].into(),
-            ));
+        let optional = [
+            (&self.wind, &self.windy, bytemuck::cast_slice(&control.wind)),
+            (&self.control_accelerations, &self.accelerated, bytemuck::cast_slice(&control.external)),
+        ];
+        for (tensor, set, bytes) in optional {
+            let was_set = set.fetch_or(!bytes.is_empty(), Ordering::Relaxed);
+            if !bytes.is_empty() {
+                changes.push((tensor, Cow::from(bytes)));
+            } else if was_set {
+                changes.push((tensor, vec![0; tensor.bytes() as usize].into()));
+            }
         }
         changes
     }

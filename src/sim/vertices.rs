@@ -52,8 +52,8 @@ impl Vertices {
     pub(super) fn new(context: &Context, solver: &Solver) -> Result<Self> {
         context.checked(|| {
             let (grid, batch) = (solver.model().grid, solver.model().batch());
-            let view =
-                Tensor::from_slice(context, "view", &[4, 4], VertexView::default().to_rows().as_flattened())?;
+            let views = VertexView::default().to_rows().repeat(batch);
+            let view = Tensor::from_slice(context, "view", &[batch, 4, 4], &views)?;
             let interleaved = Tensor::zeros(context, "vertices", &[batch, grid.particles(), 6])?;
             let mut schedule = Schedule::new(context);
             let from = (&view, solver.positions(), solver.velocities());
@@ -62,9 +62,15 @@ impl Vertices {
         })
     }
 
-    /// Sets the view, ahead of the next submission.
+    /// Sets the view of all cloths, ahead of the next submission.
     pub fn set_view(&self, view: &VertexView) {
-        self.view.write(&self.context, view.to_rows().as_flattened());
+        self.view.write(&self.context, &view.to_rows().repeat(self.view.shape()[0]));
+    }
+
+    /// Sets the view of cloth `b` alone, ahead of the next submission, in a batch whose cloths differ in
+    /// scale or are drawn at different places. Panics if there is no cloth `b`.
+    pub fn set_cloth_view(&self, b: usize, view: &VertexView) {
+        self.view.write_at(&self.context, 16 * b, view.to_rows().as_flattened());
     }
 
     /// Records the update of the vertices to the positions present when the encoder runs.

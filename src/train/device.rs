@@ -26,6 +26,8 @@ pub struct DeviceLoss {
     x: Tensor,
     v: Tensor,
     cloths: Tensor,
+    /// Always zero: cloths are trained in still air.
+    wind: Tensor,
     targets: Tensor,
     /// External accelerations, set by the caller [edges / frame^2], shape [B, 3, n].
     pub control_accelerations: Tensor,
@@ -64,6 +66,7 @@ impl DeviceLoss {
             x: field("positions")?,
             v: field("velocities")?,
             cloths: zeros("cloths", &[batch, ClothParams::LEN])?,
+            wind: zeros("wind", &[batch, 3])?,
             targets: zeros("handle targets", &[batch * MAX_HANDLES, 3])?,
             control_accelerations: field("control accelerations")?,
             external: field("external")?,
@@ -104,7 +107,7 @@ impl DeviceLoss {
     pub fn set_cloths(&self, model: &Model, control: &Control<f32>) {
         assert_eq!((model.batch(), control.handles.len()), (self.batch, model.handles()));
         assert!(!model.repels(), "training has no repulsion");
-        self.cloths.write(&self.context, &ClothParams::all(model, &[]));
+        self.cloths.write(&self.context, &ClothParams::all(model));
         self.iterate.slots.write(&self.context, &model.handle_slots());
         let mut targets = control.handles.clone();
         assert!(targets.len() <= self.batch * MAX_HANDLES, "at most {MAX_HANDLES} handles for each cloth");
@@ -117,12 +120,23 @@ impl DeviceLoss {
     /// weights.
     pub fn push(&self, schedule: &mut Schedule, transposed: &TransposedWeights) -> Result<()> {
         let (context, grid) = (&self.context, self.grid);
-        let Self { x, v, cloths, control_accelerations, external, iterate, scale, forward, backward, .. } =
-            self;
+        let Self {
+            x,
+            v,
+            cloths,
+            wind,
+            control_accelerations,
+            external,
+            iterate,
+            scale,
+            forward,
+            backward,
+            ..
+        } = self;
         let (samples, _) = iterate.samples_and_particles();
         let (state, _) = self.state();
         Predict::in_a_frame(context)?.push(schedule, state, iterate);
-        let from = ExternalForceTensors { cloths, x, v, control_accelerations };
+        let from = ExternalForceTensors { cloths, wind, x, v, control_accelerations };
         ExternalForce::new(context)?.push(schedule, grid, from, external);
         let physics = Physics { cloths, external, x };
         let kernel = Gradient::new(context)?;

@@ -64,7 +64,7 @@ impl PoolState {
         let (state, iterate) = loss.state();
         Advance::new(context)?.push(&mut step, &drawn, state, iterate);
         Store::new(context)?.push(&mut step, grid, (&drawn, pool), loss.tensors());
-        let readback = Readback::new(context, &[&loss.terms, &loss.sizes, loss.scale()], 1);
+        let readback = Readback::new(context, &[&loss.terms, &loss.sizes, loss.scale()], 1)?;
         Ok(Self { grid, fields, scale, drawn, loss, step: step.finish()?, readback })
     }
 
@@ -148,7 +148,7 @@ impl GpuLearner {
         adamw.push_norm(&mut norm)?;
         adamw.push_step(&mut update, &parameters.flat)?;
         let [prepare, norm, update] = [prepare.finish()?, norm.finish()?, update.finish()?];
-        let norm_readback = Readback::new(context, &[&adamw.norm_squared], 1);
+        let norm_readback = Readback::new(context, &[&adamw.norm_squared], 1)?;
         let (context, network) = (context.clone(), weights.config);
         Ok(Self { context, network, parameters, adamw, pools, prepare, norm, norm_readback, update })
     }

@@ -111,7 +111,7 @@ impl Stages for GpuStages {
         let iterate = Iterate::new(context, batch, &model.handle_slots())?;
         iterate.a.write(context, &single(&case.a));
         iterate.base.write(context, &single(&case.base));
-        let params = ClothParams::all(&model, &[]);
+        let params = ClothParams::all(&model);
         let cloths = Tensor::from_slice(context, "cloths", &[batch, ClothParams::LEN], &params)?;
         let external = self.upload("external", &[batch, 3, n], &case.external)?;
         let x = self.upload("positions", &[batch, 3, n], &case.x)?;
@@ -134,7 +134,7 @@ impl Stages for GpuStages {
     fn repulsion(&mut self, grid: Grid, positions: &[f64], of_cloth: Repulsion) -> Result<(f64, Vec<f64>)> {
         let (context, n) = (&self.context, grid.particles());
         let cloth = Cloth { repulsion: Some(of_cloth), ..Cloth::default() };
-        let params = ClothParams::all(&Model { grid, cloths: vec![cloth] }, &[]);
+        let params = ClothParams::all(&Model { grid, cloths: vec![cloth] });
         let iterate = Iterate::new(context, 1, &vec![0; n])?;
         let cloths = Tensor::from_slice(context, "cloths", &[1, ClothParams::LEN], &params)?;
         let external = Tensor::zeros(context, "external", &[1, 3, n])?;

@@ -339,7 +339,7 @@ fn a_ring_hands_out_frames_in_order_waiting_or_not() {
     let _turn = device();
     let (model, start, control) = varied_batch();
     let solver = solver(&model, &Optimizer::gradient_descent(), 2, &start);
-    let mut readback = Readback::new(context(), &[solver.positions()], 3);
+    let mut readback = Readback::new(context(), &[solver.positions()], 3).unwrap();
     let positions = |bytes: &[u8]| bytemuck::pod_collect_to_vec::<u8, f32>(bytes);
     assert!(readback.try_next(context(), positions).unwrap().is_none());
     let mut dropped = context().device.create_command_encoder(&Default::default());

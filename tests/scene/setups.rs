@@ -258,12 +258,50 @@ fn metres_go_into_a_control_and_come_back() {
         let at = [0.3, -1.7, 4.25];
         let handle: [f64; 3] = setup.handle_at(at);
         assert!(distance(setup.vertices_m(&handle)[0], at) < 1e-12);
+        let gravity: [f64; 3] = setup.acceleration_of(Scene { up, ..Scene::default() }.gravity);
+        assert_eq!(gravity, setup.model.cloths[0].gravity);
         let wind: [f64; 3] = setup.wind_of(at);
         assert!(distance(setup.velocities_m_s(&wind)[0], at) < 1e-12);
         // A handle of the start converts to its position in the start.
         let (p, n) = (setup.model.cloths[0].handles[0], setup.model.grid.particles());
         let there = [0, 1, 2].map(|c| setup.start.x[c * n + p]);
         assert!(distance(setup.handle_at(setup.vertices_m(&setup.start.x)[p]), there) < 1e-9);
+    }
+}
+
+/// A state in metres comes back, and on a grid of half the spacing it keeps every second particle.
+#[test]
+fn a_state_in_metres_continues_on_another_grid() {
+    let on = |h, w| {
+        let grid = Grid::new(h, w, "test").unwrap();
+        Scene { grid, up: UpAxis::Y, side_m: Side::Height(2.5), ..Scene::default() }.setup().unwrap()
+    };
+    let (coarse, fine) = (on(17, 21), on(33, 41));
+    let grid = coarse.model.grid;
+    let moving: Vec<f64> = coarse.start.x.iter().map(|x| 0.1 * (3.0 * x).sin()).collect();
+    let (positions, velocities) = (coarse.vertices_m(&coarse.start.x), coarse.velocities_m_s(&moving));
+
+    let same = coarse.state_of(grid, &positions, &velocities).unwrap();
+    let apart = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(0.0, |most: f64, (a, b)| most.max((a - b).abs()));
+    assert!(apart(&same.x, &coarse.start.x) < 1e-12 && apart(&same.v, &moving) < 1e-12);
+
+    let finer = fine.state_of(grid, &positions, &velocities).unwrap();
+    let finer = [fine.vertices_m(&finer.x), fine.velocities_m_s(&finer.v)];
+    for (p, (&x, &v)) in positions.iter().zip(&velocities).enumerate() {
+        let q = 2 * (p / grid.w) * 41 + 2 * (p % grid.w);
+        assert!(distance(finer[0][q], x) < 1e-12 && distance(finer[1][q], v) < 1e-12, "particle {p}");
+    }
+
+    let mut broken = velocities.clone();
+    broken[5][1] = f64::NAN;
+    let refusals = [
+        (coarse.state_of(grid, &positions[1..], &velocities), ["positions", "357", "356"]),
+        (coarse.state_of(grid, &positions, &broken), ["velocities of particle 5", "finite", "NaN"]),
+        (coarse.state_of(Grid { h: 3, w: 119 }, &positions, &velocities), ["3", "8", "grid"]),
+    ];
+    for (refused, words) in refusals {
+        let message = refused.unwrap_err().to_string();
+        assert!(words.iter().all(|word| message.contains(word)), "{message}");
     }
 }
 

@@ -31,6 +31,8 @@ pub struct ExternalForce {
 pub struct ExternalForceTensors<'a> {
     /// Constants of the cloths, see [`super::ClothParams`].
     pub cloths: &'a Tensor,
+    /// Wind velocities, shape [B, 3].
+    pub wind: &'a Tensor,
     /// Positions, shape [B, 3, H, W].
     pub x: &'a Tensor,
     /// Velocities, shape [B, 3, H, W].
@@ -53,15 +55,17 @@ impl ExternalForce {
         tensors: ExternalForceTensors<'_>,
         external: &Tensor,
     ) {
-        let ExternalForceTensors { cloths, x, v, control_accelerations } = tensors;
+        let ExternalForceTensors { cloths, wind, x, v, control_accelerations } = tensors;
         let batch = external.len() / (3 * grid.particles());
         assert_eq!(
             [external, x, v, control_accelerations].map(Tensor::len),
             [batch * 3 * grid.particles(); 4]
         );
         assert_eq!(cloths.bytes() as usize, batch * size_of::<super::ClothParams>());
+        assert_eq!(wind.shape(), [batch, 3]);
         let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
         let count = self.kernel.groups([grid.w, grid.h, batch]);
-        schedule.dispatch(&self.kernel, &params, &[cloths, x, v, control_accelerations, external], count);
+        let tensors = [cloths, wind, x, v, control_accelerations, external];
+        schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }

@@ -61,7 +61,6 @@ pub struct ClothParams {
     material: [f32; 4],
     gravity: [f32; 4],
     air: [f32; 4],
-    wind: [f32; 4],
     repulsion: [f32; 4],
 }
 
@@ -69,13 +68,12 @@ impl ClothParams {
     /// Number of `f32` values in an element.
     pub const LEN: usize = size_of::<Self>() / size_of::<f32>();
 
-    /// Returns the constants of each cloth in its wind [edges / frame]; the air is still if `wind` is empty.
-    pub fn all(model: &Model, wind: &[[f32; 3]]) -> Vec<Self> {
-        let wind = |b: usize| wind.get(b).copied().unwrap_or_default();
-        model.cloths.iter().enumerate().map(|(b, cloth)| Self::new(cloth, wind(b))).collect()
+    /// Returns the constants of each cloth.
+    pub fn all(model: &Model) -> Vec<Self> {
+        model.cloths.iter().map(Self::new).collect()
     }
 
-    fn new(cloth: &Cloth, wind: [f32; 3]) -> Self {
+    fn new(cloth: &Cloth) -> Self {
         let m = cloth.material;
         // Without repulsion, cells are one edge wide and are not searched.
         let [strength, distance, per_edge] =
@@ -85,7 +83,6 @@ impl ClothParams {
             material: [m.stretch as f32, m.shear as f32, m.bend as f32, 0.0],
             gravity: [gx, gy, gz, 0.0],
             air: [cloth.air.density as f32, cloth.air.drag as f32, 0.0, 0.0],
-            wind: [wind[0], wind[1], wind[2], 0.0],
             repulsion: [strength as f32, distance as f32, per_edge as f32, 0.0],
         }
     }

@@ -29,8 +29,8 @@ impl Vertices {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets `interleaved` [B, H W, 6] from positions `x` and velocities `v` [B, 3, H W], seen as in `view`
-    /// [4, 4] ([`crate::sim::VertexView::to_rows`]).
+    /// Sets `interleaved` [B, H W, 6] from positions `x` and velocities `v` [B, 3, H W], each cloth
+    /// seen as in its `view` [B, 4, 4] ([`crate::sim::VertexView::to_rows`]).
     pub fn push(
         &self,
         schedule: &mut Schedule,
@@ -41,7 +41,7 @@ impl Vertices {
         let n = grid.particles();
         let batch = x.len() / (3 * n);
         assert_eq!(interleaved.shape(), [batch, n, 6]);
-        assert_eq!((view.shape(), x.len(), v.len()), (&[4, 4][..], 3 * batch * n, 3 * batch * n));
+        assert_eq!((view.shape(), x.len(), v.len()), (&[batch, 4, 4][..], 3 * batch * n, 3 * batch * n));
         let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
         schedule.dispatch(&self.kernel, &params, &[view, x, v, interleaved], self.kernel.spread(n, batch));
     }

@@ -54,9 +54,9 @@ pub fn upload(label: &'static str, model: &Model, values: &[f32]) -> Tensor {
     tensor(label, &[model.batch(), 3, model.grid.particles()], values)
 }
 
-/// Uploads the constants of the cloths, in the wind [`WIND`].
+/// Uploads the constants of the cloths.
 pub fn constants(model: &Model) -> Tensor {
-    let params = ClothParams::all(model, &WIND);
+    let params = ClothParams::all(model);
     Tensor::from_slice(context(), "cloths", &[model.batch(), ClothParams::LEN], &params).unwrap()
 }
 

@@ -1,7 +1,7 @@
 //! `external_force` against the CPU path.
 
 use super::cloth::{WIND, constants, crumpled, field, model, poisoned_field, upload};
-use crate::common::{ROUNDING, assert_close, cases, context, device, largest, read, run, widened};
+use crate::common::{ROUNDING, assert_close, cases, context, device, largest, read, run, tensor, widened};
 use fnopt::cpu::cloth::add_wind;
 use fnopt::kernels::cloth::{ExternalForce, ExternalForceTensors};
 use fnopt::sim::Model;
@@ -29,7 +29,14 @@ fn gravity_forces_and_air_match() {
         let expected = expected(&model, &x, &v, &control);
         let [x, v, control] = [x, v, control].map(|values| upload("input", &model, &values));
         let (cloths, external) = (constants(&model), poisoned_field(&model));
-        let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, control_accelerations: &control };
+        let wind = tensor("wind", &[batch, 3], WIND[..batch].as_flattened());
+        let tensors = ExternalForceTensors {
+            cloths: &cloths,
+            wind: &wind,
+            x: &x,
+            v: &v,
+            control_accelerations: &control,
+        };
         run(|schedule| kernel.push(schedule, grid, tensors, &external));
         // The roundings of differences of positions, two products and six triangles.
         let atol = 16.0 * ROUNDING * largest(&expected);
@@ -49,7 +56,9 @@ fn air_ignores_triangles_without_area() {
     let expected = expected(&model, &x, &v, &control);
     let [x, v, control] = [x, v, control].map(|values| upload("input", &model, &values));
     let (cloths, external) = (constants(&model), poisoned_field(&model));
-    let tensors = ExternalForceTensors { cloths: &cloths, x: &x, v: &v, control_accelerations: &control };
+    let wind = tensor("wind", &[1, 3], &WIND[0]);
+    let tensors =
+        ExternalForceTensors { cloths: &cloths, wind: &wind, x: &x, v: &v, control_accelerations: &control };
     run(|schedule| kernel.push(schedule, grid, tensors, &external));
     assert_close("external_force collapsed", &read(&external), &expected, (0.0, ROUNDING));
 }

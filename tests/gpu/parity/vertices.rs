@@ -6,11 +6,11 @@ use fnopt::cpu;
 use fnopt::kernels::cloth::Vertices;
 use fnopt::sim::VertexView;
 
-/// A rotation, a scale, a shift, and a time between two frames.
-const VIEW: VertexView = VertexView {
-    transform: [[0.06, 0.0, 0.08, 0.5], [0.0, 0.1, 0.0, -2.0], [-0.08, 0.0, 0.06, 1.0]],
-    time: 0.3,
-};
+/// Returns the view of a cloth: a rotation, a scale, a shift by its number, and a time between two frames.
+fn view(b: usize) -> VertexView {
+    let transform = [[0.06, 0.0, 0.08, 0.5 + b as f32], [0.0, 0.1, 0.0, -2.0], [-0.08, 0.0, 0.06, 1.0]];
+    VertexView { transform, time: 0.3 }
+}
 
 #[test]
 fn vertices_match() {
@@ -26,10 +26,12 @@ fn vertices_match() {
         }
         let cloths = x.chunks_exact(3 * n).zip(v.chunks_exact(3 * n));
         let expected: Vec<f64> = cloths
-            .flat_map(|(x, v)| cpu::cloth::vertices(grid, &VIEW, &widened(x), &widened(v)))
+            .enumerate()
+            .flat_map(|(b, (x, v))| cpu::cloth::vertices(grid, &view(b), &widened(x), &widened(v)))
             .flatten()
             .collect();
-        let view = tensor("view", &[4, 4], VIEW.to_rows().as_flattened());
+        let rows: Vec<_> = (0..batch).flat_map(|b| view(b).to_rows()).collect();
+        let view = tensor("view", &[batch, 4, 4], rows.as_flattened());
         let interleaved = poisoned("vertices", &[batch, n, 6]);
         let [x, v] = [x, v].map(|values| upload("state", &model, &values));
         run(|schedule| kernel.push(schedule, grid, (&view, &x, &v), &interleaved));
@@ -61,7 +63,8 @@ fn a_sheet_without_an_extent_has_no_normals() {
     let kernel = Vertices::new(context()).unwrap();
     let (grid, batch) = cases().next().unwrap();
     let model = model(grid, batch);
-    let view = tensor("view", &[4, 4], VertexView::default().to_rows().as_flattened());
+    let rows = VertexView::default().to_rows().repeat(batch);
+    let view = tensor("view", &[batch, 4, 4], rows.as_flattened());
     let interleaved = poisoned("vertices", &[batch, grid.particles(), 6]);
     let [x, v] = [3.0, 0.0].map(|value| upload("state", &model, &vec![value; 3 * batch * grid.particles()]));
     run(|schedule| kernel.push(schedule, grid, (&view, &x, &v), &interleaved));

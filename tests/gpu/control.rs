@@ -1,0 +1,115 @@
+//! What a host changes between the frames of a solver or a simulator.
+
+use crate::common::{context, device};
+use crate::solver::{assert_same, solver, step, varied_batch};
+use fnopt::Error;
+use fnopt::sim::{Control, Device, Optimizer, Simulator, State};
+use std::ops::ControlFlow;
+
+/// New materials used to end the wind, and those under way in an encoder brought the old ones back.
+#[test]
+fn new_materials_leave_the_wind() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let mut solver = solver(&model, &Optimizer::gradient_descent(), 3, &start);
+    let mut stiffer = model.cloths.clone();
+    stiffer.iter_mut().for_each(|cloth| cloth.material.stretch *= 2.0);
+    solver.set_cloths(&stiffer).unwrap();
+    let expected = step(&solver, &control);
+
+    for set_first in [true, false] {
+        solver.set_cloths(&model.cloths).unwrap();
+        solver.set_state(&start);
+        let mut encoder = context().device.create_command_encoder(&Default::default());
+        if set_first {
+            solver.set_control(&control);
+            solver.set_cloths(&stiffer).unwrap();
+            solver.record(&mut encoder);
+        } else {
+            solver.record_frames(&mut encoder, std::slice::from_ref(&control));
+            solver.set_cloths(&stiffer).unwrap();
+        }
+        context().queue.submit([encoder.finish()]);
+        let found = solver.positions().read::<f32>(context()).unwrap();
+        assert_same(if set_first { "set before" } else { "recorded before" }, &found, &expected.x);
+    }
+}
+
+/// A host pins a particle by copying its position into the target, without reading it.
+#[test]
+fn targets_written_on_the_device_hold() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let n = model.grid.particles() as u64;
+    let solver = solver(&model, &Optimizer::gradient_descent(), 3, &start);
+    let moved = step(&solver, &control);
+    let far = Control { handles: vec![[90.0; 3]; control.handles.len()], ..control };
+    solver.set_control(&far);
+    let p = model.cloths[0].handles[0];
+    context().submit(|encoder| {
+        let (from, to) = (solver.positions(), solver.handle_targets());
+        for c in 0..3 {
+            encoder.copy_buffer_to_buffer(from.buffer(), 4 * (c * n + p as u64), to.buffer(), 4 * c, 4);
+        }
+        solver.record(encoder);
+    });
+    let after = State { x: solver.positions().read(context()).unwrap(), v: vec![] };
+    let handles = [&moved, &after].map(|state| solver.handles_of(state));
+    assert_eq!(handles[1][0], handles[0][0]);
+    assert!(handles[1][1..].iter().all(|&at| at == [90.0; 3]), "{handles:?}");
+}
+
+/// A frame that was under way when an earlier one broke counts too, on both devices alike, and so does one
+/// that nobody takes.
+#[test]
+fn frames_under_way_count() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let n = 3 * model.grid.particles();
+    let whole = State { x: start.x[n..2 * n].to_vec(), v: start.v[n..2 * n].to_vec() };
+    for device in [Device::Cpu, Device::Gpu(context().clone())] {
+        let on_gpu = usize::from(matches!(device, Device::Gpu(_)));
+        let mut simulator = Simulator::new(&device, &model, &Optimizer::gradient_descent(), 2).unwrap();
+        let mut broken = start.clone();
+        broken.v[n] = f32::NAN;
+        simulator.set_state(&broken);
+        let controls = || std::iter::repeat_n(control.clone(), 4);
+        let error = simulator.rollout(controls(), |_| ControlFlow::Continue(())).unwrap_err();
+        assert!(matches!(error, Error::NonFinite { frame: 1, cloth: 1 }), "{error}");
+        let state = simulator.state().unwrap();
+        assert!(state.x[..n].iter().all(|x| x.is_finite()) && state.x[n..2 * n].iter().any(|x| x.is_nan()));
+
+        simulator.set_cloth_state(1, &whole);
+        let mut indices = Vec::new();
+        let take = |frame: fnopt::sim::Frame| {
+            indices.push(frame.index);
+            if indices.len() == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        };
+        simulator.rollout(controls(), take).unwrap();
+        let next = simulator.step(&control).unwrap().index;
+        indices.push(next);
+        assert_eq!(indices, [2 + on_gpu, 3 + on_gpu, 4 + 2 * on_gpu]);
+    }
+}
+
+/// A control that does not fit is an error after the frames before it, and leaves none of them behind.
+#[test]
+fn a_control_of_another_length_is_refused_in_its_turn() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let short = Control { handles: control.handles[1..].to_vec(), ..control.clone() };
+    for device in [Device::Cpu, Device::Gpu(context().clone())] {
+        let mut simulator = Simulator::new(&device, &model, &Optimizer::gradient_descent(), 2).unwrap();
+        simulator.set_state(&start);
+        let mut frames = 0;
+        let controls = [control.clone(), control.clone(), short.clone(), control.clone()];
+        let error = simulator.rollout(controls, |_| {
+            frames += 1;
+            ControlFlow::Continue(())
+        });
+        let message = error.unwrap_err().to_string();
+        let handles = simulator.model().handles();
+        assert!(message.contains("handles") && message.contains(&handles.to_string()), "{message}");
+        assert_eq!((frames, simulator.step(&control).unwrap().index), (2, 3));
+    }
+}
