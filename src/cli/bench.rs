@@ -106,7 +106,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         }
         rows.push(row);
         if out.is_closed() && args.plot.is_none() {
-            return Ok(Ending::Done);
+            return ended;
         }
     }
     if rows.is_empty() {

@@ -13,7 +13,7 @@ use fnopt::scene::{Moduli, Stiffness};
 use fnopt::sim::{Grid, Material};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Points of the surface that are printed.
@@ -75,7 +75,8 @@ pub fn run(args: &Args) -> Result<Ending> {
     }
     let sequences = sequences(&args.ground_truth, args.sequences.as_deref())?;
     let sequences = sequences.into_iter().collect::<fnopt::Result<Vec<_>>>()?;
-    let ranges = args.ranges(args.kept(&sequences)?)?;
+    let kept = args.kept(&sequences)?;
+    let ranges = args.ranges(kept)?;
     let fit = Fit {
         sequences: &sequences,
         grid: one_grid(&args.grid)?,
@@ -91,6 +92,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     };
     writable_file(&args.out)?;
     writable_file(&best)?;
+    check_is_a_set(&best)?;
     let mut surface = ErrorSurface::load(&args.out, &fit)?;
     let style = ProgressStyle::with_template("{spinner} {pos} points tried, {elapsed}  {msg}");
     let bar = ProgressBar::new_spinner().with_style(style.expect("the template is valid"));
@@ -112,9 +114,10 @@ pub fn run(args: &Args) -> Result<Ending> {
     bar.finish_and_clear();
     outcome?;
     surface.add(&ErrorSurface::load(&args.out, &fit)?);
-    let found = fit.found(&surface).first().copied().filter(|(_, error)| error.is_finite());
+    // Of all points of the file: those outside this search's ranges are results too.
+    let found = surface.sorted().first().copied().filter(|(_, error)| error.is_finite());
     if let Some((point, error)) = found {
-        let mut document = args.document(&point, fit.grid, &sequences)?;
+        let mut document = args.document(&point, kept, (fit.grid, &sequences))?;
         document["fitted_to"] = fit.subject().into();
         document["e_CD"] = error.into();
         write_atomic(&best, |file| writeln!(file, "{document:#}"))?;
@@ -137,15 +140,28 @@ pub fn run(args: &Args) -> Result<Ending> {
     Ok(Ending::Done)
 }
 
+/// Fails if the file exists and is anything but an earlier best set, which the new one replaces.
+fn check_is_a_set(path: &Path) -> Result<()> {
+    let Ok(content) = std::fs::read(path) else { return Ok(()) };
+    let document: Option<serde_json::Value> = serde_json::from_slice(&content).ok();
+    if document.is_some_and(|document| document.get("fitted_to").is_some()) {
+        return Ok(());
+    }
+    let expected = format!("a name beside which {} is free or a best set of this command", path.display());
+    Err(Error::invalid("--out", "file", expected, "another file there").into())
+}
+
 impl Args {
-    /// Returns a point as physics: air and frame time are the point's if they are fitted, else the sequences'
-    /// own.
-    fn physics(&self, &[stretch, shear, bend, density, drag, frame_time]: &Point) -> Physics {
+    /// Returns a point as physics: air and frame time are the point's if they are fitted or differ from those
+    /// that are `kept`, else the sequences' own.
+    fn physics(&self, &[stretch, shear, bend, density, drag, frame_time]: &Point, kept: [f64; 3]) -> Physics {
+        let own =
+            |fitted: bool, value: f64, kept: f64| (fitted || value as f32 != kept as f32).then_some(value);
         Physics {
             stiffness: Stiffness::Grid(Material { stretch, shear, bend }),
-            density: self.density.as_ref().map(|_| density),
-            drag: self.drag.as_ref().map(|_| drag),
-            frame_time_s: self.frame_time.as_ref().map(|_| frame_time),
+            density: own(self.density.is_some(), density, kept[0]),
+            drag: own(self.drag.is_some(), drag, kept[1]),
+            frame_time_s: own(self.frame_time.is_some(), frame_time, kept[2]),
         }
     }
 
@@ -154,10 +170,10 @@ impl Args {
     fn document(
         &self,
         point: &Point,
-        grid: Grid,
-        sequences: &[Sequence],
+        kept: [f64; 3],
+        (grid, sequences): (Grid, &[Sequence]),
     ) -> fnopt::Result<serde_json::Value> {
-        let physics = self.physics(point);
+        let physics = self.physics(point, kept);
         let document = physics.to_json();
         let [stretch, shear, bend, ..] = *point;
         let moduli = |sequence: &Sequence| -> fnopt::Result<Moduli> {

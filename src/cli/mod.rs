@@ -294,11 +294,17 @@ pub fn go_on(interrupted: &AtomicBool) -> ControlFlow<()> {
     if interrupted.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
 }
 
-/// Returns a flag that is set by Ctrl-C, and by SIGTERM, which batch systems and launchers send to end a
-/// process. A second signal ends the process at once.
+/// Returns a flag that is set by Ctrl-C, by SIGTERM, which batch systems and launchers send to end a process,
+/// and by the loss of the terminal, unless the process was told to survive that. A second signal ends the
+/// process at once.
 pub fn interrupt_flag() -> Arc<AtomicBool> {
     let flag = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
+    let mut ending = vec![SIGINT, SIGTERM];
+    #[cfg(target_os = "linux")]
+    if !survives_hangup() {
+        ending.push(signal_hook::consts::SIGHUP);
+    }
+    for signal in ending {
         // In this order, so that the first signal finds the flag unset.
         let installed = signals::register_conditional_shutdown(signal, 130, flag.clone())
             .and_then(|_| signals::register(signal, flag.clone()));
@@ -311,6 +317,15 @@ pub fn interrupt_flag() -> Arc<AtomicBool> {
         tracing::warn!("Ctrl-C will not be acknowledged at once: {error}");
     }
     flag
+}
+
+/// Whether the process ignores SIGHUP, as `nohup` makes it.
+#[cfg(target_os = "linux")]
+fn survives_hangup() -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    ignored.is_none_or(|mask| mask >> (signal_hook::consts::SIGHUP - 1) & 1 == 1)
 }
 
 /// Acknowledges Ctrl-C on stderr if the process has not ended within a second: a frame of many iterations, or

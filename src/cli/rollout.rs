@@ -38,7 +38,7 @@ pub struct Args {
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "", value_name = "STRENGTH,DISTANCE")]
     repulsion: Option<String>,
     /// Frames to simulate, including the start
-    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     frames: Option<u32>,
     #[command(flatten)]
     solver: SolverArgs,
@@ -132,9 +132,14 @@ impl Args {
             };
             written.iter().any(|file| same(read, file)) || folders.iter().any(in_folder)
         };
-        match scene.files().find(|read| overwritten(read)) {
+        let named = [
+            self.scene.as_deref(),
+            self.material.as_deref().map(Path::new),
+            self.solver.checkpoint.as_deref(),
+        ];
+        match scene.files().chain(named.into_iter().flatten()).find(|read| overwritten(read)) {
             Some(read) => {
-                let expected = "one in which no file that the scene reads is overwritten";
+                let expected = "one in which no file that the simulation reads is overwritten";
                 Err(Error::invalid("--out", "folder", expected, read.display()).into())
             }
             None => Ok(()),
@@ -174,7 +179,9 @@ fn repulsion(text: &str, of_scene: Option<RepulsionSettings>) -> Result<Repulsio
     }
     let [strength, distance] = numbers(text)
         .ok_or_else(|| Error::invalid("--repulsion", "value", "two numbers, STRENGTH,DISTANCE", text))?;
-    Ok(RepulsionSettings { strength, distance })
+    let settings = RepulsionSettings { strength, distance };
+    settings.check("--repulsion", "value")?;
+    Ok(settings)
 }
 
 /// Returns a progress bar on stderr, hidden if that is not a terminal.
@@ -270,8 +277,8 @@ impl<'a> Run<'a> {
                 Ending::Interrupted
             }
             Ok(()) => Ending::Done,
-            Err(error @ Error::NonFinite { .. }) if !written.is_empty() => {
-                let replay = self.write_replay()?.display().to_string();
+            Err(error @ Error::NonFinite { .. }) if written.contains(&self.args.replay()) => {
+                let replay = self.args.replay().display().to_string();
                 status!("error: {error}; the frames before it are kept; the last good state is in {replay}");
                 Ending::NonFinite
             }
@@ -282,7 +289,7 @@ impl<'a> Run<'a> {
                 return Err(error.into());
             }
         };
-        if self.largest_free_stretch > STRETCH_LIMIT {
+        if !self.is_sound() {
             let percent = 100.0 * self.largest_free_stretch;
             status!(
                 "warning: an edge away from the handles was stretched by {percent:.0} %, more than any cloth: the rollout is not sound"
@@ -292,6 +299,11 @@ impl<'a> Run<'a> {
         Ok(ending)
     }
 
+    /// Whether no edge away from the handles was stretched more than any cloth.
+    fn is_sound(&self) -> bool {
+        self.largest_free_stretch <= STRETCH_LIMIT
+    }
+
     /// Returns the median time per frame after the warm-up, or of all frames if there are no others.
     fn ms_per_frame(&self) -> f64 {
         let times: Vec<f64> = self.per_frame.iter().map(|f| f.ms).collect();
@@ -299,25 +311,29 @@ impl<'a> Run<'a> {
     }
 
     /// Writes the last good state as a trajectory of one frame.
-    fn write_replay(&self) -> fnopt::Result<PathBuf> {
+    fn write_replay(&self) -> fnopt::Result<Vec<PathBuf>> {
         let mut last = Trajectory::new(self.trajectory.grid(), self.trajectory.fps());
         let frame = self.trajectory.frames() - 1;
         last.push(self.trajectory.frame(frame), self.trajectory.frame_velocities(frame));
-        last.write(&self.args.out, REPLAY, Format::Npz)
+        Ok(vec![last.write(&self.args.out, REPLAY, Format::Npz)?])
     }
 
-    /// Writes all files except the replay, and removes the replay of an earlier run, which would be taken for
-    /// this run's. A file that cannot be written does not keep the others from being written. Returns the
-    /// written files and the first error.
+    /// Writes all files, after removing report and replay of an earlier run, which would be taken for this
+    /// run's if it ended in between. A file that cannot be written does not keep the others from being
+    /// written. Returns the written files and the first error.
     fn write(&self, status: Status) -> (Vec<PathBuf>, Option<Error>) {
         let frames = self.args.format.iter().map(|&format| self.write_frames(format));
         let pictures = (!self.args.no_pictures).then(|| std::iter::once_with(|| self.write_pictures()));
-        let (mut written, mut trouble) = (Vec::new(), io::remove(&self.args.replay()).err());
+        let replay = (status == Status::NonFinite).then(|| std::iter::once_with(|| self.write_replay()));
+        let removed =
+            [self.args.out.join(REPORT), self.args.replay()].iter().try_for_each(|file| io::remove(file));
+        let (mut written, mut trouble) = (Vec::new(), removed.err());
         let mut note = |result, written: &mut Vec<PathBuf>| match result {
             Ok(paths) => written.extend::<Vec<PathBuf>>(paths),
             Err(error) => trouble = trouble.take().or(Some(error)),
         };
-        frames.chain(pictures.into_iter().flatten()).for_each(|result| note(result, &mut written));
+        let all = frames.chain(pictures.into_iter().flatten()).chain(replay.into_iter().flatten());
+        all.for_each(|result| note(result, &mut written));
         // The report goes last and lists the files of this run, because files of an earlier run may be left
         // over.
         note(self.write_report(status, &written), &mut written);
@@ -371,6 +387,8 @@ impl<'a> Run<'a> {
             "weights_crc32": checksum,
             "device": self.device,
             "status": status,
+            "sound": self.is_sound(),
+            "stretch_largest_free": self.largest_free_stretch,
             "files": written.iter().filter_map(|path| path.file_name()).chain([REPORT.as_ref()])
                 .map(|name| name.to_string_lossy()).collect::<Vec<_>>(),
             "frames": self.trajectory.frames(),
@@ -389,7 +407,8 @@ impl<'a> Run<'a> {
             let written: Vec<_> = written.iter().map(|path| path.display().to_string()).collect();
             let summary = serde_json::json!({
                 "device": self.device, "status": status, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
-                "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch, "written": written,
+                "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch,
+                "stretch_largest_free": self.largest_free_stretch, "sound": self.is_sound(), "written": written,
             });
             writeln!(out, "{summary:#}")?;
             return Ok(());

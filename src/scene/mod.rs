@@ -127,7 +127,7 @@ pub use setup::{Batch, Setup};
 pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};
 
-use crate::sim::{Grid, Material};
+use crate::sim::{Grid, Material, Repulsion};
 use crate::{Error, Result};
 use std::path::Path;
 
@@ -230,6 +230,13 @@ pub struct RepulsionSettings {
     pub strength: f64,
     /// Distance below which particles repel each other \[edges\], 0.001 to 1.
     pub distance: f64,
+}
+
+impl RepulsionSettings {
+    /// Fails if a number is out of range; `origin` and `field` name its source in the error.
+    pub fn check(&self, origin: &str, field: &str) -> Result<()> {
+        Repulsion { strength: self.strength, distance: self.distance }.check(origin, field)
+    }
 }
 
 impl Default for RepulsionSettings {
@@ -369,7 +376,7 @@ impl Scene {
         }
         let units = Units { length_m, frame_time_s: self.frame_time_s, areal_mass_kg_m2 };
         if let Some(settings) = self.repulsion {
-            self.not_negative("repulsion.strength", settings.strength)?;
+            settings.check(&self.origin, "repulsion")?;
             units.repulsion(settings).check(&self.origin, "repulsion")?;
         }
         Ok(units)

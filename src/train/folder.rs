@@ -40,9 +40,13 @@ impl Folder {
         // Tables next to a configuration belong to a run that ended before its first checkpoint.
         let tables = [folder.metrics(), folder.validation()].into_iter();
         let table = tables.into_iter().find(|path| path.exists() && !folder.config().exists());
+        let resumable = checkpoint.is_some();
         for (what, found) in [("checkpoints", checkpoint), ("weights", weights), ("tables", table)] {
             if let Some(path) = found {
-                let expected = "none in the folder of a new run (--resume continues an existing run)";
+                let expected = match resumable {
+                    true => "none in the folder of a new run (--resume continues an existing run)",
+                    false => "none in the folder of a new run",
+                };
                 return Err(Error::invalid(root.display().to_string(), what, expected, path.display()));
             }
         }

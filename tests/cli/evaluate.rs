@@ -37,6 +37,9 @@ fn files_of_one_name_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let output = evaluate(folder.path(), &["--solver", "gd:1", "--csv", "all", "--json", "all"]);
     refused(output, &["a file for each of --json, --csv and --markdown", "all twice"]);
+    // However it is spelt.
+    let output = evaluate(folder.path(), &["--solver", "gd:1", "--csv", "all", "--markdown", "./all"]);
+    refused(output, &["a file for each of --json, --csv and --markdown", "all twice"]);
     assert!(!folder.path().join("all").exists());
 }
 
@@ -101,7 +104,7 @@ fn a_material_reads_as_in_a_scene() {
     refused(with("windy.json", &[]), &["windy.json", "wind.velocity"]);
     write("misspelt.json", r#"{"material": {"bend": 0.1}, "wnd": {"density": 2}}"#);
     refused(with("misspelt.json", &[]), &["misspelt.json", "wnd", "did you mean wind?"]);
-    refused(evaluate(at, &["--wind=-1"]), &["wind.density"]);
+    refused(evaluate(at, &["--wind=-1"]), &["--wind", "density"]);
 }
 
 /// Everything is checked before anything is simulated.
@@ -172,6 +175,14 @@ fn a_fit_writes_a_material_that_an_evaluation_reads() {
     assert!(best["material"]["stretch_modulus"].is_number());
     assert_eq!(settings["material"], best["material"]);
     assert_eq!((settings["density"].as_f64(), &settings["drag"]), (Some(first[3]), &Value::Null));
+    // A search of a worse range leaves the best set of the file, with the air that was fitted.
+    let worse = ["--stretch", "5000", "--shear", "5", "--bend", "0.1", "--levels", "2", "--rounds", "0"];
+    done(fit(&worse));
+    assert_eq!(json(&at.join("out/fit.json")), best);
+    // Any other file beside the points is kept.
+    std::fs::write(at.join("scene.json"), "{}").unwrap();
+    refused(fit(&[&worse[..], &["--out", "scene.csv"]].concat()), &["--out", "scene.json", "best set"]);
+    assert_eq!(std::fs::read(at.join("scene.json")).unwrap(), b"{}");
     refused(fit(&["--levels", "50"]), &["levels", "at most 100000 points"]);
     // A point has the same air for all sequences, so `--density` must be given or the sequences must agree.
     for (name, density) in [("thin", "0.5"), ("thick", "1.5")] {

@@ -111,11 +111,14 @@ fn exit_codes_do_not_hang_on_who_listens() {
     let folder = tempfile::tempdir().unwrap();
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/adamw.safetensors");
     let rollout = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "3", "--no-pictures"];
-    let cases: [(&[&str], i32); 3] = [
+    let explodes =
+        ["bench", "--device", "cpu", "--solver", "quasi-newton", "--grid", "8,9", "--frames", "20"];
+    let cases: [(&[&str], i32); 4] = [
         (&rollout, 0),
         // A file that is not a network, and a missing file.
         (&["inspect", golden.to_str().unwrap()], 1),
         (&["inspect", "missing.safetensors"], 2),
+        (&explodes, 3),
     ];
     for (arguments, code) in cases {
         let mut command = command(folder.path(), arguments);

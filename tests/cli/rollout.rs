@@ -126,7 +126,7 @@ fn layers_are_kept_apart_where_that_is_asked_for() {
     }
     for (more, said) in [
         (&["--repulsion=1"][..], "--repulsion: value: expected two numbers"),
-        (&["--repulsion=1,2"], "repulsion.distance: expected 0.001 to 1 edges, found 2"),
+        (&["--repulsion=1,2"], "--repulsion: value.distance: expected 0.001 to 1 edges, found 2"),
         (&["--repulsion", "--solver", "newton"], "Newton's method"),
     ] {
         let output = rollout(more);
@@ -146,7 +146,10 @@ fn a_run_that_explodes_keeps_the_frames_before_and_a_replay() {
     for file in ["out/replay.npz", "out/rollout.npz", "out/report.json"] {
         assert!(folder.path().join(file).exists(), "{file}");
     }
-    assert_eq!(json(&folder.path().join("out/report.json"))["status"], "non-finite");
+    let report = json(&folder.path().join("out/report.json"));
+    assert_eq!(report["status"], "non-finite");
+    assert!(report["files"].as_array().unwrap().contains(&"replay.npz".into()), "{}", report["files"]);
+    assert!(text(&output.stdout).contains("out/replay.npz"), "{}", text(&output.stdout));
     // The next run succeeds and leaves no replay behind that could be mistaken for its own.
     let good = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "2", "--no-pictures"];
     assert_eq!(fnopt(folder.path(), &good).status.code(), Some(0));
@@ -172,6 +175,18 @@ fn inputs_of_a_scene_are_not_overwritten() {
         assert!(text(&output.stderr).contains("--out"), "{}", text(&output.stderr));
         assert!(std::fs::read(&first).unwrap() == before && replay.is_file());
         assert_eq!(rollout(&["next.json", "--out", "next"]).status.code(), Some(0));
+    }
+    // Nor the scene itself, or its material.
+    let report = folder.path().join("out/report.json");
+    for (content, named) in [
+        (r#"{"grid": [8, 8]}"#, &["out/report.json"][..]),
+        (r#"{"material": {"stretch": 100, "shear": 1, "bend": 0.1}}"#, &["--material", "out/report.json"]),
+    ] {
+        std::fs::write(&report, content).unwrap();
+        let output = rollout(named);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(text(&output.stderr).contains("report.json"), "{}", text(&output.stderr));
+        assert_eq!(std::fs::read_to_string(&report).unwrap(), content);
     }
     // A frame in a folder of frames would be overwritten, or removed as one of a longer run.
     assert_eq!(rollout(&["--format", "obj"]).status.code(), Some(0));
@@ -216,7 +231,8 @@ fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
 #[test]
 fn an_interrupted_rollout_keeps_the_frames_so_far() {
     use std::io::BufRead;
-    for signal in ["-INT", "-TERM"] {
+    let hangup = cfg!(target_os = "linux").then_some("-HUP");
+    for signal in ["-INT", "-TERM"].into_iter().chain(hangup) {
         let folder = tempfile::tempdir().unwrap();
         let rollout = ["rollout", "--device", "cpu", "--grid", "64", "64", "--no-pictures"];
         let mut child = command(folder.path(), &rollout).stderr(Stdio::piped()).spawn().unwrap();
@@ -249,8 +265,12 @@ fn unsound_rollouts_and_other_sizes_are_reported() {
     // Quasi-Newton tears a sheet with so few rows before positions become non-finite.
     let torn = log(r#"{"grid": [16, 16], "frames": 14}"#, &["--solver", "quasi-newton"]);
     assert!(torn.contains("away from the handles was stretched by"), "{torn}");
+    let report = json(&folder.path().join("out/report.json"));
+    assert_eq!(report["sound"], false);
+    assert!(report["stretch_largest_free"].as_f64().unwrap() > 0.6, "{report}");
     let sound = log(r#"{"grid": [16, 16], "frames": 4}"#, &["--solver", "newton"]);
     assert!(!sound.contains("warning") && !sound.contains("WARN"), "{sound}");
+    assert_eq!(json(&folder.path().join("out/report.json"))["sound"], true);
     // A half-metre sheet in a one-metre scene, and handles that start elsewhere: one line for each.
     let vertices: Vec<[f64; 3]> =
         (0..64).map(|p| [0.5 * f64::from(p % 8) / 7.0, 0.0, 0.5 * f64::from(p / 8) / 7.0]).collect();

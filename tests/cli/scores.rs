@@ -337,8 +337,14 @@ fn shares_together_are_the_whole() {
     for share in ["0/4", "1/4", "2/4", "3/4"] {
         run(&["--out", "shares", "--shard", share]);
     }
-    let merged = quiet(folder.path(), &["evaluate", "--merge", "shares", "--json"]).output().unwrap();
-    assert_eq!(figures(&done(merged).0), whole);
+    let merge = || quiet(folder.path(), &["evaluate", "--merge", "shares", "--json"]).output().unwrap();
+    assert_eq!(figures(&done(merge()).0), whole);
+    // In the order of a run's tables, and numbers as numbers.
+    run(&["--out", "shares", "--solver", "gd:10"]);
+    let scores: Vec<Value> = serde_json::from_str(&done(merge()).0).unwrap();
+    let columns: Vec<String> =
+        scores[..4].iter().map(|score| format!("{} {}", score["solver"], score["iterations"])).collect();
+    assert_eq!(columns, ["\"lbfgs\" 3", "\"adam\" 3", "\"gd\" 3", "\"gd\" 10"]);
 }
 
 /// A solver added later runs on as many threads as the earlier ones, whose times are kept.

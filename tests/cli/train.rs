@@ -77,6 +77,11 @@ fn a_training_run_that_stays_non_finite_ends_with_3() {
     assert_eq!(output.status.code(), Some(3), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("10 skipped"), "{}", text(&output.stderr));
     assert!(folder.path().join("run/weights/last.safetensors").is_file());
+    // There is no checkpoint, so nothing is to be resumed.
+    let again = fnopt(folder.path(), &["train", "stiff.toml", "--device", "cpu", "--out", "run"]);
+    assert_eq!(again.status.code(), Some(2));
+    let message = text(&again.stderr);
+    assert!(message.contains("last.safetensors") && !message.contains("--resume"), "{message}");
 }
 
 #[cfg(unix)]

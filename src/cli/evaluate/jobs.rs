@@ -1,6 +1,6 @@
 //! The simulations of an evaluation, and the files that hold their scores.
 
-use super::progress;
+use super::{SOLVERS, progress};
 use crate::cli::go_on;
 use crate::cli::output::status;
 use fnopt::eval::{
@@ -330,6 +330,11 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
         let sides = score.grid.split('x').map(|side| side.parse::<usize>().unwrap_or(0));
         sides.product::<usize>()
     };
-    scores.sort_by(|a, b| (&a.sequence, particles(a)).cmp(&(&b.sequence, particles(b))));
+    let solver = |score: &Score| {
+        let known = |name: &&str| name.split(':').next() == Some(score.solver.as_str());
+        SOLVERS.iter().position(known).unwrap_or(SOLVERS.len())
+    };
+    let place = |s: &Score| (s.sequence.clone(), particles(s), solver(s), s.solver.clone(), s.iterations);
+    scores.sort_by_cached_key(place);
     Ok(scores)
 }

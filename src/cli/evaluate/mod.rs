@@ -43,7 +43,7 @@ pub struct Args {
     /// Sequences, or cases of a suite, to simulate [default: all]
     #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
-    /// Grids to simulate on, with the proportions of the cloth [default: 32]
+    /// Grids to simulate on: HxW, or N for NxN; they must have the proportions of the cloth [default: 32]
     #[arg(long, value_delimiter = ',', value_name = "N|HxW,..")]
     grid: Option<Vec<String>>,
     /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton; quasi-newton-exact and newton, which run on the CPU
@@ -208,6 +208,9 @@ impl Args {
             return Err(Error::invalid("--frames", "frames", "at least 2", frames));
         }
         let physics = self.material.as_deref().map_or_else(material::fitted, material::read)?;
+        if let Some(density) = self.wind.filter(|density| !(density.is_finite() && *density >= 0.0)) {
+            return Err(Error::invalid("--wind", "density", "a finite number, 0 or greater", density));
+        }
         let physics = Physics { density: self.wind.or(physics.density), ..physics };
         Ok(Settings { physics, points: self.points as usize, frames: self.most_frames() })
     }
@@ -231,8 +234,13 @@ impl Args {
         }
         let tables = self.csv.iter().chain(&self.markdown).map(PathBuf::as_path);
         let files: Vec<&Path> = self.json_file().into_iter().chain(tables).collect();
+        let place = |file: &Path| {
+            let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+            let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+            file.canonicalize().unwrap_or_else(|_| folder.join(file.file_name().unwrap_or_default()))
+        };
         for (k, file) in files.iter().enumerate() {
-            if files[..k].contains(file) {
+            if files[..k].iter().any(|other| place(other) == place(file)) {
                 let expected = "a file for each of --json, --csv and --markdown";
                 return Err(Error::invalid(
                     "evaluate",
