@@ -3,7 +3,7 @@
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Schedule, Sharing, Storage, Tensor, Tuning};
 use fnopt::kernels::padded;
 use fnopt::sim::Grid;
-use std::sync::{LazyLock, Mutex, MutexGuard};
+use std::sync::{Condvar, LazyLock, Mutex};
 
 /// Grids of the parity tests: the smallest, one with odd sides, a tall one and a larger one.
 pub const GRIDS: [Grid; 4] =
@@ -52,11 +52,29 @@ pub fn half() -> Option<Context> {
     half.inspect_err(|e| eprintln!("skipped: {e}")).ok()
 }
 
-/// Keeps other tests off the device. Software adapters use all cores for one dispatch anyway.
-pub fn device() -> MutexGuard<'static, ()> {
-    static TURN: Mutex<()> = Mutex::new(());
+/// Tests that use the device at once. A software driver compiles a kernel on one core and computes a dispatch
+/// on all, so two tests keep the cores busy; more would only take more memory.
+const AT_ONCE: usize = 2;
+
+/// A test's turn on the device, which ends when it is dropped.
+pub struct Turn(());
+
+static TURNS: (Mutex<usize>, Condvar) = (Mutex::new(AT_ONCE), Condvar::new());
+
+/// Waits for a turn on the device.
+pub fn device() -> Turn {
     // A failed test leaves nothing behind that another one could see.
-    TURN.lock().unwrap_or_else(|e| e.into_inner())
+    let left = TURNS.0.lock().unwrap_or_else(|e| e.into_inner());
+    let mut left = TURNS.1.wait_while(left, |left| *left == 0).unwrap_or_else(|e| e.into_inner());
+    *left -= 1;
+    Turn(())
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        *TURNS.0.lock().unwrap_or_else(|e| e.into_inner()) += 1;
+        TURNS.1.notify_one();
+    }
 }
 
 /// Returns the tunings of both kinds of adapter, then the other tile widths that the kernels allow.
