@@ -13,6 +13,26 @@ type Mapping = Result<(), wgpu::BufferAsyncError>;
 /// [`Readback::submitted`] starts the mapping. [`Readback::next`] then returns the results in order, and
 /// [`Readback::try_next`] those that have arrived. With two slots or more the device computes a frame while
 /// the host reads the previous one.
+///
+/// ```no_run
+/// # fn watch(context: &fnopt::gpu::Context, solver: &fnopt::sim::Solver) -> fnopt::Result<()> {
+/// let mut readback = fnopt::gpu::Readback::new(context, &solver.statistics_tensors(), 2)?;
+/// loop {
+///     let submission = context.submit(|encoder| {
+///         solver.record(encoder);
+///         if !readback.is_full() {
+///             readback.record(encoder);
+///         }
+///     });
+///     readback.submitted(&submission);
+///     while let Some(stats) = readback
+///         .try_next(context, |bytes| solver.statistics(&bytemuck::pod_collect_to_vec(bytes)))?
+///     {
+///         assert!(stats.iter().all(|cloth| cloth.is_finite()), "a cloth has diverged");
+///     }
+/// }
+/// # }
+/// ```
 #[derive(Debug)]
 pub struct Readback {
     sources: Vec<Tensor>,
