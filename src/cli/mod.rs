@@ -77,7 +77,7 @@ pub enum Ending {
     /// The simulation or the loss became non-finite. This has been reported, and the results before it are
     /// kept.
     NonFinite,
-    /// Ctrl-C or SIGTERM; finished work is kept, except by `tune`.
+    /// Ctrl-C, SIGTERM or the loss of the terminal; finished work is kept, except by `tune`.
     Interrupted,
 }
 
@@ -295,22 +295,22 @@ pub fn go_on(interrupted: &AtomicBool) -> ControlFlow<()> {
 }
 
 /// Returns a flag that is set by Ctrl-C, by SIGTERM, which batch systems and launchers send to end a process,
-/// and by the loss of the terminal, unless the process was told to survive that. A second signal ends the
-/// process at once.
+/// and on Linux by the loss of the terminal, unless the process was told to survive that. A second Ctrl-C or
+/// SIGTERM ends the process at once.
 pub fn interrupt_flag() -> Arc<AtomicBool> {
     let flag = Arc::new(AtomicBool::new(false));
-    let mut ending = vec![SIGINT, SIGTERM];
-    #[cfg(target_os = "linux")]
-    if !survives_hangup() {
-        ending.push(signal_hook::consts::SIGHUP);
-    }
-    for signal in ending {
+    let warn = |signal, error| tracing::warn!("signal {signal} will discard the results so far: {error}");
+    for signal in [SIGINT, SIGTERM] {
         // In this order, so that the first signal finds the flag unset.
         let installed = signals::register_conditional_shutdown(signal, 130, flag.clone())
             .and_then(|_| signals::register(signal, flag.clone()));
-        if let Err(error) = installed {
-            tracing::warn!("signal {signal} will discard the results so far: {error}");
-        }
+        installed.map_or_else(|error| warn(signal, error), drop);
+    }
+    // A terminal that closes may say so twice, through the shell and through the kernel.
+    #[cfg(target_os = "linux")]
+    if !survives_hangup() {
+        use signal_hook::consts::SIGHUP;
+        signals::register(SIGHUP, flag.clone()).map_or_else(|error| warn(SIGHUP, error), drop);
     }
     #[cfg(unix)]
     if let Err(error) = acknowledge_ctrl_c() {

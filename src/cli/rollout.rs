@@ -120,8 +120,8 @@ impl Args {
         Ok(scene)
     }
 
-    /// Returns an error if the output would overwrite a file that the scene is read from, or remove it from a
-    /// folder of frames.
+    /// Returns an error if the output would overwrite a file that the simulation reads, or could remove it from
+    /// a folder of frames.
     fn check_inputs_are_kept(&self, scene: &Scene) -> Result<()> {
         let same =
             |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));

@@ -149,7 +149,7 @@ impl Setup {
         velocities_m_s: &[[f64; 3]],
     ) -> Result<State<f64>> {
         let grid = Grid::new(grid.h, grid.w, "state")?;
-        let on_grid = |name: &str, points: &[[f64; 3]], convert: &dyn Fn([f64; 3]) -> [f64; 3]| {
+        let checked = |name: &str, points: &[[f64; 3]]| {
             if points.len() != grid.particles() {
                 let expected = format!("{} for a grid of {grid}", grid.particles());
                 return Err(Error::invalid("state", name, expected, points.len()));
@@ -158,14 +158,17 @@ impl Setup {
                 let field = format!("{name} of particle {p}");
                 return Err(Error::invalid("state", field, "finite numbers", format!("{:?}", points[p])));
             }
-            let sheet = Sheet { grid, points: points.to_vec() }.regrid(self.model.grid);
-            Ok(field(
-                &sheet.points.into_iter().map(|point| convert(self.up.to_z_up(point))).collect::<Vec<_>>(),
-            ))
+            Ok(Sheet { grid, points: points.to_vec() })
+        };
+        let own = self.model.grid;
+        let positions = checked("positions", positions_m)?.regrid(own);
+        let velocities = checked("velocities", velocities_m_s)?.regrid_velocities(own);
+        let convert = |sheet: Sheet, convert: &dyn Fn([f64; 3]) -> [f64; 3]| {
+            field(&sheet.points.into_iter().map(|p| convert(self.up.to_z_up(p))).collect::<Vec<_>>())
         };
         Ok(State {
-            x: on_grid("positions", positions_m, &|p| self.units.position(p))?,
-            v: on_grid("velocities", velocities_m_s, &|v| self.units.velocity(v))?,
+            x: convert(positions, &|p| self.units.position(p)),
+            v: convert(velocities, &|v| self.units.velocity(v)),
         })
     }
 

@@ -101,7 +101,10 @@ impl Start {
                 let points: Vec<[f64; 3]> = sheet.regrid(grid).points.into_iter().map(inside).collect();
                 if let Some(velocities) = velocities {
                     let inside = |v: [f64; 3]| units.velocity(up.to_z_up(file.transformed(v, 0.0)));
-                    return Ok([points, velocities.regrid(grid).points.into_iter().map(inside).collect()]);
+                    return Ok([
+                        points,
+                        velocities.regrid_velocities(grid).points.into_iter().map(inside).collect(),
+                    ]);
                 }
                 points
             }

@@ -42,6 +42,17 @@ impl Sheet {
         sheet
     }
 
+    /// As [`Sheet::regrid`], for the velocities of a sheet: where that is shortened, they are its derivative;
+    /// lengthening only shifts columns.
+    pub fn regrid_velocities(&self, grid: Grid) -> Self {
+        let mut sheet = if grid == self.grid { self.clone() } else { self.resample(grid) };
+        let ratio = grid.aspect() / self.grid.aspect();
+        if ratio < 1.0 - 1e-9 {
+            sheet.shorten(ratio);
+        }
+        sheet
+    }
+
     /// Samples the sheet at the particles of another grid with Catmull-Rom splines, corners aligned. Linear
     /// interpolation would put all the bending of a finer grid into creases along the lines of the coarser
     /// one.

@@ -240,8 +240,8 @@ impl<T: Float> Control<T> {
             true => Ok(()),
             false => {
                 let expected = match allowed {
-                    [0, all] => format!("{all}, or none"),
-                    [all, _] => all.to_string(),
+                    [least, all] if least == all => all.to_string(),
+                    [_, all] => format!("{all}, or none"),
                 };
                 Err(Error::invalid("control", field, expected, found))
             }

@@ -232,7 +232,8 @@ impl Backend {
             Self::Gpu { context, solver, readback } => {
                 // A control that does not fit the model is refused after the frames before it.
                 let mut checked = Ok(());
-                while let Some(control) = controls.peek().filter(|_| !readback.is_full()) {
+                while !readback.is_full() {
+                    let Some(control) = controls.peek() else { break };
                     checked = control.check(solver.model());
                     if checked.is_err() {
                         break;

@@ -231,8 +231,10 @@ impl Solver {
         &self.targets
     }
 
-    /// Returns the external accelerations of the next frame [edges / frame^2], shape [B, 3, H, W]. Controls
-    /// without any leave alone what the host's own commands write here.
+    /// Returns the external accelerations of the next frame [edges / frame^2], shape [B, 3, H, W]. What the
+    /// host's own commands write here stays, from frame to frame, as long as no control has any: those of a
+    /// control are cleared by the next one without, after [`Solver::record_frames`] by all of its frames until
+    /// a [`Solver::set_control`].
     pub fn control_accelerations(&self) -> &Tensor {
         &self.control_accelerations
     }

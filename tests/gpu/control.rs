@@ -59,8 +59,22 @@ fn targets_written_on_the_device_hold() {
     assert!(handles[1][1..].iter().all(|&at| at == [90.0; 3]), "{handles:?}");
 }
 
-/// A frame that was under way when an earlier one broke counts too, on both devices alike, and so does one
-/// that nobody takes.
+/// Accelerations that a host writes on the device act as those of a control do.
+#[test]
+fn accelerations_written_on_the_device_act() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let solver = solver(&model, &Optimizer::gradient_descent(), 3, &start);
+    let expected = step(&solver, &control);
+    solver.set_state(&start);
+    solver.set_control(&Control { external: vec![], ..control.clone() });
+    solver.control_accelerations().write(context(), &control.external);
+    context().submit(|encoder| solver.record(encoder));
+    assert_same("on the device", &solver.positions().read(context()).unwrap(), &expected.x);
+}
+
+/// A frame that was under way on a GPU when an earlier one broke counts too, and so does one that nobody
+/// takes. No control is drawn beyond those.
 #[test]
 fn frames_under_way_count() {
     let _turn = device();
@@ -85,7 +99,9 @@ fn frames_under_way_count() {
             indices.push(frame.index);
             if indices.len() == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };
-        simulator.rollout(controls(), take).unwrap();
+        let mut drawn = 0;
+        simulator.rollout(controls().inspect(|_| drawn += 1), take).unwrap();
+        assert_eq!(drawn, 2 + on_gpu);
         let next = simulator.step(&control).unwrap().index;
         indices.push(next);
         assert_eq!(indices, [2 + on_gpu, 3 + on_gpu, 4 + 2 * on_gpu]);

@@ -3,7 +3,7 @@
 use crate::common::{assert_close, context, device};
 use crate::solver::solver;
 use fnopt::io::vertex_normals;
-use fnopt::scene::Scene;
+use fnopt::scene::{Scene, Setup, Side};
 use fnopt::sim::{Optimizer, VertexView};
 
 /// Vertices at a time between two frames are interpolated, so that a host can draw more often than it
@@ -33,4 +33,21 @@ fn vertices_follow_a_solver_between_its_frames() {
         let found = vertices.tensor().read::<f32>(context()).unwrap();
         assert_close(&format!("time {time}"), &found, &expected, (3e-5, 0.0));
     }
+}
+
+/// Cloths of different sizes in one batch are all in metres, each in the view of its own scene.
+#[test]
+fn each_cloth_of_a_batch_has_its_own_view() {
+    let _turn = device();
+    let setups = [1.0, 2.5].map(|m| Scene { side_m: Side::Height(m), ..Scene::default() }.setup().unwrap());
+    let batch = Setup::batch(&setups).unwrap();
+    let solver = solver(&batch.model, &Optimizer::gradient_descent(), 1, &batch.start.cast());
+    let vertices = solver.vertices().unwrap();
+    vertices.set_view(&batch.vertex_view(0));
+    vertices.set_cloth_view(1, &batch.vertex_view(1));
+    context().submit(|encoder| vertices.record(encoder));
+    let found = vertices.tensor().read::<f32>(context()).unwrap();
+    let positions: Vec<f32> = found.chunks_exact(6).flat_map(|vertex| vertex[..3].to_vec()).collect();
+    let expected = setups.iter().flat_map(|setup| setup.vertices_m(&setup.start.x));
+    assert_close("metres", &positions, &expected.flatten().collect::<Vec<_>>(), (1e-6, 0.0));
 }

@@ -292,6 +292,13 @@ fn a_state_in_metres_continues_on_another_grid() {
         assert!(distance(finer[0][q], x) < 1e-12 && distance(finer[1][q], v) < 1e-12, "particle {p}");
     }
 
+    // On a grid of slightly other proportions a uniform motion stays uniform.
+    let other = on(9, 12);
+    let uniform = vec![[0.5, -1.0, 2.0]; positions.len()];
+    let state = other.state_of(grid, &positions, &uniform).unwrap();
+    let apart = other.velocities_m_s(&state.v).into_iter().map(|v| distance(v, uniform[0]));
+    assert!(apart.fold(0.0, f64::max) < 1e-12);
+
     let mut broken = velocities.clone();
     broken[5][1] = f64::NAN;
     let refusals = [

@@ -325,7 +325,8 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
     }
     let pairs: Vec<(&Path, &Score)> = of_files.into_iter().zip(&scores).collect();
     belong_together(&pairs)?;
-    // In the order of a single run's tables, whichever folder a score is in.
+    // Whichever folder a score is in: the default solvers in their order, then others by name, then imported
+    // ones.
     let particles = |score: &Score| {
         let sides = score.grid.split('x').map(|side| side.parse::<usize>().unwrap_or(0));
         sides.product::<usize>()
@@ -334,7 +335,9 @@ pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
         let known = |name: &&str| name.split(':').next() == Some(score.solver.as_str());
         SOLVERS.iter().position(known).unwrap_or(SOLVERS.len())
     };
-    let place = |s: &Score| (s.sequence.clone(), particles(s), solver(s), s.solver.clone(), s.iterations);
+    let place = |s: &Score| {
+        (s.sequence.clone(), particles(s), s.is_imported(), solver(s), s.solver.clone(), s.iterations)
+    };
     scores.sort_by_cached_key(place);
     Ok(scores)
 }

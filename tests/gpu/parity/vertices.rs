@@ -6,10 +6,13 @@ use fnopt::cpu;
 use fnopt::kernels::cloth::Vertices;
 use fnopt::sim::VertexView;
 
-/// Returns the view of a cloth: a rotation, a scale, a shift by its number, and a time between two frames.
-fn view(b: usize) -> VertexView {
-    let transform = [[0.06, 0.0, 0.08, 0.5 + b as f32], [0.0, 0.1, 0.0, -2.0], [-0.08, 0.0, 0.06, 1.0]];
-    VertexView { transform, time: 0.3 }
+/// Returns the view of a cloth: a rotation, a scale, a shift, and a time between two frames, which is 0.3 for
+/// the last cloth of the batch.
+fn view(b: usize, batch: usize) -> VertexView {
+    let (scale, before) = ([1.0, -0.7, 0.4][b], (batch - 1 - b) as f32);
+    let transform = [[0.06, 0.0, 0.08, 0.5], [0.0, 0.1, 0.0, -2.0], [-0.08, 0.0, 0.06, 1.0]]
+        .map(|row: [f32; 4]| row.map(|v| scale * v));
+    VertexView { transform, time: 0.3 + 0.35 * before }
 }
 
 #[test]
@@ -27,10 +30,10 @@ fn vertices_match() {
         let cloths = x.chunks_exact(3 * n).zip(v.chunks_exact(3 * n));
         let expected: Vec<f64> = cloths
             .enumerate()
-            .flat_map(|(b, (x, v))| cpu::cloth::vertices(grid, &view(b), &widened(x), &widened(v)))
+            .flat_map(|(b, (x, v))| cpu::cloth::vertices(grid, &view(b, batch), &widened(x), &widened(v)))
             .flatten()
             .collect();
-        let rows: Vec<_> = (0..batch).flat_map(|b| view(b).to_rows()).collect();
+        let rows: Vec<_> = (0..batch).flat_map(|b| view(b, batch).to_rows()).collect();
         let view = tensor("view", &[batch, 4, 4], rows.as_flattened());
         let interleaved = poisoned("vertices", &[batch, n, 6]);
         let [x, v] = [x, v].map(|values| upload("state", &model, &values));
