@@ -286,7 +286,12 @@ pub fn writable_file(path: &Path) -> Result<()> {
         return Ok(());
     }
     let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    writable_folder(path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")))
+    writable_folder(folder_of(&path))
+}
+
+/// Returns the folder of a file.
+pub fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Returns `Break` once Ctrl-C has set the flag.
@@ -304,13 +309,17 @@ pub fn interrupt_flag() -> Arc<AtomicBool> {
         // In this order, so that the first signal finds the flag unset.
         let installed = signals::register_conditional_shutdown(signal, 130, flag.clone())
             .and_then(|_| signals::register(signal, flag.clone()));
-        installed.map_or_else(|error| warn(signal, error), drop);
+        if let Err(error) = installed {
+            warn(signal, error);
+        }
     }
     // A terminal that closes may say so twice, through the shell and through the kernel.
     #[cfg(target_os = "linux")]
     if !survives_hangup() {
         use signal_hook::consts::SIGHUP;
-        signals::register(SIGHUP, flag.clone()).map_or_else(|error| warn(SIGHUP, error), drop);
+        if let Err(error) = signals::register(SIGHUP, flag.clone()) {
+            warn(SIGHUP, error);
+        }
     }
     #[cfg(unix)]
     if let Err(error) = acknowledge_ctrl_c() {

@@ -9,7 +9,7 @@ use anyhow::Result;
 use fnopt::eval::{FreeEdges, STRETCH_LIMIT, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
-use fnopt::scene::{Motion, RepulsionSettings, Scene, Setup};
+use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
 use fnopt::sim::{Frame, FrameStats, Optimizer};
 use fnopt::{Error, io};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -38,7 +38,7 @@ pub struct Args {
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "", value_name = "STRENGTH,DISTANCE")]
     repulsion: Option<String>,
     /// Frames to simulate, including the start
-    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
     #[command(flatten)]
     solver: SolverArgs,

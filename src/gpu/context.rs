@@ -148,8 +148,8 @@ impl Context {
 
     /// Returns the features beyond WebGPU's defaults that fnopt can use: timestamps
     /// ([`Profile`](super::Profile)), subgroups and 64-bit integers ([`Sharing::Broadcast`]), 16-bit floating
-    /// point ([`Storage::F16`]) and a pipeline cache ([`Context::with_stored_pipelines`]). Request those that the
-    /// adapter offers.
+    /// point ([`Storage::F16`]) and a pipeline cache ([`Context::with_stored_pipelines`]). Request those that
+    /// the adapter offers.
     pub fn optional_features() -> wgpu::Features {
         wgpu::Features::TIMESTAMP_QUERY
             | wgpu::Features::SUBGROUP

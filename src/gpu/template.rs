@@ -113,7 +113,7 @@ impl Source {
         }
         self.appended.iter().for_each(|part| text.push_str(part));
         if unroll.sharing == Sharing::Broadcast {
-            text = wide::apply(&text, unroll.storage == Storage::F32);
+            text = wide::apply(&text, unroll.storage);
         }
         unroll.order.apply(text, self.name)
     }

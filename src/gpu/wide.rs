@@ -1,5 +1,7 @@
 //! Loads of 64 bits where a driver loads lane by lane.
 
+use super::Storage;
+
 /// A kind of element that is read as words of 64 bits.
 struct Element {
     /// Names of its type in the kernels' files.
@@ -34,15 +36,15 @@ fn words_of_quad(v: vec4f) -> vec2<u64> { return vec2<u64>(word_of_pair(v.xy), w
 ";
 
 /// Returns a kernel's text in which read-only and workgroup arrays of quads and pairs in single precision hold
-/// words of 64 bits instead. Line numbers do not change.
+/// words of 64 bits instead; stored ones are in `storage`. Line numbers do not change.
 ///
 /// llvmpipe of Mesa 22 inserts what it loads into a vector lane by lane, each time through memory, and a
 /// processor without AVX-512 stalls until that has arrived. With words there are half as many insertions.
-pub(super) fn apply(text: &str, single: bool) -> String {
+pub(super) fn apply(text: &str, storage: Storage) -> String {
     let mut arrays = Vec::new();
     let mut declared = String::with_capacity(2 * text.len());
     for line in text.lines() {
-        match declaration(line).filter(|(_, ty, _)| single || !ty.starts_with("Stored")) {
+        match declaration(line).filter(|(_, ty, _)| storage == Storage::F32 || !ty.starts_with("Stored")) {
             Some((name, ty, element)) => {
                 let words = format!("array<{}", element.words);
                 declared.push_str(&line.replacen(&format!("array<{ty}"), &words, 1));
@@ -154,7 +156,7 @@ var<workgroup> sums: array<u64, N>;
 // sums[k] = x[k]
 fn f() { sums[k] = word_of_pair(quad_of_words(x[at + i[2]]).xy + pair_of_word(sums[u32(quad_of_words(x[0]).x)])); sums[0] = word_of_pair(pair_of_word(sums[0]) * (2.0)); let max_x[0] = a.x[1] == pair_of_word(sums[0]); }
 ";
-        assert_eq!(apply(text, true).strip_suffix(CONVERSIONS), Some(wide));
+        assert_eq!(apply(text, Storage::F32).strip_suffix(CONVERSIONS), Some(wide));
     }
 
     /// Half precision is narrow on purpose; written and scalar arrays stay as they are.
@@ -165,6 +167,6 @@ fn f() { sums[k] = word_of_pair(quad_of_words(x[at + i[2]]).xy + pair_of_word(su
 @group(0) @binding(3) var<storage, read> z: array<f32>;
 fn f() { y[0] = vec4f(x[0]) * z[0]; }
 ";
-        assert_eq!(apply(text, false), text);
+        assert_eq!(apply(text, Storage::F16), text);
     }
 }

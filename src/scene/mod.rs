@@ -123,7 +123,7 @@ mod units;
 
 pub use handles::{Handles, Placement};
 pub use motion::{BuiltIn, Motion};
-pub use setup::{Batch, Setup};
+pub use setup::{Batch, MAX_FRAMES, Setup};
 pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};
 

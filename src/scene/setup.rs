@@ -10,9 +10,9 @@ use crate::{Error, Result};
 use num_traits::Float;
 use std::ops::RangeInclusive;
 
-/// The most frames and the most handle positions that a scene may ask for: far above any use, well within
-/// memory.
-const MAX_FRAMES: usize = 1_000_000;
+/// The most frames that a scene may ask for: far above any use, well within memory.
+pub const MAX_FRAMES: usize = 1_000_000;
+/// The most handle positions, likewise.
 const MAX_HANDLE_POSITIONS: usize = 50_000_000;
 /// Spacing of single-precision numbers \[edges\] above which the cloth's distance from the origin harms its
 /// frames.

@@ -33,17 +33,15 @@ impl Sheet {
     /// changes, the sheet becomes longer or shorter along its width, so that edges roughly keep their length.
     pub fn regrid(&self, grid: Grid) -> Self {
         let ratio = grid.aspect() / self.grid.aspect();
-        let mut sheet = if grid == self.grid { self.clone() } else { self.resample(grid) };
-        if ratio < 1.0 - 1e-9 {
-            sheet.shorten(ratio);
-        } else if ratio > 1.0 + 1e-9 {
+        let mut sheet = self.regrid_velocities(grid);
+        if ratio > 1.0 + 1e-9 {
             sheet.lengthen(ratio);
         }
         sheet
     }
 
-    /// As [`Sheet::regrid`], for the velocities of a sheet: where that is shortened, they are its derivative;
-    /// lengthening only shifts columns.
+    /// As [`Sheet::regrid`], for the velocities of a sheet: shortened like the sheet, because that is linear,
+    /// but not lengthened, because that only shifts columns.
     pub fn regrid_velocities(&self, grid: Grid) -> Self {
         let mut sheet = if grid == self.grid { self.clone() } else { self.resample(grid) };
         let ratio = grid.aspect() / self.grid.aspect();

@@ -34,6 +34,14 @@ pub fn send(signal: &str, child: &Child) {
     assert!(sent.success());
 }
 
+/// Returns a set of signals of a process, such as those it ignores (`SigIgn:`), with signal 1 as the lowest
+/// bit; `None` where there is no `/proc`.
+pub fn signals(process: &str, set: &str) -> Option<u64> {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let mask = status.lines().find_map(|line| line.strip_prefix(set))?;
+    u64::from_str_radix(mask.trim(), 16).ok()
+}
+
 pub fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }

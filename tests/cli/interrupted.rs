@@ -1,6 +1,6 @@
 //! Ctrl-C ends runs that would spend minutes in Newton's method.
 
-use super::command::{quiet, send, shipped};
+use super::command::{quiet, send, shipped, signals};
 use std::io::BufRead;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
@@ -8,12 +8,8 @@ use std::time::{Duration, Instant};
 /// Waits until a child handles Ctrl-C, and then a little longer, so that it is at work.
 fn at_work(child: Child) -> Child {
     let begun = Instant::now();
-    let listens = || {
-        let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).unwrap_or_default();
-        let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
-        // SIGINT is signal 2, and so the second bit.
-        caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).is_some_and(|mask| mask & 2 != 0)
-    };
+    // SIGINT is signal 2, and so the second bit.
+    let listens = || signals(&child.id().to_string(), "SigCgt:").is_some_and(|caught| caught & 2 != 0);
     while !listens() {
         assert!(begun.elapsed() < Duration::from_secs(60), "no handler of Ctrl-C within a minute");
         std::thread::sleep(Duration::from_millis(20));

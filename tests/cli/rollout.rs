@@ -1,6 +1,6 @@
 //! `fnopt rollout`: the files it writes, and those it keeps when it ends early.
 
-use super::command::{command, fnopt, json, refused_cleanly, send, text};
+use super::command::{command, fnopt, json, refused_cleanly, send, signals, text};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -232,10 +232,7 @@ fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
 fn an_interrupted_rollout_keeps_the_frames_so_far() {
     use std::io::BufRead;
     // Unless these tests were told to survive a hangup (SIGHUP is signal 1), as the command then does.
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-    let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
-    let hangup = ignored.is_some_and(|mask| mask & 1 == 0).then_some("-HUP");
+    let hangup = signals("self", "SigIgn:").is_some_and(|ignored| ignored & 1 == 0).then_some("-HUP");
     for signal in ["-INT", "-TERM"].into_iter().chain(hangup) {
         let folder = tempfile::tempdir().unwrap();
         let rollout = ["rollout", "--device", "cpu", "--grid", "64", "64", "--no-pictures"];

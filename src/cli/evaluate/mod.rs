@@ -7,8 +7,8 @@ mod suite;
 use super::device::InferenceArgs;
 use super::output::{output, status};
 use super::{
-    Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, go_on, grids, interrupt_flag, load_weights,
-    material, sequences, writable_file, writable_folder,
+    Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, folder_of, go_on, grids, interrupt_flag,
+    load_weights, material, sequences, writable_file, writable_folder,
 };
 use anyhow::Result;
 use fnopt::Error;
@@ -224,8 +224,7 @@ impl Args {
     fn writable(&self) -> fnopt::Result<()> {
         // --merge reads every JSON file in a folder of scores.
         if let Some(file) = self.json_file() {
-            let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-            let folder = folder.canonicalize().ok();
+            let folder = folder_of(file).canonicalize().ok();
             let mut kept = self.merge.iter().chain([&self.out]).map(|scores| scores.canonicalize().ok());
             if folder.is_some() && kept.any(|scores| scores == folder) {
                 let expected = "a file outside the folders of scores";
@@ -235,8 +234,7 @@ impl Args {
         let tables = self.csv.iter().chain(&self.markdown).map(PathBuf::as_path);
         let files: Vec<&Path> = self.json_file().into_iter().chain(tables).collect();
         let place = |file: &Path| {
-            let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-            let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+            let folder = folder_of(file).canonicalize().unwrap_or_else(|_| folder_of(file).to_owned());
             file.canonicalize().unwrap_or_else(|_| folder.join(file.file_name().unwrap_or_default()))
         };
         for (k, file) in files.iter().enumerate() {
