@@ -17,8 +17,10 @@
 //   POOL: rows_max[s, i, o] = max_j y[s, i, o, j]
 //   FIELD: rows_or_field[part, s, i, j] = sum_o head[o] y[s, i, o, j] over the channels of a workgroup
 // ROWS does what `transform_rows` does, and POOL what `pool_rows` does. Both need a whole row in a workgroup,
-// WIDE * SPAN >= Q. FIELD is the last layer of the field head, as in `project`, in parts to be summed, of
-// which the first includes the bias of the head. It replaces y, which is not written.
+// WIDE * SPAN >= Q. Where operands are broadcast, because loads are expensive, lanes exchange their sums and
+// maxima; otherwise all of y passes through workgroup memory. FIELD is the last layer of the field head, as in
+// `project`, in parts to be summed, of which the first includes the bias of the head. It replaces y, which is
+// not written.
 //
 // skip: [C / tile, inputs, tile]
 // bias: [C]; with FIELD followed by head [C] and its bias
@@ -32,7 +34,7 @@
 // One invocation per tile of output channels and SPAN quads, WIDE apart. With STAGED, inputs and weights pass
 // through workgroup memory, CHUNK inputs at a time, so that a workgroup reads each of them once and in
 // parallel. The second tile is the number of columns k of `rows_or_field` that an invocation sums for a quad
-// of channels. It divides their number, 2 modes_w.
+// of channels from workgroup memory. It divides their number, 2 modes_w.
 // Workgroups: (Q / (SPAN * WIDE), H, S * C / (tile * DEEP)) of DEEP rows of WIDE consecutive invocations. A
 // row has one tile of output channels.
 // Adjoint: itself with the `transpose`d skip, no bias and the table of the row transform (x),
@@ -59,9 +61,9 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<$space> skip: array<StoredQuad$length>;
+@group(0) @binding(1) var<$space0> skip: array<StoredQuad$length0>;
 @group(0) @binding(2) var<storage, read> bias: array<vec4f>;
-@group(0) @binding(3) var<storage, read> tables: array<vec4f>;
+@group(0) @binding(3) var<$space1> tables: array<vec4f$length1>;
 @group(0) @binding(4) var<storage, read> r: array<vec4f>;
 
 override GELU: bool = true;
@@ -206,12 +208,75 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
     if !ROWS && !POOL {
         return;
     }
+    let first_channel = first_tile * $n;
+#if broadcast
+    // A row is summed in registers, then over the lanes of each subgroup. Memory holds the subgroups' parts,
+    // [DEEP, WIDE / 8, columns, tile] of ROWS, then [DEEP, WIDE / 8, tile] of POOL, in quads.
+    let subgroups = WIDE / 8u;
+    let sums = params.columns * $m;
+    // The lifting has no other table.
+    let forward = columns * params.row_quads;
+    if ROWS {
+        for (var k = 0u; k < params.columns; k++) {
+            let f$x = select(vec4f(), tables[forward + quad$x * params.columns + k], exists$x);
+            var z$q = vec4f();
+            z$q.$e += dot(y$c, f$x);
+            z$q = sum_of_lanes(z$q);
+            for (var first = 0u; first < $m; first += 8u) {
+                let own = first + index % 8u;
+                var z = vec4f();
+                z = select(z, z$q, own == $qu);
+                if own < $m { memory[index / 8u * sums + k * $m + own] = z; }
+            }
+        }
+    }
+    let maxima = select(0u, DEEP * subgroups * sums, ROWS);
+    if POOL {
+        // Columns of the last quad beyond W repeat the quad's first one, and quads beyond the last one repeat
+        // that one.
+        let inside$x = vec4u(0u, 1u, 2u, 3u) + 4u * quad$x < vec4u(params.width);
+        var most$q = vec4f(-3.402823e38);
+        most$q.$e = max(most$q.$e, largest_of(select(vec4f(y$c.x), y$c, inside$x)));
+        most$q = largest_of_lanes(most$q);
+        for (var first = 0u; first < $m; first += 8u) {
+            let own = first + index % 8u;
+            var most = vec4f();
+            most = select(most, most$q, own == $qu);
+            if own < $m { memory[maxima + index / 8u * $m + own] = most; }
+        }
+    }
+    workgroupBarrier();
+    if ROWS {
+        for (var k = index; k < DEEP * sums; k += WIDE * DEEP) {
+            let part = k / sums * subgroups * sums + k % sums;
+            var z = memory[part];
+            for (var other = 1u; other < subgroups; other++) {
+                z += memory[part + other * sums];
+            }
+            let to = (line * params.columns + k % sums / $m) * params.channels + first_channel;
+            keep_quad(to / 4u + k / sums * $m + k % $m, z);
+        }
+    }
+    if POOL {
+        for (var k = index; k < DEEP * $m; k += WIDE * DEEP) {
+            let part = maxima + k / $m * subgroups * $m + k % $m;
+            var most = memory[part];
+            for (var other = 1u; other < subgroups; other++) {
+                most = max(most, memory[part + other * $m]);
+            }
+            let to = line * params.channels + first_channel + 4u * k;
+            keep_largest(to, most.x);
+            keep_largest(to + 1u, most.y);
+            keep_largest(to + 2u, most.z);
+            keep_largest(to + 3u, most.w);
+        }
+    }
+#else
     // Memory holds the workgroup's part of y, [DEEP, tile, Q]. An odd stride in quads spreads the same quad
     // of different channels over the banks.
     let stride = params.row_quads | 1u;
     if exists$x { memory[(depth * $n + $o) * stride + quad$x] = y$c; }
     workgroupBarrier();
-    let first_channel = first_tile * $n;
     if ROWS {
         // A part is some columns k of a quad of channels. Invocations beyond the last part still take part in
         // subgroup broadcasts.
@@ -245,10 +310,29 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
             let v = memory[o * stride + last];
             let inside = vec4u(0u, 1u, 2u, 3u) + 4u * last < vec4u(params.width);
             most = max(most, select(vec4f(v.x), v, inside));
-            keep_largest(line * params.channels + first_channel + o, max(max(most.x, most.y), max(most.z, most.w)));
+            keep_largest(line * params.channels + first_channel + o, largest_of(most));
         }
     }
+#endif
 }
+
+fn largest_of(v: vec4f) -> f32 {
+    return max(max(v.x, v.y), max(v.z, v.w));
+}
+
+#if broadcast
+fn sum_of_lanes(v: vec4f) -> vec4f {
+    let pairs = v + subgroupShuffleXor(v, 1u);
+    let fours = pairs + subgroupShuffleXor(pairs, 2u);
+    return fours + subgroupShuffleXor(fours, 4u);
+}
+
+fn largest_of_lanes(v: vec4f) -> vec4f {
+    let pairs = max(v, subgroupShuffleXor(v, 1u));
+    let fours = max(pairs, subgroupShuffleXor(pairs, 2u));
+    return max(fours, subgroupShuffleXor(fours, 4u));
+}
+#endif
 
 fn keep_quad(quad: u32, v: vec4f) {
     rows_or_field[4u * quad] = v.x;

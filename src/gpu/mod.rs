@@ -30,6 +30,6 @@ pub use profile::Profile;
 pub use readback::Readback;
 pub use schedule::Schedule;
 pub use storage::Storage;
-pub use template::{Sharing, Source, Unroll};
+pub use template::{LANES, Sharing, Source, Unroll};
 pub use tensor::Tensor;
 pub use tuning::Tuning;

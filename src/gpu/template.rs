@@ -14,7 +14,10 @@
 //! | `$t` | number of outputs of the second tile | |
 //! | `$same(array[index])` | an operand shared by a subgroup: apart from the line's marker it depends on nothing that varies within the subgroup, all of whose invocations reach the line ([`Sharing`]) | |
 //! | `$lane` | the last parameter of an entry point with such operands | |
-//! | `$space`, `$length` | address space of an operand, and length of its array if that is fixed ([`Unroll::uniform`]) | |
+//! | `$space0`, `$length0`, `$space1`, `$length1` | address spaces of two operands, and lengths of their arrays if these are fixed ([`Unroll::uniforms`]) | |
+//!
+//! Lines between `#if broadcast` and `#endif` are left out unless operands are broadcast ([`Sharing`]); those
+//! after an `#else` are left out if they are.
 //!
 //! `StoredQuad` and `StoredPair` are four and two numbers in the storage format of the network's activations
 //! and weights ([`Storage`]).
@@ -51,8 +54,8 @@ pub struct Unroll {
     pub second: usize,
     /// How operands are read whose address is the same in all invocations of a subgroup.
     pub sharing: Sharing,
-    /// Elements of the operand that is bound as a uniform buffer; 0 if it is bound as storage.
-    pub uniform: usize,
+    /// Elements of operands that are bound as uniform buffers; 0 for those bound as storage.
+    pub uniforms: [usize; 2],
     /// Element type of `StoredQuad` and `StoredPair`; taken from the context when a kernel is built.
     pub storage: Storage,
     /// How invocations are numbered; taken from the context when a kernel is built.
@@ -66,7 +69,7 @@ impl From<usize> for Unroll {
             span: 1,
             second: 1,
             sharing: Sharing::Loads,
-            uniform: 0,
+            uniforms: [0; 2],
             storage: Storage::F32,
             order: Order::Natural,
         }
@@ -90,7 +93,7 @@ pub enum Sharing {
 const REPEATING: [&str; 5] = ["$c", "$q", "$x", "$k", "$8"];
 
 /// Lanes over which [`Sharing::Broadcast`] spreads loads: a whole subgroup.
-pub(super) const LANES: usize = 8;
+pub const LANES: usize = 8;
 
 impl Source {
     /// Returns the whole text, unrolled.
@@ -103,8 +106,15 @@ impl Source {
         if stores && unroll.storage == Storage::F16 {
             text.push_str("enable f16; ");
         }
+        let mut included = true;
         for line in self.wgsl.lines() {
-            text.push_str(&self.unrolled_line(line, unroll));
+            match line {
+                "#if broadcast" => included = unroll.sharing == Sharing::Broadcast,
+                "#else" => included = !included,
+                "#endif" => included = true,
+                _ if included => text.push_str(&self.unrolled_line(line, unroll)),
+                _ => (),
+            }
             text.push('\n');
         }
         if stores {
@@ -120,7 +130,7 @@ impl Source {
 
     /// Returns all copies of a line, joined into one line.
     fn unrolled_line(&self, line: &str, unroll: Unroll) -> String {
-        let Unroll { tile, span, second, sharing, uniform, .. } = unroll;
+        let Unroll { tile, span, second, sharing, uniforms, .. } = unroll;
         if line.contains("$k") && line.contains("$8") {
             let of_output = |k: usize| self.unrolled_line(&line.replace("$k", &k.to_string()), unroll);
             return (0..second).map(of_output).collect::<Vec<_>>().join(" ");
@@ -143,11 +153,14 @@ impl Source {
         };
         let line = copies.iter().enumerate().map(numbered).collect::<Vec<_>>().join(" ");
         let line = line.replace("$n", &format!("{tile}u")).replace("$m", &format!("{}u", tile / 4));
-        let (space, length) = match uniform {
-            0 => ("storage, read", String::new()),
-            _ => ("uniform", format!(", {uniform}")),
+        let bound = |line: String, (operand, &elements): (usize, &usize)| {
+            let (space, length) = match elements {
+                0 => ("storage, read", String::new()),
+                _ => ("uniform", format!(", {elements}")),
+            };
+            line.replace(&format!("$space{operand}"), space).replace(&format!("$length{operand}"), &length)
         };
-        let line = line.replace("$space", space).replace("$length", &length);
+        let line = uniforms.iter().enumerate().fold(line, bound);
         line.replace("$t", &format!("{second}u")).replace("$lane", lane)
     }
 
@@ -216,6 +229,21 @@ mod tests {
         assert_eq!(unrolled("c$k;", unroll), "c0; c1;\n");
         assert_eq!(unrolled("$8", unroll), "0 1 2 3 4 5 6 7\n");
         assert_eq!(unrolled("$n $m $t", unroll), "8u 2u 2u\n");
+    }
+
+    #[test]
+    fn sections_belong_to_one_kind_of_sharing() {
+        let wgsl = "a\n#if broadcast\nb$q\n#else\nc\n#endif\nd\n#if broadcast\ne\n#endif";
+        assert_eq!(unrolled(wgsl, 8), "a\n\n\n\nc\n\nd\n\n\n\n");
+        let broadcast = unrolled(wgsl, Unroll { sharing: Sharing::Broadcast, ..8.into() });
+        assert_eq!(broadcast, "a\n\nb0 b1\n\n\n\nd\n\ne\n\n");
+    }
+
+    #[test]
+    fn operands_are_bound_as_uniforms_if_their_length_is_given() {
+        let wgsl = "var<$space0> a: array<vec4f$length0>;\nvar<$space1> b: array<vec4f$length1>;";
+        let text = "var<storage, read> a: array<vec4f>;\nvar<uniform> b: array<vec4f, 3>;\n";
+        assert_eq!(unrolled(wgsl, Unroll { uniforms: [0, 3], ..8.into() }), text);
     }
 
     #[test]

@@ -137,16 +137,16 @@ fn every_kernel_is_valid_wgsl() {
             let (broadcast, half) =
                 (Capabilities::SUBGROUP | Capabilities::SHADER_INT64, Capabilities::SHADER_FLOAT16);
             let variants = [
-                (Sharing::Loads, Storage::F32, 0, Capabilities::empty()),
-                (Sharing::Loads, Storage::F16, 0, half),
-                (Sharing::Broadcast, Storage::F32, 0, broadcast),
-                (Sharing::Broadcast, Storage::F32, 1024, broadcast),
-                (Sharing::Broadcast, Storage::F16, 0, broadcast | half),
+                (Sharing::Loads, Storage::F32, [0, 0], Capabilities::empty()),
+                (Sharing::Loads, Storage::F16, [0, 0], half),
+                (Sharing::Broadcast, Storage::F32, [0, 0], broadcast),
+                (Sharing::Broadcast, Storage::F32, [1024, 160], broadcast),
+                (Sharing::Broadcast, Storage::F16, [0, 160], broadcast | half),
             ];
-            for (sharing, storage, uniform, capabilities) in variants {
+            for (sharing, storage, uniforms, capabilities) in variants {
                 let order = Order::Natural;
                 let (text, module) =
-                    parsed(source, Unroll { tile, span, second: 10, sharing, uniform, storage, order });
+                    parsed(source, Unroll { tile, span, second: 10, sharing, uniforms, storage, order });
                 let mut validator = Validator::new(ValidationFlags::all(), capabilities);
                 validator
                     .subgroup_stages(ShaderStages::COMPUTE)

@@ -2,7 +2,7 @@
 
 use super::Layer;
 use crate::gpu::{
-    Context, Kernel, Schedule, Sharing, Source, Storage, Tensor, Tuning, Unroll, WORKGROUP_INVOCATIONS,
+    Context, Kernel, LANES, Schedule, Sharing, Source, Storage, Tensor, Tuning, Unroll, WORKGROUP_INVOCATIONS,
 };
 use crate::kernels::optim::features::{self, FeatureInputs, Place};
 use crate::kernels::{common, padded, pieces, size};
@@ -97,13 +97,20 @@ impl LayerSize {
         self.lifting.map_or(self.channels + 2 * self.modes_w, |lifting| lifting.hidden)
     }
 
-    /// Returns the number of quads of the weights if they are bound as a uniform buffer, otherwise 0. Where
-    /// loads from storage are expensive, those from uniform buffers are not.
-    fn uniform_quads(&self, context: &Context, tuning: &Tuning) -> usize {
-        let weights = self.channels * self.lifting.map_or(self.channels, |lifting| lifting.hidden);
+    /// Returns the number of quads of the tables: of the inverse rows, which a lifting does not have, and of the
+    /// row transform.
+    fn table_quads(&self, rows: bool) -> usize {
+        2 * self.modes_w * self.row_quads * (usize::from(self.lifting.is_none()) + usize::from(rows))
+    }
+
+    /// Returns the number of quads of the weights and of the tables, 0 for those not bound as uniform buffers.
+    /// Where loads from storage are expensive, those from uniform buffers are not.
+    fn uniform_quads(&self, context: &Context, tuning: &Tuning, epilogue: Epilogue) -> [usize; 2] {
+        let weights = self.channels * self.lifting.map_or(self.channels, |lifting| lifting.hidden) / 4;
+        let weights = if context.storage() == Storage::F32 { weights } else { 0 };
         let most = context.device.limits().max_uniform_buffer_binding_size;
-        let fits = context.storage() == Storage::F32 && 4 * weights as u64 <= most;
-        if fits && tuning.sharing == Sharing::Broadcast { weights / 4 } else { 0 }
+        let fits = |quads: usize| tuning.sharing == Sharing::Broadcast && 16 * quads as u64 <= most;
+        [weights, self.table_quads(epilogue.rows)].map(|quads| if fits(quads) { quads } else { 0 })
     }
 }
 
@@ -131,7 +138,7 @@ impl Group {
         // Subgroups that share operands need rows of whole subgroups, of eight lanes each.
         let lanes = |span: usize| match tuning.sharing {
             Sharing::Loads => layer.row_quads.div_ceil(span),
-            Sharing::Broadcast => layer.row_quads.div_ceil(span).next_multiple_of(8),
+            Sharing::Broadcast => layer.row_quads.div_ceil(span).next_multiple_of(LANES),
         };
         // As many quads per invocation as possible without idling more lanes, and more than one only if each
         // gets the lanes of a subgroup.
@@ -147,6 +154,10 @@ impl Group {
             of_fields.filter(|_| tuning.staged).map_or(0, |lifting| lifting.inputs * span * wide);
         let of_depth = |deep: usize| {
             let kept = match epilogue {
+                _ if epilogue.whole_rows() && tuning.sharing == Sharing::Broadcast => {
+                    let rows = if epilogue.rows { 2 * layer.modes_w } else { 0 };
+                    deep * wide / LANES * (rows + usize::from(epilogue.pool)) * quads
+                }
                 _ if epilogue.whole_rows() => deep * tuning.channels * (layer.row_quads | 1),
                 _ if epilogue.field => span * wide * deep,
                 _ => 1,
@@ -244,11 +255,8 @@ impl Block {
             constants
                 .extend([("EMBEDDED", group.embedded_quads as f64), ("STAGED_QUADS", group.staged as f64)]);
         }
-        // If operands are broadcast, loads are expensive, and a row is read once for all columns. Otherwise
-        // the columns are spread over invocations.
-        let second = if tuning.sharing == Sharing::Broadcast { 2 * layer.modes_w } else { 2 };
-        let uniform = layer.uniform_quads(context, tuning);
-        let unroll = Unroll { span: group.span, second, uniform, ..tuning.unroll(tuning.channels) };
+        let uniforms = layer.uniform_quads(context, tuning, epilogue);
+        let unroll = Unroll { span: group.span, second: 2, uniforms, ..tuning.unroll(tuning.channels) };
         let kernel = Kernel::new(context, &source, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
         let nothing = [nothing()?, nothing()?];
@@ -282,7 +290,6 @@ impl Block {
         let &[samples, h, _, w] = y.shape() else { panic!("block: {:?}", y.shape()) };
         assert_eq!((w / 4, padded(width)), (row_quads, w));
         let (inputs, embedded) = lifting.map_or((channels, 0), |lifting| (lifting.hidden, lifting.inputs));
-        let of_block = usize::from(lifting.is_none());
         match lifting {
             Some(_) => assert_eq!(r.shape(), [inputs, padded(embedded + 1)]),
             None => assert_eq!(r.shape(), [samples, h, columns, channels]),
@@ -300,7 +307,7 @@ impl Block {
                 (bound.to_vec(), fields.sums.shape()[0], place)
             }
         };
-        assert!(tables.len() >= columns * w * (of_block + usize::from(epilogue.rows)));
+        assert!(tables.len() >= 4 * self.layer.table_quads(epilogue.rows));
         assert_eq!(y.shape(), [samples, h, channels, w]);
         assert_eq!(weight.shape(), [channels / self.tile, inputs, self.tile]);
         assert_eq!(bias.len(), if epilogue.field { 2 * channels + 4 } else { channels });
