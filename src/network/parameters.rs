@@ -127,7 +127,7 @@ impl Layout {
         let Config { lifting, channels: c, projection, .. } = self.config;
         let dense = |place: &DensePlace, outputs: usize, inputs: usize| {
             // The only row of a head is a plain vector.
-            let tile = if outputs == 1 { 1 } else { self.tile };
+            let tile = if place.outputs == 1 { 1 } else { self.tile };
             let (first, sizes) = (place.weight, (place.inputs, tile));
             let row = move |o| (0..inputs).map(move |i| first + pointwise::index(o, i, sizes));
             let weight: Vec<usize> = (0..outputs).flat_map(row).collect();
@@ -281,5 +281,15 @@ mod tests {
         assert!(places.last().is_some_and(|&last| last < layout.len()));
         let host: Vec<f32> = (0..places.len()).map(|k| k as f32).collect();
         assert_eq!(layout.to_host(&layout.to_device(&host)), host);
+    }
+
+    /// They used to be laid out like a head, which has one output even with the added ones.
+    #[test]
+    fn layers_of_one_output_are_laid_out_in_tiles() {
+        let config = Config { lifting: 40, channels: 1, ..Default::default() };
+        let places = Layout::new(config, 16).places();
+        let of_first = 40 * (config.fields + 2) + 40;
+        let second = &places[of_first..of_first + 40];
+        assert!(second.windows(2).all(|pair| pair[1] - pair[0] == 16), "{second:?}");
     }
 }

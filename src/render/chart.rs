@@ -120,7 +120,11 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
             let places = part.iter().map(|p| (p[0], p[1]));
             match is_broken(k) {
                 true => plot.draw_series(DashedLineSeries::new(places.clone(), DASH, DASH, style))?,
-                false => plot.draw_series(LineSeries::new(places.clone(), style))?,
+                // Segment by segment: the library extends sharp corners of a path far beyond its points.
+                false => plot.draw_series(
+                    part.windows(2)
+                        .map(|ends| PathElement::new([ends[0], ends[1]].map(|p| (p[0], p[1])), style)),
+                )?,
             };
             if curve.points.len() <= FEW {
                 plot.draw_series(places.map(|at| Circle::new(at, 3, style.filled())))?;

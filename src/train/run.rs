@@ -378,8 +378,11 @@ impl Run {
 
     /// Writes the complete state of this rank; on rank 0 also metrics, weights and plot.
     fn save(&mut self) -> Result<()> {
+        // Metrics first: those after the newest checkpoint are computed again, those before it are not. A
+        // table that cannot be written does not take the checkpoint with it.
+        let flushed = self.flush();
         self.write_checkpoint()?;
-        self.flush()?;
+        flushed?;
         self.write_outputs()
     }
 

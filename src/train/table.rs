@@ -67,6 +67,8 @@ impl Table {
     pub fn rows<'a>(&self, text: &'a str) -> impl Iterator<Item = &'a str> {
         let (titles, count) = (self.columns.join(","), self.columns.len());
         let same = text.lines().next() == Some(&titles);
-        text.lines().skip(1).filter(move |row| same && row.split(',').count() == count)
+        // A number may have been cut off in the last row of a run that was killed.
+        let ended = text.split_inclusive('\n').skip(1).filter_map(|row| row.strip_suffix('\n'));
+        ended.filter(move |row| same && row.split(',').count() == count)
     }
 }

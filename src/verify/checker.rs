@@ -44,7 +44,7 @@ impl Checker<'_> {
 
     /// Loads the weights from another file of the folder.
     pub fn weights(&self, name: &str) -> Result<Weights> {
-        Weights::load(self.folder.join(name).with_extension("safetensors"))
+        Weights::load(self.folder.join(format!("{name}.safetensors")))
     }
 
     /// Compares an array that only some files contain.

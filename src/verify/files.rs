@@ -114,9 +114,7 @@ impl Checker<'_> {
         } else if starts("repulsion_") {
             self.arrays(path, Self::repulsion)
         } else {
-            let known = KINDS.map(|kind| kind.trim_end_matches('_'));
-            let kind = name.split('_').next().unwrap_or_default();
-            let error = Error::unknown("name", "kind of golden file", kind, known);
+            let error = Error::unknown("name", "kind of golden file", name, KINDS);
             self.verdict(&error.to_string(), Outcome::Skipped);
             Ok(())
         }
@@ -263,7 +261,13 @@ impl Checker<'_> {
             Ok(all)
         };
         let before = concatenated("before")?;
-        let steps = (0..).take_while(|k| golden.has(&format!("grad{k}.{}", names[0]))).count();
+        let of_step = |k: usize| {
+            let has = |name: &&str| {
+                golden.has(&format!("grad{k}.{name}")) || golden.has(&format!("after{k}.{name}"))
+            };
+            names.iter().any(has)
+        };
+        let steps = (0..).take_while(|&k| of_step(k)).count();
         if before.is_empty() || steps == 0 {
             let (expected, found) = ("weights, and gradients of a step", format!("{steps} steps"));
             return Err(Error::invalid(self.file, "before.*, grad0.*", expected, found));
