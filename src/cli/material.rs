@@ -5,6 +5,7 @@ use fnopt::eval::Physics;
 use fnopt::scene::Stiffness;
 use fnopt::sim::Material;
 use fnopt::{Error, Result};
+use std::path::Path;
 
 /// The fitted material, as JSON.
 const FITTED: &str = include_str!("../../assets/materials/arcsim.json");
@@ -16,12 +17,13 @@ pub fn fitted() -> Result<Physics> {
 
 /// Reads `--material`: three energy coefficients, or a file.
 pub fn read(text: &str) -> Result<Physics> {
-    if !text.contains(',') && text.parse::<f64>().is_err() {
+    let Some(coefficients) = numbers::<3>(text) else {
+        let numeric = text.contains(',') || text.parse::<f64>().is_ok();
+        if numeric && !Path::new(text).is_file() {
+            return Err(Error::invalid("--material", "coefficients", "three numbers or a file", text));
+        }
         let content = std::fs::read_to_string(text).map_err(|e| Error::io(text, "cannot read", e))?;
         return Physics::parse(&content, text);
-    }
-    let Some(coefficients) = numbers::<3>(text) else {
-        return Err(Error::invalid("--material", "coefficients", "three numbers or a file", text));
     };
     if !coefficients.iter().all(|k| k.is_finite() && *k >= 0.0) {
         return Err(Error::invalid(

@@ -13,6 +13,8 @@ use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
 use fnopt::sim::{Frame, FrameStats, Optimizer};
 use fnopt::{Error, io};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::borrow::Cow;
+use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -103,7 +105,7 @@ impl Args {
             None => Scene::default(),
         };
         if let Some(motion) = &self.motion {
-            scene.motion = Motion::parse(motion, "--motion", Path::new(""))?;
+            scene.motion = Motion::parse(motion, "--motion", &absolute(Path::new(".")))?;
         }
         if let Some(grid) = &self.grid {
             scene.regrid(one_grid(grid)?)?;
@@ -264,11 +266,16 @@ impl<'a> Run<'a> {
             Err(Error::NonFinite { .. }) => Status::NonFinite,
             Err(_) => Status::Failed,
         };
-        let (written, trouble) = self.write(status);
-        match (trouble, &outcome) {
-            (None, _) => {}
-            (Some(late), Ok(())) => return Err(late.into()),
-            (Some(late), Err(_)) => status!("error: {late}"),
+        let (written, mut trouble) = self.write(status);
+        if !trouble.is_empty() && !written.is_empty() {
+            status!("written all the same: {}", names(&written).collect::<Vec<_>>().join(", "));
+        }
+        let returned = if outcome.is_ok() { trouble.pop() } else { None };
+        for error in &trouble {
+            status!("error: {error}");
+        }
+        if let Some(error) = returned {
+            return Err(error.into());
         }
         let last = self.per_frame.len();
         let ending = match outcome {
@@ -320,23 +327,31 @@ impl<'a> Run<'a> {
 
     /// Writes all files, after removing report and replay of an earlier run, which would be taken for this
     /// run's if it ended in between. A file that cannot be written does not keep the others from being
-    /// written. Returns the written files and the first error.
-    fn write(&self, status: Status) -> (Vec<PathBuf>, Option<Error>) {
-        let frames = self.args.format.iter().map(|&format| self.write_frames(format));
-        let pictures = (!self.args.no_pictures).then(|| std::iter::once_with(|| self.write_pictures()));
-        let replay = (status == Status::NonFinite).then(|| std::iter::once_with(|| self.write_replay()));
+    /// written. Returns the written files and the errors.
+    fn write(&self, status: Status) -> (Vec<PathBuf>, Vec<Error>) {
         let removed =
             [self.args.out.join(REPORT), self.args.replay()].iter().try_for_each(|file| io::remove(file));
-        let (mut written, mut trouble) = (Vec::new(), removed.err());
-        let mut note = |result, written: &mut Vec<PathBuf>| match result {
-            Ok(paths) => written.extend::<Vec<PathBuf>>(paths),
-            Err(error) => trouble = trouble.take().or(Some(error)),
+        let (mut written, mut trouble) = (Vec::new(), Vec::from_iter(removed.err()));
+        let mut note = |result: fnopt::Result<Vec<PathBuf>>| match result {
+            Ok(paths) => written.extend(paths),
+            Err(error) => trouble.push(error),
         };
-        let all = frames.chain(pictures.into_iter().flatten()).chain(replay.into_iter().flatten());
-        all.for_each(|result| note(result, &mut written));
+        let formats: BTreeSet<Format> = self.args.format.iter().copied().collect();
+        formats.into_iter().for_each(|format| note(self.write_frames(format)));
+        if !self.args.no_pictures {
+            note(self.write_picture());
+            note(self.write_animation());
+        }
+        if status == Status::NonFinite {
+            note(self.write_replay());
+        }
         // The report goes last and lists the files of this run, because files of an earlier run may be left
         // over.
-        note(self.write_report(status, &written), &mut written);
+        let status = if status == Status::Done && !trouble.is_empty() { Status::Failed } else { status };
+        match self.write_report(status, &written) {
+            Ok(report) => written.push(report),
+            Err(error) => trouble.push(error),
+        }
         (written, trouble)
     }
 
@@ -351,22 +366,32 @@ impl<'a> Run<'a> {
         Ok(written)
     }
 
-    fn write_report(&self, status: Status, written: &[PathBuf]) -> fnopt::Result<Vec<PathBuf>> {
+    fn write_report(&self, status: Status, written: &[PathBuf]) -> fnopt::Result<PathBuf> {
         let path = self.args.out.join(REPORT);
         write_atomic(&path, |file| writeln!(file, "{:#}", self.report(status, written)))?;
+        Ok(path)
+    }
+
+    fn write_picture(&self) -> fnopt::Result<Vec<PathBuf>> {
+        let path = self.args.out.join(format!("{NAME}.png"));
+        let options = StripOptions { view: self.view(), ..Default::default() };
+        write_png(&path, &strip(&self.trajectory, self.handles(), &options))?;
         Ok(vec![path])
     }
 
-    fn write_pictures(&self) -> fnopt::Result<Vec<PathBuf>> {
-        let (out, handles) = (&self.args.out, &self.setup.model.cloths[0].handles);
-        let up = self.setup.up.down(-1.0).map(|c| c as f32);
-        let view = View { up, ..Default::default() };
-        let picture = out.join(format!("{NAME}.png"));
-        let image = strip(&self.trajectory, handles, &StripOptions { view, ..Default::default() });
-        write_png(&picture, &image)?;
-        let animation = out.join(format!("{NAME}.gif"));
-        write_gif(&animation, &self.trajectory, handles, &GifOptions { view, ..Default::default() })?;
-        Ok(vec![picture, animation])
+    fn write_animation(&self) -> fnopt::Result<Vec<PathBuf>> {
+        let path = self.args.out.join(format!("{NAME}.gif"));
+        let options = GifOptions { view: self.view(), ..Default::default() };
+        write_gif(&path, &self.trajectory, self.handles(), &options)?;
+        Ok(vec![path])
+    }
+
+    fn view(&self) -> View {
+        View { up: self.setup.up.down(-1.0).map(|c| c as f32), ..Default::default() }
+    }
+
+    fn handles(&self) -> &[usize] {
+        &self.setup.model.cloths[0].handles
     }
 
     fn report(&self, status: Status, written: &[PathBuf]) -> serde_json::Value {
@@ -381,7 +406,7 @@ impl<'a> Run<'a> {
                 "scene": self.scene.to_json(),
                 "solver": self.optimizer.name(),
                 "iterations": self.args.solver.iterations(),
-                "checkpoint": checkpoint.as_ref().map(|path| path.display().to_string()),
+                "checkpoint": checkpoint.as_deref().map(absolute).map(|path| path.display().to_string()),
                 "precision": self.args.device.precision,
             },
             "weights_crc32": checksum,
@@ -389,8 +414,7 @@ impl<'a> Run<'a> {
             "status": status,
             "sound": self.is_sound(),
             "stretch_largest_free": self.largest_free_stretch,
-            "files": written.iter().filter_map(|path| path.file_name()).chain([REPORT.as_ref()])
-                .map(|name| name.to_string_lossy()).collect::<Vec<_>>(),
+            "files": names(written).chain([REPORT.into()]).collect::<Vec<_>>(),
             "frames": self.trajectory.frames(),
             "ms_per_frame": self.ms_per_frame(),
             "per_frame": self.per_frame,
@@ -426,6 +450,16 @@ impl<'a> Run<'a> {
         }
         Ok(())
     }
+}
+
+/// Returns a path that is valid wherever the report is read.
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+/// Returns the names of files without their folders.
+fn names(files: &[PathBuf]) -> impl Iterator<Item = Cow<'_, str>> {
+    files.iter().filter_map(|path| path.file_name()).map(|name| name.to_string_lossy())
 }
 
 #[cfg(test)]

@@ -127,7 +127,10 @@ impl Sequence {
         let checksum = checksum(std::iter::once(&path).chain(files))?;
         let (truth, mesh, handles) = match obj {
             None => {
-                let truth = Trajectory::read(&path, &ReadOptions { grid: meta.grid, fps: meta.fps })?;
+                let truth = Trajectory::read(
+                    &path,
+                    &ReadOptions { grid: meta.grid, likely_grid: None, fps: meta.fps },
+                )?;
                 let handles = match &meta.handle_vertices {
                     Some(vertices) => Handles::Vertices(vertices.clone()),
                     None => Handles::Placement(Placement::Corners),
@@ -209,11 +212,8 @@ impl Sequence {
                 return Ok(found);
             }
         }
-        let derived = || Trajectory::read_as_it_is(path, &ReadOptions { grid: None, fps });
-        let own = || Trajectory::read_as_it_is(path, &ReadOptions { grid: Some(self.grid()), fps });
-        // Without faces, a trajectory with as many vertices as the truth is taken to be on its grid, even if a
-        // square one would fit.
-        own().or_else(|error| derived().map_err(|_| error))
+        let options = ReadOptions { grid: None, likely_grid: Some(self.grid()), fps };
+        Trajectory::read_as_it_is(path, &options)
     }
 
     /// Returns a trajectory on a grid: unchanged, or resampled to the truth's grid if its vertices are those

@@ -99,7 +99,7 @@ impl<R: Read> Array<R> {
             _ => {
                 return Err(bad(
                     "dtype",
-                    "'<f2', '<f4', '<f8', '<i4', '<i8', '<u4' or '<u8'",
+                    "little-endian numbers such as '<f4' or '<f8'",
                     &format!("'{descr}'"),
                 ));
             }

@@ -43,9 +43,17 @@ impl<T: Float + FromStr> Polygons<T> {
         let mut found = Self { origin: origin.to_owned(), positions: Vec::new(), faces: Vec::new() };
         // Some programs write a byte-order mark.
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        let mut continued = Vec::new();
         for (k, line) in bytes.split(|&b| b == b'\n').enumerate() {
+            // A backslash at the end of a line joins it to the next one.
+            let line = line.strip_suffix(b"\r").unwrap_or(line);
+            let line = [std::mem::take(&mut continued), line.to_vec()].concat();
+            if let Some(begin) = line.strip_suffix(b"\\").filter(|begin| !begin.contains(&b'#')) {
+                continued = [begin, b" "].concat();
+                continue;
+            }
             // Comments and material names may be in any encoding; everything else is ASCII.
-            let line = String::from_utf8_lossy(line);
+            let line = String::from_utf8_lossy(&line);
             let line = line.split('#').next().unwrap_or_default();
             let mut words = line.split_ascii_whitespace();
             let (understood, expected) = match words.next() {
@@ -142,6 +150,15 @@ mod tests {
         let mesh = parse(text, "m.obj").unwrap();
         assert_eq!(mesh.positions.len(), 4);
         assert_eq!(mesh.faces, [[3, 2, 1], [3, 1, 0], [3, 2, 1]]);
+    }
+
+    #[test]
+    fn a_backslash_continues_a_line() {
+        let text = b"# c:\\meshes\\\nv 0 0 0\nv 1 \\\r\n0 \\\n0\nv 1 1 0\nf 1 2\\\n 3\nf 1 2 x";
+        let error = parse(text, "m.obj").unwrap_err().to_string();
+        assert!(error.starts_with("m.obj: line 9: "), "{error}");
+        let mesh = parse(&text[..text.len() - 8], "m.obj").unwrap();
+        assert_eq!((mesh.positions[1], mesh.faces), ([1.0, 0.0, 0.0], vec![[0, 1, 2]]));
     }
 
     #[test]

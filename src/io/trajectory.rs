@@ -22,16 +22,18 @@ pub struct Trajectory {
 /// Properties of a trajectory that a file may lack.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ReadOptions {
-    /// The grid. If `None`, it is derived from the faces in the file; if they do not determine one, it must
-    /// be square.
+    /// The grid. If `None`, it is the one that the faces in the file determine.
     pub grid: Option<Grid>,
+    /// The grid of a file that has as many vertices and whose faces do not determine one. With other numbers
+    /// of vertices, or if `None`, it must be square.
+    pub likely_grid: Option<Grid>,
     /// Frames per second [1/s] if the file does not specify them.
     pub fps: f64,
 }
 
 impl Default for ReadOptions {
     fn default() -> Self {
-        Self { grid: None, fps: 60.0 }
+        Self { grid: None, likely_grid: None, fps: 60.0 }
     }
 }
 
@@ -181,7 +183,7 @@ impl Trajectory {
     pub(crate) fn read_vertices(path: &Path, fps: f64) -> Result<Self> {
         let parts = Parts { faces: Vec::new(), ..read_parts(path)? };
         let grid = parts.shape.get(1).map(|&vertices| Grid { h: 1, w: vertices });
-        Self::from_parts(parts, &ReadOptions { grid, fps }, &path.display().to_string())
+        Self::from_parts(parts, &ReadOptions { grid, likely_grid: None, fps }, &path.display().to_string())
     }
 
     fn from_parts(parts: Parts, options: &ReadOptions, origin: &str) -> Result<Self> {
@@ -209,9 +211,14 @@ impl Trajectory {
             let (expected, found) = (format!("those of {given}"), format!("those of {of_faces}"));
             return Err(Error::invalid(origin, "faces", expected, found));
         }
-        let grid = options.grid.or(of_faces).or(square);
+        let likely = options.likely_grid.filter(|grid| grid.particles() == vertices);
+        let grid = options.grid.or(of_faces).or(likely).or(square);
         let Some(grid) = grid.filter(|g| g.particles() == vertices) else {
-            let expected = options.grid.map_or("those of a square grid".into(), |g| format!("those of {g}"));
+            let expected = match (options.grid, options.likely_grid) {
+                (Some(grid), _) => format!("those of {grid}"),
+                (None, Some(grid)) => format!("those of {grid} or of a square grid"),
+                (None, None) => "those of a square grid".into(),
+            };
             return Err(Error::invalid(origin, "vertices", expected, vertices));
         };
         let mut trajectory = Self::new(grid, parts.fps.unwrap_or(options.fps));

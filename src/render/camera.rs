@@ -31,8 +31,36 @@ const OBLIQUE: f32 = 38.0;
 /// Angle of the eye above the horizon for a cloth that hangs, and the amount added for a cloth that lies
 /// \[degrees\].
 const ELEVATION: [f32; 2] = [14.0, 18.0];
-/// Coordinates beyond this \[m\] mean that the cloth has exploded; they are treated like non-finite ones.
+/// Coordinates beyond this \[sizes of the cloth\] mean that the cloth has exploded; they are treated like
+/// non-finite ones.
 const FAR: f32 = 1e4;
+
+/// The unit in which a trajectory is drawn: the cloth of its first frame is around the origin, and its largest
+/// extent is 1. Pictures therefore do not depend on where a cloth is and how large.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Unit {
+    /// Centre of the first frame \[m\].
+    centre: Vec3,
+    /// Largest extent of the first frame along an axis \[m\].
+    size: f32,
+}
+
+impl Unit {
+    /// Returns the unit of a trajectory that begins with these positions \[m\].
+    pub fn new(first: &[[f32; 3]]) -> Self {
+        let finite = || first.iter().map(|&p| Vec3::from(p)).filter(|p| p.is_finite());
+        let Some(any) = finite().next() else { return Self { centre: Vec3::ZERO, size: 1.0 } };
+        let (low, high) = finite().fold((any, any), |(low, high), p| (low.min(p), high.max(p)));
+        let size = (high - low).max_element();
+        // A single point has no size.
+        Self { centre: (low + high) / 2.0, size: if size > 0.0 { size } else { 1.0 } }
+    }
+
+    /// Converts positions \[m\].
+    pub fn of(&self, positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
+        positions.iter().map(|&p| ((Vec3::from(p) - self.centre) / self.size).to_array()).collect()
+    }
+}
 
 /// Whether a vertex can be drawn.
 pub(super) fn usable(p: &[f32; 3]) -> bool {
@@ -54,7 +82,7 @@ pub(super) fn range(values: impl Iterator<Item = f32>) -> (f32, f32) {
 pub(super) struct Camera {
     /// Rotation from the world to the camera's axes.
     pub rotation: Mat3,
-    /// Position of the eye along the camera's axes \[m\].
+    /// Position of the eye along the camera's axes.
     eye: Vec3,
     /// Pixels per unit of tangent.
     pub focal: f32,
@@ -63,7 +91,7 @@ pub(super) struct Camera {
 }
 
 impl Camera {
-    /// Returns the picture coordinates of a point \[px\], y down, and its distance in front of the eye \[m\].
+    /// Returns the picture coordinates of a point \[px\], y down, and its distance in front of the eye.
     pub fn project(&self, p: Vec3) -> Vec3 {
         let q = self.rotation * p - self.eye;
         let scale = self.focal / -q.z;
@@ -91,7 +119,7 @@ impl Camera {
         let middle = bounds.map(|[low, high]| (high - low) / 2.0);
         let distance = [0, 1].map(|axis| (bounds[axis][0] + bounds[axis][1]) / (2.0 * tangents[axis]));
         let nearest = points.iter().map(|&p| (rotation * p).z).fold(f32::MIN, f32::max);
-        // At least a centimetre from the nearest point, for a cloth that is a single point.
+        // Not at the nearest point, for a cloth that is a single point.
         let z = distance[0].max(distance[1]).max(nearest + 0.01);
         Self {
             rotation,

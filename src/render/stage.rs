@@ -2,7 +2,7 @@
 
 use super::{
     Image, View,
-    camera::{Camera, place, range, usable},
+    camera::{Camera, Unit, place, range, usable},
     look::Look,
     shade::{self, Lights},
     shadow::{self, Shadow},
@@ -34,8 +34,10 @@ pub(super) struct Stage {
     pub handles: Vec<usize>,
     pub camera: Camera,
     pub lights: Lights,
+    /// The unit of all that is drawn.
+    unit: Unit,
     up: Vec3,
-    /// Height of the floor \[m\].
+    /// Height of the floor.
     floor: f32,
 }
 
@@ -60,9 +62,11 @@ impl Stage {
         assert!(handles.iter().all(|&h| h < grid.particles()), "handles are particles of the grid");
         let faces = grid.faces();
         let up = view.up();
-        let frames = (0..trajectory.frames()).map(|f| trajectory.frame(f));
-        let all = frames.clone().flatten().filter(|p| usable(p));
-        let (low, high) = range(all.clone().map(|&p| up.dot(Vec3::from(p))));
+        let first: &[[f32; 3]] = if trajectory.frames() > 0 { trajectory.frame(0) } else { &[] };
+        let unit = Unit::new(first);
+        let frames = (0..trajectory.frames()).map(|f| unit.of(trajectory.frame(f)));
+        let all = frames.flatten().filter(usable);
+        let (low, high) = range(all.clone().map(|p| up.dot(Vec3::from(p))));
         let floor = low - FLOOR * (high - low);
         let on_floor = |p: Vec3| p + up * (floor - up.dot(p));
         // A part of a long or fine trajectory suffices: the points left out lie within the margin around the
@@ -72,11 +76,10 @@ impl Stage {
         while common_factor(stride, grid.particles()) > 1 {
             stride += 2;
         }
-        let points: Vec<Vec3> =
-            all.step_by(stride).map(|&p| Vec3::from(p)).flat_map(|p| [p, on_floor(p)]).collect();
+        let points: Vec<Vec3> = all.step_by(stride).map(Vec3::from).flat_map(|p| [p, on_floor(p)]).collect();
 
-        let first = frames.into_iter().next().map_or(Vec::new(), |f| vertex_normals(f, &faces));
-        let rotation = view.rotation(&first, &points);
+        let normals = if first.is_empty() { Vec::new() } else { vertex_normals(&unit.of(first), &faces) };
+        let rotation = view.rotation(&normals, &points);
         let size = match size {
             Size::Fixed(width, height) => [width, height],
             Size::Height(height) => {
@@ -89,9 +92,9 @@ impl Stage {
             }
         };
         let camera = Camera::fit(rotation, &points, size.map(|n| n * samples));
-        let facing: Vec3 = first.iter().map(|&n| Vec3::from(n)).sum();
+        let facing: Vec3 = normals.iter().map(|&n| Vec3::from(n)).sum();
         let lights = Lights::new(rotation * up, rotation * facing);
-        Self { size, samples, grid, faces, handles: handles.to_vec(), camera, lights, up, floor }
+        Self { size, samples, grid, faces, handles: handles.to_vec(), camera, lights, unit, up, floor }
     }
 
     /// Returns the same stage for a cloth on another grid, without markers.
@@ -114,6 +117,7 @@ impl Stage {
     pub fn draw_heat(&self, positions: &[[f32; 3]], heat: &[f32]) -> Image {
         let [width, height] = self.size;
         let n = self.samples;
+        let positions = &self.unit.of(positions)[..];
         let projected: Vec<Vec3> = positions.iter().map(|p| self.camera.project(place(p))).collect();
         let mut buffer = DepthBuffer::new(width * n, height * n);
         for (k, face) in self.faces.iter().enumerate() {
@@ -196,6 +200,19 @@ mod tests {
         for &p in &positions {
             let at = stage.camera.project(Vec3::from(p));
             assert!((0.0..200.0).contains(&at.x) && (0.0..160.0).contains(&at.y), "{p:?} is drawn at {at}");
+        }
+    }
+
+    /// Far from the origin, or a millimetre in size, cloths used to be drawn in part or not at all.
+    #[test]
+    fn pictures_do_not_depend_on_place_and_size() {
+        let grid = Grid { h: 9, w: 9 };
+        let positions = sheet(grid);
+        let image = stage(&positions, grid, 30.0).draw(&positions);
+        for (scale, shift) in [(1.0 / 1024.0, 0.5), (16.0, 65536.0), (65536.0, 0.0)] {
+            let moved: Vec<_> = positions.iter().map(|p| p.map(|x| scale * x + shift)).collect();
+            let other = stage(&moved, grid, 30.0).draw(&moved);
+            assert!(other.pixels == image.pixels, "{scale} and {shift}");
         }
     }
 

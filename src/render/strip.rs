@@ -32,6 +32,9 @@ pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions)
     assert!(options.panels > 0 && options.height > 0, "a strip has panels and a height");
     let stage = Stage::new(trajectory, handles, &options.view, Size::Height(options.height), 3);
     let count = options.panels.min(trajectory.frames()).max(1);
+    // As many decimals as it takes to tell the panels apart.
+    let step = trajectory.frames() as f64 / trajectory.fps() / count as f64;
+    let decimals = (-step.log10()).ceil().clamp(2.0, 9.0) as usize;
     let draw = |panel: usize| {
         let last = trajectory.frames().saturating_sub(1);
         let frame = (panel * last + (count - 1) / 2).checked_div(count - 1).unwrap_or(0);
@@ -40,7 +43,7 @@ pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions)
         }
         let mut image = stage.draw(trajectory.frame(frame));
         let height = (options.height as f32 / 20.0).max(12.0);
-        let caption = format!("{:.2} s", frame as f64 / trajectory.fps());
+        let caption = format!("{:.decimals$} s", frame as f64 / trajectory.fps());
         text::write(&mut image, &caption, [0.7 * height, options.height as f32 - 1.6 * height], height);
         image
     };

@@ -3,7 +3,7 @@
 use super::file::read_gravity;
 use super::obj::Mesh;
 use super::start::read_transform;
-use super::{Handles, Motion, Scene, Side, Start, StartFile, UpAxis};
+use super::{Handles, Motion, Scene, Side, Start, StartFile, UpAxis, file};
 use crate::Result;
 use crate::io::Node;
 use crate::sim::Grid;
@@ -38,6 +38,10 @@ pub(super) fn recognise(document: &Value) -> bool {
 /// Reads one of the authors' scenes; see the documentation of [`super`].
 pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
     node.no_misspelling(&FIELDS)?;
+    let ours = |key: &&String| file::FIELDS.contains(&key.as_str()) && !FIELDS.contains(&key.as_str());
+    for key in node.value.as_object().into_iter().flat_map(|object| object.keys().filter(ours)) {
+        tracing::warn!("{}: {key}: ignored: a scene with a mesh_file is in the authors' format", node.origin);
+    }
     let file = node.get("mesh_file").ok_or_else(|| node.invalid("a field mesh_file"))?;
     let path = find(node, folder, file.text()?)?;
     let (mut grid, swapped) = resolution(node)?;

@@ -13,7 +13,7 @@ use std::io::Write;
 use std::path::Path;
 
 /// The fields of a scene file.
-const FIELDS: [&str; 15] = [
+pub(super) const FIELDS: [&str; 15] = [
     "grid",
     "side_m",
     "mass_kg",

@@ -332,10 +332,15 @@ impl Scene {
         if let Side::Both([_, given]) = self.side_m {
             self.positive("side_m", given)?;
             if (given - width).abs() > SQUARE * width {
-                let fitting = (given / length_m).round().clamp(7.0, 4095.0) + 1.0;
+                let fits = |h: usize| {
+                    let w = (given / height * (h - 1) as f64).round().clamp(7.0, 4095.0) as usize + 1;
+                    let found = Grid { h, w };
+                    ((given / height - found.aspect()).abs() <= SQUARE * found.aspect()).then_some(found)
+                };
+                let fitting = (grid.h..=2 * grid.h).find_map(fits);
+                let other = fitting.map_or(String::new(), |grid| format!(", or a {grid} grid"));
                 let expected = format!(
-                    "a width of {width:.6} m, for square cells on a {grid} grid {height} m high, or a {}x{fitting} grid",
-                    grid.h
+                    "a width of {width:.6} m, for square cells on a {grid} grid {height} m high{other}"
                 );
                 return Err(Error::invalid(&self.origin, "side_m", expected, format!("{given} m")));
             }

@@ -3,7 +3,7 @@
 //! All built-in motions share one timing: 0.5 s of rest, three moves of 1 s each over 1 m (there, back and
 //! there again) with `s(t) = (1 - cos(pi t)) / 2`, then 3 s of rest. Axes are y up, in metres.
 
-use super::points;
+use super::{points, start::looks_like_a_path};
 use crate::{Error, Result, io};
 use ndarray::{ArrayD, Ix3};
 use std::f64::consts::PI;
@@ -138,6 +138,8 @@ impl Motion {
             Ok(Motion::File(folder.join(text)))
         } else if let Some(built_in) = BuiltIn::named(text) {
             Ok(Motion::BuiltIn(built_in))
+        } else if looks_like_a_path(text) {
+            Err(Error::invalid(origin, "motion", "the name of a built-in motion or an .npy file", text))
         } else {
             let names = BuiltIn::names();
             let known = names.iter().map(String::as_str).chain([STILL]);

@@ -419,9 +419,7 @@ impl Scene {
         // A recording has a row for each handle.
         let recorded = matches!(self.motion, Motion::File(_) | Motion::Rows(_));
         self.handles = Handles::regrid(&self.handles, old, grid, !recorded);
-        if let super::Start::File(file) = &mut self.start
-            && !file.is_trajectory()
-        {
+        if let super::Start::File(file) = &mut self.start {
             file.grid.get_or_insert(old);
         }
         self.grid = grid;

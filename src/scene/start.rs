@@ -19,8 +19,8 @@ pub struct StartFile {
     /// trajectory whose first frame is used, [frames, H W, 3]; or the `.npz` of a rollout, whose last frame
     /// is used with its velocities. Positions are in the scene's axes \[m\].
     pub path: PathBuf,
-    /// The grid of the file. `None` means the scene's grid, or for a `.npz` the grid given by its faces. If
-    /// the grid of the file differs from the scene's, the sheet is resampled.
+    /// The grid of the file, unless it is a `.npz` whose faces determine another. `None` means the scene's
+    /// grid. If the grid of the file differs from the scene's, the sheet is resampled.
     pub grid: Option<Grid>,
     /// Transform applied to the file's positions.
     pub transform: Option<Transform>,
@@ -46,6 +46,11 @@ pub enum Start {
 /// Names of the start states that need no file.
 const NAMES: [&str; 3] = ["settled", "flat", "hanging"];
 
+/// Whether a text is more likely the path of a file than the misspelt name of something built in.
+pub(super) fn looks_like_a_path(text: &str) -> bool {
+    text.contains(['.', '/', '\\'])
+}
+
 fn is_file(text: &str) -> bool {
     let text = text.to_ascii_lowercase();
     [".obj", ".npy", ".npz"].iter().any(|ending| text.ends_with(ending))
@@ -62,10 +67,11 @@ impl Start {
             _ if is_file(text) => {
                 Ok(Start::File(StartFile { path: folder.join(text), grid: None, transform: None }))
             }
-            _ => {
-                let known = NAMES.iter().copied().chain(["FILE.obj", "FILE.npy", "FILE.npz"]);
-                Err(Error::unknown(origin, "start state", text, known))
+            _ if looks_like_a_path(text) => {
+                let expected = format!("{} or an .obj, .npy or .npz file", NAMES.join(", "));
+                Err(Error::invalid(origin, "start", expected, text))
             }
+            _ => Err(Error::unknown(origin, "start state", text, NAMES)),
         }
     }
 
@@ -122,9 +128,11 @@ impl StartFile {
     /// Reads the sheet on the grid of the file, before the transform, and its velocities [m/s] if the file
     /// has them.
     fn read(&self, scene_grid: Grid) -> Result<(Sheet, Option<Sheet>)> {
-        if self.is_trajectory() {
-            let trajectory =
-                Trajectory::read(&self.path, &ReadOptions { grid: self.grid, ..Default::default() })?;
+        let grid = self.grid.unwrap_or(scene_grid);
+        // A trajectory may have a grid and velocities of its own.
+        if self.path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz")) {
+            let options = ReadOptions { likely_grid: Some(grid), ..Default::default() };
+            let trajectory = Trajectory::read(&self.path, &options)?;
             let Grid { h, w } = trajectory.grid();
             let grid = Grid::new(h, w, &self.path.display().to_string())?;
             let last = trajectory.frames() - 1;
@@ -134,7 +142,6 @@ impl StartFile {
             };
             return Ok((sheet(trajectory.frame(last)), Some(sheet(trajectory.frame_velocities(last)))));
         }
-        let grid = self.grid.unwrap_or(scene_grid);
         let origin = self.path.display().to_string();
         let points = match self.path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase) {
             Some(e) if e == "obj" => {
@@ -164,11 +171,6 @@ impl StartFile {
             }
         };
         Ok((Sheet { grid, points }, None))
-    }
-
-    /// Whether the file is a `.npz` trajectory, which has its own grid and velocities.
-    pub(super) fn is_trajectory(&self) -> bool {
-        self.path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npz"))
     }
 
     /// Applies the transform to a position (`weight` 1) or a velocity (`weight` 0).

@@ -250,6 +250,33 @@ fn a_run_continues_where_another_ended() {
     assert!(falls && finer.start.x.len() == 3 * 23 * 33);
 }
 
+/// Without faces, vertices are those of the scene's grid, before it is changed, even if a square one has as
+/// many.
+#[test]
+fn a_trajectory_without_faces_is_on_the_grid_of_its_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cloth.npz");
+    let grid = Grid { h: 16, w: 9 };
+    let scene = |start: String| {
+        let start = start.replace('\\', "/");
+        parse(&format!(r#"{{"grid": [16, 9], "motion": "none", "start": {start}}}"#)).unwrap()
+    };
+    let flat = scene("\"flat\"".into()).setup().unwrap();
+    let points: Vec<f64> = flat.vertices_m(&flat.start.x).into_iter().flatten().collect();
+    let points = ndarray::Array3::from_shape_vec((1, grid.particles(), 3), points).unwrap();
+    let mut file = ndarray_npy::NpzWriter::new(std::fs::File::create(&path).unwrap());
+    file.add_array("vertices_seq", &points).unwrap();
+    file.finish().unwrap();
+    let mut read = scene(format!("{:?}", path.display().to_string()));
+    let near = |a: &[f64], b: &[f64]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
+    assert!(near(&read.setup().unwrap().start.x, &flat.start.x));
+    let finer = Grid { h: 31, w: 17 };
+    read.regrid(finer).unwrap();
+    let mut expected = scene("\"flat\"".into());
+    expected.regrid(finer).unwrap();
+    assert!(near(&read.setup().unwrap().start.x, &expected.setup().unwrap().start.x));
+}
+
 /// Positions and velocities in SI units convert to grid units and back.
 #[test]
 fn metres_go_into_a_control_and_come_back() {

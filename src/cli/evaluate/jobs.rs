@@ -280,7 +280,7 @@ impl Kept {
         let read = || {
             let (h, w) = score.grid.split_once('x')?;
             let grid = Some(Grid::new(h.parse().ok()?, w.parse().ok()?, "grid").ok()?);
-            let options = ReadOptions { grid, fps: 1.0 };
+            let options = ReadOptions { grid, fps: 1.0, ..ReadOptions::default() };
             let frames = Trajectory::read(file.with_extension("npy"), &options).ok()?;
             (frames.frames() == SNAPSHOTS).then_some(frames)
         };
