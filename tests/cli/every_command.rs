@@ -210,7 +210,7 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
     let some = fnopt(folder.path(), &["verify", ".", "--device", "cpu"]);
     assert_eq!(some.status.code(), Some(0), "{}", text(&some.stdout));
     let said = text(&some.stdout);
-    assert!(said.contains("unknown kind of golden file 'enrgy' (did you mean energy"), "{said}");
+    assert!(said.contains("unknown kind of golden file 'enrgy_small' (did you mean energy_"), "{said}");
 
     // Among all golden files, each of these stages has checks that pass.
     let all = fnopt(folder.path(), &["verify", golden.to_str().unwrap(), "--device", "cpu"]);
