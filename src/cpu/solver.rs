@@ -42,7 +42,7 @@ impl<T: Real> Solver<T> {
     }
 
     /// Replaces materials, gravity, air, repulsion and handles of the cloths, from the next frame on. The
-    /// learned optimizer and Adam keep their state.
+    /// learned optimizer keeps its state.
     ///
     /// Returns an error, and changes nothing, if the number of cloths differs, if they do not form a valid
     /// model ([`Model::check`]), or if one has a repulsion and the optimizer is Newton's method.

@@ -145,8 +145,8 @@ impl Fit<'_> {
     ) -> Result<()> {
         let free: Vec<usize> = (0..6).filter(|&k| self.ranges[k][0] < self.ranges[k][1]).collect();
         let count = self.levels.checked_pow(free.len() as u32).filter(|&count| count <= MOST_POINTS);
-        if count.is_none() {
-            let expected = format!("at most {MOST_POINTS} points in the coarse grid");
+        if count.is_none() || self.levels < 2 {
+            let expected = format!("at least 2, and at most {MOST_POINTS} points in the coarse grid");
             let found = format!("{} of each of {} parameters", self.levels, free.len());
             return Err(Error::invalid("fit", "levels", expected, found));
         }

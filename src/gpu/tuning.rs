@@ -1,6 +1,6 @@
 //! Sizes that suit an adapter: a table of good ones, and those measured on the adapter itself.
 
-use super::{AdapterKind, CACHE_FOLDER, Context, Sharing, Unroll, WORKGROUP_INVOCATIONS};
+use super::{AdapterKind, CACHE_FOLDER, Context, LANES, Sharing, Unroll, WORKGROUP_INVOCATIONS};
 use crate::{Error, Result, io};
 use std::io::Write;
 use std::path::PathBuf;
@@ -151,8 +151,9 @@ impl Tuning {
 
     /// Whether the kernels can be built with it on the adapter.
     pub fn works(&self, context: &Context) -> bool {
-        // A subgroup that shares operands must lie within one row of a workgroup, with staging as well.
-        let in_rows = self.sharing == Sharing::Loads || self.block_wide.is_multiple_of(8);
+        // Operands are shared by whole subgroups, each within one row of a workgroup, with staging as well.
+        let whole = [self.block_wide, self.pointwise_group].iter().all(|n| n.is_multiple_of(LANES as u32));
+        let in_rows = self.sharing == Sharing::Loads || whole;
         let shared = in_rows && [Sharing::Loads, context.sharing()].contains(&self.sharing);
         let tile = TILES.contains(&self.channels);
         let fits = |n: u32| (1..=WORKGROUP_INVOCATIONS).contains(&n);

@@ -87,7 +87,8 @@ impl Grid {
             let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1));
             [[a, b, c], [a, c, d]]
         };
-        (0..self.h - 1).flat_map(move |i| (0..self.w - 1).flat_map(move |j| cell(i, j)))
+        (0..self.h.saturating_sub(1))
+            .flat_map(move |i| (0..self.w.saturating_sub(1)).flat_map(move |j| cell(i, j)))
     }
 }
 

@@ -1,8 +1,8 @@
 //! The search for an adapter's fastest tile sizes.
 
 use super::{Model, Optimizer, Solver, SolverOptions, State};
-use crate::Result;
 use crate::gpu::{Context, Tuning};
+use crate::{Error, Result};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -59,7 +59,12 @@ pub fn tune(
             if flow.is_break() {
                 return Ok(table);
             }
-            let tried = solver(tuning)?;
+            let tried = match solver(tuning) {
+                Ok(tried) => tried,
+                // Too much for the device; the others may do.
+                Err(Error::Device(_)) => continue,
+                Err(error) => return Err(error),
+            };
             // Skip activation limits that lead to as many passes here: chance would choose between them, and
             // other batches would bear the consequences.
             let same_passes = tried.schedule().dispatches() == dispatches;

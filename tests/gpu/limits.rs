@@ -4,7 +4,7 @@ use crate::common::{assert_close, context, device, narrow, read, run, sharings, 
 use crate::forward::random;
 use crate::solver::{assert_same, solver, solver_with, starter, statistics, step, varied_batch};
 use fnopt::cpu;
-use fnopt::gpu::{Tensor, Tuning};
+use fnopt::gpu::{Sharing, Tensor, Tuning};
 use fnopt::kernels::optim::{GradientDescent, Iterate};
 use fnopt::network::Config;
 use fnopt::sim::{
@@ -152,7 +152,19 @@ fn unsupported_models_and_options_are_refused() {
     assert!(error.contains("the device takes 65535 along an axis"), "{error}");
 
     let own = Tuning::table(context());
-    for tuning in [Tuning { channels: 6, ..own }, Tuning { spectral_teams: 0, ..own }] {
+    let shared = Tuning { sharing: context().sharing(), ..own };
+    let mut refused_tunings = vec![
+        Tuning { channels: 6, ..own },
+        Tuning { spectral_teams: 0, ..own },
+        Tuning { block_deep: 17, ..own },
+        Tuning { pointwise_group: 257, ..own },
+    ];
+    // Parts of a subgroup cannot share operands.
+    if shared.sharing == Sharing::Broadcast {
+        refused_tunings
+            .extend([Tuning { block_wide: 12, ..shared }, Tuning { pointwise_group: 12, ..shared }]);
+    }
+    for tuning in refused_tunings {
         let learned = Optimizer::Learned(starter().clone());
         let error = refused(&model(grid, 1), &learned, &SolverOptions { tuning: Some(tuning), ..default });
         assert!(error.contains("options: tuning: expected tile sizes"), "{error}");
