@@ -277,6 +277,17 @@ mod tests {
         assert_eq!(blue(120..300, 300..600), 0);
     }
 
+    /// The library's own paths extend sharp corners far beyond their points.
+    #[test]
+    fn sharp_corners_stay_in_their_charts() {
+        let zigzag = curve((0..500).map(|k| [f64::from(k), f64::from(k % 2)]).collect());
+        let some = [vec![zigzag], vec![], vec![], vec![]];
+        let image = charts(&some.map(|curves| chart(curves, Scale::Linear)), (800, 600));
+        let blue = |x, y| count(&image, COLOURS[0], (x, y));
+        assert!(blue(0..400, 30..270) > 1000);
+        assert_eq!((blue(0..400, 0..20), blue(0..800, 290..600)), (0, 0));
+    }
+
     /// Any measured values: none, one, nearly equal ones, the largest and the smallest numbers.
     #[test]
     fn any_numbers_make_a_chart() {

@@ -69,6 +69,21 @@ impl Table {
         let same = text.lines().next() == Some(&titles);
         // A number may have been cut off in the last row of a run that was killed.
         let ended = text.split_inclusive('\n').skip(1).filter_map(|row| row.strip_suffix('\n'));
-        ended.filter(move |row| same && row.split(',').count() == count)
+        let rows = ended.map(|row| row.trim_end_matches('\r'));
+        rows.filter(move |row| same && row.split(',').count() == count)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_row_that_was_cut_off_is_dropped() {
+        let table = Table { path: PathBuf::new(), columns: vec!["step".into(), "loss".into()] };
+        let rows = |text| table.rows(text).map(str::to_owned).collect::<Vec<_>>();
+        assert_eq!(rows("step,loss\n5,-8.9e-1\r\n10,-8.9"), ["5,-8.9e-1"]);
+        assert_eq!(rows("step,loss\n5\n10,1.5\n"), ["10,1.5"]);
+        assert!(rows("step,gap\n5,1\n").is_empty());
     }
 }

@@ -214,7 +214,9 @@ fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
     let output =
         std::process::Command::new("sh").args(["-c", &limited]).current_dir(folder.path()).output().unwrap();
     assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
-    assert!(text(&output.stderr).contains("rollout.npz: cannot write"), "{}", text(&output.stderr));
+    let said = text(&output.stderr);
+    assert!(said.contains("rollout.npz: cannot write"), "{said}");
+    assert!(said.contains("written all the same: rollout.npy, report.json"), "{said}");
     let out = folder.path().join("out");
     let kept = fnopt::io::Trajectory::read(out.join("rollout.npy"), &Default::default()).unwrap();
     assert_eq!(kept.frames(), 30);
@@ -223,8 +225,9 @@ fn a_disk_that_is_full_takes_one_file_and_not_the_others() {
     names.sort();
     assert_eq!(names, ["report.json", "rollout.npy"]);
     // The report does not list files that an earlier run may have left there.
-    let listed = json(&out.join("report.json"))["files"].clone();
-    assert_eq!(listed, serde_json::json!(["rollout.npy", "report.json"]));
+    let report = json(&out.join("report.json"));
+    assert_eq!(report["files"], serde_json::json!(["rollout.npy", "report.json"]));
+    assert_eq!(report["status"], "failed");
 }
 
 #[cfg(unix)]
