@@ -9,7 +9,7 @@
 // column.
 //
 // table: [H, tile], (cos, sin)(2 pi k y / H)
-// weight: [modes_h modes_w, C, C] complex
+// weight: [modes_h modes_w, C / 2, C] pairs of complex numbers, of the inputs 2 k and 2 k + 1
 // r, inverse: [S, H, modes_w, (re, im), C]
 // spectrum: [S, modes_h, modes_w, C] complex, written if KEEP
 //
@@ -19,7 +19,7 @@
 // the transform, then the inputs and modes of the product, then strips of rows of the inverse. Every sum
 // consists of PARTS partial sums, whether one invocation computes all of them or only one, so that results do
 // not depend on how the work is divided.
-// C is a multiple of 8, and so are the inputs of a part, which are read eight at a time.
+// C is a multiple of 16, and so are the inputs of a part, which are read sixteen at a time.
 // The tile is modes_h / 2 + 1, the number of magnitudes k of k_h. The second tile is the number of samples
 // that share one read of the weights. It divides S.
 // Workgroups: (modes_w * C / OUT_CHANNELS, S / second tile).
@@ -34,7 +34,11 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> table: array<vec2f>;
-@group(0) @binding(2) var<storage, read> weight: array<StoredPair>;
+#if texels
+@group(0) @binding(2) var weight: texture_2d<f32>;
+#else
+@group(0) @binding(2) var<storage, read> weight: array<StoredQuad>;
+#endif
 @group(0) @binding(3) var<storage, read> r: array<f32>;
 @group(0) @binding(4) var<storage, read_write> inverse: array<f32>;
 @group(0) @binding(5) var<storage, read_write> spectrum: array<vec2f>;
@@ -113,7 +117,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
                 inputs[k + of_tile * (ROW_PARTS - 1u) * MODES * channels];
         }
     }
-    let input_part = (channels / 8u + PARTS - 1u) / PARTS * 8u;
+    let input_part = (channels / 16u + PARTS - 1u) / PARTS * 16u;
     let products = MODES * INPUT_PARTS * OUT_CHANNELS;
     for (var begin = 0u; begin < products; begin += LANES) {
         let item = min(begin + index, products - 1u);
@@ -125,10 +129,16 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
         for (var turn = 0u; turn < PARTS / INPUT_PARTS; turn++) {
             let to = min((part + turn + 1u) * input_part, channels);
             var part$k = vec2f();
-            for (var i = (part + turn) * input_part; i < to; i += 8u) {
-                let w$8 = vec2f(weight[((mode * params.modes_w + column) * channels + i + $8) * channels + channel]);
-                let x$k_$8 = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i + $8]);
-                part$k += vec2f(x$k_$8.x * w$8.x - x$k_$8.y * w$8.y, x$k_$8.x * w$8.y + x$k_$8.y * w$8.x);
+            for (var i = (part + turn) * input_part; i < to; i += 16u) {
+                let pair = ((mode * params.modes_w + column) * channels + i) / 2u;
+#if texels
+                let w$8 = textureLoad(weight, vec2u(channel, pair + $8), 0);
+#else
+                let w$8 = vec4f(weight[(pair + $8) * channels + channel]);
+#endif
+                let u$k_$8 = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i + 2u * $8]);
+                let v$k_$8 = $same(inputs[($k * ROW_PARTS * MODES + mode) * channels + i + 2u * $8 + 1u]);
+                part$k += vec2f(u$k_$8.x * w$8.x - u$k_$8.y * w$8.y, u$k_$8.x * w$8.y + u$k_$8.y * w$8.x) + vec2f(v$k_$8.x * w$8.z - v$k_$8.y * w$8.w, v$k_$8.x * w$8.w + v$k_$8.y * w$8.z);
             }
             p$k += part$k;
         }

@@ -2,8 +2,8 @@
 //
 // `spectral` with this weight is the adjoint of `spectral` with respect to its input.
 //
-// weight: [M, I, O] complex
-// transposed: [M, O, I] complex
+// weight: [M, I / 2, O, 2] complex, in the order of `spectral`
+// transposed: [M, O / 2, I, 2] complex
 //
 // One invocation per weight. Workgroups: (I / 64, O, M).
 // Adjoint: itself; the weight gradient comes from `spectral_weight_adj`.
@@ -25,6 +25,8 @@ fn spectral_transpose(@builtin(global_invocation_id) id: vec3u) {
     if i >= params.inputs {
         return;
     }
-    let w = weight[(id.z * params.inputs + i) * params.outputs + id.y];
-    transposed[(id.z * params.outputs + id.y) * params.inputs + i] = vec2f(w.x, -w.y);
+    let o = id.y;
+    let matrix = id.z * params.inputs * params.outputs;
+    let w = weight[matrix + (i / 2u * params.outputs + o) * 2u + i % 2u];
+    transposed[matrix + (o / 2u * params.inputs + i) * 2u + o % 2u] = vec2f(w.x, -w.y);
 }

@@ -2,10 +2,10 @@
 //
 // x: [S, M, I] complex
 // adj: [S, M, O] complex
-// gradient: [M, I, O] complex
+// gradient: [M, I / 2, O, 2] complex, in the order of `spectral`'s weight
 //
-// One invocation per output channel of a mode and tile of inputs. The tile is a number of inputs that divides
-// I.
+// One invocation per output channel of a mode and tile of inputs. The tile is an even number of inputs that
+// divides I.
 // Workgroups: (O / 64, M, I / tile).
 // Adjoint: none, it is one.
 
@@ -37,6 +37,6 @@ fn spectral_weight_adj(@builtin(global_invocation_id) id: vec3u, @builtin(workgr
     if id.x >= params.outputs {
         return;
     }
-    let out = (mode * params.inputs + first) * params.outputs + channel;
-    gradient[out + $c * params.outputs] += sum$c;
+    let out = (mode * params.inputs + first) * params.outputs + 2u * channel;
+    gradient[out + $c / 2u * 2u * params.outputs + $c % 2u] += sum$c;
 }

@@ -12,13 +12,20 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 pub struct Binding {
     /// Name of the variable.
     pub name: String,
-    /// Uniform, read-only or read-write storage.
-    pub ty: wgpu::BufferBindingType,
-    /// Smallest size that can be bound \[bytes\]: that of the variable, or of one element for a runtime-sized
-    /// array.
+    /// Uniform, read-only or read-write storage, or a texture for a tensor's texels ([`Tensor::with_texels`]).
+    pub ty: wgpu::BindingType,
+    /// Size of the variable \[bytes\], or of one element of a runtime-sized array; 0 for a texture.
     pub size: u32,
-    /// Storage format of the numbers; integers and structures count as 32-bit.
+    /// Storage format of the numbers; integers and structures count as 32-bit, and so do texels, which are
+    /// widened when they are read.
     pub storage: Storage,
+}
+
+impl Binding {
+    /// Whether it is a texture.
+    pub fn is_texture(&self) -> bool {
+        matches!(self.ty, wgpu::BindingType::Texture { .. })
+    }
 }
 
 impl Source {
@@ -37,14 +44,26 @@ impl Source {
         let mut found: Vec<(u32, Binding)> = Vec::new();
         for (_, variable) in module.global_variables.iter() {
             let Some(place) = variable.binding else { continue };
+            let size = module.types[variable.ty].inner.size(module.to_ctx());
+            let buffer = |ty| wgpu::BindingType::Buffer {
+                ty,
+                // One buffer holds the parameters of many dispatches.
+                has_dynamic_offset: place.binding == 0,
+                // If known here, it is checked once per bind group instead of at every dispatch.
+                min_binding_size: std::num::NonZeroU64::new(size.into()),
+            };
             let ty = match variable.space {
-                naga::AddressSpace::Uniform => wgpu::BufferBindingType::Uniform,
-                naga::AddressSpace::Storage { access } => wgpu::BufferBindingType::Storage {
+                naga::AddressSpace::Uniform => buffer(wgpu::BufferBindingType::Uniform),
+                naga::AddressSpace::Storage { access } => buffer(wgpu::BufferBindingType::Storage {
                     read_only: !access.contains(naga::StorageAccess::STORE),
+                }),
+                naga::AddressSpace::Handle => wgpu::BindingType::Texture {
+                    sample_type: wgpu::TextureSampleType::Float { filterable: false },
+                    view_dimension: wgpu::TextureViewDimension::D2,
+                    multisampled: false,
                 },
                 other => unreachable!("{}.wgsl binds a variable in {other:?}", self.name),
             };
-            let size = module.types[variable.ty].inner.size(module.to_ctx());
             let name = variable.name.clone().unwrap_or_default();
             found.push((place.binding, Binding { name, ty, size, storage: storage(module, variable.ty) }));
         }
@@ -209,13 +228,7 @@ fn layout(device: &wgpu::Device, name: &'static str, bindings: &[Binding]) -> wg
     let entry = |(i, b): (usize, &Binding)| wgpu::BindGroupLayoutEntry {
         binding: i as u32,
         visibility: wgpu::ShaderStages::COMPUTE,
-        ty: wgpu::BindingType::Buffer {
-            ty: b.ty,
-            // One buffer holds the parameters of many dispatches.
-            has_dynamic_offset: i == 0,
-            // If known here, it is checked once per bind group instead of at every dispatch.
-            min_binding_size: std::num::NonZeroU64::new(b.size.into()),
-        },
+        ty: b.ty,
         count: None,
     };
     let entries: Vec<_> = bindings.iter().enumerate().map(entry).collect();

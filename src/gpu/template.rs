@@ -17,7 +17,7 @@
 //! | `$space0`, `$length0`, `$space1`, `$length1` | address spaces of two operands, and lengths of their arrays if these are fixed ([`Unroll::uniforms`]) | |
 //!
 //! Lines between `#if broadcast` and `#endif` are left out unless operands are broadcast ([`Sharing`]); those
-//! after an `#else` are left out if they are.
+//! after an `#else` are left out if they are. `#if texels` does the same for [`Unroll::texels`].
 //!
 //! `StoredQuad` and `StoredPair` are four and two numbers in the storage format of the network's activations
 //! and weights ([`Storage`]).
@@ -56,6 +56,8 @@ pub struct Unroll {
     pub sharing: Sharing,
     /// Elements of operands that are bound as uniform buffers; 0 for those bound as storage.
     pub uniforms: [usize; 2],
+    /// Whether weights are read as texels, in kernels that can.
+    pub texels: bool,
     /// Element type of `StoredQuad` and `StoredPair`; taken from the context when a kernel is built.
     pub storage: Storage,
     /// How invocations are numbered; taken from the context when a kernel is built.
@@ -70,6 +72,7 @@ impl From<usize> for Unroll {
             second: 1,
             sharing: Sharing::Loads,
             uniforms: [0; 2],
+            texels: false,
             storage: Storage::F32,
             order: Order::Natural,
         }
@@ -110,6 +113,7 @@ impl Source {
         for line in self.wgsl.lines() {
             match line {
                 "#if broadcast" => included = unroll.sharing == Sharing::Broadcast,
+                "#if texels" => included = unroll.texels,
                 "#else" => included = !included,
                 "#endif" => included = true,
                 _ if included => text.push_str(&self.unrolled_line(line, unroll)),
@@ -232,11 +236,13 @@ mod tests {
     }
 
     #[test]
-    fn sections_belong_to_one_kind_of_sharing() {
+    fn sections_belong_to_one_kind_of_reading() {
         let wgsl = "a\n#if broadcast\nb$q\n#else\nc\n#endif\nd\n#if broadcast\ne\n#endif";
         assert_eq!(unrolled(wgsl, 8), "a\n\n\n\nc\n\nd\n\n\n\n");
         let broadcast = unrolled(wgsl, Unroll { sharing: Sharing::Broadcast, ..8.into() });
         assert_eq!(broadcast, "a\n\nb0 b1\n\n\n\nd\n\ne\n\n");
+        let texels = Unroll { texels: true, ..8.into() };
+        assert_eq!(unrolled("#if texels\na\n#else\nb\n#endif", texels), "\na\n\n\n\n");
     }
 
     #[test]

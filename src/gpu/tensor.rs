@@ -18,6 +18,7 @@ pub struct Tensor {
     shape: Vec<usize>,
     label: &'static str,
     storage: Storage,
+    texels: Option<wgpu::TextureView>,
 }
 
 impl Tensor {
@@ -55,7 +56,7 @@ impl Tensor {
         // Otherwise wgpu clears it before its first use, and until then checks for that in every dispatch
         // that binds it.
         context.submit(|encoder| encoder.clear_buffer(&buffer, 0, None));
-        Ok(Self { buffer, offset: 0, shape: shape.to_vec(), label, storage })
+        Ok(Self { buffer, offset: 0, shape: shape.to_vec(), label, storage, texels: None })
     }
 
     /// Alignment of single-precision views, in elements: every device binds at multiples of 256 bytes.
@@ -74,7 +75,7 @@ impl Tensor {
         );
         assert_eq!(self.storage, Storage::F32, "a view of '{}'", self.label);
         let offset = self.offset + 4 * first as u64;
-        Self { buffer: self.buffer.clone(), shape: shape.to_vec(), offset, ..*self }
+        Self { buffer: self.buffer.clone(), shape: shape.to_vec(), offset, texels: None, ..*self }
     }
 
     /// Returns the whole buffer of a single-precision view, and the element at which the view begins. Kernels
@@ -82,7 +83,8 @@ impl Tensor {
     pub(crate) fn whole(&self) -> (Self, usize) {
         assert_eq!(self.storage, Storage::F32, "a view of '{}'", self.label);
         let shape = vec![(self.buffer.size() / 4) as usize];
-        (Self { buffer: self.buffer.clone(), offset: 0, shape, ..*self }, (self.offset / 4) as usize)
+        let whole = Self { buffer: self.buffer.clone(), offset: 0, shape, texels: None, ..*self };
+        (whole, (self.offset / 4) as usize)
     }
 
     /// Returns the first `count` items along the first axis. They share the buffer.
@@ -90,7 +92,60 @@ impl Tensor {
         assert!(count <= self.shape[0], "the first {count} of '{}' {:?}", self.label, self.shape);
         let mut shape = self.shape.clone();
         shape[0] = count;
-        Self { buffer: self.buffer.clone(), shape, ..*self }
+        Self { buffer: self.buffer.clone(), shape, texels: None, ..*self }
+    }
+
+    /// Whether the content can be copied into rows of `width` texels ([`Tensor::with_texels`]): if it is a
+    /// whole number of rows, these can be copied from a buffer, and the device has textures as large.
+    pub fn fits_texels(&self, context: &Context, width: usize) -> bool {
+        let (row, most) = (self.bytes_of_texels(width), context.device.limits().max_texture_dimension_2d);
+        let copied = row.is_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT.into());
+        let rows = self.bytes() / row.max(1);
+        copied && self.bytes() == rows * row && rows.max(width as u64) <= u64::from(most)
+    }
+
+    /// Returns the size of this many texels \[bytes\].
+    fn bytes_of_texels(&self, count: usize) -> u64 {
+        (4 * self.storage.bytes() * count) as u64
+    }
+
+    /// Copies the content, as it is when the next submission runs, into a texture that kernels can read
+    /// instead of the buffer, in rows of `width` texels of four numbers each.
+    ///
+    /// Panics if it does not fit ([`Tensor::fits_texels`]).
+    pub fn with_texels(&self, context: &Context, width: usize) -> Self {
+        assert!(self.fits_texels(context, width), "'{}' in rows of {width} texels", self.label);
+        let row = self.bytes_of_texels(width);
+        let height = (self.bytes() / row) as u32;
+        let size = wgpu::Extent3d { width: width as u32, height, depth_or_array_layers: 1 };
+        let texture = context.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some(self.label),
+            size,
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: match self.storage {
+                Storage::F32 => wgpu::TextureFormat::Rgba32Float,
+                Storage::F16 => wgpu::TextureFormat::Rgba16Float,
+            },
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        });
+        let from = wgpu::TexelCopyBufferInfo {
+            buffer: &self.buffer,
+            layout: wgpu::TexelCopyBufferLayout {
+                offset: self.offset,
+                bytes_per_row: Some(row as u32),
+                rows_per_image: None,
+            },
+        };
+        context.submit(|encoder| encoder.copy_buffer_to_texture(from, texture.as_image_copy(), size));
+        Self { texels: Some(texture.create_view(&wgpu::TextureViewDescriptor::default())), ..self.clone() }
+    }
+
+    /// Returns the texture with a copy of the content, if it has one ([`Tensor::with_texels`]).
+    pub(super) fn texels(&self) -> Option<&wgpu::TextureView> {
+        self.texels.as_ref()
     }
 
     /// Creates a tensor that holds `data`, whose length must match `shape`.

@@ -36,6 +36,8 @@ pub struct Tuning {
     pub busy_groups: usize,
     /// How operands that a subgroup shares are read.
     pub sharing: Sharing,
+    /// Whether the weights of the spectral convolution are read as texels, if they do not change.
+    pub texels: bool,
     /// Largest size of a layer's activations \[bytes\], if the device can bind that much. Samples beyond it
     /// are processed in further passes.
     pub activation_bytes: usize,
@@ -64,8 +66,8 @@ impl Tuning {
         Self::of(context.kind(), context.sharing())
     }
 
-    /// Returns the sizes that suit each kind of adapter. On llvmpipe, where every lane's load is a separate
-    /// branch and move, these are wide tiles and one row per workgroup (measured). On hardware, with
+    /// Returns the sizes that suit each kind of adapter. On llvmpipe, where every lane's load from a buffer is
+    /// a separate branch and move, these are wide tiles, one row per workgroup and texels (measured). On hardware, with
     /// thousands of lanes to fill, they are smaller tiles, shared operands and more invocations (estimated:
     /// no hardware has been measured yet).
     pub fn of(kind: AdapterKind, sharing: Sharing) -> Self {
@@ -80,6 +82,7 @@ impl Tuning {
             spectral_teams: 1,
             busy_groups: 1,
             sharing,
+            texels: true,
             activation_bytes: 256 << 20,
         };
         match kind {
@@ -92,6 +95,7 @@ impl Tuning {
                 staged: true,
                 spectral_teams: 4,
                 busy_groups: 128,
+                texels: false,
                 ..software
             },
         }
@@ -116,6 +120,7 @@ impl Tuning {
         let busy = [1, 8, 32, 128, 512].map(|busy_groups| Self { busy_groups, ..*self });
         let sizes = [4, 16, 64, 256, 1024].map(|mib| Self { activation_bytes: mib << 20, ..*self });
         let sharings = [Sharing::Loads, context.sharing()].map(|sharing| Self { sharing, ..*self });
+        let texels = [true, false].map(|texels| Self { texels, ..*self });
         let others = |all: &[Self]| -> Vec<Self> {
             let mut found: Vec<Self> = Vec::new();
             for tuning in all.iter().filter(|t| *t != self && t.works(context)) {
@@ -136,6 +141,7 @@ impl Tuning {
             others(&teams),
             others(&busy),
             others(&sharings),
+            others(&texels),
             others(&sizes),
         ]
     }

@@ -8,7 +8,7 @@ use crate::Result;
 use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::operator::{
     Activate, Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
-    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, pointwise::Lines,
+    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, pointwise::Lines, spectral,
 };
 use crate::kernels::optim::{FeatureInputs, Features};
 use crate::kernels::padded;
@@ -118,7 +118,14 @@ impl Forward {
         let storage = if plan.keep == Keep::Adjoint { Storage::F32 } else { context.storage() };
         let context = &context.with_storage(storage)?;
         let layout = plan.layout(context, weights.config);
-        let layers = layout.stored_layers(context, weights)?;
+        let mut layers = layout.stored_layers(context, weights)?;
+        // The backward pass puts weights of its own in their place.
+        let texels = plan.tuning.texels && plan.keep != Keep::Adjoint;
+        let texels = texels && layers.products.iter().all(|weight| spectral::fits_texels(context, weight));
+        if texels {
+            layers.products = layers.products.iter().map(|w| spectral::with_texels(context, w)).collect();
+        }
+        let plan = &Plan { tuning: Tuning { texels, ..plan.tuning }, ..*plan };
         let fused = Fused::new(context, weights, (layout.padded(), &layers), plan)?;
         Self::build(context, &layout, layers, fused, plan)
     }
@@ -128,6 +135,7 @@ impl Forward {
     pub fn with_parameters(context: &Context, parameters: &Parameters, plan: &Plan) -> Result<Self> {
         let context = &context.with_storage(Storage::F32)?;
         let layout = parameters.layout();
+        let plan = &Plan { tuning: Tuning { texels: false, ..plan.tuning }, ..*plan };
         Self::build(context, layout, layout.layers(&parameters.flat), Fused::default(), plan)
     }
 

@@ -50,7 +50,7 @@ struct BlockPlace {
 pub(super) struct Layers {
     pub lifting: [Layer; 2],
     pub skips: Vec<Layer>,
-    /// Shape [modes, C, C, 2].
+    /// Shape [modes, C / 2, C, 4].
     pub products: Vec<Tensor>,
     pub projection: [Layer; 2],
     pub scalar: Layer,
@@ -61,7 +61,7 @@ pub(super) struct Layers {
 pub(super) struct GradientLayers {
     pub lifting: [GradientLayer; 2],
     pub skips: Vec<GradientLayer>,
-    /// Shape [modes, C, C, 2].
+    /// Shape [modes, C / 2, C, 4].
     pub products: Vec<Tensor>,
     pub projection: [GradientLayer; 2],
     pub scalar: GradientLayer,
@@ -192,7 +192,7 @@ impl Layout {
             Ok(Layer { weight: weight?, bias: single(place.bias, &[place.outputs])? })
         };
         let (modes, c) = (self.config.modes(), self.padded.channels);
-        let product = |b: &BlockPlace| stored(b.product, &[modes, c, c, 2]);
+        let product = |b: &BlockPlace| stored(b.product, &[modes, c / 2, c, 4]);
         let [lifting, projection] = [&self.lifting, &self.projection];
         Ok(Layers {
             lifting: [layer(&lifting[0])?, layer(&lifting[1])?],
@@ -218,7 +218,7 @@ impl Layout {
             Layer { weight, bias: flat.view(place.bias, &[place.outputs]) }
         };
         let c = self.padded.channels;
-        let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c, c, 2]);
+        let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c / 2, c, 4]);
         Layers {
             lifting: self.lifting.each_ref().map(layer),
             skips: self.blocks.iter().map(|b| layer(&b.skip)).collect(),
@@ -240,7 +240,7 @@ impl Layout {
             GradientLayer { weight_and_bias: flat.view(place.weight, &[len]), bias }
         };
         let c = self.padded.channels;
-        let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c, c, 2]);
+        let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c / 2, c, 4]);
         GradientLayers {
             lifting: self.lifting.each_ref().map(layer),
             skips: self.blocks.iter().map(|b| layer(&b.skip)).collect(),

@@ -144,9 +144,10 @@ fn every_kernel_is_valid_wgsl() {
                 (Sharing::Broadcast, Storage::F16, [0, 160], broadcast | half),
             ];
             for (sharing, storage, uniforms, capabilities) in variants {
-                let order = Order::Natural;
-                let (text, module) =
-                    parsed(source, Unroll { tile, span, second: 10, sharing, uniforms, storage, order });
+                // Uniforms and texels go together on llvmpipe.
+                let (order, texels) = (Order::Natural, uniforms != [0, 0]);
+                let unroll = Unroll { tile, span, second: 10, sharing, uniforms, texels, storage, order };
+                let (text, module) = parsed(source, unroll);
                 let mut validator = Validator::new(ValidationFlags::all(), capabilities);
                 validator
                     .subgroup_stages(ShaderStages::COMPUTE)

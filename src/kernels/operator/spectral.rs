@@ -138,7 +138,7 @@ impl Spectral {
     ) -> Result<Self> {
         let capacity = context.device.limits().max_compute_workgroup_storage_size as usize;
         let Config { modes_h, channels, .. } = *config;
-        assert!(channels.is_multiple_of(8), "{channels} channels are not padded");
+        assert!(channels.is_multiple_of(16), "{channels} channels are not padded");
         let division = Division::new(tuning, config, samples, capacity).ok_or_else(|| {
             let least = 8 * modes_h * (channels + OUT_CHANNELS[OUT_CHANNELS.len() - 1]);
             Error::Device(format!(
@@ -158,13 +158,15 @@ impl Spectral {
             ("INPUTS", inputs),
             ("OUTPUTS", outputs),
         ];
-        let unroll = Unroll { second: division.tile, ..tuning.unroll(modes_h / 2 + 1) };
+        let texels = tuning.texels;
+        let unroll = Unroll { second: division.tile, texels, ..tuning.unroll(modes_h / 2 + 1) };
         let kernel = Kernel::new(context, &SOURCE, unroll, &constants)?;
         let nothing = Tensor::zeros(context, "no spectrum", &[2])?;
         Ok(Self { kernel, division, config: *config, keep, nothing })
     }
 
-    /// Convolves `tensors` with `weight` [modes, C, C, 2] (see [`index`]).
+    /// Convolves `tensors` with `weight` [modes, C / 2, C, 4] (see [`index`]), which has texels if the kernel
+    /// was built to read them.
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, tensors: SpectralTensors<'_>) {
         let SpectralTensors { table, r, inverse, spectrum } = tensors;
         let &[samples, h, columns, c] = r.shape() else { panic!("spectral: {:?}", r.shape()) };
@@ -174,7 +176,7 @@ impl Spectral {
         assert_eq!(spectrum.is_some(), self.keep);
         assert_eq!(inverse.shape(), r.shape());
         assert_eq!(table.shape(), [h, modes_h / 2 + 1, 2]);
-        assert_eq!(weight.shape(), [modes_h * modes_w, channels, channels, 2]);
+        assert_eq!(weight.shape(), [modes_h * modes_w, channels / 2, channels, 4]);
         if let Some(spectrum) = spectrum {
             assert_eq!(spectrum.shape(), [samples, modes_h, modes_w, channels, 2]);
         }
@@ -186,8 +188,18 @@ impl Spectral {
     }
 }
 
+/// Whether the kernel can read this weight as texels.
+pub fn fits_texels(context: &Context, weight: &Tensor) -> bool {
+    weight.fits_texels(context, weight.shape()[2])
+}
+
+/// Returns `weight` [modes, C / 2, C, 4] with a copy of its content for a kernel that reads texels.
+pub fn with_texels(context: &Context, weight: &Tensor) -> Tensor {
+    weight.with_texels(context, weight.shape()[2])
+}
+
 /// Returns the index of the real part of the weight of `mode` from input `i` to output `o` in the order of
-/// the kernel, [modes, I, O, 2].
+/// the kernel, [modes, I / 2, O, 4]: an output's weights of two inputs, each real and imaginary.
 pub fn index(mode: usize, (i, o): (usize, usize), (inputs, outputs): (usize, usize)) -> usize {
-    2 * ((mode * inputs + i) * outputs + o)
+    4 * ((mode * inputs / 2 + i / 2) * outputs + o) + 2 * (i % 2)
 }

@@ -31,12 +31,14 @@ impl SpectralTranspose {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets `transposed` [modes, O, I, 2] to the conjugate transpose of `weight` [modes, I, O, 2].
+    /// Sets `transposed` [modes, O / 2, I, 4] to the conjugate transpose of `weight` [modes, I / 2, O, 4], both
+    /// in the order of [`super::spectral::index`].
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, transposed: &Tensor) {
-        let &[modes, inputs, outputs, 2] = weight.shape() else {
+        let &[modes, pairs, outputs, 4] = weight.shape() else {
             panic!("spectral_transpose: {:?}", weight.shape())
         };
-        assert_eq!(transposed.shape(), [modes, outputs, inputs, 2]);
+        let inputs = 2 * pairs;
+        assert_eq!(transposed.shape(), [modes, outputs / 2, inputs, 4]);
         let params = Params { inputs: size(inputs), outputs: size(outputs), pad: [0; 2] };
         let count = self.kernel.groups([inputs, outputs, modes]);
         schedule.dispatch(&self.kernel, &params, &[weight, transposed], count);

@@ -20,7 +20,7 @@ struct Params {
     samples: u32,
 }
 
-/// Number of inputs that share a read of the cotangents; a divisor of [`crate::kernels::CHANNEL_MULTIPLE`].
+/// Number of inputs that share a read of the cotangents; an even divisor of [`crate::kernels::CHANNEL_MULTIPLE`].
 const TILE: usize = 4;
 
 /// Computes the gradient with respect to the weight of the spectral product.
@@ -35,13 +35,13 @@ impl SpectralWeightAdj {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(TILE), &[])? })
     }
 
-    /// Adds to `gradient` [modes, I, O, 2]. `x` [S, .., I, 2] is the input of the product, `adj`
+    /// Adds to `gradient` [modes, I / 2, O, 4], in the order of [`super::spectral::index`]. `x` [S, .., I, 2] is the input of the product, `adj`
     /// [S, .., O, 2] the cotangent of its output.
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, adj: &Tensor, gradient: &Tensor) {
-        let &[modes, inputs, outputs, 2] = gradient.shape() else {
+        let &[modes, pairs, outputs, 4] = gradient.shape() else {
             panic!("spectral_weight_adj: {:?}", gradient.shape())
         };
-        let samples = x.shape()[0];
+        let (samples, inputs) = (x.shape()[0], 2 * pairs);
         assert_eq!((x.len(), adj.len()), (samples * modes * inputs * 2, samples * modes * outputs * 2));
         assert_eq!(inputs % TILE, 0, "inputs are whole tiles");
         let params = Params {

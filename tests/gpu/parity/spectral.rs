@@ -6,8 +6,8 @@ use crate::common::{
     widened,
 };
 use fnopt::cpu::operator::Transform;
-use fnopt::gpu::Tuning;
-use fnopt::kernels::operator::{Spectral, SpectralTensors};
+use fnopt::gpu::{Tensor, Tuning};
+use fnopt::kernels::operator::{Spectral, SpectralTensors, spectral};
 use fnopt::network::{Config, tables};
 use fnopt::sim::Grid;
 
@@ -69,7 +69,8 @@ fn inverse(config: &Config, grid: Grid, z: &[f64]) -> Vec<f64> {
     r
 }
 
-/// Covers every division of a workgroup's work, with the spectrum kept and not kept.
+/// Covers every division of a workgroup's work, with the spectrum kept and not kept, and weights from a buffer
+/// and from texels, which give the same bits.
 #[test]
 fn convolutions_match() {
     let _turn = device();
@@ -77,7 +78,8 @@ fn convolutions_match() {
         let config = config(modes, CHANNELS);
         let weight = noise(CHANNELS * CHANNELS * config.modes() * 2, 52);
         let by_mode = by_mode(&weight, CHANNELS, CHANNELS);
-        let on_device = tensor("weight", &[config.modes(), CHANNELS, CHANNELS, 2], &by_mode);
+        let on_device = tensor("weight", &[config.modes(), CHANNELS / 2, CHANNELS, 4], &by_mode);
+        let on_device = spectral::with_texels(context(), &on_device);
         for (grid, samples) in cases() {
             let shape = [samples, grid.h, 2 * config.modes_w, CHANNELS];
             let r = noise(shape.iter().product(), 31);
@@ -92,12 +94,21 @@ fn convolutions_match() {
             };
             for tuning in [(1, 1), (2, 10), (4, 30), (1, 60), (4, 1000)].into_iter().flat_map(divided) {
                 for keep in [false, true] {
-                    let kernel = Spectral::new(context(), &tuning, &config, samples, keep).unwrap();
                     let found = poisoned("inverse", &shape);
                     let kept = poisoned("spectrum", &[samples, config.modes_h, config.modes_w, CHANNELS, 2]);
-                    let spectrum = keep.then_some(&kept);
-                    let tensors = SpectralTensors { table: &table, r: &r, inverse: &found, spectrum };
-                    run(|schedule| kernel.push(schedule, &on_device, tensors));
+                    let convolve = |texels: bool, inverse: &Tensor| {
+                        let tuning = Tuning { texels, ..tuning };
+                        let kernel = Spectral::new(context(), &tuning, &config, samples, keep).unwrap();
+                        let spectrum = keep.then_some(&kept);
+                        let tensors = SpectralTensors { table: &table, r: &r, inverse, spectrum };
+                        run(|schedule| kernel.push(schedule, &on_device, tensors));
+                    };
+                    convolve(false, &found);
+                    if !keep {
+                        let from_texels = poisoned("inverse", &shape);
+                        convolve(true, &from_texels);
+                        assert_eq!(read(&from_texels), read(&found));
+                    }
                     let what = format!("spectral {samples} x {grid}");
                     let rounding = ROUNDING * (grid.h as f64).sqrt();
                     let atol = rounding * largest(&expected);

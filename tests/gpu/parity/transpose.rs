@@ -32,8 +32,8 @@ fn spectral_weights_are_transposed_and_conjugated() {
         let at = 2 * ((o * inputs + i) * modes + m);
         (transposed[at], transposed[at + 1]) = (pair[0], -pair[1]);
     }
-    let from = tensor("w", &[modes, inputs, outputs, 2], &by_mode(&weight, inputs, outputs));
-    let to = poisoned("transposed", &[modes, outputs, inputs, 2]);
+    let from = tensor("w", &[modes, inputs / 2, outputs, 4], &by_mode(&weight, inputs, outputs));
+    let to = poisoned("transposed", &[modes, outputs / 2, inputs, 4]);
     run(|schedule| kernel.push(schedule, &from, &to));
     assert_eq!(read(&to), by_mode(&transposed, outputs, inputs));
 }
