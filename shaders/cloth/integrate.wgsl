@@ -37,7 +37,7 @@ fn integrate(
     let shift = base[at] + select(a[at], 0.0, slot != 0u);
     var next = x[at] + shift;
     if slot != 0u {
-        next = targets[3u * (slot - 1u) + group.z % 3u];
+        next = target_of(slot, group.z % 3u);
     }
     v[at] = shift;
     x[at] = next;

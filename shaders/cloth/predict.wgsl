@@ -40,7 +40,7 @@ fn predict(
     let slot = slots[group.z / 3u * params.particles + p];
     var displacement = v[at];
     if slot != 0u {
-        displacement = targets[3u * (slot - 1u) + group.z % 3u] - x[at];
+        displacement = target_of(slot, group.z % 3u) - x[at];
     }
     base[at] = displacement;
     if FRESH {

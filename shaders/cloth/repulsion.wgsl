@@ -82,7 +82,7 @@ fn repulsion(
     if k < n {
         let own = sorted[b * n + k];
         let place = bitcast<vec3f>(own.xyz);
-        let p = own.w;
+        let p = min(own.w, n - 1u);
         var sum = vec4f();
         if cloths[b].repulsion.y > 0.0 && is_within_reach(place) {
             let cell = cell_of(place, cloths[b].repulsion.z);

@@ -204,7 +204,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         return;
     }
     let out = (line * params.channels + tile * $n) * params.row_quads;
-    if exists$x { y[out + $o * params.row_quads + quad$x] = StoredQuad(y$c); }
+    if exists$x { keep_output(out + $o * params.row_quads + quad$x, y$c); }
     if !ROWS && !POOL {
         return;
     }

@@ -33,10 +33,11 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> table: array<vec2f>;
 #if texels
+@group(0) @binding(1) var table: texture_2d<f32>;
 @group(0) @binding(2) var weight: texture_2d<f32>;
 #else
+@group(0) @binding(1) var<storage, read> table: array<vec2f>;
 @group(0) @binding(2) var<storage, read> weight: array<StoredQuad>;
 #endif
 @group(0) @binding(3) var<storage, read> r: array<f32>;
@@ -85,7 +86,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
                 let at = ((sample * params.rows + y) * params.modes_w + column) * 2u * channels + channel;
                 let re = r[at];
                 let im = r[at + channels];
-                let t$c = $same(table[y * $n + $c]);
+                let t$c = $same(wave(y * $n + $c));
                 part$c += vec4f(re, im, im, re) * t$c.xyxy;
             }
             z$c += vec4f(part$c.xz, part$c.xz) + vec4f(-part$c.y, part$c.w, part$c.y, -part$c.w);
@@ -132,7 +133,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
             for (var i = (part + turn) * input_part; i < to; i += 16u) {
                 let pair = ((mode * params.modes_w + column) * channels + i) / 2u;
 #if texels
-                let w$8 = textureLoad(weight, vec2u(channel, pair + $8), 0);
+                let w$8 = textureLoad(weight, texel((pair + $8) * channels + channel), 0);
 #else
                 let w$8 = vec4f(weight[(pair + $8) * channels + channel]);
 #endif
@@ -163,7 +164,7 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
         for (var y = top; y < bottom; y++) {
             var re = 0.0;
             var im = 0.0;
-            let t$c = $same(table[y * $n + $c]);
+            let t$c = $same(wave(y * $n + $c));
             re += q$c.x * t$c.x - q$c.w * t$c.y;
             im += q$c.y * t$c.x + q$c.z * t$c.y;
             if begin + index < inverses && channel < channels {
@@ -173,6 +174,16 @@ fn spectral(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) 
             }
         }
     }
+}
+
+// Returns this element of the table.
+fn wave(at: u32) -> vec2f {
+#if texels
+    let two = textureLoad(table, texel(at / 2u), 0);
+    return select(two.xy, two.zw, at % 2u == 1u);
+#else
+    return table[at];
+#endif
 }
 
 // Returns the product whose first part is at this index.

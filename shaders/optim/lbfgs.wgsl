@@ -68,8 +68,9 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
     // 1 / y.s of the newest pair.
     var newest_rho = 0.0;
     if params.first == 0u || PART == 2u {
-        count = u32(pairs[book]);
-        newest = u32(pairs[book + 1u]);
+        // Bounded, since they are indices that another dispatch has written.
+        count = min(u32(pairs[book]), HISTORY);
+        newest = min(u32(pairs[book + 1u]), HISTORY - 1u);
         newest_rho = pairs[book + 2u + newest];
     }
     if PART != 2u {

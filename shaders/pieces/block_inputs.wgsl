@@ -5,8 +5,13 @@
 // y: [S, H, C, Q] quads
 // rows_or_field: see `block`
 // rows_max: [S, H, C]
+#if texels
+@group(0) @binding(5) var x: texture_2d<f32>;
+@group(0) @binding(6) var y: texture_storage_2d<$texels, write>;
+#else
 @group(0) @binding(5) var<storage, read> x: array<StoredQuad>;
 @group(0) @binding(6) var<storage, read_write> y: array<StoredQuad>;
+#endif
 @group(0) @binding(7) var<storage, read_write> rows_or_field: array<f32>;
 @group(0) @binding(8) var<storage, read_write> rows_max: array<f32>;
 
@@ -21,7 +26,20 @@ fn channel(_sample: u32, _e: u32, _row: u32, _quad: u32) -> vec4f {
 
 // Returns input i at a quad of a row, among the inputs whose weights are the same for all rows.
 fn input(sample: u32, i: u32, row: u32, quad: u32) -> vec4f {
-    return vec4f(x[((sample * params.rows + row) * params.inputs + i) * params.row_quads + quad]);
+    let at = ((sample * params.rows + row) * params.inputs + i) * params.row_quads + quad;
+#if texels
+    return textureLoad(x, texel(at), 0);
+#else
+    return vec4f(x[at]);
+#endif
+}
+
+fn keep_output(at: u32, v: vec4f) {
+#if texels
+    textureStore(y, texel(at), v);
+#else
+    y[at] = StoredQuad(v);
+#endif
 }
 
 fn keep_largest(at: u32, largest: f32) {

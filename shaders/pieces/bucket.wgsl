@@ -5,10 +5,10 @@ fn begin_of(b: u32, bucket: u32, buckets: u32) -> u32 {
     if bucket == 0u {
         return 0u;
     }
-    return ends[b * buckets + bucket - 1u];
+    return ends[b * buckets + min(bucket, buckets) - 1u];
 }
 
 // Returns where the bucket ends, at most the number of particles.
 fn end_of(b: u32, bucket: u32, buckets: u32, particles: u32) -> u32 {
-    return min(ends[b * buckets + bucket], particles);
+    return min(ends[b * buckets + min(bucket, buckets - 1u)], particles);
 }

@@ -5,7 +5,11 @@
 // y, rows_or_field: see `block`
 @group(0) @binding(5) var<storage, read> fields: array<f32>;
 @group(0) @binding(6) var<storage, read> partial_sums: array<f32>;
+#if texels
+@group(0) @binding(7) var y: texture_storage_2d<$texels, write>;
+#else
 @group(0) @binding(7) var<storage, read_write> y: array<StoredQuad>;
+#endif
 @group(0) @binding(8) var<storage, read_write> rows_or_field: array<f32>;
 
 // Embedded quads in workgroup memory, E channels of SPAN * WIDE quads. They follow the STAGED_QUADS staged

@@ -41,7 +41,7 @@ fn advance(@builtin(global_invocation_id) id: vec3u) {
         x[at] += shift;
     } else {
         v[at] = 0.0;
-        x[at] = targets[3u * (slot - 1u) + id.y % 3u];
+        x[at] = target_of(slot, id.y % 3u);
     }
     a[at] = 0.0;
 }

@@ -40,7 +40,8 @@ fn draw(@builtin(global_invocation_id) id: vec3u) {
     let sample = id.y;
     let component = sample % 3u;
     let at = sample * n + p;
-    let slot = drawn[sample / 3u].slot;
+    // A slot that the pool does not have must not lead out of it.
+    let slot = min(drawn[sample / 3u].slot, arrayLength(&pool) / (15u * n) - 1u);
     let at_pool = (slot * 15u + component) * n + p;
     var state = array(pool[at_pool], pool[at_pool + 3u * n], pool[at_pool + 6u * n]);
     var last = array(pool[at_pool + 9u * n], pool[at_pool + 12u * n]);

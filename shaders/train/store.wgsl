@@ -36,7 +36,8 @@ fn store(@builtin(global_invocation_id) id: vec3u) {
     }
     let sample = id.y;
     let at = sample * n + p;
-    let slot = drawn[sample / 3u].slot;
+    // A slot that the pool does not have must not lead out of it.
+    let slot = min(drawn[sample / 3u].slot, arrayLength(&pool) / (15u * n) - 1u);
     let to = (slot * 15u + sample % 3u) * n + p;
     pool[to] = x[at];
     pool[to + 3u * n] = v[at];

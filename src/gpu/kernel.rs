@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 pub struct Binding {
     /// Name of the variable.
     pub name: String,
-    /// Uniform, read-only or read-write storage, or a texture for a tensor's texels ([`Tensor::with_texels`]).
+    /// Uniform, read-only or read-write storage, or a texture for a tensor in texels.
     pub ty: wgpu::BindingType,
     /// Size of the variable \[bytes\], or of one element of a runtime-sized array; 0 for a texture.
     pub size: u32,
@@ -24,7 +24,7 @@ pub struct Binding {
 impl Binding {
     /// Whether it is a texture.
     pub fn is_texture(&self) -> bool {
-        matches!(self.ty, wgpu::BindingType::Texture { .. })
+        !matches!(self.ty, wgpu::BindingType::Buffer { .. })
     }
 }
 
@@ -57,11 +57,7 @@ impl Source {
                 naga::AddressSpace::Storage { access } => buffer(wgpu::BufferBindingType::Storage {
                     read_only: !access.contains(naga::StorageAccess::STORE),
                 }),
-                naga::AddressSpace::Handle => wgpu::BindingType::Texture {
-                    sample_type: wgpu::TextureSampleType::Float { filterable: false },
-                    view_dimension: wgpu::TextureViewDimension::D2,
-                    multisampled: false,
-                },
+                naga::AddressSpace::Handle => texels(module, variable.ty),
                 other => unreachable!("{}.wgsl binds a variable in {other:?}", self.name),
             };
             let name = variable.name.clone().unwrap_or_default();
@@ -69,6 +65,30 @@ impl Source {
         }
         found.sort_by_key(|f| f.0);
         found.into_iter().map(|f| f.1).collect()
+    }
+}
+
+/// Returns how a texture is bound: to be written if it has a format, else to be read.
+fn texels(module: &naga::Module, ty: naga::Handle<naga::Type>) -> wgpu::BindingType {
+    let view_dimension = wgpu::TextureViewDimension::D2;
+    let format = match module.types[ty].inner {
+        naga::TypeInner::Image { class: naga::ImageClass::Storage { format, .. }, .. } => Some(format),
+        _ => None,
+    };
+    match format {
+        Some(format) => wgpu::BindingType::StorageTexture {
+            access: wgpu::StorageTextureAccess::WriteOnly,
+            format: match format {
+                naga::StorageFormat::Rgba16Float => Storage::F16.texels(),
+                _ => Storage::F32.texels(),
+            },
+            view_dimension,
+        },
+        None => wgpu::BindingType::Texture {
+            sample_type: wgpu::TextureSampleType::Float { filterable: false },
+            view_dimension,
+            multisampled: false,
+        },
     }
 }
 
@@ -93,17 +113,32 @@ pub(crate) struct Kernel {
 }
 
 /// The kernels built on a device, by their text and constants. All its solvers share them, since a pipeline
-/// takes tens of milliseconds to compile.
+/// takes tens of milliseconds to compile. Those of solvers that are gone stay for the next ones, up to a limit.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Kernels(Arc<Mutex<HashMap<KernelKey, Kernel>>>);
 
 /// The text of a kernel and the bits of its constants.
 type KernelKey = (String, Vec<(&'static str, u64)>);
 
+/// Number of kernels from which on those that no solver uses are dropped: more than ten different solvers have.
+const MOST_KERNELS: usize = 512;
+
 impl Kernels {
     /// Forgets all kernels, so that the next solver does not get one that failed to compile.
     pub fn clear(&self) {
         self.lock().clear();
+    }
+
+    fn get(&self, key: &KernelKey) -> Option<Kernel> {
+        self.lock().get(key).cloned()
+    }
+
+    fn insert(&self, key: KernelKey, kernel: &Kernel) {
+        let mut known = self.lock();
+        if known.len() >= MOST_KERNELS {
+            known.retain(|_, kernel| Arc::strong_count(&kernel.program) > 1);
+        }
+        known.insert(key, kernel.clone());
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<KernelKey, Kernel>> {
@@ -136,8 +171,8 @@ impl Kernel {
             source.unrolled(Unroll { storage: context.storage(), order: context.order(), ..unroll.into() });
         let bits = constants.iter().map(|&(name, value)| (name, value.to_bits())).collect();
         let key: KernelKey = (text, bits);
-        if let Some(known) = context.kernels.lock().get(&key) {
-            return Ok(known.clone());
+        if let Some(known) = context.kernels.get(&key) {
+            return Ok(known);
         }
         let module = source.parsed(&key.0)?;
         let entry = module.entry_points.first();
@@ -152,7 +187,7 @@ impl Kernel {
             pipeline: OnceLock::new(),
         };
         let kernel = Self { bindings, workgroup, program: Arc::new(program) };
-        context.kernels.lock().insert(key, kernel.clone());
+        context.kernels.insert(key, &kernel);
         Ok(kernel)
     }
 
@@ -246,11 +281,8 @@ fn trusted_module(device: &wgpu::Device, name: &str, module: naga::Module) -> wg
     // private to the crate, and callers cannot supply their own. Every loop there counts to a finite bound.
     // Computed indices are bounded by the sizes in the parameters, which the host side of each kernel
     // (`crate::kernels`) asserts against the shapes of the tensors it binds; where a whole buffer is bound
-    // for a view, `Tensor::view` has asserted that the view is within it. Indices of particles in buckets are
-    // data, which the cell kernels themselves bound by the number of particles. Other indices that are data
-    // are not checked there: handle slots, the slots of drawn cloths in their pool and the newest pair of
-    // L-BFGS are bounded by the code that writes them (`Model::check` and `Model::handle_slots`,
-    // `train::Pool`, `lbfgs.wgsl`), and callers who fill such tensors of `crate::kernels` themselves must do
-    // the same.
+    // for a view, `Tensor::view` has asserted that the view is within it. Indices that are data are bounded
+    // by the kernels themselves: particles in buckets, handle slots, the slots of drawn cloths in their pool
+    // and the newest pair of L-BFGS.
     unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
 }

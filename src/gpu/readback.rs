@@ -123,11 +123,9 @@ impl Readback {
     ) -> Result<T> {
         let mapped = mapping.map_err(|e| e.to_string()).and_then(|mapped| mapped.map_err(|e| e.to_string()));
         let value = mapped.and_then(|()| {
-            let view = slot.get_mapped_range(..).map_err(|e| e.to_string())?;
-            let value = read(&view[..self.bytes as usize]);
-            drop(view);
+            let value = slot.get_mapped_range(..).map(|view| read(&view[..self.bytes as usize]));
             slot.unmap();
-            Ok(value)
+            value.map_err(|e| e.to_string())
         });
         self.free.push(slot);
         value.map_err(|e| Error::Lost(format!("{}: cannot read back: {e}", context.name())))

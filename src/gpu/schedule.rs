@@ -1,7 +1,8 @@
 //! Lists of dispatches with everything bound, recorded into a caller's encoder as often as needed.
 
 use super::kernel::Program;
-use super::{Binding, Context, Kernel, Profile, Tensor};
+use super::tensor::Memory;
+use super::{Context, Kernel, Profile, Tensor};
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -26,8 +27,8 @@ pub struct Schedule {
 struct Bound {
     layout: wgpu::BindGroupLayout,
     uniforms: wgpu::Buffer,
-    /// Buffer, offset and size in bytes of each tensor.
-    tensors: Vec<(wgpu::Buffer, u64, u64)>,
+    /// Memory and size in bytes of each tensor.
+    tensors: Vec<(Memory, u64)>,
 }
 
 /// A buffer with the parameters of many dispatches. Bound at different offsets, it is a single buffer to
@@ -83,11 +84,11 @@ impl Schedule {
         assert_eq!(expected[0].size as usize, bytes.len(), "size of the parameters of {name}");
         for (binding, tensor) in expected[1..].iter().zip(tensors) {
             let label = tensor.label();
-            let fits = match binding.is_texture() {
-                true => tensor.texels().is_some(),
-                false => binding.storage == tensor.storage(),
+            let fits = match tensor.memory() {
+                Memory::Buffer { .. } => !binding.is_texture() && binding.storage == tensor.storage(),
+                Memory::Texels(_) => binding.is_texture(),
             };
-            assert!(fits, "{name}: {binding:?} from '{label}' in {:?}", tensor.storage());
+            assert!(fits, "{name}: {} from '{label}', {:?}", binding.name, tensor.storage());
         }
         let context = &self.context;
         let most = context.device.limits().max_compute_workgroups_per_dimension;
@@ -106,30 +107,25 @@ impl Schedule {
         let bound = Bound {
             layout: program.layout.clone(),
             uniforms: uniforms.clone(),
-            tensors: tensors.iter().map(|t| (t.buffer().clone(), t.offset(), t.bytes())).collect(),
+            tensors: tensors.iter().map(|t| (t.memory().clone(), t.bytes())).collect(),
         };
-        let group = || Self::bind(context, kernel, (&uniforms, bytes.len()), tensors);
+        let group = || Self::bind(context, program, (&uniforms, bytes.len()), tensors);
         let bind_group = self.bound.entry(bound).or_insert_with(group).clone();
         self.steps.push(Step::Dispatch { program: program.clone(), bind_group, params, groups });
     }
 
     /// Creates a bind group of the tensors and `bytes` bytes of parameters, wherever they begin in their
     /// buffer.
-    fn bind<'t>(
+    fn bind(
         context: &Context,
-        kernel: &Kernel,
+        program: &Program,
         (uniforms, bytes): (&wgpu::Buffer, usize),
-        tensors: &[&'t Tensor],
+        tensors: &[&Tensor],
     ) -> wgpu::BindGroup {
-        let program = &kernel.program;
         let label = Some(program.name);
         let size = std::num::NonZeroU64::new(bytes as u64);
         let params = wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: uniforms, offset: 0, size });
-        let resource = |(binding, tensor): (&Binding, &&'t Tensor)| match tensor.texels() {
-            Some(texels) if binding.is_texture() => wgpu::BindingResource::TextureView(texels),
-            _ => tensor.binding(),
-        };
-        let resources = std::iter::once(params).chain(kernel.bindings[1..].iter().zip(tensors).map(resource));
+        let resources = std::iter::once(params).chain(tensors.iter().map(|t| t.binding()));
         let entries: Vec<_> = resources
             .enumerate()
             .map(|(i, resource)| wgpu::BindGroupEntry { binding: i as u32, resource })

@@ -21,6 +21,14 @@ impl Storage {
         }
     }
 
+    /// Returns the format of texels with four numbers.
+    pub(super) fn texels(self) -> wgpu::TextureFormat {
+        match self {
+            Self::F32 => wgpu::TextureFormat::Rgba32Float,
+            Self::F16 => wgpu::TextureFormat::Rgba16Float,
+        }
+    }
+
     /// Returns the type's name in WGSL, `f32` or `f16`.
     pub fn name(self) -> &'static str {
         match self {

@@ -19,7 +19,7 @@
 //! Lines between `#if broadcast` and `#endif` are left out unless operands are broadcast ([`Sharing`]); those
 //! after an `#else` are left out if they are. `#if texels` does the same for [`Unroll::texels`].
 //!
-//! `StoredQuad` and `StoredPair` are four and two numbers in the storage format of the network's activations
+//! `$texels` is the format of texels to which activations are written. `StoredQuad` and `StoredPair` are four and two numbers in the storage format of the network's activations
 //! and weights ([`Storage`]).
 //!
 //! Accumulators thus become named registers: neither naga nor software drivers reliably turn a private array
@@ -56,7 +56,7 @@ pub struct Unroll {
     pub sharing: Sharing,
     /// Elements of operands that are bound as uniform buffers; 0 for those bound as storage.
     pub uniforms: [usize; 2],
-    /// Whether weights are read as texels, in kernels that can.
+    /// Whether operands are texels, in kernels with sections for that.
     pub texels: bool,
     /// Element type of `StoredQuad` and `StoredPair`; taken from the context when a kernel is built.
     pub storage: Storage,
@@ -109,23 +109,18 @@ impl Source {
         if stores && unroll.storage == Storage::F16 {
             text.push_str("enable f16; ");
         }
-        let mut included = true;
-        for line in self.wgsl.lines() {
-            match line {
-                "#if broadcast" => included = unroll.sharing == Sharing::Broadcast,
-                "#if texels" => included = unroll.texels,
-                "#else" => included = !included,
-                "#endif" => included = true,
-                _ if included => text.push_str(&self.unrolled_line(line, unroll)),
-                _ => (),
-            }
+        for line in included(self.wgsl, unroll) {
+            text.push_str(&self.unrolled_line(line, unroll));
             text.push('\n');
         }
         if stores {
             let name = unroll.storage.name();
             let _ = writeln!(text, "alias StoredQuad = vec4<{name}>; alias StoredPair = vec2<{name}>;");
         }
-        self.appended.iter().for_each(|part| text.push_str(part));
+        for line in self.appended.iter().flat_map(|part| included(part, unroll)) {
+            text.push_str(&line.replace("$texels", &format!("rgba{}float", 8 * unroll.storage.bytes())));
+            text.push('\n');
+        }
         if unroll.sharing == Sharing::Broadcast {
             text = wide::apply(&text, unroll.storage);
         }
@@ -190,6 +185,22 @@ impl Source {
         };
         (0..times).map(copy).collect()
     }
+}
+
+/// Returns the lines of a text, with empty ones in place of sections that are left out and their limits.
+fn included(text: &str, unroll: Unroll) -> impl Iterator<Item = &str> {
+    let mut included = true;
+    text.lines().map(move |line| {
+        match line {
+            "#if broadcast" => included = unroll.sharing == Sharing::Broadcast,
+            "#if texels" => included = unroll.texels,
+            "#else" => included = !included,
+            "#endif" => included = true,
+            line if included => return line,
+            _ => (),
+        }
+        ""
+    })
 }
 
 /// Returns the copy of a line for one output. `copy` counts the positions of the first channel, then those of

@@ -3,8 +3,8 @@
 use super::{Context, Storage};
 use crate::{Error, Result};
 
-/// A storage buffer with a shape, holding 32-bit elements or numbers in the network's storage format
-/// ([`Storage`]).
+/// An array with a shape, of 32-bit elements or numbers in the network's storage format ([`Storage`]), in a
+/// storage buffer or, for some kernels on some adapters, in the texels of a texture.
 ///
 /// Almost every tensor has a buffer to itself: wgpu refuses to bind one buffer both for reading and for
 /// writing, even if the ranges do not overlap. Tensors that are only read together, such as the weights of
@@ -12,13 +12,22 @@ use crate::{Error, Result};
 /// as a whole ([`crate::kernels::optim::Iterate::hidden`]).
 #[derive(Clone, Debug)]
 pub struct Tensor {
-    buffer: wgpu::Buffer,
-    /// First byte of the content in the buffer.
-    offset: u64,
+    memory: Memory,
     shape: Vec<usize>,
     label: &'static str,
     storage: Storage,
-    texels: Option<wgpu::TextureView>,
+}
+
+/// Where a tensor is.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Memory {
+    Buffer {
+        buffer: wgpu::Buffer,
+        /// First byte of the content.
+        offset: u64,
+    },
+    /// Four numbers to a texel, which number along rows of [`Tensor::TEXELS`].
+    Texels(wgpu::TextureView),
 }
 
 impl Tensor {
@@ -56,7 +65,8 @@ impl Tensor {
         // Otherwise wgpu clears it before its first use, and until then checks for that in every dispatch
         // that binds it.
         context.submit(|encoder| encoder.clear_buffer(&buffer, 0, None));
-        Ok(Self { buffer, offset: 0, shape: shape.to_vec(), label, storage, texels: None })
+        let memory = Memory::Buffer { buffer, offset: 0 };
+        Ok(Self { memory, shape: shape.to_vec(), label, storage })
     }
 
     /// Alignment of single-precision views, in elements: every device binds at multiples of 256 bytes.
@@ -74,78 +84,97 @@ impl Tensor {
             self.label
         );
         assert_eq!(self.storage, Storage::F32, "a view of '{}'", self.label);
-        let offset = self.offset + 4 * first as u64;
-        Self { buffer: self.buffer.clone(), shape: shape.to_vec(), offset, texels: None, ..*self }
+        let memory =
+            Memory::Buffer { buffer: self.buffer().clone(), offset: self.offset() + 4 * first as u64 };
+        Self { memory, shape: shape.to_vec(), ..*self }
     }
 
     /// Returns the whole buffer of a single-precision view, and the element at which the view begins. Kernels
     /// that run on many views of one tensor bind it as one, and take the beginning as a parameter.
     pub(crate) fn whole(&self) -> (Self, usize) {
         assert_eq!(self.storage, Storage::F32, "a view of '{}'", self.label);
-        let shape = vec![(self.buffer.size() / 4) as usize];
-        let whole = Self { buffer: self.buffer.clone(), offset: 0, shape, texels: None, ..*self };
-        (whole, (self.offset / 4) as usize)
+        let shape = vec![(self.buffer().size() / 4) as usize];
+        let memory = Memory::Buffer { buffer: self.buffer().clone(), offset: 0 };
+        (Self { memory, shape, ..*self }, (self.offset() / 4) as usize)
     }
 
-    /// Returns the first `count` items along the first axis. They share the buffer.
+    /// Returns the first `count` items along the first axis. They share the memory.
     pub fn first(&self, count: usize) -> Self {
         assert!(count <= self.shape[0], "the first {count} of '{}' {:?}", self.label, self.shape);
         let mut shape = self.shape.clone();
         shape[0] = count;
-        Self { buffer: self.buffer.clone(), shape, texels: None, ..*self }
+        Self { memory: self.memory.clone(), shape, ..*self }
     }
 
-    /// Whether the content can be copied into rows of `width` texels ([`Tensor::with_texels`]): if it is a
-    /// whole number of rows, these can be copied from a buffer, and the device has textures as large.
-    pub fn fits_texels(&self, context: &Context, width: usize) -> bool {
-        let (row, most) = (self.bytes_of_texels(width), context.device.limits().max_texture_dimension_2d);
-        let copied = row.is_multiple_of(wgpu::COPY_BYTES_PER_ROW_ALIGNMENT.into());
-        let rows = self.bytes() / row.max(1);
-        copied && self.bytes() == rows * row && rows.max(width as u64) <= u64::from(most)
+    /// Number of texels in a row of a texture, which every device supports.
+    const TEXELS: u32 = 4096;
+
+    /// Whether the device has textures for this many numbers.
+    pub(crate) fn fits_texels(context: &Context, len: usize) -> bool {
+        let most = context.device.limits().max_texture_dimension_2d;
+        Self::TEXELS <= most && len.div_ceil(4 * Self::TEXELS as usize) <= most as usize
     }
 
-    /// Returns the size of this many texels \[bytes\].
-    fn bytes_of_texels(&self, count: usize) -> u64 {
-        (4 * self.storage.bytes() * count) as u64
-    }
-
-    /// Copies the content, as it is when the next submission runs, into a texture that kernels can read
-    /// instead of the buffer, in rows of `width` texels of four numbers each.
+    /// Creates a tensor in texels, in the storage format of the context's networks. Kernels declare such a
+    /// tensor as a texture, and number its quads with `shaders/common/texel.wgsl`. Its content is undefined.
     ///
-    /// Panics if it does not fit ([`Tensor::fits_texels`]).
-    pub fn with_texels(&self, context: &Context, width: usize) -> Self {
-        assert!(self.fits_texels(context, width), "'{}' in rows of {width} texels", self.label);
-        let row = self.bytes_of_texels(width);
-        let height = (self.bytes() / row) as u32;
-        let size = wgpu::Extent3d { width: width as u32, height, depth_or_array_layers: 1 };
+    /// Panics if it does not fit the device's textures.
+    pub fn texels(context: &Context, label: &'static str, shape: &[usize]) -> Self {
+        let len: usize = shape.iter().product();
+        assert!(Self::fits_texels(context, len), "'{label}' of shape {shape:?} in texels");
+        let storage = context.storage();
         let texture = context.device.create_texture(&wgpu::TextureDescriptor {
-            label: Some(self.label),
-            size,
+            label: Some(label),
+            size: wgpu::Extent3d {
+                width: Self::TEXELS,
+                height: len.div_ceil(4 * Self::TEXELS as usize).max(1) as u32,
+                depth_or_array_layers: 1,
+            },
             mip_level_count: 1,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
-            format: match self.storage {
-                Storage::F32 => wgpu::TextureFormat::Rgba32Float,
-                Storage::F16 => wgpu::TextureFormat::Rgba16Float,
-            },
-            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            format: storage.texels(),
+            usage: wgpu::TextureUsages::TEXTURE_BINDING
+                | wgpu::TextureUsages::STORAGE_BINDING
+                | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
         });
-        let from = wgpu::TexelCopyBufferInfo {
-            buffer: &self.buffer,
-            layout: wgpu::TexelCopyBufferLayout {
-                offset: self.offset,
-                bytes_per_row: Some(row as u32),
-                rows_per_image: None,
-            },
-        };
-        context.submit(|encoder| encoder.copy_buffer_to_texture(from, texture.as_image_copy(), size));
-        Self { texels: Some(texture.create_view(&wgpu::TextureViewDescriptor::default())), ..self.clone() }
+        let memory = Memory::Texels(texture.create_view(&wgpu::TextureViewDescriptor::default()));
+        Self { memory, shape: shape.to_vec(), label, storage }
     }
 
-    /// Returns the texture with a copy of the content, if it has one ([`Tensor::with_texels`]).
-    pub(super) fn texels(&self) -> Option<&wgpu::TextureView> {
-        self.texels.as_ref()
+    /// Returns a copy in texels of the content that the next submission finds. The tensor must have the
+    /// storage format of the context's networks.
+    ///
+    /// Panics if it does not fit the device's textures.
+    pub fn to_texels(&self, context: &Context) -> Self {
+        let copy = Self::texels(context, self.label, &self.shape);
+        assert_eq!(copy.storage, self.storage, "'{}' in texels", self.label);
+        let Memory::Texels(view) = &copy.memory else { unreachable!("made of texels") };
+        let row = 4 * self.storage.bytes() as u32 * Self::TEXELS;
+        let all = self.len().div_ceil(4) as u32;
+        // Whole rows, then the rest.
+        let (rows, rest) = (all / Self::TEXELS, all % Self::TEXELS);
+        let parts = [(0, Self::TEXELS, rows), (rows, rest, 1)];
+        context.submit(|encoder| {
+            for (first, width, height) in parts.into_iter().filter(|&(_, width, height)| width * height > 0) {
+                let from = wgpu::TexelCopyBufferInfo {
+                    buffer: self.buffer(),
+                    layout: wgpu::TexelCopyBufferLayout {
+                        offset: self.offset() + u64::from(first) * u64::from(row),
+                        bytes_per_row: Some(row),
+                        rows_per_image: None,
+                    },
+                };
+                let to = wgpu::TexelCopyTextureInfo {
+                    origin: wgpu::Origin3d { x: 0, y: first, z: 0 },
+                    ..view.texture().as_image_copy()
+                };
+                let size = wgpu::Extent3d { width, height, depth_or_array_layers: 1 };
+                encoder.copy_buffer_to_texture(from, to, size);
+            }
+        });
+        copy
     }
 
     /// Creates a tensor that holds `data`, whose length must match `shape`.
@@ -165,7 +194,7 @@ impl Tensor {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert_eq!(bytes.len() as u64, self.bytes(), "tensor '{}' has shape {:?}", self.label, self.shape);
         if !bytes.is_empty() {
-            context.queue.write_buffer(&self.buffer, self.offset, bytes);
+            context.queue.write_buffer(self.buffer(), self.offset(), bytes);
         }
     }
 
@@ -176,8 +205,8 @@ impl Tensor {
         assert!(first + data.len() <= self.len(), "tensor '{}' has shape {:?}", self.label, self.shape);
         if !data.is_empty() {
             context.queue.write_buffer(
-                &self.buffer,
-                self.offset + 4 * first as u64,
+                self.buffer(),
+                self.offset() + 4 * first as u64,
                 bytemuck::cast_slice(data),
             );
         }
@@ -223,21 +252,38 @@ impl Tensor {
 
     /// Returns the buffer, usable for storage, as a vertex buffer and for copies. The content starts at
     /// [`Tensor::offset`].
+    ///
+    /// Panics if the tensor is in texels.
     pub fn buffer(&self) -> &wgpu::Buffer {
-        &self.buffer
+        match &self.memory {
+            Memory::Buffer { buffer, .. } => buffer,
+            Memory::Texels(_) => panic!("tensor '{}' is in texels", self.label),
+        }
     }
 
     /// Returns the first byte of the content in the buffer: 0 unless the tensor is a view.
     pub fn offset(&self) -> u64 {
-        self.offset
+        match self.memory {
+            Memory::Buffer { offset, .. } => offset,
+            Memory::Texels(_) => 0,
+        }
+    }
+
+    pub(super) fn memory(&self) -> &Memory {
+        &self.memory
     }
 
     /// Returns the resource that a kernel binds, whether of this crate or another: the content, rounded up to
-    /// whole vec4s.
+    /// whole vec4s, or all texels.
     pub fn binding(&self) -> wgpu::BindingResource<'_> {
-        let size = self.bytes().max(4).next_multiple_of(16);
-        let size = std::num::NonZeroU64::new(size.min(self.buffer.size() - self.offset));
-        wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer: &self.buffer, offset: self.offset, size })
+        match &self.memory {
+            Memory::Buffer { buffer, offset } => {
+                let size = self.bytes().max(4).next_multiple_of(16);
+                let size = std::num::NonZeroU64::new(size.min(buffer.size() - offset));
+                wgpu::BindingResource::Buffer(wgpu::BufferBinding { buffer, offset: *offset, size })
+            }
+            Memory::Texels(view) => wgpu::BindingResource::TextureView(view),
+        }
     }
 
     /// Returns the number of elements along each axis.

@@ -36,7 +36,8 @@ pub struct Tuning {
     pub busy_groups: usize,
     /// How operands that a subgroup shares are read.
     pub sharing: Sharing,
-    /// Whether the weights of the spectral convolution are read as texels, if they do not change.
+    /// Whether activations that only blocks read, and the weights and table of the spectral convolution, are
+    /// in texels instead of buffers. Not in training.
     pub texels: bool,
     /// Largest size of a layer's activations \[bytes\], if the device can bind that much. Samples beyond it
     /// are processed in further passes.

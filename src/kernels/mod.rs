@@ -22,6 +22,7 @@ pub(crate) mod common {
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
     pub const OFFSET: &str = include_str!("../../shaders/common/offset.wgsl");
+    pub const TEXEL: &str = include_str!("../../shaders/common/texel.wgsl");
     pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");
 }
 
@@ -35,6 +36,7 @@ pub(crate) mod pieces {
     pub const LIFTED_FIELDS: &str = include_str!("../../shaders/pieces/lifted_fields.wgsl");
     pub const LIFTING_INPUTS: &str = include_str!("../../shaders/pieces/lifting_inputs.wgsl");
     pub const SCALAR_HEAD: &str = include_str!("../../shaders/pieces/scalar_head.wgsl");
+    pub const TARGET: &str = include_str!("../../shaders/pieces/target.wgsl");
     pub const TRIAL: &str = include_str!("../../shaders/pieces/trial.wgsl");
 }
 

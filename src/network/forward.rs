@@ -8,7 +8,7 @@ use crate::Result;
 use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::operator::{
     Activate, Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
-    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, pointwise::Lines, spectral,
+    ScalarHead, Scales, Spectral, SpectralTensors, TransformRows, pointwise::Lines,
 };
 use crate::kernels::optim::{FeatureInputs, Features};
 use crate::kernels::padded;
@@ -121,9 +121,9 @@ impl Forward {
         let mut layers = layout.stored_layers(context, weights)?;
         // The backward pass puts weights of its own in their place.
         let texels = plan.tuning.texels && plan.keep != Keep::Adjoint;
-        let texels = texels && layers.products.iter().all(|weight| spectral::fits_texels(context, weight));
+        let texels = texels && layers.products.iter().all(|w| Tensor::fits_texels(context, w.len()));
         if texels {
-            layers.products = layers.products.iter().map(|w| spectral::with_texels(context, w)).collect();
+            layers.products = layers.products.iter().map(|weight| weight.to_texels(context)).collect();
         }
         let plan = &Plan { tuning: Tuning { texels, ..plan.tuning }, ..*plan };
         let fused = Fused::new(context, weights, (layout.padded(), &layers), plan)?;
@@ -150,9 +150,31 @@ impl Forward {
             Some(_) => 0,
             None => tuning.most_samples(context, config.lifting * w).clamp(1, (samples * h).max(1)),
         };
+        // For the backward pass a block outputs its pre-activations, but its rows are transformed after the
+        // GELU.
+        let size = block_size(&config, grid);
+        let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
+        let Fused { head, units } = fused;
+        let fuses_head = head.is_some();
+        let of_lifting = |of_fields| {
+            let lifting = Lifting { hidden: config.lifting, inputs: config.inputs(), of_fields };
+            LayerSize { lifting: Some(lifting), ..size }
+        };
+        let lifting_takes_rows = rows_in_blocks && Block::takes_rows(context, tuning, &of_lifting(true));
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
-        let activation = |label| stored(label, &[samples, h, config.channels, w]);
+        let shape = [samples, h, config.channels, w];
+        // If only blocks and a lifting in one dispatch read and write them.
+        let in_texels = tuning.texels
+            && keep == Keep::Nothing
+            && fuses_head
+            && units.is_some()
+            && lifting_takes_rows
+            && Tensor::fits_texels(context, shape.iter().product());
+        let activation = |label| match in_texels {
+            true => Ok(Tensor::texels(context, label, &shape)),
+            false => stored(label, &shape),
+        };
         let count = match keep {
             Keep::Nothing => 2,
             // One for the lifting, and one for each block.
@@ -172,25 +194,18 @@ impl Forward {
             }
             pre_activations.push(zeros("pre-activations", &[samples, h, config.projection, w])?);
         }
-        // For the backward pass a block outputs its pre-activations, but its rows are transformed after the
-        // GELU.
-        let size = block_size(&config, grid);
-        let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
-        let Fused { head, units } = fused;
-        let fuses_head = head.is_some();
         let epilogues: Vec<Epilogue> = (0..config.layers)
             .map(|block| epilogue(&config, block, keep, fuses_head, rows_in_blocks))
             .collect();
+        let of_blocks = &Tuning { texels: in_texels, ..*tuning };
         let lifting = |of_fields| {
-            let lifting = Lifting { hidden: config.lifting, inputs: config.inputs(), of_fields };
-            let size = LayerSize { lifting: Some(lifting), ..size };
-            let rows = rows_in_blocks && Block::takes_rows(context, tuning, &size);
-            Block::new(context, tuning, size, Epilogue { rows, ..Epilogue::default() })
+            let epilogue = Epilogue { rows: lifting_takes_rows, ..Epilogue::default() };
+            Block::new(context, of_blocks, of_lifting(of_fields), epilogue)
         };
         let lifted = |units| -> Result<_> {
             Ok(Lifted { of_embedded: lifting(false)?, of_fields: lifting(true)?, units })
         };
-        let kernels = Kernels::new(context, &config, size, &epilogues, plan)?;
+        let kernels = Kernels::new(context, &config, (size, of_blocks), &epilogues, plan)?;
         let parts = if fuses_head { kernels.block(epilogues[config.layers - 1]).field_parts() } else { 1 };
         let mut block_rows = tables::inverse_rows(&config, grid.w);
         if rows_in_blocks {
@@ -201,6 +216,7 @@ impl Forward {
         let spectrum = [samples, config.modes_h, config.modes_w, config.channels, 2];
         let upload =
             |label, shape: &[usize], data: Vec<f32>| Tensor::from_slice(context, label, shape, &data);
+        let waves = upload("columns", &[h, config.modes_h / 2 + 1, 2], tables::columns(&config, h))?;
         Ok(Self {
             config,
             grid,
@@ -223,7 +239,7 @@ impl Forward {
                     &[w / 4, columns, 4],
                     tables::forward_rows(&config, h, grid.w),
                 )?,
-                columns: upload("columns", &[h, config.modes_h / 2 + 1, 2], tables::columns(&config, h))?,
+                columns: if tuning.texels { waves.to_texels(context) } else { waves },
                 block_rows: upload(
                     "block_rows",
                     &[block_rows.len() / (columns * w), columns, w],
@@ -387,7 +403,7 @@ impl Kernels {
     fn new(
         context: &Context,
         config: &Config,
-        size: LayerSize,
+        (size, of_blocks): (LayerSize, &Tuning),
         epilogues: &[Epilogue],
         plan: &Plan,
     ) -> Result<Self> {
@@ -395,7 +411,7 @@ impl Kernels {
         let mut blocks: Vec<Block> = Vec::new();
         for &epilogue in epilogues {
             if blocks.iter().all(|b| b.epilogue() != epilogue) {
-                blocks.push(Block::new(context, tuning, size, epilogue)?);
+                blocks.push(Block::new(context, of_blocks, size, epilogue)?);
             }
         }
         Ok(Self {

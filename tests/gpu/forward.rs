@@ -143,6 +143,13 @@ fn folded_networks_match_the_host() {
             let field = added_up(&pass.field, grid);
             assert_close("field", &field, host.field(), (2e-5 * largest(host.field()), 0.0));
             assert_close("scalar", &read(&pass.scalar), host.scalar(), (2e-5 * largest(host.scalar()), 0.0));
+            if tuning.texels {
+                let tuning = Tuning { texels: false, ..tuning };
+                let buffers =
+                    submit_pass(&weights.folded(), &tuning, (grid, samples), (&fields, Keep::Nothing));
+                let both = |pass: &Forward| [&pass.field, &pass.scalar].map(read);
+                assert_eq!(both(&pass), both(&buffers), "texels give the same bits as buffers");
+            }
         }
     }
 }

@@ -4,11 +4,14 @@ use super::StateTensors;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::optim::Iterate;
-use crate::kernels::size;
+use crate::kernels::{pieces, size};
 
 /// The kernel's WGSL.
-pub const SOURCE: Source =
-    Source { name: "integrate", wgsl: include_str!("../../../shaders/cloth/integrate.wgsl"), appended: &[] };
+pub const SOURCE: Source = Source {
+    name: "integrate",
+    wgsl: include_str!("../../../shaders/cloth/integrate.wgsl"),
+    appended: &[pieces::TARGET],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

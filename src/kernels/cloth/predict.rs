@@ -3,11 +3,14 @@
 use super::StateTensors;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
-use crate::kernels::size;
+use crate::kernels::{pieces, size};
 
 /// The kernel's WGSL.
-pub const SOURCE: Source =
-    Source { name: "predict", wgsl: include_str!("../../../shaders/cloth/predict.wgsl"), appended: &[] };
+pub const SOURCE: Source = Source {
+    name: "predict",
+    wgsl: include_str!("../../../shaders/cloth/predict.wgsl"),
+    appended: &[pieces::TARGET],
+};
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

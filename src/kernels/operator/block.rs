@@ -14,16 +14,25 @@ use bytemuck::Zeroable;
 pub const SOURCE: Source = Source {
     name: "block",
     wgsl: include_str!("../../../shaders/operator/block.wgsl"),
-    appended: &[common::GELU, pieces::BLOCK_INPUTS],
+    appended: &[common::GELU, common::TEXEL, pieces::BLOCK_INPUTS],
 };
 
 /// The kernel's WGSL as a lifting.
-pub const LIFTING: Source =
-    Source { appended: &[common::GELU, pieces::LIFTING_INPUTS, pieces::LIFTED_EMBEDDING], ..SOURCE };
+pub const LIFTING: Source = Source {
+    appended: &[common::GELU, common::TEXEL, pieces::LIFTING_INPUTS, pieces::LIFTED_EMBEDDING],
+    ..SOURCE
+};
 
 /// The kernel's WGSL as a lifting that embeds its input from fields itself.
 pub const LIFTING_OF_FIELDS: Source = Source {
-    appended: &[common::GELU, pieces::LIFTING_INPUTS, pieces::LIFTED_FIELDS, pieces::FEATURES, common::TANH],
+    appended: &[
+        common::GELU,
+        common::TEXEL,
+        pieces::LIFTING_INPUTS,
+        pieces::LIFTED_FIELDS,
+        pieces::FEATURES,
+        common::TANH,
+    ],
     ..SOURCE
 };
 
@@ -221,7 +230,8 @@ impl Block {
         Group::new(limits, tuning, layer, epilogue).is_some_and(suits)
     }
 
-    /// Builds the kernel. Fails if the device's workgroups are too small.
+    /// Builds the kernel. With [`Tuning::texels`], it takes an input of C channels in texels and writes its
+    /// output to texels. Fails if the device's workgroups are too small.
     pub fn new(context: &Context, tuning: &Tuning, layer: LayerSize, epilogue: Epilogue) -> Result<Self> {
         assert!(!(epilogue.field && epilogue.whole_rows()), "FIELD excludes ROWS and POOL");
         assert!(layer.lifting.is_none() || !epilogue.pool, "only blocks pool");
@@ -256,7 +266,9 @@ impl Block {
                 .extend([("EMBEDDED", group.embedded_quads as f64), ("STAGED_QUADS", group.staged as f64)]);
         }
         let uniforms = layer.uniform_quads(context, tuning, epilogue);
-        let unroll = Unroll { span: group.span, second: 2, uniforms, ..tuning.unroll(tuning.channels) };
+        let texels = tuning.texels;
+        let unroll =
+            Unroll { span: group.span, second: 2, uniforms, texels, ..tuning.unroll(tuning.channels) };
         let kernel = Kernel::new(context, &source, unroll, &constants)?;
         let nothing = || Tensor::zeros(context, "nothing", &[1]);
         let nothing = [nothing()?, nothing()?];

@@ -1,13 +1,16 @@
 //! Host side of `shaders/operator/spectral.wgsl`.
 
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor, Tuning, Unroll};
-use crate::kernels::size;
+use crate::kernels::{common, size};
 use crate::network::Config;
 use crate::{Error, Result};
 
 /// The kernel's WGSL.
-pub const SOURCE: Source =
-    Source { name: "spectral", wgsl: include_str!("../../../shaders/operator/spectral.wgsl"), appended: &[] };
+pub const SOURCE: Source = Source {
+    name: "spectral",
+    wgsl: include_str!("../../../shaders/operator/spectral.wgsl"),
+    appended: &[common::TEXEL],
+};
 
 /// Number of samples that share a read of the weights: the three components of a cloth.
 const TILE: usize = 3;
@@ -165,8 +168,8 @@ impl Spectral {
         Ok(Self { kernel, division, config: *config, keep, nothing })
     }
 
-    /// Convolves `tensors` with `weight` [modes, C / 2, C, 4] (see [`index`]), which has texels if the kernel
-    /// was built to read them.
+    /// Convolves `tensors` with `weight` [modes, C / 2, C, 4] (see [`index`]), in texels if the kernel was
+    /// built with [`Tuning::texels`]. So is the table.
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, tensors: SpectralTensors<'_>) {
         let SpectralTensors { table, r, inverse, spectrum } = tensors;
         let &[samples, h, columns, c] = r.shape() else { panic!("spectral: {:?}", r.shape()) };
@@ -186,16 +189,6 @@ impl Spectral {
         let count = [size(division.groups(&self.config)), size(samples / division.tile), 1];
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
-}
-
-/// Whether the kernel can read this weight as texels.
-pub fn fits_texels(context: &Context, weight: &Tensor) -> bool {
-    weight.fits_texels(context, weight.shape()[2])
-}
-
-/// Returns `weight` [modes, C / 2, C, 4] with a copy of its content for a kernel that reads texels.
-pub fn with_texels(context: &Context, weight: &Tensor) -> Tensor {
-    weight.with_texels(context, weight.shape()[2])
 }
 
 /// Returns the index of the real part of the weight of `mode` from input `i` to output `o` in the order of

@@ -4,13 +4,13 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::StateTensors;
 use crate::kernels::optim::Iterate;
-use crate::kernels::{common, size};
+use crate::kernels::{common, pieces, size};
 
 /// The kernel's WGSL.
 pub const SOURCE: Source = Source {
     name: "advance",
     wgsl: include_str!("../../../shaders/train/advance.wgsl"),
-    appended: &[common::DRAWN],
+    appended: &[common::DRAWN, pieces::TARGET],
 };
 
 #[repr(C)]

@@ -4,10 +4,10 @@
 use super::features::sums;
 use super::operator::{MODES, activate, activations, config, copies, dense, head, layer, turn};
 use crate::common::{
-    ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_channels,
-    read_unpadded, run, tensor, tunings,
+    self, ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_channels,
+    read_unpadded, run, tensor,
 };
-use fnopt::gpu::Tuning;
+use fnopt::gpu::{Tensor, Tuning};
 use fnopt::kernels::operator::block::{hidden_units, with_head};
 use fnopt::kernels::operator::{Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting};
 use fnopt::kernels::optim::{FeatureInputs, Features, Iterate};
@@ -28,6 +28,11 @@ fn add_inverse_rows(y: &mut [f64], r: &[f32], modes_w: usize, grid: Grid) {
             *y += copies(m, w) * (r(2 * m) * cos - r(2 * m + 1) * sin);
         }
     }
+}
+
+/// Returns the tunings with activations in buffers, which can be read back.
+fn tunings() -> [Tuning; 5] {
+    common::tunings().map(|tuning| Tuning { texels: false, ..tuning })
 }
 
 /// Returns the size of a block on `grid`.
@@ -151,6 +156,60 @@ fn blocks_that_take_rows_match() {
                     assert_eq!(read(&most), expected_most, "{what}");
                 }
             }
+        }
+    }
+}
+
+/// A lifting and a block that write texels, and blocks that read them, compute the same bits as in buffers.
+#[test]
+fn activations_in_texels_are_the_same() {
+    let _turn = device();
+    const HIDDEN: usize = 32;
+    let [software, hardware, ..] = tunings();
+    for tuning in [software, hardware] {
+        for (grid, batch) in cases() {
+            let config = config(MODES[0], CHANNELS);
+            let (columns, w) = (2 * config.modes_w, padded(grid.w));
+            let (_, _, outer) = layer(CHANNELS, HIDDEN, tuning.channels);
+            let (_, _, skip) = layer(CHANNELS, CHANNELS, tuning.channels);
+            let (_, x) = activations(batch, 5, grid, 0.0);
+            let units = hidden_units(&noise(HIDDEN * 5, 15), &noise(HIDDEN, 16));
+            let units = tensor("hidden units", &[HIDDEN, units.len() / HIDDEN], &units);
+            let shape = [batch, grid.h, columns, CHANNELS];
+            let r = tensor("r", &shape, &noise(shape.iter().product(), 21));
+            let table = tensor("table", &[columns, w], &tables::inverse_rows(&config, grid.w));
+            let size = size(grid, config.modes_w);
+            let lifting = Some(Lifting { hidden: HIDDEN, inputs: 5, of_fields: false });
+            let head = layer(1, CHANNELS, 1).2.weight.read(context()).unwrap();
+            let with_head = with_head(&noise(CHANNELS, 13), (&head, 0.1));
+            let with_head = Layer {
+                bias: tensor("bias and head", &[with_head.len()], &with_head),
+                weight: skip.weight.clone(),
+            };
+            let fields = [false, true].map(|texels| {
+                let tuning = Tuning { texels, ..tuning };
+                let built = |size, epilogue| Block::new(context(), &tuning, size, epilogue).unwrap();
+                let lifted = built(LayerSize { lifting, ..size }, Epilogue::default());
+                let plain = built(size, Epilogue { gelu: true, ..Epilogue::default() });
+                let last = built(size, Epilogue { gelu: true, field: true, ..Epilogue::default() });
+                let y: [Tensor; 3] = [(); 3].map(|()| match texels {
+                    true => Tensor::texels(context(), "y", &[batch, grid.h, CHANNELS, w]),
+                    false => poisoned("y", &[batch, grid.h, CHANNELS, w]),
+                });
+                let field = poisoned("field", &[last.field_parts(), batch, grid.h, w]);
+                let of = |x, r, y| BlockTensors { x, r, y, rows_or_field: None, rows_max: None };
+                run(|schedule| {
+                    let tables = (&table, grid.w);
+                    lifted.push(schedule, &outer, tables, of(Inputs::Stored(&x), &units, &y[0]));
+                    plain.push(schedule, &skip, tables, of(Inputs::Stored(&y[0]), &r, &y[1]));
+                    let tensors = of(Inputs::Stored(&y[1]), &r, &y[2]);
+                    let tensors = BlockTensors { rows_or_field: Some(&field), ..tensors };
+                    last.push(schedule, &with_head, tables, tensors);
+                });
+                read_unpadded(&field, grid)
+            });
+            assert_eq!(fields[0], fields[1], "{} {batch} x {grid}", tuning.channels);
+            assert!(fields[0].iter().all(|value| value.is_finite()), "{} {batch} x {grid}", tuning.channels);
         }
     }
 }

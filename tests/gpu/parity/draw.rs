@@ -78,6 +78,36 @@ fn cloths_leave_their_pool_and_come_back() {
     assert_eq!((read(&pool), read(&pool_scale)), (fields, scales));
 }
 
+/// Kernels run without bounds checks, so they bound slots themselves.
+#[test]
+fn slots_beyond_the_pool_are_the_last() {
+    let _turn = device();
+    let (draw, store) = (Draw::new(context()).unwrap(), Store::new(context()).unwrap());
+    let n = GRID.particles();
+    let fields = noise(CLOTHS * 15 * n, 131);
+    let pool = tensor("pool", &[CLOTHS, 5, 3, n], &fields);
+    let pool_scale = tensor("scale", &[CLOTHS, 3], &noise(CLOTHS * 3, 132));
+    let [x, v, a] = [(); 3].map(|()| poisoned("batch", &[3, 3, n]));
+    let (hidden, scale) = (poisoned("hidden", &[2, 9, n]), poisoned("scale", &[9]));
+    let batch = BatchTensors { x: &x, v: &v, a: &a, hidden: &hidden, scale: &scale };
+    let tensors = PoolTensors { fields: &pool, scale: &pool_scale };
+    let beyond = [CLOTHS as u32, 1 << 20, u32::MAX].map(|slot| Drawn {
+        slot,
+        begin: 0,
+        advance: 0,
+        keep: 1.0,
+        rotation: [[0.0; 4]; 3],
+    });
+    let drawn = Tensor::from_slice(context(), "drawn", &[3, 16], &beyond).unwrap();
+    run(|schedule| {
+        draw.push(schedule, (GRID, 0.05), (&drawn, tensors), batch);
+        store.push(schedule, GRID, (&drawn, tensors), batch);
+    });
+    let last = &fields[(CLOTHS - 1) * 15 * n..][..3 * n];
+    assert!(read(&x).chunks_exact(3 * n).all(|cloth| cloth == last));
+    assert_eq!(read(&pool), fields);
+}
+
 #[test]
 fn frames_end_where_they_are_due() {
     let _turn = device();

@@ -26,3 +26,18 @@ fn frames_start_where_velocity_and_handles_lead() {
         assert!(read(&iterate.a).iter().all(|&a| a == 0.0));
     }
 }
+
+/// Kernels run without bounds checks, so they bound slots themselves.
+#[test]
+fn slots_beyond_the_targets_are_those_of_the_last() {
+    let _turn = device();
+    let kernel = Predict::new(context()).unwrap();
+    let (grid, batch) = cases().next().unwrap();
+    let model = model(grid, batch);
+    let iterate = iterate(&model);
+    iterate.slots.write(context(), &vec![u32::MAX; batch * grid.particles()]);
+    let [x, v] = [0.0, 1.0].map(|value| upload("input", &model, &vec![value; 3 * batch * grid.particles()]));
+    let targets = tensor("targets", &[4, 3], &[[0.0; 3], [0.0; 3], [0.0; 3], [5.0; 3]].concat());
+    run(|schedule| kernel.push(schedule, StateTensors { x: &x, v: &v, targets: &targets }, &iterate));
+    assert!(read(&iterate.base).iter().all(|&shift| shift == 5.0));
+}

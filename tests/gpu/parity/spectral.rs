@@ -7,7 +7,7 @@ use crate::common::{
 };
 use fnopt::cpu::operator::Transform;
 use fnopt::gpu::{Tensor, Tuning};
-use fnopt::kernels::operator::{Spectral, SpectralTensors, spectral};
+use fnopt::kernels::operator::{Spectral, SpectralTensors};
 use fnopt::network::{Config, tables};
 use fnopt::sim::Grid;
 
@@ -69,8 +69,8 @@ fn inverse(config: &Config, grid: Grid, z: &[f64]) -> Vec<f64> {
     r
 }
 
-/// Covers every division of a workgroup's work, with the spectrum kept and not kept, and weights from a buffer
-/// and from texels, which give the same bits.
+/// Covers every division of a workgroup's work, with the spectrum kept and not kept, and weights and a
+/// table from buffers and from texels, which give the same bits.
 #[test]
 fn convolutions_match() {
     let _turn = device();
@@ -79,7 +79,7 @@ fn convolutions_match() {
         let weight = noise(CHANNELS * CHANNELS * config.modes() * 2, 52);
         let by_mode = by_mode(&weight, CHANNELS, CHANNELS);
         let on_device = tensor("weight", &[config.modes(), CHANNELS / 2, CHANNELS, 4], &by_mode);
-        let on_device = spectral::with_texels(context(), &on_device);
+        let weight_in_texels = on_device.to_texels(context());
         for (grid, samples) in cases() {
             let shape = [samples, grid.h, 2 * config.modes_w, CHANNELS];
             let r = noise(shape.iter().product(), 31);
@@ -87,6 +87,7 @@ fn convolutions_match() {
             let expected = inverse(&config, grid, &product(&config, &modes, &weight));
             let table =
                 tensor("table", &[grid.h, config.modes_h / 2 + 1, 2], &tables::columns(&config, grid.h));
+            let table_in_texels = table.to_texels(context());
             let r = tensor("r", &shape, &r);
             let [software, hardware] = sharings();
             let divided = |(spectral_teams, busy_groups)| {
@@ -100,8 +101,12 @@ fn convolutions_match() {
                         let tuning = Tuning { texels, ..tuning };
                         let kernel = Spectral::new(context(), &tuning, &config, samples, keep).unwrap();
                         let spectrum = keep.then_some(&kept);
-                        let tensors = SpectralTensors { table: &table, r: &r, inverse, spectrum };
-                        run(|schedule| kernel.push(schedule, &on_device, tensors));
+                        let (weight, table) = match texels {
+                            true => (&weight_in_texels, &table_in_texels),
+                            false => (&on_device, &table),
+                        };
+                        let tensors = SpectralTensors { table, r: &r, inverse, spectrum };
+                        run(|schedule| kernel.push(schedule, weight, tensors));
                     };
                     convolve(false, &found);
                     if !keep {
