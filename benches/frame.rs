@@ -10,7 +10,8 @@ use cloths::{cloths, learned};
 use common::{adapter, criterion, is_software};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use fnopt::gpu::Context;
-use fnopt::sim::{Device, Simulator, Solver, SolverOptions};
+use fnopt::sim::{Solver, SolverOptions};
+use fnopt::{Device, Simulator};
 
 fn frames(c: &mut Criterion) {
     let mut devices = vec![Device::Cpu];

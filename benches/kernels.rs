@@ -11,11 +11,12 @@ mod common;
 use cloths::{cloths, learned};
 use common::{adapter, criterion, is_software};
 use criterion::{Criterion, criterion_group, criterion_main};
-use fnopt::cpu::fft::Norm;
+use fnopt::cloth::Repulsion;
 use fnopt::gpu::{Context, Schedule, Tensor};
+use fnopt::kernels::fft::Norm;
 use fnopt::kernels::fft::{Fields, RealFft2};
 use fnopt::scene::Batch;
-use fnopt::sim::{Optimizer, Repulsion, Solver, SolverOptions};
+use fnopt::sim::{Optimizer, Solver, SolverOptions};
 use std::collections::BTreeSet;
 
 fn kernels(c: &mut Criterion) {

@@ -5,7 +5,7 @@ mod common;
 
 use common::{adapter, criterion, is_software};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use fnopt::sim::Device;
+use fnopt::Device;
 use fnopt::train::{Alone, Config, Pool, Update, first_weights, learner};
 
 /// Cloths per pool. Their number does not affect the time of a step, and few are quick to set up.

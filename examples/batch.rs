@@ -1,8 +1,10 @@
 //! Four cloths advance together. They differ only in their resistance to stretch.
 
+use fnopt::cloth::Material;
 use fnopt::network::Weights;
 use fnopt::scene::{Scene, Setup, Stiffness};
-use fnopt::sim::{Device, Material, Optimizer, Simulator};
+use fnopt::sim::Optimizer;
+use fnopt::{Device, Simulator};
 
 const FRAMES: usize = 40;
 

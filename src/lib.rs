@@ -8,7 +8,8 @@
 //! ```
 //! use fnopt::network::Weights;
 //! use fnopt::scene::Scene;
-//! use fnopt::sim::{Device, Optimizer, Simulator};
+//! use fnopt::sim::Optimizer;
+//! use fnopt::{Device, Simulator};
 //!
 //! let setup = Scene::default().setup()?; // a sheet hanging from two corners, grid units inside
 //! let optimizer = Optimizer::learned(Weights::shipped());
@@ -24,20 +25,20 @@
 //! # Data flow
 //!
 //! ```text
-//! scene::Scene (SI units) -> scene::Setup: sim::Model (grid, material, air, handles) + sim::State (x, v), grid units
-//! sim::Control (this frame's handles, wind, external accelerations) -> sim::Solver or cpu::Solver -> the next State
-//! sim::Simulator: submits, reads back -> io::Trajectory, render::strip; or sim::Vertices, a vertex buffer in the caller's pass
+//! scene::Scene (SI units) -> scene::Setup: cloth::Model (grid, material, air, handles) + cloth::State (x, v), grid units
+//! cloth::Control (this frame's handles, wind, external accelerations) -> sim::Solver or cpu::Solver -> the next State
+//! Simulator: submits, reads back -> io::Trajectory, render::strip; or sim::Vertices, a vertex buffer in the caller's pass
 //! ```
 //!
 //! The stages exist twice, with the same meaning. [`cpu`] implements them in plain Rust, in single or double
 //! precision; the double-precision version defines what is correct. [`kernels`] and `shaders/` implement them
 //! in WGSL on top of [`gpu`], the only module that creates wgpu objects. [`sim::Solver`] records a frame into
-//! the caller's command encoder, without submitting, polling or mapping anything. [`sim::Simulator`] is the
+//! the caller's command encoder, without submitting, polling or mapping anything. [`Simulator`] is the
 //! convenience layer over both devices.
 //!
 //! # One frame
 //!
-//! [`sim::Simulator::step`] sets the control and computes one frame. On a GPU it submits the schedule that
+//! [`Simulator::step`] sets the control and computes one frame. On a GPU it submits the schedule that
 //! [`sim::Solver::new`] built; on the CPU, [`cpu::Solver::step`] runs the same stages ([`cpu::cloth`],
 //! [`cpu::operator`], [`cpu::optim`]):
 //!
@@ -59,23 +60,28 @@
 //!
 //! # Modules
 //!
+//! Each uses only those above it.
+//!
 //! | module | contents |
 //! |---|---|
+//! | [`cloth`] | grid, material, state and control of cloths, in grid units |
+//! | [`io`], [`render`] | trajectory and mesh files; images |
 //! | [`scene`] | scene files, motions, materials, conversion to grid units |
-//! | [`sim`] | model, state, control, optimizers, solver, simulator |
-//! | [`network`] | sizes, weights, checkpoints, the forward and backward passes as dispatches |
 //! | [`gpu`] | context, tensors, kernels, schedules, readback; knows nothing of cloth |
 //! | [`kernels`] | the host side of each file in `shaders/`, in the same tree |
+//! | [`network`] | sizes, weights, checkpoints, the forward and backward passes as dispatches |
+//! | [`sim`] | optimizers, and the solver on a device |
 //! | [`cpu`] | the same stages without a GPU, and the converged minimum of a frame |
+//! | [`Simulator`] | frames on any device, read back |
 //! | [`eval`] | comparison with recorded sequences, suites, material fitting |
-//! | [`io`], [`render`] | trajectory and mesh files; images |
-//! | [`train`] | pools of cloths, the run loop and its files; built on the modules above |
+//! | [`train`] | pools of cloths, the run loop and its files |
 //! | [`verify`] | checks of every stage against golden files |
 //!
 //! Lengths, times and masses are in SI units in scenes and files, and in *grid units* everywhere else: the
 //! rest length of an edge, the time of a frame and the mass of a cell are 1. The z axis points up, and
 //! particle (i, j) has number `i W + j`. State arrays are channel-first, `[B, 3, H, W]`.
 
+pub mod cloth;
 pub mod cpu;
 mod error;
 pub mod eval;
@@ -87,9 +93,68 @@ pub mod network;
 pub mod render;
 pub mod scene;
 pub mod sim;
+mod simulator;
 mod statistics;
 pub mod train;
 pub mod verify;
 
 pub use error::{Error, Result};
+pub use simulator::{Device, Frame, Simulator};
 pub use wgpu;
+
+#[cfg(test)]
+mod tests {
+    use std::path::{Path, PathBuf};
+
+    /// Returns the modules of the table above, those of a row together.
+    fn rows() -> Vec<Vec<String>> {
+        let table = include_str!("lib.rs").lines().skip_while(|line| *line != "//! | module | contents |");
+        let rows = table.skip(2).map_while(|line| line.strip_prefix("//! | ")).map(|line| {
+            let (modules, _) = line.split_once(" | ").expect("a row has two cells");
+            modules.split(", ").map(|name| name.trim_matches(['[', ']', '`']).to_lowercase()).collect()
+        });
+        rows.collect()
+    }
+
+    fn files(path: &Path) -> Vec<PathBuf> {
+        if path.is_dir() {
+            let entries = std::fs::read_dir(path).expect("a folder of src");
+            return entries.flat_map(|entry| files(&entry.expect("an entry").path())).collect();
+        }
+        vec![path.to_owned()]
+    }
+
+    /// Returns the modules of this crate that a file names outside its comments.
+    fn used(text: &str) -> Vec<String> {
+        let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
+        let paths = code.flat_map(|line| line.split("crate::").skip(1));
+        let names = paths.flat_map(|path| {
+            let group = path.strip_prefix('{').map_or(path, |rest| rest.split('}').next().unwrap_or(rest));
+            let several = group.len() < path.len();
+            let names = group.split(", ").take(if several { usize::MAX } else { 1 });
+            names.map(|name| name.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default().to_owned())
+        });
+        // Those of the crate's root stand for the module that they come from.
+        let of_root =
+            |name: String| if ["Device", "Frame"].contains(&&*name) { "simulator".into() } else { name };
+        names.map(of_root).map(|name| name.to_lowercase()).collect()
+    }
+
+    #[test]
+    fn modules_use_only_those_above_them() {
+        let (rows, src) = (rows(), Path::new(env!("CARGO_MANIFEST_DIR")).join("src"));
+        let place = |module: &str| rows.iter().position(|row| row.iter().any(|name| name == module));
+        for (own, module) in rows.iter().enumerate().flat_map(|(k, row)| row.iter().map(move |m| (k, m))) {
+            let folder = src.join(module);
+            let path = if folder.is_dir() { folder } else { folder.with_extension("rs") };
+            for file in files(&path) {
+                let text = std::fs::read_to_string(&file).expect("a source file");
+                for name in used(&text).iter().filter(|name| *name != module) {
+                    let above = place(name).is_none_or(|place| place <= own);
+                    assert!(above, "{} uses {name}, which is below {module} in the table", file.display());
+                }
+            }
+        }
+        assert!(rows.len() > 10 && place("simulator").is_some(), "{rows:?}");
+    }
+}

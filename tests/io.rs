@@ -2,9 +2,9 @@
 
 use fnopt::{
     Error,
+    cloth::Grid,
     io::{Format, ReadOptions, Trajectory, read_npy, read_obj},
     render::{GifOptions, Image, StripOptions, View, strip, write_gif, write_png},
-    sim::Grid,
 };
 use ndarray::{Array2, ArrayD, array};
 use ndarray_npy::{NpzReader, NpzWriter};

@@ -5,12 +5,14 @@
 //! `fnopt evaluate --suite motions --solver fnopt --grid 32,64,100,128,48x32,32x100`, the same with
 //! `--suite handles`, and `--iterations 5` on 32 and 64. These tests cover a part that takes seconds.
 
+use fnopt::Device;
+use fnopt::cloth::Grid;
 use fnopt::cpu::Track;
 use fnopt::eval::median_gap;
 use fnopt::eval::suite::{Prepared, Suite};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
-use fnopt::sim::{Device, Grid, Optimizer};
+use fnopt::sim::Optimizer;
 use std::ops::ControlFlow;
 
 fn learned() -> Optimizer {

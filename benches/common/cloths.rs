@@ -1,8 +1,9 @@
 //! The cloths whose frames are measured.
 
+use fnopt::cloth::Grid;
 use fnopt::network::Weights;
 use fnopt::scene::{Batch, Scene, Setup};
-use fnopt::sim::{Grid, Optimizer};
+use fnopt::sim::Optimizer;
 
 /// Returns the learned optimizer with the weights that ship with the program.
 pub fn learned() -> Optimizer {

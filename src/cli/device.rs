@@ -1,8 +1,10 @@
 //! `--device`, `--adapter` and `--precision`.
 
 use clap::ValueEnum;
+use fnopt::cloth::Model;
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Storage, Tuning};
-use fnopt::sim::{Device, Model, Optimizer, Simulator};
+use fnopt::sim::Optimizer;
+use fnopt::{Device, Simulator};
 use fnopt::{Error, Result};
 use std::sync::{Mutex, PoisonError};
 
@@ -186,8 +188,8 @@ fn cpu(why: &str) -> (Device, String) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use fnopt::cloth::Grid;
     use fnopt::scene::Scene;
-    use fnopt::sim::Grid;
 
     /// Software adapters refuse L-BFGS on this many particles.
     #[test]

@@ -3,9 +3,11 @@
 use super::output::output;
 use super::{Ending, load_weights, median};
 use anyhow::Result;
+use fnopt::cloth::Grid;
 use fnopt::gpu::{AdapterChoice, AdapterSummary, Context, adapters};
 use fnopt::scene::Scene;
-use fnopt::sim::{Device, Grid, Optimizer, Simulator};
+use fnopt::sim::Optimizer;
+use fnopt::{Device, Simulator};
 use fnopt::{Error, cpu};
 use std::io::Write;
 use std::ops::ControlFlow;

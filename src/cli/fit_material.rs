@@ -6,11 +6,11 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Error;
+use fnopt::cloth::{Grid, Material};
 use fnopt::eval::fit::{ErrorSurface, Fit, PARAMETERS, Point};
 use fnopt::eval::{Physics, Sequence, Settings};
 use fnopt::io::write_atomic;
 use fnopt::scene::{Moduli, Stiffness};
-use fnopt::sim::{Grid, Material};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::path::{Path, PathBuf};

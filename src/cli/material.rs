@@ -1,9 +1,9 @@
 //! `--material`: the energy coefficients or moduli of the cloth.
 
 use super::numbers;
+use fnopt::cloth::Material;
 use fnopt::eval::Physics;
 use fnopt::scene::Stiffness;
-use fnopt::sim::Material;
 use fnopt::{Error, Result};
 use std::path::Path;
 

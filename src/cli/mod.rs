@@ -14,11 +14,12 @@ mod tune;
 mod verify;
 
 use clap::{Parser, Subcommand};
+use fnopt::cloth::Grid;
 use fnopt::eval::{Sequence, median};
 use fnopt::io::is_stream;
 use fnopt::network::Weights;
 use fnopt::scene::{Batch, Scene, Setup};
-use fnopt::sim::{Grid, Optimizer};
+use fnopt::sim::Optimizer;
 use fnopt::{Error, Result};
 use output::status;
 use signal_hook::consts::{SIGINT, SIGTERM};

@@ -6,11 +6,12 @@ use super::{
     Ending, SolverArgs, go_on, interrupt_flag, material, numbers, one_grid, writable_file, writable_folder,
 };
 use anyhow::Result;
+use fnopt::Frame;
 use fnopt::eval::{FreeEdges, STRETCH_LIMIT, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
-use fnopt::sim::{Frame, FrameStats, Optimizer};
+use fnopt::sim::{FrameStats, Optimizer};
 use fnopt::{Error, io};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::borrow::Cow;
@@ -466,7 +467,7 @@ fn names(files: &[PathBuf]) -> impl Iterator<Item = Cow<'_, str>> {
 mod tests {
     use super::*;
     use clap::Parser;
-    use fnopt::sim::{Device, Simulator};
+    use fnopt::{Device, Simulator};
 
     #[derive(Parser)]
     struct Alone {

@@ -4,9 +4,10 @@ use super::device::{DeviceArgs, DeviceKind};
 use super::output::{output, status};
 use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag, one_grid};
 use anyhow::Result;
+use fnopt::Device;
 use fnopt::Error;
 use fnopt::gpu::Tuning;
-use fnopt::sim::{Device, tune};
+use fnopt::sim::tune;
 use std::io::Write;
 use std::ops::ControlFlow;
 

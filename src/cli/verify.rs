@@ -4,7 +4,7 @@ use super::Ending;
 use super::device::{DeviceKind, InferenceArgs};
 use super::output::{output, status};
 use anyhow::Result;
-use fnopt::sim::Device;
+use fnopt::Device;
 use fnopt::verify::{Check, CpuStages, GpuStages, Outcome, Stages, verify_folder};
 use std::io::Write;
 use std::path::PathBuf;

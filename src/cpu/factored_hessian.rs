@@ -1,8 +1,8 @@
 //! Newton steps from the sparse Hessian of a frame's energy and its Cholesky factors.
 
 use super::cloth::{AFTER, Hessian, Projection, Trial, neighbours};
+use crate::cloth::Grid;
 use crate::cpu::optim::InverseHessian;
-use crate::sim::Grid;
 use crate::{Error, Result, memory};
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
 use faer::linalg::cholesky::llt::factor::LltRegularization;

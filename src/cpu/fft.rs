@@ -2,20 +2,11 @@
 //! transform.
 
 use super::Real;
-use crate::sim::Grid;
+use crate::cloth::Grid;
+use crate::kernels::fft::Norm;
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use std::sync::Arc;
-
-/// Which direction carries the factor 1/(HW).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Norm {
-    /// The forward transform, as in the operator.
-    #[default]
-    Forward,
-    /// The inverse transform.
-    Backward,
-}
 
 /// Transforms between fields [.., H, W] and their half spectra [.., H, W/2 + 1], whose first row is k_h = 0.
 pub struct Fft2<T: Real> {

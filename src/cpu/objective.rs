@@ -6,7 +6,7 @@ use super::cloth::{
     Frame, GradientRows, Trial, add_wind, end_frame, energy, gradient, repulsion, shifts, stretch,
 };
 use super::optim::norm;
-use crate::sim::{Control, EnergyTerms, Model, State};
+use crate::cloth::{Control, EnergyTerms, Model, State};
 use rayon::prelude::*;
 
 /// The energies L(a) of a batch of cloths (paper section 3.2).

@@ -7,7 +7,7 @@
 use super::objective::Trials;
 use super::optim::{History, RestHessian, dot, norm};
 use super::{FactoredHessian, Objective};
-use crate::sim::{Control, Model, State};
+use crate::cloth::{Control, Model, State};
 use crate::statistics::median;
 use crate::{Error, Result};
 

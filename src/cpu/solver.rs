@@ -3,7 +3,8 @@
 use super::optim::{Minimizer, minimizer, norm};
 use super::reference::Minimum;
 use super::{Objective, Real, Reference};
-use crate::sim::{Cloth, Control, FrameStats, Iterations, Model, Optimizer, State};
+use crate::cloth::{Cloth, Control, Model, State};
+use crate::sim::{FrameStats, Iterations, Optimizer};
 use crate::{Error, Result};
 use rayon::prelude::*;
 

@@ -1,8 +1,9 @@
 //! The conditions of a score, so that only comparable scores are compared.
 
 use super::{Entry, Nudge, Score, Sequence, Settings};
+use crate::Device;
 use crate::gpu::Storage;
-use crate::sim::{Device, Optimizer};
+use crate::sim::Optimizer;
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::Path;

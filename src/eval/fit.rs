@@ -1,8 +1,10 @@
 //! Fit of the material with which the converged simulation comes closest to recorded trajectories.
 
 use super::{Entry, Physics, Sequence, Settings, conditions, run};
+use crate::Device;
+use crate::cloth::{Grid, Material};
 use crate::scene::Stiffness;
-use crate::sim::{Device, Grid, Material, Optimizer};
+use crate::sim::Optimizer;
 use crate::{Error, Result, io};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};

@@ -1,7 +1,7 @@
 //! Recorded cloths whose vertices do not form a grid: their mesh at rest, and the grid that stands in for it.
 
+use crate::cloth::{Grid, MIN_GRID};
 use crate::io::{Trajectory, read_obj};
-use crate::sim::{Grid, MIN_GRID};
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::path::Path;

@@ -1,9 +1,10 @@
 //! The energy gap: how close a solver comes to the minimum of a frame, on the device it runs on.
 
+use crate::Device;
 use crate::Result;
 use crate::cpu::{self, Track};
 use crate::scene::Setup;
-use crate::sim::{Device, Optimizer, Solver, SolverOptions};
+use crate::sim::{Optimizer, Solver, SolverOptions};
 use std::ops::ControlFlow;
 
 /// Computes the converged frames of a scene. `tick` is called before each frame; if it breaks, the result is

@@ -2,7 +2,7 @@
 //! and 6.1).
 
 use super::resampling::{Resampling, coarse};
-use crate::sim::{Grid, Repulsion};
+use crate::cloth::{Grid, Repulsion};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
 /// Distance below which particles repel each other [edges of the 32x32 grid].

@@ -1,6 +1,6 @@
 //! Resampling of frames from one grid to another, for comparison.
 
-use crate::sim::{Grid, MIN_GRID};
+use crate::cloth::{Grid, MIN_GRID};
 
 /// Rows of the grids on which `interpolation` computes accelerations and repulsion is measured: those of the
 /// paper's training.

@@ -2,9 +2,9 @@
 
 use super::Physics;
 use super::flat_mesh::FlatMesh;
+use crate::cloth::Grid;
 use crate::io::{Node, ReadOptions, Trajectory};
 use crate::scene::{Handles, Mass, Motion, Placement, Scene, Side, Start, StartFile, Wind};
-use crate::sim::Grid;
 use crate::{Error, Result, io};
 use serde_json::{Map, Value};
 use std::borrow::Cow;

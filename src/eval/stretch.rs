@@ -1,6 +1,6 @@
 //! Stretch of edges that no handle pulls directly.
 
-use crate::sim::Model;
+use crate::cloth::Model;
 
 /// Largest stretch of [`FreeEdges`] in a sound rollout.
 pub const STRETCH_LIMIT: f64 = 0.6;

@@ -120,9 +120,12 @@ impl Tensor {
     ///
     /// Panics if it does not fit the device's textures.
     pub fn texels(context: &Context, label: &'static str, shape: &[usize]) -> Self {
+        Self::texels_of(context, label, shape, context.storage())
+    }
+
+    fn texels_of(context: &Context, label: &'static str, shape: &[usize], storage: Storage) -> Self {
         let len: usize = shape.iter().product();
         assert!(Self::fits_texels(context, len), "'{label}' of shape {shape:?} in texels");
-        let storage = context.storage();
         let texture = context.device.create_texture(&wgpu::TextureDescriptor {
             label: Some(label),
             size: wgpu::Extent3d {
@@ -143,13 +146,11 @@ impl Tensor {
         Self { memory, shape: shape.to_vec(), label, storage }
     }
 
-    /// Returns a copy in texels of the content that the next submission finds. The tensor must have the
-    /// storage format of the context's networks.
+    /// Returns a copy in texels of the content that the next submission finds.
     ///
     /// Panics if it does not fit the device's textures.
     pub fn to_texels(&self, context: &Context) -> Self {
-        let copy = Self::texels(context, self.label, &self.shape);
-        assert_eq!(copy.storage, self.storage, "'{}' in texels", self.label);
+        let copy = Self::texels_of(context, self.label, &self.shape, self.storage);
         let Memory::Texels(view) = &copy.memory else { unreachable!("made of texels") };
         let row = 4 * self.storage.bytes() as u32 * Self::TEXELS;
         let all = self.len().div_ceil(4) as u32;

@@ -1,6 +1,6 @@
 //! Triangle meshes.
 
-use crate::sim::Grid;
+use crate::cloth::Grid;
 use glam::Vec3;
 
 /// A triangle mesh.

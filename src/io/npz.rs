@@ -98,8 +98,8 @@ fn array<'a, R: io::Read + Seek>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloth::Grid;
     use crate::io::ReadOptions;
-    use crate::sim::Grid;
 
     #[test]
     fn archives_of_long_entries_are_read_too() {

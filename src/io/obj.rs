@@ -4,7 +4,7 @@
 //! index is a position in the grid.
 
 use super::{Mesh, read_bytes};
-use crate::{Error, Result, sim::Grid};
+use crate::{Error, Result, cloth::Grid};
 use num_traits::Float;
 use std::{
     io::{self, Write},

@@ -1,7 +1,7 @@
 //! Stanford PLY meshes, binary little-endian.
 
 use super::vertex_normals;
-use crate::sim::Grid;
+use crate::cloth::Grid;
 use std::io::{self, Write};
 
 /// Writes a frame of a grid with normals.

@@ -1,7 +1,7 @@
 //! The frames of a run.
 
 use super::{Format, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
-use crate::{Error, Result, memory, sim::Grid};
+use crate::{Error, Result, cloth::Grid, memory};
 use ndarray::ArrayView3;
 use ndarray_npy::WriteNpyExt;
 use rayon::prelude::*;

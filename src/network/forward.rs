@@ -2,9 +2,10 @@
 
 use super::fused::Fused;
 use super::parameters::Layers;
-use super::plan::{block_size, epilogue};
+use super::plan::{block_size, epilogue, spectral_size};
 use super::{Config, Keep, Layout, Parameters, Plan, Weights, tables};
 use crate::Result;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::operator::{
     Activate, Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting, Pointwise, PoolRows, Project,
@@ -12,7 +13,6 @@ use crate::kernels::operator::{
 };
 use crate::kernels::optim::{FeatureInputs, Features};
 use crate::kernels::padded;
-use crate::sim::Grid;
 
 /// The network on a device, for samples on one grid. Its input is [`Forward::embedded`], or the fields from
 /// which that is built; its outputs are [`Forward::field`] and [`Forward::scalar`].
@@ -418,7 +418,7 @@ impl Kernels {
             dense: Pointwise::new(context, tuning, false)?,
             dense_gelu: Pointwise::new(context, tuning, true)?,
             transform_rows: TransformRows::new(context, tuning, config.modes_w)?,
-            spectral: Spectral::new(context, tuning, config, samples, keep == Keep::Adjoint)?,
+            spectral: Spectral::new(context, tuning, &spectral_size(config), samples, keep == Keep::Adjoint)?,
             blocks,
             features: Features::new(context)?,
             activate: Activate::new(context)?,

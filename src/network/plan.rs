@@ -14,10 +14,10 @@
 //!   passes of nearly equal length ([`Plan::fit_passes`]).
 
 use super::{Config, Layout};
+use crate::cloth::Grid;
 use crate::gpu::{Context, Tuning, WORKGROUPS};
-use crate::kernels::operator::{Block, Epilogue, LayerSize};
+use crate::kernels::operator::{Block, Epilogue, LayerSize, SpectralSize};
 use crate::kernels::{CHANNEL_MULTIPLE, padded};
-use crate::sim::Grid;
 
 /// What a network on a device is built for.
 #[derive(Clone, Copy, Debug)]
@@ -85,6 +85,12 @@ impl Plan {
 pub(super) fn block_size(config: &Config, grid: Grid) -> LayerSize {
     let &Config { modes_w, channels, .. } = config;
     LayerSize { row_quads: padded(grid.w) / 4, modes_w, channels, lifting: None }
+}
+
+/// Returns the sizes of a network's spectral convolutions.
+pub(super) fn spectral_size(config: &Config) -> SpectralSize {
+    let &Config { modes_h, modes_w, channels, .. } = config;
+    SpectralSize { modes_h, modes_w, channels }
 }
 
 /// Returns what a block of the network computes besides the linear part of its output.

@@ -1,6 +1,6 @@
 //! Sizes and weights of the Fourier neural operator (paper section 4).
 
-use crate::sim::Grid;
+use crate::cloth::Grid;
 use crate::{Error, Result};
 
 /// Sizes of the network.

@@ -80,7 +80,7 @@ pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sim::Grid;
+    use crate::cloth::Grid;
 
     #[test]
     fn errors_are_darker() {

@@ -6,7 +6,7 @@ use super::{
     stage::Stage,
     surface,
 };
-use crate::{io::vertex_normals, sim::Grid};
+use crate::{cloth::Grid, io::vertex_normals};
 use glam::{Vec2, Vec3, vec2, vec3};
 
 /// The cloth and the markers of one frame, ready to be shaded.

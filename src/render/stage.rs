@@ -9,8 +9,8 @@ use super::{
     surface::{DepthBuffer, NOTHING},
 };
 use crate::{
+    cloth::Grid,
     io::{Trajectory, vertex_normals},
-    sim::Grid,
 };
 use glam::{Vec3, vec3};
 

@@ -5,8 +5,8 @@ use super::obj::Mesh;
 use super::start::read_transform;
 use super::{Handles, Motion, Scene, Side, Start, StartFile, UpAxis, file};
 use crate::Result;
+use crate::cloth::Grid;
 use crate::io::Node;
-use crate::sim::Grid;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 

@@ -5,8 +5,8 @@ use super::{
     Handles, Mass, Moduli, Motion, Placement, RepulsionSettings, Scene, Side, Start, StartFile, Stiffness,
     UpAxis, Wind, authors,
 };
+use crate::cloth::{Grid, Material};
 use crate::io::Node;
-use crate::sim::{Grid, Material};
 use crate::{Error, Result, io};
 use serde_json::{Value, json};
 use std::io::Write;

@@ -1,6 +1,6 @@
 //! The choice of handles.
 
-use crate::sim::Grid;
+use crate::cloth::Grid;
 use crate::{Error, Result};
 use std::collections::HashSet;
 use std::hash::Hash;

@@ -6,7 +6,7 @@
 //!
 //! ```
 //! use fnopt::scene::{Motion, Scene};
-//! use fnopt::sim::Grid;
+//! use fnopt::cloth::Grid;
 //! use std::path::Path;
 //!
 //! let mut scene = Scene::default();
@@ -49,7 +49,7 @@
 //! `k_bend = D T^2 / (2 rho l^4)`.
 //!
 //! **Repulsion.** Two particles that are not joined by an edge of the triangulated grid repel each other when
-//! they are closer than `distance`, which is 0.001 to 1 edges ([`crate::sim::Repulsion`]). `strength` is an
+//! they are closer than `distance`, which is 0.001 to 1 edges ([`crate::cloth::Repulsion`]). `strength` is an
 //! energy per unit mass, so the speed needed to overcome it is the same on every grid. Repulsion acts between
 //! particles, not triangles: at a distance below 1, layers slip through the gaps between particles. It also
 //! reaches no further than one edge: layers that approach each other by about two edges per frame or more
@@ -127,7 +127,7 @@ pub use setup::{Batch, MAX_FRAMES, Setup};
 pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};
 
-use crate::sim::{Grid, Material, Repulsion};
+use crate::cloth::{Grid, Material, Repulsion};
 use crate::{Error, Result};
 use std::path::Path;
 
@@ -223,7 +223,7 @@ impl Default for Wind {
 }
 
 /// Repulsion that keeps the layers of a cloth apart: particles that come close without sharing an edge repel
-/// each other ([`crate::sim::Repulsion`]).
+/// each other ([`crate::cloth::Repulsion`]).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RepulsionSettings {
     /// Strength, as an energy per unit mass [m^2/s^2].

@@ -1,6 +1,6 @@
 //! OBJ files whose vertices are the particles of a grid, in order.
 
-use crate::sim::Grid;
+use crate::cloth::Grid;
 use crate::{Error, Result, io::Polygons};
 use std::path::Path;
 

@@ -4,8 +4,8 @@ use super::obj::Mesh;
 use super::points;
 use super::surface::Sheet;
 use super::units::{Units, UpAxis};
+use crate::cloth::Grid;
 use crate::io::{Node, ReadOptions, Trajectory};
-use crate::sim::Grid;
 use crate::{Error, Result, io};
 use std::path::{Path, PathBuf};
 

@@ -1,7 +1,7 @@
 //! Sampled sheets: the stored drapes, and resampling from one grid to another.
 
 use super::points::{self, norm, zip};
-use crate::sim::Grid;
+use crate::cloth::Grid;
 use crate::{Result, io};
 
 /// Drapes at rest, hanging from the two upper corners, which are 0.9 of the side apart; side 1 m, y up.

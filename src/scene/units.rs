@@ -1,7 +1,7 @@
 //! Conversion between SI units outside and grid units inside (paper section 3.2).
 
 use super::RepulsionSettings;
-use crate::sim::{Air, Material, Repulsion};
+use crate::cloth::{Air, Material, Repulsion};
 
 /// The axis of a scene's positions, vectors and files that points up. Internally, everything is z up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

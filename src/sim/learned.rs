@@ -1,7 +1,7 @@
 //! The learned optimizer on a device: from a gradient to the next iterate.
 
-use super::Grid;
 use crate::Result;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::{FeatureInputs, Iterate, Update, UpdateTensors};

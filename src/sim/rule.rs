@@ -1,7 +1,8 @@
 //! The optimizers on a device: what each keeps from iteration to iteration, and the dispatches of its step.
 
+use super::Optimizer;
 use super::learned::Learned;
-use super::{Grid, Optimizer};
+use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::{Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, QuasiNewton};

@@ -1,7 +1,8 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
 use super::rule::{Rule, row, rows};
-use super::{Cloth, Control, FrameStats, Grid, Iterations, Model, Optimizer, State, Vertices};
+use super::{FrameStats, Iterations, Optimizer, Vertices};
+use crate::cloth::{Cloth, Control, Grid, Model, State};
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::{
     ClothParams, ClothTerms, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate,
@@ -368,7 +369,7 @@ impl Solver {
     }
 
     /// Creates a vertex buffer of the cloths, with positions and normals. Its view is
-    /// [`VertexView::default`](super::VertexView::default) until [`Vertices::set_view`] replaces it. Fails if
+    /// [`VertexView::default`](crate::cloth::VertexView::default) until [`Vertices::set_view`] replaces it. Fails if
     /// the device cannot bind a buffer of that size.
     pub fn vertices(&self) -> Result<Vertices> {
         Vertices::new(&self.context, self)

@@ -1,6 +1,7 @@
 //! The search for an adapter's fastest tile sizes.
 
-use super::{Model, Optimizer, Solver, SolverOptions, State};
+use super::{Optimizer, Solver, SolverOptions};
+use crate::cloth::{Model, State};
 use crate::gpu::{Context, Tuning};
 use crate::{Error, Result};
 use std::ops::ControlFlow;

@@ -2,40 +2,16 @@
 
 use super::Solver;
 use crate::Result;
+use crate::cloth::VertexView;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels;
-
-/// The transform and the time at which [`Vertices`] shows the cloths.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct VertexView {
-    /// Rows of the affine transform `[A | c]` from positions \[edges\], z up, to vertices. A mirroring
-    /// transform reverses the winding of the triangles, and with it the normals.
-    pub transform: [[f32; 4]; 3],
-    /// Time between the previous frame (0) and the current one (1), for a host with another frame rate.
-    pub time: f32,
-}
-
-impl Default for VertexView {
-    /// Returns the identity transform, at the end of the frame.
-    fn default() -> Self {
-        Self { transform: [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]], time: 1.0 }
-    }
-}
-
-impl VertexView {
-    /// Returns the view as the kernel reads it, shape [4, 4].
-    pub fn to_rows(&self) -> [[f32; 4]; 4] {
-        let [a, b, c] = self.transform;
-        [a, b, c, [self.time, 0.0, 0.0, 0.0]]
-    }
-}
 
 /// Interleaved positions and normals of all cloths of a [`Solver`], computed on its device
 /// ([`Solver::vertices`]).
 ///
 /// [`Vertices::record`] updates them in the caller's encoder, after [`Solver::record`]. Nothing is read back
 /// or copied. The vertices of cloth b begin at vertex `b H W`, so one index buffer
-/// ([`Grid::faces`](super::Grid::faces)) serves all cloths, with a base vertex for each.
+/// ([`Grid::faces`](crate::cloth::Grid::faces)) serves all cloths, with a base vertex for each.
 #[derive(Debug)]
 pub struct Vertices {
     context: Context,

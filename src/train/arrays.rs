@@ -4,10 +4,11 @@ use super::checkpoint::Tensors;
 use super::config::PoolConfig;
 use super::learner::Batch;
 use crate::Result;
+use crate::cloth::{Grid, State};
 use crate::cpu::Real;
 use crate::cpu::cloth::{Frame, end_frame, shifts};
 use crate::cpu::optim::Hidden;
-use crate::sim::{Grid, INITIAL_SCALE, State};
+use crate::sim::INITIAL_SCALE;
 
 /// State and hidden state of all cloths of a pool or of a batch. C is the number of cloths and S = 3 C that
 /// of samples.

@@ -2,9 +2,9 @@
 
 use super::read;
 use super::schedule::{Decay, RateSchedule};
-use crate::cpu::optim::Normalisation;
+use crate::cloth::Grid;
 use crate::cpu::train::AdamWSettings;
-use crate::sim::Grid;
+use crate::kernels::optim::Normalisation;
 use crate::{Error, Result, io, network};
 use std::path::{Path, PathBuf};
 

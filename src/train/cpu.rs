@@ -5,11 +5,12 @@ use super::checkpoint::Tensors;
 use super::config::Config;
 use super::learner::{Batch, Learner, Outcome, StepReport, Update};
 use super::ranks::Ranks;
+use crate::Device;
 use crate::Result;
+use crate::cloth::{Cloth, Model};
 use crate::cpu::operator::LaidOut;
 use crate::cpu::train::{AdamW, Loss};
 use crate::network::{self, Weights};
-use crate::sim::{Cloth, Device, Model};
 
 /// The learner on the CPU, in single precision, on all threads of the current rayon pool.
 pub(super) struct CpuLearner {

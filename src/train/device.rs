@@ -2,7 +2,7 @@
 
 use super::pool::MAX_HANDLES;
 use crate::Result;
-use crate::cpu::optim::Normalisation;
+use crate::cloth::{Control, Grid, Model};
 use crate::cpu::train::{AdamWFactors, AdamWSettings};
 use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::cloth::{
@@ -10,10 +10,10 @@ use crate::kernels::cloth::{
     StateTensors, TERMS, energy, gradient,
 };
 use crate::kernels::operator::Scales;
+use crate::kernels::optim::Normalisation;
 use crate::kernels::optim::{FeatureInputs, Iterate, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors};
 use crate::kernels::train::{AdamW, BatchTensors, Factors, GradientSize, Moments, Squares, squares};
 use crate::network::{Backward, Forward, Head, Keep, Parameters, Plan, TransposedWeights};
-use crate::sim::{Control, Grid, Model};
 
 /// The loss of a batch of B cloths on one grid, and its gradient over the weights (paper section 3.3): one
 /// iteration of the learned optimizer, scored by the energy after it.

@@ -7,12 +7,13 @@ use super::device::{DeviceAdamW, DeviceLoss};
 use super::learner::{Batch, Learner, Outcome, StepReport, Update};
 use super::ranks::Ranks;
 use crate::Result;
-use crate::cpu::optim::Normalisation;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Readback, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::{ClothTerms, TERMS};
+use crate::kernels::optim::Normalisation;
 use crate::kernels::train::{Advance, Draw, Drawn, PoolTensors, Store};
 use crate::network::{self, Parameters, TransposedWeights, Weights};
-use crate::sim::{Grid, INITIAL_SCALE};
+use crate::sim::INITIAL_SCALE;
 
 /// The learner on a GPU. Weights, moments and pools stay on the device. A step takes two submissions, because
 /// the host decides in between whether the step is usable.

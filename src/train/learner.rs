@@ -5,9 +5,10 @@ use super::config::Config;
 use super::cpu::CpuLearner;
 use super::gpu::GpuLearner;
 use super::ranks::Ranks;
+use crate::Device;
 use crate::Result;
+use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, cast};
 use crate::network::Weights;
-use crate::sim::{Cloth, Control, Device, EnergyTerms, Grid, Model, cast};
 use num_traits::Float;
 
 /// The device's side of training: the weights, AdamW's moments and the arrays of all pools.

@@ -5,10 +5,11 @@ use super::config::{
     ValidationConfig,
 };
 use super::schedule::{Decay, RateSchedule};
-use crate::cpu::optim::Normalisation;
+use crate::cloth::{Grid, MAX_GRID, MIN_GRID};
 use crate::cpu::train::AdamWSettings;
 use crate::io::{Node, parse_toml};
-use crate::sim::{Grid, INITIAL_SCALE, MAX_GRID, MIN_GRID};
+use crate::kernels::optim::Normalisation;
+use crate::sim::INITIAL_SCALE;
 use crate::{Error, Result, network};
 use serde::{Serialize, Serializer};
 use std::path::Path;

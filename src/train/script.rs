@@ -3,7 +3,7 @@
 use super::config::{MotionRanges, PoolConfig, Range};
 use super::pool::MAX_HANDLES;
 use super::random::{Purpose, generator};
-use crate::sim::{Cloth, Grid, Material};
+use crate::cloth::{Cloth, Grid, Material};
 use glam::{DMat3, DVec3, EulerRot};
 use rand::{Rng, RngExt, rngs::ChaCha8Rng};
 use std::f64::consts::TAU;

@@ -1,11 +1,13 @@
 //! Rollouts of fixed scenes that measure the quality of weights.
 
 use super::config::ValidationConfig;
+use crate::Device;
 use crate::Result;
+use crate::cloth::Grid;
 use crate::eval::suite::{Case, CaseScore, Prepared};
 use crate::network::Weights;
 use crate::scene::{Motion, Scene, Start};
-use crate::sim::{Device, Grid, Optimizer};
+use crate::sim::Optimizer;
 use std::ops::ControlFlow;
 
 /// Contribution of an unsound rollout to the score, as an energy gap. Gaps of sound ones are capped at it.

@@ -2,8 +2,8 @@
 
 use super::golden::Golden;
 use super::{Check, Outcome, Precision, Stages};
+use crate::cloth::Grid;
 use crate::network::Weights;
-use crate::sim::Grid;
 use crate::{Error, Result};
 use std::path::Path;
 

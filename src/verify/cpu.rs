@@ -5,13 +5,15 @@ use super::{
     TrainingOutput, UpdateCase, gradient_of_push,
 };
 use crate::Result;
+use crate::cloth::{Control, EnergyTerms, Grid, Material, Model, Repulsion, State};
 use crate::cpu::cloth::{GradientRows, Trial, energy, gradient, repulsion};
 use crate::cpu::operator::{Network, Stage};
-use crate::cpu::optim::{Hidden, Minimizer, Normalisation, Update};
+use crate::cpu::optim::{Hidden, Minimizer, Update};
 use crate::cpu::train::{AdamW, AdamWSettings, Loss};
 use crate::cpu::{Real, Solver};
+use crate::kernels::optim::Normalisation;
 use crate::network::Weights;
-use crate::sim::{Control, EnergyTerms, Grid, Material, Model, Optimizer, Repulsion, State};
+use crate::sim::Optimizer;
 use std::marker::PhantomData;
 use std::sync::Arc;
 

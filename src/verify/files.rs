@@ -7,9 +7,9 @@ use super::{
     AdamWCase, Check, EnergyCase, NetworkOutput, Outcome, Precision, RolloutCase, Stages, TrainingCase,
     UpdateCase,
 };
+use crate::cloth::{Cloth, Grid, Material, Repulsion};
 use crate::eval::repulsion;
 use crate::network::{Checkpoint, Weights};
-use crate::sim::{Cloth, Grid, Material, Repulsion};
 use crate::{Error, Result};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

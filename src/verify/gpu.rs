@@ -5,7 +5,7 @@ use super::{
     TrainingOutput, UpdateCase, gradient_of_push,
 };
 use crate::Result;
-use crate::cpu::optim::Normalisation;
+use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, Repulsion, State};
 use crate::cpu::train::AdamWSettings;
 use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::cloth::{
@@ -13,12 +13,11 @@ use crate::kernels::cloth::{
 };
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::Iterate;
+use crate::kernels::optim::Normalisation;
 use crate::kernels::train::BatchTensors;
 use crate::kernels::{self, padded};
 use crate::network::{Forward, Head, Keep, Parameters, Plan, TransposedWeights, Weights};
-use crate::sim::{
-    Cloth, Control, EnergyTerms, Grid, Learned, Model, Optimizer, Repulsion, Solver, SolverOptions, State,
-};
+use crate::sim::{Learned, Optimizer, Solver, SolverOptions};
 use crate::train::{DeviceAdamW, DeviceLoss};
 use std::sync::Arc;
 

@@ -17,8 +17,8 @@ pub use files::verify_folder;
 pub use gpu::GpuStages;
 
 use crate::Result;
+use crate::cloth::{Cloth, EnergyTerms, Grid, Repulsion};
 use crate::network::Weights;
-use crate::sim::{Cloth, EnergyTerms, Grid, Repulsion};
 use std::sync::Arc;
 
 /// The precision in which a device computes, which determines the tolerances.

@@ -2,8 +2,8 @@
 
 use crate::golden::{Golden, narrowed, relative_error, widened};
 use crate::noise::noise;
+use fnopt::cloth::{EnergyTerms, Grid, Material};
 use fnopt::cpu::cloth::{Frame, GradientRows, Trial, end_frame, energy, gradient, shifts, stretch};
-use fnopt::sim::{EnergyTerms, Grid, Material};
 
 /// The arrays that a trial borrows.
 struct Sheet {

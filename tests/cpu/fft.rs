@@ -2,10 +2,11 @@
 
 use crate::golden::largest_difference;
 use crate::noise::noise;
-use fnopt::cpu::fft::{Fft2, Norm};
+use fnopt::cloth::Grid;
+use fnopt::cpu::fft::Fft2;
 use fnopt::cpu::operator::Transform;
+use fnopt::kernels::fft::Norm;
 use fnopt::network::Config;
-use fnopt::sim::Grid;
 
 const CHANNELS: usize = 16;
 

@@ -1,8 +1,8 @@
 //! The network against the authors' implementation.
 
 use crate::golden::{Golden, narrowed, relative_error, weights, widened};
+use fnopt::cloth::Grid;
 use fnopt::cpu::operator::{Network, Stage};
-use fnopt::sim::Grid;
 
 /// Largest error allowed, over the largest magnitude.
 const TOLERANCE: f64 = 2e-5;

@@ -1,11 +1,12 @@
 //! The Hessian of the elastic energy, and Newton's method with it.
 
 use crate::noise::noise;
+use fnopt::cloth::{Control, Grid, Material, Model, State};
 use fnopt::cpu::cloth::{GradientRows, Hessian, Projection, Trial, gradient};
 use fnopt::cpu::optim::InverseHessian;
 use fnopt::cpu::{FactoredHessian, Reference, Solver};
 use fnopt::scene::{Scene, Stiffness};
-use fnopt::sim::{Control, Grid, Material, Model, Optimizer, State};
+use fnopt::sim::Optimizer;
 
 /// A sheet with its arrays, crumpled by `noise` so that some edges are longer than at rest and some shorter.
 struct Sheet {

@@ -1,11 +1,13 @@
 //! The quasi-Newton method and the converged reference.
 
+use fnopt::Device;
+use fnopt::cloth::{Cloth, Control, Grid, Material, Model, State};
 use fnopt::cpu::optim::{FactoredRestHessian, InverseHessian, RestHessian};
 use fnopt::cpu::{Objective, Reference, Solver, Track};
 use fnopt::eval::median_gap;
 use fnopt::network::Weights;
 use fnopt::scene::{Scene, Setup};
-use fnopt::sim::{Cloth, Control, Device, Grid, Material, Model, Optimizer, State};
+use fnopt::sim::Optimizer;
 use std::f64::consts::PI;
 use std::ops::ControlFlow;
 

@@ -3,11 +3,12 @@
 
 use crate::golden::{Golden, relative_error};
 use crate::noise::noise;
+use fnopt::cloth::{Grid, Material, Repulsion, State};
 use fnopt::cpu::cloth::{Cells, Trial, repulsion};
 use fnopt::cpu::{Reference, Solver};
 use fnopt::eval;
 use fnopt::scene::{RepulsionSettings, Scene};
-use fnopt::sim::{Grid, Material, Optimizer, Repulsion, State};
+use fnopt::sim::Optimizer;
 use fnopt::verify::{CpuStages, Stages};
 
 const GRID: Grid = Grid { h: 12, w: 15 };

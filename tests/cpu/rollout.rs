@@ -3,9 +3,11 @@
 use crate::golden::{Golden, largest_difference};
 use crate::noise::noise;
 use fnopt::Error;
+use fnopt::cloth::{Air, Cloth, Control, Grid, Material, Model, State};
 use fnopt::cpu::{Real, Solver};
 use fnopt::network::Weights;
-use fnopt::sim::{Air, Cloth, Control, Device, Grid, Material, Model, Optimizer, Simulator, State};
+use fnopt::sim::Optimizer;
+use fnopt::{Device, Simulator};
 use std::path::Path;
 use std::sync::Arc;
 

@@ -1,9 +1,9 @@
 //! The learned update rule against the authors' implementation.
 
 use crate::golden::{Golden, narrowed, relative_error, weights, widened};
+use fnopt::cloth::Grid;
 use fnopt::cpu::Real;
 use fnopt::cpu::optim::{Minimizer, Update};
-use fnopt::sim::Grid;
 
 /// Runs one update from the state in the file, or from a fresh one. Returns the step and the new scales.
 fn update<T: Real>(golden: &Golden, fresh: bool) -> (Vec<f64>, Vec<f64>) {

@@ -1,8 +1,8 @@
 //! Wind on a flat plate, whose drag is known.
 
 use crate::noise::noise;
+use fnopt::cloth::{Air, Grid, State};
 use fnopt::cpu::cloth::add_wind;
-use fnopt::sim::{Air, Grid, State};
 
 const GRID: Grid = Grid { h: 9, w: 12 };
 

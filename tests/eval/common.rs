@@ -1,8 +1,9 @@
 //! Helpers shared by the tests of evaluation.
 
+use fnopt::cloth::Material;
 use fnopt::eval::{Entry, Physics, Settings};
 use fnopt::scene::Stiffness;
-use fnopt::sim::{Material, Optimizer};
+use fnopt::sim::Optimizer;
 use std::path::{Path, PathBuf};
 
 pub fn shipped() -> PathBuf {

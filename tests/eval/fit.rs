@@ -1,11 +1,13 @@
 //! The search for a material.
 
 use crate::common::SETTINGS;
+use fnopt::cloth::{Grid, Material, State};
 use fnopt::eval::fit::{ErrorSurface, Fit};
 use fnopt::eval::{Sequence, Settings};
 use fnopt::io::Trajectory;
 use fnopt::scene::{Scene, Stiffness};
-use fnopt::sim::{Device, Grid, Material, Optimizer, Simulator, State};
+use fnopt::sim::Optimizer;
+use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

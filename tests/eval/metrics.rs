@@ -2,9 +2,9 @@
 
 use crate::common::square;
 use crate::noise;
+use fnopt::cloth::Grid;
 use fnopt::eval;
 use fnopt::eval::{chamfer, mean_and_deviation, relative_error, repulsion};
-use fnopt::sim::Grid;
 use safetensors::SafeTensors;
 use std::path::Path;
 

@@ -1,8 +1,10 @@
 //! Repeats from starts that differ minimally from the recorded one.
 
 use crate::common::{PHYSICS, SETTINGS, shipped};
+use fnopt::Device;
+use fnopt::cloth::Grid;
 use fnopt::eval::{Conditions, Entry, Nudge, Score, Sequence, Settings, belong_together, run};
-use fnopt::sim::{Device, Grid, Optimizer};
+use fnopt::sim::Optimizer;
 use std::ops::ControlFlow;
 use std::path::Path;
 

@@ -1,11 +1,13 @@
 //! Scores of simulations and of other systems' trajectories, and which of them belong together.
 
 use crate::common::{MATERIAL, PHYSICS, SETTINGS, newton, shipped};
+use fnopt::Device;
+use fnopt::cloth::{Grid, Material};
 use fnopt::eval;
 use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, belong_together, compare, run, tables};
 use fnopt::io::Trajectory;
 use fnopt::scene::Stiffness;
-use fnopt::sim::{Device, Grid, Material, Optimizer};
+use fnopt::sim::Optimizer;
 use std::ops::ControlFlow;
 use std::path::Path;
 

@@ -1,9 +1,10 @@
 //! Reading of sequences: grids and meshes, other systems' files, checksums, refusals.
 
 use crate::common::{PHYSICS, SETTINGS, newton, shipped, square};
+use fnopt::Device;
+use fnopt::cloth::Grid;
 use fnopt::eval::{Sequence, Settings, compare, run};
 use fnopt::io::{ReadOptions, Trajectory};
-use fnopt::sim::{Device, Grid};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 

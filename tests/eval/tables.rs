@@ -1,8 +1,9 @@
 //! Tables of scores.
 
 use crate::common::{SETTINGS, newton, shipped};
+use fnopt::Device;
 use fnopt::eval::{Entry, Format, Nudge, OverRepeats, Score, Sequence, compare, run, tables};
-use fnopt::sim::{Device, Optimizer};
+use fnopt::sim::Optimizer;
 use std::ops::ControlFlow;
 
 #[test]

@@ -3,10 +3,10 @@
 use crate::common::{by_rows, context, device, noise, pad, read, tunings, widened};
 use crate::forward::random;
 use crate::solver::starter;
+use fnopt::cloth::Grid;
 use fnopt::cpu::operator::Adjoint;
 use fnopt::gpu::{Schedule, Tensor, Tuning};
 use fnopt::network::{Backward, Config, Forward, Head, Keep, Parameters, Plan, TransposedWeights, Weights};
-use fnopt::sim::Grid;
 
 /// Input fields and cotangents of a pass.
 struct Case {

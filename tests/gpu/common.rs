@@ -1,8 +1,8 @@
 //! Helpers shared by the GPU tests: one device for all, tensors that reveal unwritten elements, comparisons.
 
+use fnopt::cloth::Grid;
 use fnopt::gpu::{AdapterChoice, AdapterKind, Context, Schedule, Sharing, Storage, Tensor, Tuning};
 use fnopt::kernels::padded;
-use fnopt::sim::Grid;
 use std::sync::{Condvar, LazyLock, Mutex};
 
 /// Grids of the parity tests: the smallest, one with odd sides, a tall one and a larger one.

@@ -3,7 +3,9 @@
 use crate::common::{context, device};
 use crate::solver::{assert_same, solver, step, varied_batch};
 use fnopt::Error;
-use fnopt::sim::{Control, Device, Optimizer, Simulator, State};
+use fnopt::cloth::{Control, State};
+use fnopt::sim::Optimizer;
+use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
 
 /// New materials used to end the wind, and those under way in an encoder brought the old ones back.
@@ -95,7 +97,7 @@ fn frames_under_way_count() {
 
         simulator.set_cloth_state(1, &whole);
         let mut indices = Vec::new();
-        let take = |frame: fnopt::sim::Frame| {
+        let take = |frame: fnopt::Frame| {
             indices.push(frame.index);
             if indices.len() == 2 { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         };

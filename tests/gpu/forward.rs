@@ -5,10 +5,10 @@ use crate::common::{
     tunings, widened,
 };
 use crate::solver::starter;
+use fnopt::cloth::Grid;
 use fnopt::cpu::operator::{Network, Stage};
 use fnopt::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use fnopt::network::{Backward, Block, Config, Dense, Forward, Head, Keep, Parameters, Plan, Weights};
-use fnopt::sim::Grid;
 
 /// Returns random weights, scaled to keep activations at about 1.
 pub fn random(config: Config) -> Weights {

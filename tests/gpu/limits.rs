@@ -3,13 +3,13 @@
 use crate::common::{assert_close, context, device, narrow, read, run, sharings, tensor, widened};
 use crate::forward::random;
 use crate::solver::{assert_same, solver, solver_with, starter, statistics, step, varied_batch};
+use fnopt::cloth::{Cloth, Control, Grid, Material, Model, State};
 use fnopt::cpu;
 use fnopt::gpu::{Sharing, Tensor, Tuning};
 use fnopt::kernels::optim::{GradientDescent, Iterate};
 use fnopt::network::Config;
-use fnopt::sim::{
-    Cloth, Control, Device, Grid, Material, Model, Optimizer, Simulator, Solver, SolverOptions, State,
-};
+use fnopt::sim::{Optimizer, Solver, SolverOptions};
+use fnopt::{Device, Simulator};
 
 /// The network takes as many samples at once as tuning and device allow: single ones, whole cloths, or all.
 #[test]

@@ -3,10 +3,11 @@
 use crate::common::{context, device, half, noise, poisoned, read, run, tensor};
 use crate::repelling::crowded;
 use crate::solver::{assert_same, starter, step, tuned, varied_batch};
-use fnopt::cpu::fft::Norm;
+use fnopt::cloth::{Grid, Model, State};
 use fnopt::gpu::{Context, Order};
+use fnopt::kernels::fft::Norm;
 use fnopt::kernels::fft::{Fields, RealFft2};
-use fnopt::sim::{Grid, Model, Optimizer, Solver, SolverOptions, State};
+use fnopt::sim::{Optimizer, Solver, SolverOptions};
 
 /// Frames of all optimizers, with repulsion, with rows longer than a workgroup, and in 16 bits.
 #[test]

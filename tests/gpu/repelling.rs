@@ -2,8 +2,9 @@
 
 use crate::common::{assert_close, context, device, largest, read};
 use crate::solver::{assert_same, optimizers, solver, starter, statistics, step, varied_batch};
+use fnopt::cloth::{Cloth, Control, Model, Repulsion, State};
 use fnopt::cpu;
-use fnopt::sim::{Cloth, Control, FrameStats, Model, Optimizer, Repulsion, State};
+use fnopt::sim::{FrameStats, Optimizer};
 
 /// Builds cloths that are contracted until their layers repel each other, and one without repulsion.
 pub fn crowded() -> (Model, State<f32>, Control<f32>) {

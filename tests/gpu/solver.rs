@@ -1,15 +1,14 @@
 //! Whole frames: against the CPU path, repeated, in batches, and in a host's encoder.
 
 use crate::common::{assert_close, context, device, half, largest, noise, sharings, widened};
+use fnopt::cloth::{Air, Cloth, Control, Grid, Material, Model, State};
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
 use fnopt::gpu::{Context, Readback, Tensor, Tuning};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
-use fnopt::sim::{
-    Air, Cloth, Control, Device, FrameStats, Grid, Material, Model, Optimizer, Simulator, Solver,
-    SolverOptions, State,
-};
+use fnopt::sim::{FrameStats, Optimizer, Solver, SolverOptions};
+use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
@@ -580,6 +579,6 @@ fn device_types_are_send_and_sync() {
     is_shared::<Solver>();
     is_shared::<Readback>();
     is_shared::<fnopt::gpu::Schedule>();
-    moves::<fnopt::sim::Simulator>();
+    moves::<fnopt::Simulator>();
     moves::<cpu::Solver<f32>>();
 }

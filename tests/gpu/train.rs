@@ -1,9 +1,9 @@
 //! Training on the device: against the CPU path step by step, and reproducible to the bit.
 
 use crate::common::{context, device, half};
-use fnopt::cpu::optim::Normalisation;
+use fnopt::Device;
 use fnopt::gpu::Order;
-use fnopt::sim::Device;
+use fnopt::kernels::optim::Normalisation;
 use fnopt::train::{Alone, Config, Learner, Limits, Pool, Run, Update, first_weights, learner};
 use std::ops::ControlFlow;
 use std::path::Path;

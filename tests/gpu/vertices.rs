@@ -2,9 +2,10 @@
 
 use crate::common::{assert_close, context, device};
 use crate::solver::solver;
+use fnopt::cloth::VertexView;
 use fnopt::io::vertex_normals;
 use fnopt::scene::{Scene, Setup, Side};
-use fnopt::sim::{Optimizer, VertexView};
+use fnopt::sim::Optimizer;
 
 /// Vertices at a time between two frames are interpolated, so that a host can draw more often than it
 /// simulates.

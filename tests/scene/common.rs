@@ -1,7 +1,7 @@
 //! Helpers shared by the tests of scenes.
 
+use fnopt::cloth::Grid;
 use fnopt::scene::{Scene, Setup};
-use fnopt::sim::Grid;
 use ndarray_npy::ReadNpyExt;
 use std::path::{Path, PathBuf};
 

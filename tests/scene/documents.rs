@@ -1,8 +1,8 @@
 //! Valid scene files: the examples, the defaults, and the authors' own format.
 
 use crate::common::{assets, distance, parse};
+use fnopt::cloth::Grid;
 use fnopt::scene::{Handles, Placement, RepulsionSettings, Scene, Side, UpAxis};
-use fnopt::sim::Grid;
 
 #[test]
 fn every_example_loads_sets_up_and_survives_a_round_trip() {

@@ -1,8 +1,8 @@
 //! Invalid scenes and files are refused by name and never cause a panic.
 
 use crate::common::{assets, expect_refusal, parse};
+use fnopt::cloth::Grid;
 use fnopt::scene::{BuiltIn, Motion, Scene, Start};
-use fnopt::sim::Grid;
 use ndarray_npy::WriteNpyExt;
 use proptest::prelude::*;
 use std::path::Path;

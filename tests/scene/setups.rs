@@ -1,9 +1,9 @@
 //! What a scene sets up: starts, grids, handles, motions, and batches of them.
 
 use crate::common::{assets, distance, edges, expect_refusal, mean, parse, read};
+use fnopt::cloth::{Grid, Material};
 use fnopt::io::{Format, Trajectory, vertex_normals};
 use fnopt::scene::{Handles, Mass, Motion, Placement, Scene, Setup, Side, Start, Stiffness, UpAxis};
-use fnopt::sim::{Grid, Material};
 
 #[test]
 fn built_in_motions_match_the_reference_data() {
@@ -112,7 +112,7 @@ fn flat_and_hanging_sheets_are_at_rest_length() {
         let setup = parse(&text).unwrap().setup().unwrap();
         assert!(edges(&setup).iter().flatten().all(|l| (l - 1.0).abs() < 1e-12));
         if start == "flat" {
-            assert_eq!(setup.start, fnopt::sim::State::rest(setup.model.grid, 1));
+            assert_eq!(setup.start, fnopt::cloth::State::rest(setup.model.grid, 1));
         } else {
             // y up: the edge j = 0 is the upper one, and i runs along +z as in the drape.
             let at = setup.vertices_m(&setup.start.x);

@@ -1,8 +1,8 @@
 //! Units: moduli, masses and wind against elasticity and mechanics.
 
 use crate::common::distance;
+use fnopt::cloth::{Material, Repulsion};
 use fnopt::scene::{Moduli, RepulsionSettings, Units, UpAxis};
-use fnopt::sim::{Material, Repulsion};
 
 /// Returns the energy of section 3 of one cloth, without inertia and external work; `x` has shape [H][W].
 fn energy(x: &[Vec<[f64; 3]>], k: Material) -> f64 {

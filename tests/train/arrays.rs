@@ -1,9 +1,10 @@
 //! The arrays of a pool do what the solver does, one iteration at a time.
 
+use fnopt::cloth::{Grid, Model, State};
 use fnopt::cpu::optim::{Minimizer, Update};
 use fnopt::cpu::{self, Objective};
 use fnopt::network;
-use fnopt::sim::{Grid, Model, Optimizer, State};
+use fnopt::sim::Optimizer;
 use fnopt::train::{Arrays, Batch, MotionRanges, Pool, PoolConfig, ResetRules, Script, initial_weights};
 
 const GRID: Grid = Grid { h: 9, w: 12 };
@@ -62,7 +63,7 @@ fn frames_of_a_pool_are_those_of_the_solver() {
         }
         for frame in 1..=frames {
             let handles = script.targets(frame);
-            solver.step(&mut state, &fnopt::sim::Control { handles, ..Default::default() });
+            solver.step(&mut state, &fnopt::cloth::Control { handles, ..Default::default() });
             state.v.iter_mut().for_each(|v| *v *= 1.0 - script.damping);
             for &p in &script.cloth.handles {
                 (0..3).for_each(|component| state.v[component * n + p] = 0.0);

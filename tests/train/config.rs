@@ -1,6 +1,6 @@
 //! Configurations: what they mean, and how bad ones are refused.
 
-use fnopt::cpu::optim::Normalisation;
+use fnopt::kernels::optim::Normalisation;
 use fnopt::train::{Alone, Config, Decay, Every, PoolConfig, first_weights, initial_weights};
 use proptest::prelude::*;
 use std::path::Path;

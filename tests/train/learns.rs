@@ -1,6 +1,6 @@
 //! Training on the CPU path with a real learner: it learns, and two sessions have the bits of one.
 
-use fnopt::sim::Device;
+use fnopt::Device;
 use fnopt::train::{Alone, Config, Learner, Limits, Run, first_weights, learner};
 use safetensors::SafeTensors;
 use std::ops::ControlFlow;

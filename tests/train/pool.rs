@@ -1,7 +1,7 @@
 //! Pools: which cloths are drawn, how long frames last, when cloths start over, how handles move.
 
 use super::support::outcome;
-use fnopt::sim::Grid;
+use fnopt::cloth::Grid;
 use fnopt::train::{Batch, MAX_HANDLES, MotionRanges, Outcome, Pool, PoolConfig, ResetRules, Script};
 use std::collections::HashSet;
 
@@ -104,7 +104,8 @@ fn a_pool_drawn_from_seldom_rotates_and_lives_as_long() {
 fn broken_cloths_are_reset_with_the_same_material() {
     let rules = ResetRules { scale: Some([1e-3, 10.0]), ..ResetRules::default() };
     let good = outcome(1.0);
-    let stretched = Outcome { energy: fnopt::sim::EnergyTerms { stretch: 20_001.0, ..good.energy }, ..good };
+    let stretched =
+        Outcome { energy: fnopt::cloth::EnergyTerms { stretch: 20_001.0, ..good.energy }, ..good };
     let cases: [(Outcome, bool); 6] = [
         (good, false),
         (stretched, true),

@@ -1,7 +1,7 @@
 //! Ranks as threads: they have the gradient of one learner, stay together, and write one checkpoint.
 
 use super::support::{Fake, ThreadRank};
-use fnopt::sim::Device;
+use fnopt::Device;
 use fnopt::train::{
     Alone, Batch, Config, End, Learner, Limits, Pool, Ranks, Run, Update, first_weights, learner,
 };

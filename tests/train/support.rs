@@ -1,8 +1,8 @@
 //! A learner that computes nothing but keeps the state that a real one would, and ranks that are threads.
 
 use fnopt::Result;
+use fnopt::cloth::EnergyTerms;
 use fnopt::network::Weights;
-use fnopt::sim::EnergyTerms;
 use fnopt::train::{Alone, Batch, Config, Learner, Outcome, Ranks, StepReport, Tensors, Update};
 use std::cell::RefCell;
 use std::collections::HashSet;

@@ -3,12 +3,13 @@
 use super::{SOLVERS, progress};
 use crate::cli::go_on;
 use crate::cli::output::status;
+use fnopt::Device;
+use fnopt::cloth::Grid;
 use fnopt::eval::{
     Conditions, Entry, Nudge, SNAPSHOTS, Score, Sequence, Settings, belong_together, coarse, compare, run,
     snapshots,
 };
 use fnopt::io::{self, ReadOptions, Trajectory};
-use fnopt::sim::{Device, Grid};
 use fnopt::{Error, Result};
 use std::cmp::Reverse;
 use std::collections::BTreeSet;

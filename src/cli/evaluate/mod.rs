@@ -11,12 +11,13 @@ use super::{
     load_weights, material, sequences, writable_file, writable_folder,
 };
 use anyhow::Result;
+use fnopt::Device;
 use fnopt::Error;
 use fnopt::eval::suite::Suite;
 use fnopt::eval::{Entry, Format, OverRepeats, Physics, Score, Sequence, Settings, Table, tables};
 use fnopt::io::write_atomic;
 use fnopt::network::Weights;
-use fnopt::sim::{Device, Optimizer};
+use fnopt::sim::Optimizer;
 use indicatif::{ProgressBar, ProgressStyle};
 use jobs::{Kept, Plan, with_valid_scenes};
 use std::collections::BTreeSet;

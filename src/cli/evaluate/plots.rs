@@ -2,9 +2,10 @@
 
 use super::jobs::{Kept, Plan};
 use super::progress;
+use fnopt::cloth::Grid;
 use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshots, track, vertex_errors};
 use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
-use fnopt::sim::{Grid, Optimizer};
+use fnopt::sim::Optimizer;
 use fnopt::{Error, Result};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;

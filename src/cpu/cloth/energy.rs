@@ -3,8 +3,8 @@
 use super::rows::{Stored, cross, dot, load, vector_at, width};
 use super::vector;
 use super::{Factors, Trial};
+use crate::cloth::{EnergyTerms, Grid};
 use crate::cpu::Real;
-use crate::sim::{EnergyTerms, Grid};
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 use std::f64::consts::FRAC_PI_2;

@@ -8,8 +8,8 @@
 
 use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
 use super::{Factors, Trial};
+use crate::cloth::Grid;
 use crate::cpu::Real;
-use crate::sim::Grid;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 

@@ -7,9 +7,9 @@
 
 use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
 use super::{Factors, Trial};
+use crate::cloth::Grid;
 use crate::cpu::Real;
 use crate::cpu::matmul::LANES;
-use crate::sim::Grid;
 use crate::{Result, memory};
 use pulp::{Arch, Simd, WithSimd};
 use std::f64::consts::FRAC_PI_2;

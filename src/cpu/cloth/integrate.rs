@@ -5,7 +5,7 @@ use crate::cpu::Real;
 /// The inputs of one frame of one cloth.
 #[derive(Clone, Copy)]
 pub struct Frame<'a, T> {
-    /// Handle slots, shape [H, W], see [`crate::sim::Model::handle_slots`].
+    /// Handle slots, shape [H, W], see [`crate::cloth::Model::handle_slots`].
     pub slots: &'a [u32],
     /// Handle positions of all cloths at the end of the frame \[edges\].
     pub handles: &'a [[T; 3]],

@@ -24,7 +24,7 @@ pub use vertices::vertices;
 pub use wind::add_wind;
 
 use super::Real;
-use crate::sim::{Grid, Material};
+use crate::cloth::{Grid, Material};
 use vector::{add, at, sub};
 
 /// One cloth at a trial acceleration: everything that its energy depends on.
@@ -44,7 +44,7 @@ pub struct Trial<'a, T> {
     pub a: &'a [T],
     /// External accelerations [edges / frame^2], shape [3, H, W].
     pub f: &'a [T],
-    /// Handle slots, shape [H, W]: 0 for a free particle, see [`crate::sim::Model::handle_slots`].
+    /// Handle slots, shape [H, W]: 0 for a free particle, see [`crate::cloth::Model::handle_slots`].
     pub slots: &'a [u32],
 }
 

@@ -3,8 +3,8 @@
 use super::Trial;
 use super::cells::{Cells, Placed, Walk};
 use super::vector::{add, at, dot, scaled, sub};
+use crate::cloth::Repulsion;
 use crate::cpu::Real;
-use crate::sim::Repulsion;
 use rayon::prelude::*;
 
 /// Number of particles per task.

@@ -4,9 +4,9 @@
 //! [`crate::cpu::elementary`], these functions contain neither closures nor iterator adapters.
 
 use super::Trial;
+use crate::cloth::Grid;
 use crate::cpu::Real;
 use crate::cpu::matmul::LANES;
-use crate::sim::Grid;
 use pulp::Simd;
 
 /// The layout of a stored row, which is zero past its own length.

@@ -2,8 +2,8 @@
 
 use super::Trial;
 use super::vector::length;
+use crate::cloth::Grid;
 use crate::cpu::Real;
-use crate::sim::Grid;
 
 /// Returns the largest `|e| - 1` and the mean of `| |e| - 1 |` over the edges of one cloth.
 pub fn stretch<T: Real>(trial: &Trial<'_, T>) -> (f64, f64) {

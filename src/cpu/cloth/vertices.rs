@@ -1,8 +1,8 @@
 //! Vertices for rendering: positions and smooth normals.
 
 use super::vector::{add, at, cross, length, scaled, sub};
+use crate::cloth::{Grid, VertexView};
 use crate::cpu::Real;
-use crate::sim::{Grid, VertexView};
 
 /// Returns the position and the unit normal of each particle of one cloth, shape [H W, 6], from positions `x`
 /// \[edges\] and velocities `v` [edges / frame], shape [3, H, W]. A normal has the direction of the

@@ -1,8 +1,8 @@
 //! Air drag on the triangles of a cloth.
 
 use super::vector::{at, cross, dot, length, scaled, sub};
+use crate::cloth::{Air, Grid};
 use crate::cpu::Real;
-use crate::sim::{Air, Grid};
 
 /// Adds to the accelerations `f` [3, H, W] the effect of air that moves with velocity `wind` [edges / frame]
 /// on a cloth with positions `x` and velocities `v`, shape [3, H, W].

@@ -19,9 +19,9 @@ use super::spectral::Spectral;
 use super::transform::{ModeParts, Transform};
 use super::{band_rows, padded};
 use crate::Result;
+use crate::cloth::Grid;
 use crate::cpu::real::Real;
 use crate::network::{Config, Weights};
-use crate::sim::Grid;
 use rayon::prelude::*;
 use std::sync::Arc;
 

@@ -3,10 +3,10 @@
 
 use super::pointwise::{Pointwise, PointwiseGradient};
 use super::{ADJOINT_SEGMENT, SEGMENT, padded};
+use crate::cloth::Grid;
 use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
 use crate::network::{Config, Weights};
-use crate::sim::Grid;
 
 /// The lifting layers and the positional fields (paper section 4).
 pub(super) struct Lifting<T> {

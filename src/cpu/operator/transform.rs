@@ -7,10 +7,10 @@
 //! carries the factor 1/(HW), the inverse none.
 
 use crate::Result;
+use crate::cloth::Grid;
 use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
 use crate::network::Config;
-use crate::sim::Grid;
 use std::f64::consts::TAU;
 
 /// The trigonometric tables of one grid, for `channels` channels as stored.

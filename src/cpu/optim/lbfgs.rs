@@ -4,8 +4,8 @@
 
 use super::{FactoredRestHessian, InverseHessian, Minimizer, RestHessian, dot};
 use crate::Result;
+use crate::cloth::Model;
 use crate::cpu::Real;
-use crate::sim::Model;
 use rayon::prelude::*;
 
 /// L-BFGS for a batch of cloths, each with its own history.

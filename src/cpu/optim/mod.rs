@@ -15,11 +15,11 @@ pub use lbfgs::Lbfgs;
 pub use rest_hessian::{FactoredRestHessian, InverseHessian, RestHessian};
 pub(super) use sums::{dot, norm};
 pub use update::{Hidden, Update};
-pub(crate) use update_adj::CLAMP;
-pub use update_adj::{Normalisation, UpdateAdjoint};
+pub use update_adj::UpdateAdjoint;
 
 use super::Real;
-use crate::sim::{Model, Optimizer};
+use crate::cloth::Model;
+use crate::sim::Optimizer;
 use crate::{Error, Result};
 
 /// An optimizer running on a batch of cloths.

@@ -1,9 +1,9 @@
 //! The Hessian of a flat sheet's energy, inverted by a cosine transform or factored: the starting point of
 //! quasi-Newton methods.
 
+use crate::cloth::{Cloth, Grid, Material};
 use crate::cpu::Real;
 use crate::cpu::matmul::{LANES, Start, Target, Term, product};
-use crate::sim::{Cloth, Grid, Material};
 use crate::{Error, Result};
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;

@@ -3,10 +3,11 @@
 
 use super::{Minimizer, norm};
 use crate::Result;
+use crate::cloth::Grid;
 use crate::cpu::Real;
 use crate::cpu::operator::Network;
 use crate::network::Weights;
-use crate::sim::{Grid, INITIAL_SCALE};
+use crate::sim::INITIAL_SCALE;
 use rayon::prelude::*;
 
 /// Amplitude to which the normalised fields are squashed, `10 tanh(. / 10)`.

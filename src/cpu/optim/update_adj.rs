@@ -4,37 +4,12 @@
 use super::update::NORM_FLOOR;
 use super::{Hidden, norm};
 use crate::Result;
+use crate::cloth::Grid;
 use crate::cpu::Real;
 use crate::cpu::operator::{Adjoint, LaidOut};
+use crate::kernels::optim::{CLAMP, Normalisation};
 use crate::network::Weights;
-use crate::sim::Grid;
 use rayon::prelude::*;
-
-/// Bound on the magnitude of a normalised cotangent.
-pub(crate) const CLAMP: f64 = 10.0;
-
-/// The norm by which training divides the cotangents of a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Normalisation {
-    /// Each component is divided by its own norm: every component of every cloth weighs the same (the
-    /// authors' rule).
-    #[default]
-    Component,
-    /// Each component is divided by the root mean square of the three norms of its cloth. Every cloth weighs
-    /// the same, and a component in proportion to its share of the cloth's gradient.
-    Cloth,
-}
-
-impl Normalisation {
-    /// Returns the number of samples that share a norm.
-    pub fn samples(self) -> usize {
-        match self {
-            Self::Component => 1,
-            Self::Cloth => 3,
-        }
-    }
-}
 
 /// The update rule for a number of samples on one grid, forward and backward. The caller owns the hidden
 /// state.

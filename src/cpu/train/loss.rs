@@ -2,11 +2,12 @@
 //! energies that one iteration of the learned optimizer leads to.
 
 use crate::Result;
+use crate::cloth::{Control, EnergyTerms, Model, State};
 use crate::cpu::operator::LaidOut;
-use crate::cpu::optim::{Hidden, Normalisation, UpdateAdjoint};
+use crate::cpu::optim::{Hidden, UpdateAdjoint};
 use crate::cpu::{Objective, Real};
+use crate::kernels::optim::Normalisation;
 use crate::network::Weights;
-use crate::sim::{Control, EnergyTerms, Model, State};
 
 /// The loss for batches of B cloths on one grid.
 pub struct Loss<T: Real> {

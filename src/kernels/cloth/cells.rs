@@ -2,9 +2,9 @@
 
 use super::{CellCount, CellFill, CellOrder, CellScan, Physics};
 use crate::Result;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::optim::Iterate;
-use crate::sim::Grid;
 
 /// The particles of a trial, sorted by cells that are hashed into buckets. The neighbours of a particle are
 /// in its own cell and the 26 around it.

@@ -1,9 +1,9 @@
 //! Host side of `shaders/cloth/energy_sum.wgsl`.
 
 use crate::Result;
+use crate::cloth::EnergyTerms;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
-use crate::sim::EnergyTerms;
 
 /// The kernel's WGSL.
 pub const SOURCE: Source = Source {

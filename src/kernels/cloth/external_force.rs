@@ -1,9 +1,9 @@
 //! Host side of `shaders/cloth/external_force.wgsl`.
 
 use crate::Result;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
-use crate::sim::Grid;
 
 /// The kernel's WGSL.
 pub const SOURCE: Source = Source {

@@ -2,10 +2,10 @@
 
 use super::Physics;
 use crate::Result;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
-use crate::sim::Grid;
 
 /// The kernel's WGSL.
 pub const SOURCE: Source = Source {

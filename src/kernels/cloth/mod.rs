@@ -28,9 +28,9 @@ pub use predict::Predict;
 pub use repulsion::Repulsion;
 pub use vertices::Vertices;
 
+use crate::cloth::{Cloth, Grid, Model};
 use crate::gpu::Tensor;
 use crate::kernels::optim::Iterate;
-use crate::sim::{Cloth, Grid, Model};
 
 /// What the energy of a trial depends on, besides the trial itself.
 #[derive(Clone, Copy, Debug)]

@@ -2,10 +2,10 @@
 
 use super::{Cells, Physics, energy};
 use crate::Result;
+use crate::cloth::{self, Grid};
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
-use crate::sim::{self, Grid};
 
 /// The kernel's WGSL.
 pub const SOURCE: Source = Source {
@@ -38,7 +38,7 @@ impl Repulsion {
     pub fn new(context: &Context, batch: usize, grid: Grid) -> Result<Self> {
         Ok(Self {
             cells: Cells::new(context, batch, grid)?,
-            kernel: Kernel::new(context, &SOURCE, 0, &[("SOFTENING", sim::Repulsion::SOFTENING)])?,
+            kernel: Kernel::new(context, &SOURCE, 0, &[("SOFTENING", cloth::Repulsion::SOFTENING)])?,
             total_acceleration: Tensor::zeros(context, "total acceleration", &[batch, 3, grid.particles()])?,
         })
     }

@@ -1,9 +1,9 @@
 //! Host side of `shaders/cloth/vertices.wgsl`.
 
 use crate::Result;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
-use crate::sim::Grid;
 
 /// The kernel's WGSL.
 pub const SOURCE: Source =
@@ -30,7 +30,7 @@ impl Vertices {
     }
 
     /// Sets `interleaved` [B, H W, 6] from positions `x` and velocities `v` [B, 3, H W], each cloth
-    /// seen as in its `view` [B, 4, 4] ([`crate::sim::VertexView::to_rows`]).
+    /// seen as in its `view` [B, 4, 4] ([`crate::cloth::VertexView::to_rows`]).
     pub fn push(
         &self,
         schedule: &mut Schedule,

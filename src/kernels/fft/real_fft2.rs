@@ -1,8 +1,8 @@
 //! The plan of a two-dimensional real transform: which passes run in which order over which tensors.
 
 use super::{Fields, JoinSpectra, PackPairs, Pass, Radix4, RadixPrime, SplitSpectra, UnpackPairs};
-use crate::cpu::fft::Norm;
 use crate::gpu::{Context, Schedule, Tensor};
+use crate::kernels::fft::Norm;
 use crate::{Error, Result};
 use std::f64::consts::TAU;
 

@@ -1,12 +1,12 @@
 //! Host side of `shaders/operator/block.wgsl`.
 
 use super::Layer;
+use crate::cloth::Grid;
 use crate::gpu::{
     Context, Kernel, LANES, Schedule, Sharing, Source, Storage, Tensor, Tuning, Unroll, WORKGROUP_INVOCATIONS,
 };
 use crate::kernels::optim::features::{self, FeatureInputs, Place};
 use crate::kernels::{common, padded, pieces, size};
-use crate::sim::Grid;
 use crate::{Error, Result};
 use bytemuck::Zeroable;
 

@@ -29,7 +29,7 @@ pub use pool_rows::PoolRows;
 pub use project::Project;
 pub use project_adj::ProjectAdj;
 pub use scalar_head::{ScalarHead, Scales};
-pub use spectral::{Spectral, SpectralTensors};
+pub use spectral::{Spectral, SpectralSize, SpectralTensors};
 pub use spectral_transpose::SpectralTranspose;
 pub use spectral_weight_adj::SpectralWeightAdj;
 pub use sum_parts::SumParts;

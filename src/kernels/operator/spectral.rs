@@ -2,7 +2,6 @@
 
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor, Tuning, Unroll};
 use crate::kernels::{common, size};
-use crate::network::Config;
 use crate::{Error, Result};
 
 /// The kernel's WGSL.
@@ -35,6 +34,17 @@ struct Params {
     strip: u32,
 }
 
+/// Sizes of a spectral convolution.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SpectralSize {
+    /// Kept rows of modes.
+    pub modes_h: usize,
+    /// Kept columns of modes.
+    pub modes_w: usize,
+    /// Channels (C).
+    pub channels: usize,
+}
+
 /// How the work is divided, see the WGSL.
 #[derive(Clone, Copy, Debug)]
 struct Division {
@@ -55,7 +65,7 @@ impl Division {
     /// Chooses the largest workgroups that keep the adapter busy, and in them gives parts to separate
     /// invocations if there are invocations to spare. `None` if not even the smallest workgroup fits
     /// `capacity` bytes of memory.
-    fn new(tuning: &Tuning, config: &Config, samples: usize, capacity: usize) -> Option<Self> {
+    fn new(tuning: &Tuning, size: &SpectralSize, samples: usize, capacity: usize) -> Option<Self> {
         let parts = tuning.spectral_teams as usize;
         let tiles = [TILE, 1].into_iter().filter(|&tile| samples.is_multiple_of(tile));
         let all = tiles.flat_map(|tile| OUT_CHANNELS.map(|out_channels| (tile, out_channels)));
@@ -67,34 +77,31 @@ impl Division {
             row_parts: 1,
             input_parts: 1,
         };
-        let fit: Vec<Self> = all.map(whole).filter(|division| division.bytes(config) <= capacity).collect();
-        let busy = |d: &&Self| samples / d.tile * d.groups(config) >= tuning.busy_groups;
+        let fit: Vec<Self> = all.map(whole).filter(|division| division.bytes(size) <= capacity).collect();
+        let busy = |d: &&Self| samples / d.tile * d.groups(size) >= tuning.busy_groups;
         let chosen = *fit.iter().find(busy).or(fit.last())?;
         let spare = |pieces: usize| if pieces < chosen.lanes { parts } else { 1 };
-        let rows = spare(chosen.tile * config.channels);
-        let inputs = spare(config.modes_h * chosen.out_channels);
+        let rows = spare(chosen.tile * size.channels);
+        let inputs = spare(size.modes_h * chosen.out_channels);
         let divided = [(rows, inputs), (1, inputs), (rows, 1)];
         let divided = divided.map(|(row_parts, input_parts)| Self { row_parts, input_parts, ..chosen });
-        let small = |division: &Self| division.bytes(config) <= capacity.min(DIVIDED_BYTES);
+        let small = |division: &Self| division.bytes(size) <= capacity.min(DIVIDED_BYTES);
         Some(divided.into_iter().find(small).unwrap_or(chosen))
     }
 
     /// Returns the number of workgroups per tile of samples.
-    fn groups(&self, config: &Config) -> usize {
-        config.modes_w * config.channels.div_ceil(self.out_channels)
+    fn groups(&self, size: &SpectralSize) -> usize {
+        size.modes_w * size.channels.div_ceil(self.out_channels)
     }
 
     /// Returns how many complex numbers of the spectrum and of the products a workgroup holds.
-    fn held(&self, config: &Config) -> [usize; 2] {
-        let rows_of_modes = self.tile * config.modes_h;
-        [
-            rows_of_modes * config.channels * self.row_parts,
-            rows_of_modes * self.out_channels * self.input_parts,
-        ]
+    fn held(&self, size: &SpectralSize) -> [usize; 2] {
+        let rows_of_modes = self.tile * size.modes_h;
+        [rows_of_modes * size.channels * self.row_parts, rows_of_modes * self.out_channels * self.input_parts]
     }
 
-    fn bytes(&self, config: &Config) -> usize {
-        8 * self.held(config).iter().sum::<usize>()
+    fn bytes(&self, size: &SpectralSize) -> usize {
+        8 * self.held(size).iter().sum::<usize>()
     }
 
     /// Returns the number of consecutive rows of the inverse that an invocation computes.
@@ -108,7 +115,7 @@ impl Division {
 pub struct Spectral {
     kernel: Kernel,
     division: Division,
-    config: Config,
+    size: SpectralSize,
     keep: bool,
     /// Bound in place of the spectrum if it is not kept.
     nothing: Tensor,
@@ -128,28 +135,28 @@ pub struct SpectralTensors<'a> {
 }
 
 impl Spectral {
-    /// Builds the kernel for the modes and channels of a padded `config` and for `samples` samples, whose
+    /// Builds the kernel for these sizes and for `samples` samples, whose
     /// spectra are kept if `keep` is set.
     ///
     /// Fails if the spectrum of a column does not fit the device's workgroup memory.
     pub fn new(
         context: &Context,
         tuning: &Tuning,
-        config: &Config,
+        size: &SpectralSize,
         samples: usize,
         keep: bool,
     ) -> Result<Self> {
         let capacity = context.device.limits().max_compute_workgroup_storage_size as usize;
-        let Config { modes_h, channels, .. } = *config;
+        let SpectralSize { modes_h, channels, .. } = *size;
         assert!(channels.is_multiple_of(16), "{channels} channels are not padded");
-        let division = Division::new(tuning, config, samples, capacity).ok_or_else(|| {
+        let division = Division::new(tuning, size, samples, capacity).ok_or_else(|| {
             let least = 8 * modes_h * (channels + OUT_CHANNELS[OUT_CHANNELS.len() - 1]);
             Error::Device(format!(
                 "{}: {modes_h} rows of modes with {channels} channels need {least} bytes of workgroup memory; the device has {capacity}",
                 context.name()
             ))
         })?;
-        let [inputs, outputs] = division.held(config).map(|n| n as f64);
+        let [inputs, outputs] = division.held(size).map(|n| n as f64);
         let constants = [
             ("KEEP", f64::from(u8::from(keep))),
             ("MODES", modes_h as f64),
@@ -165,7 +172,7 @@ impl Spectral {
         let unroll = Unroll { second: division.tile, texels, ..tuning.unroll(modes_h / 2 + 1) };
         let kernel = Kernel::new(context, &SOURCE, unroll, &constants)?;
         let nothing = Tensor::zeros(context, "no spectrum", &[2])?;
-        Ok(Self { kernel, division, config: *config, keep, nothing })
+        Ok(Self { kernel, division, size: *size, keep, nothing })
     }
 
     /// Convolves `tensors` with `weight` [modes, C / 2, C, 4] (see [`index`]), in texels if the kernel was
@@ -173,7 +180,7 @@ impl Spectral {
     pub fn push(&self, schedule: &mut Schedule, weight: &Tensor, tensors: SpectralTensors<'_>) {
         let SpectralTensors { table, r, inverse, spectrum } = tensors;
         let &[samples, h, columns, c] = r.shape() else { panic!("spectral: {:?}", r.shape()) };
-        let (division, Config { channels, modes_h, modes_w, .. }) = (self.division, self.config);
+        let (division, SpectralSize { channels, modes_h, modes_w }) = (self.division, self.size);
         assert_eq!((columns, c), (2 * modes_w, channels));
         assert!(samples.is_multiple_of(division.tile), "{samples} samples in tiles of {}", division.tile);
         assert_eq!(spectrum.is_some(), self.keep);
@@ -186,7 +193,7 @@ impl Spectral {
         let strip = size(division.strip(h));
         let params = Params { channels: size(channels), rows: size(h), modes_w: size(modes_w), strip };
         let tensors = [table, weight, r, inverse, spectrum.unwrap_or(&self.nothing)];
-        let count = [size(division.groups(&self.config)), size(samples / division.tile), 1];
+        let count = [size(division.groups(&self.size)), size(samples / division.tile), 1];
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }

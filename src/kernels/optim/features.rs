@@ -2,10 +2,10 @@
 
 use super::Iterate;
 use crate::Result;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::gradient;
 use crate::kernels::{common, padded, pieces, size};
-use crate::sim::Grid;
 
 /// The kernel's WGSL.
 pub const SOURCE: Source = Source {

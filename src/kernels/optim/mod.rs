@@ -19,7 +19,8 @@ pub use lbfgs::{Lbfgs, LbfgsMemory, Part};
 pub use quasi_newton::QuasiNewton;
 pub use rest_modes::RestModes;
 pub use update::{Update, UpdateTensors};
-pub use update_adj::{UpdateAdj, UpdateAdjTensors};
+pub(crate) use update_adj::CLAMP;
+pub use update_adj::{Normalisation, UpdateAdj, UpdateAdjTensors};
 
 use crate::Result;
 use crate::gpu::{Context, Tensor};

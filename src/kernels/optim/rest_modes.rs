@@ -1,10 +1,10 @@
 //! Host side of `shaders/optim/rest_modes.wgsl`.
 
 use crate::Result;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::ClothParams;
 use crate::kernels::{common, size};
-use crate::sim::Grid;
 use std::f64::consts::PI;
 
 /// The kernel's WGSL.

@@ -2,9 +2,9 @@
 
 use super::{BatchTensors, PoolTensors};
 use crate::Result;
+use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
-use crate::sim::Grid;
 
 /// The kernel's WGSL.
 pub const SOURCE: Source = Source {

@@ -15,8 +15,8 @@ pub use gradient_size::GradientSize;
 pub use squares::Squares;
 pub use store::Store;
 
+use crate::cloth::Grid;
 use crate::gpu::Tensor;
-use crate::sim::Grid;
 
 /// One element of the WGSL's `array<Drawn>`: a cloth of a pool that takes part in a step.
 #[repr(C)]

@@ -7,13 +7,13 @@ use crate::common::{
     self, ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_channels,
     read_unpadded, run, tensor,
 };
+use fnopt::cloth::Grid;
 use fnopt::gpu::{Tensor, Tuning};
 use fnopt::kernels::operator::block::{hidden_units, with_head};
 use fnopt::kernels::operator::{Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting};
 use fnopt::kernels::optim::{FeatureInputs, Features, Iterate};
 use fnopt::kernels::padded;
 use fnopt::network::tables;
-use fnopt::sim::Grid;
 
 const CHANNELS: usize = 64;
 

@@ -2,10 +2,11 @@
 
 use super::cloth::{field, iterate, model};
 use crate::common::{assert_close, context, largest, narrowed, read, run, widened};
+use fnopt::cloth::Grid;
 use fnopt::cpu::optim::minimizer;
 use fnopt::gpu::Schedule;
 use fnopt::kernels::optim::Iterate;
-use fnopt::sim::{Grid, Optimizer};
+use fnopt::sim::Optimizer;
 
 /// Iterations per frame.
 const ITERATIONS: usize = 12;

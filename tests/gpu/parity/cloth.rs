@@ -1,11 +1,11 @@
 //! Helpers shared by the tests of the cloth and optimizer kernels.
 
 use crate::common::{context, noise, poisoned, tensor, widened};
+use fnopt::cloth::{Air, Cloth, Grid, Material, Model, Repulsion, State};
 use fnopt::cpu::cloth::Trial;
 use fnopt::gpu::Tensor;
 use fnopt::kernels::cloth::ClothParams;
 use fnopt::kernels::optim::Iterate;
-use fnopt::sim::{Air, Cloth, Grid, Material, Model, Repulsion, State};
 
 /// Wind of each cloth [edges / frame].
 pub const WIND: [[f32; 3]; 3] = [[0.3, -0.2, 0.1], [0.0, 0.0, 0.0], [-0.5, 0.4, 0.2]];

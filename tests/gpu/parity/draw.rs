@@ -2,10 +2,10 @@
 
 use super::cloth::{field, iterate, model, targets, upload};
 use crate::common::{ROUNDING, assert_close, context, device, noise, poisoned, read, run, tensor};
+use fnopt::cloth::{Grid, State};
 use fnopt::gpu::Tensor;
 use fnopt::kernels::cloth::StateTensors;
 use fnopt::kernels::train::{Advance, BatchTensors, Draw, Drawn, PoolTensors, Store};
-use fnopt::sim::{Grid, State};
 
 const GRID: Grid = Grid { h: 9, w: 13 };
 /// Cloths of the pool, and the slots drawn: the middle one starts over, the last one ends its frame.

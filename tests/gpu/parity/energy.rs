@@ -2,9 +2,9 @@
 
 use super::cloth::{Doubles, constants, crumpled, field, iterate, model, upload};
 use crate::common::{ROUNDING, assert_close, cases, context, device, poisoned, read, run};
+use fnopt::cloth::{Grid, State};
 use fnopt::cpu::cloth::{energy, stretch};
 use fnopt::kernels::cloth::{Energy, EnergySum, Physics, TERMS, energy::parts_shape};
-use fnopt::sim::{Grid, State};
 
 #[test]
 fn energies_and_stretch_match() {

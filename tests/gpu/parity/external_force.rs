@@ -2,9 +2,9 @@
 
 use super::cloth::{WIND, constants, crumpled, field, model, poisoned_field, upload};
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, read, run, tensor, widened};
+use fnopt::cloth::Model;
 use fnopt::cpu::cloth::add_wind;
 use fnopt::kernels::cloth::{ExternalForce, ExternalForceTensors};
-use fnopt::sim::Model;
 
 fn expected(model: &Model, x: &[f32], v: &[f32], control: &[f32]) -> Vec<f64> {
     let n = model.grid.particles();

@@ -4,10 +4,10 @@ use crate::common::{
     ROUNDING, assert_close, cases, context, device, noise, poisoned, read, read_channels, run, tensor,
     widened,
 };
+use fnopt::cloth::Grid;
 use fnopt::kernels::cloth::gradient::parts;
 use fnopt::kernels::optim::{FeatureInputs, Features, Iterate};
 use fnopt::kernels::padded;
-use fnopt::sim::Grid;
 
 /// Returns `10 tanh(field / rms / 10)`, with the root mean square of `of`.
 fn squashed(field: &[f32], of: &[f32]) -> Vec<f64> {

@@ -2,9 +2,9 @@
 
 use super::cloth::{Doubles, constants, crumpled, field, iterate, iterate_with_hidden, model, upload};
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run};
+use fnopt::cloth::{Grid, Model, State};
 use fnopt::cpu::cloth::{GradientRows, gradient};
 use fnopt::kernels::cloth::{Gradient, Physics, gradient::parts};
-use fnopt::sim::{Grid, Model, State};
 
 /// Returns the gradient on the device and in double precision, for positions, displacements at a = 0,
 /// accelerations and external accelerations.

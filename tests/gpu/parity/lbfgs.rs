@@ -2,9 +2,10 @@
 
 use super::classical::frames_match;
 use crate::common::{GRIDS, cases, context, device};
+use fnopt::cloth::Grid;
 use fnopt::gpu::AdapterKind;
 use fnopt::kernels::optim::{Lbfgs, LbfgsMemory};
-use fnopt::sim::{Grid, Optimizer};
+use fnopt::sim::Optimizer;
 
 /// Two dozen iterations amplify the roundings of the sums by the condition number of the problem, about 6.
 const TOLERANCE: f64 = 2e-5;

@@ -1,12 +1,12 @@
 //! Helpers shared by the tests of the operator kernels.
 
 use crate::common::{by_rows, noise, tensor};
+use fnopt::cloth::Grid;
 use fnopt::cpu::Real;
 use fnopt::gpu::Tensor;
 use fnopt::kernels::operator::{Layer, pointwise, spectral};
 use fnopt::kernels::padded;
 use fnopt::network::Config;
-use fnopt::sim::Grid;
 use std::f64::consts::TAU;
 
 /// The network's modes, and fewer modes with an odd number of rows.

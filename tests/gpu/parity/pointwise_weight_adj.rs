@@ -4,9 +4,9 @@ use super::operator::tiled;
 use crate::common::{
     ROUNDING, assert_close, by_rows, cases, context, device, largest, noise, poisoned, read, run, tensor,
 };
+use fnopt::cloth::Grid;
 use fnopt::kernels::operator::{Parts, PointwiseWeightAdj, SumParts, pointwise::Lines, pointwise_weight_adj};
 use fnopt::kernels::padded;
-use fnopt::sim::Grid;
 
 /// Returns the gradients over weight [O, I] and bias of a layer.
 fn expected(x: &[f32], adj: &[f32], (outputs, inputs, n): (usize, usize, usize)) -> (Vec<f64>, Vec<f64>) {

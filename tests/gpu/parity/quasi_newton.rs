@@ -4,9 +4,10 @@
 use super::classical::frames_match;
 use super::cloth::{constants, field, iterate, model};
 use crate::common::{assert_close, cases, context, device, largest, poisoned, read, run, widened};
+use fnopt::cloth::Grid;
 use fnopt::cpu::optim::minimizer;
 use fnopt::kernels::optim::{LbfgsMemory, QuasiNewton};
-use fnopt::sim::{Grid, Optimizer};
+use fnopt::sim::Optimizer;
 
 fn memory(grid: Grid, batch: usize, history: usize) -> LbfgsMemory {
     let memory = LbfgsMemory::new(context(), batch, grid.particles(), history).unwrap();

@@ -3,10 +3,11 @@
 use crate::common::{
     ROUNDING, assert_close, context, device, largest, noise, poisoned, read, run, tensor, widened,
 };
-use fnopt::cpu::fft::{Fft2, Norm};
+use fnopt::cloth::Grid;
+use fnopt::cpu::fft::Fft2;
 use fnopt::gpu::Tensor;
+use fnopt::kernels::fft::Norm;
 use fnopt::kernels::fft::{Fields, RealFft2};
-use fnopt::sim::Grid;
 
 /// Sides of one, powers of two, odd and even sides, primes and their squares, and very unequal sides.
 const SIZES: [[usize; 2]; 17] = [

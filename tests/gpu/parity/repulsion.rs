@@ -2,9 +2,9 @@
 
 use super::cloth::{Doubles, constants, crumpled, field, iterate, model, poisoned_field, repelling, upload};
 use crate::common::{assert_close, cases, context, device, largest, poisoned, read, run};
+use fnopt::cloth::{Cloth, Grid, Model};
 use fnopt::cpu::cloth::repulsion;
 use fnopt::kernels::cloth::{EnergySum, Physics, Repulsion, TERMS, energy::parts_shape};
-use fnopt::sim::{Cloth, Grid, Model};
 
 /// Returns external accelerations including repulsion, and the repulsion energy of each cloth, on the device
 /// and in double precision.

@@ -5,11 +5,11 @@ use crate::common::{
     ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run, sharings, tensor,
     widened,
 };
+use fnopt::cloth::Grid;
 use fnopt::cpu::operator::Transform;
 use fnopt::gpu::{Tensor, Tuning};
-use fnopt::kernels::operator::{Spectral, SpectralTensors};
+use fnopt::kernels::operator::{Spectral, SpectralSize, SpectralTensors};
 use fnopt::network::{Config, tables};
-use fnopt::sim::Grid;
 
 /// Returns the spectrum [S, modes_h, modes_w, C, 2] of the rows' spectra `r` [S, H, 2 modes_w, C].
 fn spectrum(config: &Config, grid: Grid, r: &[f32]) -> Vec<f64> {
@@ -99,7 +99,9 @@ fn convolutions_match() {
                     let kept = poisoned("spectrum", &[samples, config.modes_h, config.modes_w, CHANNELS, 2]);
                     let convolve = |texels: bool, inverse: &Tensor| {
                         let tuning = Tuning { texels, ..tuning };
-                        let kernel = Spectral::new(context(), &tuning, &config, samples, keep).unwrap();
+                        let Config { modes_h, modes_w, channels, .. } = config;
+                        let size = SpectralSize { modes_h, modes_w, channels };
+                        let kernel = Spectral::new(context(), &tuning, &size, samples, keep).unwrap();
                         let spectrum = keep.then_some(&kept);
                         let (weight, table) = match texels {
                             true => (&weight_in_texels, &table_in_texels),

@@ -4,10 +4,10 @@ use super::cloth::{field, iterate_with_hidden, model};
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, noise, pad, poisoned, read, run, tensor,
 };
+use fnopt::cloth::Grid;
 use fnopt::kernels::operator::{Layer, ScalarHead, Scales};
 use fnopt::kernels::optim::{Update, UpdateTensors};
 use fnopt::kernels::padded;
-use fnopt::sim::Grid;
 
 /// A grid with more particles than the workgroups of a sample have invocations.
 const LARGE: Grid = Grid { h: 130, w: 139 };

@@ -3,7 +3,7 @@
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, noise, pad, poisoned, read, run, tensor,
 };
-use fnopt::cpu::optim::Normalisation;
+use fnopt::kernels::optim::Normalisation;
 use fnopt::kernels::optim::{UpdateAdj, UpdateAdjTensors};
 use fnopt::kernels::padded;
 

@@ -2,9 +2,9 @@
 
 use super::cloth::{crumpled, field, model, upload};
 use crate::common::{assert_close, cases, context, device, poisoned, read, run, tensor, widened};
+use fnopt::cloth::VertexView;
 use fnopt::cpu;
 use fnopt::kernels::cloth::Vertices;
-use fnopt::sim::VertexView;
 
 /// Returns the view of a cloth: a rotation, a scale, a shift, and a time between two frames, which is 0.3 for
 /// the last cloth of the batch.

@@ -1,7 +1,8 @@
 //! Frames on any device, submitted and read back.
 
-use super::{Cloth, Control, FrameStats, Model, Optimizer, Solver, SolverOptions, State};
+use crate::cloth::{Cloth, Control, Model, State};
 use crate::gpu::{Context, Readback, Storage};
+use crate::sim::{FrameStats, Optimizer, Solver, SolverOptions};
 use crate::{Error, Result, cpu};
 use std::iter::Peekable;
 use std::ops::ControlFlow;
@@ -36,7 +37,8 @@ impl Device {
 ///
 /// ```
 /// use fnopt::scene::Scene;
-/// use fnopt::sim::{Device, Optimizer, Simulator};
+/// use fnopt::sim::Optimizer;
+/// use fnopt::{Device, Simulator};
 ///
 /// let setup = Scene::default().setup()?;
 /// let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::lbfgs(), 5)?;

@@ -1,0 +1,13 @@
+//! The cloth: its grid, its constants ([`Model`]), its state ([`State`]) and what drives a frame ([`Control`]), in
+//! grid units. Everything that computes builds on this.
+
+mod energy;
+mod grid;
+mod model;
+mod view;
+
+pub use energy::EnergyTerms;
+pub use grid::{Grid, MAX_GRID, MIN_GRID};
+pub(crate) use model::cast;
+pub use model::{Air, Cloth, Control, Material, Model, Repulsion, State};
+pub use view::VertexView;
