@@ -2,12 +2,11 @@
 
 mod cli;
 
-use clap::Parser;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     quieten_device_select();
-    let cli = cli::Cli::parse();
+    let cli = cli::Cli::from_command_line();
     match cli::log_to_stderr() {
         Ok(()) => cli::run(cli),
         Err(error) => {

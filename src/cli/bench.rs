@@ -12,6 +12,7 @@ use fnopt::kernels::operator::{Layer, Pointwise};
 use fnopt::render::{Chart, Curve, Image, Scale, charts, write_png};
 use fnopt::sim::{Optimizer, Solver, SolverOptions};
 use fnopt::{Device, Simulator};
+use std::collections::HashSet;
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -137,7 +138,10 @@ pub fn run(args: &Args) -> Result<Ending> {
 
 /// Returns the grids and batch sizes to measure. Fails if all of them have too many particles.
 fn sizes(args: &Args, grids: &[Grid]) -> Result<Vec<(Grid, usize)>> {
-    let all = grids.iter().flat_map(|&grid| args.batch.iter().map(move |&batch| (grid, batch as usize)));
+    let mut batches = args.batch.clone();
+    let mut seen = HashSet::new();
+    batches.retain(|batch| seen.insert(*batch));
+    let all = grids.iter().flat_map(|&grid| batches.iter().map(move |&batch| (grid, batch as usize)));
     let most = args.most_particles.unwrap_or(usize::MAX);
     let particles = |&(grid, batch): &(Grid, usize)| grid.particles() * batch;
     let (taken, left): (Vec<_>, Vec<_>) = all.partition(|size| particles(size) <= most);

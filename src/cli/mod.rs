@@ -13,7 +13,7 @@ mod train;
 mod tune;
 mod verify;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use fnopt::cloth::Grid;
 use fnopt::eval::{Sequence, median};
 use fnopt::io::is_stream;
@@ -42,6 +42,19 @@ use tracing_subscriber::{EnvFilter, filter::LevelFilter};
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
+}
+
+impl Cli {
+    /// Parses the command line; exits with a message if it is not valid. A negative number is taken for the
+    /// value that it is meant to be and refused as such, not for an unknown option.
+    pub fn from_command_line() -> Self {
+        let negative = |arg: clap::Arg| match arg.get_action().takes_values() {
+            true => arg.allow_negative_numbers(true),
+            false => arg,
+        };
+        let matches = Self::command().mut_subcommands(|command| command.mut_args(negative)).get_matches();
+        Self::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+    }
 }
 
 #[derive(Debug, Subcommand)]
@@ -168,7 +181,7 @@ pub struct SolverArgs {
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
     /// Iterations per frame
-    #[arg(long, default_value_t = 10, value_name = "N", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..=MOST_ITERATIONS))]
+    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_ITERATIONS))]
     iterations: u32,
 }
 

@@ -41,7 +41,7 @@ pub struct Args {
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "", value_name = "STRENGTH,DISTANCE")]
     repulsion: Option<String>,
     /// Frames to simulate, including the start
-    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
+    #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
     #[command(flatten)]
     solver: SolverArgs,

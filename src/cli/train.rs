@@ -170,7 +170,10 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>, minutes: Option<f64>) {
     bar.set_message(format!("loss {:.4}{limit}", progress.report.loss()));
     for SceneScore { scene, gap, largest_stretch, stable } in progress.validation.into_iter().flatten() {
         let stable = if *stable { "stable" } else { "UNSTABLE" };
-        let gap = gap.map_or_else(String::new, |gap| format!(", energy gap {:.2} %", 100.0 * gap));
+        let gap = gap.map_or_else(String::new, |gap| match gap >= SceneScore::MOST_GAP {
+            true => format!(", energy gap {:.0} % or more", 100.0 * SceneScore::MOST_GAP),
+            false => format!(", energy gap {:.2} %", 100.0 * gap),
+        });
         let (step, percent) = (progress.step, 100.0 * largest_stretch);
         // Printed even if the bar is hidden, as in a batch job's log.
         bar.suspend(|| status!("step {step}: {scene}: {stable}{gap}, largest stretch {percent:.1} %"));

@@ -28,14 +28,29 @@ fn mean(config: &Config, files: &[PathBuf]) -> Result<Vec<f32>> {
     for path in files {
         let weights = Weights::load(path)?;
         if weights.config != config.network {
-            let (expected, found) = (format!("{:?}", config.network), format!("{:?}", weights.config));
-            return Err(Error::invalid(path.display().to_string(), "network", expected, found));
+            let (field, [expected, found]) = differing(&config.network, &weights.config);
+            let expected = format!("{expected}, as in the configuration");
+            return Err(Error::invalid(
+                path.display().to_string(),
+                format!("network.{field}"),
+                expected,
+                found,
+            ));
         }
         let flat = weights.flat();
         sums.resize(flat.len(), 0.0);
         sums.iter_mut().zip(&flat).for_each(|(sum, &w)| *sum += f64::from(w));
     }
     Ok(sums.iter().map(|sum| (sum / files.len() as f64) as f32).collect())
+}
+
+/// Returns the first size in which two networks differ, and its values.
+fn differing(ours: &network::Config, theirs: &network::Config) -> (String, [String; 2]) {
+    let sizes = |config| serde_json::to_value(config).expect("sizes are plain numbers");
+    let (ours, theirs) = (sizes(ours), sizes(theirs));
+    let all = ours.as_object().expect("sizes have names");
+    let field = all.keys().find(|field| ours[*field] != theirs[*field]).expect("the networks differ");
+    (field.clone(), [&ours, &theirs].map(|sizes| sizes[field].to_string()))
 }
 
 /// Draws random weights like the authors' implementation (the defaults of neuraloperator and PyTorch).

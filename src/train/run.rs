@@ -370,9 +370,10 @@ impl Run {
             self.write_weights("best")?;
             self.records.iter_mut().for_each(|records| records.best = Some(score));
         }
-        // Write the table last: a validation that it lists is not repeated.
+        // The card first: a validation that the table lists is not repeated.
+        self.write_weights("last")?;
         self.records.iter().try_for_each(Records::append_scores)?;
-        self.write_outputs()?;
+        self.plot()?;
         Ok(true)
     }
 
@@ -383,13 +384,12 @@ impl Run {
         let flushed = self.flush();
         self.write_checkpoint()?;
         flushed?;
-        self.write_outputs()
+        self.write_weights("last")?;
+        self.plot()
     }
 
-    /// Writes the weights `last`, with the validation if one followed this step, and the plot. Only rank 0
-    /// writes.
-    fn write_outputs(&self) -> Result<()> {
-        self.write_weights("last")?;
+    /// Plots the curves so far, on rank 0.
+    fn plot(&self) -> Result<()> {
         self.records.iter().try_for_each(|records| records.plot(&self.folder, &self.config))
     }
 
@@ -404,6 +404,7 @@ impl Run {
         self.folder.keep(&checkpoint, &*self.ranks)
     }
 
+    /// Writes the weights under this name, with the validation if one followed this step. Only rank 0 writes.
     fn write_weights(&self, name: &str) -> Result<()> {
         let Some(records) = &self.records else { return Ok(()) };
         let weights = self.weights()?;

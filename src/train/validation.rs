@@ -10,9 +10,6 @@ use crate::scene::{Motion, Scene, Start};
 use crate::sim::Optimizer;
 use std::ops::ControlFlow;
 
-/// Contribution of an unsound rollout to the score, as an energy gap. Gaps of sound ones are capped at it.
-const UNSOUND_GAP: f64 = 10.0;
-
 /// The prepared scenes: on each grid of the configuration a sheet that hangs from two corners and swings
 /// along `xy_v2`, and on the finest of them a flat sheet that falls, held by two corners. Default material,
 /// air, 60 frames per second.
@@ -76,19 +73,23 @@ impl Validation {
     /// any gap.
     pub fn score(scores: &[SceneScore]) -> f64 {
         let of = |s: &SceneScore| match s.gap.unwrap_or(0.0) {
-            gap if s.stable && gap < UNSOUND_GAP => gap,
-            _ => UNSOUND_GAP,
+            gap if s.stable && gap < SceneScore::MOST_GAP => gap,
+            _ => SceneScore::MOST_GAP,
         };
         scores.iter().map(of).sum::<f64>() / scores.len() as f64
     }
 }
 
 impl SceneScore {
+    /// The largest gap that is told from larger ones, and the contribution of an unsound rollout to the score
+    /// of weights.
+    pub const MOST_GAP: f64 = 10.0;
+
     fn of(score: &CaseScore) -> Self {
         Self {
             scene: score.case.clone(),
             // Cap the gap, also if it is infinite or NaN: JSON would store that as null, which means no gap.
-            gap: score.measured_gap().map(|gap| gap.min(UNSOUND_GAP)),
+            gap: score.measured_gap().map(|gap| gap.min(Self::MOST_GAP)),
             largest_stretch: score.stretch_largest.min(f64::MAX),
             stable: score.sound(),
         }

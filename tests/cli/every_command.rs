@@ -95,10 +95,18 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["train", "large.toml"], &["large.toml", "network", "parameters"]),
         (&["train", "range.toml"], &["range.toml", "pool[0].material.bend", "[smallest, largest]"]),
         (&["train", "start.toml"], &["missing.safetensors", "cannot read"]),
-        (&["train", "sizes.toml"], &["checkpoint_starter.safetensors", "network", "channels: 32"]),
+        (
+            &["train", "sizes.toml"],
+            &["checkpoint_starter.safetensors", "network.channels", "32, as in the configuration, found 64"],
+        ),
         (&["train", "--resume", "nowhere"], &["nowhere", "config.toml"]),
         (&["train", "--resume", "x", "--out", "y"], &["--resume"]),
         (&["train", "--minutes", "0"], &["--minutes", "above 0"]),
+        // Negative numbers are values, of every option.
+        (&["train", "--minutes", "-1"], &["--minutes", "above 0"]),
+        (&["train", "few.toml", "--steps", "-1"], &["'-1' for '--steps <N>'"]),
+        (&["bench", "--batch", "-1"], &["'-1' for '--batch"]),
+        (&["rollout", "-5"], &["-5", "cannot read"]),
     ];
     for (arguments, said) in cases {
         refused_cleanly(at, arguments, said);

@@ -54,7 +54,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', value_name = "NAME[:N],..")]
     solver: Option<Vec<String>>,
     /// Iterations per frame for solvers given without a number [default: 10]
-    #[arg(long, value_delimiter = ',', value_name = "N,..", allow_negative_numbers = true)]
+    #[arg(long, value_delimiter = ',', value_name = "N,..")]
     iterations: Option<Vec<usize>>,
     /// Weights of the learned optimizer, a safetensors file [default: the weights that ship with the program]
     #[arg(long, value_name = "FILE")]
@@ -66,10 +66,10 @@ pub struct Args {
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
     /// Density of the air [kg/m^3] [default: the sequence's, or in a suite the default scene's]
-    #[arg(long, value_name = "DENSITY", visible_alias = "density", allow_negative_numbers = true)]
+    #[arg(long, value_name = "DENSITY", visible_alias = "density")]
     wind: Option<f64>,
     /// Frames of each sequence, including the start [default: all]
-    #[arg(long, value_name = "F", allow_negative_numbers = true, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
     /// Points sampled from each surface for e_CD
     #[arg(long, default_value_t = 10_000, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_POINTS))]
