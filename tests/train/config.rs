@@ -195,5 +195,8 @@ fn a_run_begins_with_the_mean_of_the_files_it_is_given() {
     assert_eq!(first_weights(&config, &Alone).unwrap().flat(), all[0]);
     config.network.layers = 2;
     let error = first_weights(&config, &Alone).unwrap_err().to_string();
-    assert!(error.ends_with("0.safetensors: network.layers: expected 2, as in the configuration, found 1"), "{error}");
+    assert!(
+        error.ends_with("0.safetensors: network.layers: expected 2, as in the configuration, found 1"),
+        "{error}"
+    );
 }
