@@ -126,18 +126,39 @@ mod tests {
 
     /// Returns the modules of this crate that a file names outside its comments.
     fn used(text: &str) -> Vec<String> {
-        let code = text.lines().filter(|line| !line.trim_start().starts_with("//"));
-        let paths = code.flat_map(|line| line.split("crate::").skip(1));
-        let names = paths.flat_map(|path| {
-            let group = path.strip_prefix('{').map_or(path, |rest| rest.split('}').next().unwrap_or(rest));
-            let several = group.len() < path.len();
-            let names = group.split(", ").take(if several { usize::MAX } else { 1 });
-            names.map(|name| name.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default().to_owned())
-        });
+        let code = text.lines().map(|line| line.split("//").next().unwrap_or_default());
+        let code: String = code.collect::<Vec<_>>().join(" ");
+        let mut names = Vec::new();
+        for path in code.split("crate::").skip(1) {
+            // A name, or those directly within the braces of a group.
+            let mut depth = 0;
+            for (at, c) in path.char_indices() {
+                let begins = match c {
+                    '{' => depth == 0,
+                    ',' => depth == 1,
+                    _ => at == 0,
+                };
+                depth += i32::from(c == '{') - i32::from(c == '}');
+                let from = path[at..].trim_start_matches(['{', ',', ' ']);
+                if begins && depth <= 1 {
+                    names.push(from.split(|c: char| !c.is_alphanumeric()).next().unwrap_or_default());
+                }
+                if depth == 0 {
+                    break;
+                }
+            }
+        }
         // Those of the crate's root stand for the module that they come from.
-        let of_root =
-            |name: String| if ["Device", "Frame"].contains(&&*name) { "simulator".into() } else { name };
-        names.map(of_root).map(|name| name.to_lowercase()).collect()
+        let of_root = |name| if ["Device", "Frame"].contains(&name) { "simulator" } else { name };
+        // A group may end with a comma.
+        names.into_iter().filter(|name| !name.is_empty()).map(|name| of_root(name).to_lowercase()).collect()
+    }
+
+    #[test]
+    fn names_are_found_in_every_form_of_use() {
+        let text = "use crate::{io::{a, b},\n    train, // crate::no\n};\n// crate::no\nlet x = crate::sim::f(crate::gpu);";
+        assert_eq!(used(text), ["io", "train", "sim", "gpu"]);
+        assert_eq!(used("use crate::Device; use crate::cloth::{Grid, Model};"), ["simulator", "cloth"]);
     }
 
     #[test]

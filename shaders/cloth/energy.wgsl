@@ -1,4 +1,4 @@
-// Energy terms and stretch of a cloth, in partial sums over its particles (`sim::EnergyTerms`).
+// Energy terms and stretch of a cloth, in partial sums over its particles (`cloth::EnergyTerms`).
 //
 // Each particle owns the edges, corner angles and bends that start at it. A part holds eight numbers:
 // stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of

@@ -1,4 +1,4 @@
-// Gradient of the energy of a frame with respect to the acceleration, grad = dL/da (`sim::EnergyTerms`), and
+// Gradient of the energy of a frame with respect to the acceleration, grad = dL/da (`cloth::EnergyTerms`), and
 // partial sums of squares, partial_sums[s, k] = (sum g^2, sum d^2) over part k of the particles of a sample,
 // where d is the last step.
 //

@@ -34,14 +34,6 @@ fn input(sample: u32, i: u32, row: u32, quad: u32) -> vec4f {
 #endif
 }
 
-fn keep_output(at: u32, v: vec4f) {
-#if texels
-    textureStore(y, texel(at), v);
-#else
-    y[at] = StoredQuad(v);
-#endif
-}
-
 fn keep_largest(at: u32, largest: f32) {
     rows_max[at] = largest;
 }

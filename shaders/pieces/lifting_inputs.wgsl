@@ -25,11 +25,3 @@ fn factor(sample: u32, e: u32, row: u32, quad: u32) -> vec4f {
 
 // Only blocks pool.
 fn keep_largest(_at: u32, _largest: f32) {}
-
-fn keep_output(at: u32, v: vec4f) {
-#if texels
-    textureStore(y, texel(at), v);
-#else
-    y[at] = StoredQuad(v);
-#endif
-}

@@ -2,5 +2,5 @@
 // Returns component c of where a handle must be, by its slot, from the kernel's binding targets [handles, 3].
 fn target_of(slot: u32, c: u32) -> f32 {
     // Slots are data: one that names no target must not lead out of the array.
-    return targets[min(3u * (slot - 1u) + c, arrayLength(&targets) - 1u)];
+    return targets[3u * min(slot - 1u, arrayLength(&targets) / 3u - 1u) + c];
 }

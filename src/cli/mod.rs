@@ -16,7 +16,7 @@ mod verify;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use fnopt::cloth::Grid;
 use fnopt::eval::{Sequence, median};
-use fnopt::io::is_stream;
+use fnopt::io::{folder_of, is_stream};
 use fnopt::network::Weights;
 use fnopt::scene::{Batch, Scene, Setup};
 use fnopt::sim::Optimizer;
@@ -301,11 +301,6 @@ pub fn writable_file(path: &Path) -> Result<()> {
     }
     let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     writable_folder(folder_of(&path))
-}
-
-/// Returns the folder of a file.
-pub fn folder_of(file: &Path) -> &Path {
-    file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Returns `Break` once Ctrl-C has set the flag.

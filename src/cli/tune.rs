@@ -2,12 +2,12 @@
 
 use super::device::{DeviceArgs, DeviceKind};
 use super::output::{output, status};
-use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag, one_grid};
+use super::{Ending, SolverArgs, default_scenes, go_on, interrupt_flag, one_grid, writable_file};
 use anyhow::Result;
 use fnopt::Device;
 use fnopt::Error;
 use fnopt::gpu::Tuning;
-use fnopt::sim::tune;
+use fnopt::sim::{Optimizer, tune};
 use std::io::Write;
 use std::ops::ControlFlow;
 
@@ -34,13 +34,22 @@ pub struct Args {
 }
 
 pub fn run(args: &Args) -> Result<Ending> {
+    let optimizer = args.solver.optimizer()?;
+    if !matches!(optimizer, Optimizer::Learned(_)) {
+        // Chance would choose between tilings of a network that is not there.
+        let expected = "fnopt, whose network is what the tile sizes are for";
+        return Err(Error::invalid("--solver", "solver", expected, optimizer.name()).into());
+    }
     let device = DeviceArgs { device: DeviceKind::Gpu, adapter: args.adapter.clone() };
     let (Device::Gpu(context), line) = device.open()? else {
         return Err(Error::Device("the CPU path has nothing to tune".into()).into());
     };
     status!("{line}");
     let setups = default_scenes(one_grid(&args.grid)?, args.batch as usize)?;
-    let (optimizer, start) = (args.solver.optimizer()?, setups.start.cast());
+    let start = setups.start.cast();
+    if let Some(path) = Tuning::path(&context).filter(|_| !args.dry_run) {
+        writable_file(&path)?;
+    }
     let interrupted = interrupt_flag();
     let mut out = output();
     let mut all = Vec::new();

@@ -122,6 +122,15 @@ fn key(point: &Point) -> Key {
     point.map(|v| (v as f32).to_bits())
 }
 
+fn physics(&[stretch, shear, bend, density, drag, frame_time]: &Point) -> Physics {
+    Physics {
+        stiffness: Stiffness::Grid(Material { stretch, shear, bend }),
+        density: Some(density),
+        drag: Some(drag),
+        frame_time_s: Some(frame_time),
+    }
+}
+
 impl Fit<'_> {
     /// Describes what errors are measured on, so that only comparable points are compared: the sequences with
     /// their frames and a checksum of their files, the grid, the number of sample points, and the version.
@@ -137,8 +146,8 @@ impl Fit<'_> {
 
     /// Runs the search, starting from the points in `surface`. After every few points, `tried` is called with
     /// the surface and the number of points left. `tick` is called after each frame and may end the search,
-    /// which discards unfinished points. Fails if the coarse grid has too many points, or if all points
-    /// diverge.
+    /// which discards unfinished points. Fails if the coarse grid has too many points, if the ends of the ranges
+    /// cannot be simulated, or if all points diverge.
     pub fn search(
         &self,
         surface: &mut ErrorSurface,
@@ -152,6 +161,7 @@ impl Fit<'_> {
             let found = format!("{} of each of {} parameters", self.levels, free.len());
             return Err(Error::invalid("fit", "levels", expected, found));
         }
+        self.check()?;
         let ratio = |k: usize| (self.ranges[k][1] / self.ranges[k][0]).powf(1.0 / (self.levels - 1) as f64);
         let mut points = vec![self.ranges.map(|range| range[0])];
         for &k in &free {
@@ -226,37 +236,38 @@ impl Fit<'_> {
         let new: Vec<Point> = points.iter().copied().filter(|point| seen.insert(key(point))).collect();
         let mut left = new.len();
         for some in new.chunks(rayon::current_num_threads()) {
-            let errors: Vec<Option<f64>> =
-                some.par_iter().map(|p| self.error(p, tick)).collect::<Result<_>>()?;
-            let mut ended = false;
+            let errors: Vec<Result<Option<f64>>> = some.par_iter().map(|p| self.error(p, tick)).collect();
+            let mut ended = Ok(ControlFlow::Continue(()));
             for (point, error) in some.iter().zip(errors) {
                 match error {
-                    Some(error) => drop(surface.errors.insert(key(point), (*point, error))),
-                    None => ended = true,
+                    Ok(Some(error)) => drop(surface.errors.insert(key(point), (*point, error))),
+                    Ok(None) => ended = ended.map(|_| ControlFlow::Break(())),
+                    Err(error) => ended = ended.and(Err(error)),
                 }
             }
             left = left.saturating_sub(some.len());
+            // The finished points are kept, whatever became of the others.
             tried(surface, left)?;
-            if ended {
+            if ended?.is_break() {
                 return Ok(ControlFlow::Break(()));
             }
         }
         Ok(ControlFlow::Continue(()))
     }
 
+    /// Fails if a sequence cannot be simulated on the grid at the lower or the upper ends of the ranges.
+    fn check(&self) -> Result<()> {
+        let ends = [0, 1].map(|end| physics(&self.ranges.map(|range| range[end])));
+        let scenes = self.sequences.iter().flat_map(|sequence| ends.iter().map(move |end| (sequence, end)));
+        for (sequence, physics) in scenes {
+            sequence.scene(self.grid, physics)?.setup()?;
+        }
+        Ok(())
+    }
+
     /// Returns the mean e_CD over the sequences; `None` if `tick` ended the simulation.
-    fn error(
-        &self,
-        &[stretch, shear, bend, density, drag, frame_time]: &Point,
-        tick: &(impl Fn() -> ControlFlow<()> + Sync),
-    ) -> Result<Option<f64>> {
-        let physics = Physics {
-            stiffness: Stiffness::Grid(Material { stretch, shear, bend }),
-            density: Some(density),
-            drag: Some(drag),
-            frame_time_s: Some(frame_time),
-        };
-        let settings = Settings { physics, ..self.settings };
+    fn error(&self, point: &Point, tick: &(impl Fn() -> ControlFlow<()> + Sync)) -> Result<Option<f64>> {
+        let settings = Settings { physics: physics(point), ..self.settings };
         let entry =
             Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1, coarse: false };
         let mut sum = 0.0;

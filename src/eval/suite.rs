@@ -103,22 +103,21 @@ impl CaseScore {
 }
 
 impl Suite {
-    /// The names of the suites.
-    pub const NAMES: [&str; 7] =
-        ["motions", "handles", "speeds", "grids", "materials", "iterations", "repulsion"];
+    /// The suites by name.
+    pub const ALL: [(&str, Self); 7] = [
+        ("motions", Self::Motions),
+        ("handles", Self::Handles),
+        ("speeds", Self::Speeds),
+        ("grids", Self::Grids),
+        ("materials", Self::Materials),
+        ("iterations", Self::Iterations),
+        ("repulsion", Self::Repulsion),
+    ];
 
     /// Returns the suite called `name`; `origin` says where the name comes from, for errors.
     pub fn named(name: &str, origin: &str) -> Result<Self> {
-        Ok(match name {
-            "motions" => Self::Motions,
-            "handles" => Self::Handles,
-            "speeds" => Self::Speeds,
-            "grids" => Self::Grids,
-            "materials" => Self::Materials,
-            "iterations" => Self::Iterations,
-            "repulsion" => Self::Repulsion,
-            other => return Err(Error::unknown(origin, "suite", other, Self::NAMES)),
-        })
+        let found = Self::ALL.into_iter().find(|(known, _)| *known == name).map(|(_, suite)| suite);
+        found.ok_or_else(|| Error::unknown(origin, "suite", name, Self::ALL.map(|(known, _)| known)))
     }
 
     /// Returns the cases on a grid; [`Suite::Grids`] uses its own grids instead.

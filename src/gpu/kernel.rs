@@ -71,25 +71,18 @@ impl Source {
 /// Returns how a texture is bound: to be written if it has a format, else to be read.
 fn texels(module: &naga::Module, ty: naga::Handle<naga::Type>) -> wgpu::BindingType {
     let view_dimension = wgpu::TextureViewDimension::D2;
-    let format = match module.types[ty].inner {
-        naga::TypeInner::Image { class: naga::ImageClass::Storage { format, .. }, .. } => Some(format),
-        _ => None,
-    };
-    match format {
-        Some(format) => wgpu::BindingType::StorageTexture {
-            access: wgpu::StorageTextureAccess::WriteOnly,
-            format: match format {
-                naga::StorageFormat::Rgba16Float => Storage::F16.texels(),
-                _ => Storage::F32.texels(),
-            },
-            view_dimension,
-        },
-        None => wgpu::BindingType::Texture {
+    let naga::TypeInner::Image { class: naga::ImageClass::Storage { format, .. }, .. } =
+        module.types[ty].inner
+    else {
+        return wgpu::BindingType::Texture {
             sample_type: wgpu::TextureSampleType::Float { filterable: false },
             view_dimension,
             multisampled: false,
-        },
-    }
+        };
+    };
+    let storage = if format == naga::StorageFormat::Rgba16Float { Storage::F16 } else { Storage::F32 };
+    let access = wgpu::StorageTextureAccess::WriteOnly;
+    wgpu::BindingType::StorageTexture { access, format: storage.texels(), view_dimension }
 }
 
 /// Returns the storage format of the numbers in a type.

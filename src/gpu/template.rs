@@ -19,8 +19,8 @@
 //! Lines between `#if broadcast` and `#endif` are left out unless operands are broadcast ([`Sharing`]); those
 //! after an `#else` are left out if they are. `#if texels` does the same for [`Unroll::texels`].
 //!
-//! `$texels` is the format of texels to which activations are written. `StoredQuad` and `StoredPair` are four and two numbers in the storage format of the network's activations
-//! and weights ([`Storage`]).
+//! `StoredQuad` is four numbers in the storage format of the network's activations and weights ([`Storage`]),
+//! and `$texels` the format of texels to which they are written.
 //!
 //! Accumulators thus become named registers: neither naga nor software drivers reliably turn a private array
 //! into registers. The copies of a line share one line of the text, so that line numbers in messages are
@@ -58,7 +58,7 @@ pub struct Unroll {
     pub uniforms: [usize; 2],
     /// Whether operands are texels, in kernels with sections for that.
     pub texels: bool,
-    /// Element type of `StoredQuad` and `StoredPair`; taken from the context when a kernel is built.
+    /// Element type of `StoredQuad`; taken from the context when a kernel is built.
     pub storage: Storage,
     /// How invocations are numbered; taken from the context when a kernel is built.
     pub order: Order,
@@ -105,7 +105,7 @@ impl Source {
     pub fn unrolled(&self, unroll: impl Into<Unroll>) -> String {
         let unroll = unroll.into();
         let mut text = String::with_capacity(2 * self.wgsl.len());
-        let stores = self.wgsl.contains("StoredQuad") || self.wgsl.contains("StoredPair");
+        let stores = self.wgsl.contains("StoredQuad");
         if stores && unroll.storage == Storage::F16 {
             text.push_str("enable f16; ");
         }
@@ -115,7 +115,7 @@ impl Source {
         }
         if stores {
             let name = unroll.storage.name();
-            let _ = writeln!(text, "alias StoredQuad = vec4<{name}>; alias StoredPair = vec2<{name}>;");
+            let _ = writeln!(text, "alias StoredQuad = vec4<{name}>;");
         }
         for line in self.appended.iter().flat_map(|part| included(part, unroll)) {
             text.push_str(&line.replace("$texels", &format!("rgba{}float", 8 * unroll.storage.bytes())));
@@ -296,9 +296,9 @@ mod tests {
     fn storage_is_named_where_it_is_used() {
         let half = Unroll { storage: Storage::F16, ..0.into() };
         assert_eq!(unrolled("var x: f32;", half), "var x: f32;\n");
-        let text = unrolled("var x: StoredPair;", half);
+        let text = unrolled("var x: StoredQuad;", half);
         assert!(
-            text.starts_with("enable f16; var x") && text.contains("alias StoredPair = vec2<f16>;"),
+            text.starts_with("enable f16; var x") && text.contains("alias StoredQuad = vec4<f16>;"),
             "{text}"
         );
     }

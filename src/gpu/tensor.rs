@@ -106,11 +106,11 @@ impl Tensor {
         Self { memory: self.memory.clone(), shape, ..*self }
     }
 
-    /// Number of texels in a row of a texture, which every device supports.
-    const TEXELS: u32 = 4096;
+    /// Number of texels in a row of a texture, as in `shaders/common/texel.wgsl`.
+    pub const TEXELS: u32 = 4096;
 
     /// Whether the device has textures for this many numbers.
-    pub(crate) fn fits_texels(context: &Context, len: usize) -> bool {
+    pub fn fits_texels(context: &Context, len: usize) -> bool {
         let most = context.device.limits().max_texture_dimension_2d;
         Self::TEXELS <= most && len.div_ceil(4 * Self::TEXELS as usize) <= most as usize
     }
@@ -118,7 +118,7 @@ impl Tensor {
     /// Creates a tensor in texels, in the storage format of the context's networks. Kernels declare such a
     /// tensor as a texture, and number its quads with `shaders/common/texel.wgsl`. Its content is undefined.
     ///
-    /// Panics if it does not fit the device's textures.
+    /// Panics if it does not fit the device's textures ([`Tensor::fits_texels`]).
     pub fn texels(context: &Context, label: &'static str, shape: &[usize]) -> Self {
         Self::texels_of(context, label, shape, context.storage())
     }
@@ -148,7 +148,7 @@ impl Tensor {
 
     /// Returns a copy in texels of the content that the next submission finds.
     ///
-    /// Panics if it does not fit the device's textures.
+    /// Panics if it does not fit the device's textures ([`Tensor::fits_texels`]).
     pub fn to_texels(&self, context: &Context) -> Self {
         let copy = Self::texels_of(context, self.label, &self.shape, self.storage);
         let Memory::Texels(view) = &copy.memory else { unreachable!("made of texels") };

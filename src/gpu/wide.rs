@@ -5,7 +5,7 @@ use super::Storage;
 /// A kind of element that is read as words of 64 bits.
 struct Element {
     /// Names of its type in the kernels' files.
-    types: [&'static str; 2],
+    types: &'static [&'static str],
     words: &'static str,
     /// The functions that convert from and to the words.
     of_words: &'static str,
@@ -14,17 +14,12 @@ struct Element {
 
 const ELEMENTS: [Element; 2] = [
     Element {
-        types: ["vec4f", "StoredQuad"],
+        types: &["vec4f", "StoredQuad"],
         words: "vec2<u64>",
         of_words: "quad_of_words",
         to_words: "words_of_quad",
     },
-    Element {
-        types: ["vec2f", "StoredPair"],
-        words: "u64",
-        of_words: "pair_of_word",
-        to_words: "word_of_pair",
-    },
+    Element { types: &["vec2f"], words: "u64", of_words: "pair_of_word", to_words: "word_of_pair" },
 ];
 
 /// The conversions, which a compiler turns into shuffles.

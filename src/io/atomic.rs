@@ -63,7 +63,8 @@ pub fn is_stream(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| !found.is_dir() && (open || !found.is_file()))
 }
 
-fn folder_of(path: &Path) -> &Path {
+/// Returns the folder of a file.
+pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 

@@ -30,6 +30,7 @@ pub(crate) mod common {
 /// what differs between kernels of one file.
 pub(crate) mod pieces {
     pub const BLOCK_INPUTS: &str = include_str!("../../shaders/pieces/block_inputs.wgsl");
+    pub const BLOCK_OUTPUT: &str = include_str!("../../shaders/pieces/block_output.wgsl");
     pub const BUCKET: &str = include_str!("../../shaders/pieces/bucket.wgsl");
     pub const FEATURES: &str = include_str!("../../shaders/pieces/features.wgsl");
     pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/pieces/lifted_embedding.wgsl");

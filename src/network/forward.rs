@@ -123,6 +123,7 @@ impl Forward {
         let texels = plan.tuning.texels && plan.keep != Keep::Adjoint;
         let texels = texels && layers.products.iter().all(|w| Tensor::fits_texels(context, w.len()));
         if texels {
+            // In single precision the vector of all weights still holds them, too.
             layers.products = layers.products.iter().map(|weight| weight.to_texels(context)).collect();
         }
         let plan = &Plan { tuning: Tuning { texels, ..plan.tuning }, ..*plan };

@@ -1,6 +1,7 @@
 //! The optimizers that minimise the energy of a frame.
 
 use crate::kernels::optim::lbfgs::MAX_HISTORY;
+use crate::kernels::optim::{AdamSettings, LbfgsSettings};
 use crate::network::Weights;
 use crate::{Error, Result};
 use std::sync::Arc;
@@ -17,30 +18,14 @@ pub enum Optimizer {
         rate: f64,
     },
     /// Adam with bias correction.
-    Adam {
-        /// Learning rate.
-        rate: f64,
-        /// Decay of the mean gradient.
-        beta1: f64,
-        /// Decay of the mean squared gradient.
-        beta2: f64,
-        /// Constant added to the denominator.
-        epsilon: f64,
-    },
+    Adam(AdamSettings),
     /// L-BFGS: two-loop recursion with step 1. The history is cleared every frame.
-    Lbfgs {
-        /// Number of curvature pairs kept, 1 to 32.
-        history: usize,
-        /// Threshold: a pair is kept if `y.s` exceeds it.
-        curvature: f64,
-    },
+    Lbfgs(LbfgsSettings),
     /// L-BFGS that starts from the Hessian of the sheet at rest, with step 1 (after Liu, Bouaziz and Kavan
     /// 2017). The classical baseline.
     QuasiNewton {
-        /// Number of curvature pairs kept, 1 to 32.
-        history: usize,
-        /// Threshold: a pair is kept if `y.s` exceeds it.
-        curvature: f64,
+        /// Settings of the L-BFGS.
+        lbfgs: LbfgsSettings,
         /// Whether the Hessian is factored with the handles held, sparsely and in double precision (CPU
         /// only), instead of inverted by a cosine transform as if the handles were free.
         factored: bool,
@@ -50,6 +35,9 @@ pub enum Optimizer {
     /// only.
     Newton,
 }
+
+/// Settings of L-BFGS in the paper's comparison.
+const LBFGS: LbfgsSettings = LbfgsSettings { history: 5, curvature: 1e-12 };
 
 impl Optimizer {
     /// Names of the optimizers on command lines and in reports.
@@ -68,22 +56,22 @@ impl Optimizer {
 
     /// Returns Adam as in the paper's comparison: rate 0.1, decays 0.9 and 0.999.
     pub fn adam() -> Self {
-        Self::Adam { rate: 0.1, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 }
+        Self::Adam(AdamSettings { rate: 0.1, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 })
     }
 
     /// Returns L-BFGS as in the paper's comparison: history 5, step 1, pairs with `y.s > 1e-12`.
     pub fn lbfgs() -> Self {
-        Self::Lbfgs { history: 5, curvature: 1e-12 }
+        Self::Lbfgs(LBFGS)
     }
 
     /// Returns the quasi-Newton method: history 5, step 1, pairs with `y.s > 1e-12`.
     pub fn quasi_newton() -> Self {
-        Self::QuasiNewton { history: 5, curvature: 1e-12, factored: false }
+        Self::QuasiNewton { lbfgs: LBFGS, factored: false }
     }
 
     /// Returns the quasi-Newton method with exact factors of the Hessian at rest.
     pub fn quasi_newton_exact() -> Self {
-        Self::QuasiNewton { history: 5, curvature: 1e-12, factored: true }
+        Self::QuasiNewton { lbfgs: LBFGS, factored: true }
     }
 
     /// Returns the classical optimizer called `name`, with the paper's settings, or the learned one with the
@@ -106,7 +94,8 @@ impl Optimizer {
     pub(crate) fn check(&self) -> Result<()> {
         match *self {
             Self::Learned(ref weights) => weights.config.check_fields("optimizer", "network"),
-            Self::Lbfgs { history, .. } | Self::QuasiNewton { history, .. }
+            Self::Lbfgs(LbfgsSettings { history, .. })
+            | Self::QuasiNewton { lbfgs: LbfgsSettings { history, .. }, .. }
                 if !(1..=MAX_HISTORY).contains(&history) =>
             {
                 let expected = format!("1 to {MAX_HISTORY} pairs");
@@ -126,8 +115,8 @@ impl Optimizer {
         match self {
             Self::Learned(_) => "fnopt",
             Self::GradientDescent { .. } => "gd",
-            Self::Adam { .. } => "adam",
-            Self::Lbfgs { .. } => "lbfgs",
+            Self::Adam(_) => "adam",
+            Self::Lbfgs(_) => "lbfgs",
             Self::QuasiNewton { factored: false, .. } => "quasi-newton",
             Self::QuasiNewton { factored: true, .. } => "quasi-newton-exact",
             Self::Newton => "newton",

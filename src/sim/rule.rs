@@ -5,10 +5,12 @@ use super::learned::Learned;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, QuasiNewton};
+use crate::kernels::optim::{
+    Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, LbfgsSettings, QuasiNewton,
+};
 use crate::{Error, Result};
 
-/// The state that an optimizer keeps on the device.
+/// An optimizer with its kernels and the state that it keeps on the device.
 #[derive(Debug)]
 pub(super) enum Rule {
     /// `scales` holds the persistent scale after each iteration, in rows of `[S]`. The next frame starts from
@@ -18,30 +20,27 @@ pub(super) enum Rule {
         scales: Tensor,
     },
     GradientDescent {
+        kernel: GradientDescent,
         rate: f64,
     },
     Adam {
+        kernel: Adam,
         settings: AdamSettings,
         moments: Tensor,
     },
     Lbfgs {
-        history: usize,
-        curvature: f64,
+        kernel: Lbfgs,
         memory: LbfgsMemory,
     },
     QuasiNewton {
-        history: usize,
-        curvature: f64,
+        plan: Box<QuasiNewton>,
         memory: LbfgsMemory,
     },
 }
 
-/// Appends the dispatches that turn an iteration's gradient and its sums of squares into the next iterate.
-type Step<'a> = Box<dyn FnMut(&mut Schedule, usize, &Tensor) + 'a>;
-
 impl Rule {
-    /// Allocates the state of `optimizer` for `batch` cloths and frames of `iterations`. Fails if the device
-    /// does not support it.
+    /// Builds the kernels of `optimizer` and its state for `batch` cloths and frames of `iterations`. Fails if
+    /// the device does not support it, or if the grid is too large for it.
     pub fn new(
         context: &Context,
         optimizer: &Optimizer,
@@ -49,22 +48,29 @@ impl Rule {
         (grid, batch, iterations): (Grid, usize, usize),
     ) -> Result<Self> {
         let (samples, n) = (3 * batch, grid.particles());
+        let memory = |settings: LbfgsSettings| LbfgsMemory::new(context, batch, n, settings.history);
         Ok(match *optimizer {
             Optimizer::Learned(ref weights) => {
                 let step = Box::new(Learned::new(context, weights, tuning, (grid, samples))?);
                 Self::Learned { step, scales: rows(context, "scales", iterations, samples)? }
             }
-            Optimizer::GradientDescent { rate } => Self::GradientDescent { rate },
-            Optimizer::Adam { rate, beta1, beta2, epsilon } => Self::Adam {
-                settings: AdamSettings { rate, beta1, beta2, epsilon },
+            Optimizer::GradientDescent { rate } => {
+                Self::GradientDescent { kernel: GradientDescent::new(context)?, rate }
+            }
+            Optimizer::Adam(settings) => Self::Adam {
+                kernel: Adam::new(context)?,
+                settings,
                 moments: Tensor::zeros(context, "adam.moments", &[samples, n, 2])?,
             },
-            Optimizer::Lbfgs { history, curvature } => {
-                Self::Lbfgs { history, curvature, memory: LbfgsMemory::new(context, batch, n, history)? }
+            Optimizer::Lbfgs(settings) => {
+                let kernel = Lbfgs::new(context, settings)?;
+                kernel.check_size(context, n)?;
+                Self::Lbfgs { kernel, memory: memory(settings)? }
             }
-            Optimizer::QuasiNewton { history, curvature, factored: false } => {
-                let memory = LbfgsMemory::new(context, batch, n, history)?;
-                Self::QuasiNewton { history, curvature, memory }
+            Optimizer::QuasiNewton { lbfgs, factored: false } => {
+                let plan = QuasiNewton::new(context, lbfgs, (grid, batch))?;
+                plan.check_size(context, n)?;
+                Self::QuasiNewton { plan: Box::new(plan), memory: memory(lbfgs)? }
             }
             Optimizer::QuasiNewton { factored: true, .. } | Optimizer::Newton => {
                 let expected = "a device that supports this optimizer";
@@ -74,43 +80,28 @@ impl Rule {
         })
     }
 
-    /// Builds the kernels of a step on `iterate`, and returns the function that appends it. Fails if a kernel
-    /// does not compile, or if the grid is too large for the adapter.
-    pub fn step<'a>(
-        &'a self,
-        context: &Context,
-        (iterate, cloths): (&'a Iterate, &'a Tensor),
-        (grid, batch): (Grid, usize),
-    ) -> Result<Step<'a>> {
-        let n = grid.particles();
-        Ok(match self {
-            Self::Learned { step, scales } => Box::new(move |frame, iteration, sums| {
+    /// Appends the step of `iteration`: from the gradient of `iterate` and the `sums` of squares [S, parts, 2]
+    /// to the next iterate.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        iteration: usize,
+        (iterate, cloths, sums): (&Iterate, &Tensor, &Tensor),
+    ) {
+        match self {
+            Self::Learned { step, scales } => {
                 let &[iterations, stride] = scales.shape() else { unreachable!("scales are rows") };
                 let last = (iteration + iterations - 1) % iterations;
                 let [before, after] = [last, iteration].map(|row| row * stride);
-                step.push(frame, (iterate, sums), Scales { tensor: scales, before, after });
-            }),
-            Self::GradientDescent { rate } => {
-                let kernel = GradientDescent::new(context)?;
-                Box::new(move |frame, _, _| kernel.push(frame, *rate, iterate))
+                step.push(schedule, (iterate, sums), Scales { tensor: scales, before, after });
             }
-            Self::Adam { settings, moments } => {
-                let kernel = Adam::new(context)?;
-                Box::new(move |frame, iteration, _| {
-                    kernel.push(frame, *settings, iteration, (iterate, moments))
-                })
+            Self::GradientDescent { kernel, rate } => kernel.push(schedule, *rate, iterate),
+            Self::Adam { kernel, settings, moments } => {
+                kernel.push(schedule, *settings, iteration, (iterate, moments));
             }
-            Self::Lbfgs { history, curvature, memory } => {
-                let kernel = Lbfgs::new(context, *history, *curvature)?;
-                kernel.check_size(context, n)?;
-                Box::new(move |frame, iteration, _| kernel.push(frame, iteration, iterate, memory))
-            }
-            Self::QuasiNewton { history, curvature, memory } => {
-                let plan = QuasiNewton::new(context, *history, *curvature, (grid, batch))?;
-                plan.check_size(context, n)?;
-                Box::new(move |frame, iteration, _| plan.push(frame, iteration, (iterate, cloths), memory))
-            }
-        })
+            Self::Lbfgs { kernel, memory } => kernel.push(schedule, iteration, iterate, memory),
+            Self::QuasiNewton { plan, memory } => plan.push(schedule, iteration, (iterate, cloths), memory),
+        }
     }
 }
 

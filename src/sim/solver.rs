@@ -173,12 +173,11 @@ impl Solver {
             }
         };
         let gradient = Gradient::new(context)?;
-        let mut step = self.rule.step(context, (iterate, cloths), (grid, batch))?;
         for iteration in 0..self.iterations {
             let sums = row(&self.sums, iteration, self.ends[0].shape());
             repel(&mut frame);
             gradient.push(&mut frame, grid, with_repulsion, (iterate, &sums));
-            step(&mut frame, iteration, &sums);
+            self.rule.push(&mut frame, iteration, (iterate, cloths, &sums));
         }
 
         Energy::new(context)?.push(&mut frame, grid, physics, (iterate, &parts));

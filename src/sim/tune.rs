@@ -82,8 +82,12 @@ pub fn tune(
     if best == table || flow.is_break() {
         return Ok(table);
     }
-    // If both solvers do not fit in memory together, the gain cannot be confirmed.
-    let (Ok(ours), Ok(of_table)) = (solver(&best), solver(&table)) else { return Ok(table) };
+    let (ours, of_table) = match (solver(&best), solver(&table)) {
+        (Ok(ours), Ok(of_table)) => (ours, of_table),
+        // If both do not fit in memory together, the gain cannot be confirmed.
+        (Err(Error::Device(_)), _) | (_, Err(Error::Device(_))) => return Ok(table),
+        (Err(error), _) | (_, Err(error)) => return Err(error),
+    };
     let mut least = [f64::INFINITY; 2];
     [&ours, &of_table].into_iter().try_for_each(|solver| frame(solver).map(drop))?;
     for _ in 0..DUEL {

@@ -54,6 +54,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
             &["--grid", "with any file name before --grid", "48 scene.json"],
         ),
         (&["tune", "--grid", "8x5"], &["--grid", "found 5"]),
+        (&["tune", "--solver", "adam"], &["--solver", "expected fnopt", "found adam"]),
         (&["rollout", "--motion", "xz_v3"], &["--motion", "did you mean xyz_v3"]),
         (&["rollout", "--motion", "short.npy"], &["short.npy"]),
         (&["rollout", "--material", "1,2"], &["--material", "three numbers"]),

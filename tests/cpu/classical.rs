@@ -3,6 +3,7 @@
 use crate::golden::largest_difference as apart;
 use crate::noise::noise;
 use fnopt::cpu::optim::{Adam, GradientDescent, Lbfgs, Minimizer};
+use fnopt::kernels::optim::{AdamSettings, LbfgsSettings};
 
 /// Returns the iterates from `a` on, for the gradient `k a` with one steepness k per unknown.
 fn iterates(
@@ -35,7 +36,7 @@ fn gradient_descent_goes_along_the_gradient() {
 fn adam_begins_with_steps_of_its_rate() {
     let (rate, betas, epsilon) = (0.01, [0.9, 0.999], 1e-8);
     let steepness: Vec<f64> = noise(12, 2).iter().map(|k| 2.0 + k).collect();
-    let adam = &mut Adam::new([rate, betas[0], betas[1], epsilon], 12);
+    let adam = &mut Adam::new(AdamSettings { rate, beta1: betas[0], beta2: betas[1], epsilon }, 12);
     let all = iterates(adam, &steepness, noise(12, 1), 2);
     // Both averages hold one gradient, so the first step has the size of the rate, whatever the gradient.
     let gradient = |k: usize, step: usize| steepness[k] * all[step][k];
@@ -56,7 +57,7 @@ fn adam_begins_with_steps_of_its_rate() {
 
 #[test]
 fn lbfgs_learns_the_curvature_of_a_quadratic() {
-    let lbfgs = || Lbfgs::new(5, 1e-12, 12, 1);
+    let lbfgs = || Lbfgs::new(LbfgsSettings { history: 5, curvature: 1e-12 }, 12, 1);
     // The second step lands at the minimum of a sphere.
     let all = iterates(&mut lbfgs(), &[0.4; 12], noise(12, 1), 2);
     let first: Vec<f64> = all[0].iter().map(|a| a * (1.0 - 0.4)).collect();
@@ -83,7 +84,7 @@ fn lbfgs_learns_the_curvature_of_a_quadratic() {
 #[test]
 fn lbfgs_learns_nothing_from_a_pair_without_curvature() {
     let (g, mut a) = (noise(12, 3), vec![0.0; 12]);
-    let mut optimizer = Lbfgs::new(5, 1e-12, 12, 1);
+    let mut optimizer = Lbfgs::new(LbfgsSettings { history: 5, curvature: 1e-12 }, 12, 1);
     optimizer.begin_frame();
     optimizer.step(&g, &[], &mut a);
     // The gradient has not changed along the step.

@@ -1,10 +1,10 @@
 //! The WGSL files and the table of kernels: every file is in the table, is valid, and follows the rules that
 //! the host side and readers rely on. Needs no adapter.
 
-use fnopt::gpu::{Order, Sharing, Source, Storage, Unroll};
+use fnopt::gpu::{Order, Sharing, Source, Storage, Tensor, Unroll};
 use fnopt::kernels::ALL;
 use naga::valid::{Capabilities, ShaderStages, SubgroupOperationSet, ValidationFlags, Validator};
-use naga::{AddressSpace, StorageAccess};
+use naga::{AddressSpace, ImageClass, StorageAccess, TypeInner};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -143,9 +143,9 @@ fn every_kernel_is_valid_wgsl() {
                 (Sharing::Broadcast, Storage::F32, [1024, 160], broadcast),
                 (Sharing::Broadcast, Storage::F16, [0, 160], broadcast | half),
             ];
-            for (sharing, storage, uniforms, capabilities) in variants {
-                // Uniforms and texels go together on llvmpipe.
-                let (order, texels) = (Order::Natural, uniforms != [0, 0]);
+            let variants = variants.into_iter().flat_map(|variant| [(variant, false), (variant, true)]);
+            for ((sharing, storage, uniforms, capabilities), texels) in variants {
+                let order = Order::Natural;
                 let unroll = Unroll { tile, span, second: 10, sharing, uniforms, texels, storage, order };
                 let (text, module) = parsed(source, unroll);
                 let mut validator = Validator::new(ValidationFlags::all(), capabilities);
@@ -170,8 +170,8 @@ fn entry_points_are_named_after_their_file() {
 
 #[test]
 fn bindings_are_parameters_then_reads_then_writes() {
-    for &(source, tile) in ALL {
-        let (_, module) = parsed(source, tile);
+    for (&(source, tile), texels) in ALL.iter().flat_map(|kernel| [(kernel, false), (kernel, true)]) {
+        let (_, module) = parsed(source, Unroll { texels, ..tile.into() });
         let mut bound: Vec<_> = module
             .global_variables
             .iter()
@@ -188,6 +188,12 @@ fn bindings_are_parameters_then_reads_then_writes() {
             .iter()
             .map(|b| match b.2.space {
                 AddressSpace::Storage { access } => access.contains(StorageAccess::STORE),
+                AddressSpace::Handle => match module.types[b.2.ty].inner {
+                    TypeInner::Image { class: ImageClass::Storage { access, .. }, .. } => {
+                        access.contains(StorageAccess::STORE)
+                    }
+                    _ => false,
+                },
                 other => panic!("{name} binds {other:?}"),
             })
             .collect();
@@ -267,4 +273,11 @@ fn the_longest_history_is_the_same_on_both_sides() {
     let longest = fnopt::kernels::optim::lbfgs::MAX_HISTORY;
     let source = fnopt::kernels::optim::lbfgs::SOURCE.wgsl;
     assert!(source.contains(&format!("const MAX_HISTORY: u32 = {longest}u;")), "{longest}");
+}
+
+#[test]
+fn rows_of_texels_are_as_long_on_both_sides() {
+    let place = std::fs::read_to_string(root().join("shaders/common/texel.wgsl")).unwrap();
+    let wide = Tensor::TEXELS;
+    assert!(place.contains(&format!("vec2u(at % {wide}u, at / {wide}u)")), "{wide}");
 }

@@ -54,17 +54,7 @@ pub struct Kept {
 
 impl<'a> Plan<'a> {
     /// Lists all jobs, each once, with their files in `folder`.
-    pub fn jobs(&self, folder: &Path) -> Result<Vec<Job<'a>>> {
-        for sequence in self.sequences {
-            for &grid in self.grids {
-                let coarser = coarse(grid);
-                let scene = || sequence.scene(coarser, &self.settings.physics)?.setup();
-                if self.entries.iter().any(|entry| entry.coarse) && scene().is_err() {
-                    let expected = format!("a coarser grid with the proportions of {grid}");
-                    return Err(Error::invalid("--solver", "interpolation", expected, coarser));
-                }
-            }
-        }
+    pub fn jobs(&self, folder: &Path) -> Vec<Job<'a>> {
         let (mut jobs, mut known) = (Vec::new(), BTreeSet::new());
         // All simulations run once before any is repeated.
         let starts = (0..self.repeats).map(Nudge::of);
@@ -80,7 +70,7 @@ impl<'a> Plan<'a> {
                 }
             }
         }
-        Ok(jobs)
+        jobs
     }
 
     /// Runs the jobs that have no score yet. Returns the scores in the order of the jobs, and how the work
@@ -216,10 +206,17 @@ impl Drop for Unwinding<'_> {
     }
 }
 
-/// Returns a sequence if its scene can be built on all grids, so that errors are reported before the work and
-/// not during it.
-pub fn with_valid_scenes(sequence: Sequence, grids: &[Grid], settings: &Settings) -> Result<Sequence> {
-    grids.iter().try_for_each(|&grid| sequence.scene(grid, &settings.physics)?.setup().map(drop))?;
+/// Returns a sequence if its scene can be built on all grids, and, if `coarsened`, on their coarse ones, so that
+/// errors are reported before the work and not during it.
+pub fn with_valid_scenes(
+    sequence: Sequence,
+    (grids, coarsened): (&[Grid], bool),
+    settings: &Settings,
+) -> Result<Sequence> {
+    let coarse = grids.iter().filter(|_| coarsened).map(|&grid| coarse(grid));
+    for grid in grids.iter().copied().chain(coarse) {
+        sequence.scene(grid, &settings.physics)?.setup()?;
+    }
     Ok(sequence)
 }
 

@@ -7,20 +7,22 @@ mod suite;
 use super::device::InferenceArgs;
 use super::output::{output, status};
 use super::{
-    Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, folder_of, go_on, grids, interrupt_flag,
-    load_weights, material, sequences, writable_file, writable_folder,
+    Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, go_on, grids, interrupt_flag, load_weights,
+    material, sequences, writable_file, writable_folder,
 };
 use anyhow::Result;
 use fnopt::Device;
 use fnopt::Error;
 use fnopt::eval::suite::Suite;
-use fnopt::eval::{Entry, Format, OverRepeats, Physics, Score, Sequence, Settings, Table, tables};
-use fnopt::io::write_atomic;
+use fnopt::eval::{
+    Conditions, Entry, Format, OverRepeats, Physics, Score, Sequence, Settings, Table, tables,
+};
+use fnopt::io::{folder_of, write_atomic};
 use fnopt::network::Weights;
 use fnopt::sim::Optimizer;
 use indicatif::{ProgressBar, ProgressStyle};
 use jobs::{Kept, Plan, with_valid_scenes};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{IsTerminal, Write};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -133,7 +135,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         args.writable()?;
         let drawn = args.plots.as_ref().map_or(Ok(()), |folder| plots::draw(folder, &scores));
         args.write_tables(&tables(&scores), &documents(&scores))?;
-        tell_devices(&scores);
+        tell_devices(timed(&scores));
         return Ok(drawn.map(|()| Ending::Done)?);
     }
     let settings = args.settings()?;
@@ -150,9 +152,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     // An error in one sequence, or in another system's trajectory of it, does not affect the others.
     let mut wrong: Vec<Error> = Vec::new();
     let read = sequences(&args.ground_truth, args.sequences.as_deref())?;
+    let coarse = entries.iter().any(|entry| entry.coarse);
     let sequences: Vec<Sequence> = read
         .into_iter()
-        .map(|read| read.and_then(|sequence| with_valid_scenes(sequence, &grids, &settings)))
+        .map(|read| read.and_then(|sequence| with_valid_scenes(sequence, (&grids, coarse), &settings)))
         .filter_map(|read| read.map_err(|error| wrong.push(error)).ok())
         .collect();
     let (index, count) = args.shard()?;
@@ -174,7 +177,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         settings,
         repeats: args.repeats,
     };
-    let mut jobs = plan.jobs(&args.out)?;
+    let mut jobs = plan.jobs(&args.out);
     jobs.retain(|job| job.piece % count == index);
     if jobs.is_empty() {
         status!("share {index} of {count} has nothing to do: there are fewer pieces of work than shares");
@@ -428,7 +431,7 @@ impl Args {
     fn write(&self, all: &[Kept], plan: &Plan, (simulate, interrupted): (bool, &AtomicBool)) -> Result<()> {
         let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
         let written = self.write_tables(&tables(&scores), &documents(&scores));
-        tell_devices(&scores);
+        tell_devices(timed(&scores));
         // The tables come first, so that they are there whatever becomes of the plots.
         let drawn = self.plots.as_ref().map_or(Ok(()), |folder| {
             plots::draw(folder, &scores)?;
@@ -492,19 +495,24 @@ fn documents(scores: &[Score]) -> Vec<Document<'_>> {
 }
 
 /// Warns if times were measured in ways that do not compare: stored scores may come from another number of
-/// threads.
-fn tell_devices(scores: &[Score]) {
-    let on_cpu =
-        |score: &&Score| score.made_with.kind.as_deref() == Some("cpu") && score.ms_per_frame.is_some();
-    let devices: BTreeSet<_> =
-        scores.iter().filter(on_cpu).filter_map(|score| score.made_with.device.as_deref()).collect();
-    if devices.len() > 1 {
-        let devices: Vec<_> = devices.into_iter().collect();
-        status!(
-            "ms/frame values are not all comparable: some were measured on {}",
-            devices.join(", others on ")
-        );
+/// threads or another GPU.
+fn tell_devices<'a>(timed: impl Iterator<Item = (&'a Conditions, Option<f64>)>) {
+    let mut devices: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+    for (made_with, _) in timed.filter(|(_, ms)| ms.is_some()) {
+        if let (Some(kind), Some(device)) = (&made_with.kind, &made_with.device) {
+            devices.entry(kind).or_default().insert(device);
+        }
     }
+    for several in devices.values().filter(|devices| devices.len() > 1) {
+        let several: Vec<_> = several.iter().copied().collect();
+        let others = several.join(", others on ");
+        status!("ms/frame values are not all comparable: some were measured on {others}");
+    }
+}
+
+/// Returns what [`tell_devices`] takes of scores.
+fn timed(scores: &[Score]) -> impl Iterator<Item = (&Conditions, Option<f64>)> {
+    scores.iter().map(|score| (&score.made_with, score.ms_per_frame))
 }
 
 fn as_json(scores: &[impl serde::Serialize]) -> String {

@@ -1,6 +1,6 @@
 //! `fnopt evaluate --suite`: measures how far solvers generalise.
 
-use super::{Args, progress};
+use super::{Args, progress, tell_devices};
 use crate::cli::output::status;
 use crate::cli::{Ending, go_on, interrupt_flag, material, writable_folder};
 use anyhow::Result;
@@ -157,6 +157,7 @@ impl Args {
             scores.iter().map(|(number, score)| Document { solver: &entries[*number].name, score }).collect();
         // Finished work is reported however the run ended.
         let written = self.write_tables(&tables, &named);
+        tell_devices(scores.iter().map(|(_, score)| (&score.made_with, score.ms_per_frame)));
         let complete = ending?;
         written?;
         if !complete {

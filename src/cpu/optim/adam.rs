@@ -2,15 +2,13 @@
 
 use super::Minimizer;
 use crate::cpu::Real;
+use crate::kernels::optim::AdamSettings;
 use pulp::{Arch, Simd, WithSimd};
 
 /// Adam: `a <- a - rate m / (sqrt(v) + epsilon)`, with m and v the bias-corrected moments of the frame's
 /// gradients.
 pub struct Adam<T> {
-    rate: f64,
-    beta1: f64,
-    beta2: f64,
-    epsilon: f64,
+    settings: AdamSettings,
     mean: Vec<T>,
     square: Vec<T>,
     /// Steps taken in this frame.
@@ -18,10 +16,10 @@ pub struct Adam<T> {
 }
 
 impl<T: Real> Adam<T> {
-    /// Builds Adam for `len` unknowns with `[rate, beta1, beta2, epsilon]`.
-    pub fn new([rate, beta1, beta2, epsilon]: [f64; 4], len: usize) -> Self {
+    /// Builds Adam for `len` unknowns.
+    pub fn new(settings: AdamSettings, len: usize) -> Self {
         let zeros = || vec![T::zero(); len];
-        Self { rate, beta1, beta2, epsilon, mean: zeros(), square: zeros(), steps: 0 }
+        Self { settings, mean: zeros(), square: zeros(), steps: 0 }
     }
 }
 
@@ -34,13 +32,14 @@ impl<T: Real> Minimizer<T> for Adam<T> {
 
     fn step(&mut self, grad: &[T], _norms: &[f64], a: &mut [T]) {
         self.steps += 1;
-        let Self { mean, square, .. } = self;
-        let root = (1.0 - self.beta2.powi(self.steps)).sqrt().recip();
+        let AdamSettings { rate, beta1, beta2, epsilon } = self.settings;
+        let Self { mean, square, steps, .. } = self;
+        let root = (1.0 - beta2.powi(*steps)).sqrt().recip();
         Arch::new().dispatch(Step {
-            betas: [self.beta1, self.beta2].map(T::of),
-            rate: T::of(self.rate / (1.0 - self.beta1.powi(self.steps))),
+            betas: [beta1, beta2].map(T::of),
+            rate: T::of(rate / (1.0 - beta1.powi(*steps))),
             root: T::of(root),
-            epsilon: T::of(self.epsilon),
+            epsilon: T::of(epsilon),
             grad,
             mean,
             square,

@@ -6,6 +6,7 @@ use super::{FactoredRestHessian, InverseHessian, Minimizer, RestHessian, dot};
 use crate::Result;
 use crate::cloth::Model;
 use crate::cpu::Real;
+use crate::kernels::optim::LbfgsSettings;
 use rayon::prelude::*;
 
 /// L-BFGS for a batch of cloths, each with its own history.
@@ -41,9 +42,9 @@ struct Pair<T> {
 }
 
 impl<T: Real> Lbfgs<T> {
-    /// Builds L-BFGS for `batch` cloths of `len` unknowns each, with at most `history` pairs of
-    /// `s . y > curvature`.
-    pub fn new(history: usize, curvature: f64, len: usize, batch: usize) -> Self {
+    /// Builds L-BFGS for `batch` cloths of `len` unknowns each.
+    pub fn new(settings: LbfgsSettings, len: usize, batch: usize) -> Self {
+        let LbfgsSettings { history, curvature } = settings;
         let cloths = (0..batch).map(|_| (History::new(history, len), None)).collect();
         Self { cloths, curvature, len }
     }
@@ -51,7 +52,8 @@ impl<T: Real> Lbfgs<T> {
     /// Builds the quasi-Newton method for the cloths of `model`: L-BFGS that starts from their Hessians at
     /// rest, either `factored` or inverted by a cosine transform. Returns an error if there is not enough
     /// memory for the factors.
-    pub fn from_rest((history, curvature): (usize, f64), factored: bool, model: &Model) -> Result<Self> {
+    pub fn from_rest(settings: LbfgsSettings, factored: bool, model: &Model) -> Result<Self> {
+        let LbfgsSettings { history, curvature } = settings;
         let len = 3 * model.grid.particles();
         let cloth = |cloth| -> Result<_> {
             let initial: Box<dyn InverseHessian<T>> = match factored {

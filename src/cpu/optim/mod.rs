@@ -50,13 +50,9 @@ pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dy
             false => Box::new(Update::new(weights, grid, 3 * batch)?),
         },
         Optimizer::GradientDescent { rate } => Box::new(GradientDescent::new(rate)),
-        Optimizer::Adam { rate, beta1, beta2, epsilon } => {
-            Box::new(Adam::new([rate, beta1, beta2, epsilon], batch * cloth))
-        }
-        Optimizer::Lbfgs { history, curvature } => Box::new(Lbfgs::new(history, curvature, cloth, batch)),
-        Optimizer::QuasiNewton { history, curvature, factored } => {
-            Box::new(Lbfgs::from_rest((history, curvature), factored, model)?)
-        }
+        Optimizer::Adam(settings) => Box::new(Adam::new(settings, batch * cloth)),
+        Optimizer::Lbfgs(settings) => Box::new(Lbfgs::new(settings, cloth, batch)),
+        Optimizer::QuasiNewton { lbfgs, factored } => Box::new(Lbfgs::from_rest(lbfgs, factored, model)?),
         Optimizer::Newton => {
             let expected = "a gradient-based optimizer";
             return Err(Error::invalid("optimizer", "newton", expected, "newton, which needs the Hessian"));

@@ -14,12 +14,18 @@ use bytemuck::Zeroable;
 pub const SOURCE: Source = Source {
     name: "block",
     wgsl: include_str!("../../../shaders/operator/block.wgsl"),
-    appended: &[common::GELU, common::TEXEL, pieces::BLOCK_INPUTS],
+    appended: &[common::GELU, common::TEXEL, pieces::BLOCK_OUTPUT, pieces::BLOCK_INPUTS],
 };
 
 /// The kernel's WGSL as a lifting.
 pub const LIFTING: Source = Source {
-    appended: &[common::GELU, common::TEXEL, pieces::LIFTING_INPUTS, pieces::LIFTED_EMBEDDING],
+    appended: &[
+        common::GELU,
+        common::TEXEL,
+        pieces::BLOCK_OUTPUT,
+        pieces::LIFTING_INPUTS,
+        pieces::LIFTED_EMBEDDING,
+    ],
     ..SOURCE
 };
 
@@ -28,6 +34,7 @@ pub const LIFTING_OF_FIELDS: Source = Source {
     appended: &[
         common::GELU,
         common::TEXEL,
+        pieces::BLOCK_OUTPUT,
         pieces::LIFTING_INPUTS,
         pieces::LIFTED_FIELDS,
         pieces::FEATURES,

@@ -135,8 +135,7 @@ pub struct SpectralTensors<'a> {
 }
 
 impl Spectral {
-    /// Builds the kernel for these sizes and for `samples` samples, whose
-    /// spectra are kept if `keep` is set.
+    /// Builds the kernel for these sizes and for `samples` samples, whose spectra are kept if `keep` is set.
     ///
     /// Fails if the spectrum of a column does not fit the device's workgroup memory.
     pub fn new(

@@ -35,8 +35,8 @@ impl SpectralWeightAdj {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, tuning.unroll(TILE), &[])? })
     }
 
-    /// Adds to `gradient` [modes, I / 2, O, 4], in the order of [`super::spectral::index`]. `x` [S, .., I, 2] is the input of the product, `adj`
-    /// [S, .., O, 2] the cotangent of its output.
+    /// Adds to `gradient` [modes, I / 2, O, 4], in the order of [`super::spectral::index`]. `x` [S, .., I, 2] is
+    /// the input of the product, `adj` [S, .., O, 2] the cotangent of its output.
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, adj: &Tensor, gradient: &Tensor) {
         let &[modes, pairs, outputs, 4] = gradient.shape() else {
             panic!("spectral_weight_adj: {:?}", gradient.shape())

@@ -28,7 +28,7 @@ pub struct Adam {
     kernel: Kernel,
 }
 
-/// Constants of Adam.
+/// Settings of Adam on any device.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamSettings {
     /// Learning rate.
@@ -37,7 +37,7 @@ pub struct AdamSettings {
     pub beta1: f64,
     /// Decay of the mean squared gradient.
     pub beta2: f64,
-    /// Added to the denominator.
+    /// Constant added to the denominator.
     pub epsilon: f64,
 }
 

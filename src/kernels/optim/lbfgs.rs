@@ -31,6 +31,15 @@ pub enum Part {
     After,
 }
 
+/// Settings of L-BFGS on any device.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LbfgsSettings {
+    /// Number of curvature pairs kept, 1 to 32.
+    pub history: usize,
+    /// Threshold: a pair is kept if `y.s` exceeds it.
+    pub curvature: f64,
+}
+
 /// Limited-memory BFGS.
 #[derive(Clone, Debug)]
 pub struct Lbfgs {
@@ -67,13 +76,14 @@ impl LbfgsMemory {
 pub const MAX_HISTORY: usize = 32;
 
 impl Lbfgs {
-    /// Builds the kernel for a history of up to [`MAX_HISTORY`] pairs, which are kept if `y.s > curvature`.
-    pub fn new(context: &Context, history: usize, curvature: f64) -> Result<Self> {
-        Self::part(context, history, curvature, Part::Whole)
+    /// Builds the kernel. Panics if the history is longer than [`MAX_HISTORY`].
+    pub fn new(context: &Context, settings: LbfgsSettings) -> Result<Self> {
+        Self::part(context, settings, Part::Whole)
     }
 
     /// Builds the kernel for a part of the step, otherwise like [`Lbfgs::new`].
-    pub fn part(context: &Context, history: usize, curvature: f64, part: Part) -> Result<Self> {
+    pub fn part(context: &Context, settings: LbfgsSettings, part: Part) -> Result<Self> {
+        let LbfgsSettings { history, curvature } = settings;
         assert!((1..=MAX_HISTORY).contains(&history), "a history of 1 to {MAX_HISTORY} pairs, not {history}");
         let constants =
             [("HISTORY", history as f64), ("CURVATURE", curvature), ("PART", f64::from(part as u8))];

@@ -15,7 +15,7 @@ pub use adam::{Adam, AdamSettings};
 pub use cosine_order::CosineOrder;
 pub use features::{FeatureInputs, Features};
 pub use gradient_descent::GradientDescent;
-pub use lbfgs::{Lbfgs, LbfgsMemory, Part};
+pub use lbfgs::{Lbfgs, LbfgsMemory, LbfgsSettings, Part};
 pub use quasi_newton::QuasiNewton;
 pub use rest_modes::RestModes;
 pub use update::{Update, UpdateTensors};

@@ -1,6 +1,6 @@
 //! The plan of a quasi-Newton step: L-BFGS that starts from the Hessian of a flat sheet.
 
-use super::{CosineOrder, Iterate, Lbfgs, LbfgsMemory, Part, RestModes};
+use super::{CosineOrder, Iterate, Lbfgs, LbfgsMemory, LbfgsSettings, Part, RestModes};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
@@ -27,24 +27,18 @@ pub struct QuasiNewton {
 }
 
 impl QuasiNewton {
-    /// Builds the kernels and tensors for `batch` cloths on a grid, and a history of up to
-    /// [`super::lbfgs::MAX_HISTORY`] pairs.
-    pub fn new(
-        context: &Context,
-        history: usize,
-        curvature: f64,
-        (grid, batch): (Grid, usize),
-    ) -> Result<Self> {
+    /// Builds the kernels and tensors for `batch` cloths on a grid.
+    pub fn new(context: &Context, settings: LbfgsSettings, (grid, batch): (Grid, usize)) -> Result<Self> {
         let fields = Fields { batch: 3 * batch, h: grid.h, w: grid.w };
         let fft = RealFft2::new(context, fields, Norm::Backward)?;
         let spectrum = || Tensor::zeros(context, "quasi-newton.spectrum", &fft.spectrum_shape());
         let spectra = [spectrum()?, spectrum()?];
         Ok(Self {
-            before: Lbfgs::part(context, history, curvature, Part::Before)?,
+            before: Lbfgs::part(context, settings, Part::Before)?,
             order: CosineOrder::new(context, false)?,
             modes: RestModes::new(context, grid)?,
             restore: CosineOrder::new(context, true)?,
-            after: Lbfgs::part(context, history, curvature, Part::After)?,
+            after: Lbfgs::part(context, settings, Part::After)?,
             ordered: Tensor::zeros(context, "quasi-newton.ordered", &[3 * batch, grid.h, grid.w])?,
             spectra,
             fft,

@@ -84,9 +84,9 @@ fn slots_beyond_the_pool_are_the_last() {
     let _turn = device();
     let (draw, store) = (Draw::new(context()).unwrap(), Store::new(context()).unwrap());
     let n = GRID.particles();
-    let fields = noise(CLOTHS * 15 * n, 131);
+    let (fields, scales) = (noise(CLOTHS * 15 * n, 131), noise(CLOTHS * 3, 132));
     let pool = tensor("pool", &[CLOTHS, 5, 3, n], &fields);
-    let pool_scale = tensor("scale", &[CLOTHS, 3], &noise(CLOTHS * 3, 132));
+    let pool_scale = tensor("scale", &[CLOTHS, 3], &scales);
     let [x, v, a] = [(); 3].map(|()| poisoned("batch", &[3, 3, n]));
     let (hidden, scale) = (poisoned("hidden", &[2, 9, n]), poisoned("scale", &[9]));
     let batch = BatchTensors { x: &x, v: &v, a: &a, hidden: &hidden, scale: &scale };
@@ -99,13 +99,19 @@ fn slots_beyond_the_pool_are_the_last() {
         rotation: [[0.0; 4]; 3],
     });
     let drawn = Tensor::from_slice(context(), "drawn", &[3, 16], &beyond).unwrap();
-    run(|schedule| {
-        draw.push(schedule, (GRID, 0.05), (&drawn, tensors), batch);
-        store.push(schedule, GRID, (&drawn, tensors), batch);
-    });
-    let last = &fields[(CLOTHS - 1) * 15 * n..][..3 * n];
-    assert!(read(&x).chunks_exact(3 * n).all(|cloth| cloth == last));
-    assert_eq!(read(&pool), fields);
+    run(|schedule| draw.push(schedule, (GRID, 0.05), (&drawn, tensors), batch));
+    let last = (CLOTHS - 1) * 15 * n;
+    assert!(read(&x).chunks_exact(3 * n).all(|cloth| cloth == &fields[last..][..3 * n]));
+    // All three are stored in the same place, so they must be equal.
+    let next = noise(3 * n, 141);
+    [&x, &v, &a].iter().for_each(|tensor| tensor.write(context(), &next.repeat(3)));
+    hidden.write(context(), &next.repeat(6));
+    scale.write(context(), &[0.25f32; 9]);
+    run(|schedule| store.push(schedule, GRID, (&drawn, tensors), batch));
+    let (mut stored, mut stored_scales) = (fields, scales);
+    stored[last..].copy_from_slice(&next.repeat(5));
+    stored_scales[3 * (CLOTHS - 1)..].fill(0.25);
+    assert_eq!((read(&pool), read(&pool_scale)), (stored, stored_scales));
 }
 
 #[test]

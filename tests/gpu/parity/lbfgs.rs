@@ -4,21 +4,22 @@ use super::classical::frames_match;
 use crate::common::{GRIDS, cases, context, device};
 use fnopt::cloth::Grid;
 use fnopt::gpu::AdapterKind;
-use fnopt::kernels::optim::{Lbfgs, LbfgsMemory};
+use fnopt::kernels::optim::{Lbfgs, LbfgsMemory, LbfgsSettings};
 use fnopt::sim::Optimizer;
 
 /// Two dozen iterations amplify the roundings of the sums by the condition number of the problem, about 6.
 const TOLERANCE: f64 = 2e-5;
 
 fn check(history: usize, curvature: f64, (grid, batch): (Grid, usize)) {
-    let kernel = Lbfgs::new(context(), history, curvature).unwrap();
+    let settings = LbfgsSettings { history, curvature };
+    let kernel = Lbfgs::new(context(), settings).unwrap();
     let memory = LbfgsMemory::new(context(), batch, grid.particles(), history).unwrap();
     // Whatever the memory holds, a frame starts without it.
     for tensor in [&memory.history, &memory.last, &memory.pairs] {
         tensor.write(context(), &vec![f32::NAN; tensor.len()]);
     }
     let push = |s: &mut _, iteration, iterate: &_| kernel.push(s, iteration, iterate, &memory);
-    frames_match(&Optimizer::Lbfgs { history, curvature }, &push, (grid, batch), TOLERANCE);
+    frames_match(&Optimizer::Lbfgs(settings), &push, (grid, batch), TOLERANCE);
 }
 
 #[test]
@@ -41,7 +42,7 @@ fn histories_of_all_lengths_match() {
 /// Software drivers stop long loops silently, so larger sizes are refused there.
 #[test]
 fn sizes_beyond_the_loop_limit_are_refused() {
-    let kernel = Lbfgs::new(context(), 32, 1e-12).unwrap();
+    let kernel = Lbfgs::new(context(), LbfgsSettings { history: 32, curvature: 1e-12 }).unwrap();
     let refused = kernel.check_size(context(), 512 * 512).is_err();
     assert_eq!(refused, context().kind() == AdapterKind::Software);
     assert!(kernel.check_size(context(), 100 * 100).is_ok());

@@ -37,7 +37,13 @@ fn slots_beyond_the_targets_are_those_of_the_last() {
     let iterate = iterate(&model);
     iterate.slots.write(context(), &vec![u32::MAX; batch * grid.particles()]);
     let [x, v] = [0.0, 1.0].map(|value| upload("input", &model, &vec![value; 3 * batch * grid.particles()]));
-    let targets = tensor("targets", &[4, 3], &[[0.0; 3], [0.0; 3], [0.0; 3], [5.0; 3]].concat());
+    let targets = tensor("targets", &[4, 3], &[[0.0; 3], [0.0; 3], [0.0; 3], [5.0, 6.0, 7.0]].concat());
     run(|schedule| kernel.push(schedule, StateTensors { x: &x, v: &v, targets: &targets }, &iterate));
-    assert!(read(&iterate.base).iter().all(|&shift| shift == 5.0));
+    let shifts = read(&iterate.base);
+    let components = shifts.chunks_exact(grid.particles()).enumerate();
+    assert!(
+        components
+            .flat_map(|(c, shifts)| shifts.iter().map(move |s| (c, s)))
+            .all(|(c, &s)| s == 5.0 + (c % 3) as f32)
+    );
 }

@@ -6,8 +6,10 @@ use super::cloth::{constants, field, iterate, model};
 use crate::common::{assert_close, cases, context, device, largest, poisoned, read, run, widened};
 use fnopt::cloth::Grid;
 use fnopt::cpu::optim::minimizer;
-use fnopt::kernels::optim::{LbfgsMemory, QuasiNewton};
+use fnopt::kernels::optim::{LbfgsMemory, LbfgsSettings, QuasiNewton};
 use fnopt::sim::Optimizer;
+
+const SETTINGS: LbfgsSettings = LbfgsSettings { history: 5, curvature: 1e-12 };
 
 fn memory(grid: Grid, batch: usize, history: usize) -> LbfgsMemory {
     let memory = LbfgsMemory::new(context(), batch, grid.particles(), history).unwrap();
@@ -31,7 +33,7 @@ fn first_steps_match() {
         iterate.base.write(context(), &base);
         iterate.grad.write(context(), &grad);
         iterate.a.write(context(), &vec![0f32; grad.len()]);
-        let plan = QuasiNewton::new(context(), 5, 1e-12, (grid, batch)).unwrap();
+        let plan = QuasiNewton::new(context(), SETTINGS, (grid, batch)).unwrap();
         run(|schedule| plan.push(schedule, 0, (&iterate, &constants(&model)), &memory));
 
         let mut exact = vec![0.0; grad.len()];
@@ -50,7 +52,7 @@ fn steps_match() {
     for (grid, batch) in cases() {
         let model = model(grid, batch);
         let (memory, cloths) = (memory(grid, batch, 5), constants(&model));
-        let plan = QuasiNewton::new(context(), 5, 1e-12, (grid, batch)).unwrap();
+        let plan = QuasiNewton::new(context(), SETTINGS, (grid, batch)).unwrap();
         let push = |s: &mut _, iteration, iterate: &_| plan.push(s, iteration, (iterate, &cloths), &memory);
         frames_match(&Optimizer::quasi_newton(), &push, (grid, batch), 1e-4);
     }
@@ -60,7 +62,7 @@ fn steps_match() {
 fn constants_of_other_cloths_are_refused() {
     let _turn = device();
     let grid = Grid { h: 12, w: 10 };
-    let (model, plan) = (model(grid, 2), QuasiNewton::new(context(), 5, 1e-12, (grid, 2)).unwrap());
+    let (model, plan) = (model(grid, 2), QuasiNewton::new(context(), SETTINGS, (grid, 2)).unwrap());
     let (iterate, memory, cloths) = (iterate(&model), memory(grid, 2, 5), poisoned("cloths", &[3, 16]));
     let pushed = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
         run(|schedule| plan.push(schedule, 0, (&iterate, &cloths), &memory));
