@@ -2,20 +2,23 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, status};
-use super::{Ending, SolverArgs, default_scenes, grids, median, writable_file};
+use super::{
+    Ending, SolverArgs, checksum_of_weights, default_scenes, go_on, grids, interrupt_flag, median,
+    picture_file,
+};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::cloth::{Control, Grid};
 use fnopt::eval::WARM_UP;
 use fnopt::gpu::{Context, Profile, Schedule, Tensor, Tuning};
-use fnopt::kernels::operator::{Layer, Pointwise};
+use fnopt::kernels::operator::MultiplyAdd;
 use fnopt::render::{Chart, Curve, Image, Scale, charts, write_png};
 use fnopt::sim::{Optimizer, Solver, SolverOptions};
 use fnopt::{Device, Simulator};
 use std::collections::HashSet;
 use std::io::Write;
-use std::ops::ControlFlow;
 use std::path::PathBuf;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// Arguments of `fnopt bench`.
@@ -37,8 +40,8 @@ pub struct Args {
     solver: SolverArgs,
     #[command(flatten)]
     device: InferenceArgs,
-    /// Plot ms per frame over particles and cloths (PNG), with the time that the network's operations alone
-    /// would take at the speed of the device's matrix product
+    /// Plot ms per frame over particles and cloths (PNG), and the network's operations per second below the
+    /// device's peak
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
     /// Print JSON
@@ -57,7 +60,8 @@ struct Row {
     #[serde(skip)]
     particles: usize,
     batch: usize,
-    iterations: usize,
+    /// `null` for Newton's method, which runs to convergence.
+    iterations: Option<usize>,
     ms_per_frame: f64,
     ms_least: f64,
     cloth_frames_per_s: f64,
@@ -79,61 +83,90 @@ struct KernelRow {
     dispatches: usize,
 }
 
+/// A size that could not be timed.
+#[derive(serde::Serialize)]
+struct Failure {
+    grid: String,
+    batch: usize,
+    error: String,
+}
+
 pub fn run(args: &Args) -> Result<Ending> {
     let grids = grids(&args.grid)?;
     let optimizer = args.solver.optimizer()?;
     if let Some(path) = &args.plot {
-        writable_file(path)?;
+        picture_file(path, "--plot")?;
     }
     let sizes = sizes(args, &grids)?;
     let (device, line) = args.device.open_for(&optimizer)?;
     status!("{line}");
-    let mut rows = Vec::new();
-    let mut out = output();
-    let (mut ended, many) = (Ok(Ending::Done), sizes.len() > 1);
+    let interrupted = interrupt_flag();
+    let (mut rows, mut failures, mut first_error) = (Vec::new(), Vec::new(), None);
+    let (mut out, count) = (output(), sizes.len());
     for size in sizes {
-        let row = match measure(args, &device, &optimizer, size) {
-            Ok(row) => row,
+        match measure(args, &device, &optimizer, size, &interrupted) {
+            Ok(Some(row)) => {
+                if !args.json {
+                    print(&mut out, &row)?;
+                }
+                rows.push(row);
+            }
+            Ok(None) => break,
             // The remaining sizes are still measured.
             Err(error) => {
                 let (grid, batch) = size;
-                if many {
+                if count > 1 {
                     status!("{grid} batch {batch}: {error:#}");
                 }
-                ended = ended.and(Err(error));
-                continue;
+                failures.push(Failure { grid: grid.to_string(), batch, error: error.to_string() });
+                first_error.get_or_insert(error);
             }
-        };
-        if !args.json {
-            print(&mut out, &row)?;
         }
-        rows.push(row);
         if out.is_closed() && args.plot.is_none() {
-            return ended;
+            break;
         }
     }
-    if rows.is_empty() {
-        return ended;
-    }
-    let product = match product_rate(&device) {
-        Ok(product) => product,
-        Err(error) => {
-            ended = ended.and(Err(error));
-            f64::NAN
+    let mut peak_rate = None;
+    if !rows.is_empty() && go_on(&interrupted).is_continue() {
+        match peak(&device) {
+            Ok(rate) => peak_rate = Some(rate),
+            Err(error) => drop(first_error.get_or_insert(error)),
         }
-    };
+    }
+    let gflop_per_s = peak_rate.map(|rate| rate * 1e-9);
     if args.json {
         let all = serde_json::json!({
-            "device": device.name(), "solver": optimizer.name(), "product_gflop_per_s": product * 1e-9, "rows": rows
+            "version": env!("CARGO_PKG_VERSION"),
+            "device": device.name(),
+            "tuning": match &device {
+                Device::Cpu => None,
+                Device::Gpu(context) => Some(Tuning::new(context)),
+            },
+            "solver": optimizer.name(),
+            "weights_crc32": checksum_of_weights(&optimizer),
+            "precision": args.device.precision,
+            "frames": args.frames,
+            "peak_gflop_per_s": gflop_per_s,
+            "rows": rows,
+            "failures": failures,
         });
         writeln!(out, "{all:#}")?;
-    } else {
-        writeln!(out, "the matrix product alone: {:.0} GFLOP/s", product * 1e-9)?;
+    } else if let Some(peak) = gflop_per_s {
+        let of = match device {
+            Device::Cpu => "a matrix product in the first-level cache",
+            Device::Gpu(_) => "multiply-adds in registers",
+        };
+        writeln!(out, "peak of the device: {peak:.0} GFLOP/s ({of})")?;
     }
-    if let Some(path) = &args.plot {
-        write_png(path, &plot(&rows, product))?;
+    if let Some(path) = args.plot.as_ref().filter(|_| !rows.is_empty()) {
+        write_png(path, &plot(&rows, peak_rate))?;
     }
-    ended
+    match first_error {
+        _ if go_on(&interrupted).is_break() => Ok(Ending::Interrupted),
+        None => Ok(Ending::Done),
+        Some(error) if count == 1 || failures.is_empty() => Err(error),
+        Some(error) => Err(error.context(format!("{} of {count} sizes could not be timed", failures.len()))),
+    }
 }
 
 /// Returns the grids and batch sizes to measure. Fails if all of them have too many particles.
@@ -154,78 +187,83 @@ fn sizes(args: &Args, grids: &[Grid]) -> Result<Vec<(Grid, usize)>> {
     }
 }
 
-/// Measures the operations per second of the device's matrix product when nothing else limits it.
-fn product_rate(device: &Device) -> Result<f64> {
+/// Measures the most floating-point operations per second of multiply-adds in single precision.
+fn peak(device: &Device) -> Result<f64> {
     Ok(match device {
-        Device::Cpu => fnopt::cpu::product_rate(),
-        Device::Gpu(context) => product_rate_on(context)?,
+        Device::Cpu => fnopt::cpu::peak_rate(),
+        Device::Gpu(context) => peak_of(context)?,
     })
 }
 
-/// Measures the operations per second of a pointwise layer when nothing else limits it: 64 to 64 channels,
-/// many positions, dispatches back to back. Takes about a third of a second, plus the time to compile.
-fn product_rate_on(context: &Context) -> Result<f64> {
-    const SHAPE: [usize; 4] = [12, 64, 64, 64];
-    const DISPATCHES: usize = 10;
-    let tuning = &Tuning::new(context);
-    let [samples, channels, h, w] = SHAPE;
-    let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
-    let (x, y) = (stored("x", &SHAPE)?, stored("y", &SHAPE)?);
-    let weight = stored("weight", &[channels / tuning.channels, channels, tuning.channels])?;
-    let layer = Layer { weight, bias: Tensor::zeros(context, "bias", &[channels])? };
-    let kernel = Pointwise::new(context, tuning, false)?;
-    let mut schedule = Schedule::new(context);
-    (0..DISPATCHES).for_each(|_| kernel.push(&mut schedule, &layer, &x, &y));
-    let run = || {
+/// Measures the multiply-adds in registers of an adapter. Takes about half a second.
+fn peak_of(context: &Context) -> Result<f64> {
+    /// Elements, enough for a quad per invocation of a large GPU.
+    const LEN: usize = 1 << 20;
+    /// Length of a run in which its start and end do not matter, and of all runs \[s\].
+    const LONG: f64 = 0.02;
+    const ENOUGH: f64 = 0.3;
+    let (x, y) = (Tensor::zeros(context, "x", &[LEN])?, Tensor::zeros(context, "y", &[LEN])?);
+    let kernel = MultiplyAdd::new(context)?;
+    let seconds = |steps: u32| -> Result<f64> {
+        let mut schedule = Schedule::new(context);
+        kernel.push(&mut schedule, (steps, 0.5, 0.5), &x, &y);
         let begun = Instant::now();
         context.submit(|encoder| schedule.record(encoder));
-        context.wait().map(|()| begun.elapsed().as_secs_f64())
+        context.wait()?;
+        Ok(begun.elapsed().as_secs_f64())
     };
-    run()?;
-    let (begun, mut best) = (Instant::now(), f64::INFINITY);
-    while begun.elapsed().as_secs_f64() < 0.3 {
-        best = best.min(run()?);
+    let mut steps = 1;
+    seconds(steps)?;
+    while seconds(steps)? < LONG && steps < 1 << 20 {
+        steps *= 2;
     }
-    Ok((2 * DISPATCHES * samples * channels * channels * h * w) as f64 / best)
+    let (begun, mut best) = (Instant::now(), f64::INFINITY);
+    while begun.elapsed().as_secs_f64() < ENOUGH {
+        best = best.min(seconds(steps)?);
+    }
+    Ok((MultiplyAdd::FLOP * steps as usize * LEN) as f64 / best)
 }
 
-/// Plots time and speed over the particles of all cloths, with a curve for each batch size and one for the
-/// matrix product.
-fn plot(rows: &[Row], product: f64) -> Image {
+/// Plots time over the particles of all cloths, with a curve for each batch size, and for the learned optimizer
+/// also the operations per second, with the peak of the device.
+fn plot(rows: &[Row], peak: Option<f64>) -> Image {
     let particles = |row: &Row| (row.particles * row.batch) as f64;
     let mut batches: Vec<usize> = rows.iter().map(|row| row.batch).collect();
     batches.sort_unstable();
     batches.dedup();
-    let curves = |value: &dyn Fn(&Row) -> f64| -> Vec<Curve> {
+    let curves = |value: &dyn Fn(&Row) -> Option<f64>| -> Vec<Curve> {
         let of = |&batch: &usize| {
             let rows = rows.iter().filter(|row| row.batch == batch);
-            let mut points: Vec<[f64; 2]> = rows.map(|row| [particles(row), value(row)]).collect();
+            let mut points: Vec<[f64; 2]> =
+                rows.filter_map(|row| Some([particles(row), value(row)?])).collect();
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
             Curve { label: format!("{batch} cloth{}", if batch == 1 { "" } else { "s" }), points }
         };
-        batches.iter().map(of).collect()
+        batches.iter().map(of).filter(|curve| !curve.points.is_empty()).collect()
     };
-    let mut times = curves(&|row| row.ms_per_frame);
-    let mut speeds = curves(&|row| row.gflop_per_s.unwrap_or(f64::NAN));
-    let mut bound: Vec<[f64; 2]> = rows
-        .iter()
-        .filter_map(|row| Some([particles(row), row.gflop_per_s? * row.ms_per_frame * 1e9 / product]))
-        .collect();
-    bound.sort_by(|a, b| a[0].total_cmp(&b[0]));
-    bound.dedup_by_key(|point| point[0]);
-    let label = "matrix product".to_owned();
-    speeds
-        .push(Curve { label: label.clone(), points: bound.iter().map(|p| [p[0], product * 1e-9]).collect() });
-    times.push(Curve { label, points: bound });
     let chart = |title: &str, unit: &str, curves| {
         let axes = ["particles".into(), unit.into()];
         Chart { title: title.into(), axes, curves, scale: Scale::Logarithmic }
     };
-    let both = [chart("Time of a frame", "ms", times), chart("Operations", "GFLOP/s", speeds)];
+    let mut both = vec![chart("Time of a frame", "ms", curves(&|row| Some(row.ms_per_frame)))];
+    let mut speeds = curves(&|row| row.gflop_per_s);
+    if !speeds.is_empty() {
+        let ends = [f64::min, f64::max].map(|end| rows.iter().map(particles).reduce(end));
+        let line = peak.map(|peak| ends.into_iter().flatten().map(|p| [p, peak * 1e-9]).collect());
+        speeds.extend(line.map(|points| Curve { label: "peak".into(), points }));
+        both.push(chart("Operations", "GFLOP/s", speeds));
+    }
     charts(&both, (1200, 420))
 }
 
-fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (Grid, usize)) -> Result<Row> {
+/// Times a size. Returns `None` if interrupted.
+fn measure(
+    args: &Args,
+    device: &Device,
+    optimizer: &Optimizer,
+    (grid, batch): (Grid, usize),
+    interrupted: &AtomicBool,
+) -> Result<Option<Row>> {
     let setups = default_scenes(grid, batch)?;
     let (frames, iterations) = (args.frames as usize, args.solver.iterations());
     let mut simulator = Simulator::new(device, &setups.model, optimizer, iterations)?;
@@ -237,8 +275,11 @@ fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (
         if frame.index > WARM_UP {
             times.push(frame.wall.as_secs_f64() * 1e3);
         }
-        ControlFlow::Continue(())
+        go_on(interrupted)
     })?;
+    if go_on(interrupted).is_break() {
+        return Ok(None);
+    }
     let ms_per_frame = median(&times);
     let flop = match optimizer {
         Optimizer::Learned(weights) => Some(weights.config.flop(grid) * (3 * batch * iterations) as f64),
@@ -248,7 +289,7 @@ fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (
         grid: grid.to_string(),
         particles: grid.particles(),
         batch,
-        iterations,
+        iterations: (!matches!(optimizer, Optimizer::Newton)).then_some(iterations),
         ms_per_frame,
         ms_least: times.iter().copied().fold(f64::INFINITY, f64::min),
         cloth_frames_per_s: 1e3 * batch as f64 / ms_per_frame,
@@ -267,7 +308,7 @@ fn measure(args: &Args, device: &Device, optimizer: &Optimizer, (grid, batch): (
         let controls: Vec<_> = (0..TOGETHER).map(|f| setups.control(1 + f % (setups.frames() - 1))).collect();
         row.ms_together = Some(time_together(context, &solver, &controls)?);
     }
-    Ok(row)
+    Ok(Some(row))
 }
 
 /// Times command recording and, if the device has timestamps, each kernel.
@@ -313,7 +354,11 @@ fn time_together(context: &Context, solver: &Solver, controls: &[Control<f32>]) 
 
 fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
     let Row { grid, batch, iterations, ms_per_frame, ms_least, cloth_frames_per_s, .. } = row;
-    write!(out, "{grid} batch {batch}, {iterations} iterations: {ms_per_frame:.3} ms/frame")?;
+    match iterations {
+        Some(count) => write!(out, "{grid} batch {batch}, {count} iterations: ")?,
+        None => write!(out, "{grid} batch {batch}, to convergence: ")?,
+    }
+    write!(out, "{ms_per_frame:.3} ms/frame")?;
     write!(out, " (minimum {ms_least:.3}), {cloth_frames_per_s:.1} cloth-frames/s")?;
     if let Some(rate) = row.gflop_per_s {
         write!(out, ", {rate:.1} GFLOP/s")?;

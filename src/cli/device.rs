@@ -62,8 +62,15 @@ impl DeviceArgs {
         };
         let context = context.with_stored_pipelines()?;
         let context = match Tuning::measured(&context) {
-            Some(tuning) => context.with_tuning(tuning)?,
-            None => context,
+            Some(tuning) => {
+                let path = Tuning::path(&context).unwrap_or_default();
+                tracing::info!("tuning: {}", path.display());
+                context.with_tuning(tuning)?
+            }
+            None => {
+                tracing::info!("tuning: built-in");
+                context
+            }
         };
         let why = match (&self.adapter, self.device, context.kind()) {
             (Some(_), ..) => "asked for",
@@ -72,10 +79,6 @@ impl DeviceArgs {
             (.., AdapterKind::Software) => "best adapter, a software one",
         };
         let line = format!("device: {} ({why})", context.name());
-        match Tuning::path(&context).filter(|path| path.is_file()) {
-            Some(path) => tracing::info!("tuning file: {}", path.display()),
-            None => tracing::info!("tuning file: none for this adapter"),
-        }
         *OPENED.lock().unwrap_or_else(PoisonError::into_inner) = Some(context.clone());
         Ok((Device::Gpu(context), line))
     }

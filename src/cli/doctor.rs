@@ -70,7 +70,9 @@ pub fn run(args: &Args) -> Result<Ending> {
     }
     if args.json {
         let listed: Vec<_> = found.iter().map(summary).collect();
-        let all = serde_json::json!({ "adapters": listed, "auto": auto, "devices": reports });
+        let all = serde_json::json!({
+            "version": env!("CARGO_PKG_VERSION"), "adapters": listed, "auto": auto, "devices": reports
+        });
         writeln!(out, "{all:#}")?;
     } else {
         for report in &reports {

@@ -216,12 +216,20 @@ pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
     Ok(weights)
 }
 
+/// Returns the checksum of the weights in hexadecimal digits. `None` for the classical optimizers.
+pub fn checksum_of_weights(optimizer: &Optimizer) -> Option<String> {
+    match optimizer {
+        Optimizer::Learned(weights) => Some(format!("{:08x}", weights.checksum())),
+        _ => None,
+    }
+}
+
 /// Parses a grid option: `32` for 32x32, or `48x32`.
 pub fn grid(text: &str) -> fnopt::Result<Grid> {
-    let (h, w) = text.split_once('x').unwrap_or((text, text));
-    match (h.parse(), w.parse()) {
+    let (h, w) = text.split_once(['x', 'X']).unwrap_or((text, text));
+    match (h.trim().parse(), w.trim().parse()) {
         (Ok(h), Ok(w)) => Grid::new(h, w, "--grid"),
-        _ => Err(Error::invalid("--grid", "grid", "N or HxW", text)),
+        _ => Err(Error::invalid("--grid", "grid", "N or HxW", format!("'{text}'"))),
     }
 }
 
@@ -301,6 +309,16 @@ pub fn writable_file(path: &Path) -> Result<()> {
     }
     let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     writable_folder(folder_of(&path))
+}
+
+/// Applies [`writable_file`] to the file of an option that takes a PNG, and checks its name.
+pub fn picture_file(path: &Path, option: &str) -> Result<()> {
+    writable_file(path)?;
+    let is_png = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("png"));
+    if !is_png && !is_stream(path) {
+        return Err(Error::invalid(option, "file", "a name that ends in .png", path.display()));
+    }
+    Ok(())
 }
 
 /// Returns `Break` once Ctrl-C has set the flag.

@@ -3,7 +3,8 @@
 use super::device::InferenceArgs;
 use super::output::{output, status};
 use super::{
-    Ending, SolverArgs, go_on, interrupt_flag, material, numbers, one_grid, writable_file, writable_folder,
+    Ending, SolverArgs, checksum_of_weights, go_on, interrupt_flag, material, numbers, one_grid,
+    writable_file, writable_folder,
 };
 use anyhow::Result;
 use fnopt::Frame;
@@ -397,10 +398,6 @@ impl<'a> Run<'a> {
 
     fn report(&self, status: Status, written: &[PathBuf]) -> serde_json::Value {
         let SolverArgs { checkpoint, .. } = &self.args.solver;
-        let checksum = match self.optimizer {
-            Optimizer::Learned(weights) => Some(format!("{:08x}", weights.checksum())),
-            _ => None,
-        };
         serde_json::json!({
             "version": env!("CARGO_PKG_VERSION"),
             "settings": {
@@ -410,7 +407,7 @@ impl<'a> Run<'a> {
                 "checkpoint": checkpoint.as_deref().map(absolute).map(|path| path.display().to_string()),
                 "precision": self.args.device.precision,
             },
-            "weights_crc32": checksum,
+            "weights_crc32": checksum_of_weights(self.optimizer),
             "device": self.device,
             "status": status,
             "sound": self.is_sound(),

@@ -71,10 +71,10 @@ pub(crate) fn largest_rows<T: Real>(largest: &mut [T], rows: &[T]) {
     pulp::Arch::new().dispatch(LargestRows { largest, rows });
 }
 
-/// Measures the peak rate of the product in floating-point operations per second, on all threads of the
-/// current rayon pool: in single precision, on operands that stay in the first-level cache. Takes a third of
-/// a second.
-pub fn product_rate() -> f64 {
+/// Measures the peak rate of multiply-adds in single precision, in floating-point operations per second, two
+/// for each multiply-add: that of the product, on all threads of the current rayon pool and on operands that
+/// stay in the first-level cache. Takes a third of a second.
+pub fn peak_rate() -> f64 {
     const SIZE: usize = 64;
     const ROWS: usize = 6 * BLOCK_ROWS;
     const PRODUCTS: usize = 200;

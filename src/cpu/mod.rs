@@ -18,7 +18,7 @@ mod solver;
 pub mod train;
 
 pub use factored_hessian::FactoredHessian;
-pub use matmul::product_rate;
+pub use matmul::peak_rate;
 pub use objective::Objective;
 pub use real::Real;
 pub use reference::{Minimum, Reference, Track};

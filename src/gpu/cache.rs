@@ -29,7 +29,7 @@ impl Context {
     /// identifies the adapter, its driver and the version of this package; builds of one version share the
     /// file.
     pub(crate) fn cache_file(&self, what: &str, extension: &str) -> Option<PathBuf> {
-        let folder = match std::env::var_os(CACHE_FOLDER) {
+        let folder = match std::env::var_os(CACHE_FOLDER).filter(|folder| !folder.is_empty()) {
             Some(folder) => PathBuf::from(folder),
             None => dirs::cache_dir()?.join("fnopt"),
         };

@@ -194,17 +194,21 @@ impl Tuning {
     pub fn measured(context: &Context) -> Option<Self> {
         let path = Self::path(context)?;
         let bytes = std::fs::read(&path).ok()?;
-        let stored: Option<Stored> = serde_json::from_slice(&bytes).ok();
-        let fits = |s: &Stored| s.adapter == context.name() && s.version == env!("CARGO_PKG_VERSION");
-        let found = stored.filter(fits).map(|s| s.tuning).filter(|tuning| tuning.works(context));
-        if found.is_none() {
-            tracing::warn!(
-                "{}: not a tuning for {} and this version; using the built-in one",
-                path.display(),
-                context.name()
-            );
-        }
-        found
+        let problem = match serde_json::from_slice::<Stored>(&bytes) {
+            Err(error) => error.to_string(),
+            Ok(stored) if stored.adapter != context.name() => format!("measured on {}", stored.adapter),
+            Ok(stored) if stored.version != env!("CARGO_PKG_VERSION") => {
+                format!("version {}", stored.version)
+            }
+            Ok(stored) if !stored.tuning.works(context) => "sizes that the kernels do not support".into(),
+            Ok(stored) => return Some(stored.tuning),
+        };
+        let path = path.display();
+        tracing::warn!(
+            "{path}: not a tuning for {} and this version ({problem}); using the built-in one",
+            context.name()
+        );
+        None
     }
 
     /// Stores the tuning for the adapter, where [`Tuning::measured`] will find it, and returns the path of

@@ -72,6 +72,7 @@ pub const ALL: &[(&Source, usize)] = &[
     (&operator::scalar_head::SOURCE, 0),
     (&operator::project::SOURCE, 0),
     (&operator::activate::SOURCE, 0),
+    (&operator::multiply_add::SOURCE, 0),
     (&operator::gelu_adj::SOURCE, 0),
     (&operator::transpose::SOURCE, 0),
     (&operator::spectral_transpose::SOURCE, 0),

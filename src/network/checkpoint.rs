@@ -252,13 +252,14 @@ impl Tensor {
 
     fn summary(&self, name: &str) -> TensorSummary {
         let values = self.values.iter().map(|&v| v as f64);
+        let finite = values.clone().filter(|v| v.is_finite());
         TensorSummary {
             name: name.to_owned(),
             shape: self.shape.clone(),
             dtype: format!("{:?}", self.dtype),
             norm: values.clone().map(|v| v * v).sum::<f64>().sqrt(),
-            min: values.clone().fold(f64::INFINITY, f64::min),
-            max: values.clone().fold(f64::NEG_INFINITY, f64::max),
+            min: finite.clone().reduce(f64::min).unwrap_or(f64::NAN),
+            max: finite.reduce(f64::max).unwrap_or(f64::NAN),
             non_finite: values.filter(|v| !v.is_finite()).count(),
         }
     }
@@ -284,9 +285,9 @@ pub struct TensorSummary {
     pub dtype: String,
     /// Euclidean norm.
     pub norm: f64,
-    /// Smallest element.
+    /// Smallest finite element; NaN if there is none.
     pub min: f64,
-    /// Largest element.
+    /// Largest finite element; NaN if there is none.
     pub max: f64,
     /// Number of elements that are NaN or infinite.
     pub non_finite: usize,

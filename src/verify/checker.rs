@@ -1,7 +1,7 @@
 //! Comparisons of computed arrays with those of a golden file.
 
 use super::golden::Golden;
-use super::{Check, Outcome, Precision, Stages};
+use super::{Check, Finding, Outcome, Precision, Stages};
 use crate::cloth::Grid;
 use crate::network::Weights;
 use crate::{Error, Result};
@@ -13,6 +13,7 @@ pub(super) const NETWORK: f64 = 2e-5;
 /// Tolerance of network stages if activations and weights are stored in 16 bits, of which 11 are significant:
 /// a few roundings.
 const NETWORK_HALF: f64 = 2e-3;
+
 /// Compares the results of stages with the arrays of a file, and reports each comparison.
 pub(super) struct Checker<'a> {
     /// The file's name without its extension.
@@ -74,24 +75,18 @@ impl Checker<'_> {
     pub fn compared(&mut self, array: &str, (absolute, relative): (f64, f64), tolerance: f64) {
         // A NaN does not pass: the comparison is false for it.
         let outcome = if relative <= tolerance { Outcome::Passed } else { Outcome::Failed };
-        self.report(array, (absolute, relative, tolerance), outcome);
+        let array = array.to_owned();
+        self.report(outcome, Finding::Comparison { array, absolute, relative, tolerance });
     }
 
     /// Reports an outcome without a comparison.
-    pub fn verdict(&mut self, what: &str, outcome: Outcome) {
-        self.report(what, (0.0, 0.0, 0.0), outcome);
+    pub fn verdict(&mut self, message: &str, outcome: Outcome) {
+        self.report(outcome, Finding::Message { message: message.to_owned() });
     }
 
-    fn report(&mut self, array: &str, numbers: (f64, f64, f64), outcome: Outcome) {
-        (self.report)(Check {
-            file: self.file.to_owned(),
-            array: array.to_owned(),
-            device: self.stages.name(),
-            absolute: numbers.0,
-            relative: numbers.1,
-            tolerance: numbers.2,
-            outcome,
-        });
+    fn report(&mut self, outcome: Outcome, finding: Finding) {
+        let (file, device) = (self.file.to_owned(), self.stages.name());
+        (self.report)(Check { file, device, outcome, finding });
     }
 }
 

@@ -205,18 +205,35 @@ pub struct RolloutFrame {
 pub struct Check {
     /// Name of the file.
     pub file: String,
-    /// Name of the array, or what prevented the check.
-    pub array: String,
     /// Device and precision.
     pub device: String,
-    /// Largest absolute error.
-    pub absolute: f64,
-    /// Relative error, in the measure to which the tolerance applies.
-    pub relative: f64,
-    /// Largest relative error that passes.
-    pub tolerance: f64,
     /// The verdict.
     pub outcome: Outcome,
+    /// What it rests on.
+    #[serde(flatten)]
+    pub finding: Finding,
+}
+
+/// What the verdict of a [`Check`] rests on.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[serde(untagged)]
+pub enum Finding {
+    /// An array compared with that of the file.
+    Comparison {
+        /// Name of the array.
+        array: String,
+        /// Largest absolute error.
+        absolute: f64,
+        /// Relative error, in the measure to which the tolerance applies.
+        relative: f64,
+        /// Largest relative error that passes.
+        tolerance: f64,
+    },
+    /// No comparison.
+    Message {
+        /// What the file holds, or what prevented a comparison.
+        message: String,
+    },
 }
 
 /// The verdict of a [`Check`].
@@ -238,10 +255,13 @@ impl std::fmt::Display for Check {
             Outcome::Failed => "FAIL",
             Outcome::Skipped => "skip",
         };
-        write!(f, "{verdict}  {:30} {:34} {:9}", self.file, self.array, self.device)?;
-        if self.outcome == Outcome::Skipped || self.tolerance == 0.0 {
-            return Ok(());
+        let Self { file, device, .. } = self;
+        match &self.finding {
+            Finding::Comparison { array, absolute, relative, tolerance } => {
+                write!(f, "{verdict}  {file:30} {array:34} {device:9}")?;
+                write!(f, " abs {absolute:.2e}  rel {relative:.2e}  tol {tolerance:.0e}")
+            }
+            Finding::Message { message } => write!(f, "{verdict}  {file:30} {message:34} {device}"),
         }
-        write!(f, " abs {:.2e}  rel {:.2e}  tol {:.0e}", self.absolute, self.relative, self.tolerance)
     }
 }

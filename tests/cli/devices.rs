@@ -55,11 +55,23 @@ fn a_tuning_is_stored_for_its_adapter_and_read_again() {
     let rollout = ["rollout", "--device", "gpu", "--frames", "2", "--no-pictures"];
     let (_, log) = run(&rollout);
     assert!(!log.contains("not a tuning for"), "{log}");
-    // A tuning that is damaged, or that the kernels do not support, is reported and ignored.
-    for damage in ["{", &stored.to_string().replace("\"channels\":", "\"channels\":3")] {
-        std::fs::write(file, damage).unwrap();
+    // A tuning that does not fit is ignored, with the reason.
+    let with = |field: &str, value: serde_json::Value| {
+        let mut changed = stored.clone();
+        changed[field] = value;
+        changed.to_string()
+    };
+    let mut odd = stored["tuning"].clone();
+    odd["channels"] = 3.into();
+    for (damage, why) in [
+        ("{".to_owned(), "EOF"),
+        (with("tuning", odd), "sizes that the kernels do not support"),
+        (with("adapter", "another".into()), "measured on another"),
+        (with("version", "0.0.1".into()), "version 0.0.1"),
+    ] {
+        std::fs::write(file, &damage).unwrap();
         let (_, log) = run(&rollout);
-        assert!(log.contains("not a tuning for"), "{damage}: {log}");
+        assert!(log.contains("not a tuning for") && log.contains(why), "{damage}: {log}");
     }
 }
 

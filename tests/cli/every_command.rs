@@ -91,6 +91,9 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["bench", "--device", "cpu", "--grid", "8,5", "--json"], &["--grid", "found 5"]),
         (&["bench", "--device", "cpu", "--plot", "key.json/plot.png"], &["key.json", "cannot create"]),
         (&["bench", "--device", "cpu", "--plot", "."], &[".: type", "a folder"]),
+        (&["bench", "--device", "cpu", "--plot", "p.jpg"], &["--plot", "ends in .png", "p.jpg"]),
+        (&["bench", "--device", "cpu", "--plot", "-"], &["--plot", "ends in .png"]),
+        (&["bench", "--device", "cpu", "--grid", "8,"], &["--grid", "N or HxW, found ''"]),
         (&["train", "none.toml"], &["none.toml", "cannot read"]),
         (&["train", "key.toml"], &["key.toml", "optimizer", "did you mean rate"]),
         (&["train", "large.toml"], &["large.toml", "network", "parameters"]),
@@ -207,7 +210,14 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
     let end = bytes.len();
     bytes.truncate(end - 100);
     std::fs::write(&name, &bytes).unwrap();
-    assert_eq!(fnopt(folder.path(), &["verify", ".", "--device", "cpu"]).status.code(), Some(1));
+    let damaged = fnopt(folder.path(), &["verify", ".", "--device", "cpu", "--json"]);
+    assert_eq!(damaged.status.code(), Some(1));
+    let all: serde_json::Value = serde_json::from_slice(&damaged.stdout).unwrap();
+    let [double, single] = all["checks"].as_array().unwrap().as_slice() else { panic!("{all}") };
+    for check in [double, single] {
+        assert!(check["message"].as_str().unwrap().contains("energy_small.safetensors"), "{check}");
+        assert!(check.get("absolute").is_none(), "nothing was compared: {check}");
+    }
 
     // Checking nothing is an error, and files that are skipped are reported.
     std::fs::rename(&name, folder.path().join("enrgy_small.safetensors")).unwrap();

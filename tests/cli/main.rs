@@ -1,5 +1,6 @@
 //! The command as a script sees it: exit codes, messages, files.
 
+mod bench;
 mod command;
 mod devices;
 mod evaluate;

@@ -209,6 +209,20 @@ fn description_lists_each_tensor() {
     assert!(description.tensors.iter().all(|t| t.norm > 0.0 && t.min <= t.max && t.non_finite == 0));
 }
 
+#[test]
+fn a_description_counts_what_is_not_finite_and_ranges_over_the_rest() {
+    let of = |values: [f32; 3]| {
+        let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+        let tensors = [("x".to_owned(), Dtype::F32, vec![3], bytes)];
+        let description = Checkpoint::from_bytes(&file(&tensors, None), "test").unwrap().describe();
+        let x = &description.tensors[0];
+        (x.min, x.max, x.non_finite)
+    };
+    assert_eq!(of([f32::INFINITY, -2.0, 3.0]), (-2.0, 3.0, 1));
+    let (min, max, count) = of([f32::NAN; 3]);
+    assert!(min.is_nan() && max.is_nan() && count == 3);
+}
+
 proptest! {
     #[test]
     fn damaged_bytes_never_panic(changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..8), cut in any::<prop::sample::Index>(), whole in any::<bool>()) {

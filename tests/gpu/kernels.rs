@@ -50,6 +50,7 @@ const TWINS: &[(&str, &str)] = &[
     ("pool_rows", "operator/scalar_head"),
     ("project", "operator/projection"),
     ("activate", "real"),
+    ("multiply_add", "matmul"),
     ("gelu_adj", "real"),
     ("transpose", "operator/adjoint"),
     ("spectral_transpose", "operator/adjoint"),

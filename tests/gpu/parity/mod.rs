@@ -21,6 +21,7 @@ mod gradient_size;
 mod head_weight_adj;
 mod integrate;
 mod lbfgs;
+mod multiply_add;
 mod operator;
 mod pointwise;
 mod pointwise_weight_adj;

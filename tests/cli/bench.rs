@@ -1,0 +1,70 @@
+//! `fnopt bench`: what it reports, and what is kept when a size fails.
+
+use super::command::{fnopt, text};
+
+fn parsed(output: &[u8]) -> serde_json::Value {
+    serde_json::from_slice(output).unwrap_or_else(|e| panic!("{e}: {}", text(output)))
+}
+
+#[test]
+fn results_say_what_made_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let on_cpu = |arguments: &[&str]| {
+        let output =
+            fnopt(folder.path(), &[&["bench", "--device", "cpu", "--frames", "2"], arguments].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        output.stdout
+    };
+    let learned = parsed(&on_cpu(&["--grid", " 8,12X8,8", "--iterations", "3", "--plot", "p.png", "--json"]));
+    assert_eq!(learned["version"], env!("CARGO_PKG_VERSION"));
+    assert_eq!((&learned["solver"], &learned["frames"]), (&"fnopt".into(), &2.into()));
+    assert_eq!((&learned["precision"], &learned["tuning"]), (&"f32".into(), &serde_json::Value::Null));
+    assert_eq!(learned["weights_crc32"].as_str().unwrap().len(), 8);
+    let rows = learned["rows"].as_array().unwrap();
+    assert_eq!(rows.iter().map(|row| row["grid"].as_str().unwrap()).collect::<Vec<_>>(), ["8x8", "12x8"]);
+    for row in rows {
+        assert_eq!(row["iterations"], 3);
+        let (rate, peak) =
+            (row["gflop_per_s"].as_f64().unwrap(), learned["peak_gflop_per_s"].as_f64().unwrap());
+        assert!(0.0 < rate && rate < 1.05 * peak, "{rate} of {peak} GFLOP/s");
+    }
+    assert!(folder.path().join("p.png").is_file());
+
+    let newton = on_cpu(&["--grid", "8", "--solver", "newton"]);
+    assert!(text(&newton).starts_with("8x8 batch 1, to convergence: "), "{}", text(&newton));
+    let newton = parsed(&on_cpu(&["--grid", "8", "--solver", "newton", "--json", "--plot", "newton.png"]));
+    let row = &newton["rows"][0];
+    assert!(row["iterations"].is_null() && row["gflop_per_s"].is_null() && newton["weights_crc32"].is_null());
+    assert!(folder.path().join("newton.png").is_file());
+}
+
+/// An adapter's peak bounds what a frame reaches there.
+#[test]
+fn an_adapter_is_measured_with_its_tuning() {
+    let folder = tempfile::tempdir().unwrap();
+    let on = ["--device", "gpu", "--adapter", "llvmpipe", "--grid", "16", "--frames", "2", "--json"];
+    let output = fnopt(folder.path(), &[&["bench"], &on[..]].concat());
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+    let all = parsed(&output.stdout);
+    assert_eq!(all["tuning"]["texels"], true, "{all}");
+    let (rate, peak) =
+        (all["rows"][0]["gflop_per_s"].as_f64().unwrap(), all["peak_gflop_per_s"].as_f64().unwrap());
+    assert!(0.0 < rate && rate < peak, "{rate} of {peak} GFLOP/s");
+}
+
+#[test]
+fn a_size_that_fails_is_reported_once_and_the_others_are_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let explodes =
+        ["--device", "cpu", "--solver", "quasi-newton", "--grid", "8,32", "--frames", "20", "--json"];
+    let output = fnopt(folder.path(), &[&["bench"], &explodes[..]].concat());
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(3), "{said}");
+    assert!(said.contains("error: 1 of 2 sizes could not be timed"), "{said}");
+    assert_eq!(said.matches("became non-finite").count(), 1, "{said}");
+    let all = parsed(&output.stdout);
+    assert_eq!(all["rows"].as_array().unwrap().len(), 1, "{all}");
+    let failure = &all["failures"][0];
+    assert!(failure["error"].as_str().unwrap().contains("became non-finite"), "{all}");
+    assert_eq!((&failure["batch"], all["failures"].as_array().unwrap().len()), (&1.into(), 1));
+}
