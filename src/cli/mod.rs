@@ -102,6 +102,10 @@ const MOST_ITERATIONS: i64 = 100_000;
 /// Most particles, over all cloths, that are timed together: the host keeps some 200 bytes per particle.
 const MOST_PARTICLES: usize = 1 << 26;
 
+/// The environment variable that sets the number of threads of the CPU path, and the most that it may ask for.
+const THREADS: &str = "RAYON_NUM_THREADS";
+const MOST_THREADS: usize = 4096;
+
 /// The environment variable that selects what is logged.
 const LOG: &str = "FNOPT_LOG";
 
@@ -129,9 +133,8 @@ pub fn log_to_stderr() -> Result<()> {
 
 /// Runs the command line and returns its exit code.
 pub fn run(cli: Cli) -> ExitCode {
-    // If a container or batch system grants no threads, report it before anything waits for them.
-    if let Err(error) = rayon::ThreadPoolBuilder::new().build_global() {
-        status!("error: threads: cannot start {}: {error}", rayon_threads());
+    if let Err(error) = start_threads() {
+        status!("error: {error}");
         return ExitCode::from(2);
     }
     // `tune` compiles pipelines for many tunings, most of which are never used again.
@@ -162,12 +165,22 @@ pub fn run(cli: Cli) -> ExitCode {
     }
 }
 
-/// Describes how many threads are to start, and what sets their number.
-fn rayon_threads() -> String {
-    match std::env::var("RAYON_NUM_THREADS") {
-        Ok(count) => format!("{count} (RAYON_NUM_THREADS)"),
-        Err(_) => "one per core (set RAYON_NUM_THREADS for fewer)".into(),
+/// Starts the threads of the CPU path, one per core or as many as the environment asks for. If a container or
+/// batch system does not grant them, this is reported before anything waits for them.
+fn start_threads() -> Result<()> {
+    let asked = std::env::var_os(THREADS).map(|count| count.display().to_string()).unwrap_or_default();
+    // Rayon ignores what is not a number, and starting more threads than this takes a system down.
+    if !asked.is_empty() && !asked.parse().is_ok_and(|count: usize| count <= MOST_THREADS) {
+        let expected = format!("a number of threads up to {MOST_THREADS}, or 0 for one per core");
+        return Err(Error::invalid(THREADS, "threads", expected, format!("'{asked}'")));
     }
+    rayon::ThreadPoolBuilder::new().build_global().map_err(|error| {
+        let count = match &*asked {
+            "" | "0" => format!("one thread per core (set {THREADS} for fewer)"),
+            count => format!("{count} threads ({THREADS})"),
+        };
+        Error::Device(format!("cannot start {count}: {error}"))
+    })
 }
 
 /// Options that choose the optimizer, its weights and its iterations.

@@ -243,3 +243,14 @@ fn verify_fails_on_a_damaged_file_and_inspect_prints_json() {
     let value: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(value["network"]["parameters"], 1_349_634);
 }
+
+#[test]
+fn a_number_of_threads_that_is_none_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    for asked in ["many", "100000", "-1"] {
+        let output = command(folder.path(), &["bench"]).env("RAYON_NUM_THREADS", asked).output().unwrap();
+        let said = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains("RAYON_NUM_THREADS: threads: expected a number of threads up to"), "{said}");
+    }
+}
