@@ -45,7 +45,7 @@ pub enum Error {
     #[error("device: {0}")]
     Device(String),
     /// The device was lost, together with everything on it. The work can be restarted on another device.
-    #[error("device: {0}")]
+    #[error("device lost: {0}")]
     Lost(String),
     /// The simulation produced a non-finite number.
     #[error("frame {frame}: cloth {cloth} became non-finite")]

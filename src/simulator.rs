@@ -54,7 +54,7 @@ pub struct Simulator {
 
 enum Backend {
     Cpu { solver: Box<cpu::Solver<f32>>, state: State<f32> },
-    Gpu { context: Context, solver: Box<Solver>, readback: Readback },
+    Gpu { context: Context, solver: Box<Solver>, readback: Box<Readback> },
 }
 
 /// One frame of a batch.
@@ -87,9 +87,7 @@ impl Simulator {
             Device::Gpu(context) => {
                 let options = SolverOptions { iterations, ..Default::default() };
                 let solver = Solver::new(context, model, optimizer, &options)?;
-                let [terms, first, last] = solver.statistics_tensors();
-                let sources = [solver.positions(), solver.velocities(), terms, first, last];
-                let readback = Readback::new(context, &sources, IN_FLIGHT)?;
+                let readback = Box::new(Readback::new(context, &solver.frame_tensors(), IN_FLIGHT)?);
                 Backend::Gpu { context: context.clone(), solver: Box::new(solver), readback }
             }
         };
@@ -248,12 +246,7 @@ impl Backend {
                     });
                     readback.submitted(&submission);
                 }
-                let next = readback.next(context, |bytes| {
-                    let (x, rest) = bytes.split_at(solver.positions().bytes() as usize);
-                    let (v, stats) = rest.split_at(solver.velocities().bytes() as usize);
-                    let [x, v, stats]: [Vec<f32>; 3] = [x, v, stats].map(bytemuck::pod_collect_to_vec);
-                    (State { x, v }, solver.statistics(&stats))
-                })?;
+                let next = readback.next(|bytes| solver.frame(bytes))?;
                 next.map_or_else(|| checked.map(|()| None), |frame| Ok(Some(frame)))
             }
         }
@@ -263,8 +256,8 @@ impl Backend {
     /// number.
     fn drain(&mut self) -> Result<usize> {
         let mut frames = 0;
-        if let Self::Gpu { context, readback, .. } = self {
-            while readback.next(context, |_| ())?.is_some() {
+        if let Self::Gpu { readback, .. } = self {
+            while readback.next(|_| ())?.is_some() {
                 frames += 1;
             }
         }

@@ -345,7 +345,9 @@ fn time_together(context: &Context, solver: &Solver, controls: &[Control<f32>]) 
     let (begun, mut times) = (Instant::now(), Vec::new());
     while times.len() < 2 || (times.len() < 20 && begun.elapsed().as_secs_f64() < seconds) {
         let start = Instant::now();
-        context.submit(|encoder| solver.record_frames(encoder, controls));
+        let mut encoder = context.device.create_command_encoder(&Default::default());
+        solver.record_frames(&mut encoder, controls)?;
+        context.queue.submit([encoder.finish()]);
         context.wait()?;
         times.push(start.elapsed().as_secs_f64() * 1e3 / controls.len() as f64);
     }

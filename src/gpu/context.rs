@@ -5,9 +5,8 @@ use super::kernel::Kernels;
 use super::template::LANES;
 use super::{Order, Sharing, Storage, Tuning};
 use crate::{Error, Result};
-use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
-use wgpu::util::DeviceExt;
 
 /// Kind of adapter that a device runs on. The kernels' tile sizes depend on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -243,18 +242,28 @@ impl Context {
         most.min(u32::MAX.into()) & !15
     }
 
-    /// Creates a buffer with these contents, to copy from.
-    pub fn upload(&self, label: &'static str, contents: &[u8]) -> wgpu::Buffer {
-        let usage = wgpu::BufferUsages::COPY_SRC;
-        self.device.create_buffer_init(&wgpu::util::BufferInitDescriptor {
-            label: Some(label),
-            contents,
-            usage,
+    /// Creates a buffer with these contents, to copy from. Fails if there is not enough memory, or if the
+    /// device is lost.
+    pub fn upload(&self, label: &'static str, contents: &[u8]) -> Result<wgpu::Buffer> {
+        self.checked(|| {
+            let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some(label),
+                size: (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT),
+                usage: wgpu::BufferUsages::COPY_SRC,
+                mapped_at_creation: true,
+            });
+            // If there is no memory to map, `checked` knows why.
+            if let Ok(mut mapped) = buffer.get_mapped_range_mut(..) {
+                mapped.slice(..contents.len()).copy_from_slice(contents);
+                drop(mapped);
+                buffer.unmap();
+            }
+            Ok(buffer)
         })
     }
 
     /// Runs `build` and returns whatever the device reports (invalid objects, kernels that its driver cannot
-    /// compile, lack of memory) as an error, as well as the loss of the device.
+    /// compile, lack of memory) as an error, and the loss of the device as [`Error::Lost`].
     pub fn checked<T>(&self, build: impl FnOnce() -> Result<T>) -> Result<T> {
         use wgpu::ErrorFilter::{Internal, OutOfMemory, Validation};
         // Running out of memory or a failing driver also invalidates objects. Those scopes enclose the one
@@ -262,11 +271,41 @@ impl Context {
         let scopes = [OutOfMemory, Internal, Validation].map(|filter| self.device.push_error_scope(filter));
         let built = build();
         // All scopes are popped, innermost first. The error of the outermost one is reported.
-        match scopes.into_iter().rev().filter_map(|scope| pollster::block_on(scope.pop())).last() {
+        let reported = scopes.into_iter().rev().filter_map(|scope| pollster::block_on(scope.pop())).last();
+        // Objects created on a lost device are invalid, which is reported only when they are used.
+        match reported {
+            _ if self.is_lost() => Err(self.lost("it was reset or removed")),
             Some(e) => Err(Error::Device(format!("{}: {e}", self.name))),
-            // Objects created on a lost device are invalid, but no scope reports it.
-            None => self.poll(wgpu::PollType::Poll).and(built),
+            None => built,
         }
+    }
+
+    /// Runs `act`, whose errors the device need not report: another call reports the same cause.
+    pub(super) fn unreported<T>(&self, act: impl FnOnce() -> T) -> T {
+        use wgpu::ErrorFilter::{OutOfMemory, Validation};
+        let scopes = [OutOfMemory, Validation].map(|filter| self.device.push_error_scope(filter));
+        let result = act();
+        scopes.into_iter().rev().for_each(|scope| drop(pollster::block_on(scope.pop())));
+        result
+    }
+
+    /// Whether the device is lost: it was destroyed, its driver was reset, or it is no longer there.
+    pub fn is_lost(&self) -> bool {
+        // wgpu tells whoever registers a callback, which is up to the owner of the device. To others it shows
+        // in that a buffer cannot be mapped.
+        self.unreported(|| {
+            let probe = self.device.create_buffer(&wgpu::BufferDescriptor {
+                label: Some("probe"),
+                size: wgpu::COPY_BUFFER_ALIGNMENT,
+                usage: wgpu::BufferUsages::MAP_WRITE,
+                mapped_at_creation: true,
+            });
+            probe.get_mapped_range(..).is_err()
+        })
+    }
+
+    fn lost(&self, why: &str) -> Error {
+        Error::Lost(format!("{}: {why}", self.name))
     }
 
     /// Submits the commands that `record` writes to a fresh encoder.
@@ -276,22 +315,22 @@ impl Context {
         self.queue.submit([encoder.finish()])
     }
 
-    /// Waits until everything submitted so far has completed.
+    /// Waits until everything submitted so far has completed. Fails if the device is lost. Callbacks of the
+    /// device's owner may run here, as in any call that waits for the device.
     pub fn wait(&self) -> Result<()> {
         self.poll(wgpu::PollType::wait_indefinitely())
     }
 
     /// Polls the device, waiting as specified by `until`. Fails if the device is lost.
     pub(super) fn poll(&self, until: wgpu::PollType) -> Result<()> {
-        let lost = |why: &dyn std::fmt::Display| {
-            Err(Error::Lost(format!("{}: lost while waiting: {why}", self.name)))
-        };
         // wgpu panics if the device is gone, but the caller may have frames to save. (A program that aborts
         // on panics ends here.)
         match catch_unwind(AssertUnwindSafe(|| self.device.poll(until))) {
             Ok(Ok(_)) => Ok(()),
-            Ok(Err(e)) => lost(&e),
-            Err(_) => lost(&"no longer available"),
+            Ok(Err(e)) => Err(self.lost(&e.to_string())),
+            Err(_) if self.is_lost() => Err(self.lost("it went away during a wait")),
+            // A callback of the device's owner.
+            Err(panic) => resume_unwind(panic),
         }
     }
 }

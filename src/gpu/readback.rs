@@ -26,7 +26,7 @@ type Mapping = Result<(), wgpu::BufferAsyncError>;
 ///     });
 ///     readback.submitted(&submission);
 ///     while let Some(stats) = readback
-///         .try_next(context, |bytes| solver.statistics(&bytemuck::pod_collect_to_vec(bytes)))?
+///         .try_next(|bytes| solver.statistics(&bytemuck::pod_collect_to_vec(bytes)))?
 ///     {
 ///         assert!(stats.iter().all(|cloth| cloth.is_finite()), "a cloth has diverged");
 ///     }
@@ -40,12 +40,14 @@ pub struct Readback {
     recorded: Vec<wgpu::Buffer>,
     in_flight: VecDeque<(wgpu::Buffer, oneshot::Receiver<Mapping>, wgpu::SubmissionIndex)>,
     bytes: u64,
+    context: Context,
 }
 
 impl Readback {
     /// Creates a ring of `depth` slots for the concatenated contents of `sources`. Fails if there is not
-    /// enough memory, or if the device is lost.
+    /// enough memory, or if the device is lost. Panics if `depth` is 0: such a ring is always full.
     pub fn new(context: &Context, sources: &[&Tensor], depth: usize) -> Result<Self> {
+        assert!(depth > 0, "a ring of readbacks has at least one slot");
         let bytes: u64 = sources.iter().map(|t| t.bytes()).sum();
         let slot = |_| {
             context.device.create_buffer(&wgpu::BufferDescriptor {
@@ -57,7 +59,8 @@ impl Readback {
         };
         let free = context.checked(|| Ok((0..depth).map(slot).collect()))?;
         let sources = sources.iter().map(|&t| t.clone()).collect();
-        Ok(Self { sources, free, recorded: Vec::new(), in_flight: VecDeque::new(), bytes })
+        let context = context.clone();
+        Ok(Self { sources, free, recorded: Vec::new(), in_flight: VecDeque::new(), bytes, context })
     }
 
     /// Records the copies into a free slot. Panics if all slots are in flight ([`Readback::is_full`]): free
@@ -82,8 +85,10 @@ impl Readback {
     pub fn submitted(&mut self, submission: &wgpu::SubmissionIndex) {
         for slot in self.recorded.drain(..) {
             let (done, mapped) = oneshot::channel();
-            // If the receiver is gone, the ring was dropped and nobody is left to notify.
-            slot.map_async(wgpu::MapMode::Read, .., move |r| drop(done.send(r)));
+            // If the receiver is gone, the ring was dropped and nobody is left to notify. An error also
+            // reaches the receiver.
+            let notify = move |mapping| drop(done.send(mapping));
+            self.context.unreported(|| slot.map_async(wgpu::MapMode::Read, .., notify));
             self.in_flight.push_back((slot, mapped, submission.clone()));
         }
     }
@@ -94,29 +99,29 @@ impl Readback {
     }
 
     /// Applies `read` to the bytes of the oldest result and returns its value, waiting for the result if
-    /// necessary. `None` if nothing is in flight.
-    pub fn next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
+    /// necessary. `None` if nothing is in flight. Fails if the device is lost. Callbacks of the device's owner
+    /// may run here.
+    pub fn next<T>(&mut self, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
         let Some((_, _, submission)) = self.in_flight.front() else { return Ok(None) };
         // Wait for this submission and no longer: later ones may still be computing.
         let poll = wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: None };
-        context.poll(poll)?;
+        self.context.poll(poll)?;
         let (slot, mapped, _) = self.in_flight.pop_front().expect("the oldest is there");
-        self.take(context, slot, pollster::block_on(mapped), read).map(Some)
+        self.take(slot, pollster::block_on(mapped), read).map(Some)
     }
 
     /// As [`Readback::next`], but without waiting: also `None` if the oldest result has not arrived yet.
-    pub fn try_next<T>(&mut self, context: &Context, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
-        context.poll(wgpu::PollType::Poll)?;
+    pub fn try_next<T>(&mut self, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
+        self.context.poll(wgpu::PollType::Poll)?;
         let Some((_, mapped, _)) = self.in_flight.front_mut() else { return Ok(None) };
         let Some(mapping) = mapped.try_recv().transpose() else { return Ok(None) };
         let (slot, ..) = self.in_flight.pop_front().expect("the oldest is there");
-        self.take(context, slot, mapping, read).map(Some)
+        self.take(slot, mapping, read).map(Some)
     }
 
     /// Applies `read` to the bytes of a mapped slot, which is free afterwards even on failure.
     fn take<T>(
         &mut self,
-        context: &Context,
         slot: wgpu::Buffer,
         mapping: Result<Mapping, Canceled>,
         read: impl FnOnce(&[u8]) -> T,
@@ -124,10 +129,11 @@ impl Readback {
         let mapped = mapping.map_err(|e| e.to_string()).and_then(|mapped| mapped.map_err(|e| e.to_string()));
         let value = mapped.and_then(|()| {
             let value = slot.get_mapped_range(..).map(|view| read(&view[..self.bytes as usize]));
-            slot.unmap();
+            // Fails if the device was lost after the copy arrived.
+            self.context.unreported(|| slot.unmap());
             value.map_err(|e| e.to_string())
         });
         self.free.push(slot);
-        value.map_err(|e| Error::Lost(format!("{}: cannot read back: {e}", context.name())))
+        value.map_err(|e| Error::Lost(format!("{}: cannot read back: {e}", self.context.name())))
     }
 }

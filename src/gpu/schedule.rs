@@ -202,7 +202,10 @@ impl Schedule {
                 steps.next();
                 continue;
             }
-            let mut pass = encoder.begin_compute_pass(&Default::default());
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                label: Some("fnopt"),
+                timestamp_writes: None,
+            });
             while let Some(Step::Dispatch { program, bind_group, params, groups }) =
                 steps.next_if(|s| matches!(s, Step::Dispatch { .. }))
             {

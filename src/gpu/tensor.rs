@@ -243,11 +243,10 @@ impl Tensor {
     /// Reads the whole content, waiting for everything submitted so far. For tests and for the start and end
     /// of a run, not for frames.
     pub fn read<T: bytemuck::Pod>(&self, context: &Context) -> Result<Vec<T>> {
-        // On a lost device the buffer would be invalid, and mapping it panics.
         let mut readback = super::Readback::new(context, &[self], 1)?;
         let submission = context.submit(|encoder| readback.record(encoder));
         readback.submitted(&submission);
-        let content = readback.next(context, bytemuck::pod_collect_to_vec)?;
+        let content = readback.next(bytemuck::pod_collect_to_vec)?;
         Ok(content.expect("one read is under way"))
     }
 

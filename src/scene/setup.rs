@@ -59,9 +59,11 @@ pub struct Batch {
     pub up: Vec<UpAxis>,
 }
 
-/// Maps each point of a field of shape [3, H, W], such as positions or velocities, with `f`.
-fn each_point<T: Float>(field: &[T], f: impl Fn([f64; 3]) -> [f64; 3]) -> Vec<[f64; 3]> {
-    let n = field.len() / 3;
+/// Maps each point of a field of shape [3, H, W], such as positions or velocities, with `f`. Panics if the
+/// field is not that of one cloth on the grid.
+fn each_point<T: Float>(grid: Grid, field: &[T], f: impl Fn([f64; 3]) -> [f64; 3]) -> Vec<[f64; 3]> {
+    let n = grid.particles();
+    assert_eq!(field.len(), 3 * n, "a field of one cloth, [3, H, W]");
     (0..n).map(|p| f([p, n + p, 2 * n + p].map(|k| cast(field[k])))).collect()
 }
 
@@ -120,9 +122,9 @@ impl Setup {
     }
 
     /// Converts positions \[edges\], z up, shape [3, H, W], to vertices \[m\] in the scene's axes, shape
-    /// `[H W]`.
+    /// `[H W]`. Panics if there are not as many as one cloth has.
     pub fn vertices_m<T: Float>(&self, x: &[T]) -> Vec<[f64; 3]> {
-        each_point(x, |p| self.up.from_z_up(self.units.position_m(p)))
+        each_point(self.model.grid, x, |p| self.up.from_z_up(self.units.position_m(p)))
     }
 
     /// Returns the view in which vertices are in metres along the scene's axes, at the end of the frame.
@@ -133,7 +135,7 @@ impl Setup {
     /// Converts velocities [edges / frame], z up, shape [3, H, W], to velocities [m/s] in the scene's axes,
     /// shape `[H W]`.
     pub fn velocities_m_s<T: Float>(&self, v: &[T]) -> Vec<[f64; 3]> {
-        each_point(v, |p| self.up.from_z_up(self.units.velocity_m_s(p)))
+        each_point(self.model.grid, v, |p| self.up.from_z_up(self.units.velocity_m_s(p)))
     }
 
     /// Converts the positions \[m\] and velocities [m/s] of the particles of `grid`, in particle order and

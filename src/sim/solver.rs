@@ -276,8 +276,8 @@ impl Solver {
     }
 
     /// Replaces the cloths' materials, gravity, air, repulsion or handles, ahead of the next submission. Wind
-    /// and accelerations keep their values. If the handles change, a control must set their positions before
-    /// the next frame.
+    /// and accelerations keep their values. If the handles of any cloth change, all handles are held where they
+    /// are, until a control moves them.
     ///
     /// Fails if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a
     /// repulsion although the solver was built without any, which requires a new solver.
@@ -288,13 +288,33 @@ impl Solver {
             return Err(Error::invalid("model", "repulsion", expected, "some"));
         }
         let slots = model.handle_slots();
-        if slots != self.model.handle_slots() {
+        let handles_differ = slots != self.model.handle_slots();
+        if handles_differ {
             self.iterate.slots.write(&self.context, &slots);
             self.targets = self.target_storage.view(0, &[model.handles(), 3]);
         }
         self.cloths.write(&self.context, &ClothParams::all(&model));
         self.model = model;
+        if handles_differ {
+            self.hold_handles();
+        }
         Ok(())
+    }
+
+    /// Copies the positions of the handles to their targets, on the device.
+    fn hold_handles(&self) {
+        let n = self.model.grid.particles();
+        let handles = self.model.cloths.iter().enumerate();
+        let handles = handles.flat_map(|(b, cloth)| cloth.handles.iter().map(move |p| 3 * b * n + p));
+        self.context.submit(|encoder| {
+            for (handle, first) in handles.enumerate() {
+                for c in 0..3 {
+                    let [from, to] = [first + c * n, 3 * handle + c].map(|at| 4 * at as u64);
+                    let (x, targets) = (self.x.buffer(), self.targets.buffer());
+                    encoder.copy_buffer_to_buffer(x, from, targets, self.targets.offset() + to, 4);
+                }
+            }
+        });
     }
 
     /// Replaces the state but keeps the optimizer's memory and the handle targets, ahead of the next
@@ -326,14 +346,16 @@ impl Solver {
     }
 
     /// Records a frame for each control, so that one submission advances them all. Intermediate states are
-    /// not kept. The controls travel with the encoder: submit it before you set or record another one.
+    /// not kept. The controls travel with the encoder, in a buffer of their own: submit it before you set or
+    /// record another one.
     ///
-    /// Panics if a length does not match the model ([`Control::check`]).
-    pub fn record_frames(&self, encoder: &mut wgpu::CommandEncoder, controls: &[Control<f32>]) {
+    /// Fails if there is no memory for the controls, or if the device is lost. Panics if a length does not
+    /// match the model ([`Control::check`]).
+    pub fn record_frames(&self, encoder: &mut wgpu::CommandEncoder, controls: &[Control<f32>]) -> Result<()> {
         let changes: Vec<_> = controls.iter().map(|control| self.changes(control)).collect();
         let contents: Vec<u8> =
             changes.iter().flatten().flat_map(|(_, bytes)| bytes.iter().copied()).collect();
-        let uploads = self.context.upload("controls", &contents);
+        let uploads = self.context.upload("controls", &contents)?;
         let mut from = 0;
         for changes in changes {
             for (tensor, bytes) in changes.iter().filter(|(_, bytes)| !bytes.is_empty()) {
@@ -343,6 +365,7 @@ impl Solver {
             }
             self.record(encoder);
         }
+        Ok(())
     }
 
     /// Returns the tensors that a control changes relative to the controls before it, with their new
@@ -374,6 +397,21 @@ impl Solver {
         Vertices::new(&self.context, self)
     }
 
+    /// Returns the tensors that [`Solver::frame`] reads, for a [`Readback`](crate::gpu::Readback).
+    pub fn frame_tensors(&self) -> [&Tensor; 5] {
+        let [terms, first, last] = self.statistics_tensors();
+        [&self.x, &self.v, terms, first, last]
+    }
+
+    /// Returns the state and the statistics of each cloth in the last frame, from the concatenated contents of
+    /// [`Solver::frame_tensors`]. Panics on contents of another length.
+    pub fn frame(&self, contents: &[u8]) -> (State<f32>, Vec<FrameStats>) {
+        let (x, rest) = contents.split_at(self.x.bytes() as usize);
+        let (v, statistics) = rest.split_at(self.v.bytes() as usize);
+        let [x, v, statistics]: [Vec<f32>; 3] = [x, v, statistics].map(bytemuck::pod_collect_to_vec);
+        (State { x, v }, self.statistics(&statistics))
+    }
+
     /// Returns the tensors that [`Solver::statistics`] reads, in the order in which it expects their
     /// contents.
     pub fn statistics_tensors(&self) -> [&Tensor; 3] {
@@ -382,8 +420,10 @@ impl Solver {
     }
 
     /// Returns the statistics of each cloth in the last frame, from the concatenated contents of
-    /// [`Solver::statistics_tensors`].
+    /// [`Solver::statistics_tensors`]. Panics on contents of another length.
     pub fn statistics(&self, contents: &[f32]) -> Vec<FrameStats> {
+        let len: usize = self.statistics_tensors().map(Tensor::len).iter().sum();
+        assert_eq!(contents.len(), len, "the contents of the tensors of statistics");
         let Grid { h, w } = self.model.grid;
         let edges = ((h - 1) * w + h * (w - 1)) as f64;
         let (terms, ends) = contents.split_at(self.terms.len());
@@ -422,9 +462,11 @@ impl Solver {
         Ok(Iterations { gradient_norms, scales })
     }
 
-    /// Returns the handle positions in `state` [B, 3, n], in the order of [`Control::handles`].
+    /// Returns the handle positions in `state` [B, 3, n], in the order of [`Control::handles`]. Panics if a
+    /// length does not match the model.
     pub fn handles_of(&self, state: &State<f32>) -> Vec<[f32; 3]> {
         let n = self.model.grid.particles();
+        assert_eq!(state.x.len(), 3 * n * self.model.batch(), "[B, 3, H, W]");
         let cloths = self.model.cloths.iter().zip(state.x.chunks_exact(3 * n));
         cloths.flat_map(|(cloth, x)| cloth.handles.iter().map(move |&p| particle(x, n, p))).collect()
     }

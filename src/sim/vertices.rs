@@ -49,6 +49,14 @@ impl Vertices {
         self.view.write_at(&self.context, 16 * b, view.to_rows().as_flattened());
     }
 
+    /// Sets the time of all cloths' views and leaves their transforms, ahead of the next submission: 0 is the
+    /// start of the last frame, 1 its end ([`VertexView::time`]).
+    pub fn set_time(&self, time: f32) {
+        for b in 0..self.view.shape()[0] {
+            self.view.write_at(&self.context, 16 * b + 12, &[time]);
+        }
+    }
+
     /// Records the update of the vertices to the positions present when the encoder runs.
     pub fn record(&self, encoder: &mut wgpu::CommandEncoder) {
         self.schedule.record(encoder);

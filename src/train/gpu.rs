@@ -196,7 +196,7 @@ impl Learner for GpuLearner {
         for batch in batches {
             let state = &mut pools[batch.pool];
             state.readback.submitted(&submission);
-            let outcomes = state.readback.next(context, |bytes| outcomes(bytes, state.loss.batch()))?;
+            let outcomes = state.readback.next(|bytes| outcomes(bytes, state.loss.batch()))?;
             report.outcomes[batch.pool] = outcomes.expect("one read is under way");
         }
         let mut submission = submission;
@@ -211,7 +211,7 @@ impl Learner for GpuLearner {
             });
         }
         self.norm_readback.submitted(&submission);
-        let norm_squared: Option<f32> = self.norm_readback.next(context, bytemuck::pod_read_unaligned)?;
+        let norm_squared: Option<f32> = self.norm_readback.next(bytemuck::pod_read_unaligned)?;
         report.gradient_norm = f64::from(norm_squared.expect("one read is under way")).sqrt();
         if report.is_finite() {
             adamw.set_factors(report.gradient_norm, update.number, (update.rate, update.average));

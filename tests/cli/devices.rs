@@ -75,6 +75,18 @@ fn a_tuning_is_stored_for_its_adapter_and_read_again() {
     }
 }
 
+#[test]
+fn a_tuning_that_cannot_be_stored_is_not_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("file"), "").unwrap();
+    let tune = ["tune", "--adapter", "llvmpipe", "--grid", "8", "--iterations", "1"];
+    let mut command = quiet(folder.path(), &tune);
+    let output = command.env("FNOPT_CACHE", folder.path().join("file/cache")).output().unwrap();
+    let said = text(&output.stderr);
+    assert!(output.status.code() == Some(2) && said.contains("cannot create the folder"), "{said}");
+    assert!(output.stdout.is_empty(), "{}", text(&output.stdout));
+}
+
 /// The software adapter caches next to nothing, but its file is written and read like any other.
 #[test]
 fn pipelines_are_stored_for_their_adapter_and_read_again() {

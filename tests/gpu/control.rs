@@ -28,7 +28,7 @@ fn new_materials_leave_the_wind() {
             solver.set_cloths(&stiffer).unwrap();
             solver.record(&mut encoder);
         } else {
-            solver.record_frames(&mut encoder, std::slice::from_ref(&control));
+            solver.record_frames(&mut encoder, std::slice::from_ref(&control)).unwrap();
             solver.set_cloths(&stiffer).unwrap();
         }
         context().queue.submit([encoder.finish()]);

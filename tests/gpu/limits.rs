@@ -5,11 +5,11 @@ use crate::forward::random;
 use crate::solver::{assert_same, solver, solver_with, starter, statistics, step, varied_batch};
 use fnopt::cloth::{Cloth, Control, Grid, Material, Model, State};
 use fnopt::cpu;
-use fnopt::gpu::{Sharing, Tensor, Tuning};
+use fnopt::gpu::{Readback, Sharing, Tensor, Tuning};
 use fnopt::kernels::optim::{GradientDescent, Iterate};
 use fnopt::network::Config;
 use fnopt::sim::{Optimizer, Solver, SolverOptions};
-use fnopt::{Device, Simulator};
+use fnopt::{Device, Error, Simulator};
 
 /// The network takes as many samples at once as tuning and device allow: single ones, whole cloths, or all.
 #[test]
@@ -125,12 +125,61 @@ fn a_device_that_is_lost_is_an_error() {
     let mut simulator = Simulator::new(&on, &model, &Optimizer::gradient_descent(), 1).unwrap();
     simulator.set_state(&start);
     simulator.step(&control).unwrap();
+    let optimizer = Optimizer::gradient_descent();
+    let options = SolverOptions { iterations: 1, ..Default::default() };
+    let solver = Solver::new(&lost, &model, &optimizer, &options).unwrap();
+    let mut readback = Readback::new(&lost, &solver.frame_tensors(), 2).unwrap();
+    let record = |readback: &mut Readback| {
+        let submission = lost.submit(|encoder| {
+            solver.record(encoder);
+            readback.record(encoder);
+        });
+        readback.submitted(&submission);
+    };
+    // Of two frames in flight, one has arrived.
+    record(&mut readback);
+    record(&mut readback);
+    lost.wait().unwrap();
+    assert!(!lost.is_lost());
+
     lost.device.destroy();
-    // Every further step fails, too.
-    for _ in 0..4 {
-        let error = simulator.step(&control).unwrap_err().to_string();
-        assert!(error.starts_with("device: "), "{error}");
+    assert!(lost.is_lost());
+    let is_lost = |what: &str, error: Option<Error>| match error {
+        Some(Error::Lost(message)) => assert!(message.contains(lost.name()), "{what}: {message}"),
+        other => panic!("{what}: {other:?}"),
+    };
+    // Whatever is asked, and every time.
+    for _ in 0..3 {
+        is_lost("step", simulator.step(&control).err());
+        is_lost("state", simulator.state().err());
+        is_lost("log", solver.iterations_log().err());
+        is_lost("new", Solver::new(&lost, &model, &optimizer, &options).err());
+        is_lost("vertices", solver.vertices().err());
+        is_lost("ring", Readback::new(&lost, &solver.frame_tensors(), 2).err());
+        let mut encoder = lost.device.create_command_encoder(&Default::default());
+        is_lost("frames", solver.record_frames(&mut encoder, std::slice::from_ref(&control)).err());
     }
+    is_lost("frame in flight", readback.next(|_| ()).err());
+    is_lost("frame in flight", readback.try_next(|_| ()).err());
+}
+
+/// Its owner may have callbacks on a device that panic. That is not the loss of the device.
+#[test]
+fn a_panic_in_a_callback_of_the_owner_is_passed_on() {
+    let _turn = device();
+    let own = narrow(128 << 20);
+    let buffer = own.upload("bytes", &[0; 8]).unwrap();
+    let target = own.device.create_buffer(&wgpu::BufferDescriptor {
+        label: None,
+        size: 8,
+        usage: wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::MAP_READ,
+        mapped_at_creation: false,
+    });
+    own.submit(|encoder| encoder.copy_buffer_to_buffer(&buffer, 0, &target, 0, 8));
+    target.map_async(wgpu::MapMode::Read, .., |_| panic!("of the owner"));
+    let panic = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| own.wait())).unwrap_err();
+    assert_eq!(panic.downcast_ref(), Some(&"of the owner"));
+    own.wait().unwrap();
 }
 
 /// Models, networks and tunings that would make kernels read beyond their tensors, or that cannot be

@@ -46,7 +46,8 @@ fn frames_of_cloths_that_repel_themselves_agree_with_the_host() {
         solver.set_state(&start);
         assert_same(&format!("{name} repeats"), &step(&solver, &control).x, &found.x);
         solver.set_state(&start);
-        context().submit(|encoder| solver.record_frames(encoder, &[control.clone(), control.clone()]));
+        context()
+            .submit(|encoder| solver.record_frames(encoder, &[control.clone(), control.clone()]).unwrap());
         assert_same(&format!("{name}, two frames at once"), &read(solver.positions()), &second.x);
     }
 }

@@ -326,7 +326,7 @@ fn frames_of_one_submission_are_those_of_several() {
     for together in [1, 3, 4] {
         solver.set_state(&start);
         for controls in controls.chunks(together) {
-            context().submit(|encoder| solver.record_frames(encoder, controls));
+            context().submit(|encoder| solver.record_frames(encoder, controls).unwrap());
         }
         assert_same("positions", &read(solver.positions()), &apart[3].x);
         assert_same("velocities", &read(solver.velocities()), &apart[3].v);
@@ -340,7 +340,7 @@ fn a_ring_hands_out_frames_in_order_waiting_or_not() {
     let solver = solver(&model, &Optimizer::gradient_descent(), 2, &start);
     let mut readback = Readback::new(context(), &[solver.positions()], 3).unwrap();
     let positions = |bytes: &[u8]| bytemuck::pod_collect_to_vec::<u8, f32>(bytes);
-    assert!(readback.try_next(context(), positions).unwrap().is_none());
+    assert!(readback.try_next(positions).unwrap().is_none());
     let mut dropped = context().device.create_command_encoder(&Default::default());
     readback.record(&mut dropped);
     readback.discard();
@@ -355,17 +355,17 @@ fn a_ring_hands_out_frames_in_order_waiting_or_not() {
     });
     assert!(readback.is_full());
     let mut arrived = || loop {
-        if let Some(frame) = readback.try_next(context(), positions).unwrap() {
+        if let Some(frame) = readback.try_next(positions).unwrap() {
             return frame;
         }
         std::thread::yield_now();
     };
     assert_same("the first frame", &arrived(), &frames[0]);
     assert_same("the second frame", &arrived(), &frames[1]);
-    let last = readback.next(context(), positions).unwrap();
+    let last = readback.next(positions).unwrap();
     assert_same("the last frame", &last.unwrap(), &frames[2]);
     assert!(!readback.is_full());
-    assert!(readback.next(context(), positions).unwrap().is_none());
+    assert!(readback.next(positions).unwrap().is_none());
 }
 
 /// A host may change the state of one cloth, or materials, while the other cloths go on. The bits are those
@@ -478,6 +478,32 @@ fn handles_change_at_any_time() {
             assert!(host == same, "{name} on the host");
         }
     }
+}
+
+/// Targets used to stay those of the handles before, so that a new handle jumped to another's place.
+#[test]
+fn new_handles_stay_where_they_are_until_a_control_moves_them() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let n = model.grid.particles();
+    let mut solver = solver(&model, &Optimizer::gradient_descent(), 1, &start);
+    step(&solver, &control);
+    let mut cloths = model.cloths.clone();
+    for (cloth, handles) in cloths.iter_mut().zip([vec![1, n - 1], vec![n / 2], vec![0, 2, 3]]) {
+        cloth.handles = handles;
+    }
+    solver.set_cloths(&cloths).unwrap();
+    let handles = |solver: &Solver| solver.handles_of(&State { x: read(solver.positions()), v: vec![] });
+    let held = handles(&solver);
+    context().submit(|encoder| solver.record(encoder));
+    assert_eq!(handles(&solver), held);
+    // A change of material leaves the targets of a control that was set before.
+    let moved: Vec<[f32; 3]> = held.iter().map(|p| [p[0], p[1], p[2] + 0.5]).collect();
+    solver.set_control(&Control { handles: moved.clone(), ..Control::default() });
+    cloths[0].material.bend *= 2.0;
+    solver.set_cloths(&cloths).unwrap();
+    context().submit(|encoder| solver.record(encoder));
+    assert_eq!(handles(&solver), moved);
 }
 
 /// A control without wind and forces used to leave those of the previous frame in place.
