@@ -419,3 +419,23 @@ fn cloths_that_cannot_be_drawn_do_not_stop_a_run() {
     }
     assert_eq!(play(&path).0.len(), 1);
 }
+
+/// One panel used to be fitted to what an explosion left of a cloth, in which the frames before it were dots.
+#[test]
+fn the_camera_stays_with_the_cloth_when_it_explodes() {
+    let options = StripOptions { height: 64, ..StripOptions::default() };
+    let with = |last: f32| {
+        let mut trajectory = waving(GRID, 7);
+        let frame: Vec<[f32; 3]> = trajectory.frame(6).iter().map(|p| p.map(|c| last * c)).collect();
+        trajectory.push(&frame, &[[0.0; 3]; 108]);
+        strip(&trajectory, &[0, 107], &options)
+    };
+    let [whole, exploded] = [1.0, 1e3].map(with);
+    assert_eq!(whole.width, exploded.width);
+    let first = |image: &Image| {
+        let rows = image.pixels.chunks_exact(image.width);
+        rows.flat_map(|row| row[..image.width / 8].to_vec()).collect::<Vec<_>>()
+    };
+    assert!(first(&whole) == first(&exploded), "the camera has moved");
+    assert!(whole.pixels != exploded.pixels);
+}

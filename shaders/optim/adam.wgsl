@@ -20,6 +20,10 @@ struct Params {
     epsilon: f32,
     correction1: f32, // 1 / (1 - beta1^t)
     correction2: f32, // 1 / (1 - beta2^t)
+    weight1: f32, // 1 - beta1
+    weight2: f32, // 1 - beta2
+    pad0: u32,
+    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -41,7 +45,7 @@ fn adam(
     let g = grad[at];
     let beta = vec2f(params.beta1, params.beta2);
     let before = select(moments[at], vec2f(), params.first != 0u);
-    let now = beta * before + (1.0 - beta) * vec2f(g, g * g);
+    let now = beta * before + vec2f(params.weight1, params.weight2) * vec2f(g, g * g);
     moments[at] = now;
     let denominator = sqrt(now.y * params.correction2) + params.epsilon;
     a[at] -= params.rate * now.x * params.correction1 / denominator;

@@ -410,7 +410,7 @@ impl<'a> Run<'a> {
             "weights_crc32": checksum_of_weights(self.optimizer),
             "device": self.device,
             "status": status,
-            "sound": self.is_sound(),
+            "sound": status != Status::NonFinite && self.is_sound(),
             "stretch_largest_free": self.largest_free_stretch,
             "files": names(written).chain([REPORT.into()]).collect::<Vec<_>>(),
             "frames": self.trajectory.frames(),
@@ -430,7 +430,8 @@ impl<'a> Run<'a> {
             let summary = serde_json::json!({
                 "device": self.device, "status": status, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
                 "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch,
-                "stretch_largest_free": self.largest_free_stretch, "sound": self.is_sound(), "written": written,
+                "stretch_largest_free": self.largest_free_stretch,
+                "sound": status != Status::NonFinite && self.is_sound(), "written": written,
             });
             writeln!(out, "{summary:#}")?;
             return Ok(());

@@ -175,6 +175,18 @@ impl<T: Real> Objective<T> {
         }
     }
 
+    /// Returns |dL/da| over the free particles of cloth 0 at the end of the frame, driven by `control`, that
+    /// led from `before` to `after`.
+    pub fn gradient_at_end(&mut self, before: &State<T>, after: &State<T>, control: &Control<T>) -> f64 {
+        self.begin_frame(before, control);
+        for (a, (&after, &before)) in self.trial.a.iter_mut().zip(after.v.iter().zip(&before.v)) {
+            *a = after - before;
+        }
+        self.settle_handles();
+        self.evaluate(before, control);
+        self.norms[..3].iter().map(|norm| norm * norm).sum::<f64>().sqrt()
+    }
+
     /// Returns the energy terms of cloth `b` at the current trial.
     pub fn energy(&self, state: &State<T>, b: usize) -> EnergyTerms {
         let trial = self.trial.cloth(state, b);

@@ -155,6 +155,10 @@ impl Reference {
         (state, control): (&State<f64>, &Control<f64>),
     ) -> Option<f64> {
         let slope = dot(grad, &self.history.direction);
+        if slope <= 0.0 {
+            // Rounding has turned the direction uphill.
+            return None;
+        }
         let before = self.objective.trial.a.clone();
         let mut length = 1.0;
         for _ in 0..HALVINGS {
@@ -205,7 +209,12 @@ impl Track {
         let (mut state, mut frames, mut probes) = (start, Vec::new(), Vec::new());
         let still = vec![0.0; state.x.len()];
         for (frame, control) in controls.into_iter().enumerate() {
-            frames.push((state.cast(), control.cast()));
+            // The optimizers get a frame in single precision, and the energies belong to that very frame: in a
+            // cloth at rest, rounding its state changes them as much as an optimizer does.
+            let (single, control) = (state.cast::<f32>(), control.cast::<f32>());
+            state = single.cast();
+            frames.push((single, control.clone()));
+            let control = control.cast::<f64>();
             let nothing = reference.energy(&state, &control, &still);
             let minimum = reference.minimise(&state, &control, &still);
             if minimum.converged && nothing > minimum.energy {

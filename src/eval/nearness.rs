@@ -1,7 +1,7 @@
 //! How near the layers of a cloth come to each other: the paper's repulsion energy as a measure (sections 3.4
 //! and 6.1).
 
-use super::resampling::{Resampling, coarse};
+use super::resampling::{Resampling, of_coarse_rows};
 use crate::cloth::{Grid, Repulsion};
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
@@ -33,7 +33,7 @@ pub fn repulsion(points: &[[f64; 3]], faces: &[[u32; 3]], delta: f64) -> f64 {
 
 /// The repulsion measure on a grid. As in the authors' evaluation, frames are resampled to a grid of 32 rows,
 /// whose edges are the unit of length: on a finer grid, particles are closer than the repulsion distance in
-/// any fold.
+/// any fold, and on a coarser one there are few of them.
 pub(super) struct LayerProximity {
     resampling: Resampling,
     faces: Vec<[u32; 3]>,
@@ -43,7 +43,7 @@ pub(super) struct LayerProximity {
 impl LayerProximity {
     /// Prepares the measure for a sheet on a grid with this side along the height \[m\].
     pub fn new(grid: Grid, side_m: f64) -> Self {
-        let coarse = coarse(grid);
+        let coarse = of_coarse_rows(grid);
         Self { resampling: Resampling::new(grid, coarse), faces: coarse.faces(), unit_m: side_m / EDGES }
     }
 

@@ -56,7 +56,7 @@ pub struct OverRepeats {
     pub e_3d: Option<[f64; 2]>,
     /// Time of a frame \[ms\].
     pub ms_per_frame: Option<[f64; 2]>,
-    /// |dL/da| at the last iteration (grid units).
+    /// |dL/da| at the end of a frame (grid units).
     pub gradient: Option<[f64; 2]>,
     /// Largest `|edge| - 1` of the edges away from handles.
     pub stretch_largest: Option<[f64; 2]>,

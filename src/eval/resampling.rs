@@ -6,12 +6,14 @@ use crate::cloth::{Grid, MIN_GRID};
 /// paper's training.
 const COARSE_ROWS: usize = 32;
 
-/// Returns the grid on which `interpolation` computes the accelerations for another, and on which repulsion
-/// is measured: of the same shape with 32 rows, or `grid` itself if it has no more rows.
+/// Returns the grid on which `interpolation` computes the accelerations for another: of the same shape with 32
+/// rows, or `grid` itself if it has no more rows.
 pub fn coarse(grid: Grid) -> Grid {
-    if grid.h <= COARSE_ROWS {
-        return grid;
-    }
+    if grid.h <= COARSE_ROWS { grid } else { of_coarse_rows(grid) }
+}
+
+/// Returns the grid of the same shape with 32 rows, on which repulsion is measured.
+pub(super) fn of_coarse_rows(grid: Grid) -> Grid {
     let edges = (grid.w - 1) as f64 * (COARSE_ROWS - 1) as f64 / (grid.h - 1) as f64;
     Grid { h: COARSE_ROWS, w: (edges.round() as usize + 1).max(MIN_GRID) }
 }

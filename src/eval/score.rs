@@ -6,6 +6,7 @@ use super::physics::Physics;
 use super::resampling::{Resampling, coarse};
 use super::{Conditions, FreeEdges, Nudge, Sequence, median_time};
 use crate::cloth::{EnergyTerms, Grid};
+use crate::cpu::Objective;
 use crate::io::Trajectory;
 use crate::scene::{Scene, Setup};
 use crate::sim::{FrameStats, Optimizer};
@@ -118,7 +119,7 @@ pub struct Score {
     pub energy: Option<f64>,
     /// Means over the frames of its terms (grid units).
     pub energy_terms: Option<EnergyTerms>,
-    /// Mean over the frames of |dL/da| at the last iteration (grid units).
+    /// Mean over the frames of |dL/da| at their end (grid units).
     pub gradient: Option<f64>,
     /// Largest `|edge| - 1` of the edges away from handles.
     pub stretch_largest: Option<f64>,
@@ -192,6 +193,8 @@ pub(super) fn keep(path: &Path, score: &impl serde::Serialize) -> Result<()> {
 pub(super) struct Simulated {
     pub trajectory: Trajectory,
     pub stats: Vec<FrameStats>,
+    /// |dL/da| at the end of each frame, in the state that the optimizer left in single precision.
+    pub gradients: Vec<f64>,
     pub times_ms: Vec<f64>,
     pub stretch_largest: f64,
     pub stable: bool,
@@ -249,7 +252,8 @@ pub fn run(
             score.energy = Some(mean(&|s| s.energy.total()));
             let term = |k: usize| mean(&|s| s.energy.to_array()[k]);
             score.energy_terms = Some(EnergyTerms::from_array([0, 1, 2, 3, 4, 5].map(term)));
-            score.gradient = Some(mean(&|s| s.gradient_last));
+            let gradients = &simulated.gradients;
+            score.gradient = Some(gradients.iter().sum::<f64>() / gradients.len() as f64);
             score.stretch_largest = Some(simulated.stretch_largest);
             score.stretch_mean = Some(mean(&|s| s.stretch_mean));
         }
@@ -327,9 +331,12 @@ pub(super) fn simulate(
     let mut simulator = Simulator::new(device, &setup.model, &entry.optimizer, entry.iterations)?;
     simulator.set_state(&setup.start.cast());
     let edges = FreeEdges::new(&setup.model, 0);
+    let mut objective = Objective::<f64>::new(&setup.model);
+    let mut before = setup.start.cast::<f32>().cast();
     let mut done = Simulated {
         trajectory: setup.trajectory()?,
         stats: Vec::new(),
+        gradients: Vec::new(),
         times_ms: Vec::new(),
         stretch_largest: 0.0,
         stable: true,
@@ -340,6 +347,10 @@ pub(super) fn simulate(
         let state = &frame.state;
         setup.push(&mut done.trajectory, state);
         done.stats.push(frame.stats[0]);
+        let after = state.cast();
+        let control = setup.control::<f32>(frame.index).cast();
+        done.gradients.push(objective.gradient_at_end(&before, &after, &control));
+        before = after;
         done.times_ms.push(frame.wall.as_secs_f64() * 1e3);
         done.stretch_largest = edges.largest(&state.x).max(done.stretch_largest);
         done.stable = done.stretch_largest < DIVERGED;

@@ -19,7 +19,7 @@ struct Figure {
 const FIGURES: [Figure; 4] = [
     Figure { title: "e_CD x 10^3 [m^2]", of: |s| s.e_cd, factor: 1e3, digits: 2 },
     Figure { title: "e_3D x 10^2", of: |s| s.e_3d, factor: 1e2, digits: 2 },
-    Figure { title: "|dL/da| in the last iteration x 10^3", of: |s| s.gradient, factor: 1e3, digits: 3 },
+    Figure { title: "|dL/da| at the end of the frame x 10^3", of: |s| s.gradient, factor: 1e3, digits: 3 },
     Figure {
         title: "largest stretch away from handles x 10^2",
         of: |s| s.stretch_largest,

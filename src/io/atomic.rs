@@ -4,7 +4,7 @@ use crate::{Error, Result};
 use std::{
     fs::File,
     io::{self, BufWriter, Write},
-    path::Path,
+    path::{Path, PathBuf},
 };
 
 /// Prefix of the name of a file that is not completely written yet.
@@ -31,8 +31,7 @@ pub(crate) fn replace(
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
     let path = path.as_ref();
-    // Replace the target of a link, not the link.
-    let target = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let target = target_of(path);
     let written = (|| {
         if is_stream(path) {
             let mut writer = BufWriter::new(File::options().append(true).open(path)?);
@@ -45,6 +44,10 @@ pub(crate) fn replace(
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let (file, temporary) = builder.tempfile_in(folder_of(&target))?.into_parts();
+        // A file that its owner has made private stays so.
+        if let Ok(before) = target.metadata() {
+            file.set_permissions(before.permissions())?;
+        }
         let mut writer = BufWriter::with_capacity(1 << 16, file);
         fill(&mut writer)?;
         writer.flush()?;
@@ -54,6 +57,22 @@ pub(crate) fn replace(
         temporary.persist(&target).map_err(|e| e.error)
     })();
     written.map_err(|e| Error::io(path, "cannot write", e))
+}
+
+/// Returns the file to replace: the target of a link instead of the link, even if it does not exist yet.
+fn target_of(path: &Path) -> PathBuf {
+    let mut target = path.to_owned();
+    // A system follows as many links at most.
+    for _ in 0..40 {
+        if let Ok(found) = std::fs::canonicalize(&target) {
+            return found;
+        }
+        match std::fs::read_link(&target) {
+            Ok(next) => target = folder_of(&target).join(next),
+            Err(_) => break,
+        }
+    }
+    target
 }
 
 /// Returns whether `path` must be written to directly, because no other file can replace it: a device, a
@@ -100,6 +119,10 @@ mod tests {
         write_atomic(dir.path().join("atomic"), |_| Ok(())).unwrap();
         let mode = |n: &str| std::fs::metadata(dir.path().join(n)).unwrap().permissions().mode();
         assert_eq!(mode("atomic"), mode("plain"));
+        let private = std::fs::Permissions::from_mode(0o600);
+        std::fs::set_permissions(dir.path().join("atomic"), private).unwrap();
+        write_atomic(dir.path().join("atomic"), |_| Ok(())).unwrap();
+        assert_eq!(mode("atomic") & 0o777, 0o600);
     }
 
     /// Both used to be replaced by a regular file.
@@ -112,6 +135,12 @@ mod tests {
         std::os::unix::fs::symlink("file", &link).unwrap();
         write_atomic(&link, |w| w.write_all(b"after")).unwrap();
         assert_eq!(std::fs::read(&file).unwrap(), b"after");
+        assert!(link.symlink_metadata().unwrap().is_symlink());
+
+        // The target may not exist yet.
+        std::fs::remove_file(&file).unwrap();
+        write_atomic(&link, |w| w.write_all(b"again")).unwrap();
+        assert_eq!(std::fs::read(&file).unwrap(), b"again");
         assert!(link.symlink_metadata().unwrap().is_symlink());
 
         assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());

@@ -43,17 +43,25 @@ impl<T: Float + FromStr> Polygons<T> {
         let mut found = Self { origin: origin.to_owned(), positions: Vec::new(), faces: Vec::new() };
         // Some programs write a byte-order mark.
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-        let mut continued = Vec::new();
+        let (mut joined, mut is_joined, mut is_comment) = (Vec::new(), false, false);
         for (k, line) in bytes.split(|&b| b == b'\n').enumerate() {
-            // A backslash at the end of a line joins it to the next one.
             let line = line.strip_suffix(b"\r").unwrap_or(line);
-            let line = [std::mem::take(&mut continued), line.to_vec()].concat();
-            if let Some(begin) = line.strip_suffix(b"\\").filter(|begin| !begin.contains(&b'#')) {
-                continued = [begin, b" "].concat();
+            if !std::mem::take(&mut is_joined) {
+                joined.clear();
+                is_comment = false;
+            }
+            joined.extend_from_slice(line);
+            is_comment |= line.contains(&b'#');
+            // A backslash at the end of a line joins it to the next one.
+            if line.ends_with(b"\\") && !is_comment {
+                joined.pop();
+                joined.push(b' ');
+                is_joined = true;
                 continue;
             }
+            let line = &joined[..];
             // Comments and material names may be in any encoding; everything else is ASCII.
-            let line = String::from_utf8_lossy(&line);
+            let line = String::from_utf8_lossy(line);
             let line = line.split('#').next().unwrap_or_default();
             let mut words = line.split_ascii_whitespace();
             let (understood, expected) = match words.next() {

@@ -1,5 +1,6 @@
 //! The frames of a run.
 
+use super::atomic::UNFINISHED;
 use super::{Format, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
 use crate::{Error, Result, cloth::Grid, memory};
 use ndarray::ArrayView3;
@@ -150,18 +151,28 @@ impl Trajectory {
     }
 
     fn write_frames(&self, folder: PathBuf, format: Format) -> Result<PathBuf> {
+        let name = |f: usize| format!("{f:05}.{format}");
+        std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, "cannot create the folder", e))?;
+        // Frames of two runs in one folder would be read as one sequence, so none is in its place before all
+        // are written.
+        let unfinished = tempfile::Builder::new().prefix(UNFINISHED).tempdir_in(&folder);
+        let unfinished = unfinished.map_err(|e| Error::io(&folder, "cannot create a folder", e))?;
         (0..self.frames()).into_par_iter().try_for_each(|f| {
-            write_atomic(folder.join(format!("{f:05}.{format}")), |w| match format {
+            write_atomic(unfinished.path().join(name(f)), |w| match format {
                 Format::Ply => ply::write(self.grid, self.frame(f), w),
                 _ => obj::write(self.grid, self.frame(f), w),
             })
         })?;
-        // Remove only names that a longer run would have written: `7.obj` belongs to the user.
-        let of_a_run = |(f, path): &(usize, PathBuf)| {
-            *f >= self.frames() && path.file_stem().is_some_and(|stem| *stem == *format!("{f:05}"))
-        };
-        for (_, path) in frame_files(&folder, format)?.into_iter().filter(of_a_run) {
-            super::remove(&path)?;
+        // Remove only names that a run would have written: `7.obj` belongs to the user.
+        for (f, path) in frame_files(&folder, format)? {
+            if path.file_name().is_some_and(|found| *found == *name(f)) {
+                super::remove(&path)?;
+            }
+        }
+        for f in 0..self.frames() {
+            let to = folder.join(name(f));
+            std::fs::rename(unfinished.path().join(name(f)), &to)
+                .map_err(|e| Error::io(&to, "cannot write", e))?;
         }
         Ok(folder)
     }

@@ -56,7 +56,8 @@ pub fn write_gif(
     assert!((1..=4096).contains(&options.size), "an animation is 1 to 4096 pixels wide");
     assert!(options.max_fps > 0.0 && options.most > 0, "an animation has frames");
     let stage = Stage::new(trajectory, handles, &options.view, Size::Fixed(options.size, options.size), 2);
-    let every = (trajectory.fps() / options.max_fps).ceil().max(1.0) as usize;
+    // A rate slightly above the limit, such as that of a frame time of 0.0333 s, counts as the limit.
+    let every = (trajectory.fps() / options.max_fps - 0.05).ceil().max(1.0) as usize;
     let every = every.max(trajectory.frames().div_ceil(options.most));
     let shown: Vec<usize> = (0..trajectory.frames()).step_by(every).collect();
     let draw = |&frame: &usize| stage.draw(trajectory.frame(frame));

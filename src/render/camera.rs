@@ -31,9 +31,11 @@ const OBLIQUE: f32 = 38.0;
 /// Angle of the eye above the horizon for a cloth that hangs, and the amount added for a cloth that lies
 /// \[degrees\].
 const ELEVATION: [f32; 2] = [14.0, 18.0];
-/// Coordinates beyond this \[sizes of the cloth\] mean that the cloth has exploded; they are treated like
-/// non-finite ones.
+/// Coordinates beyond this \[sizes of the cloth\] are treated like non-finite ones.
 const FAR: f32 = 1e4;
+/// A frame with a larger extent \[sizes of the cloth\] shows a cloth that has exploded. The camera does not
+/// move back for it, so that the frames before it can be seen.
+const EXPLODED: f32 = 10.0;
 
 /// The unit in which a trajectory is drawn: the cloth of its first frame is around the origin, and its largest
 /// extent is 1. Pictures therefore do not depend on where a cloth is and how large.
@@ -60,6 +62,13 @@ impl Unit {
     pub fn of(&self, positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
         positions.iter().map(|&p| ((Vec3::from(p) - self.centre) / self.size).to_array()).collect()
     }
+}
+
+/// Whether the cloth is in one piece in a frame, of which unusable vertices are left out.
+pub(super) fn is_whole(frame: &[[f32; 3]]) -> bool {
+    let points = || frame.iter().filter(|p| usable(p)).map(|&p| Vec3::from(p));
+    let (low, high) = points().fold((Vec3::MAX, Vec3::MIN), |(low, high), p| (low.min(p), high.max(p)));
+    (high - low).max_element() <= EXPLODED
 }
 
 /// Whether a vertex can be drawn.
@@ -91,9 +100,13 @@ pub(super) struct Camera {
 }
 
 impl Camera {
-    /// Returns the picture coordinates of a point \[px\], y down, and its distance in front of the eye.
+    /// Returns the picture coordinates of a point \[px\], y down, and its distance in front of the eye; NaN if
+    /// it is not in front.
     pub fn project(&self, p: Vec3) -> Vec3 {
         let q = self.rotation * p - self.eye;
+        if q.z >= 0.0 {
+            return Vec3::NAN;
+        }
         let scale = self.focal / -q.z;
         vec3(self.centre[0] + scale * q.x, self.centre[1] - scale * q.y, -q.z)
     }

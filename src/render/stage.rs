@@ -2,7 +2,7 @@
 
 use super::{
     Image, View,
-    camera::{Camera, Unit, place, range, usable},
+    camera::{Camera, Unit, is_whole, place, range, usable},
     look::Look,
     shade::{self, Lights},
     shadow::{self, Shadow},
@@ -65,7 +65,7 @@ impl Stage {
         let first: &[[f32; 3]] = if trajectory.frames() > 0 { trajectory.frame(0) } else { &[] };
         let unit = Unit::new(first);
         let frames = (0..trajectory.frames()).map(|f| unit.of(trajectory.frame(f)));
-        let all = frames.flatten().filter(usable);
+        let all = frames.filter(|frame| is_whole(frame)).flatten().filter(usable);
         let (low, high) = range(all.clone().map(|p| up.dot(Vec3::from(p))));
         let floor = low - FLOOR * (high - low);
         let on_floor = |p: Vec3| p + up * (floor - up.dot(p));

@@ -38,8 +38,14 @@ impl Scene {
         let path = path.as_ref();
         let bytes = io::read_bytes(path)?;
         let origin = path.display().to_string();
-        let text = std::str::from_utf8(&bytes)
-            .map_err(|e| Error::invalid(&origin, "text", "UTF-8", format!("byte {}", e.valid_up_to())))?;
+        let text = std::str::from_utf8(&bytes).map_err(|e| {
+            let found = match bytes.first_chunk() {
+                // Of its byte-order mark; a Windows shell writes it.
+                Some([0xff, 0xfe] | [0xfe, 0xff]) => "UTF-16".into(),
+                _ => format!("byte {}", e.valid_up_to()),
+            };
+            Error::invalid(&origin, "text", "UTF-8", found)
+        })?;
         // An absolute folder keeps the paths of the scene valid if it is saved elsewhere.
         let folder = path.parent().unwrap_or(Path::new(""));
         let folder =
@@ -251,6 +257,9 @@ fn read_start(node: &Node, folder: &Path) -> Result<Start> {
         node.deny_unknown(&["vertices", "grid"])?;
         let grid = node.get("grid").ok_or_else(|| node.invalid("a \"grid\" next to \"vertices\""))?;
         return Ok(Start::Vertices(read_grid(&grid)?, read_points(&vertices)?));
+    }
+    if !node.value.is_object() {
+        return Err(node.invalid("a start's name, a path, or an object with a \"file\" or \"vertices\""));
     }
     node.deny_unknown(&["file", "grid", "transform"])?;
     let file = node.get("file").ok_or_else(|| node.invalid("a name, a path or {\"file\": path, ..}"))?;

@@ -282,6 +282,7 @@ impl Scene {
             up: self.up,
         };
         self.check_finite(&setup)?;
+        self.warn_if_air_is_stiff(&setup);
         let farthest = setup.start.x.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         if farthest * f64::from(f32::EPSILON) > COARSEST {
             let away = farthest * units.length_m;
@@ -292,6 +293,22 @@ impl Scene {
             );
         }
         Ok(setup)
+    }
+
+    /// Warns if the wind would move a free sheet faster than itself within a frame. The drag is evaluated once
+    /// per frame, so the cloth then swings back and forth ever more.
+    fn warn_if_air_is_stiff(&self, setup: &Setup) {
+        let air = setup.model.cloths[0].air;
+        let speed = norm(setup.wind);
+        let share = air.density * speed + air.drag;
+        if speed > 0.0 && share > 1.0 {
+            tracing::warn!(
+                "{}: wind: its drag, evaluated once per frame, is {share:.1} times what is stable at {:.0} m/s: take a frame_time_s \
+                 that is that much shorter",
+                self.origin,
+                norm(self.wind.velocity)
+            );
+        }
     }
 
     /// Warns if the start's edges are not about as long as the sheet's. The usual mistake is a wrong unit or
@@ -383,11 +400,12 @@ impl Scene {
             ("material", material.into_iter().all(single)),
             ("gravity", cloth.gravity.into_iter().all(single)),
             ("wind", wind.into_iter().all(single)),
+            // Before the start, in which the handles are already where the motion begins.
+            ("motion", setup.handles.iter().flatten().flatten().all(|&v| single(v))),
             (
                 "start",
                 setup.start.x.iter().chain(&setup.start.v).chain(start.as_flattened()).all(|&v| single(v)),
             ),
-            ("motion", setup.handles.iter().flatten().flatten().all(|&v| single(v))),
         ];
         match fields.iter().find(|(_, finite)| !finite) {
             None => Ok(()),
@@ -420,7 +438,12 @@ impl Scene {
         self.side_m = super::Side::Height(self.side_m.height());
         // A recording has a row for each handle.
         let recorded = matches!(self.motion, Motion::File(_) | Motion::Rows(_));
-        self.handles = Handles::regrid(&self.handles, old, grid, !recorded);
+        let handles = Handles::regrid(&self.handles, old, grid, !recorded);
+        if recorded && self.handles.on(old, &self.origin).is_ok() && handles.on(grid, &self.origin).is_err() {
+            let expected = "a grid on which each handle of the recorded motion has a particle of its own";
+            return Err(Error::invalid(&self.origin, "grid", expected, grid));
+        }
+        self.handles = handles;
         if let super::Start::File(file) = &mut self.start {
             file.grid.get_or_insert(old);
         }

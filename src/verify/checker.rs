@@ -66,8 +66,13 @@ impl Checker<'_> {
     /// Compares by the norm of the error, relative to the norm of the array.
     pub fn in_norm(&mut self, array: &str, expected: &[f64], found: &[f64], tolerance: f64) {
         let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
-        let error = norm(&mut expected.iter().zip(found).map(|(e, f)| f - e));
-        let relative = ratio(error, norm(&mut expected.iter().copied()));
+        let relative = match expected.len() == found.len() {
+            true => {
+                let error = norm(&mut expected.iter().zip(found).map(|(e, f)| f - e));
+                ratio(error, norm(&mut expected.iter().copied()))
+            }
+            false => f64::INFINITY,
+        };
         self.compared(array, (largest_error(expected, found), relative), tolerance);
     }
 
@@ -103,4 +108,29 @@ pub(super) fn largest_error(expected: &[f64], found: &[f64]) -> f64 {
 
 fn ratio(error: f64, scale: f64) -> f64 {
     if error == 0.0 { 0.0 } else { error / scale }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{CpuStages, Finding};
+    use super::*;
+
+    #[test]
+    fn results_of_another_length_do_not_pass() {
+        let mut outcomes = Vec::new();
+        let mut report = |check: Check| {
+            let Finding::Comparison { relative, .. } = check.finding else { panic!("{check}") };
+            outcomes.push((check.outcome, relative));
+        };
+        let mut stages = CpuStages::<f64>::new();
+        let mut checker =
+            Checker { file: "energy", folder: Path::new("."), stages: &mut stages, report: &mut report };
+        checker.in_norm("gradient", &[1.0, 2.0], &[1.0, 2.0], 1e-9);
+        for found in [&[1.0][..], &[], &[1.0, 2.0, 3.0]] {
+            checker.in_norm("gradient", &[1.0, 2.0], found, 1e-9);
+            checker.magnitude("total", &[1.0, 2.0], found, 1e-9);
+        }
+        let bad = (Outcome::Failed, f64::INFINITY);
+        assert_eq!(outcomes, [vec![(Outcome::Passed, 0.0)], vec![bad; 6]].concat());
+    }
 }

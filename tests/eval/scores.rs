@@ -133,6 +133,9 @@ fn repulsion_is_judged_on_the_grid_of_the_paper() {
     let [coarse, fine] = [32, 63].map(|n| folded(n).unwrap());
     assert!(coarse[0] > 1.0 && coarse[1] == 1.0);
     assert!((fine[0] / coarse[0] - 1.0).abs() < 1e-3, "{} and {}", fine[0], coarse[0]);
+    // A sheet of fewer rows is measured on as many.
+    let few = folded(16).unwrap();
+    assert!((few[0] / coarse[0] - 1.0).abs() < 0.2, "{} and {}", few[0], coarse[0]);
 }
 
 /// Repulsion is measured in rest lengths, whatever the first frame looks like. There the corners are handles,

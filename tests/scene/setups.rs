@@ -207,9 +207,12 @@ fn handles_that_fall_on_one_particle_merge_unless_a_recording_moves_them() {
     let rows = vec![vec![[0.0; 3]; 32]; 2];
     let mut scene =
         Scene { handles: Handles::Cells(row(32)), motion: Motion::Rows(rows), ..Scene::default() };
-    scene.regrid(Grid { h: 16, w: 16 }).unwrap();
-    let error = scene.setup().unwrap_err().to_string();
-    assert!(error.contains("not yet listed"), "{error}");
+    let error = scene.regrid(Grid { h: 16, w: 16 }).unwrap_err().to_string();
+    assert!(
+        error.contains("grid: expected a grid on which each handle") && error.ends_with("16x16"),
+        "{error}"
+    );
+    assert_eq!(scene.handles, Handles::Cells(row(32)));
 }
 
 #[test]
@@ -283,14 +286,17 @@ fn metres_go_into_a_control_and_come_back() {
     for up in [UpAxis::Y, UpAxis::Z] {
         let setup = Scene { up, side_m: Side::Height(2.5), ..Scene::default() }.setup().unwrap();
         let at = [0.3, -1.7, 4.25];
+        let n = setup.model.grid.particles();
+        // The same at every particle.
+        let field = |point: [f64; 3]| point.iter().flat_map(|&c| vec![c; n]).collect::<Vec<_>>();
         let handle: [f64; 3] = setup.handle_at(at);
-        assert!(distance(setup.vertices_m(&handle)[0], at) < 1e-12);
+        assert!(distance(setup.vertices_m(&field(handle))[7], at) < 1e-12);
         let gravity: [f64; 3] = setup.acceleration_of(Scene { up, ..Scene::default() }.gravity);
         assert_eq!(gravity, setup.model.cloths[0].gravity);
         let wind: [f64; 3] = setup.wind_of(at);
-        assert!(distance(setup.velocities_m_s(&wind)[0], at) < 1e-12);
+        assert!(distance(setup.velocities_m_s(&field(wind))[7], at) < 1e-12);
         // A handle of the start converts to its position in the start.
-        let (p, n) = (setup.model.cloths[0].handles[0], setup.model.grid.particles());
+        let p = setup.model.cloths[0].handles[0];
         let there = [0, 1, 2].map(|c| setup.start.x[c * n + p]);
         assert!(distance(setup.handle_at(setup.vertices_m(&setup.start.x)[p]), there) < 1e-9);
     }

@@ -110,7 +110,7 @@ pub struct Args {
     ])]
     suite: Option<String>,
     /// Omit the energy gap from a suite; its converged simulation takes most of the time
-    #[arg(long, requires = "suite")]
+    #[arg(long)]
     no_gap: bool,
     /// Write the scores as JSON to FILE or, without FILE, print them in place of the tables
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
@@ -140,6 +140,10 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     }
     let settings = args.settings()?;
     let suite = args.suite.as_deref().map(|name| Suite::named(name, "--suite")).transpose()?;
+    if args.no_gap && suite.is_none() {
+        // The parser lets it pass beside an option that conflicts with --suite.
+        return Err(Error::invalid("--no-gap", "option", "--suite beside it", "none").into());
+    }
     let entries = args.entries(suite)?;
     let grids = grids(args.grid.as_deref().unwrap_or(&["32".into()]))?;
     if let Some(suite) = suite {

@@ -267,7 +267,8 @@ impl<T: Real> WithSimd for ParticleRow<'_, '_, T> {
             edges(above, NEXT_HORIZONTAL),
         ];
         let (a, f) = (&trial.a[row * w..][..w], &trial.f[row * w..][..w]);
-        let inertia = T::of(trial.grid.mass(i, 1) / (h * w) as f64);
+        // Twice that of a particle at the end of the row, as is the mass of the others.
+        let inertia = T::of(2.0 * trial.grid.mass(i, 0) / (h * w) as f64);
         let factor = T::splat(simd, inertia);
         for k in 0..w.div_ceil(width::<T, S>()) {
             let place = k * width::<T, S>();

@@ -37,6 +37,7 @@ impl<T: Real> Minimizer<T> for Adam<T> {
         let root = (1.0 - beta2.powi(*steps)).sqrt().recip();
         Arch::new().dispatch(Step {
             betas: [beta1, beta2].map(T::of),
+            weights: [beta1, beta2].map(|beta| T::of(1.0 - beta)),
             rate: T::of(rate / (1.0 - beta1.powi(*steps))),
             root: T::of(root),
             epsilon: T::of(epsilon),
@@ -51,6 +52,8 @@ impl<T: Real> Minimizer<T> for Adam<T> {
 /// One step for all unknowns, one register at a time.
 struct Step<'a, T> {
     betas: [T; 2],
+    /// 1 - beta, which single precision would make too large by 5e-5 of itself.
+    weights: [T; 2],
     /// The rate, with the bias correction of the mean.
     rate: T,
     /// The bias correction of the root mean square.
@@ -67,8 +70,9 @@ impl<T: Real> WithSimd for Step<'_, T> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { betas: [beta1, beta2], rate, root, epsilon, grad, mean, square, a } = self;
-        let [new1, new2] = [T::splat(simd, T::one() - beta1), T::splat(simd, T::one() - beta2)];
+        let Self { betas: [beta1, beta2], weights: [new1, new2], rate, root, epsilon, grad, mean, square, a } =
+            self;
+        let [new1, new2] = [T::splat(simd, new1), T::splat(simd, new2)];
         let [beta1, beta2] = [T::splat(simd, beta1), T::splat(simd, beta2)];
         let [rate, root, epsilon] = [T::splat(simd, rate), T::splat(simd, root), T::splat(simd, epsilon)];
         let mut place = 0;
