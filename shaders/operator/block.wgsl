@@ -272,10 +272,12 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         }
     }
 #else
-    // Memory holds the workgroup's part of y, [DEEP, tile, Q]. An odd stride in quads spreads the same quad
-    // of different channels over the banks.
+    // Memory holds the workgroup's part of y, [DEEP, tile / 4, 4, Q]. The strides are odd, so that the lanes
+    // that read together, each a channel or a quad of channels at the same place of the row, find them in
+    // different banks.
     let stride = params.row_quads | 1u;
-    if exists$x { memory[(depth * $n + $o) * stride + quad$x] = y$c; }
+    let of_quad = 4u * stride + 1u;
+    if exists$x { memory[(depth * $m + $o / 4u) * of_quad + $o % 4u * stride + quad$x] = y$c; }
     workgroupBarrier();
     if ROWS {
         // A part is some columns k of a quad of channels. Invocations beyond the last part still take part in
@@ -286,7 +288,7 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
         for (var begin = 0u; begin < parts; begin += WIDE * DEEP) {
             let part = min(begin + index, parts - 1u);
             let column = part / quads * $t;
-            let at = 4u * (part % quads) * stride;
+            let at = part % quads * of_quad;
             var z$k = vec4f();
             for (var q = 0u; q < params.row_quads; q++) {
                 let v = mat4x4f(memory[at + q], memory[at + stride + q], memory[at + 2u * stride + q], memory[at + 3u * stride + q]);
@@ -301,13 +303,14 @@ fn block(@builtin(local_invocation_index) index: u32, @builtin(workgroup_id) gro
     }
     if POOL {
         for (var o = index; o < DEEP * $n; o += WIDE * DEEP) {
-            var most = memory[o * stride];
+            let at = o / 4u * of_quad + o % 4u * stride;
+            var most = memory[at];
             let last = params.row_quads - 1u;
             for (var q = 1u; q < last; q++) {
-                most = max(most, memory[o * stride + q]);
+                most = max(most, memory[at + q]);
             }
             // Columns of the last quad beyond W repeat the quad's first one, which always exists.
-            let v = memory[o * stride + last];
+            let v = memory[at + last];
             let inside = vec4u(0u, 1u, 2u, 3u) + 4u * last < vec4u(params.width);
             most = max(most, select(vec4f(v.x), v, inside));
             keep_largest(line * params.channels + first_channel + o, largest_of(most));

@@ -22,15 +22,15 @@ struct Params {
 @group(0) @binding(2) var<storage, read> adj: array<f32>;
 @group(0) @binding(3) var<storage, read_write> gradient: array<f32>;
 
-var<workgroup> partial: array<f32, 64>;
+var<workgroup> partial: array<f32, 256>;
 
-@compute @workgroup_size(64)
+@compute @workgroup_size(256)
 fn head_weight_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let channel = group.x;
     let is_bias = channel == params.channels;
     let all = params.lines * params.width;
     var sum = 0.0;
-    for (var k = lane; k < all; k += 64u) {
+    for (var k = lane; k < all; k += 256u) {
         var value = 1.0;
         if !is_bias {
             value = x[(k / params.width * params.channels + channel) * params.width + k % params.width];
@@ -38,7 +38,7 @@ fn head_weight_adj(@builtin(local_invocation_index) lane: u32, @builtin(workgrou
         sum += adj[k] * value;
     }
     partial[lane] = sum;
-    for (var half = 32u; half > 0u; half /= 2u) {
+    for (var half = 128u; half > 0u; half /= 2u) {
         workgroupBarrier();
         if lane < half {
             partial[lane] += partial[lane + half];

@@ -7,7 +7,8 @@
 //
 // One invocation per quad and tile of output channels, held in named registers. All invocations of a
 // workgroup read the same weights.
-// Workgroups: (quads / WORKGROUP over x and y, O / tile in z).
+// Workgroups: (O / tile, quads / WORKGROUP over y and z), so that those that run at about the same time read the
+// same part of x.
 // Adjoint: itself with the `transpose`d weight and no bias (x), `pointwise_weight_adj` (weight, bias).
 
 struct Params {
@@ -36,12 +37,12 @@ fn pointwise(
     @builtin(workgroup_id) group: vec3u,
     @builtin(num_workgroups) groups: vec3u$lane
 ) {
-    let all = (group.y * groups.x + group.x) * WORKGROUP + index;
+    let all = (group.z * groups.y + group.y) * WORKGROUP + index;
     // Invocations beyond the last quad still take part in subgroup broadcasts.
     let p = min(all, params.quads - 1u);
     let line = p / params.row_quads;
     let quad = p % params.row_quads;
-    let tile = group.z;
+    let tile = group.x;
     let first = (params.x_first + line) * params.inputs * params.row_quads + quad;
     var at = tile * params.inputs * $m;
     var y$c = vec4f();

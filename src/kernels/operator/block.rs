@@ -152,17 +152,19 @@ impl Group {
         let capacity = limits.max_compute_workgroup_storage_size as usize / 16;
         let most = limits.max_compute_invocations_per_workgroup.min(limits.max_compute_workgroup_size_x);
         // Subgroups that share operands need rows of whole subgroups, of eight lanes each.
-        let lanes = |span: usize| match tuning.sharing {
-            Sharing::Loads => layer.row_quads.div_ceil(span),
-            Sharing::Broadcast => layer.row_quads.div_ceil(span).next_multiple_of(LANES),
+        let whole = |lanes: usize| match tuning.sharing {
+            Sharing::Loads => lanes,
+            Sharing::Broadcast => lanes.next_multiple_of(LANES),
         };
+        let lanes = |span: usize| whole(layer.row_quads.div_ceil(span));
         // As many quads per invocation as possible without idling more lanes, and more than one only if each
         // gets the lanes of a subgroup.
         let suits =
             |&span: &usize| span == 1 || (8 * span <= layer.row_quads && span * lanes(span) <= lanes(1));
         let span = (1..=tuning.block_span as usize).rev().find(suits)?;
-        let wide =
-            if epilogue.whole_rows() { lanes(span) } else { lanes(span).min(tuning.block_wide as usize) };
+        // Parts of a row of equal length: the last one would otherwise idle lanes that do all the work.
+        let parts = if epilogue.whole_rows() { 1 } else { lanes(span).div_ceil(tuning.block_wide as usize) };
+        let wide = whole(lanes(span).div_ceil(parts));
         let quads = tuning.channels / 4;
         let of_fields = layer.lifting.filter(|lifting| lifting.of_fields);
         let sums = of_fields.map_or(0, |_| features::SUMS_BYTES / 16);
@@ -174,7 +176,7 @@ impl Group {
                     let rows = if epilogue.rows { 2 * layer.modes_w } else { 0 };
                     deep * wide / LANES * (rows + usize::from(epilogue.pool)) * quads
                 }
-                _ if epilogue.whole_rows() => deep * tuning.channels * (layer.row_quads | 1),
+                _ if epilogue.whole_rows() => deep * quads * (4 * (layer.row_quads | 1) + 1),
                 _ if epilogue.field => span * wide * deep,
                 _ => 1,
             };

@@ -74,8 +74,10 @@ impl Pointwise {
             y_first: size(part.y_first),
             pad: [0; 2],
         };
-        let count = Kernel::spread_groups(size(quads.div_ceil(self.group)), size(outputs / self.tile));
-        schedule.dispatch(&self.kernel, &params, &[&layer.weight, &layer.bias, x, y], count);
+        let [across, down, tiles] =
+            Kernel::spread_groups(size(quads.div_ceil(self.group)), size(outputs / self.tile));
+        let tensors = [&layer.weight, &layer.bias, x, y];
+        schedule.dispatch(&self.kernel, &params, &tensors, [tiles, across, down]);
     }
 }
 
