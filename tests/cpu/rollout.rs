@@ -188,7 +188,9 @@ fn one_thread_and_many_give_the_same_bits() {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| run(&model, &optimizer, state.clone(), &control))
         };
-        assert_eq!(on(1), on(5), "{}", optimizer.name());
+        // On many threads, tasks are smaller and more cloths pass at a time.
+        let one = on(1);
+        assert!([5, 24].into_iter().all(|threads| on(threads) == one), "{}", optimizer.name());
     }
 }
 

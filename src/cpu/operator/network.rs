@@ -6,7 +6,7 @@ use super::projection::Projection;
 use super::scalar_head::ScalarHead;
 use super::spectral::Spectral;
 use super::transform::{ModeParts, Transform};
-use super::{band_rows, padded};
+use super::{padded, task_rows};
 use crate::cloth::Grid;
 use crate::cpu::real::Real;
 use crate::network::{Config, Weights};
@@ -194,7 +194,7 @@ impl<T: Real> Network<T> {
         let Grid { h, w } = self.grid;
         let (lifting, transform) = (&self.layers.lifting, &self.transform);
         let Buffers { x, rows, scalar, .. } = &mut self.buffers;
-        let (band, row) = (band_rows(w), w * self.channels);
+        let (band, row) = (task_rows(self.grid, scalar.len()), w * self.channels);
         let samples = x.par_chunks_mut(h * row);
         let spectra = rows.par_chunks_mut(h * transform.row_len());
         let fields = input.par_chunks(input.len() / scalar.len());
@@ -235,7 +235,7 @@ impl<T: Real> Network<T> {
         let Layers { blocks, projection, scalar_head, .. } = &*self.layers;
         let transform = &self.transform;
         let (c, row, row_len) = (self.channels, w * self.channels, transform.row_len());
-        let band = band_rows(w);
+        let band = task_rows(self.grid, self.buffers.scalar.len());
         let skip = &blocks[index].1;
         let last = index + 1 == blocks.len();
         let pools = index == self.config.scalar_block();

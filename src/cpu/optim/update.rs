@@ -5,7 +5,7 @@ use super::{Minimizer, norm};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::cpu::Real;
-use crate::cpu::operator::Network;
+use crate::cpu::operator::{Network, samples_per_pass};
 use crate::network::Weights;
 use crate::sim::INITIAL_SCALE;
 use rayon::prelude::*;
@@ -28,8 +28,11 @@ pub struct Hidden<T> {
 
 /// The update rule for a number of samples on one grid. A sample is one component of one cloth.
 pub struct Update<T: Real> {
+    /// The network for the samples of a pass.
     network: Network<T>,
     hidden: Hidden<T>,
+    /// Output of the network for all samples: the field, shape [S, H, W], and the scalar, shape \[S\].
+    output: (Vec<T>, Vec<T>),
     /// Normalised gradient, last gradient and last step, shape [S, 3, H, W].
     input: Vec<T>,
 }
@@ -42,7 +45,8 @@ impl<T: Real> Update<T> {
         let zeros = |n| vec![T::zero(); n];
         let scale = vec![T::of(INITIAL_SCALE.into()); samples];
         let hidden = Hidden { last_grad: zeros(len), last_step: zeros(len), scale };
-        Ok(Self { network: Network::new(weights, grid, samples)?, hidden, input: zeros(3 * len) })
+        let network = Network::new(weights, grid, samples_per_pass(grid, samples))?;
+        Ok(Self { network, hidden, output: (zeros(len), zeros(samples)), input: zeros(3 * len) })
     }
 
     /// Returns the hidden state.
@@ -97,8 +101,15 @@ impl<T: Real> Hidden<T> {
 impl<T: Real> Minimizer<T> for Update<T> {
     fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]) {
         self.hidden.normalise(&mut self.input, grad, norms);
-        self.network.forward(&self.input);
-        self.hidden.remember(grad, (self.network.field(), self.network.scalar()), a);
+        let (field, scalar) = &mut self.output;
+        let pass = self.network.scalar().len();
+        let outputs = field.chunks_exact_mut(self.network.field().len()).zip(scalar.chunks_exact_mut(pass));
+        for (input, (field, scalar)) in self.input.chunks_exact(3 * self.network.field().len()).zip(outputs) {
+            self.network.forward(input);
+            field.copy_from_slice(self.network.field());
+            scalar.copy_from_slice(self.network.scalar());
+        }
+        self.hidden.remember(grad, (field, scalar), a);
     }
 
     fn forget(&mut self, cloth: usize) {
