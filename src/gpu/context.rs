@@ -342,8 +342,16 @@ pub fn adapters() -> Vec<AdapterSummary> {
 }
 
 async fn all_adapters() -> Vec<wgpu::Adapter> {
-    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle_from_env());
-    let mut found = instance.enumerate_adapters(wgpu::Backends::all()).await;
+    let descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env;
+    let wanted = descriptor().backends;
+    let mut found = Vec::new();
+    // OpenGL only where there is nothing else: its start is noisy on machines without a display.
+    for backends in [wanted & wgpu::Backends::PRIMARY, wanted] {
+        if found.is_empty() {
+            let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor() });
+            found = instance.enumerate_adapters(backends).await;
+        }
+    }
     found.sort_by_key(|a| match a.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
         wgpu::DeviceType::IntegratedGpu => 1,

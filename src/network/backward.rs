@@ -166,7 +166,7 @@ impl Backward {
             self.push_block(schedule, (forward, transposed), block, (adj_y, adj_x));
             if block > 0 {
                 self.push_pool(schedule, forward, block - 1, adj_x);
-                k.gelu_adj.push(schedule, &forward.pre_activations[block - 1], adj_x);
+                k.gelu_adj.push(schedule, &forward.activations.before_gelu[block - 1], adj_x);
             }
             std::mem::swap(&mut adj_y, &mut adj_x);
         }
@@ -179,9 +179,10 @@ impl Backward {
         let (config, k) = (&forward.config, &self.kernels);
         let [_, outer] = &forward.layers.projection;
         let [inner_gradient, outer_gradient] = &self.gradient.projection;
-        let (y, before) = (forward.activation(config.layers), &forward.pre_activations[config.layers - 1]);
+        let (y, before) =
+            (forward.activation(config.layers), &forward.activations.before_gelu[config.layers - 1]);
         let to = (&outer_gradient.weight_and_bias, outer_gradient.bias);
-        k.head_weight_adj.push(schedule, &forward.projected, &self.adj_field, to);
+        k.head_weight_adj.push(schedule, &forward.activations.projected, &self.adj_field, to);
         k.project_adj.push(schedule, &outer.weight, &self.adj_field, &self.adj_projected);
         k.gelu_adj.push(schedule, before, &self.adj_projected);
         self.push_weights(schedule, (y, &self.adj_projected), self.all(), inner_gradient);

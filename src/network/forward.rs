@@ -43,12 +43,7 @@ pub struct Forward {
     lifting: Option<Lifted>,
     /// What each block computes besides the linear part of its output.
     epilogues: Vec<Epilogue>,
-    activations: Vec<Tensor>,
-    /// Pre-activations of each block but the last, shape [S, H, C, W'], and of the projection's hidden layer;
-    /// only with [`Keep::Adjoint`].
-    pub(super) pre_activations: Vec<Tensor>,
-    /// Hidden layer of the projection, shape [S, H, projection, W'].
-    pub(super) projected: Tensor,
+    pub(super) activations: Activations,
     pub(super) spectral: Spectra,
     pub(super) rows_max: Tensor,
     pub(super) layers: Layers,
@@ -75,6 +70,57 @@ pub enum Head<'a> {
     Deferred,
 }
 
+/// Activations between layers. A block reads the output of the layer before it and writes another tensor; only
+/// two of them take turns unless the plan keeps them all.
+#[derive(Debug)]
+pub(super) struct Activations {
+    /// Output of the lifting and of the blocks, shape [S, H, C, W'] each.
+    of_layers: Vec<Tensor>,
+    /// Pre-activations of each block but the last, shape [S, H, C, W'], and of the projection's hidden layer;
+    /// only with [`Keep::Adjoint`].
+    pub before_gelu: Vec<Tensor>,
+    /// Hidden layer of the projection, shape [S, H, projection, W'].
+    pub projected: Tensor,
+}
+
+impl Activations {
+    fn new(context: &Context, config: &Config, plan: &Plan, in_texels: bool) -> Result<Self> {
+        let &Plan { grid, samples, keep, .. } = plan;
+        let (h, w) = (grid.h, padded(grid.w));
+        let shape = [samples, h, config.channels, w];
+        let stored = |label, shape: &[usize]| Tensor::stored_zeros(context, label, shape);
+        let activation = |label| match in_texels {
+            true => Ok(Tensor::texels(context, label, &shape)),
+            false => stored(label, &shape),
+        };
+        let count = match keep {
+            Keep::Nothing => 2,
+            // One for the lifting, and one for each block.
+            Keep::Blocks | Keep::Adjoint => config.layers + 1,
+        };
+        let of_layers: Vec<Tensor> = (0..count).map(|_| activation("activation")).collect::<Result<_>>()?;
+        let projected = if keep == Keep::Nothing && config.projection == config.channels {
+            // The input of the last block is no longer needed.
+            of_layers[(config.layers + 1) % count].clone()
+        } else {
+            stored("projected", &[samples, h, config.projection, w])?
+        };
+        let mut before_gelu = Vec::new();
+        if keep == Keep::Adjoint {
+            for _ in 1..config.layers {
+                before_gelu.push(activation("pre-activations")?);
+            }
+            before_gelu.push(Tensor::zeros(context, "pre-activations", &[samples, h, config.projection, w])?);
+        }
+        Ok(Self { of_layers, before_gelu, projected })
+    }
+
+    /// Returns the output of the lifting (0) or of block `i - 1`, as long as no later layer has replaced it.
+    fn of_layer(&self, i: usize) -> &Tensor {
+        &self.of_layers[i % self.of_layers.len()]
+    }
+}
+
 #[derive(Debug)]
 pub(super) struct Spectra {
     pub rows: Tensor,
@@ -89,6 +135,33 @@ pub(super) struct Spectra {
 }
 
 impl Spectra {
+    fn new(context: &Context, config: &Config, plan: &Plan, rows_in_blocks: bool) -> Result<Self> {
+        let &Plan { grid, samples, ref tuning, keep } = plan;
+        let (h, w, columns) = (grid.h, padded(grid.w), 2 * config.modes_w);
+        let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
+        let upload =
+            |label, shape: &[usize], data: Vec<f32>| Tensor::from_slice(context, label, shape, &data);
+        let kept = if keep == Keep::Adjoint { config.layers } else { 0 };
+        let spectrum = [samples, config.modes_h, config.modes_w, config.channels, 2];
+        let mut block_rows = tables::inverse_rows(config, grid.w);
+        if rows_in_blocks {
+            block_rows.extend(tables::forward_rows(config, h, grid.w));
+        }
+        let waves = upload("columns", &[h, config.modes_h / 2 + 1, 2], tables::columns(config, h))?;
+        Ok(Self {
+            rows: zeros("rows", &[samples, h, columns, config.channels])?,
+            modes: (0..kept).map(|_| zeros("spectrum", &spectrum)).collect::<Result<_>>()?,
+            inverse: zeros("inverse", &[samples, h, columns, config.channels])?,
+            forward_rows: upload(
+                "forward_rows",
+                &[w / 4, columns, 4],
+                tables::forward_rows(config, h, grid.w),
+            )?,
+            columns: if tuning.texels { waves.to_texels(context) } else { waves },
+            block_rows: upload("block_rows", &[block_rows.len() / (columns * w), columns, w], block_rows)?,
+        })
+    }
+
     /// Returns the tensors of the spectral convolution from `rows` to `inverse`.
     pub fn columns<'a>(&'a self, spectrum: Option<&'a Tensor>) -> SpectralTensors<'a> {
         let Self { columns: table, rows: r, inverse, .. } = self;
@@ -172,29 +245,6 @@ impl Forward {
             && units.is_some()
             && lifting_takes_rows
             && Tensor::fits_texels(context, shape.iter().product());
-        let activation = |label| match in_texels {
-            true => Ok(Tensor::texels(context, label, &shape)),
-            false => stored(label, &shape),
-        };
-        let count = match keep {
-            Keep::Nothing => 2,
-            // One for the lifting, and one for each block.
-            Keep::Blocks | Keep::Adjoint => config.layers + 1,
-        };
-        let activations: Vec<Tensor> = (0..count).map(|_| activation("activation")).collect::<Result<_>>()?;
-        let projected = if keep == Keep::Nothing && config.projection == config.channels {
-            // The input of the last block is no longer needed.
-            activations[(config.layers + 1) % count].clone()
-        } else {
-            stored("projected", &[samples, h, config.projection, w])?
-        };
-        let mut pre_activations = Vec::new();
-        if keep == Keep::Adjoint {
-            for _ in 1..config.layers {
-                pre_activations.push(activation("pre-activations")?);
-            }
-            pre_activations.push(zeros("pre-activations", &[samples, h, config.projection, w])?);
-        }
         let epilogues: Vec<Epilogue> = (0..config.layers)
             .map(|block| epilogue(&config, block, keep, fuses_head, rows_in_blocks))
             .collect();
@@ -208,16 +258,6 @@ impl Forward {
         };
         let kernels = Kernels::new(context, &config, (size, of_blocks), &epilogues, plan)?;
         let parts = if fuses_head { kernels.block(epilogues[config.layers - 1]).field_parts() } else { 1 };
-        let mut block_rows = tables::inverse_rows(&config, grid.w);
-        if rows_in_blocks {
-            block_rows.extend(tables::forward_rows(&config, h, grid.w));
-        }
-        let kept = if keep == Keep::Adjoint { config.layers } else { 0 };
-        let columns = 2 * config.modes_w;
-        let spectrum = [samples, config.modes_h, config.modes_w, config.channels, 2];
-        let upload =
-            |label, shape: &[usize], data: Vec<f32>| Tensor::from_slice(context, label, shape, &data);
-        let waves = upload("columns", &[h, config.modes_h / 2 + 1, 2], tables::columns(&config, h))?;
         Ok(Self {
             config,
             grid,
@@ -228,25 +268,8 @@ impl Forward {
             keep,
             head,
             lifting: units.map(lifted).transpose()?,
-            activations,
-            pre_activations,
-            projected,
-            spectral: Spectra {
-                rows: zeros("rows", &[samples, h, columns, config.channels])?,
-                modes: (0..kept).map(|_| zeros("spectrum", &spectrum)).collect::<Result<_>>()?,
-                inverse: zeros("inverse", &[samples, h, columns, config.channels])?,
-                forward_rows: upload(
-                    "forward_rows",
-                    &[w / 4, columns, 4],
-                    tables::forward_rows(&config, h, grid.w),
-                )?,
-                columns: if tuning.texels { waves.to_texels(context) } else { waves },
-                block_rows: upload(
-                    "block_rows",
-                    &[block_rows.len() / (columns * w), columns, w],
-                    block_rows,
-                )?,
-            },
+            activations: Activations::new(context, &config, plan, in_texels)?,
+            spectral: Spectra::new(context, &config, plan, rows_in_blocks)?,
             rows_max: zeros("rows_max", &[samples, h, config.channels])?,
             layers,
             kernels,
@@ -286,74 +309,87 @@ impl Forward {
         from: Option<FeatureInputs<'_>>,
         head: Head<'_>,
     ) {
-        let k = &self.kernels;
-        let first = |tensor: &Tensor| tensor.first(samples);
-        let slot = |i: usize| first(&self.activations[i % self.activations.len()]);
-        let (rows, inverse, rows_max) =
-            (first(&self.spectral.rows), first(&self.spectral.inverse), first(&self.rows_max));
-        let field = &self.first_field(samples);
         let mut has_rows = self.push_lifting(schedule, samples, from);
         for block in 0..self.config.layers {
-            let (x, y) = (&slot(block), &slot(block + 1));
-            let s = &self.spectral;
-            let epilogue = self.epilogues[block];
-            if !has_rows {
-                k.transform_rows.push(schedule, &s.forward_rows, x, &rows);
-            }
-            has_rows = epilogue.rows;
-            let spectrum = s.modes.get(block).map(first);
-            let columns = SpectralTensors { r: &rows, inverse: &inverse, ..s.columns(spectrum.as_ref()) };
-            k.spectral.push(schedule, &self.layers.products[block], columns);
-            let before =
-                self.pre_activations.get(block).filter(|_| block + 1 < self.config.layers).map(first);
-            let tensors = BlockTensors {
-                x: Inputs::Stored(x),
-                r: &inverse,
-                y: before.as_ref().unwrap_or(y),
-                rows_or_field: if epilogue.field { Some(field) } else { epilogue.rows.then_some(&rows) },
-                rows_max: epilogue.pool.then_some(&rows_max),
-            };
-            let with_head = self.head.as_ref().filter(|_| epilogue.field);
-            let layer = with_head.unwrap_or(&self.layers.skips[block]);
-            k.block(epilogue).push(schedule, layer, (&s.block_rows, self.grid.w), tensors);
-            if let Some(before) = &before {
-                k.activate.push(schedule, before, y);
-            }
+            has_rows = self.push_block(schedule, samples, (block, has_rows));
             if block == self.config.scalar_block() {
-                if !epilogue.pool {
-                    k.pool_rows.push(schedule, self.grid.w, y, &rows_max);
-                }
-                let tensors = (&rows_max, &first(&self.scalar));
-                let mut scalar = |scales| {
-                    k.scalar_head.push(schedule, &self.layers.scalar, tensors, scales);
-                };
-                match head {
-                    Head::Store => scalar(None),
-                    Head::StoreAndRescale(scales) => scalar(Some(scales)),
-                    Head::Deferred => {}
-                }
+                self.push_scalar_head(schedule, samples, (block, head));
             }
         }
-        if self.head.is_some() {
-            return;
+        // The last block's epilogue may have been the field head.
+        if self.head.is_none() {
+            self.push_field_head(schedule, samples);
         }
-        let [inner, outer] = &self.layers.projection;
-        let (y, projected) = (&slot(self.config.layers), &first(&self.projected));
-        match self.pre_activations.last().map(first) {
+    }
+
+    /// Appends a block, after the row transform of its input unless the layer before has done that. Returns
+    /// whether it transforms the rows of its output.
+    fn push_block(&self, schedule: &mut Schedule, samples: usize, (block, has_rows): (usize, bool)) -> bool {
+        let (k, s, epilogue) = (&self.kernels, &self.spectral, self.epilogues[block]);
+        let first = |tensor: &Tensor| tensor.first(samples);
+        let [x, y] = [block, block + 1].map(|i| first(self.activations.of_layer(i)));
+        let [rows, inverse, rows_max] = [&s.rows, &s.inverse, &self.rows_max].map(first);
+        if !has_rows {
+            k.transform_rows.push(schedule, &s.forward_rows, &x, &rows);
+        }
+        let spectrum = s.modes.get(block).map(first);
+        let columns = SpectralTensors { r: &rows, inverse: &inverse, ..s.columns(spectrum.as_ref()) };
+        k.spectral.push(schedule, &self.layers.products[block], columns);
+        let is_last = block + 1 == self.config.layers;
+        let before = self.activations.before_gelu.get(block).filter(|_| !is_last).map(first);
+        let field = self.first_field(samples);
+        let tensors = BlockTensors {
+            x: Inputs::Stored(&x),
+            r: &inverse,
+            y: before.as_ref().unwrap_or(&y),
+            rows_or_field: if epilogue.field { Some(&field) } else { epilogue.rows.then_some(&rows) },
+            rows_max: epilogue.pool.then_some(&rows_max),
+        };
+        let with_head = self.head.as_ref().filter(|_| epilogue.field);
+        let layer = with_head.unwrap_or(&self.layers.skips[block]);
+        k.block(epilogue).push(schedule, layer, (&s.block_rows, self.grid.w), tensors);
+        if let Some(before) = &before {
+            k.activate.push(schedule, before, &y);
+        }
+        epilogue.rows
+    }
+
+    /// Appends the scalar head on the output of `block`, unless it is left to the update.
+    fn push_scalar_head(&self, schedule: &mut Schedule, samples: usize, (block, head): (usize, Head<'_>)) {
+        let (k, rows_max) = (&self.kernels, self.rows_max.first(samples));
+        if !self.epilogues[block].pool {
+            let y = self.activations.of_layer(block + 1).first(samples);
+            k.pool_rows.push(schedule, self.grid.w, &y, &rows_max);
+        }
+        let scales = match head {
+            Head::Store => None,
+            Head::StoreAndRescale(scales) => Some(scales),
+            Head::Deferred => return,
+        };
+        let tensors = (&rows_max, &self.scalar.first(samples));
+        k.scalar_head.push(schedule, &self.layers.scalar, tensors, scales);
+    }
+
+    /// Appends both layers of the field head on the output of the last block.
+    fn push_field_head(&self, schedule: &mut Schedule, samples: usize) {
+        let (k, [inner, outer]) = (&self.kernels, &self.layers.projection);
+        let y = self.activations.of_layer(self.config.layers).first(samples);
+        let projected = self.activations.projected.first(samples);
+        match self.activations.before_gelu.last().map(|before| before.first(samples)) {
             Some(before) => {
-                k.dense.push(schedule, inner, y, &before);
-                k.activate.push(schedule, &before, projected);
+                k.dense.push(schedule, inner, &y, &before);
+                k.activate.push(schedule, &before, &projected);
             }
-            None => k.dense_gelu.push(schedule, inner, y, projected),
+            None => k.dense_gelu.push(schedule, inner, &y, &projected),
         }
-        k.project.push(schedule, outer, projected, field);
+        k.project.push(schedule, outer, &projected, &self.first_field(samples));
     }
 
     /// Returns the output of the lifting (0) or of block `i - 1`, shape [S, H, C, W']. Panics unless the plan
     /// keeps the blocks.
     pub fn activation(&self, i: usize) -> &Tensor {
         assert_ne!(self.keep, Keep::Nothing, "the activations were not kept");
-        &self.activations[i]
+        self.activations.of_layer(i)
     }
 
     /// Splits the lines of the first `samples` samples into batches that are lifted at once. Each item maps a
@@ -368,7 +404,7 @@ impl Forward {
 
     /// Appends the lifting. Returns whether it also transforms the rows of its output.
     fn push_lifting(&self, schedule: &mut Schedule, samples: usize, from: Option<FeatureInputs<'_>>) -> bool {
-        let (k, lifted) = (&self.kernels, &self.activations[0]);
+        let (k, lifted) = (&self.kernels, self.activations.of_layer(0));
         if let Some(Lifted { of_embedded, of_fields, units }) = &self.lifting {
             let [embedded, y, row_spectra] =
                 [&self.embedded, lifted, &self.spectral.rows].map(|tensor| tensor.first(samples));

@@ -28,70 +28,100 @@ pub fn tune(
     iterations: usize,
     mut tried: impl FnMut(&Tuning, f64) -> ControlFlow<()>,
 ) -> Result<Tuning> {
-    let solver = |tuning: &Tuning| {
-        Solver::new(context, model, optimizer, &SolverOptions { iterations, tuning: Some(*tuning) })
-    };
-    let frame = |solver: &Solver| -> Result<f64> {
-        solver.set_state(start);
-        context.wait()?;
+    let watch = Stopwatch { context, model, start, optimizer, iterations };
+    let table = Tuning::table(context);
+    let best = watch.search(table, &mut tried)?;
+    Ok(if best != table && watch.beats(&best, &table)? { best } else { table })
+}
+
+/// Times the frames of one simulation.
+struct Stopwatch<'a> {
+    context: &'a Context,
+    model: &'a Model,
+    start: &'a State<f32>,
+    optimizer: &'a Optimizer,
+    iterations: usize,
+}
+
+impl Stopwatch<'_> {
+    fn solver(&self, tuning: &Tuning) -> Result<Solver> {
+        let options = SolverOptions { iterations: self.iterations, tuning: Some(*tuning) };
+        Solver::new(self.context, self.model, self.optimizer, &options)
+    }
+
+    /// Returns the time of the first frame from the start \[ms\].
+    fn frame(&self, solver: &Solver) -> Result<f64> {
+        solver.set_state(self.start);
+        self.context.wait()?;
         let begun = Instant::now();
-        context.submit(|encoder| solver.record(encoder));
-        context.wait()?;
+        self.context.submit(|encoder| solver.record(encoder));
+        self.context.wait()?;
         Ok(1e3 * begun.elapsed().as_secs_f64())
-    };
-    let mut time = |tuning: &Tuning, solver: &Solver| -> Result<(f64, ControlFlow<()>)> {
-        frame(solver)?;
+    }
+
+    /// Returns the least time of several frames \[ms\].
+    fn least(&self, solver: &Solver) -> Result<f64> {
+        self.frame(solver)?;
         let (begun, mut frames, mut least) = (Instant::now(), 0, f64::INFINITY);
         while frames < FRAMES || begun.elapsed().as_secs_f64() < SECONDS {
-            least = least.min(frame(solver)?);
+            least = least.min(self.frame(solver)?);
             frames += 1;
         }
-        Ok((least, tried(tuning, least)))
-    };
-    let table = Tuning::table(context);
-    let mut best = table;
-    let of_best = solver(&best)?;
-    let mut dispatches = of_best.schedule().dispatches();
-    let (mut least, mut flow) = time(&best, &of_best)?;
-    drop(of_best);
-    for respect in 0..best.neighbours(context).len() {
-        let before = best;
-        for tuning in &before.neighbours(context)[respect] {
-            if flow.is_break() {
-                return Ok(table);
-            }
-            let tried = match solver(tuning) {
-                Ok(tried) => tried,
-                // Too much for the device; the others may do.
-                Err(Error::Device(_)) => continue,
-                Err(error) => return Err(error),
-            };
-            // Skip activation limits that lead to as many passes here: chance would choose between them, and
-            // other batches would bear the consequences.
-            let same_passes = tried.schedule().dispatches() == dispatches;
-            if same_passes && (Tuning { activation_bytes: best.activation_bytes, ..*tuning }) == best {
-                continue;
-            }
-            let measured;
-            (measured, flow) = time(tuning, &tried)?;
-            if measured < GAIN * least {
-                (best, least, dispatches) = (*tuning, measured, tried.schedule().dispatches());
+        Ok(least)
+    }
+
+    /// Returns the fastest tuning found from `table` on, or `table` if `tried` ends the search.
+    fn search(
+        &self,
+        table: Tuning,
+        tried: &mut dyn FnMut(&Tuning, f64) -> ControlFlow<()>,
+    ) -> Result<Tuning> {
+        let solver = self.solver(&table)?;
+        let (mut best, mut least, mut dispatches) =
+            (table, self.least(&solver)?, solver.schedule().dispatches());
+        drop(solver);
+        let mut flow = tried(&best, least);
+        for respect in 0..table.neighbours(self.context).len() {
+            let before = best;
+            for tuning in &before.neighbours(self.context)[respect] {
+                if flow.is_break() {
+                    return Ok(table);
+                }
+                let solver = match self.solver(tuning) {
+                    Ok(solver) => solver,
+                    // Too much for the device; the others may do.
+                    Err(Error::Device(_)) => continue,
+                    Err(error) => return Err(error),
+                };
+                // Skip activation limits that lead to as many passes here: chance would choose between them,
+                // and other batches would bear the consequences.
+                let same_passes = solver.schedule().dispatches() == dispatches;
+                if same_passes && (Tuning { activation_bytes: best.activation_bytes, ..*tuning }) == best {
+                    continue;
+                }
+                let measured = self.least(&solver)?;
+                flow = tried(tuning, measured);
+                if measured < GAIN * least {
+                    (best, least, dispatches) = (*tuning, measured, solver.schedule().dispatches());
+                }
             }
         }
+        Ok(if flow.is_break() { table } else { best })
     }
-    if best == table || flow.is_break() {
-        return Ok(table);
+
+    /// Whether one tuning beats another when their frames alternate.
+    fn beats(&self, one: &Tuning, other: &Tuning) -> Result<bool> {
+        let (one, other) = match (self.solver(one), self.solver(other)) {
+            (Ok(one), Ok(other)) => (one, other),
+            // If both do not fit in memory together, the gain cannot be confirmed.
+            (Err(Error::Device(_)), _) | (_, Err(Error::Device(_))) => return Ok(false),
+            (Err(error), _) | (_, Err(error)) => return Err(error),
+        };
+        [&one, &other].into_iter().try_for_each(|solver| self.frame(solver).map(drop))?;
+        let mut least = [f64::INFINITY; 2];
+        for _ in 0..DUEL {
+            least = [least[0].min(self.frame(&one)?), least[1].min(self.frame(&other)?)];
+        }
+        Ok(least[0] < GAIN * least[1])
     }
-    let (ours, of_table) = match (solver(&best), solver(&table)) {
-        (Ok(ours), Ok(of_table)) => (ours, of_table),
-        // If both do not fit in memory together, the gain cannot be confirmed.
-        (Err(Error::Device(_)), _) | (_, Err(Error::Device(_))) => return Ok(table),
-        (Err(error), _) | (_, Err(error)) => return Err(error),
-    };
-    let mut least = [f64::INFINITY; 2];
-    [&ours, &of_table].into_iter().try_for_each(|solver| frame(solver).map(drop))?;
-    for _ in 0..DUEL {
-        least = [least[0].min(frame(&ours)?), least[1].min(frame(&of_table)?)];
-    }
-    Ok(if least[0] < GAIN * least[1] { best } else { table })
 }
