@@ -6,11 +6,17 @@ use std::path::Path;
 /// Reserves room in `values` for exactly `more` elements of `what`. Fails if there is not enough memory. A
 /// successful reservation alone proves little on systems that overcommit, as most Linux systems do.
 pub(crate) fn reserve<T>(values: &mut Vec<T>, more: usize, what: &str) -> Result<()> {
-    let bytes = more.saturating_mul(size_of::<T>());
-    if is_available(bytes) && values.try_reserve_exact(more).is_ok() {
+    reserve_each(std::slice::from_mut(values), more, what)
+}
+
+/// Applies [`reserve`] to several vectors, for which there must be enough memory together.
+pub(crate) fn reserve_each<T>(values: &mut [Vec<T>], more: usize, what: &str) -> Result<()> {
+    let bytes = more.saturating_mul(size_of::<T>()).saturating_mul(values.len());
+    if is_available(bytes) && values.iter_mut().all(|values| values.try_reserve_exact(more).is_ok()) {
         return Ok(());
     }
-    Err(Error::Device(format!("cpu: not enough memory: {what} needs {}", gib(bytes))))
+    let there = available().map_or_else(String::new, |there| format!(", of {}", gib(there as usize)));
+    Err(Error::Device(format!("cpu: not enough memory: {what}: {}{there}", gib(bytes))))
 }
 
 /// Whether `bytes` of memory are available, or the amount is unknown. Memory that is reserved but not yet
@@ -99,7 +105,11 @@ mod tests {
         assert!(reserve(&mut Vec::<u64>::new(), usize::MAX, "everything").is_err());
         if let Some(available) = available() {
             let error = reserve(&mut values, 2 * available as usize, "bytes").unwrap_err().to_string();
-            assert!(error.contains("not enough memory: bytes needs") && error.ends_with("GiB"), "{error}");
+            assert!(error.contains("not enough memory: bytes: ") && error.contains(" GiB, of "), "{error}");
+            // Each of them would fit.
+            let part = (available / 3 * 2) as usize;
+            reserve(&mut Vec::<u8>::new(), part, "a part").unwrap();
+            assert!(reserve_each(&mut [Vec::<u8>::new(), Vec::new()], part, "both parts").is_err());
         }
     }
 }

@@ -92,12 +92,13 @@ struct Buffers<T> {
     scalar: Vec<T>,
 }
 
-/// Allocates activations [positions, channels], by far the largest buffers of a pass.
-fn activation<T: Real>(positions: usize, channels: usize) -> Result<Vec<T>> {
-    let mut values = Vec::new();
-    memory::reserve(&mut values, positions * channels, "activations")?;
-    values.resize(positions * channels, T::zero());
-    Ok(values)
+/// Allocates two activations of `len` numbers, by far the largest buffers of a pass. Fails before either is
+/// touched, which takes long.
+fn activations<T: Real>(len: usize) -> Result<[Vec<T>; 2]> {
+    let mut both = [Vec::new(), Vec::new()];
+    memory::reserve_each(&mut both, len, "activations")?;
+    both.iter_mut().for_each(|values| values.resize(len, T::zero()));
+    Ok(both)
 }
 
 impl<T: Real> Network<T> {
@@ -110,10 +111,10 @@ impl<T: Real> Network<T> {
         let layers = Arc::new(Layers::new(weights));
         let zeros = |n: usize| vec![T::zero(); n];
         let n = grid.particles();
-        let activation = || activation(samples * n, channels);
+        let [x, y] = activations(samples * n * channels)?;
         let buffers = Buffers {
-            x: activation()?,
-            y: activation()?,
+            x,
+            y,
             rows: zeros(samples * grid.h * transform.row_len()),
             sums: zeros(samples * transform.column_len()),
             modes: zeros(config.modes() * 4 * samples * channels),
