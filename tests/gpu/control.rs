@@ -131,3 +131,35 @@ fn a_control_of_another_length_is_refused_in_its_turn() {
         assert_eq!((frames, simulator.step(&control).unwrap().index), (2, 3));
     }
 }
+
+/// New handles and materials act on a simulator, on either device, as on one that was built with them.
+#[test]
+fn a_simulator_takes_other_cloths() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let n = model.grid.particles();
+    let mut other = model.clone();
+    for (b, cloth) in other.cloths.iter_mut().enumerate() {
+        cloth.handles = vec![5 + b, n - 2];
+        cloth.material.stretch *= 1.5;
+    }
+    let handles = (0..3).flat_map(|b| {
+        let place = move |p: usize| [0, 1, 2].map(|c| (3 * b + c) * n + p);
+        [5 + b, n - 2].map(place)
+    });
+    let control = Control { handles: handles.map(|at| at.map(|k| start.x[k] + 0.1)).collect(), ..control };
+    for device in [Device::Cpu, Device::Gpu(context().clone())] {
+        let of = |model| Simulator::new(&device, model, &Optimizer::gradient_descent(), 3).unwrap();
+        let (mut changed, mut fresh) = (of(&model), of(&other));
+        changed.set_cloths(&other.cloths).unwrap();
+        assert_eq!(changed.model(), &other);
+        let [changed, fresh] = [&mut changed, &mut fresh].map(|simulator| {
+            simulator.set_state(&start);
+            simulator.step(&control).unwrap()
+        });
+        assert_same(&device.name(), &changed.state.x, &fresh.state.x);
+        let after = &changed.state.x;
+        assert!((after[3 * n + n - 2] - (start.x[3 * n + n - 2] + 0.1)).abs() < 1e-5);
+        assert!(changed.stats == fresh.stats);
+    }
+}
