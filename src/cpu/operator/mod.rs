@@ -58,10 +58,12 @@ fn task_rows(grid: Grid, samples: usize) -> usize {
 }
 
 /// Returns how many of `samples` samples pass through the network at a time: a divisor of their number, of about
-/// [`PASS`] positions or, on many threads, as many as make tasks of full size for each. A cloth of three samples
-/// is never divided, because the spectral product reads its weights once for all samples.
+/// [`PASS`] positions or, on many threads, as many as make tasks of full size for each. The three samples of a
+/// cloth stay together unless they are so large that it hardly matters how often the spectral product reads its
+/// weights.
 pub fn samples_per_pass(grid: Grid, samples: usize) -> usize {
     let rows = TASKS * rayon::current_num_threads() * band_rows(grid.w);
-    let most = (PASS / grid.particles()).max(rows.div_ceil(grid.h)).max(3);
+    let least = if grid.particles() > PASS { 1 } else { 3 };
+    let most = (PASS / grid.particles()).max(rows.div_ceil(grid.h)).max(least);
     (1..=samples.min(most)).rev().find(|&some| samples.is_multiple_of(some)).unwrap_or(1)
 }
