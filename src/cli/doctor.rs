@@ -4,7 +4,7 @@ use super::output::output;
 use super::{Ending, load_weights, median};
 use anyhow::Result;
 use fnopt::cloth::Grid;
-use fnopt::gpu::{AdapterChoice, AdapterSummary, Context, adapters};
+use fnopt::gpu::{AdapterChoice, AdapterSummary, Context, WHERE_ADAPTERS_COME_FROM, adapters};
 use fnopt::scene::Scene;
 use fnopt::sim::Optimizer;
 use fnopt::{Device, Simulator};
@@ -53,7 +53,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     if !args.json {
         writeln!(out, "fnopt {}", env!("CARGO_PKG_VERSION"))?;
         if found.is_empty() {
-            writeln!(out, "no adapters (Debian's package mesa-vulkan-drivers provides a software one)")?;
+            writeln!(out, "no adapters ({WHERE_ADAPTERS_COME_FROM})")?;
         }
         for (i, adapter) in found.iter().enumerate() {
             describe(&mut out, i, adapter)?;

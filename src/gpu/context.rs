@@ -335,6 +335,10 @@ impl Context {
     }
 }
 
+/// Advice for machines on which no adapter is found.
+pub const WHERE_ADAPTERS_COME_FROM: &str = "Debian's package mesa-vulkan-drivers provides a software one; in a \
+    container, NVIDIA_DRIVER_CAPABILITIES must include graphics";
+
 /// Returns the adapters of this machine, hardware first, in the order that [`AdapterChoice::Index`] refers
 /// to.
 pub fn adapters() -> Vec<AdapterSummary> {
@@ -380,7 +384,7 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
             AdapterChoice::Name(name) => format!("no adapter named '{name}'"),
         };
         let there = if names.is_empty() {
-            "none found (Debian's package mesa-vulkan-drivers provides a software one)".to_owned()
+            format!("none found ({WHERE_ADAPTERS_COME_FROM})")
         } else {
             format!("this machine has: {}", names.join("; "))
         };

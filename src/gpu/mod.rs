@@ -21,7 +21,7 @@ mod tuning;
 mod wide;
 
 pub(crate) use cache::CACHE_FOLDER;
-pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, adapters};
+pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, WHERE_ADAPTERS_COME_FROM, adapters};
 pub(crate) use context::{WORKGROUP_INVOCATIONS, WORKGROUPS};
 pub use kernel::Binding;
 pub(crate) use kernel::Kernel;
