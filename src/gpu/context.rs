@@ -248,7 +248,8 @@ impl Context {
         self.checked(|| {
             let buffer = self.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(label),
-                size: (contents.len() as u64).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT),
+                // Not even without contents may it be empty.
+                size: (contents.len() as u64).max(1).next_multiple_of(wgpu::COPY_BUFFER_ALIGNMENT),
                 usage: wgpu::BufferUsages::COPY_SRC,
                 mapped_at_creation: true,
             });

@@ -303,8 +303,8 @@ impl Scene {
         let share = air.density * speed + air.drag;
         if speed > 0.0 && share > 1.0 {
             tracing::warn!(
-                "{}: wind: its drag, evaluated once per frame, is {share:.1} times what is stable at {:.0} m/s: take a frame_time_s \
-                 that is that much shorter",
+                "{}: wind: at {:.0} m/s the drag, which is evaluated once per frame, is {share:.1} times the largest stable one: \
+                 take a frame_time_s that much shorter",
                 self.origin,
                 norm(self.wind.velocity)
             );

@@ -287,3 +287,21 @@ fn unsound_rollouts_and_other_sizes_are_reported() {
         assert_eq!(log.matches(said).count(), 1, "{said}: {log}");
     }
 }
+
+#[test]
+fn a_wind_that_is_too_fast_for_the_frame_time_is_warned_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let log = |wind: f64, frame_time_s: f64| {
+        let scene = serde_json::json!({
+            "grid": [8, 8], "motion": "none", "frames": 2, "wind": {"velocity": [wind, 0, 0]}, "frame_time_s": frame_time_s
+        });
+        std::fs::write(folder.path().join("windy.json"), scene.to_string()).unwrap();
+        let rollout = ["rollout", "windy.json", "--device", "cpu", "--solver", "gd", "--no-pictures"];
+        let output = command(folder.path(), &rollout).output().unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        text(&output.stderr)
+    };
+    let warning = "windy.json: wind: at 20 m/s the drag";
+    assert!(log(20.0, 1.0 / 60.0).contains(warning));
+    assert!(!log(20.0, 1.0 / 120.0).contains("drag") && !log(10.0, 1.0 / 60.0).contains("drag"));
+}

@@ -325,6 +325,7 @@ fn frames_of_one_submission_are_those_of_several() {
     assert!(apart.windows(2).all(|pair| pair[0].x != pair[1].x), "nothing moves");
     for together in [1, 3, 4] {
         solver.set_state(&start);
+        context().submit(|encoder| solver.record_frames(encoder, &[]).unwrap());
         for controls in controls.chunks(together) {
             context().submit(|encoder| solver.record_frames(encoder, controls).unwrap());
         }
