@@ -134,6 +134,15 @@ pub fn run(args: &Args) -> Result<Ending> {
         }
     }
     let gflop_per_s = peak_rate.map(|rate| rate * 1e-9);
+    let ending = match first_error {
+        _ if go_on(&interrupted).is_break() => Ok(Ending::Interrupted),
+        None => Ok(Ending::Done),
+        Some(error) if count == 1 || failures.is_empty() => Err(error),
+        Some(error) => Err(error.context(format!("{} of {count} sizes could not be timed", failures.len()))),
+    };
+    if rows.is_empty() && ending.is_err() {
+        return ending;
+    }
     if args.json {
         let all = serde_json::json!({
             "version": env!("CARGO_PKG_VERSION"),
@@ -161,12 +170,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     if let Some(path) = args.plot.as_ref().filter(|_| !rows.is_empty()) {
         write_png(path, &plot(&rows, peak_rate))?;
     }
-    match first_error {
-        _ if go_on(&interrupted).is_break() => Ok(Ending::Interrupted),
-        None => Ok(Ending::Done),
-        Some(error) if count == 1 || failures.is_empty() => Err(error),
-        Some(error) => Err(error.context(format!("{} of {count} sizes could not be timed", failures.len()))),
-    }
+    ending
 }
 
 /// Returns the grids and batch sizes to measure. Fails if all of them have too many particles.
