@@ -61,7 +61,7 @@ fn task_rows(grid: Grid, samples: usize) -> usize {
 /// [`PASS`] positions or, on many threads, as many as make tasks of full size for each. The three samples of a
 /// cloth stay together unless they are so large that it hardly matters how often the spectral product reads its
 /// weights.
-pub fn samples_per_pass(grid: Grid, samples: usize) -> usize {
+pub(crate) fn samples_per_pass(grid: Grid, samples: usize) -> usize {
     let rows = TASKS * rayon::current_num_threads() * band_rows(grid.w);
     let least = if grid.particles() > PASS { 1 } else { 3 };
     let most = (PASS / grid.particles()).max(rows.div_ceil(grid.h)).max(least);
