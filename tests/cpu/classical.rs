@@ -81,6 +81,49 @@ fn lbfgs_learns_the_curvature_of_a_quadratic() {
     }
 }
 
+/// The two-loop recursion against the matrix that it stands for, built from the newest pairs alone.
+#[test]
+fn lbfgs_remembers_as_many_pairs_as_it_is_told() {
+    const HISTORY: usize = 3;
+    let steepness: Vec<f64> = noise(12, 2).iter().map(|k| 1.0 + 0.9 * k).collect();
+    let mut lbfgs = Lbfgs::new(LbfgsSettings { history: HISTORY, curvature: 1e-12 }, 12, 1);
+    let all = iterates(&mut lbfgs, &steepness, noise(12, 1), 8);
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let times = |a: &[f64]| a.iter().zip(&steepness).map(|(a, k)| a * k).collect::<Vec<_>>();
+    let minus = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a - b).collect::<Vec<_>>();
+    for at in 1..all.len() - 1 {
+        let (g, step) = (times(&all[at]), minus(&all[at + 1], &all[at]));
+        let of = |pairs: usize| {
+            let pairs: Vec<_> = (at.saturating_sub(pairs)..at)
+                .map(|k| minus(&all[k + 1], &all[k]))
+                .map(|s| (times(&s), s))
+                .collect();
+            let (y, s) = pairs.last().expect("a pair");
+            let scale = dot(s, y) / dot(y, y);
+            let mut inverse: Vec<Vec<f64>> =
+                (0..12).map(|i| (0..12).map(|j| if i == j { scale } else { 0.0 }).collect()).collect();
+            for (y, s) in &pairs {
+                // H <- (1 - r s y^T) H (1 - r y s^T) + r s s^T with r = 1 / s.y
+                let r = 1.0 / dot(s, y);
+                let hy: Vec<f64> = inverse.iter().map(|row| dot(row, y)).collect();
+                let yhy = dot(y, &hy);
+                for i in 0..12 {
+                    for j in 0..12 {
+                        inverse[i][j] += r * ((1.0 + r * yhy) * s[i] * s[j] - s[i] * hy[j] - hy[i] * s[j]);
+                    }
+                }
+            }
+            inverse.iter().map(|row| -dot(row, &g)).collect::<Vec<_>>()
+        };
+        let size = dot(&step, &step).sqrt();
+        assert!(apart(&step, &of(HISTORY)) < 1e-9 * size, "step {at}");
+        if at > HISTORY {
+            let others = [HISTORY - 1, HISTORY + 1].map(|pairs| apart(&step, &of(pairs)) / size);
+            assert!(others.iter().all(|&other| other > 1e-6), "step {at}: {others:?}");
+        }
+    }
+}
+
 #[test]
 fn lbfgs_learns_nothing_from_a_pair_without_curvature() {
     let (g, mut a) = (noise(12, 3), vec![0.0; 12]);
