@@ -319,7 +319,9 @@ impl Context {
     /// Waits until everything submitted so far has completed. Fails if the device is lost. Callbacks of the
     /// device's owner may run here, as in any call that waits for the device.
     pub fn wait(&self) -> Result<()> {
-        self.poll(wgpu::PollType::wait_indefinitely())
+        self.poll(wgpu::PollType::wait_indefinitely())?;
+        // There is nothing to wait for on a device that was destroyed.
+        if self.is_lost() { Err(self.lost("it was reset or removed")) } else { Ok(()) }
     }
 
     /// Polls the device, waiting as specified by `until`. Fails if the device is lost.

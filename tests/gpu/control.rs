@@ -1,10 +1,10 @@
 //! What a host changes between the frames of a solver or a simulator.
 
-use crate::common::{context, device};
+use crate::common::{context, device, read};
 use crate::solver::{assert_same, solver, step, varied_batch};
 use fnopt::Error;
 use fnopt::cloth::{Control, State};
-use fnopt::sim::Optimizer;
+use fnopt::sim::{Optimizer, Solver};
 use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
 
@@ -162,4 +162,30 @@ fn a_simulator_takes_other_cloths() {
         assert!((after[3 * n + n - 2] - (start.x[3 * n + n - 2] + 0.1)).abs() < 1e-5);
         assert!(changed.stats == fresh.stats);
     }
+}
+
+/// Targets used to stay those of the handles before, so that a new handle jumped to another's place.
+#[test]
+fn new_handles_stay_where_they_are_until_a_control_moves_them() {
+    let _turn = device();
+    let (model, start, control) = varied_batch();
+    let n = model.grid.particles();
+    let mut solver = solver(&model, &Optimizer::gradient_descent(), 1, &start);
+    step(&solver, &control);
+    let mut cloths = model.cloths.clone();
+    for (cloth, handles) in cloths.iter_mut().zip([vec![1, n - 1], vec![n / 2], vec![0, 2, 3]]) {
+        cloth.handles = handles;
+    }
+    solver.set_cloths(&cloths).unwrap();
+    let handles = |solver: &Solver| solver.handles_of(&State { x: read(solver.positions()), v: vec![] });
+    let held = handles(&solver);
+    context().submit(|encoder| solver.record(encoder));
+    assert_eq!(handles(&solver), held);
+    // A change of material leaves the targets of a control that was set before.
+    let moved: Vec<[f32; 3]> = held.iter().map(|p| [p[0], p[1], p[2] + 0.5]).collect();
+    solver.set_control(&Control { handles: moved.clone(), ..Control::default() });
+    cloths[0].material.bend *= 2.0;
+    solver.set_cloths(&cloths).unwrap();
+    context().submit(|encoder| solver.record(encoder));
+    assert_eq!(handles(&solver), moved);
 }

@@ -152,6 +152,7 @@ fn a_device_that_is_lost_is_an_error() {
     for _ in 0..3 {
         is_lost("step", simulator.step(&control).err());
         is_lost("state", simulator.state().err());
+        is_lost("wait", lost.wait().err());
         is_lost("log", solver.iterations_log().err());
         is_lost("new", Solver::new(&lost, &model, &optimizer, &options).err());
         is_lost("vertices", solver.vertices().err());

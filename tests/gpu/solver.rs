@@ -1,6 +1,6 @@
 //! Whole frames: against the CPU path, repeated, in batches, and in a host's encoder.
 
-use crate::common::{assert_close, context, device, half, largest, noise, sharings, widened};
+use crate::common::{assert_close, context, device, half, largest, noise, read, sharings, widened};
 use fnopt::cloth::{Air, Cloth, Control, Grid, Material, Model, State};
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
@@ -52,10 +52,6 @@ pub fn solver_with(
     let solver = Solver::new(context(), model, optimizer, &options).unwrap();
     solver.set_state(start);
     solver
-}
-
-fn read(tensor: &Tensor) -> Vec<f32> {
-    tensor.read(context()).unwrap()
 }
 
 /// Asserts that both have the same bits and are finite.
@@ -479,32 +475,6 @@ fn handles_change_at_any_time() {
             assert!(host == same, "{name} on the host");
         }
     }
-}
-
-/// Targets used to stay those of the handles before, so that a new handle jumped to another's place.
-#[test]
-fn new_handles_stay_where_they_are_until_a_control_moves_them() {
-    let _turn = device();
-    let (model, start, control) = varied_batch();
-    let n = model.grid.particles();
-    let mut solver = solver(&model, &Optimizer::gradient_descent(), 1, &start);
-    step(&solver, &control);
-    let mut cloths = model.cloths.clone();
-    for (cloth, handles) in cloths.iter_mut().zip([vec![1, n - 1], vec![n / 2], vec![0, 2, 3]]) {
-        cloth.handles = handles;
-    }
-    solver.set_cloths(&cloths).unwrap();
-    let handles = |solver: &Solver| solver.handles_of(&State { x: read(solver.positions()), v: vec![] });
-    let held = handles(&solver);
-    context().submit(|encoder| solver.record(encoder));
-    assert_eq!(handles(&solver), held);
-    // A change of material leaves the targets of a control that was set before.
-    let moved: Vec<[f32; 3]> = held.iter().map(|p| [p[0], p[1], p[2] + 0.5]).collect();
-    solver.set_control(&Control { handles: moved.clone(), ..Control::default() });
-    cloths[0].material.bend *= 2.0;
-    solver.set_cloths(&cloths).unwrap();
-    context().submit(|encoder| solver.record(encoder));
-    assert_eq!(handles(&solver), moved);
 }
 
 /// A control without wind and forces used to leave those of the previous frame in place.
