@@ -311,9 +311,14 @@ impl Context {
 
     /// Submits the commands that `record` writes to a fresh encoder.
     pub fn submit(&self, record: impl FnOnce(&mut wgpu::CommandEncoder)) -> wgpu::SubmissionIndex {
+        self.queue.submit([self.commands(record)])
+    }
+
+    /// Returns the commands that `record` writes to a fresh encoder, to be submitted later.
+    pub(crate) fn commands(&self, record: impl FnOnce(&mut wgpu::CommandEncoder)) -> wgpu::CommandBuffer {
         let mut encoder = self.device.create_command_encoder(&Default::default());
         record(&mut encoder);
-        self.queue.submit([encoder.finish()])
+        encoder.finish()
     }
 
     /// Waits until everything submitted so far has completed. Fails if the device is lost. Callbacks of the

@@ -1,14 +1,14 @@
 //! NumPy arrays (`.npy`).
 
 use super::open;
-use crate::{Error, Result};
+use crate::{Error, Result, memory};
 use ndarray::{ArrayD, IxDyn, ShapeBuilder};
 use std::{
     io::{BufReader, Read},
     path::Path,
 };
 
-/// Supported element types, all little-endian.
+/// Supported element types.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Element {
     F16,
@@ -29,17 +29,25 @@ impl Element {
         }
     }
 
-    /// Returns the name of the type in a header.
+    /// Returns the name of the type in a header, after the character of the byte order.
     fn name(self) -> &'static str {
         match self {
-            Self::F16 => "<f2",
-            Self::F32 => "<f4",
-            Self::F64 => "<f8",
-            Self::I32 => "<i4",
-            Self::I64 => "<i8",
-            Self::U32 => "<u4",
-            Self::U64 => "<u8",
+            Self::F16 => "f2",
+            Self::F32 => "f4",
+            Self::F64 => "f8",
+            Self::I32 => "i4",
+            Self::I64 => "i8",
+            Self::U32 => "u4",
+            Self::U64 => "u8",
         }
+    }
+
+    /// Parses the type in a header, as in `<f4`. Also returns whether its bytes are in big-endian order.
+    fn parse(descr: &str) -> Option<(Self, bool)> {
+        let (order, name) = descr.split_at_checked(1)?;
+        let all = [Self::F16, Self::F32, Self::F64, Self::I32, Self::I64, Self::U32, Self::U64];
+        let element = all.into_iter().find(|element| element.name() == name)?;
+        matches!(order, "<" | ">").then_some((element, order == ">"))
     }
 }
 
@@ -48,6 +56,7 @@ pub(super) struct Array<R> {
     reader: R,
     origin: String,
     element: Element,
+    big_endian: bool,
     fortran: bool,
     /// Lengths of the axes.
     pub shape: Vec<usize>,
@@ -88,22 +97,9 @@ impl<R: Read> Array<R> {
         reader.read_exact(&mut header).map_err(cut)?;
         let (descr, fortran, shape) = parse_header(&header)
             .ok_or_else(|| bad("header", "descr, fortran_order and shape", &"other text"))?;
-        let element = match descr {
-            "<f2" => Element::F16,
-            "<f4" => Element::F32,
-            "<f8" => Element::F64,
-            "<i4" => Element::I32,
-            "<i8" => Element::I64,
-            "<u4" => Element::U32,
-            "<u8" => Element::U64,
-            _ => {
-                return Err(bad(
-                    "dtype",
-                    "little-endian numbers such as '<f4' or '<f8'",
-                    &format!("'{descr}'"),
-                ));
-            }
-        };
+        let (element, big_endian) = Element::parse(descr).ok_or_else(|| {
+            bad("dtype", "floating-point or whole numbers such as '<f4' or '<i4'", &format!("'{descr}'"))
+        })?;
         let bytes = shape.iter().try_fold(element.bytes(), |n, &axis| n.checked_mul(axis));
         let there = size.saturating_sub(start_len + header_len);
         let fits = bytes.filter(|&b| b as u64 == there);
@@ -113,14 +109,17 @@ impl<R: Read> Array<R> {
             return Err(bad("length", &expected, &format!("{there} bytes")));
         };
         let len = bytes / element.bytes();
-        Ok(Self { reader, element, fortran, shape, len, origin })
+        Ok(Self { reader, element, big_endian, fortran, shape, len, origin })
     }
 
     /// Returns this array. Fails if its elements are not floating-point numbers.
     pub fn of_floats(self) -> Result<Self> {
         match self.element {
             Element::F16 | Element::F32 | Element::F64 => Ok(self),
-            whole => Err(self.invalid("dtype", "'<f2', '<f4' or '<f8'", format!("'{}'", whole.name()))),
+            whole => {
+                let expected = "floating-point numbers, as in 'f2', 'f4' or 'f8'";
+                Err(self.invalid("dtype", expected, format!("'{}'", whole.name())))
+            }
         }
     }
 
@@ -139,6 +138,9 @@ impl<R: Read> Array<R> {
             self.reader
                 .read_exact(chunk)
                 .map_err(|e| Error::invalid(&self.origin, "data", "all its elements", e))?;
+            if self.big_endian {
+                chunk.chunks_exact_mut(self.element.bytes()).for_each(<[u8]>::reverse);
+            }
             match self.element {
                 Element::F16 => words(chunk).for_each(|b| sink(half::f16::from_le_bytes(b).into())),
                 Element::F32 => words(chunk).for_each(|b| sink(f32::from_le_bytes(b).into())),
@@ -152,9 +154,17 @@ impl<R: Read> Array<R> {
         Ok(())
     }
 
+    /// Returns a vector with room for `len` elements. An array in a compressed archive may be longer than memory.
+    fn reserved<T>(&self, len: usize) -> Result<Vec<T>> {
+        let mut values = Vec::new();
+        let why = |error: Error| self.invalid("length", "an array that fits into memory", error);
+        memory::reserve(&mut values, len, "its elements").map_err(why)?;
+        Ok(values)
+    }
+
     /// Reads the whole array, converting each element with `cast`.
     pub fn read<T>(&mut self, cast: impl Fn(f64) -> T) -> Result<ArrayD<T>> {
-        let mut data = Vec::with_capacity(self.len);
+        let mut data = self.reserved(self.len)?;
         self.elements(|x| data.push(cast(x)))?;
         let shape = IxDyn(&self.shape).set_f(self.fortran);
         ArrayD::from_shape_vec(shape, data).map_err(|e| self.invalid("shape", "a usable shape", e))
@@ -165,7 +175,7 @@ impl<R: Read> Array<R> {
         if self.shape.last() != Some(&3) {
             return Err(self.invalid("shape", "a last axis of 3", format!("{:?}", self.shape)));
         }
-        let mut out = Vec::with_capacity(self.len / 3);
+        let mut out = self.reserved(self.len / 3)?;
         let mut triple = [T::default(); 3];
         let mut axis = 0;
         let mut push = |x: T| {
@@ -287,6 +297,15 @@ mod tests {
     }
 
     #[test]
+    fn both_byte_orders() {
+        let big: Vec<u8> = (0..6).flat_map(|k| (k as f32 - 0.5).to_be_bytes()).collect();
+        let found = read("{'descr': '>f4', 'fortran_order': False, 'shape': (2, 3)}", &big).unwrap();
+        assert_eq!(found.as_slice().unwrap(), [-0.5, 0.5, 1.5, 2.5, 3.5, 4.5]);
+        let whole = read("{'descr': '>i8', 'fortran_order': False, 'shape': ()}", &(-3i64).to_be_bytes());
+        assert_eq!(whole.unwrap().sum(), -3.0);
+    }
+
+    #[test]
     fn claims_are_checked_against_the_length() {
         let huge = "{'descr': '<f4', 'fortran_order': False, 'shape': (4000000000, 4000000000, 3), }";
         let error = read(huge, &[0; 12]).unwrap_err().to_string();
@@ -303,7 +322,9 @@ mod tests {
             "{'descr': '<f4', 'fortran_order': False}",
             "{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': ()}",
             "{'descr': '<f4', 'fortran_order': False, 'shape': (-1,)}",
-            "{'descr': '>f4', 'fortran_order': False, 'shape': ()}",
+            "{'descr': '|f4', 'fortran_order': False, 'shape': ()}",
+            "{'descr': '<é', 'fortran_order': False, 'shape': ()}",
+            "{'descr': '', 'fortran_order': False, 'shape': ()}",
             "{'descr': '<f4', 'fortran_order': False, 'shape': () 'x': 1}",
         ] {
             assert!(read(header, &[0; 4]).is_err(), "{header}");

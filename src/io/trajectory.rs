@@ -153,6 +153,10 @@ impl Trajectory {
     fn write_frames(&self, folder: PathBuf, format: Format) -> Result<PathBuf> {
         let name = |f: usize| format!("{f:05}.{format}");
         std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, "cannot create the folder", e))?;
+        if let Some(in_the_way) = (0..self.frames()).map(|f| folder.join(name(f))).find(|path| path.is_dir())
+        {
+            return Err(Error::invalid(in_the_way.display().to_string(), "type", "a file", "a folder"));
+        }
         // Frames of two runs in one folder would be read as one sequence, so none is in its place before all
         // are written.
         let unfinished = tempfile::Builder::new().prefix(UNFINISHED).tempdir_in(&folder);
@@ -164,7 +168,7 @@ impl Trajectory {
             })
         })?;
         // Remove only names that a run would have written: `7.obj` belongs to the user.
-        for (f, path) in frame_files(&folder, format)? {
+        for (_, f, path) in frame_files(&folder, format)? {
             if path.file_name().is_some_and(|found| *found == *name(f)) {
                 super::remove(&path)?;
             }
@@ -275,35 +279,46 @@ fn read_parts(path: &Path) -> Result<Parts> {
     }
 }
 
-/// Returns the numbered files of a folder of frames, in order.
-fn frame_files(folder: &Path, format: Format) -> Result<Vec<(usize, PathBuf)>> {
+/// Returns the numbered files of a folder of frames, in order, each with the beginning of its name, its number,
+/// and its path: `cloth_0007.obj` begins with `cloth_` and has number 7.
+fn frame_files(folder: &Path, format: Format) -> Result<Vec<(String, usize, PathBuf)>> {
     let fail = |e| Error::io(folder, "cannot read the folder", e);
     let mut files = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(fail)? {
         let path = entry.map_err(fail)?.path();
         let of_format = path.extension().is_some_and(|e| e == format.name());
-        let stem =
-            path.file_stem().and_then(|s| s.to_str()).filter(|s| s.bytes().all(|b| b.is_ascii_digit()));
-        if let Some(number) = stem.and_then(|s| s.parse().ok()).filter(|_| of_format) {
-            files.push((number, path));
+        let stem = path.file_stem().and_then(|s| s.to_str()).filter(|_| of_format).unwrap_or_default();
+        let name = stem.trim_end_matches(|c: char| c.is_ascii_digit());
+        if let Ok(number) = stem[name.len()..].parse() {
+            files.push((name.to_owned(), number, path));
         }
     }
     files.sort();
     Ok(files)
 }
 
+/// Reads a sequence of OBJ files with consecutive numbers, which may begin anywhere.
 fn read_folder(folder: &Path) -> Result<Parts> {
-    let files = frame_files(folder, Format::Obj)?;
+    let mut files = frame_files(folder, Format::Obj)?;
+    // Next to files that are called by their number alone, others are not frames.
+    if files.first().is_some_and(|(name, ..)| name.is_empty()) {
+        files.retain(|(name, ..)| name.is_empty());
+    }
     let mut parts = Parts::default();
-    for (number, (frame, path)) in files.iter().enumerate() {
+    for (k, (name, number, path)) in files.iter().enumerate() {
         let bad = |field: &str, expected: String, found: String| {
             Err(Error::invalid(path.display().to_string(), field, expected, found))
         };
-        if *frame != number {
-            return bad("number", format!("{number:05}.obj"), "a gap before this file".into());
+        let (first_name, first, _) = &files[0];
+        if name != first_name {
+            let expected = format!("'{first_name}' and a number, as in the other files");
+            return bad("name", expected, format!("'{name}'"));
+        }
+        if *number != first + k {
+            return bad("number", (first + k).to_string(), number.to_string());
         }
         let mesh = read_obj(path)?;
-        if number == 0 {
+        if k == 0 {
             parts.shape = vec![files.len(), mesh.positions.len(), 3];
             parts.faces = mesh.faces;
         } else if mesh.positions.len() != parts.shape[1] {

@@ -1,8 +1,10 @@
-//! The container of NumPy archives: a zip file whose entries are stored uncompressed.
+//! The container of NumPy archives: a zip file whose entries are stored (`numpy.savez`) or deflated
+//! (`numpy.savez_compressed`).
 //!
 //! Written by hand because the library's reader trusts the sizes in the headers and allocates accordingly.
 
 use crate::{Error, Result};
+use flate2::read::DeflateDecoder;
 use std::io::{self, Read, Seek, SeekFrom};
 
 /// A file inside an archive.
@@ -11,12 +13,15 @@ pub(super) struct Entry {
     pub name: String,
     /// Length in bytes.
     pub size: u64,
-    compressed: bool,
+    /// Length in the archive in bytes.
+    packed: u64,
+    /// [`STORED`], [`DEFLATED`] or a method that is not supported.
+    method: u16,
     crc: u32,
     header: u64,
 }
 
-/// An archive of stored entries. Sizes and offsets are checked against its length before they are used.
+/// An archive. Sizes and offsets are checked against its length before they are used.
 pub(super) struct Archive<R> {
     reader: R,
     len: u64,
@@ -30,6 +35,11 @@ const END64: u32 = 0x0606_4b50;
 const END64_LOCATOR: u32 = 0x0706_4b50;
 const CENTRAL: u32 = 0x0201_4b50;
 const LOCAL: u32 = 0x0403_4b50;
+/// Methods of compression.
+const STORED: u16 = 0;
+const DEFLATED: u16 = 8;
+/// Most bytes that one byte of a deflated entry stands for.
+const DEFLATES: u64 = 1032;
 /// Lengths of the fixed parts of the records.
 const END_LEN: usize = 22;
 const CENTRAL_LEN: usize = 46;
@@ -107,16 +117,22 @@ impl<R: Read + Seek> Archive<R> {
 
     /// Returns a reader of the entry `name`, and its size in bytes. The reader fails at the end if the
     /// checksum does not match.
-    pub fn entry(&mut self, name: &str) -> Result<(Checked<'_, R>, u64)> {
+    pub fn entry(&mut self, name: &str) -> Result<(Checked<'_>, u64)> {
         let bad = |expected: &str, found: &dyn std::fmt::Display| {
             Error::invalid(&self.origin, name, expected, found)
         };
         let found = self.entries.iter().find(|e| e.name == name);
         let entry = found.ok_or_else(|| bad("an array of this name", &"none"))?;
-        if entry.compressed {
-            return Err(bad("a stored array, as numpy.savez writes it", &"a compressed one"));
+        let &Entry { header, size, packed, method, crc, .. } = entry;
+        match method {
+            STORED if packed == size => {}
+            DEFLATED if size <= packed.saturating_mul(DEFLATES) => {}
+            STORED | DEFLATED => return Err(bad("a possible size", &format!("{size} bytes in {packed}"))),
+            _ => {
+                let expected = "a stored or deflated array, as NumPy writes it";
+                return Err(bad(expected, &format!("compression method {method}")));
+            }
         }
-        let (header, size, crc) = (entry.header, entry.size, entry.crc);
         let inside = |from: u64, len: u64| from.checked_add(len).filter(|&end| end <= self.len);
         inside(header, LOCAL_LEN).ok_or_else(|| bad("a place inside the archive", &header))?;
         let local = self.bytes(header, LOCAL_LEN).map_err(|e| Error::io(&self.origin, "cannot read", e))?;
@@ -124,11 +140,14 @@ impl<R: Read + Seek> Archive<R> {
             (Some(LOCAL), Some(name), Some(extra)) => header + LOCAL_LEN + u64::from(name) + u64::from(extra),
             _ => return Err(Error::invalid(&self.origin, name, "an entry at its place", "something else")),
         };
-        if start.checked_add(size).is_none_or(|end| end > self.len) {
-            return Err(Error::invalid(&self.origin, name, format!("{size} bytes"), "the end of the file"));
+        if start.checked_add(packed).is_none_or(|end| end > self.len) {
+            return Err(Error::invalid(&self.origin, name, format!("{packed} bytes"), "the end of the file"));
         }
         self.reader.seek(SeekFrom::Start(start)).map_err(|e| Error::io(&self.origin, "cannot read", e))?;
-        Ok((Checked { reader: &mut self.reader, left: size, sum: crc32fast::Hasher::new(), crc }, size))
+        let stored = (&mut self.reader).take(packed);
+        let reader: Box<dyn Read + '_> =
+            if method == DEFLATED { Box::new(DeflateDecoder::new(stored)) } else { Box::new(stored) };
+        Ok((Checked { reader, left: size, sum: crc32fast::Hasher::new(), crc }, size))
     }
 }
 
@@ -158,7 +177,8 @@ fn central_entry(bytes: &[u8]) -> Option<(Entry, usize)> {
     let entry = Entry {
         name: String::from_utf8_lossy(bytes.get(CENTRAL_LEN..CENTRAL_LEN + name)?).into_owned(),
         size,
-        compressed: method != 0 || packed != size,
+        packed,
+        method,
         crc: u32_at(bytes, 16)?,
         header,
     };
@@ -166,14 +186,14 @@ fn central_entry(bytes: &[u8]) -> Option<(Entry, usize)> {
 }
 
 /// A reader that verifies a checksum once everything is read.
-pub(super) struct Checked<'a, R> {
-    reader: &'a mut R,
+pub(super) struct Checked<'a> {
+    reader: Box<dyn Read + 'a>,
     left: u64,
     sum: crc32fast::Hasher,
     crc: u32,
 }
 
-impl<R: Read> Read for Checked<'_, R> {
+impl Read for Checked<'_> {
     fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let n = self.left.min(buffer.len() as u64) as usize;
         let n = self.reader.read(&mut buffer[..n])?;
@@ -227,15 +247,42 @@ mod tests {
     }
 
     #[test]
-    fn sizes_and_places_of_64_bits_are_read_and_compressed_entries_refused() {
+    fn sizes_and_places_of_64_bits_are_read_and_other_compression_is_refused() {
         let (mut file, directory) = large_archive(b"data");
         let open = |file: &[u8]| Archive::open(io::Cursor::new(file.to_vec()), file.len() as u64, "x".into());
         let mut data = Vec::new();
         open(&file).unwrap().entry("a").unwrap().0.read_to_end(&mut data).unwrap();
         assert_eq!(data, b"data");
-        // Set the method to something other than stored.
-        file[directory + 10] = 8;
+        file[directory + 10] = 12;
         let error = open(&file).unwrap().entry("a").err().expect("a compressed entry").to_string();
-        assert!(error.contains("numpy.savez") && error.contains("a compressed one"), "{error}");
+        assert!(error.contains("stored or deflated") && error.contains("compression method 12"), "{error}");
+    }
+
+    #[test]
+    fn a_deflated_entry_is_no_longer_than_it_can_be() {
+        let mut deflated = flate2::write::DeflateEncoder::new(Vec::new(), flate2::Compression::best());
+        std::io::Write::write_all(&mut deflated, &[7; 1000]).unwrap();
+        let packed = deflated.finish().unwrap();
+        let open = |size: u64, crc: u32| {
+            let entry = |header| Entry {
+                name: "a".into(),
+                size,
+                packed: packed.len() as u64,
+                method: DEFLATED,
+                crc,
+                header,
+            };
+            let file = [&LOCAL.to_le_bytes()[..], &[0; 26], &packed].concat();
+            let (len, origin) = (file.len() as u64, "x".into());
+            Archive { reader: io::Cursor::new(file), len, origin, entries: vec![entry(0)] }
+        };
+        let crc = crc32fast::hash(&[7; 1000]);
+        let mut data = Vec::new();
+        open(1000, crc).entry("a").unwrap().0.read_to_end(&mut data).unwrap();
+        assert_eq!(data, [7; 1000]);
+        let mut read = |size, crc| open(size, crc).entry("a").unwrap().0.read_to_end(&mut data).map(drop);
+        assert!(read(1000, !crc).unwrap_err().to_string().contains("checksum"));
+        let error = open(1 << 40, crc).entry("a").err().expect("an impossible size").to_string();
+        assert!(error.contains("1099511627776 bytes in"), "{error}");
     }
 }

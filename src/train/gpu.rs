@@ -43,6 +43,9 @@ struct PoolState {
     loss: DeviceLoss,
     step: Schedule,
     readback: Readback,
+    /// The commands of the next step. Recorded while the device is busy with this one, they do not keep it
+    /// waiting.
+    ahead: Option<wgpu::CommandBuffer>,
 }
 
 impl PoolState {
@@ -65,8 +68,16 @@ impl PoolState {
         let (state, iterate) = loss.state();
         Advance::new(context)?.push(&mut step, &drawn, state, iterate);
         Store::new(context)?.push(&mut step, grid, (&drawn, pool), loss.tensors());
-        let readback = Readback::new(context, &[&loss.terms, &loss.sizes, loss.scale()], 1)?;
-        Ok(Self { grid, fields, scale, drawn, loss, step: step.finish()?, readback })
+        let readback = Readback::new(context, &[&loss.terms, &loss.sizes, loss.scale()], 2)?;
+        Ok(Self { grid, fields, scale, drawn, loss, step: step.finish()?, readback, ahead: None })
+    }
+
+    /// Records a step with the readback of its outcomes.
+    fn record(&mut self, context: &Context) -> wgpu::CommandBuffer {
+        context.commands(|encoder| {
+            self.step.record(encoder);
+            self.readback.record(encoder);
+        })
     }
 
     /// Uploads the cloths of the next step.
@@ -180,22 +191,26 @@ impl Learner for GpuLearner {
         for batch in batches {
             pools[batch.pool].set(context, batch);
         }
-        let submission = context.submit(|encoder| {
-            self.prepare.record(encoder);
-            for batch in batches {
-                let state = &mut pools[batch.pool];
-                state.step.record(encoder);
-                state.readback.record(encoder);
-            }
-            if ranks.count() == 1 {
+        let mut commands = vec![context.commands(|encoder| self.prepare.record(encoder))];
+        for batch in batches {
+            let state = &mut pools[batch.pool];
+            commands.push(state.ahead.take().unwrap_or_else(|| state.record(context)));
+        }
+        if ranks.count() == 1 {
+            commands.push(context.commands(|encoder| {
                 self.norm.record(encoder);
                 self.norm_readback.record(encoder);
-            }
-        });
-        let mut report = StepReport { outcomes: vec![Vec::new(); pools.len()], ..StepReport::default() };
+            }));
+        }
+        let submission = context.queue.submit(commands);
         for batch in batches {
             let state = &mut pools[batch.pool];
             state.readback.submitted(&submission);
+            state.ahead = Some(state.record(context));
+        }
+        let mut report = StepReport { outcomes: vec![Vec::new(); pools.len()], ..StepReport::default() };
+        for batch in batches {
+            let state = &mut pools[batch.pool];
             let outcomes = state.readback.next(|bytes| outcomes(bytes, state.loss.batch()))?;
             report.outcomes[batch.pool] = outcomes.expect("one read is under way");
         }
