@@ -18,8 +18,6 @@
 struct Params {
     particles: u32, // n
     buckets: u32, // a power of two
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -8,9 +8,6 @@
 
 struct Params {
     buckets: u32, // a multiple of four times the invocations
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

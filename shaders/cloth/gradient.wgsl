@@ -24,8 +24,6 @@ struct Params {
     first_sum: u32,
     last_step: u32,
     zero: u32, // 0
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -16,7 +16,6 @@ struct Params {
     rows: u32, // H
     columns: u32, // W
     count: u32, // ceil(H / 2) K
-    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -17,9 +17,6 @@ struct Params {
     inner: u32,
     span: u32, // l
     sign: f32, // -1 forward, 1 inverse
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

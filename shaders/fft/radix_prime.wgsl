@@ -17,8 +17,6 @@ struct Params {
     span: u32, // l
     radix: u32, // r
     sign: f32, // -1 forward, 1 inverse
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

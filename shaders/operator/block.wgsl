@@ -51,9 +51,6 @@ struct Params {
     samples: u32, // S
     embedded: u32, // E
     all_samples: u32, // samples of the fields, S of them from `first` on; this and all below serve `features`
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
     first: u32,
     hidden: u32,
     parts: u32,

@@ -18,8 +18,6 @@ struct Params {
     row_quads: u32, // Q
     x_first: u32, // first line of x
     y_first: u32, // first line of y
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -25,8 +25,6 @@ struct Params {
     tile: u32,
     stride: u32, // quads of a part
     bias: u32, // offset of the bias in a part, in quads
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

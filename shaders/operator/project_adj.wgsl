@@ -11,7 +11,6 @@ struct Params {
     channels: u32, // C
     quads: u32, // S H Q
     row_quads: u32, // Q
-    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -11,8 +11,6 @@
 struct Params {
     inputs: u32, // I
     outputs: u32, // O
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -16,7 +16,6 @@ struct Params {
     channels: u32, // C
     rows: u32, // H
     row_quads: u32, // Q
-    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -12,7 +12,6 @@ struct Params {
     outputs: u32, // O
     inputs: u32, // I
     tile: u32,
-    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -22,8 +22,6 @@ struct Params {
     correction2: f32, // 1 / (1 - beta2^t)
     weight1: f32, // 1 - beta1
     weight2: f32, // 1 - beta2
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -15,8 +15,6 @@
 struct Params {
     rows: u32, // H
     columns: u32, // W
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -8,8 +8,6 @@
 struct Params {
     particles: u32, // n
     rate: f32,
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -27,7 +27,6 @@ struct Params {
     channels: u32, // C
     before: u32,
     after: u32,
-    pad: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -18,9 +18,6 @@
 
 struct Params {
     n: u32,
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 struct Factors {
@@ -34,8 +31,6 @@ struct Factors {
     add2: f32, // 1 - beta2
     epsilon: f32,
     average: f32,
-    pad0: f32,
-    pad1: f32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

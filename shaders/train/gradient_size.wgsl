@@ -8,9 +8,6 @@
 
 struct Params {
     elements: u32, // 3 n
-    pad0: u32,
-    pad1: u32,
-    pad2: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -13,8 +13,6 @@
 struct Params {
     particles: u32, // n
     samples: u32, // 3 B
-    pad0: u32,
-    pad1: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;

@@ -62,3 +62,15 @@ pub(super) fn mean_and_fractions_above(of_frames: &[f64]) -> [f64; 3] {
     let above = |limit: f64| mean(&|r| if r > limit { 1.0 } else { 0.0 });
     [mean(&|r| r), above(0.1), above(0.02)]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::mean_and_fractions_above;
+
+    #[test]
+    fn shares_are_of_frames_above_a_tenth_and_a_fiftieth() {
+        let [mean, above, slightly] = mean_and_fractions_above(&[0.0, 0.05, 0.2]);
+        assert!((mean - 0.25 / 3.0).abs() < 1e-12);
+        assert_eq!((above, slightly), (1.0 / 3.0, 2.0 / 3.0));
+    }
+}

@@ -61,6 +61,12 @@ mod tests {
         assert!(edges.largest(&x).abs() < 1e-12);
         x[5] -= 0.5;
         assert!((edges.largest(&x) - 0.5).abs() < 1e-12);
+        // A particle of the last row has one edge along the height.
+        let mut sheared = setup.start.x.clone();
+        let last_row = |c: usize| c * n + 31 * 32 + 20;
+        let up = [0, 1, 2].map(|c| sheared[last_row(c)] - sheared[last_row(c) - 32]);
+        (0..3).for_each(|c| sheared[last_row(c)] += 0.5 * up[c]);
+        assert!((edges.largest(&sheared) - 0.5).abs() < 1e-12);
         x[n + 20] = f64::NAN;
         assert!(edges.largest(&x).is_nan());
     }

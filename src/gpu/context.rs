@@ -354,16 +354,11 @@ pub fn adapters() -> Vec<AdapterSummary> {
 }
 
 async fn all_adapters() -> Vec<wgpu::Adapter> {
-    let descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env;
-    let wanted = descriptor().backends;
-    let mut found = Vec::new();
-    // OpenGL only where there is nothing else: its start is noisy on machines without a display.
-    for backends in [wanted & wgpu::Backends::PRIMARY, wanted] {
-        if found.is_empty() {
-            let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor() });
-            found = instance.enumerate_adapters(backends).await;
-        }
-    }
+    // Not OpenGL, in case the host's wgpu has it: its start is noisy on machines without a display.
+    let descriptor = wgpu::InstanceDescriptor::new_without_display_handle_from_env();
+    let backends = descriptor.backends & wgpu::Backends::PRIMARY;
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor { backends, ..descriptor });
+    let mut found = instance.enumerate_adapters(backends).await;
     found.sort_by_key(|a| match a.get_info().device_type {
         wgpu::DeviceType::DiscreteGpu => 0,
         wgpu::DeviceType::IntegratedGpu => 1,

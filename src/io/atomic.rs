@@ -5,7 +5,10 @@ use std::{
     fs::File,
     io::{self, BufWriter, Write},
     path::{Path, PathBuf},
+    thread,
+    time::Duration,
 };
+use tempfile::{PathPersistError as PersistError, TempPath};
 
 /// Prefix of the name of a file that is not completely written yet.
 pub(crate) const UNFINISHED: &str = ".writing-";
@@ -44,19 +47,47 @@ pub(crate) fn replace(
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
         let (file, temporary) = builder.tempfile_in(folder_of(&target))?.into_parts();
-        // A file that its owner has made private stays so.
-        if let Ok(before) = target.metadata() {
+        // A file that its owner has made private stays so. Where the file system knows no modes, both are the
+        // same, and setting them fails.
+        if let Ok(before) = target.metadata()
+            && before.permissions() != file.metadata()?.permissions()
+        {
             file.set_permissions(before.permissions())?;
         }
         let mut writer = BufWriter::with_capacity(1 << 16, file);
         fill(&mut writer)?;
         writer.flush()?;
         // Otherwise a system crash could leave the new name without the new contents.
-        writer.get_ref().sync_all()?;
+        writer.get_ref().sync_all().or_else(|e| if is_unsupported(&e) { Ok(()) } else { Err(e) })?;
         drop(writer);
-        temporary.persist(&target).map_err(|e| e.error)
+        rename(temporary, &target)
     })();
     written.map_err(|e| Error::io(path, "cannot write", e))
+}
+
+/// Whether a file system does not offer what failed. Network volumes may be unable to flush a file.
+fn is_unsupported(error: &io::Error) -> bool {
+    // ENOTTY and ENOTSUP of macOS.
+    let of_macos = cfg!(target_os = "macos") && matches!(error.raw_os_error(), Some(25 | 45));
+    of_macos || matches!(error.kind(), io::ErrorKind::Unsupported | io::ErrorKind::InvalidInput)
+}
+
+/// Renames a finished file to `target`.
+fn rename(mut finished: TempPath, target: &Path) -> io::Result<()> {
+    for milliseconds in [10, 20, 50, 100, 200, 500] {
+        let Err(PersistError { error, path }) = finished.persist(target) else { return Ok(()) };
+        match error.raw_os_error() {
+            // A file that is mounted into a container cannot be replaced, only filled.
+            _ if error.kind() == io::ErrorKind::ResourceBusy => {
+                return std::fs::copy(&path, target).map(drop);
+            }
+            // On Windows, scanners and indexers hold a new file open for a moment.
+            Some(5 | 32 | 33) if cfg!(windows) => thread::sleep(Duration::from_millis(milliseconds)),
+            _ => return Err(error),
+        }
+        finished = path;
+    }
+    finished.persist(target).map_err(|e| e.error)
 }
 
 /// Returns the file to replace: the target of a link instead of the link, even if it does not exist yet.
@@ -78,6 +109,10 @@ fn target_of(path: &Path) -> PathBuf {
 /// Returns whether `path` must be written to directly, because no other file can replace it: a device, a
 /// pipe, or a descriptor that the process holds open, even if that is a regular file.
 pub fn is_stream(path: &Path) -> bool {
+    if cfg!(windows) {
+        let name = path.as_os_str().to_string_lossy();
+        return name.eq_ignore_ascii_case("nul") || name.starts_with(r"\\.\");
+    }
     let open = ["/dev/stdout", "/dev/stderr", "/dev/fd", "/proc"].iter().any(|open| path.starts_with(open));
     path.metadata().is_ok_and(|found| !found.is_dir() && (open || !found.is_file()))
 }

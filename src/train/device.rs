@@ -227,7 +227,6 @@ impl DeviceAdamW {
             add2: (1.0 - beta2) as f32,
             epsilon: epsilon as f32,
             average: average as f32,
-            pad: [0.0; 2],
         };
         self.factors.write(&self.context, &[factors]);
     }

@@ -142,3 +142,20 @@ pub fn learner(device: &Device, config: &Config, weights: &Weights) -> Result<Bo
         Device::Gpu(context) => Ok(Box::new(GpuLearner::new(context, config, weights)?)),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{EnergyTerms, Outcome, StepReport};
+
+    #[test]
+    fn a_step_with_a_loss_or_gradient_that_is_not_finite_is_unusable() {
+        let report = |gradient_norm, external| {
+            let energy = EnergyTerms { external, ..EnergyTerms::default() };
+            let outcomes = vec![vec![Outcome { energy, ..Outcome::default() }], vec![]];
+            StepReport { gradient_norm, outcomes }
+        };
+        assert!(report(1.0, 2.0).is_finite());
+        assert!(!report(f64::NAN, 2.0).is_finite() && !report(f64::INFINITY, 2.0).is_finite());
+        assert!(!report(1.0, f64::NAN).is_finite() && !report(1.0, f64::NEG_INFINITY).is_finite());
+    }
+}

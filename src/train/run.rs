@@ -472,3 +472,23 @@ impl Clock {
         self.since = Instant::now();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::{Clock, Every};
+    use std::time::{Duration, Instant};
+
+    #[test]
+    fn a_clock_counts_minutes_since_its_restart() {
+        let ago =
+            |seconds| Instant::now().checked_sub(Duration::from_secs(seconds)).expect("a time since boot");
+        let mut clock = Clock { every: Every::Minutes(0.5), since: ago(25) };
+        assert!(!clock.is_due(7));
+        clock.since = ago(31);
+        assert!(clock.is_due(7));
+        clock.restart();
+        assert!(!clock.is_due(7));
+        let steps = Clock::new(Every::Steps(3));
+        assert_eq!([0, 1, 3, 4, 6].map(|step| steps.is_due(step)), [false, false, true, false, true]);
+    }
+}

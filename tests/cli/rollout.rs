@@ -1,6 +1,6 @@
 //! `fnopt rollout`: the files it writes, and those it keeps when it ends early.
 
-use super::command::{command, fnopt, json, refused_cleanly, send, signals, text};
+use super::command::{command, done, fnopt, json, quiet, refused_cleanly, send, signals, text};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -51,6 +51,27 @@ fn a_rollout_writes_what_it_says() {
         ["out/rollout.png", "out/rollout.gif", "out/rollout.npz", "out/rollout.pc2", "out/rollout.obj"]
     {
         assert!(folder.path().join(picture).metadata().unwrap().len() > 1000, "{picture}");
+    }
+}
+
+/// The default motion rests for half a second; a quarter of a second later its handles are on their way.
+#[test]
+fn handles_follow_the_motion() {
+    let folder = tempfile::tempdir().unwrap();
+    for (solver, iterations) in [("newton", "1"), ("fnopt", "10")] {
+        let arguments =
+            ["rollout", "--device", "cpu", "--solver", solver, "--iterations", iterations, "--grid"];
+        let more = ["8", "--frames", "46", "--format", "npy", "--no-pictures"];
+        done(quiet(folder.path(), &[&arguments[..], &more].concat()).output().unwrap());
+        let x = fnopt::io::read_npy(folder.path().join("out/rollout.npy")).unwrap();
+        assert_eq!(x.shape(), [46, 64, 3]);
+        let moved = 0.5 * (1.0 - std::f64::consts::FRAC_PI_4.cos()) / 2f64.sqrt();
+        for handle in [56, 0] {
+            for (c, expected) in [moved, 0.0, -moved].into_iter().enumerate() {
+                let found = x[[45, handle, c]] - x[[0, handle, c]];
+                assert!((found - expected).abs() < 1e-5, "{solver}: handle {handle}, axis {c}: {found}");
+            }
+        }
     }
 }
 

@@ -314,6 +314,36 @@ fn other_systems_are_columns_next_to_the_solvers() {
     assert_eq!((&theirs["stable"], &theirs["e_cd"]), (&Value::Bool(false), &Value::Null));
 }
 
+/// A trajectory that is compared again replaces its own score, and not that of a sequence whose name begins alike.
+#[test]
+fn a_system_that_is_compared_again_replaces_its_own_score() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    std::fs::create_dir(at.join("theirs")).unwrap();
+    for sequence in ["xy", "xy_v2"] {
+        copy_sequence(&at.join("truth").join(sequence));
+        let own = at.join("truth").join(sequence).join("cloth_pos.npy");
+        std::fs::copy(own, at.join(format!("theirs/{sequence}.npy"))).unwrap();
+    }
+    let compared = |more: &[&str]| {
+        let few =
+            ["evaluate", "--ground-truth", "truth", "--grid", "8", "--solver", "gd:3", "--points", "100"];
+        done(quiet(at, &[&few[..], &["--compare", "other=theirs"], more].concat()).output().unwrap());
+        let names = scores(&at.join("out/evaluate")).into_iter();
+        let names = names.map(|path| path.file_name().unwrap().to_str().unwrap().to_owned());
+        names.filter(|name| name.contains("_compared_")).collect::<Vec<_>>()
+    };
+    let first = compared(&["--frames", "4"]);
+    let of = |names: &[String], sequence: &str| -> Vec<String> {
+        names.iter().filter(|name| name.starts_with(&format!("{sequence}_32x32"))).cloned().collect()
+    };
+    assert_eq!((of(&first, "xy").len(), of(&first, "xy_v2").len(), first.len()), (1, 1, 2), "{first:?}");
+    let second = compared(&["--frames", "3", "--sequences", "xy"]);
+    assert_eq!((of(&second, "xy").len(), second.len()), (1, 2), "{second:?}");
+    assert_ne!(of(&second, "xy"), of(&first, "xy"));
+    assert_eq!(of(&second, "xy_v2"), of(&first, "xy_v2"));
+}
+
 /// Merged shares have the figures of a single run over everything, score by score.
 #[test]
 fn shares_together_are_the_whole() {

@@ -1,6 +1,6 @@
 //! Scores of simulations and of other systems' trajectories, and which of them belong together.
 
-use crate::common::{MATERIAL, PHYSICS, SETTINGS, newton, shipped};
+use crate::common::{MATERIAL, PHYSICS, SETTINGS, newton, shipped, square};
 use fnopt::Device;
 use fnopt::cloth::{Grid, Material};
 use fnopt::eval;
@@ -29,6 +29,78 @@ fn a_sequence_is_repeated_from_its_first_frame() {
         ControlFlow::Break(())
     });
     assert!(stopped.unwrap().is_none());
+}
+
+/// The recordings rest for 30 frames before the handles move.
+#[test]
+fn handles_are_where_the_recording_has_them() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let (grid, settings) = (Grid { h: 8, w: 8 }, Settings { frames: 46, ..SETTINGS });
+    let tick = || ControlFlow::Continue(());
+    let setup = sequence.scene(grid, &PHYSICS).unwrap().setup().unwrap();
+    let (score, found) =
+        run((&sequence, None), grid, &newton(), (&Device::Cpu, &settings), tick).unwrap().unwrap();
+    assert!(score.stable && found.frames() == 46);
+    let apart = |a: [f32; 3], b: [f32; 3]| square(a.map(f64::from), b.map(f64::from)).sqrt();
+    for (k, &handle) in setup.model.cloths[0].handles.iter().enumerate() {
+        for frame in [31, 45] {
+            let mut x = setup.start.x.clone();
+            (0..3).for_each(|c| x[64 * c + handle] = setup.handles[frame][k][c]);
+            let target = setup.vertices_m(&x)[handle].map(|c| c as f32);
+            let off = apart(found.frame(frame)[handle], target);
+            assert!(off < 1e-5, "frame {frame}, handle {k}: {off}");
+        }
+        // s(t) = (1 - cos(pi t)) / 2 a quarter of a second into the first move.
+        let moved = apart(found.frame(45)[handle], found.frame(0)[handle]);
+        assert!((moved - 0.5 * (1.0 - 0.5f64.sqrt())).abs() < 1e-3, "handle {k} moved {moved} m");
+    }
+}
+
+/// A flat sheet that rises by 0.1 m per frame, and its copy 0.1 m above: the errors of every frame are those
+/// of two parallel sheets.
+#[test]
+fn each_frame_is_compared_with_its_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let grid = Grid { h: 9, w: 16 };
+    let rising = |above: f32| {
+        let mut sheet = Trajectory::new(grid, 60.0);
+        for frame in 0..4 {
+            let height = 0.1 * frame as f32 + above;
+            let point = |p: usize| [(p % 16) as f32 / 8.0, height, (p / 16) as f32 / 8.0];
+            let points: Vec<[f32; 3]> = (0..144).map(point).collect();
+            sheet.push(&points, &points);
+        }
+        sheet
+    };
+    let to = folder.path().join("rising");
+    rising(0.0).write(&to, "cloth_pos", fnopt::io::Format::Npy).unwrap();
+    std::fs::write(to.join("meta.json"), r#"{"grid": [9, 16]}"#).unwrap();
+    let sequence = Sequence::load(folder.path(), "rising").unwrap();
+    let settings = Settings { frames: 4, ..SETTINGS };
+    let compared = |above| compare(&sequence, "other", &rising(above), &settings).unwrap();
+    let (same, apart) = (compared(0.0), compared(0.1));
+    assert_eq!((same.per_frame.e_cd.len(), apart.per_frame.e_cd.len()), (3, 3));
+    // The nearest of 1000 points on two square metres is about 0.02 m away, and the sum has two directions.
+    assert!(same.per_frame.e_cd.iter().all(|&e| e < 5e-3), "{:?}", same.per_frame.e_cd);
+    let parallel = 2.0 * 0.1f64.powi(2);
+    let near = |e: f64| (parallel..parallel + 5e-3).contains(&e);
+    assert!(apart.per_frame.e_cd.iter().all(|&e| near(e)), "{:?}", apart.per_frame.e_cd);
+    // 0.1 m per frame.
+    assert!((same.speed_at_end.unwrap() - 6.0).abs() < 1e-5, "{:?}", same.speed_at_end);
+}
+
+/// Speed at the end is that of the last half second.
+#[test]
+fn the_speed_at_the_end_leaves_out_the_beginning() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let mut sheet = Trajectory::new(sequence.grid(), 60.0);
+    for frame in 0..45 {
+        let height = if frame < 10 { 0.5 * frame as f32 } else { 4.5 + 0.01 * (frame - 9) as f32 };
+        let points: Vec<_> = sequence.truth.frame(0).iter().map(|&[x, y, z]| [x, y + height, z]).collect();
+        sheet.push(&points, &points);
+    }
+    let score = compare(&sequence, "rising", &sheet, &Settings { frames: 45, ..SETTINGS }).unwrap();
+    assert!((score.speed_at_end.unwrap() - 0.6).abs() < 1e-3, "{:?}", score.speed_at_end);
 }
 
 #[test]
@@ -161,8 +233,15 @@ fn repulsion_counts_in_edges_at_rest() {
             .repulsion
             .unwrap()
     };
-    assert!(folded(0.0)[0] > 1.0);
-    assert_eq!(folded(0.5), folded(0.0));
+    // Each of 480 particles and its partner across, in both orders: 30 of 32 rows have one at 0.2 edges. The two
+    // rows at the fold are joined by edges.
+    let expected = 960.0 * -(0.04f64 + 1e-8).ln();
+    let found = folded(0.0);
+    assert!(
+        (found[0] / expected - 1.0).abs() < 1e-3 && found[1..] == [1.0, 1.0],
+        "{found:?}, not {expected}"
+    );
+    assert_eq!(folded(0.5), found);
     // A trajectory without cells is an error, not a panic.
     let mut point = Trajectory::new(Grid { h: 1, w: 1 }, 60.0);
     (0..3).for_each(|_| point.push(&[[0.0; 3]], &[[0.0; 3]]));

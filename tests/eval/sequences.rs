@@ -5,6 +5,7 @@ use fnopt::Device;
 use fnopt::cloth::Grid;
 use fnopt::eval::{Sequence, Settings, compare, run};
 use fnopt::io::{ReadOptions, Trajectory};
+use fnopt::scene::{Mass, Wind};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
@@ -139,6 +140,32 @@ fn others_are_on_the_grid_or_the_mesh_of_the_sequence() {
         (score.grid.as_str(), sequence.on_grid(&found).unwrap().grid()),
         ("45x45", Grid { h: 45, w: 45 })
     );
+}
+
+/// Every field of `meta.json` reaches the scene, in its units and axes.
+#[test]
+fn the_cloth_is_the_one_described() {
+    let folder = tempfile::tempdir().unwrap();
+    let to = folder.path().join("other");
+    std::fs::create_dir(&to).unwrap();
+    std::fs::copy(shipped().join("xy_v2/cloth_pos.npy"), to.join("cloth_pos.npy")).unwrap();
+    let meta = r#"{"handle_vertices": [992, 0], "fps": 50, "side_length_m": 0.5, "mass_per_area_kg_m2": 0.3,
+        "gravity_m_s2": [0, -5, 1], "wind": {"velocity": [1, 2, 3], "density": 0.7, "drag": 0.02}}"#;
+    std::fs::write(to.join("meta.json"), meta).unwrap();
+    let sequence = Sequence::load(folder.path(), "other").unwrap();
+    assert_eq!((sequence.truth.fps(), sequence.side_m()), (50.0, 0.5));
+    let scene = sequence.scene(Grid { h: 32, w: 32 }, &PHYSICS).unwrap();
+    let Wind { velocity, density, drag } = scene.wind;
+    assert_eq!((velocity, density, drag), ([1.0, 2.0, 3.0], 0.7, 0.02));
+    assert_eq!((scene.mass, scene.gravity), (Mass::Areal(0.3), [0.0, -5.0, 1.0]));
+    let setup = scene.setup().unwrap();
+    assert_eq!((setup.units.length_m, setup.units.frame_time_s), (0.5 / 31.0, 0.02));
+    // The z axis points up inside: y becomes z, and z becomes -y.
+    let per_frame2 = 0.02 * 0.02 / (0.5 / 31.0);
+    let expected = [0.0, -per_frame2, -5.0 * per_frame2];
+    assert!(square(setup.model.cloths[0].gravity, expected).sqrt() < 1e-12, "{:?}", setup.model.cloths[0]);
+    assert_eq!(setup.model.cloths[0].gravity, setup.acceleration_of::<f64>([0.0, -5.0, 1.0]));
+    assert_eq!(setup.wind, setup.wind_of::<f64>([1.0, 2.0, 3.0]));
 }
 
 /// A change to any file of a sequence changes its checksum.

@@ -1,7 +1,9 @@
 //! Tables of a suite.
 
+use fnopt::cloth::{Grid, Material};
 use fnopt::eval::Format;
 use fnopt::eval::suite::{CaseScore, Suite, table};
+use fnopt::scene::{BuiltIn, Motion, Start, Stiffness};
 use serde_json::json;
 
 /// Builds a score with a stretch and, if requested, a gap, both in percent.
@@ -35,6 +37,12 @@ fn cases_of_a_grid_are_summed_up_in_a_row() {
     let all = [&three[..], &[one]].concat();
     assert_eq!((rows(&all).len(), last(&all)), (1 + 4 + 1, "all 3 12x12 10 2 of 3 70.0 2.00 2.0".to_owned()));
     assert_eq!(last(&three[..1]), "a 12x12 10 yes 4.0 1.00 2.0");
+    // A rollout that is not finite is not sound, however small its last stretch.
+    let exploded = CaseScore { finite: false, ..case("e", 5.0, Some(2.0)) };
+    assert!(!exploded.sound() && three[0].sound() && !three[1].sound());
+    let found = rows(&[three[0].clone(), three[2].clone(), exploded]);
+    assert_eq!(found[3][2..4], ["10".to_owned(), "diverged".to_owned()]);
+    assert!(found[4].join(" ").contains("2 of 3"), "{found:?}");
     // A non-finite gap counts as larger than any other. The summary has a gap only if all cases have one.
     let diverged = case("d", 5.0, Some(f64::INFINITY));
     assert_eq!(
@@ -43,4 +51,30 @@ fn cases_of_a_grid_are_summed_up_in_a_row() {
     );
     assert_eq!(last(&[three[0].clone(), diverged]), "all 2 12x12 10 2 of 2 5.0 - 2.0");
     assert_eq!(last(&[three[0].clone(), case("d", 5.0, None)]), "all 2 12x12 10 2 of 2 5.0  2.0");
+}
+
+/// What a case is called is what it is.
+#[test]
+fn cases_are_what_they_are_called() {
+    let grid = Grid { h: 32, w: 32 };
+    let case = |suite: Suite, name: &str| {
+        let cases = suite.cases(grid).unwrap();
+        cases.into_iter().find(|case| case.name == name).unwrap_or_else(|| panic!("no case {name}"))
+    };
+    let frames = |name: &str| case(Suite::Speeds, name).scene.setup().unwrap().frames();
+    // 391 frames hold 390 steps.
+    assert_eq!([frames("speed 1"), frames("speed 2"), frames("speed 1.5")], [391, 196, 261]);
+    let soft = case(Suite::Materials, "stretch 300 bend 0.1").scene.stiffness;
+    assert_eq!(soft, Stiffness::Grid(Material { stretch: 300.0, shear: 8.0, bend: 0.1 }));
+    let start = |name: &str| case(Suite::Handles, name).scene.start;
+    assert!(matches!(start("corners flat"), Start::Flat) && matches!(start("corners drape"), Start::Settled));
+    let motion = |name: &str| case(Suite::Motions, name).scene.motion;
+    for name in ["xyz_v4_opp", "rot_h1"] {
+        assert_eq!(motion(name), Motion::BuiltIn(BuiltIn::named(name).unwrap()));
+    }
+    let wide = case(Suite::Grids, "32x100").scene.setup().unwrap();
+    assert_eq!(wide.model.grid, Grid { h: 32, w: 100 });
+    assert_eq!(case(Suite::Iterations, "15 iterations").iterations, Some(15));
+    assert!(case(Suite::Repulsion, "corner-center with").scene.repulsion.is_some());
+    assert!(case(Suite::Repulsion, "corner-center without").scene.repulsion.is_none());
 }

@@ -108,6 +108,52 @@ fn compare_steps(config: &Config) {
     assert!(begun > 6 && advanced > 36, "{begun} lives began, {advanced} frames ended");
 }
 
+/// The weights after a step follow from the moments after it, the settings of the configuration, and the
+/// step's own number, rate and decay (Loshchilov and Hutter 2019, algorithm 2).
+#[test]
+fn a_step_is_that_of_adamw_with_the_settings_of_the_run() {
+    let _turn = device();
+    const SETTINGS: &str =
+        "[optimizer]\nbetas = [0.8, 0.99]\nepsilon = 1e-3\nweight_decay = 0.3\nclip = 1e-3\n";
+    let config = Config::parse(&format!("{CONFIG}{SETTINGS}"), Path::new("test.toml")).unwrap();
+    let pools: Vec<Pool> = config
+        .pools
+        .iter()
+        .enumerate()
+        .map(|(index, pool)| Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset)))
+        .collect();
+    let batches: Vec<_> = pools.iter().filter(|p| p.takes_part(0)).map(|p| p.draw(0)).collect();
+    let count = first_weights(&config, &Alone).unwrap().parameter_count();
+    for device in [Device::Cpu, gpu()] {
+        let mut learner = of(&config, &device);
+        let vector = |learner: &dyn Learner, name: &str| {
+            let saved = learner.save().unwrap();
+            saved.get(name, &[count]).unwrap().iter().map(|&w| f64::from(w)).collect::<Vec<_>>()
+        };
+        let [weights, averaged] = ["weights", "averaged"].map(|name| vector(&*learner, name));
+        assert_eq!(weights, averaged, "the running mean begins at the weights");
+        let report =
+            learner.step(&batches, Update { number: 3, rate: 0.02, average: 0.875 }, &Alone).unwrap();
+        assert!(report.gradient_norm > 1e-2, "the gradient is clipped");
+        let [mean, square] = ["adamw.mean", "adamw.square"].map(|name| vector(&*learner, name));
+        let norm = mean.iter().map(|m| m * m).sum::<f64>().sqrt();
+        assert!((norm / (0.2 * 1e-3) - 1.0).abs() < 1e-3, "{}: {norm}", device.name());
+        let [after, mean_after] = ["weights", "averaged"].map(|name| vector(&*learner, name));
+        let mut moved = 0.0f64;
+        for k in 0..count {
+            let denominator = (square[k] / (1.0 - 0.99f64.powi(3))).sqrt() + 1e-3;
+            let step = 0.02 / (1.0 - 0.8f64.powi(3)) * mean[k] / denominator;
+            let expected = weights[k] * (1.0 - 0.02 * 0.3) - step;
+            moved = moved.max(step.abs());
+            let near = |found: f64, expected: f64| (found - expected).abs() < 1e-6 * (1.0 + expected.abs());
+            assert!(near(after[k], expected), "{}: weight {k}: {} not {expected}", device.name(), after[k]);
+            let expected = 0.875 * averaged[k] + 0.125 * after[k];
+            assert!(near(mean_after[k], expected), "{}: mean {k}: {}", device.name(), mean_after[k]);
+        }
+        assert!(moved > 1e-4, "{}: steps of {moved} at most", device.name());
+    }
+}
+
 #[test]
 fn runs_repeat_and_resume_to_the_same_bits() {
     let _turn = device();
@@ -147,16 +193,30 @@ fn steps_have_the_same_bits_in_either_order() {
     }
 }
 
+/// Every vector and every pool: a fresh learner has moments and pools of zeros.
 #[test]
 fn a_run_moves_from_device_to_device() {
     let _turn = device();
-    let from = on(&gpu()).save().unwrap();
+    let config = config();
+    let mut ours = on(&gpu());
+    for step in 0..2 {
+        let pools =
+            config.pools.iter().enumerate().map(|(index, pool)| {
+                Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset))
+            });
+        let batches: Vec<_> = pools.filter(|p| p.takes_part(step)).map(|p| p.draw(step)).collect();
+        ours.step(&batches, Update { number: step + 1, rate: 1e-3, average: 0.9 }, &Alone).unwrap();
+    }
+    let saved = ours.save().unwrap();
     let mut host = on(&Device::Cpu);
-    host.load(&from).unwrap();
-    assert_eq!(host.weights().unwrap(), on(&gpu()).weights().unwrap());
+    host.load(&saved).unwrap();
+    assert_eq!(host.weights().unwrap(), ours.weights().unwrap());
+    assert_ne!(host.averaged().unwrap(), ours.weights().unwrap());
+    let again = host.save().unwrap();
+    assert!(again == saved, "the CPU changed what it loaded");
     let mut back = on(&gpu());
-    back.load(&host.save().unwrap()).unwrap();
-    assert_eq!(back.weights().unwrap(), host.weights().unwrap());
+    back.load(&again).unwrap();
+    assert!(back.save().unwrap() == saved, "the device changed what it loaded");
 }
 
 /// Training ignores that a context stores networks in 16 bits: weights move by less than 16 bits resolve.

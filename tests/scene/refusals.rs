@@ -129,7 +129,7 @@ fn wrong_files_of_a_scene_are_refused() {
         "int.npy",
         &npy(&|b| ndarray::Array3::<i64>::zeros((4, 2, 3)).write_npy(b).unwrap()),
         "motion",
-        &["dtype", "'<f4' or '<f8'"],
+        &["dtype", "floating-point numbers"],
     );
     refused(
         "flat.npy",

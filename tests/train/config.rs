@@ -17,6 +17,15 @@ fn the_paper_is_the_default() {
     let paper = Config::default();
     assert_eq!(paper.pools.iter().map(|p| p.iterations).collect::<Vec<_>>(), [1, 3, 10, 30]);
     assert_eq!(paper.pools.iter().map(|p| (p.cloths, p.batch)).collect::<Vec<_>>(), [(1000, 10); 4]);
+    // SPEC section 6 in numbers.
+    let motion = paper.motion;
+    assert_eq!((motion.moving, motion.pinch, motion.gravity), (0.8, 0.4, 0.125));
+    assert_eq!((motion.rotation, motion.amplitude, motion.frequency), (0.0628, 10.0, 0.2));
+    assert_eq!((motion.aligned, motion.corners, motion.more_handles, motion.damping), (0.0, 1.0, 0.5, 0.0));
+    assert_eq!((paper.reset.energy, paper.reset.sequence_length, paper.reset.scale), (2e4, 1000, None));
+    let settings = paper.optimizer.settings;
+    assert_eq!((settings.weight_decay, settings.epsilon, settings.clip), (0.01, 1e-8, 1.0));
+    assert_eq!((settings.betas, paper.optimizer.rate), ([0.9, 0.999], 1e-3));
 }
 
 #[test]
@@ -78,6 +87,82 @@ fn every_field_can_be_set() {
     assert_eq!((config.checkpoint, config.validation.every), (Every::Steps(7), Every::Minutes(0.5)));
     let shipped = include_str!("../../assets/training/shipped-13.toml");
     assert!(parse(shipped).unwrap().pools.len() > 4);
+}
+
+/// A card shows a configuration as it was written, so a field that is swapped or left out differs.
+#[test]
+fn a_configuration_is_the_one_that_was_written() {
+    let text = r#"
+        notes = "All fields, none of them the default."
+        seed = 2
+        steps = 3000
+        log_every = 4
+        average = 0.05
+        normalisation = "cloth"
+        init = []
+        [network]
+        fields = 3
+        lifting = 6
+        channels = 7
+        projection = 8
+        layers = 9
+        modes_h = 10
+        modes_w = 11
+        [[pool]]
+        grid = [22, 43]
+        iterations = 14
+        cloths = 15
+        batch = 12
+        every = 1
+        sequence_length = 17
+        corners = 0.18
+        material = { stretch = [19.0, 20.0], shear = [21.0, 22.5], bend = [0.23, 24.0] }
+        [motion]
+        moving = 0.25
+        rotation = 0.26
+        amplitude = 27.0
+        frequency = 0.28
+        pinch = 0.29
+        gravity = 0.30
+        aligned = 0.31
+        corners = 0.32
+        more_handles = 0.33
+        damping = 0.34
+        [reset]
+        energy = 35.0
+        sequence_length = 36
+        scale = [0.01, 0.37]
+        [optimizer]
+        rate = 0.38
+        betas = [0.39, 0.40]
+        epsilon = 0.41
+        weight_decay = 0.42
+        clip = 0.43
+        [schedule]
+        warmup = 44
+        decay = { cosine = { final = 0.045 } }
+        [validation]
+        every = { steps = 46 }
+        frames = 47
+        iterations = 48
+        grids = [[29, 50], [31, 52]]
+        [checkpoint]
+        every = { minutes = 53.0 }
+    "#;
+    let mut written: serde_json::Value = toml::from_str(text).unwrap();
+    let mut without_sizes = written.clone();
+    // A property of the cloth, not a setting.
+    without_sizes["network"].as_object_mut().unwrap().remove("fields");
+    let text = text.replace("fields = 3\n", "");
+    assert_eq!(toml::from_str::<serde_json::Value>(&text).unwrap(), without_sizes);
+    // The table has a single field.
+    written["checkpoint"] = written["checkpoint"]["every"].take();
+    let found = serde_json::to_value(parse(&text).unwrap()).unwrap();
+    assert_eq!(found, written);
+    let default = serde_json::to_value(Config::default()).unwrap();
+    for (key, value) in written.as_object().unwrap() {
+        assert!(key == "init" || default.get(key) != Some(value), "{key} has its default");
+    }
 }
 
 #[test]

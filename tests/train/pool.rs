@@ -60,8 +60,14 @@ fn a_frame_ends_after_its_iterations_and_handles_move_on() {
 
 #[test]
 fn cloths_are_reset_in_turn() {
-    // A life of 20 frames of 3 iterations, with 2 cloths per step: one cloth starts over every 30 steps.
-    let mut pool = pool(config(3, 4, 2), ResetRules { sequence_length: 20, ..ResetRules::default() });
+    let rules = |sequence_length| ResetRules { sequence_length, ..ResetRules::default() };
+    resets_in_turn(pool(config(3, 4, 2), rules(20)));
+    // A pool's own lives come before those of all pools.
+    resets_in_turn(pool(PoolConfig { sequence_length: Some(20), ..config(3, 4, 2) }, rules(50)));
+}
+
+/// A life of 20 frames of 3 iterations, with 2 cloths per step: one cloth starts over every 30 steps.
+fn resets_in_turn(mut pool: Pool) {
     let mut starts = vec![Vec::new(); 4];
     for k in 0..400 {
         for cloth in step(&mut pool, k).cloths.iter().filter(|c| c.start.is_some()) {

@@ -1,7 +1,8 @@
 //! Runs with a learner that computes nothing: what the folder holds, resuming, damage, non-finite losses.
 
 use super::support::Fake;
-use fnopt::train::{Alone, Config, End, Learner, Limits, Progress, Run};
+use fnopt::network::Weights;
+use fnopt::train::{Alone, Config, End, Learner, Limits, Progress, Run, SceneScore, Validation};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -118,14 +119,48 @@ fn a_run_fills_its_folder() {
     let picture = std::fs::read(root.join("plot.png")).unwrap();
     assert_eq!(&picture[..4], b"\x89PNG");
     for name in ["best", "last"] {
-        let weights =
-            fnopt::network::Weights::load(root.join(format!("weights/{name}.safetensors"))).unwrap();
+        let weights = Weights::load(root.join(format!("weights/{name}.safetensors"))).unwrap();
         assert_eq!(weights.config, config().network);
         let card = std::fs::read(root.join(format!("weights/{name}.json"))).unwrap();
         let card: serde_json::Value = serde_json::from_slice(&card).unwrap();
         assert_eq!(card["parameters"], weights.parameter_count());
         assert_eq!(card["config"]["pool"][1]["grid"], serde_json::json!([9, 12]));
         assert_eq!(card["validation"][0]["scene"], "hanging 8x8");
+    }
+}
+
+/// The running mean is what is validated and written, not the weights of the last step.
+#[test]
+fn the_weights_of_a_run_are_the_running_mean() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut run = fresh(folder.path());
+    train(&mut run, 4);
+    let bytes = std::fs::read(folder.path().join("checkpoints/step-00000004.safetensors")).unwrap();
+    let file = safetensors::SafeTensors::deserialize(&bytes).unwrap();
+    let flat: Vec<f32> = bytemuck::pod_collect_to_vec(file.tensor("weights").unwrap().data());
+    let mut averaged = Weights::from_flat(config().network, &flat);
+    averaged.scalar.bias[0] += 1.0;
+    assert_eq!(run.weights().unwrap(), averaged);
+    for name in ["best", "last"] {
+        let path = folder.path().join(format!("weights/{name}.safetensors"));
+        assert_eq!(Weights::load(path).unwrap(), averaged, "{name}");
+    }
+    let scores = Validation::new(&config().validation).unwrap();
+    let scores = scores.run(&averaged, || ControlFlow::Continue(())).unwrap().unwrap();
+    let card = std::fs::read(folder.path().join("weights/last.json")).unwrap();
+    let card: serde_json::Value = serde_json::from_slice(&card).unwrap();
+    assert_eq!(card["validation"], serde_json::to_value(scores).unwrap());
+}
+
+#[test]
+fn an_unsound_rollout_outweighs_any_gap() {
+    let scene =
+        |gap: Option<f64>, stable| SceneScore { scene: "x".into(), gap, largest_stretch: 0.1, stable };
+    let score = |scores: &[SceneScore]| Validation::score(scores);
+    assert!((score(&[scene(Some(0.1), true), scene(Some(0.3), true)]) - 0.2).abs() < 1e-12);
+    assert_eq!(score(&[scene(Some(0.1), true), scene(None, true)]), 0.05);
+    for unsound in [scene(Some(0.1), false), scene(None, false), scene(Some(f64::NAN), true)] {
+        assert_eq!(score(&[unsound]), 10.0);
     }
 }
 
@@ -233,7 +268,7 @@ fn steps_that_are_not_finite_are_skipped_and_ten_in_a_row_end_the_run() {
 
     let folder = tempfile::tempdir().unwrap();
     let mut run = create(folder.path(), Fake::new(&config()).broken_at(2..50));
-    let last = || fnopt::network::Weights::load(folder.path().join("weights/last.safetensors")).unwrap();
+    let last = || Weights::load(folder.path().join("weights/last.safetensors")).unwrap();
     let mut good = None;
     let end = run.train(&Limits::default(), |progress| {
         if progress.step == 2 {
@@ -257,7 +292,7 @@ fn weights_that_are_not_finite_are_never_written() {
     let end = run.train(&Limits::default(), |_| ControlFlow::Continue(())).unwrap();
     assert_eq!(end, End::NonFinite);
     let weights = folder.path().join("weights/last.safetensors");
-    assert!(fnopt::network::Weights::load(&weights).unwrap().flat().iter().all(|w| w.is_finite()));
+    assert!(Weights::load(&weights).unwrap().flat().iter().all(|w| w.is_finite()));
     assert!(std::fs::read_to_string(weights.with_extension("json")).unwrap().contains("\"steps\": 2,"));
     drop(run);
     let (run, passed_over) = resume(folder.path()).unwrap();
@@ -460,9 +495,12 @@ fn a_validation_that_fails_again_leaves_the_run_going() {
     let mut run = fresh(folder.path());
     let best = folder.path().join("weights/best.safetensors");
     std::fs::create_dir_all(&best).unwrap();
+    // Validation is due after four steps and cannot save the weights that it finds best. No step is lost.
     let limits = Limits { steps: Some(6), ..Limits::default() };
-    run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err();
+    let error = run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err().to_string();
+    assert!(error.contains("best.safetensors"), "{error}");
     drop(run);
+    assert_eq!(resume(folder.path()).unwrap().0.step(), 4);
     // The validation after step 4 is due again, and fails again. Later steps do not wait for it.
     let (mut run, _) = resume(folder.path()).unwrap();
     let limits = Limits { steps: Some(5), ..Limits::default() };
@@ -473,19 +511,6 @@ fn a_validation_that_fails_again_leaves_the_run_going() {
     .unwrap_err();
     drop(run);
     assert_eq!(resume(folder.path()).unwrap().0.step(), 5);
-}
-
-#[test]
-fn no_step_is_lost_where_validation_fails() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut run = fresh(folder.path());
-    // Validation is due after four steps and cannot save the weights that it finds best.
-    std::fs::create_dir_all(folder.path().join("weights/best.safetensors")).unwrap();
-    let limits = Limits { steps: Some(6), ..Limits::default() };
-    let error = run.train(&limits, |_| ControlFlow::Continue(())).unwrap_err().to_string();
-    assert!(error.contains("best.safetensors"), "{error}");
-    drop(run);
-    assert_eq!(resume(folder.path()).unwrap().0.step(), 4);
 }
 
 #[test]
@@ -521,6 +546,14 @@ fn the_best_weights_are_those_that_the_folder_holds() {
     std::fs::write(&best, &kept).unwrap();
     train(&mut resume(folder.path()).unwrap().0, 4);
     assert_eq!(std::fs::read_to_string(&best).unwrap(), kept);
+    // Weights that beat the best ones replace them.
+    for scene in card["validation"].as_array_mut().unwrap() {
+        (scene["gap"], scene["stable"]) = (10.into(), false.into());
+    }
+    std::fs::write(&best, serde_json::to_string(&card).unwrap()).unwrap();
+    train(&mut resume(folder.path()).unwrap().0, 8);
+    let replaced: serde_json::Value = serde_json::from_slice(&std::fs::read(&best).unwrap()).unwrap();
+    assert_eq!(replaced["steps"], 8);
     // An unreadable card does not make the run give them up.
     std::fs::write(&best, "{").unwrap();
     let error = resume(folder.path()).err().expect("a card that ends after its first letter").to_string();
@@ -529,7 +562,7 @@ fn the_best_weights_are_those_that_the_folder_holds() {
     std::fs::write(&best, &kept).unwrap();
     // Without best weights, the next ones take their place.
     std::fs::remove_file(folder.path().join("weights/best.safetensors")).unwrap();
-    train(&mut resume(folder.path()).unwrap().0, 6);
+    train(&mut resume(folder.path()).unwrap().0, 12);
     assert_ne!(std::fs::read_to_string(&best).unwrap(), kept);
 }
 

@@ -19,7 +19,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     particles: u32,
     buckets: u32,
-    pad: [u32; 2],
 }
 
 /// Counts the particles in each bucket of cells.
@@ -48,7 +47,7 @@ impl CellCount {
         let &[_, buckets] = counts.shape() else { panic!("cell_count: {:?}", counts.shape()) };
         assert_eq!([counts, placed, in_bucket].map(Tensor::len), [batch * buckets, 4 * batch * n, batch * n]);
         assert!(buckets.is_power_of_two(), "{buckets} buckets");
-        let params = Params { particles: size(n), buckets: size(buckets), pad: [0; 2] };
+        let params = Params { particles: size(n), buckets: size(buckets) };
         let Iterate { slots, a, base, .. } = iterate;
         let tensors = [physics.cloths, slots, a, base, physics.x, counts, placed, in_bucket];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));

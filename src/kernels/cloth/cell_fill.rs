@@ -16,7 +16,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     particles: u32,
     buckets: u32,
-    pad: [u32; 2],
 }
 
 /// Lists the particles of each bucket.
@@ -37,7 +36,7 @@ impl CellFill {
             panic!("cell_fill: {:?}, {:?}", ends.shape(), numbers.shape())
         };
         assert_eq!((placed.shape(), in_bucket.shape()), (&[batch, n, 4][..], &[batch, n][..]));
-        let params = Params { particles: size(n), buckets: size(buckets), pad: [0; 2] };
+        let params = Params { particles: size(n), buckets: size(buckets) };
         let tensors = [ends, placed, in_bucket, numbers];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
     }

@@ -16,7 +16,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     particles: u32,
     buckets: u32,
-    pad: [u32; 2],
 }
 
 /// Sorts the particles of each bucket by number.
@@ -44,7 +43,7 @@ impl CellOrder {
         };
         assert_eq!([placed, sorted].map(Tensor::shape), [[batch, n, 4]; 2]);
         assert_eq!(in_bucket.shape(), numbers.shape());
-        let params = Params { particles: size(n), buckets: size(buckets), pad: [0; 2] };
+        let params = Params { particles: size(n), buckets: size(buckets) };
         let tensors = [ends, placed, in_bucket, numbers, sorted];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
     }

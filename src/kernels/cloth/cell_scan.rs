@@ -12,7 +12,6 @@ pub const SOURCE: Source =
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     buckets: u32,
-    pad: [u32; 3],
 }
 
 /// Finds where each bucket ends among the sorted particles.
@@ -35,7 +34,7 @@ impl CellScan {
         let &[batch, buckets] = counts.shape() else { panic!("cell_scan: {:?}", counts.shape()) };
         assert_eq!(ends.shape(), counts.shape());
         assert!(buckets.is_multiple_of(Self::MULTIPLE), "{buckets} buckets");
-        let params = Params { buckets: size(buckets), pad: [0; 3] };
+        let params = Params { buckets: size(buckets) };
         schedule.dispatch(&self.kernel, &params, &[counts, ends], [size(batch), 1, 1]);
     }
 }

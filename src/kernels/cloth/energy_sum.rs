@@ -16,7 +16,6 @@ pub const SOURCE: Source = Source {
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     groups: u32,
-    pad: [u32; 3],
 }
 
 /// Number of values that the device keeps for the energy of a cloth or of a part of it: see [`ClothTerms`].
@@ -60,7 +59,7 @@ impl EnergySum {
     pub fn push(&self, schedule: &mut Schedule, parts: &Tensor, terms: &Tensor) {
         let &[batch, count, TERMS] = parts.shape() else { panic!("energy_sum: {:?}", parts.shape()) };
         assert_eq!(terms.shape(), [batch, TERMS]);
-        let params = Params { groups: size(count), pad: [0; 3] };
+        let params = Params { groups: size(count) };
         schedule.dispatch(&self.kernel, &params, &[parts, terms], [size(batch), 1, 1]);
     }
 }

@@ -17,7 +17,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     rows: u32,
     columns: u32,
-    pad: [u32; 2],
 }
 
 /// Computes the external acceleration: gravity, the control's accelerations, and air.
@@ -63,7 +62,7 @@ impl ExternalForce {
         );
         assert_eq!(cloths.bytes() as usize, batch * size_of::<super::ClothParams>());
         assert_eq!(wind.shape(), [batch, 3]);
-        let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
+        let params = Params { rows: size(grid.h), columns: size(grid.w) };
         let count = self.kernel.groups([grid.w, grid.h, batch]);
         let tensors = [cloths, wind, x, v, control_accelerations, external];
         schedule.dispatch(&self.kernel, &params, &tensors, count);

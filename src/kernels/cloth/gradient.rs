@@ -23,7 +23,6 @@ struct Params {
     first_sum: u32,
     last_step: u32,
     zero: u32,
-    pad: [u32; 2],
 }
 
 /// Computes the gradient of the energy with respect to the acceleration, and partial sums of squares for its
@@ -72,7 +71,6 @@ impl Gradient {
             first_sum: size(first / 2),
             last_step: size(hidden.unwrap_or(0) + iterate.grad.len()),
             zero: 0,
-            pad: [0; 2],
         };
         let Iterate { slots, a, base, .. } = iterate;
         let kernel = if hidden.is_some() { &self.with_last_step } else { &self.alone };

@@ -17,7 +17,6 @@ pub const SOURCE: Source = Source {
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     particles: u32,
-    pad: [u32; 3],
 }
 
 /// Ends a frame.
@@ -37,7 +36,7 @@ impl Integrate {
         let (samples, n) = iterate.samples_and_particles();
         let StateTensors { x, v, targets } = state;
         assert_eq!((x.len(), v.len()), (samples * n, samples * n));
-        let params = Params { particles: size(n), pad: [0; 3] };
+        let params = Params { particles: size(n) };
         let tensors = [&iterate.slots, targets, &iterate.base, &iterate.a, x, v];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }

@@ -16,7 +16,6 @@ pub const SOURCE: Source = Source {
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     particles: u32,
-    pad: [u32; 3],
 }
 
 /// Starts a frame.
@@ -45,7 +44,7 @@ impl Predict {
     ) {
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((state.x.len(), state.v.len()), (samples * n, samples * n));
-        let params = Params { particles: size(n), pad: [0; 3] };
+        let params = Params { particles: size(n) };
         let tensors = [state.x, state.v, &iterate.slots, state.targets, &iterate.base, &iterate.a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }

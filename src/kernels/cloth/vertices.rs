@@ -14,7 +14,6 @@ pub const SOURCE: Source =
 struct Params {
     rows: u32,
     columns: u32,
-    pad: [u32; 2],
 }
 
 /// Computes positions and normals for rendering.
@@ -42,7 +41,7 @@ impl Vertices {
         let batch = x.len() / (3 * n);
         assert_eq!(interleaved.shape(), [batch, n, 6]);
         assert_eq!((view.shape(), x.len(), v.len()), (&[batch, 4, 4][..], 3 * batch * n, 3 * batch * n));
-        let params = Params { rows: size(grid.h), columns: size(grid.w), pad: [0; 2] };
+        let params = Params { rows: size(grid.h), columns: size(grid.w) };
         schedule.dispatch(&self.kernel, &params, &[view, x, v, interleaved], self.kernel.spread(n, batch));
     }
 }

@@ -18,7 +18,6 @@ struct Params {
     rows: u32,
     columns: u32,
     count: u32,
-    pad: u32,
 }
 
 /// Joins the spectra of two real rows into that of their complex row.
@@ -39,7 +38,7 @@ impl JoinSpectra {
         let count = fields.pairs() * fields.half();
         assert!(y.len() >= 2 * batch * h * fields.half(), "{:?} for {fields:?}", y.shape());
         assert!(z.len() >= 2 * batch * fields.pairs() * w, "join_spectra: {:?} for {fields:?}", z.shape());
-        let params = Params { rows: size(h), columns: size(w), count: size(count), pad: 0 };
+        let params = Params { rows: size(h), columns: size(w), count: size(count) };
         schedule.dispatch(&self.kernel, &params, &[y, z], self.kernel.spread(count, batch));
     }
 }

@@ -17,7 +17,6 @@ struct Params {
     inner: u32,
     span: u32,
     sign: f32,
-    pad: [u32; 3],
 }
 
 /// A pass of radix 4.
@@ -50,7 +49,6 @@ impl Radix4 {
             inner: size(pass.inner),
             span: size(pass.span),
             sign: pass.sign(),
-            pad: [0; 3],
         };
         let groups = self.kernel.spread(count, pass.batch);
         schedule.dispatch(&self.kernel, &params, &[table, source, result], groups);

@@ -21,7 +21,6 @@ struct Params {
     span: u32,
     radix: u32,
     sign: f32,
-    pad: [u32; 2],
 }
 
 /// A pass of any radix.
@@ -54,7 +53,6 @@ impl RadixPrime {
             span: size(pass.span),
             radix: size(pass.radix),
             sign: pass.sign(),
-            pad: [0; 2],
         };
         let groups = self.kernel.spread(count, pass.batch);
         schedule.dispatch(&self.kernel, &params, &[table, source, result], groups);

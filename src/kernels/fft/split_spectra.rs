@@ -18,7 +18,6 @@ struct Params {
     rows: u32,
     columns: u32,
     count: u32,
-    pad: u32,
 }
 
 /// Splits the spectrum of a complex row into those of its two real rows.
@@ -39,7 +38,7 @@ impl SplitSpectra {
         let count = fields.pairs() * fields.half();
         assert!(y.len() >= 2 * batch * h * fields.half(), "{:?} for {fields:?}", y.shape());
         assert!(z.len() >= 2 * batch * fields.pairs() * w, "split_spectra: {:?} for {fields:?}", z.shape());
-        let params = Params { rows: size(h), columns: size(w), count: size(count), pad: 0 };
+        let params = Params { rows: size(h), columns: size(w), count: size(count) };
         schedule.dispatch(&self.kernel, &params, &[z, y], self.kernel.spread(count, batch));
     }
 }

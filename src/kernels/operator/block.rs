@@ -59,7 +59,6 @@ struct Params {
     samples: u32,
     embedded: u32,
     all_samples: u32,
-    pad: [u32; 3],
     place: Place,
 }
 
@@ -353,7 +352,6 @@ impl Block {
             samples: size(samples),
             embedded: size(embedded),
             all_samples: size(all_samples),
-            pad: [0; 3],
             place,
         };
         let Group { wide, span, deep, .. } = self.group;

@@ -15,7 +15,6 @@ pub const SOURCE: Source = Source {
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     quads: u32,
-    pad: [u32; 3],
 }
 
 /// Adjoint of GELU.
@@ -34,7 +33,7 @@ impl GeluAdj {
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, adj: &Tensor) {
         assert_eq!((x.shape(), x.len() % 4), (adj.shape(), 0));
         let quads = x.len() / 4;
-        let params = Params { quads: size(quads), pad: [0; 3] };
+        let params = Params { quads: size(quads) };
         schedule.dispatch(&self.kernel, &params, &[x, adj], self.kernel.spread(quads, 1));
     }
 }

@@ -21,7 +21,6 @@ struct Params {
     row_quads: u32,
     x_first: u32,
     y_first: u32,
-    pad: [u32; 2],
 }
 
 /// A pointwise layer, `y = act(weight x + bias)` at every position.
@@ -72,7 +71,6 @@ impl Pointwise {
             row_quads: size(w / 4),
             x_first: size(part.x_first),
             y_first: size(part.y_first),
-            pad: [0; 2],
         };
         let [across, down, tiles] =
             Kernel::spread_groups(size(quads.div_ceil(self.group)), size(outputs / self.tile));

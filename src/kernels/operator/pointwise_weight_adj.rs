@@ -25,7 +25,6 @@ struct Params {
     tile: u32,
     stride: u32,
     bias: u32,
-    pad: [u32; 2],
 }
 
 /// Number of outputs, and of inputs, per workgroup.
@@ -94,7 +93,6 @@ impl PointwiseWeightAdj {
             tile: size(to.tile),
             stride: size(to.len / 4),
             bias: size(to.bias / 4),
-            pad: [0; 2],
         };
         let tiles = outputs.div_ceil(SIDE) * inputs.div_ceil(SIDE);
         let count = [size(tiles), size(parts), 1];

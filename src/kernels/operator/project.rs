@@ -15,7 +15,6 @@ struct Params {
     channels: u32,
     quads: u32,
     row_quads: u32,
-    pad: u32,
 }
 
 /// Last layer of the field head.
@@ -36,7 +35,7 @@ impl Project {
         assert_eq!((layer.weight.len(), layer.bias.len()), (channels, 1));
         assert_eq!(field.shape(), [1, samples, h, w]);
         let quads = samples * h * w / 4;
-        let params = Params { channels: size(channels), quads: size(quads), row_quads: size(w / 4), pad: 0 };
+        let params = Params { channels: size(channels), quads: size(quads), row_quads: size(w / 4) };
         let tensors = [&layer.weight, &layer.bias, x, field];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(quads, 1));
     }

@@ -17,7 +17,6 @@ struct Params {
     channels: u32,
     quads: u32,
     row_quads: u32,
-    pad: u32,
 }
 
 /// Adjoint of the last layer of the field head.
@@ -37,7 +36,7 @@ impl ProjectAdj {
         let &[samples, h, channels, w] = adj.shape() else { panic!("project_adj: {:?}", adj.shape()) };
         assert_eq!((adj_field.shape(), weight.len()), (&[samples, h, w][..], channels));
         let quads = samples * h * w / 4;
-        let params = Params { channels: size(channels), quads: size(quads), row_quads: size(w / 4), pad: 0 };
+        let params = Params { channels: size(channels), quads: size(quads), row_quads: size(w / 4) };
         let count = self.kernel.spread(quads, channels);
         schedule.dispatch(&self.kernel, &params, &[weight, adj_field, adj], count);
     }

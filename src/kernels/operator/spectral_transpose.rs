@@ -16,7 +16,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     inputs: u32,
     outputs: u32,
-    pad: [u32; 2],
 }
 
 /// Computes the conjugate transpose of the spectral product's weight.
@@ -39,7 +38,7 @@ impl SpectralTranspose {
         };
         let inputs = 2 * pairs;
         assert_eq!(transposed.shape(), [modes, outputs / 2, inputs, 4]);
-        let params = Params { inputs: size(inputs), outputs: size(outputs), pad: [0; 2] };
+        let params = Params { inputs: size(inputs), outputs: size(outputs) };
         let count = self.kernel.groups([inputs, outputs, modes]);
         schedule.dispatch(&self.kernel, &params, &[weight, transposed], count);
     }

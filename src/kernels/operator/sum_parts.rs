@@ -16,7 +16,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     stride: u32,
     parts: u32,
-    pad: [u32; 2],
 }
 
 /// Sums the parts of a gradient.
@@ -36,7 +35,7 @@ impl SumParts {
         let len = gradient.len();
         assert_eq!(len % 4, 0, "a gradient is whole quads");
         assert!(parts * len <= partial.len(), "{parts} parts of {len} in {:?}", partial.shape());
-        let params = Params { stride: size(len / 4), parts: size(parts), pad: [0; 2] };
+        let params = Params { stride: size(len / 4), parts: size(parts) };
         schedule.dispatch(&self.kernel, &params, &[partial, gradient], self.kernel.groups([len / 4, 1, 1]));
     }
 }

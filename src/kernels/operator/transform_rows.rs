@@ -17,7 +17,6 @@ struct Params {
     channels: u32,
     rows: u32,
     row_quads: u32,
-    pad: u32,
 }
 
 /// Row part of the truncated transform.
@@ -39,7 +38,7 @@ impl TransformRows {
         let &[samples, h, channels, w] = x.shape() else { panic!("transform_rows: {:?}", x.shape()) };
         assert_eq!(table.shape(), [w / 4, self.columns, 4]);
         assert_eq!(r.shape(), [samples, h, self.columns, channels]);
-        let params = Params { channels: size(channels), rows: size(h), row_quads: size(w / 4), pad: 0 };
+        let params = Params { channels: size(channels), rows: size(h), row_quads: size(w / 4) };
         let count = self.kernel.groups([channels, h, samples]);
         schedule.dispatch(&self.kernel, &params, &[table, x, r], count);
     }

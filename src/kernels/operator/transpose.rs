@@ -17,7 +17,6 @@ struct Params {
     outputs: u32,
     inputs: u32,
     tile: u32,
-    pad: u32,
 }
 
 /// Transposes a pointwise layer's weight.
@@ -38,7 +37,7 @@ impl Transpose {
         let outputs = tiles * tile;
         assert_eq!(transposed.shape(), [inputs / tile, outputs, tile]);
         assert_eq!(inputs % tile, 0, "the inputs must be whole tiles");
-        let params = Params { outputs: size(outputs), inputs: size(inputs), tile: size(tile), pad: 0 };
+        let params = Params { outputs: size(outputs), inputs: size(inputs), tile: size(tile) };
         let count = self.kernel.groups([outputs * inputs, 1, 1]);
         schedule.dispatch(&self.kernel, &params, &[weight, transposed], count);
     }

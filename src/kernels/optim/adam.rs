@@ -22,7 +22,6 @@ struct Params {
     correction2: f32,
     weight1: f32,
     weight2: f32,
-    pad: [u32; 2],
 }
 
 /// The Adam optimizer.
@@ -75,7 +74,6 @@ impl Adam {
             // In single precision 1 - beta2 would be too large by 5e-5 of itself.
             weight1: (1.0 - beta1) as f32,
             weight2: (1.0 - beta2) as f32,
-            pad: [0; 2],
         };
         let tensors = [&iterate.grad, moments, &iterate.a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));

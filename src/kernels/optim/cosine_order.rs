@@ -17,7 +17,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     rows: u32,
     columns: u32,
-    pad: [u32; 2],
 }
 
 /// Puts a field into the order in which its Fourier transform gives its cosine transform, or back.
@@ -37,7 +36,7 @@ impl CosineOrder {
         let &[samples, h, w] = ordered.shape() else { panic!("cosine_order: {:?}", ordered.shape()) };
         assert_eq!(iterate.samples_and_particles(), (samples, h * w));
         assert_eq!(memory.last.len(), 2 * samples * h * w);
-        let params = Params { rows: size(h), columns: size(w), pad: [0; 2] };
+        let params = Params { rows: size(h), columns: size(w) };
         let tensors = [&iterate.slots, &memory.last, ordered];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(h * w, samples));
     }

@@ -17,7 +17,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     particles: u32,
     rate: f32,
-    pad: [u32; 2],
 }
 
 /// Gradient descent.
@@ -35,7 +34,7 @@ impl GradientDescent {
     /// Moves `iterate` by one step.
     pub fn push(&self, schedule: &mut Schedule, rate: f64, iterate: &Iterate) {
         let (samples, n) = iterate.samples_and_particles();
-        let params = Params { particles: size(n), rate: rate as f32, pad: [0; 2] };
+        let params = Params { particles: size(n), rate: rate as f32 };
         let count = self.kernel.spread(n, samples);
         schedule.dispatch(&self.kernel, &params, &[&iterate.grad, &iterate.a], count);
     }

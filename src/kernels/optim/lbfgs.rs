@@ -16,7 +16,6 @@ pub const SOURCE: Source =
 struct Params {
     particles: u32,
     first: u32,
-    pad: [u32; 2],
 }
 
 /// The part of a step that a dispatch performs. If the initial inverse Hessian is not a multiple of the
@@ -110,7 +109,7 @@ impl Lbfgs {
         let batch = samples / 3;
         assert_eq!(memory.history.shape(), [batch, self.history, 2, 3 * n]);
         assert_eq!((memory.last.len(), memory.pairs.len()), (batch * 6 * n, batch * (2 * self.history + 2)));
-        let params = Params { particles: size(n), first: u32::from(iteration == 0), pad: [0; 2] };
+        let params = Params { particles: size(n), first: u32::from(iteration == 0) };
         let LbfgsMemory { history, last, pairs } = memory;
         let tensors = [&iterate.grad, history, last, pairs, &iterate.a];
         schedule.dispatch(&self.kernel, &params, &tensors, [size(batch), 1, 1]);

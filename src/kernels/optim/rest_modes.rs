@@ -19,7 +19,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     rows: u32,
     columns: u32,
-    pad: [u32; 2],
 }
 
 /// Applies the inverse Hessian of a flat sheet to spectra.
@@ -55,7 +54,7 @@ impl RestModes {
         assert_eq!(spectrum.shape(), [samples, h, half, 2]);
         assert_eq!(out.shape(), spectrum.shape());
         assert_eq!(3 * cloths.bytes() as usize, samples * size_of::<ClothParams>());
-        let params = Params { rows: size(h), columns: size(w), pad: [0; 2] };
+        let params = Params { rows: size(h), columns: size(w) };
         let tensors = [cloths, &self.row_twiddles, &self.column_twiddles, spectrum, out];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(h * half, samples));
     }

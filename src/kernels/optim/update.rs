@@ -28,7 +28,6 @@ struct Params {
     channels: u32,
     before: u32,
     after: u32,
-    pad: u32,
 }
 
 /// The learned step.
@@ -97,7 +96,6 @@ impl Update {
             channels: size(channels),
             before: size(before),
             after: size(after),
-            pad: 0,
         };
         let nothing = &self.nothing;
         let (kernel, rows_max, weight, bias) = match head {

@@ -12,10 +12,9 @@ pub const SOURCE: Source =
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     n: u32,
-    pad: [u32; 3],
 }
 
-/// The factors of a step, computed by the host in double precision: the content of a tensor of 12 elements.
+/// The factors of a step, computed by the host in double precision: the content of a tensor of 10 elements.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
 pub struct Factors {
@@ -39,8 +38,6 @@ pub struct Factors {
     pub epsilon: f32,
     /// Decay of the running mean of the weights.
     pub average: f32,
-    /// Unused.
-    pub pad: [f32; 2],
 }
 
 /// The optimizer's vectors, all of the same length.
@@ -79,7 +76,7 @@ impl AdamW {
         let Moments { mean, square, averaged } = moments;
         assert_eq!([gradient.len(), mean.len(), square.len(), averaged.len()], [n; 4]);
         assert_eq!(factors.bytes() as usize, size_of::<Factors>());
-        let params = Params { n: size(n), pad: [0; 3] };
+        let params = Params { n: size(n) };
         let tensors = [factors, gradient, weight, mean, square, averaged];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, 1));
     }

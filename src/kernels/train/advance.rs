@@ -17,7 +17,6 @@ pub const SOURCE: Source = Source {
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     particles: u32,
-    pad: [u32; 3],
 }
 
 /// Ends the frame of some cloths of a batch.
@@ -37,7 +36,7 @@ impl Advance {
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((state.x.len(), state.v.len()), (samples * n, samples * n));
         assert_eq!(drawn.bytes() as usize, samples / 3 * size_of::<super::Drawn>());
-        let params = Params { particles: size(n), pad: [0; 3] };
+        let params = Params { particles: size(n) };
         let Iterate { slots, a, base, .. } = iterate;
         let tensors = [drawn, slots, state.targets, base, state.x, state.v, a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));

@@ -15,7 +15,6 @@ pub const SOURCE: Source = Source {
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
     elements: u32,
-    pad: [u32; 3],
 }
 
 /// Computes the mean magnitude of the gradient of each cloth.
@@ -34,7 +33,7 @@ impl GradientSize {
     pub fn push(&self, schedule: &mut Schedule, grad: &Tensor, sizes: &Tensor) {
         let batch = sizes.len();
         assert_eq!(grad.shape()[0], batch);
-        let params = Params { elements: size(grad.len() / batch), pad: [0; 3] };
+        let params = Params { elements: size(grad.len() / batch) };
         schedule.dispatch(&self.kernel, &params, &[grad, sizes], [size(batch), 1, 1]);
     }
 }

@@ -13,7 +13,6 @@ pub const SOURCE: Source =
 struct Params {
     n: u32,
     parts: u32,
-    pad: [u32; 2],
 }
 
 /// Number of elements in a part, approximately.
@@ -43,7 +42,7 @@ impl Squares {
     /// its [`parts`].
     pub fn push(&self, schedule: &mut Schedule, x: &Tensor, sums: &Tensor, sum: &Tensor) {
         assert_eq!((sums.len(), sum.len()), (parts(x.len()), 1));
-        let params = |n: usize, parts: usize| Params { n: size(n), parts: size(parts), pad: [0; 2] };
+        let params = |n: usize, parts: usize| Params { n: size(n), parts: size(parts) };
         let parts = sums.len();
         schedule.dispatch(&self.of_parts, &params(x.len(), parts), &[x, sums], [size(parts), 1, 1]);
         schedule.dispatch(&self.of_sums, &params(parts, 1), &[sums, sum], [1, 1, 1]);

@@ -18,7 +18,6 @@ pub const SOURCE: Source = Source {
 struct Params {
     particles: u32,
     samples: u32,
-    pad: [u32; 2],
 }
 
 /// Copies the cloths of a batch back into their pool.
@@ -43,7 +42,7 @@ impl Store {
     ) {
         let samples = super::samples(grid, drawn, pool, batch);
         let n = grid.particles();
-        let params = Params { particles: size(n), samples: size(samples), pad: [0; 2] };
+        let params = Params { particles: size(n), samples: size(samples) };
         let BatchTensors { x, v, a, hidden, scale } = batch;
         let tensors = [drawn, x, v, a, hidden, scale, pool.fields, pool.scale];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
