@@ -61,6 +61,16 @@ pub enum Error {
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
+    /// Returns the error as one of this file, if it is about invalid data.
+    pub fn of_file(self, path: &Path) -> Self {
+        match self {
+            Self::Invalid { field, expected, found, .. } => {
+                Self::Invalid { origin: path.display().to_string(), field, expected, found }
+            }
+            other => other,
+        }
+    }
+
     /// Returns an [`Error::Io`]. `action` completes "PATH: ...", as in "cannot read".
     pub fn io(path: impl AsRef<Path>, action: &'static str, source: std::io::Error) -> Self {
         Error::Io { path: path.as_ref().to_owned(), action, source }

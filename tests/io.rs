@@ -211,6 +211,22 @@ fn files_of_other_programs_are_read() {
     npz.finish().unwrap();
     assert_eq!(Trajectory::read(&path, &ReadOptions::default()).unwrap().grid(), GRID);
 
+    // Faces of 16-bit integers, and the axes of the grid instead of one of vertices.
+    let mut npz = NpzWriter::new(fs::File::create(&path).unwrap());
+    let positions = original.positions().to_shape((2, GRID.h, GRID.w, 3)).unwrap().to_owned();
+    npz.add_array("vertices_seq", &positions).unwrap();
+    let short: Vec<[i16; 3]> = faces.iter().map(|f| f.map(|k| k as i16)).collect();
+    npz.add_array("faces", &Array2::from(short)).unwrap();
+    npz.finish().unwrap();
+    let found = Trajectory::read(&path, &ReadOptions::default()).unwrap();
+    assert_eq!((found.grid(), found.positions()), (GRID, original.positions()));
+    let path = dir.path().join("axes.npy");
+    ndarray_npy::write_npy(&path, &positions).unwrap();
+    assert_eq!(Trajectory::read(&path, &ReadOptions::default()).unwrap().grid(), GRID);
+    let other = ReadOptions { grid: Some(Grid { h: GRID.w, w: GRID.h }), ..ReadOptions::default() };
+    let error = Trajectory::read(&path, &other).unwrap_err().to_string();
+    assert!(error.contains("shape: expected those of 12x9, found those of 9x12"), "{error}");
+
     // From numpy.savez_compressed, of big-endian numbers.
     let found = Trajectory::read(
         "tests/data/compressed.npz",
@@ -252,6 +268,21 @@ fn readers_name_what_is_missing_or_wrong() {
     let path = broken.write(dir.path(), "nan", Format::Npz).unwrap();
     let error = Trajectory::read(&path, &options).unwrap_err().to_string();
     assert!(error.contains("frame 0, vertex 30: expected finite numbers"), "{error}");
+}
+
+/// Positions that were rounded to whole numbers by mistake are not positions.
+#[test]
+fn whole_numbers_are_not_positions() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("whole.npz");
+    let mut npz = NpzWriter::new(fs::File::create(&path).unwrap());
+    npz.add_array("vertices_seq", &waving(GRID, 2).positions().mapv(|x| x as i64)).unwrap();
+    npz.finish().unwrap();
+    let error = Trajectory::read(&path, &ReadOptions::default()).unwrap_err().to_string();
+    assert!(
+        error.contains("vertices_seq: dtype: expected floating-point") && error.contains("'i8'"),
+        "{error}"
+    );
 }
 
 #[test]

@@ -133,6 +133,9 @@ pub fn run(args: &Args) -> Result<Ending> {
             Err(error) => drop(first_error.get_or_insert(error)),
         }
     }
+    if go_on(&interrupted).is_break() {
+        status!("interrupted after {} of {count} sizes", rows.len());
+    }
     let gflop_per_s = peak_rate.map(|rate| rate * 1e-9);
     let ending = match first_error {
         _ if go_on(&interrupted).is_break() => Ok(Ending::Interrupted),

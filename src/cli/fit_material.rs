@@ -2,7 +2,8 @@
 
 use super::output::{output, status};
 use super::{
-    Ending, MOST_POINTS, SHIPPED_SEQUENCES, go_on, interrupt_flag, one_grid, sequences, writable_file,
+    Ending, MOST_POINTS, SHIPPED_SEQUENCES, go_on, interrupt_flag, one_grid, sequences, trimmed,
+    writable_file,
 };
 use anyhow::Result;
 use fnopt::Error;
@@ -26,7 +27,7 @@ pub struct Args {
     #[arg(long, default_value = SHIPPED_SEQUENCES, value_name = "DIR")]
     ground_truth: PathBuf,
     /// Sequences over which the error is averaged [default: all]
-    #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed, value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
     /// Grid to simulate on
     #[arg(long, num_args = 1..=2, value_name = "N|HxW|H W", default_value = "32")]

@@ -3,6 +3,7 @@
 use super::numbers;
 use fnopt::cloth::Material;
 use fnopt::eval::Physics;
+use fnopt::io::read_text;
 use fnopt::scene::Stiffness;
 use fnopt::{Error, Result};
 use std::path::Path;
@@ -22,8 +23,7 @@ pub fn read(text: &str) -> Result<Physics> {
         if numeric && !Path::new(text).is_file() {
             return Err(Error::invalid("--material", "coefficients", "three numbers or a file", text));
         }
-        let content = std::fs::read_to_string(text).map_err(|e| Error::io(text, "cannot read", e))?;
-        return Physics::parse(&content, text);
+        return Physics::parse(&read_text(Path::new(text))?, text);
     };
     if !coefficients.iter().all(|k| k.is_finite() && *k >= 0.0) {
         return Err(Error::invalid(

@@ -237,6 +237,11 @@ pub fn checksum_of_weights(optimizer: &Optimizer) -> Option<String> {
     }
 }
 
+/// Takes an element of a comma-separated list, which may stand between spaces.
+pub fn trimmed(text: &str) -> Result<String, std::convert::Infallible> {
+    Ok(text.trim().to_owned())
+}
+
 /// Parses a grid option: `32` for 32x32, or `48x32`.
 pub fn grid(text: &str) -> fnopt::Result<Grid> {
     let (h, w) = text.split_once(['x', 'X']).unwrap_or((text, text));

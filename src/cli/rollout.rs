@@ -103,6 +103,10 @@ impl Args {
     /// Returns the scene with the changes made on the command line.
     fn scene(&self) -> Result<Scene> {
         let mut scene = match &self.scene {
+            Some(path) if self.repulsion.is_some() && numbers::<2>(&path.to_string_lossy()).is_some() => {
+                let expected = format!("an equals sign before it, as in --repulsion={}", path.display());
+                return Err(Error::invalid("--repulsion", "value", expected, "a space").into());
+            }
             Some(path) => Scene::load(path)?,
             None => Scene::default(),
         };

@@ -5,6 +5,7 @@ use crate::Device;
 use crate::gpu::Storage;
 use crate::sim::Optimizer;
 use crate::{Error, Result};
+use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -26,7 +27,7 @@ pub struct Conditions {
     /// without one.
     pub truth: Option<u32>,
     /// Material, air, points and frames ([`Settings::to_json`]), or a whole scene.
-    pub settings: serde_json::Value,
+    pub settings: Value,
     /// Name of the device of the simulation; `None` for another system's trajectory.
     pub device: Option<String>,
     /// Kind of device and storage of networks: `cpu`, `gpu`, or `gpu, f16`.
@@ -44,7 +45,7 @@ impl Conditions {
         Self { truth: Some(sequence.checksum()), ..Self::of_settings(settings.to_json()) }
     }
 
-    fn of_settings(settings: serde_json::Value) -> Self {
+    fn of_settings(settings: Value) -> Self {
         Self {
             version: version(),
             truth: None,
@@ -67,7 +68,7 @@ impl Conditions {
 
     /// Returns the conditions of a solver on a scene without a recording; `settings` holds everything that
     /// matters about the scene.
-    pub(super) fn of_scene(settings: serde_json::Value, entry: &Entry, device: &Device) -> Self {
+    pub(super) fn of_scene(settings: Value, entry: &Entry, device: &Device) -> Self {
         Self::of_settings(settings).by(entry, device)
     }
 
@@ -97,6 +98,18 @@ impl Conditions {
     }
 }
 
+/// Returns where two values of a field differ first, and how: inside, if both are documents with the same keys.
+fn first_difference(field: &str, a: &str, b: &str) -> (String, String, String) {
+    let objects = [a, b].map(|text| serde_json::from_str::<Map<String, Value>>(text).ok());
+    let [Some(in_a), Some(in_b)] = objects else { return (field.into(), a.into(), b.into()) };
+    match in_a.iter().find(|(key, value)| in_b.get(*key) != Some(value)) {
+        Some((key, value)) if in_b.contains_key(key) => {
+            first_difference(&format!("{field}.{key}"), &value.to_string(), &in_b[key].to_string())
+        }
+        _ => (field.into(), a.into(), b.into()),
+    }
+}
+
 /// Checks that scores, each with the file it comes from, belong in one table. They must come from one version
 /// with the same settings, each sequence must be the same, each column of a grid must have the same weights
 /// on the same kind of device, and no score may occur twice.
@@ -119,8 +132,9 @@ pub fn belong_together(scores: &[(&Path, &Score)]) -> Result<()> {
             let found = property(score);
             let (other, expected) = firsts.entry(group(score)).or_insert_with(|| (path, found.clone()));
             if *expected != found {
+                let (at, expected, found) = first_difference(field, expected, &found);
                 let expected = format!("{expected}, as in {}", other.display());
-                return Err(Error::invalid(path.display().to_string(), field, expected, found));
+                return Err(Error::invalid(path.display().to_string(), at, expected, found));
             }
         }
     }

@@ -275,7 +275,7 @@ impl Sequence {
             return Ok(());
         }
         let expected = format!("{}x{:.0}, to match its cloth of {own}", grid.h, columns);
-        Err(Error::invalid(self.folder.display().to_string(), "grid", expected, grid))
+        Err(Error::invalid(self.folder.display().to_string(), "grid to simulate on", expected, grid))
     }
 }
 
@@ -284,8 +284,7 @@ impl Meta {
     fn read(path: PathBuf) -> Result<Self> {
         let origin = path.display().to_string();
         let document = if path.is_file() {
-            let bytes = io::read_bytes(&path)?;
-            io::parse_json(&origin, &String::from_utf8_lossy(&bytes))?
+            io::parse_json(&origin, &io::read_text(&path)?)?
         } else {
             tracing::warn!("{origin}: not found; using the cloth of the default scene");
             Value::Object(Map::new())

@@ -6,6 +6,9 @@ use serde::de::{Deserialize, Deserializer, Error as _, MapAccess, SeqAccess, Vis
 use serde_json::Value;
 use std::fmt;
 
+/// Largest of the whole numbers that are all exact in double precision.
+const MOST_EXACT: f64 = (1u64 << 53) as f64;
+
 /// A value of a document together with its location.
 pub(crate) struct Node<'a> {
     /// File name, for errors.
@@ -92,9 +95,11 @@ impl<'a> Node<'a> {
         self.value.as_f64().filter(|v| v.is_finite()).ok_or_else(|| self.invalid("a number"))
     }
 
-    /// Reads a non-negative integer.
+    /// Reads a non-negative integer. Programs that have no integers write it as `3.0`.
     pub fn count(&self) -> Result<usize> {
-        let count = self.value.as_u64().and_then(|v| usize::try_from(v).ok());
+        let whole = |v: &f64| v.fract() == 0.0 && (0.0..=MOST_EXACT).contains(v);
+        let value = self.value.as_u64().or(self.value.as_f64().filter(whole).map(|v| v as u64));
+        let count = value.and_then(|v| usize::try_from(v).ok());
         count.ok_or_else(|| self.invalid("a whole number, 0 or more"))
     }
 

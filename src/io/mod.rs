@@ -48,6 +48,18 @@ pub fn remove(path: &Path) -> Result<()> {
     }
 }
 
+/// Reads a text file. Fails if it is not UTF-8.
+pub fn read_text(path: &Path) -> Result<String> {
+    String::from_utf8(read_bytes(path)?).map_err(|e| {
+        let found = match e.as_bytes().first_chunk() {
+            // Of its byte-order mark; a Windows shell writes it.
+            Some([0xff, 0xfe] | [0xfe, 0xff]) => "UTF-16".into(),
+            _ => format!("byte {}", e.utf8_error().valid_up_to()),
+        };
+        Error::invalid(path.display().to_string(), "text", "UTF-8", found)
+    })
+}
+
 /// Reads all bytes of a file.
 pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();

@@ -14,6 +14,8 @@ enum Element {
     F16,
     F32,
     F64,
+    I16,
+    U16,
     I32,
     I64,
     U32,
@@ -23,7 +25,7 @@ enum Element {
 impl Element {
     fn bytes(self) -> usize {
         match self {
-            Self::F16 => 2,
+            Self::F16 | Self::I16 | Self::U16 => 2,
             Self::F32 | Self::I32 | Self::U32 => 4,
             Self::F64 | Self::I64 | Self::U64 => 8,
         }
@@ -35,6 +37,8 @@ impl Element {
             Self::F16 => "f2",
             Self::F32 => "f4",
             Self::F64 => "f8",
+            Self::I16 => "i2",
+            Self::U16 => "u2",
             Self::I32 => "i4",
             Self::I64 => "i8",
             Self::U32 => "u4",
@@ -45,8 +49,9 @@ impl Element {
     /// Parses the type in a header, as in `<f4`. Also returns whether its bytes are in big-endian order.
     fn parse(descr: &str) -> Option<(Self, bool)> {
         let (order, name) = descr.split_at_checked(1)?;
-        let all = [Self::F16, Self::F32, Self::F64, Self::I32, Self::I64, Self::U32, Self::U64];
-        let element = all.into_iter().find(|element| element.name() == name)?;
+        let floats = [Self::F16, Self::F32, Self::F64];
+        let whole = [Self::I16, Self::U16, Self::I32, Self::I64, Self::U32, Self::U64];
+        let element = floats.into_iter().chain(whole).find(|element| element.name() == name)?;
         matches!(order, "<" | ">").then_some((element, order == ">"))
     }
 }
@@ -145,6 +150,8 @@ impl<R: Read> Array<R> {
                 Element::F16 => words(chunk).for_each(|b| sink(half::f16::from_le_bytes(b).into())),
                 Element::F32 => words(chunk).for_each(|b| sink(f32::from_le_bytes(b).into())),
                 Element::F64 => words(chunk).for_each(|b| sink(f64::from_le_bytes(b))),
+                Element::I16 => words(chunk).for_each(|b| sink(i16::from_le_bytes(b).into())),
+                Element::U16 => words(chunk).for_each(|b| sink(u16::from_le_bytes(b).into())),
                 Element::I32 => words(chunk).for_each(|b| sink(i32::from_le_bytes(b).into())),
                 Element::I64 => words(chunk).for_each(|b| sink(i64::from_le_bytes(b) as f64)),
                 Element::U32 => words(chunk).for_each(|b| sink(u32::from_le_bytes(b).into())),

@@ -51,14 +51,14 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
     let mut archive = Archive::open(BufReader::new(file), size, path.display().to_string())?;
     let mut parts = Parts::default();
     {
-        let mut array = array(&mut archive, path, POSITIONS)?;
+        let mut array = array(&mut archive, path, POSITIONS)?.of_floats()?;
         parts.shape = array.shape.clone();
         parts.positions = array.triples(|x| x as f32)?;
     }
     let has =
         |archive: &Archive<_>, name: &str| archive.entries.iter().any(|e| e.name == format!("{name}.npy"));
     if has(&archive, VELOCITIES) {
-        let mut array = array(&mut archive, path, VELOCITIES)?;
+        let mut array = array(&mut archive, path, VELOCITIES)?.of_floats()?;
         if array.shape != parts.shape {
             let expected = format!("the shape of {POSITIONS}, {:?}", parts.shape);
             return Err(array.invalid("shape", &expected, format!("{:?}", array.shape)));
@@ -67,7 +67,8 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
     }
     if has(&archive, FACES) {
         let mut array = array(&mut archive, path, FACES)?;
-        let vertices = *parts.shape.get(1).unwrap_or(&0) as f64;
+        // [frames, vertices, 3] or [frames, H, W, 3].
+        let vertices = parts.shape.iter().rev().skip(1).rev().skip(1).product::<usize>() as f64;
         // An invalid vertex index becomes `u32::MAX`, which the test below finds.
         let number = |x: f64| if x >= 0.0 && x < vertices && x.fract() == 0.0 { x as u32 } else { u32::MAX };
         let faces = array.triples(number)?;

@@ -202,13 +202,13 @@ impl Trajectory {
     }
 
     fn from_parts(parts: Parts, options: &ReadOptions, origin: &str) -> Result<Self> {
-        let &[frames, vertices, 3] = &parts.shape[..] else {
-            return Err(Error::invalid(
-                origin,
-                "shape",
-                "[frames, vertices, 3]",
-                format!("{:?}", parts.shape),
-            ));
+        let (frames, vertices, of_shape) = match parts.shape[..] {
+            [frames, vertices, 3] => (frames, vertices, None),
+            [frames, h, w, 3] => (frames, h * w, Some(Grid { h, w })),
+            _ => {
+                let expected = "[frames, vertices, 3] or [frames, H, W, 3]";
+                return Err(Error::invalid(origin, "shape", expected, format!("{:?}", parts.shape)));
+            }
         };
         if !(options.fps.is_finite() && options.fps > 0.0) {
             return Err(Error::invalid(origin, "fps", "a number above 0", options.fps));
@@ -220,14 +220,16 @@ impl Trajectory {
         let side = vertices.isqrt();
         let square = (side * side == vertices).then_some(Grid { h: side, w: side });
         let of_faces = mesh::grid_of(vertices, &parts.faces);
-        if let (Some(given), Some(of_faces)) = (options.grid, of_faces)
-            && given != of_faces
-        {
-            let (expected, found) = (format!("those of {given}"), format!("those of {of_faces}"));
-            return Err(Error::invalid(origin, "faces", expected, found));
+        for (field, of_file) in [("faces", of_faces), ("shape", of_shape)] {
+            if let (Some(given), Some(of_file)) = (options.grid, of_file)
+                && given != of_file
+            {
+                let (expected, found) = (format!("those of {given}"), format!("those of {of_file}"));
+                return Err(Error::invalid(origin, field, expected, found));
+            }
         }
         let likely = options.likely_grid.filter(|grid| grid.particles() == vertices);
-        let grid = options.grid.or(of_faces).or(likely).or(square);
+        let grid = options.grid.or(of_faces).or(of_shape).or(likely).or(square);
         let Some(grid) = grid.filter(|g| g.particles() == vertices) else {
             let expected = match (options.grid, options.likely_grid) {
                 (Some(grid), _) => format!("those of {grid}"),

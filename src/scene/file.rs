@@ -36,21 +36,12 @@ impl Scene {
     /// files it names.
     pub fn load(path: impl AsRef<Path>) -> Result<Self> {
         let path = path.as_ref();
-        let bytes = io::read_bytes(path)?;
-        let origin = path.display().to_string();
-        let text = std::str::from_utf8(&bytes).map_err(|e| {
-            let found = match bytes.first_chunk() {
-                // Of its byte-order mark; a Windows shell writes it.
-                Some([0xff, 0xfe] | [0xfe, 0xff]) => "UTF-16".into(),
-                _ => format!("byte {}", e.valid_up_to()),
-            };
-            Error::invalid(&origin, "text", "UTF-8", found)
-        })?;
+        let text = io::read_text(path)?;
         // An absolute folder keeps the paths of the scene valid if it is saved elsewhere.
         let folder = path.parent().unwrap_or(Path::new(""));
         let folder =
             std::path::absolute(folder.join(".")).map_err(|e| Error::io(folder, "cannot find", e))?;
-        Self::parse(text, &origin, &folder)
+        Self::parse(&text, &path.display().to_string(), &folder)
     }
 
     /// Parses a scene from JSON text. Relative paths in it are resolved against `folder`; `origin` names the

@@ -14,6 +14,11 @@ impl Mesh {
         Polygons::read(path).map(Self)
     }
 
+    /// Returns the number of vertices.
+    pub fn vertices(&self) -> usize {
+        self.0.positions.len()
+    }
+
     /// Returns the positions, in the order of the file.
     pub fn into_points(self) -> Vec<[f64; 3]> {
         self.0.positions

@@ -8,7 +8,9 @@ use crate::cloth::{Cloth, Control, Grid, Model, State, VertexView, cast};
 use crate::io::Trajectory;
 use crate::{Error, Result};
 use num_traits::Float;
+use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
+use std::sync::{Mutex, PoisonError};
 
 /// The most frames that a scene may ask for: far above any use, well within memory.
 pub const MAX_FRAMES: usize = 1_000_000;
@@ -23,6 +25,16 @@ const USUAL: RangeInclusive<f64> = 0.9..=1.1;
 /// Default number of frames of a scene whose handles do not move: as many as the built-in motions have at
 /// 1/60 s.
 const STILL_FRAMES: usize = 391;
+
+/// Warns, unless the process has already said so.
+fn warn_once(message: String) {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
+    if !said.contains(&message) {
+        tracing::warn!("{message}");
+        said.insert(message);
+    }
+}
 
 /// A scene ready to simulate: one cloth in grid units, z up, and the conversion back to SI units.
 #[derive(Clone, Debug, PartialEq)]
@@ -243,7 +255,8 @@ impl Batch {
 }
 
 impl Scene {
-    /// Checks the scene, reads its files and converts it to grid units, z up.
+    /// Checks the scene, reads its files and converts it to grid units, z up. Whatever is suspicious but allowed
+    /// goes to `tracing`, once in the process: a scene may be set up for each of many simulations.
     pub fn setup(&self) -> Result<Setup> {
         let units = self.check()?;
         let grid = self.grid;
@@ -258,12 +271,12 @@ impl Scene {
             particles.iter().zip(&handles[0]).map(|(&p, &at)| (norm(zip(points[p], at, |p, at| p - at)), p));
         let far: Vec<(f64, usize)> = gaps.filter(|&(gap, _)| gap > 1.0).collect();
         if let Some(&(gap, p)) = far.iter().max_by(|a, b| a.0.total_cmp(&b.0)) {
-            tracing::warn!(
+            warn_once(format!(
                 "{}: motion: {} of {} handles do not begin where the start state has them; handle {p} is off by {gap:.1} edges",
                 self.origin,
                 far.len(),
                 particles.len()
-            );
+            ));
         }
         particles.iter().zip(&handles[0]).for_each(|(&p, &at)| points[p] = at);
         let cloth = Cloth {
@@ -286,11 +299,11 @@ impl Scene {
         let farthest = setup.start.x.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         if farthest * f64::from(f32::EPSILON) > COARSEST {
             let away = farthest * units.length_m;
-            tracing::warn!(
+            warn_once(format!(
                 "{}: the cloth lies {away:.0} m from the origin, where single precision resolves only {:.3} edges",
                 self.origin,
                 farthest * f64::from(f32::EPSILON)
-            );
+            ));
         }
         Ok(setup)
     }
@@ -302,12 +315,12 @@ impl Scene {
         let speed = norm(setup.wind);
         let share = air.density * speed + air.drag;
         if speed > 0.0 && share > 1.0 {
-            tracing::warn!(
+            warn_once(format!(
                 "{}: wind: at {:.0} m/s the drag, which is evaluated once per frame, is {share:.1} times the largest stable one: \
                  take a frame_time_s that much shorter",
                 self.origin,
                 norm(self.wind.velocity)
-            );
+            ));
         }
     }
 
@@ -324,11 +337,11 @@ impl Scene {
         let along_width = mean(&mut (0..h * w).filter(|p| p % w > 0).map(|p| (p - 1, p)));
         for (field, length) in [("height", along_height), ("width", along_width)] {
             if !USUAL.contains(&length) {
-                tracing::warn!(
+                warn_once(format!(
                     "{}: start: edges along the {field} are {length:.3} times as long as at rest: is side_m, the {field}, that of \
                      the sheet in the start?",
                     self.origin
-                );
+                ));
             }
         }
     }
@@ -430,9 +443,9 @@ impl Scene {
             let now = height * grid.aspect();
             if (now - width).abs() > 0.1 * width {
                 let origin = &self.origin;
-                tracing::warn!(
+                warn_once(format!(
                     "{origin}: side_m: on {grid} particles the sheet is {now:.3} m wide, not {width} m"
-                );
+                ));
             }
         }
         self.side_m = super::Side::Height(self.side_m.height());

@@ -143,15 +143,28 @@ impl StartFile {
             return Ok((sheet(trajectory.frame(last)), Some(sheet(trajectory.frame_velocities(last)))));
         }
         let origin = self.path.display().to_string();
-        let points = match self.path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase) {
+        // Without a grid of its own, a file may be on that of the scene, or on that which the scene had before
+        // it was changed.
+        let of = |vertices: usize| {
+            [grid, scene_grid].into_iter().find(|grid| grid.particles() == vertices).unwrap_or(grid)
+        };
+        let (grid, points) = match self.path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase)
+        {
             Some(e) if e == "obj" => {
                 let mesh = Mesh::read(&self.path)?;
+                let grid = of(mesh.vertices());
                 mesh.check(grid)?;
-                mesh.into_points()
+                (grid, mesh.into_points())
             }
             Some(e) if e == "npy" => {
                 let array = io::read_npy(&self.path)?;
-                let (shape, n) = (array.shape(), grid.particles());
+                let shape = array.shape();
+                let grid = match *shape {
+                    [h, w, 3] if w != grid.particles() && w != scene_grid.particles() => of(h * w),
+                    [vertices, 3] | [_, vertices, 3] => of(vertices),
+                    _ => grid,
+                };
+                let n = grid.particles();
                 let trajectory = matches!(*shape, [frames, particles, 3] if frames > 0 && particles == n);
                 if shape != [grid.h, grid.w, 3] && shape != [n, 3] && !trajectory {
                     let expected = format!("[{}, {}, 3], [{n}, 3] or [frames, {n}, 3]", grid.h, grid.w);
@@ -159,7 +172,7 @@ impl StartFile {
                 }
                 let mut points = points::from_array(&origin, &array)?;
                 points.truncate(n);
-                points
+                (grid, points)
             }
             _ => {
                 return Err(Error::invalid(

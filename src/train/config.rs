@@ -5,7 +5,7 @@ use super::schedule::{Decay, RateSchedule};
 use crate::cloth::Grid;
 use crate::cpu::train::AdamWSettings;
 use crate::kernels::optim::Normalisation;
-use crate::{Error, Result, io, network};
+use crate::{Result, io, network};
 use std::path::{Path, PathBuf};
 
 /// A training run: its pools, optimizer, length and monitoring. The default is the paper's recipe
@@ -267,17 +267,11 @@ impl Config {
     /// Reads a configuration file. Returns its text, which a run keeps, and the parsed configuration. Paths
     /// in the text are made absolute, so that a copy of it in another folder names the same files.
     pub fn load(path: &Path) -> Result<(String, Self)> {
-        let text = Self::text(path)?;
+        let text = io::read_text(path)?;
         Self::parse(&text, path)?;
         let text = read::absolute_paths(text, path)?;
         let config = Self::parse(&text, path)?;
         Ok((text, config))
-    }
-
-    /// Reads the text of a configuration file.
-    pub(super) fn text(path: &Path) -> Result<String> {
-        let origin = path.display().to_string();
-        String::from_utf8(io::read_bytes(path)?).map_err(|e| Error::invalid(origin, "text", "UTF-8", e))
     }
 
     /// Parses a configuration from TOML. `path` names it in errors, and `init` is relative to its folder.

@@ -113,7 +113,7 @@ impl Run {
         ranks: Rc<dyn Ranks>,
     ) -> Result<(Self, Vec<Error>)> {
         let mut folder = Folder::open(root);
-        let config = Config::parse(&Config::text(&folder.config())?, &folder.config())?;
+        let config = Config::parse(&io::read_text(&folder.config())?, &folder.config())?;
         let origin = folder.config().display().to_string();
         let other = |found: &str| {
             Err(Error::invalid(&origin, "configuration", "the one that the run began with", found))

@@ -261,7 +261,7 @@ impl std::fmt::Display for Check {
                 write!(f, "{verdict}  {file:30} {array:34} {device:9}")?;
                 write!(f, " abs {absolute:.2e}  rel {relative:.2e}  tol {tolerance:.0e}")
             }
-            Finding::Message { message } => write!(f, "{verdict}  {file:30} {message:34} {device}"),
+            Finding::Message { message } => write!(f, "{verdict}  {file:30} {device:9} {message}"),
         }
     }
 }

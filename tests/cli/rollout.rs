@@ -76,8 +76,25 @@ fn handles_follow_the_motion() {
 }
 
 #[test]
+fn values_of_repulsion_follow_an_equals_sign() {
+    let folder = tempfile::tempdir().unwrap();
+    refused_cleanly(
+        folder.path(),
+        &["rollout", "--repulsion", "1,0.5"],
+        &["--repulsion=1,0.5", "equals sign"],
+    );
+}
+
+#[test]
 fn a_rollout_takes_a_material_from_a_file() {
     let folder = tempfile::tempdir().unwrap();
+    let utf16: Vec<u8> = "\u{feff}{}".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    std::fs::write(folder.path().join("utf16.json"), utf16).unwrap();
+    refused_cleanly(
+        folder.path(),
+        &["rollout", "--material", "utf16.json"],
+        &["utf16.json: text: expected UTF-8, found UTF-16"],
+    );
     let soft = r#"{"material": {"stretch_modulus": 280, "shear_modulus": 28, "bending_stiffness": 1e-5},
         "wind": {"density": 0.5}, "frame_time_s": 0.01, "fitted_to": "nothing"}"#;
     std::fs::write(folder.path().join("soft.json"), soft).unwrap();

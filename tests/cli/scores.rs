@@ -180,7 +180,16 @@ fn only_scores_that_belong_together_are_merged() {
     let (tables, _) = done(merge(&["a", "b", "--plots", "p"]));
     assert!(tables.contains("gd, N = 3") && tables.contains("lbfgs, N = 3"), "{tables}");
     assert!(at.join("p/per_frame.png").is_file());
-    refused(merge(&["a", "soft"]), &["a/xy_v2_8x8_gd_3", "soft/xy_v2_8x8_adam_3", "settings"]);
+    // Named by the field that differs.
+    let said = ["a/xy_v2_8x8_gd_3", "soft/xy_v2_8x8_adam_3", "settings.material"];
+    refused(merge(&["a", "soft"]), &said);
+    run("windy", &["--solver", "adam:3", "--wind", "2"]);
+    refused(merge(&["a", "windy"]), &["settings.density: expected null", ", as in a/", "found 2"]);
+    // Tables may be printed as they would be written.
+    let (csv, _) = done(merge(&["a", "--csv", "-"]));
+    assert!(csv.starts_with("# ") && csv.contains("\nxy_v2,"), "{csv}");
+    assert!(!at.join("-").exists());
+    refused(merge(&["a", "--csv", "-", "--json"]), &["a file for each of"]);
     refused(merge(&["a", "again"]), &["a/xy_v2_8x8_gd_3", "again/xy_v2_8x8_gd_3", "the only score of"]);
     for option in [["--compare", "x=a"], ["--wind", "2"], ["--device", "cpu"], ["--solver", "gd"]] {
         refused(merge(&[&["a"], &option[..]].concat()), &["cannot be used with", option[0]]);

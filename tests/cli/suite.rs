@@ -24,6 +24,16 @@ fn a_suite_fails_when_a_case_is_not_sound() {
     assert_eq!(bad.status.code(), Some(1), "{}", text(&bad.stdout));
 }
 
+/// Nothing was checked, so the check did not pass.
+#[test]
+fn a_suite_in_which_nothing_takes_part_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments =
+        ["evaluate", "--suite", "repulsion", "--sequences", "corner-center with", "--frames", "3"];
+    let more = ["--grid", "8", "--solver", "newton"];
+    refused(fnopt(folder.path(), &[&arguments[..], &more].concat()), &["--suite", "takes part"]);
+}
+
 #[test]
 fn a_suite_honours_its_options_or_refuses_them() {
     let folder = tempfile::tempdir().unwrap();

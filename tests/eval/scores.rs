@@ -277,7 +277,7 @@ fn only_scores_made_alike_are_merged() {
     type Change<'a> = (&'a str, &'a dyn Fn(&mut Score));
     let changes: [Change; 6] = [
         ("version", &|s| s.made_with.version = "0".into()),
-        ("settings", &|s| s.made_with.settings = softer.to_json()),
+        ("settings.material.bend", &|s| s.made_with.settings = softer.to_json()),
         ("device", &elsewhere),
         ("weights", &|s| s.made_with.weights = Some(1)),
         ("score", &|s| s.sequence = score.sequence.clone()),

@@ -135,6 +135,21 @@ fn an_obj_start_is_transformed_and_rotated() {
     assert_eq!(setup.model.cloths[0].handles, [107, 0]);
 }
 
+/// A scene that names a file and no grid is on the file's once it is put on a grid of as many particles.
+#[test]
+fn a_start_without_a_grid_is_on_that_of_the_scene() {
+    let mut scene = parse(r#"{"start": "../starts/tent_12x9.obj", "motion": "none"}"#).unwrap();
+    scene.regrid(Grid { h: 12, w: 9 }).unwrap();
+    let own = parse(r#"{"start": "../starts/tent_12x9.obj", "motion": "none", "grid": [12, 9]}"#).unwrap();
+    assert_eq!(scene.setup().unwrap().start, own.setup().unwrap().start);
+}
+
+#[test]
+fn whole_numbers_may_have_a_point() {
+    let scene = parse(r#"{"grid": [12.0, 9], "frames": 3.0}"#).unwrap();
+    assert_eq!((scene.grid, scene.frames), (Grid { h: 12, w: 9 }, Some(3)));
+}
+
 #[test]
 fn a_new_grid_keeps_the_sheet() {
     let mut scene = parse(

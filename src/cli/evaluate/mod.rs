@@ -8,7 +8,7 @@ use super::device::InferenceArgs;
 use super::output::{output, status};
 use super::{
     Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, go_on, grids, interrupt_flag, load_weights,
-    material, sequences, writable_file, writable_folder,
+    material, sequences, trimmed, writable_file, writable_folder,
 };
 use anyhow::Result;
 use fnopt::Device;
@@ -44,7 +44,7 @@ pub struct Args {
     #[arg(long, default_value = SHIPPED_SEQUENCES, value_name = "DIR")]
     ground_truth: PathBuf,
     /// Sequences, or cases of a suite, to simulate [default: all]
-    #[arg(long, value_delimiter = ',', value_name = "NAME,..")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed, value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
     /// Grids to simulate on: HxW, or N for NxN; they must have the proportions of the cloth [default: 32]
     #[arg(long, value_delimiter = ',', value_name = "N|HxW,..")]
@@ -53,7 +53,7 @@ pub struct Args {
     /// whatever the device; single-pass, which is fnopt:1; interpolation, which is fnopt on 32 rows,
     /// interpolated to the grid. A number of iterations may follow after a colon [default:
     /// newton,fnopt,quasi-newton,lbfgs:100,adam:500; in the suite iterations fnopt,quasi-newton,lbfgs,adam]
-    #[arg(long, value_delimiter = ',', value_name = "NAME[:N],..")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed, value_name = "NAME[:N],..")]
     solver: Option<Vec<String>>,
     /// Iterations per frame for solvers given without a number [default: 10]
     #[arg(long, value_delimiter = ',', value_name = "N,..")]
@@ -115,10 +115,10 @@ pub struct Args {
     /// Write the scores as JSON to FILE or, without FILE, print them in place of the tables
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
     json: Option<PathBuf>,
-    /// Write the tables as CSV
+    /// Write the tables as CSV; `-` prints it in place of the tables
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
-    /// Write the tables as Markdown
+    /// Write the tables as Markdown; `-` prints it in place of the tables
     #[arg(long, value_name = "FILE")]
     markdown: Option<PathBuf>,
     /// Folder for plots (PNG); --merge leaves out the error maps and the convergence, --shard only the
@@ -239,8 +239,7 @@ impl Args {
                 return Err(Error::invalid("--json", "file", expected, file.display()));
             }
         }
-        let tables = self.csv.iter().chain(&self.markdown).map(PathBuf::as_path);
-        let files: Vec<&Path> = self.json_file().into_iter().chain(tables).collect();
+        let files: Vec<&Path> = self.files().into_iter().filter_map(|(_, file)| file).collect();
         let place = |file: &Path| {
             let folder = folder_of(file).canonicalize().unwrap_or_else(|_| folder_of(file).to_owned());
             file.canonicalize().unwrap_or_else(|_| folder.join(file.file_name().unwrap_or_default()))
@@ -255,9 +254,20 @@ impl Args {
                     format!("{} twice", file.display()),
                 ));
             }
-            writable_file(file)?;
+            if *file != Path::new(STDOUT) {
+                writable_file(file)?;
+            }
         }
         self.plots.iter().try_for_each(|folder| writable_folder(folder))
+    }
+
+    /// Returns the files of the scores and the tables.
+    fn files(&self) -> [(Written, Option<&Path>); 3] {
+        [
+            (Written::Scores, self.json.as_deref()),
+            (Written::Tables(Format::Csv), self.csv.as_deref()),
+            (Written::Tables(Format::Markdown), self.markdown.as_deref()),
+        ]
     }
 
     /// Returns the file to write the scores to as JSON, unless they are printed.
@@ -392,7 +402,7 @@ impl Args {
             for (sequence, path) in mine.filter_map(|s| Some((s, trajectory(&folder, s)?))) {
                 let read = sequence.read_other(&path);
                 let kept = read.and_then(|found| Kept::imported(sequence, &name, &found, settings));
-                all.extend(kept.map_err(|error| wrong.push(error)));
+                all.extend(kept.map_err(|error| wrong.push(error.of_file(&path))));
             }
             let lacking = sequences.iter().filter(|sequence| trajectory(&folder, sequence).is_none());
             let missing: Vec<&str> = lacking.map(|sequence| &*sequence.name).collect();
@@ -447,37 +457,37 @@ impl Args {
         written.and(Ok(drawn?))
     }
 
-    /// Writes the requested files and prints the tables. If the files fail, the tables are still printed.
+    /// Writes the requested files and prints the tables, unless one of the files is the standard output. If the
+    /// files fail, the tables are still printed.
     fn write_tables(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> Result<()> {
-        let written = self.write_files(tables, scores);
-        match self.json.as_deref() {
-            Some(path) if path == Path::new(STDOUT) => writeln!(output(), "{}", as_json(scores))?,
-            _ => self.print(tables)?,
+        let content = |what: Written| match what {
+            Written::Scores => as_json(scores) + "\n",
+            Written::Tables(format) => text(tables, format),
+        };
+        let is_printed = |file: &Path| file == Path::new(STDOUT);
+        let mut printed = Written::Tables(Format::Text { bold: std::io::stdout().is_terminal() });
+        let mut written = Ok(());
+        for (what, file) in self.files() {
+            match file {
+                Some(file) if is_printed(file) => printed = what,
+                Some(file) if written.is_ok() => {
+                    written = write_atomic(file, |to| to.write_all(content(what).as_bytes()));
+                }
+                _ => {}
+            }
         }
+        write!(output(), "{}", content(printed))?;
         Ok(written?)
     }
+}
 
-    fn write_files(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> fnopt::Result<()> {
-        let into =
-            |path: &Path, content: String| write_atomic(path, |file| file.write_all(content.as_bytes()));
-        if let Some(path) = &self.csv {
-            into(path, text(tables, Format::Csv))?;
-        }
-        if let Some(path) = &self.markdown {
-            into(path, text(tables, Format::Markdown))?;
-        }
-        if let Some(path) = self.json_file() {
-            into(path, as_json(scores))?;
-        }
-        Ok(())
-    }
-
-    fn print(&self, tables: &[Table]) -> Result<()> {
-        let mut out = output();
-        let bold = std::io::stdout().is_terminal();
-        write!(out, "{}", text(tables, Format::Text { bold }))?;
-        Ok(())
-    }
+/// What is written into a file or printed.
+#[derive(Clone, Copy)]
+enum Written {
+    /// The scores as JSON.
+    Scores,
+    /// The tables.
+    Tables(Format),
 }
 
 /// A score as written to JSON.
@@ -547,7 +557,8 @@ fn share_of_slurm() -> Option<(usize, usize)> {
 /// Returns the file or folder of another system's trajectory of a sequence, if there is one.
 fn trajectory(folder: &Path, sequence: &Sequence) -> Option<PathBuf> {
     let names = ["npz", "npy", "pc2"].map(|e| format!("{}.{e}", sequence.name));
-    let inside = ["rollout.npz", "cloth_pos.npy"].map(|file| format!("{}/{file}", sequence.name));
+    let inside = ["rollout.npz", "rollout.npy", "rollout.pc2", "rollout_obj", "cloth_pos.npy"];
+    let inside = inside.map(|file| format!("{}/{file}", sequence.name));
     let all = names.into_iter().chain(inside).chain([sequence.name.clone()]).map(|name| folder.join(name));
     all.into_iter().find(|path| path.exists())
 }

@@ -160,6 +160,10 @@ impl Args {
         tell_devices(scores.iter().map(|(_, score)| (&score.made_with, score.ms_per_frame)));
         let complete = ending?;
         written?;
+        if complete && scores.is_empty() {
+            let expected = "a solver that takes part in one of the cases";
+            return Err(Error::invalid("--suite", "solver", expected, "none").into());
+        }
         if !complete {
             status!("interrupted; the finished cases are above and kept in {}", self.out.display());
         }
