@@ -6,7 +6,7 @@ mod common;
 use common::{adapter, criterion, is_software};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use fnopt::Device;
-use fnopt::train::{Alone, Config, Pool, Update, first_weights, learner};
+use fnopt::train::{Alone, Config, Pool, Update, initial_weights, learner};
 
 /// Cloths per pool. Their number does not affect the time of a step, and few are quick to set up.
 const CLOTHS: usize = 40;
@@ -14,7 +14,7 @@ const CLOTHS: usize = 40;
 fn steps(c: &mut Criterion) {
     let mut config = Config::default();
     config.pools.iter_mut().for_each(|pool| pool.cloths = CLOTHS);
-    let weights = first_weights(&config, &Alone).expect("fresh weights need no file");
+    let weights = initial_weights(&config, &Alone).expect("fresh weights need no file");
     let hardware = adapter().filter(|context| !is_software(context)).map(Device::Gpu);
     for device in std::iter::once(Device::Cpu).chain(hardware) {
         eprintln!("{}", device.name());

@@ -102,7 +102,7 @@ impl Simulator {
         match &mut self.backend {
             Backend::Cpu { solver, state } => {
                 assert_eq!((start.x.len(), start.v.len()), (state.x.len(), state.v.len()), "[B, 3, H, W]");
-                solver.reset();
+                solver.reset_memory();
                 state.clone_from(start);
             }
             Backend::Gpu { solver, .. } => solver.set_state(start),
@@ -116,7 +116,7 @@ impl Simulator {
     pub fn set_cloth_state(&mut self, b: usize, start: &State<f32>) {
         match &mut self.backend {
             Backend::Cpu { solver, state } => {
-                solver.reset_cloth(b);
+                solver.reset_memory_of(b);
                 let len = state.x.len() / solver.model().batch();
                 assert_eq!((start.x.len(), start.v.len()), (len, len), "[3, H, W]");
                 for (all, own) in [(&mut state.x, &start.x), (&mut state.v, &start.v)] {

@@ -7,7 +7,7 @@ use anyhow::Result;
 use fnopt::Device;
 use fnopt::Error;
 use fnopt::network::Weights;
-use fnopt::train::{Config, End, Limits, Progress, Ranks, Run, SceneScore, first_weights, learner, ranks};
+use fnopt::train::{Config, End, Limits, Progress, Ranks, Run, SceneScore, initial_weights, learner, ranks};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::io::Write;
 use std::ops::ControlFlow;
@@ -62,7 +62,7 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
                 None => (PAPER.to_owned(), Config::parse(PAPER, Path::new(PAPER_NAME))?),
             };
             args.check(&config)?;
-            let weights = first_weights(&config, &**ranks)?;
+            let weights = initial_weights(&config, &**ranks)?;
             let learner = learner(&args.opened(&**ranks)?, &config, &weights)?;
             Run::create(&args.out, &text, config, learner, ranks.clone())?
         }

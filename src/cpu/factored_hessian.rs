@@ -79,7 +79,7 @@ impl FactoredHessian {
                 let others = later.iter().flat_map(|&other| (0..3).map(move |row| (other, row)));
                 for (other, row) in own.chain(others) {
                     rows.push(3 * other + row);
-                    let source = hessian.place((order[other], row), (q, column));
+                    let source = hessian.index_of((order[other], row), (q, column));
                     let source = source.expect("neighbours share a term");
                     sources.push(u32::try_from(source).expect("the largest grid has a billion numbers"));
                 }

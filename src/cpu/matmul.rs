@@ -17,15 +17,28 @@ const BLOCK_ROWS: usize = 6;
 /// One product `A B` of a sum: A of shape [M, K] with `a_stride` between rows, B of shape [K, N] with
 /// `b_stride`.
 pub(crate) struct Term<'a, T> {
-    pub a: &'a [T],
+    a: &'a [T],
     /// Numbers between the rows of A, or of its transpose.
-    pub a_stride: usize,
-    /// Whether `a` holds the transpose [K, M] of A, as in sums over positions.
-    pub a_transposed: bool,
-    pub b: &'a [T],
-    pub b_stride: usize,
+    a_stride: usize,
+    /// Whether `a` holds the transpose [K, M] of A.
+    a_transposed: bool,
+    b: &'a [T],
+    b_stride: usize,
     /// K, the length of the sum.
-    pub depth: usize,
+    depth: usize,
+}
+
+impl<'a, T> Term<'a, T> {
+    /// Returns the product of A [M, K] and B [K, N], each given with the numbers between its rows, summed over
+    /// `depth` K.
+    pub fn new((a, a_stride): (&'a [T], usize), (b, b_stride): (&'a [T], usize), depth: usize) -> Self {
+        Self { a, a_stride, a_transposed: false, b, b_stride, depth }
+    }
+
+    /// Returns the product of A and B from the transpose [K, M] of A, as in sums over positions.
+    pub fn transposed((a, a_stride): (&'a [T], usize), b: (&'a [T], usize), depth: usize) -> Self {
+        Self { a_transposed: true, ..Self::new((a, a_stride), b, depth) }
+    }
 }
 
 /// The destination of a product: M rows of N numbers with `stride` between rows. N is a multiple of
@@ -84,8 +97,7 @@ pub fn peak_rate() -> f64 {
         for _ in 0..PRODUCTS {
             let target =
                 Target { out: &mut out, stride: SIZE, rows: ROWS, columns: SIZE, start: Start::Zero };
-            let term =
-                Term { a: &a, a_stride: SIZE, a_transposed: false, b: &b, b_stride: SIZE, depth: SIZE };
+            let term = Term::new((&a, SIZE), (&b, SIZE), SIZE);
             product(target, &[std::hint::black_box(term)]);
         }
         std::hint::black_box(out);
@@ -291,9 +303,8 @@ mod tests {
                 })
                 .collect();
             let b_stride = columns + 3;
-            let straight = Term { a: &a, a_stride: depth + 2, a_transposed: false, b: &b, b_stride, depth };
-            let transposed =
-                Term { a: &transposed, a_stride: rows + 1, a_transposed: true, b: &b, b_stride, depth };
+            let straight = Term::new((&a, depth + 2), (&b, b_stride), depth);
+            let transposed = Term::transposed((&transposed, rows + 1), (&b, b_stride), depth);
             let stride = columns + 1;
             let mut out = vec![f64::NAN; rows * stride];
             let target = Target { out: &mut out, stride, rows, columns, start: Start::Row(&start) };

@@ -118,7 +118,7 @@ impl<T: Real> Objective<T> {
     }
 
     /// Moves the particles to where the trial accelerations lead.
-    pub fn place(&mut self, state: &State<T>, control: &Control<T>) {
+    pub fn move_to_trial(&mut self, state: &State<T>, control: &Control<T>) {
         let cloth = self.cloth_len();
         let Trials { shift, a, slots, .. } = &mut self.trial;
         for (b, shift) in shift.chunks_exact_mut(cloth).enumerate() {
@@ -128,9 +128,9 @@ impl<T: Real> Objective<T> {
         }
     }
 
-    /// Moves the particles as [`Objective::place`] does, then computes the gradient there and its norms.
+    /// Moves the particles as [`Objective::move_to_trial`] does, then computes the gradient there and its norms.
     pub fn evaluate(&mut self, state: &State<T>, control: &Control<T>) {
-        self.place(state, control);
+        self.move_to_trial(state, control);
         let cloth = self.cloth_len();
         let Self { trial, rows, total_acceleration, grad, norms } = self;
         total_acceleration.par_chunks_exact_mut(cloth).enumerate().for_each(|(b, total_acceleration)| {

@@ -136,7 +136,7 @@ impl Reference {
         }
         let gradient = norm(&grad);
         // A search that failed has left the particles elsewhere.
-        self.objective.place(state, control);
+        self.objective.move_to_trial(state, control);
         let a = self.objective.trial.a.clone();
         Minimum { a, energy, gradient, iterations, converged: gradient <= self.tolerance }
     }
@@ -163,7 +163,7 @@ impl Reference {
         let mut length = 1.0;
         for _ in 0..HALVINGS {
             self.history.step(length, &mut self.objective.trial.a);
-            self.objective.place(state, control);
+            self.objective.move_to_trial(state, control);
             let terms = self.objective.energy(state, 0);
             let lower = terms.total();
             // Close to the minimum a step gains less than the rounding error of the terms, of which external
@@ -266,7 +266,7 @@ fn begin(objective: &mut Objective<f64>, state: &State<f64>, control: &Control<f
 
 /// Returns L where the accelerations lead.
 fn energy_here(objective: &mut Objective<f64>, state: &State<f64>, control: &Control<f64>) -> f64 {
-    objective.place(state, control);
+    objective.move_to_trial(state, control);
     objective.energy(state, 0).total()
 }
 

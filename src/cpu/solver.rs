@@ -4,7 +4,7 @@ use super::optim::{Minimizer, minimizer, norm};
 use super::reference::Minimum;
 use super::{Objective, Real, Reference};
 use crate::cloth::{Cloth, Control, Model, State};
-use crate::sim::{FrameStats, Iterations, Optimizer};
+use crate::sim::{FrameStats, IterationLog, Optimizer};
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -12,7 +12,7 @@ use rayon::prelude::*;
 pub struct Solver<T: Real> {
     optimizer: Optimizer,
     method: Method<T>,
-    log: Iterations,
+    log: IterationLog,
     objective: Objective<T>,
 }
 
@@ -39,7 +39,7 @@ impl<T: Real> Solver<T> {
             optimizer => Method::Steps(iterations, minimizer(optimizer, model)?),
         };
         let (optimizer, objective) = (optimizer.clone(), Objective::new(model));
-        Ok(Self { optimizer, method, log: Iterations::default(), objective })
+        Ok(Self { optimizer, method, log: IterationLog::default(), objective })
     }
 
     /// Replaces materials, gravity, air, repulsion and handles of the cloths, from the next frame on. The
@@ -119,24 +119,24 @@ impl<T: Real> Solver<T> {
                 self.log.gradient_norms.extend(&objective.norms);
             }
         }
-        objective.place(state, control);
+        objective.move_to_trial(state, control);
         let stats = self.stats(state);
         self.objective.end_frame(state, control);
         stats
     }
 
     /// Clears the optimizer's state, as when a scene restarts.
-    pub fn reset(&mut self) {
-        (0..self.model().batch()).for_each(|b| self.reset_cloth(b));
+    pub fn reset_memory(&mut self) {
+        (0..self.model().batch()).for_each(|b| self.reset_memory_of(b));
     }
 
     /// Clears the optimizer's state for cloth `b` alone, as when it restarts while the others continue.
     /// Panics if there is no such cloth.
-    pub fn reset_cloth(&mut self, b: usize) {
+    pub fn reset_memory_of(&mut self, b: usize) {
         let batch = self.model().batch();
         assert!(b < batch, "cloth {b} of {batch}");
         if let Method::Steps(_, minimizer) = &mut self.method {
-            minimizer.forget(b);
+            minimizer.reset_memory_of(b);
         }
     }
 
@@ -146,7 +146,7 @@ impl<T: Real> Solver<T> {
     }
 
     /// Returns the log of the optimizer's iterations in the last frame.
-    pub fn iterations(&self) -> &Iterations {
+    pub fn iteration_log(&self) -> &IterationLog {
         &self.log
     }
 

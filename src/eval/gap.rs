@@ -44,7 +44,7 @@ pub fn median_gap(
         if tick().is_break() {
             return Ok(None);
         }
-        solver.place(before);
+        solver.replace_state(before);
         solver.set_control(control);
         context.submit(|encoder| solver.record(encoder));
         solver.accelerations().read(context).map(Some)

@@ -298,8 +298,8 @@ impl Meta {
                 wind.no_misspelling(&WIND_FIELDS)?;
                 Wind {
                     velocity: wind.get_or("velocity", default.wind.velocity, Node::vector)?,
-                    density: wind.get_or("density", default.wind.density, not_negative)?,
-                    drag: wind.get_or("drag", default.wind.drag, not_negative)?,
+                    density: wind.get_or("density", default.wind.density, Node::not_negative)?,
+                    drag: wind.get_or("drag", default.wind.drag, Node::not_negative)?,
                 }
             }
         };
@@ -308,11 +308,11 @@ impl Meta {
             Grid::new(h, w, node.origin).map(Some)
         };
         Ok(Self {
-            fps: node.get_or("fps", ReadOptions::default().fps, positive)?,
+            fps: node.get_or("fps", ReadOptions::default().fps, Node::positive)?,
             grid: node.get_or("grid", None, grid)?,
             obj_code: node.get_or("obj_code", None, |n| Ok(Some(n.text()?.to_owned())))?,
-            side_m: node.get_or("side_length_m", None, |n| positive(n).map(Some))?,
-            mass: node.get_or("mass_per_area_kg_m2", default.mass, |n| positive(n).map(Mass::Areal))?,
+            side_m: node.get_or("side_length_m", None, |n| n.positive().map(Some))?,
+            mass: node.get_or("mass_per_area_kg_m2", default.mass, |n| n.positive().map(Mass::Areal))?,
             gravity: node.get_or("gravity_m_s2", default.gravity, Node::vector)?,
             wind,
             handle_vertices: node.get_or("handle_vertices", None, |n| handle_vertices(n).map(Some))?,
@@ -390,14 +390,6 @@ fn handle_vertices(node: &Node) -> Result<Vec<usize>> {
         }
         _ => Err(node.invalid(r#"vertex numbers, [k, ..] or {"h0": k, ..}"#)),
     }
-}
-
-fn positive(node: &Node) -> Result<f64> {
-    Some(node.number()?).filter(|&v| v > 0.0).ok_or_else(|| node.invalid("a positive number"))
-}
-
-fn not_negative(node: &Node) -> Result<f64> {
-    Some(node.number()?).filter(|&v| v >= 0.0).ok_or_else(|| node.invalid("a number, 0 or more"))
 }
 
 /// Returns a checksum of the names and contents of files.

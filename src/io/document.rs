@@ -103,6 +103,16 @@ impl<'a> Node<'a> {
         count.ok_or_else(|| self.invalid("a whole number, 0 or more"))
     }
 
+    /// Reads a number above 0.
+    pub fn positive(&self) -> Result<f64> {
+        self.number().ok().filter(|&v| v > 0.0).ok_or_else(|| self.invalid("a number above 0"))
+    }
+
+    /// Reads a number that is not negative.
+    pub fn not_negative(&self) -> Result<f64> {
+        self.number().ok().filter(|&v| v >= 0.0).ok_or_else(|| self.invalid("a number, 0 or more"))
+    }
+
     /// Reads three numbers.
     pub fn vector(&self) -> Result<[f64; 3]> {
         self.array("three numbers [x, y, z]", Node::number)

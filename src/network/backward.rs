@@ -5,7 +5,7 @@
 //! reverse order, with transposed tables and weights. The network's inputs are constants of training, so
 //! nothing is propagated beyond the lifting, whose hidden layer is recomputed instead of kept.
 
-use super::parameters::{GradientLayer, GradientLayers, Layers};
+use super::parameters::{GradientLayer, Layers};
 use super::{Forward, Parameters, tables};
 use crate::Result;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
@@ -39,7 +39,7 @@ pub struct Backward {
     pub adj_field: Tensor,
     /// Cotangent of [`Forward::scalar`], shape `[S]`.
     pub adj_scalar: Tensor,
-    gradient: GradientLayers,
+    gradient: Layers<GradientLayer>,
     /// Cotangents of the blocks' outputs before their GELU, in two alternating buffers, shape [S, H, C, W'].
     adj: [Tensor; 2],
     adj_projected: Tensor,
@@ -69,7 +69,7 @@ impl TransposedWeights {
     /// Allocates the transposes of the weights in `parameters`; [`TransposedWeights::push`] fills them.
     pub fn new(context: &Context, parameters: &Parameters) -> Result<Self> {
         let layout = parameters.layout();
-        let layers = layout.layers(&parameters.flat);
+        let layers = layout.layers(&parameters.flat)?;
         let transposed = |layer: &Layer| -> Result<Layer> {
             let &[tiles, inputs, tile] = layer.weight.shape() else { panic!("a layer is tiled") };
             Ok(Layer {
@@ -117,7 +117,7 @@ impl Backward {
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let upload =
             |label, shape: &[usize], data: Vec<f32>| Tensor::from_slice(context, label, shape, &data);
-        let gradient = parameters.layout().gradient_layers(gradient);
+        let gradient = parameters.layout().gradient_layers(gradient)?;
         let parts = pointwise_weight_adj::parts(samples * h * w / 4);
         let layers = [&gradient.lifting[0], &gradient.lifting[1], &gradient.projection[0]];
         let longest =

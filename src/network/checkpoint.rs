@@ -3,7 +3,7 @@
 //! Names may carry the prefix `nn.`. Complex tensors are pairs of reals on a last axis of 2, or complex
 //! numbers. The configuration comes from the metadata (key `config`, JSON) if present, else from the shapes.
 
-use super::weights::{Block, Config, Dense, Weights};
+use super::weights::{Block, Config, Dense, Weights, diagonal};
 use crate::{Error, Result, io};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use std::collections::{BTreeMap, HashMap};
@@ -211,15 +211,6 @@ fn significant(shape: &[usize]) -> &[usize] {
 
 fn spectral_name(block: usize) -> String {
     format!("fno_blocks.convs.weight.{block}.tensor")
-}
-
-fn diagonal(gate: &[f32]) -> Vec<f32> {
-    let n = gate.len();
-    let mut matrix = vec![0.0; n * n];
-    for (i, &g) in gate.iter().enumerate() {
-        matrix[i * n + i] = g;
-    }
-    matrix
 }
 
 impl Tensor {

@@ -210,7 +210,7 @@ impl Forward {
         let context = &context.with_storage(Storage::F32)?;
         let layout = parameters.layout();
         let plan = &Plan { tuning: Tuning { texels: false, ..plan.tuning }, ..*plan };
-        Self::build(context, layout, layout.layers(&parameters.flat), Fused::default(), plan)
+        Self::build(context, layout, layout.layers(&parameters.flat)?, Fused::default(), plan)
     }
 
     fn build(context: &Context, layout: &Layout, layers: Layers, fused: Fused, plan: &Plan) -> Result<Self> {
@@ -229,7 +229,7 @@ impl Forward {
         let size = block_size(&config, grid);
         let rows_in_blocks = keep != Keep::Adjoint && Block::takes_rows(context, tuning, &size);
         let Fused { head, units } = fused;
-        let fuses_head = head.is_some();
+        let fuses_field_head = head.is_some();
         let of_lifting = |of_fields| {
             let lifting = Lifting { hidden: config.lifting, inputs: config.inputs(), of_fields };
             LayerSize { lifting: Some(lifting), ..size }
@@ -241,12 +241,12 @@ impl Forward {
         // If only blocks and a lifting in one dispatch read and write them.
         let in_texels = tuning.texels
             && keep == Keep::Nothing
-            && fuses_head
+            && fuses_field_head
             && units.is_some()
             && lifting_takes_rows
             && Tensor::fits_texels(context, shape.iter().product());
         let epilogues: Vec<Epilogue> = (0..config.layers)
-            .map(|block| epilogue(&config, block, keep, fuses_head, rows_in_blocks))
+            .map(|block| epilogue(&config, block, keep, fuses_field_head, rows_in_blocks))
             .collect();
         let of_blocks = &Tuning { texels: in_texels, ..*tuning };
         let lifting = |of_fields| {
@@ -257,7 +257,8 @@ impl Forward {
             Ok(Lifted { of_embedded: lifting(false)?, of_fields: lifting(true)?, units })
         };
         let kernels = Kernels::new(context, &config, (size, of_blocks), &epilogues, plan)?;
-        let parts = if fuses_head { kernels.block(epilogues[config.layers - 1]).field_parts() } else { 1 };
+        let parts =
+            if fuses_field_head { kernels.block(epilogues[config.layers - 1]).field_parts() } else { 1 };
         Ok(Self {
             config,
             grid,

@@ -45,26 +45,15 @@ struct BlockPlace {
     skip: DensePlace,
 }
 
-/// The layers of a network, as views of the vector of its weights.
+/// The layers of a network, each as an `L`: its weights ([`Layer`]) or their gradient ([`GradientLayer`]).
 #[derive(Clone, Debug)]
-pub(super) struct Layers {
-    pub lifting: [Layer; 2],
-    pub skips: Vec<Layer>,
+pub(super) struct Layers<L = Layer> {
+    pub lifting: [L; 2],
+    pub skips: Vec<L>,
     /// Shape [modes, C / 2, C, 4].
     pub products: Vec<Tensor>,
-    pub projection: [Layer; 2],
-    pub scalar: Layer,
-}
-
-/// The gradient with respect to the layers, as views of one vector.
-#[derive(Clone, Debug)]
-pub(super) struct GradientLayers {
-    pub lifting: [GradientLayer; 2],
-    pub skips: Vec<GradientLayer>,
-    /// Shape [modes, C / 2, C, 4].
-    pub products: Vec<Tensor>,
-    pub projection: [GradientLayer; 2],
-    pub scalar: GradientLayer,
+    pub projection: [L; 2],
+    pub scalar: L,
 }
 
 /// The gradient with respect to the weight and bias of a layer, in one tensor.
@@ -174,7 +163,7 @@ impl Layout {
     pub(super) fn stored_layers(&self, context: &Context, weights: &Weights) -> Result<Layers> {
         let device = self.to_device(&weights.flat());
         if context.storage() == Storage::F32 {
-            return Ok(self.layers(&Tensor::from_slice(context, "weights", &[self.len], &device)?));
+            return self.layers(&Tensor::from_slice(context, "weights", &[self.len], &device)?);
         }
         let single = |first: usize, shape: &[usize]| {
             let values = &device[first..][..shape.iter().product()];
@@ -191,14 +180,24 @@ impl Layout {
                 if place.outputs == 1 { single(place.weight, &shape) } else { stored(place.weight, &shape) };
             Ok(Layer { weight: weight?, bias: single(place.bias, &[place.outputs])? })
         };
-        let (modes, c) = (self.config.modes(), self.padded.channels);
-        let product = |b: &BlockPlace| stored(b.product, &[modes, c / 2, c, 4]);
-        let [lifting, projection] = [&self.lifting, &self.projection];
+        self.each_layer(layer, stored)
+    }
+
+    /// Makes a `Layers` of what `layer` makes of the place of each layer, and `product` of the first element and
+    /// the shape of each spectral product.
+    fn each_layer<L>(
+        &self,
+        layer: impl Fn(&DensePlace) -> Result<L>,
+        product: impl Fn(usize, &[usize]) -> Result<Tensor>,
+    ) -> Result<Layers<L>> {
+        let c = self.padded.channels;
+        let shape = [self.config.modes(), c / 2, c, 4];
+        let pair = |[first, second]: &[DensePlace; 2]| Ok([layer(first)?, layer(second)?]);
         Ok(Layers {
-            lifting: [layer(&lifting[0])?, layer(&lifting[1])?],
+            lifting: pair(&self.lifting)?,
             skips: self.blocks.iter().map(|b| layer(&b.skip)).collect::<Result<_>>()?,
-            products: self.blocks.iter().map(product).collect::<Result<_>>()?,
-            projection: [layer(&projection[0])?, layer(&projection[1])?],
+            products: self.blocks.iter().map(|b| product(b.product, &shape)).collect::<Result<_>>()?,
+            projection: pair(&self.projection)?,
             scalar: layer(&self.scalar)?,
         })
     }
@@ -211,43 +210,25 @@ impl Layout {
     }
 
     /// Returns the layers as views of a vector on the device.
-    pub(super) fn layers(&self, flat: &Tensor) -> Layers {
+    pub(super) fn layers(&self, flat: &Tensor) -> Result<Layers> {
         assert_eq!(flat.len(), self.len, "the vector has the size of the layout");
         let layer = |place: &DensePlace| {
             let weight = flat.view(place.weight, &self.weight_shape(place));
-            Layer { weight, bias: flat.view(place.bias, &[place.outputs]) }
+            Ok(Layer { weight, bias: flat.view(place.bias, &[place.outputs]) })
         };
-        let c = self.padded.channels;
-        let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c / 2, c, 4]);
-        Layers {
-            lifting: self.lifting.each_ref().map(layer),
-            skips: self.blocks.iter().map(|b| layer(&b.skip)).collect(),
-            products: self.blocks.iter().map(product).collect(),
-            projection: self.projection.each_ref().map(layer),
-            scalar: layer(&self.scalar),
-        }
+        self.each_layer(layer, |first, shape| Ok(flat.view(first, shape)))
     }
-}
 
-impl Layout {
     /// Returns the layers of a gradient on the device, as the adjoint kernels write them.
-    pub(super) fn gradient_layers(&self, flat: &Tensor) -> GradientLayers {
+    pub(super) fn gradient_layers(&self, flat: &Tensor) -> Result<Layers<GradientLayer>> {
         assert_eq!(flat.len(), self.len, "the vector has the size of the layout");
         let layer = |place: &DensePlace| {
             let bias = place.bias - place.weight;
             // Whole quads: the elements after the bias are padding, too.
             let len = (bias + place.outputs).next_multiple_of(4);
-            GradientLayer { weight_and_bias: flat.view(place.weight, &[len]), bias }
+            Ok(GradientLayer { weight_and_bias: flat.view(place.weight, &[len]), bias })
         };
-        let c = self.padded.channels;
-        let product = |b: &BlockPlace| flat.view(b.product, &[self.config.modes(), c / 2, c, 4]);
-        GradientLayers {
-            lifting: self.lifting.each_ref().map(layer),
-            skips: self.blocks.iter().map(|b| layer(&b.skip)).collect(),
-            products: self.blocks.iter().map(product).collect(),
-            projection: self.projection.each_ref().map(layer),
-            scalar: layer(&self.scalar),
-        }
+        self.each_layer(layer, |first, shape| Ok(flat.view(first, shape)))
     }
 }
 

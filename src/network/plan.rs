@@ -98,13 +98,13 @@ pub(super) fn epilogue(
     config: &Config,
     block: usize,
     keep: Keep,
-    fuses_head: bool,
+    fuses_field_head: bool,
     rows_in_blocks: bool,
 ) -> Epilogue {
     let last = block + 1 == config.layers;
     Epilogue {
-        gelu: if last { fuses_head } else { keep != Keep::Adjoint },
-        field: last && fuses_head,
+        gelu: if last { fuses_field_head } else { keep != Keep::Adjoint },
+        field: last && fuses_field_head,
         rows: rows_in_blocks && !last,
         pool: rows_in_blocks && block == config.scalar_block(),
     }

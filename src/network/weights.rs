@@ -115,14 +115,15 @@ impl Dense {
     /// Whether the layer is the identity.
     fn is_identity(&self) -> bool {
         let n = self.bias.len();
-        self.bias.iter().all(|&b| b == 0.0) && self.weight == identity(n)
+        self.bias.iter().all(|&b| b == 0.0) && self.weight == diagonal(&vec![1.0; n])
     }
 }
 
-/// Returns the identity as a weight, shape [n, n].
-fn identity(n: usize) -> Vec<f32> {
+/// Returns a diagonal matrix as a weight, shape [n, n].
+pub(super) fn diagonal(values: &[f32]) -> Vec<f32> {
+    let n = values.len();
     let mut weight = vec![0.0; n * n];
-    weight.iter_mut().step_by(n + 1).for_each(|w| *w = 1.0);
+    weight.iter_mut().step_by(n + 1).zip(values).for_each(|(w, &value)| *w = value);
     weight
 }
 
@@ -219,13 +220,7 @@ impl Weights {
                 new.iter_mut().zip(&sums).for_each(|(z, &sum)| *z = sum as f32);
             }
         }
-        let [identity, _] = &mut folded.projection;
-        identity.bias.fill(0.0);
-        identity
-            .weight
-            .iter_mut()
-            .enumerate()
-            .for_each(|(k, w)| *w = if k % (c + 1) == 0 { 1.0 } else { 0.0 });
+        folded.projection[0] = Dense { weight: diagonal(&vec![1.0; c]), bias: vec![0.0; c] };
         folded
     }
 

@@ -16,7 +16,7 @@ pub(crate) struct Learned {
     update: Update,
     /// Whether the update kernel computes the scalar head: one dispatch fewer, but every workgroup repeats
     /// the work.
-    fuses_head: bool,
+    defers_scalar_head: bool,
 }
 
 impl Learned {
@@ -26,7 +26,7 @@ impl Learned {
         let plan = Plan { grid, samples, tuning: *tuning, keep: Keep::Nothing };
         let plan = plan.fit_passes(context, weights.config);
         let forward = Forward::new(context, &weights.folded(), &plan)?;
-        Ok(Self { grid, forward, update: Update::new(context)?, fuses_head: tuning.staged })
+        Ok(Self { grid, forward, update: Update::new(context)?, defers_scalar_head: tuning.staged })
     }
 
     /// Appends the step that updates `iterate` and its hidden state from its gradient. `sums` [S, parts, 2]
@@ -35,19 +35,19 @@ impl Learned {
     pub fn push(&self, schedule: &mut Schedule, (iterate, sums): (&Iterate, &Tensor), scales: Scales<'_>) {
         let (samples, _) = iterate.samples_and_particles();
         // Every workgroup of the update reads the old scales, so the new ones must go elsewhere.
-        let fuses_head = self.fuses_head && scales.before != scales.after;
+        let defers_scalar_head = self.defers_scalar_head && scales.before != scales.after;
         for first in (0..samples).step_by(self.forward.samples()) {
             let count = self.forward.samples().min(samples - first);
             let Scales { tensor, before, after } = scales;
             let scales = Scales { tensor, before: before + first, after: after + first };
-            let head = if fuses_head { Head::Deferred } else { Head::StoreAndRescale(scales) };
+            let head = if defers_scalar_head { Head::Deferred } else { Head::StoreAndRescale(scales) };
             self.forward.push_first(schedule, count, Some(FeatureInputs { iterate, sums, first }), head);
             let (layer, rows_max) = self.forward.pooled(count);
             let from = UpdateTensors {
                 field: &self.forward.first_field(count),
                 first,
                 scales,
-                head: fuses_head.then_some((layer, &rows_max)),
+                head: defers_scalar_head.then_some((layer, &rows_max)),
             };
             self.update.push(schedule, self.grid, from, iterate);
         }

@@ -12,6 +12,6 @@ mod vertices;
 pub(crate) use learned::Learned;
 pub use optimizer::Optimizer;
 pub use solver::{INITIAL_SCALE, Solver, SolverOptions};
-pub use stats::{FrameStats, Iterations};
+pub use stats::{FrameStats, IterationLog};
 pub use tune::tune;
 pub use vertices::Vertices;

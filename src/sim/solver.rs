@@ -1,7 +1,7 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
 use super::rule::{Rule, row, rows};
-use super::{FrameStats, Iterations, Optimizer, Vertices};
+use super::{FrameStats, IterationLog, Optimizer, Vertices};
 use crate::cloth::{Cloth, Control, Grid, Model, State};
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::{
@@ -245,7 +245,7 @@ impl Solver {
     ///
     /// Panics if a length does not match the model.
     pub fn set_state(&self, state: &State<f32>) {
-        self.place(state);
+        self.replace_state(state);
         self.targets.write(&self.context, &self.handles_of(state));
         self.reset_memory();
     }
@@ -321,7 +321,7 @@ impl Solver {
     /// submission.
     ///
     /// Panics if a length does not match the model, as [`Solver::set_state`] does.
-    pub fn place(&self, state: &State<f32>) {
+    pub fn replace_state(&self, state: &State<f32>) {
         self.x.write(&self.context, &state.x);
         self.v.write(&self.context, &state.v);
     }
@@ -449,7 +449,7 @@ impl Solver {
 
     /// Returns a log of the optimizer's iterations in the last frame. Waits for the device, so it is meant
     /// for checks, not for use in every frame.
-    pub fn iterations_log(&self) -> Result<Iterations> {
+    pub fn iteration_log(&self) -> Result<IterationLog> {
         let mut scales = Vec::new();
         if let Rule::Learned { scales: rows, .. } = &self.rule {
             for row in rows.read::<f32>(&self.context)?.chunks_exact(rows.shape()[1]) {
@@ -459,7 +459,7 @@ impl Solver {
         let (sums, of_row) = (self.sums.read::<f32>(&self.context)?, self.ends[0].len());
         let rows = sums.chunks_exact(self.sums.shape()[1]);
         let gradient_norms = rows.flat_map(|row| self.gradient_norms(&row[..of_row])).collect();
-        Ok(Iterations { gradient_norms, scales })
+        Ok(IterationLog { gradient_norms, scales })
     }
 
     /// Returns the handle positions in `state` [B, 3, n], in the order of [`Control::handles`]. Panics if a

@@ -28,7 +28,7 @@ impl FrameStats {
 
 /// A log of the optimizer's iterations in one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Iterations {
+pub struct IterationLog {
     /// `|dL/da|` of each sample, shape [N, S] with S = 3 B. Newton's method has two rows: at the start and at
     /// the minimum.
     pub gradient_norms: Vec<f64>,

@@ -45,7 +45,7 @@ pub struct Config {
     pub average: f64,
     /// Normalisation of the cotangents of a step.
     pub normalisation: Normalisation,
-    /// Files of the initial weights, which are averaged; empty for fresh ones ([`super::initial_weights`]).
+    /// Files of the initial weights, which are averaged; empty for fresh ones ([`super::random_weights`]).
     pub init: Vec<PathBuf>,
     /// Sizes of the network.
     pub network: network::Config,

@@ -12,9 +12,9 @@ use std::path::PathBuf;
 
 /// Returns the initial weights of a run: the mean of those in the files `init`, or fresh ones. All ranks get
 /// rank 0's, because logarithms and cosines may differ between machines in the last bit.
-pub fn first_weights(config: &Config, ranks: &dyn Ranks) -> Result<Weights> {
+pub fn initial_weights(config: &Config, ranks: &dyn Ranks) -> Result<Weights> {
     let mut flat = match &config.init[..] {
-        [] => initial_weights(config.network, config.seed).flat(),
+        [] => random_weights(config.network, config.seed).flat(),
         files => mean(config, files)?,
     };
     ranks.broadcast(bytemuck::cast_slice_mut(&mut flat));
@@ -59,7 +59,7 @@ fn differing(ours: &network::Config, theirs: &network::Config) -> (String, [Stri
 /// (the skips have no bias). Spectral weights: complex normal numbers of variance
 /// `2 / (channels + channels)`, half of it in each part. Biases of the blocks: real normal numbers of the
 /// same variance.
-pub fn initial_weights(config: network::Config, seed: u64) -> Weights {
+pub fn random_weights(config: network::Config, seed: u64) -> Weights {
     let random = &mut generator(seed, Purpose::Weights, 0);
     let mut weights = Weights::zeros(config);
     let Weights { lifting, blocks, projection, scalar, .. } = &mut weights;
@@ -96,9 +96,9 @@ mod tests {
 
     #[test]
     fn fresh_weights_have_the_spread_of_the_authors() {
-        let weights = initial_weights(network::Config::default(), 7);
-        assert_eq!(weights, initial_weights(network::Config::default(), 7));
-        assert_ne!(weights, initial_weights(network::Config::default(), 8));
+        let weights = random_weights(network::Config::default(), 7);
+        assert_eq!(weights, random_weights(network::Config::default(), 7));
+        assert_ne!(weights, random_weights(network::Config::default(), 8));
         let variance =
             |values: &[f32]| values.iter().map(|&v| f64::from(v).powi(2)).sum::<f64>() / values.len() as f64;
         // A uniform number within b has variance b^2 / 3.

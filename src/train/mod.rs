@@ -68,7 +68,7 @@ pub use config::{
     ValidationConfig,
 };
 pub use device::{DeviceAdamW, DeviceLoss};
-pub use initial::{first_weights, initial_weights};
+pub use initial::{initial_weights, random_weights};
 pub use learner::{Batch, Drawn, Learner, Outcome, StepReport, Update, learner};
 pub use pool::{MAX_HANDLES, Pool};
 pub use ranks::{Alone, Ranks, ranks};

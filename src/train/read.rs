@@ -225,7 +225,7 @@ fn motion(node: &Node<'_>) -> Result<MotionRanges> {
     const SHARES: [&str; 6] = ["moving", "pinch", "aligned", "corners", "more_handles", "damping"];
     node.deny_unknown(&[&SIZES[..], &SHARES].concat())?;
     let base = MotionRanges::default();
-    let size = |key, default| node.get_or(key, default, not_negative);
+    let size = |key, default| node.get_or(key, default, Node::not_negative);
     Ok(MotionRanges {
         moving: node.get_or("moving", base.moving, share)?,
         rotation: size("rotation", base.rotation)?,
@@ -244,7 +244,7 @@ fn reset(node: &Node<'_>) -> Result<ResetRules> {
     node.deny_unknown(&["energy", "sequence_length", "scale"])?;
     let base = ResetRules::default();
     Ok(ResetRules {
-        energy: node.get_or("energy", base.energy, positive)?,
+        energy: node.get_or("energy", base.energy, Node::positive)?,
         sequence_length: node.get_or("sequence_length", base.sequence_length, above_zero)?,
         scale: node.get_or("scale", base.scale, |n| range(n).map(Some))?,
     })
@@ -255,11 +255,11 @@ fn optimizer(node: &Node<'_>) -> Result<AdamWOptions> {
     let AdamWOptions { rate, settings: base } = AdamWOptions::default();
     let settings = AdamWSettings {
         betas: node.get_or("betas", base.betas, |n| n.array("two numbers [b1, b2]", decay))?,
-        epsilon: node.get_or("epsilon", base.epsilon, positive)?,
-        weight_decay: node.get_or("weight_decay", base.weight_decay, not_negative)?,
-        clip: node.get_or("clip", base.clip, positive)?,
+        epsilon: node.get_or("epsilon", base.epsilon, Node::positive)?,
+        weight_decay: node.get_or("weight_decay", base.weight_decay, Node::not_negative)?,
+        clip: node.get_or("clip", base.clip, Node::positive)?,
     };
-    Ok(AdamWOptions { rate: node.get_or("rate", rate, positive)?, settings })
+    Ok(AdamWOptions { rate: node.get_or("rate", rate, Node::positive)?, settings })
 }
 
 fn normalisation(node: &Node<'_>) -> Result<Normalisation> {
@@ -287,7 +287,7 @@ fn schedule(node: &Node<'_>) -> Result<RateSchedule> {
             }
             (None, Some(cosine)) => {
                 cosine.deny_unknown(&["final"])?;
-                Ok(Decay::Cosine { last: cosine.get_or("final", 0.0, not_negative)? })
+                Ok(Decay::Cosine { last: cosine.get_or("final", 0.0, Node::not_negative)? })
             }
             _ => Err(node.invalid(expected)),
         }
@@ -321,7 +321,7 @@ fn every(node: &Node<'_>) -> Result<Every> {
     node.deny_unknown(&["steps", "minutes"])?;
     match (node.get("steps"), node.get("minutes")) {
         (Some(steps), None) => Ok(Every::Steps(above_zero(&steps)?)),
-        (None, Some(minutes)) => Ok(Every::Minutes(positive(&minutes)?)),
+        (None, Some(minutes)) => Ok(Every::Minutes(minutes.positive()?)),
         _ => Err(node.invalid(expected)),
     }
 }
@@ -350,14 +350,6 @@ fn above_zero(node: &Node<'_>) -> Result<u64> {
 fn count(node: &Node<'_>, least: usize, most: usize) -> Result<usize> {
     let count = node.count().ok().filter(|n| (least..=most).contains(n));
     count.ok_or_else(|| node.invalid(format!("a whole number, {least} to {most}")))
-}
-
-fn positive(node: &Node<'_>) -> Result<f64> {
-    node.number().ok().filter(|&v| v > 0.0).ok_or_else(|| node.invalid("a number above 0"))
-}
-
-fn not_negative(node: &Node<'_>) -> Result<f64> {
-    node.number().ok().filter(|&v| v >= 0.0).ok_or_else(|| node.invalid("a number, 0 or more"))
 }
 
 /// Reads a probability or a fraction.

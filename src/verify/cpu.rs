@@ -161,7 +161,7 @@ impl<T: Real> Stages for CpuStages<T> {
         for targets in &case.targets {
             let handles = targets.iter().map(|p| p.map(T::of)).collect();
             solver.step(&mut state, &Control { handles, ..Default::default() });
-            let log = solver.iterations();
+            let log = solver.iteration_log();
             frames.push(RolloutFrame {
                 x: double(&state.x),
                 v: double(&state.v),

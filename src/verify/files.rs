@@ -42,19 +42,6 @@ const ROLLOUT_FIRST: f64 = 1e-4;
 /// coordinates of the start by half their last bit. A rollout may be off by N times that.
 const DRIFT: f64 = 1.668_100_537_200_059;
 
-/// Prefixes of the names of golden files.
-const KINDS: [&str; 9] = [
-    "network_forward",
-    "network_weights",
-    "checkpoint_",
-    "update_rule",
-    "energy_",
-    "rollout_",
-    "training_step",
-    "adamw",
-    "repulsion_",
-];
-
 /// Returns a file's name without its extension.
 fn stem(path: &Path) -> String {
     path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
@@ -73,8 +60,9 @@ pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn Fn
         }
     }
     files.sort();
-    if !files.iter().any(|path| KINDS.iter().any(|kind| stem(path).starts_with(kind))) {
-        let expected = format!("golden files ({}*.safetensors)", KINDS.join("*, "));
+    let kinds = Checker::KINDS.map(|(prefix, _)| prefix);
+    if !files.iter().any(|path| kinds.iter().any(|kind| stem(path).starts_with(kind))) {
+        let expected = format!("golden files ({}*.safetensors)", kinds.join("*, "));
         let found = match files.len() {
             0 => "none".to_owned(),
             count => format!("{count} files with other names, such as {}", stem(&files[0])),
@@ -91,37 +79,42 @@ pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn Fn
     Ok(())
 }
 
+/// A check of the arrays of a golden file.
+type ArrayCheck<C> = fn(&mut C, &Golden) -> Result<()>;
+
 impl Checker<'_> {
+    /// The kinds of golden files, by the beginning of their names, with the check of their arrays. Weights are
+    /// only loaded.
+    const KINDS: [(&'static str, Option<ArrayCheck<Self>>); 9] = [
+        ("network_forward", Some(Self::network)),
+        ("network_weights", None),
+        ("checkpoint_", None),
+        ("update_rule", Some(Self::update)),
+        ("energy_", Some(Self::energy)),
+        ("rollout_", Some(Self::rollout)),
+        ("training_step", Some(Self::training_step)),
+        ("adamw", Some(Self::adamw)),
+        ("repulsion_", Some(Self::repulsion)),
+    ];
+
     fn file(&mut self, path: &Path) -> Result<()> {
-        let name = self.file;
-        let starts = |prefix: &str| name.starts_with(prefix);
-        if starts("network_forward") {
-            self.arrays(path, Self::network)
-        } else if starts("update_rule") {
-            self.arrays(path, Self::update)
-        } else if starts("energy_") {
-            self.arrays(path, Self::energy)
-        } else if starts("rollout_") {
-            self.arrays(path, Self::rollout)
-        } else if starts("training_step") {
-            self.arrays(path, Self::training_step)
-        } else if starts("adamw") {
-            self.arrays(path, Self::adamw)
-        } else if starts("network_weights") || starts("checkpoint_") {
-            let weights = Weights::load(path)?;
-            self.verdict(&format!("{} parameters", weights.parameter_count()), Outcome::Passed);
-            Ok(())
-        } else if starts("repulsion_") {
-            self.arrays(path, Self::repulsion)
-        } else {
-            let error = Error::unknown("name", "kind of golden file", name, KINDS);
-            self.verdict(&error.to_string(), Outcome::Skipped);
-            Ok(())
+        match Self::KINDS.iter().find(|(prefix, _)| self.file.starts_with(prefix)) {
+            Some((_, Some(check))) => return self.arrays(path, *check),
+            Some((_, None)) => {
+                let weights = Weights::load(path)?;
+                self.verdict(&format!("{} parameters", weights.parameter_count()), Outcome::Passed);
+            }
+            None => {
+                let known = Self::KINDS.map(|(prefix, _)| prefix);
+                let error = Error::unknown("name", "kind of golden file", self.file, known);
+                self.verdict(&error.to_string(), Outcome::Skipped);
+            }
         }
+        Ok(())
     }
 
     /// Checks a file's arrays, and reports any that the check did not read.
-    fn arrays(&mut self, path: &Path, check: fn(&mut Self, &Golden) -> Result<()>) -> Result<()> {
+    fn arrays(&mut self, path: &Path, check: ArrayCheck<Self>) -> Result<()> {
         let golden = Golden::open(path)?;
         check(self, &golden)?;
         for name in golden.unread() {

@@ -267,7 +267,7 @@ impl Stages for GpuStages {
             let handles = targets.iter().map(|p| p.map(|c| c as f32)).collect();
             solver.set_control(&Control { handles, ..Default::default() });
             context.submit(|encoder| solver.record(encoder));
-            let log = solver.iterations_log()?;
+            let log = solver.iteration_log()?;
             frames.push(RolloutFrame {
                 x: self.read(solver.positions())?,
                 v: self.read(solver.velocities())?,

@@ -155,7 +155,7 @@ fn the_gradient_at_the_end_of_a_frame_is_the_one_of_a_next_iteration() {
     let mut after = setup.start.clone();
     let _ = solvers[0].step(&mut after, &control);
     let _ = solvers[1].step(&mut setup.start.clone(), &control);
-    let last = &solvers[1].iterations().gradient_norms[3 * 4..];
+    let last = &solvers[1].iteration_log().gradient_norms[3 * 4..];
     let expected = last.iter().map(|norm| norm * norm).sum::<f64>().sqrt();
     let mut objective = Objective::new(&model);
     let found = objective.gradient_at_end(&setup.start, &after, &control);

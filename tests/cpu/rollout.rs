@@ -76,7 +76,7 @@ fn follow<T: Real>() {
             assert!(difference < tolerance, "frame {frame}: {difference}");
         }
         if frame == 0 {
-            let log = rollout.solver.iterations();
+            let log = rollout.solver.iteration_log();
             for (found, expected) in [(&log.gradient_norms, &norms), (&log.scales, &scales)] {
                 assert_eq!(found.len(), 30);
                 for (found, expected) in found.iter().zip(expected) {
@@ -237,7 +237,7 @@ fn cloths_change_between_frames() {
         let mut changed = Solver::new(&model, &optimizer, 4).unwrap();
         let before = step(&mut changed, &control);
         changed.set_cloths(&other.cloths).unwrap();
-        changed.reset();
+        changed.reset_memory();
         let after = step(&mut changed, &held);
         let fresh = step(&mut Solver::new(&other, &optimizer, 4).unwrap(), &held);
         assert_eq!(after, fresh, "{}", optimizer.name());
@@ -283,7 +283,7 @@ fn reset_forgets_the_hidden_state() {
     let mut remembering = start.clone();
     solver.step(&mut remembering, &control);
     assert_ne!(first, remembering);
-    solver.reset();
+    solver.reset_memory();
     let mut again = start;
     solver.step(&mut again, &control);
     assert_eq!(first, again);

@@ -236,7 +236,7 @@ fn bad_sequences_are_refused_by_name() {
     std::fs::write(grid.join("meta.json"), r#"{"grid": [20, 20]}"#).unwrap();
     assert!(error("grid").contains("vertices: expected those of 20x20, found 1024"));
     std::fs::write(grid.join("meta.json"), r#"{"fps": -3}"#).unwrap();
-    assert!(error("grid").contains("fps: expected a positive number"));
+    assert!(error("grid").contains("fps: expected a number above 0"));
     std::fs::write(grid.join("meta.json"), "{").unwrap();
     assert!(error("grid").contains("meta.json: line 1, column 1: expected JSON"));
     std::fs::write(grid.join("meta.json"), r#"{"handle_vertices": "corner"}"#).unwrap();
@@ -269,7 +269,7 @@ fn bad_sequences_are_refused_by_name() {
         let error = error("meta");
         assert!(error.contains("meta.json") && error.contains(said), "no '{said}' in {error}");
     };
-    said(r#"{"wind": {"density": "1.2"}}"#, "wind.density: expected a number, found \"1.2\"");
+    said(r#"{"wind": {"density": "1.2"}}"#, "wind.density: expected a number, 0 or more, found \"1.2\"");
     said(r#"{"wind": {"densty": 1.2}}"#, "'densty' (did you mean density?)");
     said(r#"{"wind": {"drag": -1}}"#, "wind.drag: expected a number, 0 or more");
     said(r#"{"mass_per_area_kg_m": 1}"#, "did you mean mass_per_area_kg_m2?");

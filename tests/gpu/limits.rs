@@ -153,7 +153,7 @@ fn a_device_that_is_lost_is_an_error() {
         is_lost("step", simulator.step(&control).err());
         is_lost("state", simulator.state().err());
         is_lost("wait", lost.wait().err());
-        is_lost("log", solver.iterations_log().err());
+        is_lost("log", solver.iteration_log().err());
         is_lost("new", Solver::new(&lost, &model, &optimizer, &options).err());
         is_lost("vertices", solver.vertices().err());
         is_lost("ring", Readback::new(&lost, &solver.frame_tensors(), 2).err());

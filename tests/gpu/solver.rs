@@ -120,11 +120,11 @@ fn frames_on_the_device_are_nearly_as_exact_as_on_the_host() {
         let (mut on_device, mut on_host) = (0.0f64, 0.0f64);
         for frame in 1..=20 {
             let mut exact = start.cast::<f64>();
-            double.reset();
+            double.reset_memory();
             double.step(&mut exact, &setup.control(frame));
             solver.set_state(&start);
             let found = step(&solver, &setup.control(frame));
-            single.reset();
+            single.reset_memory();
             single.step(&mut start, &setup.control(frame));
             let finite = |x: &[f32]| x.iter().all(|x| x.is_finite());
             assert!(finite(&found.x) && finite(&start.x), "{}, frame {frame}", optimizer.name());
@@ -233,7 +233,7 @@ fn frames_of_all_optimizers_agree_with_the_host() {
                 let atol = 1e-4 * 5f64.powi(frame) * largest(&expected);
                 assert_close(&format!("statistics of {what}"), &found, &expected, (atol, 0.0));
             }
-            let (log, wanted) = (solver.iterations_log().unwrap(), host.iterations());
+            let (log, wanted) = (solver.iteration_log().unwrap(), host.iteration_log());
             for (found, wanted) in
                 [(log.gradient_norms, &wanted.gradient_norms), (log.scales, &wanted.scales)]
             {
@@ -450,7 +450,7 @@ fn handles_change_at_any_time() {
             }
             // Changing handles keeps the optimizer's memory, so it is reset here.
             changing.reset_memory();
-            on_host.reset();
+            on_host.reset_memory();
             let before = State {
                 x: changing.positions().read(context()).unwrap(),
                 v: changing.velocities().read(context()).unwrap(),

@@ -4,7 +4,7 @@ use crate::common::{context, device, half};
 use fnopt::Device;
 use fnopt::gpu::Order;
 use fnopt::kernels::optim::Normalisation;
-use fnopt::train::{Alone, Config, Learner, Limits, Pool, Run, Update, first_weights, learner};
+use fnopt::train::{Alone, Config, Learner, Limits, Pool, Run, Update, initial_weights, learner};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::rc::Rc;
@@ -48,7 +48,7 @@ fn on(device: &Device) -> Box<dyn Learner> {
 }
 
 fn of(config: &Config, device: &Device) -> Box<dyn Learner> {
-    learner(device, config, &first_weights(config, &Alone).unwrap()).unwrap()
+    learner(device, config, &initial_weights(config, &Alone).unwrap()).unwrap()
 }
 
 fn gpu() -> Device {
@@ -69,7 +69,7 @@ fn compare_steps(config: &Config) {
         Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset))
     };
     let mut pools: Vec<Pool> = config.pools.iter().enumerate().map(pool).collect();
-    let count = first_weights(config, &Alone).unwrap().parameter_count();
+    let count = initial_weights(config, &Alone).unwrap().parameter_count();
     let distance =
         |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt();
     let (mut begun, mut advanced) = (0, 0);
@@ -123,7 +123,7 @@ fn a_step_is_that_of_adamw_with_the_settings_of_the_run() {
         .map(|(index, pool)| Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset)))
         .collect();
     let batches: Vec<_> = pools.iter().filter(|p| p.takes_part(0)).map(|p| p.draw(0)).collect();
-    let count = first_weights(&config, &Alone).unwrap().parameter_count();
+    let count = initial_weights(&config, &Alone).unwrap().parameter_count();
     for device in [Device::Cpu, gpu()] {
         let mut learner = of(&config, &device);
         let vector = |learner: &dyn Learner, name: &str| {

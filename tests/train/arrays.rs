@@ -5,7 +5,7 @@ use fnopt::cpu::optim::{Minimizer, Update};
 use fnopt::cpu::{self, Objective};
 use fnopt::network;
 use fnopt::sim::Optimizer;
-use fnopt::train::{Arrays, Batch, MotionRanges, Pool, PoolConfig, ResetRules, Script, initial_weights};
+use fnopt::train::{Arrays, Batch, MotionRanges, Pool, PoolConfig, ResetRules, Script, random_weights};
 
 const GRID: Grid = Grid { h: 9, w: 12 };
 const ITERATIONS: u32 = 2;
@@ -13,7 +13,7 @@ const ITERATIONS: u32 = 2;
 fn small_network() -> network::Weights {
     let config =
         network::Config { lifting: 16, channels: 16, projection: 16, layers: 2, ..Default::default() };
-    initial_weights(config, 3)
+    random_weights(config, 3)
 }
 
 /// Runs one iteration of the update rule on the cloths of a batch.

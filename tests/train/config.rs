@@ -1,7 +1,7 @@
 //! Configurations: what they mean, and how bad ones are refused.
 
 use fnopt::kernels::optim::Normalisation;
-use fnopt::train::{Alone, Config, Decay, Every, PoolConfig, first_weights, initial_weights};
+use fnopt::train::{Alone, Config, Decay, Every, PoolConfig, initial_weights, random_weights};
 use proptest::prelude::*;
 use std::path::Path;
 
@@ -265,21 +265,21 @@ proptest! {
 fn a_run_begins_with_the_mean_of_the_files_it_is_given() {
     let mut config = parse("[network]\nlifting = 8\nchannels = 4\nprojection = 4\nlayers = 1").unwrap();
     let folder = tempfile::tempdir().unwrap();
-    let all = [1, 2, 3].map(|seed| initial_weights(config.network, seed));
+    let all = [1, 2, 3].map(|seed| random_weights(config.network, seed));
     for (k, weights) in all.iter().enumerate() {
         config.init.push(folder.path().join(format!("{k}.safetensors")));
         weights.save(&config.init[k]).unwrap();
     }
-    let found = first_weights(&config, &Alone).unwrap().flat();
+    let found = initial_weights(&config, &Alone).unwrap().flat();
     let all = all.map(|weights| weights.flat());
     for (k, &found) in found.iter().enumerate() {
         let mean = all.iter().map(|flat| f64::from(flat[k])).sum::<f64>() / 3.0;
         assert_eq!(found, mean as f32);
     }
     config.init.truncate(1);
-    assert_eq!(first_weights(&config, &Alone).unwrap().flat(), all[0]);
+    assert_eq!(initial_weights(&config, &Alone).unwrap().flat(), all[0]);
     config.network.layers = 2;
-    let error = first_weights(&config, &Alone).unwrap_err().to_string();
+    let error = initial_weights(&config, &Alone).unwrap_err().to_string();
     assert!(
         error.ends_with("0.safetensors: network.layers: expected 2, as in the configuration, found 1"),
         "{error}"

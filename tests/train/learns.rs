@@ -1,7 +1,7 @@
 //! Training on the CPU path with a real learner: it learns, and two sessions have the bits of one.
 
 use fnopt::Device;
-use fnopt::train::{Alone, Config, Learner, Limits, Run, first_weights, learner};
+use fnopt::train::{Alone, Config, Learner, Limits, Run, initial_weights, learner};
 use safetensors::SafeTensors;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -27,7 +27,7 @@ const CONFIG: &str = r#"
 "#;
 
 fn cpu(config: &Config) -> fnopt::Result<Box<dyn Learner>> {
-    learner(&Device::Cpu, config, &first_weights(config, &Alone)?)
+    learner(&Device::Cpu, config, &initial_weights(config, &Alone)?)
 }
 
 fn parsed(text: &str) -> Config {

@@ -3,7 +3,7 @@
 use super::support::{Fake, ThreadRank};
 use fnopt::Device;
 use fnopt::train::{
-    Alone, Batch, Config, End, Learner, Limits, Pool, Ranks, Run, Update, first_weights, learner,
+    Alone, Batch, Config, End, Learner, Limits, Pool, Ranks, Run, Update, initial_weights, learner,
 };
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ fn config() -> Config {
 }
 
 fn cpu(config: &Config) -> Box<dyn Learner> {
-    learner(&Device::Cpu, config, &first_weights(config, &Alone).unwrap()).unwrap()
+    learner(&Device::Cpu, config, &initial_weights(config, &Alone).unwrap()).unwrap()
 }
 
 /// Runs `body` on each of `count` ranks.
@@ -74,7 +74,7 @@ fn two_ranks_have_the_gradient_of_one_learner_with_the_batches_of_both() {
     // The weights do not change, so that only gradients are compared.
     let update = |step| Update { number: step + 1, rate: 0.0, average: 0.0 };
     let mean_gradient = |learner: &dyn Learner| {
-        let count = first_weights(&config(), &Alone).unwrap().flat().len();
+        let count = initial_weights(&config(), &Alone).unwrap().flat().len();
         learner.save().unwrap().get("adamw.mean", &[count]).unwrap().to_vec()
     };
     let ranks = on_ranks(2, |ranks| {

@@ -31,7 +31,7 @@ pub struct Fake {
 
 impl Fake {
     pub fn new(config: &Config) -> Self {
-        let weights = fnopt::train::first_weights(config, &Alone).expect("weights");
+        let weights = fnopt::train::initial_weights(config, &Alone).expect("weights");
         let cloths = config.pools.iter().map(|p| vec![0.0; p.cloths]).collect();
         Self { weights, cloths, broken: HashSet::new(), overflows: None, step: 0, updates: Rc::default() }
     }

@@ -90,7 +90,7 @@ impl Hessian {
         Arch::new().dispatch(Fill { trial, projection, hessian: self });
     }
 
-    /// Returns all numbers, as indexed by [`Hessian::place`].
+    /// Returns all numbers, as indexed by [`Hessian::index_of`].
     pub fn values(&self) -> &[f64] {
         &self.values
     }
@@ -98,13 +98,13 @@ impl Hessian {
     /// Returns the second derivative with respect to one component each of two particles, for modification.
     /// Panics if the particles share no term.
     pub fn at_mut(&mut self, one: (usize, usize), other: (usize, usize)) -> &mut f64 {
-        let place = self.place(one, other).expect("the particles share a term");
+        let place = self.index_of(one, other).expect("the particles share a term");
         &mut self.values[place]
     }
 
     /// Returns the place in [`Hessian::values`] of the second derivative with respect to one component each
     /// of two particles, or `None` if they share no term.
-    pub fn place(&self, (p, row): (usize, usize), (q, column): (usize, usize)) -> Option<usize> {
+    pub fn index_of(&self, (p, row): (usize, usize), (q, column): (usize, usize)) -> Option<usize> {
         let ((p, row), (q, column)) = if p < q { ((q, column), (p, row)) } else { ((p, row), (q, column)) };
         let w = self.grid.w;
         let (i, j) = (q / w, q % w);
@@ -120,7 +120,8 @@ impl Hessian {
 
     /// Returns the block of two particles, which is zero if they share no term.
     pub fn block(&self, p: usize, q: usize) -> Block {
-        let entry = |row, column| self.place((p, row), (q, column)).map_or(0.0, |place| self.values[place]);
+        let entry =
+            |row, column| self.index_of((p, row), (q, column)).map_or(0.0, |place| self.values[place]);
         [0, 1, 2].map(|row| [0, 1, 2].map(|column| entry(row, column)))
     }
 }

@@ -35,7 +35,7 @@ impl<T: Real> Skip<T> {
     /// that the inverse transform along the columns produced. The caller applies the GELU.
     pub fn row(&self, out: &mut [T], x: &[T], z: &[T], transform: &Transform<T>) {
         let c = self.bias.len();
-        let skip = Term { a: x, a_stride: c, a_transposed: false, b: &self.weight, b_stride: c, depth: c };
+        let skip = Term::new((x, c), (&self.weight, c), c);
         product(
             Target { rows: out.len() / c, out, stride: c, columns: c, start: Start::Row(&self.bias) },
             &[skip, transform.row_inverse(z)],

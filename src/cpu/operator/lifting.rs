@@ -102,14 +102,7 @@ impl<T: Real> Lifting<T> {
             gradient.out.add(values, adj_out);
             product(
                 Target { out: adj, stride: hidden, rows: n, columns: hidden, start: Start::Zero },
-                &[Term {
-                    a: adj_out,
-                    a_stride: c,
-                    a_transposed: false,
-                    b: weight,
-                    b_stride: hidden,
-                    depth: c,
-                }],
+                &[Term::new((adj_out, c), (weight, hidden), c)],
             );
             for (adj, &slope) in adj.iter_mut().zip(&*slopes) {
                 *adj = *adj * slope;

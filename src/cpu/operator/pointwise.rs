@@ -37,14 +37,7 @@ impl<T: Real> Pointwise<T> {
         let rows = out.len() / columns;
         product(
             Target { out, stride: columns, rows, columns, start: Start::Row(&self.bias) },
-            &[Term {
-                a: x,
-                a_stride: self.inputs,
-                a_transposed: false,
-                b: &self.weight,
-                b_stride: columns,
-                depth: self.inputs,
-            }],
+            &[Term::new((x, self.inputs), (&self.weight, columns), self.inputs)],
         );
     }
 }
@@ -78,10 +71,7 @@ impl<T: Real> PointwiseGradient<T> {
             start: Start::Target,
         };
         let depth = adj_y.len() / columns;
-        product(
-            target,
-            &[Term { a: x, a_stride: self.inputs, a_transposed: true, b: adj_y, b_stride: columns, depth }],
-        );
+        product(target, &[Term::transposed((x, self.inputs), (adj_y, columns), depth)]);
         add_rows(&mut self.bias, adj_y);
     }
 

@@ -73,14 +73,7 @@ impl<T: Real> Projection<T> {
                     columns: hidden,
                     start: Start::Target,
                 },
-                &[Term {
-                    a: adj_field,
-                    a_stride: 1,
-                    a_transposed: true,
-                    b: values,
-                    b_stride: hidden,
-                    depth: n,
-                }],
+                &[Term::transposed((adj_field, 1), (values, hidden), n)],
             );
             for (slopes, &adj) in slopes.chunks_exact_mut(hidden).zip(adj_field) {
                 for (slope, &weight) in slopes.iter_mut().zip(&self.weight) {
@@ -91,14 +84,7 @@ impl<T: Real> Projection<T> {
             gradient.hidden.add(x, slopes);
             product(
                 Target { out: adj_x, stride: c, rows: n, columns: c, start: Start::Zero },
-                &[Term {
-                    a: slopes,
-                    a_stride: hidden,
-                    a_transposed: false,
-                    b: weight,
-                    b_stride: c,
-                    depth: hidden,
-                }],
+                &[Term::new((slopes, hidden), (weight, c), hidden)],
             );
         }
     }

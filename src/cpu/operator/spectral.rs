@@ -66,14 +66,7 @@ impl<T: Real> Spectral<T> {
             for (out, b) in [(real, adj_y), (imaginary, &adj_y[c..])] {
                 product(
                     Target { out, stride: c, rows: c, columns: c, start: Start::Zero },
-                    &[Term {
-                        a: x,
-                        a_stride: 2 * c,
-                        a_transposed: true,
-                        b,
-                        b_stride: 2 * c,
-                        depth: mode_len / (2 * c),
-                    }],
+                    &[Term::transposed((x, 2 * c), (b, 2 * c), mode_len / (2 * c))],
                 );
             }
         });
@@ -123,14 +116,7 @@ impl<T: Real> Spectral<T> {
             let weight = &self.weight[mode * 2 * c * c..][..2 * c * c];
             product(
                 Target { out: straight, stride: c, rows: 2 * samples, columns: c, start: Start::Zero },
-                &[Term {
-                    a: inputs,
-                    a_stride: 2 * c,
-                    a_transposed: false,
-                    b: weight,
-                    b_stride: c,
-                    depth: 2 * c,
-                }],
+                &[Term::new((inputs, 2 * c), (weight, c), 2 * c)],
             );
             for (from, to) in straight.chunks_exact(2 * c).zip(times_i.chunks_exact_mut(2 * c)) {
                 for o in 0..c {

@@ -107,21 +107,14 @@ impl<T: Real> Transform<T> {
         let (w, c) = (self.grid.w, self.channels);
         product(
             Target { out, stride: c, rows: 2 * self.modes_w, columns: c, start: Start::Zero },
-            &[Term { a: &self.row_forward, a_stride: w, a_transposed: false, b: x, b_stride: c, depth: w }],
+            &[Term::new((&self.row_forward, w), (x, c), w)],
         );
     }
 
     /// Returns the term that adds the inverse along a row, [W, C], of a row spectrum `z` [modes_w, 2, C].
     pub(super) fn row_inverse<'a>(&'a self, z: &'a [T]) -> Term<'a, T> {
         let depth = 2 * self.modes_w;
-        Term {
-            a: &self.row_inverse,
-            a_stride: depth,
-            a_transposed: false,
-            b: z,
-            b_stride: self.channels,
-            depth,
-        }
+        Term::new((&self.row_inverse, depth), (z, self.channels), depth)
     }
 
     /// Transforms along column `k_w` of a sample: `out` [2 modes_h, 2, C], the sums with the cosines followed
@@ -132,14 +125,7 @@ impl<T: Real> Transform<T> {
         let b = &rows[k_w * columns..];
         product(
             Target { out, stride: columns, rows: 2 * self.modes_h, columns, start: Start::Zero },
-            &[Term {
-                a: &self.column_forward,
-                a_stride: h,
-                a_transposed: false,
-                b,
-                b_stride: self.row_len(),
-                depth: h,
-            }],
+            &[Term::new((&self.column_forward, h), (b, self.row_len()), h)],
         );
     }
 
@@ -179,13 +165,11 @@ impl<T: Real> Transform<T> {
         let columns = 2 * self.channels;
         let rows = out.len() / self.row_len();
         for k_w in 0..self.modes_w {
-            let part = |times_i: usize| Term {
-                a: &self.column_inverse[i * 2 * self.modes_h + times_i * self.modes_h..],
-                a_stride: 2 * self.modes_h,
-                a_transposed: false,
-                b: &modes.values[(k_w * 2 + times_i) * modes.samples * columns + modes.sample * columns..],
-                b_stride: self.modes_w * 2 * modes.samples * columns,
-                depth: self.modes_h,
+            let part = |times_i: usize| {
+                let a = &self.column_inverse[i * 2 * self.modes_h + times_i * self.modes_h..];
+                let b = &modes.values[((k_w * 2 + times_i) * modes.samples + modes.sample) * columns..];
+                let b_stride = self.modes_w * 2 * modes.samples * columns;
+                Term::new((a, 2 * self.modes_h), (b, b_stride), self.modes_h)
             };
             let out = &mut out[k_w * columns..];
             product(

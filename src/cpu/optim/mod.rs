@@ -30,7 +30,7 @@ pub trait Minimizer<T>: Send + Sync {
     /// component of each cloth; shapes [B, 3, H, W] and \[S\] with S = 3 B.
     fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]);
     /// Clears the state kept across frames for this cloth, as when it restarts. Most optimizers keep none.
-    fn forget(&mut self, _cloth: usize) {}
+    fn reset_memory_of(&mut self, _cloth: usize) {}
     /// Returns the scale of each sample, shape \[S\]; empty if the optimizer has none.
     fn scales(&self) -> &[T] {
         &[]

@@ -90,13 +90,12 @@ impl<T: Real> InverseHessian<T> for RestHessian<T> {
         let (Grid { h, w }, stride) = (*grid, *stride);
         let hold = |component: &mut [T]| handles.iter().for_each(|&p| component[p] = T::zero());
         let along = |out: &mut [T], from: &[T], transposed: bool| {
-            let a =
-                Term { a: rows, a_stride: h, a_transposed: transposed, b: from, b_stride: stride, depth: h };
+            let of = if transposed { Term::transposed } else { Term::new };
+            let a = of((rows, h), (from, stride), h);
             multiply(out, (h, stride), a);
         };
         let across = |out: &mut [T], from: &[T], table: &[T]| {
-            let a =
-                Term { a: from, a_stride: stride, a_transposed: false, b: table, b_stride: stride, depth: w };
+            let a = Term::new((from, stride), (table, stride), w);
             multiply(out, (h, stride), a);
         };
         let components = direction.par_chunks_exact_mut(h * w).zip(scratch);

@@ -112,7 +112,7 @@ impl<T: Real> Minimizer<T> for Update<T> {
         self.hidden.remember(grad, (field, scalar), a);
     }
 
-    fn forget(&mut self, cloth: usize) {
+    fn reset_memory_of(&mut self, cloth: usize) {
         let Hidden { last_grad, last_step, scale } = &mut self.hidden;
         let len = 3 * last_grad.len() / scale.len();
         let fields = cloth * len..(cloth + 1) * len;
