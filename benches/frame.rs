@@ -10,7 +10,7 @@ use cloths::{cloths, learned};
 use common::{adapter, criterion, is_software};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use fnopt::gpu::Context;
-use fnopt::sim::{Solver, SolverOptions};
+use fnopt::sim::Solver;
 use fnopt::{Device, Simulator};
 
 fn frames(c: &mut Criterion) {
@@ -60,8 +60,7 @@ fn frame(c: &mut Criterion, (name, device): (&str, &Device), n: usize, batch: us
 /// computed.
 fn recording(c: &mut Criterion, context: &Context) {
     let cloths = cloths(32, 1);
-    let solver = Solver::new(context, &cloths.model, &learned(), &SolverOptions::default())
-        .expect("a benchmark fits any adapter");
+    let solver = Solver::new(context, &cloths.model, &learned(), 10).expect("a benchmark fits any adapter");
     let mut group = c.benchmark_group("recording");
     group.bench_function(format!("32x32, {} dispatches", solver.schedule().dispatches()), |b| {
         b.iter(|| {

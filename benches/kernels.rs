@@ -16,7 +16,7 @@ use fnopt::gpu::{Context, Schedule, Tensor};
 use fnopt::kernels::fft::Norm;
 use fnopt::kernels::fft::{Fields, RealFft2};
 use fnopt::scene::Batch;
-use fnopt::sim::{Optimizer, Solver, SolverOptions};
+use fnopt::sim::{Optimizer, Solver};
 use std::collections::BTreeSet;
 
 fn kernels(c: &mut Criterion) {
@@ -43,8 +43,7 @@ fn of_frame(
     (n, cloth, optimizer): (usize, &Batch, &Optimizer),
     measured: &mut BTreeSet<&'static str>,
 ) {
-    let solver = Solver::new(context, &cloth.model, optimizer, &SolverOptions::default())
-        .expect("a benchmark fits any adapter");
+    let solver = Solver::new(context, &cloth.model, optimizer, 10).expect("a benchmark fits any adapter");
     let mut group = c.benchmark_group(format!("kernels {n}x{n}"));
     for kernel in solver.schedule().kernels() {
         if !measured.insert(kernel) {

@@ -7,7 +7,7 @@ mod host;
 use fnopt::gpu::Context;
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
-use fnopt::sim::{Optimizer, Solver, SolverOptions};
+use fnopt::sim::{Optimizer, Solver};
 use fnopt::wgpu;
 use host::Host;
 
@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let context = Context::new(host.device.clone(), host.queue.clone())?;
     let setup = Scene::default().setup()?;
     let optimizer = Optimizer::learned(Weights::shipped());
-    let solver = Solver::new(&context, &setup.model, &optimizer, &SolverOptions::default())?;
+    let solver = Solver::new(&context, &setup.model, &optimizer, 10)?;
     solver.set_state(&setup.start.cast());
 
     // Positions and normals in one vertex buffer, in metres along the scene's axes, y up.

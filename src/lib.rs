@@ -77,6 +77,11 @@
 //! | [`train`] | pools of cloths, the run loop and its files |
 //! | [`verify`] | checks of every stage against golden files |
 //!
+//! # Units, shapes and errors
+//!
+//! Bad input is an [`Error`]. An array whose length does not match the model is an error of [`Simulator::step`],
+//! and a panic of [`sim::Solver`] and [`cpu::Solver`] ([`cloth::Control::check`]).
+//!
 //! Lengths, times and masses are in SI units in scenes and files, and in *grid units* everywhere else: the
 //! rest length of an edge, the time of a frame and the mass of a cell are 1. The z axis points up, and
 //! particle (i, j) has number `i W + j`. State arrays are channel-first, `[B, 3, H, W]`.

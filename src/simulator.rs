@@ -2,7 +2,7 @@
 
 use crate::cloth::{Cloth, Control, Model, State};
 use crate::gpu::{Context, Readback, Storage};
-use crate::sim::{FrameStats, Optimizer, Solver, SolverOptions};
+use crate::sim::{FrameStats, Optimizer, Solver};
 use crate::{Error, Result, cpu};
 use std::iter::Peekable;
 use std::ops::ControlFlow;
@@ -85,8 +85,7 @@ impl Simulator {
                 state: State::rest(model.grid, model.batch()),
             },
             Device::Gpu(context) => {
-                let options = SolverOptions { iterations, ..Default::default() };
-                let solver = Solver::new(context, model, optimizer, &options)?;
+                let solver = Solver::new(context, model, optimizer, iterations)?;
                 let readback = Box::new(Readback::new(context, &solver.frame_tensors(), IN_FLIGHT)?);
                 Backend::Gpu { context: context.clone(), solver: Box::new(solver), readback }
             }
@@ -157,8 +156,9 @@ impl Simulator {
         }
     }
 
-    /// Computes one frame and waits for it. Fails with [`Error::NonFinite`] if it is not finite, and if a
-    /// length of the control does not match the model ([`Control::check`]).
+    /// Computes one frame and waits for it. Fails with [`Error::NonFinite`] if it is not finite (the state is
+    /// then that of this frame; [`Simulator::set_state`] starts again), with [`Error::Lost`] if the device is
+    /// lost, and if a length of the control does not match the model ([`Control::check`]).
     pub fn step(&mut self, control: &Control<f32>) -> Result<Frame> {
         let mut result = None;
         self.rollout(std::iter::once(control.clone()), |frame| {
@@ -174,7 +174,8 @@ impl Simulator {
     /// device's state up to one frame ahead: that frame counts, but nobody receives it.
     ///
     /// Fails with [`Error::NonFinite`] at the first frame that is not finite, after passing on the frames
-    /// before it, and if a length of a control does not match the model ([`Control::check`]).
+    /// before it, with [`Error::Lost`] if the device is lost, and if a length of a control does not match the
+    /// model ([`Control::check`]).
     pub fn rollout(
         &mut self,
         controls: impl IntoIterator<Item = Control<f32>>,

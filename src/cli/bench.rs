@@ -10,10 +10,10 @@ use anyhow::Result;
 use fnopt::Error;
 use fnopt::cloth::{Control, Grid};
 use fnopt::eval::WARM_UP;
-use fnopt::gpu::{Context, Profile, Schedule, Tensor, Tuning};
+use fnopt::gpu::{Context, Profile, Schedule, Tensor};
 use fnopt::kernels::operator::MultiplyAdd;
 use fnopt::render::{Chart, Curve, Image, Scale, charts, write_png};
-use fnopt::sim::{Optimizer, Solver, SolverOptions};
+use fnopt::sim::{Optimizer, Solver};
 use fnopt::{Device, Simulator};
 use std::collections::HashSet;
 use std::io::Write;
@@ -152,7 +152,7 @@ pub fn run(args: &Args) -> Result<Ending> {
             "device": device.name(),
             "tuning": match &device {
                 Device::Cpu => None,
-                Device::Gpu(context) => Some(Tuning::new(context)),
+                Device::Gpu(context) => Some(context.tuning()),
             },
             "solver": optimizer.name(),
             "weights_crc32": checksum_of_weights(&optimizer),
@@ -308,8 +308,7 @@ fn measure(
     };
     if let Device::Gpu(context) = device {
         drop(simulator);
-        let options = SolverOptions { iterations, ..Default::default() };
-        let solver = Solver::new(context, &setups.model, optimizer, &options)?;
+        let solver = Solver::new(context, &setups.model, optimizer, iterations)?;
         solver.set_state(&setups.start.cast());
         record_times(context, &solver, &mut row)?;
         let controls: Vec<_> = (0..TOGETHER).map(|f| setups.control(1 + f % (setups.frames() - 1))).collect();

@@ -24,8 +24,8 @@ impl Default for Material {
     }
 }
 
-/// The air around a cloth, in grid units. The coefficients already contain the mass of one cell of the sheet,
-/// so that `density * area * |v_n| v_n n + drag * area * v_tangential`, divided by a particle's grid mass, is
+/// The air around a cloth, in grid units. The coefficients are already divided by the mass of a cell of the
+/// sheet, so that `density * area * |v_n| v_n n + drag * area * v_tangential`, divided by a particle's grid mass, is
 /// an acceleration.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Air {
@@ -69,7 +69,8 @@ impl Repulsion {
     }
 }
 
-/// One cloth of a batch: the part that stays fixed during a run.
+/// The constants of one cloth of a batch, which no frame changes;
+/// [`Solver::set_cloths`](crate::sim::Solver::set_cloths) replaces them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Cloth {
     /// Energy coefficients.

@@ -59,7 +59,7 @@ pub struct FactoredHessian {
 }
 
 impl FactoredHessian {
-    /// Analyses the pattern of a grid. Returns an error if there is not enough memory.
+    /// Analyses the pattern of a grid. Fails if there is not enough memory.
     pub fn new(grid: Grid) -> Result<Self> {
         let n = grid.particles();
         let hessian = Hessian::new(grid)?;

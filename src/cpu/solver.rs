@@ -25,7 +25,7 @@ enum Method<T> {
 }
 
 impl<T: Real> Solver<T> {
-    /// Builds a solver with `iterations` steps of the optimizer per frame. Returns an error if `iterations`
+    /// Builds a solver with `iterations` steps of the optimizer per frame. Fails if `iterations`
     /// is 0, the model ([`Model::check`]) or the optimizer is invalid, the grid does not suit the network, a
     /// cloth has a repulsion and the optimizer is Newton's method, or there is not enough memory.
     pub fn new(model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {

@@ -4,7 +4,7 @@ use crate::Device;
 use crate::Result;
 use crate::cpu::{self, Track};
 use crate::scene::Setup;
-use crate::sim::{Optimizer, Solver, SolverOptions};
+use crate::sim::{Optimizer, Solver};
 use std::ops::ControlFlow;
 
 /// Computes the converged frames of a scene. `tick` is called before each frame; if it breaks, the result is
@@ -38,8 +38,7 @@ pub fn median_gap(
             Ok(Some(solver.accelerations().to_vec()))
         });
     };
-    let options = SolverOptions { iterations, ..Default::default() };
-    let solver = Solver::new(context, track.model(), optimizer, &options)?;
+    let solver = Solver::new(context, track.model(), optimizer, iterations)?;
     track.median_gap(|before, control| {
         if tick().is_break() {
             return Ok(None);

@@ -1,5 +1,5 @@
 //! How near the layers of a cloth come to each other: the paper's repulsion energy as a measure (sections 3.4
-//! and 6.1).
+//! and 6.3.3).
 
 use super::resampling::{Resampling, of_coarse_rows};
 use crate::cloth::{Grid, Repulsion};

@@ -208,9 +208,10 @@ impl Context {
         Ok(Self { tuning: Some(tuning), ..self.clone() })
     }
 
-    /// Returns the tile sizes set by [`Context::with_tuning`], if any.
-    pub fn tuning(&self) -> Option<Tuning> {
-        self.tuning
+    /// Returns the tile sizes of kernels: those set by [`Context::with_tuning`], else those of
+    /// [`Tuning::table`].
+    pub fn tuning(&self) -> Tuning {
+        self.tuning.unwrap_or_else(|| Tuning::table(self))
     }
 
     /// Returns whether the adapter is hardware or software.

@@ -73,7 +73,8 @@ impl Tensor {
     pub const VIEW_ALIGNMENT: usize = 64;
 
     /// Returns the part of this tensor that starts at element `first` and has this shape. It shares the
-    /// buffer.
+    /// buffer. Panics if `first` is not a multiple of [`Tensor::VIEW_ALIGNMENT`], if the part leaves the tensor,
+    /// or if the tensor is not in single precision.
     ///
     /// A kernel that reads the view as vec4 sees its length rounded up to a multiple of four elements.
     pub fn view(&self, first: usize, shape: &[usize]) -> Self {
@@ -98,7 +99,7 @@ impl Tensor {
         (Self { memory, shape, ..*self }, (self.offset() / 4) as usize)
     }
 
-    /// Returns the first `count` items along the first axis. They share the memory.
+    /// Returns the first `count` items along the first axis. They share the memory. Panics if there are fewer.
     pub fn first(&self, count: usize) -> Self {
         assert!(count <= self.shape[0], "the first {count} of '{}' {:?}", self.label, self.shape);
         let mut shape = self.shape.clone();
@@ -178,7 +179,8 @@ impl Tensor {
         copy
     }
 
-    /// Creates a tensor that holds `data`, whose length must match `shape`.
+    /// Creates a tensor that holds `data`. Fails like [`Tensor::zeros`]. Panics if the length does not match
+    /// `shape`.
     pub fn from_slice<T: bytemuck::Pod>(
         context: &Context,
         label: &'static str,
@@ -190,7 +192,7 @@ impl Tensor {
         Ok(tensor)
     }
 
-    /// Replaces the whole content, before the next submission runs.
+    /// Replaces the whole content, before the next submission runs. Panics on another length.
     pub fn write<T: bytemuck::Pod>(&self, context: &Context, data: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert_eq!(bytes.len() as u64, self.bytes(), "tensor '{}' has shape {:?}", self.label, self.shape);
@@ -199,8 +201,8 @@ impl Tensor {
         }
     }
 
-    /// Replaces the content from element `first` on, before the next submission runs. For single precision
-    /// only.
+    /// Replaces the content from element `first` on, before the next submission runs. Panics if `data` reaches
+    /// past the end, or if the tensor is not in single precision.
     pub fn write_at(&self, context: &Context, first: usize, data: &[f32]) {
         assert_eq!(self.storage, Storage::F32, "tensor '{}'", self.label);
         assert!(first + data.len() <= self.len(), "tensor '{}' has shape {:?}", self.label, self.shape);
@@ -241,7 +243,7 @@ impl Tensor {
     }
 
     /// Reads the whole content, waiting for everything submitted so far. For tests and for the start and end
-    /// of a run, not for frames.
+    /// of a run, not for frames. Fails if the device is lost.
     pub fn read<T: bytemuck::Pod>(&self, context: &Context) -> Result<Vec<T>> {
         let mut readback = super::Readback::new(context, &[self], 1)?;
         let submission = context.submit(|encoder| readback.record(encoder));

@@ -57,11 +57,6 @@ struct Stored {
 }
 
 impl Tuning {
-    /// Returns the tuning set by [`Context::with_tuning`], or else that of [`Tuning::table`].
-    pub fn new(context: &Context) -> Self {
-        context.tuning().unwrap_or_else(|| Self::table(context))
-    }
-
     /// Returns the table's entry for the adapter.
     pub fn table(context: &Context) -> Self {
         Self::of(context.kind(), context.sharing())

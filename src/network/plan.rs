@@ -2,7 +2,7 @@
 //!
 //! One set of kernels serves a single cloth, which waits for dispatches, and large batches, which wait for
 //! memory and arithmetic. What a pass consists of follows from grid, samples, the device's limits and the
-//! [`Tuning`], which [`crate::sim::SolverOptions`] overrides:
+//! [`Tuning`], which [`crate::gpu::Context::with_tuning`] overrides:
 //!
 //! - If a row of all channels fits the workgroup memory and [`Tuning::rows_in_blocks`] is set, the lifting and
 //!   the blocks transform their rows and reduce their maxima on the way: 11 dispatches per iteration. Else

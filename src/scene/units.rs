@@ -139,8 +139,8 @@ impl Units {
         }
     }
 
-    /// Converts an energy in grid units (a term of `L`, section 2, which is a mean over the `particles` of a
-    /// cloth) to joules.
+    /// Converts an energy in grid units (a term of `L`, paper section 3.2, which is a mean over the
+    /// `particles` of a cloth) to joules.
     pub fn energy_j(&self, energy: f64, particles: usize) -> f64 {
         // The inertia term 1/2 mean(M |a|^2) is 1/2 sum(m |a|^2) T^2 with m = M rho l^2 and a in l / T^2.
         let Units { length_m: l, frame_time_s: t, areal_mass_kg_m2: rho } = *self;

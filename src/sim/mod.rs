@@ -11,7 +11,7 @@ mod vertices;
 
 pub(crate) use learned::Learned;
 pub use optimizer::Optimizer;
-pub use solver::{INITIAL_SCALE, Solver, SolverOptions};
+pub use solver::{INITIAL_SCALE, Solver};
 pub use stats::{FrameStats, IterationLog};
 pub use tune::tune;
 pub use vertices::Vertices;

@@ -3,10 +3,10 @@
 use super::rule::{Rule, row, rows};
 use super::{FrameStats, IterationLog, Optimizer, Vertices};
 use crate::cloth::{Cloth, Control, Grid, Model, State};
-use crate::gpu::{Context, Schedule, Tensor, Tuning};
+use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::{
-    ClothParams, ClothTerms, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate,
-    Physics, Predict, Repulsion, StateTensors, TERMS, energy, gradient,
+    ClothParams, ClothTerms, Energy, EnergySum, EnergyTensors, ExternalForce, ExternalForceTensors, Gradient,
+    Integrate, Predict, Repulsion, StateTensors, TERMS, energy, gradient,
 };
 use crate::kernels::optim::Iterate;
 use crate::{Error, Result};
@@ -16,28 +16,30 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Persistent scale of a fresh hidden state (paper section 3.3).
 pub const INITIAL_SCALE: f32 = 0.05;
 
-/// Options of a [`Solver`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SolverOptions {
-    /// Iterations per frame (N), at least 1.
-    pub iterations: usize,
-    /// Tile sizes. `None` selects the context's: those given to [`Context::with_tuning`], else those of
-    /// [`Tuning::table`].
-    pub tuning: Option<Tuning>,
-}
-
-impl Default for SolverOptions {
-    fn default() -> Self {
-        Self { iterations: 10, tuning: None }
-    }
-}
-
 /// A solver on the caller's device: buffers, kernels and the prepared dispatches of a frame.
 ///
 /// [`Solver::new`] fills buffers through the caller's queue and waits until the kernels are compiled. After
 /// that, [`Solver::record`] records one frame into the caller's encoder. It submits, polls and maps nothing,
 /// and it neither allocates nor creates bind groups. The positions stay in a buffer that can be bound as a
 /// vertex buffer ([`Solver::positions`]); [`Solver::vertices`] creates one with normals.
+///
+/// ```no_run
+/// # fn frames(context: &fnopt::gpu::Context) -> fnopt::Result<()> {
+/// use fnopt::network::Weights;
+/// use fnopt::scene::Scene;
+/// use fnopt::sim::{Optimizer, Solver};
+///
+/// let setup = Scene::default().setup()?;
+/// let optimizer = Optimizer::learned(Weights::shipped());
+/// let solver = Solver::new(context, &setup.model, &optimizer, 10)?;
+/// solver.set_state(&setup.start.cast());
+/// for frame in 1..setup.frames() {
+///     solver.set_control(&setup.control(frame));
+///     context.submit(|encoder| solver.record(encoder)); // or into an encoder of the host
+/// }
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug)]
 pub struct Solver {
     context: Context,
@@ -73,38 +75,27 @@ pub struct Solver {
 }
 
 impl Solver {
-    /// Creates buffers and kernels and builds the schedule of a frame. The cloths start at rest
-    /// ([`State::rest`]).
+    /// Creates buffers and kernels and builds the schedule of a frame of `iterations` iterations (N), with the
+    /// context's tile sizes ([`Context::tuning`]). The cloths start at rest ([`State::rest`]).
     ///
-    /// Fails if the model is not valid ([`Model::check`]), or if the device does not support the optimizer,
-    /// grid, batch or tuning.
-    pub fn new(
-        context: &Context,
-        model: &Model,
-        optimizer: &Optimizer,
-        options: &SolverOptions,
-    ) -> Result<Self> {
-        context.checked(|| Self::build(context, model, optimizer, options))
+    /// Fails if the model is not valid ([`Model::check`]), there are no iterations, a kernel does not compile,
+    /// memory runs out, the device is lost, or it does not support the optimizer, grid or batch.
+    pub fn new(context: &Context, model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
+        context.checked(|| Self::build(context, model, optimizer, iterations))
     }
 
-    fn build(
-        context: &Context,
-        model: &Model,
-        optimizer: &Optimizer,
-        options: &SolverOptions,
-    ) -> Result<Self> {
+    fn build(context: &Context, model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         model.check()?;
         optimizer.check()?;
-        if options.iterations == 0 {
-            return Err(Error::invalid("options", "iterations", "at least 1", 0));
+        if iterations == 0 {
+            return Err(Error::invalid("solver", "iterations", "at least 1", 0));
         }
-        let tuning = options.tuning.unwrap_or_else(|| Tuning::new(context));
-        tuning.check(context)?;
+        let tuning = context.tuning();
         let (grid, batch, n) = (model.grid, model.batch(), model.grid.particles());
         let samples = 3 * batch;
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let field = |label| zeros(label, &[batch, 3, n]);
-        let rule = Rule::new(context, optimizer, &tuning, (grid, batch, options.iterations))?;
+        let rule = Rule::new(context, optimizer, &tuning, (grid, batch, iterations))?;
         let slots = model.handle_slots();
         let target_storage = zeros("handle targets", &[batch * n, 3])?;
         let iterate = match rule {
@@ -112,12 +103,12 @@ impl Solver {
             _ => Iterate::new(context, batch, &slots)?,
         };
         let of_squares = [samples, gradient::parts(grid), 2];
-        let sums = rows(context, "sums of squares", options.iterations, of_squares.iter().product())?;
-        let ends = [0, options.iterations - 1].map(|iteration| row(&sums, iteration, &of_squares));
+        let sums = rows(context, "sums of squares", iterations, of_squares.iter().product())?;
+        let ends = [0, iterations - 1].map(|iteration| row(&sums, iteration, &of_squares));
         let mut solver = Self {
             context: context.clone(),
             model: model.clone(),
-            iterations: options.iterations,
+            iterations,
             x: field("positions")?,
             v: field("velocities")?,
             cloths: Tensor::from_slice(
@@ -162,11 +153,13 @@ impl Solver {
             external,
         );
 
-        let physics = Physics { cloths, external, x };
+        let physics = EnergyTensors { cloths, external, x };
         let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(batch, grid))?;
         let repulsion = self.repels.then(|| Repulsion::new(context, batch, grid)).transpose()?;
-        let with_repulsion =
-            Physics { external: repulsion.as_ref().map_or(external, |r| &r.total_acceleration), ..physics };
+        let with_repulsion = EnergyTensors {
+            external: repulsion.as_ref().map_or(external, |r| &r.total_acceleration),
+            ..physics
+        };
         let repel = |frame: &mut Schedule| {
             if let Some(repulsion) = &repulsion {
                 repulsion.push(frame, grid, physics, (iterate, &parts));
@@ -225,16 +218,16 @@ impl Solver {
     }
 
     /// Returns the handle targets \[edges\] of the next frame, in the order of [`Control::handles`], shape
-    /// [handles, 3]. [`Solver::set_control`] writes them; what the host's own commands write between that and
-    /// [`Solver::record`] holds, such as the position of a particle that is to stay where it is.
+    /// [handles, 3]. [`Solver::set_control`] writes them. Commands of the host that run between that and the frame
+    /// may overwrite them, for example with a copy of the position of a particle that is to stay where it is.
     pub fn handle_targets(&self) -> &Tensor {
         &self.targets
     }
 
-    /// Returns the external accelerations of the next frame [edges / frame^2], shape [B, 3, H, W]. What the
-    /// host's own commands write here stays, from frame to frame, as long as no control has any: those of a
-    /// control are cleared by the next one without, after [`Solver::record_frames`] by all of its frames until
-    /// a [`Solver::set_control`].
+    /// Returns the external accelerations of the next frame [edges / frame^2], shape [B, 3, H, W]. Commands
+    /// of the host may write here. What they write acts in every frame, as long as no control has accelerations.
+    /// Those of a control are cleared by the next control without any; if [`Solver::record_frames`] took them, by
+    /// every control without any, up to and including the next [`Solver::set_control`].
     pub fn control_accelerations(&self) -> &Tensor {
         &self.control_accelerations
     }
@@ -334,7 +327,9 @@ impl Solver {
         }
     }
 
-    /// Sets the control of the next frame, ahead of the next submission.
+    /// Sets the control of the frames from the next one on, ahead of the next submission: until another control,
+    /// handles stay at their targets, and wind and accelerations keep acting. Of several calls before a
+    /// submission only the last counts; [`Solver::record_frames`] takes a control for each frame.
     ///
     /// Panics if a length does not match the model ([`Control::check`]).
     pub fn set_control(&self, control: &Control<f32>) {

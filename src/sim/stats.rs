@@ -2,7 +2,8 @@
 
 use crate::cloth::EnergyTerms;
 
-/// Statistics of one cloth in one frame.
+/// Statistics of one cloth in one frame, in grid units. Stretch is over all edges, including those at handles,
+/// which rightly stretch more ([`FreeEdges`](crate::eval::FreeEdges) leaves them out).
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct FrameStats {
     /// Energy terms at the accepted acceleration.

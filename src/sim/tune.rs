@@ -1,6 +1,6 @@
 //! The search for an adapter's fastest tile sizes.
 
-use super::{Optimizer, Solver, SolverOptions};
+use super::{Optimizer, Solver};
 use crate::cloth::{Model, State};
 use crate::gpu::{Context, Tuning};
 use crate::{Error, Result};
@@ -45,8 +45,8 @@ struct Stopwatch<'a> {
 
 impl Stopwatch<'_> {
     fn solver(&self, tuning: &Tuning) -> Result<Solver> {
-        let options = SolverOptions { iterations: self.iterations, tuning: Some(*tuning) };
-        Solver::new(self.context, self.model, self.optimizer, &options)
+        let context = self.context.with_tuning(*tuning)?;
+        Solver::new(&context, self.model, self.optimizer, self.iterations)
     }
 
     /// Returns the time of the first frame from the start \[ms\].

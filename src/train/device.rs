@@ -6,7 +6,7 @@ use crate::cloth::{Control, Grid, Model};
 use crate::cpu::train::{AdamWFactors, AdamWSettings};
 use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
 use crate::kernels::cloth::{
-    ClothParams, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Physics, Predict,
+    ClothParams, Energy, EnergySum, EnergyTensors, ExternalForce, ExternalForceTensors, Gradient, Predict,
     StateTensors, TERMS, energy, gradient,
 };
 use crate::kernels::operator::Scales;
@@ -138,7 +138,7 @@ impl DeviceLoss {
         Predict::in_a_frame(context)?.push(schedule, state, iterate);
         let from = ExternalForceTensors { cloths, wind, x, v, control_accelerations };
         ExternalForce::new(context)?.push(schedule, grid, from, external);
-        let physics = Physics { cloths, external, x };
+        let physics = EnergyTensors { cloths, external, x };
         let kernel = Gradient::new(context)?;
         let sums = &Tensor::zeros(context, "sums of squares", &[samples, gradient::parts(grid), 2])?;
         kernel.push(schedule, grid, physics, (iterate, sums));

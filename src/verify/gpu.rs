@@ -7,9 +7,9 @@ use super::{
 use crate::Result;
 use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, Repulsion, State};
 use crate::cpu::train::AdamWSettings;
-use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
+use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::cloth::{
-    ClothParams, ClothTerms, Energy, EnergySum, Gradient, Physics, TERMS, energy, gradient,
+    ClothParams, ClothTerms, Energy, EnergySum, EnergyTensors, Gradient, TERMS, energy, gradient,
 };
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::Iterate;
@@ -17,7 +17,7 @@ use crate::kernels::optim::Normalisation;
 use crate::kernels::train::BatchTensors;
 use crate::kernels::{self, padded};
 use crate::network::{Forward, Head, Keep, Parameters, Plan, TransposedWeights, Weights};
-use crate::sim::{Learned, Optimizer, Solver, SolverOptions};
+use crate::sim::{Learned, Optimizer, Solver};
 use crate::train::{DeviceAdamW, DeviceLoss};
 use std::sync::Arc;
 
@@ -25,18 +25,12 @@ use std::sync::Arc;
 #[derive(Debug)]
 pub struct GpuStages {
     context: Context,
-    tuning: Tuning,
 }
 
 impl GpuStages {
-    /// Builds the stages on that device, with the tuning that suits it.
+    /// Builds the stages on that device, with its tuning ([`Context::tuning`]).
     pub fn new(context: &Context) -> Self {
-        Self { context: context.clone(), tuning: Tuning::new(context) }
-    }
-
-    /// Builds the stages on that device with the given tuning.
-    pub fn with_tuning(context: &Context, tuning: Tuning) -> Self {
-        Self { context: context.clone(), tuning }
+        Self { context: context.clone() }
     }
 
     fn upload(&self, label: &'static str, shape: &[usize], data: &[f64]) -> Result<Tensor> {
@@ -86,7 +80,7 @@ impl Stages for GpuStages {
     fn network(&mut self, weights: &Weights, grid: Grid, input: &[f64]) -> Result<NetworkOutput> {
         let context = &self.context;
         let samples = input.len() / (weights.config.fields * grid.particles());
-        let plan = Plan { grid, samples, tuning: self.tuning, keep: Keep::Blocks };
+        let plan = Plan { grid, samples, tuning: self.context.tuning(), keep: Keep::Blocks };
         let forward = context.checked(|| Forward::new(context, weights, &plan))?;
         forward.embedded.write_narrowed(context, &embed(&single(input), weights.config.fields, grid));
         let mut schedule = Schedule::new(context);
@@ -114,7 +108,7 @@ impl Stages for GpuStages {
         let cloths = Tensor::from_slice(context, "cloths", &[batch, ClothParams::LEN], &params)?;
         let external = self.upload("external", &[batch, 3, n], &case.external)?;
         let x = self.upload("positions", &[batch, 3, n], &case.x)?;
-        let physics = Physics { cloths: &cloths, external: &external, x: &x };
+        let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
         let parts = Tensor::zeros(context, "parts", &energy::parts_shape(batch, grid))?;
         let terms = Tensor::zeros(context, "terms", &[batch, TERMS])?;
         let mut schedule = Schedule::new(context);
@@ -138,7 +132,7 @@ impl Stages for GpuStages {
         let cloths = Tensor::from_slice(context, "cloths", &[1, ClothParams::LEN], &params)?;
         let external = Tensor::zeros(context, "external", &[1, 3, n])?;
         let x = self.upload("positions", &[1, 3, n], positions)?;
-        let physics = Physics { cloths: &cloths, external: &external, x: &x };
+        let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
         let parts = Tensor::zeros(context, "parts", &energy::parts_shape(1, grid))?;
         let terms = Tensor::zeros(context, "terms", &[1, TERMS])?;
         let mut schedule = Schedule::new(context);
@@ -181,7 +175,7 @@ impl Stages for GpuStages {
         scales.write_at(context, 0, &filled(&case.scale, 1));
         let mut schedule = Schedule::new(context);
         context.checked(|| {
-            let step = Learned::new(context, weights, &self.tuning, (grid, samples))?;
+            let step = Learned::new(context, weights, &self.context.tuning(), (grid, samples))?;
             step.push(
                 &mut schedule,
                 (&iterate, &sums),
@@ -200,7 +194,7 @@ impl Stages for GpuStages {
         let model = Model { grid: case.grid, cloths: case.cloths.clone() };
         let mut schedule = Schedule::new(context);
         let (parameters, gradient, loss) = context.checked(|| {
-            let parameters = Parameters::new(context, weights, &self.tuning)?;
+            let parameters = Parameters::new(context, weights, &self.context.tuning())?;
             let gradient = Tensor::zeros(context, "gradient", parameters.flat.shape())?;
             let shape = (case.grid, model.batch());
             let loss = DeviceLoss::new(
@@ -208,7 +202,7 @@ impl Stages for GpuStages {
                 shape,
                 &parameters,
                 (&gradient, Normalisation::Component),
-                &self.tuning,
+                &self.context.tuning(),
             )?;
             let transposed = TransposedWeights::new(context, &parameters)?;
             transposed.push(&mut schedule);
@@ -258,8 +252,8 @@ impl Stages for GpuStages {
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>> {
         let context = &self.context;
         let model = Model { grid: case.grid, cloths: vec![case.cloth.clone()] };
-        let options = SolverOptions { iterations: case.iterations, tuning: Some(self.tuning) };
-        let solver = Solver::new(context, &model, &Optimizer::Learned(weights.clone()), &options)?;
+        let optimizer = Optimizer::Learned(weights.clone());
+        let solver = Solver::new(context, &model, &optimizer, case.iterations)?;
         let x = single(&case.start);
         solver.set_state(&State { v: vec![0.0; x.len()], x });
         let mut frames = Vec::with_capacity(case.targets.len());

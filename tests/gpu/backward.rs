@@ -126,7 +126,7 @@ fn parts_and_passes_add_up() {
     let _turn = device();
     let weights = random(Config { lifting: 40, channels: 12, projection: 20, ..Config::default() });
     let case = Case::new(&weights.config, Grid { h: 9, w: 14 }, 5);
-    let own = Tuning::new(context());
+    let own = context().tuning();
     let whole = case.gradient(&weights, &own, 1);
     assert_eq!(whole, case.gradient(&weights, &own, 1), "two runs have the same bits");
     let norm = |v: &[f64]| v.iter().map(|v| v * v).sum::<f64>().sqrt();

@@ -200,7 +200,7 @@ fn lifting_in_parts_gives_the_same_bits() {
     let (grid, samples) = (Grid { h: 9, w: 14 }, 9);
     let weights = starter();
     let fields = noise(samples * 3 * grid.particles(), 121);
-    let own = Tuning::new(context());
+    let own = context().tuning();
     // The backward pass needs the hidden layer, so the lifting's layers are not fused.
     let results = |tuning: &Tuning| {
         let pass = submit_pass(weights, tuning, (grid, samples), (&fields, Keep::Adjoint));

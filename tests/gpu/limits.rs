@@ -8,7 +8,7 @@ use fnopt::cpu;
 use fnopt::gpu::{Readback, Sharing, Tensor, Tuning};
 use fnopt::kernels::optim::{GradientDescent, Iterate};
 use fnopt::network::Config;
-use fnopt::sim::{Optimizer, Solver, SolverOptions};
+use fnopt::sim::{Optimizer, Solver};
 use fnopt::{Device, Error, Simulator};
 
 /// The network takes as many samples at once as tuning and device allow: single ones, whole cloths, or all.
@@ -79,8 +79,7 @@ fn batches_are_larger_than_a_binding() {
     assert!((4 * 64 * 21 * 20 * 3 * batch) as u64 > narrow.largest_binding());
     let (model, start, control) = cloth(batch);
     let tuning = Tuning::table(&narrow);
-    let options = SolverOptions { iterations: 1, tuning: Some(tuning) };
-    let solver = Solver::new(&narrow, &model, &optimizer, &options).unwrap();
+    let solver = Solver::new(&narrow.with_tuning(tuning).unwrap(), &model, &optimizer, 1).unwrap();
     solver.set_state(&start);
     solver.set_control(&control);
     narrow.submit(|encoder| solver.record(encoder));
@@ -126,8 +125,7 @@ fn a_device_that_is_lost_is_an_error() {
     simulator.set_state(&start);
     simulator.step(&control).unwrap();
     let optimizer = Optimizer::gradient_descent();
-    let options = SolverOptions { iterations: 1, ..Default::default() };
-    let solver = Solver::new(&lost, &model, &optimizer, &options).unwrap();
+    let solver = Solver::new(&lost, &model, &optimizer, 1).unwrap();
     let mut readback = Readback::new(&lost, &solver.frame_tensors(), 2).unwrap();
     let record = |readback: &mut Readback| {
         let submission = lost.submit(|encoder| {
@@ -154,7 +152,7 @@ fn a_device_that_is_lost_is_an_error() {
         is_lost("state", simulator.state().err());
         is_lost("wait", lost.wait().err());
         is_lost("log", solver.iteration_log().err());
-        is_lost("new", Solver::new(&lost, &model, &optimizer, &options).err());
+        is_lost("new", Solver::new(&lost, &model, &optimizer, 1).err());
         is_lost("vertices", solver.vertices().err());
         is_lost("ring", Readback::new(&lost, &solver.frame_tensors(), 2).err());
         let mut encoder = lost.device.create_command_encoder(&Default::default());
@@ -192,13 +190,12 @@ fn unsupported_models_and_options_are_refused() {
     let cloth = Cloth { material: Material::default(), ..Cloth::default() };
     let model = |grid: Grid, batch: usize| Model { grid, cloths: vec![cloth.clone(); batch] };
     let gd = Optimizer::gradient_descent();
-    let refused = |model: &Model, optimizer: &Optimizer, options: &SolverOptions| {
-        Solver::new(context(), model, optimizer, options).unwrap_err().to_string()
+    let refused = |model: &Model, optimizer: &Optimizer, iterations| {
+        Solver::new(context(), model, optimizer, iterations).unwrap_err().to_string()
     };
-    let default = SolverOptions::default();
 
     // One cloth too many along an axis.
-    let error = refused(&model(grid, 21846), &gd, &default);
+    let error = refused(&model(grid, 21846), &gd, 10);
     assert!(error.contains("the device takes 65535 along an axis"), "{error}");
 
     let own = Tuning::table(context());
@@ -215,13 +212,11 @@ fn unsupported_models_and_options_are_refused() {
             .extend([Tuning { block_wide: 12, ..shared }, Tuning { pointwise_group: 12, ..shared }]);
     }
     for tuning in refused_tunings {
-        let learned = Optimizer::Learned(starter().clone());
-        let error = refused(&model(grid, 1), &learned, &SolverOptions { tuning: Some(tuning), ..default });
+        let error = context().with_tuning(tuning).unwrap_err().to_string();
         assert!(error.contains("options: tuning: expected tile sizes"), "{error}");
-        assert!(context().with_tuning(tuning).is_err());
     }
-    let error = refused(&model(grid, 1), &gd, &SolverOptions { iterations: 0, ..default });
-    assert!(error.contains("options: iterations: expected at least 1, found 0"), "{error}");
+    let error = refused(&model(grid, 1), &gd, 0);
+    assert!(error.contains("solver: iterations: expected at least 1, found 0"), "{error}");
 
     let weights = random(Config { fields: 2, ..starter().config });
     let held = |handles: &[usize]| {

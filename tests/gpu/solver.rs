@@ -7,7 +7,7 @@ use fnopt::eval::median_gap;
 use fnopt::gpu::{Context, Readback, Tensor, Tuning};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
-use fnopt::sim::{FrameStats, Optimizer, Solver, SolverOptions};
+use fnopt::sim::{FrameStats, Optimizer, Solver};
 use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -32,14 +32,14 @@ pub fn optimizers() -> [Optimizer; 5] {
 /// Returns the optimizers with the adapter's own tuning, and the learned one with a hardware tuning, which
 /// divides the convolutions of one cloth differently from those of three.
 pub fn tuned() -> Vec<(Optimizer, Tuning)> {
-    let [own, hardware] = [Tuning::new(context()), Tuning { busy_groups: 60, ..sharings()[1] }];
+    let [own, hardware] = [context().tuning(), Tuning { busy_groups: 60, ..sharings()[1] }];
     let learned = Optimizer::Learned(starter().clone());
     optimizers().map(|optimizer| (optimizer, own)).into_iter().chain([(learned, hardware)]).collect()
 }
 
 /// Creates a solver on the device, in the given state.
 pub fn solver(model: &Model, optimizer: &Optimizer, iterations: usize, start: &State<f32>) -> Solver {
-    solver_with(Tuning::new(context()), model, (optimizer, iterations), start)
+    solver_with(context().tuning(), model, (optimizer, iterations), start)
 }
 
 pub fn solver_with(
@@ -48,8 +48,8 @@ pub fn solver_with(
     (optimizer, iterations): (&Optimizer, usize),
     start: &State<f32>,
 ) -> Solver {
-    let options = SolverOptions { iterations, tuning: Some(tuning) };
-    let solver = Solver::new(context(), model, optimizer, &options).unwrap();
+    let context = context().with_tuning(tuning).unwrap();
+    let solver = Solver::new(&context, model, optimizer, iterations).unwrap();
     solver.set_state(start);
     solver
 }
@@ -563,8 +563,8 @@ fn half_precision_closes_the_gap_as_far() {
 fn a_context_keeps_its_tuning() {
     let other = Tuning { channels: 16, ..Tuning::table(context()) };
     let tuned = context().with_tuning(other).unwrap();
-    assert_eq!(Tuning::new(&tuned), other);
-    assert_eq!(Tuning::new(context()), Tuning::table(context()));
+    assert_eq!(tuned.tuning(), other);
+    assert_eq!(context().tuning(), Tuning::table(context()));
 }
 
 /// Types that hosts move between threads or share.

@@ -74,7 +74,7 @@ struct Work {
 }
 
 impl Hessian {
-    /// Allocates a zero Hessian for cloths on this grid. Returns an error if there is not enough memory.
+    /// Allocates a zero Hessian for cloths on this grid. Fails if there is not enough memory.
     pub fn new(grid: Grid) -> Result<Self> {
         let stored = Stored::new(grid.w);
         let edges = || [(); 2].map(|()| vec![0.0; 4 * stored.stride]);

@@ -153,7 +153,7 @@ fn bands(rows: std::ops::Range<usize>, h: usize, band: usize) -> impl Iterator<I
 }
 
 impl<T: Real> Adjoint<T> {
-    /// Builds the network with `weights` for `samples` samples on `grid`. Returns an error if the grid is too
+    /// Builds the network with `weights` for `samples` samples on `grid`. Fails if the grid is too
     /// small for the kept modes or there is not enough memory.
     pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
         let mut network = Network::new(weights, grid, samples)?;

@@ -102,7 +102,7 @@ fn activations<T: Real>(len: usize) -> Result<[Vec<T>; 2]> {
 }
 
 impl<T: Real> Network<T> {
-    /// Lays out the weights for `samples` samples on `grid`. Returns an error if the grid is too small for
+    /// Lays out the weights for `samples` samples on `grid`. Fails if the grid is too small for
     /// the kept modes or there is not enough memory.
     pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
         let config = weights.config;

@@ -32,7 +32,7 @@ pub struct Transform<T> {
 }
 
 impl<T: Real> Transform<T> {
-    /// Builds the tables of a grid. Returns an error if the grid is too small for the kept modes.
+    /// Builds the tables of a grid. Fails if the grid is too small for the kept modes.
     pub fn new(config: &Config, grid: Grid, channels: usize) -> Result<Self> {
         let Grid { h, w } = grid;
         let (modes_h, modes_w) = (config.modes_h, config.modes_w);

@@ -50,7 +50,7 @@ impl<T: Real> Lbfgs<T> {
     }
 
     /// Builds the quasi-Newton method for the cloths of `model`: L-BFGS that starts from their Hessians at
-    /// rest, either `factored` or inverted by a cosine transform. Returns an error if there is not enough
+    /// rest, either `factored` or inverted by a cosine transform. Fails if there is not enough
     /// memory for the factors.
     pub fn from_rest(settings: LbfgsSettings, factored: bool, model: &Model) -> Result<Self> {
         let LbfgsSettings { history, curvature } = settings;

@@ -37,7 +37,7 @@ pub trait Minimizer<T>: Send + Sync {
     }
 }
 
-/// Builds the optimizer for the cloths of `model`. Returns an error if the grid does not suit the network, if
+/// Builds the optimizer for the cloths of `model`. Fails if the grid does not suit the network, if
 /// there is not enough memory, or if the optimizer is Newton's method, which [`crate::cpu::Reference`]
 /// implements.
 pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dyn Minimizer<T>>> {

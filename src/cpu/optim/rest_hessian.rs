@@ -131,7 +131,7 @@ pub struct FactoredRestHessian {
 }
 
 impl FactoredRestHessian {
-    /// Factors the Hessian of one cloth. Returns an error if there is not enough memory for the factors.
+    /// Factors the Hessian of one cloth. Fails if there is not enough memory for the factors.
     pub fn new(grid: Grid, cloth: &Cloth) -> Result<Self> {
         let Grid { h, w } = grid;
         let (n, Material { stretch, shear, bend }) = ((h * w) as f64, cloth.material);

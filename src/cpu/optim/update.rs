@@ -38,7 +38,7 @@ pub struct Update<T: Real> {
 }
 
 impl<T: Real> Update<T> {
-    /// Builds the update rule with a fresh hidden state. Returns an error if the grid is too small for the
+    /// Builds the update rule with a fresh hidden state. Fails if the grid is too small for the
     /// kept modes or there is not enough memory.
     pub fn new(weights: &Weights, grid: Grid, samples: usize) -> Result<Self> {
         let len = samples * grid.particles();

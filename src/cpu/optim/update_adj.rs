@@ -26,7 +26,7 @@ pub struct UpdateAdjoint<T: Real> {
 }
 
 impl<T: Real> UpdateAdjoint<T> {
-    /// Builds the update rule of a network. Returns an error if the grid is too small for the kept modes
+    /// Builds the update rule of a network. Fails if the grid is too small for the kept modes
     /// or there is not enough memory.
     ///
     /// Panics if `normalisation` is over cloths and `samples` is not a multiple of three.

@@ -1,6 +1,6 @@
 //! Host side of `shaders/cloth/cell_count.wgsl`.
 
-use super::Physics;
+use super::EnergyTensors;
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
@@ -39,7 +39,7 @@ impl CellCount {
         &self,
         schedule: &mut Schedule,
         grid: Grid,
-        physics: Physics<'_>,
+        physics: EnergyTensors<'_>,
         iterate: &Iterate,
         [counts, placed, in_bucket]: [&Tensor; 3],
     ) {

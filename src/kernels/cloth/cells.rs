@@ -1,6 +1,6 @@
 //! The plan that sorts the particles of a trial by the cells of a uniform grid in space.
 
-use super::{CellCount, CellFill, CellOrder, CellScan, Physics};
+use super::{CellCount, CellFill, CellOrder, CellScan, EnergyTensors};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
@@ -54,7 +54,7 @@ impl Cells {
     }
 
     /// Sorts the particles at `iterate.a`.
-    pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: Physics<'_>, iterate: &Iterate) {
+    pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: EnergyTensors<'_>, iterate: &Iterate) {
         let Self { counts, placed, in_bucket, numbers, ends, sorted, .. } = self;
         self.count.push(schedule, grid, physics, iterate, [counts, placed, in_bucket]);
         self.scan.push(schedule, counts, ends);

@@ -1,6 +1,6 @@
 //! Host side of `shaders/cloth/energy.wgsl`.
 
-use super::Physics;
+use super::EnergyTensors;
 use super::energy_sum::TERMS;
 use crate::Result;
 use crate::cloth::Grid;
@@ -49,10 +49,10 @@ impl Energy {
         &self,
         schedule: &mut Schedule,
         grid: Grid,
-        physics: Physics<'_>,
+        physics: EnergyTensors<'_>,
         (iterate, parts): (&Iterate, &Tensor),
     ) {
-        let Physics { cloths, external, x } = physics;
+        let EnergyTensors { cloths, external, x } = physics;
         let batch = physics.batch(grid, iterate);
         let shape @ [_, groups, _] = parts_shape(batch, grid);
         assert_eq!(parts.shape(), shape);

@@ -1,6 +1,6 @@
 //! Host side of `shaders/cloth/gradient.wgsl`.
 
-use super::Physics;
+use super::EnergyTensors;
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
@@ -55,10 +55,10 @@ impl Gradient {
         &self,
         schedule: &mut Schedule,
         grid: Grid,
-        physics: Physics<'_>,
+        physics: EnergyTensors<'_>,
         (iterate, sums): (&Iterate, &Tensor),
     ) {
-        let Physics { cloths, external, x } = physics;
+        let EnergyTensors { cloths, external, x } = physics;
         let batch = physics.batch(grid, iterate);
         assert_eq!(sums.shape(), [3 * batch, parts(grid), 2]);
         let (sums, first) = &sums.whole();

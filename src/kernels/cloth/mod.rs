@@ -34,7 +34,7 @@ use crate::kernels::optim::Iterate;
 
 /// What the energy of a trial depends on, besides the trial itself.
 #[derive(Clone, Copy, Debug)]
-pub struct Physics<'a> {
+pub struct EnergyTensors<'a> {
     /// Constants of the cloths, see [`ClothParams`].
     pub cloths: &'a Tensor,
     /// External acceleration, shape [B, 3, H, W].
@@ -88,7 +88,7 @@ impl ClothParams {
     }
 }
 
-impl Physics<'_> {
+impl EnergyTensors<'_> {
     /// Returns the number of cloths. Panics if the tensors do not fit each other and the trial.
     fn batch(&self, grid: Grid, iterate: &Iterate) -> usize {
         let (samples, n) = iterate.samples_and_particles();

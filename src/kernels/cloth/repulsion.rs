@@ -1,6 +1,6 @@
 //! Host side of `shaders/cloth/repulsion.wgsl`.
 
-use super::{Cells, Physics, energy};
+use super::{Cells, EnergyTensors, energy};
 use crate::Result;
 use crate::cloth::{self, Grid};
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
@@ -49,7 +49,7 @@ impl Repulsion {
         &self,
         schedule: &mut Schedule,
         grid: Grid,
-        physics: Physics<'_>,
+        physics: EnergyTensors<'_>,
         (iterate, parts): (&Iterate, &Tensor),
     ) {
         let batch = physics.batch(grid, iterate);

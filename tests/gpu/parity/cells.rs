@@ -3,7 +3,7 @@
 use super::cloth::{Doubles, constants, crumpled, field, iterate, model, repelling, upload};
 use crate::common::{ROUNDING, cases, context, device, run};
 use fnopt::cpu::cloth;
-use fnopt::kernels::cloth::{Cells, Physics, buckets};
+use fnopt::kernels::cloth::{Cells, EnergyTensors, buckets};
 
 /// Every particle appears once, at the position of the trial, in its cell's bucket, which is sorted by
 /// number.
@@ -18,7 +18,7 @@ fn particles_are_sorted_by_cells() {
         iterate.base.write(context(), &base);
         iterate.a.write(context(), &a);
         let (constants, start) = (constants(&model), upload("x", &model, &x));
-        let physics = Physics { cloths: &constants, external: &start, x: &start };
+        let physics = EnergyTensors { cloths: &constants, external: &start, x: &start };
         let cells = Cells::new(context(), batch, grid).unwrap();
         cells.ends.write(context(), &vec![u32::MAX; cells.ends.len()]);
         cells.sorted.write(context(), &vec![f32::NAN; cells.sorted.len()]);

@@ -4,7 +4,7 @@ use super::cloth::{Doubles, constants, crumpled, field, iterate, model, upload};
 use crate::common::{ROUNDING, assert_close, cases, context, device, poisoned, read, run};
 use fnopt::cloth::{Grid, State};
 use fnopt::cpu::cloth::{energy, stretch};
-use fnopt::kernels::cloth::{Energy, EnergySum, Physics, TERMS, energy::parts_shape};
+use fnopt::kernels::cloth::{Energy, EnergySum, EnergyTensors, TERMS, energy::parts_shape};
 
 #[test]
 fn energies_and_stretch_match() {
@@ -27,7 +27,7 @@ fn energies_and_stretch_match() {
             iterate.a.write(context(), &a);
             let (cloths, external) = (constants(&model), upload("external", &model, &f));
             let start = upload("x", &model, &x);
-            let physics = Physics { cloths: &cloths, external: &external, x: &start };
+            let physics = EnergyTensors { cloths: &cloths, external: &external, x: &start };
             let partial = poisoned("parts", &parts_shape(batch, grid));
             let terms = poisoned("terms", &[batch, TERMS]);
             run(|schedule| {
@@ -72,7 +72,7 @@ fn degenerate_cloths_have_the_energies_of_the_host() {
     iterate.a.write(context(), &zero);
     let (cloths, external) = (constants(&model), upload("external", &model, &zero));
     let start = upload("x", &model, &x);
-    let physics = Physics { cloths: &cloths, external: &external, x: &start };
+    let physics = EnergyTensors { cloths: &cloths, external: &external, x: &start };
     let (partial, terms) = (poisoned("parts", &parts_shape(1, grid)), poisoned("terms", &[1, TERMS]));
     run(|schedule| {
         kernel.push(schedule, grid, physics, (&iterate, &partial));

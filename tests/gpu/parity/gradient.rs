@@ -4,7 +4,7 @@ use super::cloth::{Doubles, constants, crumpled, field, iterate, iterate_with_hi
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run};
 use fnopt::cloth::{Grid, Model, State};
 use fnopt::cpu::cloth::{GradientRows, gradient};
-use fnopt::kernels::cloth::{Gradient, Physics, gradient::parts};
+use fnopt::kernels::cloth::{EnergyTensors, Gradient, gradient::parts};
 
 /// Returns the gradient on the device and in double precision, for positions, displacements at a = 0,
 /// accelerations and external accelerations.
@@ -14,7 +14,7 @@ fn both(kernel: &Gradient, model: &Model, fields: [&[f32]; 4]) -> (Vec<f32>, Vec
     iterate.base.write(context(), base);
     iterate.a.write(context(), a);
     let (cloths, external, x) = (constants(model), upload("external", model, f), upload("x", model, x));
-    let physics = Physics { cloths: &cloths, external: &external, x: &x };
+    let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
     let sums = poisoned("sums", &[3 * model.batch(), parts(model.grid), 2]);
     run(|schedule| kernel.push(schedule, model.grid, physics, (&iterate, &sums)));
     let doubles = Doubles::new(model, fields);
@@ -147,7 +147,7 @@ fn partial_sums_of_squares_match() {
         iterate.a.write(context(), &field(&model, 0.1, 73));
         let (cloths, external) = (constants(&model), upload("external", &model, &field(&model, 0.1, 74)));
         let x = upload("x", &model, &crumpled(&model, 0.1));
-        let physics = Physics { cloths: &cloths, external: &external, x: &x };
+        let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
         // A view, like the rows of a solver's iterations.
         let rows = poisoned("sums", &[192 + 2 * samples * count]);
         let sums = rows.view(192, &[samples, count, 2]);

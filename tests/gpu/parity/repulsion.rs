@@ -4,7 +4,7 @@ use super::cloth::{Doubles, constants, crumpled, field, iterate, model, poisoned
 use crate::common::{assert_close, cases, context, device, largest, poisoned, read, run};
 use fnopt::cloth::{Cloth, Grid, Model};
 use fnopt::cpu::cloth::repulsion;
-use fnopt::kernels::cloth::{EnergySum, Physics, Repulsion, TERMS, energy::parts_shape};
+use fnopt::kernels::cloth::{EnergySum, EnergyTensors, Repulsion, TERMS, energy::parts_shape};
 
 /// Returns external accelerations including repulsion, and the repulsion energy of each cloth, on the device
 /// and in double precision.
@@ -17,7 +17,7 @@ fn both(model: &Model, fields: [&[f32]; 4]) -> [(Vec<f32>, Vec<f64>); 2] {
     iterate.base.write(context(), base);
     iterate.a.write(context(), a);
     let (cloths, external, x) = (constants(model), upload("external", model, f), upload("x", model, x));
-    let physics = Physics { cloths: &cloths, external: &external, x: &x };
+    let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
     let (parts, terms) = (poisoned("parts", &parts_shape(batch, grid)), poisoned("terms", &[batch, TERMS]));
     run(|schedule| {
         kernel.push(schedule, grid, physics, (&iterate, &parts));
