@@ -6,13 +6,17 @@ use std::path::Path;
 /// Reserves room in `values` for exactly `more` elements of `what`. Fails if there is not enough memory. A
 /// successful reservation alone proves little on systems that overcommit, as most Linux systems do.
 pub(crate) fn reserve<T>(values: &mut Vec<T>, more: usize, what: &str) -> Result<()> {
-    reserve_each(std::slice::from_mut(values), more, what)
+    reserve_each([values], more, what)
 }
 
 /// Applies [`reserve`] to several vectors, for which there must be enough memory together.
-pub(crate) fn reserve_each<T>(values: &mut [Vec<T>], more: usize, what: &str) -> Result<()> {
-    let bytes = more.saturating_mul(size_of::<T>()).saturating_mul(values.len());
-    if is_available(bytes) && values.iter_mut().all(|values| values.try_reserve_exact(more).is_ok()) {
+pub(crate) fn reserve_each<T, const N: usize>(
+    values: [&mut Vec<T>; N],
+    more: usize,
+    what: &str,
+) -> Result<()> {
+    let bytes = more.saturating_mul(size_of::<T>()).saturating_mul(N);
+    if is_available(bytes) && values.into_iter().all(|values| values.try_reserve_exact(more).is_ok()) {
         return Ok(());
     }
     let there = available().map_or_else(String::new, |there| format!(", of {}", gib(there as usize)));
@@ -21,7 +25,7 @@ pub(crate) fn reserve_each<T>(values: &mut [Vec<T>], more: usize, what: &str) ->
 
 /// Whether `bytes` of memory are available, or the amount is unknown. Memory that is reserved but not yet
 /// used still counts as available, so ask for everything at once.
-pub(crate) fn is_available(bytes: usize) -> bool {
+fn is_available(bytes: usize) -> bool {
     available().is_none_or(|available| bytes as u64 <= available)
 }
 
@@ -74,7 +78,7 @@ fn of_machine() -> Option<u64> {
 }
 
 /// Formats a number of bytes for display.
-pub(crate) fn gib(bytes: usize) -> String {
+fn gib(bytes: usize) -> String {
     format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))
 }
 
@@ -109,7 +113,7 @@ mod tests {
             // Each of them would fit.
             let part = (available / 3 * 2) as usize;
             reserve(&mut Vec::<u8>::new(), part, "a part").unwrap();
-            assert!(reserve_each(&mut [Vec::<u8>::new(), Vec::new()], part, "both parts").is_err());
+            assert!(reserve_each([&mut Vec::<u8>::new(), &mut Vec::new()], part, "both parts").is_err());
         }
     }
 }

@@ -5,8 +5,16 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 has_driver() {
-    [[ -n "${VK_DRIVER_FILES:-}${VK_ICD_FILENAMES:-}" ]] && return
-    compgen -G '/usr/share/vulkan/icd.d/lvp_icd*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/lvp_icd*.json' >/dev/null
+    case "${VK_DRIVER_FILES:-}${VK_ICD_FILENAMES:-}" in
+        *lvp* | *swiftshader*) return ;;
+    esac
+    # Containers may restrict programs to a GPU's driver this way.
+    unset VK_DRIVER_FILES VK_ICD_FILENAMES
+    local folder
+    for folder in /usr/share /etc /usr/local/share /run/opengl-driver/share "${HOME:-}/.local/share"; do
+        if compgen -G "$folder/vulkan/icd.d/lvp_icd*.json" >/dev/null; then return; fi
+    done
+    return 1
 }
 
 if [[ "$(uname -s)" == Linux ]] && ! has_driver; then

@@ -61,16 +61,8 @@ impl Trajectory {
     /// not enough memory.
     pub fn reserve(&mut self, frames: usize) -> Result<()> {
         let points = frames.saturating_mul(self.grid.particles());
-        let bytes = points.saturating_mul(24);
-        if memory::is_available(bytes)
-            && self.positions.try_reserve_exact(points).is_ok()
-            && self.velocities.try_reserve_exact(points).is_ok()
-        {
-            return Ok(());
-        }
-        let gib = memory::gib(bytes);
-        let expected = format!("{gib} for {frames} frames of {}", self.grid);
-        Err(Error::invalid("trajectory", "memory", expected, "less"))
+        let what = format!("{frames} frames of {}", self.grid);
+        memory::reserve_each([&mut self.positions, &mut self.velocities], points, &what)
     }
 
     /// Appends a frame: positions \[m\] and velocities [m/s], shape [V, 3] each.

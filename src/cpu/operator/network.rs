@@ -96,7 +96,7 @@ struct Buffers<T> {
 /// touched, which takes long.
 fn activations<T: Real>(len: usize) -> Result<[Vec<T>; 2]> {
     let mut both = [Vec::new(), Vec::new()];
-    memory::reserve_each(&mut both, len, "activations")?;
+    memory::reserve_each(both.each_mut(), len, "activations")?;
     both.iter_mut().for_each(|values| values.resize(len, T::zero()));
     Ok(both)
 }
