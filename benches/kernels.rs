@@ -1,8 +1,10 @@
-//! Each kernel by itself: all its dispatches in one frame of one cloth, submitted and waited for.
+//! Each kernel by itself: all its dispatches in one frame of one cloth, or in one training step of a batch,
+//! submitted and waited for.
 //!
-//! The dispatches are taken from the frames that the solvers record, so the shapes are the real ones and no
-//! kernel in use is left out. Full transforms are also measured as a whole, for sides of all kinds. The
-//! reported time includes one submission (about 0.1 ms); `fnopt bench` shows device time by kernel.
+//! The dispatches are taken from the schedules that are recorded in use, so the shapes are the real ones. Of the
+//! kernels in use only those that copy cloths to and from a pool are left out. Full transforms are also measured
+//! as a whole, for sides of all kinds. The reported time includes one submission (about 0.1 ms); `fnopt bench`
+//! shows device time by kernel.
 
 #[path = "common/cloths.rs"]
 mod cloths;
@@ -12,11 +14,16 @@ use cloths::{cloths, learned};
 use common::{adapter, criterion, is_software};
 use criterion::{Criterion, criterion_group, criterion_main};
 use fnopt::cloth::Repulsion;
+use fnopt::cpu::train::AdamWSettings;
 use fnopt::gpu::{Context, Schedule, Tensor};
 use fnopt::kernels::fft::Norm;
 use fnopt::kernels::fft::{Fields, RealFft2};
+use fnopt::kernels::optim::Normalisation;
+use fnopt::kernels::train::BatchTensors;
+use fnopt::network::{Parameters, TransposedWeights, Weights};
 use fnopt::scene::Batch;
 use fnopt::sim::{Optimizer, Solver};
+use fnopt::train::{DeviceAdamW, DeviceLoss};
 use std::collections::BTreeSet;
 
 fn kernels(c: &mut Criterion) {
@@ -33,6 +40,45 @@ fn kernels(c: &mut Criterion) {
         }
         cloth.model.cloths[0].repulsion = Some(Repulsion { strength: 0.25, distance: 1.0 });
         of_frame(c, &context, (n, &cloth, &Optimizer::gradient_descent()), &mut measured);
+    }
+}
+
+/// Measures the kernels of the gradient of a training step of ten cloths, and of the update of the weights.
+fn training(c: &mut Criterion) {
+    let Some(context) = adapter() else { return };
+    let (n, batch) = (32, if is_software(&context) { 2 } else { 10 });
+    let cloths = cloths(n, batch);
+    let (tuning, weights) = (context.tuning(), Weights::shipped());
+    let (prepare, step, update, loss) = context
+        .checked(|| {
+            let parameters = Parameters::new(&context, &weights, &tuning)?;
+            let adamw = DeviceAdamW::new(&context, parameters.flat.len(), AdamWSettings::default())?;
+            let into = (&adamw.gradient, Normalisation::Component);
+            let loss = DeviceLoss::new(&context, (cloths.model.grid, batch), &parameters, into, &tuning)?;
+            let transposed = TransposedWeights::new(&context, &parameters)?;
+            let [mut prepare, mut step, mut update] = [(); 3].map(|()| Schedule::new(&context));
+            transposed.push(&mut prepare);
+            loss.push(&mut step, &transposed)?;
+            adamw.push_norm(&mut update)?;
+            adamw.push_step(&mut update, &parameters.flat)?;
+            adamw.set_factors(1.0, 1, (0.0, 0.0));
+            Ok((prepare, step, update, loss))
+        })
+        .expect("a benchmark fits any adapter");
+    loss.set_cloths(&cloths.model, &cloths.control(1));
+    let BatchTensors { x, v, .. } = loss.tensors();
+    let start = cloths.start.cast::<f32>();
+    x.write(&context, &start.x);
+    v.write(&context, &start.v);
+    let mut group = c.benchmark_group(format!("kernels of training, {batch} x {n}x{n}"));
+    for schedule in [&prepare, &step, &update] {
+        run(&context, schedule);
+        for kernel in schedule.kernels() {
+            let alone = schedule.only(kernel);
+            group.bench_function(format!("{kernel}, {} dispatches", alone.dispatches()), |b| {
+                b.iter(|| run(&context, &alone));
+            });
+        }
     }
 }
 
@@ -84,5 +130,5 @@ fn run(context: &Context, schedule: &Schedule) {
     context.wait().expect("the device is there");
 }
 
-criterion_group!(name = benches; config = criterion(); targets = kernels, transforms);
+criterion_group!(name = benches; config = criterion(); targets = kernels, training, transforms);
 criterion_main!(benches);

@@ -58,6 +58,16 @@
 //! A training step ([`train::DeviceLoss`], [`cpu::train::Loss`]) is one such iteration, the energy at the new
 //! a, and the backward pass through [`kernels::optim::UpdateAdj`] and [`network::Backward`].
 //!
+//! # Choices
+//!
+//! - One schedule serves a single cloth and large batches. How its kernels divide the work depends on grid, batch
+//!   and adapter ([`network::Plan`], [`gpu::Tuning`]); [`gpu::Context::with_tuning`] overrides it.
+//! - The CPU path multiplies matrices with kernels of its own: its products have at most 256 terms, begin with a
+//!   bias and end in an activation, and spend longer in the calls of a library than in their sums.
+//! - All kept modes are multiplied, although those of the first column are conjugates of each other: using that
+//!   would save less than 1 % of a frame.
+//! - Programs run natively, not in browsers, because building and reading back wait for the device.
+//!
 //! # Modules
 //!
 //! Each uses only those above it.

@@ -34,7 +34,9 @@ pub fn run(args: &Args) -> Result<Ending> {
             })
             .collect();
         let network = match &weights {
-            Ok(w) => serde_json::json!({ "config": w.config, "parameters": w.parameter_count() }),
+            Ok(w) => serde_json::json!({
+                "config": w.config, "skip": description.skip(), "parameters": w.parameter_count(),
+            }),
             Err(e) => serde_json::json!({ "error": e.to_string() }),
         };
         let all = serde_json::json!({
@@ -48,10 +50,18 @@ pub fn run(args: &Args) -> Result<Ending> {
                 let c = w.config;
                 writeln!(
                     out,
-                    "network: {} fields, lifting {}, {} blocks of {} channels, {}x{} modes, projection {}",
-                    c.fields, c.lifting, c.layers, c.channels, c.modes_h, c.modes_w, c.projection
+                    "network: {} fields, lifting {}, {} blocks of {} channels, {}x{} modes, {} skips, projection {}",
+                    c.fields,
+                    c.lifting,
+                    c.layers,
+                    c.channels,
+                    c.modes_h,
+                    c.modes_w,
+                    description.skip(),
+                    c.projection
                 )?;
-                writeln!(out, "{} parameters", w.parameter_count())?;
+                let gates = if description.skip() == "linear" { "" } else { ", gates counted as matrices" };
+                writeln!(out, "{} parameters{gates}", w.parameter_count())?;
             }
             Err(e) => writeln!(out, "not a usable network: {e}")?,
         }

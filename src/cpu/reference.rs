@@ -61,6 +61,8 @@ pub struct Minimum {
     pub energy: f64,
     /// |dL/da| there, over the free particles.
     pub gradient: f64,
+    /// Its three components: the norms over the free particles of dL/da along each axis.
+    pub norms: [f64; 3],
     /// Iterations taken.
     pub iterations: usize,
     /// Whether the gradient norm is within the tolerance.
@@ -135,10 +137,12 @@ impl Reference {
             };
         }
         let gradient = norm(&grad);
+        let n = grad.len() / 3;
+        let norms = [0, 1, 2].map(|axis| norm(&grad[axis * n..][..n]));
         // A search that failed has left the particles elsewhere.
         self.objective.move_to_trial(state, control);
         let a = self.objective.trial.a.clone();
-        Minimum { a, energy, gradient, iterations, converged: gradient <= self.tolerance }
+        Minimum { a, energy, gradient, norms, iterations, converged: gradient <= self.tolerance }
     }
 
     /// Ends the frame at the minimum that was found last: advances `state` to the next one.

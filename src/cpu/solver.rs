@@ -110,13 +110,13 @@ impl<T: Real> Solver<T> {
                             "cloth {b}: newton did not converge: |gradient| {gradient:.1e} after {iterations} iterations"
                         );
                     }
+                    // That of the minimum, before it is rounded to this precision.
+                    self.log.gradient_norms.extend(minimum.norms);
                     for (a, minimum) in objective.trial.a[b * cloth..].iter_mut().zip(minimum.a) {
                         *a = T::of(minimum);
                     }
                 }
                 objective.settle_handles();
-                objective.evaluate(state, control);
-                self.log.gradient_norms.extend(&objective.norms);
             }
         }
         objective.move_to_trial(state, control);

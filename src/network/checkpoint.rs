@@ -98,7 +98,7 @@ impl Checkpoint {
         let mut blocks = Vec::new();
         for (n, bias) in biases.chunks_exact(c).enumerate() {
             let spectral = reader.take(&spectral_name(n), &[c, c, modes_h, modes_w, 2])?;
-            let gate = format!("fno_blocks.fno_skips.{n}.weight");
+            let gate = gate_name(n);
             let skip = if self.find(&gate).is_some() {
                 diagonal(&reader.take(&gate, &[1, c])?)
             } else {
@@ -256,6 +256,11 @@ impl Tensor {
     }
 }
 
+/// Returns the name of the soft gate of a block's skip.
+fn gate_name(block: usize) -> String {
+    format!("fno_blocks.fno_skips.{block}.weight")
+}
+
 /// The contents of a checkpoint, tensor by tensor. Displays as a table.
 #[derive(Clone, Debug)]
 pub struct Description {
@@ -285,6 +290,13 @@ pub struct TensorSummary {
 }
 
 impl Description {
+    /// Returns the kind of the skips around the spectral products: `soft-gating` or `linear`. A soft gate is
+    /// loaded as its diagonal matrix.
+    pub fn skip(&self) -> &'static str {
+        let gates = self.tensors.iter().any(|t| t.name.ends_with(&gate_name(0)));
+        if gates { "soft-gating" } else { "linear" }
+    }
+
     /// Returns the number of real parameters in all tensors.
     pub fn parameter_count(&self) -> usize {
         self.tensors.iter().map(|t| t.shape.iter().product::<usize>()).sum()

@@ -42,6 +42,16 @@ const ROLLOUT_FIRST: f64 = 1e-4;
 /// coordinates of the start by half their last bit. A rollout may be off by N times that.
 const DRIFT: f64 = 1.668_100_537_200_059;
 
+/// Returns the name of the weights of a rollout: "rollout_starter_32x32_seed5" belongs to "starter", what stands
+/// before the grid.
+fn checkpoint_of(rollout: &str) -> String {
+    let is_grid = |word: &&str| {
+        word.split_once('x').is_some_and(|(h, w)| [h, w].iter().all(|side| side.parse::<usize>().is_ok()))
+    };
+    let words = rollout.trim_start_matches("rollout_").split('_');
+    words.take_while(|word| !is_grid(word)).collect::<Vec<_>>().join("_")
+}
+
 /// Returns a file's name without its extension.
 fn stem(path: &Path) -> String {
     path.file_stem().map(|s| s.to_string_lossy().into_owned()).unwrap_or_default()
@@ -342,9 +352,7 @@ impl Checker<'_> {
             let expected = format!("a multiple of {frames} rows, one set per frame");
             return Err(Error::invalid(self.file, "gradient_norms", expected, rows));
         }
-        // "rollout_starter_32x32" belongs to "checkpoint_starter".
-        let checkpoint = self.file.trim_start_matches("rollout_").rsplit_once('_').map_or("", |n| n.0);
-        let weights = Arc::new(self.weights(&format!("checkpoint_{checkpoint}"))?);
+        let weights = Arc::new(self.weights(&format!("checkpoint_{}", checkpoint_of(self.file)))?);
         let material = golden.shaped("material", &[3])?;
         let gravity = golden.shaped("external_acceleration", &[3])?;
         let targets = golden.shaped("handle_targets", &[frames, handles, 3])?;
@@ -497,6 +505,13 @@ mod tests {
         })
         .unwrap();
         failed.join("\n")
+    }
+
+    #[test]
+    fn the_weights_of_a_rollout_are_named_before_its_grid() {
+        assert_eq!(checkpoint_of("rollout_starter_32x32"), "starter");
+        assert_eq!(checkpoint_of("rollout_my_best_24x32_seed5"), "my_best");
+        assert_eq!(checkpoint_of("rollout_10xlarger"), "10xlarger");
     }
 
     #[test]

@@ -127,7 +127,10 @@ fn soft_gates_become_diagonal_skips() {
                 (vec![1, 3, 1, 1], [1.0f32, 2.0, 3.0].iter().flat_map(|v| v.to_le_bytes()).collect());
         }
     }
-    let gated = Weights::from_bytes(&file(&tensors, None), "test").unwrap();
+    let gated = file(&tensors, None);
+    let skip = |bytes: &[u8]| Checkpoint::from_bytes(bytes, "test").unwrap().describe().skip();
+    assert_eq!((skip(&gated), skip(&file(&raw(&weights), None))), ("soft-gating", "linear"));
+    let gated = Weights::from_bytes(&gated, "test").unwrap();
     assert_eq!(gated.blocks[1].skip, [1.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 3.0]);
 }
 

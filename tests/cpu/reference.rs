@@ -181,6 +181,22 @@ fn the_gradient_at_the_end_of_a_frame_is_the_one_of_a_next_iteration() {
     assert!((found - minimum.gradient).abs() < 1e-9 && found < 1e-7, "{found:.1e}");
 }
 
+/// Newton's method reports the gradient of its minimum, not that of the minimum rounded to single precision.
+#[test]
+fn newton_reports_its_own_gradient() {
+    let setup = scene(12, 9);
+    let mut solver = Solver::<f32>::new(&setup.model, &Optimizer::Newton, 1).unwrap();
+    let mut state = setup.start.cast();
+    for frame in 1..4 {
+        let stats = solver.step(&mut state, &setup.control(frame));
+        let log = &solver.iteration_log().gradient_norms;
+        assert_eq!(log.len(), 6);
+        let last = log[3..].iter().map(|norm| norm * norm).sum::<f64>().sqrt();
+        assert_eq!(stats[0].gradient_last, last);
+        assert!(last <= 1e-8 && stats[0].gradient_first > 1e-4, "frame {frame}: {stats:?}");
+    }
+}
+
 /// No optimizer ends a frame of the default scene with less energy than Newton's method from the same state.
 #[test]
 fn nothing_is_below_the_converged_energy() {

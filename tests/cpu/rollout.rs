@@ -6,6 +6,7 @@ use fnopt::Error;
 use fnopt::cloth::{Air, Cloth, Control, Grid, Material, Model, State};
 use fnopt::cpu::{Real, Solver};
 use fnopt::network::Weights;
+use fnopt::scene::Scene;
 use fnopt::sim::Optimizer;
 use fnopt::{Device, Simulator};
 use std::path::Path;
@@ -287,4 +288,27 @@ fn reset_forgets_the_hidden_state() {
     let mut again = start;
     solver.step(&mut again, &control);
     assert_eq!(first, again);
+}
+
+/// The vectors of the self-test of `fnopt doctor`. After a change of the shipped weights, this test writes them anew
+/// if `FNOPT_WRITE_VECTORS` is set.
+#[test]
+fn the_vectors_of_the_self_test_are_a_frame_in_double_precision() {
+    let setup = Scene::default().setup().unwrap();
+    let optimizer = Optimizer::learned(Weights::shipped());
+    let mut exact = setup.start.clone();
+    let _ = Solver::<f64>::new(&setup.model, &optimizer, 10).unwrap().step(&mut exact, &setup.control(1));
+    let vertices = ndarray::Array2::from(setup.vertices_m(&exact.x));
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/selftest/first_frame.npy");
+    if std::env::var_os("FNOPT_WRITE_VECTORS").is_some() {
+        ndarray_npy::write_npy(path, &vertices).unwrap();
+    }
+    let stored = fnopt::io::read_npy(path).unwrap();
+    assert_eq!(stored.shape(), [1024, 3]);
+    let farthest = stored.iter().zip(&vertices).map(|(s, v)| (s - v).abs()).fold(0.0, f64::max);
+    assert!(farthest < 1e-10, "{farthest:.1e} m");
+    // A frame that moves.
+    let moved = setup.vertices_m(&setup.start.x);
+    let moved = stored.iter().zip(moved.iter().flatten()).map(|(s, v)| (s - v).abs()).fold(0.0, f64::max);
+    assert!(moved > 1e-5, "{moved:.1e} m");
 }

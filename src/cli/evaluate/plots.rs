@@ -20,6 +20,9 @@ const MOST_ITERATIONS_OF_ALL: usize = 30;
 /// Frames in which the energy is evaluated, including the start.
 const CONVERGENCE_FRAMES: usize = 41;
 
+/// Largest energy gap that is drawn.
+const WORST_GAP: f64 = 10.0;
+
 /// Axis label of the Chamfer distance.
 const E_CD: &str = "e_CD \u{b7} 10\u{b3} [m\u{b2}]";
 
@@ -152,8 +155,8 @@ fn convergence_on(
         for n in ITERATIONS.into_iter().filter(|&n| n <= most) {
             let gap = median_gap(&track, (optimizer, n), entry.device(plan.device), tick)?;
             let Some(gap) = gap else { return Ok(None) };
-            // Beyond the start, the optimizer has diverged, and there is nothing more to see.
-            points.push([n as f64, if gap < 1.0 { gap } else { f64::NAN }]);
+            // Above 1 the energy is larger than at the start. How much larger does not matter.
+            points.push([n as f64, gap.min(WORST_GAP)]);
         }
         curves.push(Curve { label: optimizer.name().to_owned(), points });
     }
