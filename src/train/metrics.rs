@@ -106,3 +106,59 @@ impl Metrics {
         &self.table
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloth::EnergyTerms;
+
+    #[test]
+    fn a_row_holds_means_by_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.csv");
+        let pools = [PoolConfig::default(), PoolConfig::default()];
+        let mut metrics = Metrics::open(path.clone(), &pools, 0).unwrap();
+        let outcome = |stretch: f64, log_gradient| {
+            let energy =
+                EnergyTerms { stretch, shear: 2.0, bend: 3.0, inertia: 4.0, external: -5.0, repulsion: 0.0 };
+            Outcome { energy, log_gradient, scale: [0.05; 3] }
+        };
+        let second = Duration::from_secs(1);
+        // The first pool has two cloths, the second one takes part in the first step only.
+        let first = vec![vec![outcome(1.0, -1.0), outcome(2.0, -2.0)], vec![outcome(10.0, -7.0)]];
+        metrics.add(&StepReport { gradient_norm: 0.5, outcomes: first }, 1e-3, second);
+        let next = vec![vec![outcome(3.0, -3.0), outcome(6.0, -6.0)], vec![]];
+        metrics.add(&StepReport { gradient_norm: 1.5, outcomes: next }, 2e-3, second);
+        let unusable = vec![vec![outcome(f64::NAN, 0.0)], vec![]];
+        metrics.add(&StepReport { gradient_norm: 9.0, outcomes: unusable }, 3e-3, 2 * second);
+        metrics.flush(3, 7.0).unwrap();
+        let text = std::fs::read_to_string(path).unwrap();
+        let rows: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+        let value = |column: &str| -> f64 {
+            let at = rows[0].iter().position(|title| *title == column);
+            rows[1][at.unwrap_or_else(|| panic!("no column {column}: {}", rows[0].join(",")))]
+                .parse()
+                .unwrap()
+        };
+        let close = |column: &str, expected: f64| {
+            assert!((value(column) - expected).abs() < 1e-5, "{column}: {}, not {expected}", value(column));
+        };
+        for (column, expected) in [("step", 3.0), ("seconds", 7.0), ("skipped", 1.0), ("rate", 3e-3)] {
+            close(column, expected);
+        }
+        // Three steps in four seconds.
+        close("steps_per_second", 0.75);
+        close("gradient_norm", 1.0);
+        // Sums of the pools' means: 5.5 and 14 in the first step, 8.5 in the second.
+        close("loss", (5.5 + 14.0 + 8.5) / 2.0);
+        for (column, expected) in [("loss", 7.0), ("stretch", 3.0), ("shear", 2.0), ("bend", 3.0)] {
+            close(&format!("pool0_32x32_n10_{column}"), expected);
+        }
+        for (column, expected) in [("inertia", 4.0), ("external", -5.0), ("log_gradient", -3.0)] {
+            close(&format!("pool0_32x32_n10_{column}"), expected);
+        }
+        // Over the one step that drew from it.
+        close("pool1_32x32_n10_stretch", 10.0);
+        close("pool1_32x32_n10_log_gradient", -7.0);
+    }
+}

@@ -144,3 +144,36 @@ impl ResetRules {
         !(inner <= self.energy && e.total().is_finite() && outcome.scale.iter().all(inside))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cloth::EnergyTerms;
+
+    #[test]
+    fn cloths_start_over_when_their_energy_or_scale_leaves_the_bounds() {
+        let rules = ResetRules { energy: 10.0, sequence_length: 5, scale: Some([0.01, 2.0]) };
+        let wrong = |energy: EnergyTerms, scale: f64| {
+            rules.wrong(&Outcome { energy, log_gradient: 0.0, scale: [0.05, scale, 0.05] })
+        };
+        let with = |stretch, shear, bend, external| EnergyTerms {
+            stretch,
+            shear,
+            bend,
+            external,
+            ..EnergyTerms::default()
+        };
+        // Stretch, shear and bend count together; work of gravity does not.
+        assert!(!wrong(with(4.0, 3.0, 3.0, 1e6), 0.05));
+        for energy in [with(4.1, 3.0, 3.0, 0.0), with(4.0, 3.1, 3.0, 0.0), with(4.0, 3.0, 3.1, 0.0)] {
+            assert!(wrong(energy, 0.05), "{energy:?}");
+        }
+        assert!(wrong(with(1.0, 1.0, 1.0, f64::NAN), 0.05) && wrong(with(f64::NAN, 0.0, 0.0, 0.0), 0.05));
+        let calm = with(1.0, 1.0, 1.0, 0.0);
+        assert!(!wrong(calm, 2.0) && !wrong(calm, 0.01));
+        assert!(wrong(calm, 2.1) && wrong(calm, 0.009) && wrong(calm, f64::NAN));
+        let free = ResetRules { scale: None, ..rules };
+        assert!(!free.wrong(&Outcome { energy: calm, log_gradient: 0.0, scale: [1e6; 3] }));
+        assert!(free.wrong(&Outcome { energy: calm, log_gradient: 0.0, scale: [f64::INFINITY; 3] }));
+    }
+}

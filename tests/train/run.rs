@@ -170,17 +170,28 @@ fn a_resumed_run_has_the_bits_of_an_unbroken_one() {
     let (whole, broken) = (folder.path().join("whole"), folder.path().join("broken"));
     let mut run = fresh(&whole);
     train(&mut run, 10);
-    train(&mut fresh(&broken), 5);
+    let slow = |_: &Progress<'_>| {
+        std::thread::sleep(std::time::Duration::from_millis(40));
+        ControlFlow::Continue(())
+    };
+    let limits = Limits { steps: Some(5), ..Limits::default() };
+    fresh(&broken).train(&limits, slow).unwrap();
     // Rows that a killed run wrote after its checkpoint are discarded.
     let metrics = broken.join("metrics.csv");
     let left = std::fs::read_to_string(&metrics).unwrap();
     std::fs::write(&metrics, left.clone() + &left.lines().last().unwrap().replacen('5', "6", 1) + "\n7,hal")
         .unwrap();
+    let seconds = || {
+        let card = std::fs::read(broken.join("weights/last.json")).unwrap();
+        serde_json::from_slice::<serde_json::Value>(&card).unwrap()["seconds"].as_f64().unwrap()
+    };
+    let of_first_session = seconds();
     let (mut resumed, passed_over) = resume(&broken).unwrap();
     assert!(passed_over.is_empty());
     assert_eq!(resumed.step(), 5);
     assert_eq!(std::fs::read_to_string(&metrics).unwrap(), left);
     train(&mut resumed, 10);
+    assert!(of_first_session > 0.0 && seconds() > of_first_session, "time counts over sessions");
     let bits = |run: &Run| run.weights().unwrap().flat().iter().map(|w| w.to_bits()).collect::<Vec<_>>();
     assert_eq!(bits(&run), bits(&resumed));
     let state = |root: &Path| {
