@@ -78,7 +78,7 @@ fn of_machine() -> Option<u64> {
 }
 
 /// Formats a number of bytes for display.
-fn gib(bytes: usize) -> String {
+pub(crate) fn gib(bytes: usize) -> String {
     format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))
 }
 

@@ -127,10 +127,13 @@ fn a_folder_in_the_way_of_a_frame_changes_nothing() {
     let folder = waving(GRID, 2).write(dir.path(), "cloth", Format::Ply).unwrap();
     let before = fs::read(folder.join("00000.ply")).unwrap();
     fs::create_dir(folder.join("00002.ply")).unwrap();
-    let error = waving(Grid { h: 3, w: 3 }, 3).write(dir.path(), "cloth", Format::Ply).unwrap_err();
-    assert!(error.to_string().contains("00002.ply: type: expected a file"), "{error}");
-    assert_eq!(names(&folder), ["00000.ply", "00001.ply", "00002.ply"]);
-    assert_eq!(fs::read(folder.join("00000.ply")).unwrap(), before);
+    // Among the new frames, and among those of a longer run.
+    for frames in [3, 1] {
+        let error = waving(Grid { h: 3, w: 3 }, frames).write(dir.path(), "cloth", Format::Ply).unwrap_err();
+        assert!(error.to_string().contains("00002.ply: type: expected a file"), "{error}");
+        assert_eq!(names(&folder), ["00000.ply", "00001.ply", "00002.ply"]);
+        assert_eq!(fs::read(folder.join("00000.ply")).unwrap(), before);
+    }
 }
 
 #[test]

@@ -22,13 +22,19 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// Arguments of `fnopt bench`.
+/// Parses a number of cloths.
+fn batch(text: &str) -> std::result::Result<u32, String> {
+    let batch = text.trim().parse().ok().filter(|batch| (1..=4096).contains(batch));
+    batch.ok_or_else(|| "expected a whole number, 1 to 4096".into())
+}
+
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Grids to time
     #[arg(long, value_delimiter = ',', default_value = "32,64,100", value_name = "N|HxW,..")]
     grid: Vec<String>,
     /// Numbers of cloths simulated together
-    #[arg(long, value_delimiter = ',', default_value = "1", value_name = "B,..", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, value_delimiter = ',', default_value = "1", value_name = "B,..", value_parser = batch)]
     batch: Vec<u32>,
     /// Skip combinations of a grid and a batch with more than N particles in all
     #[arg(long, value_name = "N")]

@@ -27,7 +27,7 @@ pub struct Args {
     #[arg(long, default_value = SHIPPED_SEQUENCES, value_name = "DIR")]
     ground_truth: PathBuf,
     /// Sequences over which the error is averaged [default: all]
-    #[arg(long, value_delimiter = ',', value_parser = trimmed, value_name = "NAME,..")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<String>, value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
     /// Grid to simulate on
     #[arg(long, num_args = 1..=2, value_name = "N|HxW|H W", default_value = "32")]
@@ -39,22 +39,22 @@ pub struct Args {
     #[arg(long, default_value_t = 3000, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_POINTS))]
     points: u32,
     /// Range of the stretch coefficient, or one number to fix it
-    #[arg(long, value_delimiter = ',', default_value = "300,10000", value_name = "LOW,HIGH")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<f64>, default_value = "300,10000", value_name = "LOW,HIGH")]
     stretch: Vec<f64>,
     /// Range of the shear coefficient
-    #[arg(long, value_delimiter = ',', default_value = "1,100", value_name = "LOW,HIGH")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<f64>, default_value = "1,100", value_name = "LOW,HIGH")]
     shear: Vec<f64>,
     /// Range of the bend coefficient
-    #[arg(long, value_delimiter = ',', default_value = "0.03,10", value_name = "LOW,HIGH")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<f64>, default_value = "0.03,10", value_name = "LOW,HIGH")]
     bend: Vec<f64>,
     /// Range of the density of the air [kg/m^3] [default: the first sequence's]
-    #[arg(long, value_delimiter = ',', value_name = "LOW,HIGH")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<f64>, value_name = "LOW,HIGH")]
     density: Option<Vec<f64>>,
     /// Range of the drag of the air [N s/m^3] [default: the first sequence's]
-    #[arg(long, value_delimiter = ',', value_name = "LOW,HIGH")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<f64>, value_name = "LOW,HIGH")]
     drag: Option<Vec<f64>>,
     /// Range of the frame time [s] [default: the first sequence's]
-    #[arg(long, value_delimiter = ',', value_name = "LOW,HIGH")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<f64>, value_name = "LOW,HIGH")]
     frame_time: Option<Vec<f64>>,
     /// Values per parameter in the coarse grid
     #[arg(long, default_value_t = 4, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=50))]

@@ -28,6 +28,7 @@ use std::io::IsTerminal;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::str::FromStr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use tracing_subscriber::{EnvFilter, filter::LevelFilter};
@@ -238,8 +239,8 @@ pub fn checksum_of_weights(optimizer: &Optimizer) -> Option<String> {
 }
 
 /// Takes an element of a comma-separated list, which may stand between spaces.
-pub fn trimmed(text: &str) -> Result<String, std::convert::Infallible> {
-    Ok(text.trim().to_owned())
+pub fn trimmed<T: FromStr>(text: &str) -> Result<T, T::Err> {
+    text.trim().parse()
 }
 
 /// Parses a grid option: `32` for 32x32, or `48x32`.

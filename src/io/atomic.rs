@@ -17,7 +17,8 @@ pub(crate) const UNFINISHED: &str = ".writing-";
 ///
 /// The bytes go to a temporary file in the same folder, which is renamed to `path` if `fill` succeeds and
 /// removed if it fails. The folder is created if it does not exist. A link is followed and its target
-/// replaced. A device or a pipe is written to directly.
+/// replaced. A device or a pipe is written to directly, and a file that is mounted by itself, which cannot be
+/// replaced, is overwritten at the end.
 pub fn write_atomic(
     path: impl AsRef<Path>,
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
@@ -79,7 +80,9 @@ fn rename(mut finished: TempPath, target: &Path) -> io::Result<()> {
         match error.raw_os_error() {
             // A file that is mounted into a container cannot be replaced, only filled.
             _ if error.kind() == io::ErrorKind::ResourceBusy => {
-                return std::fs::copy(&path, target).map(drop);
+                let mut mounted = File::options().write(true).truncate(true).open(target)?;
+                io::copy(&mut File::open(&path)?, &mut mounted)?;
+                return mounted.sync_all();
             }
             // On Windows, scanners and indexers hold a new file open for a moment.
             Some(5 | 32 | 33) if cfg!(windows) => thread::sleep(Duration::from_millis(milliseconds)),

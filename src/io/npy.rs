@@ -103,7 +103,11 @@ impl<R: Read> Array<R> {
         let (descr, fortran, shape) = parse_header(&header)
             .ok_or_else(|| bad("header", "descr, fortran_order and shape", &"other text"))?;
         let (element, big_endian) = Element::parse(descr).ok_or_else(|| {
-            bad("dtype", "floating-point or whole numbers such as '<f4' or '<i4'", &format!("'{descr}'"))
+            bad(
+                "dtype",
+                "floating-point or whole numbers of 2 to 8 bytes, such as '<f4' or '<i4'",
+                &format!("'{descr}'"),
+            )
         })?;
         let bytes = shape.iter().try_fold(element.bytes(), |n, &axis| n.checked_mul(axis));
         let there = size.saturating_sub(start_len + header_len);
@@ -164,8 +168,9 @@ impl<R: Read> Array<R> {
     /// Returns a vector with room for `len` elements. An array in a compressed archive may be longer than memory.
     fn reserved<T>(&self, len: usize) -> Result<Vec<T>> {
         let mut values = Vec::new();
-        let why = |error: Error| self.invalid("length", "an array that fits into memory", error);
-        memory::reserve(&mut values, len, "its elements").map_err(why)?;
+        let bytes = len.saturating_mul(size_of::<T>());
+        let too_long = |_| self.invalid("length", "an array that fits into memory", memory::gib(bytes));
+        memory::reserve(&mut values, len, "its elements").map_err(too_long)?;
         Ok(values)
     }
 

@@ -41,8 +41,10 @@ impl Default for ReadOptions {
 /// The contents of a file, as found by a reader.
 #[derive(Default)]
 pub(super) struct Parts {
-    /// Shape of the positions in the file.
+    /// Shape of the positions in the file; [`read_parts`] joins the axes of a grid to one of vertices.
     pub shape: Vec<usize>,
+    /// The grid, if the positions had its axes.
+    pub grid: Option<Grid>,
     pub positions: Vec<[f32; 3]>,
     pub velocities: Option<Vec<[f32; 3]>>,
     pub faces: Vec<[u32; 3]>,
@@ -145,8 +147,12 @@ impl Trajectory {
     fn write_frames(&self, folder: PathBuf, format: Format) -> Result<PathBuf> {
         let name = |f: usize| format!("{f:05}.{format}");
         std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, "cannot create the folder", e))?;
-        if let Some(in_the_way) = (0..self.frames()).map(|f| folder.join(name(f))).find(|path| path.is_dir())
-        {
+        // Only names that a run would have written are replaced: `7.obj` belongs to the user.
+        let mut earlier = frame_files(&folder, format)?;
+        earlier.retain(|(_, f, path)| path.file_name().is_some_and(|found| *found == *name(*f)));
+        let earlier: Vec<PathBuf> = earlier.into_iter().map(|(.., path)| path).collect();
+        let new = (0..self.frames()).map(|f| folder.join(name(f)));
+        if let Some(in_the_way) = new.chain(earlier.iter().cloned()).find(|path| path.is_dir()) {
             return Err(Error::invalid(in_the_way.display().to_string(), "type", "a file", "a folder"));
         }
         // Frames of two runs in one folder would be read as one sequence, so none is in its place before all
@@ -159,12 +165,7 @@ impl Trajectory {
                 _ => obj::write(self.grid, self.frame(f), w),
             })
         })?;
-        // Remove only names that a run would have written: `7.obj` belongs to the user.
-        for (_, f, path) in frame_files(&folder, format)? {
-            if path.file_name().is_some_and(|found| *found == *name(f)) {
-                super::remove(&path)?;
-            }
-        }
+        earlier.iter().try_for_each(|path| super::remove(path))?;
         for f in 0..self.frames() {
             let to = folder.join(name(f));
             std::fs::rename(unfinished.path().join(name(f)), &to)
@@ -173,8 +174,8 @@ impl Trajectory {
         Ok(folder)
     }
 
-    /// Reads a trajectory from an npz, npy or pc2 file or a folder of OBJ files. Positions and velocities
-    /// must be finite. If the file has no velocities, they are the differences to the previous positions over
+    /// Reads a trajectory from an npz, npy or pc2 file or a folder of OBJ files, whose names end in consecutive
+    /// numbers. Arrays are [frames, vertices, 3] or [frames, H, W, 3]. Positions and velocities must be finite. If the file has no velocities, they are the differences to the previous positions over
     /// the frame time, and 0 in the first frame.
     pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Self> {
         let path = path.as_ref();
@@ -188,19 +189,15 @@ impl Trajectory {
 
     /// Reads vertices that need not form a grid, as a grid of a single row. Accepts non-finite numbers.
     pub(crate) fn read_vertices(path: &Path, fps: f64) -> Result<Self> {
-        let parts = Parts { faces: Vec::new(), ..read_parts(path)? };
+        let parts = Parts { faces: Vec::new(), grid: None, ..read_parts(path)? };
         let grid = parts.shape.get(1).map(|&vertices| Grid { h: 1, w: vertices });
         Self::from_parts(parts, &ReadOptions { grid, likely_grid: None, fps }, &path.display().to_string())
     }
 
     fn from_parts(parts: Parts, options: &ReadOptions, origin: &str) -> Result<Self> {
-        let (frames, vertices, of_shape) = match parts.shape[..] {
-            [frames, vertices, 3] => (frames, vertices, None),
-            [frames, h, w, 3] => (frames, h * w, Some(Grid { h, w })),
-            _ => {
-                let expected = "[frames, vertices, 3] or [frames, H, W, 3]";
-                return Err(Error::invalid(origin, "shape", expected, format!("{:?}", parts.shape)));
-            }
+        let &[frames, vertices, 3] = &parts.shape[..] else {
+            let expected = "[frames, vertices, 3] or [frames, H, W, 3]";
+            return Err(Error::invalid(origin, "shape", expected, format!("{:?}", parts.shape)));
         };
         if !(options.fps.is_finite() && options.fps > 0.0) {
             return Err(Error::invalid(origin, "fps", "a number above 0", options.fps));
@@ -212,7 +209,7 @@ impl Trajectory {
         let side = vertices.isqrt();
         let square = (side * side == vertices).then_some(Grid { h: side, w: side });
         let of_faces = mesh::grid_of(vertices, &parts.faces);
-        for (field, of_file) in [("faces", of_faces), ("shape", of_shape)] {
+        for (field, of_file) in [("faces", of_faces), ("shape", parts.grid)] {
             if let (Some(given), Some(of_file)) = (options.grid, of_file)
                 && given != of_file
             {
@@ -221,7 +218,7 @@ impl Trajectory {
             }
         }
         let likely = options.likely_grid.filter(|grid| grid.particles() == vertices);
-        let grid = options.grid.or(of_faces).or(of_shape).or(likely).or(square);
+        let grid = options.grid.or(of_faces).or(parts.grid).or(likely).or(square);
         let Some(grid) = grid.filter(|g| g.particles() == vertices) else {
             let expected = match (options.grid, options.likely_grid) {
                 (Some(grid), _) => format!("those of {grid}"),
@@ -256,6 +253,15 @@ impl Trajectory {
 }
 
 fn read_parts(path: &Path) -> Result<Parts> {
+    let mut parts = read_file(path)?;
+    if let &[frames, h, w, 3] = &parts.shape[..] {
+        parts.grid = Some(Grid { h, w });
+        parts.shape = vec![frames, h.saturating_mul(w), 3];
+    }
+    Ok(parts)
+}
+
+fn read_file(path: &Path) -> Result<Parts> {
     let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
     match extension.to_str() {
         _ if path.is_dir() => read_folder(path),

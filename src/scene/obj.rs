@@ -14,11 +14,6 @@ impl Mesh {
         Polygons::read(path).map(Self)
     }
 
-    /// Returns the number of vertices.
-    pub fn vertices(&self) -> usize {
-        self.0.positions.len()
-    }
-
     /// Returns the positions, in the order of the file.
     pub fn into_points(self) -> Vec<[f64; 3]> {
         self.0.positions
@@ -29,7 +24,7 @@ impl Mesh {
     pub fn check(&self, grid: Grid) -> Result<()> {
         let Polygons { origin, positions, faces } = &self.0;
         if positions.len() != grid.particles() {
-            let expected = format!("{} for the {grid} grid", grid.particles());
+            let expected = format!("{} for the {grid} grid (\"grid\" names another)", grid.particles());
             return Err(Error::invalid(origin, "vertices", expected, positions.len()));
         }
         if faces.is_empty() {

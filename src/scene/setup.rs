@@ -29,10 +29,10 @@ const STILL_FRAMES: usize = 391;
 /// Warns, unless the process has already said so.
 fn warn_once(message: String) {
     static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
-    let mut said = SAID.lock().unwrap_or_else(PoisonError::into_inner);
-    if !said.contains(&message) {
+    // Released before the subscriber runs, which may set up scenes of its own.
+    let is_new = SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(message.clone());
+    if is_new {
         tracing::warn!("{message}");
-        said.insert(message);
     }
 }
 

@@ -16,7 +16,7 @@ pub type Transform = [[f64; 4]; 3];
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartFile {
     /// An OBJ file whose vertex `i W + j` is particle (i, j); a `.npy` of shape [H, W, 3], [H W, 3] or, for a
-    /// trajectory whose first frame is used, [frames, H W, 3]; or the `.npz` of a rollout, whose last frame
+    /// trajectory whose first frame is used, [frames, H W, 3] or [frames, H, W, 3]; or the `.npz` of a rollout, whose last frame
     /// is used with its velocities. Positions are in the scene's axes \[m\].
     pub path: PathBuf,
     /// The grid of the file, unless it is a `.npz` whose faces determine another. `None` means the scene's
@@ -143,36 +143,33 @@ impl StartFile {
             return Ok((sheet(trajectory.frame(last)), Some(sheet(trajectory.frame_velocities(last)))));
         }
         let origin = self.path.display().to_string();
-        // Without a grid of its own, a file may be on that of the scene, or on that which the scene had before
-        // it was changed.
-        let of = |vertices: usize| {
-            [grid, scene_grid].into_iter().find(|grid| grid.particles() == vertices).unwrap_or(grid)
-        };
-        let (grid, points) = match self.path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase)
-        {
+        let points = match self.path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase) {
             Some(e) if e == "obj" => {
                 let mesh = Mesh::read(&self.path)?;
-                let grid = of(mesh.vertices());
                 mesh.check(grid)?;
-                (grid, mesh.into_points())
+                mesh.into_points()
             }
             Some(e) if e == "npy" => {
                 let array = io::read_npy(&self.path)?;
-                let shape = array.shape();
-                let grid = match *shape {
-                    [h, w, 3] if w != grid.particles() && w != scene_grid.particles() => of(h * w),
-                    [vertices, 3] | [_, vertices, 3] => of(vertices),
-                    _ => grid,
+                let (shape, n) = (array.shape(), grid.particles());
+                let Grid { h, w } = grid;
+                let fits = match *shape {
+                    [vertices, 3] => vertices == n,
+                    [rows, columns, 3] if (rows, columns) == (h, w) => true,
+                    [frames, vertices, 3] => frames > 0 && vertices == n,
+                    [frames, rows, columns, 3] => frames > 0 && (rows, columns) == (h, w),
+                    _ => false,
                 };
-                let n = grid.particles();
-                let trajectory = matches!(*shape, [frames, particles, 3] if frames > 0 && particles == n);
-                if shape != [grid.h, grid.w, 3] && shape != [n, 3] && !trajectory {
-                    let expected = format!("[{}, {}, 3], [{n}, 3] or [frames, {n}, 3]", grid.h, grid.w);
+                if !fits {
+                    let expected = format!(
+                        "[{h}, {w}, 3], [{n}, 3], [frames, {n}, 3] or [frames, {h}, {w}, 3]; \
+                         the grid of a file other than the scene's is its \"grid\" in {{\"file\", \"grid\"}}"
+                    );
                     return Err(Error::invalid(origin, "shape", expected, format!("{shape:?}")));
                 }
                 let mut points = points::from_array(&origin, &array)?;
                 points.truncate(n);
-                (grid, points)
+                points
             }
             _ => {
                 return Err(Error::invalid(

@@ -243,3 +243,25 @@ fn other_systems_come_in_every_format() {
     refused(evaluate(at, &["--compare", "a=a", "--compare", "a=b"]), &["--compare", "no other column"]);
     refused(evaluate(at, &["--compare", "a"]), &["--compare", "NAME=DIR"]);
 }
+
+#[test]
+fn lists_may_have_spaces() {
+    let folder = tempfile::tempdir().unwrap();
+    let lists = ["--grid", "8, 9", "--solver", " gd, lbfgs", "--iterations", "2, 3", "--sequences", "xy_v2 "];
+    let (printed, _) = done(evaluate(folder.path(), &[&lists[..], &["--device", "cpu", "--json"]].concat()));
+    assert_eq!(serde_json::from_str::<Vec<serde_json::Value>>(&printed).unwrap().len(), 8);
+}
+
+/// A disk that is full after the work.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_table_that_cannot_be_written_keeps_no_other_from_being_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let few = ["--grid", "8", "--solver", "gd:2", "--device", "cpu"];
+    let files = ["--json", "/dev/full", "--csv", "/dev/full", "--markdown", "t.md"];
+    let of_full_disks = evaluate(folder.path(), &[&few[..], &["--json", "/dev/full"], &files[4..]].concat());
+    refused(of_full_disks, &["/dev/full: cannot write"]);
+    assert!(std::fs::read_to_string(folder.path().join("t.md")).unwrap().contains("| xy_v2 |"));
+    // One file for two tables is noticed before.
+    refused(evaluate(folder.path(), &[&few[..], &files].concat()), &["a file for each of"]);
+}

@@ -135,13 +135,29 @@ fn an_obj_start_is_transformed_and_rotated() {
     assert_eq!(setup.model.cloths[0].handles, [107, 0]);
 }
 
-/// A scene that names a file and no grid is on the file's once it is put on a grid of as many particles.
+/// A sheet whose rows are as long as the scene has particles is not a trajectory of the scene's grid.
 #[test]
-fn a_start_without_a_grid_is_on_that_of_the_scene() {
-    let mut scene = parse(r#"{"start": "../starts/tent_12x9.obj", "motion": "none"}"#).unwrap();
-    scene.regrid(Grid { h: 12, w: 9 }).unwrap();
-    let own = parse(r#"{"start": "../starts/tent_12x9.obj", "motion": "none", "grid": [12, 9]}"#).unwrap();
-    assert_eq!(scene.setup().unwrap().start, own.setup().unwrap().start);
+fn the_axes_of_a_start_are_those_of_its_grid() {
+    let folder = tempfile::tempdir().unwrap();
+    let rest = |h: usize, w: usize| {
+        ndarray::Array3::from_shape_fn((h, w, 3), |(i, j, c)| [j as f64, 0.0, i as f64][c] / (h - 1) as f64)
+    };
+    let start = |array: &dyn Fn(&std::path::Path), grid: &str| {
+        array(&folder.path().join("start.npy"));
+        let start = format!(r#"{{"file": "start.npy", "grid": {grid}}}"#);
+        let text = format!(r#"{{"grid": [8, 8], "motion": "none", "start": {start}}}"#);
+        Scene::parse(&text, "scene.json", folder.path()).unwrap().setup().map(|setup| setup.start)
+    };
+    let fine = start(&|path| ndarray_npy::write_npy(path, &rest(64, 64)).unwrap(), "[64, 64]").unwrap();
+    let coarse = start(&|path| ndarray_npy::write_npy(path, &rest(8, 8)).unwrap(), "[8, 8]").unwrap();
+    assert!(fine.x.iter().zip(&coarse.x).all(|(a, b)| (a - b).abs() < 1e-9));
+    // By frame, row and column: the first frame counts.
+    let frames = ndarray::stack(ndarray::Axis(0), &[rest(8, 8).view(), (rest(8, 8) + 1.0).view()]).unwrap();
+    let first = start(&|path| ndarray_npy::write_npy(path, &frames).unwrap(), "[8, 8]").unwrap();
+    assert_eq!(first, coarse);
+    let error =
+        start(&|path| ndarray_npy::write_npy(path, &frames).unwrap(), "[16, 8]").unwrap_err().to_string();
+    assert!(error.contains("[frames, 16, 8, 3]") && error.contains("found [2, 8, 8, 3]"), "{error}");
 }
 
 #[test]

@@ -44,7 +44,7 @@ pub struct Args {
     #[arg(long, default_value = SHIPPED_SEQUENCES, value_name = "DIR")]
     ground_truth: PathBuf,
     /// Sequences, or cases of a suite, to simulate [default: all]
-    #[arg(long, value_delimiter = ',', value_parser = trimmed, value_name = "NAME,..")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<String>, value_name = "NAME,..")]
     sequences: Option<Vec<String>>,
     /// Grids to simulate on: HxW, or N for NxN; they must have the proportions of the cloth [default: 32]
     #[arg(long, value_delimiter = ',', value_name = "N|HxW,..")]
@@ -53,10 +53,10 @@ pub struct Args {
     /// whatever the device; single-pass, which is fnopt:1; interpolation, which is fnopt on 32 rows,
     /// interpolated to the grid. A number of iterations may follow after a colon [default:
     /// newton,fnopt,quasi-newton,lbfgs:100,adam:500; in the suite iterations fnopt,quasi-newton,lbfgs,adam]
-    #[arg(long, value_delimiter = ',', value_parser = trimmed, value_name = "NAME[:N],..")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<String>, value_name = "NAME[:N],..")]
     solver: Option<Vec<String>>,
     /// Iterations per frame for solvers given without a number [default: 10]
-    #[arg(long, value_delimiter = ',', value_name = "N,..")]
+    #[arg(long, value_delimiter = ',', value_parser = trimmed::<usize>, value_name = "N,..")]
     iterations: Option<Vec<usize>>,
     /// Weights of the learned optimizer, a safetensors file [default: the weights that ship with the program]
     #[arg(long, value_name = "FILE")]
@@ -401,14 +401,19 @@ impl Args {
             let mine = sequences.iter().skip(index).step_by(count);
             for (sequence, path) in mine.filter_map(|s| Some((s, trajectory(&folder, s)?))) {
                 let read = sequence.read_other(&path);
-                let kept = read.and_then(|found| Kept::imported(sequence, &name, &found, settings));
-                all.extend(kept.map_err(|error| wrong.push(error.of_file(&path))));
+                let kept = read.and_then(|found| {
+                    let kept = Kept::imported(sequence, &name, &found, settings);
+                    kept.map_err(|error| error.of_file(&path))
+                });
+                all.extend(kept.map_err(|error| wrong.push(error)));
             }
             let lacking = sequences.iter().filter(|sequence| trajectory(&folder, sequence).is_none());
             let missing: Vec<&str> = lacking.map(|sequence| &*sequence.name).collect();
             match missing.first() {
                 Some(first) if missing.len() == sequences.len() => {
-                    let expected = format!("{first}.npz, .npy or .pc2, or a folder {first} of OBJ files");
+                    let expected = format!(
+                        "{first}.npz, .npy or .pc2, or a folder {first} of OBJ files or with the output of a rollout"
+                    );
                     let folder = folder.display().to_string();
                     return Err(Error::invalid(folder, "trajectory", expected, "none of them").into());
                 }
@@ -466,18 +471,22 @@ impl Args {
         };
         let is_printed = |file: &Path| file == Path::new(STDOUT);
         let mut printed = Written::Tables(Format::Text { bold: std::io::stdout().is_terminal() });
-        let mut written = Ok(());
+        let mut failed: Vec<Error> = Vec::new();
         for (what, file) in self.files() {
             match file {
                 Some(file) if is_printed(file) => printed = what,
-                Some(file) if written.is_ok() => {
-                    written = write_atomic(file, |to| to.write_all(content(what).as_bytes()));
+                Some(file) => {
+                    let written = write_atomic(file, |to| to.write_all(content(what).as_bytes()));
+                    failed.extend(written.err());
                 }
-                _ => {}
+                None => {}
             }
         }
         write!(output(), "{}", content(printed))?;
-        Ok(written?)
+        let mut failed = failed.into_iter();
+        let first = failed.next();
+        failed.for_each(|error| status!("error: {error}"));
+        first.map_or(Ok(()), |error| Err(error.into()))
     }
 }
 
