@@ -22,12 +22,6 @@ use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 /// Arguments of `fnopt bench`.
-/// Parses a number of cloths.
-fn batch(text: &str) -> std::result::Result<u32, String> {
-    let batch = text.trim().parse().ok().filter(|batch| (1..=4096).contains(batch));
-    batch.ok_or_else(|| "expected a whole number, 1 to 4096".into())
-}
-
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Grids to time
@@ -95,6 +89,12 @@ struct Failure {
     grid: String,
     batch: usize,
     error: String,
+}
+
+/// Parses a number of cloths.
+fn batch(text: &str) -> std::result::Result<u32, String> {
+    let batch = text.trim().parse().ok().filter(|batch| (1..=4096).contains(batch));
+    batch.ok_or_else(|| "expected a whole number, 1 to 4096".into())
 }
 
 pub fn run(args: &Args) -> Result<Ending> {

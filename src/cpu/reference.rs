@@ -59,14 +59,19 @@ pub struct Minimum {
     pub a: Vec<f64>,
     /// The energy L there.
     pub energy: f64,
-    /// |dL/da| there, over the free particles.
-    pub gradient: f64,
-    /// Its three components: the norms over the free particles of dL/da along each axis.
+    /// Norms over the free particles of the three components of dL/da there.
     pub norms: [f64; 3],
     /// Iterations taken.
     pub iterations: usize,
     /// Whether the gradient norm is within the tolerance.
     pub converged: bool,
+}
+
+impl Minimum {
+    /// Returns |dL/da| there, over the free particles.
+    pub fn gradient(&self) -> f64 {
+        norm(&self.norms)
+    }
 }
 
 impl Reference {
@@ -136,13 +141,13 @@ impl Reference {
                 _ => Inverse::Missing,
             };
         }
-        let gradient = norm(&grad);
+        let converged = norm(&grad) <= self.tolerance;
         let n = grad.len() / 3;
         let norms = [0, 1, 2].map(|axis| norm(&grad[axis * n..][..n]));
         // A search that failed has left the particles elsewhere.
         self.objective.move_to_trial(state, control);
         let a = self.objective.trial.a.clone();
-        Minimum { a, energy, gradient, norms, iterations, converged: gradient <= self.tolerance }
+        Minimum { a, energy, norms, iterations, converged }
     }
 
     /// Ends the frame at the minimum that was found last: advances `state` to the next one.

@@ -105,7 +105,7 @@ impl<T: Real> Solver<T> {
                     .collect();
                 for (b, minimum) in minima.into_iter().enumerate() {
                     if !minimum.converged {
-                        let Minimum { iterations, gradient, .. } = minimum;
+                        let (iterations, gradient) = (minimum.iterations, minimum.gradient());
                         tracing::warn!(
                             "cloth {b}: newton did not converge: |gradient| {gradient:.1e} after {iterations} iterations"
                         );

@@ -49,9 +49,9 @@ impl Element {
     /// Parses the type in a header, as in `<f4`. Also returns whether its bytes are in big-endian order.
     fn parse(descr: &str) -> Option<(Self, bool)> {
         let (order, name) = descr.split_at_checked(1)?;
-        let floats = [Self::F16, Self::F32, Self::F64];
-        let whole = [Self::I16, Self::U16, Self::I32, Self::I64, Self::U32, Self::U64];
-        let element = floats.into_iter().chain(whole).find(|element| element.name() == name)?;
+        use Element::*;
+        let all = [F16, F32, F64, I16, U16, I32, I64, U32, U64];
+        let element = all.into_iter().find(|element| element.name() == name)?;
         matches!(order, "<" | ">").then_some((element, order == ">"))
     }
 }

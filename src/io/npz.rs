@@ -67,9 +67,7 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
     }
     if has(&archive, FACES) {
         let mut array = array(&mut archive, path, FACES)?;
-        // [frames, vertices, 3] or [frames, H, W, 3].
-        let axes = parts.shape.iter().rev().skip(1).rev().skip(1);
-        let vertices = axes.map(|&axis| axis as f64).product::<f64>();
+        let vertices = (parts.positions.len() / parts.shape[0].max(1)) as f64;
         // An invalid vertex index becomes `u32::MAX`, which the test below finds.
         let number = |x: f64| if x >= 0.0 && x < vertices && x.fract() == 0.0 { x as u32 } else { u32::MAX };
         let faces = array.triples(number)?;

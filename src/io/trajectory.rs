@@ -174,8 +174,9 @@ impl Trajectory {
         Ok(folder)
     }
 
-    /// Reads a trajectory from an npz, npy or pc2 file or a folder of OBJ files, whose names end in consecutive
-    /// numbers. Arrays are [frames, vertices, 3] or [frames, H, W, 3]. Positions and velocities must be finite. If the file has no velocities, they are the differences to the previous positions over
+    /// Reads a trajectory from an npz, npy or pc2 file or a folder of OBJ files, whose names end in
+    /// consecutive numbers. Arrays are [frames, vertices, 3] or [frames, H, W, 3]. Positions and velocities
+    /// must be finite. If the file has no velocities, they are the differences to the previous positions over
     /// the frame time, and 0 in the first frame.
     pub fn read(path: impl AsRef<Path>, options: &ReadOptions) -> Result<Self> {
         let path = path.as_ref();

@@ -16,8 +16,8 @@ pub type Transform = [[f64; 4]; 3];
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartFile {
     /// An OBJ file whose vertex `i W + j` is particle (i, j); a `.npy` of shape [H, W, 3], [H W, 3] or, for a
-    /// trajectory whose first frame is used, [frames, H W, 3] or [frames, H, W, 3]; or the `.npz` of a rollout, whose last frame
-    /// is used with its velocities. Positions are in the scene's axes \[m\].
+    /// trajectory whose first frame is used, [frames, H W, 3] or [frames, H, W, 3]; or the `.npz` of a rollout,
+    /// whose last frame is used with its velocities. Positions are in the scene's axes \[m\].
     pub path: PathBuf,
     /// The grid of the file, unless it is a `.npz` whose faces determine another. `None` means the scene's
     /// grid. If the grid of the file differs from the scene's, the sheet is resampled.

@@ -4,7 +4,7 @@ use crate::common::{context, device, half};
 use fnopt::Device;
 use fnopt::gpu::Order;
 use fnopt::kernels::optim::Normalisation;
-use fnopt::train::{Alone, Config, Learner, Limits, Pool, Run, Update, initial_weights, learner};
+use fnopt::train::{Alone, Batch, Config, Learner, Limits, Pool, Run, Update, initial_weights, learner};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::rc::Rc;
@@ -51,6 +51,19 @@ fn of(config: &Config, device: &Device) -> Box<dyn Learner> {
     learner(device, config, &initial_weights(config, &Alone).unwrap()).unwrap()
 }
 
+/// Returns the pools of a run, before any step.
+fn pools(config: &Config) -> Vec<Pool> {
+    let of = |(index, pool): (usize, &fnopt::train::PoolConfig)| {
+        Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset))
+    };
+    config.pools.iter().enumerate().map(of).collect()
+}
+
+/// Returns what the pools that take part in a step draw.
+fn draw(pools: &[Pool], step: u64) -> Vec<Batch> {
+    pools.iter().filter(|pool| pool.takes_part(step)).map(|pool| pool.draw(step)).collect()
+}
+
 fn gpu() -> Device {
     Device::Gpu(context().clone())
 }
@@ -65,16 +78,13 @@ fn steps_are_those_of_the_cpu() {
 
 fn compare_steps(config: &Config) {
     let mut learners = [of(config, &Device::Cpu), of(config, &gpu())];
-    let pool = |(index, pool): (usize, &fnopt::train::PoolConfig)| {
-        Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset))
-    };
-    let mut pools: Vec<Pool> = config.pools.iter().enumerate().map(pool).collect();
+    let mut pools = pools(config);
     let count = initial_weights(config, &Alone).unwrap().parameter_count();
     let distance =
         |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt();
     let (mut begun, mut advanced) = (0, 0);
     for step in 0..12 {
-        let batches: Vec<_> = pools.iter().filter(|p| p.takes_part(step)).map(|p| p.draw(step)).collect();
+        let batches = draw(&pools, step);
         begun += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.start.is_some()).count();
         advanced += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.advance).count();
         let update = Update { number: step + 1, rate: 1e-3, average: 0.9 };
@@ -116,13 +126,7 @@ fn a_step_is_that_of_adamw_with_the_settings_of_the_run() {
     const SETTINGS: &str =
         "[optimizer]\nbetas = [0.8, 0.99]\nepsilon = 1e-3\nweight_decay = 0.3\nclip = 1e-3\n";
     let config = Config::parse(&format!("{CONFIG}{SETTINGS}"), Path::new("test.toml")).unwrap();
-    let pools: Vec<Pool> = config
-        .pools
-        .iter()
-        .enumerate()
-        .map(|(index, pool)| Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset)))
-        .collect();
-    let batches: Vec<_> = pools.iter().filter(|p| p.takes_part(0)).map(|p| p.draw(0)).collect();
+    let batches = draw(&pools(&config), 0);
     let count = initial_weights(&config, &Alone).unwrap().parameter_count();
     for device in [Device::Cpu, gpu()] {
         let mut learner = of(&config, &device);
@@ -200,11 +204,7 @@ fn a_run_moves_from_device_to_device() {
     let config = config();
     let mut ours = on(&gpu());
     for step in 0..2 {
-        let pools =
-            config.pools.iter().enumerate().map(|(index, pool)| {
-                Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset))
-            });
-        let batches: Vec<_> = pools.filter(|p| p.takes_part(step)).map(|p| p.draw(step)).collect();
+        let batches = draw(&pools(&config), step);
         ours.step(&batches, Update { number: step + 1, rate: 1e-3, average: 0.9 }, &Alone).unwrap();
     }
     let saved = ours.save().unwrap();
@@ -227,11 +227,7 @@ fn training_is_in_single_precision_whatever_the_context() {
     let config = config();
     let step = |device: &Device| {
         let mut learner = on(device);
-        let pool = |(index, pool): (usize, &fnopt::train::PoolConfig)| {
-            Pool::new(index, config.seed, pool.clone(), (config.motion, config.reset))
-        };
-        let pools: Vec<Pool> = config.pools.iter().enumerate().map(pool).collect();
-        let batches: Vec<_> = pools.iter().filter(|p| p.takes_part(0)).map(|p| p.draw(0)).collect();
+        let batches = draw(&pools(&config), 0);
         learner.step(&batches, Update { number: 1, rate: 1e-3, average: 0.9 }, &Alone).unwrap();
         learner.weights().unwrap().flat()
     };
