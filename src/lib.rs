@@ -89,8 +89,9 @@
 //!
 //! # Units, shapes and errors
 //!
-//! Bad input is an [`Error`]. An array whose length does not match the model is an error of [`Simulator::step`],
-//! and a panic of [`sim::Solver`] and [`cpu::Solver`] ([`cloth::Control::check`]).
+//! Bad input is an [`Error`]. A control whose length does not match the model is an error of [`Simulator::step`]
+//! ([`cloth::Control::check`]); any other array of the wrong length is a panic, as everywhere in [`sim::Solver`]
+//! and [`cpu::Solver`].
 //!
 //! Lengths, times and masses are in SI units in scenes and files, and in *grid units* everywhere else: the
 //! rest length of an edge, the time of a frame and the mass of a cell are 1. The z axis points up, and
@@ -115,7 +116,8 @@ pub mod verify;
 
 pub use error::{Error, Result};
 pub use simulator::{Device, Frame, Simulator};
-pub use wgpu;
+// Crates whose types are part of this interface.
+pub use {bytemuck, ndarray, serde_json, wgpu};
 
 #[cfg(test)]
 mod tests {

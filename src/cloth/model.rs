@@ -170,6 +170,12 @@ impl Model {
         self.cloths.iter().any(|cloth| cloth.repulsion.is_some())
     }
 
+    /// Fails, naming the cloth, if one has a repulsion. `why` completes "expected none, ".
+    pub(crate) fn refuse_repulsion(&self, why: &str) -> Result<()> {
+        let Some(b) = self.cloths.iter().position(|cloth| cloth.repulsion.is_some()) else { return Ok(()) };
+        Err(Error::invalid("model", format!("repulsion of cloth {b}"), format!("none, {why}"), "one"))
+    }
+
     /// Returns the number of handles of all cloths together.
     pub fn handles(&self) -> usize {
         self.cloths.iter().map(|c| c.handles.len()).sum()

@@ -5,8 +5,8 @@ use num_traits::Float;
 use pulp::Simd;
 use realfft::FftNum;
 
-/// A real number type of the CPU path: f64 defines what is correct, f32 is fast.
-pub trait Real: Float + FftNum + Default + std::iter::Sum {
+/// A real number type of the CPU path: f64 defines what is correct, f32 is fast. There are no others.
+pub trait Real: Float + FftNum + Default + std::iter::Sum + sealed::Sealed {
     /// A vector register full of numbers.
     type Lanes<S: Simd>: Copy;
 
@@ -58,6 +58,12 @@ pub trait Real: Float + FftNum + Default + std::iter::Sum {
     fn of(value: f64) -> Self;
     /// Converts to f64.
     fn f64(self) -> f64;
+}
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for f32 {}
+    impl Sealed for f64 {}
 }
 
 macro_rules! registers {

@@ -23,6 +23,8 @@ const HISTORY: usize = 8;
 /// How often the gradient norm may rise before the Hessian is factored again, which costs as much as a dozen
 /// steps.
 const RISES: usize = 2;
+/// Why there may be no repulsion.
+pub(super) const WITHOUT_REPULSION: &str = "which Newton's method does not support";
 
 /// Finds the minimum of a frame of one cloth in double precision by Newton's method with line search. The
 /// Hessian is projected where it is not positive definite. Factorisation dominates the cost, so the method
@@ -83,10 +85,7 @@ impl Reference {
         if model.batch() != 1 {
             return Err(Error::invalid("model", "cloths", "one", model.batch()));
         }
-        if model.repels() {
-            let found = "one, which Newton's method does not support";
-            return Err(Error::invalid("model", "repulsion of cloth 0", "none", found));
-        }
+        model.refuse_repulsion(WITHOUT_REPULSION)?;
         let hessian = FactoredHessian::new(model.grid)?;
         let history = History::new(HISTORY, 3 * model.grid.particles());
         let objective = Objective::new(model);
@@ -94,7 +93,8 @@ impl Reference {
         Ok(Self { objective, hessian, rest, history, tolerance: 1e-8, iterations: 200 })
     }
 
-    /// Returns L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`.
+    /// Returns L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`. Panics if a
+    /// length does not match the model, as [`Reference::minimise`] does.
     pub fn energy(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) -> f64 {
         begin(&mut self.objective, state, control, a);
         energy_here(&mut self.objective, state, control)
@@ -205,17 +205,19 @@ pub struct Track {
     frames: Vec<(State<f32>, Control<f32>)>,
     /// Energies in the frames that converged: frame number, L at a = 0, L at the minimum.
     probes: Vec<(usize, f64, f64)>,
+    unconverged: usize,
 }
 
 impl Track {
-    /// Simulates one cloth from `start` through the frames of `controls`.
+    /// Simulates one cloth from `start` through the frames of `controls`. Fails as [`Reference::new`] does. Panics
+    /// if a length does not match the model.
     pub fn new(
         model: &Model,
         start: State<f64>,
         controls: impl IntoIterator<Item = Control<f64>>,
     ) -> Result<Self> {
         let mut reference = Reference::new(model)?;
-        let (mut state, mut frames, mut probes) = (start, Vec::new(), Vec::new());
+        let (mut state, mut frames, mut probes, mut unconverged) = (start, Vec::new(), Vec::new(), 0);
         let still = vec![0.0; state.x.len()];
         for (frame, control) in controls.into_iter().enumerate() {
             // The optimizers get a frame in single precision, and the energies belong to that very frame: in a
@@ -226,12 +228,13 @@ impl Track {
             let control = control.cast::<f64>();
             let nothing = reference.energy(&state, &control, &still);
             let minimum = reference.minimise(&state, &control, &still);
+            unconverged += usize::from(!minimum.converged);
             if minimum.converged && nothing > minimum.energy {
                 probes.push((frame, nothing, minimum.energy));
             }
             reference.end_frame(&mut state, &control);
         }
-        Ok(Self { model: model.clone(), frames, probes })
+        Ok(Self { model: model.clone(), frames, probes, unconverged })
     }
 
     /// Returns the median of the energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` over the frames with a
@@ -262,6 +265,11 @@ impl Track {
     /// Returns the model of the cloth.
     pub fn model(&self) -> &Model {
         &self.model
+    }
+
+    /// Returns the number of frames without a reference, because Newton's method did not converge.
+    pub fn unconverged(&self) -> usize {
+        self.unconverged
     }
 }
 

@@ -1,7 +1,7 @@
 //! The solver that computes a frame on the CPU (paper sections 3.2 and 3.3).
 
 use super::optim::{Minimizer, minimizer, norm};
-use super::reference::Minimum;
+use super::reference::{Minimum, WITHOUT_REPULSION};
 use super::{Objective, Real, Reference};
 use crate::cloth::{Cloth, Control, Model, State};
 use crate::sim::{FrameStats, IterationLog, Optimizer};
@@ -30,7 +30,7 @@ impl<T: Real> Solver<T> {
     /// cloth has a repulsion and the optimizer is Newton's method, or there is not enough memory.
     pub fn new(model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         if iterations == 0 {
-            return Err(Error::invalid("options", "iterations", "at least 1", 0));
+            return Err(Error::invalid("solver", "iterations", "at least 1", 0));
         }
         model.check()?;
         optimizer.check()?;
@@ -194,6 +194,7 @@ fn part<T: Real>(
 
 /// Builds the reference that finds the minimum, one per cloth.
 fn references(model: &Model) -> Result<Vec<Reference>> {
+    model.refuse_repulsion(WITHOUT_REPULSION)?;
     let alone = |cloth: &Cloth| Model { grid: model.grid, cloths: vec![cloth.clone()] };
     model.cloths.iter().map(|cloth| Reference::new(&alone(cloth))).collect()
 }

@@ -7,8 +7,8 @@ use crate::scene::Setup;
 use crate::sim::{Optimizer, Solver};
 use std::ops::ControlFlow;
 
-/// Computes the converged frames of a scene. `tick` is called before each frame; if it breaks, the result is
-/// `None`.
+/// Computes the converged frames of a scene, with a warning if some do not converge: they have no gap. `tick`
+/// is called before each frame; if it breaks, the result is `None`.
 pub fn track(setup: &Setup, mut tick: impl FnMut() -> ControlFlow<()>) -> Result<Option<Track>> {
     let mut ended = false;
     let controls = (1..setup.frames()).map(|frame| setup.control(frame)).take_while(|_| {
@@ -16,6 +16,12 @@ pub fn track(setup: &Setup, mut tick: impl FnMut() -> ControlFlow<()>) -> Result
         !ended
     });
     let track = Track::new(&setup.model, setup.start.clone(), controls)?;
+    if track.unconverged() > 0 {
+        let (unconverged, frames) = (track.unconverged(), setup.frames() - 1);
+        tracing::warn!(
+            "newton did not converge in {unconverged} of {frames} frames, which energy gaps leave out"
+        );
+    }
     Ok((!ended).then_some(track))
 }
 

@@ -127,7 +127,7 @@ pub struct Score {
     pub stretch_mean: Option<f64>,
     /// Mean speed of the particles in the last half second [m/s], which shows how far the cloth has settled.
     pub speed_at_end: Option<f64>,
-    /// Mean repulsion energy on [`coarse`] grids, and the shares of frames in which it exceeds 0.1 and 0.02
+    /// Mean repulsion energy on a grid of 32 rows, and the shares of frames in which it exceeds 0.1 and 0.02
     /// (paper section 6.3.3).
     pub repulsion: Option<[f64; 3]>,
     /// The conditions of the score.

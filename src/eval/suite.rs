@@ -70,9 +70,8 @@ pub struct CaseScore {
     pub gap: Option<f64>,
     /// Median wall time of a frame \[ms\]; `None` if the first frame diverged.
     pub ms_per_frame: Option<f64>,
-    /// How near the layers came to each other: the mean over the frames of the repulsion energy on
-    /// [`coarse`](super::coarse) grids, and the shares of frames in which it exceeds 0.1 and 0.02 (paper
-    /// section 6.3.3). `None` if the simulation diverged.
+    /// How near the layers came to each other: the mean over the frames of the repulsion energy on a grid of
+    /// 32 rows, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.3.3). `None` if the simulation diverged.
     #[serde(default)]
     pub repulsion: Option<[f64; 3]>,
     /// The conditions of the score; `settings` holds the scene, its number of frames, and whether the gap was

@@ -223,7 +223,10 @@ impl Program {
             Err(Error::Device(why) | Error::Lost(why)) => Err(why),
             Err(other) => Err(other.to_string()),
         };
-        self.pipeline.get_or_init(compiled).as_ref().map_err(|why| Error::Device(why.clone()))
+        let of = |why: &String| {
+            if context.is_lost() { Error::Lost(why.clone()) } else { Error::Device(why.clone()) }
+        };
+        self.pipeline.get_or_init(compiled).as_ref().map_err(of)
     }
 
     fn compile(&self, context: &Context) -> wgpu::ComputePipeline {

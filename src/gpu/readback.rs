@@ -25,9 +25,7 @@ type Mapping = Result<(), wgpu::BufferAsyncError>;
 ///         }
 ///     });
 ///     readback.submitted(&submission);
-///     while let Some(stats) = readback
-///         .try_next(|bytes| solver.statistics(&bytemuck::pod_collect_to_vec(bytes)))?
-///     {
+///     while let Some(stats) = readback.try_next(|bytes| solver.statistics(bytes))? {
 ///         assert!(stats.iter().all(|cloth| cloth.is_finite()), "a cloth has diverged");
 ///     }
 /// }

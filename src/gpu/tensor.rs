@@ -192,7 +192,7 @@ impl Tensor {
         Ok(tensor)
     }
 
-    /// Replaces the whole content, before the next submission runs. Panics on another length.
+    /// Replaces the whole content, before the next submission runs. Panics on another length, and on a texture.
     pub fn write<T: bytemuck::Pod>(&self, context: &Context, data: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(data);
         assert_eq!(bytes.len() as u64, self.bytes(), "tensor '{}' has shape {:?}", self.label, self.shape);
@@ -243,7 +243,7 @@ impl Tensor {
     }
 
     /// Reads the whole content, waiting for everything submitted so far. For tests and for the start and end
-    /// of a run, not for frames. Fails if the device is lost.
+    /// of a run, not for frames. Fails if the device is lost. Panics on a texture.
     pub fn read<T: bytemuck::Pod>(&self, context: &Context) -> Result<Vec<T>> {
         let mut readback = super::Readback::new(context, &[self], 1)?;
         let submission = context.submit(|encoder| readback.record(encoder));

@@ -148,7 +148,7 @@ impl Tuning {
             return Ok(());
         }
         let expected = format!("tile sizes that the kernels support on {}", context.name());
-        Err(Error::invalid("options", "tuning", expected, format!("{self:?}")))
+        Err(Error::invalid("context", "tuning", expected, format!("{self:?}")))
     }
 
     /// Whether the kernels can be built with it on the adapter.
@@ -210,7 +210,7 @@ impl Tuning {
     /// the file. Fails if there is no cache directory or the file cannot be written.
     pub fn store(&self, context: &Context) -> Result<PathBuf> {
         let nowhere =
-            || Error::Device(format!("no cache directory to store a tuning in; set {CACHE_FOLDER}"));
+            || Error::invalid("tuning", CACHE_FOLDER, "a folder, as the user has no cache directory", "none");
         let path = Self::path(context).ok_or_else(nowhere)?;
         let (adapter, version) = (context.name().to_owned(), env!("CARGO_PKG_VERSION").to_owned());
         let json = serde_json::to_vec_pretty(&Stored { adapter, version, tuning: *self });

@@ -14,7 +14,7 @@ pub struct Mesh {
 
 /// Computes smooth unit normals, shape [V, 3]: the area-weighted mean of the normals of the adjacent
 /// triangles. Triangles with a non-finite normal are ignored; a vertex without a usable triangle gets the
-/// zero vector.
+/// zero vector. Panics if a face has a vertex beyond V.
 pub fn vertex_normals(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<[f32; 3]> {
     let mut sums = vec![Vec3::ZERO; positions.len()];
     for face in faces {

@@ -52,7 +52,8 @@ pub(super) struct Parts {
 }
 
 impl Trajectory {
-    /// Creates a trajectory without frames; `fps` is the number of frames per second [1/s].
+    /// Creates a trajectory without frames; `fps` is the number of frames per second [1/s]. Panics if there are no
+    /// particles, or if `fps` is not a finite number above 0.
     pub fn new(grid: Grid, fps: f64) -> Self {
         assert!(grid.particles() > 0, "a trajectory has particles");
         assert!(fps.is_finite() && fps > 0.0, "frames per second are above 0");
@@ -67,7 +68,7 @@ impl Trajectory {
         memory::reserve_each([&mut self.positions, &mut self.velocities], points, &what)
     }
 
-    /// Appends a frame: positions \[m\] and velocities [m/s], shape [V, 3] each.
+    /// Appends a frame: positions \[m\] and velocities [m/s], shape [V, 3] each. Panics on other shapes.
     pub fn push(&mut self, positions: &[[f32; 3]], velocities: &[[f32; 3]]) {
         let vertices = self.grid.particles();
         assert!(
@@ -93,13 +94,13 @@ impl Trajectory {
         self.positions.len() / self.grid.particles()
     }
 
-    /// Returns the positions of one frame \[m\], shape [V, 3].
+    /// Returns the positions of one frame \[m\], shape [V, 3]. Panics if there is no such frame.
     pub fn frame(&self, frame: usize) -> &[[f32; 3]] {
         let vertices = self.grid.particles();
         &self.positions[frame * vertices..][..vertices]
     }
 
-    /// Returns the velocities of one frame [m/s], shape [V, 3].
+    /// Returns the velocities of one frame [m/s], shape [V, 3]. Panics if there is no such frame.
     pub fn frame_velocities(&self, frame: usize) -> &[[f32; 3]] {
         let vertices = self.grid.particles();
         &self.velocities[frame * vertices..][..vertices]
@@ -139,7 +140,7 @@ impl Trajectory {
         }
     }
 
-    /// Writes frame 0 as an OBJ file: the mesh that a PC2 cache animates.
+    /// Writes frame 0 as an OBJ file: the mesh that a PC2 cache animates. Panics if there are no frames.
     pub fn write_mesh(&self, path: impl AsRef<Path>) -> Result<()> {
         write_atomic(path, |w| obj::write(self.grid, self.frame(0), w))
     }

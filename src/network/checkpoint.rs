@@ -335,7 +335,7 @@ impl Weights {
 
     /// Writes a checkpoint file with the configuration in its metadata. The file appears completely or not at
     /// all.
-    pub fn save(&self, path: &Path) -> Result<()> {
+    pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         io::replace(path, |w| w.write_all(&self.to_bytes()))
     }
 

@@ -45,8 +45,8 @@ const SWATCHES: usize = 12;
 const SAME: u8 = 255;
 
 /// Writes the trajectory as a looping animation in real time; `handles` are the vertices to mark. An empty
-/// trajectory gives a picture of the background. Panics if the size is not 1 to 4096 pixels, or if `max_fps`
-/// or `most` allows no frames.
+/// trajectory gives a picture of the background. Panics if the size is not 1 to 4096 pixels, `max_fps` or `most`
+/// allows no frames, a handle is not a vertex, or [`View::up`] is 0.
 pub fn write_gif(
     path: impl AsRef<Path>,
     trajectory: &Trajectory,

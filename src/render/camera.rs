@@ -5,7 +5,7 @@ use glam::{Mat3, Vec3, vec3};
 /// The direction from which a trajectory is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// The upward direction, which need not have length 1.
+    /// The upward direction, of any length but 0.
     pub up: [f32; 3],
     /// Angle of the eye about the upward axis \[degrees\]. `None` shows the cloth of the first frame at an
     /// angle to its face, from the side on which the whole movement looks narrowest and the cloth therefore

@@ -28,7 +28,7 @@ const SPAN: f64 = 0.98;
 
 /// Draws a row of frames of the truth and below it one row per map, all with one colour scale, which is
 /// stated in the caption of the first row. `handles` are the vertices of the truth to mark. Panics if the
-/// truth has no frames.
+/// truth has no frames, a handle is not one of its vertices, or [`View::up`] is 0.
 pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view: &View) -> Image {
     assert!(truth.frames() > 0, "there are frames to draw");
     let mut all: Vec<f32> = maps.iter().flat_map(|map| &map.errors).flatten().copied().collect();

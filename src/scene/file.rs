@@ -10,7 +10,7 @@ use crate::io::Node;
 use crate::{Error, Result, io};
 use serde_json::{Value, json};
 use std::io::Write;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The fields of a scene file.
 pub(super) const FIELDS: [&str; 15] = [
@@ -56,7 +56,8 @@ impl Scene {
         Ok(scene)
     }
 
-    /// Returns the scene as a document that [`Scene::parse`] reads back to the same scene.
+    /// Returns the scene as a document that [`Scene::parse`] reads back to the same scene, except for its `origin`.
+    /// Paths are written as they are; [`Scene::parse`] resolves relative ones against its folder.
     pub fn to_json(&self) -> Value {
         let (mass_field, mass) = match self.mass {
             Mass::Total(kg) => ("mass_kg", kg),
@@ -116,9 +117,21 @@ impl Scene {
         document
     }
 
-    /// Writes the scene to a file that [`Scene::load`] reads back. The file appears whole or not at all.
+    /// Writes the scene to a file that [`Scene::load`] reads back, with absolute paths. The file appears whole or
+    /// not at all.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
-        io::replace(path, |w| writeln!(w, "{:#}", self.to_json()))
+        let mut scene = self.clone();
+        let absolute = |path: &mut PathBuf| -> Result<()> {
+            *path = std::path::absolute(&*path).map_err(|e| Error::io(&*path, "cannot find", e))?;
+            Ok(())
+        };
+        if let Start::File(file) = &mut scene.start {
+            absolute(&mut file.path)?;
+        }
+        if let Motion::File(path) = &mut scene.motion {
+            absolute(path)?;
+        }
+        io::replace(path, |w| writeln!(w, "{:#}", scene.to_json()))
     }
 }
 
@@ -163,7 +176,12 @@ fn read_up(node: &Node) -> Result<UpAxis> {
 
 fn read_grid(node: &Node) -> Result<Grid> {
     let [h, w] = node.array("two sizes [H, W]", Node::count)?;
-    Grid::new(h, w, node.origin)
+    // The scene's own grid needs no further name.
+    let origin = match node.path.strip_suffix(".grid") {
+        Some(parent) => format!("{}: {parent}", node.origin),
+        None => node.origin.to_owned(),
+    };
+    Grid::new(h, w, &origin)
 }
 
 fn read_side(node: &Node) -> Result<Side> {

@@ -369,7 +369,7 @@ impl Scene {
             Start::File(file) => file.grid,
             _ => None,
         };
-        of.map(|of| Grid::new(of.h, of.w, &self.origin)).transpose()?;
+        of.map(|of| Grid::new(of.h, of.w, &format!("{}: start", self.origin))).transpose()?;
         if let Start::Vertices(of, points) = &self.start
             && points.len() != of.particles()
         {

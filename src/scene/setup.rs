@@ -145,7 +145,7 @@ impl Setup {
     }
 
     /// Converts velocities [edges / frame], z up, shape [3, H, W], to velocities [m/s] in the scene's axes,
-    /// shape `[H W]`.
+    /// shape `[H W]`. Panics if there are not as many as one cloth has.
     pub fn velocities_m_s<T: Float>(&self, v: &[T]) -> Vec<[f64; 3]> {
         each_point(self.model.grid, v, |p| self.up.from_z_up(self.units.velocity_m_s(p)))
     }
@@ -195,7 +195,8 @@ impl Setup {
         Ok(trajectory)
     }
 
-    /// Appends the state at the end of a frame to a trajectory.
+    /// Appends the state at the end of a frame to a trajectory. Panics if the state is not that of one cloth, or
+    /// if the trajectory has another number of particles.
     pub fn push(&self, trajectory: &mut Trajectory, state: &State<f32>) {
         let single =
             |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
@@ -247,10 +248,44 @@ impl Batch {
         control(&self.handles, &self.wind, frame)
     }
 
-    /// Returns the view in which the vertices of cloth `b` are in metres along the axes of its scene, at the
-    /// end of the frame. Panics if there is no cloth `b`.
+    /// As [`Setup::handle_at`], for cloth `b`. Panics if there is no such cloth, as the functions below do.
+    pub fn handle_at<T: Float>(&self, b: usize, m: [f64; 3]) -> [T; 3] {
+        self.units[b].position(self.up[b].to_z_up(m)).map(cast)
+    }
+
+    /// As [`Setup::wind_of`], for cloth `b`.
+    pub fn wind_of<T: Float>(&self, b: usize, m_s: [f64; 3]) -> [T; 3] {
+        self.units[b].velocity(self.up[b].to_z_up(m_s)).map(cast)
+    }
+
+    /// As [`Setup::acceleration_of`], for cloth `b`.
+    pub fn acceleration_of<T: Float>(&self, b: usize, m_s2: [f64; 3]) -> [T; 3] {
+        self.units[b].acceleration(self.up[b].to_z_up(m_s2)).map(cast)
+    }
+
+    /// As [`Setup::vertices_m`], for cloth `b` of positions `x` of shape [B, 3, H, W].
+    pub fn vertices_m<T: Float>(&self, b: usize, x: &[T]) -> Vec<[f64; 3]> {
+        each_point(self.model.grid, self.of_cloth(b, x), |p| {
+            self.up[b].from_z_up(self.units[b].position_m(p))
+        })
+    }
+
+    /// As [`Setup::velocities_m_s`], for cloth `b` of velocities `v` of shape [B, 3, H, W].
+    pub fn velocities_m_s<T: Float>(&self, b: usize, v: &[T]) -> Vec<[f64; 3]> {
+        each_point(self.model.grid, self.of_cloth(b, v), |p| {
+            self.up[b].from_z_up(self.units[b].velocity_m_s(p))
+        })
+    }
+
+    /// As [`Setup::vertex_view`], for cloth `b`.
     pub fn vertex_view(&self, b: usize) -> VertexView {
         view_m(&self.units[b], self.up[b])
+    }
+
+    fn of_cloth<'a, T>(&self, b: usize, field: &'a [T]) -> &'a [T] {
+        let len = 3 * self.model.grid.particles();
+        assert_eq!(field.len(), len * self.units.len(), "[B, 3, H, W]");
+        &field[b * len..][..len]
     }
 }
 
@@ -433,11 +468,21 @@ impl Scene {
 
     /// Moves the scene to another grid. The side along the height is kept and cells are square, so the width
     /// follows, and the total mass with it. Grid coefficients and moduli keep their values. Listed handles
-    /// move to the nearest particle; those that meet on one are merged unless the motion is recorded. A start
-    /// state from a file is resampled.
+    /// move to the nearest particle; those that meet on one are merged unless the motion is recorded. Recorded
+    /// start states are resampled.
+    ///
+    /// Fails, and changes nothing, if a grid is not valid ([`Grid::new`]), or if two handles of a recorded motion
+    /// meet.
     pub fn regrid(&mut self, grid: Grid) -> Result<()> {
         let old = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
         let grid = Grid::new(grid.h, grid.w, &self.origin)?;
+        // A recording has a row for each handle.
+        let recorded = matches!(self.motion, Motion::File(_) | Motion::Rows(_));
+        let handles = Handles::regrid(&self.handles, old, grid, !recorded);
+        if recorded && self.handles.on(old, &self.origin).is_ok() && handles.on(grid, &self.origin).is_err() {
+            let expected = "a grid on which each handle of the recorded motion has a particle of its own";
+            return Err(Error::invalid(&self.origin, "grid", expected, grid));
+        }
         self.mass.scale_area(grid.aspect() / old.aspect());
         if let super::Side::Both([height, width]) = self.side_m {
             let now = height * grid.aspect();
@@ -449,13 +494,6 @@ impl Scene {
             }
         }
         self.side_m = super::Side::Height(self.side_m.height());
-        // A recording has a row for each handle.
-        let recorded = matches!(self.motion, Motion::File(_) | Motion::Rows(_));
-        let handles = Handles::regrid(&self.handles, old, grid, !recorded);
-        if recorded && self.handles.on(old, &self.origin).is_ok() && handles.on(grid, &self.origin).is_err() {
-            let expected = "a grid on which each handle of the recorded motion has a particle of its own";
-            return Err(Error::invalid(&self.origin, "grid", expected, grid));
-        }
         self.handles = handles;
         if let super::Start::File(file) = &mut self.start {
             file.grid.get_or_insert(old);

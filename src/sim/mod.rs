@@ -9,6 +9,7 @@ mod stats;
 mod tune;
 mod vertices;
 
+pub use crate::kernels::optim::{AdamSettings, LbfgsSettings};
 pub(crate) use learned::Learned;
 pub use optimizer::Optimizer;
 pub use solver::{INITIAL_SCALE, Solver};

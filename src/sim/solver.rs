@@ -224,7 +224,7 @@ impl Solver {
         &self.targets
     }
 
-    /// Returns the external accelerations of the next frame [edges / frame^2], shape [B, 3, H, W]. Commands
+    /// Returns the external accelerations of the next frame [edges / frame^2], shape [B, 3, H W]. Commands
     /// of the host may write here. What they write acts in every frame, as long as no control has accelerations.
     /// Those of a control are cleared by the next control without any; if [`Solver::record_frames`] took them, by
     /// every control without any, up to and including the next [`Solver::set_control`].
@@ -258,14 +258,7 @@ impl Solver {
             3 * self.model.handle_range(b).start,
             bytemuck::cast_slice(&handles),
         );
-        if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
-            for half in [0, 3 * batch * n] {
-                hidden.write_at(&self.context, half + 3 * b * n, &vec![0.0; 3 * n]);
-            }
-            for row in (0..scales.len()).step_by(scales.shape()[1]) {
-                scales.write_at(&self.context, row + 3 * b, &[INITIAL_SCALE; 3]);
-            }
-        }
+        self.reset_memory_of(b);
     }
 
     /// Replaces the cloths' materials, gravity, air, repulsion or handles, ahead of the next submission. Wind
@@ -276,9 +269,8 @@ impl Solver {
     /// repulsion although the solver was built without any, which requires a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
-        if model.repels() && !self.repels {
-            let expected = "none, since the solver was built without";
-            return Err(Error::invalid("model", "repulsion", expected, "some"));
+        if !self.repels {
+            model.refuse_repulsion("since the solver was built without")?;
         }
         let slots = model.handle_slots();
         let handles_differ = slots != self.model.handle_slots();
@@ -324,6 +316,20 @@ impl Solver {
         if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
             hidden.write(&self.context, &vec![0f32; hidden.len()]);
             scales.write(&self.context, &vec![INITIAL_SCALE; scales.len()]);
+        }
+    }
+
+    /// Applies [`Solver::reset_memory`] to cloth `b` alone. Panics if there is no such cloth.
+    pub fn reset_memory_of(&self, b: usize) {
+        let (batch, n) = (self.model.batch(), self.model.grid.particles());
+        assert!(b < batch, "cloth {b} of {batch}");
+        if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
+            for half in [0, 3 * batch * n] {
+                hidden.write_at(&self.context, half + 3 * b * n, &vec![0.0; 3 * n]);
+            }
+            for row in (0..scales.len()).step_by(scales.shape()[1]) {
+                scales.write_at(&self.context, row + 3 * b, &[INITIAL_SCALE; 3]);
+            }
         }
     }
 
@@ -403,8 +409,8 @@ impl Solver {
     pub fn frame(&self, contents: &[u8]) -> (State<f32>, Vec<FrameStats>) {
         let (x, rest) = contents.split_at(self.x.bytes() as usize);
         let (v, statistics) = rest.split_at(self.v.bytes() as usize);
-        let [x, v, statistics]: [Vec<f32>; 3] = [x, v, statistics].map(bytemuck::pod_collect_to_vec);
-        (State { x, v }, self.statistics(&statistics))
+        let [x, v] = [x, v].map(bytemuck::pod_collect_to_vec);
+        (State { x, v }, self.statistics(statistics))
     }
 
     /// Returns the tensors that [`Solver::statistics`] reads, in the order in which it expects their
@@ -416,9 +422,10 @@ impl Solver {
 
     /// Returns the statistics of each cloth in the last frame, from the concatenated contents of
     /// [`Solver::statistics_tensors`]. Panics on contents of another length.
-    pub fn statistics(&self, contents: &[f32]) -> Vec<FrameStats> {
-        let len: usize = self.statistics_tensors().map(Tensor::len).iter().sum();
-        assert_eq!(contents.len(), len, "the contents of the tensors of statistics");
+    pub fn statistics(&self, contents: &[u8]) -> Vec<FrameStats> {
+        let len: u64 = self.statistics_tensors().map(Tensor::bytes).iter().sum();
+        assert_eq!(contents.len() as u64, len, "the contents of the tensors of statistics");
+        let contents: Vec<f32> = bytemuck::pod_collect_to_vec(contents);
         let Grid { h, w } = self.model.grid;
         let edges = ((h - 1) * w + h * (w - 1)) as f64;
         let (terms, ends) = contents.split_at(self.terms.len());
@@ -442,8 +449,9 @@ impl Solver {
         sums.chunks_exact(2 * gradient::parts(self.model.grid)).map(norm).collect()
     }
 
-    /// Returns a log of the optimizer's iterations in the last frame. Waits for the device, so it is meant
-    /// for checks, not for use in every frame.
+    /// Returns a log of the optimizer's iterations in the last frame. Means nothing before the first frame, and
+    /// after a reset of the optimizer's memory until the next one. Waits for the device, so it is meant for
+    /// checks, not for use in every frame.
     pub fn iteration_log(&self) -> Result<IterationLog> {
         let mut scales = Vec::new();
         if let Rule::Learned { scales: rows, .. } = &self.rule {

@@ -20,7 +20,7 @@ const DUEL: usize = 10;
 /// Searches for the tuning with the least time per frame of `optimizer` on `model`, from `start`. Begins with
 /// the table's tuning, varies one aspect at a time and keeps the best. Returns the table's tuning unless the
 /// best one beats it again at the end. `tried` is called with each tuning and its time \[ms\] and may end the
-/// search, which then returns the table's.
+/// search, which then returns the table's. Panics if a length of `start` does not match the model.
 pub fn tune(
     context: &Context,
     (model, start): (&Model, &State<f32>),

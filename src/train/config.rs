@@ -266,7 +266,8 @@ impl Default for ValidationConfig {
 impl Config {
     /// Reads a configuration file. Returns its text, which a run keeps, and the parsed configuration. Paths
     /// in the text are made absolute, so that a copy of it in another folder names the same files.
-    pub fn load(path: &Path) -> Result<(String, Self)> {
+    pub fn load(path: impl AsRef<Path>) -> Result<(String, Self)> {
+        let path = path.as_ref();
         let text = io::read_text(path)?;
         Self::parse(&text, path)?;
         let text = read::absolute_paths(text, path)?;

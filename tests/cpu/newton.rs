@@ -1,7 +1,7 @@
 //! The Hessian of the elastic energy, and Newton's method with it.
 
 use crate::noise::noise;
-use fnopt::cloth::{Control, Grid, Material, Model, State};
+use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, State};
 use fnopt::cpu::cloth::{GradientRows, Hessian, Projection, Trial, gradient};
 use fnopt::cpu::optim::InverseHessian;
 use fnopt::cpu::{FactoredHessian, Reference, Solver};
@@ -287,4 +287,20 @@ fn a_batch_is_solved_cloth_by_cloth() {
     assert_eq!(one, other);
     let apart = crate::golden::largest_difference(&crate::golden::widened(one), &exact.x);
     assert!(apart < 1e-3, "{apart} edges");
+}
+
+#[test]
+fn newton_names_the_cloth_whose_repulsion_it_refuses() {
+    let setup = Scene { frames: Some(2), ..Scene::default() }.setup().unwrap();
+    let calm = setup.model.cloths[0].clone();
+    let repelling = Cloth { repulsion: Some(Repulsion { strength: 1.0, distance: 0.5 }), ..calm.clone() };
+    let model = Model { cloths: vec![calm.clone(), calm.clone(), repelling], ..setup.model };
+    let refused = |result: fnopt::Result<()>| result.unwrap_err().to_string();
+    let expected = "model: repulsion of cloth 2: expected none, which Newton's method does not support";
+    let built = Solver::<f32>::new(&model, &Optimizer::Newton, 1).map(drop);
+    assert!(refused(built).starts_with(expected));
+    let still = Model { cloths: vec![calm; 3], ..model.clone() };
+    let mut solver = Solver::<f32>::new(&still, &Optimizer::Newton, 1).unwrap();
+    assert!(refused(solver.set_cloths(&model.cloths)).starts_with(expected));
+    assert_eq!(*solver.model(), still);
 }

@@ -155,6 +155,17 @@ fn the_minimum_leaves_no_gap_in_a_cloth_at_rest() {
 }
 
 #[test]
+fn frames_that_do_not_converge_have_no_reference() {
+    assert_eq!(track(Grid { h: 16, w: 20 }, 1..11).unconverged(), 0);
+    let mut broken = scene(16, 20);
+    broken.start.v[7] = f64::NAN;
+    let track = Track::new(&broken.model, broken.start.clone(), (1..4).map(|f| broken.control(f))).unwrap();
+    assert_eq!(track.unconverged(), 3);
+    let gap = track.median_gap(|before, _| Ok(Some(vec![0.0; before.x.len()]))).unwrap();
+    assert_eq!(gap, Some(f64::INFINITY));
+}
+
+#[test]
 fn the_gradient_at_the_end_of_a_frame_is_the_one_of_a_next_iteration() {
     let setup = scene(12, 9);
     let free = Cloth { handles: vec![], ..setup.model.cloths[0].clone() };

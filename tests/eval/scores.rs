@@ -1,13 +1,13 @@
 //! Scores of simulations and of other systems' trajectories, and which of them belong together.
 
 use crate::common::{MATERIAL, PHYSICS, SETTINGS, newton, shipped, square};
-use fnopt::Device;
 use fnopt::cloth::{Grid, Material};
 use fnopt::eval;
 use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, belong_together, compare, run, tables};
 use fnopt::io::Trajectory;
 use fnopt::scene::Stiffness;
-use fnopt::sim::Optimizer;
+use fnopt::sim::{FrameStats, Optimizer};
+use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
 use std::path::Path;
 
@@ -41,6 +41,8 @@ fn handles_are_where_the_recording_has_them() {
     let (score, found) =
         run((&sequence, None), grid, &newton(), (&Device::Cpu, &settings), tick).unwrap().unwrap();
     assert!(score.stable && found.frames() == 46);
+    // At the end of a frame whose handles moved, Newton's gradient is that of rounding.
+    assert!(score.gradient.unwrap() < 1e-5, "{:?}", score.gradient);
     let apart = |a: [f32; 3], b: [f32; 3]| square(a.map(f64::from), b.map(f64::from)).sqrt();
     for (k, &handle) in setup.model.cloths[0].handles.iter().enumerate() {
         for frame in [31, 45] {
@@ -54,6 +56,36 @@ fn handles_are_where_the_recording_has_them() {
         let moved = apart(found.frame(45)[handle], found.frame(0)[handle]);
         assert!((moved - 0.5 * (1.0 - 0.5f64.sqrt())).abs() < 1e-3, "handle {k} moved {moved} m");
     }
+}
+
+/// The figures of a score are means over the frames, each under its own name.
+#[test]
+fn energies_and_stretch_are_means_over_the_frames() {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let (grid, settings) = (Grid { h: 8, w: 8 }, Settings { frames: 41, ..SETTINGS });
+    let (optimizer, iterations) = (Optimizer::lbfgs(), 8);
+    let entry = Entry { name: "x".into(), optimizer: optimizer.clone(), iterations, coarse: false };
+    let tick = || ControlFlow::Continue(());
+    let (score, _) = run((&sequence, None), grid, &entry, (&Device::Cpu, &settings), tick).unwrap().unwrap();
+    let setup = sequence.scene(grid, &PHYSICS).unwrap().setup().unwrap();
+    let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, iterations).unwrap();
+    simulator.set_state(&setup.start.cast());
+    let stats: Vec<_> =
+        (1..41).map(|frame| simulator.step(&setup.control(frame)).unwrap().stats[0]).collect();
+    let mean = |of: &dyn Fn(&FrameStats) -> f64| stats.iter().map(of).sum::<f64>() / 40.0;
+    let near = |found: Option<f64>, expected: f64| {
+        let found = found.unwrap();
+        assert!((found - expected).abs() <= 1e-12 * expected.abs(), "{found}, not {expected}");
+    };
+    near(score.energy, mean(&|s| s.energy.total()));
+    near(score.stretch_mean, mean(&|s| s.stretch_mean));
+    let terms = score.energy_terms.unwrap();
+    near(Some(terms.stretch), mean(&|s| s.energy.stretch));
+    near(Some(terms.shear), mean(&|s| s.energy.shear));
+    near(Some(terms.bend), mean(&|s| s.energy.bend));
+    near(Some(terms.inertia), mean(&|s| s.energy.inertia));
+    near(Some(terms.external), mean(&|s| s.energy.external));
+    assert!(terms.repulsion == 0.0 && terms.bend != terms.shear);
 }
 
 /// A flat sheet that rises by 0.1 m per frame, and its copy 0.1 m above: the errors of every frame are those

@@ -72,7 +72,7 @@ pub fn step(solver: &Solver, control: &Control<f32>) -> State<f32> {
 
 pub fn statistics(solver: &Solver) -> Vec<FrameStats> {
     let contents: Vec<f32> = solver.statistics_tensors().into_iter().flat_map(read).collect();
-    solver.statistics(&contents)
+    solver.statistics(bytemuck::cast_slice(&contents))
 }
 
 /// Builds three different cloths in wind, their state and their control.
@@ -381,6 +381,13 @@ fn single_cloths_restart_and_materials_change() {
         let again = step(&whole, &control);
         assert_same("the restarted cloth", &again.x[at.clone()], &first.x[at.clone()]);
         assert_ne!(again.x[..3 * n], first.x[..3 * n]);
+        // Where it is, the second cloth forgets its last steps.
+        whole.replace_state(&start);
+        whole.reset_memory_of(1);
+        let forgetful = step(&whole, &control);
+        assert_same("the forgetful cloth", &forgetful.x[at.clone()], &first.x[at.clone()]);
+        let learned = matches!(optimizer, Optimizer::Learned(_));
+        assert_eq!(forgetful.x[..3 * n] != first.x[..3 * n], learned);
 
         let mut other = model.clone();
         other.cloths[0].material.stretch *= 3.0;

@@ -2,7 +2,8 @@
 
 use crate::common::{assets, distance, parse};
 use fnopt::cloth::Grid;
-use fnopt::scene::{Handles, Placement, RepulsionSettings, Scene, Side, UpAxis};
+use fnopt::scene::{Handles, Motion, Placement, RepulsionSettings, Scene, Side, Start, UpAxis};
+use std::path::Path;
 
 #[test]
 fn every_example_loads_sets_up_and_survives_a_round_trip() {
@@ -23,6 +24,21 @@ fn every_example_loads_sets_up_and_survives_a_round_trip() {
         count += 1;
     }
     assert!(count >= 16);
+}
+
+/// A scene that was put together in the program may name files relative to where it runs.
+#[test]
+fn a_saved_scene_names_its_files_from_anywhere() {
+    let folder = tempfile::tempdir().unwrap();
+    let start = Start::parse("cloth.obj", "start", Path::new("data")).unwrap();
+    let scene = Scene { start, motion: Motion::File("data/motion.npy".into()), ..Scene::default() };
+    let saved = folder.path().join("saved.json");
+    scene.save(&saved).unwrap();
+    let again = Scene::load(&saved).unwrap();
+    let Start::File(file) = &again.start else { panic!("{:?}", again.start) };
+    let here = std::env::current_dir().unwrap();
+    assert_eq!(file.path, here.join("data/cloth.obj"));
+    assert_eq!(again.motion, Motion::File(here.join("data/motion.npy")));
 }
 
 #[test]

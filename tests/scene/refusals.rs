@@ -39,6 +39,8 @@ fn wrong_scenes_are_refused_with_the_place_and_what_was_expected() {
         (r#"{"gravity": [0, -9.8]}"#, &["gravity", "three numbers"]),
         (r#"{"wind": {"velocity": [0, null, 0]}}"#, &["wind.velocity[1]", "a number"]),
         (r#"{"wind": {"density": -1}}"#, &["wind.density", "-1"]),
+        (r#"{"wind": {"velocity": [1e300, 0, 0]}}"#, &["wind", "single precision"]),
+        (r#"{"start": {"file": "cloth.obj", "grid": [4, 9]}}"#, &["start: grid height", "found 4"]),
         (r#"{"repulsion": 1}"#, &["repulsion", "true, false or", "found 1"]),
         (r#"{"repulsion": {"strengh": 1}}"#, &["repulsion", "'strengh'", "strength"]),
         (r#"{"repulsion": {"strength": -1}}"#, &["repulsion.strength", "-1"]),
@@ -186,6 +188,8 @@ fn numbers_set_by_hand_are_checked_too() {
     assert!(refused(Scene { frame_time_s: f64::NAN, ..Scene::default() }).contains("frame_time_s"));
     assert!(refused(Scene { gravity: [f64::INFINITY; 3], ..Scene::default() }).contains("gravity"));
     assert!(refused(Scene { grid: Grid { h: 0, w: 0 }, ..Scene::default() }).contains("grid height"));
+    let start = Start::Vertices(Grid { h: 9, w: 4 }, vec![[0.0; 3]; 36]);
+    assert!(refused(Scene { start, ..Scene::default() }).contains("scene: start: grid width"));
     assert!(
         refused(Scene { gravity: [1e308; 3], frame_time_s: 100.0, frames: Some(1), ..Scene::default() })
             .contains("gravity")

@@ -38,6 +38,20 @@ fn a_recorded_motion_equals_the_built_in_one_and_is_held_past_its_end() {
 }
 
 #[test]
+fn a_slower_motion_is_interpolated_between_the_rows_of_its_recording() {
+    let text = r#"{"motion": [[[0, 0, 0], [1, 0, 0]], [[0.2, 0, 0], [1, 0.4, 0]]], "speed": 0.25}"#;
+    let setup = parse(text).unwrap().setup().unwrap();
+    assert_eq!(setup.frames(), 5);
+    for (frame, row) in setup.handles.iter().enumerate() {
+        let done = frame as f64 / 4.0;
+        for (&handle, at) in row.iter().zip([[0.2 * done, 0.0, 0.0], [1.0, 0.4 * done, 0.0]]) {
+            let found = UpAxis::Y.from_z_up(setup.units.position_m(handle));
+            assert!(distance(found, at) < 1e-12, "frame {frame}: {found:?}, not {at:?}");
+        }
+    }
+}
+
+#[test]
 fn positions_may_stand_in_the_scene_itself() {
     let mut scene = Scene::load(assets("scenes/inline.json")).unwrap();
     let setup = scene.setup().unwrap();
@@ -209,6 +223,18 @@ fn setups_are_batched() {
         [a.handles[19][0], a.handles[19][1], b.handles[25][0], a.handles[19][0], a.handles[19][1]]
     );
     assert_eq!(control.wind, [a.wind, b.wind, a.wind]);
+    // Each cloth has the units and axes of its own scene.
+    let c = parse(r#"{"side_m": 2, "up": "z", "frames": 20}"#).unwrap().setup().unwrap();
+    let both = Setup::batch(&[a.clone(), c.clone()]).unwrap();
+    let m = [0.3, 0.5, -0.2];
+    for (k, own) in [&a, &c].into_iter().enumerate() {
+        assert_eq!(both.handle_at::<f64>(k, m), own.handle_at::<f64>(m));
+        assert_eq!(both.wind_of::<f64>(k, m), own.wind_of::<f64>(m));
+        assert_eq!(both.acceleration_of::<f64>(k, m), own.acceleration_of::<f64>(m));
+        assert_eq!(both.vertices_m(k, &both.start.x), own.vertices_m(&own.start.x));
+        assert_eq!(both.velocities_m_s(k, &both.start.x), own.velocities_m_s(&own.start.x));
+        assert_eq!(both.vertex_view(k), own.vertex_view());
+    }
     let other = parse(r#"{"grid": [16, 16]}"#).unwrap().setup().unwrap();
     assert!(Setup::batch(&[a.clone(), other]).unwrap_err().to_string().contains("32x32"));
     let slow = parse(r#"{"frame_time_s": 0.02}"#).unwrap().setup().unwrap();
@@ -280,14 +306,20 @@ fn handles_that_fall_on_one_particle_merge_unless_a_recording_moves_them() {
     assert_eq!(scene.handles, Handles::Cells(row(16)));
     assert_eq!(scene.setup().unwrap().model.cloths[0].handles.len(), 16);
     let rows = vec![vec![[0.0; 3]; 32]; 2];
-    let mut scene =
-        Scene { handles: Handles::Cells(row(32)), motion: Motion::Rows(rows), ..Scene::default() };
-    let error = scene.regrid(Grid { h: 16, w: 16 }).unwrap_err().to_string();
+    let mut scene = Scene {
+        handles: Handles::Cells(row(32)),
+        motion: Motion::Rows(rows),
+        side_m: Side::Both([1.0, 1.0]),
+        mass: Mass::Total(0.2),
+        ..Scene::default()
+    };
+    let before = scene.clone();
+    let error = scene.regrid(Grid { h: 16, w: 32 }).unwrap_err().to_string();
     assert!(
-        error.contains("grid: expected a grid on which each handle") && error.ends_with("16x16"),
+        error.contains("grid: expected a grid on which each handle") && error.ends_with("16x32"),
         "{error}"
     );
-    assert_eq!(scene.handles, Handles::Cells(row(32)));
+    assert_eq!(scene, before);
 }
 
 #[test]

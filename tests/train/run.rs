@@ -1,8 +1,16 @@
 //! Runs with a learner that computes nothing: what the folder holds, resuming, damage, non-finite losses.
 
 use super::support::Fake;
+use fnopt::cloth::Grid;
+use fnopt::eval::FreeEdges;
 use fnopt::network::Weights;
-use fnopt::train::{Alone, Config, End, Learner, Limits, Progress, Run, SceneScore, Validation};
+use fnopt::scene::{Motion, Scene, Start};
+use fnopt::sim::Optimizer;
+use fnopt::train::{
+    Alone, Config, End, Learner, Limits, Progress, Run, SceneScore, Validation, ValidationConfig,
+    initial_weights,
+};
+use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
@@ -150,6 +158,33 @@ fn the_weights_of_a_run_are_the_running_mean() {
     let card = std::fs::read(folder.path().join("weights/last.json")).unwrap();
     let card: serde_json::Value = serde_json::from_slice(&card).unwrap();
     assert_eq!(card["validation"], serde_json::to_value(scores).unwrap());
+}
+
+/// The scenes are as long as configured, and in the last one nothing moves the handles.
+#[test]
+fn scenes_of_a_validation_are_those_of_its_configuration() {
+    let settings = ValidationConfig { frames: 45, grids: vec![Grid { h: 9, w: 8 }], ..config().validation };
+    let validation = Validation::new(&settings).unwrap();
+    let weights = initial_weights(&config(), &Alone).unwrap();
+    let mut frames = 0;
+    let mut tick = || {
+        frames += 1;
+        ControlFlow::Continue(())
+    };
+    let scores = validation.run(&weights, &mut tick).unwrap().unwrap();
+    // Of the hanging sheet: a rollout, Newton's frames, and the gap on each. The falling one has no gap.
+    assert_eq!(frames, 4 * 45);
+    let mut scene = Scene { start: Start::Flat, motion: Motion::Still, ..Scene::default() };
+    scene.regrid(settings.grids[0]).unwrap();
+    let setup = scene.setup().unwrap();
+    let optimizer = Optimizer::learned(weights);
+    let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, settings.iterations).unwrap();
+    simulator.set_state(&setup.start.cast());
+    let edges = FreeEdges::new(&setup.model, 0);
+    let stretch = (1..46)
+        .map(|frame| edges.largest(&simulator.step(&setup.control(frame)).unwrap().state.x))
+        .fold(0.0, f64::max);
+    assert_eq!((scores[1].scene.as_str(), scores[1].largest_stretch), ("falling 9x8", stretch));
 }
 
 #[test]

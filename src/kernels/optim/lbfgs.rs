@@ -75,7 +75,7 @@ impl LbfgsMemory {
 pub const MAX_HISTORY: usize = 32;
 
 impl Lbfgs {
-    /// Builds the kernel. Panics if the history is longer than [`MAX_HISTORY`].
+    /// Builds the kernel. Panics if the history is not 1 to [`MAX_HISTORY`] pairs.
     pub fn new(context: &Context, settings: LbfgsSettings) -> Result<Self> {
         Self::part(context, settings, Part::Whole)
     }
@@ -95,7 +95,7 @@ impl Lbfgs {
         let iterations = (3 * particles).div_ceil(256) * (4 * self.history + 4) + 16 * self.history;
         if context.kind() == AdapterKind::Software && iterations > 65_000 {
             return Err(Error::Device(format!(
-                "{}: L-BFGS with history {} on {particles} particles exceeds the loop limit of software adapters; use --device cpu",
+                "{}: L-BFGS with history {} on {particles} particles exceeds the loop limit of software adapters; use the CPU",
                 context.name(),
                 self.history
             )));
