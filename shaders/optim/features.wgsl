@@ -1,4 +1,4 @@
-// Input of the network: normalised fields and the position of each particle (paper section 4).
+// Input of the network: normalised fields and the position of each particle (paper section 3.3, Eq. 7).
 //
 // embedded[s] = [10 tanh(g / s_g / 10), 10 tanh(g_last / s_g / 10), 10 tanh(d_last / s_d / 10),
 //                i / (H-1), j / (W-1)]

@@ -1,4 +1,4 @@
-//! Distances between simulated and true cloths (paper section 4.1).
+//! Distances between simulated and true cloths (paper sections 4.1 and 6.1).
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::rngs::ChaCha8Rng;

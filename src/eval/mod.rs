@@ -30,7 +30,9 @@ pub use nearness::repulsion;
 pub use physics::Physics;
 pub use repeats::{Nudge, OverRepeats};
 pub use resampling::coarse;
-pub use score::{Entry, PerFrame, SNAPSHOTS, Score, Settings, compare, run, snapshots, vertex_errors};
+pub use score::{
+    Entry, PerFrame, SNAPSHOTS, Score, Settings, compare, run, snapshot_frames, snapshots, vertex_errors,
+};
 pub use sequence::Sequence;
 pub use stretch::{FreeEdges, STRETCH_LIMIT};
 pub use table::{Cell, Format, Table};

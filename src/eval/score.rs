@@ -281,12 +281,16 @@ fn resampled(coarse: &Trajectory, grid: Grid, start: &[[f64; 3]]) -> Trajectory 
 /// last of them.
 pub fn snapshots(trajectory: &Trajectory, frames: usize) -> Trajectory {
     let mut kept = Trajectory::new(trajectory.grid(), trajectory.fps());
-    let last = trajectory.frames().min(frames).saturating_sub(1);
-    for k in 1..=SNAPSHOTS {
-        let frame = trajectory.frame(k * last / SNAPSHOTS);
+    for number in snapshot_frames(trajectory.frames().min(frames)) {
+        let frame = trajectory.frame(number);
         kept.push(frame, &vec![[0.0; 3]; frame.len()]);
     }
     kept
+}
+
+/// Returns the numbers of the frames that [`snapshots`] keeps of the first `frames`.
+pub fn snapshot_frames(frames: usize) -> [usize; SNAPSHOTS] {
+    std::array::from_fn(|k| (k + 1) * frames.saturating_sub(1) / SNAPSHOTS)
 }
 
 /// Returns the distances \[m\] of the vertices of a frame from a truth on another grid, which is resampled to

@@ -41,10 +41,12 @@ impl Default for GifOptions {
 const CHUNK: usize = 64;
 /// Number of frames from which the palette is built, at most.
 const SWATCHES: usize = 12;
+/// How long the last picture stays before the animation begins again [1/100 s].
+const PAUSE: f64 = 80.0;
 /// Colour index that leaves a pixel unchanged.
 const SAME: u8 = 255;
 
-/// Writes the trajectory as a looping animation in real time; `handles` are the vertices to mark. An empty
+/// Writes the trajectory as an animation in real time, which pauses before it begins again; `handles` are the vertices to mark. An empty
 /// trajectory gives a picture of the background. Panics if the size is not 1 to 4096 pixels, `max_fps` or `most`
 /// allows no frames, a handle is not a vertex, or [`View::up`] is 0.
 pub fn write_gif(
@@ -68,7 +70,8 @@ pub fn write_gif(
     let palette = Palette::of(&swatches);
     // Hundredths of a second, rounded so that errors do not accumulate.
     let tick = |k: usize| (100.0 * (k * every) as f64 / trajectory.fps()).round();
-    let delay = |k: usize| (tick(k + 1) - tick(k)).clamp(2.0, 65535.0) as u16;
+    let pause = |k: usize| if k + 1 == shown.len() && k > 0 { PAUSE } else { 0.0 };
+    let delay = |k: usize| (tick(k + 1) - tick(k) + pause(k)).clamp(2.0, 65535.0) as u16;
 
     write_atomic(path, |w| {
         let mut film = Film::new(w, options.size as u16, &palette)?;

@@ -35,7 +35,7 @@ const ELEVATION: [f32; 2] = [14.0, 18.0];
 const FAR: f32 = 1e4;
 /// A frame with a larger extent \[sizes of the cloth\] shows a cloth that has exploded. The camera does not
 /// move back for it, so that the frames before it can be seen.
-const EXPLODED: f32 = 10.0;
+const EXPLODED: f32 = 3.0;
 
 /// The unit in which a trajectory is drawn: the cloth of its first frame is around the origin, and its largest
 /// extent is 1. Pictures therefore do not depend on where a cloth is and how large.

@@ -6,6 +6,7 @@ use plotters::coord::ranged1d::{KeyPointHint, NoDefaultFormatting, Ranged, Value
 use plotters::coord::types::RangedCoordf64;
 use plotters::element::DashedPathElement;
 use plotters::prelude::*;
+use rayon::prelude::*;
 use std::error::Error;
 use std::ops::Range;
 
@@ -18,8 +19,8 @@ pub struct Chart {
     pub axes: [String; 2],
     /// The curves.
     pub curves: Vec<Curve>,
-    /// The scale of both axes.
-    pub scale: Scale,
+    /// The scales of the horizontal and the vertical axis.
+    pub scales: [Scale; 2],
 }
 
 /// The scale of an axis.
@@ -36,12 +37,14 @@ pub enum Scale {
 pub struct Curve {
     /// Name in the legend.
     pub label: String,
+    /// Number of its colour. One that stands for the same thing in several charts has the same in all.
+    pub colour: usize,
     /// Points (x, y), with x ascending. A y that is not finite leaves a gap in the curve.
     pub points: Vec<[f64; 2]>,
 }
 
-/// Colours of the curves, distinguishable with most kinds of colour vision (after Okabe and Ito). Further
-/// curves reuse them with dashed lines.
+/// Colours of the curves, distinguishable with most kinds of colour vision (after Okabe and Ito). Higher
+/// numbers reuse them with dashed lines.
 const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(230, 159, 0),
@@ -52,39 +55,61 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(90, 90, 90),
 ];
 const LINES: RGBColor = RGBColor(214, 218, 222);
-/// Height of titles and of labels \[px\].
-const TITLE: f32 = 18.0;
-const LABEL: f32 = 14.0;
-/// Length of a legend's line, and the space around its labels \[px\].
-const SAMPLE: i32 = 14;
-const SPACE: i32 = 6;
-/// Length of a dash and of the gap after it \[px\].
-const DASH: u32 = 5;
+/// Charts are drawn this many times as large along each axis and then averaged: the library puts letters and
+/// lines on whole pixels. All other lengths are in the pixels that it draws.
+const FINE: usize = 3;
+/// Height of titles and of labels.
+const TITLE: f32 = 18.0 * FINE as f32;
+const LABEL: f32 = 14.0 * FINE as f32;
+/// Room for the labels below and left of a chart.
+const BELOW: usize = 40 * FINE;
+const LEFT: usize = 64 * FINE;
+/// Length of a legend's line, and the space around its labels.
+const SAMPLE: i32 = 14 * FINE as i32;
+const SPACE: i32 = 6 * FINE as i32;
+/// Width of a line, and radius of a point.
+const WIDTH: u32 = 2 * FINE as u32;
+const POINT: usize = 3 * FINE;
+/// Length of a dash and of the gap after it.
+const DASH: u32 = 5 * FINE as u32;
 /// A curve with no more points than this marks each of them.
 const FEW: usize = 14;
-/// Share of the values at each end that may lie outside the chart, so that a spike does not flatten the rest.
+/// Share of the values at each end that may lie outside the chart, so that a spike does not flatten the rest,
+/// and how many times as large the span must be with them.
 const OUTSIDE: f64 = 0.005;
+const SPIKE: f64 = 2.0;
 /// Approximate number of ticks along an axis.
 const TICKS: usize = 7;
 
 /// The part of a picture that a chart occupies.
 type Area<'a> = DrawingArea<BitMapBackend<'a>, Shift>;
 
-/// Draws charts in two columns on white, in an image of `width` x `height` pixels.
+/// Draws charts on white, each `width` x `height` pixels; several are in two columns.
 pub fn charts(charts: &[Chart], (width, height): (usize, usize)) -> Image {
-    let mut image = Image::new(width, height);
+    let columns = charts.len().clamp(1, 2);
+    let mut image = Image::new(columns * width, charts.len().div_ceil(columns).max(1) * height);
+    image.pixels.fill([255; 3]);
+    let all: Vec<Image> = charts.par_iter().map(|chart| alone(chart, (width, height))).collect();
+    for (k, chart) in all.iter().enumerate() {
+        image.paste(chart, [k % columns * width, k / columns * height]);
+    }
+    image
+}
+
+/// Draws one chart on white.
+fn alone(chart: &Chart, (width, height): (usize, usize)) -> Image {
+    let mut fine = Image::new(FINE * width, FINE * height);
     {
-        let pixels = image.pixels.as_flattened_mut();
-        let whole = BitMapBackend::with_buffer(pixels, (width as u32, height as u32)).into_drawing_area();
+        let size = (fine.width as u32, fine.height as u32);
+        let whole = BitMapBackend::with_buffer(fine.pixels.as_flattened_mut(), size).into_drawing_area();
         let draw = || -> Result<(), Box<dyn Error>> {
             whole.fill(&WHITE)?;
-            let areas = whole.split_evenly((charts.len().div_ceil(2).max(1), 2));
-            charts.iter().zip(&areas).try_for_each(|(chart, area)| draw(area, chart))?;
+            draw(&whole, chart)?;
             Ok(whole.present()?)
         };
         draw().expect("the font is there, and memory takes what is drawn");
     }
-    image
+    fine.reduced(FINE)
 }
 
 fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
@@ -92,22 +117,23 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
     // The legend is to the right of the curves.
     let widest = chart.curves.iter().map(|c| text::width(&c.label, LABEL) as i32).fold(0, i32::max);
     let (left, legend) = area.split_horizontally(area.dim_in_pixel().0 as i32 - SAMPLE - 3 * SPACE - widest);
-    let shown = |p: &[f64; 2]| p.iter().all(|v| v.is_finite() && (chart.scale == Scale::Linear || *v > 0.0));
+    let shown = |p: &[f64; 2]| p.iter().zip(chart.scales).all(|(v, scale)| scale.shows(*v));
     let values = |k: usize| {
         let points = chart.curves.iter().flat_map(|c| &c.points).filter(|p| shown(p));
         points.map(|p| p[k]).collect::<Vec<f64>>()
     };
-    let x = Axis::over(values(0), 0.0, chart.scale);
-    let y = Axis::over(values(1), OUTSIDE, chart.scale);
+    let x = Axis::over(values(0), 0.0, chart.scales[0]);
+    let y = Axis::over(values(1), OUTSIDE, chart.scales[1]);
     let mut plot = ChartBuilder::on(&left)
         .caption(&chart.title, title)
         .margin(SPACE)
-        .x_label_area_size(40)
-        .y_label_area_size(64)
+        .x_label_area_size(BELOW as u32)
+        .y_label_area_size(LEFT as u32)
         .build_cartesian_2d(x, y)?;
     plot.configure_mesh()
-        .axis_style(LINES)
-        .bold_line_style(LINES)
+        .axis_style(LINES.stroke_width(FINE as u32))
+        .bold_line_style(LINES.stroke_width(FINE as u32))
+        .set_all_tick_mark_size(5 * FINE as i32)
         .light_line_style(TRANSPARENT)
         .label_style(label.clone())
         .axis_desc_style(label.clone())
@@ -115,10 +141,11 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
         .y_desc(&chart.axes[1])
         .draw()?;
     for (k, curve) in chart.curves.iter().enumerate() {
-        let style = COLOURS[k % COLOURS.len()].stroke_width(2);
+        let style = COLOURS[curve.colour % COLOURS.len()].stroke_width(WIDTH);
+        let is_broken = curve.colour / COLOURS.len() % 2 == 1;
         for part in curve.points.split(|p| !shown(p)) {
             let places = part.iter().map(|p| (p[0], p[1]));
-            match is_broken(k) {
+            match is_broken {
                 true => plot.draw_series(DashedLineSeries::new(places.clone(), DASH, DASH, style))?,
                 // Segment by segment: the library extends sharp corners of a path far beyond its points.
                 false => plot.draw_series(
@@ -127,12 +154,12 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
                 )?,
             };
             if curve.points.len() <= FEW {
-                plot.draw_series(places.map(|at| Circle::new(at, 3, style.filled())))?;
+                plot.draw_series(places.map(|at| Circle::new(at, POINT as i32, style.filled())))?;
             }
         }
         let middle = (TITLE + 2.0 * SPACE as f32 + 1.3 * LABEL * (k as f32 + 0.5)) as i32;
         let line = [(SPACE, middle), (SPACE + SAMPLE, middle)];
-        match is_broken(k) {
+        match is_broken {
             true => legend.draw(&DashedPathElement::new(line, DASH, DASH, style))?,
             false => legend.draw(&PathElement::new(line, style))?,
         }
@@ -141,11 +168,6 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
         legend.draw(&Text::new(&*curve.label, place, label.clone()))?;
     }
     Ok(())
-}
-
-/// Whether the curve of this number is dashed.
-fn is_broken(curve: usize) -> bool {
-    curve / COLOURS.len() % 2 == 1
 }
 
 /// The span of one axis, in values or, on a logarithmic scale, in their logarithms.
@@ -159,10 +181,13 @@ impl Axis {
     fn over(mut values: Vec<f64>, outside: f64, scale: Scale) -> Self {
         values.iter_mut().for_each(|value| *value = scale.of(*value));
         values.sort_by(f64::total_cmp);
+        let ends = |left_out: usize| Some((*values.get(left_out)?, *values.iter().nth_back(left_out)?));
         let left_out = (values.len() as f64 * outside) as usize;
-        let (Some(&low), Some(&high)) = (values.get(left_out), values.iter().nth_back(left_out)) else {
+        let (Some(inner), Some(outer)) = (ends(left_out), ends(0)) else {
             return Self { span: 0.0..1.0, scale: Scale::Linear };
         };
+        let is_spike = outer.1 - outer.0 > SPIKE * (inner.1 - inner.0);
+        let (low, high) = if is_spike { inner } else { outer };
         // Leave room for the points at the ends of short curves, and for ticks if all values are alike.
         let least = 1e-6 * low.abs().max(high.abs());
         let room = match scale {
@@ -173,17 +198,19 @@ impl Axis {
         Self { span: low - room..high + room, scale }
     }
 
-    /// Returns round numbers within the span: on a logarithmic scale the powers of ten, with their doubles
-    /// and fives if those are few.
+    /// Returns round numbers within the span: on a logarithmic scale the powers of ten, with numbers in between
+    /// if those are few.
     fn ticks(&self) -> Vec<f64> {
         let Range { start, end } = self.span;
         if self.scale == Scale::Logarithmic {
-            let steps: &[f64] = if end - start < 2.5 { &[1.0, 2.0, 5.0] } else { &[1.0] };
-            let decades = start.floor() as i32..=end.ceil() as i32;
-            let all = decades.flat_map(|k| steps.iter().map(move |m| m * 10f64.powi(k)));
-            let inside: Vec<f64> = all.filter(|tick| self.span.contains(&tick.log10())).collect();
-            if inside.len() > 1 {
-                return inside;
+            let inside = |steps: &[f64]| -> Vec<f64> {
+                let decades = start.floor() as i32..=end.ceil() as i32;
+                let all = decades.flat_map(|k| steps.iter().map(move |m| m * 10f64.powi(k)));
+                all.filter(|tick| self.span.contains(&tick.log10())).collect()
+            };
+            let steps: [&[f64]; 3] = [&[1.0], &[1.0, 2.0, 5.0], &[1.0, 1.5, 2.0, 3.0, 5.0, 7.0]];
+            if let Some(enough) = steps.into_iter().map(inside).find(|ticks| ticks.len() > 2) {
+                return enough;
             }
         }
         let [low, high] = [start, end].map(|at| self.scale.at(at));
@@ -218,6 +245,11 @@ impl ValueFormatter<f64> for Axis {
 }
 
 impl Scale {
+    /// Whether a value has a position.
+    fn shows(self, value: f64) -> bool {
+        value.is_finite() && (self == Self::Linear || value > 0.0)
+    }
+
     /// Maps a value to its position on a uniform axis.
     fn of(self, value: f64) -> f64 {
         match self {
@@ -251,16 +283,18 @@ mod tests {
     use super::*;
 
     fn chart(curves: Vec<Curve>, scale: Scale) -> Chart {
-        Chart { title: "t".into(), axes: ["x".into(), "y".into()], curves, scale }
+        Chart { title: "t".into(), axes: ["x".into(), "y".into()], curves, scales: [scale; 2] }
     }
 
     fn curve(points: Vec<[f64; 2]>) -> Curve {
-        Curve { label: "a".into(), points }
+        Curve { label: "a".into(), colour: 0, points }
     }
 
     fn count(image: &Image, colour: RGBColor, (x, y): (Range<usize>, Range<usize>)) -> usize {
         let places = y.flat_map(|y| x.clone().map(move |x| (x, y)));
-        places.filter(|&(x, y)| image.at(x, y) == [colour.0, colour.1, colour.2]).count()
+        // The edges of lines are blended with the background.
+        let near = |p: [u8; 3]| p.iter().zip([colour.0, colour.1, colour.2]).all(|(p, c)| p.abs_diff(c) < 70);
+        places.filter(|&(x, y)| near(image.at(x, y))).count()
     }
 
     #[test]
@@ -268,7 +302,7 @@ mod tests {
         let rising = curve((0..50).map(|k| [f64::from(k), f64::from(k * k)]).collect());
         let broken = curve(vec![[0.0, 0.0], [1.0, f64::NAN], [2.0, f64::INFINITY], [3.0, 1e300]]);
         let some = [vec![], vec![rising], vec![broken], vec![curve(vec![[5.0, 5.0]])]];
-        let image = charts(&some.map(|curves| chart(curves, Scale::Linear)), (800, 600));
+        let image = charts(&some.map(|curves| chart(curves, Scale::Linear)), (400, 300));
         let blue = |x, y| count(&image, COLOURS[0], (x, y));
         assert_eq!(blue(0..400, 0..300), 0);
         assert!(blue(470..740, 30..260) > 100);
@@ -282,7 +316,7 @@ mod tests {
     fn sharp_corners_stay_in_their_charts() {
         let zigzag = curve((0..500).map(|k| [f64::from(k), f64::from(k % 2)]).collect());
         let some = [vec![zigzag], vec![], vec![], vec![]];
-        let image = charts(&some.map(|curves| chart(curves, Scale::Linear)), (800, 600));
+        let image = charts(&some.map(|curves| chart(curves, Scale::Linear)), (400, 300));
         let blue = |x, y| count(&image, COLOURS[0], (x, y));
         assert!(blue(0..400, 30..270) > 1000);
         assert_eq!((blue(0..400, 0..20), blue(0..800, 290..600)), (0, 0));
@@ -318,8 +352,9 @@ mod tests {
 
     #[test]
     fn curves_beyond_the_colours_are_broken() {
-        let level = |k: usize| curve((0..50).map(|x| [f64::from(x), k as f64]).collect());
-        let image = charts(&[chart((0..8).map(level).collect(), Scale::Linear)], (800, 400));
+        let level =
+            |k: usize| Curve { colour: k, ..curve((0..50).map(|x| [f64::from(x), k as f64]).collect()) };
+        let image = charts(&[chart((0..8).map(level).collect(), Scale::Linear)], (400, 400));
         let row = |k: usize| {
             let rows = (0..400).map(|y| count(&image, COLOURS[k], (80..380, y..y + 1)));
             rows.filter(|&n| n > 20).collect::<Vec<_>>()
@@ -342,6 +377,8 @@ mod tests {
         assert_eq!(text(-3e6, 3e6, Scale::Linear), "-3e6 -2e6 -1e6 0 1e6 2e6 3e6");
         assert_eq!(text(0.02, 3000.0, Scale::Logarithmic), "0.1 1 10 100 1000");
         assert_eq!(text(30.0, 600.0, Scale::Logarithmic), "50 100 200 500");
+        assert_eq!(text(3.5, 16.0, Scale::Logarithmic), "5 7 10 15");
+        assert_eq!(text(0.03, 35.0, Scale::Logarithmic), "0.1 1 10");
         assert_eq!(text(3724.0, 4506.0, Scale::Logarithmic), "3800 4000 4200 4400");
     }
 }

@@ -1,7 +1,7 @@
 //! Frames of several systems next to the truth, coloured by their distance from it.
 
 use super::{
-    Image, View,
+    Image, View, shade,
     stage::{Size, Stage},
     text,
 };
@@ -23,33 +23,46 @@ pub struct ErrorMap {
 const HEIGHT: usize = 300;
 /// Height of captions \[px\].
 const CAPTION: f32 = 17.0;
+/// Space left of captions, and around the colour scale \[px\].
+const LEFT: usize = 10;
+/// Length and height of the colour scale \[px\].
+const RAMP: [usize; 2] = [80, 12];
 /// Share of the vertices of all maps that the colour scale spans; the rest take its darkest colour.
 const SPAN: f64 = 0.98;
 
-/// Draws a row of frames of the truth and below it one row per map, all with one colour scale, which is
-/// stated in the caption of the first row. `handles` are the vertices of the truth to mark. Panics if the
-/// truth has no frames, a handle is not one of its vertices, or [`View::up`] is 0.
-pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view: &View) -> Image {
-    assert!(truth.frames() > 0, "there are frames to draw");
+/// Draws a row of frames of the truth, at these times \[s\], and below it one row per map, all with one colour
+/// scale, which the first panel shows. `handles` are the vertices of the truth to mark. Panics if the truth has no
+/// frames or another number of times, a handle is not one of its vertices, or [`View::up`] is 0.
+pub fn error_maps(
+    truth: &Trajectory,
+    times: &[f64],
+    handles: &[usize],
+    maps: &[ErrorMap],
+    view: &View,
+) -> Image {
+    assert!(truth.frames() > 0 && times.len() == truth.frames(), "there are frames to draw");
     let mut all: Vec<f32> = maps.iter().flat_map(|map| &map.errors).flatten().copied().collect();
     all.retain(|error| error.is_finite());
     all.sort_by(f32::total_cmp);
     let largest = all.get((all.len() as f64 * SPAN) as usize).copied().unwrap_or(1.0).max(1e-6);
 
-    // All use the camera of the truth, whatever their grids.
-    let stage = Stage::new(truth, handles, view, Size::Height(HEIGHT), 3);
+    // All share one camera, whatever their grids.
+    let others: Vec<&Trajectory> = maps.iter().map(|map| &map.frames).collect();
+    let stage = Stage::with(truth, &others, handles, view, (Size::Height(HEIGHT), 3));
     let [width, _] = stage.size;
-    let caption = |image: &mut Image, line: &str, y: f32| {
+    let caption = |image: &mut Image, line: &str, [x, y]: [f32; 2]| {
         // Shrink captions that are too wide for the panel.
-        let fits = (width as f32 - 14.0) / text::width(line, CAPTION);
-        text::write(image, line, [10.0, y], CAPTION * fits.min(1.0));
+        let fits = (width as f32 - x - 4.0) / text::width(line, CAPTION);
+        text::write(image, line, [x, y], CAPTION * fits.min(1.0));
     };
-    let scale = format!("darkest: {largest:.2} m");
+    let bottom = [LEFT as f32, HEIGHT as f32 - 24.0];
     let truths = (0..truth.frames()).into_par_iter().map(|frame| {
         let mut image = stage.draw(truth.frame(frame));
+        let name = if frame == 0 { "truth, " } else { "" };
+        caption(&mut image, &format!("{name}{:.2} s", times[frame]), bottom);
         if frame == 0 {
-            caption(&mut image, "truth", 10.0);
-            caption(&mut image, &scale, HEIGHT as f32 - 24.0);
+            ramp(&mut image);
+            caption(&mut image, &format!("0 to {largest:.2} m"), [(LEFT + RAMP[0] + 6) as f32, 10.0]);
         }
         image
     });
@@ -60,10 +73,8 @@ pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view
             let heat: Vec<f32> = map.errors[frame].iter().map(|error| error / largest).collect();
             let mut image = own.draw_heat(map.frames.frame(frame), &heat);
             let mean = map.errors[frame].iter().map(|&e| f64::from(e)).sum::<f64>() / heat.len() as f64;
-            if frame == 0 {
-                caption(&mut image, &map.label, 10.0);
-            }
-            caption(&mut image, &format!("mean {mean:.3} m"), HEIGHT as f32 - 24.0);
+            let name = if frame == 0 { format!("{}: ", map.label) } else { String::new() };
+            caption(&mut image, &format!("{name}mean {mean:.3} m"), bottom);
             image
         };
         rows.push((0..truth.frames()).into_par_iter().map(draw).collect());
@@ -75,6 +86,15 @@ pub fn error_maps(truth: &Trajectory, handles: &[usize], maps: &[ErrorMap], view
         }
     }
     image
+}
+
+/// Draws the colour scale into the upper left corner.
+fn ramp(image: &mut Image) {
+    let [length, height] = RAMP;
+    for (x, y) in (0..length.min(image.width - LEFT)).flat_map(|x| (0..height).map(move |y| (x, y))) {
+        let colour = shade::to_srgb(shade::warmth(x as f32 / (length - 1) as f32));
+        image.pixels[(LEFT + y) * image.width + LEFT + x] = colour;
+    }
 }
 
 #[cfg(test)]
@@ -98,7 +118,7 @@ mod tests {
             ErrorMap { label: "a".into(), errors: vec![vec![off; h * h]], frames }
         };
         let view = View { azimuth: Some(0.0), elevation: Some(0.0), ..View::default() };
-        let image = error_maps(&truth, &[0], &[map(10, 0.0), map(17, 0.02)], &view);
+        let image = error_maps(&truth, &[0.5], &[0], &[map(10, 0.0), map(17, 0.02)], &view);
         let row = |k: usize| {
             let middle = &image.pixels[image.width * (k * HEIGHT + HEIGHT / 2)..][..image.width];
             middle.iter().map(|p| u64::from(p[1])).sum::<u64>()

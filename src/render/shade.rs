@@ -59,11 +59,11 @@ impl Lights {
         let light = vec3(1.0, 0.96, 0.90) * (1.3 * key)
             + vec3(0.75, 0.85, 1.0) * (0.13 * fill)
             + vec3(0.80, 0.88, 1.0) * (0.20 * open * (0.55 + 0.45 * sky));
-        let colour = match (s.heat, s.front) {
-            (Some(heat), _) => warmth(heat),
-            (None, true) => FRONT,
-            (None, false) => BACK,
-        };
+        // Colour that stands for a number must not depend on the light, but for a hint of the shape.
+        if let Some(heat) = s.heat {
+            return warmth(heat) * (0.66 + 0.34 * key);
+        }
+        let colour = if s.front { FRONT } else { BACK };
         let albedo = colour * checker(s.field);
         let facing = n.dot(s.eye).clamp(0.0, 1.0);
         let rim = (1.0 - facing).powi(4) * (0.3 + 0.7 * sky);
@@ -80,7 +80,7 @@ impl Lights {
 }
 
 /// Maps 0 to 1 to colours from pale through yellow and red to nearly black, ever darker.
-fn warmth(heat: f32) -> Vec3 {
+pub(super) fn warmth(heat: f32) -> Vec3 {
     const STEPS: [Vec3; 4] =
         [vec3(0.80, 0.80, 0.78), vec3(0.85, 0.52, 0.10), vec3(0.62, 0.08, 0.03), vec3(0.10, 0.01, 0.05)];
     let place = heat.clamp(0.0, 1.0) * (STEPS.len() - 1) as f32;

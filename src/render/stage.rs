@@ -18,6 +18,8 @@ use glam::{Vec3, vec3};
 const MARKER: f32 = 0.0135;
 /// Distance of the floor below the trajectory, as a fraction of the trajectory's height.
 const FLOOR: f32 = 0.10;
+/// Least distance of the floor \[sizes of the cloth\], for a sheet that lies flat.
+const ABOVE_FLOOR: f32 = 0.08;
 /// Darkness of the shadow on the floor.
 const SHADOW: f32 = 0.34;
 
@@ -58,16 +60,29 @@ impl Stage {
     /// Prepares pictures with `samples * samples` samples per pixel. Panics if a handle is not a particle of
     /// the grid.
     pub fn new(trajectory: &Trajectory, handles: &[usize], view: &View, size: Size, samples: usize) -> Self {
+        Self::with(trajectory, &[], handles, view, (size, samples))
+    }
+
+    /// As [`Stage::new`], with room for the frames of others.
+    pub fn with(
+        trajectory: &Trajectory,
+        others: &[&Trajectory],
+        handles: &[usize],
+        view: &View,
+        (size, samples): (Size, usize),
+    ) -> Self {
         let grid = trajectory.grid();
         assert!(handles.iter().all(|&h| h < grid.particles()), "handles are particles of the grid");
         let faces = grid.faces();
         let up = view.up();
         let first: &[[f32; 3]] = if trajectory.frames() > 0 { trajectory.frame(0) } else { &[] };
         let unit = Unit::new(first);
-        let frames = (0..trajectory.frames()).map(|f| unit.of(trajectory.frame(f)));
+        let frames_of =
+            |of: &'_ Trajectory| (0..of.frames()).map(|f| unit.of(of.frame(f))).collect::<Vec<_>>();
+        let frames = std::iter::once(trajectory).chain(others.iter().copied()).flat_map(frames_of);
         let all = frames.filter(|frame| is_whole(frame)).flatten().filter(usable);
         let (low, high) = range(all.clone().map(|p| up.dot(Vec3::from(p))));
-        let floor = low - FLOOR * (high - low);
+        let floor = low - (FLOOR * (high - low)).max(ABOVE_FLOOR);
         let on_floor = |p: Vec3| p + up * (floor - up.dot(p));
         // A part of a long or fine trajectory suffices: the points left out lie within the margin around the
         // others. A stride that shares no factor with the number of particles takes different ones in each
@@ -105,6 +120,12 @@ impl Stage {
     /// Draws the stage without a cloth.
     pub fn draw_empty(&self) -> Image {
         self.draw(&vec![[f32::NAN; 3]; self.grid.particles()])
+    }
+
+    /// Whether the cloth is in one piece in a frame.
+    pub fn is_whole(&self, positions: &[[f32; 3]]) -> bool {
+        let positions = self.unit.of(positions);
+        positions.iter().all(usable) && is_whole(&positions)
     }
 
     /// Draws the positions of a frame \[m\], shape [V, 3].
@@ -247,6 +268,27 @@ mod tests {
         let middle = |azimuth: f32| stage(&positions, grid, azimuth).draw(&positions).at(100, 70);
         let (one, other) = (middle(0.0), middle(180.0));
         assert!((one[2] > one[0]) != (other[2] > other[0]), "{one:?} and {other:?}");
+    }
+
+    #[test]
+    fn a_cloth_is_whole_if_all_of_it_is_near() {
+        let grid = Grid { h: 12, w: 9 };
+        let positions = sheet(grid);
+        let stage = stage(&positions, grid, 0.0);
+        assert!(stage.is_whole(&positions));
+        for far in [4.0, 1e38, f32::NAN] {
+            let mut burst = positions.clone();
+            burst[20][1] = far;
+            assert!(!stage.is_whole(&burst), "{far}");
+        }
+    }
+
+    /// A sheet that lies flat used to lie on the floor, in its own shadow.
+    #[test]
+    fn a_flat_sheet_is_above_the_floor() {
+        let grid = Grid { h: 12, w: 9 };
+        let flat: Vec<[f32; 3]> = sheet(grid).into_iter().map(|[_, y, z]| [y, 0.0, z]).collect();
+        assert!((stage(&flat, grid, 0.0).floor + ABOVE_FLOOR).abs() < 1e-6);
     }
 
     #[test]

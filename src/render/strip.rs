@@ -41,9 +41,12 @@ pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions)
         if frame >= trajectory.frames() {
             return stage.draw_empty();
         }
-        let mut image = stage.draw(trajectory.frame(frame));
-        let height = (options.height as f32 / 20.0).max(12.0);
-        let caption = format!("{:.decimals$} s", frame as f64 / trajectory.fps());
+        let positions = trajectory.frame(frame);
+        let mut image = stage.draw(positions);
+        // Still legible where a strip is shown at half its size.
+        let height = (options.height as f32 / 14.0).max(12.0);
+        let diverged = if stage.is_whole(positions) { "" } else { ", diverged" };
+        let caption = format!("{:.decimals$} s{diverged}", frame as f64 / trajectory.fps());
         text::write(&mut image, &caption, [0.7 * height, options.height as f32 - 1.6 * height], height);
         image
     };

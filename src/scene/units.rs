@@ -1,4 +1,4 @@
-//! Conversion between SI units outside and grid units inside (paper section 3.2).
+//! Conversion between SI units outside and grid units inside.
 
 use super::RepulsionSettings;
 use crate::cloth::{Air, Material, Repulsion};

@@ -59,7 +59,7 @@ impl Optimizer {
         Self::Adam(AdamSettings { rate: 0.1, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 })
     }
 
-    /// Returns L-BFGS as in the paper's comparison: history 5, step 1, pairs with `y.s > 1e-12`.
+    /// Returns L-BFGS as in the authors' comparison: history 5, step 1, pairs with `y.s > 1e-12`.
     pub fn lbfgs() -> Self {
         Self::Lbfgs(LBFGS)
     }

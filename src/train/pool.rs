@@ -1,5 +1,5 @@
-//! A pool of cloths: drawing batches, tracking progress, resetting cloths (paper section 3.3, after Wandel et
-//! al. 2020).
+//! A pool of cloths: drawing batches, tracking progress, resetting cloths (paper section 3.3, after Stotko et
+//! al. 2024).
 
 use super::config::{MotionRanges, PoolConfig, ResetRules};
 use super::learner::{Batch, Drawn, Outcome};

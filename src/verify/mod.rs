@@ -157,7 +157,7 @@ pub struct TrainingOutput {
     pub gradient: Vec<f64>,
 }
 
-/// Several steps of AdamW with the paper's settings.
+/// Several steps of AdamW with the authors' settings.
 #[derive(Clone, Debug)]
 pub struct AdamWCase {
     /// Weights at the start.

@@ -3,7 +3,7 @@
 use super::jobs::{Kept, Plan};
 use super::progress;
 use fnopt::cloth::Grid;
-use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshots, track, vertex_errors};
+use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshot_frames, snapshots, track, vertex_errors};
 use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
 use fnopt::sim::Optimizer;
 use fnopt::{Error, Result};
@@ -27,20 +27,45 @@ const WORST_GAP: f64 = 10.0;
 const E_CD: &str = "e_CD \u{b7} 10\u{b3} [m\u{b2}]";
 
 fn write(folder: &Path, name: &str, all: &[Chart]) -> Result<()> {
-    if all.is_empty() {
-        return Ok(());
+    if all.is_empty() { Ok(()) } else { write_png(folder.join(name), &charts(all, SIZE)) }
+}
+
+/// The colours of solvers, the same in all charts: by solver and column, in the order of the tables.
+struct Colours(Vec<(String, String)>);
+
+impl Colours {
+    fn new(columns: impl IntoIterator<Item = (String, String)>) -> Self {
+        let mut known = Vec::new();
+        for column in columns {
+            if !known.contains(&column) {
+                known.push(column);
+            }
+        }
+        Self(known)
     }
-    let image = charts(all, (2 * SIZE.0, SIZE.1 * all.len().div_ceil(2)));
-    write_png(folder.join(name), &image)
+
+    fn of_column(&self, name: &str) -> usize {
+        self.0.iter().position(|(_, column)| column == name).unwrap_or(self.0.len())
+    }
+
+    /// A solver has the colour of its first column.
+    fn of_solver(&self, name: &str) -> usize {
+        self.0.iter().position(|(solver, _)| solver == name).unwrap_or(self.0.len())
+    }
 }
 
 /// Draws error and repulsion per frame for every sequence and grid, and error and time against the number of
 /// iterations.
 pub(super) fn draw(folder: &Path, scores: &[Score]) -> Result<()> {
     std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
-    per_frame(folder, "per_frame.png", scores, (E_CD, 1e3, |s| &s.per_frame.e_cd))?;
-    per_frame(folder, "repulsion.png", scores, ("repulsion energy", 1.0, |s| &s.per_frame.repulsion))?;
-    iterations(folder, scores)
+    let colours = Colours::new(scores.iter().map(|score| (score.solver.clone(), score.column())));
+    let of = |figure| per_frame(scores, &colours, figure);
+    write(folder, "per_frame.png", &of((E_CD, 1e3, |s| &s.per_frame.e_cd)))?;
+    // Without folds there is nothing to see.
+    if scores.iter().any(|score| score.per_frame.repulsion.iter().any(|&energy| energy > 0.0)) {
+        write(folder, "repulsion.png", &of(("repulsion energy", 1.0, |s| &s.per_frame.repulsion)))?;
+    }
+    write(folder, "iterations.png", &iterations(scores, &colours))
 }
 
 /// Whether a score is of a simulation from the recorded start. Only those are drawn frame by frame.
@@ -61,25 +86,32 @@ fn entry<K: PartialEq, V: Default>(all: &mut Vec<(K, V)>, key: K) -> &mut V {
 /// What to plot of a score: a name, a factor and the values per frame.
 type Figure = (&'static str, f64, fn(&Score) -> &Vec<f64>);
 
-fn per_frame(folder: &Path, file: &str, scores: &[Score], (name, factor, of): Figure) -> Result<()> {
+fn per_frame(scores: &[Score], colours: &Colours, (name, factor, of): Figure) -> Vec<Chart> {
     let mut curves: Vec<((&str, &str), Vec<Curve>)> = Vec::new();
-    for score in scores.iter().filter(|s| s.stable && recorded_start(s)) {
+    for score in scores.iter().filter(|s| recorded_start(s)) {
+        // One that diverged has no frames to show, but stays in the legend.
         let points = of(score).iter().enumerate().map(|(f, &v)| [(f + 1) as f64, factor * v]);
-        let curve = Curve { label: score.column(), points: points.collect() };
+        let column = score.column();
+        let curve = Curve {
+            colour: colours.of_column(&column),
+            label: if score.stable { column } else { format!("{column} (diverged)") },
+            points: points.collect(),
+        };
         entry(&mut curves, (&score.sequence, &score.grid)).push(curve);
     }
     let chart = |((sequence, grid), curves)| Chart {
         title: format!("{sequence} on {grid}"),
         axes: ["frame".into(), name.into()],
         curves,
-        scale: Scale::Linear,
+        scales: [Scale::Linear; 2],
     };
-    write(folder, file, &curves.into_iter().map(chart).collect::<Vec<_>>())
+    curves.into_iter().map(chart).collect()
 }
 
 /// Draws means over the sequences of a grid and solver against the number of iterations: of 1000 times the
-/// error and of the time \[ms\]. There is no point where the solver diverged on any sequence.
-fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
+/// error and of the time \[ms\]. There is no point where the solver diverged on any sequence, and no chart if no
+/// solver has two points.
+fn iterations(scores: &[Score], colours: &Colours) -> Vec<Chart> {
     /// Error and time of every sequence, by the number of iterations; `None` if the solver diverged.
     type Figures = BTreeMap<usize, Vec<Option<[f64; 2]>>>;
     let mut of: Vec<((&str, &str), Figures)> = Vec::new();
@@ -96,23 +128,23 @@ fn iterations(folder: &Path, scores: &[Score]) -> Result<()> {
             let points: Vec<_> =
                 means.iter().filter_map(|(&n, v)| Some([n as f64, mean(&whole(v)?)])).collect();
             if !points.is_empty() {
-                curves.push(Curve { label: solver.to_owned(), points });
+                curves.push(Curve { label: solver.to_owned(), colour: colours.of_solver(solver), points });
             }
         }
     }
-    let charts: Vec<Chart> = grids
+    grids.retain(|(_, [errors, _])| errors.iter().any(|curve| curve.points.len() > 1));
+    grids
         .into_iter()
         .flat_map(|(grid, [errors, times])| {
             let chart = |what: &str, curves| Chart {
                 title: format!("Mean over the sequences on {grid}"),
                 axes: ["iterations".into(), what.into()],
                 curves,
-                scale: Scale::Logarithmic,
+                scales: [Scale::Logarithmic; 2],
             };
             [chart(E_CD, errors), chart("ms per frame", times)]
         })
-        .collect();
-    write(folder, "iterations.png", &charts)
+        .collect()
 }
 
 /// Draws a convergence chart for each sequence and grid. If `tick`, which is called every frame, ends it, the
@@ -143,6 +175,7 @@ fn convergence_on(
     scene.frames = Some(sequence.truth.frames().min(plan.settings.frames).min(CONVERGENCE_FRAMES));
     let Some(track) = track(&scene.setup()?, tick)? else { return Ok(None) };
     let mut curves: Vec<Curve> = Vec::new();
+    let colours = Colours::new(plan.entries.iter().map(|entry| (entry.name.clone(), entry.column())));
     for entry in plan.entries {
         let optimizer = &entry.optimizer;
         // Newton's method converges whatever the number of iterations and has no curve; no optimizer has two.
@@ -158,17 +191,19 @@ fn convergence_on(
             // Above 1 the energy is larger than at the start. How much larger does not matter.
             points.push([n as f64, gap.min(WORST_GAP)]);
         }
-        curves.push(Curve { label: optimizer.name().to_owned(), points });
+        let colour = colours.of_solver(&entry.name);
+        curves.push(Curve { label: optimizer.name().to_owned(), colour, points });
     }
     let title = format!("{} on {grid}", sequence.name);
-    let axes = ["iterations".into(), "energy gap".into()];
-    Ok(Some(Chart { title, axes, curves, scale: Scale::Logarithmic }))
+    let axes = ["iterations".into(), format!("energy gap (at most {WORST_GAP})")];
+    Ok(Some(Chart { title, axes, curves, scales: [Scale::Logarithmic; 2] }))
 }
 
 /// Draws a few frames of a sequence and, for each grid, of every simulation of it, coloured by the distance
 /// from the truth.
 pub(super) fn error_maps(folder: &Path, sequence: &Sequence, (all, frames): (&[Kept], usize)) -> Result<()> {
     let truth = snapshots(&sequence.truth, frames);
+    let times = snapshot_frames(sequence.truth.frames().min(frames)).map(|f| f as f64 / sequence.truth.fps());
     let here = |kept: &&Kept| kept.score.sequence == sequence.name && recorded_start(&kept.score);
     let mut grids: Vec<(&str, Vec<ErrorMap>)> = Vec::new();
     for kept in all.iter().filter(here) {
@@ -185,8 +220,24 @@ pub(super) fn error_maps(folder: &Path, sequence: &Sequence, (all, frames): (&[K
     let handles =
         sequence.scene(sequence.grid(), &Physics::default())?.setup()?.model.cloths[0].handles.clone();
     for (grid, maps) in grids {
-        let image = render::error_maps(&truth, &handles, &maps, &view);
+        let image = render::error_maps(&truth, &times, &handles, &maps, &view);
         write_png(folder.join(format!("errors_{}_{grid}.png", sequence.name)), &image)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Colours;
+
+    #[test]
+    fn a_solver_has_one_colour_in_all_charts() {
+        let columns = [("fnopt", "fnopt, N = 5"), ("newton", "newton"), ("fnopt", "fnopt, N = 10")];
+        let twice =
+            columns.iter().chain(&columns).map(|(solver, column)| ((*solver).into(), (*column).into()));
+        let colours = Colours::new(twice);
+        assert_eq!(columns.map(|(_, column)| colours.of_column(column)), [0, 1, 2]);
+        assert_eq!(columns.map(|(solver, _)| colours.of_solver(solver)), [0, 1, 0]);
+        assert_eq!(colours.of_column("adam"), 3);
+    }
 }

@@ -8,7 +8,7 @@ use crate::cpu::matmul::{Start, Target, Term, product};
 use crate::cpu::real::Real;
 use crate::network::{Config, Weights};
 
-/// The lifting layers and the positional fields (paper section 4).
+/// The lifting layers and the positional fields.
 pub(super) struct Lifting<T> {
     hidden: Pointwise<T>,
     out: Pointwise<T>,

@@ -1,4 +1,4 @@
-//! The learned update rule (paper section 4), which turns gradients into a step and remembers the previous
+//! The learned update rule (paper section 3.3), which turns gradients into a step and remembers the previous
 //! one.
 
 use super::{Minimizer, norm};

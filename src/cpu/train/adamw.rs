@@ -34,7 +34,7 @@ pub struct AdamWFactors {
 }
 
 impl Default for AdamWSettings {
-    /// Returns the paper's settings: decay rates 0.9 and 0.999, weight decay 0.01, gradients clipped to 1.
+    /// Returns the authors' settings: decay rates 0.9 and 0.999, weight decay 0.01, gradients clipped to 1.
     fn default() -> Self {
         Self { betas: [0.9, 0.999], epsilon: 1e-8, weight_decay: 0.01, clip: 1.0 }
     }
