@@ -41,8 +41,8 @@ pub enum Error {
         /// The nearest known names, best first.
         nearest: Vec<String>,
     },
-    /// No device can do the work: there is no adapter, its limits or the memory are too small, its driver refuses
-    /// a kernel, or the machine cannot start what the work needs.
+    /// No device can do the work: there is no adapter, its limits or the memory are too small, its driver
+    /// refuses a kernel, or the machine cannot start what the work needs.
     #[error("device: {0}")]
     Device(String),
     /// The device was lost, together with everything on it. The work can be restarted on another device.

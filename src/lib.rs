@@ -89,9 +89,9 @@
 //!
 //! # Units, shapes and errors
 //!
-//! Bad input is an [`Error`]. A control whose length does not match the model is an error of [`Simulator::step`]
-//! ([`cloth::Control::check`]); any other array of the wrong length is a panic, as everywhere in [`sim::Solver`]
-//! and [`cpu::Solver`].
+//! Bad input is an [`Error`]. A control whose length does not match the model is an error of
+//! [`Simulator::step`] ([`cloth::Control::check`]); any other array of the wrong length is a panic, as
+//! everywhere in [`sim::Solver`] and [`cpu::Solver`].
 //!
 //! Lengths, times and masses are in SI units in scenes and files, and in *grid units* everywhere else: the
 //! rest length of an edge, the time of a frame and the mass of a cell are 1. The z axis points up, and

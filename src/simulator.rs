@@ -76,8 +76,8 @@ const IN_FLIGHT: usize = 2;
 impl Simulator {
     /// Builds a solver with `iterations` iterations per frame. The cloths start at rest.
     ///
-    /// Fails if the model ([`Model::check`]) or the optimizer is not valid, there are no iterations, memory runs
-    /// out, or the device is lost or does not support the optimizer, grid or batch.
+    /// Fails if the model ([`Model::check`]) or the optimizer is not valid, there are no iterations, memory
+    /// runs out, or the device is lost or does not support the optimizer, grid or batch.
     pub fn new(device: &Device, model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         let backend = match device {
             Device::Cpu => Backend::Cpu {

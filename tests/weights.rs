@@ -33,7 +33,7 @@ fn sound(suite: Suite, names: &[&str], (grid, frames, iterations): (Grid, usize,
         let (score, trajectory) = ran.unwrap().expect("the run was interrupted");
         assert_eq!(trajectory.frames(), frames);
         let stretch = score.stretch_largest;
-        assert!(score.sound(), "{grid} {name}, {iterations} iterations: stretch {stretch:.3}");
+        assert!(score.sound(), "{grid} {name}, {iterations} iterations: stretch {stretch:.3?}");
     }
 }
 

@@ -143,13 +143,16 @@ pub fn run(args: &Args) -> Result<Ending> {
         status!("interrupted after {} of {count} sizes", rows.len());
     }
     let gflop_per_s = peak_rate.map(|rate| rate * 1e-9);
+    // Input that is refused leaves no output.
+    let of_input = |e: &anyhow::Error| !matches!(e.downcast_ref(), Some(Error::NonFinite { .. }));
+    let is_refused = count == 1 && first_error.as_ref().is_some_and(of_input);
     let ending = match first_error {
         _ if go_on(&interrupted).is_break() => Ok(Ending::Interrupted),
         None => Ok(Ending::Done),
         Some(error) if count == 1 || failures.is_empty() => Err(error),
         Some(error) => Err(error.context(format!("{} of {count} sizes could not be timed", failures.len()))),
     };
-    if rows.is_empty() && ending.is_err() {
+    if rows.is_empty() && ending.is_err() && (is_refused || !args.json) {
         return ending;
     }
     if args.json {

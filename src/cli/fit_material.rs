@@ -131,8 +131,12 @@ pub fn run(args: &Args) -> Result<Ending> {
         writeln!(out, "{values}{:>13.3}", 1e3 * error)?;
     }
     writeln!(out, "all {} points: {}", surface.sorted().len(), args.out.display())?;
-    if found.is_some() {
-        writeln!(out, "the best of them: {}", best.display())?;
+    if let Some((best_point, _)) = found {
+        let elsewhere = match fit.found(&surface).iter().any(|(point, _)| *point == best_point) {
+            true => "",
+            false => ", outside the ranges of this search",
+        };
+        writeln!(out, "the best of them{elsewhere}: {}", best.display())?;
     }
     if tick().is_break() {
         status!("interrupted; run again to continue");

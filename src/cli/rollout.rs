@@ -317,6 +317,11 @@ impl<'a> Run<'a> {
         self.largest_free_stretch <= STRETCH_LIMIT
     }
 
+    /// Returns the largest stretch away from the handles; `None` without a frame after the start.
+    fn stretch_largest_free(&self) -> Option<f64> {
+        (!self.per_frame.is_empty()).then_some(self.largest_free_stretch)
+    }
+
     /// Returns the median time per frame after the warm-up, or of all frames if there are no others.
     fn ms_per_frame(&self) -> f64 {
         let times: Vec<f64> = self.per_frame.iter().map(|f| f.ms).collect();
@@ -415,7 +420,7 @@ impl<'a> Run<'a> {
             "device": self.device,
             "status": status,
             "sound": status != Status::NonFinite && self.is_sound(),
-            "stretch_largest_free": self.largest_free_stretch,
+            "stretch_largest_free": self.stretch_largest_free(),
             "files": names(written).chain([REPORT.into()]).collect::<Vec<_>>(),
             "frames": self.trajectory.frames(),
             "ms_per_frame": self.ms_per_frame(),
@@ -434,7 +439,7 @@ impl<'a> Run<'a> {
             let summary = serde_json::json!({
                 "device": self.device, "status": status, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
                 "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch,
-                "stretch_largest_free": self.largest_free_stretch,
+                "stretch_largest_free": self.stretch_largest_free(),
                 "sound": status != Status::NonFinite && self.is_sound(), "written": written,
             });
             writeln!(out, "{summary:#}")?;

@@ -168,14 +168,18 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>, minutes: Option<f64>) {
     let limit =
         minutes.map_or_else(String::new, |left| format!(", at most {:.0} minutes left", left.max(0.0)));
     bar.set_message(format!("loss {:.4}{limit}", progress.report.loss()));
-    for SceneScore { scene, gap, largest_stretch, stable } in progress.validation.into_iter().flatten() {
-        let stable = if *stable { "stable" } else { "UNSTABLE" };
+    for SceneScore { scene, gap, stretch_largest, sound } in progress.validation.into_iter().flatten() {
+        let sound = if *sound { "sound" } else { "UNSOUND" };
         let gap = gap.map_or_else(String::new, |gap| match gap >= SceneScore::MOST_GAP {
             true => format!(", energy gap {:.0} % or more", 100.0 * SceneScore::MOST_GAP),
             false => format!(", energy gap {:.2} %", 100.0 * gap),
         });
-        let (step, percent) = (progress.step, 100.0 * largest_stretch);
+        let stretch = stretch_largest.map_or_else(
+            || ", not finite".into(),
+            |stretch| format!(", largest stretch {:.1} %", 100.0 * stretch),
+        );
+        let step = progress.step;
         // Printed even if the bar is hidden, as in a batch job's log.
-        bar.suspend(|| status!("step {step}: {scene}: {stable}{gap}, largest stretch {percent:.1} %"));
+        bar.suspend(|| status!("step {step}: {scene}: {sound}{gap}{stretch}"));
     }
 }

@@ -25,8 +25,8 @@ impl Default for Material {
 }
 
 /// The air around a cloth, in grid units. The coefficients are already divided by the mass of a cell of the
-/// sheet, so that `density * area * |v_n| v_n n + drag * area * v_tangential`, divided by a particle's grid mass, is
-/// an acceleration.
+/// sheet, so that `density * area * |v_n| v_n n + drag * area * v_tangential`, divided by a particle's grid
+/// mass, is an acceleration.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Air {
     /// Pressure coefficient of the normal component: `air density * spacing / areal mass`.

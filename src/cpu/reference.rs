@@ -93,8 +93,8 @@ impl Reference {
         Ok(Self { objective, hessian, rest, history, tolerance: 1e-8, iterations: 200 })
     }
 
-    /// Returns L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`. Panics if a
-    /// length does not match the model, as [`Reference::minimise`] does.
+    /// Returns L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`. Panics
+    /// if a length does not match the model, as [`Reference::minimise`] does.
     pub fn energy(&mut self, state: &State<f64>, control: &Control<f64>, a: &[f64]) -> f64 {
         begin(&mut self.objective, state, control, a);
         energy_here(&mut self.objective, state, control)
@@ -209,8 +209,8 @@ pub struct Track {
 }
 
 impl Track {
-    /// Simulates one cloth from `start` through the frames of `controls`. Fails as [`Reference::new`] does. Panics
-    /// if a length does not match the model.
+    /// Simulates one cloth from `start` through the frames of `controls`. Fails as [`Reference::new`] does.
+    /// Panics if a length does not match the model.
     pub fn new(
         model: &Model,
         start: State<f64>,

@@ -74,18 +74,18 @@ impl Conditions {
 
     fn by(self, entry: &Entry, device: &Device) -> Self {
         let device = entry.device(device);
-        let kind = match device {
-            Device::Cpu => "cpu",
-            Device::Gpu(context) => match context.storage() {
-                Storage::F32 => "gpu",
-                Storage::F16 => "gpu, f16",
-            },
-        };
         let weights = match &entry.optimizer {
             Optimizer::Learned(weights) => Some(weights.checksum()),
             _ => None,
         };
-        let (device, kind) = (Some(device.name()), Some(kind.to_owned()));
+        // Storage concerns the network alone.
+        let (kind, name) = match device {
+            Device::Gpu(context) if weights.is_none() => ("gpu", context.name().to_owned()),
+            Device::Gpu(context) if context.storage() == Storage::F16 => ("gpu, f16", device.name()),
+            Device::Gpu(_) => ("gpu", device.name()),
+            Device::Cpu => ("cpu", device.name()),
+        };
+        let (device, kind) = (Some(name), Some(kind.to_owned()));
         Self { device, kind, weights, ..self }
     }
 

@@ -146,8 +146,8 @@ impl Fit<'_> {
 
     /// Runs the search, starting from the points in `surface`. After every few points, `tried` is called with
     /// the surface and the number of points left. `tick` is called after each frame and may end the search,
-    /// which discards unfinished points. Fails if the coarse grid has too many points, if the ends of the ranges
-    /// cannot be simulated, or if all points diverge.
+    /// which discards unfinished points. Fails if the coarse grid has too many points, if the ends of the
+    /// ranges cannot be simulated, or if all points diverge.
     pub fn search(
         &self,
         surface: &mut ErrorSurface,
@@ -265,7 +265,8 @@ impl Fit<'_> {
         Ok(())
     }
 
-    /// Returns the mean e_CD over the sequences; `None` if `tick` ended the simulation.
+    /// Returns the mean e_CD over the sequences, infinite if a simulation diverged or did not converge;
+    /// `None` if `tick` ended the simulation.
     fn error(&self, point: &Point, tick: &(impl Fn() -> ControlFlow<()> + Sync)) -> Result<Option<f64>> {
         let settings = Settings { physics: physics(point), ..self.settings };
         let entry =
@@ -276,7 +277,9 @@ impl Fit<'_> {
             else {
                 return Ok(None);
             };
-            sum += score.e_cd.unwrap_or(f64::INFINITY);
+            // Without convergence the error is not the material's.
+            let converged = score.unconverged == Some(0);
+            sum += score.e_cd.filter(|_| converged).unwrap_or(f64::INFINITY);
         }
         Ok(Some(sum / self.sequences.len() as f64))
     }

@@ -14,8 +14,8 @@ pub struct TriangleMesh<'a> {
 }
 
 impl TriangleMesh<'_> {
-    /// Samples `count` points uniformly by area, grouped by triangle. The same seed gives the same points. Panics
-    /// if there are no faces, or if one has a vertex that does not exist.
+    /// Samples `count` points uniformly by area, grouped by triangle. The same seed gives the same points.
+    /// Panics if there are no faces, or if one has a vertex that does not exist.
     pub fn sample(&self, count: usize, seed: u64) -> Vec<[f64; 3]> {
         let mut until = Vec::with_capacity(self.faces.len());
         let mut sum = 0.0;

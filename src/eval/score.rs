@@ -22,6 +22,8 @@ use std::path::Path;
 const DIVERGED: f64 = 3.0;
 /// Duration at the end over which the speed is averaged \[s\].
 const SETTLED_S: f64 = 0.5;
+/// Norm of the gradient above which a frame of Newton's method has not converged.
+const UNCONVERGED: f64 = 1e-6;
 /// Number of frames that [`snapshots`] keeps.
 pub const SNAPSHOTS: usize = 4;
 
@@ -125,6 +127,9 @@ pub struct Score {
     pub stretch_largest: Option<f64>,
     /// Mean over the frames and all edges of `||edge| - 1|`.
     pub stretch_mean: Option<f64>,
+    /// Number of frames in which Newton's method did not converge, to |dL/da| <= 1e-6; `None` for others.
+    #[serde(default)]
+    pub unconverged: Option<usize>,
     /// Mean speed of the particles in the last half second [m/s], which shows how far the cloth has settled.
     pub speed_at_end: Option<f64>,
     /// Mean repulsion energy on a grid of 32 rows, and the shares of frames in which it exceeds 0.1 and 0.02
@@ -196,6 +201,7 @@ pub(super) struct Simulated {
     /// |dL/da| at the end of each frame, in the state that the optimizer left in single precision.
     pub gradients: Vec<f64>,
     pub times_ms: Vec<f64>,
+    /// NaN if a frame was not finite.
     pub stretch_largest: f64,
     pub stable: bool,
     pub ended_early: bool,
@@ -256,6 +262,10 @@ pub fn run(
             score.gradient = Some(gradients.iter().sum::<f64>() / gradients.len() as f64);
             score.stretch_largest = Some(simulated.stretch_largest);
             score.stretch_mean = Some(mean(&|s| s.stretch_mean));
+        }
+        if matches!(entry.optimizer, Optimizer::Newton) {
+            let missed = |s: &&FrameStats| s.gradient_last > UNCONVERGED;
+            score.unconverged = Some(simulated.stats.iter().filter(missed).count());
         }
     }
     Ok(Some((score, simulated.trajectory)))
@@ -363,7 +373,7 @@ pub(super) fn simulate(
     });
     match outcome {
         Ok(()) => {}
-        Err(Error::NonFinite { .. }) => done.stable = false,
+        Err(Error::NonFinite { .. }) => (done.stable, done.stretch_largest) = (false, f64::NAN),
         Err(error) => return Err(error),
     }
     Ok(done)
@@ -398,6 +408,7 @@ fn judge(
         gradient: None,
         stretch_largest: None,
         stretch_mean: None,
+        unconverged: None,
         speed_at_end: None,
         repulsion: None,
         made_with: Conditions::new(sequence, settings),

@@ -63,15 +63,16 @@ pub struct CaseScore {
     pub iterations: usize,
     /// Whether all frames were finite and of plausible size.
     pub finite: bool,
-    /// Largest `|edge| - 1` of the edges away from handles.
-    pub stretch_largest: f64,
+    /// Largest `|edge| - 1` of the edges away from handles; `None` if a frame was not finite.
+    pub stretch_largest: Option<f64>,
     /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; `None` if
     /// it was not requested or is not finite, or if there is repulsion.
     pub gap: Option<f64>,
     /// Median wall time of a frame \[ms\]; `None` if the first frame diverged.
     pub ms_per_frame: Option<f64>,
     /// How near the layers came to each other: the mean over the frames of the repulsion energy on a grid of
-    /// 32 rows, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.3.3). `None` if the simulation diverged.
+    /// 32 rows, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.3.3). `None` if
+    /// the simulation diverged.
     #[serde(default)]
     pub repulsion: Option<[f64; 3]>,
     /// The conditions of the score; `settings` holds the scene, its number of frames, and whether the gap was
@@ -97,7 +98,7 @@ impl CaseScore {
 
     /// Whether the rollout was sound: finite, and no edge away from a handle beyond [`STRETCH_LIMIT`].
     pub fn sound(&self) -> bool {
-        self.finite && self.stretch_largest <= STRETCH_LIMIT
+        self.finite && self.stretch_largest.is_some_and(|stretch| stretch <= STRETCH_LIMIT)
     }
 }
 
@@ -271,7 +272,7 @@ impl Prepared {
             grid: setup.model.grid.to_string(),
             iterations: entry.recorded_iterations(),
             finite: simulated.stable,
-            stretch_largest: simulated.stretch_largest,
+            stretch_largest: Some(simulated.stretch_largest).filter(|stretch| stretch.is_finite()),
             gap,
             ms_per_frame: simulated.ms_per_frame(),
             repulsion: simulated.stable.then(|| self.repulsion_of(&simulated.trajectory)).flatten(),
@@ -344,13 +345,15 @@ fn case_row(score: &CaseScore) -> (String, Vec<Cell>) {
     } else {
         "stretched"
     };
-    let figures = [Some(score.stretch_largest), score.measured_gap(), score.ms_per_frame];
+    let stretch = Some(score.stretch_largest.unwrap_or(f64::INFINITY));
+    let figures = [stretch, score.measured_gap(), score.ms_per_frame];
     row(score.case.clone(), score, sound.to_owned(), figures)
 }
 
 fn row_of_all(scores: &[&CaseScore]) -> (String, Vec<Cell>) {
     let sound = scores.iter().filter(|score| score.sound()).count();
-    let largest = scores.iter().map(|score| score.stretch_largest).fold(0.0, f64::max);
+    let stretch = |score: &&CaseScore| score.stretch_largest.unwrap_or(f64::INFINITY);
+    let largest = scores.iter().map(stretch).fold(0.0, f64::max);
     let figures: [fn(&CaseScore) -> Option<f64>; 2] = [CaseScore::measured_gap, |score| score.ms_per_frame];
     // `None` if one case has none.
     let [gap, ms] = figures.map(|figure| {

@@ -39,7 +39,8 @@ pub fn tables(scores: &[Score]) -> Vec<Table> {
         let is_shown = |group: &&Group| group.grid == grid || group.is_imported();
         let here: Vec<&Group> = groups.iter().filter(is_shown).collect();
         for figure in &FIGURES {
-            if here.iter().any(|group| group.scores().any(|s| (figure.of)(s).is_some())) {
+            // A column of those that diverged shows dashes.
+            if here.iter().any(|group| group.scores().any(|s| !s.stable || (figure.of)(s).is_some())) {
                 tables.extend(per_sequence(figure, &grid, &here));
             }
         }

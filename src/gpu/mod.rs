@@ -1,11 +1,12 @@
 //! The GPU runtime, and the only module that creates wgpu objects. It knows nothing about cloth.
 //!
-//! [`Context`] wraps the caller's device and queue (or opens its own). [`Tensor`] is an array in a storage buffer or texture.
-//! [`Source`] is a kernel's WGSL, unrolled to suit an adapter. `Kernel` is its entry point, compiled on first
-//! use and shared by all solvers of a context. [`Tuning`] holds the tile sizes that suit an adapter.
-//! [`Schedule`] is a list of dispatches with everything bound. [`Readback`] brings results to the host
-//! without stalling the queue. [`Profile`] times dispatches if the adapter has timestamps. Compiled pipelines
-//! outlast the process if the adapter has a pipeline cache ([`Context::with_stored_pipelines`]).
+//! [`Context`] wraps the caller's device and queue (or opens its own). [`Tensor`] is an array in a storage
+//! buffer or texture. [`Source`] is a kernel's WGSL, unrolled to suit an adapter. `Kernel` is its entry
+//! point, compiled on first use and shared by all solvers of a context. [`Tuning`] holds the tile sizes that
+//! suit an adapter. [`Schedule`] is a list of dispatches with everything bound. [`Readback`] brings results
+//! to the host without stalling the queue. [`Profile`] times dispatches if the adapter has timestamps.
+//! Compiled pipelines outlast the process if the adapter has a pipeline cache
+//! ([`Context::with_stored_pipelines`]).
 
 mod cache;
 mod context;

@@ -73,8 +73,8 @@ impl Tensor {
     pub const VIEW_ALIGNMENT: usize = 64;
 
     /// Returns the part of this tensor that starts at element `first` and has this shape. It shares the
-    /// buffer. Panics if `first` is not a multiple of [`Tensor::VIEW_ALIGNMENT`], if the part leaves the tensor,
-    /// or if the tensor is not in single precision.
+    /// buffer. Panics if `first` is not a multiple of [`Tensor::VIEW_ALIGNMENT`], if the part leaves the
+    /// tensor, or if the tensor is not in single precision.
     ///
     /// A kernel that reads the view as vec4 sees its length rounded up to a multiple of four elements.
     pub fn view(&self, first: usize, shape: &[usize]) -> Self {

@@ -62,10 +62,10 @@ impl Tuning {
         Self::of(context.kind(), context.sharing())
     }
 
-    /// Returns the sizes that suit each kind of adapter. On llvmpipe, where every lane's load from a buffer is
-    /// a separate branch and move, these are wide tiles, one row per workgroup and texels (measured). On hardware, with
-    /// thousands of lanes to fill, they are smaller tiles, shared operands and more invocations (estimated:
-    /// no hardware has been measured yet).
+    /// Returns the sizes that suit each kind of adapter. On llvmpipe, where every lane's load from a buffer
+    /// is a separate branch and move, these are wide tiles, one row per workgroup and texels (measured). On
+    /// hardware, with thousands of lanes to fill, they are smaller tiles, shared operands and more
+    /// invocations (estimated: no hardware has been measured yet).
     pub fn of(kind: AdapterKind, sharing: Sharing) -> Self {
         let software = Self {
             channels: 64,

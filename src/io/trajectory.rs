@@ -52,8 +52,8 @@ pub(super) struct Parts {
 }
 
 impl Trajectory {
-    /// Creates a trajectory without frames; `fps` is the number of frames per second [1/s]. Panics if there are no
-    /// particles, or if `fps` is not a finite number above 0.
+    /// Creates a trajectory without frames; `fps` is the number of frames per second [1/s]. Panics if there
+    /// are no particles, or if `fps` is not a finite number above 0.
     pub fn new(grid: Grid, fps: f64) -> Self {
         assert!(grid.particles() > 0, "a trajectory has particles");
         assert!(fps.is_finite() && fps > 0.0, "frames per second are above 0");

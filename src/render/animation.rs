@@ -46,9 +46,9 @@ const PAUSE: f64 = 80.0;
 /// Colour index that leaves a pixel unchanged.
 const SAME: u8 = 255;
 
-/// Writes the trajectory as an animation in real time, which pauses before it begins again; `handles` are the vertices to mark. An empty
-/// trajectory gives a picture of the background. Panics if the size is not 1 to 4096 pixels, `max_fps` or `most`
-/// allows no frames, a handle is not a vertex, or [`View::up`] is 0.
+/// Writes the trajectory as an animation in real time, which pauses before it begins again; `handles` are the
+/// vertices to mark. An empty trajectory gives a picture of the background. Panics if the size is not 1 to
+/// 4096 pixels, `max_fps` or `most` allows no frames, a handle is not a vertex, or the upward direction is 0.
 pub fn write_gif(
     path: impl AsRef<Path>,
     trajectory: &Trajectory,

@@ -30,9 +30,10 @@ const RAMP: [usize; 2] = [80, 12];
 /// Share of the vertices of all maps that the colour scale spans; the rest take its darkest colour.
 const SPAN: f64 = 0.98;
 
-/// Draws a row of frames of the truth, at these times \[s\], and below it one row per map, all with one colour
-/// scale, which the first panel shows. `handles` are the vertices of the truth to mark. Panics if the truth has no
-/// frames or another number of times, a handle is not one of its vertices, or [`View::up`] is 0.
+/// Draws a row of frames of the truth, at these times \[s\], and below it one row per map, all with one
+/// colour scale, which the first panel shows. `handles` are the vertices of the truth to mark. Panics if the
+/// truth has no frames or another number of times, a handle is not one of its vertices, or the upward
+/// direction is 0.
 pub fn error_maps(
     truth: &Trajectory,
     times: &[f64],

@@ -27,7 +27,7 @@ impl Default for StripOptions {
 
 /// Draws frames, evenly spread over the trajectory from the first to the last, side by side with their times
 /// in seconds. `handles` are the vertices to mark. An empty trajectory gives an empty panel. Panics if
-/// `panels` or `height` is 0, a handle is not a vertex, or [`View::up`] is 0.
+/// `panels` or `height` is 0, a handle is not a vertex, or the upward direction is 0.
 pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions) -> Image {
     assert!(options.panels > 0 && options.height > 0, "a strip has panels and a height");
     let stage = Stage::new(trajectory, handles, &options.view, Size::Height(options.height), 3);

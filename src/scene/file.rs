@@ -56,8 +56,8 @@ impl Scene {
         Ok(scene)
     }
 
-    /// Returns the scene as a document that [`Scene::parse`] reads back to the same scene, except for its `origin`.
-    /// Paths are written as they are; [`Scene::parse`] resolves relative ones against its folder.
+    /// Returns the scene as a document that [`Scene::parse`] reads back to the same scene, except for its
+    /// `origin`. Paths are written as they are; [`Scene::parse`] resolves relative ones against its folder.
     pub fn to_json(&self) -> Value {
         let (mass_field, mass) = match self.mass {
             Mass::Total(kg) => ("mass_kg", kg),
@@ -117,8 +117,8 @@ impl Scene {
         document
     }
 
-    /// Writes the scene to a file that [`Scene::load`] reads back, with absolute paths. The file appears whole or
-    /// not at all.
+    /// Writes the scene to a file that [`Scene::load`] reads back, with absolute paths. The file appears
+    /// whole or not at all.
     pub fn save(&self, path: impl AsRef<Path>) -> Result<()> {
         let mut scene = self.clone();
         let absolute = |path: &mut PathBuf| -> Result<()> {

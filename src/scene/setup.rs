@@ -195,8 +195,8 @@ impl Setup {
         Ok(trajectory)
     }
 
-    /// Appends the state at the end of a frame to a trajectory. Panics if the state is not that of one cloth, or
-    /// if the trajectory has another number of particles.
+    /// Appends the state at the end of a frame to a trajectory. Panics if the state is not that of one cloth,
+    /// or if the trajectory has another number of particles.
     pub fn push(&self, trajectory: &mut Trajectory, state: &State<f32>) {
         let single =
             |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
@@ -290,8 +290,8 @@ impl Batch {
 }
 
 impl Scene {
-    /// Checks the scene, reads its files and converts it to grid units, z up. Whatever is suspicious but allowed
-    /// goes to `tracing`, once in the process: a scene may be set up for each of many simulations.
+    /// Checks the scene, reads its files and converts it to grid units, z up. Whatever is suspicious but
+    /// allowed goes to `tracing`, once in the process: a scene may be set up for each of many simulations.
     pub fn setup(&self) -> Result<Setup> {
         let units = self.check()?;
         let grid = self.grid;
@@ -471,8 +471,8 @@ impl Scene {
     /// move to the nearest particle; those that meet on one are merged unless the motion is recorded. Recorded
     /// start states are resampled.
     ///
-    /// Fails, and changes nothing, if a grid is not valid ([`Grid::new`]), or if two handles of a recorded motion
-    /// meet.
+    /// Fails, and changes nothing, if a grid is not valid ([`Grid::new`]), or if two handles of a recorded
+    /// motion meet.
     pub fn regrid(&mut self, grid: Grid) -> Result<()> {
         let old = Grid::new(self.grid.h, self.grid.w, &self.origin)?;
         let grid = Grid::new(grid.h, grid.w, &self.origin)?;

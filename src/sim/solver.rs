@@ -218,16 +218,17 @@ impl Solver {
     }
 
     /// Returns the handle targets \[edges\] of the next frame, in the order of [`Control::handles`], shape
-    /// [handles, 3]. [`Solver::set_control`] writes them. Commands of the host that run between that and the frame
-    /// may overwrite them, for example with a copy of the position of a particle that is to stay where it is.
+    /// [handles, 3]. [`Solver::set_control`] writes them. Commands of the host that run between that and the
+    /// frame may overwrite them, for example with a copy of the position of a particle that is to stay where
+    /// it is.
     pub fn handle_targets(&self) -> &Tensor {
         &self.targets
     }
 
-    /// Returns the external accelerations of the next frame [edges / frame^2], shape [B, 3, H W]. Commands
-    /// of the host may write here. What they write acts in every frame, as long as no control has accelerations.
-    /// Those of a control are cleared by the next control without any; if [`Solver::record_frames`] took them, by
-    /// every control without any, up to and including the next [`Solver::set_control`].
+    /// Returns the external accelerations of the next frame [edges / frame^2], shape [B, 3, H W]. Commands of
+    /// the host may write here. What they write acts in every frame, as long as no control has accelerations.
+    /// Those of a control are cleared by the next control without any; if [`Solver::record_frames`] took
+    /// them, by every control without any, up to and including the next [`Solver::set_control`].
     pub fn control_accelerations(&self) -> &Tensor {
         &self.control_accelerations
     }
@@ -333,9 +334,9 @@ impl Solver {
         }
     }
 
-    /// Sets the control of the frames from the next one on, ahead of the next submission: until another control,
-    /// handles stay at their targets, and wind and accelerations keep acting. Of several calls before a
-    /// submission only the last counts; [`Solver::record_frames`] takes a control for each frame.
+    /// Sets the control of the frames from the next one on, ahead of the next submission: until another
+    /// control, handles stay at their targets, and wind and accelerations keep acting. Of several calls
+    /// before a submission only the last counts; [`Solver::record_frames`] takes a control for each frame.
     ///
     /// Panics if a length does not match the model ([`Control::check`]).
     pub fn set_control(&self, control: &Control<f32>) {
@@ -392,8 +393,8 @@ impl Solver {
     }
 
     /// Creates a vertex buffer of the cloths, with positions and normals. Its view is
-    /// [`VertexView::default`](crate::cloth::VertexView::default) until [`Vertices::set_view`] replaces it. Fails if
-    /// the device cannot bind a buffer of that size.
+    /// [`VertexView::default`](crate::cloth::VertexView::default) until [`Vertices::set_view`] replaces it.
+    /// Fails if the device cannot bind a buffer of that size.
     pub fn vertices(&self) -> Result<Vertices> {
         Vertices::new(&self.context, self)
     }

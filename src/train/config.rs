@@ -112,8 +112,9 @@ pub struct MaterialRanges {
 pub struct MotionRanges {
     /// Probability that the handles of a cloth move.
     pub moving: f64,
-    /// Largest rate of each of the three Euler angles [rad / frame]. Unlike the paper's, whose rotation per frame
-    /// is constant, it turns about an axis that moves, at up to twice this rate where two angles act alike.
+    /// Largest rate of each of the three Euler angles [rad / frame]. Unlike the paper's, whose rotation per
+    /// frame is constant, it turns about an axis that moves, at up to twice this rate where two angles act
+    /// alike.
     pub rotation: f64,
     /// Largest amplitude of the translation along each axis \[edges\].
     pub amplitude: f64,
@@ -139,8 +140,8 @@ pub struct MotionRanges {
 /// Conditions under which a cloth is reset.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct ResetRules {
-    /// Largest stretch, shear and bend energy; a cloth above it after an iteration, or with a non-finite energy,
-    /// is reset.
+    /// Largest stretch, shear and bend energy; a cloth above it after an iteration, or with a non-finite
+    /// energy, is reset.
     pub energy: f64,
     /// Mean life of a cloth in frames; cloths are reset round-robin. A pool may
     /// [override](PoolConfig::sequence_length) it.

@@ -10,8 +10,8 @@ use crate::render::{Chart, Curve, Image, Scale, charts};
 /// Width and height of a chart \[px\].
 const SIZE: (usize, usize) = (600, 450);
 
-/// Draws the loss and the geometric mean of the gradient of each pool, the norm of the weights' gradient, and the
-/// energy gap of each validation scene, over the steps.
+/// Draws the loss and the geometric mean of the gradient of each pool, the norm of the weights' gradient, and
+/// the energy gap of each validation scene, over the steps.
 pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -> Result<Image> {
     let text = metrics.text()?;
     let curve = |column: &str, label: String| {

@@ -14,7 +14,7 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 /// Columns of `validation.csv`.
-const VALIDATION_COLUMNS: [&str; 5] = ["step", "scene", "gap", "largest_stretch", "stable"];
+const VALIDATION_COLUMNS: [&str; 5] = ["step", "scene", "gap", "stretch_largest", "sound"];
 
 /// The records of a run.
 pub(super) struct Records {
@@ -66,9 +66,9 @@ impl Records {
         let (step, scores) = &self.scores;
         let row = |score: &SceneScore| {
             let gap = score.gap.map_or_else(String::new, |gap| format!("{gap:.6}"));
-            let stretch = format!("{:.6}", score.largest_stretch);
-            let stable = u8::from(score.stable).to_string();
-            vec![step.to_string(), score.scene.clone(), gap, stretch, stable]
+            let stretch = score.stretch_largest.map_or_else(String::new, |stretch| format!("{stretch:.6}"));
+            let sound = u8::from(score.sound).to_string();
+            vec![step.to_string(), score.scene.clone(), gap, stretch, sound]
         };
         self.validations.push_all(&scores.iter().map(row).collect::<Vec<_>>())
     }

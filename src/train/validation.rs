@@ -28,10 +28,13 @@ pub struct SceneScore {
     /// after N iterations; `None` in the falling scene.
     pub gap: Option<f64>,
     /// Largest `|edge| - 1` over all frames and all edges away from the handles ([`crate::eval::FreeEdges`]).
-    pub largest_stretch: f64,
+    /// `None` if a frame was not finite.
+    #[serde(alias = "largest_stretch")]
+    pub stretch_largest: Option<f64>,
     /// Whether the rollout was sound: all frames finite, and no such edge stretched beyond
     /// [`crate::eval::STRETCH_LIMIT`].
-    pub stable: bool,
+    #[serde(alias = "stable")]
+    pub sound: bool,
 }
 
 impl Validation {
@@ -73,7 +76,7 @@ impl Validation {
     /// any gap.
     pub fn score(scores: &[SceneScore]) -> f64 {
         let of = |s: &SceneScore| match s.gap.unwrap_or(0.0) {
-            gap if s.stable && gap < SceneScore::MOST_GAP => gap,
+            gap if s.sound && gap < SceneScore::MOST_GAP => gap,
             _ => SceneScore::MOST_GAP,
         };
         scores.iter().map(of).sum::<f64>() / scores.len() as f64
@@ -90,8 +93,8 @@ impl SceneScore {
             scene: score.case.clone(),
             // Cap the gap, also if it is infinite or NaN: JSON would store that as null, which means no gap.
             gap: score.measured_gap().map(|gap| gap.min(Self::MOST_GAP)),
-            largest_stretch: score.stretch_largest.min(f64::MAX),
-            stable: score.sound(),
+            stretch_largest: score.stretch_largest,
+            sound: score.sound(),
         }
     }
 }

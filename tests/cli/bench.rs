@@ -67,4 +67,10 @@ fn a_size_that_fails_is_reported_once_and_the_others_are_kept() {
     let failure = &all["failures"][0];
     assert!(failure["error"].as_str().unwrap().contains("became non-finite"), "{all}");
     assert_eq!((&failure["batch"], all["failures"].as_array().unwrap().len()), (&1.into(), 1));
+    // Also if no size is left.
+    let alone = ["--device", "cpu", "--solver", "quasi-newton", "--grid", "8", "--frames", "20", "--json"];
+    let output = fnopt(folder.path(), &[&["bench"], &alone[..]].concat());
+    let all = parsed(&output.stdout);
+    let counts = ["rows", "failures"].map(|what| all[what].as_array().unwrap().len());
+    assert_eq!((output.status.code(), counts), (Some(3), [0, 1]), "{all}");
 }

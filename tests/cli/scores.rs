@@ -26,14 +26,20 @@ fn an_evaluation_keeps_its_scores() {
         text(&output.stdout)
     };
     let whole = evaluate(&["--plots", "plots", "--markdown", "t.md", "--csv", "t.csv", "--json", "t.json"]);
-    for file in ["per_frame", "repulsion", "iterations", "convergence", "errors_xy_v2_32x32"] {
-        assert!(at.join(format!("plots/{file}.png")).is_file(), "{file}");
+    let plotted = |file: &str| at.join(format!("plots/{file}.png")).is_file();
+    for file in ["per_frame", "convergence", "errors_xy_v2_32x32"] {
+        assert!(plotted(file), "{file}");
     }
+    // Nothing comes close, and each solver has one number of iterations.
+    assert!(!plotted("repulsion") && !plotted("iterations"));
     for (file, says) in [("t.md", "| xy_v2 |"), ("t.csv", "xy_v2,"), ("t.json", "\"sequence\": \"xy_v2\"")] {
         assert!(std::fs::read_to_string(at.join(file)).unwrap().contains(says), "{file}");
     }
     // The times would differ if anything were simulated again.
     assert_eq!(evaluate(&[]), whole);
+
+    evaluate(&["--iterations", "2,4", "--grid", "8", "--plots", "plots"]);
+    assert!(plotted("iterations"));
 
     // Another system, here the ground truth itself, has a column next to the solvers.
     let other = evaluate(&["--compare", &format!("arcsim={truth}")]);
@@ -245,7 +251,33 @@ fn a_task_of_an_array_does_its_share_and_says_so() {
         assert!(log.contains(&format!("share {share} of 3")), "{log}");
         assert_eq!(scores(&folder.path().join("out/evaluate")).len(), 2 * (share + 1));
     }
-    refused(array("7", "3"), &["SLURM_ARRAY_TASK_ID", "0 to 2"]);
+    refused(array("7", "3"), &["SLURM_ARRAY_TASK_ID", "0 to 2", "--shard I/N in an array with gaps"]);
+    // A task that was submitted again on its own.
+    let output = array("1", "1");
+    assert!(
+        text(&output.stderr).contains("the only task of its Slurm array does all the work"),
+        "{output:?}"
+    );
+    refused(evaluate(folder.path(), &["--shard", "0/0"]), &["--shard", "a share of 1 or more"]);
+}
+
+/// Means over other sequences than the next column's are pointed out.
+#[test]
+fn a_merge_names_what_is_missing() {
+    let folder = tempfile::tempdir().unwrap();
+    let few = ["--device", "cpu", "--out", "kept"];
+    let run = |more: &[&str]| done(evaluate(folder.path(), &[&few[..], more].concat()));
+    run(&["--grid", "8,9", "--solver", "gd:1"]);
+    run(&["--grid", "8", "--solver", "gd:2"]);
+    let merge = || done(quiet(folder.path(), &["evaluate", "--merge", "kept"]).output().unwrap());
+    assert!(!merge().1.contains("no score"), "{}", merge().1);
+    copy_sequence(&folder.path().join("truth/other"));
+    let truth = folder.path().join("truth");
+    let other = ["evaluate", "--ground-truth", truth.to_str().unwrap(), "--grid", "9", "--solver", "gd:1"];
+    let same = ["--frames", "4", "--points", "100"];
+    done(quiet(folder.path(), &[&other[..], &same, &few].concat()).output().unwrap());
+    let expected = "warning: no score of gd, N = 1 on other, 8x8; gd, N = 2 on other, 8x8\n";
+    assert!(merge().1.contains(expected), "{}", merge().1);
 }
 
 /// A damaged sequence, or another system's damaged trajectory, is reported and does not affect the others.

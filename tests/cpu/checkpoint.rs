@@ -72,7 +72,7 @@ fn saving_and_loading_keeps_every_bit() {
 fn unwritable_and_missing_files_are_reported() {
     let missing = Weights::load(path("nowhere")).unwrap_err().to_string();
     assert!(missing.contains("nowhere.safetensors: cannot read"), "{missing}");
-    let unwritable = tiny().save(&path("no/such/folder")).unwrap_err().to_string();
+    let unwritable = tiny().save(path("no/such/folder")).unwrap_err().to_string();
     assert!(unwritable.contains("cannot write"), "{unwritable}");
 }
 

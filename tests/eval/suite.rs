@@ -43,6 +43,11 @@ fn cases_of_a_grid_are_summed_up_in_a_row() {
     let found = rows(&[three[0].clone(), three[2].clone(), exploded]);
     assert_eq!(found[3][2..4], ["10".to_owned(), "diverged".to_owned()]);
     assert!(found[4].join(" ").contains("2 of 3"), "{found:?}");
+    // One that left the numbers has no largest stretch, and so has its grid.
+    let burst = CaseScore { finite: false, stretch_largest: None, ..case("n", 5.0, None) };
+    assert!(!burst.sound());
+    assert_eq!(last(std::slice::from_ref(&burst)), "n 12x12 10 diverged -  2.0");
+    assert_eq!(last(&[three[0].clone(), burst]), "all 2 12x12 10 1 of 2 -  2.0");
     // A non-finite gap counts as larger than any other. The summary has a gap only if all cases have one.
     let diverged = case("d", 5.0, Some(f64::INFINITY));
     assert_eq!(

@@ -23,6 +23,12 @@ fn a_solver_that_diverges_has_no_numbers() {
         let text = table.write(Format::Text { bold: false });
         assert!(text.lines().all(|line| line.chars().count() <= 120), "{text}");
     }
+    // Alone, it has dashes, too.
+    let alone = tables(std::slice::from_ref(&diverged));
+    let text = alone[0].write(Format::Text { bold: false });
+    let row = text.lines().find(|line| line.starts_with("xy_v2")).unwrap();
+    assert!(alone[0].title.contains("e_CD") && row.ends_with('-'), "{text}");
+    assert_eq!((good.unconverged, diverged.unconverged), (Some(0), None));
     let tables = tables(&[good.clone(), diverged]);
     let text = tables[0].write(Format::Text { bold: true });
     let row = text.lines().find(|line| line.starts_with("xy_v2")).unwrap();

@@ -280,7 +280,7 @@ proptest! {
         let root = folder.path().canonicalize().unwrap();
         let quoted = name.replace('\\', "\\\\").replace('"', "\\\"");
         std::fs::write(root.join("c.toml"), format!("init = \"{quoted}\"\n")).unwrap();
-        let (text, config) = Config::load(&root.join("c.toml")).unwrap();
+        let (text, config) = Config::load(root.join("c.toml")).unwrap();
         prop_assert_eq!(&config.init, &[root.join(&name)]);
         prop_assert_eq!(Config::parse(&text, Path::new("/another/c.toml")).unwrap(), config);
     }

@@ -82,8 +82,8 @@ pub struct Args {
     /// solver stops short of convergence, chance decides which way a fold goes
     #[arg(long, default_value_t = 1, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=1000))]
     repeats: u64,
-    /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or on
-    /// the sequence's mesh; may be given more than once. Its scores are kept with those of the solvers
+    /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or
+    /// on the sequence's mesh; may be given more than once. Its scores are kept with those of the solvers
     #[arg(long, value_name = "NAME=DIR")]
     compare: Vec<String>,
     /// Folder for the scores; those already there are reused
@@ -136,6 +136,8 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         let drawn = args.plots.as_ref().map_or(Ok(()), |folder| plots::draw(folder, &scores));
         args.write_tables(&tables(&scores), &documents(&scores))?;
         tell_devices(timed(&scores));
+        tell_missing(&scores);
+        tell_unconverged(&scores);
         return Ok(drawn.map(|()| Ending::Done)?);
     }
     let settings = args.settings()?;
@@ -198,7 +200,8 @@ pub fn run_command(args: &Args) -> Result<Ending> {
     all.extend(systems);
     // Finished work is reported however the run ended.
     let complete = matches!(ending, Ok(ControlFlow::Continue(()))) && count == 1;
-    let written = match all.is_empty() && !jobs.is_empty() {
+    let printed_json = args.json.is_some() && args.json_file().is_none();
+    let written = match all.is_empty() && !jobs.is_empty() && !printed_json {
         true => Ok(()),
         false => args.write(&all, &plan, (complete, &interrupted)),
     };
@@ -435,12 +438,27 @@ impl Args {
                 ("--shard", parts.ok_or_else(invalid)?)
             }
         };
+        if count == 0 {
+            return Err(Error::invalid(origin, "share", "a share of 1 or more", "of 0"));
+        }
         if index >= count {
-            let expected = format!("0 to {} of {count}", count.max(1) - 1);
+            let hint = if self.shard.is_none() { "; give --shard I/N in an array with gaps" } else { "" };
+            let expected = format!("0 to {} of {count}{hint}", count - 1);
             return Err(Error::invalid(origin, "share", expected, index));
         }
-        if count > 1 && self.shard.is_none() {
-            status!("share {index} of {count}, from SLURM_ARRAY_TASK_ID; --merge prints the tables of all");
+        match (&self.shard, count) {
+            (Some(_), _) => {}
+            (None, 1) if std::env::var_os("SLURM_ARRAY_TASK_ID").is_some() => {
+                status!(
+                    "the only task of its Slurm array does all the work; --shard I/N takes a share of it"
+                );
+            }
+            (None, 1) => {}
+            (None, _) => {
+                status!(
+                    "share {index} of {count}, from SLURM_ARRAY_TASK_ID; --merge prints the tables of all"
+                );
+            }
         }
         Ok((index, count))
     }
@@ -451,6 +469,7 @@ impl Args {
         let scores: Vec<Score> = all.iter().map(|kept| kept.score.clone()).collect();
         let written = self.write_tables(&tables(&scores), &documents(&scores));
         tell_devices(timed(&scores));
+        tell_unconverged(&scores);
         // The tables come first, so that they are there whatever becomes of the plots.
         let drawn = self.plots.as_ref().map_or(Ok(()), |folder| {
             plots::draw(folder, &scores)?;
@@ -553,6 +572,40 @@ fn progress(length: usize, of: &str) -> ProgressBar {
     let bar = ProgressBar::new(length as u64).with_style(style);
     bar.enable_steady_tick(Duration::from_millis(200));
     bar
+}
+
+/// Lists up to this many of what is missing or went wrong.
+const LISTED: usize = 5;
+
+/// Says which sequences a solver on a grid lacks, so that its means are not over the same ones as others'.
+fn tell_missing(scores: &[Score]) {
+    let own: Vec<&Score> = scores.iter().filter(|score| !score.is_imported()).collect();
+    let name = |column: &str, sequence: &str, grid: &str| format!("{column} on {sequence}, {grid}");
+    let there: BTreeSet<_> = own.iter().map(|s| name(&s.column(), &s.sequence, &s.grid)).collect();
+    let columns: BTreeSet<_> = own.iter().map(|s| (&s.grid, s.column())).collect();
+    let sequences: BTreeSet<_> = own.iter().map(|s| &s.sequence).collect();
+    let all = columns.iter().flat_map(|(grid, column)| sequences.iter().map(|s| name(column, s, grid)));
+    tell_list("no score of", all.filter(|name| !there.contains(name)).collect());
+}
+
+/// Says which scores of Newton's method are not of converged frames.
+fn tell_unconverged(scores: &[Score]) {
+    let missed = scores.iter().filter_map(|score| {
+        let count = score.unconverged.filter(|&count| count > 0)?;
+        Some(format!("{count} of {} frames of {}, {}", score.frames, score.sequence, score.grid))
+    });
+    tell_list("newton did not converge in", missed.collect());
+}
+
+fn tell_list(what: &str, all: Vec<String>) {
+    if all.is_empty() {
+        return;
+    }
+    let more = match all.len().saturating_sub(LISTED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    status!("warning: {what} {}{more}", all[..all.len().min(LISTED)].join("; "));
 }
 
 /// Returns the index of this task in a Slurm array, from 0, and the number of tasks, if there is such an

@@ -109,8 +109,8 @@ fn per_frame(scores: &[Score], colours: &Colours, (name, factor, of): Figure) ->
 }
 
 /// Draws means over the sequences of a grid and solver against the number of iterations: of 1000 times the
-/// error and of the time \[ms\]. There is no point where the solver diverged on any sequence, and no chart if no
-/// solver has two points.
+/// error and of the time \[ms\]. There is no point where the solver diverged on any sequence, and no chart if
+/// no solver has two points.
 fn iterations(scores: &[Score], colours: &Colours) -> Vec<Chart> {
     /// Error and time of every sequence, by the number of iterations; `None` if the solver diverged.
     type Figures = BTreeMap<usize, Vec<Option<[f64; 2]>>>;

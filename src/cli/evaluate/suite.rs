@@ -18,6 +18,7 @@ use std::ops::ControlFlow;
 #[derive(serde::Serialize)]
 struct Document<'a> {
     solver: &'a str,
+    sound: bool,
     #[serde(flatten)]
     score: &'a CaseScore,
 }
@@ -153,8 +154,10 @@ impl Args {
             suite::table(&entry.name, suite, &own)
         };
         let tables: Vec<Table> = entries.iter().enumerate().map(of).collect();
-        let named: Vec<_> =
-            scores.iter().map(|(number, score)| Document { solver: &entries[*number].name, score }).collect();
+        let named: Vec<_> = scores
+            .iter()
+            .map(|(number, score)| Document { solver: &entries[*number].name, sound: score.sound(), score })
+            .collect();
         // Finished work is reported however the run ended.
         let written = self.write_tables(&tables, &named);
         tell_devices(scores.iter().map(|(_, score)| (&score.made_with, score.ms_per_frame)));

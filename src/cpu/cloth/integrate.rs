@@ -1,5 +1,5 @@
-//! Backward Euler: from accelerations to velocities and positions, with handles (paper section 3.3, Eqs. 8 and 9;
-//! dt = 1).
+//! Backward Euler: from accelerations to velocities and positions, with handles (paper section 3.3, Eqs. 8
+//! and 9; dt = 1).
 
 use crate::cpu::Real;
 
