@@ -167,7 +167,9 @@ fn show(bar: &ProgressBar, progress: &Progress<'_>, minutes: Option<f64>) {
     bar.set_position(progress.step);
     let limit =
         minutes.map_or_else(String::new, |left| format!(", at most {:.0} minutes left", left.max(0.0)));
-    bar.set_message(format!("loss {:.4}{limit}", progress.report.loss()));
+    if let Some(report) = progress.report {
+        bar.set_message(format!("loss {:.4}{limit}", report.loss()));
+    }
     for SceneScore { scene, gap, stretch_largest, sound } in progress.validation.into_iter().flatten() {
         let sound = if *sound { "sound" } else { "UNSOUND" };
         let gap = gap.map_or_else(String::new, |gap| match gap >= SceneScore::MOST_GAP {

@@ -67,15 +67,15 @@ pub enum End {
     NonFinite,
 }
 
-/// The report after each step.
+/// The report after each step, and after a validation that is made up for.
 #[derive(Clone, Debug)]
 pub struct Progress<'a> {
     /// Number of steps done.
     pub step: u64,
     /// Step at which the session ends.
     pub steps: u64,
-    /// Result of the step.
-    pub report: &'a StepReport,
+    /// Result of the step; `None` if an earlier session took it.
+    pub report: Option<&'a StepReport>,
     /// Validation, if one followed this step; on rank 0 only.
     pub validation: Option<&'a [SceneScore]>,
 }
@@ -210,7 +210,11 @@ impl Run {
                     false
                 }
             };
-            if self.ranks.decide(cut_off) {
+            let records = self.records.as_ref();
+            let validation = records.map(|records| records.scores(first)).filter(|scores| !scores.is_empty());
+            let made_up_for = Progress { step: first, steps, report: None, validation };
+            let stop = cut_off || watch(&made_up_for).is_break();
+            if self.ranks.decide(stop) {
                 return Ok(End::Interrupted);
             }
         }
@@ -260,7 +264,7 @@ impl Run {
             }
             let records = self.records.as_ref().filter(|_| validated);
             let validation = records.map(|records| records.scores(step));
-            let watched = watch(&Progress { step, steps, report: &report, validation });
+            let watched = watch(&Progress { step, steps, report: Some(&report), validation });
             let stop = self.ranks.decide(watched.is_break() || limits.go_on().is_break());
             if last {
                 break End::Done;

@@ -213,7 +213,7 @@ fn unsupported_models_and_options_are_refused() {
     }
     for tuning in refused_tunings {
         let error = context().with_tuning(tuning).unwrap_err().to_string();
-        assert!(error.contains("options: tuning: expected tile sizes"), "{error}");
+        assert!(error.contains("context: tuning: expected tile sizes"), "{error}");
     }
     let error = refused(&model(grid, 1), &gd, 0);
     assert!(error.contains("solver: iterations: expected at least 1, found 0"), "{error}");

@@ -42,7 +42,7 @@ fn two_hundred_steps_from_scratch_lower_the_gradient() {
     let mut run = Run::create(&folder.path().join("run"), CONFIG, config, learner, Rc::new(Alone)).unwrap();
     let mut logs = vec![Vec::new(); 2];
     run.train(&Limits::default(), |progress| {
-        for (log, outcomes) in logs.iter_mut().zip(&progress.report.outcomes) {
+        for (log, outcomes) in logs.iter_mut().zip(&progress.report.expect("a step").outcomes) {
             log.push(outcomes.iter().map(|o| o.log_gradient).sum::<f64>() / outcomes.len() as f64);
         }
         ControlFlow::Continue(())

@@ -393,7 +393,13 @@ fn a_validation_that_was_cut_off_is_made_up_for() {
     std::fs::write(folder.path().join("validation.csv"), cut).unwrap();
     for resumed in 0..2 {
         let (mut run, _) = resume(folder.path()).unwrap();
-        assert_eq!(train(&mut run, 12), End::Done, "{resumed}");
+        let mut told = Vec::new();
+        let watch = |progress: &Progress<'_>| {
+            told.push((progress.step, progress.report.is_some(), progress.validation.map(<[_]>::len)));
+            ControlFlow::Continue(())
+        };
+        assert_eq!(run.train(&Limits::default(), watch).unwrap(), End::Done, "{resumed}");
+        assert_eq!(told, if resumed == 0 { vec![(12, false, Some(2))] } else { vec![] });
         assert_eq!(lines(folder.path().join("validation.csv")), of_whole);
     }
 
