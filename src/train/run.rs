@@ -203,17 +203,17 @@ impl Run {
         // Repeat a validation that was cut short. If it failed, it may fail again, which must not keep the
         // run from continuing.
         if self.ranks.decide(self.is_validation_missing()) {
-            let cut_off = match self.validate(limits) {
-                Ok(whole) => !whole,
+            let stop = match self.validate(limits) {
+                Ok(false) => true,
+                Ok(true) => {
+                    let validation = self.records.as_ref().map(|records| records.scores(first));
+                    watch(&Progress { step: first, steps, report: None, validation }).is_break()
+                }
                 Err(error) => {
                     tracing::warn!("skipping the validation after step {first}: {error}");
                     false
                 }
             };
-            let records = self.records.as_ref();
-            let validation = records.map(|records| records.scores(first)).filter(|scores| !scores.is_empty());
-            let made_up_for = Progress { step: first, steps, report: None, validation };
-            let stop = cut_off || watch(&made_up_for).is_break();
             if self.ranks.decide(stop) {
                 return Ok(End::Interrupted);
             }

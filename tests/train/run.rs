@@ -537,6 +537,10 @@ fn a_validation_that_is_interrupted_is_made_up_for() {
     assert_eq!(rows(), 1);
     interrupted.store(false, Ordering::Relaxed);
     let mut run = resume(folder.path()).unwrap().0;
+    let watch = |progress: &Progress<'_>| {
+        assert!(progress.report.is_none() && progress.validation.is_some());
+        ControlFlow::Continue(())
+    };
     assert_eq!((run.train(&limits, watch).unwrap(), run.step()), (End::Done, 1));
     assert_eq!(rows(), 3);
 }
