@@ -351,6 +351,14 @@ mod tests {
     }
 
     #[test]
+    fn a_curve_has_its_own_colour_wherever_it_stands() {
+        let rising = Curve { colour: 1, ..curve((0..50).map(|k| [f64::from(k), f64::from(k)]).collect()) };
+        let image = charts(&[chart(vec![rising], Scale::Linear)], (400, 300));
+        let of = |k: usize| count(&image, COLOURS[k], (70..340, 30..250));
+        assert!(of(1) > 100 && of(0) == 0, "{} and {}", of(1), of(0));
+    }
+
+    #[test]
     fn curves_beyond_the_colours_are_broken() {
         let level =
             |k: usize| Curve { colour: k, ..curve((0..50).map(|x| [f64::from(x), k as f64]).collect()) };

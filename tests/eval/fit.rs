@@ -1,6 +1,6 @@
 //! The search for a material.
 
-use crate::common::SETTINGS;
+use crate::common::{SETTINGS, shipped};
 use fnopt::cloth::{Grid, Material, State};
 use fnopt::eval::fit::{ErrorSurface, Fit};
 use fnopt::eval::{Sequence, Settings};
@@ -9,6 +9,7 @@ use fnopt::scene::{Scene, Stiffness};
 use fnopt::sim::Optimizer;
 use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
+use std::path::Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// The fit recovers the material of a trajectory made by Newton's method, also when it resumes from a file.
@@ -112,4 +113,23 @@ fn a_known_material_is_found_again() {
     let found = elsewhere.found(&again);
     assert!(!found.is_empty() && found.len() < again.sorted().len());
     assert!(found.iter().all(|(point, _)| point[0] >= 800.0), "{found:?}");
+}
+
+/// Where Newton's method does not converge, the distance from the truth says nothing about the material.
+#[test]
+fn a_material_without_a_converged_simulation_is_not_the_best() {
+    let sequences = [Sequence::load(&shipped(), "xy_v2").unwrap()];
+    let [density, drag, time] = sequences[0].air_and_frame_time();
+    let fit = Fit {
+        sequences: &sequences,
+        grid: Grid { h: 8, w: 8 },
+        settings: Settings { frames: 3, ..SETTINGS },
+        ranges: [[1e25; 2], [8.0; 2], [0.5; 2], [density; 2], [drag; 2], [time; 2]],
+        levels: 2,
+        rounds: 1,
+    };
+    let mut surface = ErrorSurface::load(Path::new("there is none"), &fit).unwrap();
+    let error = fit.search(&mut surface, || ControlFlow::Continue(()), |_, _| Ok(())).unwrap_err();
+    assert!(error.to_string().contains("a point that does not diverge"), "{error}");
+    assert_eq!(surface.sorted()[0].1, f64::INFINITY);
 }

@@ -163,7 +163,7 @@ fn the_weights_of_a_run_are_the_running_mean() {
 /// The scenes are as long as configured, and in the last one nothing moves the handles.
 #[test]
 fn scenes_of_a_validation_are_those_of_its_configuration() {
-    let settings = ValidationConfig { frames: 45, grids: vec![Grid { h: 9, w: 8 }], ..config().validation };
+    let settings = ValidationConfig { frames: 100, grids: vec![Grid { h: 9, w: 8 }], ..config().validation };
     let validation = Validation::new(&settings).unwrap();
     let weights = initial_weights(&config(), &Alone).unwrap();
     let mut frames = 0;
@@ -173,7 +173,7 @@ fn scenes_of_a_validation_are_those_of_its_configuration() {
     };
     let scores = validation.run(&weights, &mut tick).unwrap().unwrap();
     // Of the hanging sheet: a rollout, Newton's frames, and the gap on each. The falling one has no gap.
-    assert_eq!(frames, 4 * 45);
+    assert_eq!(frames, 4 * 100);
     let mut scene = Scene { start: Start::Flat, motion: Motion::Still, ..Scene::default() };
     scene.regrid(settings.grids[0]).unwrap();
     let setup = scene.setup().unwrap();
@@ -181,7 +181,7 @@ fn scenes_of_a_validation_are_those_of_its_configuration() {
     let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, settings.iterations).unwrap();
     simulator.set_state(&setup.start.cast());
     let edges = FreeEdges::new(&setup.model, 0);
-    let stretch = (1..46)
+    let stretch = (1..101)
         .map(|frame| edges.largest(&simulator.step(&setup.control(frame)).unwrap().state.x))
         .fold(0.0, f64::max);
     assert_eq!((scores[1].scene.as_str(), scores[1].stretch_largest), ("falling 9x8", Some(stretch)));
