@@ -77,9 +77,8 @@ impl Stage {
         let up = view.up();
         let first: &[[f32; 3]] = if trajectory.frames() > 0 { trajectory.frame(0) } else { &[] };
         let unit = Unit::new(first);
-        let frames_of =
-            |of: &'_ Trajectory| (0..of.frames()).map(|f| unit.of(of.frame(f))).collect::<Vec<_>>();
-        let frames = std::iter::once(trajectory).chain(others.iter().copied()).flat_map(frames_of);
+        let every = std::iter::once(trajectory).chain(others.iter().copied());
+        let frames = every.flat_map(|of| (0..of.frames()).map(move |f| unit.of(of.frame(f))));
         let all = frames.filter(|frame| is_whole(frame)).flatten().filter(usable);
         let (low, high) = range(all.clone().map(|p| up.dot(Vec3::from(p))));
         let floor = low - (FLOOR * (high - low)).max(ABOVE_FLOOR);
