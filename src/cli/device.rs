@@ -46,9 +46,10 @@ impl DeviceArgs {
         }
         let context = match (&self.adapter, self.device) {
             (Some(name), _) => Context::headless(&AdapterChoice::parse(name))?,
-            (None, DeviceKind::Gpu) => match Context::hardware(process)? {
-                Some(context) => context,
-                None => Context::headless(&AdapterChoice::Best)?,
+            (None, DeviceKind::Gpu) => match Context::hardware(process) {
+                Ok(Some(context)) => context,
+                // Warns of hardware that cannot be opened.
+                Ok(None) | Err(_) => Context::headless(&AdapterChoice::Best)?,
             },
             (None, DeviceKind::Auto) => match Context::hardware(process) {
                 Ok(Some(context)) => context,

@@ -45,7 +45,9 @@ type Measured = (f64, Vec<(usize, f64)>);
 
 pub fn run(args: &Args) -> Result<Ending> {
     let found = adapters();
-    let auto = match found.iter().position(AdapterSummary::is_usable_hardware) {
+    // The same choice, and not only the best of the list: that one may not open.
+    let opened = Context::hardware(0).ok().flatten().map(|context| context.device.adapter_info());
+    let auto = match found.iter().position(|adapter| Some(&adapter.info) == opened.as_ref()) {
         Some(i) => format!("adapter {i}, {}", found[i].info.name),
         None => "the CPU path (no usable hardware adapter)".to_owned(),
     };

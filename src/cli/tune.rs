@@ -40,13 +40,13 @@ pub fn run(args: &Args) -> Result<Ending> {
         let expected = "fnopt, whose network is what the tile sizes are for";
         return Err(Error::invalid("--solver", "solver", expected, optimizer.name()).into());
     }
+    let setups = default_scenes(one_grid(&args.grid)?, args.batch as usize)?;
+    let start = setups.start.cast();
     let device = DeviceArgs { device: DeviceKind::Gpu, adapter: args.adapter.clone() };
     let (Device::Gpu(context), line) = device.open()? else {
         return Err(Error::Device("the CPU path has nothing to tune".into()).into());
     };
     status!("{line}");
-    let setups = default_scenes(one_grid(&args.grid)?, args.batch as usize)?;
-    let start = setups.start.cast();
     if let Some(path) = Tuning::path(&context).filter(|_| !args.dry_run) {
         writable_file(&path)?;
     }

@@ -20,7 +20,7 @@ pub enum AdapterKind {
 /// Which adapter to open.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum AdapterChoice {
-    /// The best hardware adapter, or a software one if there is none.
+    /// The best hardware adapter that can be opened, or a software one if there is none.
     #[default]
     Best,
     /// The adapter at this index in the list of [`adapters`]. If the list is shorter, the number is taken for
@@ -125,23 +125,24 @@ impl Context {
 
     /// As [`Context::headless`], for callers that already run an executor.
     pub async fn headless_async(choice: &AdapterChoice) -> Result<Self> {
-        Self::open(choose(all_adapters().await, choice)?).await
+        first_opened(choose(all_adapters().await, choice)?, Self::open).await
     }
 
-    /// Opens a device on the best hardware adapter; `None` if no usable one exists. Several processes on one
-    /// machine pass different values of `turn`, counted from 0, to be spread evenly over the adapters of the
-    /// best kind.
+    /// Opens a device on the best hardware adapter that can be opened; `None` if no usable one exists.
+    /// Several processes on one machine pass different values of `turn`, counted from 0, to be spread evenly
+    /// over the adapters of the best kind.
     pub fn hardware(turn: usize) -> Result<Option<Self>> {
         pollster::block_on(async {
-            let mut found = all_adapters().await;
+            let found = all_adapters().await;
             let usable = |a: &wgpu::Adapter| {
                 let summary = AdapterSummary::new(a);
                 summary.is_usable_hardware().then_some((summary.info.device_type, summary.info.backend))
             };
-            match in_turn(&found.iter().map(usable).collect::<Vec<_>>(), turn) {
-                Some(at) => Self::open(found.swap_remove(at)).await.map(Some),
-                None => Ok(None),
+            let order = in_turn(&found.iter().map(usable).collect::<Vec<_>>(), turn);
+            if order.is_empty() {
+                return Ok(None);
             }
+            first_opened(order.into_iter().map(|at| found[at].clone()), Self::open).await.map(Some)
         })
     }
 
@@ -345,8 +346,12 @@ impl Context {
 }
 
 /// Advice for machines on which no adapter is found.
-pub const WHERE_ADAPTERS_COME_FROM: &str = "Debian's package mesa-vulkan-drivers provides a software one; in a \
-    container, NVIDIA_DRIVER_CAPABILITIES must include graphics";
+pub const WHERE_ADAPTERS_COME_FROM: &str = if cfg!(target_os = "linux") {
+    "Debian's package mesa-vulkan-drivers provides a software one; in a container, NVIDIA_DRIVER_CAPABILITIES \
+     must include graphics"
+} else {
+    "the GPU's driver provides them"
+};
 
 /// Returns the adapters of this machine, hardware first, in the order that [`AdapterChoice::Index`] refers
 /// to.
@@ -370,23 +375,25 @@ async fn all_adapters() -> Vec<wgpu::Adapter> {
     found
 }
 
-fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu::Adapter> {
+/// Returns the adapters to try, in this order: one, unless the choice is left to us.
+fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<Vec<wgpu::Adapter>> {
     let names: Vec<String> = found.iter().map(|a| describe(&a.get_info())).collect();
-    let usable = |a: &wgpu::Adapter| missing_limit(&a.limits()).is_none();
-    let at = match choice {
-        AdapterChoice::Best => found.iter().position(usable),
-        AdapterChoice::Index(i) => (*i < found.len()).then_some(*i).or_else(|| {
+    let (at, wanted) = match choice {
+        AdapterChoice::Best => {
+            found.retain(|a| missing_limit(&a.limits()).is_none());
+            if !found.is_empty() {
+                return Ok(found);
+            }
+            (None, "no usable adapter".to_owned())
+        }
+        AdapterChoice::Index(i) => {
             let own_names: Vec<String> = found.iter().map(|a| a.get_info().name).collect();
-            numbered(&own_names, *i)
-        }),
-        AdapterChoice::Name(name) => named(&names, name),
+            let at = (*i < found.len()).then_some(*i).or_else(|| numbered(&own_names, *i));
+            (at, format!("no adapter with number or name {i}"))
+        }
+        AdapterChoice::Name(name) => (named(&names, name), format!("no adapter named '{name}'")),
     };
     let Some(at) = at else {
-        let wanted = match choice {
-            AdapterChoice::Best => "no usable adapter".to_owned(),
-            AdapterChoice::Index(i) => format!("no adapter with number or name {i}"),
-            AdapterChoice::Name(name) => format!("no adapter named '{name}'"),
-        };
         let there = if names.is_empty() {
             format!("none found ({WHERE_ADAPTERS_COME_FROM})")
         } else {
@@ -394,7 +401,26 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<wgpu:
         };
         return Err(Error::Device(format!("{wanted}; {there}")));
     };
-    Ok(found.swap_remove(at))
+    Ok(vec![found.swap_remove(at)])
+}
+
+/// Opens the first of these adapters that opens, and warns of those before it; if none does, returns the
+/// error of the first. One GPU may be listed by several drivers, not all of which work.
+async fn first_opened<A, T>(
+    adapters: impl IntoIterator<Item = A>,
+    open: impl AsyncFn(A) -> Result<T>,
+) -> Result<T> {
+    let mut failed = Vec::new();
+    for adapter in adapters {
+        match open(adapter).await {
+            Ok(opened) => {
+                failed.iter().for_each(|error| tracing::warn!("{error}"));
+                return Ok(opened);
+            }
+            Err(error) => failed.push(error),
+        }
+    }
+    Err(failed.swap_remove(0))
 }
 
 /// Returns the index of the first name that contains this text, ignoring case; `None` if the text is blank.
@@ -414,11 +440,15 @@ fn numbered(names: &[String], number: usize) -> Option<usize> {
     names.iter().position(has_word)
 }
 
-/// Returns the index of the `turn`-th entry of the same kind as the first usable one, wrapping around.
-fn in_turn<T: PartialEq>(kinds: &[Option<T>], turn: usize) -> Option<usize> {
-    let best = kinds.iter().flatten().next()?;
-    let alike = (0..kinds.len()).filter(|&at| kinds[at].as_ref() == Some(best));
-    alike.clone().nth(turn % alike.count())
+/// Returns the indices of the usable entries in the order in which to try them: first the `turn`-th of the
+/// same kind as the first, wrapping around, then the others.
+fn in_turn<T: PartialEq>(kinds: &[Option<T>], turn: usize) -> Vec<usize> {
+    let usable: Vec<usize> = (0..kinds.len()).filter(|&at| kinds[at].is_some()).collect();
+    let is_best = |&at: &usize| kinds[at] == kinds[usable[0]];
+    let (mut best, others): (Vec<_>, Vec<_>) = usable.iter().partition(|at| is_best(at));
+    let alike = best.len().max(1);
+    best.rotate_left(turn % alike);
+    [best, others].concat()
 }
 
 fn kind(info: &wgpu::AdapterInfo) -> AdapterKind {
@@ -489,9 +519,17 @@ mod tests {
     #[test]
     fn processes_take_the_adapters_of_the_best_kind_in_turn() {
         let kinds = [Some("discrete"), None, Some("discrete"), Some("integrated")];
-        let taken = [0, 1, 2, 3].map(|turn| in_turn(&kinds, turn));
-        assert_eq!(taken, [0, 2, 0, 2].map(Some));
-        assert_eq!(in_turn(&kinds[3..], 5), Some(0));
-        assert_eq!(in_turn(&kinds[1..2], 0), None);
+        let tried = [0, 1, 2, 3].map(|turn| in_turn(&kinds, turn));
+        assert_eq!(tried, [[0, 2, 3], [2, 0, 3], [0, 2, 3], [2, 0, 3]]);
+        assert_eq!(in_turn(&kinds[3..], 5), [0]);
+        assert!(in_turn(&kinds[1..2], 0).is_empty());
+    }
+
+    #[test]
+    fn an_adapter_that_does_not_open_gives_way_to_the_next() {
+        let open = async |at: usize| if at < 2 { Err(Error::Device(format!("{at}"))) } else { Ok(at) };
+        assert_eq!(pollster::block_on(first_opened([0, 1, 2, 3], open)).unwrap(), 2);
+        let error = pollster::block_on(first_opened([0, 1], open)).unwrap_err();
+        assert_eq!(error.to_string(), Error::Device("0".into()).to_string());
     }
 }

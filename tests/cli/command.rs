@@ -42,8 +42,10 @@ pub fn signals(process: &str, set: &str) -> Option<u64> {
     u64::from_str_radix(mask.trim(), 16).ok()
 }
 
+/// Returns what a command wrote, with `/` between the folders of a path on every system.
 pub fn text(bytes: &[u8]) -> String {
-    String::from_utf8_lossy(bytes).into_owned()
+    let written = String::from_utf8_lossy(bytes);
+    if cfg!(windows) { written.replace('\\', "/") } else { written.into_owned() }
 }
 
 /// Builds the command with its log turned off.
