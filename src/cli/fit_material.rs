@@ -120,7 +120,7 @@ pub fn run(args: &Args) -> Result<Ending> {
     if let Some((point, error)) = found {
         let mut document = args.document(&point, kept, (fit.grid, &sequences))?;
         document["fitted_to"] = fit.subject().into();
-        document["e_CD"] = error.into();
+        document["e_cd"] = error.into();
         write_atomic(&best, |file| writeln!(file, "{document:#}"))?;
     }
     let mut out = output();

@@ -407,12 +407,14 @@ impl<'a> Run<'a> {
 
     fn report(&self, status: Status, written: &[PathBuf]) -> serde_json::Value {
         let SolverArgs { checkpoint, .. } = &self.args.solver;
+        // Newton's method takes as many as it needs.
+        let iterates = !matches!(self.optimizer, Optimizer::Newton);
         serde_json::json!({
             "version": env!("CARGO_PKG_VERSION"),
             "settings": {
                 "scene": self.scene.to_json(),
                 "solver": self.optimizer.name(),
-                "iterations": self.args.solver.iterations(),
+                "iterations": iterates.then(|| self.args.solver.iterations()),
                 "checkpoint": checkpoint.as_deref().map(absolute).map(|path| path.display().to_string()),
                 "precision": self.args.device.precision,
             },
@@ -435,12 +437,12 @@ impl<'a> Run<'a> {
         let gradient = last.map(|f| f.stats.gradient_last);
         let stretch = self.per_frame.iter().map(|f| f.stats.stretch_largest).reduce(f64::max);
         if self.args.json {
-            let written: Vec<_> = written.iter().map(|path| path.display().to_string()).collect();
+            let files: Vec<_> = written.iter().map(|path| path.display().to_string()).collect();
             let summary = serde_json::json!({
                 "device": self.device, "status": status, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
                 "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch,
                 "stretch_largest_free": self.stretch_largest_free(),
-                "sound": status != Status::NonFinite && self.is_sound(), "written": written,
+                "sound": status != Status::NonFinite && self.is_sound(), "files": files,
             });
             writeln!(out, "{summary:#}")?;
             return Ok(());

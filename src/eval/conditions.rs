@@ -23,17 +23,19 @@ pub(super) fn version() -> String {
 pub struct Conditions {
     /// Version of this program and revision of its solvers' results.
     pub version: String,
-    /// Checksum of the recorded trajectory's files ([`Sequence::checksum`]); `None` if a scene is simulated
-    /// without one.
-    pub truth: Option<u32>,
+    /// Checksum of the recorded trajectory's files ([`Sequence::checksum`]) in hexadecimal digits; `None` if a
+    /// scene is simulated without one.
+    pub truth_crc32: Option<String>,
     /// Material, air, points and frames ([`Settings::to_json`]), or a whole scene.
     pub settings: Value,
     /// Name of the device of the simulation; `None` for another system's trajectory.
     pub device: Option<String>,
     /// Kind of device and storage of networks: `cpu`, `gpu`, or `gpu, f16`.
     pub kind: Option<String>,
-    /// Checksum of the weights of a learned optimizer.
-    pub weights: Option<u32>,
+    /// Checksum of the weights of a learned optimizer ([`Weights::checksum`]) in hexadecimal digits.
+    ///
+    /// [`Weights::checksum`]: crate::network::Weights::checksum
+    pub weights_crc32: Option<String>,
     /// Perturbation of the start, for a repeat after the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub nudge: Option<Nudge>,
@@ -42,17 +44,18 @@ pub struct Conditions {
 impl Conditions {
     /// Returns the conditions of another system's trajectory.
     pub(super) fn new(sequence: &Sequence, settings: &Settings) -> Self {
-        Self { truth: Some(sequence.checksum()), ..Self::of_settings(settings.to_json()) }
+        let truth_crc32 = Some(format!("{:08x}", sequence.checksum()));
+        Self { truth_crc32, ..Self::of_settings(settings.to_json()) }
     }
 
     fn of_settings(settings: Value) -> Self {
         Self {
             version: version(),
-            truth: None,
+            truth_crc32: None,
             settings,
             device: None,
             kind: None,
-            weights: None,
+            weights_crc32: None,
             nudge: None,
         }
     }
@@ -74,19 +77,19 @@ impl Conditions {
 
     fn by(self, entry: &Entry, device: &Device) -> Self {
         let device = entry.device(device);
-        let weights = match &entry.optimizer {
-            Optimizer::Learned(weights) => Some(weights.checksum()),
+        let weights_crc32 = match &entry.optimizer {
+            Optimizer::Learned(weights) => Some(format!("{:08x}", weights.checksum())),
             _ => None,
         };
         // Storage concerns the network alone.
         let (kind, name) = match device {
-            Device::Gpu(context) if weights.is_none() => ("gpu", context.name().to_owned()),
+            Device::Gpu(context) if weights_crc32.is_none() => ("gpu", context.name().to_owned()),
             Device::Gpu(context) if context.storage() == Storage::F16 => ("gpu, f16", device.name()),
             Device::Gpu(_) => ("gpu", device.name()),
             Device::Cpu => ("cpu", device.name()),
         };
         let (device, kind) = (Some(name), Some(kind.to_owned()));
-        Self { device, kind, weights, ..self }
+        Self { device, kind, weights_crc32, ..self }
     }
 
     /// Returns a checksum of everything that the results depend on, which on a CPU does not include the
@@ -116,15 +119,12 @@ fn first_difference(field: &str, a: &str, b: &str) -> (String, String, String) {
 pub fn belong_together(scores: &[(&Path, &Score)]) -> Result<()> {
     /// A property of a score, as text.
     type Property = fn(&Score) -> String;
-    fn sum(sum: Option<u32>) -> String {
-        sum.map_or_else(String::new, |sum| format!("{sum:08x}"))
-    }
     let rules: [(&str, Property, Property); 5] = [
         ("version", |_| String::new(), |s| s.made_with.version.clone()),
         ("settings", |_| String::new(), |s| s.made_with.settings.to_string()),
-        ("truth", |s| s.sequence.clone(), |s| sum(s.made_with.truth)),
+        ("truth_crc32", |s| s.sequence.clone(), |s| s.made_with.truth_crc32.clone().unwrap_or_default()),
         ("device", of_column, |s| s.made_with.kind.clone().unwrap_or_default()),
-        ("weights", of_column, |s| sum(s.made_with.weights)),
+        ("weights_crc32", of_column, |s| s.made_with.weights_crc32.clone().unwrap_or_default()),
     ];
     for (field, group, property) in rules {
         let mut firsts: BTreeMap<String, (&Path, String)> = BTreeMap::new();

@@ -62,7 +62,7 @@ pub struct CaseScore {
     /// Iterations per frame.
     pub iterations: usize,
     /// Whether all frames were finite and of plausible size.
-    pub finite: bool,
+    pub stable: bool,
     /// Largest `|edge| - 1` of the edges away from handles; `None` if a frame was not finite.
     pub stretch_largest: Option<f64>,
     /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; `None` if
@@ -98,7 +98,7 @@ impl CaseScore {
 
     /// Whether the rollout was sound: finite, and no edge away from a handle beyond [`STRETCH_LIMIT`].
     pub fn sound(&self) -> bool {
-        self.finite && self.stretch_largest.is_some_and(|stretch| stretch <= STRETCH_LIMIT)
+        self.stable && self.stretch_largest.is_some_and(|stretch| stretch <= STRETCH_LIMIT)
     }
 }
 
@@ -271,7 +271,7 @@ impl Prepared {
             case: case.name.clone(),
             grid: setup.model.grid.to_string(),
             iterations: entry.recorded_iterations(),
-            finite: simulated.stable,
+            stable: simulated.stable,
             stretch_largest: Some(simulated.stretch_largest).filter(|stretch| stretch.is_finite()),
             gap,
             ms_per_frame: simulated.ms_per_frame(),
@@ -338,7 +338,7 @@ pub fn table(title: &str, suite: Suite, scores: &[CaseScore]) -> Table {
 }
 
 fn case_row(score: &CaseScore) -> (String, Vec<Cell>) {
-    let sound = if !score.finite {
+    let sound = if !score.stable {
         "diverged"
     } else if score.sound() {
         "yes"

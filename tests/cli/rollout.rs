@@ -25,7 +25,7 @@ fn a_rollout_writes_what_it_says() {
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
     let summary: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
     assert_eq!(summary["frames"], 6);
-    for path in summary["written"].as_array().unwrap() {
+    for path in summary["files"].as_array().unwrap() {
         assert!(folder.path().join(path.as_str().unwrap()).exists(), "{path}");
     }
     let report = std::fs::read(folder.path().join("out/report.json")).unwrap();
@@ -65,6 +65,9 @@ fn handles_follow_the_motion() {
         done(quiet(folder.path(), &[&arguments[..], &more].concat()).output().unwrap());
         let x = fnopt::io::read_npy(folder.path().join("out/rollout.npy")).unwrap();
         assert_eq!(x.shape(), [46, 64, 3]);
+        // Newton's method takes as many iterations as it needs.
+        let settled = &json(&folder.path().join("out/report.json"))["settings"]["iterations"];
+        assert_eq!(settled.as_u64(), (solver == "fnopt").then_some(10));
         let moved = 0.5 * (1.0 - std::f64::consts::FRAC_PI_4.cos()) / 2f64.sqrt();
         for handle in [56, 0] {
             for (c, expected) in [moved, 0.0, -moved].into_iter().enumerate() {

@@ -68,7 +68,7 @@ fn a_suite_honours_its_options_or_refuses_them() {
     assert_eq!(scores("speeds", &few)[0]["sound"], true);
     let wild = ["--material", "1e9,8,0.5", "--sequences", "speed 1", "--grid", "12", "--solver", "gd:300"];
     let wild = &scores("speeds", &wild)[0];
-    assert_eq!((&wild["finite"], &wild["sound"]), (&false.into(), &false.into()), "{wild}");
+    assert_eq!((&wild["stable"], &wild["sound"]), (&false.into(), &false.into()), "{wild}");
     assert!(wild["stretch_largest"].is_null(), "{wild}");
     // The suite `grids` has its own grids, and runs each once.
     let of_grids = scores("grids", &["--sequences", "48x32"]);

@@ -59,7 +59,7 @@ fn the_first_repeat_is_not_nudged() {
         let document = serde_json::to_value(&score.made_with).unwrap();
         document.as_object().unwrap().keys().cloned().collect()
     };
-    let mut expected = vec!["device", "kind", "settings", "truth", "version", "weights"];
+    let mut expected = vec!["device", "kind", "settings", "truth_crc32", "version", "weights_crc32"];
     assert_eq!(keys(&first.0), expected);
     expected.insert(2, "nudge");
     assert_eq!(keys(&second.0), expected);

@@ -311,11 +311,11 @@ fn only_scores_made_alike_are_merged() {
         ("version", &|s| s.made_with.version = "0".into()),
         ("settings.material.bend", &|s| s.made_with.settings = softer.to_json()),
         ("device", &elsewhere),
-        ("weights", &|s| s.made_with.weights = Some(1)),
+        ("weights_crc32", &|s| s.made_with.weights_crc32 = Some("1".into())),
         ("score", &|s| s.sequence = score.sequence.clone()),
-        ("truth", &|s| {
+        ("truth_crc32", &|s| {
             (s.sequence, s.grid) = (score.sequence.clone(), "64x64".into());
-            s.made_with.truth = s.made_with.truth.map(|sum| sum ^ 1);
+            s.made_with.truth_crc32 = Some("1".into());
         }),
     ];
     for (field, change) in changes {

@@ -10,10 +10,10 @@ use serde_json::json;
 fn score(case: &str, grid: &str, stretch: f64, gap: Option<f64>) -> CaseScore {
     let settings = json!({ "gap": gap.is_some() });
     let made_with = json!({
-        "version": "0", "truth": null, "settings": settings, "device": "cpu", "kind": "cpu", "weights": null,
+        "version": "0", "truth_crc32": null, "settings": settings, "device": "cpu", "kind": "cpu", "weights_crc32": null,
     });
     serde_json::from_value(json!({
-        "case": case, "grid": grid, "iterations": 10, "finite": true, "stretch_largest": stretch / 100.0,
+        "case": case, "grid": grid, "iterations": 10, "stable": true, "stretch_largest": stretch / 100.0,
         "gap": gap.filter(|gap| gap.is_finite()).map(|gap| gap / 100.0), "ms_per_frame": 2.0, "made_with": made_with,
     }))
     .unwrap()
@@ -38,13 +38,13 @@ fn cases_of_a_grid_are_summed_up_in_a_row() {
     assert_eq!((rows(&all).len(), last(&all)), (1 + 4 + 1, "all 3 12x12 10 2 of 3 70.0 2.00 2.0".to_owned()));
     assert_eq!(last(&three[..1]), "a 12x12 10 yes 4.0 1.00 2.0");
     // A rollout that is not finite is not sound, however small its last stretch.
-    let exploded = CaseScore { finite: false, ..case("e", 5.0, Some(2.0)) };
+    let exploded = CaseScore { stable: false, ..case("e", 5.0, Some(2.0)) };
     assert!(!exploded.sound() && three[0].sound() && !three[1].sound());
     let found = rows(&[three[0].clone(), three[2].clone(), exploded]);
     assert_eq!(found[3][2..4], ["10".to_owned(), "diverged".to_owned()]);
     assert!(found[4].join(" ").contains("2 of 3"), "{found:?}");
     // One that left the numbers has no largest stretch, and so has its grid.
-    let burst = CaseScore { finite: false, stretch_largest: None, ..case("n", 5.0, None) };
+    let burst = CaseScore { stable: false, stretch_largest: None, ..case("n", 5.0, None) };
     assert!(!burst.sound());
     assert_eq!(last(std::slice::from_ref(&burst)), "n 12x12 10 diverged -  2.0");
     assert_eq!(last(&[three[0].clone(), burst]), "all 2 12x12 10 1 of 2 -  2.0");
