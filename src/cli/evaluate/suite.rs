@@ -1,6 +1,7 @@
 //! `fnopt evaluate --suite`: measures how far solvers generalise.
 
-use super::{Args, progress, tell_devices};
+use super::report::tell_devices;
+use super::{Args, progress};
 use crate::cli::output::status;
 use crate::cli::{Ending, go_on, interrupt_flag, material, writable_folder};
 use anyhow::Result;
