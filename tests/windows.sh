@@ -22,4 +22,8 @@ __declspec(dllexport) BOOL WINAPI ProcessPrng(PBYTE bytes, SIZE_T count) { retur
 END
 fi
 
+# The tests know the checkout by a path without a drive, which from a temporary folder is one of drive C.
+mkdir -p "$prefix/drive_c$(dirname "$PWD")"
+ln -s "$PWD" "$prefix/drive_c$PWD"
+
 cargo test --release --target x86_64-pc-windows-gnu "$@"

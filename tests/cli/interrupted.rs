@@ -95,7 +95,8 @@ fn ctrl_c_ends_whatever_is_simulated() {
 #[test]
 fn ctrl_c_keeps_the_sizes_that_a_bench_has_timed() {
     let folder = tempfile::tempdir().unwrap();
-    let sizes = ["--device", "cpu", "--grid", "8,64", "--frames", "1000", "--iterations", "1"];
+    // The first size takes a moment even on a busy machine, the second half a minute.
+    let sizes = ["--device", "cpu", "--grid", "8,256", "--frames", "300", "--iterations", "1"];
     let mut bench = quiet(folder.path(), &[&["bench", "--json", "--plot", "p.png"], &sizes[..]].concat());
     let child = at_work(bench.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap());
     send("-INT", &child);
