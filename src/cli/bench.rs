@@ -2,10 +2,7 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, status};
-use super::{
-    Ending, SolverArgs, checksum_of_weights, default_scenes, go_on, grids, interrupt_flag, median,
-    picture_file,
-};
+use super::{Ending, SolverArgs, default_scenes, go_on, grids, interrupt_flag, median, picture_file};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::cloth::{Control, Grid};
@@ -164,7 +161,7 @@ pub fn run(args: &Args) -> Result<Ending> {
                 Device::Gpu(context) => Some(context.tuning()),
             },
             "solver": optimizer.name(),
-            "weights_crc32": checksum_of_weights(&optimizer),
+            "weights_crc32": optimizer.weights_crc32(),
             "precision": args.device.precision,
             "frames": args.frames,
             "peak_gflop_per_s": gflop_per_s,

@@ -230,14 +230,6 @@ pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
     Ok(weights)
 }
 
-/// Returns the checksum of the weights in hexadecimal digits. `None` for the classical optimizers.
-pub fn checksum_of_weights(optimizer: &Optimizer) -> Option<String> {
-    match optimizer {
-        Optimizer::Learned(weights) => Some(format!("{:08x}", weights.checksum())),
-        _ => None,
-    }
-}
-
 /// Takes an element of a comma-separated list, which may stand between spaces.
 pub fn trimmed<T: FromStr>(text: &str) -> Result<T, T::Err> {
     text.trim().parse()

@@ -3,8 +3,7 @@
 use super::device::InferenceArgs;
 use super::output::{output, status};
 use super::{
-    Ending, SolverArgs, checksum_of_weights, go_on, interrupt_flag, material, numbers, one_grid,
-    writable_file, writable_folder,
+    Ending, SolverArgs, go_on, interrupt_flag, material, numbers, one_grid, writable_file, writable_folder,
 };
 use anyhow::Result;
 use fnopt::Frame;
@@ -418,7 +417,7 @@ impl<'a> Run<'a> {
                 "checkpoint": checkpoint.as_deref().map(absolute).map(|path| path.display().to_string()),
                 "precision": self.args.device.precision,
             },
-            "weights_crc32": checksum_of_weights(self.optimizer),
+            "weights_crc32": self.optimizer.weights_crc32(),
             "device": self.device,
             "status": status,
             "sound": status != Status::NonFinite && self.is_sound(),

@@ -3,7 +3,6 @@
 use super::{Entry, Nudge, Score, Sequence, Settings};
 use crate::Device;
 use crate::gpu::Storage;
-use crate::sim::Optimizer;
 use crate::{Error, Result};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
@@ -32,9 +31,8 @@ pub struct Conditions {
     pub device: Option<String>,
     /// Kind of device and storage of networks: `cpu`, `gpu`, or `gpu, f16`.
     pub kind: Option<String>,
-    /// Checksum of the weights of a learned optimizer ([`Weights::checksum`]) in hexadecimal digits.
-    ///
-    /// [`Weights::checksum`]: crate::network::Weights::checksum
+    /// Checksum of the weights of a learned optimizer
+    /// ([`Optimizer::weights_crc32`](crate::sim::Optimizer::weights_crc32)).
     pub weights_crc32: Option<String>,
     /// Perturbation of the start, for a repeat after the first.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -77,10 +75,7 @@ impl Conditions {
 
     fn by(self, entry: &Entry, device: &Device) -> Self {
         let device = entry.device(device);
-        let weights_crc32 = match &entry.optimizer {
-            Optimizer::Learned(weights) => Some(format!("{:08x}", weights.checksum())),
-            _ => None,
-        };
+        let weights_crc32 = entry.optimizer.weights_crc32();
         // Storage concerns the network alone.
         let (kind, name) = match device {
             Device::Gpu(context) if weights_crc32.is_none() => ("gpu", context.name().to_owned()),

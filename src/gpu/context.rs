@@ -404,7 +404,7 @@ fn choose(mut found: Vec<wgpu::Adapter>, choice: &AdapterChoice) -> Result<Vec<w
     Ok(vec![found.swap_remove(at)])
 }
 
-/// Opens the first of these adapters that opens, and warns of those before it; if none does, returns the
+/// Opens the first of these adapters, at least one, that opens, and warns of those before it; if none does, returns the
 /// error of the first. One GPU may be listed by several drivers, not all of which work.
 async fn first_opened<A, T>(
     adapters: impl IntoIterator<Item = A>,

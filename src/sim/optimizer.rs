@@ -110,6 +110,15 @@ impl Optimizer {
         !matches!(self, Self::Newton | Self::QuasiNewton { factored: true, .. })
     }
 
+    /// Returns the checksum of the weights ([`Weights::checksum`]) in hexadecimal digits; `None` for the
+    /// classical optimizers.
+    pub fn weights_crc32(&self) -> Option<String> {
+        match self {
+            Self::Learned(weights) => Some(format!("{:08x}", weights.checksum())),
+            _ => None,
+        }
+    }
+
     /// Returns the optimizer's name, one of [`Optimizer::NAMES`].
     pub fn name(&self) -> &'static str {
         match self {

@@ -7,3 +7,4 @@ mod pool;
 mod ranks;
 mod run;
 mod support;
+mod validation;
