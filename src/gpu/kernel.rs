@@ -29,18 +29,13 @@ impl Binding {
 }
 
 impl Source {
-    /// Parses `text` with naga and returns the bindings of group 0 in order. Fails if the text does not
-    /// parse.
-    pub fn bindings(&self, text: &str) -> Result<Vec<Binding>> {
-        Ok(self.bindings_of(&self.parsed(text)?))
-    }
-
     fn parsed(&self, text: &str) -> Result<naga::Module> {
         naga::front::wgsl::parse_str(text)
             .map_err(|e| Error::Device(format!("{}.wgsl: {}", self.name, e.emit_to_string(text))))
     }
 
-    fn bindings_of(&self, module: &naga::Module) -> Vec<Binding> {
+    /// Returns the bindings of group 0, in order.
+    pub fn bindings(&self, module: &naga::Module) -> Vec<Binding> {
         let mut found: Vec<(u32, Binding)> = Vec::new();
         for (_, variable) in module.global_variables.iter() {
             let Some(place) = variable.binding else { continue };
@@ -160,8 +155,9 @@ impl Kernel {
         unroll: impl Into<Unroll>,
         constants: &[(&'static str, f64)],
     ) -> Result<Self> {
-        let text =
-            source.unrolled(Unroll { storage: context.storage(), order: context.order(), ..unroll.into() });
+        let (unroll, order) = (unroll.into(), context.order());
+        let sharing = order.sharing(unroll.sharing);
+        let text = source.unrolled(Unroll { sharing, storage: context.storage(), order, ..unroll });
         let bits = constants.iter().map(|&(name, value)| (name, value.to_bits())).collect();
         let key: KernelKey = (text, bits);
         if let Some(known) = context.kernels.get(&key) {
@@ -171,7 +167,7 @@ impl Kernel {
         let entry = module.entry_points.first();
         let literal = entry.filter(|e| e.workgroup_size_overrides.is_none());
         let workgroup = literal.map(|e| e.workgroup_size);
-        let bindings = source.bindings_of(&module);
+        let bindings = source.bindings(&module);
         let program = Program {
             name: source.name,
             layout: layout(&context.device, source.name, &bindings),

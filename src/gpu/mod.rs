@@ -1,7 +1,7 @@
 //! The GPU runtime, and the only module that creates wgpu objects. It knows nothing about cloth.
 //!
 //! [`Context`] wraps the caller's device and queue (or opens its own). [`Tensor`] is an array in a storage
-//! buffer or texture. [`Source`] is a kernel's WGSL, unrolled to suit an adapter. `Kernel` is its entry
+//! buffer or texture. `Source` is a kernel's WGSL, unrolled to suit an adapter. `Kernel` is its entry
 //! point, compiled on first use and shared by all solvers of a context. [`Tuning`] holds the tile sizes that
 //! suit an adapter. [`Schedule`] is a list of dispatches with everything bound. [`Readback`] brings results
 //! to the host without stalling the queue. [`Profile`] times dispatches if the adapter has timestamps.
@@ -24,13 +24,13 @@ mod wide;
 pub(crate) use cache::CACHE_FOLDER;
 pub use context::{AdapterChoice, AdapterKind, AdapterSummary, Context, WHERE_ADAPTERS_COME_FROM, adapters};
 pub(crate) use context::{WORKGROUP_INVOCATIONS, WORKGROUPS};
-pub use kernel::Binding;
 pub(crate) use kernel::Kernel;
 pub use order::Order;
 pub use profile::Profile;
 pub use readback::Readback;
 pub use schedule::Schedule;
 pub use storage::Storage;
-pub use template::{LANES, Sharing, Source, Unroll};
+pub use template::Sharing;
+pub(crate) use template::{LANES, Source, Unroll};
 pub use tensor::Tensor;
 pub use tuning::Tuning;

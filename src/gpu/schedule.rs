@@ -48,8 +48,27 @@ const UNIFORMS: u32 = 1 << 15;
 
 #[derive(Clone, Debug)]
 enum Step {
-    Dispatch { program: Arc<Program>, bind_group: wgpu::BindGroup, params: u32, groups: [u32; 3] },
+    Dispatch(Dispatch),
     Clear { buffer: wgpu::Buffer, offset: u64, bytes: u64 },
+}
+
+#[derive(Clone, Debug)]
+struct Dispatch {
+    program: Arc<Program>,
+    bind_group: wgpu::BindGroup,
+    /// Offset of its parameters in their buffer.
+    params: u32,
+    groups: [u32; 3],
+}
+
+impl Dispatch {
+    /// Records it, compiling its kernel if [`Schedule::finish`] has not. Panics if that fails.
+    fn record(&self, pass: &mut wgpu::ComputePass<'_>, context: &Context) {
+        let Self { program, bind_group, params, groups: [x, y, z] } = self;
+        pass.set_pipeline(program.pipeline(context).unwrap_or_else(|e| panic!("{}.wgsl: {e}", program.name)));
+        pass.set_bind_group(0, bind_group, &[*params]);
+        pass.dispatch_workgroups(*x, *y, *z);
+    }
 }
 
 impl Schedule {
@@ -111,7 +130,8 @@ impl Schedule {
         };
         let group = || Self::bind(context, program, (&uniforms, bytes.len()), tensors);
         let bind_group = self.bound.entry(bound).or_insert_with(group).clone();
-        self.steps.push(Step::Dispatch { program: program.clone(), bind_group, params, groups });
+        let dispatch = Dispatch { program: program.clone(), bind_group, params, groups };
+        self.steps.push(Step::Dispatch(dispatch));
     }
 
     /// Creates a bind group of the tensors and `bytes` bytes of parameters, wherever they begin in their
@@ -159,13 +179,9 @@ impl Schedule {
     /// Returns the program of each dispatch, in order.
     fn programs(&self) -> impl Iterator<Item = &Arc<Program>> {
         self.steps.iter().filter_map(|step| match step {
-            Step::Dispatch { program, .. } => Some(program),
+            Step::Dispatch(dispatch) => Some(&dispatch.program),
             Step::Clear { .. } => None,
         })
-    }
-
-    fn pipeline<'a>(&self, program: &'a Program) -> &'a wgpu::ComputePipeline {
-        program.pipeline(&self.context).unwrap_or_else(|e| panic!("{}.wgsl: {e}", program.name))
     }
 
     /// Returns the number of dispatches.
@@ -186,7 +202,7 @@ impl Schedule {
 
     /// Returns the dispatches of one kernel alone, to measure it.
     pub fn only(&self, kernel: &str) -> Self {
-        let wanted = |s: &&Step| matches!(s, Step::Dispatch { program, .. } if program.name == kernel);
+        let wanted = |s: &&Step| matches!(s, Step::Dispatch(dispatch) if dispatch.program.name == kernel);
         let steps = self.steps.iter().filter(wanted).cloned().collect();
         Self { steps, ..Self::new(&self.context) }
     }
@@ -206,12 +222,8 @@ impl Schedule {
                 label: Some("fnopt"),
                 timestamp_writes: None,
             });
-            while let Some(Step::Dispatch { program, bind_group, params, groups }) =
-                steps.next_if(|s| matches!(s, Step::Dispatch { .. }))
-            {
-                pass.set_pipeline(self.pipeline(program));
-                pass.set_bind_group(0, bind_group, &[*params]);
-                pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
+            while let Some(Step::Dispatch(dispatch)) = steps.next_if(|s| matches!(s, Step::Dispatch(_))) {
+                dispatch.record(&mut pass, &self.context);
             }
         }
     }
@@ -222,23 +234,17 @@ impl Schedule {
     /// run.
     pub fn record_timed(&self, encoder: &mut wgpu::CommandEncoder, profile: &mut Profile) {
         for step in &self.steps {
-            let (program, bind_group, params, groups) = match step {
-                Step::Dispatch { program, bind_group, params, groups } => {
-                    (program, bind_group, params, groups)
+            match step {
+                Step::Clear { buffer, offset, bytes } => encoder.clear_buffer(buffer, *offset, Some(*bytes)),
+                Step::Dispatch(dispatch) => {
+                    let name = dispatch.program.name;
+                    let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+                        label: Some(name),
+                        timestamp_writes: profile.next(name),
+                    });
+                    dispatch.record(&mut pass, &self.context);
                 }
-                Step::Clear { buffer, offset, bytes } => {
-                    encoder.clear_buffer(buffer, *offset, Some(*bytes));
-                    continue;
-                }
-            };
-            let timestamp_writes = profile.next(program.name);
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
-                label: Some(program.name),
-                timestamp_writes,
-            });
-            pass.set_pipeline(self.pipeline(program));
-            pass.set_bind_group(0, bind_group, &[*params]);
-            pass.dispatch_workgroups(groups[0], groups[1], groups[2]);
+            }
         }
         profile.resolve(encoder);
     }

@@ -173,7 +173,7 @@ impl Tuning {
     }
 
     /// Returns how to unroll a kernel for a tile of this size.
-    pub fn unroll(&self, tile: usize) -> Unroll {
+    pub(crate) fn unroll(&self, tile: usize) -> Unroll {
         Unroll { sharing: self.sharing, ..tile.into() }
     }
 

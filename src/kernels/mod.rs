@@ -9,7 +9,8 @@ pub mod operator;
 pub mod optim;
 pub mod train;
 
-use crate::gpu::Source;
+#[cfg(test)]
+mod tests;
 
 /// Channel counts are padded to a multiple of this.
 pub const CHANNEL_MULTIPLE: usize = 32;
@@ -40,62 +41,6 @@ pub(crate) mod pieces {
     pub const TARGET: &str = include_str!("../../shaders/pieces/target.wgsl");
     pub const TRIAL: &str = include_str!("../../shaders/pieces/trial.wgsl");
 }
-
-/// Every kernel, with a tile size for which it is unrolled somewhere (0 if it has no tile).
-pub const ALL: &[(&Source, usize)] = &[
-    (&cloth::external_force::SOURCE, 0),
-    (&cloth::predict::SOURCE, 0),
-    (&cloth::gradient::SOURCE, 0),
-    (&cloth::cell_count::SOURCE, 0),
-    (&cloth::cell_scan::SOURCE, 0),
-    (&cloth::cell_fill::SOURCE, 0),
-    (&cloth::cell_order::SOURCE, 0),
-    (&cloth::repulsion::SOURCE, 0),
-    (&cloth::energy::SOURCE, 0),
-    (&cloth::energy_sum::SOURCE, 0),
-    (&cloth::integrate::SOURCE, 0),
-    (&cloth::vertices::SOURCE, 0),
-    (&optim::features::SOURCE, 0),
-    (&optim::update::SOURCE, 0),
-    (&optim::gradient_descent::SOURCE, 0),
-    (&optim::adam::SOURCE, 0),
-    (&optim::lbfgs::SOURCE, 0),
-    (&optim::cosine_order::SOURCE, 0),
-    (&optim::rest_modes::SOURCE, 0),
-    (&operator::pointwise::SOURCE, 16),
-    (&operator::transform_rows::SOURCE, 10),
-    (&operator::spectral::SOURCE, 5),
-    (&operator::block::SOURCE, 16),
-    (&operator::block::LIFTING, 16),
-    (&operator::block::LIFTING_OF_FIELDS, 16),
-    (&operator::pool_rows::SOURCE, 0),
-    (&operator::scalar_head::SOURCE, 0),
-    (&operator::project::SOURCE, 0),
-    (&operator::activate::SOURCE, 0),
-    (&operator::multiply_add::SOURCE, 0),
-    (&operator::gelu_adj::SOURCE, 0),
-    (&operator::transpose::SOURCE, 0),
-    (&operator::spectral_transpose::SOURCE, 0),
-    (&operator::pointwise_weight_adj::SOURCE, 0),
-    (&operator::spectral_weight_adj::SOURCE, 4),
-    (&operator::head_weight_adj::SOURCE, 0),
-    (&operator::sum_parts::SOURCE, 0),
-    (&operator::pool_adj::SOURCE, 0),
-    (&operator::project_adj::SOURCE, 0),
-    (&optim::update_adj::SOURCE, 0),
-    (&train::draw::SOURCE, 0),
-    (&train::advance::SOURCE, 0),
-    (&train::store::SOURCE, 0),
-    (&train::gradient_size::SOURCE, 0),
-    (&train::squares::SOURCE, 0),
-    (&train::adamw::SOURCE, 0),
-    (&fft::pack_pairs::SOURCE, 0),
-    (&fft::unpack_pairs::SOURCE, 0),
-    (&fft::split_spectra::SOURCE, 0),
-    (&fft::join_spectra::SOURCE, 0),
-    (&fft::radix4::SOURCE, 0),
-    (&fft::radix_prime::SOURCE, 0),
-];
 
 /// Returns the padded width W' of a network tensor's rows: the grid's columns, rounded up to quads.
 pub fn padded(columns: usize) -> usize {

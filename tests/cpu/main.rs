@@ -4,6 +4,8 @@ mod adjoint;
 mod checkpoint;
 mod classical;
 mod cloth;
+#[path = "../cloths/mod.rs"]
+mod cloths;
 mod fft;
 mod golden;
 mod network;

@@ -1,9 +1,9 @@
 //! Whole frames: recorded rollouts, batches, reproducibility, and the classical optimizers.
 
+use crate::cloths::{one_by_one, varied_batch};
 use crate::golden::{Golden, largest_difference};
-use crate::noise::noise;
 use fnopt::Error;
-use fnopt::cloth::{Air, Cloth, Control, Grid, Material, Model, State};
+use fnopt::cloth::{Cloth, Control, Grid, Material, Model, State};
 use fnopt::cpu::{Real, Solver};
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
@@ -116,30 +116,6 @@ fn double_precision_rollout_is_exact() {
     }
 }
 
-/// Builds three different cloths in wind, their state and their control.
-fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
-    let n = grid.particles();
-    let cloth = |b: usize| Cloth {
-        material: Material { stretch: 100.0 * (1 + b) as f64, shear: 3.0, bend: 0.2 * b as f64 },
-        gravity: [0.0, 0.01 * b as f64, -0.1],
-        air: Air { density: 0.1 * b as f64, drag: 0.02 },
-        handles: vec![b, n - 1 - b][..2 - b % 2].to_vec(),
-        ..Cloth::default()
-    };
-    let model = Model { grid, cloths: (0..3).map(cloth).collect() };
-    let mut state = State::<f32>::rest(grid, 3);
-    for (x, noise) in state.x.iter_mut().zip(noise(9 * n, 6)) {
-        *x += 0.05 * noise as f32;
-    }
-    let mut handles = vec![];
-    for (b, cloth) in model.cloths.iter().enumerate() {
-        handles.extend(cloth.handles.iter().map(|p| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p] + 0.1)));
-    }
-    let wind = vec![[0.1, 0.0, 0.2], [0.0; 3], [-0.2, 0.1, 0.0]];
-    let external = noise(9 * n, 7).iter().map(|&f| 0.02 * f as f32).collect();
-    (model, state, Control { handles, wind, external })
-}
-
 fn run(model: &Model, optimizer: &Optimizer, mut state: State<f32>, control: &Control<f32>) -> State<f32> {
     let mut solver = Solver::new(model, optimizer, 4).unwrap();
     for _ in 0..3 {
@@ -157,24 +133,14 @@ fn optimizers() -> [Optimizer; 7] {
 
 #[test]
 fn a_run_repeats_bit_for_bit_and_batches_equal_single_cloths() {
-    let (model, state, control) = varied_batch(Grid { h: 11, w: 9 });
+    let batch = varied_batch(Grid { h: 11, w: 9 });
+    let (model, state, control) = &batch;
     for optimizer in optimizers() {
-        let all = run(&model, &optimizer, state.clone(), &control);
-        assert_eq!(all, run(&model, &optimizer, state.clone(), &control), "{} repeats", optimizer.name());
-        let len = 3 * model.grid.particles();
-        let mut handles = &control.handles[..];
-        for (b, cloth) in model.cloths.iter().enumerate() {
-            let at = b * len..(b + 1) * len;
-            let (mine, others) = handles.split_at(cloth.handles.len());
-            handles = others;
-            let control = Control {
-                handles: mine.to_vec(),
-                wind: vec![control.wind[b]],
-                external: control.external[at.clone()].to_vec(),
-            };
-            let single = State { x: state.x[at.clone()].to_vec(), v: state.v[at.clone()].to_vec() };
-            let model = Model { grid: model.grid, cloths: vec![cloth.clone()] };
-            let end = run(&model, &optimizer, single, &control);
+        let all = run(model, &optimizer, state.clone(), control);
+        assert_eq!(all, run(model, &optimizer, state.clone(), control), "{} repeats", optimizer.name());
+        for (b, (model, state, control)) in one_by_one(&batch).enumerate() {
+            let at = b * state.x.len()..(b + 1) * state.x.len();
+            let end = run(&model, &optimizer, state, &control);
             assert_eq!(end.x, all.x[at], "cloth {b} with {}", optimizer.name());
         }
     }

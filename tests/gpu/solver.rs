@@ -1,7 +1,8 @@
 //! Whole frames: against the CPU path, repeated, in batches, and in a host's encoder.
 
-use crate::common::{assert_close, context, device, half, largest, noise, read, sharings, widened};
-use fnopt::cloth::{Air, Cloth, Control, Grid, Material, Model, State};
+use crate::cloths::{self, one_by_one};
+use crate::common::{assert_close, context, device, half, largest, read, sharings, widened};
+use fnopt::cloth::{Control, Grid, Model, State};
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
 use fnopt::gpu::{Context, Readback, Tensor, Tuning};
@@ -75,27 +76,9 @@ pub fn statistics(solver: &Solver) -> Vec<FrameStats> {
     solver.statistics(bytemuck::cast_slice(&contents))
 }
 
-/// Builds three different cloths in wind, their state and their control.
+/// Builds three different cloths in wind, on a grid that no tile divides.
 pub fn varied_batch() -> (Model, State<f32>, Control<f32>) {
-    let grid = Grid { h: 21, w: 18 };
-    let n = grid.particles();
-    let cloth = |b: usize| Cloth {
-        material: Material { stretch: 100.0 * (1 + b) as f64, shear: 3.0, bend: 0.2 * b as f64 },
-        gravity: [0.0, 0.01 * b as f64, -0.1],
-        air: Air { density: 0.1 * b as f64, drag: 0.02 },
-        handles: vec![b, n - 1 - b][..2 - b % 2].to_vec(),
-        ..Cloth::default()
-    };
-    let model = Model { grid, cloths: (0..3).map(cloth).collect() };
-    let mut state = State::<f32>::rest(grid, 3);
-    state.x.iter_mut().zip(noise(9 * n, 6)).for_each(|(x, noise)| *x += 0.05 * noise);
-    let mut handles = vec![];
-    for (b, cloth) in model.cloths.iter().enumerate() {
-        handles.extend(cloth.handles.iter().map(|p| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p] + 0.1)));
-    }
-    let wind = vec![[0.1, 0.0, 0.2], [0.0; 3], [-0.2, 0.1, 0.0]];
-    let external = noise(9 * n, 7).iter().map(|f| 0.02 * f).collect();
-    (model, state, Control { handles, wind, external })
+    cloths::varied_batch(Grid { h: 21, w: 18 })
 }
 
 /// Returns the root mean square and the largest magnitude of the differences [edges].
@@ -248,7 +231,8 @@ fn frames_of_all_optimizers_agree_with_the_host() {
 #[test]
 fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
     let _turn = device();
-    let (model, start, control) = varied_batch();
+    let batch = varied_batch();
+    let (model, start, control) = &batch;
     for (optimizer, tuning) in tuned() {
         let run = |model: &Model, optimizer: &Optimizer, start: &State<f32>, control: &Control<f32>| {
             let solver = solver_with(tuning, model, (optimizer, 4), start);
@@ -256,24 +240,13 @@ fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
             step(&solver, control);
             step(&solver, control)
         };
-        let all = run(&model, &optimizer, &start, &control);
-        let again = run(&model, &optimizer, &start, &control);
+        let all = run(model, &optimizer, start, control);
+        let again = run(model, &optimizer, start, control);
         assert_same(&format!("{} repeats", optimizer.name()), &all.x, &again.x);
         assert_same(&format!("{} repeats", optimizer.name()), &all.v, &again.v);
-        let len = 3 * model.grid.particles();
-        let mut handles = &control.handles[..];
-        for (b, cloth) in model.cloths.iter().enumerate() {
-            let at = b * len..(b + 1) * len;
-            let (mine, others) = handles.split_at(cloth.handles.len());
-            handles = others;
-            let control = Control {
-                handles: mine.to_vec(),
-                wind: vec![control.wind[b]],
-                external: control.external[at.clone()].to_vec(),
-            };
-            let single = State { x: start.x[at.clone()].to_vec(), v: start.v[at.clone()].to_vec() };
-            let model = Model { grid: model.grid, cloths: vec![cloth.clone()] };
-            let end = run(&model, &optimizer, &single, &control);
+        for (b, (model, start, control)) in one_by_one(&batch).enumerate() {
+            let at = b * start.x.len()..(b + 1) * start.x.len();
+            let end = run(&model, &optimizer, &start, &control);
             assert_same(&format!("cloth {b} with {}", optimizer.name()), &end.x, &all.x[at]);
         }
     }

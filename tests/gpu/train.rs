@@ -1,8 +1,8 @@
 //! Training on the device: against the CPU path step by step, and reproducible to the bit.
 
 use crate::common::{context, device, half};
+use crate::order::ORDERS;
 use fnopt::Device;
-use fnopt::gpu::Order;
 use fnopt::kernels::optim::Normalisation;
 use fnopt::train::{Alone, Batch, Config, Learner, Limits, Pool, Run, Update, initial_weights, learner};
 use std::ops::ControlFlow;
@@ -180,12 +180,12 @@ fn runs_repeat_and_resume_to_the_same_bits() {
 
 /// Which invocation runs first is up to the device.
 #[test]
-fn steps_have_the_same_bits_in_either_order() {
+fn steps_have_the_same_bits_in_every_order() {
     let _turn = device();
     for normalisation in ["component", "cloth"] {
         let text = format!("normalisation = \"{normalisation}\"\n{CONFIG}");
         let config = Config::parse(&text, Path::new("test.toml")).unwrap();
-        let [natural, reversed] = [Order::Natural, Order::Reversed].map(|order| {
+        let [natural, reversed, scattered] = ORDERS.map(|order| {
             let folder = tempfile::tempdir().unwrap();
             let learner = of(&config, &Device::Gpu(context().with_order(order)));
             let mut run = Run::create(folder.path(), &text, config.clone(), learner, Rc::new(Alone)).unwrap();
@@ -194,6 +194,7 @@ fn steps_have_the_same_bits_in_either_order() {
             run.weights().unwrap()
         });
         assert_eq!(natural, reversed);
+        assert_eq!(natural, scattered);
     }
 }
 

@@ -7,8 +7,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "cell_count",
     wgsl: include_str!("../../../shaders/cloth/cell_count.wgsl"),
     appended: &[common::CLOTH, common::CELL, pieces::TRIAL],

@@ -4,8 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{pieces, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "cell_order",
     wgsl: include_str!("../../../shaders/cloth/cell_order.wgsl"),
     appended: &[pieces::BUCKET],

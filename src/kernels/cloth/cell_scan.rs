@@ -4,8 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source =
+pub(crate) const SOURCE: Source =
     Source { name: "cell_scan", wgsl: include_str!("../../../shaders/cloth/cell_scan.wgsl"), appended: &[] };
 
 #[repr(C)]

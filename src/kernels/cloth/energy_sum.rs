@@ -5,8 +5,7 @@ use crate::cloth::EnergyTerms;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "energy_sum",
     wgsl: include_str!("../../../shaders/cloth/energy_sum.wgsl"),
     appended: &[],

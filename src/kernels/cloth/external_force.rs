@@ -5,8 +5,7 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "external_force",
     wgsl: include_str!("../../../shaders/cloth/external_force.wgsl"),
     appended: &[common::CLOTH],

@@ -6,8 +6,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::optim::Iterate;
 use crate::kernels::{pieces, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "integrate",
     wgsl: include_str!("../../../shaders/cloth/integrate.wgsl"),
     appended: &[pieces::TARGET],

@@ -5,8 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::{pieces, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "predict",
     wgsl: include_str!("../../../shaders/cloth/predict.wgsl"),
     appended: &[pieces::TARGET],

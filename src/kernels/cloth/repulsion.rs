@@ -7,8 +7,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "repulsion",
     wgsl: include_str!("../../../shaders/cloth/repulsion.wgsl"),
     appended: &[common::CLOTH, common::CELL, pieces::BUCKET],

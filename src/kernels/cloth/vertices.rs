@@ -5,8 +5,7 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source =
+pub(crate) const SOURCE: Source =
     Source { name: "vertices", wgsl: include_str!("../../../shaders/cloth/vertices.wgsl"), appended: &[] };
 
 #[repr(C)]

@@ -5,8 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source =
+pub(crate) const SOURCE: Source =
     Source { name: "radix4", wgsl: include_str!("../../../shaders/fft/radix4.wgsl"), appended: &[] };
 
 #[repr(C)]

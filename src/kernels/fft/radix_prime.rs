@@ -5,8 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "radix_prime",
     wgsl: include_str!("../../../shaders/fft/radix_prime.wgsl"),
     appended: &[],

@@ -4,8 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "activate",
     wgsl: include_str!("../../../shaders/operator/activate.wgsl"),
     appended: &[common::GELU],

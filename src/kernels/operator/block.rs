@@ -10,15 +10,14 @@ use crate::kernels::{common, padded, pieces, size};
 use crate::{Error, Result};
 use bytemuck::Zeroable;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "block",
     wgsl: include_str!("../../../shaders/operator/block.wgsl"),
     appended: &[common::GELU, common::TEXEL, pieces::BLOCK_OUTPUT, pieces::BLOCK_INPUTS],
 };
 
 /// The kernel's WGSL as a lifting.
-pub const LIFTING: Source = Source {
+pub(crate) const LIFTING: Source = Source {
     appended: &[
         common::GELU,
         common::TEXEL,
@@ -30,7 +29,7 @@ pub const LIFTING: Source = Source {
 };
 
 /// The kernel's WGSL as a lifting that embeds its input from fields itself.
-pub const LIFTING_OF_FIELDS: Source = Source {
+pub(crate) const LIFTING_OF_FIELDS: Source = Source {
     appended: &[
         common::GELU,
         common::TEXEL,

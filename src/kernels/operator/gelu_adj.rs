@@ -4,8 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "gelu_adj",
     wgsl: include_str!("../../../shaders/operator/gelu_adj.wgsl"),
     appended: &[common::GELU],

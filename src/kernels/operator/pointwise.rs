@@ -5,8 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor, Tuning};
 use crate::kernels::{common, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "pointwise",
     wgsl: include_str!("../../../shaders/operator/pointwise.wgsl"),
     appended: &[common::GELU],

@@ -4,8 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source =
+pub(crate) const SOURCE: Source =
     Source { name: "pool_adj", wgsl: include_str!("../../../shaders/operator/pool_adj.wgsl"), appended: &[] };
 
 #[repr(C)]

@@ -4,8 +4,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{padded, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "pool_rows",
     wgsl: include_str!("../../../shaders/operator/pool_rows.wgsl"),
     appended: &[],

@@ -5,8 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, pieces, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "scalar_head",
     wgsl: include_str!("../../../shaders/operator/scalar_head.wgsl"),
     appended: &[pieces::SCALAR_HEAD, common::TANH],

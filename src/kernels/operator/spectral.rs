@@ -4,8 +4,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor, Tuning, Unroll};
 use crate::kernels::{common, size};
 use crate::{Error, Result};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "spectral",
     wgsl: include_str!("../../../shaders/operator/spectral.wgsl"),
     appended: &[common::TEXEL],

@@ -7,8 +7,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::gradient;
 use crate::kernels::{common, padded, pieces, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "features",
     wgsl: include_str!("../../../shaders/optim/features.wgsl"),
     appended: &[pieces::FEATURES, common::TANH],

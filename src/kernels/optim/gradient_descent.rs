@@ -5,8 +5,7 @@ use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::size;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "gradient_descent",
     wgsl: include_str!("../../../shaders/optim/gradient_descent.wgsl"),
     appended: &[],

@@ -7,8 +7,7 @@ use crate::gpu::AdapterKind;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source =
+pub(crate) const SOURCE: Source =
     Source { name: "lbfgs", wgsl: include_str!("../../../shaders/optim/lbfgs.wgsl"), appended: &[] };
 
 #[repr(C)]

@@ -7,8 +7,7 @@ use crate::kernels::cloth::ClothParams;
 use crate::kernels::{common, size};
 use std::f64::consts::PI;
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "rest_modes",
     wgsl: include_str!("../../../shaders/optim/rest_modes.wgsl"),
     appended: &[common::CLOTH],

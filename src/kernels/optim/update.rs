@@ -7,8 +7,7 @@ use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::operator::{Layer, Scales};
 use crate::kernels::{common, pieces, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "update",
     wgsl: include_str!("../../../shaders/optim/update.wgsl"),
     appended: &[pieces::SCALAR_HEAD, common::TANH],

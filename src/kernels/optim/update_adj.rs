@@ -5,8 +5,7 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "update_adj",
     wgsl: include_str!("../../../shaders/optim/update_adj.wgsl"),
     appended: &[common::TANH],

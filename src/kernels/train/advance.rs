@@ -6,8 +6,7 @@ use crate::kernels::cloth::StateTensors;
 use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "advance",
     wgsl: include_str!("../../../shaders/train/advance.wgsl"),
     appended: &[common::DRAWN, pieces::TARGET],

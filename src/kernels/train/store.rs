@@ -6,8 +6,7 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
 
-/// The kernel's WGSL.
-pub const SOURCE: Source = Source {
+pub(crate) const SOURCE: Source = Source {
     name: "store",
     wgsl: include_str!("../../../shaders/train/store.wgsl"),
     appended: &[common::DRAWN],
