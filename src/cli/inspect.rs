@@ -23,16 +23,6 @@ pub fn run(args: &Args) -> Result<Ending> {
     let weights = checkpoint.weights();
     let mut out = output();
     if args.json {
-        let tensors: Vec<_> = description
-            .tensors
-            .iter()
-            .map(|t| {
-                serde_json::json!({
-                    "name": t.name, "shape": t.shape, "dtype": t.dtype, "norm": t.norm, "min": t.min, "max": t.max,
-                    "non_finite": t.non_finite,
-                })
-            })
-            .collect();
         let network = match &weights {
             Ok(w) => serde_json::json!({
                 "config": w.config, "skip": description.skip(), "parameters": w.parameter_count(),
@@ -40,7 +30,8 @@ pub fn run(args: &Args) -> Result<Ending> {
             Err(e) => serde_json::json!({ "error": e.to_string() }),
         };
         let all = serde_json::json!({
-            "file": args.file.display().to_string(), "metadata": description.metadata, "tensors": tensors, "network": network,
+            "file": args.file.display().to_string(), "metadata": description.metadata,
+            "tensors": description.tensors, "network": network,
         });
         writeln!(out, "{all:#}")?;
     } else {

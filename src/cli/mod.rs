@@ -16,7 +16,7 @@ mod verify;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use fnopt::cloth::Grid;
 use fnopt::eval::{Sequence, median};
-use fnopt::io::{folder_of, is_stream};
+use fnopt::io::{create_folder, folder_of, is_stream};
 use fnopt::network::Weights;
 use fnopt::scene::{Batch, Scene, Setup};
 use fnopt::sim::Optimizer;
@@ -304,7 +304,7 @@ pub fn default_scenes(grid: Grid, batch: usize) -> Result<Batch> {
 
 /// Creates a folder if necessary, and checks before any computation that files can be written into it.
 pub fn writable_folder(folder: &Path) -> Result<()> {
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
+    create_folder(folder)?;
     tempfile::tempfile_in(folder).map_err(|e| Error::io(folder, "cannot write into the folder", e))?;
     Ok(())
 }

@@ -1,7 +1,9 @@
 //! Output of the commands: results on stdout, everything else on stderr. A reader that goes away does not
 //! change how a command ends.
 
+use indicatif::{ProgressBar, ProgressStyle};
 use std::io::{ErrorKind, Result, StdoutLock, Write};
+use std::time::Duration;
 
 /// Prints a line to stderr in a single write. Errors are ignored: a full disk under a log or a closed
 /// terminal is no reason to end hours of work.
@@ -12,6 +14,16 @@ macro_rules! status {
     }};
 }
 pub(crate) use status;
+
+/// Returns a progress bar over `length` items on stderr, hidden if that is not a terminal. `of` names them,
+/// as in "frames".
+pub fn progress(length: u64, of: &str) -> ProgressBar {
+    let template = format!("{{bar:30}} {{pos}}/{{len}} {of}, {{per_sec}}, {{eta}} left  {{msg}}");
+    let style = ProgressStyle::with_template(&template).expect("the template is valid");
+    let bar = ProgressBar::new(length).with_style(style);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
 
 /// Standard output. Once its reader has gone away (`fnopt inspect X | head`), further output is discarded.
 pub struct Output {

@@ -1,7 +1,7 @@
 //! `fnopt rollout`: simulates a scene and writes the results.
 
 use super::device::InferenceArgs;
-use super::output::{output, status};
+use super::output::{output, progress, status};
 use super::{
     Ending, SolverArgs, go_on, interrupt_flag, material, numbers, one_grid, writable_file, writable_folder,
 };
@@ -13,7 +13,6 @@ use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png}
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
 use fnopt::sim::{FrameStats, Optimizer};
 use fnopt::{Error, io};
-use indicatif::{ProgressBar, ProgressStyle};
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::io::Write;
@@ -86,7 +85,7 @@ pub fn run(args: &Args) -> Result<Ending> {
 
     let mut run = Run::new(args, (&scene, &setup), &optimizer, (device.name(), trajectory));
     simulator.set_state(&setup.start.cast());
-    let bar = progress(setup.frames() - 1);
+    let bar = progress(setup.frames() as u64 - 1, "frames");
     let controls = (1..setup.frames()).map(|f| setup.control(f));
     let outcome = simulator.rollout(controls, |frame| {
         bar.inc(1);
@@ -189,12 +188,6 @@ fn repulsion(text: &str, of_scene: Option<RepulsionSettings>) -> Result<Repulsio
     let settings = RepulsionSettings { strength, distance };
     settings.check("--repulsion", "value")?;
     Ok(settings)
-}
-
-/// Returns a progress bar on stderr, hidden if that is not a terminal.
-fn progress(frames: usize) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left  {msg}");
-    ProgressBar::new(frames as u64).with_style(style.expect("the template is valid"))
 }
 
 /// A run and what it keeps of each frame.

@@ -1,14 +1,14 @@
 //! `fnopt train`: trains weights in a folder.
 
 use super::device::DeviceArgs;
-use super::output::{output, status};
+use super::output::{output, progress, status};
 use super::{Ending, interrupt_flag};
 use anyhow::Result;
 use fnopt::Device;
 use fnopt::Error;
 use fnopt::network::Weights;
 use fnopt::train::{Config, End, Limits, Progress, Ranks, Run, SceneScore, initial_weights, learner, ranks};
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use std::io::Write;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -71,7 +71,12 @@ fn train(args: &Args, ranks: &Rc<dyn Ranks>) -> Result<Ending> {
     let interrupted = interrupt_flag();
     let limits = Limits { steps: args.steps, minutes: args.minutes, interrupted: Some(&interrupted) };
     let bar = match first {
-        true => progress(run.step(), limits.steps.unwrap_or(u64::MAX).min(run.config().steps)),
+        true => {
+            let to = limits.steps.unwrap_or(u64::MAX).min(run.config().steps);
+            let bar = progress(to, "steps").with_position(run.step());
+            bar.reset_eta();
+            bar
+        }
         false => ProgressBar::hidden(),
     };
     let begun = Instant::now();
@@ -152,14 +157,6 @@ impl Args {
 fn minutes(text: &str) -> std::result::Result<f64, String> {
     let minutes = text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0);
     minutes.ok_or_else(|| "expected a number above 0".into())
-}
-
-/// Returns a progress bar on stderr, hidden if that is not a terminal.
-fn progress(from: u64, to: u64) -> ProgressBar {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} steps, {per_sec}, {eta} left  {msg}");
-    let bar = ProgressBar::new(to).with_style(style.expect("the template is valid")).with_position(from);
-    bar.reset_eta();
-    bar
 }
 
 /// Shows a step, with the minutes left if `--minutes` is given.

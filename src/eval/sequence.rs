@@ -85,19 +85,13 @@ const WIND_FIELDS: [&str; 3] = ["velocity", "density", "drag"];
 impl Sequence {
     /// Returns the sorted names of the sequences in a folder. Fails if there are none.
     pub fn names(folder: &Path) -> Result<Vec<String>> {
-        let fail = |e| Error::io(folder, "cannot read the folder", e);
-        let mut names = Vec::new();
-        for entry in std::fs::read_dir(folder).map_err(fail)? {
-            let path = entry.map_err(fail)?.path();
-            if path.join("cloth_pos.npy").is_file() {
-                names.extend(path.file_name().map(|name| name.to_string_lossy().into_owned()));
-            }
-        }
+        let sequences = io::entries(folder)?.into_iter().filter(|path| path.join("cloth_pos.npy").is_file());
+        let name = |path: PathBuf| path.file_name().map(|name| name.to_string_lossy().into_owned());
+        let names: Vec<String> = sequences.filter_map(name).collect();
         if names.is_empty() {
             let origin = folder.display().to_string();
             return Err(Error::invalid(origin, "sequences", "folders with a cloth_pos.npy", "none"));
         }
-        names.sort();
         Ok(names)
     }
 

@@ -15,10 +15,14 @@ struct Figure {
     digits: usize,
 }
 
+const E_CD: Figure = Figure { title: "e_CD x 10^3 [m^2]", of: |s| s.e_cd, factor: 1e3, digits: 2 };
+const E_3D: Figure = Figure { title: "e_3D x 10^2", of: |s| s.e_3d, factor: 1e2, digits: 2 };
+const TIME: Figure = Figure { title: "ms/frame", of: |s| s.ms_per_frame, factor: 1.0, digits: 1 };
+
 /// The figures that have one table per grid: rows are sequences, columns are solvers.
-const FIGURES: [Figure; 4] = [
-    Figure { title: "e_CD x 10^3 [m^2]", of: |s| s.e_cd, factor: 1e3, digits: 2 },
-    Figure { title: "e_3D x 10^2", of: |s| s.e_3d, factor: 1e2, digits: 2 },
+const BY_SEQUENCE: [Figure; 4] = [
+    E_CD,
+    E_3D,
     Figure { title: "|dL/da| at the end of the frame x 10^3", of: |s| s.gradient, factor: 1e3, digits: 3 },
     Figure {
         title: "largest stretch away from handles x 10^2",
@@ -26,6 +30,24 @@ const FIGURES: [Figure; 4] = [
         factor: 1e2,
         digits: 1,
     },
+];
+
+/// The energy and its terms, in grid units.
+const ENERGY: [Figure; 7] = [
+    Figure { title: "energy", of: |s| s.energy, factor: 1.0, digits: 4 },
+    Figure { title: "stretch", of: |s| s.energy_terms.map(|e| e.stretch), factor: 1.0, digits: 4 },
+    Figure { title: "shear", of: |s| s.energy_terms.map(|e| e.shear), factor: 1.0, digits: 4 },
+    Figure { title: "bend", of: |s| s.energy_terms.map(|e| e.bend), factor: 1.0, digits: 4 },
+    Figure { title: "inertia", of: |s| s.energy_terms.map(|e| e.inertia), factor: 1.0, digits: 4 },
+    Figure { title: "external", of: |s| s.energy_terms.map(|e| e.external), factor: 1.0, digits: 4 },
+    Figure { title: "mean stretch x 10^2", of: |s| s.stretch_mean, factor: 1e2, digits: 2 },
+];
+
+const REST: [Figure; 4] = [
+    Figure { title: "repulsion", of: |s| s.repulsion.map(|r| r[0]), factor: 1.0, digits: 3 },
+    Figure { title: "share > 0.1", of: |s| s.repulsion.map(|r| r[1]), factor: 1.0, digits: 3 },
+    Figure { title: "share > 0.02", of: |s| s.repulsion.map(|r| r[2]), factor: 1.0, digits: 3 },
+    Figure { title: "speed at the end [m/s]", of: |s| s.speed_at_end, factor: 1.0, digits: 3 },
 ];
 
 /// Builds the tables of some scores: errors, gradient and stretch per sequence for each grid, with means and
@@ -38,7 +60,7 @@ pub fn tables(scores: &[Score]) -> Vec<Table> {
         // Another system has a grid of its own, and is shown next to the solvers on every grid.
         let is_shown = |group: &&Group| group.grid == grid || group.is_imported();
         let here: Vec<&Group> = groups.iter().filter(is_shown).collect();
-        for figure in &FIGURES {
+        for figure in &BY_SEQUENCE {
             // A column of those that diverged shows dashes.
             if here.iter().any(|group| group.scores().any(|s| !s.stable || (figure.of)(s).is_some())) {
                 tables.extend(per_sequence(figure, &grid, &here));
@@ -46,9 +68,9 @@ pub fn tables(scores: &[Score]) -> Vec<Table> {
         }
     }
     tables.extend(by_iterations_and_grid(&groups));
-    let summaries: [(&str, &[Mean]); 3] =
-        [("error and time", &ERROR_AND_TIME), ("energy and stretch", &ENERGY), ("repulsion and rest", &REST)];
-    tables.extend(summaries.map(|(title, means)| summary(title, &groups, means)));
+    tables.push(summary("error and time", &groups, &[E_CD, E_3D, TIME], true));
+    tables.push(summary("energy and stretch", &groups, &ENERGY, false));
+    tables.push(summary("repulsion and rest", &groups, &REST, false));
     tables
 }
 
@@ -310,7 +332,6 @@ fn by_iterations_and_grid(groups: &[Group]) -> Vec<Table> {
 
 /// Builds a table of both errors of a solver by sequence, those of the vertices in parentheses.
 fn both_errors(solver: &str, groups: &[&Group]) -> Table {
-    let [e_cd, e_3d] = [&FIGURES[0], &FIGURES[1]];
     let pair = |(a, b): (Cell, Cell)| {
         let text =
             if a.text.is_empty() || a.text == DIVERGED { a.text } else { format!("{} ({})", a.text, b.text) };
@@ -319,10 +340,10 @@ fn both_errors(solver: &str, groups: &[&Group]) -> Table {
     let row = |((name, a), (_, b)): ((String, Vec<Cell>), (String, Vec<Cell>))| {
         (name, a.into_iter().zip(b).map(pair).collect())
     };
-    let [a, b] = [e_cd, e_3d].map(|figure| BySequence::new(figure, groups).means());
+    let [a, b] = [&E_CD, &E_3D].map(|figure| BySequence::new(figure, groups).means());
     let heads = groups.iter().map(|group| column(&group.grid, group.iterations));
     Table {
-        title: format!("{solver}: {} ({})", e_cd.title, e_3d.title),
+        title: format!("{solver}: {} ({})", E_CD.title, E_3D.title),
         columns: std::iter::once("sequence".into()).chain(heads).collect(),
         rows: a.into_iter().zip(b).map(row).collect(),
     }
@@ -331,7 +352,7 @@ fn both_errors(solver: &str, groups: &[&Group]) -> Table {
 /// Builds a table of the means and deviations of time and error, with solvers and iterations as rows and
 /// grids as columns.
 fn times_and_errors(groups: &[Group]) -> Table {
-    let figures = [&ERROR_AND_TIME[2].figure, &ERROR_AND_TIME[0].figure];
+    let figures = [&TIME, &E_CD];
     let grids = distinct(groups.iter().map(|group| &group.grid));
     let heads = figures.iter().flat_map(|figure| {
         grids.iter().flat_map(move |grid| [format!("{grid} {}", figure.title), "±".into()])
@@ -401,67 +422,28 @@ fn pooled(spreads: impl Iterator<Item = Spread>) -> CellValue {
     of_all(repeated.collect()).map(|v| (v.iter().map(|d| d * d).sum::<f64>() / v.len() as f64).sqrt())
 }
 
-/// A mean over the sequences, and whether its deviation is shown next to it.
-struct Mean {
-    figure: Figure,
-    deviation: bool,
-}
-
-const fn mean(
-    title: &'static str,
-    of: fn(&Score) -> Option<f64>,
-    (factor, digits): (f64, usize),
-    deviation: bool,
-) -> Mean {
-    Mean { figure: Figure { title, of, factor, digits }, deviation }
-}
-
-const ERROR_AND_TIME: [Mean; 3] = [
-    mean("e_CD x 10^3 [m^2]", |s| s.e_cd, (1e3, 2), true),
-    mean("e_3D x 10^2", |s| s.e_3d, (1e2, 2), true),
-    mean("ms/frame", |s| s.ms_per_frame, (1.0, 1), true),
-];
-
-/// The energy and its terms, in grid units.
-const ENERGY: [Mean; 7] = [
-    mean("energy", |s| s.energy, (1.0, 4), false),
-    mean("stretch", |s| s.energy_terms.map(|e| e.stretch), (1.0, 4), false),
-    mean("shear", |s| s.energy_terms.map(|e| e.shear), (1.0, 4), false),
-    mean("bend", |s| s.energy_terms.map(|e| e.bend), (1.0, 4), false),
-    mean("inertia", |s| s.energy_terms.map(|e| e.inertia), (1.0, 4), false),
-    mean("external", |s| s.energy_terms.map(|e| e.external), (1.0, 4), false),
-    mean("mean stretch x 10^2", |s| s.stretch_mean, (1e2, 2), false),
-];
-
-const REST: [Mean; 4] = [
-    mean("repulsion", |s| s.repulsion.map(|r| r[0]), (1.0, 3), false),
-    mean("share > 0.1", |s| s.repulsion.map(|r| r[1]), (1.0, 3), false),
-    mean("share > 0.02", |s| s.repulsion.map(|r| r[2]), (1.0, 3), false),
-    mean("speed at the end [m/s]", |s| s.speed_at_end, (1.0, 3), false),
-];
-
 /// Builds a table of means over the sequences, on all of which a solver must have succeeded; repeated
-/// sequences count with their means.
-fn summary(title: &str, groups: &[Group], means: &[Mean]) -> Table {
+/// sequences count with their means. `deviations` adds those over sequences and repeats.
+fn summary(title: &str, groups: &[Group], figures: &[Figure], deviations: bool) -> Table {
     let repeated = groups.iter().flat_map(|group| &group.sequences).any(|(_, repeats)| repeats.len() > 1);
-    let of_group = |group: &Group, Mean { figure, deviation }: &Mean| {
+    let shown = [true, deviations, deviations && repeated];
+    let of_group = |group: &Group, figure: &Figure| {
         let [mean, apart] = group.mean_and_deviation(figure);
         let of_repeats = pooled(group.spreads(figure)).when(!mean.is_nothing());
-        let shown = [(true, mean), (*deviation, apart), (*deviation && repeated, of_repeats)];
-        let shown: Vec<_> = shown.into_iter().filter_map(|(shown, value)| shown.then_some(value)).collect();
-        unmarked(&shown, figure.digits)
+        let values = shown.into_iter().zip([mean, apart, of_repeats]);
+        let values: Vec<_> = values.filter_map(|(shown, value)| shown.then_some(value)).collect();
+        unmarked(&values, figure.digits)
     };
-    let heads = means.iter().flat_map(|Mean { figure, deviation }| {
-        let deviations = [(*deviation, "±"), (*deviation && repeated, "± repeats")];
-        let heads = deviations.into_iter().filter_map(|(shown, head)| shown.then_some(head));
-        std::iter::once(figure.title).chain(heads)
+    let heads = figures.iter().flat_map(|figure| {
+        let heads = shown.into_iter().zip([figure.title, "±", "± repeats"]);
+        heads.filter_map(|(shown, head)| shown.then_some(head))
     });
     let counts = ["sequences"].into_iter().chain(repeated.then_some("simulations"));
     let columns = ["solver"].into_iter().chain(counts).chain(heads).map(str::to_owned).collect();
     let row = |group: &Group| {
         let counts = [group.sequences.len()].into_iter().chain(repeated.then_some(group.scores().count()));
         let counts = counts.map(|count| Cell { text: count.to_string(), best: false });
-        let cells = means.iter().flat_map(|mean| of_group(group, mean));
+        let cells = figures.iter().flat_map(|figure| of_group(group, figure));
         (format!("{} {}", group.grid, group.column()), counts.chain(cells).collect())
     };
     Table { title: title.to_owned(), columns, rows: groups.iter().map(row).collect() }

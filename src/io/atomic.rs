@@ -24,7 +24,7 @@ pub fn write_atomic(
     fill: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>,
 ) -> Result<()> {
     let dir = folder_of(path.as_ref());
-    std::fs::create_dir_all(dir).map_err(|e| Error::io(dir, "cannot create the folder", e))?;
+    super::create_folder(dir)?;
     replace(path, fill)
 }
 

@@ -27,7 +27,11 @@ pub use obj::read_obj;
 pub use trajectory::{ReadOptions, Trajectory};
 
 use crate::{Error, Result};
-use std::{fs::File, io::Read, path::Path};
+use std::{
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
 
 /// Opens a file for reading. Also returns its length in bytes.
 fn open(path: &Path) -> Result<(File, u64)> {
@@ -38,6 +42,21 @@ fn open(path: &Path) -> Result<(File, u64)> {
         return Err(Error::invalid(path.display().to_string(), "type", "a file", "a folder"));
     }
     Ok((file, meta.len()))
+}
+
+/// Creates a folder, and those above it, unless it exists.
+pub fn create_folder(path: &Path) -> Result<()> {
+    std::fs::create_dir_all(path).map_err(|e| Error::io(path, "cannot create the folder", e))
+}
+
+/// Returns the paths of what is in a folder, sorted.
+pub fn entries(folder: &Path) -> Result<Vec<PathBuf>> {
+    let fail = |e| Error::io(folder, "cannot read the folder", e);
+    let entries = std::fs::read_dir(folder).map_err(fail)?;
+    let paths: std::io::Result<Vec<_>> = entries.map(|entry| entry.map(|e| e.path())).collect();
+    let mut paths = paths.map_err(fail)?;
+    paths.sort();
+    Ok(paths)
 }
 
 /// Removes a file. Succeeds if there is no such file.

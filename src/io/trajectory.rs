@@ -1,7 +1,7 @@
 //! The frames of a run.
 
 use super::atomic::UNFINISHED;
-use super::{Format, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
+use super::{Format, create_folder, entries, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
 use crate::{Error, Result, cloth::Grid, memory};
 use ndarray::ArrayView3;
 use ndarray_npy::WriteNpyExt;
@@ -147,7 +147,7 @@ impl Trajectory {
 
     fn write_frames(&self, folder: PathBuf, format: Format) -> Result<PathBuf> {
         let name = |f: usize| format!("{f:05}.{format}");
-        std::fs::create_dir_all(&folder).map_err(|e| Error::io(&folder, "cannot create the folder", e))?;
+        create_folder(&folder)?;
         // Only names that a run would have written are replaced: `7.obj` belongs to the user.
         let mut earlier = frame_files(&folder, format)?;
         earlier.retain(|(_, f, path)| path.file_name().is_some_and(|found| *found == *name(*f)));
@@ -284,10 +284,8 @@ fn read_file(path: &Path) -> Result<Parts> {
 /// Returns the numbered files of a folder of frames, in order, each with the beginning of its name, its number,
 /// and its path: `cloth_0007.obj` begins with `cloth_` and has number 7.
 fn frame_files(folder: &Path, format: Format) -> Result<Vec<(String, usize, PathBuf)>> {
-    let fail = |e| Error::io(folder, "cannot read the folder", e);
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(fail)? {
-        let path = entry.map_err(fail)?.path();
+    for path in entries(folder)? {
         let of_format = path.extension().is_some_and(|e| e == format.name());
         let stem = path.file_stem().and_then(|s| s.to_str()).filter(|_| of_format).unwrap_or_default();
         let name = stem.trim_end_matches(|c: char| c.is_ascii_digit());

@@ -271,7 +271,7 @@ pub struct Description {
 }
 
 /// One tensor of a [`Description`].
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize)]
 pub struct TensorSummary {
     /// Name in the file.
     pub name: String,

@@ -70,23 +70,12 @@ impl Scene {
                 Side::Both(sides) => json!(sides),
             },
             "material": match self.stiffness {
-                Stiffness::Grid(m) => json!({ "stretch": m.stretch, "shear": m.shear, "bend": m.bend }),
-                Stiffness::Moduli(m) => json!({
-                    "stretch_modulus": m.stretch_modulus,
-                    "shear_modulus": m.shear_modulus,
-                    "bending_stiffness": m.bending_stiffness,
-                }),
+                Stiffness::Grid(coefficients) => json!(coefficients),
+                Stiffness::Moduli(moduli) => json!(moduli),
             },
             "gravity": self.gravity,
-            "wind": {
-                "velocity": self.wind.velocity,
-                "density": self.wind.density,
-                "drag": self.wind.drag,
-            },
-            "repulsion": match self.repulsion {
-                Some(r) => json!({ "strength": r.strength, "distance": r.distance }),
-                None => json!(false),
-            },
+            "wind": self.wind,
+            "repulsion": self.repulsion.map_or(json!(false), |settings| json!(settings)),
             "frame_time_s": self.frame_time_s,
             "frames": self.frames,
             "start": match &self.start {

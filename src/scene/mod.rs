@@ -205,7 +205,7 @@ impl Stiffness {
 }
 
 /// The air and its motion.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Wind {
     /// Velocity [m/s] in the scene's axes.
     pub velocity: [f64; 3],
@@ -224,7 +224,7 @@ impl Default for Wind {
 
 /// Repulsion that keeps the layers of a cloth apart: particles that come close without sharing an edge repel
 /// each other ([`crate::cloth::Repulsion`]).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct RepulsionSettings {
     /// Strength, as an energy per unit mass [m^2/s^2].
     pub strength: f64,

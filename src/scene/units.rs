@@ -40,7 +40,7 @@ impl UpAxis {
 }
 
 /// Elastic moduli of a sheet in SI units: the same cloth on every grid.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Moduli {
     /// Stretch modulus Y [N/m].
     pub stretch_modulus: f64,

@@ -36,14 +36,12 @@ pub enum Optimizer {
     Newton,
 }
 
+/// Name of the learned optimizer.
+const LEARNED: &str = "fnopt";
 /// Settings of L-BFGS in the paper's comparison.
 const LBFGS: LbfgsSettings = LbfgsSettings { history: 5, curvature: 1e-12 };
 
 impl Optimizer {
-    /// Names of the optimizers on command lines and in reports.
-    pub const NAMES: [&str; 7] =
-        ["fnopt", "gd", "adam", "lbfgs", "quasi-newton", "quasi-newton-exact", "newton"];
-
     /// Returns the learned optimizer with these weights.
     pub fn learned(weights: Weights) -> Self {
         Self::Learned(Arc::new(weights))
@@ -77,16 +75,20 @@ impl Optimizer {
     /// Returns the classical optimizer called `name`, with the paper's settings, or the learned one with the
     /// result of `weights`. `origin` names the source of the name in errors.
     pub fn named(name: &str, origin: &str, weights: impl FnOnce() -> Result<Weights>) -> Result<Self> {
-        match name {
-            "fnopt" => Ok(Self::learned(weights()?)),
-            "gd" => Ok(Self::gradient_descent()),
-            "adam" => Ok(Self::adam()),
-            "lbfgs" => Ok(Self::lbfgs()),
-            "quasi-newton" => Ok(Self::quasi_newton()),
-            "quasi-newton-exact" => Ok(Self::quasi_newton_exact()),
-            "newton" => Ok(Self::Newton),
-            other => Err(Error::unknown(origin, "solver", other, Self::NAMES)),
+        if name == LEARNED {
+            return Ok(Self::learned(weights()?));
         }
+        let classical = [
+            Self::gradient_descent(),
+            Self::adam(),
+            Self::lbfgs(),
+            Self::quasi_newton(),
+            Self::quasi_newton_exact(),
+            Self::Newton,
+        ];
+        let known = std::iter::once(LEARNED).chain(classical.iter().map(Self::name));
+        let unknown = Error::unknown(origin, "solver", name, known);
+        classical.into_iter().find(|optimizer| optimizer.name() == name).ok_or(unknown)
     }
 
     /// Fails if the weights of a learned optimizer belong to a network whose inputs are not the update rule's
@@ -119,10 +121,10 @@ impl Optimizer {
         }
     }
 
-    /// Returns the optimizer's name, one of [`Optimizer::NAMES`].
+    /// Returns the optimizer's name on command lines and in reports.
     pub fn name(&self) -> &'static str {
         match self {
-            Self::Learned(_) => "fnopt",
+            Self::Learned(_) => LEARNED,
             Self::GradientDescent { .. } => "gd",
             Self::Adam(_) => "adam",
             Self::Lbfgs(_) => "lbfgs",

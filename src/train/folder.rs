@@ -32,7 +32,7 @@ impl Folder {
     /// Starts a run in a folder, creating it if necessary. Fails if the folder holds checkpoints or weights.
     pub fn create(root: &Path, config: &str) -> Result<Self> {
         let mut folder = Self::open(root);
-        std::fs::create_dir_all(root).map_err(|e| Error::io(root, "cannot create the folder", e))?;
+        io::create_folder(root)?;
         folder.claim()?;
         let checkpoint = folder.checkpoints()?.into_iter().map(|saved| saved.path).next();
         let weights =
@@ -203,14 +203,11 @@ impl Folder {
     /// Returns the files of all checkpoints and ranks, newest first; empty if there is no such folder.
     fn checkpoints(&self) -> Result<Vec<Saved>> {
         let dir = self.checkpoint_dir();
-        let fail = |e| Error::io(&dir, "cannot read", e);
         let mut found = Vec::new();
-        let entries = match std::fs::read_dir(&dir) {
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(found),
-            entries => entries.map_err(fail)?,
-        };
-        for entry in entries {
-            let path = entry.map_err(fail)?.path();
+        if matches!(dir.try_exists(), Ok(false)) {
+            return Ok(found);
+        }
+        for path in io::entries(&dir)? {
             let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
             let Some(name) = name.strip_prefix("step-").and_then(|n| n.strip_suffix(".safetensors")) else {
                 continue;

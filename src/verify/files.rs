@@ -9,9 +9,10 @@ use super::{
 };
 use crate::cloth::{Cloth, Grid, Material, Repulsion};
 use crate::eval::repulsion;
+use crate::io::entries;
 use crate::network::{Checkpoint, Weights};
 use crate::{Error, Result};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 /// Energies in double precision, relative.
@@ -61,15 +62,8 @@ fn stem(path: &Path) -> String {
 /// Returns an error only if the folder cannot be read or contains no golden file. Damaged files count as
 /// failed checks; files with other names are skipped.
 pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn FnMut(Check)) -> Result<()> {
-    let entries = std::fs::read_dir(folder).map_err(|e| Error::io(folder, "cannot read", e))?;
-    let mut files: Vec<PathBuf> = Vec::new();
-    for entry in entries {
-        let path = entry.map_err(|e| Error::io(folder, "cannot read", e))?.path();
-        if path.extension().is_some_and(|e| e == "safetensors") {
-            files.push(path);
-        }
-    }
-    files.sort();
+    let mut files = entries(folder)?;
+    files.retain(|path| path.extension().is_some_and(|e| e == "safetensors"));
     let kinds = Checker::KINDS.map(|(prefix, _)| prefix);
     if !files.iter().any(|path| kinds.iter().any(|kind| stem(path).starts_with(kind))) {
         let expected = format!("golden files ({}*.safetensors)", kinds.join("*, "));

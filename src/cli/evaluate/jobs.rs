@@ -1,8 +1,8 @@
 //! The simulations of an evaluation, and the files that hold their scores.
 
-use super::{SOLVERS, progress};
+use super::SOLVERS;
 use crate::cli::go_on;
-use crate::cli::output::status;
+use crate::cli::output::{progress, status};
 use fnopt::Device;
 use fnopt::cloth::Grid;
 use fnopt::eval::{
@@ -80,7 +80,7 @@ impl<'a> Plan<'a> {
     /// would be far less busy. GPU jobs run one at a time, with the GPU to themselves.
     pub fn work(&self, jobs: &[Job], interrupted: &AtomicBool) -> (Vec<Kept>, Ended) {
         let frames = |job: &Job| job.sequence.truth.frames().min(self.settings.frames) - 1;
-        let bar = progress(jobs.iter().map(frames).sum(), "frames");
+        let bar = progress(jobs.iter().map(frames).sum::<usize>() as u64, "frames");
         let failed = AtomicBool::new(false);
         let all: Mutex<Vec<(usize, Kept)>> = Mutex::default();
         let done = |number: usize| -> Ended {
@@ -252,9 +252,7 @@ impl Kept {
         let system = format!("_{plain}-{:08x}_compared_", crc32fast::hash(solver.as_bytes()));
         let own = file(folder, &format!("{sequence}_{grid}{}", system.trim_end_matches('_')), made_with);
         // An earlier trajectory may have been on another grid.
-        let fail = |e| Error::io(folder, "cannot read the folder", e);
-        for entry in std::fs::read_dir(folder).map_err(fail)? {
-            let path = entry.map_err(fail)?.path();
+        for path in io::entries(folder)? {
             let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
             let rest = name.strip_prefix(&format!("{sequence}_")).and_then(|rest| rest.split_once(&system));
             // The text in between must be a grid, not part of another sequence's name.
@@ -298,18 +296,11 @@ impl Kept {
 pub fn merged(folders: &[PathBuf]) -> Result<Vec<Score>> {
     let mut files = Vec::new();
     for folder in folders {
-        let fail = |e| Error::io(folder, "cannot read the folder", e);
-        let mut own = Vec::new();
-        for entry in std::fs::read_dir(folder).map_err(fail)? {
-            let path = entry.map_err(fail)?.path();
-            if path.extension().is_some_and(|e| e == "json") {
-                own.push(path);
-            }
-        }
+        let mut own = io::entries(folder)?;
+        own.retain(|path| path.extension().is_some_and(|e| e == "json"));
         if own.is_empty() {
             return Err(Error::invalid(folder.display().to_string(), "scores", "score files", "none"));
         }
-        own.sort();
         files.extend(own);
     }
     let (mut scores, mut of_files): (Vec<Score>, Vec<&Path>) = (Vec::new(), Vec::new());

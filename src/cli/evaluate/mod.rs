@@ -19,13 +19,11 @@ use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, tables};
 use fnopt::io::folder_of;
 use fnopt::network::Weights;
 use fnopt::sim::Optimizer;
-use indicatif::{ProgressBar, ProgressStyle};
 use jobs::{Kept, Plan, with_valid_scenes};
 use report::{Written, documents, tell_devices, tell_missing, tell_unconverged, timed};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
-use std::time::Duration;
 
 /// The file name that stands for standard output.
 const STDOUT: &str = "-";
@@ -478,15 +476,6 @@ impl Args {
         });
         written.and(Ok(drawn?))
     }
-}
-
-/// Returns a progress bar over `length` items; `of` names them, as in "frames".
-fn progress(length: usize, of: &str) -> ProgressBar {
-    let template = format!("{{bar:30}} {{pos}}/{{len}} {of}, {{eta}} left  {{msg}}");
-    let style = ProgressStyle::with_template(&template).expect("the template is valid");
-    let bar = ProgressBar::new(length as u64).with_style(style);
-    bar.enable_steady_tick(Duration::from_millis(200));
-    bar
 }
 
 /// Returns the index of this task in a Slurm array, from 0, and the number of tasks, if there is such an

@@ -1,12 +1,12 @@
 //! The plots of `fnopt evaluate --plots`.
 
 use super::jobs::{Kept, Plan};
-use super::progress;
+use crate::cli::output::progress;
+use fnopt::Result;
 use fnopt::cloth::Grid;
 use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshot_frames, snapshots, track, vertex_errors};
 use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
 use fnopt::sim::Optimizer;
-use fnopt::{Error, Result};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -57,7 +57,6 @@ impl Colours {
 /// Draws error and repulsion per frame for every sequence and grid, and error and time against the number of
 /// iterations.
 pub(super) fn draw(folder: &Path, scores: &[Score]) -> Result<()> {
-    std::fs::create_dir_all(folder).map_err(|e| Error::io(folder, "cannot create the folder", e))?;
     let colours = Colours::new(scores.iter().map(|score| (score.solver.clone(), score.column())));
     let of = |figure| per_frame(scores, &colours, figure);
     write(folder, "per_frame.png", &of((E_CD, 1e3, |s| &s.per_frame.e_cd)))?;
@@ -150,7 +149,7 @@ fn iterations(scores: &[Score], colours: &Colours) -> Vec<Chart> {
 /// Draws a convergence chart for each sequence and grid. If `tick`, which is called every frame, ends it, the
 /// finished charts are drawn.
 pub(super) fn convergence(folder: &Path, plan: &Plan, tick: impl Fn() -> ControlFlow<()>) -> Result<()> {
-    let bar = progress(plan.sequences.len() * plan.grids.len(), "convergence charts");
+    let bar = progress((plan.sequences.len() * plan.grids.len()) as u64, "convergence charts");
     let mut charts = Vec::new();
     let all = plan.sequences.iter().flat_map(|sequence| plan.grids.iter().map(move |&grid| (sequence, grid)));
     for (sequence, grid) in all {

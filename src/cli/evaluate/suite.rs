@@ -1,8 +1,8 @@
 //! `fnopt evaluate --suite`: measures how far solvers generalise.
 
+use super::Args;
 use super::report::tell_devices;
-use super::{Args, progress};
-use crate::cli::output::status;
+use crate::cli::output::{progress, status};
 use crate::cli::{Ending, go_on, interrupt_flag, material, writable_folder};
 use anyhow::Result;
 use fnopt::Device;
@@ -120,7 +120,7 @@ impl Args {
         writable_folder(&self.out)?;
         self.writable()?;
         let frames = self.most_frames();
-        let bar = progress(cases.len() * entries.len(), "cases");
+        let bar = progress((cases.len() * entries.len()) as u64, "cases");
         let interrupted = interrupt_flag();
         let tick = || go_on(&interrupted);
         // With the index of the entry, because one solver may take part with several numbers of iterations.
