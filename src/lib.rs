@@ -66,7 +66,9 @@
 //!   bias and end in an activation, and spend longer in the calls of a library than in their sums.
 //! - All kept modes are multiplied, although those of the first column are conjugates of each other: using that
 //!   would save less than 1 % of a frame.
-//! - Programs run natively, not in browsers, because building and reading back wait for the device.
+//! - In a browser nothing can wait for the device. A program for wasm32 opens it with
+//!   [`gpu::Context::headless_async`] or its own code, records [`sim::Solver`]s and reads back with
+//!   [`gpu::Readback::try_next`] (`examples/browser`). [`Simulator`], [`train`] and the files of [`io`] are native.
 //!
 //! # Modules
 //!

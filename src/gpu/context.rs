@@ -86,6 +86,8 @@ pub struct Context {
     pub(super) kernels: Kernels,
 }
 
+/// Whether the device is a browser's, whose answers do not arrive before the caller has returned to the browser.
+pub(super) const BROWSER: bool = cfg!(target_arch = "wasm32");
 /// Number of storage buffers that a kernel may bind.
 const STORAGE_BUFFERS: u32 = 8;
 /// Largest number of invocations per workgroup that every device supports.
@@ -123,7 +125,7 @@ impl Context {
         pollster::block_on(Self::headless_async(choice))
     }
 
-    /// As [`Context::headless`], for callers that already run an executor.
+    /// As [`Context::headless`], for callers that already run an executor, and for browsers.
     pub async fn headless_async(choice: &AdapterChoice) -> Result<Self> {
         first_opened(choose(all_adapters().await, choice)?, Self::open).await
     }
@@ -266,8 +268,12 @@ impl Context {
     }
 
     /// Runs `build` and returns whatever the device reports (invalid objects, kernels that its driver cannot
-    /// compile, lack of memory) as an error, and the loss of the device as [`Error::Lost`].
+    /// compile, lack of memory) as an error, and the loss of the device as [`Error::Lost`]. In a browser, which
+    /// reports later, the device's handler of uncaptured errors receives them.
     pub fn checked<T>(&self, build: impl FnOnce() -> Result<T>) -> Result<T> {
+        if BROWSER {
+            return build();
+        }
         use wgpu::ErrorFilter::{Internal, OutOfMemory, Validation};
         // Running out of memory or a failing driver also invalidates objects. Those scopes enclose the one
         // for validation, so that the cause takes precedence.
@@ -285,6 +291,9 @@ impl Context {
 
     /// Runs `act`, whose errors the device need not report: another call reports the same cause.
     pub(super) fn unreported<T>(&self, act: impl FnOnce() -> T) -> T {
+        if BROWSER {
+            return act();
+        }
         use wgpu::ErrorFilter::{OutOfMemory, Validation};
         let scopes = [OutOfMemory, Validation].map(|filter| self.device.push_error_scope(filter));
         let result = act();
@@ -292,7 +301,8 @@ impl Context {
         result
     }
 
-    /// Whether the device is lost: it was destroyed, its driver was reset, or it is no longer there.
+    /// Whether the device is lost: it was destroyed, its driver was reset, or it is no longer there. Natively only: a
+    /// browser tells the callback of the device's owner.
     pub fn is_lost(&self) -> bool {
         // wgpu tells whoever registers a callback, which is up to the owner of the device. To others it shows
         // in that a buffer cannot be mapped.
@@ -468,9 +478,11 @@ fn sharing(kind: AdapterKind, features: wgpu::Features, lanes: [u32; 2]) -> Shar
 
 fn describe(info: &wgpu::AdapterInfo) -> String {
     let driver = [info.driver.as_str(), info.driver_info.as_str()].join(" ");
+    // Browsers do not tell.
+    let name = if info.name.is_empty() { "unnamed adapter" } else { &info.name };
     match driver.trim() {
-        "" => format!("{} [{}]", info.name, info.backend),
-        driver => format!("{} [{}, {driver}]", info.name, info.backend),
+        "" => format!("{name} [{}]", info.backend),
+        driver => format!("{name} [{}, {driver}]", info.backend),
     }
 }
 

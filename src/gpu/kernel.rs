@@ -1,6 +1,6 @@
 //! Kernels: WGSL entry points with their bindings and pipelines.
 
-use super::context::WORKGROUPS;
+use super::context::{BROWSER, WORKGROUPS};
 use super::{Context, Source, Storage, Unroll};
 use crate::{Error, Result};
 use std::borrow::Cow;
@@ -140,7 +140,7 @@ impl Kernels {
 pub(super) struct Program {
     pub name: &'static str,
     pub layout: wgpu::BindGroupLayout,
-    module: naga::Module,
+    source: wgpu::ShaderSource<'static>,
     constants: Vec<(&'static str, f64)>,
     /// The pipeline, or why it failed to compile, which is reported to everyone who waits for it.
     pipeline: OnceLock<Result<wgpu::ComputePipeline, String>>,
@@ -171,7 +171,11 @@ impl Kernel {
         let program = Program {
             name: source.name,
             layout: layout(&context.device, source.name, &bindings),
-            module,
+            // Already parsed, to read the bindings; but a browser takes text.
+            source: match BROWSER {
+                true => wgpu::ShaderSource::Wgsl(Cow::Owned(key.0.clone())),
+                false => wgpu::ShaderSource::Naga(Cow::Owned(module)),
+            },
             constants: constants.to_vec(),
             pipeline: OnceLock::new(),
         };
@@ -233,7 +237,7 @@ impl Program {
             bind_group_layouts: &[Some(&self.layout)],
             immediate_size: 0,
         });
-        let module = trusted_module(device, self.name, self.module.clone());
+        let module = trusted_module(device, self.name, self.source.clone());
         device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label,
             layout: Some(&layout),
@@ -265,9 +269,11 @@ fn layout(device: &wgpu::Device, name: &'static str, bindings: &[Binding]) -> wg
 /// Creates a shader module without naga's index clamps and loop counters, which slow the inner loops down by
 /// up to a factor of ten.
 #[allow(unsafe_code, reason = "one of three exceptions; see SAFETY")]
-fn trusted_module(device: &wgpu::Device, name: &str, module: naga::Module) -> wgpu::ShaderModule {
-    // Already parsed, to read the bindings.
-    let source = wgpu::ShaderSource::Naga(Cow::Owned(module));
+fn trusted_module(
+    device: &wgpu::Device,
+    name: &str,
+    source: wgpu::ShaderSource<'static>,
+) -> wgpu::ShaderModule {
     let descriptor = wgpu::ShaderModuleDescriptor { label: Some(name), source };
     // SAFETY: the module was parsed from a file of `shaders/`, compiled into this program: `Kernel` is
     // private to the crate, and callers cannot supply their own. Every loop there counts to a finite bound.

@@ -98,7 +98,7 @@ impl Readback {
 
     /// Applies `read` to the bytes of the oldest result and returns its value, waiting for the result if
     /// necessary. `None` if nothing is in flight. Fails if the device is lost. Callbacks of the device's owner
-    /// may run here.
+    /// may run here. Not for browsers, in which nothing can wait.
     pub fn next<T>(&mut self, read: impl FnOnce(&[u8]) -> T) -> Result<Option<T>> {
         let Some((_, _, submission)) = self.in_flight.front() else { return Ok(None) };
         // Wait for this submission and no longer: later ones may still be computing.

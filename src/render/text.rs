@@ -2,11 +2,11 @@
 
 use super::Image;
 use plotters::prelude::*;
-use plotters::style::register_font;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use std::sync::Once;
 
 /// DejaVu Sans 2.37, reduced to Latin and Greek with `pyftsubset --no-hinting --layout-features=`.
+#[cfg(not(target_arch = "wasm32"))]
 const FONT: &[u8] = include_bytes!("../../assets/fonts/DejaVuSans.ttf");
 /// How far above the given position plotters draws the top of capitals, and the height of capitals, as
 /// fractions of the line height.
@@ -20,8 +20,12 @@ pub(super) const INK: RGBColor = RGBColor(70, 74, 80);
 pub(super) fn style(height: f32) -> TextStyle<'static> {
     static REGISTERED: Once = Once::new();
     REGISTERED.call_once(|| {
-        let registered = register_font("sans-serif", FontStyle::Normal, FONT);
-        assert!(registered.is_ok(), "the font is one");
+        // In a browser, plotters measures with the fonts of the page.
+        #[cfg(not(target_arch = "wasm32"))]
+        assert!(
+            plotters::style::register_font("sans-serif", FontStyle::Normal, FONT).is_ok(),
+            "the font is one"
+        );
     });
     TextStyle::from(("sans-serif", height).into_font()).color(&INK).pos(Pos::new(HPos::Left, VPos::Top))
 }

@@ -1,0 +1,13 @@
+//! A cloth in a web page: simulated and drawn on one device, with nothing copied in between.
+//!
+//! The README says how to build it, under Embedding.
+
+#[cfg(target_arch = "wasm32")]
+mod page;
+
+fn main() {
+    #[cfg(target_arch = "wasm32")]
+    page::start();
+    #[cfg(not(target_arch = "wasm32"))]
+    eprintln!("This example runs in a browser; the README says how to build it, under Embedding.");
+}
