@@ -12,18 +12,9 @@ use fnopt::wgpu;
 use host::Host;
 
 const FRAMES: usize = 30;
-/// Looks along the x axis, y up, at a view 2.5 m across, with a light behind the eye.
-const SHADER: &str = "
-struct Corner { @builtin(position) place: vec4f, @location(0) normal: vec3f }
-@vertex fn corner(@location(0) p: vec3f, @location(1) normal: vec3f) -> Corner {
-    return Corner(vec4f(-0.8 * p.z, 0.8 * p.y, 0.5 + 0.1 * p.x, 1.0), normal);
-}
-@fragment fn colour(@location(0) normal: vec3f) -> @location(0) vec4f {
-    return vec4f(vec3f(0.2, 0.4, 0.6) * (0.5 + 0.5 * abs(normalize(normal).x)), 1.0);
-}";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let host = Host::open(SHADER)?;
+    let host = Host::open()?;
 
     // The cloth on the host's device.
     let context = Context::new(host.device.clone(), host.queue.clone())?;

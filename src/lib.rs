@@ -68,7 +68,8 @@
 //!   would save less than 1 % of a frame.
 //! - In a browser nothing can wait for the device. A program for wasm32 opens it with
 //!   [`gpu::Context::headless_async`] or its own code, records [`sim::Solver`]s and reads back with
-//!   [`gpu::Readback::try_next`] (`examples/browser`). [`Simulator`], [`train`] and the files of [`io`] are native.
+//!   [`gpu::Readback::try_next`] (`examples/browser`). [`Simulator`], [`train`] and the files of [`io`] are
+//!   native.
 //!
 //! # Modules
 //!

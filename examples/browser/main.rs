@@ -3,6 +3,9 @@
 //! The README says how to build it, under Embedding.
 
 #[cfg(target_arch = "wasm32")]
+#[path = "../host/draw.rs"]
+mod draw;
+#[cfg(target_arch = "wasm32")]
 mod page;
 
 fn main() {

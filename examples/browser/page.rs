@@ -1,5 +1,6 @@
 //! The page: a canvas with the sheet, and a line about the last frame.
 
+use crate::draw::pipeline;
 use fnopt::gpu::{Context, Readback};
 use fnopt::network::Weights;
 use fnopt::scene::{Scene, Setup};
@@ -11,16 +12,6 @@ use std::rc::Rc;
 use wasm_bindgen::JsCast;
 use wasm_bindgen::closure::Closure;
 
-/// Looks along the x axis, y up, at a view 2.5 m across, with a light behind the eye.
-const SHADER: &str = "
-struct Corner { @builtin(position) place: vec4f, @location(0) normal: vec3f }
-@vertex fn corner(@location(0) p: vec3f, @location(1) normal: vec3f) -> Corner {
-    return Corner(vec4f(-0.8 * p.z, 0.8 * p.y, 0.5 + 0.1 * p.x, 1.0), normal);
-}
-@fragment fn colour(@location(0) normal: vec3f) -> @location(0) vec4f {
-    let n = normalize(normal);
-    return vec4f(vec3f(0.28, 0.45, 0.62) * (0.45 + 0.5 * abs(n.x) + 0.15 * n.y), 1.0);
-}";
 const BACKGROUND: wgpu::Color = wgpu::Color { r: 0.957, g: 0.957, b: 0.949, a: 1.0 };
 const DEPTH: wgpu::TextureFormat = wgpu::TextureFormat::Depth24Plus;
 
@@ -120,7 +111,7 @@ impl Page {
         });
         let readback = Readback::new(&context, &solver.statistics_tensors(), 3)?;
         Ok(Self {
-            pipeline: pipeline(&device, shown.format),
+            pipeline: pipeline(&device, shown.format, Some(DEPTH)),
             depth: depth.create_view(&Default::default()),
             surface,
             context,
@@ -191,40 +182,4 @@ impl Page {
         self.context.queue.present(target);
         Ok(())
     }
-}
-
-/// Builds a pipeline that draws triangles from positions and normals in one vertex buffer.
-fn pipeline(device: &wgpu::Device, format: wgpu::TextureFormat) -> wgpu::RenderPipeline {
-    let source = wgpu::ShaderSource::Wgsl(SHADER.into());
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source });
-    let attributes = &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
-    let step_mode = wgpu::VertexStepMode::Vertex;
-    let buffer = wgpu::VertexBufferLayout { array_stride: Vertices::STRIDE, step_mode, attributes };
-    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: None,
-        layout: None,
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: None,
-            compilation_options: Default::default(),
-            buffers: &[Some(buffer)],
-        },
-        primitive: Default::default(),
-        depth_stencil: Some(wgpu::DepthStencilState {
-            format: DEPTH,
-            depth_write_enabled: Some(true),
-            depth_compare: Some(wgpu::CompareFunction::Less),
-            stencil: Default::default(),
-            bias: Default::default(),
-        }),
-        multisample: Default::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: None,
-            compilation_options: Default::default(),
-            targets: &[Some(format.into())],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
 }

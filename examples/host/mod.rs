@@ -1,8 +1,9 @@
 //! The engine's side: a device, a queue, a pipeline and a render target (a texture, since there is no
 //! window).
 
+mod draw;
+
 use fnopt::gpu::{Context, Tensor};
-use fnopt::sim::Vertices;
 use fnopt::wgpu::{self, util::DeviceExt};
 
 /// The engine.
@@ -21,7 +22,7 @@ impl Host {
     /// Opens a device with the limits of its adapter and the features that fnopt can use. WebGPU's default
     /// limits bind at most 128 MiB; without the features there is no half precision, no timing and no
     /// pipeline cache.
-    pub fn open(shader: &str) -> Result<Self, Box<dyn std::error::Error>> {
+    pub fn open() -> Result<Self, Box<dyn std::error::Error>> {
         let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
         let adapter = pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions::default()))?;
         let descriptor = wgpu::DeviceDescriptor {
@@ -30,7 +31,7 @@ impl Host {
             ..Default::default()
         };
         let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))?;
-        let pipeline = pipeline(&device, shader);
+        let pipeline = draw::pipeline(&device, FORMAT, None);
         let target = device.create_texture(&wgpu::TextureDescriptor {
             label: None,
             size: wgpu::Extent3d { width: SIZE, height: SIZE, depth_or_array_layers: 1 },
@@ -69,34 +70,4 @@ impl Host {
         context.submit(|e| e.copy_texture_to_buffer(self.target.as_image_copy(), to, self.target.size()));
         picture.read(context)
     }
-}
-
-/// Builds a pipeline that draws triangles from positions and normals in one vertex buffer.
-fn pipeline(device: &wgpu::Device, shader: &str) -> wgpu::RenderPipeline {
-    let source = wgpu::ShaderSource::Wgsl(shader.into());
-    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor { label: None, source });
-    let attributes = &wgpu::vertex_attr_array![0 => Float32x3, 1 => Float32x3];
-    let step_mode = wgpu::VertexStepMode::Vertex;
-    let buffer = wgpu::VertexBufferLayout { array_stride: Vertices::STRIDE, step_mode, attributes };
-    device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
-        label: None,
-        layout: None,
-        vertex: wgpu::VertexState {
-            module: &module,
-            entry_point: None,
-            compilation_options: Default::default(),
-            buffers: &[Some(buffer)],
-        },
-        primitive: Default::default(),
-        depth_stencil: None,
-        multisample: Default::default(),
-        fragment: Some(wgpu::FragmentState {
-            module: &module,
-            entry_point: None,
-            compilation_options: Default::default(),
-            targets: &[Some(FORMAT.into())],
-        }),
-        multiview_mask: None,
-        cache: None,
-    })
 }

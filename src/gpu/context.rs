@@ -86,7 +86,7 @@ pub struct Context {
     pub(super) kernels: Kernels,
 }
 
-/// Whether the device is a browser's, whose answers do not arrive before the caller has returned to the browser.
+/// Whether the device is a browser's, which does not answer before the caller has returned to the browser.
 pub(super) const BROWSER: bool = cfg!(target_arch = "wasm32");
 /// Number of storage buffers that a kernel may bind.
 const STORAGE_BUFFERS: u32 = 8;
@@ -268,8 +268,8 @@ impl Context {
     }
 
     /// Runs `build` and returns whatever the device reports (invalid objects, kernels that its driver cannot
-    /// compile, lack of memory) as an error, and the loss of the device as [`Error::Lost`]. In a browser, which
-    /// reports later, the device's handler of uncaptured errors receives them.
+    /// compile, lack of memory) as an error, and the loss of the device as [`Error::Lost`]. In a browser,
+    /// which reports later, the device's handler of uncaptured errors receives them.
     pub fn checked<T>(&self, build: impl FnOnce() -> Result<T>) -> Result<T> {
         if BROWSER {
             return build();
@@ -301,8 +301,8 @@ impl Context {
         result
     }
 
-    /// Whether the device is lost: it was destroyed, its driver was reset, or it is no longer there. Natively only: a
-    /// browser tells the callback of the device's owner.
+    /// Whether the device is lost: it was destroyed, its driver was reset, or it is no longer there. Natively
+    /// only: a browser tells the callback of the device's owner.
     pub fn is_lost(&self) -> bool {
         // wgpu tells whoever registers a callback, which is up to the owner of the device. To others it shows
         // in that a buffer cannot be mapped.

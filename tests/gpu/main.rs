@@ -3,8 +3,8 @@
 //! `parity` compares each shader with the CPU path, or with plain formulas in double precision. `forward` and
 //! `backward` cover the network, `solver` whole frames, `repelling` frames with repulsion, `limits` sizes
 //! beyond what a device takes at once, `train` training steps, `control` what a host changes between frames,
-//! `vertices` the vertex buffer, and `order` that it does not matter which invocation runs first. The WGSL files
-//! themselves are checked in `src/kernels/tests.rs`, which needs no adapter.
+//! `vertices` the vertex buffer, and `order` that it does not matter which invocation runs first. The WGSL
+//! files themselves are checked in `src/kernels/tests.rs`, which needs no adapter.
 
 mod backward;
 #[path = "../cloths/mod.rs"]
