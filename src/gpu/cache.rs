@@ -2,6 +2,7 @@
 
 use super::Context;
 use crate::{Result, io};
+use etcetera::base_strategy::{BaseStrategy, choose_native_strategy};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -31,7 +32,7 @@ impl Context {
     pub(crate) fn cache_file(&self, what: &str, extension: &str) -> Option<PathBuf> {
         let folder = match std::env::var_os(CACHE_FOLDER).filter(|folder| !folder.is_empty()) {
             Some(folder) => PathBuf::from(folder),
-            None => dirs::cache_dir()?.join("fnopt"),
+            None => choose_native_strategy().ok()?.cache_dir().join("fnopt"),
         };
         Some(folder.join(format!("{what}_{:08x}.{extension}", self.stamp().finalize())))
     }
