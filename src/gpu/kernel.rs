@@ -171,8 +171,8 @@ impl Kernel {
         let program = Program {
             name: source.name,
             layout: layout(&context.device, source.name, &bindings),
-            // Already parsed, to read the bindings. But a browser takes text, and naga writes arrays whose length is an
-            // override without their element type.
+            // Already parsed, to read the bindings. But a browser takes text, and naga writes arrays whose
+            // length is an override without their element type.
             source: match BROWSER {
                 true => wgpu::ShaderSource::Wgsl(Cow::Owned(key.0.clone())),
                 false => wgpu::ShaderSource::Naga(Cow::Owned(module)),
