@@ -16,7 +16,7 @@ use fnopt::sim::Optimizer;
 use std::ops::ControlFlow;
 
 fn learned() -> Optimizer {
-    Optimizer::learned(Weights::shipped())
+    Optimizer::paper(Weights::shipped())
 }
 
 /// Asserts that every case whose name begins with one of `names` is sound.

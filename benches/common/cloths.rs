@@ -7,7 +7,7 @@ use fnopt::sim::Optimizer;
 
 /// Returns the learned optimizer with the weights that ship with the program.
 pub fn learned() -> Optimizer {
-    Optimizer::learned(Weights::shipped())
+    Optimizer::paper(Weights::shipped())
 }
 
 /// Returns `batch` cloths of the default scene on an `n` by `n` grid.

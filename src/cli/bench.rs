@@ -9,12 +9,14 @@ use fnopt::cloth::{Control, Grid};
 use fnopt::eval::WARM_UP;
 use fnopt::gpu::{Context, Profile, Schedule, Tensor};
 use fnopt::kernels::operator::MultiplyAdd;
+use fnopt::network::Weights;
 use fnopt::render::{Chart, Curve, Image, Scale, charts, write_png};
 use fnopt::sim::{Optimizer, Solver};
 use fnopt::{Device, Simulator};
 use std::collections::HashSet;
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
@@ -295,15 +297,13 @@ fn measure(
         return Ok(None);
     }
     let ms_per_frame = median(&times);
-    let flop = match optimizer {
-        Optimizer::Learned(weights) => Some(weights.config.flop(grid) * (3 * batch * iterations) as f64),
-        _ => None,
-    };
+    let of_network = |weights: &Arc<Weights>| weights.config.flop(grid) * (3 * batch * iterations) as f64;
+    let flop = optimizer.weights().map(of_network);
     let mut row = Row {
         grid: grid.to_string(),
         particles: grid.particles(),
         batch,
-        iterations: (!matches!(optimizer, Optimizer::Newton)).then_some(iterations),
+        iterations: (!optimizer.converges()).then_some(iterations),
         ms_per_frame,
         ms_least: times.iter().copied().fold(f64::INFINITY, f64::min),
         cloth_frames_per_s: 1e3 * batch as f64 / ms_per_frame,

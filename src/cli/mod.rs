@@ -187,8 +187,9 @@ fn start_threads() -> Result<()> {
 /// Options that choose the optimizer, its weights and its iterations.
 #[derive(Debug, clap::Args)]
 pub struct SolverArgs {
-    /// Optimizer for each frame: fnopt (learned), gd, adam, lbfgs or quasi-newton; on the CPU only,
-    /// quasi-newton-exact or newton, which runs to convergence whatever the number of iterations
+    /// Optimizer for each frame: fnopt (learned), fnopt-paper (as published), spectral, gd, adam, lbfgs or
+    /// quasi-newton; on the CPU only, quasi-newton-exact or newton, which runs to convergence whatever the number of
+    /// iterations
     #[arg(long, default_value = "fnopt", value_name = "S")]
     solver: String,
     /// Weights of the learned optimizer, a safetensors file [default: the weights that ship with the program]
@@ -204,8 +205,8 @@ impl SolverArgs {
     pub fn optimizer(&self) -> Result<Optimizer> {
         let weights = || load_weights(self.checkpoint.as_deref());
         let optimizer = Optimizer::named(&self.solver, "--solver", weights)?;
-        match (&optimizer, &self.checkpoint) {
-            (Optimizer::Learned(_), _) | (_, None) => Ok(optimizer),
+        match (optimizer.weights(), &self.checkpoint) {
+            (Some(_), _) | (_, None) => Ok(optimizer),
             (_, Some(path)) => {
                 let expected = format!("none with --solver {}", self.solver);
                 Err(Error::invalid("--checkpoint", "weights", expected, path.display()))

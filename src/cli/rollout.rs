@@ -400,7 +400,7 @@ impl<'a> Run<'a> {
     fn report(&self, status: Status, written: &[PathBuf]) -> serde_json::Value {
         let SolverArgs { checkpoint, .. } = &self.args.solver;
         // Newton's method takes as many as it needs.
-        let iterates = !matches!(self.optimizer, Optimizer::Newton);
+        let iterates = !self.optimizer.converges();
         serde_json::json!({
             "version": env!("CARGO_PKG_VERSION"),
             "settings": {

@@ -7,7 +7,7 @@ use anyhow::Result;
 use fnopt::Device;
 use fnopt::Error;
 use fnopt::gpu::Tuning;
-use fnopt::sim::{Optimizer, tune};
+use fnopt::sim::tune;
 use std::io::Write;
 use std::ops::ControlFlow;
 
@@ -35,7 +35,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<Ending> {
     let optimizer = args.solver.optimizer()?;
-    if !matches!(optimizer, Optimizer::Learned(_)) {
+    if !optimizer.weights().is_some() {
         // Chance would choose between tilings of a network that is not there.
         let expected = "fnopt, whose network is what the tile sizes are for";
         return Err(Error::invalid("--solver", "solver", expected, optimizer.name()).into());

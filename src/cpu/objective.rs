@@ -3,7 +3,8 @@
 
 use super::Real;
 use super::cloth::{
-    Frame, GradientRows, Trial, add_wind, end_frame, energy, gradient, repulsion, shifts, stretch,
+    CurvatureRows, Frame, GradientRows, LocalModel, Trial, add_repulsion_curvature, add_wind, end_frame,
+    energy, gradient, local_model, repulsion, shifts, stretch,
 };
 use super::optim::norm;
 use crate::cloth::{Control, EnergyTerms, Model, State};
@@ -21,6 +22,8 @@ pub struct Objective<T> {
     pub(super) grad: Vec<T>,
     /// The norm of the gradient for each component of each cloth, shape [B, 3].
     pub(super) norms: Vec<f64>,
+    /// The energy of the repulsion of each cloth where the gradient was computed, shape \[B\].
+    repulsion_energy: Vec<f64>,
 }
 
 /// All cloths at their trial accelerations.
@@ -29,7 +32,7 @@ pub(super) struct Trials<T> {
     /// Accelerations [edges / frame^2], shape [B, 3, H, W].
     pub a: Vec<T>,
     /// The displacements that they cause \[edges\], shape [B, 3, H, W].
-    shift: Vec<T>,
+    pub shift: Vec<T>,
     /// External accelerations [edges / frame^2], shape [B, 3, H, W].
     f: Vec<T>,
     /// Handle slots, shape [B, H, W].
@@ -53,6 +56,7 @@ impl<T: Real> Objective<T> {
             total_acceleration,
             grad: zeros(),
             norms: vec![0.0; 3 * model.batch()],
+            repulsion_energy: vec![0.0; model.batch()],
         }
     }
 
@@ -132,13 +136,17 @@ impl<T: Real> Objective<T> {
     pub fn evaluate(&mut self, state: &State<T>, control: &Control<T>) {
         self.move_to_trial(state, control);
         let cloth = self.cloth_len();
-        let Self { trial, rows, total_acceleration, grad, norms } = self;
-        total_acceleration.par_chunks_exact_mut(cloth).enumerate().for_each(|(b, total_acceleration)| {
+        let Self { trial, rows, total_acceleration, grad, norms, repulsion_energy } = self;
+        let each = total_acceleration.par_chunks_exact_mut(cloth).zip(repulsion_energy).enumerate();
+        each.for_each(|(b, (total_acceleration, energy))| {
             let before = trial.cloth(state, b);
-            match trial.model.cloths[b].repulsion {
-                Some(of_cloth) => _ = repulsion(&before, of_cloth, total_acceleration),
-                None => total_acceleration.copy_from_slice(before.f),
-            }
+            *energy = match trial.model.cloths[b].repulsion {
+                Some(of_cloth) => repulsion(&before, of_cloth, total_acceleration),
+                None => {
+                    total_acceleration.copy_from_slice(before.f);
+                    0.0
+                }
+            };
         });
         let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
             let mut of_gradient = trial.cloth(state, b);
@@ -191,6 +199,39 @@ impl<T: Real> Objective<T> {
     pub fn energy(&self, state: &State<T>, b: usize) -> EnergyTerms {
         let trial = self.trial.cloth(state, b);
         let mut terms = energy(&trial);
+        if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
+            terms.repulsion = repulsion(&trial, of_cloth, &mut vec![T::zero(); self.cloth_len()]);
+        }
+        terms
+    }
+
+    /// Returns the energy of cloth `b` at the trial of the last [`Objective::evaluate`], and its slopes and second
+    /// derivatives along `directions` [K, 3, H, W], which are 0 at handles.
+    pub fn local_model(
+        &self,
+        state: &State<T>,
+        b: usize,
+        (directions, rows): (&[T], &mut CurvatureRows<T>),
+    ) -> LocalModel {
+        let trial = self.trial.cloth(state, b);
+        let grad = &self.grad[b * self.cloth_len()..][..self.cloth_len()];
+        let mut model = local_model(&trial, rows, directions, grad);
+        if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
+            model.energy.repulsion = self.repulsion_energy[b];
+            add_repulsion_curvature(&trial, of_cloth, directions, &mut model.curvature);
+        }
+        model
+    }
+
+    /// Returns the energy terms of cloth `b` at the current trial, as [`Objective::local_model`] sums them.
+    pub(super) fn energy_in_rows(
+        &self,
+        state: &State<T>,
+        b: usize,
+        rows: &mut CurvatureRows<T>,
+    ) -> EnergyTerms {
+        let trial = self.trial.cloth(state, b);
+        let mut terms = local_model(&trial, rows, &[], &[]).energy;
         if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
             terms.repulsion = repulsion(&trial, of_cloth, &mut vec![T::zero(); self.cloth_len()]);
         }

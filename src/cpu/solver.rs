@@ -1,10 +1,10 @@
 //! The solver that computes a frame on the CPU (paper sections 3.2 and 3.3).
 
-use super::optim::{Minimizer, minimizer, norm};
+use super::optim::{Minimizer, StepCounts, Subspace, minimizer, norm};
 use super::reference::{Minimum, WITHOUT_REPULSION};
 use super::{Objective, Real, Reference};
 use crate::cloth::{Cloth, Control, Model, State};
-use crate::sim::{FrameStats, IterationLog, Optimizer};
+use crate::sim::{Direction, FrameStats, IterationLog, Length, Optimizer};
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -13,13 +13,16 @@ pub struct Solver<T: Real> {
     optimizer: Optimizer,
     method: Method<T>,
     log: IterationLog,
+    step_counts: Vec<StepCounts>,
     objective: Objective<T>,
 }
 
 /// How a frame is minimised.
-enum Method<T> {
+enum Method<T: Real> {
     /// By this many steps of an optimizer that sees only the gradient.
     Steps(usize, Box<dyn Minimizer<T>>),
+    /// By this many steps in a subspace.
+    Subspace(usize, Subspace<T>),
     /// By Newton's method, each cloth until it converges.
     Newton(Vec<Reference>),
 }
@@ -34,12 +37,13 @@ impl<T: Real> Solver<T> {
         }
         model.check()?;
         optimizer.check()?;
-        let method = match optimizer {
-            Optimizer::Newton => Method::Newton(references(model)?),
-            optimizer => Method::Steps(iterations, minimizer(optimizer, model)?),
+        let method = match optimizer.length {
+            Length::Armijo => Method::Newton(references(model)?),
+            Length::Subspace => Method::Subspace(iterations, Subspace::new(optimizer, model)?),
+            Length::Fixed(_) => Method::Steps(iterations, minimizer(optimizer, model)?),
         };
         let (optimizer, objective) = (optimizer.clone(), Objective::new(model));
-        Ok(Self { optimizer, method, log: IterationLog::default(), objective })
+        Ok(Self { optimizer, method, log: IterationLog::default(), step_counts: Vec::new(), objective })
     }
 
     /// Replaces materials, gravity, air, repulsion and handles of the cloths, from the next frame on. The
@@ -49,10 +53,11 @@ impl<T: Real> Solver<T> {
     /// model ([`Model::check`]), or if one has a repulsion and the optimizer is Newton's method.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.objective.model().with_cloths(cloths)?;
-        match (&mut self.method, &self.optimizer) {
+        match (&mut self.method, &self.optimizer.directions[..]) {
             (Method::Newton(all), _) => *all = references(&model)?,
-            // It starts from the Hessian of the cloth at rest, with the handles held.
-            (Method::Steps(_, method), Optimizer::QuasiNewton { .. }) => {
+            (Method::Subspace(_, subspace), _) => subspace.set_cloths(&model),
+            // It may start from the Hessian of the cloth at rest, with the handles held.
+            (Method::Steps(_, method), [Direction::Lbfgs { .. }]) => {
                 *method = minimizer(&self.optimizer, &model)?;
             }
             (Method::Steps(..), _) => {}
@@ -74,6 +79,7 @@ impl<T: Real> Solver<T> {
         let objective = &mut self.objective;
         objective.begin_frame(state, control);
         objective.trial.a.fill(T::zero());
+        self.step_counts.clear();
         self.log.gradient_norms.clear();
         self.log.scales.clear();
         match &mut self.method {
@@ -85,6 +91,18 @@ impl<T: Real> Solver<T> {
                     self.log.gradient_norms.extend(&objective.norms);
                     self.log.scales.extend(minimizer.scales().iter().map(|s| s.f64()));
                 }
+            }
+            Method::Subspace(iterations, subspace) => {
+                subspace.begin_frame(objective, (state, control));
+                for _ in 0..*iterations {
+                    objective.evaluate(state, control);
+                    subspace.step(objective, state);
+                    self.log.gradient_norms.extend(&objective.norms);
+                    self.log.scales.extend(subspace.scales().iter().map(|s| s.f64()));
+                }
+                objective.move_to_trial(state, control);
+                subspace.end_frame(objective, state);
+                self.step_counts.extend(subspace.step_counts());
             }
             Method::Newton(references) => {
                 objective.evaluate(state, control);
@@ -135,8 +153,10 @@ impl<T: Real> Solver<T> {
     pub fn reset_memory_of(&mut self, b: usize) {
         let batch = self.model().batch();
         assert!(b < batch, "cloth {b} of {batch}");
-        if let Method::Steps(_, minimizer) = &mut self.method {
-            minimizer.reset_memory_of(b);
+        match &mut self.method {
+            Method::Steps(_, minimizer) => minimizer.reset_memory_of(b),
+            Method::Subspace(_, subspace) => subspace.reset_memory_of(b),
+            Method::Newton(_) => {}
         }
     }
 
@@ -148,6 +168,12 @@ impl<T: Real> Solver<T> {
     /// Returns the log of the optimizer's iterations in the last frame.
     pub fn iteration_log(&self) -> &IterationLog {
         &self.log
+    }
+
+    /// Returns what became of the steps of each cloth in the last frame; empty for optimizers that do not check
+    /// their steps.
+    pub fn step_counts(&self) -> &[StepCounts] {
+        &self.step_counts
     }
 
     /// Returns the accelerations that the last frame accepted [edges / frame^2], shape [B, 3, H, W].

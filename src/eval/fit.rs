@@ -270,7 +270,7 @@ impl Fit<'_> {
     fn error(&self, point: &Point, tick: &(impl Fn() -> ControlFlow<()> + Sync)) -> Result<Option<f64>> {
         let settings = Settings { physics: physics(point), ..self.settings };
         let entry =
-            Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1, coarse: false };
+            Entry { name: "newton".into(), optimizer: Optimizer::newton(), iterations: 1, coarse: false };
         let mut sum = 0.0;
         for sequence in self.sequences {
             let Some((score, _)) = run((sequence, None), self.grid, &entry, (&Device::Cpu, &settings), tick)?

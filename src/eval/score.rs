@@ -50,7 +50,7 @@ impl Entry {
 
     /// Returns the iterations as recorded in scores: 0 for an optimizer that always converges.
     pub(super) fn recorded_iterations(&self) -> usize {
-        if matches!(self.optimizer, Optimizer::Newton) { 0 } else { self.iterations }
+        if self.optimizer.converges() { 0 } else { self.iterations }
     }
 
     /// Returns the name of its column in tables: the solver and its iterations.
@@ -263,7 +263,7 @@ pub fn run(
             score.stretch_largest = Some(simulated.stretch_largest);
             score.stretch_mean = Some(mean(&|s| s.stretch_mean));
         }
-        if matches!(entry.optimizer, Optimizer::Newton) {
+        if entry.optimizer.converges() {
             let missed = |s: &&FrameStats| s.gradient_last > UNCONVERGED;
             score.unconverged = Some(simulated.stats.iter().filter(missed).count());
         }

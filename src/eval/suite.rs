@@ -233,7 +233,7 @@ impl Prepared {
 
     /// Whether an optimizer applies to this case.
     pub fn takes(&self, optimizer: &Optimizer) -> bool {
-        self.has_newton() || !matches!(optimizer, Optimizer::Newton)
+        self.has_newton() || !optimizer.converges()
     }
 
     /// Returns the conditions of a score of [`Prepared::run`], apart from the iterations.

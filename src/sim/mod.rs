@@ -11,7 +11,7 @@ mod vertices;
 
 pub use crate::kernels::optim::{AdamSettings, LbfgsSettings};
 pub(crate) use learned::Learned;
-pub use optimizer::Optimizer;
+pub use optimizer::{Direction, Initial, Length, MAX_DIRECTIONS, Optimizer};
 pub use solver::{INITIAL_SCALE, Solver};
 pub use stats::{FrameStats, IterationLog};
 pub use tune::tune;

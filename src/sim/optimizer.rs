@@ -1,4 +1,5 @@
-//! The optimizers that minimise the energy of a frame.
+//! The optimizers that minimise the energy of a frame: values that say in which directions an iteration may
+//! go, and how far it goes.
 
 use crate::kernels::optim::lbfgs::MAX_HISTORY;
 use crate::kernels::optim::{AdamSettings, LbfgsSettings};
@@ -6,131 +7,317 @@ use crate::network::Weights;
 use crate::{Error, Result};
 use std::sync::Arc;
 
-/// An optimizer of a frame's energy. All of them start from `a = 0`, and all but the quasi-Newton and Newton
-/// methods see only the gradient.
+/// An optimizer of a frame's energy: in each iteration it takes the gradient at the current accelerations,
+/// proposes directions, and adds a step along them.
+///
+/// All of them start a frame from `a = 0`. The named ones ([`Optimizer::named`]) are values of this type, and
+/// other combinations that [`Optimizer::check`] accepts run as well.
 #[derive(Clone, Debug)]
-pub enum Optimizer {
-    /// The learned optimizer (paper sections 3.3 and 4).
-    Learned(Arc<Weights>),
-    /// Gradient descent, `a -= rate g`.
-    GradientDescent {
-        /// Learning rate.
-        rate: f64,
-    },
-    /// Adam with bias correction.
+pub struct Optimizer {
+    /// The directions of an iteration.
+    pub directions: Vec<Direction>,
+    /// How far along them it goes.
+    pub length: Length,
+}
+
+/// A direction in which an iteration may go.
+#[derive(Clone, Debug)]
+pub enum Direction {
+    /// Against the gradient.
+    Gradient,
+    /// The step of Adam with bias correction.
     Adam(AdamSettings),
-    /// L-BFGS: two-loop recursion with step 1. The history is cleared every frame.
-    Lbfgs(LbfgsSettings),
-    /// L-BFGS that starts from the Hessian of the sheet at rest, with step 1 (after Liu, Bouaziz and Kavan
-    /// 2017). The classical baseline.
-    QuasiNewton {
+    /// The direction of L-BFGS (two-loop recursion). The history is cleared every frame.
+    Lbfgs {
         /// Settings of the L-BFGS.
-        lbfgs: LbfgsSettings,
-        /// Whether the Hessian is factored with the handles held, sparsely and in double precision (CPU
-        /// only), instead of inverted by a cosine transform as if the handles were free.
-        factored: bool,
+        settings: LbfgsSettings,
+        /// The inverse Hessian that it starts from.
+        initial: Initial,
     },
-    /// Newton's method with sparse Cholesky factors and line search, in double precision until it converges
-    /// ([`crate::cpu::Reference`]), whatever the number of iterations: the exact physics, for comparison. CPU
-    /// only.
+    /// Against the gradient times the inverse Hessian of the sheet at rest, by a cosine transform, alike in x, y
+    /// and z.
+    Spectral,
+    /// As [`Direction::Spectral`], with an inverse of its own for each of the sheet's own axes at the predicted
+    /// start of the frame: a sheet is a thousand times stiffer along its surface than across it.
+    CoRotated,
+    /// The step that was taken last, or in the first iteration the accelerations of the frame before. With
+    /// preconditioned gradients it makes the iteration a conjugate-gradient method.
+    Last,
+    /// The step of the learned update rule (paper sections 3.3 and 4).
+    Network(Arc<Weights>),
+    /// Newton's, with sparse Cholesky factors in double precision ([`crate::cpu::Reference`]). CPU only.
     Newton,
 }
 
-/// Name of the learned optimizer.
-const LEARNED: &str = "fnopt";
+/// The inverse Hessian that L-BFGS starts from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Initial {
+    /// A multiple of the identity.
+    Identity,
+    /// That of the sheet at rest by a cosine transform, as if the handles were free. This is the quasi-Newton
+    /// method (after Liu, Bouaziz and Kavan 2017).
+    Spectral,
+    /// That of the sheet at rest with the handles held, factored sparsely in double precision. CPU only.
+    Factored,
+}
+
+/// How far an iteration goes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Length {
+    /// This multiple of its one direction. Nothing checks the energy.
+    Fixed(f64),
+    /// Until the energy decreases enough (Armijo), and as often as it takes to converge, whatever the number of
+    /// iterations.
+    Armijo,
+    /// To the minimum of the energy's local quadratic model over all of its directions. A step that turns out to
+    /// raise the energy is halved, so the energy of a frame never rises.
+    Subspace,
+}
+
+/// Most directions of a subspace.
+pub const MAX_DIRECTIONS: usize = 4;
+
 /// Settings of L-BFGS in the paper's comparison.
 const LBFGS: LbfgsSettings = LbfgsSettings { history: 5, curvature: 1e-12 };
 
 impl Optimizer {
-    /// Returns the learned optimizer with these weights.
-    pub fn learned(weights: Weights) -> Self {
-        Self::Learned(Arc::new(weights))
+    /// Returns the optimizer with one direction and a fixed length.
+    fn fixed(direction: Direction, length: f64) -> Self {
+        Self { directions: vec![direction], length: Length::Fixed(length) }
+    }
+
+    /// Returns the learned optimizer: the step of the network and the directions of [`Optimizer::spectral`], and
+    /// the best step among them.
+    pub fn learned(weights: impl Into<Arc<Weights>>) -> Self {
+        let mut optimizer = Self::spectral();
+        optimizer.directions.push(Direction::Network(weights.into()));
+        optimizer
+    }
+
+    /// Returns the learned optimizer as published: the step of the network is taken as it is.
+    pub fn paper(weights: impl Into<Arc<Weights>>) -> Self {
+        Self::fixed(Direction::Network(weights.into()), 1.0)
+    }
+
+    /// Returns the classical optimizer without weights: the spectral and the co-rotated direction and the last
+    /// step, and the best step among them.
+    pub fn spectral() -> Self {
+        let directions = vec![Direction::Spectral, Direction::CoRotated, Direction::Last];
+        Self { directions, length: Length::Subspace }
+    }
+
+    /// Returns gradient descent with a rate.
+    pub fn descent(rate: f64) -> Self {
+        Self::fixed(Direction::Gradient, rate)
     }
 
     /// Returns gradient descent as in the paper's comparison (section 4.3): rate 0.01.
     pub fn gradient_descent() -> Self {
-        Self::GradientDescent { rate: 0.01 }
+        Self::descent(0.01)
     }
 
     /// Returns Adam as in the paper's comparison: rate 0.1, decays 0.9 and 0.999.
     pub fn adam() -> Self {
-        Self::Adam(AdamSettings { rate: 0.1, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 })
+        let settings = AdamSettings { rate: 0.1, beta1: 0.9, beta2: 0.999, epsilon: 1e-8 };
+        Self::fixed(Direction::Adam(settings), 1.0)
     }
 
     /// Returns L-BFGS as in the authors' comparison: history 5, step 1, pairs with `y.s > 1e-12`.
     pub fn lbfgs() -> Self {
-        Self::Lbfgs(LBFGS)
+        Self::lbfgs_with(LBFGS)
+    }
+
+    /// Returns L-BFGS with step 1 and these settings.
+    pub fn lbfgs_with(settings: LbfgsSettings) -> Self {
+        Self::fixed(Direction::Lbfgs { settings, initial: Initial::Identity }, 1.0)
     }
 
     /// Returns the quasi-Newton method: history 5, step 1, pairs with `y.s > 1e-12`.
     pub fn quasi_newton() -> Self {
-        Self::QuasiNewton { lbfgs: LBFGS, factored: false }
+        Self::fixed(Direction::Lbfgs { settings: LBFGS, initial: Initial::Spectral }, 1.0)
     }
 
-    /// Returns the quasi-Newton method with exact factors of the Hessian at rest.
+    /// Returns the quasi-Newton method with exact factors of the Hessian at rest. CPU only.
     pub fn quasi_newton_exact() -> Self {
-        Self::QuasiNewton { lbfgs: LBFGS, factored: true }
+        Self::fixed(Direction::Lbfgs { settings: LBFGS, initial: Initial::Factored }, 1.0)
     }
 
-    /// Returns the classical optimizer called `name`, with the paper's settings, or the learned one with the
-    /// result of `weights`. `origin` names the source of the name in errors.
+    /// Returns Newton's method until it converges: the exact physics, for comparison. CPU only.
+    pub fn newton() -> Self {
+        Self { directions: vec![Direction::Newton], length: Length::Armijo }
+    }
+
+    /// Returns the optimizer called `name`, the classical ones with the paper's settings, the learned ones with
+    /// the result of `weights`. `origin` names the source of the name in errors.
     pub fn named(name: &str, origin: &str, weights: impl FnOnce() -> Result<Weights>) -> Result<Self> {
-        if name == LEARNED {
-            return Ok(Self::learned(weights()?));
+        match name {
+            FNOPT => return Ok(Self::learned(weights()?)),
+            PAPER => return Ok(Self::paper(weights()?)),
+            _ => {}
         }
         let classical = [
+            Self::spectral(),
             Self::gradient_descent(),
             Self::adam(),
             Self::lbfgs(),
             Self::quasi_newton(),
             Self::quasi_newton_exact(),
-            Self::Newton,
+            Self::newton(),
         ];
-        let known = std::iter::once(LEARNED).chain(classical.iter().map(Self::name));
+        let known = [FNOPT, PAPER].into_iter().chain(classical.iter().map(Self::name));
         let unknown = Error::unknown(origin, "solver", name, known);
         classical.into_iter().find(|optimizer| optimizer.name() == name).ok_or(unknown)
     }
 
-    /// Fails if the weights of a learned optimizer belong to a network whose inputs are not the update rule's
-    /// fields, or if a history is empty or too long for the kernels.
-    pub(crate) fn check(&self) -> Result<()> {
-        match *self {
-            Self::Learned(ref weights) => weights.config.check_fields("optimizer", "network"),
-            Self::Lbfgs(LbfgsSettings { history, .. })
-            | Self::QuasiNewton { lbfgs: LbfgsSettings { history, .. }, .. }
-                if !(1..=MAX_HISTORY).contains(&history) =>
-            {
-                let expected = format!("1 to {MAX_HISTORY} pairs");
-                Err(Error::invalid("optimizer", "history", expected, history))
+    /// Fails if no solver can run it: a subspace has one to four different directions, each other length exactly
+    /// one that it suits; the weights must belong to a network whose inputs are the update rule's fields, and a
+    /// history must be neither empty nor too long for the kernels.
+    pub fn check(&self) -> Result<()> {
+        let refused = |field: &str, expected: String, found: String| {
+            Err(Error::invalid("optimizer", field, expected, found))
+        };
+        let names = || self.directions.iter().map(Direction::name).collect::<Vec<_>>().join(", ");
+        let count = self.directions.len();
+        match self.length {
+            Length::Subspace => {
+                if !(1..=MAX_DIRECTIONS).contains(&count) {
+                    return refused(
+                        "directions",
+                        format!("1 to {MAX_DIRECTIONS} in a subspace"),
+                        count.to_string(),
+                    );
+                }
+                let allowed = [Direction::Spectral, Direction::CoRotated, Direction::Last].map(|d| d.name());
+                let suits = |d: &Direction| allowed.contains(&d.name()) || matches!(d, Direction::Network(_));
+                let mut seen = Vec::new();
+                for direction in &self.directions {
+                    if !suits(direction) || seen.contains(&direction.name()) {
+                        let expected = format!("different ones of {} and network", allowed.join(", "));
+                        return refused("directions of a subspace", expected, names());
+                    }
+                    seen.push(direction.name());
+                }
             }
-            _ => Ok(()),
+            Length::Armijo if !matches!(self.directions[..], [Direction::Newton]) => {
+                return refused("directions of a line search", "newton alone".into(), names());
+            }
+            Length::Fixed(length) => {
+                if count != 1 || matches!(self.directions[..], [Direction::Newton | Direction::Last]) {
+                    return refused("directions", "one that a fixed length suits".into(), names());
+                }
+                if !length.is_finite() {
+                    return refused("length", "a finite number".into(), length.to_string());
+                }
+            }
+            Length::Armijo => {}
         }
+        for direction in &self.directions {
+            match *direction {
+                Direction::Network(ref weights) => weights.config.check_fields("optimizer", "network")?,
+                Direction::Lbfgs { settings: LbfgsSettings { history, .. }, .. }
+                    if !(1..=MAX_HISTORY).contains(&history) =>
+                {
+                    return refused("history", format!("1 to {MAX_HISTORY} pairs"), history.to_string());
+                }
+                _ => {}
+            }
+        }
+        Ok(())
     }
 
     /// Whether it has GPU kernels; the others run on the CPU only.
     pub fn runs_on_gpu(&self) -> bool {
-        !matches!(self, Self::Newton | Self::QuasiNewton { factored: true, .. })
+        let on_cpu = |d: &Direction| {
+            matches!(d, Direction::Newton | Direction::Lbfgs { initial: Initial::Factored, .. })
+        };
+        !self.directions.iter().any(on_cpu)
+    }
+
+    /// Whether it iterates until it converges, whatever the number of iterations.
+    pub fn converges(&self) -> bool {
+        self.length == Length::Armijo
+    }
+
+    /// Returns the weights of the network among its directions.
+    pub fn weights(&self) -> Option<&Arc<Weights>> {
+        self.directions.iter().find_map(|direction| match direction {
+            Direction::Network(weights) => Some(weights),
+            _ => None,
+        })
     }
 
     /// Returns the checksum of the weights ([`Weights::checksum`]) in hexadecimal digits; `None` for the
     /// classical optimizers.
     pub fn weights_crc32(&self) -> Option<String> {
+        self.weights().map(|weights| format!("{:08x}", weights.checksum()))
+    }
+
+    /// Returns the optimizer's name on command lines and in reports; "custom" for combinations without one.
+    pub fn name(&self) -> &'static str {
+        use Direction::{Adam, CoRotated, Gradient, Last, Lbfgs, Network, Newton, Spectral};
+        match (&self.directions[..], self.length) {
+            ([Spectral, CoRotated, Last, Network(_)], Length::Subspace) => FNOPT,
+            ([Spectral, CoRotated, Last], Length::Subspace) => "spectral",
+            ([Network(_)], Length::Fixed(_)) => PAPER,
+            ([Gradient], Length::Fixed(_)) => "gd",
+            ([Adam(_)], Length::Fixed(_)) => "adam",
+            ([Lbfgs { initial, .. }], Length::Fixed(_)) => match initial {
+                Initial::Identity => "lbfgs",
+                Initial::Spectral => "quasi-newton",
+                Initial::Factored => "quasi-newton-exact",
+            },
+            ([Newton], Length::Armijo) => "newton",
+            _ => "custom",
+        }
+    }
+}
+
+/// Name of the learned optimizer.
+const FNOPT: &str = "fnopt";
+/// Name of the learned optimizer as published.
+const PAPER: &str = "fnopt-paper";
+
+impl Direction {
+    /// Returns the direction's name in errors.
+    pub fn name(&self) -> &'static str {
         match self {
-            Self::Learned(weights) => Some(format!("{:08x}", weights.checksum())),
-            _ => None,
+            Self::Gradient => "gradient",
+            Self::Adam(_) => "adam",
+            Self::Lbfgs { .. } => "lbfgs",
+            Self::Spectral => "spectral",
+            Self::CoRotated => "co-rotated",
+            Self::Last => "last",
+            Self::Network(_) => "network",
+            Self::Newton => "newton",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn named_optimizers_run_and_keep_their_names() {
+        for name in ["fnopt", "fnopt-paper", "spectral", "gd", "adam", "lbfgs", "quasi-newton", "newton"] {
+            let optimizer = Optimizer::named(name, "test", || Ok(Weights::shipped())).unwrap();
+            assert_eq!(optimizer.name(), name);
+            optimizer.check().unwrap();
         }
     }
 
-    /// Returns the optimizer's name on command lines and in reports.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Learned(_) => LEARNED,
-            Self::GradientDescent { .. } => "gd",
-            Self::Adam(_) => "adam",
-            Self::Lbfgs(_) => "lbfgs",
-            Self::QuasiNewton { factored: false, .. } => "quasi-newton",
-            Self::QuasiNewton { factored: true, .. } => "quasi-newton-exact",
-            Self::Newton => "newton",
-        }
+    #[test]
+    fn combinations_without_sense_are_refused_by_name() {
+        let refused = |directions: Vec<Direction>, length| {
+            Optimizer { directions, length }.check().unwrap_err().to_string()
+        };
+        let none = refused(vec![], Length::Subspace);
+        assert!(none.contains("1 to 4 in a subspace") && none.contains('0'), "{none}");
+        assert!(refused(vec![Direction::Spectral; 5], Length::Subspace).contains('5'));
+        assert!(refused(vec![Direction::Last; 2], Length::Subspace).contains("last, last"));
+        assert!(refused(vec![Direction::Newton], Length::Subspace).contains("newton"));
+        assert!(refused(vec![Direction::Gradient], Length::Armijo).contains("gradient"));
+        assert!(refused(vec![Direction::Last], Length::Fixed(1.0)).contains("last"));
+        assert!(refused(vec![Direction::Gradient], Length::Fixed(f64::NAN)).contains("NaN"));
     }
 }

@@ -1,7 +1,7 @@
 //! The optimizers on a device: what each keeps from iteration to iteration, and the dispatches of its step.
 
-use super::Optimizer;
 use super::learned::Learned;
+use super::{Direction, Initial, Length, Optimizer};
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::operator::Scales;
@@ -49,34 +49,38 @@ impl Rule {
     ) -> Result<Self> {
         let (samples, n) = (3 * batch, grid.particles());
         let memory = |settings: LbfgsSettings| LbfgsMemory::new(context, batch, n, settings.history);
-        Ok(match *optimizer {
-            Optimizer::Learned(ref weights) => {
+        let refused = || {
+            let expected = "a device that supports this optimizer";
+            let found = format!("{}, which does not (use the CPU)", context.name());
+            Err(Error::invalid("optimizer", optimizer.name(), expected, found))
+        };
+        let ([direction], Length::Fixed(length)) = (&optimizer.directions[..], optimizer.length) else {
+            return refused();
+        };
+        Ok(match *direction {
+            Direction::Network(ref weights) => {
                 let step = Box::new(Learned::new(context, weights, tuning, (grid, samples))?);
                 Self::Learned { step, scales: rows(context, "scales", iterations, samples)? }
             }
-            Optimizer::GradientDescent { rate } => {
-                Self::GradientDescent { kernel: GradientDescent::new(context)?, rate }
+            Direction::Gradient => {
+                Self::GradientDescent { kernel: GradientDescent::new(context)?, rate: length }
             }
-            Optimizer::Adam(settings) => Self::Adam {
+            Direction::Adam(settings) => Self::Adam {
                 kernel: Adam::new(context)?,
                 settings,
                 moments: Tensor::zeros(context, "adam.moments", &[samples, n, 2])?,
             },
-            Optimizer::Lbfgs(settings) => {
+            Direction::Lbfgs { settings, initial: Initial::Identity } => {
                 let kernel = Lbfgs::new(context, settings)?;
                 kernel.check_size(context, n)?;
                 Self::Lbfgs { kernel, memory: memory(settings)? }
             }
-            Optimizer::QuasiNewton { lbfgs, factored: false } => {
-                let plan = QuasiNewton::new(context, lbfgs, (grid, batch))?;
+            Direction::Lbfgs { settings, initial: Initial::Spectral } => {
+                let plan = QuasiNewton::new(context, settings, (grid, batch))?;
                 plan.check_size(context, n)?;
-                Self::QuasiNewton { plan: Box::new(plan), memory: memory(lbfgs)? }
+                Self::QuasiNewton { plan: Box::new(plan), memory: memory(settings)? }
             }
-            Optimizer::QuasiNewton { factored: true, .. } | Optimizer::Newton => {
-                let expected = "a device that supports this optimizer";
-                let found = format!("{}, which does not (use the CPU)", context.name());
-                return Err(Error::invalid("optimizer", optimizer.name(), expected, found));
-            }
+            _ => return refused(),
         })
     }
 

@@ -11,7 +11,7 @@ pub struct FrameStats {
     /// Norm of dL/da over the whole cloth in the first iteration, at a = 0.
     pub gradient_first: f64,
     /// Norm of dL/da in the last iteration, before its step; at the minimum for
-    /// [`Optimizer::Newton`](super::Optimizer::Newton).
+    /// [`Optimizer::newton`](super::Optimizer::newton).
     pub gradient_last: f64,
     /// Largest `|edge| - 1`; negative if every edge is compressed.
     pub stretch_largest: f64,

@@ -64,7 +64,7 @@ impl Validation {
         weights: &Weights,
         mut tick: impl FnMut() -> ControlFlow<()>,
     ) -> Result<Option<Vec<SceneScore>>> {
-        let optimizer = Optimizer::learned(weights.clone());
+        let optimizer = Optimizer::paper(weights.clone());
         let score = |(scene, with_gap): &(Prepared, bool)| {
             let run = scene.run((&optimizer, self.iterations), &Device::Cpu, *with_gap, &mut tick)?;
             Ok(run.map(|(score, _)| SceneScore::of(&score)))

@@ -154,7 +154,7 @@ impl<T: Real> Stages for CpuStages<T> {
 
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>> {
         let model = Model { grid: case.grid, cloths: vec![case.cloth.clone()] };
-        let mut solver = Solver::<T>::new(&model, &Optimizer::Learned(weights.clone()), case.iterations)?;
+        let mut solver = Solver::<T>::new(&model, &Optimizer::paper(weights.clone()), case.iterations)?;
         let x = cast::<T>(&case.start);
         let mut state = State { v: vec![T::zero(); x.len()], x };
         let mut frames = Vec::with_capacity(case.targets.len());

@@ -252,7 +252,7 @@ impl Stages for GpuStages {
     fn rollout(&mut self, weights: &Arc<Weights>, case: &RolloutCase) -> Result<Vec<RolloutFrame>> {
         let context = &self.context;
         let model = Model { grid: case.grid, cloths: vec![case.cloth.clone()] };
-        let optimizer = Optimizer::Learned(weights.clone());
+        let optimizer = Optimizer::paper(weights.clone());
         let solver = Solver::new(context, &model, &optimizer, case.iterations)?;
         let x = single(&case.start);
         solver.set_state(&State { v: vec![0.0; x.len()], x });

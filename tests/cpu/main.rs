@@ -15,5 +15,6 @@ mod noise;
 mod reference;
 mod repulsion;
 mod rollout;
+mod subspace;
 mod update_rule;
 mod wind;

@@ -268,7 +268,7 @@ fn a_stiff_fine_sheet_converges() {
 fn a_batch_is_solved_cloth_by_cloth() {
     let setup = Scene::default().setup().unwrap();
     let model = Model { grid: setup.model.grid, cloths: vec![setup.model.cloths[0].clone(); 2] };
-    let mut solver = Solver::<f32>::new(&model, &Optimizer::Newton, 1).unwrap();
+    let mut solver = Solver::<f32>::new(&model, &Optimizer::newton(), 1).unwrap();
     let twice = |values: &[f64]| [values, values].concat().iter().map(|&v| v as f32).collect::<Vec<_>>();
     let mut state = State { x: twice(&setup.start.x), v: twice(&setup.start.v) };
     let (mut exact, still) = (setup.start.clone(), vec![0.0; setup.start.x.len()]);
@@ -297,10 +297,10 @@ fn newton_names_the_cloth_whose_repulsion_it_refuses() {
     let model = Model { cloths: vec![calm.clone(), calm.clone(), repelling], ..setup.model };
     let refused = |result: fnopt::Result<()>| result.unwrap_err().to_string();
     let expected = "model: repulsion of cloth 2: expected none, which Newton's method does not support";
-    let built = Solver::<f32>::new(&model, &Optimizer::Newton, 1).map(drop);
+    let built = Solver::<f32>::new(&model, &Optimizer::newton(), 1).map(drop);
     assert!(refused(built).starts_with(expected));
     let still = Model { cloths: vec![calm; 3], ..model.clone() };
-    let mut solver = Solver::<f32>::new(&still, &Optimizer::Newton, 1).unwrap();
+    let mut solver = Solver::<f32>::new(&still, &Optimizer::newton(), 1).unwrap();
     assert!(refused(solver.set_cloths(&model.cloths)).starts_with(expected));
     assert_eq!(*solver.model(), still);
 }

@@ -140,7 +140,7 @@ fn the_minimum_leaves_no_gap_in_a_cloth_at_rest() {
     let track = Track::new(&still.model, still.start.clone(), (1..391).map(|f| still.control(f))).unwrap();
     let tick = || ControlFlow::Continue(());
     let gap = |optimizer| median_gap(&track, (&optimizer, 10), &Device::Cpu, tick).unwrap().unwrap();
-    let (newton, others) = (gap(Optimizer::Newton), gap(Optimizer::quasi_newton()));
+    let (newton, others) = (gap(Optimizer::newton()), gap(Optimizer::quasi_newton()));
     assert!(newton.abs() < 1e-4 && others > 1e-2, "{newton:.1e} and {others:.1e}");
     // Without accelerations nothing is gained: the energies are those of the very states and controls that
     // optimizers get.
@@ -200,7 +200,7 @@ fn the_gradient_at_the_end_of_a_frame_is_the_one_of_a_next_iteration() {
 #[test]
 fn newton_reports_its_own_gradient() {
     let setup = scene(12, 9);
-    let mut solver = Solver::<f32>::new(&setup.model, &Optimizer::Newton, 1).unwrap();
+    let mut solver = Solver::<f32>::new(&setup.model, &Optimizer::newton(), 1).unwrap();
     let mut state = setup.start.cast();
     for frame in 1..4 {
         let stats = solver.step(&mut state, &setup.control(frame));
@@ -217,7 +217,7 @@ fn newton_reports_its_own_gradient() {
 fn nothing_is_below_the_converged_energy() {
     let setup = scene(32, 32);
     let optimizers = [
-        (Optimizer::learned(Weights::shipped()), 20),
+        (Optimizer::paper(Weights::shipped()), 20),
         (Optimizer::adam(), 200),
         (Optimizer::lbfgs(), 150),
         (Optimizer::quasi_newton_exact(), 100),

@@ -178,7 +178,7 @@ fn the_layers_of_a_folding_sheet_stay_apart() {
         let text = r#"{ "handles": "single-mid-edge", "motion": "none", "frames": 76 }"#;
         let scene = Scene::parse(text, "test", std::path::Path::new("")).unwrap();
         let setup = Scene { repulsion, ..scene }.setup().unwrap();
-        let optimizer = Optimizer::learned(fnopt::network::Weights::shipped());
+        let optimizer = Optimizer::paper(fnopt::network::Weights::shipped());
         let mut solver = Solver::<f32>::new(&setup.model, &optimizer, 10).unwrap();
         let (mut state, n) = (setup.start.cast::<f32>(), setup.model.grid.particles());
         let faces = setup.model.grid.faces();

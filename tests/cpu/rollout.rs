@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 fn starter() -> Optimizer {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/checkpoint_starter.safetensors");
-    Optimizer::Learned(Arc::new(Weights::load(&path).unwrap()))
+    Optimizer::paper(Arc::new(Weights::load(&path).unwrap()))
 }
 
 /// The scene of the recorded rollouts: a sheet held at two corners, whose handles move.
@@ -128,7 +128,7 @@ fn run(model: &Model, optimizer: &Optimizer, mut state: State<f32>, control: &Co
 fn optimizers() -> [Optimizer; 7] {
     let [gd, adam, lbfgs] = [Optimizer::gradient_descent(), Optimizer::adam(), Optimizer::lbfgs()];
     let [cosine, factored] = [Optimizer::quasi_newton(), Optimizer::quasi_newton_exact()];
-    [starter(), gd, adam, lbfgs, cosine, factored, Optimizer::Newton]
+    [starter(), gd, adam, lbfgs, cosine, factored, Optimizer::newton()]
 }
 
 #[test]
@@ -261,7 +261,7 @@ fn reset_forgets_the_hidden_state() {
 #[test]
 fn the_vectors_of_the_self_test_are_a_frame_in_double_precision() {
     let setup = Scene::default().setup().unwrap();
-    let optimizer = Optimizer::learned(Weights::shipped());
+    let optimizer = Optimizer::paper(Weights::shipped());
     let mut exact = setup.start.clone();
     let _ = Solver::<f64>::new(&setup.model, &optimizer, 10).unwrap().step(&mut exact, &setup.control(1));
     let vertices = ndarray::Array2::from(setup.vertices_m(&exact.x));

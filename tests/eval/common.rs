@@ -16,7 +16,7 @@ pub const PHYSICS: Physics =
 pub const SETTINGS: Settings = Settings { physics: PHYSICS, points: 1000, frames: 25 };
 
 pub fn newton() -> Entry {
-    Entry { name: "newton".into(), optimizer: Optimizer::Newton, iterations: 1, coarse: false }
+    Entry { name: "newton".into(), optimizer: Optimizer::newton(), iterations: 1, coarse: false }
 }
 
 pub fn square(a: [f64; 3], b: [f64; 3]) -> f64 {

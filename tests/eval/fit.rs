@@ -22,7 +22,7 @@ fn a_known_material_is_found_again() {
     let mut scene = Scene { stiffness: Stiffness::Grid(truth), frames: Some(20), ..Scene::default() };
     scene.regrid(Grid { h: 12, w: 12 }).unwrap();
     let setup = scene.setup().unwrap();
-    let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::Newton, 1).unwrap();
+    let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::newton(), 1).unwrap();
     simulator.set_state(&setup.start.cast());
     let mut trajectory = Trajectory::new(setup.model.grid, 60.0);
     let mut handles = Vec::new();

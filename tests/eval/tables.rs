@@ -9,7 +9,7 @@ use std::ops::ControlFlow;
 #[test]
 fn a_solver_that_diverges_has_no_numbers() {
     let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
-    let descent = Optimizer::GradientDescent { rate: 1e3 };
+    let descent = Optimizer::descent(1e3);
     let entry = Entry { name: "gd".into(), optimizer: descent, iterations: 10, coarse: false };
     let tick = || ControlFlow::Continue(());
     let (diverged, _) =

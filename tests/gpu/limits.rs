@@ -16,7 +16,7 @@ use fnopt::{Device, Error, Simulator};
 fn samples_in_passes_have_the_same_bits() {
     let _turn = device();
     let (model, start, control) = varied_batch();
-    let optimizer = Optimizer::Learned(starter().clone());
+    let optimizer = Optimizer::paper(starter().clone());
     // 18 columns are padded to 20.
     let one = 4 * 64 * 21 * 20;
     for table in [Tuning::table(context()), Tuning { busy_groups: 60, ..sharings()[1] }] {
@@ -65,7 +65,7 @@ fn a_schedule_has_more_parameters_than_one_buffer_holds() {
 fn batches_are_larger_than_a_binding() {
     let _turn = device();
     let (model, start, control) = varied_batch();
-    let optimizer = Optimizer::Learned(starter().clone());
+    let optimizer = Optimizer::paper(starter().clone());
     let (narrow, batch, n) = (narrow(8 << 20), 30, model.grid.particles());
     let cloth = |batch: usize| {
         let model = Model { grid: model.grid, cloths: vec![model.cloths[0].clone(); batch] };
@@ -237,7 +237,7 @@ fn unsupported_models_and_options_are_refused() {
             "model: handles of cloth 1: expected no particle more than once, found 3"
         );
         assert_eq!(
-            refused(&held(&[]), &Optimizer::learned(weights.clone())),
+            refused(&held(&[]), &Optimizer::paper(weights.clone())),
             "optimizer: network: expected 3 fields: gradient, last gradient and last step, found 2"
         );
         assert!(refused(&model(grid, 0), &gd).contains("model: cloths: expected at least one"));
@@ -249,7 +249,7 @@ fn unsupported_models_and_options_are_refused() {
 fn a_frame_is_few_dispatches() {
     let _turn = device();
     let (model, start, _) = varied_batch();
-    let optimizer = Optimizer::Learned(starter().clone());
+    let optimizer = Optimizer::paper(starter().clone());
     for (tuning, of_iteration) in sharings().into_iter().zip([12, 11]) {
         let solver = solver_with(tuning, &model, (&optimizer, 10), &start);
         assert_eq!(solver.schedule().dispatches(), 10 * of_iteration + 5);

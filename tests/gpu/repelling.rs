@@ -73,7 +73,7 @@ fn cloths_that_no_longer_repel_themselves_are_as_those_that_never_did() {
     let (model, start, control) = crowded();
     let none: Vec<_> = model.cloths.iter().map(|c| Cloth { repulsion: None, ..c.clone() }).collect();
     let never = Model { grid: model.grid, cloths: none.clone() };
-    let optimizer = Optimizer::Learned(starter().clone());
+    let optimizer = Optimizer::paper(starter().clone());
     let mut changed = solver(&model, &optimizer, 3, &start);
     changed.set_cloths(&none).unwrap();
     let expected = step(&solver(&never, &optimizer, 3, &start), &control);

@@ -25,7 +25,7 @@ pub fn starter() -> &'static Arc<Weights> {
 
 /// Returns the optimizers that a device supports.
 pub fn optimizers() -> [Optimizer; 5] {
-    let learned = Optimizer::Learned(starter().clone());
+    let learned = Optimizer::paper(starter().clone());
     let [gd, adam] = [Optimizer::gradient_descent(), Optimizer::adam()];
     [learned, gd, adam, Optimizer::lbfgs(), Optimizer::quasi_newton()]
 }
@@ -34,7 +34,7 @@ pub fn optimizers() -> [Optimizer; 5] {
 /// divides the convolutions of one cloth differently from those of three.
 pub fn tuned() -> Vec<(Optimizer, Tuning)> {
     let [own, hardware] = [context().tuning(), Tuning { busy_groups: 60, ..sharings()[1] }];
-    let learned = Optimizer::Learned(starter().clone());
+    let learned = Optimizer::paper(starter().clone());
     optimizers().map(|optimizer| (optimizer, own)).into_iter().chain([(learned, hardware)]).collect()
 }
 
@@ -136,7 +136,7 @@ fn frames_on_the_device_are_nearly_as_exact_as_on_the_host() {
 #[test]
 fn twenty_frames_drift_within_bounds_of_the_host() {
     let _turn = device();
-    let learned = Optimizer::Learned(starter().clone());
+    let learned = Optimizer::paper(starter().clone());
     for (optimizer, first, (mean, most)) in [
         (learned.clone(), 1, (1e-6, 1e-5)),
         (learned.clone(), 31, (1e-6, 1e-5)),
@@ -257,7 +257,7 @@ fn runs_repeat_bit_for_bit_and_batches_equal_single_cloths() {
 fn frames_are_recorded_into_a_hosts_encoder() {
     let _turn = device();
     let (model, start, control) = varied_batch();
-    let optimizer = Optimizer::Learned(starter().clone());
+    let optimizer = Optimizer::paper(starter().clone());
     let solver = solver(&model, &optimizer, 2, &start);
     let apart = {
         step(&solver, &control);
@@ -289,7 +289,7 @@ fn frames_of_one_submission_are_those_of_several() {
     let calm = Control { handles: lifted(0.1), ..Control::default() };
     let windy = Control { handles: lifted(0.2), external: vec![], ..control.clone() };
     let controls = [control.clone(), calm.clone(), windy, calm];
-    let solver = solver(&model, &Optimizer::Learned(starter().clone()), 2, &start);
+    let solver = solver(&model, &Optimizer::paper(starter().clone()), 2, &start);
     let apart = controls.each_ref().map(|control| step(&solver, control));
     assert!(apart.windows(2).all(|pair| pair[0].x != pair[1].x), "nothing moves");
     for together in [1, 3, 4] {
@@ -345,7 +345,7 @@ fn single_cloths_restart_and_materials_change() {
     let _turn = device();
     let (model, start, control) = varied_batch();
     let n = model.grid.particles();
-    for optimizer in [Optimizer::Learned(starter().clone()), Optimizer::quasi_newton()] {
+    for optimizer in [Optimizer::paper(starter().clone()), Optimizer::quasi_newton()] {
         let whole = solver(&model, &optimizer, 2, &start);
         let first = step(&whole, &control);
         // The second cloth goes back to its start; the others stay where they are.
@@ -359,7 +359,7 @@ fn single_cloths_restart_and_materials_change() {
         whole.reset_memory_of(1);
         let forgetful = step(&whole, &control);
         assert_same("the forgetful cloth", &forgetful.x[at.clone()], &first.x[at.clone()]);
-        let learned = matches!(optimizer, Optimizer::Learned(_));
+        let learned = optimizer.weights().is_some();
         assert_eq!(forgetful.x[..3 * n] != first.x[..3 * n], learned);
 
         let mut other = model.clone();
@@ -386,7 +386,7 @@ fn a_broken_cloth_restarts_and_the_others_continue() {
     let len = 3 * model.grid.particles();
     let second = len..2 * len;
     let own = State { x: start.x[second.clone()].to_vec(), v: start.v[second.clone()].to_vec() };
-    for optimizer in [Optimizer::Learned(starter().clone()), Optimizer::quasi_newton()] {
+    for optimizer in [Optimizer::paper(starter().clone()), Optimizer::quasi_newton()] {
         let on = Device::Gpu(context().clone());
         let mut simulator = Simulator::new(&on, &model, &optimizer, 2).unwrap();
         simulator.set_state(&start);
@@ -476,7 +476,7 @@ fn wind_and_forces_end_with_the_control_that_has_them() {
 fn a_new_state_forgets_the_hidden_one() {
     let _turn = device();
     let (model, start, control) = varied_batch();
-    let solver = solver(&model, &Optimizer::Learned(starter().clone()), 3, &start);
+    let solver = solver(&model, &Optimizer::paper(starter().clone()), 3, &start);
     let first = step(&solver, &control);
     assert!(step(&solver, &control).x != first.x, "nothing moves");
     solver.set_state(&start);
@@ -523,7 +523,7 @@ fn half_precision_closes_the_gap_as_far() {
     let setup = Scene::default().setup().unwrap();
     let controls = (1..25).map(|frame| setup.control(frame));
     let track = Track::new(&setup.model, setup.start.clone(), controls).unwrap();
-    let optimizer = Optimizer::learned(Weights::shipped());
+    let optimizer = Optimizer::paper(Weights::shipped());
     let median_on = |on: &Device| {
         median_gap(&track, (&optimizer, 10), on, || ControlFlow::Continue(())).unwrap().unwrap()
     };

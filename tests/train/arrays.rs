@@ -51,7 +51,7 @@ fn frames_of_a_pool_are_those_of_the_solver() {
     for (slot, frames) in frames.into_iter().enumerate() {
         let script = Script::new(7, &motion, (0, &config), (slot, 0));
         let model = Model { grid: GRID, cloths: vec![script.cloth.clone()] };
-        let optimizer = Optimizer::learned(small_network());
+        let optimizer = Optimizer::paper(small_network());
         let mut solver = cpu::Solver::<f64>::new(&model, &optimizer, ITERATIONS as usize).unwrap();
         let mut state = State::rest(GRID, 1);
         let rest = state.x.clone();

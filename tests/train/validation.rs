@@ -32,7 +32,7 @@ fn scenes_of_a_validation_are_those_of_its_configuration() {
     let mut scene = Scene { start: Start::Flat, motion: Motion::Still, ..Scene::default() };
     scene.regrid(settings.grids[0]).unwrap();
     let setup = scene.setup().unwrap();
-    let optimizer = Optimizer::learned(weights);
+    let optimizer = Optimizer::paper(weights);
     let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, settings.iterations).unwrap();
     simulator.set_state(&setup.start.cast());
     let edges = FreeEdges::new(&setup.model, 0);

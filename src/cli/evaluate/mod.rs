@@ -321,8 +321,8 @@ impl Args {
                         text,
                     ));
                 }
-                "single-pass" => ("fnopt", Some(1)),
-                "interpolation" => ("fnopt", own),
+                "single-pass" => ("fnopt-paper", Some(1)),
+                "interpolation" => ("fnopt-paper", own),
                 _ => (name, own),
             };
             let mut load = || match &weights {
@@ -332,7 +332,7 @@ impl Args {
             let optimizer = Optimizer::named(known, "--solver", &mut load)?;
             let all = match (own, &optimizer) {
                 // Newton's method converges whatever the number.
-                (_, Optimizer::Newton) => vec![1],
+                (_, optimizer) if optimizer.converges() => vec![1],
                 (Some(n), _) => vec![n],
                 (None, _) => self.iterations.clone().unwrap_or(vec![10]),
             };

@@ -6,7 +6,6 @@ use fnopt::Result;
 use fnopt::cloth::Grid;
 use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshot_frames, snapshots, track, vertex_errors};
 use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
-use fnopt::sim::Optimizer;
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -178,7 +177,7 @@ fn convergence_on(
     for entry in plan.entries {
         let optimizer = &entry.optimizer;
         // Newton's method converges whatever the number of iterations and has no curve; no optimizer has two.
-        if matches!(optimizer, Optimizer::Newton) || curves.iter().any(|c| c.label == optimizer.name()) {
+        if optimizer.converges() || curves.iter().any(|c| c.label == optimizer.name()) {
             continue;
         }
         let most = plan.entries.iter().filter(|other| other.optimizer.name() == optimizer.name());

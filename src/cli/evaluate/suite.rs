@@ -10,7 +10,6 @@ use fnopt::cloth::Grid;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
 use fnopt::eval::{Entry, Table};
 use fnopt::render::{StripOptions, View, strip, write_png};
-use fnopt::sim::Optimizer;
 use fnopt::{Error, io};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -107,8 +106,7 @@ impl Args {
             let expected = "solvers other than this in a suite";
             return Err(Error::invalid("--solver", "interpolation", expected, "interpolation").into());
         }
-        let fixed =
-            |entry: &&Entry| entry.name == "single-pass" || matches!(entry.optimizer, Optimizer::Newton);
+        let fixed = |entry: &&Entry| entry.name == "single-pass" || entry.optimizer.converges();
         if let (Suite::Iterations, Some(entry)) = (suite, entries.iter().find(fixed)) {
             let expected = "solvers whose iterations can vary in this suite";
             return Err(Error::invalid("--solver", "iterations", expected, &entry.name).into());

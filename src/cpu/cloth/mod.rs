@@ -2,23 +2,27 @@
 //! (paper section 3).
 
 mod cells;
+mod curvature;
 mod energy;
 mod gradient;
 mod hessian;
 mod integrate;
 mod repulsion;
 mod rows;
+mod sheet_axes;
 mod stretch;
 mod vector;
 mod vertices;
 mod wind;
 
 pub use cells::{Cells, Placed, Walk};
+pub use curvature::{CurvatureRows, LocalModel, local_model};
 pub use energy::energy;
 pub use gradient::{GradientRows, gradient};
 pub use hessian::{AFTER, Block, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};
-pub use repulsion::repulsion;
+pub use repulsion::{add_repulsion_curvature, repulsion};
+pub use sheet_axes::sheet_axes;
 pub use stretch::stretch;
 pub use vertices::vertices;
 pub use wind::add_wind;

@@ -4,6 +4,7 @@ mod adam;
 mod gd;
 mod lbfgs;
 mod rest_hessian;
+mod subspace;
 mod sums;
 mod update;
 mod update_adj;
@@ -12,15 +13,17 @@ pub use adam::Adam;
 pub use gd::GradientDescent;
 pub(super) use lbfgs::History;
 pub use lbfgs::Lbfgs;
-pub use rest_hessian::{FactoredRestHessian, InverseHessian, RestHessian};
+pub use rest_hessian::{CoRotatedHessian, Cosines, FactoredRestHessian, InverseHessian, RestHessian};
+pub use subspace::{BestStep, StepCounts, Subspace, best_step};
 pub(super) use sums::{dot, norm};
 pub use update::{Hidden, Update};
 pub use update_adj::UpdateAdjoint;
 
 use super::Real;
+use crate::Result;
 use crate::cloth::Model;
-use crate::sim::Optimizer;
-use crate::{Error, Result};
+use crate::network::Weights;
+use crate::sim::{Direction, Initial, Length, Optimizer};
 
 /// An optimizer running on a batch of cloths.
 pub trait Minimizer<T>: Send + Sync {
@@ -37,25 +40,34 @@ pub trait Minimizer<T>: Send + Sync {
     }
 }
 
-/// Builds the optimizer for the cloths of `model`. Fails if the grid does not suit the network, if
-/// there is not enough memory, or if the optimizer is Newton's method, which [`crate::cpu::Reference`]
-/// implements.
+/// Builds an optimizer with a fixed length for the cloths of `model`. Fails if the grid does not suit the network,
+/// if there is not enough memory, or if its length is another: [`Subspace`] and [`crate::cpu::Reference`] see more
+/// than the gradient.
 pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dyn Minimizer<T>>> {
-    let (grid, batch) = (model.grid, model.batch());
-    let cloth = 3 * grid.particles();
-    Ok(match *optimizer {
-        // Folding saves a layer but rounds the weights; double precision keeps them as they are.
-        Optimizer::Learned(ref weights) => match size_of::<T>() < size_of::<f64>() {
-            true => Box::new(Update::new(&weights.folded(), grid, 3 * batch)?),
-            false => Box::new(Update::new(weights, grid, 3 * batch)?),
-        },
-        Optimizer::GradientDescent { rate } => Box::new(GradientDescent::new(rate)),
-        Optimizer::Adam(settings) => Box::new(Adam::new(settings, batch * cloth)),
-        Optimizer::Lbfgs(settings) => Box::new(Lbfgs::new(settings, cloth, batch)),
-        Optimizer::QuasiNewton { lbfgs, factored } => Box::new(Lbfgs::from_rest(lbfgs, factored, model)?),
-        Optimizer::Newton => {
-            let expected = "a gradient-based optimizer";
-            return Err(Error::invalid("optimizer", "newton", expected, "newton, which needs the Hessian"));
+    let (batch, cloth) = (model.batch(), 3 * model.grid.particles());
+    let ([direction], Length::Fixed(length)) = (&optimizer.directions[..], optimizer.length) else {
+        return Err(subspace::no_fixed_length(optimizer));
+    };
+    Ok(match *direction {
+        Direction::Network(ref weights) => Box::new(update(weights, model)?),
+        Direction::Gradient => Box::new(GradientDescent::new(length)),
+        Direction::Adam(settings) => Box::new(Adam::new(settings, batch * cloth)),
+        Direction::Lbfgs { settings, initial: Initial::Identity } => {
+            Box::new(Lbfgs::new(settings, cloth, batch))
         }
+        Direction::Lbfgs { settings, initial } => {
+            Box::new(Lbfgs::from_rest(settings, initial == Initial::Factored, model)?)
+        }
+        _ => return Err(subspace::no_fixed_length(optimizer)),
     })
+}
+
+/// Builds the learned update rule for the cloths of `model`.
+fn update<T: Real>(weights: &Weights, model: &Model) -> Result<Update<T>> {
+    // Folding saves a layer but rounds the weights; double precision keeps them as they are.
+    let samples = 3 * model.batch();
+    match size_of::<T>() < size_of::<f64>() {
+        true => Update::new(&weights.folded(), model.grid, samples),
+        false => Update::new(weights, model.grid, samples),
+    }
 }

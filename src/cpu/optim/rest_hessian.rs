@@ -11,6 +11,7 @@ use faer::sparse::{SparseColMat, Triplet};
 use faer::{MatMut, Side};
 use rayon::prelude::*;
 use std::f64::consts::PI;
+use std::sync::Arc;
 
 /// The initial inverse Hessian of a quasi-Newton method.
 pub trait InverseHessian<T>: Send + Sync {
@@ -22,6 +23,30 @@ pub trait InverseHessian<T>: Send + Sync {
 /// the energy's Hessian at rest nearly diagonal; P zeroes the handles, which do not move (after Liu, Bouaziz
 /// and Kavan 2017).
 pub struct RestHessian<T> {
+    cosines: Arc<Cosines<T>>,
+    /// 1 / lambda, shape [H, stride], 0 in the padding.
+    inverse: Vec<T>,
+    handles: Vec<usize>,
+    scratch: Scratch<T>,
+}
+
+/// As [`RestHessian`], with the components along the sheet's own axes ([`sheet_axes`]) and a lambda for each of
+/// them: `P R^T C^T diag(1 / lambda) C R P`, where R turns the vector of each particle into its axes.
+///
+/// [`sheet_axes`]: crate::cpu::cloth::sheet_axes
+pub struct CoRotatedHessian<T> {
+    cosines: Arc<Cosines<T>>,
+    /// 1 / lambda along t_1, t_2 and the normal, each of shape [H, stride].
+    inverses: [Vec<T>; 3],
+    handles: Vec<usize>,
+    scratch: Scratch<T>,
+}
+
+/// Two buffers per component, each of shape [H, stride].
+type Scratch<T> = [[Vec<T>; 2]; 3];
+
+/// The cosine transform of a grid, as matrix products.
+pub struct Cosines<T> {
     grid: Grid,
     /// Length of a row in memory.
     stride: usize,
@@ -30,11 +55,6 @@ pub struct RestHessian<T> {
     rows: Vec<T>,
     columns: Vec<T>,
     columns_transposed: Vec<T>,
-    /// 1 / lambda, shape [H, stride], 0 in the padding.
-    inverse: Vec<T>,
-    handles: Vec<usize>,
-    /// Two buffers per component.
-    scratch: [[Vec<T>; 2]; 3],
 }
 
 /// Returns the element in row k, column i of the orthonormal DCT-II of n points.
@@ -45,10 +65,14 @@ fn cosine(n: usize, k: usize, i: usize) -> f64 {
     (scale / n as f64).sqrt() * angle.cos()
 }
 
+/// Returns the eigenvalue of mode k of second differences along n points.
+fn mu(n: usize, k: usize) -> f64 {
+    2.0 - 2.0 * (PI * k as f64 / n as f64).cos()
+}
+
 /// Returns the eigenvalue of mode (k, l): inertia, stretch, bend and shear of a small wave on the sheet at
 /// rest.
 fn eigenvalue(grid: Grid, material: Material, (k, l): (usize, usize)) -> f64 {
-    let mu = |n: usize, k: usize| 2.0 - 2.0 * (PI * k as f64 / n as f64).cos();
     let Grid { h, w } = grid;
     let (mu_h, mu_w) = (mu(h, k), mu(w, l));
     let n = (h * w) as f64;
@@ -59,36 +83,53 @@ fn eigenvalue(grid: Grid, material: Material, (k, l): (usize, usize)) -> f64 {
         + 4.0 * material.shear / n * (mu_h + mu_w)
 }
 
-impl<T: Real> RestHessian<T> {
-    /// Builds the inverse Hessian of one cloth.
-    pub fn new(grid: Grid, cloth: &Cloth) -> Self {
+/// Share of the tangential stiffness that a mode of the sheet has along its other axis, and across its surface: a
+/// sheet under tension resists there, too. Good between 0.001 and 0.01.
+const TENSION: f64 = 0.003;
+
+/// Returns the eigenvalues of mode (k, l) along t_1, t_2 and the normal.
+fn eigenvalues_of_axes(grid: Grid, material: Material, (k, l): (usize, usize)) -> [f64; 3] {
+    let (Grid { h, w }, Material { stretch, shear, bend }) = (grid, material);
+    let (mu_h, mu_w) = (mu(h, k), mu(w, l));
+    let n = (h * w) as f64;
+    let (along_h, along_w) = (2.0 * stretch / ((h - 1) * w) as f64, 2.0 * stretch / (h * (w - 1)) as f64);
+    let tangential = |along: f64, own: f64, other: f64| {
+        1.0 / n + along * (own + TENSION * other) + 8.0 * shear * other / n + 2.0 * bend * other * other / n
+    };
+    let normal = (1.0 + 2.0 * TENSION * stretch) / n
+        + TENSION * (along_h * mu_h + along_w * mu_w)
+        + 2.0 * bend * (mu_h * mu_h + mu_w * mu_w) / n;
+    [tangential(along_h, mu_h, mu_w), tangential(along_w, mu_w, mu_h), normal]
+}
+
+impl<T: Real> Cosines<T> {
+    /// Builds the tables of a grid.
+    pub fn new(grid: Grid) -> Self {
         let Grid { h, w } = grid;
         let stride = w.next_multiple_of(LANES);
-        let table = |rows: usize, columns: usize, stride: usize, value: &dyn Fn(usize, usize) -> f64| {
-            let mut table = vec![T::zero(); rows * stride];
-            for (r, row) in table.chunks_exact_mut(stride).enumerate() {
-                row[..columns].iter_mut().enumerate().for_each(|(c, to)| *to = T::of(value(r, c)));
-            }
-            table
-        };
         Self {
             grid,
             stride,
-            rows: table(h, h, h, &|k, i| cosine(h, k, i)),
-            columns: table(w, w, stride, &|l, j| cosine(w, l, j)),
-            columns_transposed: table(w, w, stride, &|j, l| cosine(w, l, j)),
-            inverse: table(h, w, stride, &|k, l| eigenvalue(grid, cloth.material, (k, l)).recip()),
-            handles: cloth.handles.clone(),
-            scratch: [(); 3].map(|()| [(); 2].map(|()| vec![T::zero(); h * stride])),
+            rows: table((h, h), h, &|k, i| cosine(h, k, i)),
+            columns: table((w, w), stride, &|l, j| cosine(w, l, j)),
+            columns_transposed: table((w, w), stride, &|j, l| cosine(w, l, j)),
         }
     }
-}
 
-impl<T: Real> InverseHessian<T> for RestHessian<T> {
-    fn apply(&mut self, direction: &mut [T]) {
-        let Self { grid, stride, rows, columns, columns_transposed, inverse, handles, scratch } = self;
-        let (Grid { h, w }, stride) = (*grid, *stride);
-        let hold = |component: &mut [T]| handles.iter().for_each(|&p| component[p] = T::zero());
+    /// Returns the inverses of the eigenvalues of all modes, shape [H, stride].
+    fn inverses(&self, eigenvalue: &dyn Fn((usize, usize)) -> f64) -> Vec<T> {
+        let Grid { h, w } = self.grid;
+        table((h, w), self.stride, &|k, l| eigenvalue((k, l)).recip())
+    }
+
+    fn scratch(&self) -> Scratch<T> {
+        [(); 3].map(|()| [(); 2].map(|()| vec![T::zero(); self.grid.h * self.stride]))
+    }
+
+    /// Transforms a field [H, W], multiplies it by `inverse` [H, stride] and transforms it back.
+    fn apply(&self, field: &mut [T], inverse: &[T], [a, b]: &mut [Vec<T>; 2]) {
+        let Self { grid: Grid { h, w }, stride, rows, columns, columns_transposed } = self;
+        let (h, w, stride) = (*h, *w, *stride);
         let along = |out: &mut [T], from: &[T], transposed: bool| {
             let of = if transposed { Term::transposed } else { Term::new };
             let a = of((rows, h), (from, stride), h);
@@ -98,22 +139,112 @@ impl<T: Real> InverseHessian<T> for RestHessian<T> {
             let a = Term::new((from, stride), (table, stride), w);
             multiply(out, (h, stride), a);
         };
-        let components = direction.par_chunks_exact_mut(h * w).zip(scratch);
-        components.for_each(|(component, [a, b])| {
-            hold(component);
-            for (row, values) in a.chunks_exact_mut(stride).zip(component.chunks_exact(w)) {
-                row[..w].copy_from_slice(values);
-            }
-            along(b, a, false);
-            across(a, b, columns_transposed);
-            a.iter_mut().zip(&*inverse).for_each(|(z, &inverse)| *z = *z * inverse);
-            across(b, a, columns);
-            along(a, b, true);
-            for (values, row) in component.chunks_exact_mut(w).zip(a.chunks_exact(stride)) {
-                values.copy_from_slice(&row[..w]);
-            }
-            hold(component);
-        });
+        for (row, values) in a.chunks_exact_mut(stride).zip(field.chunks_exact(w)) {
+            row[..w].copy_from_slice(values);
+        }
+        along(b, a, false);
+        across(a, b, columns_transposed);
+        a.iter_mut().zip(inverse).for_each(|(z, &inverse)| *z = *z * inverse);
+        across(b, a, columns);
+        along(a, b, true);
+        for (values, row) in field.chunks_exact_mut(w).zip(a.chunks_exact(stride)) {
+            values.copy_from_slice(&row[..w]);
+        }
+    }
+}
+
+/// Returns a table of these values, [rows, stride], 0 past the columns.
+fn table<T: Real>(
+    (rows, columns): (usize, usize),
+    stride: usize,
+    value: &dyn Fn(usize, usize) -> f64,
+) -> Vec<T> {
+    let mut table = vec![T::zero(); rows * stride];
+    for (r, row) in table.chunks_exact_mut(stride).enumerate() {
+        row[..columns].iter_mut().enumerate().for_each(|(c, to)| *to = T::of(value(r, c)));
+    }
+    table
+}
+
+/// Zeroes a field [3, H, W] at the handles.
+fn hold<T: Real>(handles: &[usize], field: &mut [T]) {
+    let n = field.len() / 3;
+    for component in field.chunks_exact_mut(n) {
+        handles.iter().for_each(|&p| component[p] = T::zero());
+    }
+}
+
+impl<T: Real> RestHessian<T> {
+    /// Builds the inverse Hessian of one cloth.
+    pub fn new(grid: Grid, cloth: &Cloth) -> Self {
+        Self::with(&Arc::new(Cosines::new(grid)), cloth)
+    }
+
+    /// Builds the inverse Hessian of one cloth with the tables of its grid.
+    pub fn with(cosines: &Arc<Cosines<T>>, cloth: &Cloth) -> Self {
+        let grid = cosines.grid;
+        Self {
+            inverse: cosines.inverses(&|mode| eigenvalue(grid, cloth.material, mode)),
+            handles: cloth.handles.clone(),
+            scratch: cosines.scratch(),
+            cosines: cosines.clone(),
+        }
+    }
+}
+
+impl<T: Real> InverseHessian<T> for RestHessian<T> {
+    fn apply(&mut self, direction: &mut [T]) {
+        let Self { cosines, inverse, handles, scratch } = self;
+        hold(handles, direction);
+        let components = direction.par_chunks_exact_mut(cosines.grid.particles()).zip(scratch);
+        components.for_each(|(component, scratch)| cosines.apply(component, inverse, scratch));
+        hold(handles, direction);
+    }
+}
+
+impl<T: Real> CoRotatedHessian<T> {
+    /// Builds the inverse Hessian of one cloth with the tables of its grid.
+    pub fn new(cosines: &Arc<Cosines<T>>, cloth: &Cloth) -> Self {
+        let grid = cosines.grid;
+        let inverse =
+            |axis: usize| cosines.inverses(&|mode| eigenvalues_of_axes(grid, cloth.material, mode)[axis]);
+        Self {
+            inverses: [0, 1, 2].map(inverse),
+            handles: cloth.handles.clone(),
+            scratch: cosines.scratch(),
+            cosines: cosines.clone(),
+        }
+    }
+
+    /// Multiplies `direction` [3, H, W] by the inverse Hessian, given the `axes` [6, H, W] of the sheet. The result
+    /// is 0 at handles.
+    pub fn apply(&mut self, axes: &[T], direction: &mut [T]) {
+        let Self { cosines, inverses, handles, scratch } = self;
+        let n = cosines.grid.particles();
+        hold(handles, direction);
+        turn(axes, direction, false);
+        let components = direction.par_chunks_exact_mut(n).zip(scratch).zip(inverses);
+        components.for_each(|((component, scratch), inverse)| cosines.apply(component, inverse, scratch));
+        turn(axes, direction, true);
+        hold(handles, direction);
+    }
+}
+
+/// Turns the vectors of a field [3, n] into the axes [6, n], or back.
+fn turn<T: Real>(axes: &[T], field: &mut [T], back: bool) {
+    let n = field.len() / 3;
+    let (x, rest) = field.split_at_mut(n);
+    let (y, z) = rest.split_at_mut(n);
+    let axis: [&[T]; 6] = std::array::from_fn(|k| &axes[k * n..][..n]);
+    for p in 0..n {
+        let (t, s) = ([axis[0][p], axis[1][p], axis[2][p]], [axis[3][p], axis[4][p], axis[5][p]]);
+        let normal = [t[1] * s[2] - t[2] * s[1], t[2] * s[0] - t[0] * s[2], t[0] * s[1] - t[1] * s[0]];
+        let v = [x[p], y[p], z[p]];
+        let of = |u: [T; 3]| u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
+        [x[p], y[p], z[p]] = match back {
+            false => [of(t), of(s), of(normal)],
+            true => [0, 1, 2].map(|c| t[c] * v[0] + s[c] * v[1] + normal[c] * v[2]),
+        };
     }
 }
 

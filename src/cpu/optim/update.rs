@@ -54,6 +54,11 @@ impl<T: Real> Update<T> {
         &self.hidden
     }
 
+    /// Stores the step that was taken, where it differs from the one that was proposed.
+    pub fn took(&mut self, cloth: usize, step: &[T]) {
+        self.hidden.last_step[cloth * step.len()..][..step.len()].copy_from_slice(step);
+    }
+
     /// Returns the hidden state for modification.
     pub fn hidden_mut(&mut self) -> &mut Hidden<T> {
         &mut self.hidden
@@ -81,9 +86,8 @@ impl<T: Real> Hidden<T> {
         });
     }
 
-    /// Computes the step from the network's `field` and `scalar`, adds it to `a`, and stores it along with
-    /// `grad`.
-    pub(super) fn remember(&mut self, grad: &[T], (field, scalar): (&[T], &[T]), a: &mut [T]) {
+    /// Computes the step from the network's `field` and `scalar`, and stores it along with `grad`.
+    pub(super) fn remember(&mut self, grad: &[T], (field, scalar): (&[T], &[T])) {
         for (scale, scalar) in self.scale.iter_mut().zip(scalar) {
             *scale = *scale * T::of((2.0 * (scalar.f64() / 2.0).tanh() - 1.0).exp());
         }
@@ -91,15 +95,14 @@ impl<T: Real> Hidden<T> {
         for (step, &scale) in self.last_step.chunks_exact_mut(grad.len() / scalar.len()).zip(&self.scale) {
             T::squash(step, T::one(), scale);
         }
-        for (a, &step) in a.iter_mut().zip(&self.last_step) {
-            *a = *a + step;
-        }
         self.last_grad.copy_from_slice(grad);
     }
 }
 
-impl<T: Real> Minimizer<T> for Update<T> {
-    fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]) {
+impl<T: Real> Update<T> {
+    /// Returns the step [S, H, W] that the network proposes at the gradient `grad`, whose norms are `norms`. The
+    /// hidden state takes it for the step that is taken.
+    pub fn propose(&mut self, grad: &[T], norms: &[f64]) -> &[T] {
         self.hidden.normalise(&mut self.input, grad, norms);
         let (field, scalar) = &mut self.output;
         let pass = self.network.scalar().len();
@@ -109,7 +112,15 @@ impl<T: Real> Minimizer<T> for Update<T> {
             field.copy_from_slice(self.network.field());
             scalar.copy_from_slice(self.network.scalar());
         }
-        self.hidden.remember(grad, (field, scalar), a);
+        self.hidden.remember(grad, (field, scalar));
+        &self.hidden.last_step
+    }
+}
+
+impl<T: Real> Minimizer<T> for Update<T> {
+    fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]) {
+        let step = self.propose(grad, norms);
+        a.iter_mut().zip(step).for_each(|(a, &step)| *a = *a + step);
     }
 
     fn reset_memory_of(&mut self, cloth: usize) {

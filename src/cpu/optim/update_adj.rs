@@ -58,7 +58,8 @@ impl<T: Real> UpdateAdjoint<T> {
     pub fn forward(&mut self, (grad, norms): (&[T], &[f64]), hidden: &mut Hidden<T>, a: &mut [T]) {
         hidden.normalise(&mut self.input, grad, norms);
         self.network.forward(&self.input);
-        hidden.remember(grad, (self.network.field(), self.network.scalar()), a);
+        hidden.remember(grad, (self.network.field(), self.network.scalar()));
+        a.iter_mut().zip(&hidden.last_step).for_each(|(a, &step)| *a = *a + step);
     }
 
     /// Adds the gradient over all weights to `gradient`, given the cotangents `adj_step` [S, H, W] of the

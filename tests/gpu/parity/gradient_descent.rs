@@ -10,7 +10,7 @@ fn steps_match() {
     let _turn = device();
     let kernel = GradientDescent::new(context()).unwrap();
     for case in cases() {
-        let optimizer = Optimizer::GradientDescent { rate: 0.3 };
+        let optimizer = Optimizer::descent(0.3);
         frames_match(&optimizer, &|s, _, iterate| kernel.push(s, 0.3, iterate), case, 12.0 * ROUNDING);
     }
 }

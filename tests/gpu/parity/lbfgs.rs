@@ -19,7 +19,7 @@ fn check(history: usize, curvature: f64, (grid, batch): (Grid, usize)) {
         tensor.write(context(), &vec![f32::NAN; tensor.len()]);
     }
     let push = |s: &mut _, iteration, iterate: &_| kernel.push(s, iteration, iterate, &memory);
-    frames_match(&Optimizer::Lbfgs(settings), &push, (grid, batch), TOLERANCE);
+    frames_match(&Optimizer::lbfgs_with(settings), &push, (grid, batch), TOLERANCE);
 }
 
 #[test]

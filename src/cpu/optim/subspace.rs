@@ -1,0 +1,350 @@
+//! The best step among a few directions: the minimum of the energy's local quadratic model over them.
+
+use super::rest_hessian::Cosines;
+use super::{CoRotatedHessian, InverseHessian, RestHessian, Update};
+use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
+use crate::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
+use crate::cpu::{Objective, Real};
+use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer};
+use crate::{Error, Result};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// An eigenvalue of the curvature counts as at least this share of the largest one, so that a singular model gives
+/// a finite step.
+const LEAST_EIGENVALUE: f64 = 1e-7;
+/// Sweeps of Jacobi's method. Four directions need five for single precision and six for double.
+const SWEEPS: usize = 8;
+/// Energies that differ by less than this share of their terms' magnitude, in units of the precision, count as
+/// equal.
+const ROUNDINGS: f64 = 8.0;
+
+/// Minimises a frame of a batch of cloths by steps in a subspace.
+///
+/// Each iteration first checks the step before: where it raised the energy, half of it is taken back and the
+/// iteration ends there. So the energy never rises from one accepted iterate to the next.
+pub struct Subspace<T: Real> {
+    directions: Vec<Direction>,
+    network: Option<Update<T>>,
+    cloths: Vec<OfCloth<T>>,
+}
+
+/// The state of one cloth.
+struct OfCloth<T> {
+    /// Shape [K, 3, H, W].
+    directions: Vec<T>,
+    /// The step that was taken last, or at the start of a frame the accelerations of the frame before, 0 at
+    /// handles; shape [3, H, W].
+    last: Vec<T>,
+    axes: Vec<T>,
+    spectral: Option<RestHessian<T>>,
+    co_rotated: Option<CoRotatedHessian<T>>,
+    rows: CurvatureRows<T>,
+    accepted: Accepted,
+    /// Whether the step before raised the energy, so that `last` is taken back and not added.
+    retreats: bool,
+    steps: StepCounts,
+    handles: Vec<usize>,
+}
+
+/// The energy of the iterate that was accepted last, and the sum of its terms' magnitudes.
+#[derive(Clone, Copy, Debug)]
+struct Accepted {
+    energy: f64,
+    magnitude: f64,
+}
+
+/// What became of the steps of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct StepCounts {
+    /// Steps that raised the energy, and were halved or taken back.
+    pub halved: usize,
+    /// Directions that were not finite, and were left out.
+    pub dropped: usize,
+}
+
+impl<T: Real> Subspace<T> {
+    /// Builds the minimizer for the cloths of `model`. Fails if the grid does not suit the network or there is not
+    /// enough memory.
+    pub fn new(optimizer: &Optimizer, model: &Model) -> Result<Self> {
+        let directions = optimizer.directions.clone();
+        let network = match optimizer.weights() {
+            Some(weights) => Some(super::update(weights, model)?),
+            None => None,
+        };
+        let mut new = Self { directions, network, cloths: Vec::new() };
+        new.set_cloths(model);
+        Ok(new)
+    }
+
+    /// Takes the materials and handles of other cloths. The memory of frames before stays if their number does.
+    pub fn set_cloths(&mut self, model: &Model) {
+        let cosines = Arc::new(Cosines::new(model.grid));
+        let old = std::mem::take(&mut self.cloths);
+        let has = |name| self.directions.iter().any(|direction| direction.name() == name);
+        let n = model.grid.particles();
+        let zeros = |fields: usize| vec![T::zero(); fields * n];
+        let new = |cloth: &Cloth| OfCloth {
+            directions: zeros(3 * self.directions.len()),
+            last: zeros(3),
+            axes: zeros(6),
+            spectral: has(Direction::Spectral.name()).then(|| RestHessian::with(&cosines, cloth)),
+            co_rotated: has(Direction::CoRotated.name()).then(|| CoRotatedHessian::new(&cosines, cloth)),
+            rows: CurvatureRows::new(model.grid),
+            accepted: Accepted { energy: f64::INFINITY, magnitude: 0.0 },
+            retreats: false,
+            steps: StepCounts::default(),
+            handles: cloth.handles.clone(),
+        };
+        self.cloths = model.cloths.iter().map(new).collect();
+        for (new, old) in self.cloths.iter_mut().zip(old) {
+            new.last = old.last;
+        }
+    }
+
+    /// Starts a frame of `objective`, which has begun it and still holds the accelerations of the frame before;
+    /// they become 0.
+    pub fn begin_frame(&mut self, objective: &mut Objective<T>, (state, control): (&State<T>, &Control<T>)) {
+        let (grid, len) = (objective.model().grid, objective.cloth_len());
+        for (cloth, a) in self.cloths.iter_mut().zip(objective.trial.a.chunks_exact_mut(len)) {
+            cloth.steps = StepCounts::default();
+            // Taken at the end of the last frame; handles accelerate as they are told.
+            hold(&cloth.handles, &mut cloth.last);
+            a.fill(T::zero());
+        }
+        objective.move_to_trial(state, control);
+        let starts = state.x.par_chunks_exact(len).zip(objective.trial.shift.par_chunks_exact(len));
+        self.cloths.par_iter_mut().zip(starts).for_each(|(cloth, (x, shift))| {
+            if cloth.co_rotated.is_some() {
+                sheet_axes(grid, x, shift, &mut cloth.axes);
+            }
+        });
+        self.start_warm(objective, (state, control));
+    }
+
+    /// Moves to the best multiple between 0 and 1 of the accelerations of the frame before.
+    fn start_warm(&mut self, objective: &mut Objective<T>, (state, control): (&State<T>, &Control<T>)) {
+        let starts_warm = self.directions.iter().any(|direction| matches!(direction, Direction::Last));
+        objective.evaluate(state, control);
+        let len = objective.cloth_len();
+        {
+            let objective = &*objective;
+            self.cloths.par_iter_mut().enumerate().for_each(|(b, cloth)| {
+                let along: &[T] = if starts_warm { &cloth.last } else { &[] };
+                let model = objective.local_model(state, b, (along, &mut cloth.rows));
+                cloth.accepted = Accepted::of(&model.energy);
+                let [factor, ..] = best_step(&model, usize::from(starts_warm)).factors;
+                let factor = T::of(factor.clamp(0.0, 1.0));
+                cloth.last.iter_mut().for_each(|step| *step = *step * factor);
+            });
+        }
+        for (b, (cloth, a)) in self.cloths.iter().zip(objective.trial.a.chunks_exact_mut(len)).enumerate() {
+            a.copy_from_slice(&cloth.last);
+            if let Some(network) = &mut self.network {
+                network.took(b, &cloth.last);
+            }
+        }
+    }
+
+    /// Adds a step to the accelerations of `objective`, which has been evaluated there.
+    pub fn step(&mut self, objective: &mut Objective<T>, state: &State<T>) {
+        let Self { directions, network, cloths } = self;
+        let proposed = match network {
+            Some(network) => network.propose(&objective.grad, &objective.norms),
+            None => &[],
+        };
+        let len = objective.cloth_len();
+        {
+            let objective = &*objective;
+            cloths.par_iter_mut().enumerate().for_each(|(b, cloth)| {
+                let grad = &objective.grad[b * len..][..len];
+                for (p, kind) in cloth.directions.chunks_exact_mut(len).zip(&*directions) {
+                    match kind {
+                        Direction::Last => p.copy_from_slice(&cloth.last),
+                        Direction::Network(_) => p.copy_from_slice(&proposed[b * len..][..len]),
+                        _ => p.iter_mut().zip(grad).for_each(|(p, &g)| *p = -g),
+                    }
+                    match (kind, &mut cloth.spectral, &mut cloth.co_rotated) {
+                        (Direction::Spectral, Some(inverse), _) => inverse.apply(p),
+                        (Direction::CoRotated, _, Some(inverse)) => inverse.apply(&cloth.axes, p),
+                        _ => hold(&cloth.handles, p),
+                    }
+                }
+                let model = objective.local_model(state, b, (&cloth.directions, &mut cloth.rows));
+                cloth.advance(&model);
+            });
+        }
+        for (b, (cloth, a)) in cloths.iter().zip(objective.trial.a.chunks_exact_mut(len)).enumerate() {
+            match cloth.retreats {
+                false => a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a + step),
+                true => a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a - step),
+            }
+            if let Some(network) = network {
+                network.took(b, &cloth.last);
+            }
+        }
+    }
+
+    /// Ends a frame of `objective`, which has moved to where the last step led: takes that back if it raised the
+    /// energy.
+    pub fn end_frame(&mut self, objective: &mut Objective<T>, state: &State<T>) {
+        let len = objective.cloth_len();
+        for (b, cloth) in self.cloths.iter_mut().enumerate() {
+            let energy = objective.energy_in_rows(state, b, &mut cloth.rows);
+            let a = &mut objective.trial.a[b * len..][..len];
+            if !cloth.accepted.allows::<T>(&Accepted::of(&energy)) {
+                cloth.steps.halved += 1;
+                a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a - step);
+            }
+            cloth.last.copy_from_slice(a);
+            if !a.iter().all(|a| a.is_finite()) {
+                cloth.last.fill(T::zero());
+            }
+        }
+    }
+
+    /// Returns what became of the steps of each cloth in this frame.
+    pub fn step_counts(&self) -> impl Iterator<Item = StepCounts> {
+        self.cloths.iter().map(|cloth| cloth.steps)
+    }
+
+    /// Clears the memory of earlier frames for this cloth.
+    pub fn reset_memory_of(&mut self, cloth: usize) {
+        self.cloths[cloth].last.fill(T::zero());
+        if let Some(network) = &mut self.network {
+            super::Minimizer::reset_memory_of(network, cloth);
+        }
+    }
+
+    /// Returns the scale of the network's steps for each sample, shape \[S\]; empty without a network.
+    pub fn scales(&self) -> &[T] {
+        self.network.as_ref().map_or(&[], |network| super::Minimizer::scales(network))
+    }
+}
+
+impl Accepted {
+    fn of(energy: &EnergyTerms) -> Self {
+        Self { energy: energy.total(), magnitude: energy.magnitude() }
+    }
+
+    /// Whether an iterate after this one may be accepted: its energy is not higher, but for rounding.
+    fn allows<T: Real>(&self, next: &Self) -> bool {
+        let rounding = ROUNDINGS * T::epsilon().f64() * self.magnitude.max(next.magnitude);
+        next.energy <= self.energy + rounding
+    }
+}
+
+impl<T: Real> OfCloth<T> {
+    /// Sets `last` to the next step: the best one in the model, or, if the step before raised the energy, half of
+    /// it, which is then taken back.
+    fn advance(&mut self, model: &LocalModel) {
+        let here = Accepted::of(&model.energy);
+        self.retreats = !self.accepted.allows::<T>(&here);
+        if self.retreats {
+            self.steps.halved += 1;
+            let half = T::of(0.5);
+            self.last.iter_mut().for_each(|step| *step = *step * half);
+            return;
+        }
+        self.accepted = here;
+        let len = self.last.len();
+        let count = self.directions.len() / len;
+        let best = best_step(model, count);
+        self.steps.dropped += best.dropped;
+        self.last.fill(T::zero());
+        for (&factor, p) in best.factors.iter().zip(self.directions.chunks_exact(len)) {
+            if factor != 0.0 {
+                let factor = T::of(factor);
+                self.last.iter_mut().zip(p).for_each(|(step, &p)| *step = *step + factor * p);
+            }
+        }
+    }
+}
+
+/// The minimum of a local model.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BestStep {
+    /// The factor of each direction.
+    pub factors: [f64; MAX_DIRECTIONS],
+    /// Directions that are not finite, and do not take part.
+    pub dropped: usize,
+}
+
+/// Returns the minimum of `b.c + c.A.c / 2` over the factors c of the first `count` directions of a model.
+///
+/// The directions are scaled to length 1 first. With `A = V diag(l) V'`, each l counts as the larger of `|l|` and
+/// 1e-7 of the largest, so an indefinite or singular A gives a direction of descent.
+pub fn best_step(model: &LocalModel, count: usize) -> BestStep {
+    let mut best = BestStep::default();
+    let mut scale = [0.0; MAX_DIRECTIONS];
+    for (k, scale) in scale.iter_mut().enumerate().take(count) {
+        let is_finite =
+            [model.squares[k], model.slopes[k], model.curvature[k][k]].iter().all(|v| v.is_finite());
+        best.dropped += usize::from(!is_finite);
+        if is_finite && model.squares[k] > 0.0 {
+            *scale = model.squares[k].sqrt().recip();
+        }
+    }
+    let zero_if_left_out = |v: f64, scale: f64| if scale == 0.0 { 0.0 } else { v * scale };
+    let mut a = [[0.0; MAX_DIRECTIONS]; MAX_DIRECTIONS];
+    let mut slopes = [0.0; MAX_DIRECTIONS];
+    for i in 0..count {
+        slopes[i] = zero_if_left_out(model.slopes[i], scale[i]);
+        for j in 0..count {
+            a[i][j] = zero_if_left_out(model.curvature[i][j], scale[i] * scale[j]);
+        }
+    }
+    let (values, vectors) = eigen(a);
+    let largest = values.iter().fold(0.0_f64, |largest, l| largest.max(l.abs()));
+    if !(largest > 0.0 && largest.is_finite()) {
+        return best;
+    }
+    for (l, vector) in values.iter().zip(vectors) {
+        let along: f64 = vector.iter().zip(slopes).map(|(v, b)| v * b).sum();
+        let factor = -along / l.abs().max(LEAST_EIGENVALUE * largest);
+        for k in 0..count {
+            best.factors[k] += factor * vector[k] * scale[k];
+        }
+    }
+    best
+}
+
+/// Returns the eigenvalues of a symmetric matrix and its eigenvectors, one per row, by cyclic Jacobi rotations.
+fn eigen<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
+    let mut vectors: [[f64; N]; N] =
+        std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
+    for _ in 0..SWEEPS {
+        for p in 0..N {
+            for q in p + 1..N {
+                if a[p][q] == 0.0 {
+                    continue;
+                }
+                let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+                let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
+                let c = (t * t + 1.0).sqrt().recip();
+                let s = t * c;
+                for k in 0..N {
+                    (a[k][p], a[k][q]) = (c * a[k][p] - s * a[k][q], s * a[k][p] + c * a[k][q]);
+                }
+                for k in 0..N {
+                    (a[p][k], a[q][k]) = (c * a[p][k] - s * a[q][k], s * a[p][k] + c * a[q][k]);
+                    (vectors[p][k], vectors[q][k]) =
+                        (c * vectors[p][k] - s * vectors[q][k], s * vectors[p][k] + c * vectors[q][k]);
+                }
+            }
+        }
+    }
+    (std::array::from_fn(|k| a[k][k]), vectors)
+}
+
+/// Zeroes a field [3, n] at the handles.
+fn hold<T: Real>(handles: &[usize], field: &mut [T]) {
+    let n = field.len() / 3;
+    field.chunks_exact_mut(n).for_each(|component| handles.iter().for_each(|&p| component[p] = T::zero()));
+}
+
+/// Returns an error for an optimizer that has no single direction of fixed length.
+pub(super) fn no_fixed_length(optimizer: &Optimizer) -> Error {
+    let expected = "one direction that depends on the gradient alone, and a fixed length";
+    Error::invalid("optimizer", "directions", expected, optimizer.name())
+}
