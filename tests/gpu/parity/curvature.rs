@@ -135,7 +135,7 @@ fn models_and_energies_match() {
                             size = value.abs();
                         }
                         let what = format!("A_{i}{j} {what}");
-                        assert_close(&what, &found(k..k + 1), &[value], (2e-5 * size, 0.0));
+                        assert_close(&what, &found(k..k + 1), &[value], (1e-6 * size, 0.0));
                     }
                     for (i, p) in directions.iter().enumerate() {
                         let pairs = || {

@@ -25,9 +25,9 @@ fn eigen(mut m: Matrix) -> (Vector, Matrix) {
             for row in m.iter_mut().chain(&mut v) {
                 (row[p], row[q]) = (cos * row[p] - sin * row[q], sin * row[p] + cos * row[q]);
             }
-            for k in 0..4 {
-                (m[p][k], m[q][k]) = (cos * m[p][k] - sin * m[q][k], sin * m[p][k] + cos * m[q][k]);
-            }
+            let (row_p, row_q) = (m[p], m[q]);
+            m[p] = [0, 1, 2, 3].map(|k| cos * row_p[k] - sin * row_q[k]);
+            m[q] = [0, 1, 2, 3].map(|k| sin * row_p[k] + cos * row_q[k]);
         }
     }
     ([0, 1, 2, 3].map(|i| m[i][i]), v)
@@ -51,18 +51,10 @@ fn coefficients(a: Matrix, b: Vector, squares: Vector) -> (Vector, f64) {
 
 /// Returns a symmetric matrix with these eigenvalues for directions of unit length, and some eigenvectors.
 fn with_eigenvalues(l: Vector, lengths: Vector, seed: u64) -> Matrix {
+    let random = noise(16, seed);
     // The eigenvectors of a random matrix.
-    let random = noise(10, seed);
-    let mut k = 0;
-    let mut m = [[0.0; 4]; 4];
-    for i in 0..4 {
-        for j in i..4 {
-            m[i][j] = f64::from(random[k]);
-            m[j][i] = m[i][j];
-            k += 1;
-        }
-    }
-    let (_, v) = eigen(m);
+    let entry = |i: usize, j: usize| f64::from(random[4 * i.min(j) + i.max(j)]);
+    let (_, v) = eigen([0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| entry(i, j))));
     let entry = |i: usize, j: usize| (0..4).map(|k| v[i][k] * l[k] * v[j][k]).sum::<f64>();
     [0, 1, 2, 3].map(|i| [0, 1, 2, 3].map(|j| entry(i, j) * lengths[i] * lengths[j]))
 }
