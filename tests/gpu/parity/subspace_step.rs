@@ -2,8 +2,9 @@
 
 use super::cloth::{constants, crumpled, field, iterate, model, repelling, upload};
 use crate::common::{assert_close, cases, context, device, noise, poisoned, read, run, tensor};
+use crate::solver::assert_same;
 use fnopt::cloth::Grid;
-use fnopt::gpu::{Schedule, Tensor};
+use fnopt::gpu::{Order, Schedule, Tensor};
 use fnopt::kernels::cloth::curvature::parts_shape;
 use fnopt::kernels::cloth::gradient::parts;
 use fnopt::kernels::cloth::{Energy, EnergyTensors, Gradient, Repulsion, TERMS, energy};
@@ -251,7 +252,8 @@ fn directions_that_are_the_same_share_the_step() {
     assert_close("the same directions", &read(&iterate.a), &vec![1.0; 3 * n], (1e-3, 0.0));
 }
 
-/// Whole frames lower the energy in every iteration, in six dispatches besides the gradient.
+/// Whole frames lower the energy in every iteration, in six dispatches besides the gradient. They have the
+/// same bits in whatever order the device runs invocations.
 #[test]
 fn frames_lower_the_energy() {
     let _turn = device();
@@ -264,13 +266,15 @@ fn frames_lower_the_energy() {
         let n = grid.particles();
         let iterate = iterate(&model);
         iterate.base.write(context(), &field(&model, 0.05, 79));
-        iterate.a.write(context(), &field(&model, 0.05, 78));
         let (cloths, external) = (constants(&model), upload("external", &model, &field(&model, 0.1, 74)));
         let x = upload("x", &model, &crumpled(&model, 0.1));
         let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
         let sums = poisoned("sums", &[3 * batch, parts(grid), 2]);
         let settings = SubspaceSettings { learned: repels, ..SubspaceSettings::default() };
-        let plan = Subspace::new(context(), settings, ITERATIONS, (grid, batch)).unwrap();
+        let slots = model.handle_slots();
+        let held = |k: usize| slots[k / (3 * n) * n + k % n] != 0;
+        let mut learned = field(&model, 0.1, 77);
+        (0..learned.len()).filter(|&k| held(k)).for_each(|k| learned[k] = 0.0);
         let repulsion = repels.then(|| {
             let of_repulsion = Repulsion::new(context(), batch, grid).unwrap();
             (of_repulsion, poisoned("energies", &energy::parts_shape(batch, grid)))
@@ -285,19 +289,32 @@ fn frames_lower_the_energy() {
             gradient.push(schedule, grid, physics, (&iterate, &sums));
         };
         let energies: Option<&Tensor> = repulsion.as_ref().map(|(_, energies)| energies);
-        run(|schedule| {
-            plan.begin(schedule, &x, &iterate);
-            for iteration in 0..ITERATIONS {
+        let frame = |order: Order| {
+            let context = context().with_order(order);
+            let plan = Subspace::new(&context, settings, ITERATIONS, (grid, batch)).unwrap();
+            assert_eq!(plan.learned_step().is_some(), repels);
+            plan.learned_step().inspect(|step| step.write(&context, &learned));
+            iterate.a.write(&context, &field(&model, 0.05, 78));
+            run(|schedule| {
+                plan.begin(schedule, &x, &iterate);
+                for iteration in 0..ITERATIONS {
+                    evaluate(schedule);
+                    let before = schedule.dispatches();
+                    plan.push(schedule, iteration, physics, (&iterate, energies));
+                    assert_eq!(schedule.dispatches(), before + 6);
+                }
                 evaluate(schedule);
-                let before = schedule.dispatches();
-                plan.push(schedule, iteration, physics, (&iterate, energies));
-                assert_eq!(schedule.dispatches(), before + 6);
-            }
-            evaluate(schedule);
-            plan.end(schedule, physics, (&iterate, energies));
-        });
-        assert_eq!(plan.learned_step().is_some(), repels);
-        let state = read(plan.state());
+                plan.end(schedule, physics, (&iterate, energies));
+            });
+            [plan.state(), &iterate.a].map(read)
+        };
+        let [state, a] = frame(Order::Natural);
+        let others = [Order::Reversed, Order::Scattered].into_iter().filter(|_| repels && batch > 1);
+        for order in others {
+            let [other, moved] = frame(order);
+            assert_same(&format!("state {order:?} {batch} x {grid}"), &other, &state);
+            assert_same(&format!("a {order:?} {batch} x {grid}"), &moved, &a);
+        }
         for b in 0..batch {
             let of = |row: usize, k: usize| state[4 * (row * batch + b) + k];
             let all: Vec<f32> = (0..=ITERATIONS).map(|row| of(row, 0)).collect();
@@ -309,8 +326,6 @@ fn frames_lower_the_energy() {
             assert!(all[ITERATIONS] < 0.8 * all[0], "{b} of {batch} x {grid}: {all:?}");
             assert_eq!(of(ITERATIONS, 3), 0.0, "directions that are not finite");
         }
-        let (a, slots) = (read(&iterate.a), model.handle_slots());
-        let held = |k: usize| slots[k / (3 * n) * n + k % n] != 0;
         assert!((0..a.len()).all(|k| a[k].is_finite() && (!held(k) || a[k] == 0.0)), "handles move");
     }
 }
