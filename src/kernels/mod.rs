@@ -21,6 +21,7 @@ pub(crate) mod common {
     pub const CELL: &str = include_str!("../../shaders/common/cell.wgsl");
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
+    pub const FINITE: &str = include_str!("../../shaders/common/finite.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
     pub const OFFSET: &str = include_str!("../../shaders/common/offset.wgsl");
     pub const TEXEL: &str = include_str!("../../shaders/common/texel.wgsl");
@@ -38,6 +39,7 @@ pub(crate) mod pieces {
     pub const LIFTED_FIELDS: &str = include_str!("../../shaders/pieces/lifted_fields.wgsl");
     pub const LIFTING_INPUTS: &str = include_str!("../../shaders/pieces/lifting_inputs.wgsl");
     pub const SCALAR_HEAD: &str = include_str!("../../shaders/pieces/scalar_head.wgsl");
+    pub const SIX_FIELDS: &str = include_str!("../../shaders/pieces/six_fields.wgsl");
     pub const TARGET: &str = include_str!("../../shaders/pieces/target.wgsl");
     pub const TRIAL: &str = include_str!("../../shaders/pieces/trial.wgsl");
 }

@@ -2,22 +2,33 @@
 //! sections 3.3 and 4.3).
 
 pub mod adam;
+pub mod cosine_columns;
+pub mod cosine_directions;
 pub mod cosine_order;
+pub mod cosine_rows;
+pub mod directions;
 pub mod features;
 pub mod gradient_descent;
 pub mod lbfgs;
 mod quasi_newton;
 pub mod rest_modes;
+mod subspace;
+pub mod subspace_step;
 pub mod update;
 pub mod update_adj;
 
 pub use adam::{Adam, AdamSettings};
+pub use cosine_columns::CosineColumns;
+pub use cosine_directions::CosineDirections;
 pub use cosine_order::CosineOrder;
+pub use cosine_rows::CosineRows;
 pub use features::{FeatureInputs, Features};
 pub use gradient_descent::GradientDescent;
 pub use lbfgs::{Lbfgs, LbfgsMemory, LbfgsSettings, Part};
 pub use quasi_newton::QuasiNewton;
 pub use rest_modes::RestModes;
+pub use subspace::{Subspace, SubspaceSettings};
+pub use subspace_step::{SubspaceStep, When};
 pub use update::{Update, UpdateTensors};
 pub(crate) use update_adj::CLAMP;
 pub use update_adj::{Normalisation, UpdateAdj, UpdateAdjTensors};

@@ -111,6 +111,14 @@ impl Doubles {
         Self { model: model.clone(), slots: model.handle_slots(), x, shift, a, f }
     }
 
+    /// Returns the cloths with accelerations changed by `step` times a direction [B, 3, n] that is 0 at handles.
+    pub fn moved(&self, direction: &[f64], step: f64) -> Self {
+        let add = |to: &[f64]| to.iter().zip(direction).map(|(to, p)| to + step * p).collect();
+        let Self { model, slots, x, shift, a, f } = self;
+        let (shift, a) = (add(shift), add(a));
+        Self { model: model.clone(), slots: slots.clone(), x: x.clone(), shift, a, f: f.clone() }
+    }
+
     /// Returns cloth `b`.
     pub fn cloth(&self, b: usize) -> Trial<'_, f64> {
         let n = self.model.grid.particles();

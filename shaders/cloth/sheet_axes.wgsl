@@ -1,0 +1,96 @@
+// Start of a frame of a subspace method: the sheet's own axes at each particle, and the last frame's
+// acceleration as a direction.
+//
+// With the central differences of the predicted positions y = x + base (one-sided at the borders), of unit
+// length, u along the first axis of the grid and v along the second, and
+//   s = unit(u + v), normal = unit(u x v), d = +-unit(s x normal) with d . u >= 0,
+// the axes are t1 = (s + d) / sqrt 2 and t2 = (s - d) / sqrt 2: orthogonal, and equally far from u and v. The
+// third axis is t1 x t2. Where a difference has no direction they are the axes of the world.
+//
+// slots: [B, n]
+// x, base: [B, 3, n]
+// axes: [B, 6, n] = t1, then t2, of unit length
+// directions: [K, slot], of which slot 2 [B, 3, n] becomes a, 0 at handles and where a is not finite
+// a: [B, 3, n], becomes 0
+//
+// One invocation per particle. Workgroups: (n / 64 over x and y, B in z).
+// Adjoint: none, the optimizer is not trained.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+    slot: u32, // elements from a direction to the next, at least 3 B n
+    zero: u32, // 0
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> slots: array<u32>;
+@group(0) @binding(2) var<storage, read> x: array<f32>;
+@group(0) @binding(3) var<storage, read> base: array<f32>;
+@group(0) @binding(4) var<storage, read_write> axes: array<f32>;
+@group(0) @binding(5) var<storage, read_write> directions: array<f32>;
+@group(0) @binding(6) var<storage, read_write> a: array<f32>;
+
+// Shortest vector that has a direction.
+const SHORTEST: f32 = 1e-12;
+
+// Returns the vector from one particle to another, both by their first component, at the predicted positions.
+fn difference(start: u32, end: u32, n: u32) -> vec3f {
+    let x0 = vec3f(x[start], x[start + n], x[start + 2u * n]);
+    let x1 = vec3f(x[end], x[end + n], x[end + 2u * n]);
+    let shift0 = vec3f(base[start], base[start + n], base[start + 2u * n]);
+    let shift1 = vec3f(base[end], base[end + n], base[end + 2u * n]);
+    return offset(x1, x0, shift1, shift0, params.zero);
+}
+
+// Returns the unit vector, and in w whether there is one: 1, or 0 if the length is 0 or not finite.
+fn unit(v: vec3f) -> vec4f {
+    let l = length(v);
+    if !is_finite(l) || l <= SHORTEST {
+        return vec4f();
+    }
+    return vec4f(v / l, 1.0);
+}
+
+@compute @workgroup_size(64)
+fn sheet_axes(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let n = params.rows * params.columns;
+    let p = (group.y * groups.x + group.x) * 64u + lane;
+    if p >= n {
+        return;
+    }
+    let b = group.z;
+    let i = p / params.columns;
+    let j = p % params.columns;
+    let first = b * 3u * n;
+    let above = select(i - 1u, 0u, i == 0u) * params.columns + j;
+    let below = min(i + 1u, params.rows - 1u) * params.columns + j;
+    let before = i * params.columns + select(j - 1u, 0u, j == 0u);
+    let behind = i * params.columns + min(j + 1u, params.columns - 1u);
+    let u = unit(difference(first + above, first + below, n));
+    let v = unit(difference(first + before, first + behind, n));
+    let s = unit(u.xyz + v.xyz);
+    let normal = unit(cross(u.xyz, v.xyz));
+    let d = unit(cross(s.xyz, normal.xyz));
+    var t1 = vec3f(1.0, 0.0, 0.0);
+    var t2 = vec3f(0.0, 1.0, 0.0);
+    if u.w * v.w * s.w * normal.w * d.w > 0.0 {
+        let towards_u = select(-d.xyz, d.xyz, dot(d.xyz, u.xyz) >= 0.0);
+        t1 = 0.7071067811865476 * (s.xyz + towards_u);
+        t2 = 0.7071067811865476 * (s.xyz - towards_u);
+    }
+    let out = b * 6u * n + p;
+    let is_free = slots[b * n + p] == 0u;
+    for (var c = 0u; c < 3u; c++) {
+        axes[out + c * n] = t1[c];
+        axes[out + (3u + c) * n] = t2[c];
+        let at = first + c * n + p;
+        let last = a[at];
+        directions[2u * params.slot + at] = select(0.0, last, is_free && is_finite(last));
+        a[at] = 0.0;
+    }
+}

@@ -1,0 +1,157 @@
+// Cosine transform along the columns of six fields, and the division by the eigenvalues of a sheet.
+//
+// Forward:  out[f, k, l] = sum_i table[k, i] z[f, i, l] / lambda_f(k, l)
+// INVERSE:  out[f, i, l] = sum_k table[k, i] z[f, k, l]
+//
+// With N = H W, m = mu[k] and q = mu[H + l], fields 0 to 2 have the eigenvalue of a sheet at rest (see
+// `rest_modes`), fields 3 to 5 those of one component in the sheet's own axes:
+//   lambda_3 = w_u (m + TAU q) + (1 + 8 k_shear q + 2 k_bend q^2) / N    w_u = 2 k_stretch / ((H - 1) W)
+//   lambda_4 = w_v (q + TAU m) + (1 + 8 k_shear m + 2 k_bend m^2) / N    w_v = 2 k_stretch / (H (W - 1))
+//   lambda_5 = TAU (w_u m + w_v q) + (1 + 2 NORMAL k_stretch + 2 k_bend (m^2 + q^2)) / N
+//
+// cloths: [B]
+// table: [H, H], the orthonormal DCT-II
+// mu: [H + W], 2 - 2 cos(pi k / H), then 2 - 2 cos(pi l / W)
+// z, out: [B, 6, H, W]
+//
+// One invocation per 4 x 4 elements of the result. Workgroups: (W / 32, H / 32, 6 B).
+// Adjoint: none, the optimizer is not trained.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
+@group(0) @binding(2) var<storage, read> table: array<f32>;
+@group(0) @binding(3) var<storage, read> mu: array<f32>;
+@group(0) @binding(4) var<storage, read> z: array<f32>;
+@group(0) @binding(5) var<storage, read_write> out: array<f32>;
+
+override INVERSE: bool = false;
+// Share of an edge's stiffness that acts across it, and stiffness along the normal as a share of k_stretch.
+override TAU: f32 = 0.003;
+override NORMAL: f32 = 0.003;
+
+// Rows of the product that are summed at once.
+const DEPTH: u32 = 16u;
+// One more than there are quads, so that neighbours in depth are in different banks.
+const STRIDE: u32 = 9u;
+// Four rows of the table, four columns of z.
+var<workgroup> left: array<vec4f, DEPTH * STRIDE>;
+var<workgroup> right: array<vec4f, DEPTH * STRIDE>;
+
+// Returns the factors with which element i of a column of z enters four elements of the result; 0 outside.
+fn quad_of_factors(row: u32, i: u32) -> vec4f {
+    return vec4f(factor(row, i), factor(row + 1u, i), factor(row + 2u, i), factor(row + 3u, i));
+}
+
+fn factor(row: u32, i: u32) -> f32 {
+    if row < params.rows && i < params.rows {
+        return table[select(row * params.rows + i, i * params.rows + row, INVERSE)];
+    }
+    return 0.0;
+}
+
+// Returns an element of a field, 0 outside.
+fn element(first: u32, row: u32, column: u32) -> f32 {
+    if row < params.rows && column < params.columns {
+        return z[first + row * params.columns + column];
+    }
+    return 0.0;
+}
+
+// Returns the eigenvalues of a field in mode k of the columns and four modes of the rows.
+fn eigenvalues(field: u32, k: u32, l: u32, material: vec4f) -> vec4f {
+    let h = f32(params.rows);
+    let w = f32(params.columns);
+    let by_u = 2.0 * material.x / ((h - 1.0) * w);
+    let by_v = 2.0 * material.x / (h * (w - 1.0));
+    let m = vec4f(mu[k]);
+    let at = params.rows + l;
+    let last = params.rows + params.columns - 1u;
+    let q = vec4f(mu[at], mu[min(at + 1u, last)], mu[min(at + 2u, last)], mu[min(at + 3u, last)]);
+    var stretch = by_u * m + by_v * q;
+    var others = 1.0 + 2.0 * material.z * (m * m + q * q);
+    switch field {
+        case 3u: {
+            stretch = by_u * (m + TAU * q);
+            others = 1.0 + 8.0 * material.y * q + 2.0 * material.z * q * q;
+        }
+        case 4u: {
+            stretch = by_v * (q + TAU * m);
+            others = 1.0 + 8.0 * material.y * m + 2.0 * material.z * m * m;
+        }
+        case 5u: {
+            stretch *= TAU;
+            others += 2.0 * NORMAL * material.x;
+        }
+        default: {
+            others += 4.0 * material.y * (m + q);
+        }
+    }
+    return stretch + others / (h * w);
+}
+
+// Writes four columns of a row of the result, as far as they exist.
+fn keep(field: u32, row: u32, column: u32, sum: vec4f) {
+    if row >= params.rows || column >= params.columns {
+        return;
+    }
+    var v = sum;
+    if !INVERSE {
+        v /= eigenvalues(field % 6u, row, column, cloths[field / 6u].material);
+    }
+    let at = (field * params.rows + row) * params.columns + column;
+    let columns = params.columns - column;
+    out[at] = v.x;
+    if columns > 1u { out[at + 1u] = v.y; }
+    if columns > 2u { out[at + 2u] = v.z; }
+    if columns > 3u { out[at + 3u] = v.w; }
+}
+
+@compute @workgroup_size(64)
+fn cosine_columns(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
+    let first_row = group.y * 32u;
+    let first_column = group.x * 32u;
+    let field = group.z * params.rows * params.columns;
+    var sum0 = vec4f();
+    var sum1 = vec4f();
+    var sum2 = vec4f();
+    var sum3 = vec4f();
+    for (var first = 0u; first < params.rows; first += DEPTH) {
+        workgroupBarrier();
+        for (var k = lane; k < 8u * DEPTH; k += 64u) {
+            // Neighbouring invocations read neighbouring elements. Those of the table are along its rows,
+            // which are rows of the result only if it is transposed.
+            let across = vec2u(k / 8u, k % 8u);
+            let along = vec2u(k % DEPTH, k / DEPTH);
+            let place = select(along, across, INVERSE);
+            left[place.x * STRIDE + place.y] = quad_of_factors(first_row + 4u * place.y, first + place.x);
+            let i = first + across.x;
+            let j = first_column + 4u * across.y;
+            right[across.x * STRIDE + across.y] = vec4f(
+                element(field, i, j),
+                element(field, i, j + 1u),
+                element(field, i, j + 2u),
+                element(field, i, j + 3u),
+            );
+        }
+        workgroupBarrier();
+        for (var k = 0u; k < DEPTH; k++) {
+            let l = left[k * STRIDE + lane / 8u];
+            let r = right[k * STRIDE + lane % 8u];
+            sum0 += l.x * r;
+            sum1 += l.y * r;
+            sum2 += l.z * r;
+            sum3 += l.w * r;
+        }
+    }
+    let row = first_row + 4u * (lane / 8u);
+    let column = first_column + 4u * (lane % 8u);
+    keep(group.z, row, column, sum0);
+    keep(group.z, row + 1u, column, sum1);
+    keep(group.z, row + 2u, column, sum2);
+    keep(group.z, row + 3u, column, sum3);
+}

@@ -1,0 +1,100 @@
+//! Host side of `shaders/cloth/curvature.wgsl`.
+
+use super::{EnergyTensors, gradient};
+use crate::Result;
+use crate::cloth::Grid;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::optim::{Iterate, directions};
+use crate::kernels::{common, size};
+
+pub(crate) const SOURCE: Source = Source {
+    name: "curvature",
+    wgsl: include_str!("../../../shaders/cloth/curvature.wgsl"),
+    appended: &[common::CLOTH, common::ANGLE, common::OFFSET],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    parts: u32,
+    slot: u32,
+    zero: u32,
+}
+
+/// Computes the quadratic model of the energy in the span of a few directions, and the energy.
+#[derive(Clone, Debug)]
+pub struct Curvature {
+    energy: Kernel,
+    three: Kernel,
+    four: Kernel,
+}
+
+/// Number of values in a part.
+pub const VALUES: usize = 24;
+
+/// Returns the shape of the parts in which the model of each of `batch` cloths is summed, [B, parts, 24].
+pub fn parts_shape(batch: usize, grid: Grid) -> [usize; 3] {
+    [batch, gradient::parts(grid), VALUES]
+}
+
+impl Curvature {
+    /// Builds the kernels.
+    pub fn new(context: &Context) -> Result<Self> {
+        let kernel = |count: f64| Kernel::new(context, &SOURCE, 0, &[("K", count)]);
+        Ok(Self { energy: kernel(0.0)?, three: kernel(3.0)?, four: kernel(4.0)? })
+    }
+
+    /// Sets `parts` [B, parts, 24] at `iterate.a`, which like all `directions` ([`directions::shape`]) is 0
+    /// at handles. Expects the gradient there in `iterate.grad`, and the external accelerations without a
+    /// repulsion in `physics`.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        physics: EnergyTensors<'_>,
+        (iterate, directions, parts): (&Iterate, &Tensor, &Tensor),
+    ) {
+        let kernel = match directions.shape()[0] {
+            3 => &self.three,
+            4 => &self.four,
+            other => panic!("three or four directions, not {other}"),
+        };
+        Self::push_kernel(kernel, schedule, grid, physics, (iterate, directions, parts));
+    }
+
+    /// Sets the energy in `parts` as [`Curvature::push`] does, and all else to 0.
+    pub fn push_energy(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        physics: EnergyTensors<'_>,
+        of: (&Iterate, &Tensor, &Tensor),
+    ) {
+        Self::push_kernel(&self.energy, schedule, grid, physics, of);
+    }
+
+    fn push_kernel(
+        kernel: &Kernel,
+        schedule: &mut Schedule,
+        grid: Grid,
+        physics: EnergyTensors<'_>,
+        (iterate, directions, parts): (&Iterate, &Tensor, &Tensor),
+    ) {
+        let EnergyTensors { cloths, external, x } = physics;
+        let batch = physics.batch(grid, iterate);
+        let shape @ [_, count, _] = parts_shape(batch, grid);
+        assert_eq!(parts.shape(), shape);
+        let params = Params {
+            rows: size(grid.h),
+            columns: size(grid.w),
+            parts: size(count),
+            slot: size(directions::slot(directions, iterate)),
+            zero: 0,
+        };
+        let Iterate { a, base, grad, .. } = iterate;
+        let tensors = [cloths, external, a, base, x, grad, directions, parts];
+        schedule.dispatch(kernel, &params, &tensors, [size(count), size(batch), 1]);
+    }
+}

@@ -1,0 +1,54 @@
+//! Host side of `shaders/cloth/sheet_axes.wgsl`.
+
+use crate::Result;
+use crate::cloth::Grid;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::optim::{Iterate, directions};
+use crate::kernels::{common, size};
+
+pub(crate) const SOURCE: Source = Source {
+    name: "sheet_axes",
+    wgsl: include_str!("../../../shaders/cloth/sheet_axes.wgsl"),
+    appended: &[common::OFFSET, common::FINITE],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    slot: u32,
+    zero: u32,
+}
+
+/// Computes the sheet's own axes at each particle, and makes the last frame's acceleration a direction.
+#[derive(Clone, Debug)]
+pub struct SheetAxes {
+    kernel: Kernel,
+}
+
+impl SheetAxes {
+    /// Builds the kernel.
+    pub fn new(context: &Context) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
+    }
+
+    /// Sets `axes` [B, 6, n] from the predicted positions `x + iterate.base`, moves `iterate.a` to the last
+    /// step's slot of `directions` ([`directions::shape`]) and sets it to 0.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        grid: Grid,
+        (iterate, x): (&Iterate, &Tensor),
+        [axes, directions]: [&Tensor; 2],
+    ) {
+        let (samples, n) = iterate.samples_and_particles();
+        assert_eq!((n, x.len()), (grid.particles(), samples * n));
+        assert_eq!(axes.shape(), [samples / 3, 6, n]);
+        let slot = directions::slot(directions, iterate);
+        let params = Params { rows: size(grid.h), columns: size(grid.w), slot: size(slot), zero: 0 };
+        let Iterate { slots, a, base, .. } = iterate;
+        let tensors = [slots, x, base, axes, directions, a];
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples / 3));
+    }
+}

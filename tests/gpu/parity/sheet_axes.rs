@@ -1,0 +1,94 @@
+//! `sheet_axes` against its formula.
+
+use super::cloth::{crumpled, field, iterate, model, upload};
+use crate::common::{assert_close, cases, context, device, poisoned, read, run};
+use fnopt::cloth::Model;
+use fnopt::kernels::cloth::SheetAxes;
+use fnopt::kernels::optim::directions;
+
+type Vector = [f64; 3];
+
+fn unit(v: Vector) -> Option<Vector> {
+    let length = v.iter().map(|v| v * v).sum::<f64>().sqrt();
+    (length > 1e-12 && length.is_finite()).then(|| v.map(|v| v / length))
+}
+
+fn cross(u: Vector, w: Vector) -> Vector {
+    [u[1] * w[2] - u[2] * w[1], u[2] * w[0] - u[0] * w[2], u[0] * w[1] - u[1] * w[0]]
+}
+
+fn sum(u: Vector, w: Vector, factor: f64) -> Vector {
+    [0, 1, 2].map(|c| u[c] + factor * w[c])
+}
+
+/// Returns both axes at particle (i, j) of a cloth at the positions `y` [3, n].
+fn axes(model: &Model, y: &[f64], (i, j): (usize, usize)) -> Option<[Vector; 2]> {
+    let (grid, n) = (model.grid, model.grid.particles());
+    let at = |i: usize, j: usize| [0, 1, 2].map(|c| y[c * n + i * grid.w + j]);
+    let u = unit(sum(at((i + 1).min(grid.h - 1), j), at(i.saturating_sub(1), j), -1.0))?;
+    let v = unit(sum(at(i, (j + 1).min(grid.w - 1)), at(i, j.saturating_sub(1)), -1.0))?;
+    let s = unit(sum(u, v, 1.0))?;
+    let d = unit(cross(s, unit(cross(u, v))?))?;
+    let both = [1.0, -1.0].map(|sign| sum(s, d, sign).map(|t| t * 0.5f64.sqrt()));
+    let along_u = both.map(|t| t.iter().zip(u).map(|(t, u)| t * u).sum::<f64>());
+    Some(if along_u[0] >= along_u[1] { both } else { [both[1], both[0]] })
+}
+
+/// Returns the axes of all particles, [B, 6, n], those of the world where they are undefined.
+fn all_axes(model: &Model, x: &[f32], base: &[f32]) -> Vec<f64> {
+    let (grid, n) = (model.grid, model.grid.particles());
+    let mut expected = vec![0.0; 2 * x.len()];
+    let y: Vec<f64> = x.iter().zip(base).map(|(&x, &base)| f64::from(x) + f64::from(base)).collect();
+    for (y, expected) in y.chunks_exact(3 * n).zip(expected.chunks_exact_mut(6 * n)) {
+        for p in 0..n {
+            let world = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+            let found = axes(model, y, (p / grid.w, p % grid.w)).unwrap_or(world);
+            found.as_flattened().iter().enumerate().for_each(|(c, &t)| expected[c * n + p] = t);
+        }
+    }
+    expected
+}
+
+#[test]
+fn axes_match_and_the_last_acceleration_becomes_a_direction() {
+    let _turn = device();
+    let kernel = SheetAxes::new(context()).unwrap();
+    for (grid, batch) in cases() {
+        let (model, n) = (model(grid, batch), grid.particles());
+        for (amplitude, degenerate) in [(0.02, false), (0.2, false), (0.02, true)] {
+            let (mut x, mut base) = (crumpled(&model, amplitude), field(&model, amplitude, 79));
+            if degenerate {
+                // Neighbours that coincide, a sheet that is folded onto itself, and a position that is NaN.
+                for c in 0..3 {
+                    x[c * n + 2 * grid.w + 3] = x[c * n + 2 * grid.w + 1];
+                    base[c * n + 2 * grid.w + 3] = base[c * n + 2 * grid.w + 1];
+                }
+                base[5 * grid.w + 5] = f32::NAN;
+                x[n + 6 * grid.w + 1] = f32::INFINITY;
+            }
+            let mut a = field(&model, 0.1, 73);
+            (a[9], a[17], a[n + 20]) = (f32::NAN, f32::INFINITY, f32::NEG_INFINITY);
+            let iterate = iterate(&model);
+            iterate.base.write(context(), &base);
+            iterate.a.write(context(), &a);
+            let found = poisoned("axes", &[batch, 6, n]);
+            let all = poisoned("directions", &directions::shape(3, batch, grid));
+            let start = upload("x", &model, &x);
+            run(|schedule| kernel.push(schedule, grid, (&iterate, &start), [&found, &all]));
+            let what = format!("axes {amplitude} {degenerate} {batch} x {grid}");
+            // A rounding of the edges, over the sine between them.
+            assert_close(&what, &read(&found), &all_axes(&model, &x, &base), (5e-6, 0.0));
+
+            assert!(read(&iterate.a).iter().all(|&a| a == 0.0), "{what}: a");
+            let slots = model.handle_slots();
+            let kept = |k: usize| a[k].is_finite() && slots[k / (3 * n) * n + k % n] == 0;
+            let expected: Vec<f64> =
+                (0..a.len()).map(|k| if kept(k) { f64::from(a[k]) } else { 0.0 }).collect();
+            let last = directions::one(&all, directions::LAST_STEP, batch, grid);
+            assert_close(&what, &read(&last), &expected, (0.0, 0.0));
+            let others = [directions::SPECTRAL, directions::ROTATED];
+            let untouched = |at| read(&directions::one(&all, at, batch, grid)).iter().all(|v| v.is_nan());
+            assert!(others.into_iter().all(untouched), "{what}: other directions");
+        }
+    }
+}
