@@ -1,20 +1,23 @@
 // The step of a subspace method: keeps or takes back the last step, then minimises the quadratic model of the
 // energy over the span of four directions (`curvature`).
 //
-// An iterate is accepted if it is the first of the frame or E <= E_before + 1e-6 max(size, size_before),
-// where size is the sum of the magnitudes of the energy's terms. Then, with f_i = 1 / |p_i|, A'_ij = f_i f_j
+// At the start of a frame (stage 0) only the last frame's acceleration p_2 is a direction, and its coefficient is
+// limited to 0..1. Later an iterate is accepted if E <= E_before + 1e-6 max(size, size_before), where size is the
+// sum of the magnitudes of the energy's terms. Then, with f_i = 1 / |p_i|, A'_ij = f_i f_j
 // A_ij, b'_i = f_i b_i and A' = V diag(l) V^T,
 //   c = -f V diag(1 / max(|l|, 1e-7 max |l|)) V^T b',  step = sum_i c_i p_i,  a += step,  p_2 = step
 // Directions that are 0 or not finite are left out. If A' is 0 there is no step. An iterate that is not
-// accepted goes back by half of the last step, p_2 /= 2 and a -= p_2. After the last iteration (`last`) an
-// accepted iterate stays, and one that is not goes back by all of it.
+// accepted goes back to a fraction of the last step: that at which the parabola through the energies at its ends
+// with the slope b . c at its start is least, 0.1 to 0.5. After the last iteration (stage 2) an accepted iterate
+// stays, and one that is not goes back by all of it.
 //
 // parts: [B, parts, 24], see `curvature`
 // energy_parts: [B, groups, 8], the repulsion last (`energy`); only with REPELS
 // directions: [K, slot], [B, 3 n] each; beyond K, parts are 0
 // a: [B, 3 n]
-// state: [rows, B, 4] = accepted energy, its size, rejected steps and non-finite directions of this frame;
-//   row `before` leads to row `after`
+// state: [rows, B, 5] = accepted energy, its size, slope of the step from there, shortened steps and non-finite
+//   directions of this frame; row `before` leads to row `after`
+// fields: with REMEMBERS the step also goes to [B, 3 n] from element `last_step` on
 //
 // One invocation per element of a cloth, or several. Each workgroup adds up the parts and solves for itself.
 // Workgroups: (at most 3 n / 256, B).
@@ -28,8 +31,8 @@ struct Params {
     batch: u32, // B
     before: u32,
     after: u32,
-    first: u32, // 1 in the first iteration
-    last: u32, // 1 after the last iteration
+    stage: u32, // 0 at the start of a frame, 1 in an iteration, 2 at the end
+    last_step: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
@@ -38,8 +41,10 @@ struct Params {
 @group(0) @binding(3) var<storage, read_write> directions: array<f32>;
 @group(0) @binding(4) var<storage, read_write> a: array<f32>;
 @group(0) @binding(5) var<storage, read_write> state: array<f32>;
+@group(0) @binding(6) var<storage, read_write> fields: array<f32>;
 
 override REPELS: bool = false;
+override REMEMBERS: bool = false;
 
 // Relative errors of the energy, and of an eigenvalue.
 const ENERGY_ERROR: f32 = 1e-6;
@@ -48,10 +53,10 @@ const EIGENVALUE_ERROR: f32 = 1e-7;
 // Sums of 32 slices of the parts, six quads each.
 var<workgroup> sums: array<vec4f, 192>;
 var<workgroup> repulsions: array<f32, 256>;
-// What all invocations do: 0 nothing, 1 a step of these coefficients, 2 half of the last step back, 3 all of
-// it back.
+// What all invocations do: 0 nothing, 1 a step of these coefficients, 2 back to a fraction of the last step.
 var<workgroup> what: u32;
 var<workgroup> coefficients: vec4f;
+var<workgroup> fraction: f32;
 
 fn add_up(b: u32, lane: u32) {
     if lane < 192u {
@@ -174,8 +179,22 @@ fn minimum() -> Solution {
     return Solution(select(vec4f(), c, vec4<bool>(all(are_finite(c)))), dropped);
 }
 
+// Returns the coefficient of the last frame's acceleration that minimises the model alone, limited to 0..1.
+fn warm() -> f32 {
+    let curvature = abs(sums[1].w);
+    let best = -sums[3].x / curvature;
+    return select(0.0, clamp(best, 0.0, 1.0), curvature > 0.0 && is_finite(best) && is_finite(sums[4].x));
+}
+
+// Returns the fraction of a step of this slope to which a rise of the energy shortens it.
+fn shortened(rise: f32, slope: f32) -> f32 {
+    let least = -0.5 * slope / (rise - slope);
+    return select(0.1, clamp(least, 0.1, 0.5), is_finite(rise) && is_finite(least));
+}
+
 // Decides what all invocations do, and writes the state.
 fn decide(b: u32, is_writer: bool) {
+    let slopes = vec4f(sums[2].zw, sums[3].xy);
     let last = sums[4];
     let others = sums[5];
     var repulsion = 0.0;
@@ -184,30 +203,44 @@ fn decide(b: u32, is_writer: bool) {
     }
     let energy = last.z + last.w + others.x + others.y + others.z + repulsion;
     let size = abs(last.z) + abs(last.w) + abs(others.x) + abs(others.y) + abs(others.z) + abs(repulsion);
-    var book = vec4f(energy, size, 0.0, 0.0);
-    var is_accepted = true;
-    if params.first == 0u {
-        let row = 4u * (params.before * params.batch + b);
-        let old = vec4f(state[row], state[row + 1u], state[row + 2u], state[row + 3u]);
-        let bound = old.x + ENERGY_ERROR * max(size, old.y);
-        is_accepted = is_finite(energy) && is_finite(bound) && energy <= bound;
-        book = select(vec4f(old.xy, old.z + 1.0, old.w), vec4f(energy, size, old.zw), is_accepted);
-    }
-    what = select(2u, 1u, is_accepted);
+    // Energy, size, slope; then shortened steps and dropped directions.
+    var book = vec3f(energy, size, 0.0);
+    var counts = vec2f();
     coefficients = vec4f();
-    if params.last != 0u {
-        what = select(3u, 0u, is_accepted);
-    } else if is_accepted {
-        let solution = minimum();
-        coefficients = solution.coefficients;
-        book.w += solution.dropped;
+    fraction = 0.0;
+    what = 1u;
+    if params.stage == 0u {
+        coefficients.z = warm();
+    } else {
+        let row = 5u * (params.before * params.batch + b);
+        let old = vec3f(state[row], state[row + 1u], state[row + 2u]);
+        counts = vec2f(state[row + 3u], state[row + 4u]);
+        let bound = old.x + ENERGY_ERROR * max(size, old.y);
+        let is_accepted = is_finite(energy) && is_finite(bound) && energy <= bound;
+        if !is_accepted {
+            what = 2u;
+            counts.x += 1.0;
+            fraction = select(shortened(energy - old.x, old.z), 0.0, params.stage == 2u);
+            book = vec3f(old.xy, fraction * old.z);
+        } else if params.stage == 2u {
+            what = 0u;
+        } else {
+            let solution = minimum();
+            coefficients = solution.coefficients;
+            counts.y += solution.dropped;
+        }
+    }
+    if what == 1u {
+        // A direction without a share may have a slope that is not finite.
+        book.z = dot(coefficients, select(slopes, vec4f(), coefficients == vec4f()));
     }
     if is_writer {
-        let row = 4u * (params.after * params.batch + b);
+        let row = 5u * (params.after * params.batch + b);
         state[row] = book.x;
         state[row + 1u] = book.y;
         state[row + 2u] = book.z;
-        state[row + 3u] = book.w;
+        state[row + 3u] = counts.x;
+        state[row + 4u] = counts.y;
     }
 }
 
@@ -217,6 +250,12 @@ fn share(coefficient: f32, at: u32) -> f32 {
         return 0.0;
     }
     return coefficient * directions[at];
+}
+
+fn remember(at: u32, step: f32) {
+    if REMEMBERS {
+        fields[params.last_step + at] = step;
+    }
 }
 
 @compute @workgroup_size(256)
@@ -243,10 +282,13 @@ fn subspace_step(
                 + share(c.w, 3u * params.slot + at);
             a[at] += step;
             directions[previous] = step;
+            remember(at, step);
         } else {
-            let back = select(1.0, 0.5, what == 2u) * directions[previous];
-            a[at] -= back;
-            directions[previous] = back;
+            let step = directions[previous];
+            let kept = fraction * step;
+            a[at] -= step - kept;
+            directions[previous] = kept;
+            remember(at, kept);
         }
     }
 }

@@ -1,5 +1,7 @@
 // The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
 //
+// With PROPOSES, the step is a direction among others: a <- step, 0 at handles.
+//
 // With HEAD, each workgroup first computes the new scale of its sample from the row maxima, as `scalar_head`
 // does, and the first workgroup of the sample stores it.
 //
@@ -10,6 +12,7 @@
 // scale: [s] from element `after` on; with HEAD, computed from the [s] from element `before` on
 // fields: grad [S, H, W] = [B, 3, H, W], then from element `hidden` on last gradient and last step, of the
 //   same shape
+// slots: [B, H, W]; only with PROPOSES
 // a: [S, H, W]
 //
 // One invocation per component of one or more particles. Workgroups: (at most n / 256, s).
@@ -34,11 +37,13 @@ struct Params {
 @group(0) @binding(2) var<storage, read> rows_max: array<f32>;
 @group(0) @binding(3) var<storage, read> weight: array<f32>;
 @group(0) @binding(4) var<storage, read> bias: array<f32>;
-@group(0) @binding(5) var<storage, read_write> scale: array<f32>;
-@group(0) @binding(6) var<storage, read_write> fields: array<f32>;
-@group(0) @binding(7) var<storage, read_write> a: array<f32>;
+@group(0) @binding(5) var<storage, read> slots: array<u32>;
+@group(0) @binding(6) var<storage, read_write> scale: array<f32>;
+@group(0) @binding(7) var<storage, read_write> fields: array<f32>;
+@group(0) @binding(8) var<storage, read_write> a: array<f32>;
 
 override HEAD: bool = false;
+override PROPOSES: bool = false;
 
 @compute @workgroup_size(64, TEAMS)
 fn update(
@@ -69,6 +74,10 @@ fn update(
         let step = step_scale * tanh_exact(vec4f(value)).x;
         fields[params.hidden + at] = fields[at];
         fields[params.hidden + params.samples * n + at] = step;
-        a[at] += step;
+        if PROPOSES {
+            a[at] = select(step, 0.0, slots[sample / 3u * n + p] != 0u);
+        } else {
+            a[at] += step;
+        }
     }
 }

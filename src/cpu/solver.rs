@@ -1,10 +1,10 @@
 //! The solver that computes a frame on the CPU (paper sections 3.2 and 3.3).
 
-use super::optim::{Minimizer, StepCounts, Subspace, minimizer, norm};
+use super::optim::{Minimizer, Subspace, minimizer, norm};
 use super::reference::{Minimum, WITHOUT_REPULSION};
 use super::{Objective, Real, Reference};
 use crate::cloth::{Cloth, Control, Model, State};
-use crate::sim::{Direction, FrameStats, IterationLog, Length, Optimizer};
+use crate::sim::{Direction, FrameStats, IterationLog, Length, Optimizer, StepCounts};
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -13,7 +13,6 @@ pub struct Solver<T: Real> {
     optimizer: Optimizer,
     method: Method<T>,
     log: IterationLog,
-    step_counts: Vec<StepCounts>,
     objective: Objective<T>,
 }
 
@@ -43,7 +42,7 @@ impl<T: Real> Solver<T> {
             Length::Fixed(_) => Method::Steps(iterations, minimizer(optimizer, model)?),
         };
         let (optimizer, objective) = (optimizer.clone(), Objective::new(model));
-        Ok(Self { optimizer, method, log: IterationLog::default(), step_counts: Vec::new(), objective })
+        Ok(Self { optimizer, method, log: IterationLog::default(), objective })
     }
 
     /// Replaces materials, gravity, air, repulsion and handles of the cloths, from the next frame on. The
@@ -79,7 +78,6 @@ impl<T: Real> Solver<T> {
         let objective = &mut self.objective;
         objective.begin_frame(state, control);
         objective.trial.a.fill(T::zero());
-        self.step_counts.clear();
         self.log.gradient_norms.clear();
         self.log.scales.clear();
         match &mut self.method {
@@ -102,7 +100,6 @@ impl<T: Real> Solver<T> {
                 }
                 objective.move_to_trial(state, control);
                 subspace.end_frame(objective, state);
-                self.step_counts.extend(subspace.step_counts());
             }
             Method::Newton(references) => {
                 objective.evaluate(state, control);
@@ -170,12 +167,6 @@ impl<T: Real> Solver<T> {
         &self.log
     }
 
-    /// Returns what became of the steps of each cloth in the last frame; empty for optimizers that do not check
-    /// their steps.
-    pub fn step_counts(&self) -> &[StepCounts] {
-        &self.step_counts
-    }
-
     /// Returns the accelerations that the last frame accepted [edges / frame^2], shape [B, 3, H, W].
     pub fn accelerations(&self) -> &[T] {
         &self.objective.trial.a
@@ -184,15 +175,24 @@ impl<T: Real> Solver<T> {
     fn stats(&self, state: &State<T>) -> Vec<FrameStats> {
         let batch = self.objective.model().batch();
         let norms = &self.log.gradient_norms;
-        let norm_at = |iteration: usize, b: usize| norm(&norms[iteration * 3 * batch + 3 * b..][..3]);
+        let first = match &self.method {
+            Method::Subspace(_, subspace) => subspace.norms_at_start(),
+            _ => norms,
+        };
+        let last = &norms[norms.len() - 3 * batch..];
+        let of_cloth = |norms: &[f64], b: usize| norm(&norms[3 * b..][..3]);
         let cloth = |b: usize| {
             let (stretch_largest, stretch_mean) = self.objective.stretch(state, b);
             FrameStats {
                 energy: self.objective.energy(state, b),
-                gradient_first: norm_at(0, b),
-                gradient_last: norm_at(norms.len() / (3 * batch) - 1, b),
+                gradient_first: of_cloth(first, b),
+                gradient_last: of_cloth(last, b),
                 stretch_largest,
                 stretch_mean,
+                steps: match &self.method {
+                    Method::Subspace(_, subspace) => subspace.step_counts(b),
+                    _ => StepCounts::default(),
+                },
             }
         };
         (0..batch).map(cloth).collect()

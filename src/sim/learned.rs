@@ -29,10 +29,16 @@ impl Learned {
         Ok(Self { grid, forward, update: Update::new(context)?, defers_scalar_head: tuning.staged })
     }
 
-    /// Appends the step that updates `iterate` and its hidden state from its gradient. `sums` [S, parts, 2]
-    /// holds the partial sums of squares of the gradient and the last step; `scales` are those of all
-    /// samples.
-    pub fn push(&self, schedule: &mut Schedule, (iterate, sums): (&Iterate, &Tensor), scales: Scales<'_>) {
+    /// Appends the step that updates `iterate` and its hidden state from its gradient, or only proposes a
+    /// `direction`. `sums` [S, parts, 2] holds the partial sums of squares of the gradient and the last step;
+    /// `scales` are those of all samples.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        (iterate, sums): (&Iterate, &Tensor),
+        scales: Scales<'_>,
+        direction: Option<&Tensor>,
+    ) {
         let (samples, _) = iterate.samples_and_particles();
         // Every workgroup of the update reads the old scales, so the new ones must go elsewhere.
         let defers_scalar_head = self.defers_scalar_head && scales.before != scales.after;
@@ -48,6 +54,7 @@ impl Learned {
                 first,
                 scales,
                 head: defers_scalar_head.then_some((layer, &rows_max)),
+                direction,
             };
             self.update.push(schedule, self.grid, from, iterate);
         }

@@ -13,6 +13,6 @@ pub use crate::kernels::optim::{AdamSettings, LbfgsSettings};
 pub(crate) use learned::Learned;
 pub use optimizer::{Direction, Initial, Length, MAX_DIRECTIONS, Optimizer};
 pub use solver::{INITIAL_SCALE, Solver};
-pub use stats::{FrameStats, IterationLog};
+pub use stats::{FrameStats, IterationLog, StepCounts};
 pub use tune::tune;
 pub use vertices::Vertices;

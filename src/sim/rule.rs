@@ -4,9 +4,10 @@ use super::learned::Learned;
 use super::{Direction, Initial, Length, Optimizer};
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
+use crate::kernels::cloth::EnergyTensors;
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::{
-    Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, LbfgsSettings, QuasiNewton,
+    Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, LbfgsSettings, QuasiNewton, Subspace,
 };
 use crate::{Error, Result};
 
@@ -18,6 +19,11 @@ pub(super) enum Rule {
     Learned {
         step: Box<Learned>,
         scales: Tensor,
+    },
+    /// `network` is the fourth direction, with its scales as above.
+    Subspace {
+        plan: Box<Subspace>,
+        network: Option<(Box<Learned>, Tensor)>,
     },
     GradientDescent {
         kernel: GradientDescent,
@@ -54,13 +60,29 @@ impl Rule {
             let found = format!("{}, which does not (use the CPU)", context.name());
             Err(Error::invalid("optimizer", optimizer.name(), expected, found))
         };
+        let learned = |weights| {
+            let step = Box::new(Learned::new(context, weights, tuning, (grid, samples))?);
+            Result::Ok((step, rows(context, "scales", iterations, samples)?))
+        };
+        if let ([Direction::Spectral, Direction::CoRotated, Direction::Last, rest @ ..], Length::Subspace) =
+            (&optimizer.directions[..], optimizer.length)
+        {
+            let network = match rest {
+                [] => None,
+                [Direction::Network(weights)] => Some(learned(weights)?),
+                _ => return refused(),
+            };
+            let count = optimizer.directions.len();
+            let plan = Box::new(Subspace::new(context, count, iterations, (grid, batch))?);
+            return Ok(Self::Subspace { plan, network });
+        }
         let ([direction], Length::Fixed(length)) = (&optimizer.directions[..], optimizer.length) else {
             return refused();
         };
         Ok(match *direction {
             Direction::Network(ref weights) => {
-                let step = Box::new(Learned::new(context, weights, tuning, (grid, samples))?);
-                Self::Learned { step, scales: rows(context, "scales", iterations, samples)? }
+                let (step, scales) = learned(weights)?;
+                Self::Learned { step, scales }
             }
             Direction::Gradient => {
                 Self::GradientDescent { kernel: GradientDescent::new(context)?, rate: length }
@@ -84,29 +106,94 @@ impl Rule {
         })
     }
 
-    /// Appends the step of `iteration`: from the gradient of `iterate` and the `sums` of squares [S, parts, 2]
-    /// to the next iterate.
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        iteration: usize,
-        (iterate, cloths, sums): (&Iterate, &Tensor, &Tensor),
-    ) {
+    /// Whether it checks the energy, and so needs the gradient at a = 0 and the energy at the end of a frame.
+    pub fn checks_energy(&self) -> bool {
+        matches!(self, Self::Subspace { .. })
+    }
+
+    /// Returns the persistent scales of the network's steps, if there is one.
+    pub fn scales(&self) -> Option<&Tensor> {
         match self {
-            Self::Learned { step, scales } => {
-                let &[iterations, stride] = scales.shape() else { unreachable!("scales are rows") };
-                let last = (iteration + iterations - 1) % iterations;
-                let [before, after] = [last, iteration].map(|row| row * stride);
-                step.push(schedule, (iterate, sums), Scales { tensor: scales, before, after });
+            Self::Learned { scales, .. } => Some(scales),
+            Self::Subspace { network, .. } => network.as_ref().map(|(_, scales)| scales),
+            _ => None,
+        }
+    }
+
+    /// Returns what became of the steps of a frame, if they are checked ([`Subspace::state`]).
+    pub fn state(&self) -> Option<&Tensor> {
+        match self {
+            Self::Subspace { plan, .. } => Some(plan.state()),
+            _ => None,
+        }
+    }
+
+    /// Appends what comes before the first gradient of a frame: the accelerations of the frame before become a
+    /// direction, and 0.
+    pub fn push_begin(&self, schedule: &mut Schedule, at: Evaluated<'_>) {
+        if let Self::Subspace { plan, .. } = self {
+            plan.begin(schedule, at.physics.x, at.iterate);
+        }
+    }
+
+    /// Appends the start of a frame, after the gradient at a = 0.
+    pub fn push_start(&self, schedule: &mut Schedule, at: Evaluated<'_>) {
+        if let Self::Subspace { plan, .. } = self {
+            plan.start(schedule, at.physics, (at.iterate, at.repulsion));
+        }
+    }
+
+    /// Appends the end of a frame: a step that raised the energy is taken back. Of what is evaluated, only the
+    /// repulsion is needed.
+    pub fn push_end(&self, schedule: &mut Schedule, at: Evaluated<'_>) {
+        if let Self::Subspace { plan, .. } = self {
+            plan.end(schedule, at.physics, (at.iterate, at.repulsion));
+        }
+    }
+
+    /// Appends the step of `iteration`, from the gradient to the next iterate.
+    pub fn push(&self, schedule: &mut Schedule, iteration: usize, at: Evaluated<'_>) {
+        let Evaluated { iterate, sums, physics, repulsion } = at;
+        let scales = |tensor| {
+            let &[iterations, stride] = Tensor::shape(tensor) else { unreachable!("scales are rows") };
+            let last = (iteration + iterations - 1) % iterations;
+            let [before, after] = [last, iteration].map(|row| row * stride);
+            Scales { tensor, before, after }
+        };
+        match self {
+            Self::Learned { step, scales: rows } => {
+                step.push(schedule, (iterate, sums), scales(rows), None);
+            }
+            Self::Subspace { plan, network } => {
+                if let Some((step, rows)) = network {
+                    let direction = plan.learned_step();
+                    step.push(schedule, (iterate, sums), scales(rows), direction.as_ref());
+                }
+                plan.push(schedule, iteration, physics, (iterate, repulsion));
             }
             Self::GradientDescent { kernel, rate } => kernel.push(schedule, *rate, iterate),
             Self::Adam { kernel, settings, moments } => {
                 kernel.push(schedule, *settings, iteration, (iterate, moments));
             }
             Self::Lbfgs { kernel, memory } => kernel.push(schedule, iteration, iterate, memory),
-            Self::QuasiNewton { plan, memory } => plan.push(schedule, iteration, (iterate, cloths), memory),
+            Self::QuasiNewton { plan, memory } => {
+                plan.push(schedule, iteration, (iterate, physics.cloths), memory);
+            }
         }
     }
+}
+
+/// What is known at an iterate.
+#[derive(Clone, Copy)]
+pub(super) struct Evaluated<'a> {
+    /// The iterate and its gradient.
+    pub iterate: &'a Iterate,
+    /// Partial sums of squares of the gradient and of the last step, shape [S, parts, 2].
+    pub sums: &'a Tensor,
+    /// What the energy depends on, without the repulsion.
+    pub physics: EnergyTensors<'a>,
+    /// The parts of the energy, of which those of the repulsion are known; `None` without one.
+    pub repulsion: Option<&'a Tensor>,
 }
 
 /// Allocates a row of at least `len` elements for each iteration, aligned so that it can be a tensor view

@@ -1,7 +1,7 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
-use super::rule::{Rule, row, rows};
-use super::{FrameStats, IterationLog, Optimizer, Vertices};
+use super::rule::{Evaluated, Rule, row, rows};
+use super::{FrameStats, IterationLog, Optimizer, StepCounts, Vertices};
 use crate::cloth::{Cloth, Control, Grid, Model, State};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::{
@@ -9,6 +9,7 @@ use crate::kernels::cloth::{
     Integrate, Predict, Repulsion, StateTensors, TERMS, energy, gradient,
 };
 use crate::kernels::optim::Iterate;
+use crate::kernels::optim::subspace_step::STATE;
 use crate::{Error, Result};
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -67,10 +68,12 @@ pub struct Solver {
     /// Partial sums of squares of the gradient and the last step in each iteration, one row [S, parts, 2]
     /// each; see [`rows`].
     sums: Tensor,
-    /// The rows of `sums` of the first and the last iteration.
+    /// The rows of `sums` at a = 0 and of the last iteration.
     ends: [Tensor; 2],
     /// Energy terms and stretch, shape [B, 8].
     terms: Tensor,
+    /// Read in place of the checks of the steps by optimizers that have none.
+    unchecked: Tensor,
     frame: Schedule,
 }
 
@@ -98,13 +101,17 @@ impl Solver {
         let rule = Rule::new(context, optimizer, &tuning, (grid, batch, iterations))?;
         let slots = model.handle_slots();
         let target_storage = zeros("handle targets", &[batch * n, 3])?;
-        let iterate = match rule {
-            Rule::Learned { .. } => Iterate::with_hidden(context, batch, &slots)?,
-            _ => Iterate::new(context, batch, &slots)?,
+        let iterate = match rule.scales() {
+            Some(_) => Iterate::with_hidden(context, batch, &slots)?,
+            None => Iterate::new(context, batch, &slots)?,
         };
         let of_squares = [samples, gradient::parts(grid), 2];
-        let sums = rows(context, "sums of squares", iterations, of_squares.iter().product())?;
-        let ends = [0, iterations - 1].map(|iteration| row(&sums, iteration, &of_squares));
+        // One more, the last, if there is a gradient before the first iteration.
+        let starts_before = rule.checks_energy();
+        let count = iterations + usize::from(starts_before);
+        let sums = rows(context, "sums of squares", count, of_squares.iter().product())?;
+        let first = if starts_before { iterations } else { 0 };
+        let ends = [first, iterations - 1].map(|iteration| row(&sums, iteration, &of_squares));
         let mut solver = Self {
             context: context.clone(),
             model: model.clone(),
@@ -129,6 +136,7 @@ impl Solver {
             sums,
             ends,
             terms: zeros("energy terms", &[batch, TERMS])?,
+            unchecked: zeros("unchecked", &[1, batch, STATE])?,
             rule,
             frame: Schedule::new(context),
         };
@@ -145,7 +153,10 @@ impl Solver {
         let batch = self.model.batch();
 
         let state = StateTensors { x, v, targets: target_storage };
-        Predict::new(context)?.push(&mut frame, state, iterate);
+        let checks_energy = self.rule.checks_energy();
+        // Where the accelerations of the frame before are a direction, it is the rule that clears them.
+        let predict = if checks_energy { Predict::in_a_frame(context)? } else { Predict::new(context)? };
+        predict.push(&mut frame, state, iterate);
         ExternalForce::new(context)?.push(
             &mut frame,
             grid,
@@ -166,11 +177,25 @@ impl Solver {
             }
         };
         let gradient = Gradient::new(context)?;
+        let evaluate = |frame: &mut Schedule, sums: &Tensor| {
+            repel(frame);
+            gradient.push(frame, grid, with_repulsion, (iterate, sums));
+        };
+        let of_repulsion = repulsion.as_ref().map(|_| &parts);
+        let at = Evaluated { iterate, sums: &self.ends[0], physics, repulsion: of_repulsion };
+        if checks_energy {
+            self.rule.push_begin(&mut frame, at);
+            evaluate(&mut frame, at.sums);
+            self.rule.push_start(&mut frame, at);
+        }
         for iteration in 0..self.iterations {
             let sums = row(&self.sums, iteration, self.ends[0].shape());
+            evaluate(&mut frame, &sums);
+            self.rule.push(&mut frame, iteration, Evaluated { sums: &sums, ..at });
+        }
+        if checks_energy {
             repel(&mut frame);
-            gradient.push(&mut frame, grid, with_repulsion, (iterate, &sums));
-            self.rule.push(&mut frame, iteration, (iterate, cloths, &sums));
+            self.rule.push_end(&mut frame, at);
         }
 
         Energy::new(context)?.push(&mut frame, grid, physics, (iterate, &parts));
@@ -312,9 +337,13 @@ impl Solver {
         self.v.write(&self.context, &state.v);
     }
 
-    /// Resets what the optimizer remembers from frame to frame: the hidden state of the learned one.
+    /// Resets what the optimizer remembers from frame to frame: the hidden state of a network, and the accelerations
+    /// of the last frame.
     pub fn reset_memory(&self) {
-        if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
+        if self.rule.checks_energy() {
+            self.iterate.a.write(&self.context, &vec![0f32; self.iterate.a.len()]);
+        }
+        if let (Some(scales), Some(hidden)) = (self.rule.scales(), &self.iterate.hidden) {
             hidden.write(&self.context, &vec![0f32; hidden.len()]);
             scales.write(&self.context, &vec![INITIAL_SCALE; scales.len()]);
         }
@@ -324,7 +353,10 @@ impl Solver {
     pub fn reset_memory_of(&self, b: usize) {
         let (batch, n) = (self.model.batch(), self.model.grid.particles());
         assert!(b < batch, "cloth {b} of {batch}");
-        if let (Rule::Learned { scales, .. }, Some(hidden)) = (&self.rule, &self.iterate.hidden) {
+        if self.rule.checks_energy() {
+            self.iterate.a.write_at(&self.context, 3 * b * n, &vec![0f32; 3 * n]);
+        }
+        if let (Some(scales), Some(hidden)) = (self.rule.scales(), &self.iterate.hidden) {
             for half in [0, 3 * batch * n] {
                 hidden.write_at(&self.context, half + 3 * b * n, &vec![0.0; 3 * n]);
             }
@@ -400,9 +432,9 @@ impl Solver {
     }
 
     /// Returns the tensors that [`Solver::frame`] reads, for a [`Readback`](crate::gpu::Readback).
-    pub fn frame_tensors(&self) -> [&Tensor; 5] {
-        let [terms, first, last] = self.statistics_tensors();
-        [&self.x, &self.v, terms, first, last]
+    pub fn frame_tensors(&self) -> [&Tensor; 6] {
+        let [terms, first, last, steps] = self.statistics_tensors();
+        [&self.x, &self.v, terms, first, last, steps]
     }
 
     /// Returns the state and the statistics of each cloth in the last frame, from the concatenated contents of
@@ -416,9 +448,9 @@ impl Solver {
 
     /// Returns the tensors that [`Solver::statistics`] reads, in the order in which it expects their
     /// contents.
-    pub fn statistics_tensors(&self) -> [&Tensor; 3] {
+    pub fn statistics_tensors(&self) -> [&Tensor; 4] {
         let [first, last] = &self.ends;
-        [&self.terms, first, last]
+        [&self.terms, first, last, self.rule.state().unwrap_or(&self.unchecked)]
     }
 
     /// Returns the statistics of each cloth in the last frame, from the concatenated contents of
@@ -429,8 +461,10 @@ impl Solver {
         let contents: Vec<f32> = bytemuck::pod_collect_to_vec(contents);
         let Grid { h, w } = self.model.grid;
         let edges = ((h - 1) * w + h * (w - 1)) as f64;
-        let (terms, ends) = contents.split_at(self.terms.len());
+        let (terms, rest) = contents.split_at(self.terms.len());
+        let (ends, steps) = rest.split_at(2 * self.ends[0].len());
         let ends = self.gradient_norms(ends);
+        let steps = &steps[steps.len() - STATE * self.model.batch()..];
         let (first, last) = ends.split_at(3 * self.model.batch());
         let of_cloth =
             |norms: &[f64], b: usize| norms[3 * b..][..3].iter().map(|g| g * g).sum::<f64>().sqrt();
@@ -440,6 +474,7 @@ impl Solver {
             gradient_last: of_cloth(last, b),
             stretch_largest: terms.stretch_largest,
             stretch_mean: terms.stretch_sum / edges,
+            steps: step_counts(&steps[b * STATE..][..STATE]),
         };
         ClothTerms::all(terms).enumerate().map(stats).collect()
     }
@@ -455,13 +490,13 @@ impl Solver {
     /// checks, not for use in every frame.
     pub fn iteration_log(&self) -> Result<IterationLog> {
         let mut scales = Vec::new();
-        if let Rule::Learned { scales: rows, .. } = &self.rule {
+        if let Some(rows) = self.rule.scales() {
             for row in rows.read::<f32>(&self.context)?.chunks_exact(rows.shape()[1]) {
                 scales.extend(row[..3 * self.model.batch()].iter().map(|&s| f64::from(s)));
             }
         }
         let (sums, of_row) = (self.sums.read::<f32>(&self.context)?, self.ends[0].len());
-        let rows = sums.chunks_exact(self.sums.shape()[1]);
+        let rows = sums.chunks_exact(self.sums.shape()[1]).take(self.iterations);
         let gradient_norms = rows.flat_map(|row| self.gradient_norms(&row[..of_row])).collect();
         Ok(IterationLog { gradient_norms, scales })
     }
@@ -474,6 +509,13 @@ impl Solver {
         let cloths = self.model.cloths.iter().zip(state.x.chunks_exact(3 * n));
         cloths.flat_map(|(cloth, x)| cloth.handles.iter().map(move |&p| particle(x, n, p))).collect()
     }
+}
+
+/// Returns what became of the steps of a frame, from the last state of a cloth ([`Subspace::state`]).
+///
+/// [`Subspace::state`]: crate::kernels::optim::Subspace::state
+fn step_counts(state: &[f32]) -> StepCounts {
+    StepCounts { shortened: state[3] as usize, dropped: state[4] as usize }
 }
 
 /// Returns the position of particle `p` in a cloth of `n` particles with positions `x` [3, n].

@@ -17,6 +17,18 @@ pub struct FrameStats {
     pub stretch_largest: f64,
     /// Mean of `||edge| - 1|`.
     pub stretch_mean: f64,
+    /// What became of the steps.
+    pub steps: StepCounts,
+}
+
+/// What became of the steps of one cloth in one frame, where they are checked
+/// ([`Length::Subspace`](super::Length::Subspace)); zeros elsewhere.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct StepCounts {
+    /// Steps that raised the energy, and were shortened or taken back.
+    pub shortened: usize,
+    /// Directions that were not finite, and were left out.
+    pub dropped: usize,
 }
 
 impl FrameStats {

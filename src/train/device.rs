@@ -144,7 +144,7 @@ impl DeviceLoss {
         kernel.push(schedule, grid, physics, (iterate, sums));
         let (fields, scales) = (FeatureInputs { iterate, sums, first: 0 }, Scales::in_place(scale));
         forward.push(schedule, Some(fields), Head::StoreAndRescale(scales));
-        let from = UpdateTensors { field: &forward.field, first: 0, scales, head: None };
+        let from = UpdateTensors { field: &forward.field, first: 0, scales, head: None, direction: None };
         Update::new(context)?.push(schedule, grid, from, iterate);
 
         kernel.push(schedule, grid, physics, (iterate, sums));

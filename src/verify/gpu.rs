@@ -180,6 +180,7 @@ impl Stages for GpuStages {
                 &mut schedule,
                 (&iterate, &sums),
                 Scales { tensor: &scales, before: 0, after: samples },
+                None,
             );
             Ok(())
         })?;

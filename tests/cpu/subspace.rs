@@ -416,8 +416,8 @@ fn directions_that_are_not_finite_are_left_out_and_counted() {
     let step = |optimizer: &Optimizer| {
         let mut solver = Solver::<f64>::new(&frame.model, optimizer, 4).unwrap();
         let mut state = frame.state.clone();
-        solver.step(&mut state, &frame.control);
-        (state, solver.step_counts()[0].dropped)
+        let stats = solver.step(&mut state, &frame.control);
+        (state, stats[0].steps.dropped)
     };
     let (broken, dropped) = step(&Optimizer::learned(weights));
     let (without, none) = step(&Optimizer::spectral());

@@ -14,7 +14,7 @@ pub use gd::GradientDescent;
 pub(super) use lbfgs::History;
 pub use lbfgs::Lbfgs;
 pub use rest_hessian::{CoRotatedHessian, Cosines, FactoredRestHessian, InverseHessian, RestHessian};
-pub use subspace::{BestStep, StepCounts, Subspace, best_step};
+pub use subspace::{BestStep, Subspace, best_step};
 pub(super) use sums::{dot, norm};
 pub use update::{Hidden, Update};
 pub use update_adj::UpdateAdjoint;

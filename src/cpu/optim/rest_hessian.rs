@@ -4,6 +4,7 @@
 use crate::cloth::{Cloth, Grid, Material};
 use crate::cpu::Real;
 use crate::cpu::matmul::{LANES, Start, Target, Term, product};
+use crate::kernels::optim::TENSION;
 use crate::{Error, Result};
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;
@@ -82,10 +83,6 @@ fn eigenvalue(grid: Grid, material: Material, (k, l): (usize, usize)) -> f64 {
         + 2.0 * material.bend / n * (mu_h * mu_h + mu_w * mu_w)
         + 4.0 * material.shear / n * (mu_h + mu_w)
 }
-
-/// Share of the tangential stiffness that a mode of the sheet has along its other axis, and across its surface: a
-/// sheet under tension resists there, too. Good between 0.001 and 0.01.
-const TENSION: f64 = 0.003;
 
 /// Returns the eigenvalues of mode (k, l) along t_1, t_2 and the normal.
 fn eigenvalues_of_axes(grid: Grid, material: Material, (k, l): (usize, usize)) -> [f64; 3] {

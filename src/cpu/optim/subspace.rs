@@ -5,7 +5,7 @@ use super::{CoRotatedHessian, InverseHessian, RestHessian, Update};
 use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
 use crate::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
 use crate::cpu::{Objective, Real};
-use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer};
+use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer, StepCounts};
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -21,12 +21,17 @@ const ROUNDINGS: f64 = 8.0;
 
 /// Minimises a frame of a batch of cloths by steps in a subspace.
 ///
-/// Each iteration first checks the step before: where it raised the energy, half of it is taken back and the
-/// iteration ends there. So the energy never rises from one accepted iterate to the next.
+/// A frame starts at the best multiple between 0 and 1 of the accelerations of the frame before. Each iteration
+/// first checks the step before: where it raised the energy, it is shortened and the iteration ends there. So the
+/// energy never rises from one accepted iterate to the next.
 pub struct Subspace<T: Real> {
     directions: Vec<Direction>,
     network: Option<Update<T>>,
     cloths: Vec<OfCloth<T>>,
+    /// Accelerations of all cloths after a step, shape [B, 3, H, W].
+    moved: Vec<T>,
+    /// Norms of the gradient at a = 0 for each component of each cloth, shape [B, 3].
+    norms_at_start: Vec<f64>,
 }
 
 /// The state of one cloth.
@@ -41,8 +46,6 @@ struct OfCloth<T> {
     co_rotated: Option<CoRotatedHessian<T>>,
     rows: CurvatureRows<T>,
     accepted: Accepted,
-    /// Whether the step before raised the energy, so that `last` is taken back and not added.
-    retreats: bool,
     steps: StepCounts,
     handles: Vec<usize>,
 }
@@ -52,15 +55,8 @@ struct OfCloth<T> {
 struct Accepted {
     energy: f64,
     magnitude: f64,
-}
-
-/// What became of the steps of a frame.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct StepCounts {
-    /// Steps that raised the energy, and were halved or taken back.
-    pub halved: usize,
-    /// Directions that were not finite, and were left out.
-    pub dropped: usize,
+    /// The slope of the energy along the step from there.
+    slope: f64,
 }
 
 impl<T: Real> Subspace<T> {
@@ -72,7 +68,9 @@ impl<T: Real> Subspace<T> {
             Some(weights) => Some(super::update(weights, model)?),
             None => None,
         };
-        let mut new = Self { directions, network, cloths: Vec::new() };
+        let moved = vec![T::zero(); 3 * model.batch() * model.grid.particles()];
+        let norms_at_start = vec![0.0; 3 * model.batch()];
+        let mut new = Self { directions, network, cloths: Vec::new(), moved, norms_at_start };
         new.set_cloths(model);
         Ok(new)
     }
@@ -91,8 +89,8 @@ impl<T: Real> Subspace<T> {
             spectral: has(Direction::Spectral.name()).then(|| RestHessian::with(&cosines, cloth)),
             co_rotated: has(Direction::CoRotated.name()).then(|| CoRotatedHessian::new(&cosines, cloth)),
             rows: CurvatureRows::new(model.grid),
-            accepted: Accepted { energy: f64::INFINITY, magnitude: 0.0 },
-            retreats: false,
+            accepted: Accepted { energy: f64::INFINITY, magnitude: 0.0, slope: 0.0 },
+
             steps: StepCounts::default(),
             handles: cloth.handles.clone(),
         };
@@ -126,6 +124,7 @@ impl<T: Real> Subspace<T> {
     fn start_warm(&mut self, objective: &mut Objective<T>, (state, control): (&State<T>, &Control<T>)) {
         let starts_warm = self.directions.iter().any(|direction| matches!(direction, Direction::Last));
         objective.evaluate(state, control);
+        self.norms_at_start.copy_from_slice(&objective.norms);
         let len = objective.cloth_len();
         {
             let objective = &*objective;
@@ -134,7 +133,9 @@ impl<T: Real> Subspace<T> {
                 let model = objective.local_model(state, b, (along, &mut cloth.rows));
                 cloth.accepted = Accepted::of(&model.energy);
                 let [factor, ..] = best_step(&model, usize::from(starts_warm)).factors;
-                let factor = T::of(factor.clamp(0.0, 1.0));
+                let factor = factor.clamp(0.0, 1.0);
+                cloth.accepted.slope = if starts_warm { factor * model.slopes[0] } else { 0.0 };
+                let factor = T::of(factor);
                 cloth.last.iter_mut().for_each(|step| *step = *step * factor);
             });
         }
@@ -148,15 +149,17 @@ impl<T: Real> Subspace<T> {
 
     /// Adds a step to the accelerations of `objective`, which has been evaluated there.
     pub fn step(&mut self, objective: &mut Objective<T>, state: &State<T>) {
-        let Self { directions, network, cloths } = self;
+        let Self { directions, network, cloths, moved, .. } = self;
         let proposed = match network {
             Some(network) => network.propose(&objective.grad, &objective.norms),
             None => &[],
         };
         let len = objective.cloth_len();
+        moved.copy_from_slice(&objective.trial.a);
         {
             let objective = &*objective;
-            cloths.par_iter_mut().enumerate().for_each(|(b, cloth)| {
+            let each = cloths.par_iter_mut().zip(moved.par_chunks_exact_mut(len)).enumerate();
+            each.for_each(|(b, (cloth, a))| {
                 let grad = &objective.grad[b * len..][..len];
                 for (p, kind) in cloth.directions.chunks_exact_mut(len).zip(&*directions) {
                     match kind {
@@ -171,17 +174,12 @@ impl<T: Real> Subspace<T> {
                     }
                 }
                 let model = objective.local_model(state, b, (&cloth.directions, &mut cloth.rows));
-                cloth.advance(&model);
+                cloth.advance(&model, a);
             });
         }
-        for (b, (cloth, a)) in cloths.iter().zip(objective.trial.a.chunks_exact_mut(len)).enumerate() {
-            match cloth.retreats {
-                false => a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a + step),
-                true => a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a - step),
-            }
-            if let Some(network) = network {
-                network.took(b, &cloth.last);
-            }
+        std::mem::swap(&mut objective.trial.a, moved);
+        if let Some(network) = network {
+            cloths.iter().enumerate().for_each(|(b, cloth)| network.took(b, &cloth.last));
         }
     }
 
@@ -193,7 +191,7 @@ impl<T: Real> Subspace<T> {
             let energy = objective.energy_in_rows(state, b, &mut cloth.rows);
             let a = &mut objective.trial.a[b * len..][..len];
             if !cloth.accepted.allows::<T>(&Accepted::of(&energy)) {
-                cloth.steps.halved += 1;
+                cloth.steps.shortened += 1;
                 a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a - step);
             }
             cloth.last.copy_from_slice(a);
@@ -203,9 +201,14 @@ impl<T: Real> Subspace<T> {
         }
     }
 
-    /// Returns what became of the steps of each cloth in this frame.
-    pub fn step_counts(&self) -> impl Iterator<Item = StepCounts> {
-        self.cloths.iter().map(|cloth| cloth.steps)
+    /// Returns what became of the steps of cloth `b` in this frame.
+    pub fn step_counts(&self, b: usize) -> StepCounts {
+        self.cloths[b].steps
+    }
+
+    /// Returns the norms of the gradient at the start of this frame, at a = 0, for each component of each cloth.
+    pub fn norms_at_start(&self) -> &[f64] {
+        &self.norms_at_start
     }
 
     /// Clears the memory of earlier frames for this cloth.
@@ -224,40 +227,55 @@ impl<T: Real> Subspace<T> {
 
 impl Accepted {
     fn of(energy: &EnergyTerms) -> Self {
-        Self { energy: energy.total(), magnitude: energy.magnitude() }
+        Self { energy: energy.total(), magnitude: energy.magnitude(), slope: 0.0 }
     }
 
     /// Whether an iterate after this one may be accepted: its energy is not higher, but for rounding.
     fn allows<T: Real>(&self, next: &Self) -> bool {
         let rounding = ROUNDINGS * T::epsilon().f64() * self.magnitude.max(next.magnitude);
-        next.energy <= self.energy + rounding
+        next.energy.is_finite() && next.energy <= self.energy + rounding
+    }
+
+    /// Returns the fraction to which the step shortens if it raised the energy to that of `next`: where the parabola
+    /// through both energies and the slope is least, 0.1 to 0.5.
+    fn fraction(&self, next: &Self) -> f64 {
+        let rise = next.energy - self.energy;
+        let least = -0.5 * self.slope / (rise - self.slope);
+        if rise.is_finite() && least.is_finite() { least.clamp(0.1, 0.5) } else { 0.1 }
     }
 }
 
 impl<T: Real> OfCloth<T> {
-    /// Sets `last` to the next step: the best one in the model, or, if the step before raised the energy, half of
-    /// it, which is then taken back.
-    fn advance(&mut self, model: &LocalModel) {
+    /// Adds the next step to the accelerations `a`: the best one in the model, or, if the step before raised the
+    /// energy, the way back to a fraction of it.
+    fn advance(&mut self, model: &LocalModel, a: &mut [T]) {
         let here = Accepted::of(&model.energy);
-        self.retreats = !self.accepted.allows::<T>(&here);
-        if self.retreats {
-            self.steps.halved += 1;
-            let half = T::of(0.5);
-            self.last.iter_mut().for_each(|step| *step = *step * half);
+        if !self.accepted.allows::<T>(&here) {
+            let fraction = self.accepted.fraction(&here);
+            self.steps.shortened += 1;
+            self.accepted.slope *= fraction;
+            let fraction = T::of(fraction);
+            for (a, step) in a.iter_mut().zip(&mut self.last) {
+                let kept = fraction * *step;
+                *a = *a - (*step - kept);
+                *step = kept;
+            }
             return;
         }
-        self.accepted = here;
         let len = self.last.len();
-        let count = self.directions.len() / len;
-        let best = best_step(model, count);
+        let best = best_step(model, self.directions.len() / len);
         self.steps.dropped += best.dropped;
+        self.accepted = here;
         self.last.fill(T::zero());
-        for (&factor, p) in best.factors.iter().zip(self.directions.chunks_exact(len)) {
-            if factor != 0.0 {
-                let factor = T::of(factor);
+        for (k, p) in self.directions.chunks_exact(len).enumerate() {
+            // A direction that is left out may hold NaN.
+            if best.factors[k] != 0.0 {
+                self.accepted.slope += best.factors[k] * model.slopes[k];
+                let factor = T::of(best.factors[k]);
                 self.last.iter_mut().zip(p).for_each(|(step, &p)| *step = *step + factor * p);
             }
         }
+        a.iter_mut().zip(&self.last).for_each(|(a, &step)| *a = *a + step);
     }
 }
 
@@ -285,7 +303,7 @@ pub fn best_step(model: &LocalModel, count: usize) -> BestStep {
             *scale = model.squares[k].sqrt().recip();
         }
     }
-    let zero_if_left_out = |v: f64, scale: f64| if scale == 0.0 { 0.0 } else { v * scale };
+    let zero_if_left_out = |v: f64, scale: f64| if scale == 0.0 || !v.is_finite() { 0.0 } else { v * scale };
     let mut a = [[0.0; MAX_DIRECTIONS]; MAX_DIRECTIONS];
     let mut slopes = [0.0; MAX_DIRECTIONS];
     for i in 0..count {
@@ -305,6 +323,10 @@ pub fn best_step(model: &LocalModel, count: usize) -> BestStep {
         for k in 0..count {
             best.factors[k] += factor * vector[k] * scale[k];
         }
+    }
+    // A step that overflows could never be taken back.
+    if !best.factors.iter().all(|factor| factor.is_finite()) {
+        best.factors = [0.0; MAX_DIRECTIONS];
     }
     best
 }

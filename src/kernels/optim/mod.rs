@@ -18,7 +18,7 @@ pub mod update;
 pub mod update_adj;
 
 pub use adam::{Adam, AdamSettings};
-pub use cosine_columns::CosineColumns;
+pub use cosine_columns::{CosineColumns, TENSION};
 pub use cosine_directions::CosineDirections;
 pub use cosine_order::CosineOrder;
 pub use cosine_rows::CosineRows;
@@ -27,7 +27,7 @@ pub use gradient_descent::GradientDescent;
 pub use lbfgs::{Lbfgs, LbfgsMemory, LbfgsSettings, Part};
 pub use quasi_newton::QuasiNewton;
 pub use rest_modes::RestModes;
-pub use subspace::{Subspace, SubspaceSettings};
+pub use subspace::Subspace;
 pub use subspace_step::{SubspaceStep, When};
 pub use update::{Update, UpdateTensors};
 pub(crate) use update_adj::CLAMP;

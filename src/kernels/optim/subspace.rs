@@ -9,31 +9,14 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::{Curvature, EnergyTensors, SheetAxes, curvature};
 
-/// Settings of a subspace method on any device.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SubspaceSettings {
-    /// Whether a fourth direction is the step of a network.
-    pub learned: bool,
-    /// Share of an edge's stiffness that acts across it, for the co-rotated direction.
-    pub across: f64,
-    /// Stiffness along the normal as a share of the stretch coefficient, for the co-rotated direction.
-    pub normal: f64,
-}
-
-impl Default for SubspaceSettings {
-    fn default() -> Self {
-        Self { learned: false, across: 0.003, normal: 0.003 }
-    }
-}
-
 /// Minimises a quadratic model of the energy in the span of three or four directions: the gradient times the
 /// inverse Hessian of a flat sheet (`P C^T diag(1 / lambda) C P`, see [`super::QuasiNewton`]), the same in
 /// the sheet's own axes, where stretching is stiffer than bending, the last step, and the step of a network.
 ///
-/// A step that increases the energy is halved, and at the end of the frame taken back.
+/// A step that increases the energy is shortened, and at the end of the frame taken back.
 ///
-/// A frame is [`Subspace::begin`], then for each iteration the gradient and [`Subspace::push`], then
-/// [`Subspace::end`].
+/// A frame is [`Subspace::begin`], the gradient and [`Subspace::start`], then for each iteration the gradient and
+/// [`Subspace::push`], then [`Subspace::end`].
 #[derive(Clone, Debug)]
 pub struct Subspace {
     grid: Grid,
@@ -57,21 +40,20 @@ pub struct Subspace {
     directions: Tensor,
     /// Shape [B, parts, 24].
     parts: Tensor,
-    /// Shape [iterations + 1, B, 4].
+    /// Shape [iterations + 2, B, 5].
     state: Tensor,
 }
 
 impl Subspace {
-    /// Builds the kernels and tensors for frames of this many iterations of `batch` cloths on a grid. Panics
-    /// without iterations.
+    /// Builds the kernels and tensors for frames of this many iterations of `batch` cloths on a grid, with `count`
+    /// directions: 3, or 4 with that of a network. Panics without iterations.
     pub fn new(
         context: &Context,
-        settings: SubspaceSettings,
+        count: usize,
         iterations: usize,
         (grid, batch): (Grid, usize),
     ) -> Result<Self> {
         assert!(iterations > 0, "a frame has iterations");
-        let count = if settings.learned { 4 } else { 3 };
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let fields = || zeros("subspace.fields", &fields_shape(batch, grid));
         Ok(Self {
@@ -79,10 +61,7 @@ impl Subspace {
             iterations,
             axes_kernel: SheetAxes::new(context)?,
             rows: CosineRows::new(context)?,
-            columns: [
-                CosineColumns::new(context, settings, false)?,
-                CosineColumns::new(context, settings, true)?,
-            ],
+            columns: [CosineColumns::new(context, false)?, CosineColumns::new(context, true)?],
             directions_kernel: CosineDirections::new(context)?,
             curvature: Curvature::new(context)?,
             step: SubspaceStep::new(context)?,
@@ -92,7 +71,7 @@ impl Subspace {
             fields: [fields()?, fields()?],
             directions: zeros("subspace.directions", &directions::shape(count, batch, grid))?,
             parts: zeros("subspace.parts", &curvature::parts_shape(batch, grid))?,
-            state: zeros("subspace.state", &[iterations + 1, batch, STATE])?,
+            state: zeros("subspace.state", &[iterations + 2, batch, STATE])?,
         })
     }
 
@@ -100,6 +79,20 @@ impl Subspace {
     /// becomes the last step, and 0. One dispatch.
     pub fn begin(&self, schedule: &mut Schedule, x: &Tensor, iterate: &Iterate) {
         self.axes_kernel.push(schedule, self.grid, (iterate, x), [&self.axes, &self.directions]);
+    }
+
+    /// Moves `iterate` from a = 0, where its gradient is known, to the best multiple between 0 and 1 of the last
+    /// frame's acceleration. `physics` and `repulsion` as in [`Subspace::push`]. Two dispatches.
+    pub fn start(
+        &self,
+        schedule: &mut Schedule,
+        physics: EnergyTensors<'_>,
+        (iterate, repulsion): (&Iterate, Option<&Tensor>),
+    ) {
+        let Self { grid, directions, parts, state, .. } = self;
+        // The other directions are those of the frame before, whose sums are not read.
+        self.curvature.push(schedule, *grid, physics, (iterate, directions, parts));
+        self.step.push(schedule, *grid, When::Start, (parts, repulsion), (iterate, directions, state));
     }
 
     /// Moves `iterate`, whose gradient is known, by the step of `iteration`, counted from 0. `physics` has
@@ -141,7 +134,7 @@ impl Subspace {
     }
 
     /// Returns where a network leaves its step between the gradient and [`Subspace::push`], shape
-    /// [B, 3, n], 0 at handles; `None` if the settings have no such direction.
+    /// [B, 3, n], 0 at handles; `None` if there are only three directions.
     pub fn learned_step(&self) -> Option<Tensor> {
         let (&[count, _], &[_, batch, _]) = (self.directions.shape(), self.state.shape()) else {
             unreachable!("shapes are fixed")
@@ -150,9 +143,9 @@ impl Subspace {
             .then(|| directions::one(&self.directions, directions::LEARNED, batch, self.grid))
     }
 
-    /// Returns the state after each iteration's decision and, last, at the end of the frame, shape
-    /// [iterations + 1, B, 4]: accepted energy, sum of the magnitudes of its terms, rejected steps, and
-    /// directions dropped as not finite, both since the frame began.
+    /// Returns the state after each decision: at the start, in each iteration and at the end of the frame, shape
+    /// [iterations + 2, B, 5]: accepted energy, sum of the magnitudes of its terms, slope of the step, shortened
+    /// steps, and directions dropped as not finite, both since the frame began.
     pub fn state(&self) -> &Tensor {
         &self.state
     }

@@ -32,9 +32,10 @@ struct Params {
 /// The learned step.
 #[derive(Clone, Debug)]
 pub struct Update {
-    alone: Kernel,
-    with_head: Kernel,
-    /// Bound in place of the head if there is none.
+    /// Without and with the scalar head.
+    moves: [Kernel; 2],
+    proposes: [Kernel; 2],
+    /// Bound in place of the head if there is none, and of the slots if they are not needed.
     nothing: Tensor,
 }
 
@@ -50,6 +51,8 @@ pub struct UpdateTensors<'a> {
     /// The scalar head and its row maxima [s, H, C], to compute the scales after the pass from those before
     /// it, at another offset. `None` if they are already computed.
     pub head: Option<(&'a Layer, &'a Tensor)>,
+    /// Where the step is proposed as a direction, shape [B, 3, n], 0 at handles. `None` if it moves the iterate.
+    pub direction: Option<&'a Tensor>,
 }
 
 /// Most workgroups per sample: with a head, each of them computes the scale.
@@ -58,17 +61,20 @@ const MAX_GROUPS: usize = 64;
 impl Update {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
-        let kernel = |head: f64| Kernel::new(context, &SOURCE, 0, &[("HEAD", head)]);
+        let kernel = |head: f64, proposes: f64| {
+            Kernel::new(context, &SOURCE, 0, &[("HEAD", head), ("PROPOSES", proposes)])
+        };
         Ok(Self {
-            alone: kernel(0.0)?,
-            with_head: kernel(1.0)?,
+            moves: [kernel(0.0, 0.0)?, kernel(1.0, 0.0)?],
+            proposes: [kernel(0.0, 1.0)?, kernel(1.0, 1.0)?],
             nothing: Tensor::zeros(context, "no head", &[1])?,
         })
     }
 
-    /// Moves the samples of `iterate` that `from.field` covers by one learned step.
+    /// Computes one learned step of the samples of `iterate` that `from.field` covers, and moves the iterate by it
+    /// or proposes it as a direction.
     pub fn push(&self, schedule: &mut Schedule, grid: Grid, from: UpdateTensors<'_>, iterate: &Iterate) {
-        let UpdateTensors { field, first, scales, head } = from;
+        let UpdateTensors { field, first, scales, head, direction } = from;
         let &[parts, in_field, h, w] = field.shape() else { panic!("update: {:?}", field.shape()) };
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((h, n), (grid.h, grid.particles()));
@@ -79,7 +85,7 @@ impl Update {
         if let Some((layer, rows_max)) = head {
             assert_eq!((rows_max.shape(), layer.bias.len()), (&[in_field, h, channels][..], 1));
             assert!(before.abs_diff(after) >= in_field, "the scales before and after must not overlap");
-            let [_, teams, _] = self.with_head.workgroup();
+            let [_, teams, _] = self.moves[1].workgroup();
             assert!(h >= teams as usize, "update: at least one row per team");
         }
         let (fields, hidden) = iterate.fields();
@@ -97,11 +103,18 @@ impl Update {
             after: size(after),
         };
         let nothing = &self.nothing;
-        let (kernel, rows_max, weight, bias) = match head {
-            Some((layer, rows_max)) => (&self.with_head, rows_max, &layer.weight, &layer.bias),
-            None => (&self.alone, nothing, nothing, nothing),
+        let ([alone, with_head], slots, to) = match direction {
+            Some(direction) => {
+                assert_eq!(direction.shape(), iterate.a.shape());
+                (&self.proposes, &iterate.slots, direction)
+            }
+            None => (&self.moves, nothing, &iterate.a),
         };
-        let tensors = [field, rows_max, weight, bias, tensor, &fields, &iterate.a];
+        let (kernel, rows_max, weight, bias) = match head {
+            Some((layer, rows_max)) => (with_head, rows_max, &layer.weight, &layer.bias),
+            None => (alone, nothing, nothing, nothing),
+        };
+        let tensors = [field, rows_max, weight, bias, slots, tensor, &fields, to];
         let groups = n.div_ceil(256).clamp(1, MAX_GROUPS);
         schedule.dispatch(kernel, &params, &tensors, [size(groups), size(in_field), 1]);
     }

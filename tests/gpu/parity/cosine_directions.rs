@@ -5,7 +5,7 @@ use crate::common::{assert_close, cases, context, device, largest, noise, poison
 use fnopt::cloth::{Grid, Material, Model};
 use fnopt::kernels::optim::cosine_columns::squared_frequencies;
 use fnopt::kernels::optim::cosine_rows::{fields_shape, table};
-use fnopt::kernels::optim::{CosineColumns, CosineDirections, CosineRows, SubspaceSettings, directions};
+use fnopt::kernels::optim::{CosineColumns, CosineDirections, CosineRows, directions};
 use std::f64::consts::PI;
 
 /// Returns the orthonormal DCT-II of n points, row by row.
@@ -107,9 +107,8 @@ fn axes(batch: usize, n: usize) -> Vec<f32> {
 #[test]
 fn directions_match() {
     let _turn = device();
-    let settings = SubspaceSettings::default();
     let rows = CosineRows::new(context()).unwrap();
-    let [forward, inverse] = [false, true].map(|i| CosineColumns::new(context(), settings, i).unwrap());
+    let [forward, inverse] = [false, true].map(|i| CosineColumns::new(context(), i).unwrap());
     let kernel = CosineDirections::new(context()).unwrap();
     // Sides of all parities, shorter and longer than the tiles.
     let odd = [(9, 31), (70, 8), (33, 65)].map(|(h, w)| (Grid { h, w }, 2));

@@ -8,7 +8,7 @@ use fnopt::gpu::{Order, Schedule, Tensor};
 use fnopt::kernels::cloth::curvature::parts_shape;
 use fnopt::kernels::cloth::gradient::parts;
 use fnopt::kernels::cloth::{Energy, EnergyTensors, Gradient, Repulsion, TERMS, energy};
-use fnopt::kernels::optim::{Iterate, Subspace, SubspaceSettings, SubspaceStep, When, directions};
+use fnopt::kernels::optim::{Iterate, Subspace, SubspaceStep, When, directions};
 
 type Vector = [f64; 4];
 type Matrix = [Vector; 4];
@@ -67,7 +67,7 @@ struct Given {
     squares: Vector,
     energies: [f64; 5],
     /// State of the row before.
-    before: [f32; 4],
+    before: [f32; 5],
     /// Direction that is NaN.
     nan: Option<usize>,
 }
@@ -76,7 +76,7 @@ const ENERGIES: [f64; 5] = [1.0, 0.5, 0.25, 0.5, -1.5];
 
 fn given(a: Matrix, b: Vector, squares: Vector) -> Given {
     // The energy was a little higher.
-    Given { a, b, squares, energies: ENERGIES, before: [0.8, 3.7, 1.0, 2.0], nan: None }
+    Given { a, b, squares, energies: ENERGIES, before: [0.8, 3.7, -0.03, 1.0, 2.0], nan: None }
 }
 
 /// All kinds of cloths. Directions of K = 3 have no fourth.
@@ -94,10 +94,11 @@ fn all_given(count: usize) -> Vec<Given> {
     (0..4).for_each(|k| (nan.a[0][k], nan.a[k][0]) = (f64::NAN, f64::NAN));
     let mut infinite = given(definite(), b, squares);
     infinite.a[1][1] = f64::INFINITY;
-    let rejected = Given { before: [0.7, 3.7, 1.0, 2.0], ..given(definite(), b, squares) };
+    let rejected = Given { before: [0.7, 3.7, -0.03, 1.0, 2.0], ..given(definite(), b, squares) };
+    let far = Given { before: [0.7, 3.7, -1.0, 1.0, 2.0], ..given(definite(), b, squares) };
     let undefined = Given { energies: [f64::NAN; 5], ..given(definite(), b, squares) };
     // As good as the energy before, up to the rounding of its terms.
-    let as_good = Given { before: [0.749_999, 3.7, 0.0, 0.0], ..given(definite(), b, squares) };
+    let as_good = Given { before: [0.749_999, 3.7, 0.0, 0.0, 0.0], ..given(definite(), b, squares) };
     vec![
         given(definite(), b, squares),
         given(of([1.0, -0.5, 0.25, -0.1], 142), b, squares),
@@ -107,6 +108,7 @@ fn all_given(count: usize) -> Vec<Given> {
         nan,
         infinite,
         rejected,
+        far,
         undefined,
         as_good,
     ]
@@ -153,7 +155,7 @@ fn steps_match() {
         repulsions.iter_mut().skip(TERMS - 1).step_by(TERMS).for_each(|v| *v = 0.5 / groups as f32);
         let repulsions = tensor("energies", &with_repulsion, &repulsions);
         for (when, repels) in [
-            (When::Iteration(0), false),
+            (When::Start, false),
             (When::Iteration(2), false),
             (When::Iteration(2), true),
             (When::End(2), false),
@@ -163,23 +165,24 @@ fn steps_match() {
             let all = poisoned("directions", &directions::shape(count, batch, grid));
             let one = |k: usize| directions::one(&all, k, batch, grid);
             (0..count).for_each(|k| one(k).write(context(), &fields[k]));
-            let state = poisoned("state", &[3, batch, 4]);
-            let old: Vec<[f32; 4]> = given
+            let state = poisoned("state", &[4, batch, 5]);
+            let old: Vec<[f32; 5]> = given
                 .iter()
                 .map(|given| {
-                    let [energy, size, rejected, dropped] = given.before;
+                    let [energy, size, slope, shortened, dropped] = given.before;
                     let more = if repels { 0.5 } else { 0.0 };
-                    [energy + more, size + more, rejected, dropped]
+                    [energy + more, size + more, slope, shortened, dropped]
                 })
                 .collect();
-            state.write_at(context(), 4 * batch, old.as_flattened());
+            state.write_at(context(), 2 * 5 * batch, old.as_flattened());
             let repulsion = repels.then_some(&repulsions);
             run(|schedule| {
                 kernel.push(schedule, grid, when, (&parts, repulsion), (&iterate, &all, &state));
             });
             let [rows, found, last] = [&state, &iterate.a, &one(directions::LAST_STEP)].map(read);
             let row = match when {
-                When::Iteration(at) | When::End(at) => at,
+                When::Start => 0,
+                When::Iteration(at) | When::End(at) => at + 1,
             };
             for (b, given) in given.iter().enumerate() {
                 let what = format!("{b} {when:?} {repels} {count} {grid}");
@@ -187,9 +190,17 @@ fn steps_match() {
                 let terms: Vec<f64> = given.energies.into_iter().chain(repels.then_some(0.5)).collect();
                 let (energy, size) = (terms.iter().sum::<f64>(), terms.iter().map(|v| v.abs()).sum::<f64>());
                 let old = old[b].map(f64::from);
-                let first = when == When::Iteration(0);
+                let first = when == When::Start;
                 let accepted = first || energy <= old[0] + 1e-6 * size.max(old[1]);
-                let (c, dropped) = coefficients(given.a, given.b, given.squares);
+                let (mut c, dropped) = coefficients(given.a, given.b, given.squares);
+                if first {
+                    let best = -given.b[2] / given.a[2][2].abs();
+                    c = [0.0, 0.0, if best.is_finite() { best.clamp(0.0, 1.0) } else { 0.0 }, 0.0];
+                }
+                // Where the parabola is least.
+                let least = -0.5 * old[2] / (energy - old[0] - old[2]);
+                let fraction = if least.is_finite() { least.clamp(0.1, 0.5) } else { 0.1 };
+                let slope: f64 = (0..4).filter(|&i| c[i] != 0.0).map(|i| c[i] * given.b[i]).sum();
                 let step = |k: usize| -> f64 {
                     let last = f64::from(fields[2][k]);
                     match (accepted, when) {
@@ -199,7 +210,7 @@ fn steps_match() {
                             (0..count).filter(|&i| c[i] != 0.0).map(of).sum()
                         }
                         (false, When::End(_)) => -last,
-                        (false, _) => -0.5 * last,
+                        (false, _) => (fraction - 1.0) * last,
                     }
                 };
                 let steps: Vec<f64> = at.clone().map(step).collect();
@@ -208,24 +219,27 @@ fn steps_match() {
                 // Eigenvalues differ by a factor of twenty, so that their roundings do in the coefficients.
                 let most = steps.iter().fold(1.0, |most: f64, v| most.max(v.abs()));
                 assert_close(&format!("a {what}"), &found[at.clone()], &moved, (1e-5 * most, 0.0));
-                if let When::Iteration(_) = when {
-                    let kept: Vec<f64> =
-                        if accepted { steps } else { steps.iter().map(|step| -step).collect() };
+                if !matches!(when, When::End(_)) {
+                    let kept: Vec<f64> = match accepted {
+                        true => steps,
+                        false => at.clone().map(|k| fraction * f64::from(fields[2][k])).collect(),
+                    };
                     assert_close(&format!("step {what}"), &last[at], &kept, (1e-5 * most, 0.0));
                 }
-                let [rejected, drops] = if first { [0.0; 2] } else { [old[2], old[3]] };
-                let expected = if accepted {
-                    let drops = if when == When::End(2) { drops } else { drops + dropped };
-                    [energy, size, rejected, drops]
-                } else {
-                    [old[0], old[1], rejected + 1.0, drops]
+                let [shortened, drops] = if first { [0.0; 2] } else { [old[3], old[4]] };
+                let expected = match (accepted, when) {
+                    (true, When::Start) => [energy, size, slope, 0.0, 0.0],
+                    (true, When::Iteration(_)) => [energy, size, slope, shortened, drops + dropped],
+                    (true, When::End(_)) => [energy, size, 0.0, shortened, drops],
+                    (false, When::End(_)) => [old[0], old[1], 0.0, shortened + 1.0, drops],
+                    (false, _) => [old[0], old[1], fraction * old[2], shortened + 1.0, drops],
                 };
-                let found = &rows[4 * (row * batch + b)..][..4];
+                let found = &rows[5 * (row * batch + b)..][..5];
                 if energy.is_nan() && accepted {
                     assert!(found[0].is_nan() && found[1].is_nan(), "state {what}: {found:?}");
-                    assert_eq!(found[2..].iter().map(|&v| f64::from(v)).collect::<Vec<_>>(), expected[2..]);
+                    assert_close(&format!("counts {what}"), &found[2..], &expected[2..], (1e-5, 1e-5));
                 } else {
-                    assert_close(&format!("state {what}"), found, &expected, (0.0, 1e-6));
+                    assert_close(&format!("state {what}"), found, &expected, (2e-6, 1e-5));
                 }
             }
         }
@@ -244,7 +258,7 @@ fn directions_that_are_the_same_share_the_step() {
     let parts = tensor("parts", &parts_shape(1, grid), &spread(&given, parts(grid), 161));
     let iterate = Iterate::new(context(), 1, &vec![0; n]).unwrap();
     let all = tensor("directions", &directions::shape(4, 1, grid), &vec![1.0; 4 * 3 * n]);
-    let state = poisoned("state", &[2, 1, 4]);
+    let state = tensor("state", &[2, 1, 5], &[10.0; 10]);
     run(|schedule| {
         kernel.push(schedule, grid, When::Iteration(0), (&parts, None), (&iterate, &all, &state));
     });
@@ -270,7 +284,7 @@ fn frames_lower_the_energy() {
         let x = upload("x", &model, &crumpled(&model, 0.1));
         let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
         let sums = poisoned("sums", &[3 * batch, parts(grid), 2]);
-        let settings = SubspaceSettings { learned: repels, ..SubspaceSettings::default() };
+        let count = if repels { 4 } else { 3 };
         let slots = model.handle_slots();
         let held = |k: usize| slots[k / (3 * n) * n + k % n] != 0;
         let mut learned = field(&model, 0.1, 77);
@@ -291,12 +305,14 @@ fn frames_lower_the_energy() {
         let energies: Option<&Tensor> = repulsion.as_ref().map(|(_, energies)| energies);
         let frame = |order: Order| {
             let context = context().with_order(order);
-            let plan = Subspace::new(&context, settings, ITERATIONS, (grid, batch)).unwrap();
+            let plan = Subspace::new(&context, count, ITERATIONS, (grid, batch)).unwrap();
             assert_eq!(plan.learned_step().is_some(), repels);
             plan.learned_step().inspect(|step| step.write(&context, &learned));
             iterate.a.write(&context, &field(&model, 0.05, 78));
             run(|schedule| {
                 plan.begin(schedule, &x, &iterate);
+                evaluate(schedule);
+                plan.start(schedule, physics, (&iterate, energies));
                 for iteration in 0..ITERATIONS {
                     evaluate(schedule);
                     let before = schedule.dispatches();
@@ -316,15 +332,14 @@ fn frames_lower_the_energy() {
             assert_same(&format!("a {order:?} {batch} x {grid}"), &moved, &a);
         }
         for b in 0..batch {
-            let of = |row: usize, k: usize| state[4 * (row * batch + b) + k];
-            let all: Vec<f32> = (0..=ITERATIONS).map(|row| of(row, 0)).collect();
-            println!("{b} of {batch} x {grid}, {repels}: {all:?}, {} rejected", of(ITERATIONS, 2));
+            let of = |row: usize, k: usize| state[5 * (row * batch + b) + k];
+            let all: Vec<f32> = (0..ITERATIONS + 2).map(|row| of(row, 0)).collect();
             assert!(
                 all.windows(2).all(|e| e[1] <= e[0] + 2e-6 * of(0, 1)),
                 "{b} of {batch} x {grid}: {all:?}"
             );
-            assert!(all[ITERATIONS] < 0.8 * all[0], "{b} of {batch} x {grid}: {all:?}");
-            assert_eq!(of(ITERATIONS, 3), 0.0, "directions that are not finite");
+            assert!(all[ITERATIONS + 1] < 0.8 * all[0], "{b} of {batch} x {grid}: {all:?}");
+            assert_eq!(of(ITERATIONS + 1, 4), 0.0, "directions that are not finite");
         }
         assert!((0..a.len()).all(|k| a[k].is_finite() && (!held(k) || a[k] == 0.0)), "handles move");
     }

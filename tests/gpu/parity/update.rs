@@ -38,7 +38,7 @@ fn learned_steps_match() {
                 [0.5, 0.25, 0.25].map(|part| output.iter().map(|v| part * v).collect::<Vec<_>>()).concat();
             let field = tensor("field", &[3, count, grid.h, padded(grid.w)], &pad(&parts, grid, f32::NAN));
             let scales = Scales { tensor: &scale, before: 0, after: 64 + first };
-            let from = UpdateTensors { field: &field, first, scales, head: None };
+            let from = UpdateTensors { field: &field, first, scales, head: None, direction: None };
             run(|schedule| kernel.push(schedule, grid, from, &iterate));
         }
         let what = format!("update {batch} x {grid}");
@@ -61,7 +61,7 @@ fn non_finite_numbers_stay_non_finite() {
     let field = tensor("field", &[1, 3, 8, 8], &output);
     let scale = tensor("scale", &[3], &[1.0; 3]);
     let scales = Scales::in_place(&scale);
-    let from = UpdateTensors { field: &field, first: 0, scales, head: None };
+    let from = UpdateTensors { field: &field, first: 0, scales, head: None, direction: None };
     run(|schedule| Update::new(context()).unwrap().push(schedule, grid, from, &iterate));
     for (k, (a, output)) in read(&iterate.a).into_iter().zip(output).enumerate() {
         assert_eq!(a.is_nan(), output.is_nan(), "{k}: {a} of {output}");
@@ -106,7 +106,7 @@ fn steps_with_the_scalar_head_match() {
                     kernel.push(
                         schedule,
                         grid,
-                        UpdateTensors { field: &field, first, scales, head },
+                        UpdateTensors { field: &field, first, scales, head, direction: None },
                         &iterate,
                     );
                 });
