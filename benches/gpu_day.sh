@@ -65,7 +65,7 @@ tune() {
 
 bench() {
     local solver
-    for solver in fnopt gd adam lbfgs quasi-newton; do
+    for solver in fnopt fnopt-paper spectral gd adam lbfgs quasi-newton; do
         run "bench_$solver" "$program" bench --device gpu --solver "$solver" --grid 32,64,100 --batch 1,16,256
         cat "$out/bench_$solver.log"
     done
@@ -77,7 +77,8 @@ half() {
 }
 
 peer() {
-    run peer python3 benches/peers/compare.py --device cuda --program "$program" --markdown "$out/peer.md"
+    run peer python3 benches/peers/compare.py --device cuda --modes "${MODES:-eager,graph,compiled}" --rounds 2 --program "$program" \
+        --markdown "$out/peer.md"
     cat "$out/peer.log"
 }
 

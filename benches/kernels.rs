@@ -32,8 +32,13 @@ fn kernels(c: &mut Criterion) {
     let grids: &[usize] = if is_software(&context) { &[32] } else { &[32, 64, 100] };
     for &n in grids {
         let mut measured = BTreeSet::new();
-        let classical =
-            [Optimizer::gradient_descent(), Optimizer::adam(), Optimizer::lbfgs(), Optimizer::quasi_newton()];
+        let classical = [
+            Optimizer::spectral(),
+            Optimizer::gradient_descent(),
+            Optimizer::adam(),
+            Optimizer::lbfgs(),
+            Optimizer::quasi_newton(),
+        ];
         let mut cloth = cloths(n, 1);
         for optimizer in [learned()].into_iter().chain(classical) {
             of_frame(c, &context, (n, &cloth, &optimizer), &mut measured);

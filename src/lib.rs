@@ -42,7 +42,7 @@
 //! [`sim::Solver::new`] built; on the CPU, [`cpu::Solver::step`] runs the same stages ([`cpu::cloth`],
 //! [`cpu::operator`], [`cpu::optim`]):
 //!
-//! 1. [`kernels::cloth::Predict`] sets a = 0, which moves the particles by their velocity and the handles to
+//! 1. [`kernels::cloth::Predict`] prepares a = 0, which moves the particles by their velocity and the handles to
 //!    their targets. [`kernels::cloth::ExternalForce`] sums gravity, the control's accelerations and the
 //!    forces of the air.
 //! 2. N times (paper section 3.3): if the layers of the cloth are to be kept apart,
@@ -50,10 +50,17 @@
 //!    [`kernels::cloth::Gradient`] computes dL/da and its norm. [`network::Forward`] runs the network
 //!    (section 4): the normalised fields ([`kernels::optim::Features`]), the lifting, four Fourier blocks
 //!    (truncated transform, spectral product, inverse), the field head, and the scalar head with the
-//!    persistent scale. [`kernels::optim::Update`] computes the step and adds it to a. A classical optimizer
-//!    ([`sim::Optimizer`]) replaces everything after the gradient.
+//!    persistent scale. [`kernels::optim::Update`] computes its step. With `fnopt` that is one of four directions;
+//!    the others are the gradient under two spectral inverses of the Hessian at rest, in world axes and in the
+//!    sheet's own, and the last step. [`kernels::cloth::Curvature`] sums the energy, its slopes and its second
+//!    derivatives along them, and [`kernels::optim::SubspaceStep`] adds the combination that minimises this model to
+//!    a. If the step before raised the energy, it shortens that one instead. With `fnopt-paper` the network's step is
+//!    taken as it is. Other optimizers ([`sim::Optimizer`]) replace what follows the gradient.
 //! 3. [`kernels::cloth::Energy`] computes the statistics, with the repulsion evaluated once more.
 //!    [`kernels::cloth::Integrate`] then updates the state: v += a, x += v.
+//!
+//! A frame in a subspace ([`kernels::optim::Subspace`]) starts at a multiple of the last frame's accelerations, and
+//! ends with a check that takes back a step that raised the energy.
 //!
 //! A training step ([`train::DeviceLoss`], [`cpu::train::Loss`]) is one such iteration, the energy at the new
 //! a, and the backward pass through [`kernels::optim::UpdateAdj`] and [`network::Backward`].

@@ -25,6 +25,8 @@ FRAME_TIME, GRAVITY = 1 / 60, 9.8
 # Later frames drift apart: ten iterations of the optimizer amplify rounding.
 FRAMES_COMPARED = 3
 TOLERANCE = 1e-3
+# The peer takes the network's step as it is.
+AS_PUBLISHED = ["--solver", "fnopt-paper"]
 
 
 def run(command, threads=None):
@@ -62,7 +64,7 @@ class Comparison:
         path.write_text(json.dumps(scene))
         out = self.folder / f"ours_{n}"
         command = [self.options.program, "rollout", path, "--checkpoint", self.options.checkpoint, "--out", out]
-        run(command + device + ["--no-pictures", "--format", "npy"])
+        run(command + device + [*AS_PUBLISHED, "--no-pictures", "--format", "npy"])
         (frames,) = out.glob("*.npy")
         return numpy.load(frames).reshape(-1, n, n, 3) * (n - 1)
 
@@ -91,12 +93,12 @@ class Comparison:
         return largest
 
     def fnopt(self, n, device):
-        command = [self.options.program, "bench", "--grid", n, "--frames", self.options.frames, "--json"]
+        command = [self.options.program, "bench", "--grid", n, "--frames", self.options.frames, "--json", *AS_PUBLISHED]
         return json.loads(run(command + device, self.options.threads))["rows"][0]["ms_per_frame"]
 
     def systems(self):
         if self.options.device == "cuda":
-            modes = [(mode, tf32) for mode in ["eager", "compiled", "graph"] for tf32 in [False, True]]
+            modes = [(mode, tf32) for mode in self.options.modes.split(",") for tf32 in [False, True]]
         else:
             modes = [(mode, False) for mode in self.options.modes.split(",")]
         name = lambda mode, tf32: f"PyTorch {mode}" + (", TF32" if tf32 else "")
@@ -111,7 +113,7 @@ def main():
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--frames", type=int, default=10, help="frames timed in each run, after three warm-up frames")
     parser.add_argument("--device", choices=["cpu", "cuda"], default="cpu")
-    parser.add_argument("--modes", default="eager,compiled", help="on the CPU: eager, compiled or both")
+    parser.add_argument("--modes", default="eager,compiled", help="of PyTorch: eager, compiled, and on a GPU graph")
     parser.add_argument("--threads", type=int, default=2, help="threads of both programs on the CPU")
     parser.add_argument("--adapter", help="adapter for fnopt; with --device cpu it adds a column")
     parser.add_argument("--program", default=ROOT / "target/release/fnopt")

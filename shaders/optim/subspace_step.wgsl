@@ -2,7 +2,7 @@
 // energy over the span of four directions (`curvature`).
 //
 // At the start of a frame (stage 0) only the last frame's acceleration p_2 is a direction, and its coefficient is
-// limited to 0..1. Later an iterate is accepted if E <= E_before + 1e-6 max(size, size_before), where size is the
+// limited to 0..WARMEST. Later an iterate is accepted if E <= E_before + 1e-6 max(size, size_before), where size is the
 // sum of the magnitudes of the energy's terms. Then, with f_i = 1 / |p_i|, A'_ij = f_i f_j
 // A_ij, b'_i = f_i b_i and A' = V diag(l) V^T,
 //   c = -f V diag(1 / max(|l|, 1e-7 max |l|)) V^T b',  step = sum_i c_i p_i,  a += step,  p_2 = step
@@ -45,6 +45,7 @@ struct Params {
 
 override REPELS: bool = false;
 override REMEMBERS: bool = false;
+override WARMEST: f32 = 0.5;
 
 // Relative errors of the energy, and of an eigenvalue.
 const ENERGY_ERROR: f32 = 1e-6;
@@ -179,11 +180,11 @@ fn minimum() -> Solution {
     return Solution(select(vec4f(), c, vec4<bool>(all(are_finite(c)))), dropped);
 }
 
-// Returns the coefficient of the last frame's acceleration that minimises the model alone, limited to 0..1.
+// Returns the coefficient of the last frame's acceleration that minimises the model alone, limited to 0..WARMEST.
 fn warm() -> f32 {
     let curvature = abs(sums[1].w);
     let best = -sums[3].x / curvature;
-    return select(0.0, clamp(best, 0.0, 1.0), curvature > 0.0 && is_finite(best) && is_finite(sums[4].x));
+    return select(0.0, clamp(best, 0.0, WARMEST), curvature > 0.0 && is_finite(best) && is_finite(sums[4].x));
 }
 
 // Returns the fraction of a step of this slope to which a rise of the energy shortens it.

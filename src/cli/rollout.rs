@@ -415,11 +415,18 @@ impl<'a> Run<'a> {
             "status": status,
             "sound": status != Status::NonFinite && self.is_sound(),
             "stretch_largest_free": self.stretch_largest_free(),
+            "steps_shortened": self.per_frame.iter().map(|frame| frame.stats.steps.shortened).sum::<usize>(),
+            "directions_dropped": self.directions_dropped(),
             "files": names(written).chain([REPORT.into()]).collect::<Vec<_>>(),
             "frames": self.trajectory.frames(),
             "ms_per_frame": self.ms_per_frame(),
             "per_frame": self.per_frame,
         })
+    }
+
+    /// Directions that were not finite and were left out, in all frames.
+    fn directions_dropped(&self) -> usize {
+        self.per_frame.iter().map(|frame| frame.stats.steps.dropped).sum()
     }
 
     fn summarise(&self, status: Status, written: &[PathBuf]) -> Result<()> {
@@ -446,6 +453,10 @@ impl<'a> Run<'a> {
             writeln!(out, "energy          {energy:.5} (last frame, grid units)")?;
             writeln!(out, "|gradient|      {gradient:.2e} (last iteration of the last frame)")?;
             writeln!(out, "largest stretch {:.1} % (of all edges, including at handles)", 100.0 * stretch)?;
+            if self.directions_dropped() > 0 {
+                let name = "left out";
+                writeln!(out, "{name:<15} {} directions that were not finite", self.directions_dropped())?;
+            }
         }
         for path in written {
             writeln!(out, "wrote           {}", path.display())?;

@@ -3,8 +3,8 @@
 
 use super::Real;
 use super::cloth::{
-    CurvatureRows, Frame, GradientRows, LocalModel, Trial, add_repulsion_curvature, add_wind, end_frame,
-    energy, gradient, local_model, repulsion, shifts, stretch,
+    CurvatureRows, Frame, GradientRows, LocalModel, Trial, add_wind, end_frame, energy, gradient,
+    local_model, repulsion, shifts, stretch,
 };
 use super::optim::norm;
 use crate::cloth::{Control, EnergyTerms, Model, State};
@@ -68,6 +68,7 @@ impl<T: Real> Objective<T> {
             "grid and batch size must not change"
         );
         old.clone_from(model);
+        self.repulsion_energy.fill(0.0);
         self.total_acceleration.resize(if model.repels() { self.grad.len() } else { 0 }, T::zero());
         self.trial.slots = model.handle_slots();
     }
@@ -206,7 +207,8 @@ impl<T: Real> Objective<T> {
     }
 
     /// Returns the energy of cloth `b` at the trial of the last [`Objective::evaluate`], and its slopes and second
-    /// derivatives along `directions` [K, 3, H, W], which are 0 at handles.
+    /// derivatives along `directions` [K, 3, H, W], which are 0 at handles. Those of the repulsion are left out: it acts
+    /// over short distances, and a step that it makes too long is shortened.
     pub fn local_model(
         &self,
         state: &State<T>,
@@ -216,10 +218,7 @@ impl<T: Real> Objective<T> {
         let trial = self.trial.cloth(state, b);
         let grad = &self.grad[b * self.cloth_len()..][..self.cloth_len()];
         let mut model = local_model(&trial, rows, directions, grad);
-        if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
-            model.energy.repulsion = self.repulsion_energy[b];
-            add_repulsion_curvature(&trial, of_cloth, directions, &mut model.curvature);
-        }
+        model.energy.repulsion = self.repulsion_energy[b];
         model
     }
 

@@ -52,14 +52,18 @@ pub fn half() -> Option<Context> {
     half.inspect_err(|e| eprintln!("skipped: {e}")).ok()
 }
 
-/// Tests that use the device at once. A software driver compiles a kernel on one core and computes a dispatch
-/// on all, so two tests keep the cores busy; more would only take more memory.
-const AT_ONCE: usize = 2;
-
 /// A test's turn on the device, which ends when it is dropped.
 pub struct Turn(());
 
-static TURNS: (Mutex<usize>, Condvar) = (Mutex::new(AT_ONCE), Condvar::new());
+/// Turns that are left. A software driver compiles a kernel on one core and computes a dispatch on all, so two
+/// tests at once keep the cores busy; more would only take more memory. With hardware all cores compile.
+static TURNS: LazyLock<(Mutex<usize>, Condvar)> = LazyLock::new(|| {
+    let at_once = match context().kind() {
+        AdapterKind::Software => 2,
+        AdapterKind::Hardware => std::thread::available_parallelism().map_or(2, usize::from),
+    };
+    (Mutex::new(at_once), Condvar::new())
+});
 
 /// Waits for a turn on the device.
 pub fn device() -> Turn {

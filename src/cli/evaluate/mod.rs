@@ -29,8 +29,8 @@ use std::sync::atomic::AtomicBool;
 const STDOUT: &str = "-";
 
 /// The solvers that take part if none are named, and those if a suite sets the number of iterations.
-const SOLVERS: [&str; 5] = ["newton", "fnopt", "quasi-newton", "lbfgs:100", "adam:500"];
-const SOLVERS_OF_ITERATIONS_SUITE: [&str; 4] = ["fnopt", "quasi-newton", "lbfgs", "adam"];
+const SOLVERS: [&str; 6] = ["newton", "fnopt", "spectral", "quasi-newton", "lbfgs:100", "adam:500"];
+const SOLVERS_OF_ITERATIONS_SUITE: [&str; 5] = ["fnopt", "spectral", "quasi-newton", "lbfgs", "adam"];
 
 /// Arguments of `fnopt evaluate`.
 #[derive(Debug, clap::Args)]
@@ -45,10 +45,11 @@ pub struct Args {
     /// Grids to simulate on: HxW, or N for NxN; they must have the proportions of the cloth [default: 32]
     #[arg(long, value_delimiter = ',', value_name = "N|HxW,..")]
     grid: Option<Vec<String>>,
-    /// Solvers: fnopt, gd, adam, lbfgs, quasi-newton; quasi-newton-exact and newton, which run on the CPU
-    /// whatever the device; single-pass, which is fnopt:1; interpolation, which is fnopt on 32 rows,
+    /// Solvers: fnopt, fnopt-paper, spectral, gd, adam, lbfgs, quasi-newton; quasi-newton-exact and newton, which run
+    /// on the CPU whatever the device; single-pass, which is fnopt-paper:1; interpolation, which is fnopt-paper on 32 rows,
     /// interpolated to the grid. A number of iterations may follow after a colon [default:
-    /// newton,fnopt,quasi-newton,lbfgs:100,adam:500; in the suite iterations fnopt,quasi-newton,lbfgs,adam]
+    /// newton,fnopt,spectral,quasi-newton,lbfgs:100,adam:500; in the suite iterations
+    /// fnopt,spectral,quasi-newton,lbfgs,adam]
     #[arg(long, value_delimiter = ',', value_parser = trimmed::<String>, value_name = "NAME[:N],..")]
     solver: Option<Vec<String>>,
     /// Iterations per frame for solvers given without a number [default: 10]

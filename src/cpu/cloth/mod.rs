@@ -21,7 +21,7 @@ pub use energy::energy;
 pub use gradient::{GradientRows, gradient};
 pub use hessian::{AFTER, Block, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};
-pub use repulsion::{add_repulsion_curvature, repulsion};
+pub use repulsion::repulsion;
 pub use sheet_axes::sheet_axes;
 pub use stretch::stretch;
 pub use vertices::vertices;

@@ -5,7 +5,6 @@ use super::cells::{Cells, Placed, Walk};
 use super::vector::{add, at, dot, scaled, sub};
 use crate::cloth::Repulsion;
 use crate::cpu::Real;
-use crate::sim::MAX_DIRECTIONS;
 use rayon::prelude::*;
 
 /// Number of particles per task.
@@ -51,57 +50,4 @@ pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, total_acce
         energy += of_particle;
     }
     strength / n as f64 * energy
-}
-
-/// Adds to `curvature` the second derivatives of the energy of [`repulsion`] along `directions` [K, 3, H, W],
-/// which are 0 at handles.
-///
-/// With r the vector between two particles, `s = |r|^2 + 1e-8` and d_i the difference of direction i, an ordered
-/// pair adds `k / (H W) (4 (r.d_i) (r.d_j) / s^2 - 2 d_i.d_j / s)`.
-pub fn add_repulsion_curvature<T: Real>(
-    trial: &Trial<'_, T>,
-    repulsion: Repulsion,
-    directions: &[T],
-    curvature: &mut [[f64; MAX_DIRECTIONS]; MAX_DIRECTIONS],
-) {
-    let (grid, n) = (trial.grid, trial.grid.particles());
-    let count = directions.len() / (3 * n);
-    let Repulsion { strength, distance } = repulsion;
-    let (distance, softening) = (T::of(distance), T::of(Repulsion::SOFTENING));
-    let cells = Cells::new(trial, distance);
-    type Sums = [[f64; MAX_DIRECTIONS]; MAX_DIRECTIONS];
-    let of_task = |task: &[Placed<T>]| {
-        let (mut walk, mut sums) = (cells.walk(&task[0]), Sums::default());
-        for own in task.iter().filter(|own| own.is_within_reach()) {
-            for other in walk.around(own) {
-                let r = sub(own.place, other.place);
-                let square = dot(r, r);
-                if !(square < distance * distance) || grid.joined(own.particle, other.particle) {
-                    continue;
-                }
-                let inverse = (square + softening).f64().recip();
-                let along = |k: usize| {
-                    let p = &directions[3 * n * k..][..3 * n];
-                    let d = sub(at(p, n, own.particle), at(p, n, other.particle));
-                    (d.map(T::f64), dot(r, d).f64())
-                };
-                let mut parts = [([0.0; 3], 0.0); MAX_DIRECTIONS];
-                (0..count).for_each(|k| parts[k] = along(k));
-                for i in 0..count {
-                    for j in 0..count {
-                        let ((d, of_r), (e, other_of_r)) = (parts[i], parts[j]);
-                        let product = d[0] * e[0] + d[1] * e[1] + d[2] * e[2];
-                        sums[i][j] += 4.0 * of_r * other_of_r * inverse * inverse - 2.0 * product * inverse;
-                    }
-                }
-            }
-        }
-        sums
-    };
-    let tasks: Vec<Sums> = cells.sorted().par_chunks(TASK).map(of_task).collect();
-    for sums in tasks {
-        for (to, sums) in curvature.iter_mut().flatten().zip(sums.as_flattened()) {
-            *to += strength / n as f64 * sums;
-        }
-    }
 }

@@ -5,6 +5,7 @@ use super::{CoRotatedHessian, InverseHessian, RestHessian, Update};
 use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
 use crate::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
 use crate::cpu::{Objective, Real};
+use crate::kernels::optim::WARMEST;
 use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer, StepCounts};
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -21,7 +22,7 @@ const ROUNDINGS: f64 = 8.0;
 
 /// Minimises a frame of a batch of cloths by steps in a subspace.
 ///
-/// A frame starts at the best multiple between 0 and 1 of the accelerations of the frame before. Each iteration
+/// A frame starts at the best multiple of the accelerations of the frame before, at most [`WARMEST`]. Each iteration
 /// first checks the step before: where it raised the energy, it is shortened and the iteration ends there. So the
 /// energy never rises from one accepted iterate to the next.
 pub struct Subspace<T: Real> {
@@ -120,7 +121,7 @@ impl<T: Real> Subspace<T> {
         self.start_warm(objective, (state, control));
     }
 
-    /// Moves to the best multiple between 0 and 1 of the accelerations of the frame before.
+    /// Moves to the best multiple of the accelerations of the frame before, at most [`WARMEST`].
     fn start_warm(&mut self, objective: &mut Objective<T>, (state, control): (&State<T>, &Control<T>)) {
         let starts_warm = self.directions.iter().any(|direction| matches!(direction, Direction::Last));
         objective.evaluate(state, control);
@@ -133,7 +134,7 @@ impl<T: Real> Subspace<T> {
                 let model = objective.local_model(state, b, (along, &mut cloth.rows));
                 cloth.accepted = Accepted::of(&model.energy);
                 let [factor, ..] = best_step(&model, usize::from(starts_warm)).factors;
-                let factor = factor.clamp(0.0, 1.0);
+                let factor = factor.clamp(0.0, WARMEST);
                 cloth.accepted.slope = if starts_warm { factor * model.slopes[0] } else { 0.0 };
                 let factor = T::of(factor);
                 cloth.last.iter_mut().for_each(|step| *step = *step * factor);

@@ -28,7 +28,7 @@ pub use lbfgs::{Lbfgs, LbfgsMemory, LbfgsSettings, Part};
 pub use quasi_newton::QuasiNewton;
 pub use rest_modes::RestModes;
 pub use subspace::Subspace;
-pub use subspace_step::{SubspaceStep, When};
+pub use subspace_step::{SubspaceStep, WARMEST, When};
 pub use update::{Update, UpdateTensors};
 pub(crate) use update_adj::CLAMP;
 pub use update_adj::{Normalisation, UpdateAdj, UpdateAdjTensors};

@@ -81,8 +81,8 @@ impl Subspace {
         self.axes_kernel.push(schedule, self.grid, (iterate, x), [&self.axes, &self.directions]);
     }
 
-    /// Moves `iterate` from a = 0, where its gradient is known, to the best multiple between 0 and 1 of the last
-    /// frame's acceleration. `physics` and `repulsion` as in [`Subspace::push`]. Two dispatches.
+    /// Moves `iterate` from a = 0, where its gradient is known, to the best multiple, at most [`WARMEST`](super::WARMEST), of
+    /// the last frame's acceleration. `physics` and `repulsion` as in [`Subspace::push`]. Two dispatches.
     pub fn start(
         &self,
         schedule: &mut Schedule,

@@ -5,7 +5,7 @@ use crate::common::{assert_close, cases, context, device, largest, noise, poison
 use fnopt::cloth::{Grid, Material, Model};
 use fnopt::kernels::optim::cosine_columns::squared_frequencies;
 use fnopt::kernels::optim::cosine_rows::{fields_shape, table};
-use fnopt::kernels::optim::{CosineColumns, CosineDirections, CosineRows, directions};
+use fnopt::kernels::optim::{CosineColumns, CosineDirections, CosineRows, TENSION, directions};
 use std::f64::consts::PI;
 
 /// Returns the orthonormal DCT-II of n points, row by row.
@@ -17,17 +17,19 @@ fn cosines(n: usize) -> Vec<f64> {
     (0..n * n).map(|at| of(at / n, at % n)).collect()
 }
 
-/// Returns the eigenvalue of one of the six fields in mode (k, l), of a share 0.003 of the stiffness across
+/// Returns the eigenvalue of one of the six fields in mode (k, l), of a share of the stiffness across
 /// an edge and along the normal.
 fn eigenvalue(grid: Grid, material: Material, field: usize, (k, l): (usize, usize)) -> f64 {
     let (h, w, n) = (grid.h as f64, grid.w as f64, grid.particles() as f64);
     let Material { stretch, shear, bend } = material;
     let (m, q) = (2.0 - 2.0 * (PI * k as f64 / h).cos(), 2.0 - 2.0 * (PI * l as f64 / w).cos());
-    let (w_u, w_v, tau) = (2.0 * stretch / ((h - 1.0) * w), 2.0 * stretch / (h * (w - 1.0)), 0.003);
+    let (w_u, w_v, tau) = (2.0 * stretch / ((h - 1.0) * w), 2.0 * stretch / (h * (w - 1.0)), TENSION);
     match field {
         3 => 1.0 / n + w_u * (m + tau * q) + 8.0 * shear * q / n + 2.0 * bend * q * q / n,
         4 => 1.0 / n + w_v * (q + tau * m) + 8.0 * shear * m / n + 2.0 * bend * m * m / n,
-        5 => (1.0 + 2.0 * 0.003 * stretch) / n + tau * (w_u * m + w_v * q) + 2.0 * bend * (m * m + q * q) / n,
+        5 => {
+            (1.0 + 2.0 * TENSION * stretch) / n + tau * (w_u * m + w_v * q) + 2.0 * bend * (m * m + q * q) / n
+        }
         _ => 1.0 / n + w_u * m + w_v * q + 2.0 * bend / n * (m * m + q * q) + 4.0 * shear / n * (m + q),
     }
 }

@@ -8,7 +8,7 @@ use fnopt::gpu::{Order, Schedule, Tensor};
 use fnopt::kernels::cloth::curvature::parts_shape;
 use fnopt::kernels::cloth::gradient::parts;
 use fnopt::kernels::cloth::{Energy, EnergyTensors, Gradient, Repulsion, TERMS, energy};
-use fnopt::kernels::optim::{Iterate, Subspace, SubspaceStep, When, directions};
+use fnopt::kernels::optim::{Iterate, Subspace, SubspaceStep, WARMEST, When, directions};
 
 type Vector = [f64; 4];
 type Matrix = [Vector; 4];
@@ -195,7 +195,7 @@ fn steps_match() {
                 let (mut c, dropped) = coefficients(given.a, given.b, given.squares);
                 if first {
                     let best = -given.b[2] / given.a[2][2].abs();
-                    c = [0.0, 0.0, if best.is_finite() { best.clamp(0.0, 1.0) } else { 0.0 }, 0.0];
+                    c = [0.0, 0.0, if best.is_finite() { best.clamp(0.0, WARMEST) } else { 0.0 }, 0.0];
                 }
                 // Where the parabola is least.
                 let least = -0.5 * old[2] / (energy - old[0] - old[2]);
