@@ -35,7 +35,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<Ending> {
     let optimizer = args.solver.optimizer()?;
-    if !optimizer.weights().is_some() {
+    if optimizer.weights().is_none() {
         // Chance would choose between tilings of a network that is not there.
         let expected = "fnopt, whose network is what the tile sizes are for";
         return Err(Error::invalid("--solver", "solver", expected, optimizer.name()).into());

@@ -21,7 +21,7 @@ enum Method<T: Real> {
     /// By this many steps of an optimizer that sees only the gradient.
     Steps(usize, Box<dyn Minimizer<T>>),
     /// By this many steps in a subspace.
-    Subspace(usize, Subspace<T>),
+    Subspace(usize, Box<Subspace<T>>),
     /// By Newton's method, each cloth until it converges.
     Newton(Vec<Reference>),
 }
@@ -38,7 +38,7 @@ impl<T: Real> Solver<T> {
         optimizer.check()?;
         let method = match optimizer.length {
             Length::Armijo => Method::Newton(references(model)?),
-            Length::Subspace => Method::Subspace(iterations, Subspace::new(optimizer, model)?),
+            Length::Subspace => Method::Subspace(iterations, Box::new(Subspace::new(optimizer, model)?)),
             Length::Fixed(_) => Method::Steps(iterations, minimizer(optimizer, model)?),
         };
         let (optimizer, objective) = (optimizer.clone(), Objective::new(model));

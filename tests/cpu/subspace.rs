@@ -379,12 +379,8 @@ fn a_free_sheet_falls_as_a_stone() {
         for frame in 1..=60 {
             solver.step(&mut state, &setup.control(frame));
         }
-        let fallen: Vec<f64> = setup
-            .vertices_m(&state.x)
-            .iter()
-            .zip(&first)
-            .map(|(now, then)| f64::from(then[1]) - f64::from(now[1]))
-            .collect();
+        let fallen: Vec<f64> =
+            setup.vertices_m(&state.x).iter().zip(&first).map(|(now, then)| then[1] - now[1]).collect();
         // Backward Euler: g T^2 n (n + 1) / 2.
         let expected = 9.8 / 3600.0 * 60.0 * 61.0 / 2.0;
         for fallen in fallen {

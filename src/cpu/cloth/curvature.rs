@@ -2,6 +2,10 @@
 //!
 //! No Hessian is formed: each edge and each angle adds its exact second derivative along every pair of directions
 //! to the sums. The rows are processed [one register at a time](super::rows), and every edge is loaded once.
+#![expect(
+    clippy::needless_range_loop,
+    reason = "iterator adapters would not be compiled for the registers, see `rows`"
+)]
 
 use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
 use super::{Factors, Trial};
