@@ -4,6 +4,7 @@ use super::optim::{Minimizer, Subspace, minimizer, norm};
 use super::reference::{Minimum, WITHOUT_REPULSION};
 use super::{Objective, Real, Reference};
 use crate::cloth::{Cloth, Control, Model, State};
+use crate::kernels::optim::LEARNED_ITERATIONS;
 use crate::sim::{Direction, FrameStats, IterationLog, Length, Optimizer, StepCounts};
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -92,11 +93,13 @@ impl<T: Real> Solver<T> {
             }
             Method::Subspace(iterations, subspace) => {
                 subspace.begin_frame(objective, (state, control));
-                for _ in 0..*iterations {
+                for iteration in 0..*iterations {
                     objective.evaluate(state, control);
-                    subspace.step(objective, state);
+                    subspace.step(objective, state, iteration);
                     self.log.gradient_norms.extend(&objective.norms);
-                    self.log.scales.extend(subspace.scales().iter().map(|s| s.f64()));
+                    if iteration < LEARNED_ITERATIONS {
+                        self.log.scales.extend(subspace.scales().iter().map(|s| s.f64()));
+                    }
                 }
                 objective.move_to_trial(state, control);
                 subspace.end_frame(objective, state);

@@ -7,7 +7,8 @@ use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::EnergyTensors;
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::{
-    Adam, AdamSettings, GradientDescent, Iterate, Lbfgs, LbfgsMemory, LbfgsSettings, QuasiNewton, Subspace,
+    Adam, AdamSettings, GradientDescent, Iterate, LEARNED_ITERATIONS, Lbfgs, LbfgsMemory, LbfgsSettings,
+    QuasiNewton, Subspace,
 };
 use crate::{Error, Result};
 
@@ -20,7 +21,7 @@ pub(super) enum Rule {
         step: Box<Learned>,
         scales: Tensor,
     },
-    /// `network` is the fourth direction, with its scales as above.
+    /// `network` is the fourth direction, with its scales as above, in rows for the iterations in which it proposes.
     Subspace {
         plan: Box<Subspace>,
         network: Option<(Box<Learned>, Tensor)>,
@@ -60,7 +61,7 @@ impl Rule {
             let found = format!("{}, which does not (use the CPU)", context.name());
             Err(Error::invalid("optimizer", optimizer.name(), expected, found))
         };
-        let learned = |weights| {
+        let learned = |weights, iterations| {
             let step = Box::new(Learned::new(context, weights, tuning, (grid, samples))?);
             Result::Ok((step, rows(context, "scales", iterations, samples)?))
         };
@@ -69,7 +70,7 @@ impl Rule {
         {
             let network = match rest {
                 [] => None,
-                [Direction::Network(weights)] => Some(learned(weights)?),
+                [Direction::Network(weights)] => Some(learned(weights, iterations.min(LEARNED_ITERATIONS))?),
                 _ => return refused(),
             };
             let count = optimizer.directions.len();
@@ -81,7 +82,7 @@ impl Rule {
         };
         Ok(match *direction {
             Direction::Network(ref weights) => {
-                let (step, scales) = learned(weights)?;
+                let (step, scales) = learned(weights, iterations)?;
                 Self::Learned { step, scales }
             }
             Direction::Gradient => {
@@ -165,7 +166,8 @@ impl Rule {
                 step.push(schedule, (iterate, sums), scales(rows), None);
             }
             Self::Subspace { plan, network } => {
-                if let Some((step, rows)) = network {
+                // Later its last proposal stays among the directions.
+                if let Some((step, rows)) = network.as_ref().filter(|_| iteration < LEARNED_ITERATIONS) {
                     let direction = plan.learned_step();
                     step.push(schedule, (iterate, sums), scales(rows), direction.as_ref());
                 }

@@ -45,6 +45,7 @@ pub struct IterationLog {
     /// `|dL/da|` of each sample, shape [N, S] with S = 3 B. Newton's method has two rows: at the start and at
     /// the minimum.
     pub gradient_norms: Vec<f64>,
-    /// Scale of the learned optimizer after each iteration, shape [N, S]; empty for other optimizers.
+    /// Scale of the network's steps after each iteration in which it proposes one, shape [N or less, S]; empty for
+    /// other optimizers.
     pub scales: Vec<f64>,
 }

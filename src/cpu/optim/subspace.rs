@@ -5,7 +5,7 @@ use super::{CoRotatedHessian, InverseHessian, RestHessian, Update};
 use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
 use crate::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
 use crate::cpu::{Objective, Real};
-use crate::kernels::optim::WARMEST;
+use crate::kernels::optim::{LEARNED_ITERATIONS, WARMEST};
 use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer, StepCounts};
 use crate::{Error, Result};
 use rayon::prelude::*;
@@ -148,12 +148,15 @@ impl<T: Real> Subspace<T> {
         }
     }
 
-    /// Adds a step to the accelerations of `objective`, which has been evaluated there.
-    pub fn step(&mut self, objective: &mut Objective<T>, state: &State<T>) {
+    /// Adds the step of `iteration`, counted from 0, to the accelerations of `objective`, which has been evaluated
+    /// there.
+    pub fn step(&mut self, objective: &mut Objective<T>, state: &State<T>, iteration: usize) {
         let Self { directions, network, cloths, moved, .. } = self;
         let proposed = match network {
-            Some(network) => network.propose(&objective.grad, &objective.norms),
-            None => &[],
+            Some(network) if iteration < LEARNED_ITERATIONS => {
+                network.propose(&objective.grad, &objective.norms)
+            }
+            _ => &[],
         };
         let len = objective.cloth_len();
         moved.copy_from_slice(&objective.trial.a);
@@ -165,6 +168,8 @@ impl<T: Real> Subspace<T> {
                 for (p, kind) in cloth.directions.chunks_exact_mut(len).zip(&*directions) {
                     match kind {
                         Direction::Last => p.copy_from_slice(&cloth.last),
+                        // Later its last proposal stays.
+                        Direction::Network(_) if proposed.is_empty() => continue,
                         Direction::Network(_) => p.copy_from_slice(&proposed[b * len..][..len]),
                         _ => p.iter_mut().zip(grad).for_each(|(p, &g)| *p = -g),
                     }

@@ -27,7 +27,7 @@ pub use gradient_descent::GradientDescent;
 pub use lbfgs::{Lbfgs, LbfgsMemory, LbfgsSettings, Part};
 pub use quasi_newton::QuasiNewton;
 pub use rest_modes::RestModes;
-pub use subspace::Subspace;
+pub use subspace::{LEARNED_ITERATIONS, Subspace};
 pub use subspace_step::{SubspaceStep, WARMEST, When};
 pub use update::{Update, UpdateTensors};
 pub(crate) use update_adj::CLAMP;

@@ -9,6 +9,11 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::{Curvature, EnergyTensors, SheetAxes, curvature};
 
+/// Iterations of a frame in which a network proposes a step. Its direction is worth most far from the minimum: with
+/// it, five iterations leave 1.9 % of the gap of `xy_v2` at 32x32 where three directions leave 3.6 %. Later it
+/// disturbs the conjugacy of the others: after ten iterations with it 1.1 % are left, and 0.6 % without.
+pub const LEARNED_ITERATIONS: usize = 5;
+
 /// Minimises a quadratic model of the energy in the span of three or four directions: the gradient times the
 /// inverse Hessian of a flat sheet (`P C^T diag(1 / lambda) C P`, see [`super::QuasiNewton`]), the same in
 /// the sheet's own axes, where stretching is stiffer than bending, the last step, and the step of a network.
