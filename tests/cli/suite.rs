@@ -115,14 +115,14 @@ fn repulsion_is_reported() {
     assert!(text(&output.stderr).contains("newton does not take part in single-mid-edge with"), "{output:?}");
     let scores = json(&folder.path().join("all.json"));
     let of = |case: &str| scores.as_array().unwrap().iter().filter(|s| s["case"] == case).count();
-    assert_eq!((of("corner-center without"), of("corner-center with")), (5, 4));
+    assert_eq!((of("corner-center without"), of("corner-center with")), (6, 5));
     // Without `--solver`, the suite `iterations` takes the solvers that have an iteration count.
     let few = ["--frames", "2", "--grid", "12", "--sequences", "3 iterations", "--no-gap", "--device", "cpu"];
     let output = fnopt(folder.path(), &[&["evaluate", "--suite", "iterations", "--json"], &few[..]].concat());
     assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
     let scores: Value = serde_json::from_slice(&output.stdout).unwrap();
     let solvers: Vec<_> = scores.as_array().unwrap().iter().map(|s| s["solver"].as_str().unwrap()).collect();
-    assert_eq!(solvers, ["fnopt", "quasi-newton", "lbfgs", "adam"]);
+    assert_eq!(solvers, ["fnopt", "spectral", "quasi-newton", "lbfgs", "adam"]);
     // If no case has repulsion, the tables do not mention it.
     let speeds = ["--suite", "speeds", "--grid", "8", "--frames", "3", "--solver", "gd:1", "--no-gap"];
     let (printed, _) = done(quiet(folder.path(), &[&["evaluate"], &speeds[..]].concat()).output().unwrap());
