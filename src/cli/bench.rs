@@ -9,9 +9,10 @@ use fnopt::cloth::{Control, Grid};
 use fnopt::eval::WARM_UP;
 use fnopt::gpu::{Context, Profile, Schedule, Tensor};
 use fnopt::kernels::operator::MultiplyAdd;
+use fnopt::kernels::optim::LEARNED_ITERATIONS;
 use fnopt::network::Weights;
 use fnopt::render::{Chart, Curve, Image, Scale, charts, write_png};
-use fnopt::sim::{Optimizer, Solver};
+use fnopt::sim::{Length, Optimizer, Solver};
 use fnopt::{Device, Simulator};
 use std::collections::HashSet;
 use std::io::Write;
@@ -297,7 +298,12 @@ fn measure(
         return Ok(None);
     }
     let ms_per_frame = median(&times);
-    let of_network = |weights: &Arc<Weights>| weights.config.flop(grid) * (3 * batch * iterations) as f64;
+    // In a subspace the network takes part in the first iterations alone.
+    let evaluations = match optimizer.length {
+        Length::Subspace => iterations.min(LEARNED_ITERATIONS),
+        _ => iterations,
+    };
+    let of_network = |weights: &Arc<Weights>| weights.config.flop(grid) * (3 * batch * evaluations) as f64;
     let flop = optimizer.weights().map(of_network);
     let mut row = Row {
         grid: grid.to_string(),
