@@ -20,10 +20,10 @@ pub use update::{Hidden, Update};
 pub use update_adj::UpdateAdjoint;
 
 use super::Real;
-use crate::Result;
 use crate::cloth::Model;
 use crate::network::Weights;
 use crate::sim::{Direction, Initial, Length, Optimizer};
+use crate::{Error, Result};
 
 /// An optimizer running on a batch of cloths.
 pub trait Minimizer<T>: Send + Sync {
@@ -46,7 +46,7 @@ pub trait Minimizer<T>: Send + Sync {
 pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dyn Minimizer<T>>> {
     let (batch, cloth) = (model.batch(), 3 * model.grid.particles());
     let ([direction], Length::Fixed(length)) = (&optimizer.directions[..], optimizer.length) else {
-        return Err(subspace::no_fixed_length(optimizer));
+        return Err(no_fixed_length(optimizer));
     };
     Ok(match *direction {
         Direction::Network(ref weights) => Box::new(update(weights, model)?),
@@ -58,8 +58,14 @@ pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dy
         Direction::Lbfgs { settings, initial } => {
             Box::new(Lbfgs::from_rest(settings, initial == Initial::Factored, model)?)
         }
-        _ => return Err(subspace::no_fixed_length(optimizer)),
+        _ => return Err(no_fixed_length(optimizer)),
     })
+}
+
+/// Returns the error for an optimizer that has no single direction of fixed length.
+fn no_fixed_length(optimizer: &Optimizer) -> Error {
+    let expected = "one direction that depends on the gradient alone, and a fixed length";
+    Error::invalid("optimizer", "directions", expected, optimizer.name())
 }
 
 /// Builds the learned update rule for the cloths of `model`.

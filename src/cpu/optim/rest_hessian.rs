@@ -164,7 +164,7 @@ fn table<T: Real>(
 }
 
 /// Zeroes a field [3, H, W] at the handles.
-fn hold<T: Real>(handles: &[usize], field: &mut [T]) {
+pub(super) fn hold<T: Real>(handles: &[usize], field: &mut [T]) {
     let n = field.len() / 3;
     for component in field.chunks_exact_mut(n) {
         handles.iter().for_each(|&p| component[p] = T::zero());

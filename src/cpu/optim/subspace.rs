@@ -1,13 +1,13 @@
 //! The best step among a few directions: the minimum of the energy's local quadratic model over them.
 
-use super::rest_hessian::Cosines;
+use super::rest_hessian::{Cosines, hold};
 use super::{CoRotatedHessian, InverseHessian, RestHessian, Update};
+use crate::Result;
 use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
 use crate::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
 use crate::cpu::{Objective, Real};
 use crate::kernels::optim::{LEARNED_ITERATIONS, WARMEST};
 use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer, StepCounts};
-use crate::{Error, Result};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -363,16 +363,4 @@ fn eigen<const N: usize>(mut a: [[f64; N]; N]) -> ([f64; N], [[f64; N]; N]) {
         }
     }
     (std::array::from_fn(|k| a[k][k]), vectors)
-}
-
-/// Zeroes a field [3, n] at the handles.
-fn hold<T: Real>(handles: &[usize], field: &mut [T]) {
-    let n = field.len() / 3;
-    field.chunks_exact_mut(n).for_each(|component| handles.iter().for_each(|&p| component[p] = T::zero()));
-}
-
-/// Returns an error for an optimizer that has no single direction of fixed length.
-pub(super) fn no_fixed_length(optimizer: &Optimizer) -> Error {
-    let expected = "one direction that depends on the gradient alone, and a fixed length";
-    Error::invalid("optimizer", "directions", expected, optimizer.name())
 }
