@@ -6,7 +6,7 @@ mod common;
 use common::{adapter, criterion, is_software};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use fnopt::Device;
-use fnopt::train::{Alone, Config, Pool, Update, initial_weights, learner};
+use fnopt::train::{Alone, Config, Pool, WeightUpdate, initial_weights, learner};
 
 /// Cloths per pool. Their number does not affect the time of a step, and few are quick to set up.
 const CLOTHS: usize = 40;
@@ -31,7 +31,7 @@ fn steps(c: &mut Criterion) {
             b.iter(|| {
                 let batches: Vec<_> = pools.iter().map(|pool| pool.draw(step)).collect();
                 step += 1;
-                let update = Update { number: step, rate: 1e-3, average: 0.0 };
+                let update = WeightUpdate { number: step, rate: 1e-3, average: 0.0 };
                 let report = learner.step(&batches, update, &Alone).expect("the device stays");
                 for (pool, (batch, outcomes)) in pools.iter_mut().zip(batches.iter().zip(&report.outcomes)) {
                     pool.record(batch, outcomes);

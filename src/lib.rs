@@ -42,6 +42,9 @@
 //! [`sim::Solver::new`] built; on the CPU, [`cpu::Solver::step`] runs the same stages ([`cpu::cloth`],
 //! [`cpu::operator`], [`cpu::optim`]):
 //!
+//! [`kernels::cloth::Objective`] holds what the energy of a frame depends on and appends the dispatches that evaluate
+//! it; [`cpu::Objective`] does the same on the CPU. The terms of the energy are in `shaders/terms`.
+//!
 //! 1. [`kernels::cloth::Predict`] prepares a = 0, which moves the particles by their velocity and the handles to
 //!    their targets. [`kernels::cloth::ExternalForce`] sums gravity, the control's accelerations and the
 //!    forces of the air.
@@ -87,6 +90,7 @@
 //! | [`cloth`] | grid, material, state and control of cloths, in grid units |
 //! | [`io`], [`render`] | trajectory and mesh files; images |
 //! | [`scene`] | scene files, motions, materials, conversion to grid units |
+//! | [`settings`] | settings of the methods, for both devices |
 //! | [`gpu`] | context, tensors, kernels, schedules, readback; knows nothing of cloth |
 //! | [`kernels`] | the host side of each file in `shaders/`, in the same tree |
 //! | [`network`] | sizes, weights, checkpoints, the forward and backward passes as dispatches |
@@ -118,6 +122,7 @@ mod memory;
 pub mod network;
 pub mod render;
 pub mod scene;
+pub mod settings;
 pub mod sim;
 mod simulator;
 mod statistics;

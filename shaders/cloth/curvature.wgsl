@@ -1,8 +1,8 @@
 // Quadratic model of a cloth's energy in the span of K directions p_0 ... p_(K-1), and the energy itself, in
 // partial sums over its particles.
 //
-// A_ij = p_i . d2L/da2 p_j (exact second derivatives of the elastic terms and inertia), b_i = p_i . g and
-// |p_i|^2. With the change d_i of an edge e along direction i and its unit vector u, an edge adds
+// A_ij = p_i . d2L/da2 p_j (exact second derivatives of the terms in `shaders/terms`), b_i = p_i . g and |p_i|^2.
+// With the change d_i of an edge e along direction i and its unit vector u, an edge adds
 //   2 c ((u . d_i)(u . d_j) / |e| + (1 - 1 / |e|) d_i . d_j)
 // and an angle t between two edges what `add_angle` says. With K = 0 there is the energy alone.
 //
@@ -10,7 +10,8 @@
 // directions are 0 at handles, which `base` alone moves.
 //
 // cloths: [B]
-// external_acceleration, a, base, x, grad: [B, 3, H, W]
+// a, x, grad: [B, 3, H, W]
+// base: [B, 3, H, W], and the external accelerations [B, 3, H, W] from element `first_external` on
 // directions: [K, slot], [B, 3, H, W] each
 // parts: [B, parts, 24] = A_00, A_01, A_02, A_03, A_11, A_12, A_13, A_22, A_23, A_33, b_0 ... b_3,
 //   |p_0|^2 ... |p_3|^2 (0 for directions from K on), then stretch, shear, bend, inertia and external energy,
@@ -26,27 +27,23 @@ struct Params {
     columns: u32, // W
     parts: u32,
     slot: u32, // elements from a direction to the next, at least 3 B H W
+    first_external: u32,
     zero: u32, // 0
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> external_acceleration: array<f32>;
-@group(0) @binding(3) var<storage, read> a: array<f32>;
-@group(0) @binding(4) var<storage, read> base: array<f32>;
-@group(0) @binding(5) var<storage, read> x: array<f32>;
-@group(0) @binding(6) var<storage, read> grad: array<f32>;
-@group(0) @binding(7) var<storage, read> directions: array<f32>;
-@group(0) @binding(8) var<storage, read_write> parts: array<vec4f>;
+@group(0) @binding(2) var<storage, read> a: array<f32>;
+@group(0) @binding(3) var<storage, read> base: array<f32>;
+@group(0) @binding(4) var<storage, read> x: array<f32>;
+@group(0) @binding(5) var<storage, read> grad: array<f32>;
+@group(0) @binding(6) var<storage, read> directions: array<f32>;
+@group(0) @binding(7) var<storage, read_write> parts: array<vec4f>;
 
 // Number of directions: 0, 3 or 4.
 override K: u32 = 0;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
-// Edges whose sine is below this count as parallel: rounding leaves their common normal undefined.
-const PARALLEL: f32 = 1e-4;
-// Shortest edge that has a direction: the square of a shorter one is subnormal.
-const SHORTEST: f32 = 1e-18;
 
 // Starts and shifts of the particles of a tile, with a rim of two particles on the far sides where they
 // exist, and the components of all directions there: component c of direction i is element i.
@@ -131,14 +128,14 @@ fn add_products(v: vec4f, w: vec4f) {
 
 // Adds the second derivatives of c (|e| - 1)^2 and returns the energy over c.
 fn add_stretch(one: Edge, c: f32) -> f32 {
-    let off = length(one.e) - 1.0;
+    let off = stretch_of(one.e);
     if K > 0u && one.inverse > 0.0 {
-        let across = 2.0 * c * (1.0 - one.inverse);
-        let u = change(one.e, one) * one.inverse;
-        add_products(2.0 * c * one.inverse * u, u);
-        add_products(across * one.x, one.x);
-        add_products(across * one.y, one.y);
-        add_products(across * one.z, one.z);
+        let second = c * stretch_curvature(one.inverse);
+        let along = change(one.e, one) * one.inverse;
+        add_products(second.y * along, along);
+        add_products(second.x * one.x, one.x);
+        add_products(second.x * one.y, one.y);
+        add_products(second.x * one.z, one.z);
     }
     return off * off;
 }
@@ -153,43 +150,30 @@ fn add_stretch(one: Edge, c: f32) -> f32 {
 //                                      + (m_w . beta_i)(w . beta_j) + (w . beta_i)(m_w . beta_j))
 //                + s (cos t ((n . alpha_i)(n . alpha_j) + (n . beta_i)(n . beta_j))
 //                     - (n . alpha_i)(n . beta_j) - (n . beta_i)(n . alpha_j)))
-// with s = (t - rest) / sin t. For parallel edges s is its limit, 1, if rest = 0, and else 0.
+// with s = (t - rest) / sin t.
 fn add_angle(first: Edge, second: Edge, rest: f32, c: f32) -> f32 {
-    let normal = cross(first.e, second.e);
-    let area = length(normal);
-    let product = dot(first.e, second.e);
-    let off = angle(area, product) - rest;
+    let shape = angle_shape(first.e, second.e, vec2f(first.inverse, second.inverse), rest);
     // An edge of no length forms no angle.
     if K > 0u && first.inverse > 0.0 && second.inverse > 0.0 {
-        let u = first.e * first.inverse;
-        let w = second.e * second.inverse;
-        let sine = area * first.inverse * second.inverse;
-        let cosine = product * first.inverse * second.inverse;
-        var n = normal / max(area, 1e-37);
-        var s = off / max(sine, PARALLEL);
-        if sine < PARALLEL {
-            s = select(0.0, 1.0, rest == 0.0 && cosine > 0.0);
-            // Any normal will do.
-            n = normalize(select(vec3f(0.0, u.z, -u.y), vec3f(-u.z, 0.0, u.x), abs(u.x) > 0.7));
-        }
-        let along_u = change(u, first) * first.inverse;
-        let along_w = change(w, second) * second.inverse;
-        let across_u = change(cross(n, u), first) * first.inverse;
-        let across_w = change(cross(w, n), second) * second.inverse;
-        let normal_u = change(n, first) * first.inverse;
-        let normal_w = change(n, second) * second.inverse;
+        let along_u = change(shape.u, first) * first.inverse;
+        let along_w = change(shape.w, second) * second.inverse;
+        let across_u = change(cross(shape.n, shape.u), first) * first.inverse;
+        let across_w = change(cross(shape.w, shape.n), second) * second.inverse;
+        let normal_u = change(shape.n, first) * first.inverse;
+        let normal_w = change(shape.n, second) * second.inverse;
         let twice = 2.0 * c;
         let turn = across_u + across_w;
         add_products(twice * turn, turn);
-        let radial = twice * off;
+        let radial = twice * shape.off;
         add_products(radial * across_u, along_u);
         add_products(radial * along_u, across_u);
         add_products(radial * across_w, along_w);
         add_products(radial * along_w, across_w);
-        add_products(twice * s * normal_u, cosine * normal_u - normal_w);
-        add_products(twice * s * normal_w, cosine * normal_w - normal_u);
+        let bent = twice * shape.s;
+        add_products(bent * normal_u, shape.cosine * normal_u - normal_w);
+        add_products(bent * normal_w, shape.cosine * normal_w - normal_u);
     }
-    return off * off;
+    return shape.off * shape.off;
 }
 
 // Six sums of each invocation, then of each group of eight invocations.
@@ -263,21 +247,19 @@ fn curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) 
                 }
             }
             let at = b * 3u * n + i * params.columns + j;
-            let f = vec3f(
-                external_acceleration[at],
-                external_acceleration[at + n],
-                external_acceleration[at + 2u * n],
-            );
+            let given = params.first_external + at;
+            let f = vec3f(base[given], base[given + n], base[given + 2u * n]);
             let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
             let m = mass(i, j, params.rows, params.columns) / count;
-            driven += m * vec2f(0.5 * dot(acceleration, acceleration), -dot(acceleration, f));
+            driven += particle_energies(acceleration, f, m);
             if K > 0u {
                 let px = along_x[own];
                 let py = along_y[own];
                 let pz = along_z[own];
-                add_products(m * px, px);
-                add_products(m * py, py);
-                add_products(m * pz, pz);
+                let second = particle_curvature(m);
+                add_products(second * px, px);
+                add_products(second * py, py);
+                add_products(second * pz, pz);
                 slopes += px * grad[at] + py * grad[at + n] + pz * grad[at + 2u * n];
                 squares += px * px + py * py + pz * pz;
             }

@@ -1,4 +1,5 @@
-// Energy terms and stretch of a cloth, in partial sums over its particles (`cloth::EnergyTerms`).
+// Energy terms and stretch of a cloth, in partial sums over its particles (`cloth::EnergyTerms`, the terms in
+// `shaders/terms`).
 //
 // Each particle owns the edges, corner angles and bends that start at it. A part holds eight numbers:
 // stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of
@@ -6,7 +7,8 @@
 //
 // cloths: [B]
 // slots: [B, H, W]
-// external_acceleration, a, base, x: [B, 3, H, W]
+// a, x: [B, 3, H, W]
+// base: [B, 3, H, W], and the external accelerations [B, 3, H, W] from element `first_external` on
 // parts: [B, groups, 8]
 //
 // One invocation per particle. Sums over a workgroup have a fixed order.
@@ -17,17 +19,17 @@ struct Params {
     rows: u32, // H
     columns: u32, // W
     groups: u32,
+    first_external: u32,
     zero: u32, // 0
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
-@group(0) @binding(3) var<storage, read> external_acceleration: array<f32>;
-@group(0) @binding(4) var<storage, read> a: array<f32>;
-@group(0) @binding(5) var<storage, read> base: array<f32>;
-@group(0) @binding(6) var<storage, read> x: array<f32>;
-@group(0) @binding(7) var<storage, read_write> parts: array<vec4f>;
+@group(0) @binding(3) var<storage, read> a: array<f32>;
+@group(0) @binding(4) var<storage, read> base: array<f32>;
+@group(0) @binding(5) var<storage, read> x: array<f32>;
+@group(0) @binding(6) var<storage, read_write> parts: array<vec4f>;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
@@ -38,11 +40,6 @@ var<workgroup> others: array<vec4f, 64>; // external, largest stretch, sum of |s
 fn position(b: u32, i: u32, j: u32, own: Trial) -> vec3f {
     let other = trial(b, i * params.columns + j, params.rows * params.columns);
     return offset(other.x, own.x, other.shift, own.shift, params.zero);
-}
-
-fn squared_angle(u: vec3f, w: vec3f, rest: f32) -> f32 {
-    let off = angle(length(cross(u, w)), dot(u, w)) - rest;
-    return off * off;
 }
 
 @compute @workgroup_size(64)
@@ -70,7 +67,7 @@ fn energy(
         var across = vec3f();
         if has_down {
             down = position(b, i + 1u, j, own);
-            let off = length(down) - 1.0;
+            let off = stretch_of(down);
             term.x += off * off / ((rows - 1.0) * columns);
             other.y = max(other.y, off);
             other.z += abs(off);
@@ -80,7 +77,7 @@ fn energy(
         }
         if has_across {
             across = position(b, i, j + 1u, own);
-            let off = length(across) - 1.0;
+            let off = stretch_of(across);
             term.x += off * off / (rows * (columns - 1.0));
             other.y = max(other.y, off);
             other.z += abs(off);
@@ -96,14 +93,14 @@ fn energy(
                 + squared_angle(far_v, across, RIGHT_ANGLE) + squared_angle(far_v, far_h, RIGHT_ANGLE);
         }
         let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
-        let f = vec3f(external_acceleration[at], external_acceleration[at + n], external_acceleration[at + 2u * n]);
-        let m = mass(i, j, params.rows, params.columns);
-        term.w = 0.5 * m * dot(acceleration, acceleration);
-        other.x = -m * dot(acceleration, f);
+        let given = params.first_external + at;
+        let f = vec3f(base[given], base[given + n], base[given + 2u * n]);
         let count = rows * columns;
         let material = cloths[b].material;
-        term *= vec4f(material.x, material.y / count, material.z / count, 1.0 / count);
-        other.x /= count;
+        term *= vec4f(material.x, material.y / count, material.z / count, 0.0);
+        let alone = particle_energies(acceleration, f, mass(i, j, params.rows, params.columns) / count);
+        term.w = alone.x;
+        other.x = alone.y;
     }
     terms[lane] = term;
     others[lane] = other;

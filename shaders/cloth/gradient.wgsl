@@ -1,12 +1,13 @@
-// Gradient of the energy of a frame with respect to the acceleration, grad = dL/da (`cloth::EnergyTerms`), and
-// partial sums of squares, partial_sums[s, k] = (sum g^2, sum d^2) over part k of the particles of a sample,
+// Gradient of the energy of a frame with respect to the acceleration, grad = dL/da (`cloth::EnergyTerms`, the terms
+// in `shaders/terms`), and partial sums of squares, partial_sums[s, k] = (sum g^2, sum d^2) over part k of the particles of a sample,
 // where d is the last step.
 //
 // dx/da is 1 at a free particle and 0 at a handle, where only inertia and the external term count.
 //
 // cloths: [B]
 // slots: [B, H, W]
-// external_acceleration, a, base, x: [B, 3, H, W]
+// a, x: [B, 3, H, W]
+// base: [B, 3, H, W], and the external accelerations [B, 3, H, W] from element `first_external` on
 // fields: grad [B, 3, H, W] = [S, H, W]; with LAST_STEP also the last step [S, H, W] from element `last_step`
 //   on, without it sum d^2 is 0
 // partial_sums: [S, parts] pairs from sum `first_sum` on
@@ -23,18 +24,18 @@ struct Params {
     parts: u32,
     first_sum: u32,
     last_step: u32,
+    first_external: u32,
     zero: u32, // 0
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
-@group(0) @binding(3) var<storage, read> external_acceleration: array<f32>;
-@group(0) @binding(4) var<storage, read> a: array<f32>;
-@group(0) @binding(5) var<storage, read> base: array<f32>;
-@group(0) @binding(6) var<storage, read> x: array<f32>;
-@group(0) @binding(7) var<storage, read_write> fields: array<f32>;
-@group(0) @binding(8) var<storage, read_write> partial_sums: array<f32>;
+@group(0) @binding(3) var<storage, read> a: array<f32>;
+@group(0) @binding(4) var<storage, read> base: array<f32>;
+@group(0) @binding(5) var<storage, read> x: array<f32>;
+@group(0) @binding(6) var<storage, read_write> fields: array<f32>;
+@group(0) @binding(7) var<storage, read_write> partial_sums: array<f32>;
 
 override LAST_STEP: bool = false;
 
@@ -67,11 +68,9 @@ fn position(lane: u32, rows: i32, columns: i32) -> vec3f {
     return offset(starts[other], starts[own], shifts[other], shifts[own], params.zero);
 }
 
-// Returns d(|edge| - 1)^2 / dp for the edge that starts at p; zero if the edge does not exist or has no
-// length, which includes lengths whose squares are subnormal.
+// Returns d(|edge| - 1)^2 / dp for the edge that starts at p; zero if the edge does not exist.
 fn stretch(edge: vec3f, exists: bool) -> vec3f {
-    let l = length(edge);
-    return select(vec3f(), -2.0 * (l - 1.0) / max(l, 1e-18) * edge, exists && l > 1e-18);
+    return select(vec3f(), -stretch_gradient(edge), exists);
 }
 
 // Returns d/dp of the four squared corner angles of a cell; zero if the cell does not exist. The other
@@ -120,8 +119,10 @@ fn gradient_at(b: u32, i: i32, j: i32, lane: u32) -> vec3f {
     let p = u32(i) * params.columns + u32(j);
     let at = b * 3u * n + p;
     let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
-    let f = vec3f(external_acceleration[at], external_acceleration[at + n], external_acceleration[at + 2u * n]);
-    var sum = mass(u32(i), u32(j), params.rows, params.columns) / count * (acceleration - f);
+    let given = params.first_external + at;
+    let f = vec3f(base[given], base[given + n], base[given + 2u * n]);
+    let m = mass(u32(i), u32(j), params.rows, params.columns) / count;
+    var sum = particle_gradient(acceleration, f, m);
     if slots[b * n + p] == 0u {
         let material = cloths[b].material;
         let up = position(lane, -1, 0);

@@ -7,7 +7,8 @@
 //
 // cloths: [B]
 // slots: [B, n]
-// external_acceleration, total_acceleration: [B, 3, n]
+// given: the external accelerations [B, 3, n] from element `first_external` on; those with the repulsion from
+//   `first_total` on
 // ends: [B, buckets], see `cell_scan`
 // sorted: [B, n], see `cell_order`
 // parts: [B, groups, 8], of which the last number is set
@@ -21,16 +22,17 @@ struct Params {
     columns: u32, // W
     buckets: u32,
     groups: u32,
+    first_external: u32,
+    first_total: u32,
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
-@group(0) @binding(3) var<storage, read> external_acceleration: array<f32>;
+@group(0) @binding(3) var<storage, read_write> given: array<f32>;
 @group(0) @binding(4) var<storage, read> ends: array<u32>;
 @group(0) @binding(5) var<storage, read> sorted: array<vec4u>;
-@group(0) @binding(6) var<storage, read_write> total_acceleration: array<f32>;
-@group(0) @binding(7) var<storage, read_write> parts: array<f32>;
+@group(0) @binding(6) var<storage, read_write> parts: array<f32>;
 
 override SOFTENING: f32;
 
@@ -97,7 +99,7 @@ fn repulsion(
         let push = select(4.0 * strength / m * sum.xyz, vec3f(), is_handle);
         let at = b * 3u * n + p;
         for (var c = 0u; c < 3u; c++) {
-            total_acceleration[at + c * n] = external_acceleration[at + c * n] + push[c];
+            given[params.first_total + at + c * n] = given[params.first_external + at + c * n] + push[c];
         }
     }
     energies[lane] = energy;

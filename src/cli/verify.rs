@@ -5,7 +5,7 @@ use super::device::{DeviceKind, InferenceArgs};
 use super::output::{output, status};
 use anyhow::Result;
 use fnopt::Device;
-use fnopt::verify::{Check, CpuStages, GpuStages, Outcome, Stages, verify_folder};
+use fnopt::verify::{Check, CpuStages, GpuStages, Stages, Verdict, verify_folder};
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -47,7 +47,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         written?;
     }
     let count = |outcome| checks.iter().filter(|c| c.outcome == outcome).count();
-    let (passed, failed, skipped) = (count(Outcome::Passed), count(Outcome::Failed), count(Outcome::Skipped));
+    let (passed, failed, skipped) = (count(Verdict::Passed), count(Verdict::Failed), count(Verdict::Skipped));
     if args.json {
         let all = serde_json::json!({
             "device": device.name(), "passed": passed, "failed": failed, "skipped": skipped, "checks": checks,

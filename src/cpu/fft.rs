@@ -3,7 +3,7 @@
 
 use super::Real;
 use crate::cloth::Grid;
-use crate::kernels::fft::Norm;
+use crate::settings::Norm;
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use std::sync::Arc;

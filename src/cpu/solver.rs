@@ -4,7 +4,7 @@ use super::optim::{Minimizer, Subspace, minimizer, norm};
 use super::reference::{Minimum, WITHOUT_REPULSION};
 use super::{Objective, Real, Reference};
 use crate::cloth::{Cloth, Control, Model, State};
-use crate::kernels::optim::LEARNED_ITERATIONS;
+use crate::settings::LEARNED_ITERATIONS;
 use crate::sim::{Direction, FrameStats, IterationLog, Length, Optimizer, StepCounts};
 use crate::{Error, Result};
 use rayon::prelude::*;

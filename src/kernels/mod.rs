@@ -17,7 +17,6 @@ pub const CHANNEL_MULTIPLE: usize = 32;
 
 /// Shader text that holds only functions and constants, appended to the kernels that call them.
 pub(crate) mod common {
-    pub const ANGLE: &str = include_str!("../../shaders/common/angle.wgsl");
     pub const CELL: &str = include_str!("../../shaders/common/cell.wgsl");
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
@@ -26,6 +25,14 @@ pub(crate) mod common {
     pub const OFFSET: &str = include_str!("../../shaders/common/offset.wgsl");
     pub const TEXEL: &str = include_str!("../../shaders/common/texel.wgsl");
     pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");
+}
+
+/// The local terms of the energy, each with its energy, gradient and second derivatives, appended to the kernels that
+/// sum them over a cloth. [`crate::cloth::terms`] defines them.
+pub(crate) mod terms {
+    pub const ANGLE: &str = include_str!("../../shaders/terms/angle.wgsl");
+    pub const EDGE: &str = include_str!("../../shaders/terms/edge.wgsl");
+    pub const PARTICLE: &str = include_str!("../../shaders/terms/particle.wgsl");
 }
 
 /// Shader text that depends on a kernel's bindings: what is common to kernels with the same bindings, and

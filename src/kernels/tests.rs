@@ -360,7 +360,7 @@ fn every_kernel_has_its_host_side_twin_and_parity_test() {
 /// The one array that is not bounded by a tensor's size. The host refuses longer histories.
 #[test]
 fn the_longest_history_is_the_same_on_both_sides() {
-    let longest = optim::lbfgs::MAX_HISTORY;
+    let longest = crate::settings::MAX_HISTORY;
     let source = optim::lbfgs::SOURCE.wgsl;
     assert!(source.contains(&format!("const MAX_HISTORY: u32 = {longest}u;")), "{longest}");
 }

@@ -2,14 +2,14 @@
 //! into the caller's encoder. [`crate::cpu::Solver`] is its counterpart without a GPU.
 
 mod learned;
+mod method;
 mod optimizer;
-mod rule;
 mod solver;
 mod stats;
 mod tune;
 mod vertices;
 
-pub use crate::kernels::optim::{AdamSettings, LbfgsSettings};
+pub use crate::settings::{AdamSettings, LbfgsSettings};
 pub(crate) use learned::Learned;
 pub use optimizer::{Direction, Initial, Length, MAX_DIRECTIONS, Optimizer};
 pub use solver::{INITIAL_SCALE, Solver};

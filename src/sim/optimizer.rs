@@ -1,9 +1,8 @@
 //! The optimizers that minimise the energy of a frame: values that say in which directions an iteration may
 //! go, and how far it goes.
 
-use crate::kernels::optim::lbfgs::MAX_HISTORY;
-use crate::kernels::optim::{AdamSettings, LbfgsSettings};
 use crate::network::Weights;
+use crate::settings::{AdamSettings, LbfgsSettings, MAX_HISTORY};
 use crate::{Error, Result};
 use std::sync::Arc;
 

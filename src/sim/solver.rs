@@ -1,14 +1,10 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
-use super::rule::{Evaluated, Rule, row, rows};
+use super::method::{Method, row, rows};
 use super::{FrameStats, IterationLog, Optimizer, StepCounts, Vertices};
 use crate::cloth::{Cloth, Control, Grid, Model, State};
 use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::cloth::{
-    ClothParams, ClothTerms, Energy, EnergySum, EnergyTensors, ExternalForce, ExternalForceTensors, Gradient,
-    Integrate, Predict, Repulsion, StateTensors, TERMS, energy, gradient,
-};
-use crate::kernels::optim::Iterate;
+use crate::kernels::cloth::{Begin, ClothTerms, Objective, Room, gradient};
 use crate::kernels::optim::subspace_step::STATE;
 use crate::{Error, Result};
 use std::borrow::Cow;
@@ -46,32 +42,20 @@ pub struct Solver {
     context: Context,
     model: Model,
     iterations: usize,
-    x: Tensor,
-    v: Tensor,
-    cloths: Tensor,
-    /// Wind velocities, shape [B, 3].
-    wind: Tensor,
-    /// Handle targets, shape [handles, 3]: the beginning of `target_storage`.
+    objective: Objective,
+    /// Handle targets, shape [handles, 3]: the beginning of those of the objective, which has room for every
+    /// particle.
     targets: Tensor,
-    /// Storage for the targets, with room for every particle.
-    target_storage: Tensor,
-    control_accelerations: Tensor,
-    /// Whether a frame looks for pairs within repulsion range.
-    repels: bool,
-    /// Whether `wind` holds any.
+    /// Whether the objective's wind holds any.
     windy: AtomicBool,
-    /// Whether `control_accelerations` holds any acceleration.
+    /// Whether the objective's control accelerations hold any.
     accelerated: AtomicBool,
-    external: Tensor,
-    iterate: Iterate,
-    rule: Rule,
+    method: Method,
     /// Partial sums of squares of the gradient and the last step in each iteration, one row [S, parts, 2]
     /// each; see [`rows`].
     sums: Tensor,
     /// The rows of `sums` at a = 0 and of the last iteration.
     ends: [Tensor; 2],
-    /// Energy terms and stretch, shape [B, 8].
-    terms: Tensor,
     /// Read in place of the checks of the steps by optimizers that have none.
     unchecked: Tensor,
     frame: Schedule,
@@ -93,21 +77,18 @@ impl Solver {
         if iterations == 0 {
             return Err(Error::invalid("solver", "iterations", "at least 1", 0));
         }
-        let tuning = context.tuning();
-        let (grid, batch, n) = (model.grid, model.batch(), model.grid.particles());
-        let samples = 3 * batch;
-        let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
-        let field = |label| zeros(label, &[batch, 3, n]);
-        let rule = Rule::new(context, optimizer, &tuning, (grid, batch, iterations))?;
-        let slots = model.handle_slots();
-        let target_storage = zeros("handle targets", &[batch * n, 3])?;
-        let iterate = match rule.scales() {
-            Some(_) => Iterate::with_hidden(context, batch, &slots)?,
-            None => Iterate::new(context, batch, &slots)?,
+        let (grid, batch) = (model.grid, model.batch());
+        let method = Method::new(context, optimizer, &context.tuning(), (grid, batch, iterations))?;
+        let room = Room {
+            handles: batch * grid.particles(),
+            repulsion: model.repels(),
+            hidden: method.scales().is_some(),
         };
-        let of_squares = [samples, gradient::parts(grid), 2];
+        let objective = Objective::new(context, grid, batch, room)?;
+        objective.set_cloths(model);
+        let of_squares = [3 * batch, gradient::parts(grid), 2];
         // One more, the last, if there is a gradient before the first iteration.
-        let starts_before = rule.checks_energy();
+        let starts_before = method.checks_energy();
         let count = iterations + usize::from(starts_before);
         let sums = rows(context, "sums of squares", count, of_squares.iter().product())?;
         let first = if starts_before { iterations } else { 0 };
@@ -116,28 +97,14 @@ impl Solver {
             context: context.clone(),
             model: model.clone(),
             iterations,
-            x: field("positions")?,
-            v: field("velocities")?,
-            cloths: Tensor::from_slice(
-                context,
-                "cloths",
-                &[batch, ClothParams::LEN],
-                &ClothParams::all(model),
-            )?,
-            wind: zeros("wind", &[batch, 3])?,
-            targets: target_storage.view(0, &[model.handles(), 3]),
-            target_storage,
-            control_accelerations: field("control accelerations")?,
-            repels: model.repels(),
+            targets: objective.targets.view(0, &[model.handles(), 3]),
+            objective,
             windy: AtomicBool::new(false),
             accelerated: AtomicBool::new(false),
-            external: field("external")?,
-            iterate,
+            method,
             sums,
             ends,
-            terms: zeros("energy terms", &[batch, TERMS])?,
-            unchecked: zeros("unchecked", &[1, batch, STATE])?,
-            rule,
+            unchecked: Tensor::zeros(context, "unchecked", &[1, batch, STATE])?,
             frame: Schedule::new(context),
         };
         solver.frame = solver.build_schedule()?;
@@ -147,61 +114,25 @@ impl Solver {
 
     /// Builds the schedule of one frame, in the order given in the crate's documentation.
     fn build_schedule(&self) -> Result<Schedule> {
-        let (context, grid) = (&self.context, self.model.grid);
-        let mut frame = Schedule::new(context);
-        let Self { x, v, cloths, wind, target_storage, control_accelerations, external, iterate, .. } = self;
-        let batch = self.model.batch();
-
-        let state = StateTensors { x, v, targets: target_storage };
-        let checks_energy = self.rule.checks_energy();
-        // Where the accelerations of the frame before are a direction, it is the rule that clears them.
-        let predict = if checks_energy { Predict::in_a_frame(context)? } else { Predict::new(context)? };
-        predict.push(&mut frame, state, iterate);
-        ExternalForce::new(context)?.push(
-            &mut frame,
-            grid,
-            ExternalForceTensors { cloths, wind, x, v, control_accelerations },
-            external,
-        );
-
-        let physics = EnergyTensors { cloths, external, x };
-        let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(batch, grid))?;
-        let repulsion = self.repels.then(|| Repulsion::new(context, batch, grid)).transpose()?;
-        let with_repulsion = EnergyTensors {
-            external: repulsion.as_ref().map_or(external, |r| &r.total_acceleration),
-            ..physics
-        };
-        let repel = |frame: &mut Schedule| {
-            if let Some(repulsion) = &repulsion {
-                repulsion.push(frame, grid, physics, (iterate, &parts));
-            }
-        };
-        let gradient = Gradient::new(context)?;
-        let evaluate = |frame: &mut Schedule, sums: &Tensor| {
-            repel(frame);
-            gradient.push(frame, grid, with_repulsion, (iterate, sums));
-        };
-        let of_repulsion = repulsion.as_ref().map(|_| &parts);
-        let at = Evaluated { iterate, sums: &self.ends[0], physics, repulsion: of_repulsion };
-        if checks_energy {
-            self.rule.push_begin(&mut frame, at);
-            evaluate(&mut frame, at.sums);
-            self.rule.push_start(&mut frame, at);
+        let Self { objective, method, .. } = self;
+        let mut frame = Schedule::new(&self.context);
+        let [before, _] = &self.ends;
+        // Where the accelerations of the frame before are a direction, it is the method that clears them.
+        let begin = if method.checks_energy() { Begin::Kept } else { Begin::Zero };
+        objective.begin_frame(&mut frame, begin)?;
+        if method.checks_energy() {
+            method.push_begin(&mut frame, objective);
+            objective.evaluate(&mut frame, before);
+            method.push_start(&mut frame, objective);
         }
         for iteration in 0..self.iterations {
-            let sums = row(&self.sums, iteration, self.ends[0].shape());
-            evaluate(&mut frame, &sums);
-            self.rule.push(&mut frame, iteration, Evaluated { sums: &sums, ..at });
+            let sums = row(&self.sums, iteration, before.shape());
+            objective.evaluate(&mut frame, &sums);
+            method.push(&mut frame, objective, iteration, &sums);
         }
-        if checks_energy {
-            repel(&mut frame);
-            self.rule.push_end(&mut frame, at);
-        }
-
-        Energy::new(context)?.push(&mut frame, grid, physics, (iterate, &parts));
-        repel(&mut frame);
-        EnergySum::new(context)?.push(&mut frame, &parts, &self.terms);
-        Integrate::new(context)?.push(&mut frame, state, iterate);
+        method.push_end(&mut frame, objective);
+        objective.energy(&mut frame);
+        objective.end_frame(&mut frame);
         frame.finish()
     }
 
@@ -229,17 +160,17 @@ impl Solver {
     /// Returns the positions \[edges\], shape [B, 3, H W]. Their buffer can be bound for storage and as a
     /// vertex buffer.
     pub fn positions(&self) -> &Tensor {
-        &self.x
+        &self.objective.x
     }
 
     /// Returns the velocities [edges / frame], shape [B, 3, H W].
     pub fn velocities(&self) -> &Tensor {
-        &self.v
+        &self.objective.v
     }
 
     /// Returns the accelerations of the last frame [edges / frame^2], shape [B, 3, H W].
     pub fn accelerations(&self) -> &Tensor {
-        &self.iterate.a
+        &self.objective.iterate.a
     }
 
     /// Returns the handle targets \[edges\] of the next frame, in the order of [`Control::handles`], shape
@@ -255,7 +186,7 @@ impl Solver {
     /// Those of a control are cleared by the next control without any; if [`Solver::record_frames`] took
     /// them, by every control without any, up to and including the next [`Solver::set_control`].
     pub fn control_accelerations(&self) -> &Tensor {
-        &self.control_accelerations
+        &self.objective.control_accelerations
     }
 
     /// Replaces the state, holds the handles at their positions in it and resets the optimizer's memory,
@@ -275,8 +206,8 @@ impl Solver {
         let (batch, n) = (self.model.batch(), self.model.grid.particles());
         assert!(b < batch, "cloth {b} of {batch}");
         assert_eq!((state.x.len(), state.v.len()), (3 * n, 3 * n), "[3, H, W]");
-        self.x.write_at(&self.context, 3 * b * n, &state.x);
-        self.v.write_at(&self.context, 3 * b * n, &state.v);
+        self.objective.x.write_at(&self.context, 3 * b * n, &state.x);
+        self.objective.v.write_at(&self.context, 3 * b * n, &state.v);
         let handles: Vec<_> =
             self.model.cloths[b].handles.iter().map(|&p| particle(&state.x, n, p)).collect();
         self.targets.write_at(
@@ -295,16 +226,15 @@ impl Solver {
     /// repulsion although the solver was built without any, which requires a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
-        if !self.repels {
+        if !self.objective.has_room_for_repulsion() {
             model.refuse_repulsion("since the solver was built without")?;
         }
         let slots = model.handle_slots();
         let handles_differ = slots != self.model.handle_slots();
         if handles_differ {
-            self.iterate.slots.write(&self.context, &slots);
-            self.targets = self.target_storage.view(0, &[model.handles(), 3]);
+            self.targets = self.objective.targets.view(0, &[model.handles(), 3]);
         }
-        self.cloths.write(&self.context, &ClothParams::all(&model));
+        self.objective.set_cloths(&model);
         self.model = model;
         if handles_differ {
             self.hold_handles();
@@ -321,7 +251,7 @@ impl Solver {
             for (handle, first) in handles.enumerate() {
                 for c in 0..3 {
                     let [from, to] = [first + c * n, 3 * handle + c].map(|at| 4 * at as u64);
-                    let (x, targets) = (self.x.buffer(), self.targets.buffer());
+                    let (x, targets) = (self.objective.x.buffer(), self.targets.buffer());
                     encoder.copy_buffer_to_buffer(x, from, targets, self.targets.offset() + to, 4);
                 }
             }
@@ -333,17 +263,17 @@ impl Solver {
     ///
     /// Panics if a length does not match the model, as [`Solver::set_state`] does.
     pub fn replace_state(&self, state: &State<f32>) {
-        self.x.write(&self.context, &state.x);
-        self.v.write(&self.context, &state.v);
+        self.objective.x.write(&self.context, &state.x);
+        self.objective.v.write(&self.context, &state.v);
     }
 
     /// Resets what the optimizer remembers from frame to frame: the hidden state of a network, and the accelerations
     /// of the last frame.
     pub fn reset_memory(&self) {
-        if self.rule.checks_energy() {
-            self.iterate.a.write(&self.context, &vec![0f32; self.iterate.a.len()]);
+        if self.method.checks_energy() {
+            self.objective.iterate.a.write(&self.context, &vec![0f32; self.objective.iterate.a.len()]);
         }
-        if let (Some(scales), Some(hidden)) = (self.rule.scales(), &self.iterate.hidden) {
+        if let (Some(scales), Some(hidden)) = (self.method.scales(), &self.objective.iterate.hidden) {
             hidden.write(&self.context, &vec![0f32; hidden.len()]);
             scales.write(&self.context, &vec![INITIAL_SCALE; scales.len()]);
         }
@@ -353,10 +283,10 @@ impl Solver {
     pub fn reset_memory_of(&self, b: usize) {
         let (batch, n) = (self.model.batch(), self.model.grid.particles());
         assert!(b < batch, "cloth {b} of {batch}");
-        if self.rule.checks_energy() {
-            self.iterate.a.write_at(&self.context, 3 * b * n, &vec![0f32; 3 * n]);
+        if self.method.checks_energy() {
+            self.objective.iterate.a.write_at(&self.context, 3 * b * n, &vec![0f32; 3 * n]);
         }
-        if let (Some(scales), Some(hidden)) = (self.rule.scales(), &self.iterate.hidden) {
+        if let (Some(scales), Some(hidden)) = (self.method.scales(), &self.objective.iterate.hidden) {
             for half in [0, 3 * batch * n] {
                 hidden.write_at(&self.context, half + 3 * b * n, &vec![0.0; 3 * n]);
             }
@@ -405,13 +335,14 @@ impl Solver {
     /// Returns the tensors that a control changes relative to the controls before it, with their new
     /// contents.
     fn changes<'a>(&'a self, control: &'a Control<f32>) -> Vec<(&'a Tensor, Cow<'a, [u8]>)> {
+        let objective = &self.objective;
         control.check(&self.model).unwrap_or_else(|e| panic!("{e}"));
         let mut changes = vec![(&self.targets, Cow::from(bytemuck::cast_slice(&control.handles)))];
         // A control without wind or accelerations clears those of earlier controls. A recorded control may
         // never be submitted, so recording only raises these flags; `set_control` also lowers them.
         let optional = [
-            (&self.wind, &self.windy, bytemuck::cast_slice(&control.wind)),
-            (&self.control_accelerations, &self.accelerated, bytemuck::cast_slice(&control.external)),
+            (&objective.wind, &self.windy, bytemuck::cast_slice(&control.wind)),
+            (&objective.control_accelerations, &self.accelerated, bytemuck::cast_slice(&control.external)),
         ];
         for (tensor, set, bytes) in optional {
             let was_set = set.fetch_or(!bytes.is_empty(), Ordering::Relaxed);
@@ -434,14 +365,14 @@ impl Solver {
     /// Returns the tensors that [`Solver::frame`] reads, for a [`Readback`](crate::gpu::Readback).
     pub fn frame_tensors(&self) -> [&Tensor; 6] {
         let [terms, first, last, steps] = self.statistics_tensors();
-        [&self.x, &self.v, terms, first, last, steps]
+        [&self.objective.x, &self.objective.v, terms, first, last, steps]
     }
 
     /// Returns the state and the statistics of each cloth in the last frame, from the concatenated contents of
     /// [`Solver::frame_tensors`]. Panics on contents of another length.
     pub fn frame(&self, contents: &[u8]) -> (State<f32>, Vec<FrameStats>) {
-        let (x, rest) = contents.split_at(self.x.bytes() as usize);
-        let (v, statistics) = rest.split_at(self.v.bytes() as usize);
+        let (x, rest) = contents.split_at(self.objective.x.bytes() as usize);
+        let (v, statistics) = rest.split_at(self.objective.v.bytes() as usize);
         let [x, v] = [x, v].map(bytemuck::pod_collect_to_vec);
         (State { x, v }, self.statistics(statistics))
     }
@@ -450,7 +381,7 @@ impl Solver {
     /// contents.
     pub fn statistics_tensors(&self) -> [&Tensor; 4] {
         let [first, last] = &self.ends;
-        [&self.terms, first, last, self.rule.state().unwrap_or(&self.unchecked)]
+        [&self.objective.terms, first, last, self.method.state().unwrap_or(&self.unchecked)]
     }
 
     /// Returns the statistics of each cloth in the last frame, from the concatenated contents of
@@ -461,7 +392,7 @@ impl Solver {
         let contents: Vec<f32> = bytemuck::pod_collect_to_vec(contents);
         let Grid { h, w } = self.model.grid;
         let edges = ((h - 1) * w + h * (w - 1)) as f64;
-        let (terms, rest) = contents.split_at(self.terms.len());
+        let (terms, rest) = contents.split_at(self.objective.terms.len());
         let (ends, steps) = rest.split_at(2 * self.ends[0].len());
         let ends = self.gradient_norms(ends);
         let steps = &steps[steps.len() - STATE * self.model.batch()..];
@@ -490,7 +421,7 @@ impl Solver {
     /// checks, not for use in every frame.
     pub fn iteration_log(&self) -> Result<IterationLog> {
         let mut scales = Vec::new();
-        if let Some(rows) = self.rule.scales() {
+        if let Some(rows) = self.method.scales() {
             for row in rows.read::<f32>(&self.context)?.chunks_exact(rows.shape()[1]) {
                 scales.extend(row[..3 * self.model.batch()].iter().map(|&s| f64::from(s)));
             }

@@ -4,7 +4,7 @@ use super::read;
 use super::schedule::{Decay, RateSchedule};
 use crate::cloth::Grid;
 use crate::cpu::train::AdamWSettings;
-use crate::kernels::optim::Normalisation;
+use crate::settings::Normalisation;
 use crate::{Result, io, network};
 use std::path::{Path, PathBuf};
 

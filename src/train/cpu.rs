@@ -3,7 +3,7 @@
 use super::arrays::Arrays;
 use super::checkpoint::Tensors;
 use super::config::Config;
-use super::learner::{Batch, Learner, Outcome, StepReport, Update};
+use super::learner::{Batch, Learner, Outcome, StepReport, WeightUpdate};
 use super::ranks::Ranks;
 use crate::Device;
 use crate::Result;
@@ -78,7 +78,7 @@ impl CpuLearner {
 }
 
 impl Learner for CpuLearner {
-    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
+    fn step(&mut self, batches: &[Batch], update: WeightUpdate, ranks: &dyn Ranks) -> Result<StepReport> {
         let weights = LaidOut::new(&self.weights()?);
         self.gradient.fill(0.0);
         let mut report = StepReport { outcomes: vec![Vec::new(); self.pools.len()], ..StepReport::default() };

@@ -5,37 +5,21 @@ use crate::Result;
 use crate::cloth::{Control, Grid, Model};
 use crate::cpu::train::{AdamWFactors, AdamWSettings};
 use crate::gpu::{Context, Schedule, Storage, Tensor, Tuning};
-use crate::kernels::cloth::{
-    ClothParams, Energy, EnergySum, EnergyTensors, ExternalForce, ExternalForceTensors, Gradient, Predict,
-    StateTensors, TERMS, energy, gradient,
-};
+use crate::kernels::cloth::{Begin, Objective, Room, gradient};
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::Normalisation;
-use crate::kernels::optim::{FeatureInputs, Iterate, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors};
+use crate::kernels::optim::{FeatureInputs, Update, UpdateAdj, UpdateAdjTensors, UpdateTensors};
 use crate::kernels::train::{AdamW, BatchTensors, Factors, GradientSize, Moments, Squares, squares};
 use crate::network::{Backward, Forward, Head, Keep, Parameters, Plan, TransposedWeights};
+use crate::settings::Normalisation;
 
 /// The loss of a batch of B cloths on one grid, and its gradient over the weights (paper section 3.3): one
 /// iteration of the learned optimizer, scored by the energy after it.
 #[derive(Debug)]
 pub struct DeviceLoss {
     context: Context,
-    grid: Grid,
-    batch: usize,
-    /// Positions and velocities at the start of the frame, shape [B, 3, n].
-    x: Tensor,
-    v: Tensor,
-    cloths: Tensor,
-    /// Always zero: cloths are trained in still air.
-    wind: Tensor,
-    targets: Tensor,
-    /// External accelerations, set by the caller [edges / frame^2], shape [B, 3, n].
-    pub control_accelerations: Tensor,
-    external: Tensor,
-    iterate: Iterate,
+    /// The cloths, in still air.
+    objective: Objective,
     scale: Tensor,
-    /// Energy terms at the new a, as computed by [`EnergySum`], shape [B, 8].
-    pub terms: Tensor,
     /// Mean absolute gradient at the new a, shape \[B\].
     pub sizes: Tensor,
     forward: Forward,
@@ -53,27 +37,15 @@ impl DeviceLoss {
         tuning: &Tuning,
     ) -> Result<Self> {
         let context = &context.with_storage(Storage::F32)?;
-        let (samples, n) = (3 * batch, grid.particles());
-        let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
-        let field = |label| zeros(label, &[batch, 3, n]);
-        let plan = Plan { grid, samples, tuning: *tuning, keep: Keep::Adjoint };
+        let plan = Plan { grid, samples: 3 * batch, tuning: *tuning, keep: Keep::Adjoint };
         let forward = Forward::with_parameters(context, parameters, &plan)?;
         let backward = Backward::new(context, &forward, parameters, gradient, tuning)?;
+        let room = Room { handles: batch * MAX_HANDLES, repulsion: false, hidden: true };
         Ok(Self {
             context: context.clone(),
-            grid,
-            batch,
-            x: field("positions")?,
-            v: field("velocities")?,
-            cloths: zeros("cloths", &[batch, ClothParams::LEN])?,
-            wind: zeros("wind", &[batch, 3])?,
-            targets: zeros("handle targets", &[batch * MAX_HANDLES, 3])?,
-            control_accelerations: field("control accelerations")?,
-            external: field("external")?,
-            iterate: Iterate::with_hidden(context, batch, &vec![0; batch * n])?,
-            scale: zeros("scale", &[samples])?,
-            terms: zeros("energy terms", &[batch, TERMS])?,
-            sizes: zeros("gradient sizes", &[batch])?,
+            objective: Objective::new(context, grid, batch, room)?,
+            scale: Tensor::zeros(context, "scale", &[3 * batch])?,
+            sizes: Tensor::zeros(context, "gradient sizes", &[batch])?,
             forward,
             backward,
             normalisation,
@@ -82,13 +54,19 @@ impl DeviceLoss {
 
     /// Returns the number of cloths.
     pub fn batch(&self) -> usize {
-        self.batch
+        self.objective.batch()
+    }
+
+    /// Returns the objective of the cloths. The caller sets its `control_accelerations`, and finds the energy terms at
+    /// the new a in its `terms`.
+    pub fn objective(&self) -> &Objective {
+        &self.objective
     }
 
     /// Returns the tensors that the step reads and updates.
     pub fn tensors(&self) -> BatchTensors<'_> {
-        let Self { x, v, scale, iterate, .. } = self;
-        BatchTensors { x, v, a: &iterate.a, hidden: iterate.hidden_state(), scale }
+        let Objective { x, v, iterate, .. } = &self.objective;
+        BatchTensors { x, v, a: &iterate.a, hidden: iterate.hidden_state(), scale: &self.scale }
     }
 
     /// Returns the persistent scale of each sample, shape `[3 B]`.
@@ -96,67 +74,40 @@ impl DeviceLoss {
         &self.scale
     }
 
-    /// Returns the state with the handle targets, and the iterate, as needed to end a frame.
-    pub fn state(&self) -> (StateTensors<'_>, &Iterate) {
-        (StateTensors { x: &self.x, v: &self.v, targets: &self.targets }, &self.iterate)
-    }
-
     /// Sets cloths, handles and their targets, effective from the next submission. Panics if the batch has
     /// more than [`MAX_HANDLES`] handles per cloth on average, if the model has repulsion, which is not
     /// supported here, or if the sizes do not match.
     pub fn set_cloths(&self, model: &Model, control: &Control<f32>) {
-        assert_eq!((model.batch(), control.handles.len()), (self.batch, model.handles()));
-        assert!(!model.repels(), "training has no repulsion");
-        self.cloths.write(&self.context, &ClothParams::all(model));
-        self.iterate.slots.write(&self.context, &model.handle_slots());
+        assert_eq!(control.handles.len(), model.handles());
+        self.objective.set_cloths(model);
         let mut targets = control.handles.clone();
-        assert!(targets.len() <= self.batch * MAX_HANDLES, "at most {MAX_HANDLES} handles for each cloth");
-        targets.resize(self.batch * MAX_HANDLES, [0.0; 3]);
-        self.targets.write(&self.context, &targets);
+        targets.resize(self.batch() * MAX_HANDLES, [0.0; 3]);
+        self.objective.targets.write(&self.context, &targets);
     }
 
     /// Appends an iteration: adds the step to a, updates the hidden state, and adds the gradient of the mean
     /// energy over all weights to the vector passed to [`DeviceLoss::new`]. `transposed` holds the transposed
     /// weights.
     pub fn push(&self, schedule: &mut Schedule, transposed: &TransposedWeights) -> Result<()> {
-        let (context, grid) = (&self.context, self.grid);
-        let Self {
-            x,
-            v,
-            cloths,
-            wind,
-            control_accelerations,
-            external,
-            iterate,
-            scale,
-            forward,
-            backward,
-            ..
-        } = self;
-        let (samples, _) = iterate.samples_and_particles();
-        let (state, _) = self.state();
-        Predict::in_a_frame(context)?.push(schedule, state, iterate);
-        let from = ExternalForceTensors { cloths, wind, x, v, control_accelerations };
-        ExternalForce::new(context)?.push(schedule, grid, from, external);
-        let physics = EnergyTensors { cloths, external, x };
-        let kernel = Gradient::new(context)?;
-        let sums = &Tensor::zeros(context, "sums of squares", &[samples, gradient::parts(grid), 2])?;
-        kernel.push(schedule, grid, physics, (iterate, sums));
+        let Self { context, objective, scale, forward, backward, .. } = self;
+        let (grid, iterate) = (objective.grid(), &objective.iterate);
+        let parts = [3 * self.batch(), gradient::parts(grid), 2];
+        let sums = &Tensor::zeros(context, "sums of squares", &parts)?;
+        objective.begin_frame(schedule, Begin::Kept)?;
+        objective.evaluate(schedule, sums);
         let (fields, scales) = (FeatureInputs { iterate, sums, first: 0 }, Scales::in_place(scale));
         forward.push(schedule, Some(fields), Head::StoreAndRescale(scales));
         let from = UpdateTensors { field: &forward.field, first: 0, scales, head: None, direction: None };
         Update::new(context)?.push(schedule, grid, from, iterate);
 
-        kernel.push(schedule, grid, physics, (iterate, sums));
-        let parts = Tensor::zeros(context, "energy parts", &energy::parts_shape(self.batch, grid))?;
-        Energy::new(context)?.push(schedule, grid, physics, (iterate, &parts));
-        EnergySum::new(context)?.push(schedule, &parts, &self.terms);
+        objective.evaluate(schedule, sums);
+        objective.energy(schedule);
         GradientSize::new(context)?.push(schedule, &iterate.grad, &self.sizes);
         let Forward { field, scalar, .. } = forward;
         let from = UpdateAdjTensors { field, scalar, scale, grad: &iterate.grad };
         let to = (&backward.adj_field, &backward.adj_scalar);
         let kernel = UpdateAdj::new(context, self.normalisation)?;
-        kernel.push(schedule, grid, (from, 1.0 / self.batch as f32), to);
+        kernel.push(schedule, grid, (from, 1.0 / self.batch() as f32), to);
         backward.push(schedule, forward, transposed);
         Ok(())
     }

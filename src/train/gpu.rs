@@ -4,15 +4,15 @@ use super::arrays::Arrays;
 use super::checkpoint::Tensors;
 use super::config::{Config, PoolConfig};
 use super::device::{DeviceAdamW, DeviceLoss};
-use super::learner::{Batch, Learner, Outcome, StepReport, Update};
+use super::learner::{Batch, Learner, Outcome, StepReport, WeightUpdate};
 use super::ranks::Ranks;
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Readback, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::{ClothTerms, TERMS};
-use crate::kernels::optim::Normalisation;
 use crate::kernels::train::{Advance, Draw, Drawn, PoolTensors, Store};
 use crate::network::{self, Parameters, TransposedWeights, Weights};
+use crate::settings::Normalisation;
 use crate::sim::INITIAL_SCALE;
 
 /// The learner on a GPU. Weights, moments and pools stay on the device. A step takes two submissions, because
@@ -65,10 +65,10 @@ impl PoolState {
         let pool = PoolTensors { fields: &fields, scale: &scale };
         Draw::new(context)?.push(&mut step, (grid, INITIAL_SCALE), (&drawn, pool), loss.tensors());
         loss.push(&mut step, transposed)?;
-        let (state, iterate) = loss.state();
-        Advance::new(context)?.push(&mut step, &drawn, state, iterate);
+        let objective = loss.objective();
+        Advance::new(context)?.push(&mut step, &drawn, objective.state(), &objective.iterate);
         Store::new(context)?.push(&mut step, grid, (&drawn, pool), loss.tensors());
-        let readback = Readback::new(context, &[&loss.terms, &loss.sizes, loss.scale()], 2)?;
+        let readback = Readback::new(context, &[&objective.terms, &loss.sizes, loss.scale()], 2)?;
         Ok(Self { grid, fields, scale, drawn, loss, step: step.finish()?, readback, ahead: None })
     }
 
@@ -186,7 +186,7 @@ impl GpuLearner {
 }
 
 impl Learner for GpuLearner {
-    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
+    fn step(&mut self, batches: &[Batch], update: WeightUpdate, ranks: &dyn Ranks) -> Result<StepReport> {
         let Self { context, pools, adamw, .. } = self;
         for batch in batches {
             pools[batch.pool].set(context, batch);

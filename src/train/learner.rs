@@ -27,7 +27,7 @@ pub trait Learner {
     /// and AdamW updates the weights and their running mean. If the loss or the norm is not finite
     /// ([`StepReport::is_finite`]), the weights, AdamW's moments and the running mean do not change. With one
     /// rank the gradient need not leave the device.
-    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport>;
+    fn step(&mut self, batches: &[Batch], update: WeightUpdate, ranks: &dyn Ranks) -> Result<StepReport>;
 
     /// Returns the weights.
     fn weights(&self) -> Result<Weights>;
@@ -92,7 +92,7 @@ impl Batch {
 
 /// Parameters of the weight update of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Update {
+pub struct WeightUpdate {
     /// Index of the update, counted from 1 without skipped steps; used by AdamW's bias correction.
     pub number: u64,
     /// Learning rate.

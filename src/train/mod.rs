@@ -69,7 +69,7 @@ pub use config::{
 };
 pub use device::{DeviceAdamW, DeviceLoss};
 pub use initial::{initial_weights, random_weights};
-pub use learner::{Batch, Drawn, Learner, Outcome, StepReport, Update, learner};
+pub use learner::{Batch, Drawn, Learner, Outcome, StepReport, WeightUpdate, learner};
 pub use pool::{MAX_HANDLES, Pool};
 pub use ranks::{Alone, Ranks, ranks};
 pub use run::{End, Limits, Progress, Run};

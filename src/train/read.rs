@@ -8,7 +8,7 @@ use super::schedule::{Decay, RateSchedule};
 use crate::cloth::{Grid, MAX_GRID, MIN_GRID};
 use crate::cpu::train::AdamWSettings;
 use crate::io::{Node, parse_toml};
-use crate::kernels::optim::Normalisation;
+use crate::settings::Normalisation;
 use crate::sim::INITIAL_SCALE;
 use crate::{Error, Result, network};
 use serde::{Serialize, Serializer};

@@ -4,7 +4,7 @@ use super::card::Card;
 use super::checkpoint::{Checkpoint, Counters};
 use super::config::{Config, Every};
 use super::folder::Folder;
-use super::learner::{Batch, Learner, StepReport, Update};
+use super::learner::{Batch, Learner, StepReport, WeightUpdate};
 use super::pool::Pool;
 use super::ranks::Ranks;
 use super::records::Records;
@@ -344,7 +344,7 @@ impl Run {
         // Ramp up the decay, or a slow mean would remember the initial weights for too long.
         let average = self.config.average.min(number as f64 / (number + 9) as f64);
         let rate = self.config.schedule.rate(self.config.optimizer.rate, step, self.config.steps);
-        let update = Update { number, rate, average };
+        let update = WeightUpdate { number, rate, average };
         let report = self.learner.step(&batches, update, &*self.ranks)?;
         for batch in &batches {
             self.pools[batch.pool].record(batch, &report.outcomes[batch.pool]);

@@ -1,7 +1,7 @@
 //! Comparisons of computed arrays with those of a golden file.
 
 use super::golden::Golden;
-use super::{Check, Finding, Outcome, Precision, Stages};
+use super::{Check, Finding, Precision, Stages, Verdict};
 use crate::cloth::Grid;
 use crate::network::Weights;
 use crate::{Error, Result};
@@ -79,17 +79,17 @@ impl Checker<'_> {
     /// Reports whether the relative error is within the tolerance.
     pub fn compared(&mut self, array: &str, (absolute, relative): (f64, f64), tolerance: f64) {
         // A NaN does not pass: the comparison is false for it.
-        let outcome = if relative <= tolerance { Outcome::Passed } else { Outcome::Failed };
+        let outcome = if relative <= tolerance { Verdict::Passed } else { Verdict::Failed };
         let array = array.to_owned();
         self.report(outcome, Finding::Comparison { array, absolute, relative, tolerance });
     }
 
     /// Reports an outcome without a comparison.
-    pub fn verdict(&mut self, message: &str, outcome: Outcome) {
+    pub fn verdict(&mut self, message: &str, outcome: Verdict) {
         self.report(outcome, Finding::Message { message: message.to_owned() });
     }
 
-    fn report(&mut self, outcome: Outcome, finding: Finding) {
+    fn report(&mut self, outcome: Verdict, finding: Finding) {
         let (file, device) = (self.file.to_owned(), self.stages.name());
         (self.report)(Check { file, device, outcome, finding });
     }
@@ -130,7 +130,7 @@ mod tests {
             checker.in_norm("gradient", &[1.0, 2.0], found, 1e-9);
             checker.magnitude("total", &[1.0, 2.0], found, 1e-9);
         }
-        let bad = (Outcome::Failed, f64::INFINITY);
-        assert_eq!(outcomes, [vec![(Outcome::Passed, 0.0)], vec![bad; 6]].concat());
+        let bad = (Verdict::Failed, f64::INFINITY);
+        assert_eq!(outcomes, [vec![(Verdict::Passed, 0.0)], vec![bad; 6]].concat());
     }
 }

@@ -4,8 +4,8 @@ use super::checker::{Checker, NETWORK, largest_error};
 use super::cpu::CpuStages;
 use super::golden::Golden;
 use super::{
-    AdamWCase, Check, EnergyCase, NetworkOutput, Outcome, Precision, RolloutCase, Stages, TrainingCase,
-    UpdateCase,
+    AdamWCase, Check, EnergyCase, NetworkOutput, Precision, RolloutCase, Stages, TrainingCase, UpdateCase,
+    Verdict,
 };
 use crate::cloth::{Cloth, Grid, Material, Repulsion};
 use crate::eval::repulsion;
@@ -80,7 +80,7 @@ pub fn verify_folder(folder: &Path, stages: &mut dyn Stages, report: &mut dyn Fn
         let file = stem(&path);
         let mut checker = Checker { file: &file, folder, stages, report };
         if let Err(error) = checker.file(&path) {
-            checker.verdict(&error.to_string(), Outcome::Failed);
+            checker.verdict(&error.to_string(), Verdict::Failed);
         }
     }
     Ok(())
@@ -109,12 +109,12 @@ impl Checker<'_> {
             Some((_, Some(check))) => return self.arrays(path, *check),
             Some((_, None)) => {
                 let weights = Weights::load(path)?;
-                self.verdict(&format!("{} parameters", weights.parameter_count()), Outcome::Passed);
+                self.verdict(&format!("{} parameters", weights.parameter_count()), Verdict::Passed);
             }
             None => {
                 let known = Self::KINDS.map(|(prefix, _)| prefix);
                 let error = Error::unknown("name", "kind of golden file", self.file, known);
-                self.verdict(&error.to_string(), Outcome::Skipped);
+                self.verdict(&error.to_string(), Verdict::Skipped);
             }
         }
         Ok(())
@@ -125,7 +125,7 @@ impl Checker<'_> {
         let golden = Golden::open(path)?;
         check(self, &golden)?;
         for name in golden.unread() {
-            self.verdict(&format!("{name}: unexpected array"), Outcome::Skipped);
+            self.verdict(&format!("{name}: unexpected array"), Verdict::Skipped);
         }
         Ok(())
     }
@@ -183,7 +183,7 @@ impl Checker<'_> {
         let grid = Grid::new(h, w, self.file)?;
         let [shape, samples] = [[batch, 3, h, w], [3 * batch, 1, h, w]];
         if self.stages.precision() == Precision::Half {
-            self.verdict("training needs 32-bit storage", Outcome::Skipped);
+            self.verdict("training needs 32-bit storage", Verdict::Skipped);
             golden.mark_read("");
             return Ok(());
         }
@@ -329,7 +329,7 @@ impl Checker<'_> {
 
     fn rollout(&mut self, golden: &Golden) -> Result<()> {
         if self.stages.precision() == Precision::Half {
-            self.verdict("not comparable in 16 bits: the motion is chaotic", Outcome::Skipped);
+            self.verdict("not comparable in 16 bits: the motion is chaotic", Verdict::Skipped);
             golden.mark_read("");
             return Ok(());
         }
@@ -501,7 +501,7 @@ mod tests {
         serialize_to_file(views, None, &folder.path().join(name).with_extension("safetensors")).unwrap();
         let mut failed = Vec::new();
         verify_folder(folder.path(), &mut CpuStages::<f32>::new(), &mut |check| {
-            if let (Outcome::Failed, Finding::Message { message }) = (check.outcome, check.finding) {
+            if let (Verdict::Failed, Finding::Message { message }) = (check.outcome, check.finding) {
                 failed.push(message);
             }
         })

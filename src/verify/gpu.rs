@@ -8,15 +8,13 @@ use crate::Result;
 use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, Repulsion, State};
 use crate::cpu::train::AdamWSettings;
 use crate::gpu::{Context, Schedule, Storage, Tensor};
-use crate::kernels::cloth::{
-    ClothParams, ClothTerms, Energy, EnergySum, EnergyTensors, Gradient, TERMS, energy, gradient,
-};
+use crate::kernels::cloth::{ClothTerms, Objective, Room, gradient};
 use crate::kernels::operator::Scales;
 use crate::kernels::optim::Iterate;
-use crate::kernels::optim::Normalisation;
+use crate::kernels::padded;
 use crate::kernels::train::BatchTensors;
-use crate::kernels::{self, padded};
 use crate::network::{Forward, Head, Keep, Parameters, Plan, TransposedWeights, Weights};
+use crate::settings::Normalisation;
 use crate::sim::{Learned, Optimizer, Solver};
 use crate::train::{DeviceAdamW, DeviceLoss};
 use std::sync::Arc;
@@ -100,52 +98,40 @@ impl Stages for GpuStages {
     fn energy(&mut self, case: &EnergyCase) -> Result<(Vec<EnergyTerms>, Vec<f64>)> {
         let (context, grid) = (&self.context, case.grid);
         let model = Model { grid, cloths: case.cloths.clone() };
-        let (batch, n) = (model.batch(), grid.particles());
-        let iterate = Iterate::new(context, batch, &model.handle_slots())?;
-        iterate.a.write(context, &single(&case.a));
-        iterate.base.write(context, &single(&case.base));
-        let params = ClothParams::all(&model);
-        let cloths = Tensor::from_slice(context, "cloths", &[batch, ClothParams::LEN], &params)?;
-        let external = self.upload("external", &[batch, 3, n], &case.external)?;
-        let x = self.upload("positions", &[batch, 3, n], &case.x)?;
-        let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
-        let parts = Tensor::zeros(context, "parts", &energy::parts_shape(batch, grid))?;
-        let terms = Tensor::zeros(context, "terms", &[batch, TERMS])?;
         let mut schedule = Schedule::new(context);
-        context.checked(|| {
-            let sums = Tensor::zeros(context, "sums of squares", &[3 * batch, gradient::parts(grid), 2])?;
-            Gradient::new(context)?.push(&mut schedule, grid, physics, (&iterate, &sums));
-            Energy::new(context)?.push(&mut schedule, grid, physics, (&iterate, &parts));
-            EnergySum::new(context)?.push(&mut schedule, &parts, &terms);
-            Ok(())
+        let objective = context.checked(|| {
+            let objective = objective(context, &model)?;
+            let parts = [3 * model.batch(), gradient::parts(grid), 2];
+            objective.evaluate(&mut schedule, &Tensor::zeros(context, "sums of squares", &parts)?);
+            objective.energy(&mut schedule);
+            Ok(objective)
         })?;
+        let Iterate { a, base, external, grad, .. } = &objective.iterate;
+        for (tensor, values) in
+            [(a, &case.a), (base, &case.base), (external, &case.external), (&objective.x, &case.x)]
+        {
+            tensor.write(context, &single(values));
+        }
         self.run(&schedule);
-        let terms = terms.read::<f32>(context)?;
-        Ok((ClothTerms::all(&terms).map(|terms| terms.energy).collect(), self.read(&iterate.grad)?))
+        let terms = objective.terms.read::<f32>(context)?;
+        Ok((ClothTerms::all(&terms).map(|terms| terms.energy).collect(), self.read(grad)?))
     }
 
     fn repulsion(&mut self, grid: Grid, positions: &[f64], of_cloth: Repulsion) -> Result<(f64, Vec<f64>)> {
-        let (context, n) = (&self.context, grid.particles());
-        let cloth = Cloth { repulsion: Some(of_cloth), ..Cloth::default() };
-        let params = ClothParams::all(&Model { grid, cloths: vec![cloth] });
-        let iterate = Iterate::new(context, 1, &vec![0; n])?;
-        let cloths = Tensor::from_slice(context, "cloths", &[1, ClothParams::LEN], &params)?;
-        let external = Tensor::zeros(context, "external", &[1, 3, n])?;
-        let x = self.upload("positions", &[1, 3, n], positions)?;
-        let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
-        let parts = Tensor::zeros(context, "parts", &energy::parts_shape(1, grid))?;
-        let terms = Tensor::zeros(context, "terms", &[1, TERMS])?;
+        let context = &self.context;
+        let model = Model { grid, cloths: vec![Cloth { repulsion: Some(of_cloth), ..Cloth::default() }] };
         let mut schedule = Schedule::new(context);
-        let repulsion = context.checked(|| {
-            let repulsion = kernels::cloth::Repulsion::new(context, 1, grid)?;
-            repulsion.push(&mut schedule, grid, physics, (&iterate, &parts));
-            EnergySum::new(context)?.push(&mut schedule, &parts, &terms);
-            Ok(repulsion)
+        let objective = context.checked(|| {
+            let objective = objective(context, &model)?;
+            objective.energy(&mut schedule);
+            Ok(objective)
         })?;
+        objective.x.write(context, &single(positions));
         self.run(&schedule);
-        let terms = terms.read::<f32>(context)?;
+        let terms = objective.terms.read::<f32>(context)?;
         let energy = ClothTerms::all(&terms).map(|terms| terms.energy.repulsion).sum();
-        Ok((energy, gradient_of_push(grid, &self.read(&repulsion.total_acceleration)?)))
+        let total = objective.iterate.total.as_ref().expect("the cloth has a repulsion");
+        Ok((energy, gradient_of_push(grid, &self.read(total)?)))
     }
 
     fn update(&mut self, weights: &Weights, case: &UpdateCase) -> Result<(Vec<f64>, Vec<f64>)> {
@@ -212,14 +198,14 @@ impl Stages for GpuStages {
         })?;
         let handles = case.targets.iter().map(|p| p.map(|c| c as f32)).collect();
         loss.set_cloths(&model, &Control { handles, ..Default::default() });
-        loss.control_accelerations.write(context, &single(&case.external));
+        loss.objective().control_accelerations.write(context, &single(&case.external));
         let BatchTensors { x, v, a, hidden, scale } = loss.tensors();
         for (tensor, values) in [(x, &case.x), (v, &case.v), (a, &case.a), (scale, &case.scale)] {
             tensor.write(context, &single(values));
         }
         hidden.write(context, &single(&[&case.last_grad[..], &case.last_step].concat()));
         self.run(&schedule);
-        let terms: Vec<f32> = loss.terms.read(context)?;
+        let terms: Vec<f32> = loss.objective().terms.read(context)?;
         let step = self.read(hidden)?.split_off(case.last_grad.len());
         let gradient = parameters.layout().to_host(&gradient.read(context)?);
         Ok(TrainingOutput {
@@ -273,6 +259,14 @@ impl Stages for GpuStages {
         }
         Ok(frames)
     }
+}
+
+/// Builds the objective of the cloths of a model, at zero.
+fn objective(context: &Context, model: &Model) -> Result<Objective> {
+    let room = Room { handles: model.handles(), repulsion: model.repels(), hidden: false };
+    let objective = Objective::new(context, model.grid, model.batch(), room)?;
+    objective.set_cloths(model);
+    Ok(objective)
 }
 
 fn single(values: &[f64]) -> Vec<f32> {

@@ -208,7 +208,7 @@ pub struct Check {
     /// Device and precision.
     pub device: String,
     /// The verdict.
-    pub outcome: Outcome,
+    pub outcome: Verdict,
     /// What it rests on.
     #[serde(flatten)]
     pub finding: Finding,
@@ -239,7 +239,7 @@ pub enum Finding {
 /// The verdict of a [`Check`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Outcome {
+pub enum Verdict {
     /// Within the tolerance.
     Passed,
     /// Not within the tolerance, or damaged.
@@ -251,9 +251,9 @@ pub enum Outcome {
 impl std::fmt::Display for Check {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let verdict = match self.outcome {
-            Outcome::Passed => "pass",
-            Outcome::Failed => "FAIL",
-            Outcome::Skipped => "skip",
+            Verdict::Passed => "pass",
+            Verdict::Failed => "FAIL",
+            Verdict::Skipped => "skip",
         };
         let Self { file, device, .. } = self;
         match &self.finding {

@@ -5,8 +5,8 @@ use crate::noise::noise;
 use fnopt::cloth::Grid;
 use fnopt::cpu::operator::{Adjoint, LaidOut, Network, Spectral, Transform};
 use fnopt::cpu::optim::{Hidden, UpdateAdjoint};
-use fnopt::kernels::optim::Normalisation;
 use fnopt::network::{Config, Weights};
+use fnopt::settings::Normalisation;
 
 /// Returns weights that stay exact in single precision when small multiples of [`STEP`] are added.
 fn weights(config: Config, seed: u64) -> Weights {

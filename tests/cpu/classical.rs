@@ -3,7 +3,7 @@
 use crate::golden::largest_difference as apart;
 use crate::noise::noise;
 use fnopt::cpu::optim::{Adam, GradientDescent, Lbfgs, Minimizer};
-use fnopt::kernels::optim::{AdamSettings, LbfgsSettings};
+use fnopt::settings::{AdamSettings, LbfgsSettings};
 
 /// Returns the iterates from `a` on, for the gradient `k a` with one steepness k per unknown.
 fn iterates(

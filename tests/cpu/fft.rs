@@ -5,8 +5,8 @@ use crate::noise::noise;
 use fnopt::cloth::Grid;
 use fnopt::cpu::fft::Fft2;
 use fnopt::cpu::operator::Transform;
-use fnopt::kernels::fft::Norm;
 use fnopt::network::Config;
+use fnopt::settings::Norm;
 
 const CHANNELS: usize = 16;
 

@@ -5,9 +5,9 @@ use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, State};
 use fnopt::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
 use fnopt::cpu::optim::{CoRotatedHessian, Cosines, InverseHessian, RestHessian, best_step};
 use fnopt::cpu::{Objective, Real, Solver};
-use fnopt::kernels::optim::TENSION;
 use fnopt::network::Weights;
 use fnopt::scene::Scene;
+use fnopt::settings::TENSION;
 use fnopt::sim::Optimizer;
 use std::sync::Arc;
 

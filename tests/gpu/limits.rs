@@ -1,11 +1,11 @@
 //! Batches and grids beyond what a device takes at once, and requests that it cannot serve at all.
 
-use crate::common::{assert_close, context, device, narrow, read, run, sharings, tensor, widened};
+use crate::common::{assert_close, context, device, narrow, read, run, sharings, widened};
 use crate::forward::random;
 use crate::solver::{assert_same, solver, solver_with, starter, statistics, step, varied_batch};
 use fnopt::cloth::{Cloth, Control, Grid, Material, Model, State};
 use fnopt::cpu;
-use fnopt::gpu::{Readback, Sharing, Tensor, Tuning};
+use fnopt::gpu::{Readback, Sharing, Tuning};
 use fnopt::kernels::optim::{GradientDescent, Iterate};
 use fnopt::network::Config;
 use fnopt::sim::{Optimizer, Solver};
@@ -48,9 +48,8 @@ fn a_schedule_has_more_parameters_than_one_buffer_holds() {
     let _turn = device();
     let kernel = GradientDescent::new(context()).unwrap();
     let n = 64;
-    let [grad, base, a] = [1.0, 0.0, 0.0].map(|v| tensor("field", &[1, 3, n], &[v; 192]));
-    let slots = Tensor::from_slice(context(), "slots", &[1, n], &vec![0u32; n]).unwrap();
-    let iterate = Iterate { grad, hidden: None, base, slots, a };
+    let iterate = Iterate::new(context(), 1, &vec![0; n]).unwrap();
+    iterate.grad.write(context(), &[1f32; 192]);
     // Whole numbers, so that their sum is exact. Each appears twice.
     run(|schedule| {
         for rate in (1..=3000).chain(1..=3000) {

@@ -5,8 +5,8 @@ use crate::repelling::crowded;
 use crate::solver::{assert_same, starter, step, tuned, varied_batch};
 use fnopt::cloth::{Grid, State};
 use fnopt::gpu::{Context, Order, Sharing, Tuning};
-use fnopt::kernels::fft::Norm;
 use fnopt::kernels::fft::{Fields, RealFft2};
+use fnopt::settings::Norm;
 use fnopt::sim::{Optimizer, Solver};
 
 /// The device's order and the others.

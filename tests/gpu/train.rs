@@ -3,8 +3,10 @@
 use crate::common::{context, device, half};
 use crate::order::ORDERS;
 use fnopt::Device;
-use fnopt::kernels::optim::Normalisation;
-use fnopt::train::{Alone, Batch, Config, Learner, Limits, Pool, Run, Update, initial_weights, learner};
+use fnopt::settings::Normalisation;
+use fnopt::train::{
+    Alone, Batch, Config, Learner, Limits, Pool, Run, WeightUpdate, initial_weights, learner,
+};
 use std::ops::ControlFlow;
 use std::path::Path;
 use std::rc::Rc;
@@ -87,7 +89,7 @@ fn compare_steps(config: &Config) {
         let batches = draw(&pools, step);
         begun += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.start.is_some()).count();
         advanced += batches.iter().flat_map(|b| &b.cloths).filter(|c| c.advance).count();
-        let update = Update { number: step + 1, rate: 1e-3, average: 0.9 };
+        let update = WeightUpdate { number: step + 1, rate: 1e-3, average: 0.9 };
         // Both start from the same state. Otherwise diverging weights would be compared instead of steps.
         let before = learners[0].save().unwrap();
         learners[1].load(&before).unwrap();
@@ -137,7 +139,7 @@ fn a_step_is_that_of_adamw_with_the_settings_of_the_run() {
         let [weights, averaged] = ["weights", "averaged"].map(|name| vector(&*learner, name));
         assert_eq!(weights, averaged, "the running mean begins at the weights");
         let report =
-            learner.step(&batches, Update { number: 3, rate: 0.02, average: 0.875 }, &Alone).unwrap();
+            learner.step(&batches, WeightUpdate { number: 3, rate: 0.02, average: 0.875 }, &Alone).unwrap();
         assert!(report.gradient_norm > 1e-2, "the gradient is clipped");
         let [mean, square] = ["adamw.mean", "adamw.square"].map(|name| vector(&*learner, name));
         let norm = mean.iter().map(|m| m * m).sum::<f64>().sqrt();
@@ -206,7 +208,7 @@ fn a_run_moves_from_device_to_device() {
     let mut ours = on(&gpu());
     for step in 0..2 {
         let batches = draw(&pools(&config), step);
-        ours.step(&batches, Update { number: step + 1, rate: 1e-3, average: 0.9 }, &Alone).unwrap();
+        ours.step(&batches, WeightUpdate { number: step + 1, rate: 1e-3, average: 0.9 }, &Alone).unwrap();
     }
     let saved = ours.save().unwrap();
     let mut host = on(&Device::Cpu);
@@ -229,7 +231,7 @@ fn training_is_in_single_precision_whatever_the_context() {
     let step = |device: &Device| {
         let mut learner = on(device);
         let batches = draw(&pools(&config), 0);
-        learner.step(&batches, Update { number: 1, rate: 1e-3, average: 0.9 }, &Alone).unwrap();
+        learner.step(&batches, WeightUpdate { number: 1, rate: 1e-3, average: 0.9 }, &Alone).unwrap();
         learner.weights().unwrap().flat()
     };
     assert_eq!(step(&Device::Gpu(half)), step(&gpu()));

@@ -1,6 +1,6 @@
 //! Configurations: what they mean, and how bad ones are refused.
 
-use fnopt::kernels::optim::Normalisation;
+use fnopt::settings::Normalisation;
 use fnopt::train::{Alone, Config, Decay, Every, PoolConfig, initial_weights, random_weights};
 use proptest::prelude::*;
 use std::path::Path;

@@ -3,7 +3,7 @@
 use super::support::{Fake, ThreadRank};
 use fnopt::Device;
 use fnopt::train::{
-    Alone, Batch, Config, End, Learner, Limits, Pool, Ranks, Run, Update, initial_weights, learner,
+    Alone, Batch, Config, End, Learner, Limits, Pool, Ranks, Run, WeightUpdate, initial_weights, learner,
 };
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
@@ -72,7 +72,7 @@ fn checkpoints(root: &Path) -> Vec<String> {
 fn two_ranks_have_the_gradient_of_one_learner_with_the_batches_of_both() {
     const STEPS: u64 = 4;
     // The weights do not change, so that only gradients are compared.
-    let update = |step| Update { number: step + 1, rate: 0.0, average: 0.0 };
+    let update = |step| WeightUpdate { number: step + 1, rate: 0.0, average: 0.0 };
     let mean_gradient = |learner: &dyn Learner| {
         let count = initial_weights(&config(), &Alone).unwrap().flat().len();
         learner.save().unwrap().get("adamw.mean", &[count]).unwrap().to_vec()

@@ -3,7 +3,7 @@
 use fnopt::Result;
 use fnopt::cloth::EnergyTerms;
 use fnopt::network::Weights;
-use fnopt::train::{Alone, Batch, Config, Learner, Outcome, Ranks, StepReport, Tensors, Update};
+use fnopt::train::{Alone, Batch, Config, Learner, Outcome, Ranks, StepReport, Tensors, WeightUpdate};
 use std::cell::RefCell;
 use std::collections::HashSet;
 use std::fmt::Display;
@@ -26,7 +26,7 @@ pub struct Fake {
     overflows: Option<u64>,
     step: u64,
     /// The update of each step.
-    pub updates: Rc<RefCell<Vec<Update>>>,
+    pub updates: Rc<RefCell<Vec<WeightUpdate>>>,
 }
 
 impl Fake {
@@ -47,7 +47,7 @@ impl Fake {
 }
 
 impl Learner for Fake {
-    fn step(&mut self, batches: &[Batch], update: Update, ranks: &dyn Ranks) -> Result<StepReport> {
+    fn step(&mut self, batches: &[Batch], update: WeightUpdate, ranks: &dyn Ranks) -> Result<StepReport> {
         let broken = self.broken.contains(&self.step);
         self.step += 1;
         self.updates.borrow_mut().push(update);

@@ -2,7 +2,7 @@
 
 use super::Minimizer;
 use crate::cpu::Real;
-use crate::kernels::optim::AdamSettings;
+use crate::settings::AdamSettings;
 use pulp::{Arch, Simd, WithSimd};
 
 /// Adam: `a <- a - rate m / (sqrt(v) + epsilon)`, with m and v the bias-corrected moments of the frame's

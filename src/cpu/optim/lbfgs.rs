@@ -6,7 +6,7 @@ use super::{FactoredRestHessian, InverseHessian, Minimizer, RestHessian, dot};
 use crate::Result;
 use crate::cloth::Model;
 use crate::cpu::Real;
-use crate::kernels::optim::LbfgsSettings;
+use crate::settings::LbfgsSettings;
 use rayon::prelude::*;
 
 /// L-BFGS for a batch of cloths, each with its own history.

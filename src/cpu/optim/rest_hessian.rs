@@ -4,7 +4,7 @@
 use crate::cloth::{Cloth, Grid, Material};
 use crate::cpu::Real;
 use crate::cpu::matmul::{LANES, Start, Target, Term, product};
-use crate::kernels::optim::TENSION;
+use crate::settings::TENSION;
 use crate::{Error, Result};
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;

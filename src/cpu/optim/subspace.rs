@@ -6,7 +6,7 @@ use crate::Result;
 use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
 use crate::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
 use crate::cpu::{Objective, Real};
-use crate::kernels::optim::{LEARNED_ITERATIONS, WARMEST};
+use crate::settings::{LEARNED_ITERATIONS, WARMEST};
 use crate::sim::{Direction, MAX_DIRECTIONS, Optimizer, StepCounts};
 use rayon::prelude::*;
 use std::sync::Arc;

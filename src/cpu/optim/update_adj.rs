@@ -7,8 +7,8 @@ use crate::Result;
 use crate::cloth::Grid;
 use crate::cpu::Real;
 use crate::cpu::operator::{Adjoint, LaidOut};
-use crate::kernels::optim::{CLAMP, Normalisation};
 use crate::network::Weights;
+use crate::settings::{CLAMP, Normalisation};
 use rayon::prelude::*;
 
 /// The update rule for a number of samples on one grid, forward and backward. The caller owns the hidden

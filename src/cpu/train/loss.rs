@@ -6,8 +6,8 @@ use crate::cloth::{Control, EnergyTerms, Model, State};
 use crate::cpu::operator::LaidOut;
 use crate::cpu::optim::{Hidden, UpdateAdjoint};
 use crate::cpu::{Objective, Real};
-use crate::kernels::optim::Normalisation;
 use crate::network::Weights;
+use crate::settings::Normalisation;
 
 /// The loss for batches of B cloths on one grid.
 pub struct Loss<T: Real> {
@@ -18,7 +18,7 @@ pub struct Loss<T: Real> {
 
 /// The result of a step for one cloth.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Outcome {
+pub struct ClothLoss {
     /// Energy terms after the step.
     pub energy: EnergyTerms,
     /// Mean over particles and components of |dL/da| after the step.
@@ -54,7 +54,7 @@ impl<T: Real> Loss<T> {
         (a, hidden): (&mut [T], &mut Hidden<T>),
         share: f64,
         gradient: &mut [T],
-    ) -> Vec<Outcome> {
+    ) -> Vec<ClothLoss> {
         let Self { objective, update, adj_step } = self;
         objective.begin_frame(state, control);
         objective.set_accelerations(a);
@@ -68,7 +68,7 @@ impl<T: Real> Loss<T> {
         }
         update.backward(adj_step, hidden, gradient);
         let cloth = objective.cloth_len();
-        let outcome = |(b, grad): (usize, &[T])| Outcome {
+        let outcome = |(b, grad): (usize, &[T])| ClothLoss {
             energy: objective.energy(state, b),
             mean_gradient: grad.iter().map(|g| g.f64().abs()).sum::<f64>() / cloth as f64,
         };

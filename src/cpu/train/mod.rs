@@ -4,4 +4,4 @@ mod adamw;
 mod loss;
 
 pub use adamw::{AdamW, AdamWFactors, AdamWSettings};
-pub use loss::{Loss, Outcome};
+pub use loss::{ClothLoss, Loss};

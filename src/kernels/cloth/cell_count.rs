@@ -1,8 +1,7 @@
 //! Host side of `shaders/cloth/cell_count.wgsl`.
 
-use super::EnergyTensors;
+use super::Trial;
 use crate::Result;
-use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
@@ -34,21 +33,14 @@ impl CellCount {
 
     /// Adds the particles at `iterate.a` to `counts` [B, buckets], and sets `placed` [B, n, 4] and
     /// `in_bucket` [B, n].
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        grid: Grid,
-        physics: EnergyTensors<'_>,
-        iterate: &Iterate,
-        [counts, placed, in_bucket]: [&Tensor; 3],
-    ) {
-        let (batch, n) = (physics.batch(grid, iterate), grid.particles());
+    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, [counts, placed, in_bucket]: [&Tensor; 3]) {
+        let (batch, n) = (trial.batch(), trial.grid.particles());
         let &[_, buckets] = counts.shape() else { panic!("cell_count: {:?}", counts.shape()) };
         assert_eq!([counts, placed, in_bucket].map(Tensor::len), [batch * buckets, 4 * batch * n, batch * n]);
         assert!(buckets.is_power_of_two(), "{buckets} buckets");
         let params = Params { particles: size(n), buckets: size(buckets) };
-        let Iterate { slots, a, base, .. } = iterate;
-        let tensors = [physics.cloths, slots, a, base, physics.x, counts, placed, in_bucket];
+        let Iterate { slots, a, base, .. } = trial.iterate;
+        let tensors = [trial.cloths, slots, a, base, trial.x, counts, placed, in_bucket];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
     }
 }

@@ -1,10 +1,9 @@
 //! The plan that sorts the particles of a trial by the cells of a uniform grid in space.
 
-use super::{CellCount, CellFill, CellOrder, CellScan, EnergyTensors};
+use super::{CellCount, CellFill, CellOrder, CellScan, Trial};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::optim::Iterate;
 
 /// The particles of a trial, sorted by cells that are hashed into buckets. The neighbours of a particle are
 /// in its own cell and the 26 around it.
@@ -54,9 +53,9 @@ impl Cells {
     }
 
     /// Sorts the particles at `iterate.a`.
-    pub fn push(&self, schedule: &mut Schedule, grid: Grid, physics: EnergyTensors<'_>, iterate: &Iterate) {
+    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>) {
         let Self { counts, placed, in_bucket, numbers, ends, sorted, .. } = self;
-        self.count.push(schedule, grid, physics, iterate, [counts, placed, in_bucket]);
+        self.count.push(schedule, trial, [counts, placed, in_bucket]);
         self.scan.push(schedule, counts, ends);
         self.fill.push(schedule, [ends, placed, in_bucket], numbers);
         self.order.push(schedule, [ends, placed, in_bucket, numbers], sorted);

@@ -1,16 +1,16 @@
 //! Host side of `shaders/cloth/curvature.wgsl`.
 
-use super::{EnergyTensors, gradient};
+use super::{Trial, gradient};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::optim::{Iterate, directions};
-use crate::kernels::{common, size};
+use crate::kernels::optim::directions;
+use crate::kernels::{common, size, terms};
 
 pub(crate) const SOURCE: Source = Source {
     name: "curvature",
     wgsl: include_str!("../../../shaders/cloth/curvature.wgsl"),
-    appended: &[common::CLOTH, common::ANGLE, common::OFFSET],
+    appended: &[common::CLOTH, common::OFFSET, terms::PARTICLE, terms::EDGE, terms::ANGLE],
 };
 
 #[repr(C)]
@@ -20,6 +20,7 @@ struct Params {
     columns: u32,
     parts: u32,
     slot: u32,
+    first_external: u32,
     zero: u32,
 }
 
@@ -47,54 +48,41 @@ impl Curvature {
     }
 
     /// Sets `parts` [B, parts, 24] at `iterate.a`, which like all `directions` ([`directions::shape`]) is 0
-    /// at handles. Expects the gradient there in `iterate.grad`, and the external accelerations without a
-    /// repulsion in `physics`.
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        grid: Grid,
-        physics: EnergyTensors<'_>,
-        (iterate, directions, parts): (&Iterate, &Tensor, &Tensor),
-    ) {
+    /// at handles. Expects the gradient there in `iterate.grad`. The repulsion is left out.
+    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, [directions, parts]: [&Tensor; 2]) {
         let kernel = match directions.shape()[0] {
             3 => &self.three,
             4 => &self.four,
             other => panic!("three or four directions, not {other}"),
         };
-        Self::push_kernel(kernel, schedule, grid, physics, (iterate, directions, parts));
+        Self::push_kernel(kernel, schedule, trial, [directions, parts]);
     }
 
     /// Sets the energy in `parts` as [`Curvature::push`] does, and all else to 0.
-    pub fn push_energy(
-        &self,
-        schedule: &mut Schedule,
-        grid: Grid,
-        physics: EnergyTensors<'_>,
-        of: (&Iterate, &Tensor, &Tensor),
-    ) {
-        Self::push_kernel(&self.energy, schedule, grid, physics, of);
+    pub fn push_energy(&self, schedule: &mut Schedule, trial: Trial<'_>, tensors: [&Tensor; 2]) {
+        Self::push_kernel(&self.energy, schedule, trial, tensors);
     }
 
     fn push_kernel(
         kernel: &Kernel,
         schedule: &mut Schedule,
-        grid: Grid,
-        physics: EnergyTensors<'_>,
-        (iterate, directions, parts): (&Iterate, &Tensor, &Tensor),
+        trial: Trial<'_>,
+        [directions, parts]: [&Tensor; 2],
     ) {
-        let EnergyTensors { cloths, external, x } = physics;
-        let batch = physics.batch(grid, iterate);
+        let Trial { grid, cloths, x, iterate } = trial;
+        let batch = trial.batch();
         let shape @ [_, count, _] = parts_shape(batch, grid);
         assert_eq!(parts.shape(), shape);
+        let (given, external, _) = &iterate.given();
         let params = Params {
             rows: size(grid.h),
             columns: size(grid.w),
             parts: size(count),
             slot: size(directions::slot(directions, iterate)),
+            first_external: size(*external),
             zero: 0,
         };
-        let Iterate { a, base, grad, .. } = iterate;
-        let tensors = [cloths, external, a, base, x, grad, directions, parts];
+        let tensors = [cloths, &iterate.a, given, x, &iterate.grad, directions, parts];
         schedule.dispatch(kernel, &params, &tensors, [size(count), size(batch), 1]);
     }
 }

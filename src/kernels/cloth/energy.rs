@@ -1,17 +1,16 @@
 //! Host side of `shaders/cloth/energy.wgsl`.
 
-use super::EnergyTensors;
+use super::Trial;
 use super::energy_sum::TERMS;
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::optim::Iterate;
-use crate::kernels::{common, pieces, size};
+use crate::kernels::{common, pieces, size, terms};
 
 pub(crate) const SOURCE: Source = Source {
     name: "energy",
     wgsl: include_str!("../../../shaders/cloth/energy.wgsl"),
-    appended: &[common::CLOTH, common::ANGLE, common::OFFSET, pieces::TRIAL],
+    appended: &[common::CLOTH, common::OFFSET, terms::PARTICLE, terms::EDGE, terms::ANGLE, pieces::TRIAL],
 };
 
 #[repr(C)]
@@ -20,6 +19,7 @@ struct Params {
     rows: u32,
     columns: u32,
     groups: u32,
+    first_external: u32,
     zero: u32,
 }
 
@@ -44,20 +44,20 @@ impl Energy {
     }
 
     /// Sets `parts` [B, parts, 8] at `iterate.a`.
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        grid: Grid,
-        physics: EnergyTensors<'_>,
-        (iterate, parts): (&Iterate, &Tensor),
-    ) {
-        let EnergyTensors { cloths, external, x } = physics;
-        let batch = physics.batch(grid, iterate);
+    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, parts: &Tensor) {
+        let Trial { grid, cloths, x, iterate } = trial;
+        let batch = trial.batch();
         let shape @ [_, groups, _] = parts_shape(batch, grid);
         assert_eq!(parts.shape(), shape);
-        let params = Params { rows: size(grid.h), columns: size(grid.w), groups: size(groups), zero: 0 };
-        let Iterate { slots, a, base, .. } = iterate;
-        let tensors = [cloths, slots, external, a, base, x, parts];
+        let (given, external, _) = &iterate.given();
+        let params = Params {
+            rows: size(grid.h),
+            columns: size(grid.w),
+            groups: size(groups),
+            first_external: size(*external),
+            zero: 0,
+        };
+        let tensors = [cloths, &iterate.slots, &iterate.a, given, x, parts];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
     }
 }

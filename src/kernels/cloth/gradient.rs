@@ -1,16 +1,15 @@
 //! Host side of `shaders/cloth/gradient.wgsl`.
 
-use super::EnergyTensors;
+use super::Trial;
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::optim::Iterate;
-use crate::kernels::{common, pieces, size};
+use crate::kernels::{common, pieces, size, terms};
 
 pub(crate) const SOURCE: Source = Source {
     name: "gradient",
     wgsl: include_str!("../../../shaders/cloth/gradient.wgsl"),
-    appended: &[common::CLOTH, common::ANGLE, common::OFFSET, pieces::TRIAL],
+    appended: &[common::CLOTH, common::OFFSET, terms::PARTICLE, terms::EDGE, terms::ANGLE, pieces::TRIAL],
 };
 
 #[repr(C)]
@@ -21,6 +20,7 @@ struct Params {
     parts: u32,
     first_sum: u32,
     last_step: u32,
+    first_external: u32,
     zero: u32,
 }
 
@@ -48,20 +48,16 @@ impl Gradient {
         Ok(Self { alone: kernel(0.0)?, with_last_step: kernel(1.0)? })
     }
 
-    /// Sets `iterate.grad` at `iterate.a`, and `sums` [S, parts, 2] to the partial sums of squares of the
-    /// gradient and of the last step. The latter are 0 if the iterate has no hidden state.
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        grid: Grid,
-        physics: EnergyTensors<'_>,
-        (iterate, sums): (&Iterate, &Tensor),
-    ) {
-        let EnergyTensors { cloths, external, x } = physics;
-        let batch = physics.batch(grid, iterate);
+    /// Sets `iterate.grad` at `iterate.a`, under `iterate.total` if there is one, else `iterate.external`. Sets
+    /// `sums` [S, parts, 2] to the partial sums of squares of the gradient and of the last step. The latter are 0
+    /// if the iterate has no hidden state.
+    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, sums: &Tensor) {
+        let Trial { grid, cloths, x, iterate } = trial;
+        let batch = trial.batch();
         assert_eq!(sums.shape(), [3 * batch, parts(grid), 2]);
         let (sums, first) = &sums.whole();
         let (fields, hidden) = &iterate.fields();
+        let (given, external, total) = &iterate.given();
         let params = Params {
             rows: size(grid.h),
             columns: size(grid.w),
@@ -69,11 +65,11 @@ impl Gradient {
             // Views begin at an even element.
             first_sum: size(first / 2),
             last_step: size(hidden.unwrap_or(0) + iterate.grad.len()),
+            first_external: size(total.unwrap_or(*external)),
             zero: 0,
         };
-        let Iterate { slots, a, base, .. } = iterate;
         let kernel = if hidden.is_some() { &self.with_last_step } else { &self.alone };
-        let tensors = [cloths, slots, external, a, base, x, fields, sums];
+        let tensors = [cloths, &iterate.slots, &iterate.a, given, x, fields, sums];
         schedule.dispatch(kernel, &params, &tensors, [size(parts(grid)), size(batch), 1]);
     }
 }

@@ -11,6 +11,7 @@ pub mod energy_sum;
 pub mod external_force;
 pub mod gradient;
 pub mod integrate;
+mod objective;
 pub mod predict;
 pub mod repulsion;
 pub mod sheet_axes;
@@ -27,6 +28,7 @@ pub use energy_sum::{ClothTerms, EnergySum, TERMS};
 pub use external_force::{ExternalForce, ExternalForceTensors};
 pub use gradient::Gradient;
 pub use integrate::Integrate;
+pub use objective::{Begin, Objective, Room};
 pub use predict::Predict;
 pub use repulsion::Repulsion;
 pub use sheet_axes::SheetAxes;
@@ -36,15 +38,17 @@ use crate::cloth::{Cloth, Grid, Model};
 use crate::gpu::Tensor;
 use crate::kernels::optim::Iterate;
 
-/// What the energy of a trial depends on, besides the trial itself.
+/// The cloths of a batch at trial accelerations: everything that their energies depend on.
 #[derive(Clone, Copy, Debug)]
-pub struct EnergyTensors<'a> {
+pub struct Trial<'a> {
+    /// The grid of all cloths.
+    pub grid: Grid,
     /// Constants of the cloths, see [`ClothParams`].
     pub cloths: &'a Tensor,
-    /// External acceleration, shape [B, 3, H, W].
-    pub external: &'a Tensor,
     /// Positions at the start of the frame, shape [B, 3, H, W].
     pub x: &'a Tensor,
+    /// The accelerations, and what else moves the particles.
+    pub iterate: &'a Iterate,
 }
 
 /// The state of the cloths and the targets of their handles.
@@ -92,11 +96,11 @@ impl ClothParams {
     }
 }
 
-impl EnergyTensors<'_> {
-    /// Returns the number of cloths. Panics if the tensors do not fit each other and the trial.
-    fn batch(&self, grid: Grid, iterate: &Iterate) -> usize {
-        let (samples, n) = iterate.samples_and_particles();
-        assert_eq!((n, self.external.len(), self.x.len()), (grid.particles(), samples * n, samples * n));
+impl Trial<'_> {
+    /// Returns the number of cloths. Panics if the tensors do not fit each other.
+    fn batch(&self) -> usize {
+        let (samples, n) = self.iterate.samples_and_particles();
+        assert_eq!((n, self.x.len()), (self.grid.particles(), samples * n));
         assert_eq!(self.cloths.bytes() as usize, samples / 3 * size_of::<ClothParams>());
         samples / 3
     }

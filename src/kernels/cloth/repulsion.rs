@@ -1,10 +1,9 @@
 //! Host side of `shaders/cloth/repulsion.wgsl`.
 
-use super::{Cells, EnergyTensors, energy};
+use super::{Cells, Trial, energy};
 use crate::Result;
 use crate::cloth::{self, Grid};
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::optim::Iterate;
 use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
@@ -20,6 +19,8 @@ struct Params {
     columns: u32,
     buckets: u32,
     groups: u32,
+    first_external: u32,
+    first_total: u32,
 }
 
 /// Computes the repulsion between particles within its range, including the search for them.
@@ -27,9 +28,6 @@ struct Params {
 pub struct Repulsion {
     cells: Cells,
     kernel: Kernel,
-    /// External accelerations plus those of the repulsion [edges / frame^2], shape [B, 3, n]. A gradient
-    /// takes these in place of the external ones, since the repulsion depends on positions alone.
-    pub total_acceleration: Tensor,
 }
 
 impl Repulsion {
@@ -38,32 +36,29 @@ impl Repulsion {
         Ok(Self {
             cells: Cells::new(context, batch, grid)?,
             kernel: Kernel::new(context, &SOURCE, 0, &[("SOFTENING", cloth::Repulsion::SOFTENING)])?,
-            total_acceleration: Tensor::zeros(context, "total acceleration", &[batch, 3, grid.particles()])?,
         })
     }
 
-    /// Sets [`Repulsion::total_acceleration`] at `iterate.a`, and the repulsion's term in the `parts` of the
-    /// energy [B, parts, 8].
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        grid: Grid,
-        physics: EnergyTensors<'_>,
-        (iterate, parts): (&Iterate, &Tensor),
-    ) {
-        let batch = physics.batch(grid, iterate);
+    /// Sets `iterate.total` at `iterate.a`, and the repulsion's term in the `parts` of the energy [B, parts, 8].
+    /// Panics if the iterate has no total.
+    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, parts: &Tensor) {
+        let (grid, batch) = (trial.grid, trial.batch());
         let shape @ [_, groups, _] = energy::parts_shape(batch, grid);
-        assert_eq!(
-            (parts.shape(), self.total_acceleration.len()),
-            (&shape[..], 3 * batch * grid.particles())
-        );
-        let Self { cells, kernel, total_acceleration } = self;
-        cells.push(schedule, grid, physics, iterate);
+        assert_eq!(parts.shape(), shape);
+        let Self { cells, kernel } = self;
+        cells.push(schedule, trial);
         let Cells { ends, sorted, .. } = cells;
         let buckets = size(ends.shape()[1]);
-        let params = Params { rows: size(grid.h), columns: size(grid.w), buckets, groups: size(groups) };
-        let tensors =
-            [physics.cloths, &iterate.slots, physics.external, ends, sorted, total_acceleration, parts];
+        let (given, external, total) = &trial.iterate.given();
+        let params = Params {
+            rows: size(grid.h),
+            columns: size(grid.w),
+            buckets,
+            groups: size(groups),
+            first_external: size(*external),
+            first_total: size(total.expect("the iterate has a total")),
+        };
+        let tensors = [trial.cloths, &trial.iterate.slots, given, ends, sorted, parts];
         schedule.dispatch(kernel, &params, &tensors, kernel.spread(grid.particles(), batch));
     }
 }

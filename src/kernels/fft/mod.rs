@@ -22,16 +22,6 @@ pub use unpack_pairs::UnpackPairs;
 
 use crate::gpu::Tensor;
 
-/// Which direction carries the factor 1/(HW).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Norm {
-    /// The forward transform, as in the operator.
-    #[default]
-    Forward,
-    /// The inverse transform.
-    Backward,
-}
-
 /// The fields to transform: `batch` of them, each with `h` rows of `w` numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fields {

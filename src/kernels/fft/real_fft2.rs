@@ -2,7 +2,7 @@
 
 use super::{Fields, JoinSpectra, PackPairs, Pass, Radix4, RadixPrime, SplitSpectra, UnpackPairs};
 use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::fft::Norm;
+use crate::settings::Norm;
 use crate::{Error, Result};
 use std::f64::consts::TAU;
 

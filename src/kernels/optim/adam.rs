@@ -4,6 +4,7 @@ use super::Iterate;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
+use crate::settings::AdamSettings;
 
 pub(crate) const SOURCE: Source =
     Source { name: "adam", wgsl: include_str!("../../../shaders/optim/adam.wgsl"), appended: &[] };
@@ -27,19 +28,6 @@ struct Params {
 #[derive(Clone, Debug)]
 pub struct Adam {
     kernel: Kernel,
-}
-
-/// Settings of Adam on any device.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct AdamSettings {
-    /// Learning rate.
-    pub rate: f64,
-    /// Decay of the mean gradient.
-    pub beta1: f64,
-    /// Decay of the mean squared gradient.
-    pub beta2: f64,
-    /// Constant added to the denominator.
-    pub epsilon: f64,
 }
 
 impl Adam {

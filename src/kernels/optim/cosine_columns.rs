@@ -6,6 +6,7 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::ClothParams;
 use crate::kernels::{common, size};
+use crate::settings::TENSION;
 use std::f64::consts::PI;
 
 pub(crate) const SOURCE: Source = Source {
@@ -20,11 +21,6 @@ struct Params {
     rows: u32,
     columns: u32,
 }
-
-/// Share of the tangential stiffness that a mode of the sheet has along its other axis, and across its surface: a
-/// sheet under tension resists there, too. Good between 0.0003 and 0.003: the median gap of `xy_v2` at 32x32 is 0.53,
-/// 0.64 and 1.1 % after ten iterations, and softer materials on fine grids prefer the smaller ones.
-pub const TENSION: f64 = 0.001;
 
 /// Transforms the columns of six fields and divides them by their eigenvalues, or transforms them back.
 #[derive(Clone, Debug)]

@@ -6,6 +6,7 @@ use crate::Result;
 use crate::gpu::AdapterKind;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
+use crate::settings::{LbfgsSettings, MAX_HISTORY};
 
 pub(crate) const SOURCE: Source =
     Source { name: "lbfgs", wgsl: include_str!("../../../shaders/optim/lbfgs.wgsl"), appended: &[] };
@@ -27,15 +28,6 @@ pub enum Part {
     Before,
     /// The part after it.
     After,
-}
-
-/// Settings of L-BFGS on any device.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct LbfgsSettings {
-    /// Number of curvature pairs kept, 1 to 32.
-    pub history: usize,
-    /// Threshold: a pair is kept if `y.s` exceeds it.
-    pub curvature: f64,
 }
 
 /// Limited-memory BFGS.
@@ -69,9 +61,6 @@ impl LbfgsMemory {
         })
     }
 }
-
-/// Longest history that the kernel supports.
-pub const MAX_HISTORY: usize = 32;
 
 impl Lbfgs {
     /// Builds the kernel. Panics if the history is not 1 to [`MAX_HISTORY`] pairs.

@@ -17,21 +17,20 @@ pub mod subspace_step;
 pub mod update;
 pub mod update_adj;
 
-pub use adam::{Adam, AdamSettings};
-pub use cosine_columns::{CosineColumns, TENSION};
+pub use adam::Adam;
+pub use cosine_columns::CosineColumns;
 pub use cosine_directions::CosineDirections;
 pub use cosine_order::CosineOrder;
 pub use cosine_rows::CosineRows;
 pub use features::{FeatureInputs, Features};
 pub use gradient_descent::GradientDescent;
-pub use lbfgs::{Lbfgs, LbfgsMemory, LbfgsSettings, Part};
+pub use lbfgs::{Lbfgs, LbfgsMemory, Part};
 pub use quasi_newton::QuasiNewton;
 pub use rest_modes::RestModes;
-pub use subspace::{LEARNED_ITERATIONS, Subspace};
-pub use subspace_step::{SubspaceStep, WARMEST, When};
+pub use subspace::Subspace;
+pub use subspace_step::{SubspaceStep, When};
 pub use update::{Update, UpdateTensors};
-pub(crate) use update_adj::CLAMP;
-pub use update_adj::{Normalisation, UpdateAdj, UpdateAdjTensors};
+pub use update_adj::{UpdateAdj, UpdateAdjTensors};
 
 use crate::Result;
 use crate::gpu::{Context, Tensor};
@@ -47,6 +46,12 @@ pub struct Iterate {
     /// What `a = 0` moves the particles by, shape [B, 3, n]: the velocity, or the displacement of a handle to
     /// its target. A trial moves free particles by `base + a`, and handles by `base`.
     pub base: Tensor,
+    /// External accelerations [edges / frame^2], shape [B, 3, n]. They follow `base` in one buffer, so that kernels
+    /// that read both can bind them as one.
+    pub external: Tensor,
+    /// The external accelerations plus those of the repulsion, shape [B, 3, n], in the same buffer; `None` without
+    /// a repulsion. To the gradient a repulsion is an external force, since it depends on positions alone.
+    pub total: Option<Tensor>,
     /// 0 for a free particle, otherwise 1 + the index of its handle, shape [B, n].
     pub slots: Tensor,
     /// Acceleration, shape [B, 3, n].
@@ -71,10 +76,16 @@ impl Iterate {
 
     fn of(context: &Context, slots: &[u32], grad: Tensor, hidden: Option<Tensor>) -> Result<Self> {
         let &[batch, _, n] = grad.shape() else { unreachable!("a gradient has three axes") };
-        let base = Tensor::zeros(context, "base", grad.shape())?;
+        let [base, external] = fields_in_one(context, "base and external", grad.shape())?;
         let a = Tensor::zeros(context, "a", grad.shape())?;
         let slots = Tensor::from_slice(context, "slots", &[batch, n], slots)?;
-        Ok(Self { grad, hidden, base, slots, a })
+        Ok(Self { grad, hidden, base, external, total: None, slots, a })
+    }
+
+    /// Makes room for the accelerations of a repulsion. `base` and `external` begin anew, as zeros.
+    pub fn with_total(self, context: &Context) -> Result<Self> {
+        let [base, external, total] = fields_in_one(context, "base, external and total", self.grad.shape())?;
+        Ok(Self { base, external, total: Some(total), ..self })
     }
 
     /// Returns the hidden state. Panics if the iterate has none.
@@ -85,9 +96,10 @@ impl Iterate {
     /// Returns the number of samples, three per cloth, and of particles. Panics if the tensors do not fit
     /// each other.
     pub fn samples_and_particles(&self) -> (usize, usize) {
-        let Self { grad, hidden, base, slots, a } = self;
+        let Self { grad, hidden, base, external, total, slots, a } = self;
         let &[batch, 3, n] = a.shape() else { panic!("an acceleration is [B, 3, n]: {:?}", a.shape()) };
-        assert_eq!([grad, base].map(Tensor::len), [a.len(); 2]);
+        assert_eq!([grad, base, external].map(Tensor::len), [a.len(); 3]);
+        assert!(total.as_ref().is_none_or(|total| total.len() == a.len()));
         assert_eq!(slots.len(), batch * n);
         assert!(hidden.as_ref().is_none_or(|hidden| hidden.shape() == [2, 3 * batch, n]));
         (3 * batch, n)
@@ -105,4 +117,27 @@ impl Iterate {
         );
         (fields, Some(first))
     }
+
+    /// Returns the buffer that begins with `base`, and the elements at which `external` and `total` begin in it.
+    pub(crate) fn given(&self) -> (Tensor, usize, Option<usize>) {
+        let ((given, of_base), (same, external)) = (self.base.whole(), self.external.whole());
+        assert_eq!((given.buffer(), of_base), (same.buffer(), 0), "base and external are in one buffer");
+        let total = self.total.as_ref().map(|total| {
+            let (same, total) = total.whole();
+            assert_eq!(given.buffer(), same.buffer(), "base and total are in one buffer");
+            total
+        });
+        (given, external, total)
+    }
+}
+
+/// Allocates fields of one shape that share a buffer, as views of it.
+fn fields_in_one<const N: usize>(
+    context: &Context,
+    label: &'static str,
+    shape: &[usize],
+) -> Result<[Tensor; N]> {
+    let stride = shape.iter().product::<usize>().next_multiple_of(Tensor::VIEW_ALIGNMENT);
+    let all = Tensor::zeros(context, label, &[N * stride])?;
+    Ok(std::array::from_fn(|k| all.view(k * stride, shape)))
 }

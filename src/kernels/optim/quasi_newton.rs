@@ -1,11 +1,11 @@
 //! The plan of a quasi-Newton step: L-BFGS that starts from the Hessian of a flat sheet.
 
-use super::{CosineOrder, Iterate, Lbfgs, LbfgsMemory, LbfgsSettings, Part, RestModes};
+use super::{CosineOrder, Iterate, Lbfgs, LbfgsMemory, Part, RestModes};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::fft::Norm;
 use crate::kernels::fft::{Fields, RealFft2};
+use crate::settings::{LbfgsSettings, Norm};
 
 /// L-BFGS with the initial inverse Hessian `P C^T diag(1 / lambda) C P`: the cosine transform C (DCT-II)
 /// nearly diagonalises the Hessian of a sheet at rest, and P zeroes the handles (after Liu, Bouaziz and Kavan

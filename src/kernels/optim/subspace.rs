@@ -3,16 +3,11 @@
 use super::cosine_columns::squared_frequencies;
 use super::cosine_rows::{fields_shape, table};
 use super::subspace_step::STATE;
-use super::{CosineColumns, CosineDirections, CosineRows, Iterate, SubspaceStep, When, directions};
+use super::{CosineColumns, CosineDirections, CosineRows, SubspaceStep, When, directions};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::cloth::{Curvature, EnergyTensors, SheetAxes, curvature};
-
-/// Iterations of a frame in which a network proposes a step. Its direction is worth most far from the minimum: with
-/// it, five iterations leave 1.9 % of the gap of `xy_v2` at 32x32 where three directions leave 3.6 %. Later it
-/// disturbs the conjugacy of the others: after ten iterations with it 1.1 % are left, and 0.6 % without.
-pub const LEARNED_ITERATIONS: usize = 5;
+use crate::kernels::cloth::{Objective, SheetAxes, curvature};
 
 /// Minimises a quadratic model of the energy in the span of three or four directions: the gradient times the
 /// inverse Hessian of a flat sheet (`P C^T diag(1 / lambda) C P`, see [`super::QuasiNewton`]), the same in
@@ -20,8 +15,8 @@ pub const LEARNED_ITERATIONS: usize = 5;
 ///
 /// A step that increases the energy is shortened, and at the end of the frame taken back.
 ///
-/// A frame is [`Subspace::begin`], the gradient and [`Subspace::start`], then for each iteration the gradient and
-/// [`Subspace::push`], then [`Subspace::end`].
+/// A frame is [`Subspace::begin`], an evaluation ([`Objective::evaluate`]) and [`Subspace::start`], then for each
+/// iteration an evaluation and [`Subspace::push`], then [`Subspace::end`].
 #[derive(Clone, Debug)]
 pub struct Subspace {
     grid: Grid,
@@ -31,7 +26,6 @@ pub struct Subspace {
     /// Forward, inverse.
     columns: [CosineColumns; 2],
     directions_kernel: CosineDirections,
-    curvature: Curvature,
     step: SubspaceStep,
     /// Cosine matrices along a column and along a row.
     tables: [Tensor; 2],
@@ -68,7 +62,6 @@ impl Subspace {
             rows: CosineRows::new(context)?,
             columns: [CosineColumns::new(context, false)?, CosineColumns::new(context, true)?],
             directions_kernel: CosineDirections::new(context)?,
-            curvature: Curvature::new(context)?,
             step: SubspaceStep::new(context)?,
             tables: [table(context, grid.h)?, table(context, grid.w)?],
             mu: squared_frequencies(context, grid)?,
@@ -82,60 +75,45 @@ impl Subspace {
 
     /// Starts a frame from `iterate.base`, with the last frame's acceleration still in `iterate.a`: it
     /// becomes the last step, and 0. One dispatch.
-    pub fn begin(&self, schedule: &mut Schedule, x: &Tensor, iterate: &Iterate) {
-        self.axes_kernel.push(schedule, self.grid, (iterate, x), [&self.axes, &self.directions]);
+    pub fn begin(&self, schedule: &mut Schedule, objective: &Objective) {
+        let of = (&objective.iterate, &objective.x);
+        self.axes_kernel.push(schedule, objective.grid(), of, [&self.axes, &self.directions]);
     }
 
-    /// Moves `iterate` from a = 0, where its gradient is known, to the best multiple, at most [`WARMEST`](super::WARMEST), of
-    /// the last frame's acceleration. `physics` and `repulsion` as in [`Subspace::push`]. Two dispatches.
-    pub fn start(
-        &self,
-        schedule: &mut Schedule,
-        physics: EnergyTensors<'_>,
-        (iterate, repulsion): (&Iterate, Option<&Tensor>),
-    ) {
-        let Self { grid, directions, parts, state, .. } = self;
+    /// Moves the iterate from a = 0, where it was evaluated, to the best multiple, at most
+    /// [`WARMEST`](crate::settings::WARMEST), of the last frame's acceleration. Two dispatches.
+    pub fn start(&self, schedule: &mut Schedule, objective: &Objective) {
         // The other directions are those of the frame before, whose sums are not read.
-        self.curvature.push(schedule, *grid, physics, (iterate, directions, parts));
-        self.step.push(schedule, *grid, When::Start, (parts, repulsion), (iterate, directions, state));
+        objective.local_model(schedule, &self.directions, &self.parts);
+        self.decide(schedule, objective, When::Start);
     }
 
-    /// Moves `iterate`, whose gradient is known, by the step of `iteration`, counted from 0. `physics` has
-    /// the external accelerations without the repulsion; if there is one, `repulsion` are the parts of the
-    /// energy that contain it at `iterate.a` ([`crate::kernels::cloth::Repulsion`]). Six dispatches.
-    pub fn push(
-        &self,
-        schedule: &mut Schedule,
-        iteration: usize,
-        physics: EnergyTensors<'_>,
-        (iterate, repulsion): (&Iterate, Option<&Tensor>),
-    ) {
+    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Six dispatches.
+    pub fn push(&self, schedule: &mut Schedule, objective: &Objective, iteration: usize) {
         assert!(iteration < self.iterations, "iteration {iteration} of {}", self.iterations);
-        let Self { grid, axes, directions, parts, mu, .. } = self;
+        let (grid, iterate) = (objective.grid(), &objective.iterate);
+        let Self { axes, directions, mu, .. } = self;
         let ([along_column, along_row], [z, other]) = (&self.tables, &self.fields);
         let [forward, inverse] = &self.columns;
-        let of_columns = (physics.cloths, along_column, mu);
-        self.rows.push(schedule, *grid, (iterate, axes, along_row), z);
-        forward.push(schedule, *grid, of_columns, [z, other]);
-        inverse.push(schedule, *grid, of_columns, [other, z]);
-        self.directions_kernel.push(schedule, *grid, (iterate, axes, along_row), [z, directions]);
-        self.curvature.push(schedule, *grid, physics, (iterate, directions, parts));
-        let when = When::Iteration(iteration);
-        self.step.push(schedule, *grid, when, (parts, repulsion), (iterate, directions, &self.state));
+        let of_columns = (objective.cloths(), along_column, mu);
+        self.rows.push(schedule, grid, (iterate, axes, along_row), z);
+        forward.push(schedule, grid, of_columns, [z, other]);
+        inverse.push(schedule, grid, of_columns, [other, z]);
+        self.directions_kernel.push(schedule, grid, (iterate, axes, along_row), [z, directions]);
+        objective.local_model(schedule, directions, &self.parts);
+        self.decide(schedule, objective, When::Iteration(iteration));
     }
 
-    /// Ends a frame: takes the last step back if it has increased the energy. `repulsion` as in
-    /// [`Subspace::push`]. Two dispatches.
-    pub fn end(
-        &self,
-        schedule: &mut Schedule,
-        physics: EnergyTensors<'_>,
-        (iterate, repulsion): (&Iterate, Option<&Tensor>),
-    ) {
-        let Self { grid, directions, parts, state, .. } = self;
-        self.curvature.push_energy(schedule, *grid, physics, (iterate, directions, parts));
-        let when = When::End(self.iterations);
-        self.step.push(schedule, *grid, when, (parts, repulsion), (iterate, directions, state));
+    /// Ends a frame: takes the last step back if it has increased the energy. Two dispatches, without a repulsion.
+    pub fn end(&self, schedule: &mut Schedule, objective: &Objective) {
+        objective.model_energy(schedule, &self.directions, &self.parts);
+        self.decide(schedule, objective, When::End(self.iterations));
+    }
+
+    fn decide(&self, schedule: &mut Schedule, objective: &Objective, when: When) {
+        let sums = (&self.parts, objective.repulsion_parts());
+        let to = (&objective.iterate, &self.directions, &self.state);
+        self.step.push(schedule, objective.grid(), when, sums, to);
     }
 
     /// Returns where a network leaves its step between the gradient and [`Subspace::push`], shape

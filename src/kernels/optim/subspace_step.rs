@@ -6,6 +6,7 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::cloth::{curvature, energy};
 use crate::kernels::{common, size};
+use crate::settings::WARMEST;
 
 pub(crate) const SOURCE: Source = Source {
     name: "subspace_step",
@@ -52,10 +53,6 @@ pub enum When {
 /// Number of values in the state of a cloth: accepted energy, sum of the magnitudes of its terms, slope of the
 /// step from there, steps that were shortened, and directions that were dropped as they were not finite.
 pub const STATE: usize = 5;
-
-/// Largest multiple of the last frame's acceleration that a frame starts at. With 1, what ten iterations leave
-/// undone in soft modes adds up: a sheet that hangs from one corner is then driven to 3 m/s within 600 frames.
-pub const WARMEST: f64 = 0.5;
 
 /// Most workgroups per cloth: each of them adds up all parts.
 const MAX_GROUPS: usize = 64;

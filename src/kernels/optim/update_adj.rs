@@ -4,38 +4,13 @@ use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, size};
+use crate::settings::{CLAMP, Normalisation};
 
 pub(crate) const SOURCE: Source = Source {
     name: "update_adj",
     wgsl: include_str!("../../../shaders/optim/update_adj.wgsl"),
     appended: &[common::TANH],
 };
-
-/// Bound on the magnitude of a normalised cotangent.
-pub(crate) const CLAMP: f64 = 10.0;
-
-/// The norm by which training divides the cotangents of a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Normalisation {
-    /// Each component is divided by its own norm: every component of every cloth weighs the same (the
-    /// authors' rule).
-    #[default]
-    Component,
-    /// Each component is divided by the root mean square of the three norms of its cloth. Every cloth weighs
-    /// the same, and a component in proportion to its share of the cloth's gradient.
-    Cloth,
-}
-
-impl Normalisation {
-    /// Returns the number of samples that share a norm.
-    pub fn samples(self) -> usize {
-        match self {
-            Self::Component => 1,
-            Self::Cloth => 3,
-        }
-    }
-}
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]

@@ -2,7 +2,8 @@
 
 use super::classical::frames_match;
 use crate::common::{ROUNDING, cases, context, device, poisoned};
-use fnopt::kernels::optim::{Adam, AdamSettings};
+use fnopt::kernels::optim::Adam;
+use fnopt::settings::AdamSettings;
 use fnopt::sim::Optimizer;
 
 #[test]

@@ -1,9 +1,9 @@
 //! `cell_count`, `cell_scan`, `cell_fill` and `cell_order` against the CPU path.
 
-use super::cloth::{Doubles, constants, crumpled, field, iterate, model, repelling, upload};
+use super::cloth::{Doubles, OnDevice, crumpled, field, model, repelling};
 use crate::common::{ROUNDING, cases, context, device, run};
 use fnopt::cpu::cloth;
-use fnopt::kernels::cloth::{Cells, EnergyTensors, buckets};
+use fnopt::kernels::cloth::{Cells, buckets};
 
 /// Every particle appears once, at the position of the trial, in its cell's bucket, which is sorted by
 /// number.
@@ -14,16 +14,12 @@ fn particles_are_sorted_by_cells() {
         let (model, n) = (repelling(&model(grid, batch)), grid.particles());
         let (a, base) = (field(&model, 0.1, 73), field(&model, 0.1, 79));
         let x = crumpled(&model, 0.4);
-        let iterate = iterate(&model);
-        iterate.base.write(context(), &base);
-        iterate.a.write(context(), &a);
-        let (constants, start) = (constants(&model), upload("x", &model, &x));
-        let physics = EnergyTensors { cloths: &constants, external: &start, x: &start };
+        let on_device = OnDevice::new(&model, [&x, &base, &a, &a]);
         let cells = Cells::new(context(), batch, grid).unwrap();
         cells.ends.write(context(), &vec![u32::MAX; cells.ends.len()]);
         cells.sorted.write(context(), &vec![f32::NAN; cells.sorted.len()]);
         // Twice, since nothing of the first run may be left.
-        (0..2).for_each(|_| run(|schedule| cells.push(schedule, grid, physics, &iterate)));
+        (0..2).for_each(|_| run(|schedule| cells.push(schedule, on_device.trial())));
         let sorted = cells.sorted.read::<[f32; 4]>(context()).unwrap();
         let ends = cells.ends.read::<u32>(context()).unwrap();
         let doubles = Doubles::new(&model, [&x, &base, &a, &a]);

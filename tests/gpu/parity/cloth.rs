@@ -4,7 +4,7 @@ use crate::common::{context, noise, poisoned, tensor, widened};
 use fnopt::cloth::{Air, Cloth, Grid, Material, Model, Repulsion, State};
 use fnopt::cpu::cloth::Trial;
 use fnopt::gpu::Tensor;
-use fnopt::kernels::cloth::ClothParams;
+use fnopt::kernels::cloth::{self, ClothParams};
 use fnopt::kernels::optim::Iterate;
 
 /// Wind of each cloth [edges / frame].
@@ -63,21 +63,49 @@ pub fn constants(model: &Model) -> Tensor {
 /// Creates the unknown of a frame, filled with NaN except for the slots.
 pub fn iterate(model: &Model) -> Iterate {
     let iterate = Iterate::new(context(), model.batch(), &model.handle_slots()).unwrap();
-    let nan = vec![f32::NAN; iterate.a.len()];
-    for tensor in [&iterate.grad, &iterate.base, &iterate.a] {
-        tensor.write(context(), &nan);
+    poison(if model.repels() { iterate.with_total(context()).unwrap() } else { iterate })
+}
+
+/// Fills all fields of an iterate with NaN.
+fn poison(iterate: Iterate) -> Iterate {
+    let Iterate { grad, hidden, base, external, total, a, slots: _ } = &iterate;
+    for tensor in [grad, base, external, a].into_iter().chain(hidden).chain(total) {
+        tensor.write(context(), &vec![f32::NAN; tensor.len()]);
     }
     iterate
 }
 
 /// Creates the unknown of a frame with a hidden state, also filled with NaN.
 pub fn iterate_with_hidden(model: &Model) -> Iterate {
-    let slots = model.handle_slots();
-    let with_hidden = Iterate::with_hidden(context(), model.batch(), &slots).unwrap();
-    let iterate = Iterate { grad: with_hidden.grad, hidden: with_hidden.hidden, ..iterate(model) };
-    iterate.grad.write(context(), &vec![f32::NAN; iterate.grad.len()]);
-    iterate.hidden_state().write(context(), &vec![f32::NAN; iterate.hidden_state().len()]);
-    iterate
+    poison(Iterate::with_hidden(context(), model.batch(), &model.handle_slots()).unwrap())
+}
+
+/// The cloths of a model on the device, at a trial.
+pub struct OnDevice {
+    grid: Grid,
+    cloths: Tensor,
+    x: Tensor,
+    pub iterate: Iterate,
+}
+
+impl OnDevice {
+    /// Uploads positions, displacements at a = 0, accelerations and external accelerations, each [B, 3, n].
+    pub fn new(model: &Model, fields: [&[f32]; 4]) -> Self {
+        Self::with(model, iterate(model), fields)
+    }
+
+    /// As [`OnDevice::new`], into this iterate.
+    pub fn with(model: &Model, iterate: Iterate, [x, base, a, f]: [&[f32]; 4]) -> Self {
+        for (tensor, values) in [(&iterate.base, base), (&iterate.a, a), (&iterate.external, f)] {
+            tensor.write(context(), values);
+        }
+        Self { grid: model.grid, cloths: constants(model), x: upload("x", model, x), iterate }
+    }
+
+    /// Returns what the energy kernels take.
+    pub fn trial(&self) -> cloth::Trial<'_> {
+        cloth::Trial { grid: self.grid, cloths: &self.cloths, x: &self.x, iterate: &self.iterate }
+    }
 }
 
 /// Returns the displacements of the particles in a trial.

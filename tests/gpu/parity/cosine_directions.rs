@@ -5,7 +5,8 @@ use crate::common::{assert_close, cases, context, device, largest, noise, poison
 use fnopt::cloth::{Grid, Material, Model};
 use fnopt::kernels::optim::cosine_columns::squared_frequencies;
 use fnopt::kernels::optim::cosine_rows::{fields_shape, table};
-use fnopt::kernels::optim::{CosineColumns, CosineDirections, CosineRows, TENSION, directions};
+use fnopt::kernels::optim::{CosineColumns, CosineDirections, CosineRows, directions};
+use fnopt::settings::TENSION;
 use std::f64::consts::PI;
 
 /// Returns the orthonormal DCT-II of n points, row by row.

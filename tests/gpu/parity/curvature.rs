@@ -1,11 +1,11 @@
 //! `curvature` against differences of the CPU path's gradient, and against its energies.
 
-use super::cloth::{Doubles, constants, crumpled, field, iterate, model, upload};
+use super::cloth::{Doubles, OnDevice, crumpled, field, model};
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, poisoned, read, run, widened};
 use fnopt::cloth::{Grid, Model, State};
 use fnopt::cpu::cloth::{GradientRows, energy, gradient};
+use fnopt::kernels::cloth::Curvature;
 use fnopt::kernels::cloth::curvature::{VALUES, parts_shape};
-use fnopt::kernels::cloth::{Curvature, EnergyTensors};
 use fnopt::kernels::optim::directions;
 
 /// A grid with more tiles than parts, so that a workgroup takes several tiles.
@@ -35,25 +35,21 @@ struct Case<'a> {
 impl Case<'_> {
     /// Returns the sums over all parts [B, 24] in double precision, of the device.
     fn found(&self, kernel: &Curvature, energy_alone: bool) -> Vec<f64> {
-        let Self { model, fields: [x, base, a, f], grad, directions } = *self;
+        let Self { model, fields, grad, directions } = *self;
         let (grid, batch) = (model.grid, model.batch());
-        let iterate = iterate(model);
-        iterate.base.write(context(), base);
-        iterate.a.write(context(), a);
-        iterate.grad.write(context(), grad);
+        let cloths = OnDevice::new(model, fields);
+        cloths.iterate.grad.write(context(), grad);
         let all = poisoned("directions", &directions::shape(directions.len(), batch, grid));
         for (at, direction) in directions.iter().enumerate() {
             directions::one(&all, at, batch, grid).write(context(), direction);
         }
-        let (cloths, external, x) = (constants(model), upload("external", model, f), upload("x", model, x));
-        let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
         let parts = poisoned("parts", &parts_shape(batch, grid));
         run(|schedule| {
-            let of = (&iterate, &all, &parts);
+            let (trial, of) = (cloths.trial(), [&all, &parts]);
             if energy_alone {
-                kernel.push_energy(schedule, grid, physics, of);
+                kernel.push_energy(schedule, trial, of);
             } else {
-                kernel.push(schedule, grid, physics, of);
+                kernel.push(schedule, trial, of);
             }
         });
         let mut sums = vec![0.0; VALUES * batch];

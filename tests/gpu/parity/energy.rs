@@ -1,10 +1,10 @@
 //! `energy` and `energy_sum` against the CPU path.
 
-use super::cloth::{Doubles, constants, crumpled, field, iterate, model, upload};
+use super::cloth::{Doubles, OnDevice, crumpled, field, model};
 use crate::common::{ROUNDING, assert_close, cases, context, device, poisoned, read, run};
 use fnopt::cloth::{Grid, State};
 use fnopt::cpu::cloth::{energy, stretch};
-use fnopt::kernels::cloth::{Energy, EnergySum, EnergyTensors, TERMS, energy::parts_shape};
+use fnopt::kernels::cloth::{Energy, EnergySum, TERMS, energy::parts_shape};
 
 #[test]
 fn energies_and_stretch_match() {
@@ -21,17 +21,12 @@ fn energies_and_stretch_match() {
             ("crumpled", crumpled(&model, 0.4)),
         ] {
             let (a, f) = (field(&model, 0.1, 73), field(&model, 0.1, 74));
-            let iterate = iterate(&model);
             let base = field(&model, if name == "crumpled" { 0.1 } else { 0.0 }, 79);
-            iterate.base.write(context(), &base);
-            iterate.a.write(context(), &a);
-            let (cloths, external) = (constants(&model), upload("external", &model, &f));
-            let start = upload("x", &model, &x);
-            let physics = EnergyTensors { cloths: &cloths, external: &external, x: &start };
+            let cloths = OnDevice::new(&model, [&x, &base, &a, &f]);
             let partial = poisoned("parts", &parts_shape(batch, grid));
             let terms = poisoned("terms", &[batch, TERMS]);
             run(|schedule| {
-                kernel.push(schedule, grid, physics, (&iterate, &partial));
+                kernel.push(schedule, cloths.trial(), &partial);
                 sum.push(schedule, &partial, &terms);
             });
             let doubles = Doubles::new(&model, [&x, &base, &a, &f]);
@@ -66,16 +61,11 @@ fn degenerate_cloths_have_the_energies_of_the_host() {
         x[c * n + 4 * grid.w + 4] = x[c * n + 4 * grid.w + 3];
         x[c * n + 5 * grid.w + 3] = x[c * n + 4 * grid.w + 3];
     }
-    let iterate = iterate(&model);
     let zero = vec![0.0; x.len()];
-    iterate.base.write(context(), &zero);
-    iterate.a.write(context(), &zero);
-    let (cloths, external) = (constants(&model), upload("external", &model, &zero));
-    let start = upload("x", &model, &x);
-    let physics = EnergyTensors { cloths: &cloths, external: &external, x: &start };
+    let cloths = OnDevice::new(&model, [&x, &zero, &zero, &zero]);
     let (partial, terms) = (poisoned("parts", &parts_shape(1, grid)), poisoned("terms", &[1, TERMS]));
     run(|schedule| {
-        kernel.push(schedule, grid, physics, (&iterate, &partial));
+        kernel.push(schedule, cloths.trial(), &partial);
         sum.push(schedule, &partial, &terms);
     });
     let e = energy(&Doubles::new(&model, [&x, &zero, &zero, &zero]).cloth(0));

@@ -1,29 +1,24 @@
 //! `gradient` against the CPU path.
 
-use super::cloth::{Doubles, constants, crumpled, field, iterate, iterate_with_hidden, model, upload};
+use super::cloth::{Doubles, OnDevice, crumpled, field, iterate, iterate_with_hidden, model};
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, run};
 use fnopt::cloth::{Grid, Model, State};
 use fnopt::cpu::cloth::{GradientRows, gradient};
-use fnopt::kernels::cloth::{EnergyTensors, Gradient, gradient::parts};
+use fnopt::kernels::cloth::{Gradient, gradient::parts};
 
 /// Returns the gradient on the device and in double precision, for positions, displacements at a = 0,
 /// accelerations and external accelerations.
 fn both(kernel: &Gradient, model: &Model, fields: [&[f32]; 4]) -> (Vec<f32>, Vec<f64>) {
-    let iterate = iterate(model);
-    let [x, base, a, f] = fields;
-    iterate.base.write(context(), base);
-    iterate.a.write(context(), a);
-    let (cloths, external, x) = (constants(model), upload("external", model, f), upload("x", model, x));
-    let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
+    let cloths = OnDevice::new(model, fields);
     let sums = poisoned("sums", &[3 * model.batch(), parts(model.grid), 2]);
-    run(|schedule| kernel.push(schedule, model.grid, physics, (&iterate, &sums)));
+    run(|schedule| kernel.push(schedule, cloths.trial(), &sums));
     let doubles = Doubles::new(model, fields);
     let mut rows = GradientRows::new(model.grid);
-    let mut expected = vec![0.0; a.len()];
+    let mut expected = vec![0.0; fields[0].len()];
     for (b, grad) in expected.chunks_exact_mut(3 * model.grid.particles()).enumerate() {
         gradient(&doubles.cloth(b), &mut rows, grad);
     }
-    (read(&iterate.grad), expected)
+    (read(&cloths.iterate.grad), expected)
 }
 
 /// A grid with more tiles than parts, so that a workgroup takes several tiles.
@@ -143,20 +138,17 @@ fn partial_sums_of_squares_match() {
         } else {
             iterate(&model)
         };
-        iterate.base.write(context(), &field(&model, 0.1, 79));
-        iterate.a.write(context(), &field(&model, 0.1, 73));
-        let (cloths, external) = (constants(&model), upload("external", &model, &field(&model, 0.1, 74)));
-        let x = upload("x", &model, &crumpled(&model, 0.1));
-        let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
+        let [base, a, f] = [79, 73, 74].map(|seed| field(&model, 0.1, seed));
+        let cloths = OnDevice::with(&model, iterate, [&crumpled(&model, 0.1), &base, &a, &f]);
         // A view, like the rows of a solver's iterations.
         let rows = poisoned("sums", &[192 + 2 * samples * count]);
         let sums = rows.view(192, &[samples, count, 2]);
-        run(|schedule| kernel.push(schedule, grid, physics, (&iterate, &sums)));
+        run(|schedule| kernel.push(schedule, cloths.trial(), &sums));
         // Tiles of 8 x 8 particles, dealt out to the parts.
         let across = grid.w.div_ceil(8);
         let part = |p: usize| (p / grid.w / 8 * across + p % grid.w / 8) % count;
         let mut expected = vec![0.0; 2 * samples * count];
-        for (k, (&g, &d)) in read(&iterate.grad).iter().zip(&last_step).enumerate() {
+        for (k, (&g, &d)) in read(&cloths.iterate.grad).iter().zip(&last_step).enumerate() {
             let at = 2 * (k / n * count + part(k % n));
             expected[at] += f64::from(g) * f64::from(g);
             expected[at + 1] += if with_hidden { f64::from(d) * f64::from(d) } else { 0.0 };
@@ -166,7 +158,7 @@ fn partial_sums_of_squares_match() {
         assert_close(&what, &read(&sums), &expected, (0.0, 16.0 * ROUNDING));
         assert!(read(&rows)[..192].iter().all(|v| v.is_nan()), "{what} wrote in front of its view");
         if with_hidden {
-            let memory = read(iterate.hidden_state());
+            let memory = read(cloths.iterate.hidden_state());
             assert!(memory[..samples * n].iter().all(|v| v.is_nan()), "{what} changed the last gradient");
             assert_eq!(memory[samples * n..], last_step, "{what} changed the last step");
         }

@@ -4,7 +4,8 @@ use super::classical::frames_match;
 use crate::common::{GRIDS, cases, context, device};
 use fnopt::cloth::Grid;
 use fnopt::gpu::AdapterKind;
-use fnopt::kernels::optim::{Lbfgs, LbfgsMemory, LbfgsSettings};
+use fnopt::kernels::optim::{Lbfgs, LbfgsMemory};
+use fnopt::settings::LbfgsSettings;
 use fnopt::sim::Optimizer;
 
 /// Two dozen iterations amplify the roundings of the sums by the condition number of the problem, about 6.

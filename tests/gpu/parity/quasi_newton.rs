@@ -6,7 +6,8 @@ use super::cloth::{constants, field, iterate, model};
 use crate::common::{assert_close, cases, context, device, largest, poisoned, read, run, widened};
 use fnopt::cloth::Grid;
 use fnopt::cpu::optim::minimizer;
-use fnopt::kernels::optim::{LbfgsMemory, LbfgsSettings, QuasiNewton};
+use fnopt::kernels::optim::{LbfgsMemory, QuasiNewton};
+use fnopt::settings::LbfgsSettings;
 use fnopt::sim::Optimizer;
 
 const SETTINGS: LbfgsSettings = LbfgsSettings { history: 5, curvature: 1e-12 };

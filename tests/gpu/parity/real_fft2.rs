@@ -6,8 +6,8 @@ use crate::common::{
 use fnopt::cloth::Grid;
 use fnopt::cpu::fft::Fft2;
 use fnopt::gpu::Tensor;
-use fnopt::kernels::fft::Norm;
 use fnopt::kernels::fft::{Fields, RealFft2};
+use fnopt::settings::Norm;
 
 /// Sides of one, powers of two, odd and even sides, primes and their squares, and very unequal sides.
 const SIZES: [[usize; 2]; 17] = [

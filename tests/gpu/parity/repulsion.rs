@@ -1,37 +1,31 @@
 //! `repulsion` against the CPU path.
 
-use super::cloth::{Doubles, constants, crumpled, field, iterate, model, poisoned_field, repelling, upload};
+use super::cloth::{Doubles, OnDevice, crumpled, field, model, repelling};
 use crate::common::{assert_close, cases, context, device, largest, poisoned, read, run};
 use fnopt::cloth::{Cloth, Grid, Model};
 use fnopt::cpu::cloth::repulsion;
-use fnopt::kernels::cloth::{EnergySum, EnergyTensors, Repulsion, TERMS, energy::parts_shape};
+use fnopt::kernels::cloth::{EnergySum, Repulsion, TERMS, energy::parts_shape};
 
 /// Returns external accelerations including repulsion, and the repulsion energy of each cloth, on the device
 /// and in double precision.
 fn both(model: &Model, fields: [&[f32]; 4]) -> [(Vec<f32>, Vec<f64>); 2] {
     let (grid, batch) = (model.grid, model.batch());
     let (kernel, sum) = (Repulsion::new(context(), batch, grid).unwrap(), EnergySum::new(context()).unwrap());
-    kernel.total_acceleration.write(context(), &read(&poisoned_field(model)));
-    let iterate = iterate(model);
-    let [x, base, a, f] = fields;
-    iterate.base.write(context(), base);
-    iterate.a.write(context(), a);
-    let (cloths, external, x) = (constants(model), upload("external", model, f), upload("x", model, x));
-    let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
+    let cloths = OnDevice::new(model, fields);
     let (parts, terms) = (poisoned("parts", &parts_shape(batch, grid)), poisoned("terms", &[batch, TERMS]));
     run(|schedule| {
-        kernel.push(schedule, grid, physics, (&iterate, &parts));
+        kernel.push(schedule, cloths.trial(), &parts);
         sum.push(schedule, &parts, &terms);
     });
     let doubles = Doubles::new(model, fields);
-    let (mut total, mut energies) = (vec![0.0; f.len()], vec![0.0; batch]);
+    let (mut total, mut energies) = (vec![0.0; fields[0].len()], vec![0.0; batch]);
     for (b, total) in total.chunks_exact_mut(3 * grid.particles()).enumerate() {
         let trial = doubles.cloth(b);
         total.copy_from_slice(trial.f);
         energies[b] = model.cloths[b].repulsion.map_or(0.0, |of_cloth| repulsion(&trial, of_cloth, total));
     }
     let found = read(&terms).chunks_exact(TERMS).map(|terms| terms[TERMS - 1]).collect();
-    [(read(&kernel.total_acceleration), total), (found, energies)]
+    [(read(cloths.iterate.total.as_ref().unwrap()), total), (found, energies)]
 }
 
 #[test]

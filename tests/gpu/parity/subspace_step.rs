@@ -1,14 +1,15 @@
 //! `subspace_step` against its formula, and whole frames of the plan.
 
-use super::cloth::{constants, crumpled, field, iterate, model, repelling, upload};
+use super::cloth::{crumpled, field, model, repelling};
 use crate::common::{assert_close, cases, context, device, noise, poisoned, read, run, tensor};
 use crate::solver::assert_same;
 use fnopt::cloth::Grid;
-use fnopt::gpu::{Order, Schedule, Tensor};
+use fnopt::gpu::Order;
 use fnopt::kernels::cloth::curvature::parts_shape;
 use fnopt::kernels::cloth::gradient::parts;
-use fnopt::kernels::cloth::{Energy, EnergyTensors, Gradient, Repulsion, TERMS, energy};
-use fnopt::kernels::optim::{Iterate, Subspace, SubspaceStep, WARMEST, When, directions};
+use fnopt::kernels::cloth::{Objective, Room, TERMS, energy};
+use fnopt::kernels::optim::{Iterate, Subspace, SubspaceStep, When, directions};
+use fnopt::settings::WARMEST;
 
 type Vector = [f64; 4];
 type Matrix = [Vector; 4];
@@ -272,57 +273,42 @@ fn directions_that_are_the_same_share_the_step() {
 fn frames_lower_the_energy() {
     let _turn = device();
     const ITERATIONS: usize = 6;
-    let gradient = Gradient::new(context()).unwrap();
-    let of_energy = Energy::new(context()).unwrap();
     for ((grid, batch), repels) in cases().flat_map(|case| [(case, false), (case, true)]) {
         let calm = model(grid, batch);
         let model = if repels { repelling(&calm) } else { calm };
         let n = grid.particles();
-        let iterate = iterate(&model);
-        iterate.base.write(context(), &field(&model, 0.05, 79));
-        let (cloths, external) = (constants(&model), upload("external", &model, &field(&model, 0.1, 74)));
-        let x = upload("x", &model, &crumpled(&model, 0.1));
-        let physics = EnergyTensors { cloths: &cloths, external: &external, x: &x };
         let sums = poisoned("sums", &[3 * batch, parts(grid), 2]);
         let count = if repels { 4 } else { 3 };
         let slots = model.handle_slots();
         let held = |k: usize| slots[k / (3 * n) * n + k % n] != 0;
         let mut learned = field(&model, 0.1, 77);
         (0..learned.len()).filter(|&k| held(k)).for_each(|k| learned[k] = 0.0);
-        let repulsion = repels.then(|| {
-            let of_repulsion = Repulsion::new(context(), batch, grid).unwrap();
-            (of_repulsion, poisoned("energies", &energy::parts_shape(batch, grid)))
-        });
-        let evaluate = |schedule: &mut Schedule| {
-            let Some((repulsion, energies)) = &repulsion else {
-                return gradient.push(schedule, grid, physics, (&iterate, &sums));
-            };
-            of_energy.push(schedule, grid, physics, (&iterate, energies));
-            repulsion.push(schedule, grid, physics, (&iterate, energies));
-            let physics = EnergyTensors { external: &repulsion.total_acceleration, ..physics };
-            gradient.push(schedule, grid, physics, (&iterate, &sums));
-        };
-        let energies: Option<&Tensor> = repulsion.as_ref().map(|(_, energies)| energies);
+        let room = Room { handles: model.handles(), repulsion: repels, hidden: false };
         let frame = |order: Order| {
             let context = context().with_order(order);
             let plan = Subspace::new(&context, count, ITERATIONS, (grid, batch)).unwrap();
             assert_eq!(plan.learned_step().is_some(), repels);
             plan.learned_step().inspect(|step| step.write(&context, &learned));
-            iterate.a.write(&context, &field(&model, 0.05, 78));
+            let objective = Objective::new(&context, grid, batch, room).unwrap();
+            objective.set_cloths(&model);
+            let Iterate { a, base, external, .. } = &objective.iterate;
+            a.write(&context, &field(&model, 0.05, 78));
+            base.write(&context, &field(&model, 0.05, 79));
+            external.write(&context, &field(&model, 0.1, 74));
+            objective.x.write(&context, &crumpled(&model, 0.1));
             run(|schedule| {
-                plan.begin(schedule, &x, &iterate);
-                evaluate(schedule);
-                plan.start(schedule, physics, (&iterate, energies));
+                plan.begin(schedule, &objective);
+                objective.evaluate(schedule, &sums);
+                plan.start(schedule, &objective);
                 for iteration in 0..ITERATIONS {
-                    evaluate(schedule);
+                    objective.evaluate(schedule, &sums);
                     let before = schedule.dispatches();
-                    plan.push(schedule, iteration, physics, (&iterate, energies));
+                    plan.push(schedule, &objective, iteration);
                     assert_eq!(schedule.dispatches(), before + 6);
                 }
-                evaluate(schedule);
-                plan.end(schedule, physics, (&iterate, energies));
+                plan.end(schedule, &objective);
             });
-            [plan.state(), &iterate.a].map(read)
+            [plan.state(), a].map(read)
         };
         let [state, a] = frame(Order::Natural);
         let others = [Order::Reversed, Order::Scattered].into_iter().filter(|_| repels && batch > 1);

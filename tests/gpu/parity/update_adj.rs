@@ -3,9 +3,9 @@
 use crate::common::{
     ROUNDING, assert_close, cases, context, device, noise, pad, poisoned, read, run, tensor,
 };
-use fnopt::kernels::optim::Normalisation;
 use fnopt::kernels::optim::{UpdateAdj, UpdateAdjTensors};
 use fnopt::kernels::padded;
+use fnopt::settings::Normalisation;
 
 #[test]
 fn normalised_cotangents_match() {

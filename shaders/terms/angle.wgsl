@@ -1,4 +1,7 @@
 
+// The square of the angle between two edges minus its rest, without a coefficient: shear and bend. Defined in plain
+// words in `cloth::terms::angle`.
+
 // Returns atan2(sine, cosine) in [0, pi], for sine >= 0. WGSL allows atan2 an error of 4096 ulp, too much for
 // small bends. Odd polynomial of degree 17 on [0, 1], with a maximum error of 6e-9 before rounding.
 fn angle(sine: f32, cosine: f32) -> f32 {
@@ -48,4 +51,46 @@ fn angle_gradient(u: vec3f, w: vec3f, rest: f32) -> AnglePair {
     let by_u = clamp(factor / uu, -3e38, 3e38);
     let by_w = clamp(factor / ww, -3e38, 3e38);
     return AnglePair(cross(u, c) * by_u, cross(c, w) * by_w);
+}
+
+// Returns (angle(u, w) - rest)^2.
+fn squared_angle(u: vec3f, w: vec3f, rest: f32) -> f32 {
+    let off = angle(length(cross(u, w)), dot(u, w)) - rest;
+    return off * off;
+}
+
+// What the second derivatives of (t - rest)^2 are made of, where t is the angle between two edges: t - rest, the unit
+// vectors of the edges and of their normal, cos t, and s = (t - rest) / sin t. For parallel edges s is its limit, 1,
+// if rest = 0, and else 0.
+struct AngleShape {
+    off: f32,
+    u: vec3f,
+    w: vec3f,
+    n: vec3f,
+    cosine: f32,
+    s: f32,
+}
+
+// Edges whose sine is below this count as parallel: rounding leaves their common normal undefined.
+const PARALLEL: f32 = 1e-4;
+
+// Returns the shape of the angle between two edges, given one over their lengths, which is 0 for an edge without a
+// direction: then all but t - rest is meaningless.
+fn angle_shape(first: vec3f, second: vec3f, inverses: vec2f, rest: f32) -> AngleShape {
+    let normal = cross(first, second);
+    let area = length(normal);
+    let product = dot(first, second);
+    let off = angle(area, product) - rest;
+    let u = first * inverses.x;
+    let w = second * inverses.y;
+    let sine = area * inverses.x * inverses.y;
+    let cosine = product * inverses.x * inverses.y;
+    var n = normal / max(area, 1e-37);
+    var s = off / max(sine, PARALLEL);
+    if sine < PARALLEL {
+        s = select(0.0, 1.0, rest == 0.0 && cosine > 0.0);
+        // Any normal will do.
+        n = normalize(select(vec3f(0.0, u.z, -u.y), vec3f(-u.z, 0.0, u.x), abs(u.x) > 0.7));
+    }
+    return AngleShape(off, u, w, n, cosine, s);
 }

@@ -4,17 +4,15 @@ use super::learned::Learned;
 use super::{Direction, Initial, Length, Optimizer};
 use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
-use crate::kernels::cloth::EnergyTensors;
+use crate::kernels::cloth::Objective;
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{
-    Adam, AdamSettings, GradientDescent, Iterate, LEARNED_ITERATIONS, Lbfgs, LbfgsMemory, LbfgsSettings,
-    QuasiNewton, Subspace,
-};
+use crate::kernels::optim::{Adam, GradientDescent, Lbfgs, LbfgsMemory, QuasiNewton, Subspace};
+use crate::settings::{AdamSettings, LEARNED_ITERATIONS, LbfgsSettings};
 use crate::{Error, Result};
 
 /// An optimizer with its kernels and the state that it keeps on the device.
 #[derive(Debug)]
-pub(super) enum Rule {
+pub(super) enum Method {
     /// `scales` holds the persistent scale after each iteration, in rows of `[S]`. The next frame starts from
     /// the last row.
     Learned {
@@ -45,7 +43,7 @@ pub(super) enum Rule {
     },
 }
 
-impl Rule {
+impl Method {
     /// Builds the kernels of `optimizer` and its state for `batch` cloths and frames of `iterations`. Fails if
     /// the device does not support it, or if the grid is too large for it.
     pub fn new(
@@ -129,32 +127,32 @@ impl Rule {
         }
     }
 
-    /// Appends what comes before the first gradient of a frame: the accelerations of the frame before become a
+    /// Appends what comes before the first evaluation of a frame: the accelerations of the frame before become a
     /// direction, and 0.
-    pub fn push_begin(&self, schedule: &mut Schedule, at: Evaluated<'_>) {
+    pub fn push_begin(&self, schedule: &mut Schedule, objective: &Objective) {
         if let Self::Subspace { plan, .. } = self {
-            plan.begin(schedule, at.physics.x, at.iterate);
+            plan.begin(schedule, objective);
         }
     }
 
-    /// Appends the start of a frame, after the gradient at a = 0.
-    pub fn push_start(&self, schedule: &mut Schedule, at: Evaluated<'_>) {
+    /// Appends the start of a frame, after the evaluation at a = 0.
+    pub fn push_start(&self, schedule: &mut Schedule, objective: &Objective) {
         if let Self::Subspace { plan, .. } = self {
-            plan.start(schedule, at.physics, (at.iterate, at.repulsion));
+            plan.start(schedule, objective);
         }
     }
 
-    /// Appends the end of a frame: a step that raised the energy is taken back. Of what is evaluated, only the
-    /// repulsion is needed.
-    pub fn push_end(&self, schedule: &mut Schedule, at: Evaluated<'_>) {
+    /// Appends the end of a frame: a step that raised the energy is taken back.
+    pub fn push_end(&self, schedule: &mut Schedule, objective: &Objective) {
         if let Self::Subspace { plan, .. } = self {
-            plan.end(schedule, at.physics, (at.iterate, at.repulsion));
+            plan.end(schedule, objective);
         }
     }
 
-    /// Appends the step of `iteration`, from the gradient to the next iterate.
-    pub fn push(&self, schedule: &mut Schedule, iteration: usize, at: Evaluated<'_>) {
-        let Evaluated { iterate, sums, physics, repulsion } = at;
+    /// Appends the step of `iteration`, from an evaluation, which left the partial `sums` of squares [S, parts, 2], to
+    /// the next iterate.
+    pub fn push(&self, schedule: &mut Schedule, objective: &Objective, iteration: usize, sums: &Tensor) {
+        let iterate = &objective.iterate;
         let scales = |tensor| {
             let &[iterations, stride] = Tensor::shape(tensor) else { unreachable!("scales are rows") };
             let last = (iteration + iterations - 1) % iterations;
@@ -171,7 +169,7 @@ impl Rule {
                     let direction = plan.learned_step();
                     step.push(schedule, (iterate, sums), scales(rows), direction.as_ref());
                 }
-                plan.push(schedule, iteration, physics, (iterate, repulsion));
+                plan.push(schedule, objective, iteration);
             }
             Self::GradientDescent { kernel, rate } => kernel.push(schedule, *rate, iterate),
             Self::Adam { kernel, settings, moments } => {
@@ -179,23 +177,10 @@ impl Rule {
             }
             Self::Lbfgs { kernel, memory } => kernel.push(schedule, iteration, iterate, memory),
             Self::QuasiNewton { plan, memory } => {
-                plan.push(schedule, iteration, (iterate, physics.cloths), memory);
+                plan.push(schedule, iteration, (iterate, objective.cloths()), memory);
             }
         }
     }
-}
-
-/// What is known at an iterate.
-#[derive(Clone, Copy)]
-pub(super) struct Evaluated<'a> {
-    /// The iterate and its gradient.
-    pub iterate: &'a Iterate,
-    /// Partial sums of squares of the gradient and of the last step, shape [S, parts, 2].
-    pub sums: &'a Tensor,
-    /// What the energy depends on, without the repulsion.
-    pub physics: EnergyTensors<'a>,
-    /// The parts of the energy, of which those of the repulsion are known; `None` without one.
-    pub repulsion: Option<&'a Tensor>,
 }
 
 /// Allocates a row of at least `len` elements for each iteration, aligned so that it can be a tensor view
