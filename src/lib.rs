@@ -31,7 +31,8 @@
 //! ```
 //!
 //! The stages exist twice, with the same meaning. [`cpu`] implements them in plain Rust, in single or double
-//! precision; the double-precision version defines what is correct. [`kernels`] and `shaders/` implement them
+//! precision; the double-precision version defines what is correct. What its vectorised sums over a cloth add up is
+//! defined once more, plainly, element by element ([`cloth::terms`]). [`kernels`] and `shaders/` implement them
 //! in WGSL on top of [`gpu`], the only module that creates wgpu objects. [`sim::Solver`] records a frame into
 //! the caller's command encoder, without submitting, polling or mapping anything. [`Simulator`] is the
 //! convenience layer over both devices.
@@ -87,7 +88,7 @@
 //!
 //! | module | contents |
 //! |---|---|
-//! | [`cloth`] | grid, material, state and control of cloths, in grid units |
+//! | [`cloth`] | grid, material, state and control of cloths, in grid units; the terms of the energy |
 //! | [`io`], [`render`] | trajectory and mesh files; images |
 //! | [`scene`] | scene files, motions, materials, conversion to grid units |
 //! | [`settings`] | settings of the methods, for both devices |
@@ -132,7 +133,7 @@ pub mod verify;
 pub use error::{Error, Result};
 pub use simulator::{Device, Frame, Simulator};
 // Crates whose types are part of this interface.
-pub use {bytemuck, ndarray, serde_json, wgpu};
+pub use {bytemuck, glam, ndarray, serde_json, wgpu};
 
 #[cfg(test)]
 mod tests {

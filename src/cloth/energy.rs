@@ -5,7 +5,8 @@
 ///
 /// They are evaluated at the trial positions `x + v + a`, with the handles at their targets. In the formulas,
 /// e is an edge between neighbours at these positions, m a particle's mass
-/// ([`Grid::mass`](super::Grid::mass)) and f its external acceleration.
+/// ([`Grid::mass`](super::Grid::mass)) and f its external acceleration. The derivatives of the terms are in
+/// [`terms`](super::terms).
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct EnergyTerms {
     /// Stretch: `k_stretch` times the sum of two means of `(|e| - 1)^2`: over the vertical and over the

@@ -4,6 +4,7 @@
 mod energy;
 mod grid;
 mod model;
+pub mod terms;
 mod view;
 
 pub use energy::EnergyTerms;

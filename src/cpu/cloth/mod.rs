@@ -1,5 +1,9 @@
 //! The cloth on the CPU: energies, their gradient, wind and the end of a frame, for one cloth at a time
 //! (paper section 3).
+//!
+//! [`energy()`], [`gradient()`], [`local_model`] and [`Hessian`] are vectorised along rows, with their sums in another order
+//! each. What they sum is defined in [`terms`](crate::cloth::terms), and [`plain_total`] sums it plainly: the tests check
+//! the vectorised forms against it.
 
 mod cells;
 mod curvature;
@@ -7,6 +11,7 @@ mod energy;
 mod gradient;
 mod hessian;
 mod integrate;
+mod plain;
 mod repulsion;
 mod rows;
 mod sheet_axes;
@@ -21,6 +26,7 @@ pub use energy::energy;
 pub use gradient::{GradientRows, gradient};
 pub use hessian::{AFTER, Block, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};
+pub use plain::{PlainTotal, plain_total};
 pub use repulsion::repulsion;
 pub use sheet_axes::sheet_axes;
 pub use stretch::stretch;

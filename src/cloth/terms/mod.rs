@@ -1,0 +1,119 @@
+//! The local terms of the energy of a frame (paper section 3.2), each defined once, in plain double precision:
+//! [`Edge`] (stretch), [`Angle`] (shear and bend) and [`Particle`] (inertia and external work).
+//!
+//! A term depends on one element: an edge vector, two of them, or a particle's acceleration. It has an energy, a
+//! derivative and second derivatives with respect to these. The functions [`edges`], [`corners`], [`bends`] and
+//! [`particles`] list the elements of a cloth with their coefficients, and [`plain_total`](crate::cpu::cloth::plain_total)
+//! sums over them.
+//!
+//! These definitions are for reading and for tests. What runs, on either device, are vectorised forms of them, checked
+//! against the plain ones. The repulsion is not local: [`repulsion`](crate::cpu::cloth::repulsion()).
+//!
+//! Everything is in grid units: lengths in edges, times in frames, energies in (mass of a cell) edges^2 / frame^2, per
+//! particle. Since dt = 1, the derivative with respect to a free particle's acceleration is that with respect to its
+//! position.
+
+mod angle;
+mod edge;
+mod particle;
+
+pub use angle::Angle;
+pub use edge::Edge;
+pub use particle::Particle;
+
+use super::{Grid, Material};
+use std::f64::consts::FRAC_PI_2;
+
+/// The terms of one vertical edge, one horizontal edge, one corner of a cell and one bend: the coefficients of a
+/// material, divided by the number of terms that they average over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Elastic {
+    /// An edge from (i, j) to (i+1, j).
+    pub vertical: Edge,
+    /// An edge from (i, j) to (i, j+1).
+    pub horizontal: Edge,
+    /// The angle between two edges of a cell that meet in a corner.
+    pub shear: Angle,
+    /// The angle between two consecutive edges of the same direction.
+    pub bend: Angle,
+}
+
+impl Elastic {
+    /// Returns the terms of a material on a grid of at least 2 x 2 particles.
+    pub fn new(Grid { h, w }: Grid, Material { stretch, shear, bend }: Material) -> Self {
+        Self {
+            vertical: Edge { factor: stretch / ((h - 1) * w) as f64 },
+            horizontal: Edge { factor: stretch / (h * (w - 1)) as f64 },
+            shear: Angle { factor: shear / (h * w) as f64, rest: FRAC_PI_2 },
+            bend: Angle { factor: bend / (h * w) as f64, rest: 0.0 },
+        }
+    }
+}
+
+/// The numbers of the particles where an edge begins and ends.
+pub type Ends = [usize; 2];
+
+/// Returns all edges of a cloth with their stretch.
+pub fn edges(grid: Grid, material: Material) -> Vec<(Ends, Edge)> {
+    let Elastic { vertical, horizontal, .. } = Elastic::new(grid, material);
+    let mut edges = Vec::new();
+    for p in 0..grid.particles() {
+        if let Some(q) = below(grid, p) {
+            edges.push(([p, q], vertical));
+        }
+        if let Some(q) = right(grid, p) {
+            edges.push(([p, q], horizontal));
+        }
+    }
+    edges
+}
+
+/// Returns the four corners of each cell of a cloth, the pairs of a vertical and a horizontal edge, with their shear.
+pub fn corners(grid: Grid, material: Material) -> Vec<([Ends; 2], Angle)> {
+    let shear = Elastic::new(grid, material).shear;
+    let mut corners = Vec::new();
+    for p in 0..grid.particles() {
+        let (Some(q), Some(r)) = (right(grid, p), below(grid, p)) else { continue };
+        let opposite = r + 1;
+        for vertical in [[p, r], [q, opposite]] {
+            for horizontal in [[p, q], [r, opposite]] {
+                corners.push(([vertical, horizontal], shear));
+            }
+        }
+    }
+    corners
+}
+
+/// Returns the pairs of consecutive edges of the same direction of a cloth, with their bend.
+pub fn bends(grid: Grid, material: Material) -> Vec<([Ends; 2], Angle)> {
+    let bend = Elastic::new(grid, material).bend;
+    let mut bends = Vec::new();
+    for p in 0..grid.particles() {
+        for next in [below, right] {
+            let Some(q) = next(grid, p) else { continue };
+            let Some(r) = next(grid, q) else { continue };
+            bends.push(([[p, q], [q, r]], bend));
+        }
+    }
+    bends
+}
+
+/// Returns the particles of a cloth under the external accelerations `f` [3, H, W].
+pub fn particles(grid: Grid, f: &[f64]) -> Vec<Particle> {
+    let n = grid.particles();
+    let particle = |p: usize| Particle {
+        mass: grid.mass(p / grid.w, p % grid.w) / n as f64,
+        external: [f[p], f[n + p], f[2 * n + p]].into(),
+    };
+    (0..n).map(particle).collect()
+}
+
+/// Returns the particle after `p` along the height, (i+1, j).
+fn below(grid: Grid, p: usize) -> Option<usize> {
+    (p + grid.w < grid.particles()).then_some(p + grid.w)
+}
+
+/// Returns the particle after `p` along the width, (i, j+1).
+fn right(grid: Grid, p: usize) -> Option<usize> {
+    (p % grid.w + 1 < grid.w).then_some(p + 1)
+}
