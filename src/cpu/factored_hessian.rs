@@ -1,6 +1,6 @@
 //! Newton steps from the sparse Hessian of a frame's energy and its Cholesky factors.
 
-use super::cloth::{AFTER, Hessian, Projection, Trial, neighbours};
+use super::cloth::{AFTER, Hessian, Projection, Trial, add_own_block, neighbours};
 use crate::cloth::Grid;
 use crate::cpu::optim::InverseHessian;
 use crate::{Error, Result, memory};
@@ -173,8 +173,7 @@ impl FactoredHessian {
         hessian.fill(trial, projection);
         for p in 0..n {
             if trial.slots[p] == 0 {
-                let mass = grid.mass(p / grid.w, p % grid.w) / n as f64;
-                (0..3).for_each(|c| *hessian.at_mut((p, c), (p, c)) += mass);
+                add_own_block(trial, p, hessian);
                 continue;
             }
             for (row, column) in (0..9).map(|k| (k / 3, k % 3)) {

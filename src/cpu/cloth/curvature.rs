@@ -8,7 +8,7 @@
 )]
 
 use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
-use super::{Factors, Trial};
+use super::{Factors, Trial, particles};
 use crate::cloth::{EnergyTerms, Grid};
 use crate::cpu::Real;
 use crate::sim::MAX_DIRECTIONS;
@@ -59,16 +59,15 @@ impl<T: Real> CurvatureRows<T> {
         let stored = Stored::new(grid.w);
         let edges = || [(); 2].map(|()| vec![T::zero(); 4 * (1 + MAX_DIRECTIONS) * stored.stride]);
         let tasks = (grid.particles() / TASK).clamp(1, grid.h);
-        let row =
-            |value: &dyn Fn(usize) -> f64| (0..stored.stride).map(|j| T::of(value(j))).collect::<Vec<_>>();
-        let mask = |k: usize| row(&|j| f64::from(u8::from(j + k < grid.w)));
-        let mass = |j: usize| if j < grid.w { 2.0 * grid.mass(0, j) / grid.particles() as f64 } else { 0.0 };
+        let mask = |k: usize| -> Vec<T> {
+            (0..stored.stride).map(|j| T::of(f64::from(u8::from(j + k < grid.w)))).collect()
+        };
         Self {
             grid,
             stored,
             tasks: (0..tasks).map(|_| Work { vertical: edges(), horizontal: edges() }).collect(),
             masks: [mask(0), mask(1), mask(2)].concat(),
-            masses: row(&mass),
+            masses: particles::masses(grid, stored.stride),
         }
     }
 }
@@ -133,7 +132,7 @@ impl LocalModel {
 }
 
 /// Returns the place of the pair (i, j), i <= j, among [`PAIRS`].
-const fn pair(i: usize, j: usize) -> usize {
+pub(super) const fn pair(i: usize, j: usize) -> usize {
     i * MAX_DIRECTIONS - i * (i + 1) / 2 + j
 }
 
@@ -150,19 +149,20 @@ struct Band<'a, 'b, T, const K: usize> {
 }
 
 /// Sums over a row, one lane per register lane.
-struct Sums<L> {
-    pairs: [L; PAIRS],
-    slopes: [L; MAX_DIRECTIONS],
-    squares: [L; MAX_DIRECTIONS],
+pub(super) struct Sums<L> {
+    /// At the places given by [`pair`].
+    pub pairs: [L; PAIRS],
+    pub slopes: [L; MAX_DIRECTIONS],
+    pub squares: [L; MAX_DIRECTIONS],
     /// Stretch, shear, bend, inertia, external.
-    energies: [L; 5],
+    pub energies: [L; 5],
 }
 
 const STRETCH: usize = 0;
 const SHEAR: usize = 1;
 const BEND: usize = 2;
-const INERTIA: usize = 3;
-const EXTERNAL: usize = 4;
+pub(super) const INERTIA: usize = 3;
+pub(super) const EXTERNAL: usize = 4;
 
 impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
     type Output = LocalModel;
@@ -177,6 +177,7 @@ impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
         let right = T::of(FRAC_PI_2);
         let straight = Angles { rest: T::zero(), parallel: T::one(), factor: bend, energy: BEND };
         let square = Angles { rest: right, parallel: T::zero(), factor: shear, energy: SHEAR };
+        let particles = particles::Directions { masses, fields: directions, grad };
         let edges = Edges::<T, S, K> { simd, stored, trial, directions, kind: std::marker::PhantomData };
         let mut model = LocalModel::default();
         if range.is_empty() {
@@ -194,7 +195,7 @@ impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
                 squares: [zero; MAX_DIRECTIONS],
                 energies: [zero; 5],
             };
-            edges.particles(i, masses, grad, &mut sums);
+            particles.add_row::<S, K>(simd, trial, i, &mut sums);
             edges.stretch(e, horizontal, mask(1), &mut sums);
             edges.angles(straight, (&e[1..], e), mask(2), &mut sums);
             if i + 1 < h {
@@ -415,46 +416,6 @@ impl<T: Real, S: Simd, const K: usize> Edges<'_, '_, T, S, K> {
                         sum = T::fma(simd, factors[part], parts[j][part], sum);
                     }
                     sums.pairs[pair(i, j)] = sum;
-                }
-            }
-        }
-    }
-
-    /// Adds the inertia and the external work of row `i`, and the products of the directions with each other and
-    /// with the gradient.
-    #[inline(always)]
-    fn particles(self, i: usize, masses: &[T], grad: &[T], sums: &mut Sums<T::Lanes<S>>) {
-        let Self { simd, trial, directions, .. } = self;
-        let Grid { h, w } = trial.grid;
-        let half = T::splat(simd, T::of(0.5));
-        // Particles of the first and the last row have half the mass of the others.
-        let of_row = T::splat(simd, T::of(if i == 0 || i + 1 == h { 0.5 } else { 1.0 }));
-        for component in 0..3 {
-            let row = (component * h + i) * w;
-            let (a, f) = (&trial.a[row..][..w], &trial.f[row..][..w]);
-            for register in 0..w.div_ceil(width::<T, S>()) {
-                let place = register * width::<T, S>();
-                let mass = T::mul_lanes(simd, of_row, at::<T, S>(masses, place));
-                let (a, f) = (T::load_partial(simd, &a[place..]), T::load_partial(simd, &f[place..]));
-                let force = T::mul_lanes(simd, mass, a);
-                let energies = &mut sums.energies;
-                energies[INERTIA] = T::fma(simd, T::mul_lanes(simd, half, force), a, energies[INERTIA]);
-                energies[EXTERNAL] = T::sub_lanes(simd, energies[EXTERNAL], T::mul_lanes(simd, force, f));
-                if K == 0 {
-                    continue;
-                }
-                let g = T::load_partial(simd, &grad[row + place..][..w - place]);
-                let mut p = [g; K];
-                for (k, p) in p.iter_mut().enumerate() {
-                    *p = T::load_partial(simd, &directions[3 * k * h * w + row + place..][..w - place]);
-                }
-                for i in 0..K {
-                    sums.slopes[i] = T::fma(simd, p[i], g, sums.slopes[i]);
-                    sums.squares[i] = T::fma(simd, p[i], p[i], sums.squares[i]);
-                    let force = T::mul_lanes(simd, mass, p[i]);
-                    for j in i..K {
-                        sums.pairs[pair(i, j)] = T::fma(simd, force, p[j], sums.pairs[pair(i, j)]);
-                    }
                 }
             }
         }

@@ -1,8 +1,7 @@
 //! The energy of a cloth at a trial acceleration (paper section 3.2).
 
 use super::rows::{Stored, cross, dot, load, vector_at, width};
-use super::vector;
-use super::{Factors, Trial};
+use super::{Factors, Trial, particles};
 use crate::cloth::{EnergyTerms, Grid};
 use crate::cpu::Real;
 use pulp::{Arch, Simd, WithSimd};
@@ -51,7 +50,7 @@ impl<T: Real> WithSimd for Row<'_, '_, T> {
         let [vertical, horizontal, shear, bend] = [vertical.f64(), horizontal.f64(), shear.f64(), bend.f64()];
         let Work { vertical: [v, next_v], horizontal: [e, next_e], squares } = work;
         let mut sums = Squares { simd, stored, squares };
-        let mut sum = external_terms(trial, i);
+        let mut sum = particles::energy(trial, i);
         load(simd, trial, (i, 1, w - 1), stored, e);
         sum.stretch += horizontal * sums.of_lengths(e, w - 1);
         sum.bend += bend * sums.of_angles((&e[1..], e), 0.0, w - 2);
@@ -130,18 +129,4 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
         }
         sum
     }
-}
-
-/// Returns the inertia and the external work of row `i`.
-fn external_terms<T: Real>(trial: &Trial<'_, T>, i: usize) -> EnergyTerms {
-    let Grid { h, w } = trial.grid;
-    let n = h * w;
-    let mut sum = EnergyTerms::default();
-    for j in 0..w {
-        let mass = trial.grid.mass(i, j) / n as f64;
-        let (a, f) = (vector::at(trial.a, n, i * w + j), vector::at(trial.f, n, i * w + j));
-        sum.inertia += 0.5 * mass * vector::dot(a, a).f64();
-        sum.external -= mass * vector::dot(a, f).f64();
-    }
-    sum
 }

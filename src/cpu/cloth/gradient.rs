@@ -6,6 +6,7 @@
 //! Both passes process [rows](super::rows) one register at a time. The edges of length zero at their ends
 //! contribute nothing.
 
+use super::particles::GradientRow;
 use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
 use super::{Factors, Trial};
 use crate::cloth::Grid;
@@ -266,10 +267,7 @@ impl<T: Real> WithSimd for ParticleRow<'_, '_, T> {
             edges(Some(i), HORIZONTAL),
             edges(above, NEXT_HORIZONTAL),
         ];
-        let (a, f) = (&trial.a[row * w..][..w], &trial.f[row * w..][..w]);
-        // Twice that of a particle at the end of the row, as is the mass of the others.
-        let inertia = T::of(2.0 * trial.grid.mass(i, 0) / (h * w) as f64);
-        let factor = T::splat(simd, inertia);
+        let particles = GradientRow::new(trial, row);
         for k in 0..w.div_ceil(width::<T, S>()) {
             let place = k * width::<T, S>();
             let mut sum = T::splat(simd, T::zero());
@@ -281,19 +279,13 @@ impl<T: Real> WithSimd for ParticleRow<'_, '_, T> {
                     sum = T::sub_lanes(simd, sum, at::<T, S>(&rows.edges, start + place));
                 }
             }
-            let work =
-                T::sub_lanes(simd, T::load_partial(simd, &a[place..]), T::load_partial(simd, &f[place..]));
-            T::store_partial(simd, &mut grad[place..], T::fma(simd, factor, work, sum));
+            T::store_partial(simd, &mut grad[place..], particles.plus(simd, place, sum));
         }
-        // Particles of the first and the last column have half the mass of the others.
-        let half = inertia * T::of(0.5);
-        for j in [0, w - 1] {
-            grad[j] = grad[j] - half * (a[j] - f[j]);
-        }
+        particles.correct_ends(grad);
         let slots = &trial.slots[i * w..][..w];
         if slots.iter().fold(0, |any, slot| any | slot) != 0 {
             for (j, grad) in grad.iter_mut().enumerate().filter(|&(j, _)| slots[j] != 0) {
-                *grad = T::of(trial.grid.mass(i, j) / (h * w) as f64) * (a[j] - f[j]);
+                *grad = particles.alone(j);
             }
         }
     }
