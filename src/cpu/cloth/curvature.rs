@@ -1,5 +1,6 @@
 //! The energy of a cloth along a few directions: its slopes and second derivatives at a trial acceleration.
 //!
+//! This is the vectorised form of the second derivatives in [`terms`](crate::cloth::terms), checked against the plain one.
 //! No Hessian is formed: each edge and each angle adds its exact second derivative along every pair of directions
 //! to the sums. The rows are processed [one register at a time](super::rows), and every edge is loaded once.
 #![expect(
@@ -7,14 +8,13 @@
     reason = "iterator adapters would not be compiled for the registers, see `rows`"
 )]
 
-use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
-use super::{Factors, Trial, particles};
+use super::rows::{Stored, any_normal, at, cross, dot, load, normalise, scaled, store, vector_at, width};
+use super::{Angle, Factors, Trial, particles};
 use crate::cloth::{EnergyTerms, Grid};
 use crate::cpu::Real;
 use crate::sim::MAX_DIRECTIONS;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
-use std::f64::consts::FRAC_PI_2;
 
 /// Minimum number of particles per task, as in [`gradient`](super::gradient).
 const TASK: usize = 8192;
@@ -174,9 +174,7 @@ impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
         let Factors { vertical, horizontal, shear, bend } = trial.factors();
         let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
         let mask = |k: usize| &masks[k * stored.stride..][..stored.stride];
-        let right = T::of(FRAC_PI_2);
-        let straight = Angles { rest: T::zero(), parallel: T::one(), factor: bend, energy: BEND };
-        let square = Angles { rest: right, parallel: T::zero(), factor: shear, energy: SHEAR };
+        let (straight, square) = ((bend, BEND), (shear, SHEAR));
         let particles = particles::Directions { masses, fields: directions, grad };
         let edges = Edges::<T, S, K> { simd, stored, trial, directions, kind: std::marker::PhantomData };
         let mut model = LocalModel::default();
@@ -237,16 +235,6 @@ fn add_sums<T: Real, S: Simd, const K: usize>(simd: S, sums: &Sums<T::Lanes<S>>,
     }
 }
 
-/// The energy `factor (angle - rest)^2` of pairs of edges, and the term that it belongs to.
-#[derive(Clone, Copy)]
-struct Angles<T> {
-    rest: T,
-    /// Value of `(angle - rest) / sine` for parallel edges. For antiparallel ones it is 0.
-    parallel: T,
-    factor: T,
-    energy: usize,
-}
-
 #[derive(Clone, Copy)]
 struct Edges<'a, 'b, T, S, const K: usize> {
     simd: S,
@@ -280,15 +268,9 @@ impl<T: Real, S: Simd, const K: usize> Edges<'_, '_, T, S, K> {
                 }
             }
         }
-        let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
         for register in 0..computed / width::<T, S>() {
             let place = register * width::<T, S>();
-            let e = vector_at::<T, S>(edges, place, stride);
-            let length = T::sqrt_lanes(simd, dot::<T, S>(simd, e, e));
-            let inverse = T::select_greater(simd, (length, zero), T::div_lanes(simd, one, length), zero);
-            let u = scaled::<T, S>(simd, e, inverse);
-            store::<T, S>(edges, place, stride, u);
-            T::lanes_mut::<S>(&mut edges[place + 3 * stride..])[0] = inverse;
+            let (u, inverse) = normalise::<T, S>(simd, edges, place, stride);
             for k in 0..K {
                 let at = place + 4 * (1 + k) * stride;
                 let alpha = scaled::<T, S>(simd, vector_at::<T, S>(edges, at, stride), inverse);
@@ -299,7 +281,7 @@ impl<T: Real, S: Simd, const K: usize> Edges<'_, '_, T, S, K> {
     }
 
     /// Adds `factor (|e| - 1)^2`, whose second derivative is `2 factor` along the edge and
-    /// `2 factor (1 - 1 / |e|)` across it.
+    /// `2 factor (1 - 1 / |e|)` across it ([`terms::Edge`](crate::cloth::terms::Edge)).
     #[inline(always)]
     fn stretch(self, edges: &[T], factor: T, mask: &[T], sums: &mut Sums<T::Lanes<S>>) {
         let Self { simd, stored: Stored { stride, count }, .. } = self;
@@ -331,16 +313,18 @@ impl<T: Real, S: Simd, const K: usize> Edges<'_, '_, T, S, K> {
         }
     }
 
-    /// Adds the energies of the angles t between edges u and w.
-    ///
-    /// With the unit normal n of their plane, m_u the unit vector across u towards w, and m_w that across w
-    /// towards u, `dt/du = -m_u / |u|`, `d2t/du2 = (cot t nn' + m_u u' + u m_u') / |u|^2` (u of length 1) and
-    /// `d2t/du dw = -nn' / (|u| |w| sin t)`. The second derivative of the energy is `2 factor (t_i t_j +
-    /// (t - rest) t_ij)`.
+    /// Adds the energies of the angles t between edges u and w to those at the place `energy`. The formulas, with the
+    /// unit vectors n, m_u and m_w, are those of [`terms::Angle::hessian`](crate::cloth::terms::Angle::hessian).
     #[inline(always)]
-    fn angles(self, angles: Angles<T>, (u, w): (&[T], &[T]), mask: &[T], sums: &mut Sums<T::Lanes<S>>) {
+    fn angles(
+        self,
+        (angle, energy): (Angle<T>, usize),
+        (u, w): (&[T], &[T]),
+        mask: &[T],
+        sums: &mut Sums<T::Lanes<S>>,
+    ) {
         let Self { simd, stored: Stored { stride, count }, .. } = self;
-        let Angles { rest, parallel, factor, energy } = angles;
+        let Angle { factor, rest, parallel } = angle;
         let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
         let limit = T::splat(simd, parallel_below::<T>());
         let twice = T::splat(simd, factor + factor);
@@ -426,23 +410,4 @@ impl<T: Real, S: Simd, const K: usize> Edges<'_, '_, T, S, K> {
 /// their normal.
 fn parallel_below<T: Real>() -> T {
     T::epsilon().sqrt() * T::of(0.1)
-}
-
-#[inline(always)]
-fn store<T: Real, S: Simd>(values: &mut [T], place: usize, stride: usize, v: [T::Lanes<S>; 3]) {
-    for (component, v) in v.into_iter().enumerate() {
-        T::lanes_mut::<S>(&mut values[place + component * stride..])[0] = v;
-    }
-}
-
-/// Returns vectors orthogonal to the unit vectors `u`, not normalised.
-#[inline(always)]
-fn any_normal<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3]) -> [T::Lanes<S>; 3] {
-    let zero = T::splat(simd, T::zero());
-    let steep = (T::mul_lanes(simd, u[0], u[0]), T::splat(simd, T::of(0.5)));
-    [
-        T::select_greater(simd, steep, T::sub_lanes(simd, zero, u[2]), zero),
-        T::select_greater(simd, steep, zero, u[2]),
-        T::select_greater(simd, steep, u[0], T::sub_lanes(simd, zero, u[1])),
-    ]
 }

@@ -1,12 +1,12 @@
-//! The energy of a cloth at a trial acceleration (paper section 3.2).
+//! The energy of a cloth at a trial acceleration (paper section 3.2): the vectorised form of the energies in
+//! [`terms`](crate::cloth::terms), checked against the plain one.
 
 use super::rows::{Stored, cross, dot, load, vector_at, width};
-use super::{Factors, Trial, particles};
+use super::{Angle, Factors, Trial, particles};
 use crate::cloth::{EnergyTerms, Grid};
 use crate::cpu::Real;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
-use std::f64::consts::FRAC_PI_2;
 
 /// Returns the energy terms of one cloth, except its repulsion, summed in double precision row by row.
 pub fn energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTerms {
@@ -47,13 +47,13 @@ impl<T: Real> WithSimd for Row<'_, '_, T> {
         let Self { trial, i, stored, work } = self;
         let Grid { h, w } = trial.grid;
         let Factors { vertical, horizontal, shear, bend } = trial.factors();
-        let [vertical, horizontal, shear, bend] = [vertical.f64(), horizontal.f64(), shear.f64(), bend.f64()];
+        let (vertical, horizontal) = (vertical.f64(), horizontal.f64());
         let Work { vertical: [v, next_v], horizontal: [e, next_e], squares } = work;
         let mut sums = Squares { simd, stored, squares };
         let mut sum = particles::energy(trial, i);
         load(simd, trial, (i, 1, w - 1), stored, e);
         sum.stretch += horizontal * sums.of_lengths(e, w - 1);
-        sum.bend += bend * sums.of_angles((&e[1..], e), 0.0, w - 2);
+        sum.bend += sums.of_angles(bend, (&e[1..], e), w - 2);
         if i + 1 == h {
             return sum;
         }
@@ -62,14 +62,14 @@ impl<T: Real> WithSimd for Row<'_, '_, T> {
         load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
         for right in 0..2 {
             for e in [&e[..], &next_e[..]] {
-                sum.shear += shear * sums.of_angles((&v[right..], e), FRAC_PI_2, w - 1);
+                sum.shear += sums.of_angles(shear, (&v[right..], e), w - 1);
             }
         }
         if i + 2 == h {
             return sum;
         }
         load(simd, trial, (i + 1, w, w), stored, next_v);
-        sum.bend += bend * sums.of_angles((next_v, v), 0.0, w);
+        sum.bend += sums.of_angles(bend, (next_v, v), w);
         sum
     }
 }
@@ -98,22 +98,22 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
         self.sum(len)
     }
 
-    /// Sums `(angle - rest)^2` between u and w, with the angle `atan2(|u x w|, u . w)`, which unlike the arc
+    /// Sums the energies of the angles between u and w, with the angle `atan2(|u x w|, u . w)`, which unlike the arc
     /// cosine is accurate for small angles.
     #[inline(always)]
-    fn of_angles(&mut self, (u, w): (&[T], &[T]), rest: f64, len: usize) -> f64 {
+    fn of_angles(&mut self, angle: Angle<T>, (u, w): (&[T], &[T]), len: usize) -> f64 {
         let Self { simd, stored, .. } = *self;
-        let rest = T::splat(simd, T::of(rest));
+        let rest = T::splat(simd, angle.rest);
         for k in 0..stored.count / width::<T, S>() {
             let place = k * width::<T, S>();
             let u = vector_at::<T, S>(u, place, stored.stride);
             let w = vector_at::<T, S>(w, place, stored.stride);
             let c = cross::<T, S>(simd, u, w);
             let sine = T::sqrt_lanes(simd, dot::<T, S>(simd, c, c));
-            let angle = T::angle(simd, sine, dot::<T, S>(simd, u, w));
-            self.keep(place, T::sub_lanes(simd, angle, rest));
+            let excess = T::sub_lanes(simd, T::angle(simd, sine, dot::<T, S>(simd, u, w)), rest);
+            self.keep(place, excess);
         }
-        self.sum(len)
+        angle.factor.f64() * self.sum(len)
     }
 
     #[inline(always)]

@@ -1,6 +1,7 @@
 //! The gradient `dL/da` of the energy, in two passes over the rows. First each row of cells writes the
 //! gradient with respect to its edges, evaluating every angle once; then each row of particles gathers from
-//! the edges that meet there. Rows write to separate places, so the result does not depend on the number of
+//! the edges that meet there. This is the vectorised form of the gradients in [`terms`](crate::cloth::terms), checked
+//! against the plain one. Rows write to separate places, so the result does not depend on the number of
 //! threads.
 //!
 //! Both passes process [rows](super::rows) one register at a time. The edges of length zero at their ends
@@ -8,7 +9,7 @@
 
 use super::particles::GradientRow;
 use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
-use super::{Factors, Trial};
+use super::{Angle, Factors, Trial};
 use crate::cloth::Grid;
 use crate::cpu::Real;
 use pulp::{Arch, Simd, WithSimd};
@@ -116,9 +117,8 @@ impl<T: Real> WithSimd for EdgeRow<'_, '_, T> {
         let Grid { h, w } = trial.grid;
         let Factors { vertical, horizontal, shear, bend } = trial.factors();
         let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
-        let right = T::of(std::f64::consts::FRAC_PI_2);
-        let straight = Angles { simd, stored, rest: T::zero(), parallel: T::one(), factor: bend };
-        let square = Angles { simd, stored, rest: right, parallel: T::zero(), factor: shear };
+        let (straight, square) =
+            (Angles { simd, stored, angle: bend }, Angles { simd, stored, angle: shear });
         edges.fill(T::zero());
         let block = 3 * stored.stride;
         load(simd, trial, (i, 1, w - 1), stored, e);
@@ -190,15 +190,12 @@ fn stretch<T: Real, S: Simd>(simd: S, edges: &[T], factor: T, stored: Stored, to
     }
 }
 
-/// The energy `factor (angle - rest)^2` of pairs of edges.
+/// The energy of an angle, for pairs of edges along a row.
 #[derive(Clone, Copy)]
 struct Angles<T, S> {
     simd: S,
     stored: Stored,
-    rest: T,
-    /// Value of `(angle - rest) (u . w) / |u x w|` for parallel edges.
-    parallel: T,
-    factor: T,
+    angle: Angle<T>,
 }
 
 impl<T: Real, S: Simd> Angles<T, S> {
@@ -210,7 +207,7 @@ impl<T: Real, S: Simd> Angles<T, S> {
     /// undefined and the gradient is taken as 0, as it is for an edge of length zero.
     #[inline(always)]
     fn add(self, (u, w): (&[T], &[T]), edges: &mut [T], (to_u, to_w): (usize, usize)) {
-        let Self { simd, stored: Stored { stride, count }, rest, parallel, factor } = self;
+        let Self { simd, stored: Stored { stride, count }, angle: Angle { factor, rest, parallel } } = self;
         let (zero, least) = (T::splat(simd, T::zero()), T::splat(simd, T::min_positive_value()));
         let twice = T::splat(simd, factor + factor);
         let (rest, limit) = (T::splat(simd, rest), T::splat(simd, parallel));

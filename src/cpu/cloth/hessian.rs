@@ -1,18 +1,18 @@
 //! The Hessian of the elastic energy (stretch, shear, bend) with respect to positions, computed along
-//! [rows](super::rows) one register at a time.
+//! [rows](super::rows) one register at a time: the vectorised form of the second derivatives in [`terms`], checked against
+//! the plain one.
 //!
 //! A particle shares terms with twelve others, and only those blocks are computed term by term. The energy
 //! does not change when the whole cloth moves, so a particle's own (diagonal) block is minus the sum of its
 //! others.
 
-use super::rows::{Stored, at, cross, dot, load, scaled, vector_at, width};
-use super::{Factors, Trial};
-use crate::cloth::Grid;
+use super::rows::{Stored, any_normal, at, cross, dot, load, normalise, scaled, vector_at, width};
+use super::{Angle, Factors, Trial};
+use crate::cloth::{Grid, terms};
 use crate::cpu::Real;
 use crate::cpu::matmul::LANES;
 use crate::{Result, memory};
 use pulp::{Arch, Simd, WithSimd};
-use std::f64::consts::FRAC_PI_2;
 
 /// A block of the Hessian: second derivatives with respect to the positions of two particles.
 pub type Block = [[f64; 3]; 3];
@@ -51,9 +51,6 @@ const DOWN_TWICE: usize = 45;
 /// Start of the lower triangle of a particle's own block, stored row by row.
 const DIAGONAL: usize = 54;
 const PLANES: usize = 60;
-
-/// Edges whose sine is below this count as parallel.
-const PARALLEL: f64 = 1e-9;
 
 /// The Hessian of one cloth.
 pub struct Hessian {
@@ -152,8 +149,7 @@ impl WithSimd for Fill<'_, '_> {
         let (h, w, stored) = (*h, *w, *stored);
         let Factors { vertical, horizontal, shear, bend } = trial.factors();
         let terms = Terms { simd, stored, projection };
-        let straight = Angle { rest: 0.0, parallel: 1.0, factor: bend };
-        let square = Angle { rest: FRAC_PI_2, parallel: 0.0, factor: shear };
+        let (straight, square) = (bend, shear);
         let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
         let (mut v, mut next_v, mut e, mut next_e) = (v, next_v, e, next_e);
         let row = PLANES * stored.stride;
@@ -257,15 +253,6 @@ enum Mixed {
     MinusTransposed,
 }
 
-/// The energy of an angle, `factor (t - rest)^2`.
-#[derive(Clone, Copy)]
-struct Angle {
-    rest: f64,
-    /// Value of `(t - rest) / sin t` for parallel edges. For antiparallel ones it is 0.
-    parallel: f64,
-    factor: f64,
-}
-
 #[derive(Clone, Copy)]
 struct Terms<S> {
     simd: S,
@@ -284,17 +271,8 @@ impl<S: Simd> Terms<S> {
     #[inline(always)]
     fn normalise(self, edges: &mut [f64]) {
         let Self { simd, stored: Stored { stride, count }, .. } = self;
-        let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
         for k in 0..count / width::<f64, S>() {
-            let place = k * width::<f64, S>();
-            let e = vector_at::<f64, S>(edges, place, stride);
-            let length = simd.sqrt_f64s(dot::<f64, S>(simd, e, e));
-            let inverse = f64::select_greater(simd, (length, zero), simd.div_f64s(one, length), zero);
-            for component in 0..3 {
-                let to = &mut edges[place + component * stride..];
-                f64::lanes_mut::<S>(to)[0] = simd.mul_f64s(e[component], inverse);
-            }
-            f64::lanes_mut::<S>(&mut edges[place + 3 * stride..])[0] = inverse;
+            normalise::<f64, S>(simd, edges, k * width::<f64, S>(), stride);
         }
     }
 
@@ -330,15 +308,14 @@ impl<S: Simd> Terms<S> {
     /// twice and to w twice are subtracted from the blocks of the two ends of u and of w (`ends`); those with
     /// respect to u and w enter the blocks of one end of each (`mixed`).
     ///
-    /// With the unit normal n of their plane, m_u the unit vector across u towards w, and m_w that across w
-    /// towards u, `dt/du = -m_u / |u|`, `d2t/du2 = (cot t nn' + m_u u' + u m_u') / |u|^2` (u of length 1) and
-    /// `d2t/du dw = -nn' / (|u| |w| sin t)`. The part along n of the whole is `s [[cos t, -1], [-1, cos t]]`
-    /// with `s = (t - rest) / sin t`, whose eigenvalues are `s (cos t + 1)` and `s (cos t - 1)`. The
-    /// projection keeps the positive ones and removes the products of m and u.
+    /// The formulas, with the unit vectors n, m_u and m_w, are those of [`terms::Angle::hessian`]. The part along
+    /// n of the whole is `s [[cos t, -1], [-1, cos t]]` with `s = (t - rest) / sin t`, whose eigenvalues are
+    /// `s (cos t + 1)` and `s (cos t - 1)`. The projection keeps the positive ones and removes the products of m
+    /// and u.
     #[inline(always)]
     fn angle(
         self,
-        Angle { rest, parallel, factor }: Angle,
+        Angle { factor, rest, parallel }: Angle<f64>,
         (edges_u, edges_w): (&[f64], &[f64]),
         values: &mut [f64],
         ends: [usize; 2],
@@ -346,7 +323,7 @@ impl<S: Simd> Terms<S> {
     ) {
         let Self { simd, stored: Stored { stride, count }, projection } = self;
         let (zero, one) = (simd.splat_f64s(0.0), simd.splat_f64s(1.0));
-        let (limit, least) = (simd.splat_f64s(PARALLEL), simd.splat_f64s(f64::MIN_POSITIVE));
+        let (limit, least) = (simd.splat_f64s(terms::Angle::PARALLEL), simd.splat_f64s(f64::MIN_POSITIVE));
         let (twice, half) = (simd.splat_f64s(2.0 * factor), simd.splat_f64s(0.5));
         let (rest, parallel) = (simd.splat_f64s(rest), simd.splat_f64s(parallel));
         let kept = simd.splat_f64s(1.0 - projection.0);
@@ -360,7 +337,7 @@ impl<S: Simd> Terms<S> {
             let (sine, cosine) = (simd.sqrt_f64s(dot::<f64, S>(simd, c, c)), dot::<f64, S>(simd, u, w));
             let delta = simd.sub_f64s(f64::angle(simd, sine, cosine), rest);
             // For parallel edges any normal will do.
-            let any = any_normal(simd, u);
+            let any = any_normal::<f64, S>(simd, u);
             let across = simd.sqrt_f64s(dot::<f64, S>(simd, any, any));
             let length = simd.max_f64s(f64::select_greater(simd, (sine, limit), sine, across), least);
             let inverse = simd.div_f64s(one, length);
@@ -456,16 +433,4 @@ impl<S: Simd> Terms<S> {
             }
         }
     }
-}
-
-/// Returns vectors orthogonal to the unit vectors `u`, not normalised.
-#[inline(always)]
-fn any_normal<S: Simd>(simd: S, u: [S::f64s; 3]) -> [S::f64s; 3] {
-    let zero = simd.splat_f64s(0.0);
-    let level = (simd.splat_f64s(0.7), simd.abs_f64s(u[0]));
-    [
-        f64::select_greater(simd, level, zero, simd.neg_f64s(u[2])),
-        f64::select_greater(simd, level, u[2], zero),
-        f64::select_greater(simd, level, simd.neg_f64s(u[1]), u[0]),
-    ]
 }

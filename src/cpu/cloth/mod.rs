@@ -36,6 +36,7 @@ pub use vertices::vertices;
 pub use wind::add_wind;
 
 use super::Real;
+use crate::cloth::terms::{self, Elastic};
 use crate::cloth::{Grid, Material};
 use vector::{add, at, sub};
 
@@ -80,23 +81,37 @@ impl<T: Real> Trial<'_, T> {
         add(sub(at(self.x, n, q), at(self.x, n, p)), sub(at(self.shift, n, q), at(self.shift, n, p)))
     }
 
-    /// Returns the factors of one vertical edge, one horizontal edge, one corner angle and one bend angle.
+    /// Returns the terms of one vertical edge, one horizontal edge, one corner and one bend.
     fn factors(&self) -> Factors<T> {
-        let Grid { h, w } = self.grid;
-        let Material { stretch, shear, bend } = self.material;
+        let Elastic { vertical, horizontal, shear, bend } = Elastic::new(self.grid, self.material);
         Factors {
-            vertical: T::of(stretch / ((h - 1) * w) as f64),
-            horizontal: T::of(stretch / (h * (w - 1)) as f64),
-            shear: T::of(shear / (h * w) as f64),
-            bend: T::of(bend / (h * w) as f64),
+            vertical: T::of(vertical.factor),
+            horizontal: T::of(horizontal.factor),
+            shear: Angle::new(shear),
+            bend: Angle::new(bend),
         }
     }
 }
 
-/// The coefficients of a material, divided by the number of terms that they average over.
+/// The numbers of [`Elastic`] in the precision of the cloth.
 struct Factors<T> {
     vertical: T,
     horizontal: T,
-    shear: T,
-    bend: T,
+    shear: Angle<T>,
+    bend: Angle<T>,
+}
+
+/// The energy of an angle, `factor (angle - rest)^2`.
+#[derive(Clone, Copy)]
+struct Angle<T> {
+    factor: T,
+    rest: T,
+    /// Value of `(angle - rest) / sine` for parallel edges. For antiparallel ones it is 0.
+    parallel: T,
+}
+
+impl<T: Real> Angle<T> {
+    fn new(angle: terms::Angle) -> Self {
+        Self { factor: T::of(angle.factor), rest: T::of(angle.rest), parallel: T::of(angle.parallel()) }
+    }
 }

@@ -67,6 +67,45 @@ pub(super) fn scaled<T: Real, S: Simd>(
     [T::mul_lanes(simd, u[0], factor), T::mul_lanes(simd, u[1], factor), T::mul_lanes(simd, u[2], factor)]
 }
 
+/// Sets the registers at the same place of three components.
+#[inline(always)]
+pub(super) fn store<T: Real, S: Simd>(values: &mut [T], place: usize, stride: usize, v: [T::Lanes<S>; 3]) {
+    for component in 0..3 {
+        T::lanes_mut::<S>(&mut values[place + component * stride..])[0] = v[component];
+    }
+}
+
+/// Divides the edges [4, W'] at `place` by their length, and sets their fourth component to one over it; an edge of
+/// length zero becomes zeros. Returns both.
+#[inline(always)]
+pub(super) fn normalise<T: Real, S: Simd>(
+    simd: S,
+    edges: &mut [T],
+    place: usize,
+    stride: usize,
+) -> ([T::Lanes<S>; 3], T::Lanes<S>) {
+    let (zero, one) = (T::splat(simd, T::zero()), T::splat(simd, T::one()));
+    let e = vector_at::<T, S>(edges, place, stride);
+    let length = T::sqrt_lanes(simd, dot::<T, S>(simd, e, e));
+    let inverse = T::select_greater(simd, (length, zero), T::div_lanes(simd, one, length), zero);
+    let u = scaled::<T, S>(simd, e, inverse);
+    store::<T, S>(edges, place, stride, u);
+    T::lanes_mut::<S>(&mut edges[place + 3 * stride..])[0] = inverse;
+    (u, inverse)
+}
+
+/// Returns vectors orthogonal to the unit vectors `u`, not normalised.
+#[inline(always)]
+pub(super) fn any_normal<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3]) -> [T::Lanes<S>; 3] {
+    let zero = T::splat(simd, T::zero());
+    let steep = (T::mul_lanes(simd, u[0], u[0]), T::splat(simd, T::of(0.5)));
+    [
+        T::select_greater(simd, steep, T::sub_lanes(simd, zero, u[2]), zero),
+        T::select_greater(simd, steep, zero, u[2]),
+        T::select_greater(simd, steep, u[0], T::sub_lanes(simd, zero, u[1])),
+    ]
+}
+
 /// Sets `edges` [3, W'] to the edges from the first `count` particles of row `i` to the particles `step`
 /// later in the array, which must hold `count` particles from there on.
 #[inline(always)]
