@@ -253,21 +253,23 @@ fn plot(rows: &[Row], peak: Option<f64>) -> Image {
             let mut points: Vec<[f64; 2]> =
                 rows.filter_map(|row| Some([particles(row), value(row)?])).collect();
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-            Curve { label: format!("{batch} cloth{}", if batch == 1 { "" } else { "s" }), colour: 0, points }
+            let label = format!("{batch} cloth{}", if batch == 1 { "" } else { "s" });
+            Curve { label, colour: 0, points, notes: Vec::new() }
         };
         let coloured = |(colour, batch)| Curve { colour, ..of(batch) };
         batches.iter().enumerate().map(coloured).filter(|curve| !curve.points.is_empty()).collect()
     };
     let chart = |title: &str, unit: &str, curves| {
         let axes = ["particles".into(), unit.into()];
-        Chart { title: title.into(), axes, curves, scales: [Scale::Logarithmic; 2] }
+        Chart { title: title.into(), axes, curves, lines: Vec::new(), scales: [Scale::Logarithmic; 2] }
     };
     let mut both = vec![chart("Time of a frame", "ms", curves(&|row| Some(row.ms_per_frame)))];
     let mut speeds = curves(&|row| row.gflop_per_s);
     if !speeds.is_empty() {
         let ends = [f64::min, f64::max].map(|end| rows.iter().map(particles).reduce(end));
         let line = peak.map(|peak| ends.into_iter().flatten().map(|p| [p, peak * 1e-9]).collect());
-        speeds.extend(line.map(|points| Curve { label: "peak".into(), colour: batches.len(), points }));
+        let (label, colour, notes) = ("peak".into(), batches.len(), Vec::new());
+        speeds.extend(line.map(|points| Curve { label, colour, points, notes }));
         both.push(chart("Operations", "GFLOP/s", speeds));
     }
     charts(&both, (600, 420))

@@ -19,8 +19,21 @@ pub struct Chart {
     pub axes: [String; 2],
     /// The curves.
     pub curves: Vec<Curve>,
+    /// Vertical lines across the chart.
+    pub lines: Vec<Line>,
     /// The scales of the horizontal and the vertical axis.
     pub scales: [Scale; 2],
+}
+
+/// A vertical line across a chart, at something that has a place on the horizontal axis alone.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// Name in the legend.
+    pub label: String,
+    /// Number of its colour, as of curves.
+    pub colour: usize,
+    /// Its place on the horizontal axis.
+    pub at: f64,
 }
 
 /// The scale of an axis.
@@ -39,8 +52,11 @@ pub struct Curve {
     pub label: String,
     /// Number of its colour. One that stands for the same thing in several charts has the same in all.
     pub colour: usize,
-    /// Points (x, y), with x ascending. A y that is not finite leaves a gap in the curve.
+    /// Points (x, y), joined in their order. A y that is not finite leaves a gap in the curve.
     pub points: Vec<[f64; 2]>,
+    /// Short notes next to the points, in their order; there may be fewer. One that finds no place where it covers
+    /// no point is left out.
+    pub notes: Vec<String>,
 }
 
 /// Colours of the curves, distinguishable with most kinds of colour vision (after Okabe and Ito). Higher
@@ -61,6 +77,9 @@ const FINE: usize = 3;
 /// Height of titles and of labels.
 const TITLE: f32 = 18.0 * FINE as f32;
 const LABEL: f32 = 14.0 * FINE as f32;
+/// Height of the notes next to points, and how far from a point they may be.
+const NOTE: f32 = 11.0 * FINE as f32;
+const NEAR: [f64; 3] = [5.0 * FINE as f64, 9.0 * FINE as f64, 14.0 * FINE as f64];
 /// Room for the labels below and left of a chart.
 const BELOW: usize = 40 * FINE;
 const LEFT: usize = 64 * FINE;
@@ -115,14 +134,16 @@ fn alone(chart: &Chart, (width, height): (usize, usize)) -> Image {
 fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
     let (title, label) = (text::style(TITLE), text::style(LABEL));
     // The legend is to the right of the curves.
-    let widest = chart.curves.iter().map(|c| text::width(&c.label, LABEL) as i32).fold(0, i32::max);
+    let labels = || chart.curves.iter().map(|c| &c.label).chain(chart.lines.iter().map(|line| &line.label));
+    let widest = labels().map(|label| text::width(label, LABEL) as i32).fold(0, i32::max);
     let (left, legend) = area.split_horizontally(area.dim_in_pixel().0 as i32 - SAMPLE - 3 * SPACE - widest);
     let shown = |p: &[f64; 2]| p.iter().zip(chart.scales).all(|(v, scale)| scale.shows(*v));
     let values = |k: usize| {
         let points = chart.curves.iter().flat_map(|c| &c.points).filter(|p| shown(p));
         points.map(|p| p[k]).collect::<Vec<f64>>()
     };
-    let x = Axis::over(values(0), 0.0, chart.scales[0]);
+    let at = chart.lines.iter().map(|line| line.at).filter(|&at| chart.scales[0].shows(at));
+    let x = Axis::over(values(0).into_iter().chain(at.clone()).collect(), 0.0, chart.scales[0]);
     let y = Axis::over(values(1), OUTSIDE, chart.scales[1]);
     let mut plot = ChartBuilder::on(&left)
         .caption(&chart.title, title)
@@ -140,6 +161,25 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
         .x_desc(&chart.axes[0])
         .y_desc(&chart.axes[1])
         .draw()?;
+    let in_legend = |k: usize| {
+        let middle = (TITLE + 2.0 * SPACE as f32 + 1.3 * LABEL * (k as f32 + 0.5)) as i32;
+        let line = [(SPACE, middle), (SPACE + SAMPLE, middle)];
+        let place =
+            (2 * SPACE + SAMPLE, middle - ((0.5 * text::CAPITALS - text::RAISED) * LABEL).round() as i32);
+        (line, place)
+    };
+    // First the lines, so that they cover no curve.
+    for (k, line) in chart.lines.iter().enumerate() {
+        let style = COLOURS[line.colour % COLOURS.len()].stroke_width(WIDTH);
+        let Range { start, end } = plot.y_range();
+        if chart.scales[0].shows(line.at) {
+            let ends = [(line.at, start), (line.at, end)];
+            plot.draw_series(DashedLineSeries::new(ends, DASH, DASH, style))?;
+        }
+        let (sample, place) = in_legend(chart.curves.len() + k);
+        legend.draw(&DashedPathElement::new(sample, DASH, DASH, style))?;
+        legend.draw(&Text::new(&*line.label, place, label.clone()))?;
+    }
     for (k, curve) in chart.curves.iter().enumerate() {
         let style = COLOURS[curve.colour % COLOURS.len()].stroke_width(WIDTH);
         let is_broken = curve.colour / COLOURS.len() % 2 == 1;
@@ -157,17 +197,116 @@ fn draw(area: &Area<'_>, chart: &Chart) -> Result<(), Box<dyn Error>> {
                 plot.draw_series(places.map(|at| Circle::new(at, POINT as i32, style.filled())))?;
             }
         }
-        let middle = (TITLE + 2.0 * SPACE as f32 + 1.3 * LABEL * (k as f32 + 0.5)) as i32;
-        let line = [(SPACE, middle), (SPACE + SAMPLE, middle)];
+        let (line, place) = in_legend(k);
         match is_broken {
             true => legend.draw(&DashedPathElement::new(line, DASH, DASH, style))?,
             false => legend.draw(&PathElement::new(line, style))?,
         }
-        let place =
-            (2 * SPACE + SAMPLE, middle - ((0.5 * text::CAPITALS - text::RAISED) * LABEL).round() as i32);
         legend.draw(&Text::new(&*curve.label, place, label.clone()))?;
     }
+    let pixel = |x: f64, y: f64| {
+        let (column, row) = plot.plotting_area().map_coordinate(&(x, y));
+        [f64::from(column), f64::from(row)]
+    };
+    let (columns, rows) = plot.plotting_area().get_pixel_range();
+    let inside = [columns, rows].map(|Range { start, end }| f64::from(start)..f64::from(end));
+    let [_, Range { start: top, end: bottom }] = inside.clone();
+    let mut taken = Taken { inside, points: Vec::new(), strokes: Vec::new(), notes: Vec::new() };
+    for curve in &chart.curves {
+        for part in curve.points.split(|p| !shown(p)) {
+            let places: Vec<[f64; 2]> = part.iter().map(|p| pixel(p[0], p[1])).collect();
+            taken.strokes.extend(places.windows(2).map(|ends| [ends[0], ends[1]]));
+            taken.points.extend(places);
+        }
+    }
+    let lowest = plot.y_range().start;
+    taken.strokes.extend(at.map(|at| pixel(at, lowest)[0]).map(|column| [[column, top], [column, bottom]]));
+    for curve in &chart.curves {
+        let style = text::style(NOTE).color(&COLOURS[curve.colour % COLOURS.len()]);
+        for (p, note) in curve.points.iter().zip(&curve.notes).filter(|(p, _)| shown(p)) {
+            let size = [text::width(note, NOTE), text::CAPITALS * NOTE].map(f64::from);
+            let Some([left, top]) = taken.place(pixel(p[0], p[1]), size) else { continue };
+            let place = (left.round() as i32, (top + f64::from(text::RAISED * NOTE)).round() as i32);
+            area.draw(&Text::new(&**note, place, style.clone()))?;
+        }
+    }
     Ok(())
+}
+
+/// What notes keep clear of, in pixels of the whole picture.
+struct Taken {
+    /// Columns and rows of the plot.
+    inside: [Range<f64>; 2],
+    points: Vec<[f64; 2]>,
+    /// The ends of straight strokes.
+    strokes: Vec<[[f64; 2]; 2]>,
+    /// Columns and rows of the notes so far.
+    notes: Vec<[Range<f64>; 2]>,
+}
+
+impl Taken {
+    /// Finds the place next to a point for a note of this width and height that covers no point and no other note
+    /// and meets the fewest strokes, the nearest of several, and returns its upper left corner.
+    fn place(&mut self, point: [f64; 2], size: [f64; 2]) -> Option<[f64; 2]> {
+        // From the upper right all round.
+        const AROUND: [[f64; 2]; 8] = [
+            [1.0, -1.0],
+            [1.0, 1.0],
+            [-1.0, -1.0],
+            [-1.0, 1.0],
+            [0.0, -1.0],
+            [0.0, 1.0],
+            [1.0, 0.0],
+            [-1.0, 0.0],
+        ];
+        let at = |distance: f64, side: &[f64; 2]| -> [Range<f64>; 2] {
+            // As far from the point in every direction.
+            let reach = distance / side[0].hypot(side[1]);
+            std::array::from_fn(|k| {
+                let middle = point[k] + side[k] * (reach + 0.5 * size[k]);
+                middle - 0.5 * size[k]..middle + 0.5 * size[k]
+            })
+        };
+        let all = NEAR.iter().flat_map(|&distance| AROUND.iter().map(move |side| at(distance, side)));
+        let free = all.filter(|note| self.is_free(note));
+        let met = |note: &[Range<f64>; 2]| self.strokes.iter().filter(|stroke| crosses(stroke, note)).count();
+        let note = free.min_by_key(met)?;
+        let corner = [note[0].start, note[1].start];
+        self.notes.push(note);
+        Some(corner)
+    }
+
+    fn is_free(&self, note: &[Range<f64>; 2]) -> bool {
+        let covers = |point: &[f64; 2]| {
+            let [x, y] = [0, 1].map(|k| point[k] - point[k].clamp(note[k].start, note[k].end));
+            x.hypot(y) < (POINT + FINE) as f64
+        };
+        let overlaps = |other: &[Range<f64>; 2]| {
+            (0..2).all(|k| note[k].start < other[k].end && other[k].start < note[k].end)
+        };
+        (0..2).all(|k| self.inside[k].start <= note[k].start && note[k].end <= self.inside[k].end)
+            && !self.points.iter().any(covers)
+            && !self.notes.iter().any(overlaps)
+    }
+}
+
+/// Whether a straight stroke meets a rectangle of columns and rows.
+fn crosses([a, b]: &[[f64; 2]; 2], rectangle: &[Range<f64>; 2]) -> bool {
+    // The share of the stroke that is within the columns, then of that within the rows.
+    let (mut from, mut to) = (0.0f64, 1.0f64);
+    for k in 0..2 {
+        let Range { start, end } = &rectangle[k];
+        let along = b[k] - a[k];
+        if along == 0.0 {
+            if a[k] < *start || a[k] > *end {
+                return false;
+            }
+            continue;
+        }
+        let [enters, leaves] = [(start - a[k]) / along, (end - a[k]) / along];
+        (from, to) = (from.max(enters.min(leaves)), to.min(enters.max(leaves)));
+    }
+    from <= to
 }
 
 /// The span of one axis, in values or, on a logarithmic scale, in their logarithms.
@@ -283,11 +422,12 @@ mod tests {
     use super::*;
 
     fn chart(curves: Vec<Curve>, scale: Scale) -> Chart {
-        Chart { title: "t".into(), axes: ["x".into(), "y".into()], curves, scales: [scale; 2] }
+        let axes = ["x".into(), "y".into()];
+        Chart { title: "t".into(), axes, curves, lines: Vec::new(), scales: [scale; 2] }
     }
 
     fn curve(points: Vec<[f64; 2]>) -> Curve {
-        Curve { label: "a".into(), colour: 0, points }
+        Curve { label: "a".into(), colour: 0, points, notes: Vec::new() }
     }
 
     fn count(image: &Image, colour: RGBColor, (x, y): (Range<usize>, Range<usize>)) -> usize {
@@ -372,6 +512,77 @@ mod tests {
         let [whole, broken] = [first.iter().max(), first.iter().min()].map(|n| *n.unwrap());
         assert!(first.len() >= 2 && second.iter().max() >= Some(&whole), "{first:?}, {second:?}");
         assert!((0.4..0.75).contains(&(broken as f64 / whole as f64)), "{first:?}");
+    }
+
+    #[test]
+    fn a_line_crosses_the_chart_at_its_place() {
+        let far = |at| Line { label: "there".into(), colour: 4, at };
+        let bare = chart(vec![curve(vec![[1.0, 1.0], [10.0, 10.0]])], Scale::Logarithmic);
+        let image = charts(&[Chart { lines: vec![far(100.0), far(-1.0)], ..bare }], (400, 300));
+        let red = |x, y| count(&image, COLOURS[4], (x, y));
+        // The axis reaches as far as the line, which is dashed from the bottom to the top.
+        let column = (200..330).max_by_key(|&x| red(x..x + 2, 30..255)).unwrap();
+        let near = column - 2..column + 4;
+        assert!(column > 280 && red(near.clone(), 30..255) > 60, "{column}");
+        assert!(red(near.clone(), 32..50) > 0 && red(near, 235..255) > 0);
+        assert_eq!(red(70..column - 2, 30..255), 0);
+        // Both are in the legend, also the one without a place.
+        assert!(red(330..400, 30..90) > 10);
+    }
+
+    /// Two curves close to each other, with points on top of each other, and one that ends in the corner.
+    #[test]
+    fn notes_cover_no_point_and_no_other_note() {
+        let curves: Vec<Curve> = (0..4)
+            .map(|c| {
+                let points: Vec<_> = (0..6).map(|k| [f64::from(k), f64::from(k * c) + 0.1]).collect();
+                Curve { colour: c as usize, notes: vec!["30".into(); 6], ..curve(points) }
+            })
+            .collect();
+        let bare = curves.iter().map(|c| Curve { notes: Vec::new(), ..c.clone() }).collect();
+        let [noted, bare] = [curves, bare].map(|curves| charts(&[chart(curves, Scale::Linear)], (500, 400)));
+        let is_point = |p: [u8; 3]| COLOURS.iter().any(|c| p == [c.0, c.1, c.2]);
+        let changed: Vec<_> =
+            (0..noted.pixels.len()).filter(|&k| noted.pixels[k] != bare.pixels[k]).collect();
+        assert!(changed.len() > 500, "{}", changed.len());
+        // Strokes may be met where there is no room, but not by many.
+        let covered = changed.iter().filter(|&&k| is_point(bare.pixels[k])).count();
+        assert!(10 * covered < changed.len(), "{covered} of {}", changed.len());
+    }
+
+    #[test]
+    fn a_note_takes_the_nearest_place_that_is_free() {
+        let empty =
+            || Taken { inside: [0.0..400.0, 0.0..400.0], points: vec![], strokes: vec![], notes: vec![] };
+        let (point, size) = ([200.0, 200.0], [30.0, 20.0]);
+        let mut free = empty();
+        free.points.push(point);
+        let first = free.place(point, size).unwrap();
+        assert!(first[0] > 200.0 && first[1] + 20.0 < 200.0, "{first:?}");
+        // The next one is elsewhere, and a stroke through a place makes another better.
+        let second = free.place(point, size).unwrap();
+        assert!(second[0] > 200.0 && second[1] > 200.0, "{second:?}");
+        let mut struck = empty();
+        struck.strokes.push([[200.0, 200.0], [400.0, 0.0]]);
+        assert_eq!(struck.place(point, size), Some(second));
+        // Wherever it is, it covers no point.
+        let mut crowded = empty();
+        crowded.points =
+            (0..40).flat_map(|k| (0..40).map(move |l| [f64::from(10 * k), f64::from(10 * l)])).collect();
+        assert_eq!(crowded.place(point, size), None);
+        // In a corner it stays inside.
+        let [left, top] = empty().place([399.0, 1.0], size).unwrap();
+        assert!(left + 30.0 <= 400.0 && top >= 0.0, "{left}, {top}");
+        let rectangle = [10.0..20.0, 10.0..20.0];
+        let met = |a, b| crosses(&[a, b], &rectangle);
+        assert!(
+            met([0.0, 0.0], [30.0, 30.0])
+                && met([15.0, 0.0], [15.0, 30.0])
+                && met([12.0, 12.0], [13.0, 13.0])
+        );
+        assert!(
+            !met([0.0, 0.0], [9.0, 9.0]) && !met([0.0, 15.0], [15.0, 30.1]) && !met([5.0, 0.0], [5.0, 30.0])
+        );
     }
 
     #[test]

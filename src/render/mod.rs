@@ -21,7 +21,7 @@ mod text;
 
 pub use animation::{GifOptions, write_gif};
 pub use camera::View;
-pub use chart::{Chart, Curve, Scale, charts};
+pub use chart::{Chart, Curve, Line, Scale, charts};
 pub use error_map::{ErrorMap, error_maps};
 pub use image::{Image, write_png};
 pub use strip::{StripOptions, strip};

@@ -18,7 +18,8 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
         let at = metrics.columns().iter().position(|name| name == column);
         let point =
             |row: &str| Some([row.split(',').next()?.parse().ok()?, row.split(',').nth(at?)?.parse().ok()?]);
-        Curve { label, colour: 0, points: metrics.rows(&text).filter_map(point).collect() }
+        let points = metrics.rows(&text).filter_map(point).collect();
+        Curve { label, colour: 0, points, notes: Vec::new() }
     };
     let of_pools = |what: &str| -> Vec<Curve> {
         let pools = pools.iter().enumerate();
@@ -37,7 +38,10 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
         let colour = scenes.len();
         match scenes.iter_mut().find(|curve| curve.label == values[1]) {
             Some(curve) => curve.points.push([step, gap]),
-            None => scenes.push(Curve { label: values[1].into(), colour, points: vec![[step, gap]] }),
+            None => {
+                let (label, points) = (values[1].into(), vec![[step, gap]]);
+                scenes.push(Curve { label, colour, points, notes: Vec::new() });
+            }
         }
     }
     let mut gradients = of_pools("log_gradient");
@@ -45,7 +49,7 @@ pub(super) fn draw(metrics: &Table, pools: &[PoolConfig], validations: &Table) -
     let norm = vec![curve("gradient_norm", "all pools".into())];
     let chart = |title: &str, axis: String, curves, scale| {
         let axes = ["step".into(), axis];
-        Chart { title: title.into(), axes, curves, scales: [Scale::Linear, scale] }
+        Chart { title: title.into(), axes, curves, lines: Vec::new(), scales: [Scale::Linear, scale] }
     };
     // An unsound rollout counts as the largest gap.
     let gap = format!("energy gap ({} if unsound)", SceneScore::MOST_GAP);

@@ -94,6 +94,7 @@ fn per_frame(scores: &[Score], colours: &Colours, (name, factor, of): Figure) ->
             colour: colours.of_column(&column),
             label: if score.stable { column } else { format!("{column} (diverged)") },
             points: points.collect(),
+            notes: Vec::new(),
         };
         entry(&mut curves, (&score.sequence, &score.grid)).push(curve);
     }
@@ -101,6 +102,7 @@ fn per_frame(scores: &[Score], colours: &Colours, (name, factor, of): Figure) ->
         title: format!("{sequence} on {grid}"),
         axes: ["frame".into(), name.into()],
         curves,
+        lines: Vec::new(),
         scales: [Scale::Linear; 2],
     };
     curves.into_iter().map(chart).collect()
@@ -126,7 +128,8 @@ fn iterations(scores: &[Score], colours: &Colours) -> Vec<Chart> {
             let points: Vec<_> =
                 means.iter().filter_map(|(&n, v)| Some([n as f64, mean(&whole(v)?)])).collect();
             if !points.is_empty() {
-                curves.push(Curve { label: solver.to_owned(), colour: colours.of_solver(solver), points });
+                let (label, colour) = (solver.to_owned(), colours.of_solver(solver));
+                curves.push(Curve { label, colour, points, notes: Vec::new() });
             }
         }
     }
@@ -138,6 +141,7 @@ fn iterations(scores: &[Score], colours: &Colours) -> Vec<Chart> {
                 title: format!("Mean over the sequences on {grid}"),
                 axes: ["iterations".into(), what.into()],
                 curves,
+                lines: Vec::new(),
                 scales: [Scale::Logarithmic; 2],
             };
             [chart(E_CD, errors), chart("ms per frame", times)]
@@ -190,11 +194,11 @@ fn convergence_on(
             points.push([n as f64, gap.min(WORST_GAP)]);
         }
         let colour = colours.of_solver(&entry.name);
-        curves.push(Curve { label: optimizer.name().to_owned(), colour, points });
+        curves.push(Curve { label: optimizer.name().to_owned(), colour, points, notes: Vec::new() });
     }
     let title = format!("{} on {grid}", sequence.name);
     let axes = ["iterations".into(), format!("energy gap (at most {WORST_GAP})")];
-    Ok(Some(Chart { title, axes, curves, scales: [Scale::Logarithmic; 2] }))
+    Ok(Some(Chart { title, axes, curves, lines: Vec::new(), scales: [Scale::Logarithmic; 2] }))
 }
 
 /// Draws a few frames of a sequence and, for each grid, of every simulation of it, coloured by the distance
