@@ -4,9 +4,11 @@
 //! Sequence (a trajectory of another simulator, its handles, its cloth) -> Sequence::scene on a grid -> Setup
 //! Entry (an optimizer, its iterations) on a Setup -> Score: distances to the truth, stretch, energy, time
 //! Scores of all sequences, grids and entries -> Tables (text, Markdown, CSV)
+//! suite::Prepared (a case, its converged frames) on an entry -> CaseScore; of the iterations -> GapCurves over time
 //! ```
 
 mod conditions;
+mod equal_time;
 pub mod fit;
 mod flat_mesh;
 mod gap;
@@ -24,7 +26,8 @@ mod tables;
 
 pub use crate::statistics::{WARM_UP, mean_and_deviation, median, median_time};
 pub use conditions::{Conditions, belong_together};
-pub use gap::{median_gap, track};
+pub use equal_time::{GapCurve, GapCurves, GapPoint, gap_curves, gap_tables};
+pub use gap::{Gap, median_gap, timed_gap, track};
 pub use metrics::{TriangleMesh, chamfer, relative_error};
 pub use nearness::repulsion;
 pub use physics::Physics;

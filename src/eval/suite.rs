@@ -2,7 +2,7 @@
 //! grids, materials or numbers of iterations, or with repulsion, evaluated without another simulator as
 //! reference.
 
-use super::gap::{median_gap, track};
+use super::gap::{timed_gap, track};
 use super::nearness::{LayerProximity, mean_and_fractions_above};
 use super::score::{keep, read_kept, simulate};
 use super::tables::DIVERGED;
@@ -17,8 +17,12 @@ use crate::statistics::median;
 use crate::{Error, Result};
 use rayon::prelude::*;
 use std::cell::OnceCell;
+use std::collections::BTreeSet;
 use std::ops::ControlFlow;
 use std::path::Path;
+
+/// The numbers of iterations of [`Suite::Iterations`].
+pub const ITERATIONS: [usize; 8] = [3, 5, 8, 10, 15, 20, 25, 30];
 
 /// The property that a suite varies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,6 +56,33 @@ pub struct Case {
     pub iterations: Option<usize>,
 }
 
+impl Case {
+    /// Returns a case of [`Suite::Iterations`]: the default scene with a number of iterations per frame.
+    fn of_iterations(iterations: usize) -> Self {
+        let name = format!("{iterations} iterations");
+        Self { name, scene: Scene::default(), iterations: Some(iterations) }
+    }
+
+    /// Whether a solver takes part with its own number of iterations in this case of [`Suite::Iterations`]; one
+    /// that converges takes part in the case without a number.
+    pub fn is_of(&self, entry: &Entry) -> bool {
+        self.iterations == Some(entry.iterations).filter(|_| !entry.optimizer.converges())
+    }
+}
+
+/// Returns the cases of [`Suite::Iterations`] on a grid that the solvers need: one for each of their numbers of
+/// iterations, in ascending order, then one for those that converge.
+pub fn cases_of_iterations(grid: Grid, entries: &[Entry]) -> Result<Vec<Case>> {
+    let (converging, others): (Vec<&Entry>, Vec<&Entry>) =
+        entries.iter().partition(|entry| entry.optimizer.converges());
+    let numbers: BTreeSet<usize> = others.iter().map(|entry| entry.iterations).collect();
+    let converged = Case { name: "converged".into(), scene: Scene::default(), iterations: None };
+    let last = (!converging.is_empty()).then_some(converged);
+    let mut cases: Vec<Case> = numbers.into_iter().map(Case::of_iterations).chain(last).collect();
+    cases.iter_mut().try_for_each(|case| case.scene.regrid(grid))?;
+    Ok(cases)
+}
+
 /// The result of a solver in a case.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CaseScore {
@@ -68,7 +99,12 @@ pub struct CaseScore {
     /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; `None` if
     /// it was not requested or is not finite, or if there is repulsion.
     pub gap: Option<f64>,
-    /// Median wall time of a frame \[ms\]; `None` if the first frame diverged.
+    /// Median wall time \[ms\] of the frames of the gap, of each frame alone ([`Gap`](super::Gap)); `None` if
+    /// the gap was not requested, or if there is repulsion.
+    #[serde(default)]
+    pub gap_ms_per_frame: Option<f64>,
+    /// Median wall time of a frame of the simulation \[ms\], in which a GPU computes a frame while the one before
+    /// it is measured; `None` if the first frame diverged.
     pub ms_per_frame: Option<f64>,
     /// How near the layers came to each other: the mean over the frames of the repulsion energy on a grid of
     /// 32 rows, and the shares of frames in which it exceeds 0.1 and 0.02 (paper section 6.3.3). `None` if
@@ -89,6 +125,11 @@ impl CaseScore {
     /// Writes the score as JSON.
     pub fn write(&self, path: &Path) -> Result<()> {
         keep(path, self)
+    }
+
+    /// Whether its gap, if there is one, has a time, which a score stored by an earlier version lacks.
+    pub fn is_whole(&self) -> bool {
+        self.gap.is_none() || self.gap_ms_per_frame.is_some()
     }
 
     /// Returns the energy gap if it was requested; infinite if it is not finite.
@@ -167,12 +208,7 @@ impl Suite {
                     }
                 }
             }
-            Self::Iterations => {
-                for iterations in [3, 5, 8, 10, 15, 20, 25, 30] {
-                    let name = format!("{iterations} iterations");
-                    cases.push(Case { name, scene: Scene::default(), iterations: Some(iterations) });
-                }
-            }
+            Self::Iterations => cases.extend(ITERATIONS.map(Case::of_iterations)),
             Self::Repulsion => {
                 for (placement, motion) in
                     [(Placement::CornerCenter, "rot_h1"), (Placement::SingleMidEdge, "xy_v2")]
@@ -212,6 +248,15 @@ impl Prepared {
         }
         let settings = serde_json::json!({ "scene": case.scene.to_json(), "frames": setup.frames() });
         Ok(Self { case, settings, setup, track: OnceCell::new() })
+    }
+
+    /// Takes over the converged frames of the case before if they are those of this one, as in
+    /// [`Suite::Iterations`].
+    pub fn after(mut self, before: Self) -> Self {
+        if self.settings == before.settings {
+            self.track = before.track;
+        }
+        self
     }
 
     fn entry(&self, (optimizer, iterations): (&Optimizer, usize)) -> Entry {
@@ -259,13 +304,13 @@ impl Prepared {
         if simulated.ended_early {
             return Ok(None);
         }
-        let mut gap = None;
+        let mut found = None;
         if with_gap && self.has_newton() {
             let Some(track) = self.track(&mut tick)? else { return Ok(None) };
-            let Some(found) = median_gap(track, (solver.0, entry.iterations), device, tick)? else {
+            found = timed_gap(track, (solver.0, entry.iterations), device, tick)?;
+            if found.is_none() {
                 return Ok(None);
-            };
-            gap = Some(found).filter(|gap| gap.is_finite());
+            }
         }
         let score = CaseScore {
             case: case.name.clone(),
@@ -273,7 +318,8 @@ impl Prepared {
             iterations: entry.recorded_iterations(),
             stable: simulated.stable,
             stretch_largest: Some(simulated.stretch_largest).filter(|stretch| stretch.is_finite()),
-            gap,
+            gap: found.map(|gap| gap.median).filter(|gap| gap.is_finite()),
+            gap_ms_per_frame: found.map(|gap| gap.ms_per_frame).filter(|ms| ms.is_finite()),
             ms_per_frame: simulated.ms_per_frame(),
             repulsion: simulated.stable.then(|| self.repulsion_of(&simulated.trajectory)).flatten(),
             made_with,

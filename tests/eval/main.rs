@@ -1,6 +1,7 @@
 //! Evaluation: metrics, reading of sequences, scores, repeats, tables, and the search for a material.
 
 mod common;
+mod equal_time;
 mod fit;
 mod metrics;
 #[path = "../noise/mod.rs"]
