@@ -27,7 +27,7 @@ fn an_evaluation_keeps_its_scores() {
     };
     let whole = evaluate(&["--plots", "plots", "--markdown", "t.md", "--csv", "t.csv", "--json", "t.json"]);
     let plotted = |file: &str| at.join(format!("plots/{file}.png")).is_file();
-    for file in ["per_frame", "convergence", "errors_xy_v2_32x32"] {
+    for file in ["per_frame", "convergence", "gap_ms", "errors_xy_v2_32x32"] {
         assert!(plotted(file), "{file}");
     }
     // Nothing comes close, and each solver has one number of iterations.

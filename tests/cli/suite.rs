@@ -39,9 +39,7 @@ fn a_suite_honours_its_options_or_refuses_them() {
     let folder = tempfile::tempdir().unwrap();
     let suite = |name: &str, more: &[&str]| {
         let few = ["--frames", "3", "--no-gap", "--device", "cpu", "--json", "s.json"];
-        // The suite `iterations` sets the iteration counts itself.
-        let usual = if name == "iterations" { "lbfgs" } else { "lbfgs:2" };
-        let solver = if more.contains(&"--solver") { vec![] } else { vec!["--solver", usual] };
+        let solver = if more.contains(&"--solver") { vec![] } else { vec!["--solver", "lbfgs:2"] };
         quiet(folder.path(), &[&["evaluate", "--suite", name], &few[..], &solver, more].concat())
             .output()
             .unwrap()
@@ -76,14 +74,19 @@ fn a_suite_honours_its_options_or_refuses_them() {
     let five = ["--sequences", "5 iterations", "--grid", "12", "--solver", "lbfgs,lbfgs"];
     let of_five = scores("iterations", &five);
     assert_eq!((of_five.len(), &of_five[0]["iterations"]), (1, &5.into()));
-    refused(
-        suite("iterations", &["--solver", "lbfgs:2"]),
-        &["--solver", "as the suite sets them", "lbfgs:2"],
-    );
     refused(suite("grids", &["--grid", "32,64"]), &["--grid", "has its own"]);
-    refused(suite("iterations", &["--iterations", "3"]), &["--iterations", "has its own"]);
-    refused(suite("iterations", &["--solver", "single-pass"]), &["--solver", "single-pass"]);
-    refused(suite("iterations", &["--solver", "newton"]), &["--solver", "newton"]);
+    refused(suite("iterations", &["--solver", "interpolation"]), &["--solver", "interpolation"]);
+    refused(suite("iterations", &["--solver", "lbfgs:0"]), &["--solver", "lbfgs", "1 to 100000"]);
+    refused(suite("iterations", &["--iterations", "3,x"]), &["--iterations", "x"]);
+    // There are the cases of the numbers that were given.
+    let other = ["--sequences", "5 iterations", "--iterations", "3,4"];
+    refused(
+        suite("iterations", &[&other[..], &["--solver", "lbfgs"]].concat()),
+        &["--sequences", "5 iterations", "4 iterations"],
+    );
+    refused(suite("speeds", &["--plots", "p"]), &["--plots", "other than iterations"]);
+    refused(suite("iterations", &["--plots", "p"]), &["--plots", "--no-gap"]);
+    assert!(!folder.path().join("p").exists());
     refused(suite("materials", &["--material", "1,2,3"]), &["--material", "which has its own"]);
     refused(suite("speeds", &["--points", "3"]), &["cannot be used with", "--points"]);
     refused(suite("speeds", &["--ground-truth", "."]), &["cannot be used with", "--ground-truth"]);
@@ -168,4 +171,51 @@ fn cases_of_a_suite_are_kept() {
             && suite(&usual)[0]["gap"] == first[0]["gap"]
             && first[0]["gap"].is_number()
     );
+}
+
+/// Every number of iterations is a point, with a gap and a time, of the tables and of the plot.
+#[test]
+fn gaps_are_compared_at_equal_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let suite = |more: &[&str]| {
+        let few = ["--suite", "iterations", "--frames", "6", "--device", "cpu", "--iterations", "2,30"];
+        let solvers = ["--solver", "newton,lbfgs,gd:4,lbfgs:4,lbfgs", "--json", "s.json"];
+        let output = fnopt(at, &[&["evaluate"], &few[..], &solvers, more].concat());
+        // On a grid this coarse not all cases are sound.
+        assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
+        (text(&output.stdout), json(&at.join("s.json")).as_array().unwrap().clone())
+    };
+    let (printed, first) = suite(&["--grid", "8", "--plots", "p"]);
+    let name = |score: &Value| format!("{} {}", score["solver"].as_str().unwrap(), score["iterations"]);
+    let names: Vec<String> = first.iter().map(name).collect();
+    assert_eq!(names, ["lbfgs 2", "gd 4", "lbfgs 4", "lbfgs 30", "newton 0"]);
+    let figure = |score: &Value, of: &str| score[of].as_f64().unwrap();
+    assert!(first.iter().all(|score| figure(score, "gap_ms_per_frame") > 0.0), "{first:?}");
+    assert!(figure(&first[0], "gap") > figure(&first[3], "gap") && figure(&first[4], "gap").abs() < 1e-3);
+    // One table for each solver, with all its numbers, then those of all solvers.
+    let titles = ["newton", "lbfgs", "gd", "8x8: energy gap and time of a frame alone"];
+    let places = titles.map(|title| printed.lines().position(|line| line == title));
+    assert!(places.iter().all(Option::is_some) && places.is_sorted(), "{places:?} in {printed}");
+    assert_eq!(printed.lines().filter(|line| line.starts_with("lbfgs, N = ")).count(), 3, "{printed}");
+    let size = || {
+        let png = std::fs::read(at.join("p/gap_ms.png")).unwrap();
+        [16, 20].map(|k| u32::from_be_bytes(png[k..k + 4].try_into().unwrap()))
+    };
+    let alone = size();
+    // The times would differ if anything were simulated again. Two grids have a chart each.
+    let (_, both) = suite(&["--grid", "8,9", "--plots", "p"]);
+    assert_eq!((both.len(), &both[..5], size()), (10, &first[..], [2 * alone[0], alone[1]]));
+    // A score of an earlier version, whose gap has no time, is computed again.
+    let kept = at.join("out/evaluate/cases/lbfgs_4_8x8_4_iterations.json");
+    let mut untimed = json(&kept);
+    untimed.as_object_mut().unwrap().remove("gap_ms_per_frame").unwrap();
+    std::fs::write(&kept, untimed.to_string()).unwrap();
+    let (_, again) = suite(&["--grid", "8"]);
+    assert!(figure(&again[2], "gap_ms_per_frame") > 0.0);
+    assert_eq!((&again[..2], &again[2]["gap"]), (&first[..2], &first[2]["gap"]));
+    // Without gaps there is nothing to compare.
+    let (printed, without) = suite(&["--grid", "8", "--no-gap"]);
+    assert!(without.iter().all(|score| score["gap_ms_per_frame"].is_null()));
+    assert!(!printed.contains("at equal time") && !printed.contains("alone"), "{printed}");
 }

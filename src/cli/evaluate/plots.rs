@@ -4,8 +4,11 @@ use super::jobs::{Kept, Plan};
 use crate::cli::output::progress;
 use fnopt::Result;
 use fnopt::cloth::Grid;
-use fnopt::eval::{Physics, Score, Sequence, median_gap, snapshot_frames, snapshots, track, vertex_errors};
-use fnopt::render::{self, Chart, Curve, ErrorMap, Scale, View, charts, write_png};
+use fnopt::eval::{
+    GapCurve, GapCurves, GapPoint, Physics, Score, Sequence, snapshot_frames, snapshots, timed_gap, track,
+    vertex_errors,
+};
+use fnopt::render::{self, Chart, Curve, ErrorMap, Line, Scale, View, charts, write_png};
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::path::Path;
@@ -21,6 +24,9 @@ const CONVERGENCE_FRAMES: usize = 41;
 
 /// Largest energy gap that is drawn.
 const WORST_GAP: f64 = 10.0;
+
+/// File of the energy gap over the time of a frame.
+const GAP_OVER_TIME: &str = "gap_ms.png";
 
 /// Axis label of the Chamfer distance.
 const E_CD: &str = "e_CD \u{b7} 10\u{b3} [m\u{b2}]";
@@ -149,56 +155,120 @@ fn iterations(scores: &[Score], colours: &Colours) -> Vec<Chart> {
         .collect()
 }
 
-/// Draws a convergence chart for each sequence and grid. If `tick`, which is called every frame, ends it, the
-/// finished charts are drawn.
+/// Draws for each sequence and grid a convergence chart, and one of the same energy gaps over time. If `tick`,
+/// which is called every frame, ends it, the finished charts are drawn.
 pub(super) fn convergence(folder: &Path, plan: &Plan, tick: impl Fn() -> ControlFlow<()>) -> Result<()> {
     let bar = progress((plan.sequences.len() * plan.grids.len()) as u64, "convergence charts");
-    let mut charts = Vec::new();
+    let (mut by_iterations, mut over_time) = (Vec::new(), Vec::new());
+    let colours = Colours::new(plan.entries.iter().map(|entry| (entry.name.clone(), entry.column())));
     let all = plan.sequences.iter().flat_map(|sequence| plan.grids.iter().map(move |&grid| (sequence, grid)));
     for (sequence, grid) in all {
         bar.set_message(format!("{} {grid}", sequence.name));
-        let Some(chart) = convergence_on(sequence, grid, plan, &tick)? else { break };
-        charts.push(chart);
+        let Some(curves) = convergence_on(sequence, grid, plan, &tick)? else { break };
+        let title = format!("{} on {grid}", sequence.name);
+        let of: Vec<(&GapCurve, usize)> =
+            curves.iter().map(|(solver, curve)| (curve, colours.of_solver(solver))).collect();
+        by_iterations.push(gap_by_iterations(title.clone(), &of));
+        over_time.push(gap_over_time(title, &of));
         bar.inc(1);
     }
     bar.finish_and_clear();
-    write(folder, "convergence.png", &charts)
+    write(folder, "convergence.png", &by_iterations)?;
+    write(folder, GAP_OVER_TIME, &over_time)
 }
 
-/// Charts the median energy gap of every optimizer after various numbers of iterations, on a converged
-/// simulation of a sequence's first frames. Returns `None` if `tick` ended it.
+/// Measures the median energy gap of every optimizer, and the time of a frame, after various numbers of
+/// iterations on a converged simulation of a sequence's first frames. Returns the name of the solver and, with
+/// the name of its optimizer, what was measured; `None` if `tick` ended it.
 fn convergence_on(
     sequence: &Sequence,
     grid: Grid,
     plan: &Plan,
     tick: &impl Fn() -> ControlFlow<()>,
-) -> Result<Option<Chart>> {
+) -> Result<Option<Vec<(String, GapCurve)>>> {
     let mut scene = sequence.scene(grid, &plan.settings.physics)?;
     scene.frames = Some(sequence.truth.frames().min(plan.settings.frames).min(CONVERGENCE_FRAMES));
     let Some(track) = track(&scene.setup()?, tick)? else { return Ok(None) };
-    let mut curves: Vec<Curve> = Vec::new();
-    let colours = Colours::new(plan.entries.iter().map(|entry| (entry.name.clone(), entry.column())));
+    let mut curves: Vec<(String, GapCurve)> = Vec::new();
     for entry in plan.entries {
         let optimizer = &entry.optimizer;
         // Newton's method converges whatever the number of iterations and has no curve; no optimizer has two.
-        if optimizer.converges() || curves.iter().any(|c| c.label == optimizer.name()) {
+        if optimizer.converges() || curves.iter().any(|(_, c)| c.solver == optimizer.name()) {
             continue;
         }
         let most = plan.entries.iter().filter(|other| other.optimizer.name() == optimizer.name());
         let most = most.map(|other| other.iterations).fold(MOST_ITERATIONS_OF_ALL, usize::max);
         let mut points = Vec::new();
-        for n in ITERATIONS.into_iter().filter(|&n| n <= most) {
-            let gap = median_gap(&track, (optimizer, n), entry.device(plan.device), tick)?;
-            let Some(gap) = gap else { return Ok(None) };
-            // Above 1 the energy is larger than at the start. How much larger does not matter.
-            points.push([n as f64, gap.min(WORST_GAP)]);
+        for iterations in ITERATIONS.into_iter().filter(|&n| n <= most) {
+            let found = timed_gap(&track, (optimizer, iterations), entry.device(plan.device), tick)?;
+            let Some(found) = found else { return Ok(None) };
+            points.push(GapPoint { iterations, gap: found.median, ms_per_frame: found.ms_per_frame });
         }
-        let colour = colours.of_solver(&entry.name);
-        curves.push(Curve { label: optimizer.name().to_owned(), colour, points, notes: Vec::new() });
+        curves.push((entry.name.clone(), GapCurve { solver: optimizer.name().to_owned(), points }));
     }
-    let title = format!("{} on {grid}", sequence.name);
-    let axes = ["iterations".into(), format!("energy gap (at most {WORST_GAP})")];
-    Ok(Some(Chart { title, axes, curves, lines: Vec::new(), scales: [Scale::Logarithmic; 2] }))
+    Ok(Some(curves))
+}
+
+/// Charts energy gaps over the number of iterations, each curve with the number of its colour.
+fn gap_by_iterations(title: String, curves: &[(&GapCurve, usize)]) -> Chart {
+    let curve = |(curve, colour): &(&GapCurve, usize)| {
+        // Above 1 the energy is larger than at the start. How much larger does not matter.
+        let point = |point: &GapPoint| [point.iterations as f64, point.gap.min(WORST_GAP)];
+        let points = curve.points.iter().map(point).collect();
+        Curve { label: curve.solver.clone(), colour: *colour, points, notes: Vec::new() }
+    };
+    Chart {
+        title,
+        axes: ["iterations".into(), format!("energy gap (at most {WORST_GAP})")],
+        curves: curves.iter().map(curve).collect(),
+        lines: Vec::new(),
+        scales: [Scale::Logarithmic; 2],
+    }
+}
+
+/// Charts energy gaps in percent over the time of a frame, each curve with the number of its colour and with the
+/// numbers of iterations at its points. A solver that converges has no gap, and its time is a vertical line.
+fn gap_over_time(title: String, curves: &[(&GapCurve, usize)]) -> Chart {
+    let (mut drawn, mut lines) = (Vec::new(), Vec::new());
+    for &(GapCurve { solver, points }, colour) in curves {
+        let (converged, points): (Vec<GapPoint>, Vec<GapPoint>) =
+            points.iter().partition(|point| point.iterations == 0);
+        let line = |point: &GapPoint| Line {
+            label: format!("{solver} (converged)"),
+            colour,
+            at: point.ms_per_frame,
+        };
+        lines.extend(converged.iter().map(line));
+        // Beyond the worst gap there is nothing to compare. Solvers that diverge have no point at all.
+        let mut points: Vec<&GapPoint> = points.iter().filter(|point| point.gap <= WORST_GAP).collect();
+        // Joined by the number of iterations: a time that was disturbed is a step back, and not a zigzag of the gap.
+        points.sort_by_key(|point| point.iterations);
+        if !points.is_empty() {
+            let notes = points.iter().map(|point| point.iterations.to_string()).collect();
+            let points = points.iter().map(|point| [point.ms_per_frame, 100.0 * point.gap]).collect();
+            drawn.push(Curve { label: solver.clone(), colour, points, notes });
+        }
+    }
+    Chart {
+        title,
+        axes: ["ms per frame (at the points: iterations)".into(), "energy gap [%]".into()],
+        curves: drawn,
+        lines,
+        scales: [Scale::Logarithmic; 2],
+    }
+}
+
+/// Draws the energy gap over the time of a frame for each grid on which a solver has a point.
+pub(super) fn gaps_over_time(folder: &Path, all: &[GapCurves]) -> Result<()> {
+    let names = all.iter().flat_map(|of| of.solvers.iter().map(|curve| curve.solver.clone()));
+    let colours = Colours::new(names.map(|name| (name.clone(), name)));
+    let chart = |GapCurves { grid, solvers }: &GapCurves| {
+        let curves: Vec<(&GapCurve, usize)> =
+            solvers.iter().map(|curve| (curve, colours.of_solver(&curve.solver))).collect();
+        gap_over_time(format!("Energy gap over time on {grid}"), &curves)
+    };
+    let charts: Vec<Chart> = all.iter().map(chart).filter(|chart| !chart.curves.is_empty()).collect();
+    write(folder, GAP_OVER_TIME, &charts)
 }
 
 /// Draws a few frames of a sequence and, for each grid, of every simulation of it, coloured by the distance
@@ -230,7 +300,33 @@ pub(super) fn error_maps(folder: &Path, sequence: &Sequence, (all, frames): (&[K
 
 #[cfg(test)]
 mod tests {
-    use super::Colours;
+    use super::{Colours, WORST_GAP, gap_over_time};
+    use fnopt::eval::{GapCurve, GapPoint};
+
+    #[test]
+    fn gaps_over_time_are_in_percent_with_their_iterations() {
+        let point =
+            |(iterations, ms_per_frame, gap): (usize, f64, f64)| GapPoint { iterations, gap, ms_per_frame };
+        let curve = |solver: &str, points: &[(usize, f64, f64)]| GapCurve {
+            solver: solver.into(),
+            points: points.iter().copied().map(point).collect(),
+        };
+        let lbfgs = curve("lbfgs", &[(20, 4.0, 0.25), (5, 5.0, 0.5), (3, 2.0, 2.0 * WORST_GAP)]);
+        let newton = curve("newton", &[(0, 9.0, 1e-9)]);
+        let wild = curve("wild", &[(3, 1.0, f64::INFINITY)]);
+        let chart = gap_over_time("t".into(), &[(&lbfgs, 2), (&newton, 5), (&wild, 3)]);
+        assert_eq!((chart.curves.len(), chart.lines.len()), (1, 1));
+        let drawn = &chart.curves[0];
+        assert_eq!(
+            (&*drawn.label, drawn.colour, &drawn.points),
+            ("lbfgs", 2, &vec![[5.0, 50.0], [4.0, 25.0]])
+        );
+        assert_eq!(drawn.notes, ["5", "20"]);
+        assert_eq!(
+            (&*chart.lines[0].label, chart.lines[0].colour, chart.lines[0].at),
+            ("newton (converged)", 5, 9.0)
+        );
+    }
 
     #[test]
     fn a_solver_has_one_colour_in_all_charts() {

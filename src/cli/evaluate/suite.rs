@@ -1,14 +1,14 @@
 //! `fnopt evaluate --suite`: measures how far solvers generalise.
 
-use super::Args;
 use super::report::tell_devices;
+use super::{Args, plots};
 use crate::cli::output::{progress, status};
 use crate::cli::{Ending, go_on, interrupt_flag, material, writable_folder};
 use anyhow::Result;
 use fnopt::Device;
 use fnopt::cloth::Grid;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
-use fnopt::eval::{Entry, Table};
+use fnopt::eval::{Entry, Table, gap_curves, gap_tables};
 use fnopt::render::{StripOptions, View, strip, write_png};
 use fnopt::{Error, io};
 use std::collections::BTreeSet;
@@ -25,13 +25,17 @@ struct Document<'a> {
 
 impl Args {
     /// Returns the selected cases of a suite, each once, with the cloth and the air that were asked for.
-    fn cases(&self, suite: Suite, grids: &[Grid]) -> fnopt::Result<Vec<Case>> {
+    fn cases(&self, suite: Suite, (grids, entries): (&[Grid], &[Entry])) -> fnopt::Result<Vec<Case>> {
         let given = self.material.as_deref().map(material::read).transpose()?;
         if let (Suite::Materials, Some(text)) = (suite, &self.material) {
             let expected = "none with --suite materials, which has its own";
             return Err(Error::invalid("--material", "coefficients", expected, text));
         }
-        let all = grids.iter().map(|&grid| suite.cases(grid)).collect::<fnopt::Result<Vec<_>>>()?;
+        let on = |&grid| match suite {
+            Suite::Iterations => suite::cases_of_iterations(grid, entries),
+            _ => suite.cases(grid),
+        };
+        let all = grids.iter().map(on).collect::<fnopt::Result<Vec<_>>>()?;
         let mut cases = all.concat();
         let mut known = BTreeSet::new();
         // The suite of grids has the same cases for every grid.
@@ -73,8 +77,8 @@ impl Args {
             // On a CPU, the number of threads does not matter.
             let wanted = prepared.conditions(solver.0, device, !self.no_gap).checksum();
             // A score stored by another version may have other fields.
-            if let Some(kept) = CaseScore::read(&file).ok().filter(|kept| kept.made_with.checksum() == wanted)
-            {
+            let fits = |kept: &CaseScore| kept.made_with.checksum() == wanted && kept.is_whole();
+            if let Some(kept) = CaseScore::read(&file).ok().filter(fits) {
                 return Ok(Some(kept));
             }
         }
@@ -93,41 +97,48 @@ impl Args {
 
     /// Runs the cases of a suite with each solver on each grid.
     pub(super) fn run_suite(&self, suite: Suite, mut entries: Vec<Entry>, grids: &[Grid]) -> Result<Ending> {
-        for (own, given, option) in [
-            (Suite::Grids, self.grid.is_some(), "--grid"),
-            (Suite::Iterations, self.iterations.is_some(), "--iterations"),
-        ] {
-            if suite == own && given {
-                let expected = "none with a suite that has its own";
-                return Err(Error::invalid("--suite", option, expected, "some").into());
-            }
+        if suite == Suite::Grids && self.grid.is_some() {
+            let expected = "none with a suite that has its own";
+            return Err(Error::invalid("--suite", "--grid", expected, "some").into());
+        }
+        if self.plots.is_some() && suite != Suite::Iterations {
+            let expected = "none with a suite other than iterations";
+            return Err(Error::invalid("--suite", "--plots", expected, "some").into());
+        }
+        if self.plots.is_some() && self.no_gap {
+            let expected = "none with --no-gap, as the gap is what is drawn";
+            return Err(Error::invalid("--suite", "--plots", expected, "some").into());
         }
         if entries.iter().any(|entry| entry.coarse) {
             let expected = "solvers other than this in a suite";
             return Err(Error::invalid("--solver", "interpolation", expected, "interpolation").into());
         }
-        let fixed = |entry: &&Entry| entry.name == "single-pass" || entry.optimizer.converges();
-        if let (Suite::Iterations, Some(entry)) = (suite, entries.iter().find(fixed)) {
-            let expected = "solvers whose iterations can vary in this suite";
-            return Err(Error::invalid("--solver", "iterations", expected, &entry.name).into());
-        }
         let mut known = BTreeSet::new();
         entries.retain(|entry| known.insert((entry.name.clone(), entry.iterations)));
-        let cases = self.cases(suite, grids)?;
+        let cases = self.cases(suite, (grids, &entries))?;
         let device = self.open(&entries)?;
         writable_folder(&self.out)?;
         self.writable()?;
         let frames = self.most_frames();
-        let bar = progress((cases.len() * entries.len()) as u64, "cases");
+        // In the suite iterations a number of iterations is a case, and otherwise all solvers take part in all cases.
+        let is_of = |case: &Case, entry: &Entry| suite != Suite::Iterations || case.is_of(entry);
+        let count = |case: &Case| entries.iter().filter(|entry| is_of(case, entry)).count();
+        let bar = progress(cases.iter().map(count).sum::<usize>() as u64, "cases");
         let interrupted = interrupt_flag();
         let tick = || go_on(&interrupted);
         // With the index of the entry, because one solver may take part with several numbers of iterations.
         let mut scores: Vec<(usize, CaseScore)> = Vec::new();
         let mut work = || -> Result<bool> {
+            let mut before: Option<Prepared> = None;
             for case in &cases {
-                // All solvers of a case run before the next case: they share its converged frames.
+                // All solvers of a case run before the next case: they share its converged frames. So do cases that
+                // differ in the number of iterations alone.
                 let prepared = Prepared::new(case.clone(), frames)?;
-                for (number, entry) in entries.iter().enumerate() {
+                let prepared = match before.take() {
+                    Some(before) => prepared.after(before),
+                    None => prepared,
+                };
+                for (number, entry) in entries.iter().enumerate().filter(|(_, entry)| is_of(case, entry)) {
                     bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
                     if !prepared.takes(&entry.optimizer) {
                         status!(
@@ -142,26 +153,42 @@ impl Args {
                     scores.push((number, score));
                     bar.inc(1);
                 }
+                before = Some(prepared);
             }
             Ok(true)
         };
         let ending = work();
         bar.finish_and_clear();
-        let of = |(number, entry): (usize, &Entry)| {
-            let own: Vec<CaseScore> =
-                scores.iter().filter(|(of, _)| *of == number).map(|(_, score)| score.clone()).collect();
-            suite::table(&entry.name, suite, &own)
+        // A table for each entry, and in the suite iterations for each solver with all its numbers.
+        let together = |a: usize, b: usize| match suite {
+            Suite::Iterations => entries[a].name == entries[b].name,
+            _ => a == b,
         };
-        let tables: Vec<Table> = entries.iter().enumerate().map(of).collect();
+        let firsts = (0..entries.len()).filter(|&number| !(0..number).any(|other| together(other, number)));
+        let of = |first: usize| {
+            let own = scores.iter().filter(|(number, _)| together(*number, first));
+            let own: Vec<CaseScore> = own.map(|(_, score)| score.clone()).collect();
+            suite::table(&entries[first].name, suite, &own)
+        };
+        let mut tables: Vec<Table> = firsts.map(of).collect();
+        let gaps = match suite {
+            Suite::Iterations => {
+                gap_curves(scores.iter().map(|(number, score)| (&*entries[*number].name, score)))
+            }
+            _ => Vec::new(),
+        };
+        tables.extend(gap_tables(&gaps));
         let named: Vec<_> = scores
             .iter()
             .map(|(number, score)| Document { solver: &entries[*number].name, sound: score.sound(), score })
             .collect();
         // Finished work is reported however the run ended.
         let written = self.write_tables(&tables, &named);
+        let drawn = self.plots.as_ref().map_or(Ok(()), |folder| plots::gaps_over_time(folder, &gaps));
         tell_devices(scores.iter().map(|(_, score)| (&score.made_with, score.ms_per_frame)));
         let complete = ending?;
         written?;
+        drawn?;
         if complete && scores.is_empty() {
             let expected = "a solver that takes part in one of the cases";
             return Err(Error::invalid("--suite", "solver", expected, "none").into());
