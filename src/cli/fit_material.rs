@@ -182,7 +182,7 @@ impl Args {
         let document = physics.to_json();
         let [stretch, shear, bend, ..] = *point;
         let moduli = |sequence: &Sequence| -> fnopt::Result<Moduli> {
-            Ok(sequence.scene(grid, &physics)?.setup()?.units.moduli(Material { stretch, shear, bend }))
+            Ok(sequence.scene(grid, &physics)?.setup()?.units.moduli(grid, Material { stretch, shear, bend }))
         };
         let all = sequences.iter().map(moduli).collect::<fnopt::Result<Vec<_>>>()?;
         if all.iter().any(|other| *other != all[0]) {

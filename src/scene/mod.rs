@@ -45,8 +45,8 @@
 //!
 //! **Grid and material.** One rest length l serves both directions: `l = side / (H - 1)`. Grid coefficients
 //! are used as given, so a finer grid is a softer cloth. Moduli describe the same cloth on every grid: with
-//! areal mass rho and frame time T, `k_stretch = Y T^2 / (2 rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`,
-//! `k_bend = D T^2 / (2 rho l^4)`.
+//! areal mass rho and frame time T, `k_stretch = Y T^2 / (2 s rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`,
+//! `k_bend = D T^2 / (2 sqrt(s) rho l^4)` with `s = H W / ((H - 1)(W - 1))` ([`Units::material`]).
 //!
 //! **Repulsion.** Two particles that are not joined by an edge of the triangulated grid repel each other when
 //! they are closer than `distance`, which is 0.001 to 1 edges ([`crate::cloth::Repulsion`]). `strength` is an
@@ -196,10 +196,10 @@ impl Default for Stiffness {
 
 impl Stiffness {
     /// Returns the coefficients of the energy.
-    fn in_grid_units(self, units: &Units) -> Material {
+    fn in_grid_units(self, units: &Units, grid: Grid) -> Material {
         match self {
             Stiffness::Grid(material) => material,
-            Stiffness::Moduli(moduli) => units.material(moduli),
+            Stiffness::Moduli(moduli) => units.material(grid, moduli),
         }
     }
 }

@@ -315,7 +315,7 @@ impl Scene {
         }
         particles.iter().zip(&handles[0]).for_each(|(&p, &at)| points[p] = at);
         let cloth = Cloth {
-            material: self.stiffness.in_grid_units(&units),
+            material: self.stiffness.in_grid_units(&units, grid),
             gravity: units.acceleration(self.up.to_z_up(self.gravity)),
             air: units.air(self.wind.density, self.wind.drag),
             repulsion: self.repulsion.map(|settings| units.repulsion(settings)),
@@ -330,7 +330,6 @@ impl Scene {
             up: self.up,
         };
         self.check_finite(&setup)?;
-        self.warn_if_air_is_stiff(&setup);
         let farthest = setup.start.x.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         if farthest * f64::from(f32::EPSILON) > COARSEST {
             let away = farthest * units.length_m;
@@ -341,22 +340,6 @@ impl Scene {
             ));
         }
         Ok(setup)
-    }
-
-    /// Warns if the wind would move a free sheet faster than itself within a frame. The drag is evaluated once
-    /// per frame, so the cloth then swings back and forth ever more.
-    fn warn_if_air_is_stiff(&self, setup: &Setup) {
-        let air = setup.model.cloths[0].air;
-        let speed = norm(setup.wind);
-        let share = air.density * speed + air.drag;
-        if speed > 0.0 && share > 1.0 {
-            warn_once(format!(
-                "{}: wind: at {:.0} m/s the drag, which is evaluated once per frame, is {share:.1} times the largest stable one: \
-                 take a frame_time_s that much shorter",
-                self.origin,
-                norm(self.wind.velocity)
-            ));
-        }
     }
 
     /// Warns if the start's edges are not about as long as the sheet's. The usual mistake is a wrong unit or

@@ -1,7 +1,7 @@
 //! Conversion between SI units outside and grid units inside.
 
 use super::RepulsionSettings;
-use crate::cloth::{Air, Material, Repulsion};
+use crate::cloth::{Air, Grid, Material, Repulsion};
 
 /// The axis of a scene's positions, vectors and files that points up. Internally, everything is z up.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -119,9 +119,9 @@ impl Units {
         Repulsion { strength: strength / (edge_per_frame * edge_per_frame), distance }
     }
 
-    /// Returns the grid coefficients that give a sheet these moduli.
-    pub fn material(&self, moduli: Moduli) -> Material {
-        let [y, g, d] = self.moduli_of_unit_coefficients();
+    /// Returns the grid coefficients that give a sheet on this grid these moduli.
+    pub fn material(&self, grid: Grid, moduli: Moduli) -> Material {
+        let [y, g, d] = self.moduli_of_unit_coefficients(grid);
         Material {
             stretch: moduli.stretch_modulus / y,
             shear: moduli.shear_modulus / g,
@@ -129,9 +129,9 @@ impl Units {
         }
     }
 
-    /// Returns the moduli that these grid coefficients give a sheet.
-    pub fn moduli(&self, material: Material) -> Moduli {
-        let [y, g, d] = self.moduli_of_unit_coefficients();
+    /// Returns the moduli that these coefficients give a sheet on this grid.
+    pub fn moduli(&self, grid: Grid, material: Material) -> Moduli {
+        let [y, g, d] = self.moduli_of_unit_coefficients(grid);
         Moduli {
             stretch_modulus: y * material.stretch,
             shear_modulus: g * material.shear,
@@ -147,11 +147,16 @@ impl Units {
         energy * particles as f64 * rho * l.powi(4) / (t * t)
     }
 
-    /// Returns Y [N/m], G [N/m] and D [N m] for the coefficients (1, 1, 1): 2 rho l^2 / T^2, 8 rho l^2 / T^2,
-    /// 2 rho l^4 / T^2.
-    fn moduli_of_unit_coefficients(&self) -> [f64; 3] {
+    /// Returns Y [N/m], G [N/m] and D [N m] for the coefficients (1, 1, 1): 2 rho l^2 / T^2, 8 rho l^2 / T^2 and
+    /// 2 rho l^4 / T^2, times what the energy's means make of them. It averages stretch over H - 1 of H rows, and W
+    /// columns of edges stand side by side in a sheet as wide as W - 1 cells; likewise along the rows. Bends are
+    /// averaged over all particles, so only the number of columns or rows side by side counts: W for bends along a
+    /// column, H along a row, of which there is one coefficient, their geometric mean.
+    fn moduli_of_unit_coefficients(&self, Grid { h, w }: Grid) -> [f64; 3] {
         let Units { length_m: l, frame_time_s: t, areal_mass_kg_m2: rho } = *self;
         let membrane = rho * l * l / (t * t);
-        [2.0 * membrane, 8.0 * membrane, 2.0 * membrane * l * l]
+        let beside = |count: usize| count as f64 / (count - 1) as f64;
+        let both = beside(h) * beside(w);
+        [2.0 * membrane * both, 8.0 * membrane, 2.0 * membrane * l * l * both.sqrt()]
     }
 }

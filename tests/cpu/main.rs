@@ -8,6 +8,7 @@ mod cloth;
 mod cloths;
 mod fft;
 mod golden;
+mod moduli;
 mod network;
 mod newton;
 #[path = "../noise/mod.rs"]

@@ -25,13 +25,57 @@ fn drag_of_a_flat_plate() {
     let air = Air { density: 0.7, drag: 0.3 };
     add_wind(GRID, air, [0.4, 0.0, -1.0], (&state.x, &state.v), &mut f);
     let area = 8.0 * 11.0;
-    let expected = [0.3 * area * 0.3, -0.3 * area * 0.2, -0.7 * area * 1.5 * 1.5];
+    // Friction and pressure per mass of a cell, over one plus themselves: the drag at the end of the frame.
+    let (friction, pressure) = (0.3 / 1.3, 0.7 * 1.5 / (1.0 + 0.7 * 1.5));
+    let expected = [friction * area * 0.3, -friction * area * 0.2, -pressure * area * 1.5];
     for (found, expected) in force(&f).into_iter().zip(expected) {
         assert!((found - expected).abs() < 1e-10, "{found} is not {expected}");
     }
-    // A particle inside accelerates like the plate, as its mass is in proportion to its area.
-    let inside = 4 * GRID.w + 5;
-    assert!((f[2 * n + inside] + 0.7 * 1.5 * 1.5).abs() < 1e-12);
+    // Every particle accelerates like the plate, in the corners and on the border, too.
+    assert!(f[2 * n..].iter().all(|f| (f + pressure * 1.5).abs() < 1e-12), "{:?}", &f[2 * n..]);
+}
+
+/// A frame of drag brings a free plate closer to the air, but never past it, however light it is.
+#[test]
+fn air_never_turns_a_motion_round() {
+    let mut state = State::<f64>::rest(GRID, 1);
+    let n = GRID.particles();
+    state.v[2 * n..].fill(40.0);
+    for density in [1e-3, 1.0, 1e3, 1e6] {
+        let mut f = vec![0.0; 3 * n];
+        add_wind(GRID, Air { density, drag: density }, [0.0; 3], (&state.x, &state.v), &mut f);
+        let after = 40.0 / (1.0 + 40.0 * density);
+        for f in &f[2 * n..] {
+            assert!((40.0 + f - after).abs() < 1e-12 * 40.0, "{density}: {f}");
+        }
+    }
+}
+
+/// Forces on a sheet whose columns or rows are numbered the other way round are those of the sheet, to rounding.
+#[test]
+fn mirrored_sheets_feel_mirrored_forces() {
+    let n = GRID.particles();
+    let mut state = State::<f64>::rest(GRID, 1);
+    state.x.iter_mut().zip(noise(3 * n, 13)).for_each(|(x, noise)| *x += 0.4 * noise);
+    state.v = noise(3 * n, 14);
+    let (air, wind) = (Air { density: 0.7, drag: 0.3 }, [0.4, -0.8, 1.0]);
+    let forces = |x: &[f64], v: &[f64]| {
+        let mut f = vec![0.0; 3 * n];
+        add_wind(GRID, air, wind, (x, v), &mut f);
+        f
+    };
+    let straight = forces(&state.x, &state.v);
+    let largest = straight.iter().fold(0.0, |most: f64, f| most.max(f.abs()));
+    let columns = |p: usize| p / GRID.w * GRID.w + GRID.w - 1 - p % GRID.w;
+    let rows = |p: usize| (GRID.h - 1 - p / GRID.w) * GRID.w + p % GRID.w;
+    for mirror in [&columns as &dyn Fn(usize) -> usize, &rows] {
+        let mirrored =
+            |field: &[f64]| (0..3 * n).map(|k| field[k / n * n + mirror(k % n)]).collect::<Vec<_>>();
+        let found = mirrored(&forces(&mirrored(&state.x), &mirrored(&state.v)));
+        for (found, expected) in found.iter().zip(&straight) {
+            assert!((found - expected).abs() < 1e-14 * largest, "{found} is not {expected}");
+        }
+    }
 }
 
 #[test]

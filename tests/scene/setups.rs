@@ -195,8 +195,10 @@ fn a_new_grid_keeps_the_sheet() {
     assert!((after.units.length_m * 62.0 - 1.0).abs() < 1e-15);
     assert!((after.units.areal_mass_kg_m2 / before.units.areal_mass_kg_m2 - 1.0).abs() < 1e-14);
     let k = |s: &Setup| s.model.cloths[0].material;
-    assert!((k(&after).stretch / k(&before).stretch - 4.0).abs() < 1e-12);
-    assert!((k(&after).bend / k(&before).bend - 16.0).abs() < 1e-11);
+    let moduli = |s: &Setup| s.units.moduli(s.model.grid, k(s));
+    assert!((moduli(&after).stretch_modulus / moduli(&before).stretch_modulus - 1.0).abs() < 1e-12);
+    assert!((moduli(&after).shear_modulus / moduli(&before).shear_modulus - 1.0).abs() < 1e-12);
+    assert!((moduli(&after).bending_stiffness / moduli(&before).bending_stiffness - 1.0).abs() < 1e-12);
     // Grid coefficients are kept as given.
     scene.stiffness = Stiffness::Grid(Material { stretch: 5.0, shear: 6.0, bend: 7.0 });
     scene.regrid(Grid { h: 40, w: 40 }).unwrap();

@@ -38,15 +38,15 @@ fn gravity_forces_and_air_match() {
             control_accelerations: &control,
         };
         run(|schedule| kernel.push(schedule, grid, tensors, &external));
-        // The roundings of differences of positions, two products and six triangles.
+        // The roundings of differences of positions, two products and four cells.
         let atol = 16.0 * ROUNDING * largest(&expected);
         assert_close(&format!("external_force {batch} x {grid}"), &read(&external), &expected, (atol, 0.0));
     }
 }
 
-/// Triangles without area have no normal and feel no air.
+/// Cells without area have no normal and feel no air.
 #[test]
-fn air_ignores_triangles_without_area() {
+fn air_ignores_cells_without_area() {
     let _turn = device();
     let kernel = ExternalForce::new(context()).unwrap();
     let (grid, _) = cases().next().unwrap();
