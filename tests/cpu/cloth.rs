@@ -1,6 +1,6 @@
 //! Energies and gradients: golden files, central differences, and sheets whose energy has a closed form.
 
-use crate::golden::{Golden, narrowed, relative_error, widened};
+use crate::golden::{Golden, relative_error};
 use crate::noise::noise;
 use fnopt::cloth::{EnergyTerms, Grid, Material};
 use fnopt::cpu::cloth::{Frame, GradientRows, Trial, end_frame, energy, gradient, shifts, stretch};
@@ -149,28 +149,6 @@ fn slope_of_the_energy(grid: Grid) {
             (8.0 * (total_at(near) - total_at(-near)) - (total_at(far) - total_at(-far))) / (12.0 * near);
         sheet.a[k] = a;
         assert!((slope - grad).abs() < 1e-9 * scale, "dL/da[{k}] is {slope}, not {grad}");
-    }
-}
-
-#[test]
-fn gradients_of_rows_of_any_length_agree_in_both_precisions() {
-    for w in 8..=35 {
-        let mut sheet = crumpled(Grid { h: 8, w });
-        // Values that both precisions hold exactly, so that only the arithmetic differs.
-        for values in [&mut sheet.x, &mut sheet.v, &mut sheet.a, &mut sheet.f] {
-            values.iter_mut().for_each(|value| *value = f64::from(*value as f32));
-        }
-        let (expected, shift) = (sheet.gradient(), narrowed(&sheet.shift()));
-        let [x, a, f] = [&sheet.x, &sheet.a, &sheet.f].map(|values| narrowed(values));
-        let Sheet { grid, material, slots, .. } = &sheet;
-        let trial = Trial { grid: *grid, material: *material, x: &x, shift: &shift, a: &a, f: &f, slots };
-        // Working memory is reused, as it is between iterations.
-        let (mut rows, mut grad) = (GradientRows::new(*grid), vec![f32::NAN; x.len()]);
-        for _ in 0..2 {
-            gradient(&trial, &mut rows, &mut grad);
-            let error = relative_error(&widened(&grad), &expected);
-            assert!(error < 2e-6, "rows of {w}: {error:.1e}");
-        }
     }
 }
 

@@ -17,5 +17,6 @@ mod reference;
 mod repulsion;
 mod rollout;
 mod subspace;
+mod terms;
 mod update_rule;
 mod wind;

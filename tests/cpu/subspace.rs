@@ -114,7 +114,7 @@ fn curvature_is_the_change_of_the_gradient() {
 }
 
 #[test]
-fn fewer_directions_and_single_precision_give_the_same_model() {
+fn fewer_directions_give_the_same_model() {
     for grid in GRIDS {
         let frame = Frame::new(grid, 0.2, None);
         let (all, _) = frame.local_model::<f64>(4);
@@ -129,11 +129,6 @@ fn fewer_directions_and_single_precision_give_the_same_model() {
             }
             assert!(some.curvature[count] == [0.0; 4] && some.squares[count] == 0.0);
         }
-        let (single, _) = frame.local_model::<f32>(4);
-        for (found, expected) in single.curvature.as_flattened().iter().zip(all.curvature.as_flattened()) {
-            assert_near(&format!("{grid} in single precision"), *found, *expected, all.curvature[0][0], 1e-5);
-        }
-        assert_near("energy", single.energy.total(), all.energy.total(), all.energy.stretch, 1e-5);
     }
 }
 
