@@ -2,7 +2,7 @@
 //! (paper section 3).
 //!
 //! [`energy()`], [`gradient()`], [`local_model`] and [`Hessian`] are vectorised along rows, with their sums in another order
-//! each. What they sum is defined in [`terms`](crate::cloth::terms), and [`plain_total`] sums it plainly: the tests check
+//! each. What they sum is defined in [`terms`], and [`plain_total`] sums it plainly: the tests check
 //! the vectorised forms against it.
 
 mod cells;

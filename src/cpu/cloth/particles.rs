@@ -4,6 +4,10 @@
 //! The sums over a cloth ([`energy`](super::energy()), [`gradient`](super::gradient()),
 //! [`local_model`](super::local_model) and Newton's Hessian) call these for each row or particle, so another term of
 //! single particles is added here alone.
+#![expect(
+    clippy::needless_range_loop,
+    reason = "iterator adapters would not be compiled for the registers, see `rows`"
+)]
 
 use super::curvature::{EXTERNAL, INERTIA, Sums, pair};
 use super::rows::{at, width};
