@@ -1,9 +1,9 @@
 // Repulsion of particles close to each other (paper section 3.4): the acceleration it adds to the external
 // one, and its energy in partial sums over the particles of a cloth.
 //
-// With strength k, distance delta and e = SOFTENING, the energy is -k / (H W) sum log(d^2 + e) over ordered
-// pairs at a distance d < delta that no edge of the triangulated grid joins. A free particle of mass m gets
-// the acceleration 4 k / m sum (x_p - x_q) / (d^2 + e).
+// With strength k, distance delta and e = SOFTENING, the energy is -k / (H W) sum log((d^2 + e) / (delta^2 + e))
+// over ordered pairs at a distance d < delta that no edge of the triangulated grid joins: 0 where a pair enters
+// the range. A free particle of mass m gets the acceleration 4 k / m sum (x_p - x_q) / (d^2 + e).
 //
 // cloths: [B]
 // slots: [B, n]
@@ -47,12 +47,13 @@ fn joined(p: u32, q: u32) -> bool {
     return apart == 0u || apart == params.columns || (along && last % params.columns != 0u);
 }
 
-// Returns the sums of d / (d^2 + e) and -log(d^2 + e) over the particles of a cell that repel the one at
-// `own`.
+// Returns the sums of d / (d^2 + e) and -log((d^2 + e) / (delta^2 + e)) over the particles of a cell that repel
+// the one at `own`.
 fn from_cell(b: u32, cell: vec3i, own: vec3f, p: u32) -> vec4f {
     let n = params.rows * params.columns;
     let distance = cloths[b].repulsion.y;
     let per_edge = cloths[b].repulsion.z;
+    let limit = distance * distance + SOFTENING;
     let bucket = bucket_of(cell, params.buckets - 1u);
     var sum = vec4f();
     let end = end_of(b, bucket, params.buckets, n);
@@ -63,7 +64,7 @@ fn from_cell(b: u32, cell: vec3i, own: vec3f, p: u32) -> vec4f {
         let square = dot(difference, difference);
         // Other cells may share the bucket.
         if square < distance * distance && all(cell_of(place, per_edge) == cell) && !joined(p, other.w) {
-            sum += vec4f(difference / (square + SOFTENING), -log(square + SOFTENING));
+            sum += vec4f(difference / (square + SOFTENING), -log((square + SOFTENING) / limit));
         }
     }
     return sum;

@@ -21,9 +21,12 @@ pub struct EnergyTerms {
     pub inertia: f64,
     /// External forces: `-1 / (H W)` times the sum of `m a.f`; negative if they do work.
     pub external: f64,
-    /// Repulsion: `-k_repulsion / (H W)` times the sum of `log(d^2 + 1e-8)` over ordered pairs of particles
-    /// that are not joined by an edge of the triangulated grid and whose distance d is below that of the
-    /// [`Repulsion`](super::Repulsion); 0 without one.
+    /// Repulsion: `-k_repulsion / (H W)` times the sum of `log((d^2 + 1e-8) / (delta^2 + 1e-8))` over ordered
+    /// pairs of particles that are not joined by an edge of the triangulated grid and whose distance d is below
+    /// the distance delta of the [`Repulsion`](super::Repulsion); 0 without one.
+    ///
+    /// The paper's term is `log(d^2 + 1e-8)`. Both have the same gradient, but the paper's jumps where a pair
+    /// comes into range, unless delta is 1: a step that brings particles there would seem to raise the energy.
     #[serde(default)]
     pub repulsion: f64,
 }

@@ -12,6 +12,7 @@ use crate::eval::repulsion;
 use crate::io::entries;
 use crate::network::{Checkpoint, Weights};
 use crate::{Error, Result};
+use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -407,7 +408,9 @@ impl Checker<'_> {
         Ok(())
     }
 
-    /// Checks the repulsion at the file's positions, with lambda = 1.
+    /// Checks the repulsion at the file's positions, with lambda = 1. The file's energy is the paper's, which is
+    /// not 0 where a pair comes into range ([`EnergyTerms::repulsion`](crate::cloth::EnergyTerms::repulsion)): ours
+    /// is expected to be higher by the same amount for each pair.
     fn repulsion(&mut self, golden: &Golden) -> Result<()> {
         let [_, h, w] = golden.shape("positions")?;
         let grid = self.grid_with_cells(h, w)?;
@@ -417,9 +420,9 @@ impl Checker<'_> {
             return Err(Error::invalid(self.file, "threshold", "a distance above 0", distance));
         }
         let (expected, of_grad) = (golden.shaped("energy", &[])?, golden.shaped("gradient", &[3, h, w])?);
-        // The measure of an evaluation is computed on the host, in double precision.
+        let points: Vec<[f64; 3]> = (0..n).map(|p| [x[p], x[n + p], x[2 * n + p]]).collect();
+        // The measure of an evaluation is the paper's. It is computed on the host, in double precision.
         if self.stages.precision() == Precision::Double {
-            let points: Vec<[f64; 3]> = (0..n).map(|p| [x[p], x[n + p], x[2 * n + p]]).collect();
             let measured = repulsion(&points, &grid.faces(), distance);
             self.magnitude("energy (measure)", expected, &[measured], ENERGY_DOUBLE);
         }
@@ -429,10 +432,27 @@ impl Checker<'_> {
             Precision::Double => [ENERGY_DOUBLE; 2],
             Precision::Single | Precision::Half => [ENERGY_SINGLE, GRADIENT_SINGLE],
         };
-        self.magnitude("energy", expected, &[energy], of_energy);
+        let pairs = pairs_in_range(&points, &grid.faces(), distance) as f64;
+        let expected = expected[0] + pairs * (distance * distance + Repulsion::SOFTENING).ln();
+        self.magnitude("energy", &[expected], &[energy], of_energy);
         self.in_norm("gradient", of_grad, &grad, in_norm);
         Ok(())
     }
+}
+
+/// Returns the number of ordered pairs of particles closer than `distance` that no edge of a face joins, by looking
+/// at all of them.
+fn pairs_in_range(points: &[[f64; 3]], faces: &[[u32; 3]], distance: f64) -> usize {
+    let edges = faces.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
+    let joined: HashSet<(u32, u32)> = edges.flat_map(|(p, q)| [(p, q), (q, p)]).collect();
+    let is_near = |p: &[f64; 3], q: &[f64; 3]| {
+        (0..3).map(|c| (p[c] - q[c]) * (p[c] - q[c])).sum::<f64>() < distance * distance
+    };
+    let of = |(p, own): (usize, &[f64; 3])| {
+        let others = points.iter().enumerate().filter(move |&(q, _)| q != p);
+        others.filter(|(q, other)| is_near(own, other) && !joined.contains(&(p as u32, *q as u32))).count()
+    };
+    points.iter().enumerate().map(of).sum()
 }
 
 /// Returns the displacements of a batch without acceleration, [B, 3, H, W]: a particle's velocity, or

@@ -13,6 +13,24 @@ use fnopt::verify::{CpuStages, Stages};
 
 const GRID: Grid = Grid { h: 12, w: 15 };
 
+/// What our energy adds to the authors' for each ordered pair, so that it is 0 at the distance.
+fn at_distance(distance: f64) -> f64 {
+    (distance * distance + 1e-8).ln()
+}
+
+/// Returns which particles of a grid an edge of a face joins.
+fn adjacent(grid: Grid) -> Vec<Vec<bool>> {
+    let n = grid.particles();
+    let mut adjacent = vec![vec![false; n]; n];
+    for face in grid.faces() {
+        for (p, q) in [(0, 1), (1, 2), (2, 0)] {
+            let (p, q) = (face[p] as usize, face[q] as usize);
+            (adjacent[p][q], adjacent[q][p]) = (true, true);
+        }
+    }
+    adjacent
+}
+
 /// The arrays that a trial borrows.
 struct Sheet {
     x: Vec<f64>,
@@ -62,7 +80,15 @@ fn energies_and_gradients_agree_with_the_authors() {
         let of_cloth = Repulsion { strength: grid.particles() as f64, distance: file.get("threshold")[0] };
         let mut stages = CpuStages::<f64>::new();
         let (energy, gradient) = stages.repulsion(grid, &file.get("positions"), of_cloth).unwrap();
-        let expected = file.get("energy")[0];
+        // The file has the authors' value, which is not 0 at the distance.
+        let (x, n) = (file.get("positions"), grid.particles());
+        let square =
+            |p: usize, q: usize| [0, 1, 2].map(|c| (x[c * n + p] - x[c * n + q]).powi(2)).iter().sum::<f64>();
+        let adjacent = adjacent(grid);
+        let is_near =
+            |p: usize, q: usize| p != q && !adjacent[p][q] && square(p, q).sqrt() < of_cloth.distance;
+        let pairs = (0..n * n).filter(|pair| is_near(pair / n, pair % n)).count();
+        let expected = file.get("energy")[0] + pairs as f64 * at_distance(of_cloth.distance);
         assert!((energy - expected).abs() < 1e-12 * expected, "{name}: {energy}, not {expected}");
         assert!(relative_error(&gradient, &file.get("gradient")) < 1e-12, "{name}");
     }
@@ -74,15 +100,8 @@ fn every_pair_in_range_and_not_adjacent_counts() {
     for distance in [0.2, 0.5, 1.0] {
         let of_cloth = Repulsion { strength: 0.3, distance };
         let (energy, total) = sheet.repel(of_cloth);
-        let mut adjacent = vec![vec![false; n]; n];
-        for face in GRID.faces() {
-            for (p, q) in [(0, 1), (1, 2), (2, 0)] {
-                let (p, q) = (face[p] as usize, face[q] as usize);
-                (adjacent[p][q], adjacent[q][p]) = (true, true);
-            }
-        }
         let (mut sum, mut pairs, mut expected) = (0.0, 0, sheet.f.clone());
-        for (p, adjacent) in adjacent.iter().enumerate() {
+        for (p, adjacent) in adjacent(GRID).iter().enumerate() {
             for q in (0..n).filter(|&q| q != p && !adjacent[q]) {
                 let (own, other) = (sheet.place(p), sheet.place(q));
                 let offset = [0, 1, 2].map(|c| own[c] - other[c]);
@@ -98,14 +117,15 @@ fn every_pair_in_range_and_not_adjacent_counts() {
             }
         }
         assert!(pairs > 20, "{pairs} pairs");
-        sum *= 0.3 / n as f64;
+        let shift = 0.3 / n as f64 * f64::from(pairs) * at_distance(distance);
+        sum = 0.3 / n as f64 * sum + shift;
         assert!((energy - sum).abs() < 1e-12 * sum.abs(), "{energy}, not {sum}");
         let largest = expected.iter().fold(0.0, |most: f64, a| most.max(a.abs()));
         for (found, expected) in total.iter().zip(&expected) {
             assert!((found - expected).abs() < 1e-12 * largest, "{found}, not {expected}");
         }
         let points: Vec<[f64; 3]> = (0..n).map(|p| sheet.place(p)).collect();
-        let measured = 0.3 / n as f64 * eval::repulsion(&points, &GRID.faces(), distance);
+        let measured = 0.3 / n as f64 * eval::repulsion(&points, &GRID.faces(), distance) + shift;
         assert!((energy - measured).abs() < 1e-12 * energy.abs(), "{energy}, measured {measured}");
     }
 }
@@ -132,6 +152,26 @@ fn pushes_are_the_slope_of_the_energy() {
             let expected = -mass * (total[at] - sheet.f[at]);
             assert!((slope - expected).abs() < 1e-6 * expected.abs().max(1e-2), "{slope}, not {expected}");
         }
+    }
+}
+
+/// A pair that comes into range does not raise the energy at once: a hair inside it is as little as the slope
+/// says, and outside it is 0.
+#[test]
+fn the_energy_begins_at_zero() {
+    let n = GRID.particles();
+    for distance in [0.3, 0.5, 1.0] {
+        let of_cloth = Repulsion { strength: 0.3, distance };
+        let energy = |apart: f64| {
+            // Two particles near each other, and all others far from everything.
+            let x = (0..3 * n).map(|k| 10.0 * (k % n) as f64 * f64::from(u8::from(k < n))).collect();
+            let mut sheet = Sheet { x, shift: vec![0.0; 3 * n], f: vec![0.0; 3 * n], slots: vec![0; n] };
+            sheet.x[100] = sheet.x[3] + apart;
+            sheet.repel(of_cloth).0
+        };
+        assert_eq!(energy(distance + 1e-9), 0.0);
+        let (inside, slope) = (energy(distance - 1e-6), 4.0 * 0.3 / n as f64 / distance);
+        assert!((inside - 1e-6 * slope).abs() < 1e-5 * inside, "{inside:e} at {distance}");
     }
 }
 

@@ -3,7 +3,7 @@
 use super::Trial;
 use super::cells::{Cells, Placed, Walk};
 use super::vector::{add, at, dot, scaled, sub};
-use crate::cloth::Repulsion;
+use crate::cloth::{Grid, Repulsion};
 use crate::cpu::Real;
 use rayon::prelude::*;
 
@@ -13,41 +13,76 @@ const TASK: usize = 1024;
 /// Sets `total_acceleration` [3, H, W] to the external accelerations of a trial plus those of the repulsion,
 /// and returns the repulsion's energy.
 ///
-/// With strength k and distance delta, the energy is `-k / (H W)` times the sum of `log(d^2 + 1e-8)` over
-/// ordered pairs of particles at a distance d < delta that no edge of the triangulated grid joins. It depends
+/// With strength k and distance delta, the energy is `-k / (H W)` times the sum of
+/// `log((d^2 + 1e-8) / (delta^2 + 1e-8))` over ordered pairs of particles at a distance d < delta that no edge of
+/// the triangulated grid joins. The paper's term is `log(d^2 + 1e-8)`, which has the same gradient, but jumps
+/// where a pair enters the range; this one begins at 0 there. It depends
 /// on positions alone, so its gradient with respect to the acceleration of a free particle of mass m is that
 /// of a force, the acceleration `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`. Handles repel others, but are not
 /// accelerated themselves.
 pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, total_acceleration: &mut [T]) -> f64 {
     let (grid, n) = (trial.grid, trial.grid.particles());
-    let Repulsion { strength, distance } = repulsion;
-    let (distance, softening) = (T::of(distance), T::of(Repulsion::SOFTENING));
-    let cells = Cells::new(trial, distance);
+    let strength = repulsion.strength;
+    let range = Range::<T>::of(grid, repulsion);
     let of_particle = |walk: &mut Walk<'_, T>, own: &Placed<T>| {
         let (mut sum, mut energy, p) = ([T::zero(); 3], 0.0, own.particle);
-        let around = own.is_within_reach().then(|| walk.around(own));
-        for other in around.into_iter().flatten() {
-            let difference = sub(own.place, other.place);
-            let square = dot(difference, difference);
-            if square < distance * distance && !grid.joined(p, other.particle) {
-                let square = square + softening;
-                sum = add(sum, scaled(difference, square.recip()));
-                energy -= square.f64().ln();
-            }
-        }
+        range.pairs(walk, own, |_, difference, square| {
+            sum = add(sum, scaled(difference, square.recip()));
+            energy -= (square / range.limit).f64().ln();
+        });
         let f = at(trial.f, n, p);
         let factor = T::of(4.0 * strength / grid.mass(p / grid.w, p % grid.w));
         (p, if trial.slots[p] == 0 { add(f, scaled(sum, factor)) } else { f }, energy)
     };
-    let of_task = |task: &[Placed<T>]| {
-        let mut walk = cells.walk(&task[0]);
-        task.iter().map(|own| of_particle(&mut walk, own)).collect()
-    };
-    let tasks: Vec<Vec<_>> = cells.sorted().par_chunks(TASK).map(of_task).collect();
     let mut energy = 0.0;
-    for (p, acceleration, of_particle) in tasks.into_iter().flatten() {
+    for (p, acceleration, of_particle) in range.of_particles(trial, of_particle) {
         [total_acceleration[p], total_acceleration[n + p], total_acceleration[2 * n + p]] = acceleration;
         energy += of_particle;
     }
     strength / n as f64 * energy
+}
+
+/// Which particles repel each other.
+struct Range<T> {
+    grid: Grid,
+    /// The distance below which they do \[edges\].
+    distance: T,
+    softening: T,
+    /// Its square, softened.
+    limit: T,
+}
+
+impl<T: Real> Range<T> {
+    fn of(grid: Grid, repulsion: Repulsion) -> Self {
+        let (distance, softening) = (T::of(repulsion.distance), T::of(Repulsion::SOFTENING));
+        Self { grid, distance, softening, limit: distance * distance + softening }
+    }
+
+    /// Calls `of_particle` for each particle of a trial, in a fixed order, and returns what it returns.
+    fn of_particles<R: Send>(
+        &self,
+        trial: &Trial<'_, T>,
+        of_particle: impl Fn(&mut Walk<'_, T>, &Placed<T>) -> R + Sync,
+    ) -> impl Iterator<Item = R> {
+        let cells = Cells::new(trial, self.distance);
+        let of_task = |task: &[Placed<T>]| {
+            let mut walk = cells.walk(&task[0]);
+            task.iter().map(|own| of_particle(&mut walk, own)).collect()
+        };
+        let tasks: Vec<Vec<R>> = cells.sorted().par_chunks(TASK).map(of_task).collect();
+        tasks.into_iter().flatten()
+    }
+
+    /// Calls `of_pair` for each particle that repels `own`, with its number, the difference to `own` and that
+    /// squared and softened.
+    fn pairs(&self, walk: &mut Walk<'_, T>, own: &Placed<T>, mut of_pair: impl FnMut(usize, [T; 3], T)) {
+        let around = own.is_within_reach().then(|| walk.around(own));
+        for other in around.into_iter().flatten() {
+            let difference = sub(own.place, other.place);
+            let square = dot(difference, difference);
+            if square < self.distance * self.distance && !self.grid.joined(own.particle, other.particle) {
+                of_pair(other.particle, difference, square + self.softening);
+            }
+        }
+    }
 }
