@@ -4,7 +4,7 @@
 use super::Real;
 use super::cloth::{
     CurvatureRows, Frame, GradientRows, LocalModel, Trial, add_wind, end_frame, energy, gradient,
-    local_model, repulsion, shifts, stretch,
+    local_model, repulsion, repulsion_curvature, shifts, stretch,
 };
 use super::optim::norm;
 use crate::cloth::{Control, EnergyTerms, Model, State};
@@ -207,8 +207,7 @@ impl<T: Real> Objective<T> {
     }
 
     /// Returns the energy of cloth `b` at the trial of the last [`Objective::evaluate`], and its slopes and second
-    /// derivatives along `directions` [K, 3, H, W], which are 0 at handles. Those of the repulsion are left out: it acts
-    /// over short distances, and a step that it makes too long is shortened.
+    /// derivatives along `directions` [K, 3, H, W], which are 0 at handles.
     pub fn local_model(
         &self,
         state: &State<T>,
@@ -219,6 +218,12 @@ impl<T: Real> Objective<T> {
         let grad = &self.grad[b * self.cloth_len()..][..self.cloth_len()];
         let mut model = local_model(&trial, rows, directions, grad);
         model.energy.repulsion = self.repulsion_energy[b];
+        if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
+            let of_repulsion = repulsion_curvature(&trial, of_cloth, directions);
+            for (sums, of_repulsion) in model.curvature.iter_mut().zip(of_repulsion) {
+                sums.iter_mut().zip(of_repulsion).for_each(|(sum, of_repulsion)| *sum += of_repulsion);
+            }
+        }
         model
     }
 

@@ -4,7 +4,7 @@
 use crate::golden::{Golden, relative_error};
 use crate::noise::noise;
 use fnopt::cloth::{Grid, Material, Repulsion, State};
-use fnopt::cpu::cloth::{Cells, Trial, repulsion};
+use fnopt::cpu::cloth::{Cells, Trial, repulsion, repulsion_curvature};
 use fnopt::cpu::{Reference, Solver};
 use fnopt::eval;
 use fnopt::scene::{RepulsionSettings, Scene};
@@ -151,6 +151,55 @@ fn pushes_are_the_slope_of_the_energy() {
             let mass = GRID.mass(p / GRID.w, p % GRID.w) / n as f64;
             let expected = -mass * (total[at] - sheet.f[at]);
             assert!((slope - expected).abs() < 1e-6 * expected.abs().max(1e-2), "{slope}, not {expected}");
+        }
+    }
+}
+
+/// Returns directions [K, 3, H, W] that are 0 at the handles of a sheet.
+fn directions(sheet: &Sheet, count: usize) -> Vec<f64> {
+    let n = GRID.particles();
+    let mut directions = noise(3 * n * count, 94);
+    (0..directions.len()).filter(|k| sheet.slots[k % n] != 0).for_each(|k| directions[k] = 0.0);
+    directions
+}
+
+/// The second derivatives are the change of the pushes, along directions.
+#[test]
+fn second_derivatives_are_the_change_of_the_pushes() {
+    let (sheet, n) = (Sheet::crumpled(), GRID.particles());
+    for distance in [0.5, 0.8] {
+        let of_cloth = Repulsion { strength: 0.3, distance };
+        let directions = directions(&sheet, 4);
+        let along = |k: usize| &directions[3 * n * k..][..3 * n];
+        // The gradient at the positions moved by `length` along direction `k`, 0 at handles.
+        let gradient = |k: usize, length: f64| -> Vec<f64> {
+            let x = sheet.x.iter().zip(along(k)).map(|(x, d)| x + length * d).collect();
+            let moved =
+                Sheet { x, shift: sheet.shift.clone(), f: sheet.f.clone(), slots: sheet.slots.clone() };
+            let (_, total) = moved.repel(of_cloth);
+            let mass = |p: usize| GRID.mass(p / GRID.w, p % GRID.w) / n as f64;
+            total.iter().zip(&sheet.f).enumerate().map(|(k, (total, f))| -mass(k % n) * (total - f)).collect()
+        };
+        let found = sheet.with_trial(|trial| repulsion_curvature(trial, of_cloth, &directions));
+        let step = 1e-7;
+        for i in 0..4 {
+            let change: Vec<f64> = (gradient(i, step).iter().zip(gradient(i, -step)))
+                .map(|(ahead, behind)| (ahead - behind) / (2.0 * step))
+                .collect();
+            for j in 0..4 {
+                let expected: f64 = along(j).iter().zip(&change).map(|(p, change)| p * change).sum();
+                let scale = (found[i][i] * found[j][j]).abs().sqrt();
+                assert!(
+                    (found[i][j] - expected).abs() < 1e-6 * scale,
+                    "{i} and {j}: {}, not {expected}",
+                    found[i][j]
+                );
+            }
+        }
+        // Fewer directions have the same second derivatives.
+        let fewer = sheet.with_trial(|trial| repulsion_curvature(trial, of_cloth, &directions[..6 * n]));
+        for (i, j) in (0..16).map(|k| (k / 4, k % 4)) {
+            assert_eq!(fewer[i][j], if i.max(j) < 2 { found[i][j] } else { 0.0 });
         }
     }
 }

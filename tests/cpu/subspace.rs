@@ -87,8 +87,10 @@ fn assert_near(what: &str, found: f64, expected: f64, scale: f64, tolerance: f64
 
 #[test]
 fn curvature_is_the_change_of_the_gradient() {
-    for grid in GRIDS {
-        let frame = Frame::new(grid, 0.2, None);
+    // So strong that the repulsion makes up much of the curvature.
+    let strong = Some(Repulsion { strength: 500.0, distance: 0.9 });
+    for (grid, crumpled, repulsion) in GRIDS.into_iter().flat_map(|g| [(g, 0.2, None), (g, 0.5, strong)]) {
+        let frame = Frame::new(grid, crumpled, repulsion);
         let len = frame.a.len();
         let (model, terms) = frame.local_model::<f64>(4);
         let grad = frame.gradient(0, 0.0);
@@ -97,13 +99,22 @@ fn curvature_is_the_change_of_the_gradient() {
             let what = format!("{grid}, direction {i}");
             assert_near(&what, model.slopes[i], dot(along(i), &grad), dot(&grad, &grad).sqrt() * 30.0, 1e-13);
             assert_near(&what, model.squares[i], dot(along(i), along(i)), model.squares[i], 1e-12);
-            let step = 1e-5;
+            // So short that no pair enters or leaves the range, where the gradient jumps.
+            let step = if repulsion.is_some() { 1e-7 } else { 1e-5 };
             let [ahead, behind] = [step, -step].map(|length| frame.gradient(i, length));
             for j in 0..4 {
                 let change = (dot(along(j), &ahead) - dot(along(j), &behind)) / (2.0 * step);
                 let scale = (model.curvature[i][i] * model.curvature[j][j]).abs().sqrt();
                 assert_near(&format!("{what} and {j}"), model.curvature[i][j], change, scale, 1e-6);
             }
+        }
+        if repulsion.is_some() {
+            let mut without = Frame::new(grid, crumpled, None);
+            without.state = frame.state.clone();
+            let (without, _) = without.local_model::<f64>(4);
+            let share =
+                (model.curvature[0][0] - without.curvature[0][0]).abs() / without.curvature[0][0].abs();
+            assert!(share > 0.01, "the repulsion adds {share:e} on {grid}");
         }
         let found = model.energy;
         let found = [found.stretch, found.shear, found.bend, found.inertia, found.external, found.repulsion];
@@ -340,9 +351,12 @@ fn the_energy_never_rises_from_accepted_step_to_step() {
     for (grid, stretch) in
         [(Grid { h: 8, w: 8 }, 1e6), (Grid { h: 8, w: 40 }, 10.0), (Grid { h: 24, w: 16 }, 1e4)]
     {
-        for (optimizer, crumpled) in optimizers().into_iter().flat_map(|o| [0.3, 2.0].map(|c| (o.clone(), c)))
+        let near = Some(Repulsion { strength: 1.0, distance: 0.9 });
+        let sheets = [(0.3, None), (2.0, None), (2.0, near)];
+        for (optimizer, (crumpled, repulsion)) in
+            optimizers().into_iter().flat_map(|o| sheets.map(|sheet| (o.clone(), sheet)))
         {
-            let mut frame = Frame::new(grid, crumpled, None);
+            let mut frame = Frame::new(grid, crumpled, repulsion);
             frame.model.cloths[0].material.stretch = stretch;
             let mut last = f64::INFINITY;
             for iterations in 1..=12 {
@@ -351,7 +365,10 @@ fn the_energy_never_rises_from_accepted_step_to_step() {
                 let stats = solver.step(&mut state, &frame.control);
                 let energy = stats[0].energy.total();
                 let rounding = 1e-12 * (stats[0].energy.stretch + stats[0].energy.shear);
-                let what = format!("{} on {grid}, {crumpled}, {iterations} iterations", optimizer.name());
+                let what = format!(
+                    "{} on {grid}, {crumpled}, repulsion {repulsion:?}, {iterations} iterations",
+                    optimizer.name()
+                );
                 assert!(energy <= last + rounding, "{what}: {energy} after {last}");
                 last = energy;
             }

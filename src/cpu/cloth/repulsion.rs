@@ -5,6 +5,7 @@ use super::cells::{Cells, Placed, Walk};
 use super::vector::{add, at, dot, scaled, sub};
 use crate::cloth::{Grid, Repulsion};
 use crate::cpu::Real;
+use crate::sim::MAX_DIRECTIONS;
 use rayon::prelude::*;
 
 /// Number of particles per task.
@@ -16,9 +17,10 @@ const TASK: usize = 1024;
 /// With strength k and distance delta, the energy is `-k / (H W)` times the sum of
 /// `log((d^2 + 1e-8) / (delta^2 + 1e-8))` over ordered pairs of particles at a distance d < delta that no edge of
 /// the triangulated grid joins. The paper's term is `log(d^2 + 1e-8)`, which has the same gradient, but jumps
-/// where a pair enters the range; this one begins at 0 there. It depends
-/// on positions alone, so its gradient with respect to the acceleration of a free particle of mass m is that
-/// of a force, the acceleration `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`. Handles repel others, but are not
+/// where a pair enters the range; this one begins at 0 there.
+///
+/// It depends on positions alone, so its gradient with respect to the acceleration of a free particle of mass m is
+/// that of a force, the acceleration `4 k / m sum (x_p - x_q) / (d^2 + 1e-8)`. Handles repel others, but are not
 /// accelerated themselves.
 pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, total_acceleration: &mut [T]) -> f64 {
     let (grid, n) = (trial.grid, trial.grid.particles());
@@ -40,6 +42,59 @@ pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, total_acce
         energy += of_particle;
     }
     strength / n as f64 * energy
+}
+
+/// Returns the repulsion's second derivatives `p_i . (d2E/da2) p_j` along `directions` [K, 3, H, W], which are 0 at
+/// handles; 0 past K.
+///
+/// With the difference r of two particles, `s = r.r + 1e-8` and the differences q_i of the directions there, an
+/// ordered pair adds `2 k / (H W) (2 (r.q_i) (r.q_j) / s^2 - q_i.q_j / s)`: it is convex along r and concave across.
+pub fn repulsion_curvature<T: Real>(
+    trial: &Trial<'_, T>,
+    repulsion: Repulsion,
+    directions: &[T],
+) -> [[f64; MAX_DIRECTIONS]; MAX_DIRECTIONS] {
+    let (grid, n) = (trial.grid, trial.grid.particles());
+    let count = directions.len() / (3 * n);
+    let mut curvature = [[0.0; MAX_DIRECTIONS]; MAX_DIRECTIONS];
+    if count == 0 {
+        return curvature;
+    }
+    let range = Range::<T>::of(grid, repulsion);
+    let of_particle = |walk: &mut Walk<'_, T>, own: &Placed<T>| {
+        let mut sums = [[0.0; MAX_DIRECTIONS]; MAX_DIRECTIONS];
+        range.pairs(walk, own, |q, difference, square| {
+            // Once for both orders.
+            if q < own.particle {
+                return;
+            }
+            let inverse = square.recip();
+            let unit = scaled(difference, inverse);
+            let mut along = [T::zero(); MAX_DIRECTIONS];
+            let mut changes = [[T::zero(); 3]; MAX_DIRECTIONS];
+            for (i, p) in directions.chunks_exact(3 * n).enumerate() {
+                changes[i] = sub(at(p, n, own.particle), at(p, n, q));
+                along[i] = dot(unit, changes[i]);
+            }
+            for i in 0..count {
+                for j in i..count {
+                    let convex = along[i] * along[j];
+                    sums[i][j] += (convex + convex - inverse * dot(changes[i], changes[j])).f64();
+                }
+            }
+        });
+        sums
+    };
+    let factor = 4.0 * repulsion.strength / n as f64;
+    for sums in range.of_particles(trial, of_particle) {
+        for i in 0..count {
+            for j in i..count {
+                curvature[i][j] += factor * sums[i][j];
+                curvature[j][i] = curvature[i][j];
+            }
+        }
+    }
+    curvature
 }
 
 /// Which particles repel each other.
