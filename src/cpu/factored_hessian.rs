@@ -1,7 +1,9 @@
 //! Newton steps from the sparse Hessian of a frame's energy and its Cholesky factors.
 
-use super::cloth::{AFTER, Hessian, Projection, Trial, add_own_block, neighbours};
-use crate::cloth::Grid;
+use super::cloth::{
+    AFTER, Hessian, Projection, RepellingPair, Trial, add_own_block, neighbours, repelling_pairs,
+};
+use crate::cloth::{Grid, Repulsion};
 use crate::cpu::optim::InverseHessian;
 use crate::{Error, Result, memory};
 use faer::dyn_stack::{MemBuffer, MemStack, StackReq};
@@ -38,18 +40,17 @@ const ROUNDING: f32 = 1e-6;
 /// step is judged by the energy itself, and the next step undoes the rounding error of this one.
 ///
 /// The unknowns are ordered by particle, three components each, and the particles by minimum degree, which
-/// keeps the factors sparse. The pattern is the same at every trial, so the symbolic factorisation and all
-/// memory are set up once.
+/// keeps the factors sparse. The pattern of the elastic energy is the same at every trial, so the symbolic
+/// factorisation and all memory are set up once. Particles that repel each other add to the pattern: it is
+/// analysed again when pairs come into range that it does not contain.
 pub struct FactoredHessian {
     grid: Grid,
     hessian: Hessian,
-    /// Particles in the order of the unknowns.
-    order: Vec<usize>,
-    /// The pattern of the lower triangle, and the place of each of its numbers in the Hessian.
-    pattern: SymbolicSparseColMat<usize>,
-    sources: Vec<u32>,
+    analysis: Analysis,
+    /// Whether the analysis contains pairs of trials before the last [`FactoredHessian::reset`].
+    is_stale: bool,
+    /// Numbers of the lower triangle.
     values: Vec<f32>,
-    symbolic: SymbolicCholesky<usize>,
     /// Factors of the last trial.
     factors: Vec<f32>,
     workspace: MemBuffer,
@@ -58,20 +59,42 @@ pub struct FactoredHessian {
     projection: Projection,
 }
 
-impl FactoredHessian {
-    /// Analyses the pattern of a grid. Fails if there is not enough memory.
-    pub fn new(grid: Grid) -> Result<Self> {
+/// The symbolic factorisation of a pattern.
+struct Analysis {
+    /// Pairs of particles that share no elastic term but may repel each other, the smaller number first, sorted.
+    pairs: Vec<(usize, usize)>,
+    /// Particles in the order of the unknowns.
+    order: Vec<usize>,
+    /// The pattern of the lower triangle, and the place of each of its numbers: in the elastic Hessian, and past its
+    /// end in the blocks of the pairs, shape [pairs, 3, 3].
+    pattern: SymbolicSparseColMat<usize>,
+    sources: Vec<u32>,
+    symbolic: SymbolicCholesky<usize>,
+}
+
+impl Analysis {
+    /// Analyses the pattern of `hessian` and those pairs. Fails if there is not enough memory.
+    fn new(grid: Grid, hessian: &Hessian, pairs: Vec<(usize, usize)>) -> Result<Self> {
         let n = grid.particles();
-        let hessian = Hessian::new(grid)?;
-        let (order, places) = minimum_degree(grid)?;
+        let mut repelled = vec![Vec::new(); n];
+        for &(p, q) in &pairs {
+            repelled[p].push(q);
+            repelled[q].push(p);
+        }
+        let near = |p: usize| neighbours(grid, p).chain(repelled[p].iter().copied());
+        let (order, places) = minimum_degree(n, near)?;
         let (mut starts, mut rows, mut sources) = (vec![0], Vec::new(), Vec::new());
         // Per component, on average: 2 numbers of its particle's own lower triangle, and 3 for each of the
         // particles after it.
-        let most = 3 * n * (2 + 3 * AFTER);
+        let most = 3 * n * (2 + 3 * AFTER) + 9 * pairs.len();
         memory::reserve(&mut rows, most, FACTORS)?;
         memory::reserve(&mut sources, most, FACTORS)?;
+        let of_pair = |p: usize, q: usize| {
+            let k = pairs.binary_search(&(p.min(q), p.max(q))).expect("neighbours share a term");
+            hessian.values().len() + 9 * k
+        };
         for (place, &q) in order.iter().enumerate() {
-            let mut later: Vec<usize> = neighbours(grid, q).map(|p| places[p]).collect();
+            let mut later: Vec<usize> = near(q).map(|p| places[p]).collect();
             later.retain(|&other| other > place);
             later.sort_unstable();
             for column in 0..3 {
@@ -79,16 +102,15 @@ impl FactoredHessian {
                 let others = later.iter().flat_map(|&other| (0..3).map(move |row| (other, row)));
                 for (other, row) in own.chain(others) {
                     rows.push(3 * other + row);
-                    let source = hessian.index_of((order[other], row), (q, column));
-                    let source = source.expect("neighbours share a term");
+                    let p = order[other];
+                    let elastic = hessian.index_of((p, row), (q, column));
+                    // The block of a pair is symmetric.
+                    let source = elastic.unwrap_or_else(|| of_pair(p, q) + 3 * row + column);
                     sources.push(u32::try_from(source).expect("the largest grid has a billion numbers"));
                 }
                 starts.push(rows.len());
             }
         }
-        let mut values = Vec::new();
-        memory::reserve(&mut values, rows.len(), FACTORS)?;
-        values.resize(rows.len(), 0.0);
         let pattern = SymbolicSparseColMat::new_checked(3 * n, 3 * n, starts, None, rows);
         let supernodal_params = SymbolicSupernodalParams { relax: Some(RELAX) };
         let params = CholeskySymbolicParams { supernodal_params, ..Default::default() };
@@ -99,42 +121,64 @@ impl FactoredHessian {
             let ordering = SymmetricOrdering::Identity;
             factorize_symbolic_cholesky(upper.as_ref(), Side::Upper, ordering, params).map_err(unsolved)?
         };
-        let mut factors = Vec::new();
-        memory::reserve(&mut factors, symbolic.len_val(), FACTORS)?;
-        factors.resize(symbolic.len_val(), 0.0);
+        Ok(Self { pairs, order, pattern, sources, symbolic })
+    }
+
+    /// Allocates the numbers of the lower triangle, those of the factors, and working memory.
+    fn memory(&self) -> Result<(Vec<f32>, Vec<f32>, MemBuffer)> {
+        let zeros = |len: usize| -> Result<Vec<f32>> {
+            let mut numbers = Vec::new();
+            memory::reserve(&mut numbers, len, FACTORS)?;
+            numbers.resize(len, 0.0);
+            Ok(numbers)
+        };
         let workspace = StackReq::or(
-            symbolic.factorize_numeric_llt_scratch::<f32>(Par::Seq, Default::default()),
-            symbolic.solve_in_place_scratch::<f32>(1, Par::Seq),
+            self.symbolic.factorize_numeric_llt_scratch::<f32>(Par::Seq, Default::default()),
+            self.symbolic.solve_in_place_scratch::<f32>(1, Par::Seq),
         );
+        let workspace = MemBuffer::try_new(workspace).map_err(unsolved)?;
+        Ok((zeros(self.sources.len())?, zeros(self.symbolic.len_val())?, workspace))
+    }
+}
+
+impl FactoredHessian {
+    /// Analyses the pattern of a grid. Fails if there is not enough memory.
+    pub fn new(grid: Grid) -> Result<Self> {
+        let hessian = Hessian::new(grid)?;
+        let analysis = Analysis::new(grid, &hessian, Vec::new())?;
+        let (values, factors, workspace) = analysis.memory()?;
+        let unknowns = vec![0.0; 3 * grid.particles()];
         Ok(Self {
             grid,
             hessian,
-            order,
-            pattern,
-            sources,
+            analysis,
+            is_stale: false,
             values,
-            symbolic,
             factors,
-            workspace: MemBuffer::try_new(workspace).map_err(unsolved)?,
-            unknowns: vec![0.0; 3 * n],
+            workspace,
+            unknowns,
             projection: FIRST,
         })
     }
 
-    /// Resets the projection to its first value.
+    /// Forgets the trials before, which must not change what follows: the projection and the pairs that repelled
+    /// each other.
     pub fn reset(&mut self) {
         self.projection = FIRST;
+        self.is_stale = !self.analysis.pairs.is_empty();
     }
 
-    /// Factors the Hessian at a trial, removing about as little of its negative curvature as makes it
+    /// Factors the Hessian at a trial, with that of the repulsion if there is one, removing about as little of its negative curvature as makes it
     /// positive definite.
     ///
     /// Full projection always gives a definite matrix but converges slowly: much of a folded sheet is
     /// compressed, and there the projected Hessian is far stiffer than the cloth.
-    pub fn factor(&mut self, trial: &Trial<'_, f64>) -> Result<()> {
+    pub fn factor(&mut self, trial: &Trial<'_, f64>, repulsion: Option<Repulsion>) -> Result<()> {
+        let pairs = repulsion.map_or_else(Vec::new, |repulsion| repelling_pairs(trial, repulsion));
+        self.contain(&pairs)?;
         loop {
-            self.assemble(trial, self.projection);
-            let matrix = SparseColMatRef::new(self.pattern.as_ref(), &self.values);
+            self.assemble(trial, &pairs, self.projection);
+            let matrix = SparseColMatRef::new(self.analysis.pattern.as_ref(), &self.values);
             let Projection(share) = self.projection;
             // Without negative curvature the matrix is definite, so a pivot that is not positive is due to
             // rounding alone.
@@ -146,7 +190,7 @@ impl FactoredHessian {
                     dynamic_regularization_epsilon: ROUNDING * largest,
                 },
             };
-            let factored = self.symbolic.factorize_numeric_llt(
+            let factored = self.analysis.symbolic.factorize_numeric_llt(
                 &mut self.factors,
                 matrix,
                 Side::Lower,
@@ -166,9 +210,23 @@ impl FactoredHessian {
         }
     }
 
+    /// Analyses the pattern again if it lacks one of these pairs, or has those of earlier frames.
+    fn contain(&mut self, pairs: &[RepellingPair]) -> Result<()> {
+        let share_no_term = |p: usize, q: usize| self.hessian.index_of((p, 0), (q, 0)).is_none();
+        let pairs = pairs.iter().map(|pair| (pair.p, pair.q)).filter(|&(p, q)| share_no_term(p, q));
+        let mut pairs: Vec<_> = pairs.collect();
+        if self.is_stale || pairs.iter().any(|pair| self.analysis.pairs.binary_search(pair).is_err()) {
+            pairs.sort_unstable();
+            self.is_stale = false;
+            self.analysis = Analysis::new(self.grid, &self.hessian, pairs)?;
+            (self.values, self.factors, self.workspace) = self.analysis.memory()?;
+        }
+        Ok(())
+    }
+
     /// Assembles the lower triangle. Rows and columns of handles are those of the identity.
-    fn assemble(&mut self, trial: &Trial<'_, f64>, projection: Projection) {
-        let Self { grid, hessian, .. } = self;
+    fn assemble(&mut self, trial: &Trial<'_, f64>, pairs: &[RepellingPair], projection: Projection) {
+        let Self { grid, hessian, analysis, values, .. } = self;
         let (grid, n) = (*grid, grid.particles());
         hessian.fill(trial, projection);
         for p in 0..n {
@@ -181,8 +239,29 @@ impl FactoredHessian {
                 *hessian.at_mut((p, row), (p, column)) = f64::from(u8::from(row == column));
             }
         }
-        for (value, &source) in self.values.iter_mut().zip(&self.sources) {
-            *value = hessian.values()[source as usize] as f32;
+        let mut blocks = vec![[[0.0; 3]; 3]; analysis.pairs.len()];
+        for pair in pairs {
+            let block = pair.block(projection);
+            let free = [pair.p, pair.q].map(|p| trial.slots[p] == 0);
+            for (row, column) in (0..9).map(|k| (k / 3, k % 3)) {
+                // A number of a particle's own block and its mirror image share a place.
+                for (p, _) in
+                    [pair.p, pair.q].into_iter().zip(free).filter(|&(_, free)| free && row >= column)
+                {
+                    *hessian.at_mut((p, row), (p, column)) += block[row][column];
+                }
+                if free == [true; 2] {
+                    match analysis.pairs.binary_search(&(pair.p, pair.q)) {
+                        Ok(k) => blocks[k][row][column] -= block[row][column],
+                        Err(_) => *hessian.at_mut((pair.p, row), (pair.q, column)) -= block[row][column],
+                    }
+                }
+            }
+        }
+        let (elastic, blocks) = (hessian.values(), blocks.as_flattened().as_flattened());
+        for (value, &source) in values.iter_mut().zip(&analysis.sources) {
+            let source = source as usize;
+            *value = elastic.get(source).unwrap_or_else(|| &blocks[source - elastic.len()]).to_owned() as f32;
         }
     }
 }
@@ -190,11 +269,11 @@ impl FactoredHessian {
 impl InverseHessian<f64> for FactoredHessian {
     fn apply(&mut self, direction: &mut [f64]) {
         let n = self.grid.particles();
-        let Self { order, unknowns, .. } = self;
+        let Self { analysis: Analysis { order, symbolic, .. }, unknowns, .. } = self;
         for (to, &p) in unknowns.chunks_exact_mut(3).zip(order.iter()) {
             (0..3).for_each(|c| to[c] = direction[c * n + p] as f32);
         }
-        LltRef::new(&self.symbolic, &self.factors).solve_in_place_with_conj(
+        LltRef::new(symbolic, &self.factors).solve_in_place_with_conj(
             Conj::No,
             MatMut::from_column_major_slice_mut(unknowns, 3 * n, 1),
             Par::Seq,
@@ -206,12 +285,15 @@ impl InverseHessian<f64> for FactoredHessian {
     }
 }
 
-/// Returns the particles in an order that causes little fill-in, and the place of each in that order.
-fn minimum_degree(grid: Grid) -> Result<(Vec<usize>, Vec<usize>)> {
-    let n = grid.particles();
+/// Returns `n` particles in an order that causes little fill-in, and the place of each in that order, given those
+/// that share a term with a particle.
+fn minimum_degree<I: Iterator<Item = usize>>(
+    n: usize,
+    near: impl Fn(usize) -> I,
+) -> Result<(Vec<usize>, Vec<usize>)> {
     let (mut starts, mut rows) = (vec![0], Vec::new());
     for q in 0..n {
-        rows.extend(neighbours(grid, q).filter(|&p| p > q));
+        rows.extend(near(q).filter(|&p| p > q));
         starts.push(rows.len());
     }
     let scratch = amd::order_scratch::<usize>(n, rows.len());

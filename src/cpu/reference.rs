@@ -23,13 +23,15 @@ const HISTORY: usize = 8;
 /// How often the gradient norm may rise before the Hessian is factored again, which costs as much as a dozen
 /// steps.
 const RISES: usize = 2;
-/// Why there may be no repulsion.
-pub(super) const WITHOUT_REPULSION: &str = "which Newton's method does not support";
 
 /// Finds the minimum of a frame of one cloth in double precision by Newton's method with line search. The
 /// Hessian is projected where it is not positive definite. Factorisation dominates the cost, so the method
 /// begins with a few quasi-Newton steps, and afterwards uses each factorisation as the initial Hessian of
 /// such steps for as long as it helps.
+///
+/// The gradient of a repulsion jumps where a pair enters its range. Layers that only just touch rest there, with the
+/// gradient on one side pushing them apart and that on the other pressing them together: such a frame ends near its
+/// minimum, but does not count as converged.
 pub struct Reference {
     objective: Objective<f64>,
     hessian: FactoredHessian,
@@ -78,14 +80,12 @@ impl Minimum {
 
 impl Reference {
     /// Builds the reference for one cloth, with |dL/da| <= 1e-8 in at most 200 iterations. Returns an error
-    /// if the model is invalid ([`Model::check`]), holds several cloths or has a repulsion, or if there is
-    /// not enough memory.
+    /// if the model is invalid ([`Model::check`]) or holds several cloths, or if there is not enough memory.
     pub fn new(model: &Model) -> Result<Self> {
         model.check()?;
         if model.batch() != 1 {
             return Err(Error::invalid("model", "cloths", "one", model.batch()));
         }
-        model.refuse_repulsion(WITHOUT_REPULSION)?;
         let hessian = FactoredHessian::new(model.grid)?;
         let history = History::new(HISTORY, 3 * model.grid.particles());
         let objective = Objective::new(model);
@@ -112,7 +112,8 @@ impl Reference {
         let (mut inverse, mut iterations, mut rises) = (Inverse::AtRest, 0, 0);
         while norm(&grad) > self.tolerance && iterations < self.iterations {
             if inverse == Inverse::Missing {
-                if self.hessian.factor(&self.objective.trial.cloth(state, 0)).is_err() {
+                let repulsion = self.objective.model().cloths[0].repulsion;
+                if self.hessian.factor(&self.objective.trial.cloth(state, 0), repulsion).is_err() {
                     break;
                 }
                 self.history.clear();

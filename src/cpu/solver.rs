@@ -1,7 +1,7 @@
 //! The solver that computes a frame on the CPU (paper sections 3.2 and 3.3).
 
 use super::optim::{Minimizer, Subspace, minimizer, norm};
-use super::reference::{Minimum, WITHOUT_REPULSION};
+use super::reference::Minimum;
 use super::{Objective, Real, Reference};
 use crate::cloth::{Cloth, Control, Model, State};
 use crate::settings::LEARNED_ITERATIONS;
@@ -29,8 +29,8 @@ enum Method<T: Real> {
 
 impl<T: Real> Solver<T> {
     /// Builds a solver with `iterations` steps of the optimizer per frame. Fails if `iterations`
-    /// is 0, the model ([`Model::check`]) or the optimizer is invalid, the grid does not suit the network, a
-    /// cloth has a repulsion and the optimizer is Newton's method, or there is not enough memory.
+    /// is 0, the model ([`Model::check`]) or the optimizer is invalid, the grid does not suit the network, or
+    /// there is not enough memory.
     pub fn new(model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         if iterations == 0 {
             return Err(Error::invalid("solver", "iterations", "at least 1", 0));
@@ -49,8 +49,8 @@ impl<T: Real> Solver<T> {
     /// Replaces materials, gravity, air, repulsion and handles of the cloths, from the next frame on. The
     /// learned optimizer keeps its state.
     ///
-    /// Returns an error, and changes nothing, if the number of cloths differs, if they do not form a valid
-    /// model ([`Model::check`]), or if one has a repulsion and the optimizer is Newton's method.
+    /// Returns an error, and changes nothing, if the number of cloths differs or if they do not form a valid
+    /// model ([`Model::check`]).
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.objective.model().with_cloths(cloths)?;
         match (&mut self.method, &self.optimizer.directions[..]) {
@@ -223,7 +223,6 @@ fn part<T: Real>(
 
 /// Builds the reference that finds the minimum, one per cloth.
 fn references(model: &Model) -> Result<Vec<Reference>> {
-    model.refuse_repulsion(WITHOUT_REPULSION)?;
     let alone = |cloth: &Cloth| Model { grid: model.grid, cloths: vec![cloth.clone()] };
     model.cloths.iter().map(|cloth| Reference::new(&alone(cloth))).collect()
 }

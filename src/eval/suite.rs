@@ -97,10 +97,10 @@ pub struct CaseScore {
     /// Largest `|edge| - 1` of the edges away from handles; `None` if a frame was not finite.
     pub stretch_largest: Option<f64>,
     /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; `None` if
-    /// it was not requested or is not finite, or if there is repulsion.
+    /// it was not requested or is not finite.
     pub gap: Option<f64>,
     /// Median wall time \[ms\] of the frames of the gap, of each frame alone ([`Gap`](super::Gap)); `None` if
-    /// the gap was not requested, or if there is repulsion.
+    /// the gap was not requested.
     #[serde(default)]
     pub gap_ms_per_frame: Option<f64>,
     /// Median wall time of a frame of the simulation \[ms\], in which a GPU computes a frame while the one before
@@ -271,25 +271,15 @@ impl Prepared {
         format!("{solver}_{iterations}_{}_{}", self.setup.model.grid, self.case.name)
     }
 
-    /// Whether Newton's method applies: not with repulsion. Without it there is no energy gap either.
-    fn has_newton(&self) -> bool {
-        !self.setup.model.repels()
-    }
-
-    /// Whether an optimizer applies to this case.
-    pub fn takes(&self, optimizer: &Optimizer) -> bool {
-        self.has_newton() || !optimizer.converges()
-    }
-
     /// Returns the conditions of a score of [`Prepared::run`], apart from the iterations.
     pub fn conditions(&self, optimizer: &Optimizer, device: &Device, with_gap: bool) -> Conditions {
         let mut settings = self.settings.clone();
-        settings["gap"] = (with_gap && self.has_newton()).into();
+        settings["gap"] = with_gap.into();
         Conditions::of_scene(settings, &self.entry((optimizer, 1)), device)
     }
 
     /// Runs a solver, on the CPU if it has no GPU implementation, and measures its energy gap if that is
-    /// requested and possible. Returns `None` if `tick`, which is called in each frame, ended the run.
+    /// requested. Returns `None` if `tick`, which is called in each frame, ended the run.
     pub fn run(
         &self,
         solver: (&Optimizer, usize),
@@ -305,7 +295,7 @@ impl Prepared {
             return Ok(None);
         }
         let mut found = None;
-        if with_gap && self.has_newton() {
+        if with_gap {
             let Some(track) = self.track(&mut tick)? else { return Ok(None) };
             found = timed_gap(track, (solver.0, entry.iterations), device, tick)?;
             if found.is_none() {

@@ -168,7 +168,6 @@ fn layers_are_kept_apart_where_that_is_asked_for() {
     for (more, said) in [
         (&["--repulsion=1"][..], "--repulsion: value: expected two numbers"),
         (&["--repulsion=1,2"], "--repulsion: value.distance: expected 0.001 to 1 edges, found 2"),
-        (&["--repulsion", "--solver", "newton"], "Newton's method"),
     ] {
         let output = rollout(more);
         assert_eq!(output.status.code(), Some(2));

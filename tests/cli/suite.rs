@@ -24,16 +24,6 @@ fn a_suite_fails_when_a_case_is_not_sound() {
     assert_eq!(bad.status.code(), Some(1), "{}", text(&bad.stdout));
 }
 
-/// Nothing was checked, so the check did not pass.
-#[test]
-fn a_suite_in_which_nothing_takes_part_is_refused() {
-    let folder = tempfile::tempdir().unwrap();
-    let arguments =
-        ["evaluate", "--suite", "repulsion", "--sequences", "corner-center with", "--frames", "3"];
-    let more = ["--grid", "8", "--solver", "newton"];
-    refused(fnopt(folder.path(), &[&arguments[..], &more].concat()), &["--suite", "takes part"]);
-}
-
 #[test]
 fn a_suite_honours_its_options_or_refuses_them() {
     let folder = tempfile::tempdir().unwrap();
@@ -97,7 +87,8 @@ fn a_suite_honours_its_options_or_refuses_them() {
 fn repulsion_is_reported() {
     let folder = tempfile::tempdir().unwrap();
     let few = ["--sequences", "single-mid-edge without,single-mid-edge with", "--frames", "70"];
-    // The checked step folds the sheet later than these frames.
+    // At the minima of the frames the sheet first meets itself in frame 50, and with this solver in frame 53. What ten
+    // checked steps leave undone delays the fold to frame 71; forty reach it in frame 50.
     let rest = ["--solver", "fnopt-paper", "--device", "cpu", "--json", "s.json"];
     let arguments = [&["evaluate", "--suite", "repulsion"], &few[..], &rest].concat();
     let (printed, _) = done(quiet(folder.path(), &arguments).output().unwrap());
@@ -106,19 +97,17 @@ fn repulsion_is_reported() {
     let figure = |k: usize, name: &str| scores[k][name].clone();
     let [without, with] = [0, 1].map(|k| figure(k, "repulsion")[0].as_f64().unwrap());
     assert!(without > 1.0 && with < 0.01 * without, "{without} without, {with} with");
-    // The converged simulation does not support repulsion, so the case with it has no gap.
-    assert!(figure(0, "gap").is_number() && figure(1, "gap").is_null());
+    assert!(figure(0, "gap").is_number() && figure(1, "gap").is_number());
     let row = |name: &str| printed.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
     assert!(!row("single-mid-edge with ").contains(" - "), "{printed}");
-    // Newton's method, one of the default solvers, runs the cases that it supports.
+    // All default solvers run the cases, Newton's method too.
     let few = ["--frames", "2", "--grid", "8", "--no-gap", "--device", "cpu", "--json", "all.json"];
     let output = fnopt(folder.path(), &[&["evaluate", "--suite", "repulsion"], &few[..]].concat());
     // On a grid this coarse not all cases are sound.
     assert!(matches!(output.status.code(), Some(0 | 1)), "{output:?}");
-    assert!(text(&output.stderr).contains("newton does not take part in single-mid-edge with"), "{output:?}");
     let scores = json(&folder.path().join("all.json"));
     let of = |case: &str| scores.as_array().unwrap().iter().filter(|s| s["case"] == case).count();
-    assert_eq!((of("corner-center without"), of("corner-center with")), (6, 5));
+    assert_eq!((of("corner-center without"), of("corner-center with")), (6, 6));
     // Without `--solver`, the suite `iterations` takes the solvers that have an iteration count.
     let few = ["--frames", "2", "--grid", "12", "--sequences", "3 iterations", "--no-gap", "--device", "cpu"];
     let output = fnopt(folder.path(), &[&["evaluate", "--suite", "iterations", "--json"], &few[..]].concat());

@@ -4,8 +4,8 @@
 use crate::golden::{Golden, relative_error};
 use crate::noise::noise;
 use fnopt::cloth::{Grid, Material, Repulsion, State};
-use fnopt::cpu::cloth::{Cells, Trial, repulsion, repulsion_curvature};
-use fnopt::cpu::{Reference, Solver};
+use fnopt::cpu::Solver;
+use fnopt::cpu::cloth::{Cells, Projection, Trial, repelling_pairs, repulsion, repulsion_curvature};
 use fnopt::eval;
 use fnopt::scene::{RepulsionSettings, Scene};
 use fnopt::sim::Optimizer;
@@ -163,7 +163,7 @@ fn directions(sheet: &Sheet, count: usize) -> Vec<f64> {
     directions
 }
 
-/// The second derivatives are the change of the pushes, along directions.
+/// The second derivatives are the change of the pushes, along directions and pair by pair.
 #[test]
 fn second_derivatives_are_the_change_of_the_pushes() {
     let (sheet, n) = (Sheet::crumpled(), GRID.particles());
@@ -181,6 +181,8 @@ fn second_derivatives_are_the_change_of_the_pushes() {
             total.iter().zip(&sheet.f).enumerate().map(|(k, (total, f))| -mass(k % n) * (total - f)).collect()
         };
         let found = sheet.with_trial(|trial| repulsion_curvature(trial, of_cloth, &directions));
+        let pairs = sheet.with_trial(|trial| repelling_pairs(trial, of_cloth));
+        assert!(pairs.len() > 100, "{} pairs", pairs.len());
         let step = 1e-7;
         for i in 0..4 {
             let change: Vec<f64> = (gradient(i, step).iter().zip(gradient(i, -step)))
@@ -194,12 +196,28 @@ fn second_derivatives_are_the_change_of_the_pushes() {
                     "{i} and {j}: {}, not {expected}",
                     found[i][j]
                 );
+                let by_pairs: f64 = (pairs.iter())
+                    .map(|pair| {
+                        let block = pair.block(Projection::NONE);
+                        let part = |k: usize, c: usize| along(k)[c * n + pair.p] - along(k)[c * n + pair.q];
+                        (0..9).map(|k| part(i, k / 3) * block[k / 3][k % 3] * part(j, k % 3)).sum::<f64>()
+                    })
+                    .sum();
+                assert!((by_pairs - found[i][j]).abs() < 1e-10 * scale, "{by_pairs}, not {}", found[i][j]);
             }
         }
         // Fewer directions have the same second derivatives.
         let fewer = sheet.with_trial(|trial| repulsion_curvature(trial, of_cloth, &directions[..6 * n]));
         for (i, j) in (0..16).map(|k| (k / 4, k % 4)) {
             assert_eq!(fewer[i][j], if i.max(j) < 2 { found[i][j] } else { 0.0 });
+        }
+        // Without the negative part, no direction has negative curvature.
+        for pair in &pairs {
+            let block = pair.block(Projection::FULL);
+            let along = |u: [f64; 3]| (0..9).map(|k| u[k / 3] * block[k / 3][k % 3] * u[k % 3]).sum::<f64>();
+            assert!(
+                [[1.0, 0.0, 0.0], [0.3, -0.8, 0.5], [-0.1, 0.2, 0.9]].map(along).iter().all(|&l| l > -1e-12)
+            );
         }
     }
 }
@@ -284,12 +302,4 @@ fn the_layers_of_a_folding_sheet_stay_apart() {
     let (without, with) = (of_scene(None), of_scene(Some(RepulsionSettings::default())));
     assert!(without > 500.0, "the sheet did not fold onto itself: {without}");
     assert!(with < 0.01 * without, "{with} with repulsion, {without} without");
-}
-
-#[test]
-fn newton_refuses_repulsion() {
-    let scene = Scene { repulsion: Some(RepulsionSettings::default()), ..Scene::default() };
-    let setup = scene.setup().unwrap();
-    let error = Reference::new(&setup.model).err().unwrap().to_string();
-    assert!(error.contains("repulsion") && error.contains("Newton's method"), "{error}");
 }

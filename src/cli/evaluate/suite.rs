@@ -140,15 +140,6 @@ impl Args {
                 };
                 for (number, entry) in entries.iter().enumerate().filter(|(_, entry)| is_of(case, entry)) {
                     bar.set_message(format!("{} {} {}", entry.name, case.scene.grid, case.name));
-                    if !prepared.takes(&entry.optimizer) {
-                        status!(
-                            "{} does not take part in {}: it cannot keep layers apart",
-                            entry.name,
-                            case.name
-                        );
-                        bar.inc(1);
-                        continue;
-                    }
                     let Some(score) = self.score(&prepared, entry, &device, tick)? else { return Ok(false) };
                     scores.push((number, score));
                     bar.inc(1);

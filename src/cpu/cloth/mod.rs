@@ -29,7 +29,7 @@ pub use hessian::{AFTER, Block, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};
 pub(super) use particles::add_own_block;
 pub use plain::{PlainTotal, plain_total};
-pub use repulsion::{repulsion, repulsion_curvature};
+pub use repulsion::{RepellingPair, repelling_pairs, repulsion, repulsion_curvature};
 pub use sheet_axes::sheet_axes;
 pub use stretch::stretch;
 pub use vertices::vertices;

@@ -2,6 +2,7 @@
 
 use super::Trial;
 use super::cells::{Cells, Placed, Walk};
+use super::hessian::{Block, Projection};
 use super::vector::{add, at, dot, scaled, sub};
 use crate::cloth::{Grid, Repulsion};
 use crate::cpu::Real;
@@ -95,6 +96,55 @@ pub fn repulsion_curvature<T: Real>(
         }
     }
     curvature
+}
+
+/// Two particles that repel each other, and the second derivatives of their energy with respect to the difference of
+/// their positions: the same along every direction across it, and another along it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RepellingPair {
+    /// The particle with the smaller number.
+    pub p: usize,
+    /// The other one.
+    pub q: usize,
+    along: f64,
+    across: f64,
+    unit: [f64; 3],
+}
+
+impl RepellingPair {
+    /// Returns the second derivatives with respect to the position of either particle; those with respect to both are
+    /// their negatives.
+    pub fn block(&self, Projection(share): Projection) -> Block {
+        let of = |value: f64| value - share * value.min(0.0);
+        let (across, along) = (of(self.across), of(self.along));
+        let u = self.unit;
+        [0, 1, 2]
+            .map(|r| [0, 1, 2].map(|c| (along - across) * u[r] * u[c] + if r == c { across } else { 0.0 }))
+    }
+}
+
+/// Returns the pairs of particles that repel each other at a trial, in a fixed order.
+pub fn repelling_pairs(trial: &Trial<'_, f64>, repulsion: Repulsion) -> Vec<RepellingPair> {
+    let range = Range::of(trial.grid, repulsion);
+    let factor = 4.0 * repulsion.strength / trial.grid.particles() as f64;
+    let of_particle = |walk: &mut Walk<'_, f64>, own: &Placed<f64>| {
+        let mut pairs = Vec::new();
+        range.pairs(walk, own, |q, difference, square| {
+            let length = dot(difference, difference).sqrt();
+            if q > own.particle {
+                let inverse = if length > 0.0 { length.recip() } else { 0.0 };
+                pairs.push(RepellingPair {
+                    p: own.particle,
+                    q,
+                    along: factor * (2.0 * length * length / square - 1.0) / square,
+                    across: -factor / square,
+                    unit: scaled(difference, inverse),
+                });
+            }
+        });
+        pairs
+    };
+    range.of_particles(trial, of_particle).flatten().collect()
 }
 
 /// Which particles repel each other.
