@@ -38,15 +38,6 @@ override SOFTENING: f32;
 
 var<workgroup> energies: array<f32, 64>;
 
-// Returns whether an edge of the triangulated grid joins two particles, or they are the same.
-fn joined(p: u32, q: u32) -> bool {
-    let last = max(p, q);
-    let apart = last - min(p, q);
-    // Along a row or a diagonal, unless it wraps from the end of one row to the start of another.
-    let along = apart == 1u || apart == params.columns + 1u;
-    return apart == 0u || apart == params.columns || (along && last % params.columns != 0u);
-}
-
 // Returns the sums of d / (d^2 + e) and -log((d^2 + e) / (delta^2 + e)) over the particles of a cell that repel
 // the one at `own`.
 fn from_cell(b: u32, cell: vec3i, own: vec3f, p: u32) -> vec4f {
@@ -63,7 +54,8 @@ fn from_cell(b: u32, cell: vec3i, own: vec3f, p: u32) -> vec4f {
         let difference = own - place;
         let square = dot(difference, difference);
         // Other cells may share the bucket.
-        if square < distance * distance && all(cell_of(place, per_edge) == cell) && !joined(p, other.w) {
+        let is_near = square < distance * distance && all(cell_of(place, per_edge) == cell);
+        if is_near && !joined(p, other.w, params.columns) {
             sum += vec4f(difference / (square + SOFTENING), -log((square + SOFTENING) / limit));
         }
     }

@@ -22,6 +22,7 @@ pub(crate) mod common {
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
     pub const FINITE: &str = include_str!("../../shaders/common/finite.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
+    pub const JOINED: &str = include_str!("../../shaders/common/joined.wgsl");
     pub const OFFSET: &str = include_str!("../../shaders/common/offset.wgsl");
     pub const TEXEL: &str = include_str!("../../shaders/common/texel.wgsl");
     pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");

@@ -14,6 +14,7 @@ pub mod integrate;
 mod objective;
 pub mod predict;
 pub mod repulsion;
+pub mod repulsion_curvature;
 pub mod sheet_axes;
 pub mod vertices;
 
@@ -31,6 +32,7 @@ pub use integrate::Integrate;
 pub use objective::{Begin, Objective, Room};
 pub use predict::Predict;
 pub use repulsion::Repulsion;
+pub use repulsion_curvature::RepulsionCurvature;
 pub use sheet_axes::SheetAxes;
 pub use vertices::Vertices;
 

@@ -2,7 +2,7 @@
 
 use super::{
     ClothParams, Curvature, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate,
-    Predict, Repulsion, StateTensors, TERMS, Trial, energy,
+    Predict, Repulsion, RepulsionCurvature, StateTensors, TERMS, Trial, energy,
 };
 use crate::Result;
 use crate::cloth::{Grid, Model};
@@ -39,7 +39,7 @@ pub struct Objective {
     /// Parts of the energy, shape [B, parts, 8].
     parts: Tensor,
     external_force: ExternalForce,
-    repulsion: Option<Repulsion>,
+    repulsion: Option<(Repulsion, RepulsionCurvature)>,
     gradient: Gradient,
     curvature: Curvature,
     energy: Energy,
@@ -79,6 +79,9 @@ impl Objective {
         } else {
             Iterate::new(context, batch, &free)
         }?;
+        let repulsion = || -> Result<_> {
+            Ok((Repulsion::new(context, batch, grid)?, RepulsionCurvature::new(context)?))
+        };
         Ok(Self {
             context: context.clone(),
             grid,
@@ -92,7 +95,7 @@ impl Objective {
             cloths: zeros("cloths", &[batch, ClothParams::LEN])?,
             parts: zeros("energy parts", &energy::parts_shape(batch, grid))?,
             external_force: ExternalForce::new(context)?,
-            repulsion: room.repulsion.then(|| Repulsion::new(context, batch, grid)).transpose()?,
+            repulsion: room.repulsion.then(repulsion).transpose()?,
             gradient: Gradient::new(context)?,
             curvature: Curvature::new(context)?,
             energy: Energy::new(context)?,
@@ -169,9 +172,12 @@ impl Objective {
 
     /// Appends the quadratic model of the energy along `directions` at `iterate.a`, where it was evaluated, in parts
     /// [B, parts, 24] ([`Curvature::push`]). The energy of the repulsion is in [`Objective::repulsion_parts`]. One
-    /// dispatch.
+    /// dispatch, and another with a repulsion.
     pub fn local_model(&self, schedule: &mut Schedule, directions: &Tensor, parts: &Tensor) {
         self.curvature.push(schedule, self.trial(), [directions, parts]);
+        if let Some((repulsion, curvature)) = &self.repulsion {
+            curvature.push(schedule, self.trial(), repulsion.cells(), [directions, parts]);
+        }
     }
 
     /// Appends the energy alone at `iterate.a`, in parts as those of [`Objective::local_model`], without an evaluation
@@ -194,7 +200,7 @@ impl Objective {
     }
 
     fn repel(&self, schedule: &mut Schedule) {
-        if let Some(repulsion) = &self.repulsion {
+        if let Some((repulsion, _)) = &self.repulsion {
             repulsion.push(schedule, self.trial(), &self.parts);
         }
     }

@@ -9,7 +9,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "repulsion",
     wgsl: include_str!("../../../shaders/cloth/repulsion.wgsl"),
-    appended: &[common::CLOTH, common::CELL, pieces::BUCKET],
+    appended: &[common::CLOTH, common::CELL, common::JOINED, pieces::BUCKET],
 };
 
 #[repr(C)]
@@ -37,6 +37,11 @@ impl Repulsion {
             cells: Cells::new(context, batch, grid)?,
             kernel: Kernel::new(context, &SOURCE, 0, &[("SOFTENING", cloth::Repulsion::SOFTENING)])?,
         })
+    }
+
+    /// Returns the particles, sorted where [`Repulsion::push`] was called last.
+    pub fn cells(&self) -> &Cells {
+        &self.cells
     }
 
     /// Sets `iterate.total` at `iterate.a`, and the repulsion's term in the `parts` of the energy [B, parts, 8].

@@ -88,7 +88,8 @@ impl Subspace {
         self.decide(schedule, objective, When::Start);
     }
 
-    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Six dispatches.
+    /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Six dispatches, and
+    /// another with a repulsion.
     pub fn push(&self, schedule: &mut Schedule, objective: &Objective, iteration: usize) {
         assert!(iteration < self.iterations, "iteration {iteration} of {}", self.iterations);
         let (grid, iterate) = (objective.grid(), &objective.iterate);

@@ -43,6 +43,18 @@ pub fn field(model: &Model, amplitude: f32, seed: u64) -> Vec<f32> {
     noise(len, seed).into_iter().map(|v| amplitude * v).collect()
 }
 
+/// Returns noise that is 0 at handles.
+pub fn held(model: &Model, amplitude: f32, seed: u64) -> Vec<f32> {
+    let (slots, n) = (model.handle_slots(), model.grid.particles());
+    let mut values = field(model, amplitude, seed);
+    for (k, v) in values.iter_mut().enumerate() {
+        if slots[k / (3 * n) * n + k % n] != 0 {
+            *v = 0.0;
+        }
+    }
+    values
+}
+
 /// Returns positions at rest plus noise, so that edges are strained and every angle is bent.
 pub fn crumpled(model: &Model, amplitude: f32) -> Vec<f32> {
     let rest = State::<f32>::rest(model.grid, model.batch()).x;

@@ -1,6 +1,6 @@
 //! `curvature` against differences of the CPU path's gradient, and against its energies.
 
-use super::cloth::{Doubles, OnDevice, crumpled, field, model};
+use super::cloth::{Doubles, OnDevice, crumpled, field, held, model};
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, poisoned, read, run, widened};
 use fnopt::cloth::{Grid, Model, State};
 use fnopt::cpu::cloth::{GradientRows, energy, gradient};
@@ -10,18 +10,6 @@ use fnopt::kernels::optim::directions;
 
 /// A grid with more tiles than parts, so that a workgroup takes several tiles.
 const LARGE: Grid = Grid { h: 130, w: 139 };
-
-/// Returns noise that is 0 at handles.
-fn held(model: &Model, amplitude: f32, seed: u64) -> Vec<f32> {
-    let (slots, n) = (model.handle_slots(), model.grid.particles());
-    let mut values = field(model, amplitude, seed);
-    for (k, v) in values.iter_mut().enumerate() {
-        if slots[k / (3 * n) * n + k % n] != 0 {
-            *v = 0.0;
-        }
-    }
-    values
-}
 
 /// A trial: positions, displacements at a = 0, accelerations and external accelerations.
 struct Case<'a> {

@@ -35,6 +35,7 @@ mod project_adj;
 mod quasi_newton;
 mod real_fft2;
 mod repulsion;
+mod repulsion_curvature;
 mod scalar_head;
 mod sheet_axes;
 mod spectral;
