@@ -55,8 +55,19 @@ fn an_adapter_is_measured_with_its_tuning() {
 #[test]
 fn a_size_that_fails_is_reported_once_and_the_others_are_kept() {
     let folder = tempfile::tempdir().unwrap();
-    let explodes =
-        ["--device", "cpu", "--solver", "quasi-newton", "--grid", "8,32", "--frames", "20", "--json"];
+    let explodes = [
+        "--device",
+        "cpu",
+        "--solver",
+        "quasi-newton",
+        "--grid",
+        "8,32",
+        "--iterations",
+        "5",
+        "--frames",
+        "20",
+        "--json",
+    ];
     let output = fnopt(folder.path(), &[&["bench"], &explodes[..]].concat());
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(3), "{said}");
@@ -68,7 +79,19 @@ fn a_size_that_fails_is_reported_once_and_the_others_are_kept() {
     assert!(failure["error"].as_str().unwrap().contains("became non-finite"), "{all}");
     assert_eq!((&failure["batch"], all["failures"].as_array().unwrap().len()), (&1.into(), 1));
     // Also if no size is left.
-    let alone = ["--device", "cpu", "--solver", "quasi-newton", "--grid", "8", "--frames", "20", "--json"];
+    let alone = [
+        "--device",
+        "cpu",
+        "--solver",
+        "quasi-newton",
+        "--grid",
+        "8",
+        "--iterations",
+        "5",
+        "--frames",
+        "20",
+        "--json",
+    ];
     let output = fnopt(folder.path(), &[&["bench"], &alone[..]].concat());
     let all = parsed(&output.stdout);
     let counts = ["rows", "failures"].map(|what| all[what].as_array().unwrap().len());

@@ -328,20 +328,19 @@ fn unsound_rollouts_and_other_sizes_are_reported() {
     }
 }
 
+/// A light cloth that is swung fast: drag is that at the end of the frame, so it stays finite with every solver.
 #[test]
-fn a_wind_that_is_too_fast_for_the_frame_time_is_warned_of() {
+fn light_and_fast_cloths_stay_finite() {
     let folder = tempfile::tempdir().unwrap();
-    let log = |wind: f64, frame_time_s: f64| {
-        let scene = serde_json::json!({
-            "grid": [8, 8], "motion": "none", "frames": 2, "wind": {"velocity": [wind, 0, 0]}, "frame_time_s": frame_time_s
-        });
-        std::fs::write(folder.path().join("windy.json"), scene.to_string()).unwrap();
-        let rollout = ["rollout", "windy.json", "--device", "cpu", "--solver", "gd", "--no-pictures"];
+    let scene = serde_json::json!({
+        "grid": [32, 32], "motion": "updown", "speed": 4, "frames": 22, "frame_time_s": 0.0416667,
+        "areal_mass_kg_m2": 0.02, "wind": {"density": 1.2},
+        "material": {"stretch_modulus": 280.2, "shear_modulus": 28, "bending_stiffness": 1.46e-5}
+    });
+    std::fs::write(folder.path().join("light.json"), scene.to_string()).unwrap();
+    for solver in ["spectral", "newton"] {
+        let rollout = ["rollout", "light.json", "--device", "cpu", "--solver", solver, "--no-pictures"];
         let output = command(folder.path(), &rollout).output().unwrap();
-        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
-        text(&output.stderr)
-    };
-    let warning = "windy.json: wind: at 20 m/s the drag";
-    assert!(log(20.0, 1.0 / 60.0).contains(warning));
-    assert!(!log(20.0, 1.0 / 120.0).contains("drag") && !log(10.0, 1.0 / 60.0).contains("drag"));
+        assert_eq!(output.status.code(), Some(0), "{solver}: {}", text(&output.stderr));
+    }
 }
