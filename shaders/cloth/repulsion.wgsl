@@ -29,9 +29,9 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
 @group(0) @binding(2) var<storage, read> slots: array<u32>;
-@group(0) @binding(3) var<storage, read_write> given: array<f32>;
-@group(0) @binding(4) var<storage, read> ends: array<u32>;
-@group(0) @binding(5) var<storage, read> sorted: array<vec4u>;
+@group(0) @binding(3) var<storage, read> ends: array<u32>;
+@group(0) @binding(4) var<storage, read> sorted: array<vec4u>;
+@group(0) @binding(5) var<storage, read_write> given: array<f32>;
 @group(0) @binding(6) var<storage, read_write> parts: array<f32>;
 
 override SOFTENING: f32;

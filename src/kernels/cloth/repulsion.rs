@@ -63,7 +63,7 @@ impl Repulsion {
             first_external: size(*external),
             first_total: size(total.expect("the iterate has a total")),
         };
-        let tensors = [trial.cloths, &trial.iterate.slots, given, ends, sorted, parts];
+        let tensors = [trial.cloths, &trial.iterate.slots, ends, sorted, given, parts];
         schedule.dispatch(kernel, &params, &tensors, kernel.spread(grid.particles(), batch));
     }
 }
