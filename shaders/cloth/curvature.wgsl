@@ -54,15 +54,6 @@ var<workgroup> along_x: array<vec4f, WITH_RIM * WITH_RIM>;
 var<workgroup> along_y: array<vec4f, WITH_RIM * WITH_RIM>;
 var<workgroup> along_z: array<vec4f, WITH_RIM * WITH_RIM>;
 
-// Returns one number of each direction, 0 for those from K on.
-fn of_directions(at: u32) -> vec4f {
-    var v = vec4f(directions[at], directions[params.slot + at], directions[2u * params.slot + at], 0.0);
-    if K == 4u {
-        v.w = directions[3u * params.slot + at];
-    }
-    return v;
-}
-
 // Loads the tile that begins at particle (i, j).
 fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
     let n = params.rows * params.columns;
@@ -112,18 +103,6 @@ fn edge(start: u32, end: u32) -> Edge {
 // Returns the products of a vector with an edge's change in each direction.
 fn change(v: vec3f, one: Edge) -> vec4f {
     return v.x * one.x + v.y * one.y + v.z * one.z;
-}
-
-// The upper triangle of A, row by row.
-var<private> curvature0: vec4f;
-var<private> curvature1: vec4f;
-var<private> curvature2: vec2f;
-
-// Adds v_i w_j to A_ij for i <= j. Callers add pairs of products whose sum is symmetric.
-fn add_products(v: vec4f, w: vec4f) {
-    curvature0 += v.x * w;
-    curvature1 += v.yyyz * w.yzwz;
-    curvature2 += v.zw * w.w;
 }
 
 // Adds the second derivatives of c (|e| - 1)^2 and returns the energy over c.

@@ -36,27 +36,6 @@ struct Params {
 override K: u32 = 3;
 override SOFTENING: f32;
 
-// The upper triangle of A, row by row.
-var<private> curvature0: vec4f;
-var<private> curvature1: vec4f;
-var<private> curvature2: vec2f;
-
-// Adds v_i w_j to A_ij for i <= j.
-fn add_products(v: vec4f, w: vec4f) {
-    curvature0 += v.x * w;
-    curvature1 += v.yyyz * w.yzwz;
-    curvature2 += v.zw * w.w;
-}
-
-// Returns one number of each direction, 0 for those from K on.
-fn of_directions(at: u32) -> vec4f {
-    var v = vec4f(directions[at], directions[params.slot + at], directions[2u * params.slot + at], 0.0);
-    if K == 4u {
-        v.w = directions[3u * params.slot + at];
-    }
-    return v;
-}
-
 // Adds what a particle adds with the particles of a cell that have a larger number, over 4 k / (H W).
 fn add_cell(b: u32, cell: vec3i, own: vec3f, p: u32) {
     let n = params.rows * params.columns;

@@ -168,8 +168,8 @@ impl FactoredHessian {
         self.is_stale = !self.analysis.pairs.is_empty();
     }
 
-    /// Factors the Hessian at a trial, with that of the repulsion if there is one, removing about as little of its negative curvature as makes it
-    /// positive definite.
+    /// Factors the Hessian at a trial, with that of the repulsion if there is one, removing about as little of its
+    /// negative curvature as makes it positive definite.
     ///
     /// Full projection always gives a definite matrix but converges slowly: much of a folded sheet is
     /// compressed, and there the projected Hessian is far stiffer than the cloth.

@@ -46,6 +46,7 @@ pub(crate) mod pieces {
     pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/pieces/lifted_embedding.wgsl");
     pub const LIFTED_FIELDS: &str = include_str!("../../shaders/pieces/lifted_fields.wgsl");
     pub const LIFTING_INPUTS: &str = include_str!("../../shaders/pieces/lifting_inputs.wgsl");
+    pub const PRODUCTS: &str = include_str!("../../shaders/pieces/products.wgsl");
     pub const SCALAR_HEAD: &str = include_str!("../../shaders/pieces/scalar_head.wgsl");
     pub const SIX_FIELDS: &str = include_str!("../../shaders/pieces/six_fields.wgsl");
     pub const TARGET: &str = include_str!("../../shaders/pieces/target.wgsl");

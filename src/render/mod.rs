@@ -11,6 +11,7 @@ mod chart;
 mod error_map;
 mod image;
 mod look;
+mod notes;
 mod palette;
 mod shade;
 mod shadow;

@@ -105,3 +105,9 @@ pub fn scores(folder: &Path) -> Vec<PathBuf> {
     let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     files.filter(|path| path.extension().is_some_and(|e| e == "json")).collect()
 }
+
+/// The arguments of a bench on these grids in which 8x8 becomes non-finite within 20 frames, and 32x32 does not.
+pub fn exploding_bench(grids: &'static str) -> Vec<&'static str> {
+    let before = "bench --device cpu --solver quasi-newton --iterations 5 --frames 20 --grid";
+    before.split(' ').chain([grids]).collect()
+}

@@ -1,6 +1,6 @@
 //! Behaviour common to all commands: refusals, exit codes, logs and file names.
 
-use super::command::{command, fnopt, refused_cleanly, text};
+use super::command::{command, exploding_bench, fnopt, refused_cleanly, text};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -123,19 +123,7 @@ fn exit_codes_do_not_hang_on_who_listens() {
     let folder = tempfile::tempdir().unwrap();
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/adamw.safetensors");
     let rollout = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "3", "--no-pictures"];
-    let explodes = [
-        "bench",
-        "--device",
-        "cpu",
-        "--solver",
-        "quasi-newton",
-        "--grid",
-        "8,32",
-        "--iterations",
-        "5",
-        "--frames",
-        "20",
-    ];
+    let explodes = exploding_bench("8,32");
     let cases: [(&[&str], i32); 4] = [
         (&rollout, 0),
         // A file that is not a network, and a missing file.

@@ -328,7 +328,7 @@ fn unsound_rollouts_and_other_sizes_are_reported() {
     }
 }
 
-/// A light cloth that is swung fast: drag is that at the end of the frame, so it stays finite with every solver.
+/// A light cloth that is swung fast: drag is that at the end of the frame, so it stays finite.
 #[test]
 fn light_and_fast_cloths_stay_finite() {
     let folder = tempfile::tempdir().unwrap();

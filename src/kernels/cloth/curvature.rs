@@ -5,12 +5,12 @@ use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::optim::directions;
-use crate::kernels::{common, size, terms};
+use crate::kernels::{common, pieces, size, terms};
 
 pub(crate) const SOURCE: Source = Source {
     name: "curvature",
     wgsl: include_str!("../../../shaders/cloth/curvature.wgsl"),
-    appended: &[common::CLOTH, common::OFFSET, terms::PARTICLE, terms::EDGE, terms::ANGLE],
+    appended: &[common::CLOTH, common::OFFSET, terms::PARTICLE, terms::EDGE, terms::ANGLE, pieces::PRODUCTS],
 };
 
 #[repr(C)]

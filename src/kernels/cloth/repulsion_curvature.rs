@@ -10,7 +10,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "repulsion_curvature",
     wgsl: include_str!("../../../shaders/cloth/repulsion_curvature.wgsl"),
-    appended: &[common::CLOTH, common::CELL, common::JOINED, pieces::BUCKET],
+    appended: &[common::CLOTH, common::CELL, common::JOINED, pieces::BUCKET, pieces::PRODUCTS],
 };
 
 #[repr(C)]

@@ -10,6 +10,10 @@ use fnopt::kernels::optim::Iterate;
 /// Wind of each cloth [edges / frame].
 pub const WIND: [[f32; 3]; 3] = [[0.3, -0.2, 0.1], [0.0, 0.0, 0.0], [-0.5, 0.4, 0.2]];
 
+/// The upper triangle of a matrix over four directions, row by row, as the kernels sum it.
+pub const PAIRS: [(usize, usize); 10] =
+    [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)];
+
 /// Builds cloths with different materials, air and handles.
 pub fn model(grid: Grid, batch: usize) -> Model {
     let (h, w) = (grid.h, grid.w);

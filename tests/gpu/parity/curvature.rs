@@ -1,6 +1,6 @@
 //! `curvature` against differences of the CPU path's gradient, and against its energies.
 
-use super::cloth::{Doubles, OnDevice, crumpled, field, held, model};
+use super::cloth::{Doubles, OnDevice, PAIRS, crumpled, field, held, model};
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, poisoned, read, run, widened};
 use fnopt::cloth::{Grid, Model, State};
 use fnopt::cpu::cloth::{GradientRows, energy, gradient};
@@ -70,10 +70,6 @@ impl Case<'_> {
         found
     }
 }
-
-/// The upper triangle, row by row.
-const PAIRS: [(usize, usize); 10] =
-    [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)];
 
 #[test]
 fn models_and_energies_match() {

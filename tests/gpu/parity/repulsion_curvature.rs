@@ -1,16 +1,12 @@
 //! `repulsion_curvature` against the CPU path.
 
-use super::cloth::{Doubles, OnDevice, crumpled, field, held, model, repelling};
+use super::cloth::{Doubles, OnDevice, PAIRS, crumpled, field, held, model, repelling};
 use crate::common::{ROUNDING, assert_close, cases, context, device, poisoned, read, run, tensor, widened};
 use fnopt::cloth::{Grid, Model};
 use fnopt::cpu::cloth::{Projection, Trial, repelling_pairs, repulsion_curvature};
 use fnopt::kernels::cloth::curvature::{VALUES, parts_shape};
 use fnopt::kernels::cloth::{Repulsion, RepulsionCurvature, energy};
 use fnopt::kernels::optim::directions;
-
-/// The upper triangle, row by row.
-const PAIRS: [(usize, usize); 10] =
-    [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)];
 
 /// Returns the parts [B, parts, 24] after this many runs from 0.
 fn parts(model: &Model, fields: [&[f32]; 4], along: &[Vec<f32>], runs: usize) -> Vec<f32> {

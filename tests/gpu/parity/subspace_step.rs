@@ -268,8 +268,7 @@ fn directions_that_are_the_same_share_the_step() {
 }
 
 /// Whole frames lower the energy in every iteration, in six dispatches besides the gradient, and one more with
-/// repulsion. They have the
-/// same bits in whatever order the device runs invocations.
+/// repulsion. They have the same bits in whatever order the device runs invocations.
 #[test]
 fn frames_lower_the_energy() {
     let _turn = device();
