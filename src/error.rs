@@ -30,7 +30,7 @@ pub enum Error {
         found: String,
     },
     /// An unknown name, with the nearest known ones.
-    #[error("{}: unknown {kind} '{name}'{}", plain(origin), suggest(nearest))]
+    #[error("{}: unknown {kind} '{name}'{}", plain(origin), plain(hint))]
     Unknown {
         /// The file or option that contains the name.
         origin: String,
@@ -38,8 +38,9 @@ pub enum Error {
         kind: &'static str,
         /// The name.
         name: String,
-        /// The nearest known names, best first.
-        nearest: Vec<String>,
+        /// What to write instead, as it follows the name in the message: known names, the nearest first, or a sentence
+        /// after a colon.
+        hint: String,
     },
     /// No device can do the work: there is no adapter, its limits or the memory are too small, its driver
     /// refuses a kernel, or the machine cannot start what the work needs.
@@ -57,6 +58,9 @@ pub enum Error {
         cloth: usize,
     },
 }
+
+/// Fewer known names than this are all listed.
+const FEW: usize = 10;
 
 /// `Result` with the library's [`Error`].
 pub type Result<T, E = Error> = std::result::Result<T, E>;
@@ -92,7 +96,8 @@ impl Error {
         }
     }
 
-    /// Returns an [`Error::Unknown`] that suggests up to three of `known`, by edit distance.
+    /// Returns an [`Error::Unknown`] that suggests the nearest of `known`, by edit distance: up to three of them, or all
+    /// if there are fewer than ten.
     pub fn unknown<'a>(
         origin: impl Into<String>,
         kind: &'static str,
@@ -103,9 +108,29 @@ impl Error {
         let mut ranked: Vec<(usize, &str)> =
             known.into_iter().map(|k| (strsim::damerau_levenshtein(&name, k), k)).collect();
         ranked.sort();
+        let names = |ranked: &[(usize, &str)]| ranked.iter().map(|r| r.1).collect::<Vec<_>>().join(", ");
         let near = ranked.first().map_or(0, |r| r.0).max(2) + 1;
-        let nearest = ranked.into_iter().filter(|r| r.0 <= near).take(3).map(|r| r.1.to_owned()).collect();
-        Error::Unknown { origin: origin.into(), kind, name, nearest }
+        let nearest = ranked.iter().take(3).take_while(|r| r.0 <= near).count();
+        let hint = match (nearest, ranked.len()) {
+            (_, 0) => String::new(),
+            (0, 1..FEW) => format!(" (known: {})", names(&ranked)),
+            (0, _) => String::new(),
+            (_, 1..FEW) if ranked.len() > nearest => {
+                format!(
+                    " (did you mean {}? others: {})",
+                    names(&ranked[..nearest]),
+                    names(&ranked[nearest..])
+                )
+            }
+            _ => format!(" (did you mean {}?)", names(&ranked[..nearest])),
+        };
+        Error::Unknown { origin: origin.into(), kind, name, hint }
+    }
+
+    /// Returns an [`Error::Unknown`] for the name of something that does not exist here; `instead` is a sentence that
+    /// says what to do.
+    pub fn absent(origin: impl Into<String>, kind: &'static str, name: &str, instead: &str) -> Self {
+        Error::Unknown { origin: origin.into(), kind, name: brief(name), hint: format!(": {instead}") }
     }
 }
 
@@ -120,10 +145,6 @@ fn brief(name: &str) -> String {
 /// colours. Keeps line breaks.
 fn plain(text: &str) -> String {
     text.chars().map(|c| if c.is_control() && c != '\n' { '?' } else { c }).collect()
-}
-
-fn suggest(nearest: &[String]) -> String {
-    if nearest.is_empty() { String::new() } else { format!(" (did you mean {}?)", nearest.join(", ")) }
 }
 
 #[cfg(test)]

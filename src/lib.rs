@@ -90,13 +90,13 @@
 //! |---|---|
 //! | [`cloth`] | grid, material, state and control of cloths, in grid units; the terms of the energy |
 //! | [`io`], [`render`] | trajectory and mesh files; images |
-//! | [`scene`] | scene files, motions, materials, conversion to grid units |
 //! | [`settings`] | settings of the methods, for both devices |
 //! | [`gpu`] | context, tensors, kernels, schedules, readback; knows nothing of cloth |
 //! | [`kernels`] | the host side of each file in `shaders/`, in the same tree |
 //! | [`network`] | sizes, weights, checkpoints, the forward and backward passes as dispatches |
 //! | [`sim`] | optimizers, and the solver on a device |
-//! | [`cpu`] | the same stages without a GPU, and the converged minimum of a frame |
+//! | [`cpu`] | the same stages without a GPU, and the converged minimum of a frame and of a cloth at rest |
+//! | [`scene`] | scene files, motions, materials, conversion to grid units, the settled start |
 //! | [`Simulator`] | frames on any device, read back |
 //! | [`eval`] | comparison with recorded sequences, suites, material fitting |
 //! | [`train`] | pools of cloths, the run loop and its files |

@@ -40,7 +40,7 @@ impl Device {
 /// use fnopt::sim::Optimizer;
 /// use fnopt::{Device, Simulator};
 ///
-/// let setup = Scene::default().setup()?;
+/// let setup = Scene::released().setup()?;
 /// let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::lbfgs(), 5)?;
 /// simulator.set_state(&setup.start.cast());
 /// let frame = simulator.step(&setup.control(1))?;
@@ -188,6 +188,7 @@ impl Simulator {
             let now = Instant::now();
             self.frame += 1;
             let frame = Frame { index: self.frame, state, stats, wall: now - begun };
+            frame.warn_if_unconverged();
             begun = now;
             if let Some(cloth) = frame.first_broken() {
                 self.frame += self.backend.drain()?;
@@ -206,6 +207,17 @@ impl Simulator {
 }
 
 impl Frame {
+    fn warn_if_unconverged(&self) {
+        for (cloth, stats) in
+            self.stats.iter().enumerate().filter(|(_, stats)| stats.converged == Some(false))
+        {
+            let (frame, gradient) = (self.index, stats.gradient_last);
+            tracing::warn!(
+                "frame {frame}, cloth {cloth}: newton did not converge: |gradient| {gradient:.1e}"
+            );
+        }
+    }
+
     /// Returns the first cloth that is not finite.
     fn first_broken(&self) -> Option<usize> {
         let per_cloth = self.state.x.len() / self.stats.len();

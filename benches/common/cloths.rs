@@ -12,7 +12,7 @@ pub fn learned() -> Optimizer {
 
 /// Returns `batch` cloths of the default scene on an `n` by `n` grid.
 pub fn cloths(n: usize, batch: usize) -> Batch {
-    let mut scene = Scene::default();
+    let mut scene = Scene::released();
     scene
         .regrid(Grid::new(n, n, "bench").expect("a grid of a benchmark"))
         .expect("the default scene fits any grid");

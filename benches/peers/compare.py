@@ -48,13 +48,15 @@ class Comparison:
             self.ours[f"fnopt on {options.adapter}"] = gpu
 
     def sheet(self, n, device):
-        """Returns fnopt's frames of a drape that loses the support of the air, in edges, [F, n, n, 3]. (A
+        """Returns fnopt's frames of a drape that loses the support of one corner, in edges, [F, n, n, 3]. (A
         flat sheet would not do: whole components of its first gradient are zero, and the optimizer amplifies
         their rounding.)"""
         scene = {
             "grid": [n, n],
             "up": "z",
             "motion": "none",
+            "material": "paper",
+            "handles": [0],
             "wind": {"density": 0, "drag": 0},
             "frames": FRAMES_COMPARED + 4,
             "frame_time_s": FRAME_TIME,
@@ -71,7 +73,7 @@ class Comparison:
     def peer(self, n, mode, tf32=False, more=()):
         down = -GRAVITY * FRAME_TIME**2 * (n - 1)
         command = [sys.executable, HERE / "torch_frame.py", "--checkpoint", self.options.checkpoint]
-        command += ["--start", self.folder / f"start_{n}.npy", "--held", 0, n * (n - 1), "--gravity", 0, 0, down]
+        command += ["--start", self.folder / f"start_{n}.npy", "--held", 0, "--gravity", 0, 0, down]
         command += ["--mode", mode, "--device", self.options.device, "--threads", self.options.threads]
         command += ["--frames", self.options.frames, *(["--tf32"] if tf32 else []), *more]
         return json.loads(run(command).splitlines()[-1])

@@ -284,7 +284,7 @@ fn measure(
     interrupted: &AtomicBool,
 ) -> Result<Option<Row>> {
     let setups = default_scenes(grid, batch)?;
-    let (frames, iterations) = (args.frames as usize, args.solver.iterations());
+    let (frames, iterations) = (args.frames as usize, args.solver.iterations(optimizer));
     let mut simulator = Simulator::new(device, &setups.model, optimizer, iterations)?;
     simulator.set_state(&setups.start.cast());
     let mut times = Vec::with_capacity(frames);

@@ -82,6 +82,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         sequences: &sequences,
         grid: one_grid(&args.grid)?,
         settings: Settings {
+            own_material: false,
             // Replaced by the physics of each point.
             physics: Physics::default(),
             points: args.points as usize,

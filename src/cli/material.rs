@@ -16,8 +16,14 @@ pub fn fitted() -> Result<Physics> {
     Physics::parse(FITTED, "the fitted material")
 }
 
-/// Reads `--material`: three energy coefficients, or a file.
+/// Reads `--material`: the name of a material, three energy coefficients, or a file.
 pub fn read(text: &str) -> Result<Physics> {
+    if text.chars().all(|c| c.is_alphanumeric() || c == '-')
+        && !Path::new(text).exists()
+        && text.parse::<f64>().is_err()
+    {
+        return Ok(Physics { stiffness: Stiffness::named(text, "--material")?, ..Physics::default() });
+    }
     let Some(coefficients) = numbers::<3>(text) else {
         let numeric = text.contains(',') || text.parse::<f64>().is_ok();
         if numeric && !Path::new(text).is_file() {

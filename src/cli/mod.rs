@@ -13,10 +13,11 @@ mod train;
 mod tune;
 mod verify;
 
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use fnopt::cloth::Grid;
 use fnopt::eval::{Sequence, median};
-use fnopt::io::{create_folder, folder_of, is_stream};
+use fnopt::io::{create_folder, folder_of, is_stream, target_of};
 use fnopt::network::Weights;
 use fnopt::scene::{Batch, Scene, Setup};
 use fnopt::sim::Optimizer;
@@ -53,7 +54,22 @@ impl Cli {
             true => arg.allow_negative_numbers(true),
             false => arg,
         };
-        let matches = Self::command().mut_subcommands(|command| command.mut_args(negative)).get_matches();
+        let mut command = Self::command().mut_subcommands(|command| command.mut_args(negative));
+        let matches = command.try_get_matches_from_mut(std::env::args_os()).unwrap_or_else(|error| {
+            let unknown = match error.get(ContextKind::InvalidArg) {
+                Some(ContextValue::String(name)) if error.kind() == ErrorKind::UnknownArgument => {
+                    name.clone()
+                }
+                _ => error.exit(),
+            };
+            match ABSENT_OPTIONS.iter().find(|(name, _)| *name == unknown) {
+                Some((name, instead)) => {
+                    status!("error: unknown option '{name}': {instead}");
+                    std::process::exit(2)
+                }
+                None => error.exit(),
+            }
+        });
         Self::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
     }
 }
@@ -110,6 +126,28 @@ const MOST_THREADS: usize = 4096;
 /// The environment variable that selects what is logged.
 const LOG: &str = "FNOPT_LOG";
 
+/// Options that are fields of a scene, and what to do instead.
+const ABSENT_OPTIONS: [(&str, &str); 9] = [
+    (
+        "--wind",
+        "it is a field of a scene, {\"wind\": {\"velocity\": [x, y, z]}}; `-` reads a scene from the standard input",
+    ),
+    ("--gravity", "it is a field of a scene, {\"gravity\": 9.8}; `-` reads a scene from the standard input"),
+    (
+        "--fps",
+        "it is a field of a scene, {\"frame_time_s\": 0.02}; `-` reads a scene from the standard input",
+    ),
+    (
+        "--handles",
+        "they are a field of a scene, {\"handles\": \"corners\"}; `-` reads a scene from the standard input",
+    ),
+    ("--start", "it is a field of a scene, {\"start\": \"flat\"}; `-` reads a scene from the standard input"),
+    ("--mass", "it is a field of a scene, {\"mass_kg\": 0.2}; `-` reads a scene from the standard input"),
+    ("--speed", "it is a field of a scene, {\"speed\": 2}; `-` reads a scene from the standard input"),
+    ("--output", "it is called --out"),
+    ("--steps", "iterations in a frame are --iterations, and the frames are --frames"),
+];
+
 /// Starts logging to stderr what `FNOPT_LOG` selects, or warnings if it is not set. wgpu's own messages,
 /// which go through the `log` crate, are not included.
 pub fn log_to_stderr() -> Result<()> {
@@ -138,6 +176,8 @@ pub fn run(cli: Cli) -> ExitCode {
         status!("error: {error}");
         return ExitCode::from(2);
     }
+    #[cfg(target_os = "linux")]
+    report_full_files();
     // `tune` compiles pipelines for many tunings, most of which are never used again.
     let stores = !matches!(cli.command, Command::Tune(_));
     let ending = match cli.command {
@@ -163,6 +203,14 @@ pub fn run(cli: Cli) -> ExitCode {
             status!("error: {error}");
             ExitCode::from(if matches!(error.downcast_ref(), Some(Error::NonFinite { .. })) { 3 } else { 2 })
         }
+    }
+}
+
+/// Makes a write beyond the limit on the size of files fail like one on a full disk, instead of ending the process.
+#[cfg(target_os = "linux")]
+fn report_full_files() {
+    if let Err(error) = signals::register(signal_hook::consts::SIGXFSZ, Arc::default()) {
+        tracing::warn!("the limit on the size of files will end the process: {error}");
     }
 }
 
@@ -195,9 +243,10 @@ pub struct SolverArgs {
     /// Weights of the learned optimizer, a safetensors file [default: the weights that ship with the program]
     #[arg(long, value_name = "FILE")]
     checkpoint: Option<PathBuf>,
-    /// Iterations per frame
-    #[arg(long, default_value_t = 10, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_ITERATIONS))]
-    iterations: u32,
+    /// Iterations per frame [default: what suits the solver: 20 for fnopt, spectral and quasi-newton-exact, 10 for
+    /// fnopt-paper and gd, 40 for quasi-newton, 100 for lbfgs and adam]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_ITERATIONS))]
+    iterations: Option<u32>,
 }
 
 impl SolverArgs {
@@ -214,9 +263,16 @@ impl SolverArgs {
         }
     }
 
-    /// Iterations per frame.
-    pub fn iterations(&self) -> usize {
-        self.iterations as usize
+    /// Fails, naming the weights, if the grid is too small for the network of the optimizer.
+    pub fn check_grid(&self, optimizer: &Optimizer, grid: Grid) -> Result<()> {
+        let file = self.checkpoint.as_deref().map(|path| path.display().to_string());
+        let origin = file.unwrap_or_else(|| "the shipped weights".into());
+        optimizer.weights().map_or(Ok(()), |weights| weights.config.check_grid(grid, &origin, "--grid"))
+    }
+
+    /// Iterations per frame of the optimizer.
+    pub fn iterations(&self, optimizer: &Optimizer) -> usize {
+        self.iterations.map_or(optimizer.default_iterations(), |count| count as usize)
     }
 }
 
@@ -292,13 +348,13 @@ pub fn sequences(folder: &Path, named: Option<&[String]>) -> fnopt::Result<Vec<f
     Sequence::load_all(folder, named)
 }
 
-/// Sets up a batch of copies of the default scene on a grid. Fails if they have too many particles.
+/// Sets up a batch of copies of the default sheet on a grid, let go at one corner, so that every frame has work to do. Fails if they have too many particles.
 pub fn default_scenes(grid: Grid, batch: usize) -> Result<Batch> {
     let most = MOST_PARTICLES / grid.particles();
     if batch > most {
         return Err(Error::invalid("--batch", "cloths", format!("at most {most} of {grid}"), batch));
     }
-    let mut scene = Scene::default();
+    let mut scene = Scene::released();
     scene.regrid(grid)?;
     Setup::batch(&vec![scene.setup()?; batch])
 }
@@ -319,8 +375,15 @@ pub fn writable_file(path: &Path) -> Result<()> {
     if is_stream(path) {
         return Ok(());
     }
-    let path = path.canonicalize().unwrap_or_else(|_| path.to_owned());
-    writable_folder(folder_of(&path))
+    // A link may lead to a file that does not exist yet.
+    let target = target_of(path);
+    match folder_of(&target) {
+        folder if path.is_symlink() && !folder.is_dir() => {
+            let found = format!("a link to {}", target.display());
+            Err(Error::invalid(path.display().to_string(), "file", "one in a folder that exists", found))
+        }
+        folder => writable_folder(folder),
+    }
 }
 
 /// Applies [`writable_file`] to the file of an option that takes a PNG, and checks its name.

@@ -44,7 +44,8 @@ impl Output {
 
     fn done(&mut self, written: Result<usize>, all: usize) -> Result<usize> {
         match written {
-            Err(e) if e.kind() == ErrorKind::BrokenPipe => {
+            // EIO: a terminal that closed.
+            Err(e) if e.kind() == ErrorKind::BrokenPipe || cfg!(unix) && e.raw_os_error() == Some(5) => {
                 self.closed = true;
                 Ok(all)
             }

@@ -7,7 +7,7 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Frame;
-use fnopt::eval::{FreeEdges, STRETCH_LIMIT, median_time};
+use fnopt::eval::{Soundness, Verdict, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
@@ -21,19 +21,19 @@ use std::path::{Path, PathBuf};
 /// Arguments of `fnopt rollout`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Scene file (JSON) [default: a sheet hanging from two corners that move along xy_v2, in air]
+    /// Scene file (JSON), or `-` for the standard input [default: a sheet hanging from two corners that move along xy_v2, in air]
     scene: Option<PathBuf>,
     /// Motion of the handles: a built-in one such as xy_v2, yz, rot_h0 or updown_opp, `none`, or a .npy of
     /// [frames, handles, 3] metres
     #[arg(long, value_name = "M")]
     motion: Option<String>,
-    /// Particles along the height and the width. Energy coefficients are kept, so a finer grid is a softer
-    /// cloth; with moduli it is the same cloth
+    /// Particles along the height and the width. With moduli, which are the default, it is the same cloth on every
+    /// grid; energy coefficients make a finer grid a softer one
     #[arg(long, num_args = 1..=2, value_name = "N|HxW|H W")]
     grid: Option<Vec<String>>,
-    /// Energy coefficients stretch, shear, bend, or a JSON file with coefficients or moduli under "material"
+    /// `paper` for the paper's coefficients, energy coefficients stretch, shear, bend, or a JSON file with coefficients or moduli under "material"
     /// as in a scene; its "frame_time_s" and the density and drag of its "wind" apply too
-    #[arg(long, value_name = "KS,KH,KB|FILE")]
+    #[arg(long, value_name = "paper|KS,KH,KB|FILE")]
     material: Option<String>,
     /// Keep the layers of the cloth apart, as "repulsion" in a scene does, with these values or else the
     /// scene's or the default ones
@@ -72,10 +72,11 @@ pub fn run(args: &Args) -> Result<Ending> {
     let setup = scene.setup()?;
     tracing::info!("scene: {}, {} frames of {}", scene.origin, setup.frames(), setup.model.grid);
     let optimizer = args.solver.optimizer()?;
+    args.solver.check_grid(&optimizer, setup.model.grid)?;
     args.check_inputs_are_kept(&scene)?;
     args.format.iter().try_for_each(|format| format.check_capacity(setup.frames(), "--format"))?;
     let trajectory = setup.trajectory()?;
-    let solver = (&optimizer, args.solver.iterations());
+    let solver = (&optimizer, args.solver.iterations(&optimizer));
     let (mut simulator, device, line) = args.device.simulator(&setup.model, solver)?;
     let interrupted = interrupt_flag();
     status!("{line}");
@@ -104,6 +105,11 @@ impl Args {
             Some(path) if self.repulsion.is_some() && numbers::<2>(&path.to_string_lossy()).is_some() => {
                 let expected = format!("an equals sign before it, as in --repulsion={}", path.display());
                 return Err(Error::invalid("--repulsion", "value", expected, "a space").into());
+            }
+            Some(path) if path == Path::new("-") => {
+                let text = std::io::read_to_string(std::io::stdin())
+                    .map_err(|e| Error::io("standard input", "cannot read", e))?;
+                Scene::parse(&text, "standard input", &absolute(Path::new(".")))?
             }
             Some(path) => Scene::load(path)?,
             None => Scene::default(),
@@ -199,9 +205,7 @@ struct Run<'a> {
     device: String,
     trajectory: Trajectory,
     per_frame: Vec<PerFrame>,
-    /// The edges away from the handles, and the largest `|edge| - 1` among them so far.
-    edges: FreeEdges,
-    largest_free_stretch: f64,
+    soundness: Soundness<'a>,
 }
 
 #[derive(serde::Serialize)]
@@ -230,7 +234,6 @@ impl<'a> Run<'a> {
         optimizer: &'a Optimizer,
         (device, trajectory): (String, Trajectory),
     ) -> Self {
-        let edges = FreeEdges::new(&setup.model, 0);
         Self {
             args,
             scene,
@@ -239,14 +242,13 @@ impl<'a> Run<'a> {
             device,
             trajectory,
             per_frame: Vec::new(),
-            edges,
-            largest_free_stretch: 0.0,
+            soundness: Soundness::new(setup),
         }
     }
 
     fn keep(&mut self, frame: &Frame) {
         self.setup.push(&mut self.trajectory, &frame.state);
-        self.largest_free_stretch = self.largest_free_stretch.max(self.edges.largest(&frame.state.x));
+        self.soundness.judge(frame);
         let stats = frame.stats[0];
         self.per_frame.push(PerFrame {
             frame: frame.index,
@@ -294,24 +296,21 @@ impl<'a> Run<'a> {
                 return Err(error.into());
             }
         };
-        if !self.is_sound() {
-            let percent = 100.0 * self.largest_free_stretch;
-            status!(
-                "warning: an edge away from the handles was stretched by {percent:.0} %, more than any cloth: the rollout is not sound"
-            );
+        for fault in self.verdict().faults() {
+            status!("warning: the rollout is not sound: {fault}");
         }
         self.summarise(status, &written)?;
         Ok(ending)
     }
 
-    /// Whether no edge away from the handles was stretched more than any cloth.
-    fn is_sound(&self) -> bool {
-        self.largest_free_stretch <= STRETCH_LIMIT
+    /// Returns what the frames were like.
+    fn verdict(&self) -> Verdict {
+        self.soundness.verdict()
     }
 
-    /// Returns the largest stretch away from the handles; `None` without a frame after the start.
-    fn stretch_largest_free(&self) -> Option<f64> {
-        (!self.per_frame.is_empty()).then_some(self.largest_free_stretch)
+    /// Returns what is not sound about them, in words.
+    fn unsound(&self) -> Vec<String> {
+        self.verdict().faults().iter().map(ToString::to_string).collect()
     }
 
     /// Returns the median time per frame after the warm-up, or of all frames if there are no others.
@@ -406,15 +405,17 @@ impl<'a> Run<'a> {
             "settings": {
                 "scene": self.scene.to_json(),
                 "solver": self.optimizer.name(),
-                "iterations": iterates.then(|| self.args.solver.iterations()),
+                "iterations": iterates.then(|| self.args.solver.iterations(self.optimizer)),
                 "checkpoint": checkpoint.as_deref().map(absolute).map(|path| path.display().to_string()),
                 "precision": self.args.device.precision,
             },
             "weights_crc32": self.optimizer.weights_crc32(),
             "device": self.device,
             "status": status,
-            "sound": status != Status::NonFinite && self.is_sound(),
-            "stretch_largest_free": self.stretch_largest_free(),
+            "sound": status != Status::NonFinite && self.verdict().is_sound(),
+            "unsound": self.unsound(),
+            "stretch_largest_free": self.verdict().stretch_largest_free,
+            "gap_estimate": self.verdict().gap_estimate,
             "steps_shortened": self.per_frame.iter().map(|frame| frame.stats.steps.shortened).sum::<usize>(),
             "directions_dropped": self.directions_dropped(),
             "files": names(written).chain([REPORT.into()]).collect::<Vec<_>>(),
@@ -440,8 +441,9 @@ impl<'a> Run<'a> {
             let summary = serde_json::json!({
                 "device": self.device, "status": status, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
                 "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch,
-                "stretch_largest_free": self.stretch_largest_free(),
-                "sound": status != Status::NonFinite && self.is_sound(), "files": files,
+                "stretch_largest_free": self.verdict().stretch_largest_free, "gap_estimate": self.verdict().gap_estimate,
+                "sound": status != Status::NonFinite && self.verdict().is_sound(), "unsound": self.unsound(),
+                "files": files,
             });
             writeln!(out, "{summary:#}")?;
             return Ok(());
@@ -453,6 +455,9 @@ impl<'a> Run<'a> {
             writeln!(out, "energy          {energy:.5} (last frame, grid units)")?;
             writeln!(out, "|gradient|      {gradient:.2e} (last iteration of the last frame)")?;
             writeln!(out, "largest stretch {:.1} % (of all edges, including at handles)", 100.0 * stretch)?;
+            if let Some(gap) = self.verdict().gap_estimate {
+                writeln!(out, "energy gap      {:.2} % (estimated; median of the frames)", 100.0 * gap)?;
+            }
             if self.directions_dropped() > 0 {
                 let name = "left out";
                 writeln!(out, "{name:<15} {} directions that were not finite", self.directions_dropped())?;

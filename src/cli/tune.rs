@@ -61,7 +61,8 @@ pub fn run(args: &Args) -> Result<Ending> {
         }
         if failed.is_err() { ControlFlow::Break(()) } else { go_on(&interrupted) }
     };
-    let best = tune(&context, (&setups.model, &start), &optimizer, args.solver.iterations(), &mut tried)?;
+    let best =
+        tune(&context, (&setups.model, &start), &optimizer, args.solver.iterations(&optimizer), &mut tried)?;
     failed?;
     if go_on(&interrupted).is_break() {
         status!("interrupted; nothing was stored");

@@ -4,15 +4,16 @@ use super::Ending;
 use super::device::{DeviceKind, InferenceArgs};
 use super::output::{output, status};
 use anyhow::Result;
-use fnopt::Device;
 use fnopt::verify::{Check, CpuStages, GpuStages, Stages, Verdict, verify_folder};
+use fnopt::{Device, Error};
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `fnopt verify`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Folder of golden files (*.safetensors)
+    /// Folder of golden files (*.safetensors); the default is relative to the root of a checkout
+    #[arg(default_value = GOLDEN)]
     folder: PathBuf,
     #[command(flatten)]
     device: InferenceArgs,
@@ -21,7 +22,14 @@ pub struct Args {
     json: bool,
 }
 
+/// The golden files that ship.
+const GOLDEN: &str = "tests/golden";
+
 pub fn run(args: &Args) -> Result<Ending> {
+    if args.folder == Path::new(GOLDEN) && !args.folder.exists() {
+        let expected = "a folder of golden files, such as tests/golden in a checkout of the source";
+        return Err(Error::invalid("verify", "folder", expected, format!("no {GOLDEN} here")).into());
+    }
     let (device, line) = args.device.open()?;
     status!("{line}");
     let mut stages: Vec<Box<dyn Stages>> = Vec::new();

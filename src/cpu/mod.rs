@@ -6,6 +6,7 @@
 
 pub mod cloth;
 mod elementary;
+mod equilibrium;
 mod factored_hessian;
 pub mod fft;
 mod matmul;
@@ -17,9 +18,11 @@ mod reference;
 mod solver;
 pub mod train;
 
+pub use equilibrium::{Equilibrium, equilibrium};
 pub use factored_hessian::FactoredHessian;
 pub use matmul::peak_rate;
 pub use objective::Objective;
 pub use real::Real;
+pub(crate) use reference::free_fall;
 pub use reference::{Minimum, Reference, Track};
 pub use solver::Solver;

@@ -7,7 +7,7 @@
 use super::objective::Trials;
 use super::optim::{History, RestHessian, dot, norm};
 use super::{FactoredHessian, Objective};
-use crate::cloth::{Control, Model, State};
+use crate::cloth::{Cloth, Control, Model, State};
 use crate::statistics::median;
 use crate::{Error, Result};
 
@@ -23,6 +23,9 @@ const HISTORY: usize = 8;
 /// How often the gradient norm may rise before the Hessian is factored again, which costs as much as a dozen
 /// steps.
 const RISES: usize = 2;
+
+/// A frame whose energy decreases by less than this share of what it does in free fall is one of a cloth at rest.
+const AT_REST_GAIN: f64 = 1e-6;
 
 /// Finds the minimum of a frame of one cloth in double precision by Newton's method with line search. The
 /// Hessian is projected where it is not positive definite. Factorisation dominates the cost, so the method
@@ -79,7 +82,8 @@ impl Minimum {
 }
 
 impl Reference {
-    /// Builds the reference for one cloth, with |dL/da| <= 1e-8 in at most 200 iterations. Returns an error
+    /// Builds the reference for one cloth, with |dL/da| <= 1e-8 in at most 2000 iterations, of which few frames need more than
+    /// a hundred. Returns an error
     /// if the model is invalid ([`Model::check`]) or holds several cloths, or if there is not enough memory.
     pub fn new(model: &Model) -> Result<Self> {
         model.check()?;
@@ -90,7 +94,14 @@ impl Reference {
         let history = History::new(HISTORY, 3 * model.grid.particles());
         let objective = Objective::new(model);
         let rest = RestHessian::new(model.grid, &model.cloths[0]);
-        Ok(Self { objective, hessian, rest, history, tolerance: 1e-8, iterations: 200 })
+        Ok(Self { objective, hessian, rest, history, tolerance: 1e-8, iterations: 2000 })
+    }
+
+    /// Replaces the cloth by another on the same grid.
+    pub(super) fn set_cloth(&mut self, cloth: &Cloth) {
+        let grid = self.objective.model().grid;
+        self.rest = RestHessian::new(grid, cloth);
+        self.objective.set_model(&Model { grid, cloths: vec![cloth.clone()] });
     }
 
     /// Returns L at the accelerations `a` [3, H, W], in the frame that `control` drives from `state`. Panics
@@ -204,8 +215,10 @@ pub struct Track {
     model: Model,
     /// The state before each frame and its control.
     frames: Vec<(State<f32>, Control<f32>)>,
-    /// Energies in the frames that converged: frame number, L at a = 0, L at the minimum.
+    /// Energies in the frames that converged and in which something moves: frame number, L at a = 0, L at the minimum.
     probes: Vec<(usize, f64, f64)>,
+    /// Number of frames at rest. Their energies differ by roundings, so they have no gap.
+    still: usize,
     unconverged: usize,
 }
 
@@ -218,8 +231,10 @@ impl Track {
         controls: impl IntoIterator<Item = Control<f64>>,
     ) -> Result<Self> {
         let mut reference = Reference::new(model)?;
-        let (mut state, mut frames, mut probes, mut unconverged) = (start, Vec::new(), Vec::new(), 0);
+        let (mut state, mut frames, mut probes) = (start, Vec::new(), Vec::new());
+        let (mut at_rest, mut unconverged) = (0, 0);
         let still = vec![0.0; state.x.len()];
+        let least = AT_REST_GAIN * free_fall(model);
         for (frame, control) in controls.into_iter().enumerate() {
             // The optimizers get a frame in single precision, and the energies belong to that very frame: in a
             // cloth at rest, rounding its state changes them as much as an optimizer does.
@@ -230,16 +245,19 @@ impl Track {
             let nothing = reference.energy(&state, &control, &still);
             let minimum = reference.minimise(&state, &control, &still);
             unconverged += usize::from(!minimum.converged);
-            if minimum.converged && nothing > minimum.energy {
+            if minimum.converged && nothing - minimum.energy > least {
                 probes.push((frame, nothing, minimum.energy));
+            } else if minimum.converged {
+                at_rest += 1;
             }
             reference.end_frame(&mut state, &control);
         }
-        Ok(Self { model: model.clone(), frames, probes, unconverged })
+        Ok(Self { model: model.clone(), frames, probes, still: at_rest, unconverged })
     }
 
     /// Returns the median of the energy gaps `(L(a) - L_ref) / (L(0) - L_ref)` over the frames with a
-    /// reference; infinite if one of them is not finite, or if there are none. `accelerations` is called for
+    /// reference in which something moves; 0 if all are at rest, and infinite if one of them is not finite, or if there
+    /// are none. `accelerations` is called for
     /// one frame after another with its state and control, and computes a [3, H, W]. As soon as it returns
     /// `None`, so does this function.
     pub fn median_gap(
@@ -248,9 +266,10 @@ impl Track {
     ) -> Result<Option<f64>> {
         let mut objective = Objective::new(&self.model);
         let mut probes = self.probes.iter().peekable();
-        let mut gaps = Vec::with_capacity(self.probes.len());
+        let (mut gaps, mut finite) = (Vec::with_capacity(self.probes.len()), true);
         for (frame, (before, control)) in self.frames.iter().enumerate() {
             let Some(a) = accelerations(before, control)? else { return Ok(None) };
+            finite &= a.iter().all(|a| a.is_finite());
             if let Some(&(_, nothing, minimum)) = probes.next_if(|probe| probe.0 == frame) {
                 let a: Vec<f64> = a.into_iter().map(f64::from).collect();
                 let (state, control) = (before.cast(), control.cast());
@@ -259,8 +278,11 @@ impl Track {
                 gaps.push((reached - minimum) / (nothing - minimum));
             }
         }
-        let whole = !gaps.is_empty() && gaps.iter().all(|gap| gap.is_finite());
-        Ok(Some(if whole { median(&gaps) } else { f64::INFINITY }))
+        Ok(Some(match gaps.iter().all(|gap| gap.is_finite()) {
+            true if !gaps.is_empty() => median(&gaps),
+            true if finite && self.still > 0 => 0.0,
+            _ => f64::INFINITY,
+        }))
     }
 
     /// Returns the model of the cloth.
@@ -272,6 +294,13 @@ impl Track {
     pub fn unconverged(&self) -> usize {
         self.unconverged
     }
+}
+
+/// Returns the decrease of the energy in a frame in which the cloth falls freely from rest.
+pub(crate) fn free_fall(model: &Model) -> f64 {
+    let square: f64 = model.cloths[0].gravity.iter().map(|g| g * g).sum();
+    // The masses of the particles add up to (H-1)(W-1), and the energy is a mean over H W.
+    0.5 * square * ((model.grid.h - 1) * (model.grid.w - 1)) as f64 / model.grid.particles() as f64
 }
 
 /// Begins a frame at the accelerations `a` [3, H, W], with those of handles set to 0.
@@ -289,7 +318,7 @@ fn energy_here(objective: &mut Objective<f64>, state: &State<f64>, control: &Con
 }
 
 /// Zeroes a field [3, H, W] at the handles.
-fn hold(model: &Model, field: &mut [f64]) {
+pub(super) fn hold(model: &Model, field: &mut [f64]) {
     for component in field.chunks_exact_mut(model.grid.particles()) {
         model.cloths[0].handles.iter().for_each(|&p| component[p] = 0.0);
     }

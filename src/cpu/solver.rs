@@ -14,6 +14,8 @@ pub struct Solver<T: Real> {
     optimizer: Optimizer,
     method: Method<T>,
     log: IterationLog,
+    /// Whether Newton's method reached its tolerance, for each cloth; empty for other optimizers.
+    converged: Vec<bool>,
     objective: Objective<T>,
 }
 
@@ -43,7 +45,7 @@ impl<T: Real> Solver<T> {
             Length::Fixed(_) => Method::Steps(iterations, minimizer(optimizer, model)?),
         };
         let (optimizer, objective) = (optimizer.clone(), Objective::new(model));
-        Ok(Self { optimizer, method, log: IterationLog::default(), objective })
+        Ok(Self { optimizer, method, log: IterationLog::default(), converged: Vec::new(), objective })
     }
 
     /// Replaces materials, gravity, air, repulsion and handles of the cloths, from the next frame on. The
@@ -121,13 +123,9 @@ impl<T: Real> Solver<T> {
                 let minima: Vec<Minimum> = each
                     .map(|(reference, (state, control))| reference.minimise(state, control, &still))
                     .collect();
+                self.converged.clear();
                 for (b, minimum) in minima.into_iter().enumerate() {
-                    if !minimum.converged {
-                        let (iterations, gradient) = (minimum.iterations, minimum.gradient());
-                        tracing::warn!(
-                            "cloth {b}: newton did not converge: |gradient| {gradient:.1e} after {iterations} iterations"
-                        );
-                    }
+                    self.converged.push(minimum.converged);
                     // That of the minimum, before it is rounded to this precision.
                     self.log.gradient_norms.extend(minimum.norms);
                     for (a, minimum) in objective.trial.a[b * cloth..].iter_mut().zip(minimum.a) {
@@ -192,6 +190,7 @@ impl<T: Real> Solver<T> {
                 gradient_last: of_cloth(last, b),
                 stretch_largest,
                 stretch_mean,
+                converged: self.converged.get(b).copied(),
                 steps: match &self.method {
                     Method::Subspace(_, subspace) => subspace.step_counts(b),
                     _ => StepCounts::default(),

@@ -7,6 +7,7 @@
 //! suite::Prepared (a case, its converged frames) on an entry -> CaseScore; of the iterations -> GapCurves over time
 //! ```
 
+mod alignment;
 mod conditions;
 mod equal_time;
 pub mod fit;
@@ -19,6 +20,7 @@ mod repeats;
 mod resampling;
 mod score;
 mod sequence;
+mod soundness;
 mod stretch;
 pub mod suite;
 mod table;
@@ -37,6 +39,7 @@ pub use score::{
     Entry, PerFrame, SNAPSHOTS, Score, Settings, compare, run, snapshot_frames, snapshots, vertex_errors,
 };
 pub use sequence::Sequence;
-pub use stretch::{FreeEdges, STRETCH_LIMIT};
+pub use soundness::{Fault, GAP_LIMIT, HELD_STRETCH_LIMIT, STRETCH_LIMIT, Soundness, Verdict};
+pub use stretch::FreeEdges;
 pub use table::{Cell, Format, Table};
 pub use tables::tables;

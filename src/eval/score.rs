@@ -1,10 +1,11 @@
 //! The score of one solver on one sequence: its cost and its distance from the truth.
 
+use super::alignment::check_start;
 use super::metrics::{TriangleMesh, chamfer, relative_error};
 use super::nearness::{LayerProximity, mean_and_fractions_above};
 use super::physics::Physics;
 use super::resampling::{Resampling, coarse};
-use super::{Conditions, FreeEdges, Nudge, Sequence, median_time};
+use super::{Conditions, Nudge, Sequence, Soundness, Verdict, median_time};
 use crate::cloth::{EnergyTerms, Grid};
 use crate::cpu::Objective;
 use crate::io::Trajectory;
@@ -22,8 +23,6 @@ use std::path::Path;
 const DIVERGED: f64 = 3.0;
 /// Duration at the end over which the speed is averaged \[s\].
 const SETTLED_S: f64 = 0.5;
-/// Norm of the gradient above which a frame of Newton's method has not converged.
-const UNCONVERGED: f64 = 1e-6;
 /// Number of frames that [`snapshots`] keeps.
 pub const SNAPSHOTS: usize = 4;
 
@@ -72,6 +71,8 @@ pub(super) fn column(solver: &str, iterations: usize) -> String {
 pub struct Settings {
     /// The cloth and the air.
     pub physics: Physics,
+    /// Whether a sequence's own material counts instead of that of `physics`, if it has one.
+    pub own_material: bool,
     /// Number of points sampled from each surface for e_CD.
     pub points: usize,
     /// Number of frames to simulate, including the start; at most all of a sequence.
@@ -79,6 +80,14 @@ pub struct Settings {
 }
 
 impl Settings {
+    /// Returns the cloth and the air of a sequence.
+    pub fn physics_of(&self, sequence: &Sequence) -> Physics {
+        match sequence.stiffness() {
+            Some(stiffness) if self.own_material => Physics { stiffness, ..Physics::default() },
+            _ => self.physics,
+        }
+    }
+
     /// Returns the settings as a document, with `material` as in a scene, and null for values that the
     /// sequence provides.
     pub fn to_json(&self) -> serde_json::Value {
@@ -89,6 +98,7 @@ impl Settings {
             "density": density,
             "drag": drag,
             "frame_time_s": frame_time_s,
+            "own_material": self.own_material,
             "points": self.points,
             "frames": Some(self.frames).filter(|&frames| frames < usize::MAX),
         })
@@ -127,7 +137,7 @@ pub struct Score {
     pub stretch_largest: Option<f64>,
     /// Mean over the frames and all edges of `||edge| - 1|`.
     pub stretch_mean: Option<f64>,
-    /// Number of frames in which Newton's method did not converge, to |dL/da| <= 1e-6; `None` for others.
+    /// Number of frames in which Newton's method did not converge; `None` for others.
     #[serde(default)]
     pub unconverged: Option<usize>,
     /// Mean speed of the particles in the last half second [m/s], which shows how far the cloth has settled.
@@ -201,8 +211,7 @@ pub(super) struct Simulated {
     /// |dL/da| at the end of each frame, in the state that the optimizer left in single precision.
     pub gradients: Vec<f64>,
     pub times_ms: Vec<f64>,
-    /// NaN if a frame was not finite.
-    pub stretch_largest: f64,
+    pub verdict: Verdict,
     pub stable: bool,
     pub ended_early: bool,
 }
@@ -226,7 +235,7 @@ pub fn run(
     tick: impl FnMut() -> ControlFlow<()>,
 ) -> Result<Option<(Score, Trajectory)>> {
     let setup = |grid| -> Result<Setup> {
-        let mut scene = sequence.scene(grid, &settings.physics)?;
+        let mut scene = sequence.scene(grid, &settings.physics_of(sequence))?;
         scene.frames = Some(sequence.truth.frames().min(settings.frames));
         let mut setup = scene.setup()?;
         if let Some(nudge) = nudge {
@@ -260,11 +269,11 @@ pub fn run(
             score.energy_terms = Some(EnergyTerms::from_array([0, 1, 2, 3, 4, 5].map(term)));
             let gradients = &simulated.gradients;
             score.gradient = Some(gradients.iter().sum::<f64>() / gradients.len() as f64);
-            score.stretch_largest = Some(simulated.stretch_largest);
+            score.stretch_largest = simulated.verdict.stretch_largest_free;
             score.stretch_mean = Some(mean(&|s| s.stretch_mean));
         }
         if entry.optimizer.converges() {
-            let missed = |s: &&FrameStats| s.gradient_last > UNCONVERGED;
+            let missed = |s: &&FrameStats| s.converged == Some(false);
             score.unconverged = Some(simulated.stats.iter().filter(missed).count());
         }
     }
@@ -313,7 +322,8 @@ pub fn vertex_errors((found, grid): (&[[f32; 3]], Grid), (truth, of_truth): (&[[
 }
 
 /// Scores another system's trajectory of a sequence, on any grid or on the sequence's mesh
-/// ([`Sequence::read_other`]). Fails if it has too few frames or another frame rate.
+/// ([`Sequence::read_other`]). Fails if it has too few frames or another frame rate,
+/// or if it begins elsewhere than the truth and a factor, other axes or another order of the vertices explains that.
 pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &Settings) -> Result<Score> {
     let frames = sequence.truth.frames().min(settings.frames);
     if found.frames() < frames {
@@ -325,6 +335,7 @@ pub fn compare(sequence: &Sequence, name: &str, found: &Trajectory, settings: &S
         let (origin, expected) = (format!("{name}, {}", sequence.name), format!("{rate} frames per second"));
         return Err(Error::invalid(origin, "fps", expected, found.fps()));
     }
+    check_start(sequence, name, &*sequence.on_grid(found)?)?;
     // A vertex farther away than the cloth could be stretched to has exploded. That counts as divergence, as
     // for our own solvers.
     let reach = DIVERGED * sequence.side_m() * (1.0 + sequence.grid().aspect());
@@ -344,7 +355,7 @@ pub(super) fn simulate(
 ) -> Result<Simulated> {
     let mut simulator = Simulator::new(device, &setup.model, &entry.optimizer, entry.iterations)?;
     simulator.set_state(&setup.start.cast());
-    let edges = FreeEdges::new(&setup.model, 0);
+    let mut soundness = Soundness::new(setup);
     let mut objective = Objective::<f64>::new(&setup.model);
     let mut before = setup.start.cast::<f32>().cast();
     let mut done = Simulated {
@@ -352,7 +363,7 @@ pub(super) fn simulate(
         stats: Vec::new(),
         gradients: Vec::new(),
         times_ms: Vec::new(),
-        stretch_largest: 0.0,
+        verdict: Verdict::default(),
         stable: true,
         ended_early: false,
     };
@@ -366,14 +377,17 @@ pub(super) fn simulate(
         done.gradients.push(objective.gradient_at_end(&before, &after, &control));
         before = after;
         done.times_ms.push(frame.wall.as_secs_f64() * 1e3);
-        done.stretch_largest = edges.largest(&state.x).max(done.stretch_largest);
-        done.stable = done.stretch_largest < DIVERGED;
+        done.stable = soundness.judge(&frame) < DIVERGED;
         done.ended_early = tick().is_break();
         if done.stable && !done.ended_early { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
     });
+    done.verdict = soundness.verdict();
     match outcome {
         Ok(()) => {}
-        Err(Error::NonFinite { .. }) => (done.stable, done.stretch_largest) = (false, f64::NAN),
+        Err(Error::NonFinite { .. }) => {
+            done.stable = false;
+            done.verdict.stretch_largest_free = None;
+        }
         Err(error) => return Err(error),
     }
     Ok(done)

@@ -4,7 +4,8 @@ use super::Physics;
 use super::flat_mesh::FlatMesh;
 use crate::cloth::Grid;
 use crate::io::{Node, ReadOptions, Trajectory};
-use crate::scene::{Handles, Mass, Motion, Placement, Scene, Side, Start, StartFile, Wind};
+use crate::scene::file::read_stiffness;
+use crate::scene::{Handles, Mass, Motion, Placement, Scene, Side, Start, StartFile, Stiffness, Wind};
 use crate::{Error, Result, io};
 use serde_json::{Map, Value};
 use std::borrow::Cow;
@@ -65,12 +66,14 @@ struct Meta {
     mass: Mass,
     gravity: [f64; 3],
     wind: Wind,
+    stiffness: Option<Stiffness>,
     /// Vertex numbers of the handles, in the order of `handles.npy`.
     handle_vertices: Option<Vec<usize>>,
 }
 
 /// The keys of `meta.json` that are read, and those of its `wind`.
-const FIELDS: [&str; 8] = [
+const FIELDS: [&str; 9] = [
+    "material",
     "fps",
     "grid",
     "obj_code",
@@ -177,6 +180,11 @@ impl Sequence {
     /// Returns the density and drag of the air, and the frame time \[s\].
     pub fn air_and_frame_time(&self) -> [f64; 3] {
         [self.meta.wind.density, self.meta.wind.drag, 1.0 / self.truth.fps()]
+    }
+
+    /// Returns the material of its `meta.json`, if it has one.
+    pub fn stiffness(&self) -> Option<Stiffness> {
+        self.meta.stiffness
     }
 
     /// Returns the grid of the truth.
@@ -309,6 +317,11 @@ impl Meta {
             mass: node.get_or("mass_per_area_kg_m2", default.mass, |n| n.positive().map(Mass::Areal))?,
             gravity: node.get_or("gravity_m_s2", default.gravity, Node::vector)?,
             wind,
+            stiffness: match node.get("material") {
+                // A text is a note.
+                Some(material) if material.value.is_object() => Some(read_stiffness(&material)?),
+                _ => None,
+            },
             handle_vertices: node.get_or("handle_vertices", None, |n| handle_vertices(n).map(Some))?,
             origin: origin.clone(),
         })

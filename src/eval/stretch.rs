@@ -2,9 +2,6 @@
 
 use crate::cloth::Model;
 
-/// Largest stretch of [`FreeEdges`] in a sound rollout.
-pub const STRETCH_LIMIT: f64 = 0.6;
-
 /// The edges of one cloth that are more than H/10 edges away from each of its handles. Next to a handle that
 /// carries half of the sheet, an edge on a fine grid rightly doubles its length; away from handles, none
 /// should.
@@ -20,13 +17,10 @@ impl FreeEdges {
         let grid = model.grid;
         let (h, w) = (grid.h, grid.w);
         let handles = &model.cloths[index].handles;
-        let distance = |p: usize| {
-            let from = |&q: &usize| (p / w).abs_diff(q / w) + (p % w).abs_diff(q % w);
-            handles.iter().map(from).min().unwrap_or(usize::MAX)
-        };
+        let distances = distances(h, w, handles);
         let down = (0..(h - 1) * w).map(|p| [p, p + w]);
         let across = (0..h * w).filter(|p| p % w + 1 < w).map(|p| [p, p + 1]);
-        let free = |edge: &[usize; 2]| edge.iter().all(|&p| distance(p) > h / 10);
+        let free = |edge: &[usize; 2]| edge.iter().all(|&p| distances[p] as usize > h / 10);
         Self { edges: down.chain(across).filter(free).collect() }
     }
 
@@ -44,10 +38,47 @@ impl FreeEdges {
     }
 }
 
+/// Returns the number of edges from each particle to the nearest handle; `u32::MAX` without handles.
+fn distances(h: usize, w: usize, handles: &[usize]) -> Vec<u32> {
+    let mut distances = vec![u32::MAX; h * w];
+    handles.iter().for_each(|&p| distances[p] = 0);
+    // Along a shortest way, first from above and from the left, then from below and from the right.
+    let closer = |distances: &mut [u32], p: usize, q: usize| {
+        distances[p] = distances[p].min(distances[q].saturating_add(1));
+    };
+    for p in 0..h * w {
+        if p >= w {
+            closer(&mut distances, p, p - w);
+        }
+        if p % w > 0 {
+            closer(&mut distances, p, p - 1);
+        }
+    }
+    for p in (0..h * w).rev() {
+        if p + w < h * w {
+            closer(&mut distances, p, p + w);
+        }
+        if p % w + 1 < w {
+            closer(&mut distances, p, p + 1);
+        }
+    }
+    distances
+}
+
 #[cfg(test)]
 mod tests {
-    use super::FreeEdges;
+    use super::{FreeEdges, distances};
     use crate::scene::{Scene, Start};
+
+    #[test]
+    fn distances_are_those_to_the_nearest_handle() {
+        let (h, w, handles) = (7, 9, [3, 40, 58]);
+        for (p, &found) in distances(h, w, &handles).iter().enumerate() {
+            let from = |&q: &usize| (p / w).abs_diff(q / w) + (p % w).abs_diff(q % w);
+            assert_eq!(Some(found as usize), handles.iter().map(from).min(), "{p}");
+        }
+        assert!(distances(h, w, &[]).iter().all(|&d| d == u32::MAX));
+    }
 
     #[test]
     fn edges_next_to_a_handle_do_not_count() {

@@ -6,7 +6,7 @@ use super::gap::{timed_gap, track};
 use super::nearness::{LayerProximity, mean_and_fractions_above};
 use super::score::{keep, read_kept, simulate};
 use super::tables::DIVERGED;
-use super::{Cell, Conditions, Entry, STRETCH_LIMIT, Table};
+use super::{Cell, Conditions, Entry, Fault, Table, Verdict};
 use crate::Device;
 use crate::cloth::{Grid, Material};
 use crate::cpu::Track;
@@ -94,8 +94,9 @@ pub struct CaseScore {
     pub iterations: usize,
     /// Whether all frames were finite and of plausible size.
     pub stable: bool,
-    /// Largest `|edge| - 1` of the edges away from handles; `None` if a frame was not finite.
-    pub stretch_largest: Option<f64>,
+    /// What the rollout was like.
+    #[serde(flatten)]
+    pub verdict: Verdict,
     /// Median energy gap `(L_N - L_ref) / (L_0 - L_ref)` on the frames of a converged simulation; `None` if
     /// it was not requested or is not finite.
     pub gap: Option<f64>,
@@ -137,9 +138,9 @@ impl CaseScore {
         (self.made_with.settings["gap"] == true).then(|| self.gap.unwrap_or(f64::INFINITY))
     }
 
-    /// Whether the rollout was sound: finite, and no edge away from a handle beyond [`STRETCH_LIMIT`].
+    /// Whether the rollout was sound: finite, and nothing wrong with it ([`Verdict::faults`]).
     pub fn sound(&self) -> bool {
-        self.stable && self.stretch_largest.is_some_and(|stretch| stretch <= STRETCH_LIMIT)
+        self.stable && self.verdict.is_sound()
     }
 }
 
@@ -307,7 +308,7 @@ impl Prepared {
             grid: setup.model.grid.to_string(),
             iterations: entry.recorded_iterations(),
             stable: simulated.stable,
-            stretch_largest: Some(simulated.stretch_largest).filter(|stretch| stretch.is_finite()),
+            verdict: simulated.verdict,
             gap: found.map(|gap| gap.median).filter(|gap| gap.is_finite()),
             gap_ms_per_frame: found.map(|gap| gap.ms_per_frame).filter(|ms| ms.is_finite()),
             ms_per_frame: simulated.ms_per_frame(),
@@ -374,21 +375,21 @@ pub fn table(title: &str, suite: Suite, scores: &[CaseScore]) -> Table {
 }
 
 fn case_row(score: &CaseScore) -> (String, Vec<Cell>) {
-    let sound = if !score.stable {
-        "diverged"
-    } else if score.sound() {
-        "yes"
-    } else {
-        "stretched"
+    let sound = match (score.stable, score.verdict.faults().first()) {
+        (false, _) => "diverged",
+        (true, None) => "yes",
+        (true, Some(Fault::Stretch(_) | Fault::HeldStretch(_))) => "stretched",
+        (true, Some(Fault::Gap(_))) => "far from minimum",
+        (true, Some(Fault::Unconverged { .. })) => "not converged",
     };
-    let stretch = Some(score.stretch_largest.unwrap_or(f64::INFINITY));
+    let stretch = Some(score.verdict.stretch_largest_free.unwrap_or(f64::INFINITY));
     let figures = [stretch, score.measured_gap(), score.ms_per_frame];
     row(score.case.clone(), score, sound.to_owned(), figures)
 }
 
 fn row_of_all(scores: &[&CaseScore]) -> (String, Vec<Cell>) {
     let sound = scores.iter().filter(|score| score.sound()).count();
-    let stretch = |score: &&CaseScore| score.stretch_largest.unwrap_or(f64::INFINITY);
+    let stretch = |score: &&CaseScore| score.verdict.stretch_largest_free.unwrap_or(f64::INFINITY);
     let largest = scores.iter().map(stretch).fold(0.0, f64::max);
     let figures: [fn(&CaseScore) -> Option<f64>; 2] = [CaseScore::measured_gap, |score| score.ms_per_frame];
     // `None` if one case has none.

@@ -33,7 +33,7 @@ pub enum Format {
     },
     /// Markdown, the best number in bold.
     Markdown,
-    /// Comma-separated values, with the title as a comment.
+    /// Comma-separated values, without the title.
     Csv,
 }
 
@@ -99,18 +99,37 @@ impl Table {
         text
     }
 
+    /// Returns the cells of all tables as one table of comma-separated values, a line each: `table,row,column,value`,
+    /// with the text of the cells.
+    pub fn cells_as_csv(tables: &[Self]) -> String {
+        let mut text = "table,row,column,value\n".to_owned();
+        for table in tables {
+            for (name, cells) in &table.rows {
+                for (column, cell) in table.columns[1..].iter().zip(cells) {
+                    let fields = [&table.title, name, column, &cell.text].map(|field| quoted(field));
+                    text += &format!("{}\n", fields.join(","));
+                }
+            }
+        }
+        text
+    }
+
     fn csv(&self) -> String {
-        let quoted = |field: &str| match field.contains([',', '"']) {
-            true => format!("\"{}\"", field.replace('"', "\"\"")),
-            false => field.to_owned(),
-        };
         let line = |fields: Vec<String>| format!("{}\n", fields.join(","));
-        let mut text = format!("# {}\n", self.title);
+        let mut text = String::new();
         text += &line(self.columns.iter().map(|c| quoted(c)).collect());
         for (name, cells) in &self.rows {
             let fields = std::iter::once(name.as_str()).chain(cells.iter().map(|c| c.text.as_str()));
             text += &line(fields.map(quoted).collect());
         }
         text
+    }
+}
+
+/// Returns a field of a line of comma-separated values.
+fn quoted(field: &str) -> String {
+    match field.contains([',', '"']) {
+        true => format!("\"{}\"", field.replace('"', "\"\"")),
+        false => field.to_owned(),
     }
 }

@@ -94,7 +94,7 @@ fn rename(mut finished: TempPath, target: &Path) -> io::Result<()> {
 }
 
 /// Returns the file to replace: the target of a link instead of the link, even if it does not exist yet.
-fn target_of(path: &Path) -> PathBuf {
+pub fn target_of(path: &Path) -> PathBuf {
     let mut target = path.to_owned();
     // A system follows as many links at most.
     for _ in 0..40 {

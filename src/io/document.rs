@@ -31,6 +31,16 @@ impl<'a> Node<'a> {
         Error::invalid(self.origin, field, expected, brief(self.value))
     }
 
+    /// Fails if this is an object with a key of `absent`, each of which comes with a sentence that says what to do
+    /// instead.
+    pub fn deny_absent(&self, absent: &[(&str, &str)]) -> Result<()> {
+        let Some(object) = self.value.as_object() else { return Ok(()) };
+        match absent.iter().find(|(name, _)| object.contains_key(*name)) {
+            Some((name, instead)) => Err(Error::absent(self.origin, "field", name, instead)),
+            None => Ok(()),
+        }
+    }
+
     /// Fails unless this is an object whose keys are all among `known`.
     pub fn deny_unknown(&self, known: &[&str]) -> Result<()> {
         self.refuse(known, |_| true)
@@ -140,7 +150,11 @@ pub(crate) fn parse_json(origin: &str, text: &str) -> Result<Value> {
     parsed.map(|Once(value)| value).map_err(|e| {
         let place = format!("line {}, column {}", e.line(), e.column());
         let message = e.to_string();
-        let found = message.split(" at line").next().unwrap_or_default();
+        let mut found = message.split(" at line").next().unwrap_or_default();
+        let line = text.lines().nth(e.line().saturating_sub(1)).unwrap_or_default();
+        if line.get(e.column().saturating_sub(1)..).is_some_and(|rest| rest.starts_with(['/', '#'])) {
+            found = "a comment, which JSON does not have";
+        }
         Error::invalid(origin, place, "JSON", found)
     })
 }

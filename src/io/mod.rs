@@ -17,7 +17,7 @@ mod trajectory;
 mod zip;
 
 pub(crate) use atomic::{UNFINISHED, replace};
-pub use atomic::{folder_of, is_stream, write_atomic};
+pub use atomic::{folder_of, is_stream, target_of, write_atomic};
 pub(crate) use document::{Node, parse_json, parse_toml};
 pub use format::Format;
 pub use mesh::{Mesh, vertex_normals};

@@ -53,7 +53,7 @@ impl Config {
 
     /// Fails unless the grid can represent the kept modes; `origin` and `field` name the grid's source in the
     /// error.
-    pub(crate) fn check_grid(&self, grid: Grid, origin: &str, field: &str) -> Result<()> {
+    pub fn check_grid(&self, grid: Grid, origin: &str, field: &str) -> Result<()> {
         let Self { modes_h, modes_w, .. } = *self;
         if modes_h <= grid.h && modes_w <= grid.w / 2 + 1 {
             return Ok(());

@@ -3,7 +3,7 @@
 use super::file::read_gravity;
 use super::obj::Mesh;
 use super::start::read_transform;
-use super::{Handles, Motion, Scene, Side, Start, StartFile, UpAxis, file};
+use super::{Handles, Motion, Scene, Side, Start, StartFile, Stiffness, UpAxis, file};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::io::Node;
@@ -60,6 +60,7 @@ pub(super) fn read(node: &Node, folder: &Path) -> Result<Scene> {
         grid,
         // As in their code: one length scale, from the side along the rows.
         side_m: Side::Height(sizes[1]),
+        stiffness: Stiffness::paper(),
         gravity: node.get_or("gravity", up.down(GRAVITY_M_S2), |n| read_gravity(n, up))?,
         frame_time_s: FRAME_TIME_S,
         start: Start::File(StartFile { path, grid: None, transform }),

@@ -124,8 +124,45 @@ impl Scene {
     }
 }
 
+/// Fields that other simulators have, and what to do here.
+const ABSENT: [(&str, &str); 31] = [
+    ("damping", "there is none; the air slows the cloth (\"wind\": {\"density\", \"drag\"})"),
+    ("drag", "it is a field of \"wind\""),
+    ("colliders", NO_BODIES),
+    ("collider", NO_BODIES),
+    ("collisions", NO_BODIES),
+    ("collision", NO_BODIES),
+    ("obstacles", NO_BODIES),
+    ("bodies", NO_BODIES),
+    ("ground", NO_BODIES),
+    ("floor", NO_BODIES),
+    ("friction", NO_BODIES),
+    ("self_collision", "\"repulsion\": true keeps the layers of the cloth apart"),
+    ("thickness", "\"repulsion\": {\"distance\"} keeps the layers of the cloth apart, in edges"),
+    ("pressure", "there is none; a uniform acceleration is \"gravity\", and a wind is \"wind\""),
+    ("substeps", "a frame is one step; \"frame_time_s\" makes it shorter"),
+    ("fps", "\"frame_time_s\" is its reciprocal"),
+    ("dt", "\"frame_time_s\" is the duration of a frame [s]"),
+    ("time_step", "\"frame_time_s\" is the duration of a frame [s]"),
+    ("duration", "\"frames\" is the number of frames, including the start"),
+    ("density", "\"areal_mass_kg_m2\" is the cloth's, and \"wind\": {\"density\"} the air's"),
+    ("mass", "it is called \"mass_kg\", or \"areal_mass_kg_m2\""),
+    ("resolution", "it is called \"grid\""),
+    ("size", "it is called \"side_m\""),
+    ("pins", "they are called \"handles\""),
+    ("pinned", "they are called \"handles\""),
+    ("air", "it is called \"wind\""),
+    ("stretch", "it is a field of \"material\""),
+    ("bend", "it is a field of \"material\""),
+    ("shear", "it is a field of \"material\""),
+    ("solver", "it is an option of the command, --solver"),
+    ("iterations", "it is an option of the command, --iterations"),
+];
+const NO_BODIES: &str = "the cloth meets nothing but itself yet (\"repulsion\": true)";
+
 /// Reads our own format; see the documentation of [`super`].
 fn read(node: &Node, folder: &Path) -> Result<Scene> {
+    node.deny_absent(&ABSENT)?;
     node.deny_unknown(&FIELDS)?;
     let fallback = Scene::default();
     let up = node.get_or("up", UpAxis::Y, read_up)?;
@@ -189,9 +226,13 @@ fn read_mass(node: &Node) -> Result<Mass> {
     }
 }
 
-fn read_stiffness(node: &Node) -> Result<Stiffness> {
+/// Reads a material: coefficients, moduli or a name.
+pub(crate) fn read_stiffness(node: &Node) -> Result<Stiffness> {
     const MODULI: [&str; 3] = ["stretch_modulus", "shear_modulus", "bending_stiffness"];
     const GRID: [&str; 3] = ["stretch", "shear", "bend"];
+    if let Value::String(name) = node.value {
+        return Stiffness::named(name, &format!("{}: {}", node.origin, node.path));
+    }
     let known: Vec<&str> = GRID.into_iter().chain(MODULI).collect();
     node.deny_unknown(&known)?;
     if MODULI.iter().all(|key| node.get(key).is_none()) {

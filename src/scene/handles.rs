@@ -57,6 +57,11 @@ impl Placement {
         found.ok_or_else(|| Error::unknown(origin, "handle placement", name, known))
     }
 
+    /// Returns the particle numbers of the handles on a grid, in order.
+    pub(super) fn particles(self, grid: Grid) -> Vec<usize> {
+        self.cells(grid).into_iter().map(|[i, j]| i * grid.w + j).collect()
+    }
+
     /// Returns the handles on a grid, in order.
     fn cells(self, grid: Grid) -> Vec<[usize; 2]> {
         let (top, right) = (grid.h - 1, grid.w - 1);
@@ -90,7 +95,7 @@ impl Handles {
     pub fn on(&self, grid: Grid, origin: &str) -> Result<Vec<usize>> {
         let at = |[i, j]: [usize; 2]| i * grid.w + j;
         let particles: Vec<usize> = match self {
-            Handles::Placement(placement) => placement.cells(grid).into_iter().map(at).collect(),
+            Handles::Placement(placement) => placement.particles(grid),
             Handles::Cells(cells) => {
                 if let Some(k) = cells.iter().position(|c| c[0] >= grid.h || c[1] >= grid.w) {
                     let expected = format!("i below {} and j below {}", grid.h, grid.w);

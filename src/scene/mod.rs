@@ -31,7 +31,7 @@
 //! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each | | `[32, 32]` |
 //! | `side_m` | side along the height, from which the width follows as cells are square; or `[height, width]`, which must make cells square to within 0.1 % | m | `1` |
 //! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, or mass per area; above 0 | kg or kg/m^2 | areal, `0.187` |
-//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required | 1; or N/m, N/m, N m | `{"stretch": 1000, "shear": 8, "bend": 0.5}` |
+//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}` | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
 //! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
 //! | `repulsion` | repulsion between the layers of the cloth: `{"strength", "distance"}`, each 1 if left out; `true` for both defaults; or `false` for none | m^2/s^2, edges | `false` |
@@ -57,7 +57,9 @@
 //!
 //! **Start.** The start states:
 //!
-//! - `settled` hangs from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side, y up.
+//! - `settled` hangs still from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side, y up: in the
+//!   equilibrium of the scene's cloth under its gravity, in still air. It is computed when the scene is set up, which
+//!   takes up to a second on 64x64 particles; on grids finer than 256x256 it is resampled.
 //! - `flat` has particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up.
 //! - `hanging` is a vertical plane whose upper edge, j = 0, is `(0, 0.5, z)` times the side.
 //! - An OBJ has vertex `i W + j` for particle (i, j). Its faces, if it has any, cover each cell by two
@@ -95,7 +97,7 @@
 //! # The authors' scene files
 //!
 //! A document with a field `mesh_..` or `handle_ind_list` is read as a scene of the authors of the method: z
-//! up, frame time 1/50 s, gravity 9.76 m/s^2 unless given, no motion. Everything else is as in the default
+//! up, frame time 1/50 s, gravity 9.76 m/s^2 unless given, the paper's coefficients, no motion. Everything else is as in the default
 //! scene.
 //!
 //! | field | value |
@@ -111,7 +113,8 @@
 //! above is an error.
 
 mod authors;
-mod file;
+mod drape;
+pub(crate) mod file;
 mod handles;
 mod motion;
 mod obj;
@@ -182,15 +185,37 @@ impl Mass {
 /// Stiffness of the sheet.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Stiffness {
-    /// Coefficients of the energy in grid units, used as given: a finer grid is then a softer cloth.
+    /// Coefficients of the energy in grid units, used as given: a finer grid or a shorter frame is then a softer cloth.
     Grid(Material),
     /// Moduli in SI units: the same cloth on every grid.
     Moduli(Moduli),
 }
 
-impl Default for Stiffness {
-    fn default() -> Self {
+impl Stiffness {
+    /// The paper's typical coefficients (1000, 8, 0.5), whatever the grid.
+    pub fn paper() -> Self {
         Stiffness::Grid(Material::default())
+    }
+
+    /// Returns the material called `name`: `paper` ([`Stiffness::paper`]) or `default`. `origin` is the file or option
+    /// that the name comes from.
+    pub fn named(name: &str, origin: &str) -> Result<Self> {
+        match name {
+            "paper" => Ok(Self::paper()),
+            "default" => Ok(Self::default()),
+            _ => Err(Error::unknown(origin, "material", name, ["paper", "default"])),
+        }
+    }
+}
+
+impl Default for Stiffness {
+    /// Returns the moduli that the paper's typical coefficients give a sheet of 1 m with 32x32 particles.
+    fn default() -> Self {
+        Stiffness::Moduli(Moduli {
+            stretch_modulus: 1492.888,
+            shear_modulus: 44.8333,
+            bending_stiffness: 0.000752464,
+        })
     }
 }
 
@@ -308,6 +333,11 @@ impl Default for Scene {
 }
 
 impl Scene {
+    /// Returns the default sheet, let go at one of its corners: it moves from the first frame on.
+    pub fn released() -> Self {
+        Self { handles: Handles::Placement(Placement::Diagonal), motion: Motion::Still, ..Self::default() }
+    }
+
     /// Returns the files that [`Scene::setup`] reads.
     pub fn files(&self) -> impl Iterator<Item = &Path> {
         let start = match &self.start {

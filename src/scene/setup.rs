@@ -4,7 +4,7 @@ use super::motion::Recording;
 use super::points::{norm, zip};
 use super::surface::Sheet;
 use super::{Handles, Motion, Scene, Units, UpAxis};
-use crate::cloth::{Cloth, Control, Grid, Model, State, VertexView, cast};
+use crate::cloth::{Cloth, Control, Grid, Material, Model, State, VertexView, cast};
 use crate::io::Trajectory;
 use crate::{Error, Result};
 use num_traits::Float;
@@ -27,7 +27,7 @@ const USUAL: RangeInclusive<f64> = 0.9..=1.1;
 const STILL_FRAMES: usize = 391;
 
 /// Warns, unless the process has already said so.
-fn warn_once(message: String) {
+pub(super) fn warn_once(message: String) {
     static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
     // Released before the subscriber runs, which may set up scenes of its own.
     let is_new = SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(message.clone());
@@ -295,8 +295,17 @@ impl Scene {
     pub fn setup(&self) -> Result<Setup> {
         let units = self.check()?;
         let grid = self.grid;
-        let particles = self.handles.on(grid, &self.origin)?;
-        let [mut points, velocities] = self.start.on(grid, &units, self.up)?;
+        let cloth = Cloth {
+            material: self.stiffness.in_grid_units(&units, grid),
+            gravity: units.acceleration(self.up.to_z_up(self.gravity)),
+            air: units.air(self.wind.density, self.wind.drag),
+            repulsion: self.repulsion.map(|settings| units.repulsion(settings)),
+            handles: self.handles.on(grid, &self.origin)?,
+        };
+        let wind = units.velocity(self.up.to_z_up(self.wind.velocity));
+        self.check_units(&units, &cloth, wind)?;
+        let [mut points, velocities] = self.start.on(&cloth, &units, (grid, self.up), &self.origin)?;
+        let particles = &cloth.handles;
         let at_start: Vec<[f64; 3]> = particles.iter().map(|&p| points[p]).collect();
         let handles = self.trajectory(&units, &at_start)?;
         self.warn_if_size_differs(&points);
@@ -314,22 +323,15 @@ impl Scene {
             ));
         }
         particles.iter().zip(&handles[0]).for_each(|(&p, &at)| points[p] = at);
-        let cloth = Cloth {
-            material: self.stiffness.in_grid_units(&units, grid),
-            gravity: units.acceleration(self.up.to_z_up(self.gravity)),
-            air: units.air(self.wind.density, self.wind.drag),
-            repulsion: self.repulsion.map(|settings| units.repulsion(settings)),
-            handles: particles,
-        };
         let setup = Setup {
             start: State { x: field(&points), v: field(&velocities) },
             model: Model { grid, cloths: vec![cloth] },
             handles,
-            wind: units.velocity(self.up.to_z_up(self.wind.velocity)),
+            wind,
             units,
             up: self.up,
         };
-        self.check_finite(&setup)?;
+        self.check_places(&setup)?;
         let farthest = setup.start.x.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
         if farthest * f64::from(f32::EPSILON) > COARSEST {
             let away = farthest * units.length_m;
@@ -415,38 +417,32 @@ impl Scene {
         }
     }
 
-    /// Fails if a number overflows in grid units, or in single precision, in which frames are computed and
-    /// written, though it is finite in SI units.
-    fn check_finite(&self, setup: &Setup) -> Result<()> {
-        let single = |v: f64| (v as f32).is_finite();
-        let (cloth, units) = (&setup.model.cloths[0], &setup.units);
-        let material = [cloth.material.stretch, cloth.material.shear, cloth.material.bend];
-        let wind = [cloth.air.density, cloth.air.drag].into_iter().chain(setup.wind);
-        let start = setup.vertices_m(&setup.start.x);
-        let fields: [(&str, bool); 6] = [
-            (
-                "side_m, frame_time_s",
-                [units.length_m, units.length_m / units.frame_time_s].into_iter().all(single),
-            ),
-            ("material", material.into_iter().all(single)),
-            ("gravity", cloth.gravity.into_iter().all(single)),
-            ("wind", wind.into_iter().all(single)),
-            // Before the start, in which the handles are already where the motion begins.
-            ("motion", setup.handles.iter().flatten().flatten().all(|&v| single(v))),
-            (
-                "start",
-                setup.start.x.iter().chain(&setup.start.v).chain(start.as_flattened()).all(|&v| single(v)),
-            ),
-        ];
-        match fields.iter().find(|(_, finite)| !finite) {
-            None => Ok(()),
-            Some((name, _)) => Err(Error::invalid(
-                &self.origin,
-                *name,
-                "values that stay finite in grid units and in single precision",
-                "an overflow",
-            )),
+    /// Fails if a constant of the cloth overflows in grid units, or in single precision, in which frames are computed
+    /// and written, though it is finite in SI units.
+    fn check_units(&self, units: &Units, cloth: &Cloth, wind: [f64; 3]) -> Result<()> {
+        let Material { stretch, shear, bend } = cloth.material;
+        let air = [cloth.air.density, cloth.air.drag];
+        self.check_single("side_m, frame_time_s", [units.length_m, units.length_m / units.frame_time_s])?;
+        self.check_single("material", [stretch, shear, bend])?;
+        self.check_single("gravity", cloth.gravity)?;
+        self.check_single("wind", air.into_iter().chain(wind))
+    }
+
+    /// Fails likewise if a position or a velocity overflows.
+    fn check_places(&self, setup: &Setup) -> Result<()> {
+        // Before the start, in which the handles are already where the motion begins.
+        self.check_single("motion", setup.handles.iter().flatten().flatten().copied())?;
+        let metres = setup.vertices_m(&setup.start.x);
+        let State { x, v } = &setup.start;
+        self.check_single("start", x.iter().chain(v).chain(metres.as_flattened()).copied())
+    }
+
+    fn check_single(&self, field: &str, values: impl IntoIterator<Item = f64>) -> Result<()> {
+        if values.into_iter().all(|v| (v as f32).is_finite()) {
+            return Ok(());
         }
+        let expected = "values that stay finite in grid units and in single precision";
+        Err(Error::invalid(&self.origin, field, expected, "an overflow"))
     }
 
     /// Moves the scene to another grid. The side along the height is kept and cells are square, so the width

@@ -1,10 +1,11 @@
 //! The start state: positions and velocities at frame 0.
 
+use super::drape::settled;
 use super::obj::Mesh;
 use super::points;
 use super::surface::Sheet;
 use super::units::{Units, UpAxis};
-use crate::cloth::Grid;
+use crate::cloth::{Cloth, Grid};
 use crate::io::{Node, ReadOptions, Trajectory};
 use crate::{Error, Result, io};
 use std::path::{Path, PathBuf};
@@ -29,7 +30,8 @@ pub struct StartFile {
 /// The start state of a scene. Velocities are zero except from a `.npz`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Start {
-    /// `settled`: a drape that hangs from its corners (H-1, 0) and (0, 0), which are 0.9 of the side apart.
+    /// `settled`: the drape that hangs still from its corners (H-1, 0) and (0, 0), which are 0.9 of the side apart: in
+    /// the equilibrium of the scene's cloth under its gravity.
     #[default]
     Settled,
     /// `flat`: horizontal, particle (i, j) at (j, i - (H-1)/2, 0) edges, z up.
@@ -85,14 +87,17 @@ impl Start {
         }
     }
 
-    /// Returns the positions and velocities of the particles of `grid`, in particle order; grid units, z up.
-    pub(super) fn on(&self, grid: Grid, units: &Units, up: UpAxis) -> Result<[Vec<[f64; 3]>; 2]> {
+    /// Returns the positions and velocities of the particles of `grid`, in particle order; grid units, z up. `cloth` is
+    /// the scene's and `origin` names the scene in warnings.
+    pub(super) fn on(
+        &self,
+        cloth: &Cloth,
+        units: &Units,
+        (grid, up): (Grid, UpAxis),
+        origin: &str,
+    ) -> Result<[Vec<[f64; 3]>; 2]> {
         let points = match self {
-            Start::Settled => {
-                // Stored for a height of 1 m, which is H - 1 edges.
-                let edges = |p: [f64; 3]| UpAxis::Y.to_z_up(p).map(|c| c * (grid.h - 1) as f64);
-                Sheet::settled(grid)?.points.into_iter().map(edges).collect()
-            }
+            Start::Settled => settled(grid, units, cloth, origin)?.to_vec(),
             Start::Flat => (0..grid.particles()).map(|p| grid.rest(p)).collect(),
             // In the axes of the drape: with y up, i runs along +z and the upper edge is half a side above
             // the origin.

@@ -1,14 +1,12 @@
-//! Sampled sheets: the stored drapes, and resampling from one grid to another.
+//! Sampled sheets: the stored drape, and resampling from one grid to another.
 
 use super::points::{self, norm, zip};
 use crate::cloth::Grid;
 use crate::{Result, io};
 
-/// Drapes at rest, hanging from the two upper corners, which are 0.9 of the side apart; side 1 m, y up.
-const SETTLED: [&[u8]; 2] = [
-    include_bytes!("../../assets/starts/settled_32.npy"),
-    include_bytes!("../../assets/starts/settled_64.npy"),
-];
+/// The default cloth at rest on 32x32 particles, hanging from two corners, which are 0.9 of the side apart; side 1 m,
+/// y up.
+const SETTLED: &[u8] = include_bytes!("../../assets/starts/settled_32.npy");
 
 /// Positions of the particles of a grid, in the order of their numbers.
 #[derive(Clone, Debug)]
@@ -22,9 +20,7 @@ pub(super) struct Sheet {
 impl Sheet {
     /// Returns the settled drape on `grid` for a sheet of height 1 m, y up \[m\].
     pub fn settled(grid: Grid) -> Result<Self> {
-        // The stored grid nearer in size; at 48 x 48, in between, the finer one, which loses less.
-        let fine = grid.particles() >= 48 * 48;
-        let stored = io::parse_npy("the stored drape", SETTLED[usize::from(fine)])?;
+        let stored = io::parse_npy("the stored drape", SETTLED)?;
         let grid_of = Grid { h: stored.shape()[0], w: stored.shape()[1] };
         Ok(Self { grid: grid_of, points: points::from_array("the stored drape", &stored)? }.regrid(grid))
     }

@@ -405,6 +405,7 @@ impl Solver {
             gradient_last: of_cloth(last, b),
             stretch_largest: terms.stretch_largest,
             stretch_mean: terms.stretch_sum / edges,
+            converged: None,
             steps: step_counts(&steps[b * STATE..][..STATE]),
         };
         ClothTerms::all(terms).enumerate().map(stats).collect()

@@ -17,6 +17,8 @@ pub struct FrameStats {
     pub stretch_largest: f64,
     /// Mean of `||edge| - 1|`.
     pub stretch_mean: f64,
+    /// Whether Newton's method reached its tolerance; `None` for optimizers that end after a number of iterations.
+    pub converged: Option<bool>,
     /// What became of the steps.
     pub steps: StepCounts,
 }

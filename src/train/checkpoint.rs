@@ -118,8 +118,13 @@ impl Checkpoint {
         if found != field("checksum") {
             return Err(Error::invalid(&origin, "checksum", field("checksum"), found));
         }
-        let counters = serde_json::from_str(field("counters"))
+        let counters: Counters = serde_json::from_str(field("counters"))
             .map_err(|e| Error::invalid(&origin, "metadata 'counters'", "those of a run", e))?;
+        let Counters { step, updates, .. } = counters;
+        if updates > step {
+            let expected = format!("at most {step} updates in {step} steps");
+            return Err(Error::invalid(&origin, "metadata 'counters'", expected, updates));
+        }
         let mut tensors = Tensors { origin, ..Tensors::default() };
         for (name, view) in views {
             if view.dtype() != Dtype::F32 {

@@ -4,6 +4,7 @@ use super::config::ValidationConfig;
 use crate::Device;
 use crate::Result;
 use crate::cloth::Grid;
+use crate::eval::STRETCH_LIMIT;
 use crate::eval::suite::{Case, CaseScore, Prepared};
 use crate::network::Weights;
 use crate::scene::{Motion, Scene, Start};
@@ -48,7 +49,7 @@ impl Validation {
         };
         let mut scenes = Vec::new();
         for &grid in &config.grids {
-            scenes.push((prepared("hanging", Scene::default(), grid)?, true));
+            scenes.push((prepared("swinging", Scene::released(), grid)?, true));
         }
         if let Some(&finest) = config.grids.iter().max_by_key(|grid| grid.particles()) {
             let scene = Scene { start: Start::Flat, motion: Motion::Still, ..Scene::default() };
@@ -93,8 +94,10 @@ impl SceneScore {
             scene: score.case.clone(),
             // Cap the gap, also if it is infinite or NaN: JSON would store that as null, which means no gap.
             gap: score.measured_gap().map(|gap| gap.min(Self::MOST_GAP)),
-            stretch_largest: score.stretch_largest,
-            sound: score.sound(),
+            stretch_largest: score.verdict.stretch_largest_free,
+            // The gap counts by itself.
+            sound: score.stable
+                && score.verdict.stretch_largest_free.is_some_and(|stretch| stretch <= STRETCH_LIMIT),
         }
     }
 }

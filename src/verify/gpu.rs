@@ -4,7 +4,6 @@ use super::{
     AdamWCase, EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, TrainingCase,
     TrainingOutput, UpdateCase, gradient_of_push,
 };
-use crate::Result;
 use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, Repulsion, State};
 use crate::cpu::train::AdamWSettings;
 use crate::gpu::{Context, Schedule, Storage, Tensor};
@@ -16,7 +15,8 @@ use crate::kernels::train::BatchTensors;
 use crate::network::{Forward, Head, Keep, Parameters, Plan, TransposedWeights, Weights};
 use crate::settings::Normalisation;
 use crate::sim::{Learned, Optimizer, Solver};
-use crate::train::{DeviceAdamW, DeviceLoss};
+use crate::train::{DeviceAdamW, DeviceLoss, MAX_HANDLES};
+use crate::{Error, Result};
 use std::sync::Arc;
 
 /// The stages on the device of a context.
@@ -179,6 +179,16 @@ impl Stages for GpuStages {
     fn training_step(&mut self, weights: &Weights, case: &TrainingCase) -> Result<TrainingOutput> {
         let context = &self.context;
         let model = Model { grid: case.grid, cloths: case.cloths.clone() };
+        let most = MAX_HANDLES * model.batch();
+        if model.handles() > most {
+            let found = model.handles();
+            return Err(Error::invalid(
+                "training step",
+                "handles",
+                format!("at most {most} on a device"),
+                found,
+            ));
+        }
         let mut schedule = Schedule::new(context);
         let (parameters, gradient, loss) = context.checked(|| {
             let parameters = Parameters::new(context, weights, &self.context.tuning())?;

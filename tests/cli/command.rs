@@ -108,6 +108,6 @@ pub fn scores(folder: &Path) -> Vec<PathBuf> {
 
 /// The arguments of a bench on these grids in which 8x8 becomes non-finite within 20 frames, and 32x32 does not.
 pub fn exploding_bench(grids: &'static str) -> Vec<&'static str> {
-    let before = "bench --device cpu --solver quasi-newton --iterations 5 --frames 20 --grid";
+    let before = "bench --device cpu --solver quasi-newton --iterations 5 --frames 40 --grid";
     before.split(' ').chain([grids]).collect()
 }

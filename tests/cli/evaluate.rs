@@ -26,7 +26,7 @@ fn tables_go_into_a_pipe() {
     let folder = tempfile::tempdir().unwrap();
     let short = ["--device", "cpu", "--solver", "gd:1", "--grid", "8"];
     let (printed, _) = done(evaluate(folder.path(), &[&short[..], &["--csv", "/dev/stdout"]].concat()));
-    let csv = printed.find("sequence,").expect("tables as CSV");
+    let csv = printed.find("table,row,column,value").expect("tables as CSV");
     let plain = printed.find("sequence  ").expect("tables for people");
     assert!(csv < plain, "{printed}");
 }
@@ -104,7 +104,7 @@ fn a_material_reads_as_in_a_scene() {
     refused(with("windy.json", &[]), &["windy.json", "wind.velocity"]);
     write("misspelt.json", r#"{"material": {"bend": 0.1}, "wnd": {"density": 2}}"#);
     refused(with("misspelt.json", &[]), &["misspelt.json", "wnd", "did you mean wind?"]);
-    refused(evaluate(at, &["--wind=-1"]), &["--wind", "density"]);
+    refused(evaluate(at, &["--wind=-1"]), &["--air-density", "density"]);
 }
 
 /// Everything is checked before anything is simulated.

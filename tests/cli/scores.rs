@@ -193,11 +193,11 @@ fn only_scores_that_belong_together_are_merged() {
     refused(merge(&["a", "windy"]), &["settings.density: expected null", ", as in a/", "found 2"]);
     // Tables may be printed as they would be written.
     let (csv, _) = done(merge(&["a", "--csv", "-"]));
-    assert!(csv.starts_with("# ") && csv.contains("\nxy_v2,"), "{csv}");
+    assert!(csv.starts_with("table,row,column,value\n") && csv.contains(",xy_v2,"), "{csv}");
     assert!(!at.join("-").exists());
     refused(merge(&["a", "--csv", "-", "--json"]), &["a file for each of"]);
     refused(merge(&["a", "again"]), &["a/xy_v2_8x8_gd_3", "again/xy_v2_8x8_gd_3", "the only score of"]);
-    for option in [["--compare", "x=a"], ["--wind", "2"], ["--device", "cpu"], ["--solver", "gd"]] {
+    for option in [["--compare", "x=a"], ["--air-density", "2"], ["--device", "cpu"], ["--solver", "gd"]] {
         refused(merge(&[&["a"], &option[..]].concat()), &["cannot be used with", option[0]]);
     }
 }

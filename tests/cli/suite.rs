@@ -19,8 +19,8 @@ fn a_suite_fails_when_a_case_is_not_sound() {
     let both = suite("lbfgs:50,lbfgs:100");
     let rows = text(&both.stdout).lines().filter(|line| line.starts_with("corners flat")).count();
     assert_eq!(rows, 2, "{}", text(&both.stdout));
-    // Quasi-Newton diverges from a flat start on a grid this coarse.
-    let bad = suite("quasi-newton:10");
+    // A step of gradient descent hardly acts.
+    let bad = suite("gd:1");
     assert_eq!(bad.status.code(), Some(1), "{}", text(&bad.stdout));
 }
 
@@ -28,7 +28,7 @@ fn a_suite_fails_when_a_case_is_not_sound() {
 fn a_suite_honours_its_options_or_refuses_them() {
     let folder = tempfile::tempdir().unwrap();
     let suite = |name: &str, more: &[&str]| {
-        let few = ["--frames", "3", "--no-gap", "--device", "cpu", "--json", "s.json"];
+        let few = ["--frames", "40", "--no-gap", "--device", "cpu", "--json", "s.json"];
         let solver = if more.contains(&"--solver") { vec![] } else { vec!["--solver", "lbfgs:2"] };
         quiet(folder.path(), &[&["evaluate", "--suite", name], &few[..], &solver, more].concat())
             .output()
@@ -45,19 +45,20 @@ fn a_suite_honours_its_options_or_refuses_them() {
     let largest = |more: &[&str]| {
         let scores = scores("speeds", &[&["--sequences", "speed 1", "--grid", "12"], more].concat());
         assert_eq!(scores[0]["case"], "speed 1");
-        scores[0]["stretch_largest"].as_f64().unwrap()
+        scores[0]["stretch_largest_free"].as_f64().unwrap()
     };
     let usual = largest(&[]);
-    assert_eq!(usual, largest(&["--material", "1000,8,0.5"]));
+    let paper = largest(&["--material", "1000,8,0.5"]);
+    assert_eq!(paper, largest(&["--material", "paper"]));
     assert_ne!(usual, largest(&["--material", "10,8,0.5"]));
     assert_ne!(usual, largest(&["--wind", "50"]));
     // One that leaves the numbers has no stretch, and the verdict is in the file.
-    let few = ["--sequences", "speed 1", "--grid", "12", "--solver", "gd:1"];
+    let few = ["--sequences", "speed 1", "--grid", "12", "--solver", "lbfgs:100"];
     assert_eq!(scores("speeds", &few)[0]["sound"], true);
     let wild = ["--material", "1e9,8,0.5", "--sequences", "speed 1", "--grid", "12", "--solver", "gd:300"];
     let wild = &scores("speeds", &wild)[0];
     assert_eq!((&wild["stable"], &wild["sound"]), (&false.into(), &false.into()), "{wild}");
-    assert!(wild["stretch_largest"].is_null(), "{wild}");
+    assert!(wild["stretch_largest_free"].is_null(), "{wild}");
     // The suite `grids` has its own grids, and runs each once.
     let of_grids = scores("grids", &["--sequences", "48x32"]);
     assert_eq!((of_grids.len(), &of_grids[0]["grid"]), (1, &"48x32".into()));
@@ -86,9 +87,8 @@ fn a_suite_honours_its_options_or_refuses_them() {
 #[test]
 fn repulsion_is_reported() {
     let folder = tempfile::tempdir().unwrap();
-    let few = ["--sequences", "single-mid-edge without,single-mid-edge with", "--frames", "70"];
-    // At the minima of the frames the sheet first meets itself in frame 50, and with this solver in frame 53. What ten
-    // checked steps leave undone delays the fold to frame 71; forty reach it in frame 50.
+    let few = ["--sequences", "single-mid-edge without,single-mid-edge with", "--frames", "100"];
+    // The sheet begins to meet itself in about frame 74.
     let rest = ["--solver", "fnopt-paper", "--device", "cpu", "--json", "s.json"];
     let arguments = [&["evaluate", "--suite", "repulsion"], &few[..], &rest].concat();
     let (printed, _) = done(quiet(folder.path(), &arguments).output().unwrap());
@@ -152,7 +152,7 @@ fn cases_of_a_suite_are_kept() {
             suite(&if other[0] == "--frames" { other.to_vec() } else { [&usual[..], other].concat() });
         assert!(others.iter().zip(&first).all(|(other, first)| other["made_with"] != first["made_with"]));
     }
-    assert_eq!(suite(&usual)[0]["stretch_largest"], first[0]["stretch_largest"]);
+    assert_eq!(suite(&usual)[0]["stretch_largest_free"], first[0]["stretch_largest_free"]);
     // A score without the gap is not taken for one with it.
     let without = suite(&[&usual[..], &["--no-gap"]].concat());
     assert!(
@@ -168,7 +168,7 @@ fn gaps_are_compared_at_equal_time() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let suite = |more: &[&str]| {
-        let few = ["--suite", "iterations", "--frames", "6", "--device", "cpu", "--iterations", "2,30"];
+        let few = ["--suite", "iterations", "--frames", "45", "--device", "cpu", "--iterations", "2,30"];
         let solvers = ["--solver", "newton,lbfgs,gd:4,lbfgs:4,lbfgs", "--json", "s.json"];
         let output = fnopt(at, &[&["evaluate"], &few[..], &solvers, more].concat());
         // On a grid this coarse not all cases are sound.

@@ -18,7 +18,7 @@ fn a_training_run_fills_its_folder_and_resumes() {
         let log = text(&output.stderr);
         assert_eq!(output.status.code(), Some(0), "{log}");
         // Validation is also logged if there is no terminal for a progress bar.
-        assert!(log.contains(": hanging 9x12: "), "{log}");
+        assert!(log.contains(": swinging 9x12: "), "{log}");
         text(&output.stdout)
     };
     assert!(train(&["tiny.toml", "--out", "once"]).contains("4 of 4 steps done"));

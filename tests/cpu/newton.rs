@@ -236,7 +236,7 @@ fn pivots_lost_to_rounding_are_replaced() {
 /// Frames of the default scene converge to |gradient| <= 1e-8: the first 60, or all with `FRAMES=391`.
 #[test]
 fn frames_of_a_swinging_sheet_converge() {
-    let setup = Scene::default().setup().unwrap();
+    let setup = Scene::released().setup().unwrap();
     let mut reference = Reference::new(&setup.model).unwrap();
     let (mut state, still) = (setup.start.clone(), vec![0.0; setup.start.x.len()]);
     let (mut most, begun) = (0, std::time::Instant::now());
@@ -257,7 +257,7 @@ fn frames_of_a_swinging_sheet_converge() {
 /// Factors in single precision suffice.
 #[test]
 fn a_stiff_fine_sheet_converges() {
-    let mut scene = Scene::default();
+    let mut scene = Scene::released();
     scene.regrid(Grid { h: 100, w: 100 }).unwrap();
     scene.stiffness = Stiffness::Grid(Material { stretch: 10_000.0, shear: 80.0, bend: 50.0 });
     let setup = scene.setup().unwrap();
@@ -273,7 +273,7 @@ fn a_stiff_fine_sheet_converges() {
 /// As a single-precision solver for a batch, Newton's method follows the reference to single precision.
 #[test]
 fn a_batch_is_solved_cloth_by_cloth() {
-    let setup = Scene::default().setup().unwrap();
+    let setup = Scene::released().setup().unwrap();
     let model = Model { grid: setup.model.grid, cloths: vec![setup.model.cloths[0].clone(); 2] };
     let mut solver = Solver::<f32>::new(&model, &Optimizer::newton(), 1).unwrap();
     let twice = |values: &[f64]| [values, values].concat().iter().map(|&v| v as f32).collect::<Vec<_>>();

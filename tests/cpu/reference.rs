@@ -6,13 +6,13 @@ use fnopt::cpu::optim::{FactoredRestHessian, InverseHessian, RestHessian};
 use fnopt::cpu::{Objective, Reference, Solver, Track};
 use fnopt::eval::median_gap;
 use fnopt::network::Weights;
-use fnopt::scene::{Motion, Scene, Setup};
+use fnopt::scene::{Scene, Setup};
 use fnopt::sim::Optimizer;
 use std::f64::consts::PI;
 use std::ops::ControlFlow;
 
 fn scene(h: usize, w: usize) -> Setup {
-    let mut scene = Scene::default();
+    let mut scene = Scene::released();
     scene.regrid(Grid { h, w }).unwrap();
     scene.setup().unwrap()
 }
@@ -91,7 +91,7 @@ fn waves_of_a_flat_sheet_are_eigenvectors() {
     assert!((along - 1.0).abs() < 0.15, "{along}");
 }
 
-/// Builds a track of these frames of the motion `xy_v2`.
+/// Builds a track of these frames.
 fn track(grid: Grid, frames: std::ops::Range<usize>) -> Track {
     let setup = scene(grid.h, grid.w);
     let controls = frames.map(|frame| setup.control(frame));
@@ -136,7 +136,7 @@ fn optimizers_close_a_part_of_the_gap() {
 /// a cloth that hardly moves, the difference was a part of the gap.
 #[test]
 fn the_minimum_leaves_no_gap_in_a_cloth_at_rest() {
-    let still = Scene { motion: Motion::Still, ..Scene::default() }.setup().unwrap();
+    let still = Scene::released().setup().unwrap();
     let track = Track::new(&still.model, still.start.clone(), (1..391).map(|f| still.control(f))).unwrap();
     let tick = || ControlFlow::Continue(());
     let gap = |optimizer| median_gap(&track, (&optimizer, 10), &Device::Cpu, tick).unwrap().unwrap();
@@ -145,9 +145,9 @@ fn the_minimum_leaves_no_gap_in_a_cloth_at_rest() {
     // Without accelerations nothing is gained: the energies are those of the very states and controls that
     // optimizers get.
     let mut worst = 0.0f64;
-    for (frame, cloth) in [(3, &still), (40, &Scene::default().setup().unwrap())] {
-        let controls = (1..=frame).map(|f| cloth.control(f));
-        let track = Track::new(&cloth.model, cloth.start.clone(), controls).unwrap();
+    for frame in [3, 40] {
+        let controls = (1..=frame).map(|f| still.control(f));
+        let track = Track::new(&still.model, still.start.clone(), controls).unwrap();
         let gap = track.median_gap(|before, _| Ok(Some(vec![0.0; before.x.len()]))).unwrap().unwrap();
         worst = worst.max((gap - 1.0).abs());
     }

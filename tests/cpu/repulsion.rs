@@ -278,11 +278,11 @@ fn degenerate_cloths_do_not_panic() {
     }
 }
 
-/// Held at the middle of one border, the sheet folds; without repulsion its halves pass through each other.
+/// A flat sheet that is held at its centre folds; without repulsion its halves pass through each other.
 #[test]
 fn the_layers_of_a_folding_sheet_stay_apart() {
     let of_scene = |repulsion: Option<RepulsionSettings>| {
-        let text = r#"{ "handles": "single-mid-edge", "motion": "none", "frames": 76 }"#;
+        let text = r#"{ "start": "flat", "handles": "single-center", "motion": "none", "frames": 91 }"#;
         let scene = Scene::parse(text, "test", std::path::Path::new("")).unwrap();
         let setup = Scene { repulsion, ..scene }.setup().unwrap();
         let optimizer = Optimizer::paper(fnopt::network::Weights::shipped());

@@ -13,7 +13,7 @@ pub fn shipped() -> PathBuf {
 pub const MATERIAL: Material = Material { stretch: 1000.0, shear: 8.0, bend: 0.5 };
 pub const PHYSICS: Physics =
     Physics { stiffness: Stiffness::Grid(MATERIAL), density: None, drag: None, frame_time_s: None };
-pub const SETTINGS: Settings = Settings { physics: PHYSICS, points: 1000, frames: 25 };
+pub const SETTINGS: Settings = Settings { physics: PHYSICS, own_material: true, points: 1000, frames: 25 };
 
 pub fn newton() -> Entry {
     Entry { name: "newton".into(), optimizer: Optimizer::newton(), iterations: 1, coarse: false }

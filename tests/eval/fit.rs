@@ -5,7 +5,7 @@ use fnopt::cloth::{Grid, Material, State};
 use fnopt::eval::fit::{ErrorSurface, Fit};
 use fnopt::eval::{Sequence, Settings};
 use fnopt::io::Trajectory;
-use fnopt::scene::{Scene, Stiffness};
+use fnopt::scene::{Motion, Scene, Start, Stiffness};
 use fnopt::sim::Optimizer;
 use fnopt::{Device, Simulator};
 use std::ops::ControlFlow;
@@ -19,7 +19,13 @@ fn a_known_material_is_found_again() {
     let to = folder.path().join("made");
     std::fs::create_dir(&to).unwrap();
     let truth = Material { stretch: 400.0, shear: 4.0, bend: 0.5 };
-    let mut scene = Scene { stiffness: Stiffness::Grid(truth), frames: Some(20), ..Scene::default() };
+    let mut scene = Scene {
+        stiffness: Stiffness::Grid(truth),
+        frames: Some(20),
+        start: Start::Flat,
+        motion: Motion::Still,
+        ..Scene::default()
+    };
     scene.regrid(Grid { h: 12, w: 12 }).unwrap();
     let setup = scene.setup().unwrap();
     let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::newton(), 1).unwrap();

@@ -11,3 +11,4 @@ mod scores;
 mod sequences;
 mod suite;
 mod tables;
+mod trials;

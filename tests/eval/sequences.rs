@@ -270,7 +270,7 @@ fn bad_sequences_are_refused_by_name() {
         assert!(error.contains("meta.json") && error.contains(said), "no '{said}' in {error}");
     };
     said(r#"{"wind": {"density": "1.2"}}"#, "wind.density: expected a number, 0 or more, found \"1.2\"");
-    said(r#"{"wind": {"densty": 1.2}}"#, "'densty' (did you mean density?)");
+    said(r#"{"wind": {"densty": 1.2}}"#, "'densty' (did you mean density?");
     said(r#"{"wind": {"drag": -1}}"#, "wind.drag: expected a number, 0 or more");
     said(r#"{"mass_per_area_kg_m": 1}"#, "did you mean mass_per_area_kg_m2?");
     said(r#"{"obj_code": 3}"#, "obj_code: expected a text");

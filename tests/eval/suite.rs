@@ -1,8 +1,8 @@
 //! Tables of a suite.
 
 use fnopt::cloth::{Grid, Material};
-use fnopt::eval::Format;
 use fnopt::eval::suite::{CaseScore, Suite, table};
+use fnopt::eval::{Format, Verdict};
 use fnopt::scene::{BuiltIn, Motion, Start, Stiffness};
 use serde_json::json;
 
@@ -13,7 +13,8 @@ fn score(case: &str, grid: &str, stretch: f64, gap: Option<f64>) -> CaseScore {
         "version": "0", "truth_crc32": null, "settings": settings, "device": "cpu", "kind": "cpu", "weights_crc32": null,
     });
     serde_json::from_value(json!({
-        "case": case, "grid": grid, "iterations": 10, "stable": true, "stretch_largest": stretch / 100.0,
+        "case": case, "grid": grid, "iterations": 10, "stable": true,
+        "stretch_largest_free": stretch / 100.0, "stretch_largest": stretch / 100.0,
         "gap": gap.filter(|gap| gap.is_finite()).map(|gap| gap / 100.0), "ms_per_frame": 2.0, "made_with": made_with,
     }))
     .unwrap()
@@ -44,7 +45,14 @@ fn cases_of_a_grid_are_summed_up_in_a_row() {
     assert_eq!(found[3][2..4], ["10".to_owned(), "diverged".to_owned()]);
     assert!(found[4].join(" ").contains("2 of 3"), "{found:?}");
     // One that left the numbers has no largest stretch, and so has its grid.
-    let burst = CaseScore { stable: false, stretch_largest: None, ..case("n", 5.0, None) };
+    let verdict = Verdict { stretch_largest_free: None, ..Verdict::default() };
+    let burst = CaseScore { stable: false, verdict, ..case("n", 5.0, None) };
+    // Nor is one that stays far from its minimum, or in which newton did not converge.
+    let far = Verdict { gap_estimate: Some(0.9), ..three[0].verdict };
+    let far = CaseScore { verdict: far, ..three[0].clone() };
+    assert!(!far.sound() && last(std::slice::from_ref(&far)).contains("far from minimum"));
+    let missed = Verdict { unconverged: Some([2, 7]), ..three[0].verdict };
+    assert!(missed.faults()[0].to_string().contains("2 frames, first in frame 7"));
     assert!(!burst.sound());
     assert_eq!(last(std::slice::from_ref(&burst)), "n 12x12 10 diverged -  2.0");
     assert_eq!(last(&[three[0].clone(), burst]), "all 2 12x12 10 1 of 2 -  2.0");

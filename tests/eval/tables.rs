@@ -2,6 +2,7 @@
 
 use crate::common::{SETTINGS, newton, shipped};
 use fnopt::Device;
+use fnopt::eval::Table;
 use fnopt::eval::{Entry, Format, Nudge, OverRepeats, Score, Sequence, compare, run, tables};
 use fnopt::sim::Optimizer;
 use std::ops::ControlFlow;
@@ -65,7 +66,10 @@ fn tables_have_means_over_repeats() {
     let mut scores =
         vec![score("a", 0, 1.0), score("b", 0, 5.0), score("a", 1, 3.0), score("b", 1, 5.0), itself.clone()];
     let written = |scores: &[Score]| -> Vec<String> {
-        tables(scores).iter().map(|table| table.write(Format::Csv)).collect()
+        tables(scores)
+            .iter()
+            .map(|table| format!("# {}\n{}", table.title, table.write(Format::Csv)))
+            .collect()
     };
     let csv = written(&scores);
     assert_eq!(
@@ -128,7 +132,8 @@ fn errors_stand_by_iterations_and_grid() {
     scores.push(newton.clone());
     let written = |scores: &[Score], start: &str| {
         let all = tables(scores);
-        all.iter().map(|table| table.write(Format::Csv)).find(|text| text.starts_with(start))
+        let text = |table: &Table| format!("# {}\n{}", table.title, table.write(Format::Csv));
+        all.iter().map(text).find(|text| text.starts_with(start))
     };
     assert_eq!(
         written(&scores, "# lbfgs: ").unwrap(),

@@ -28,7 +28,7 @@ const TOLERANCE: (f64, f64) = (3e-5, 0.0);
 #[test]
 fn vertices_follow_a_solver_between_its_frames() {
     let _turn = device();
-    let setup = Scene::default().setup().unwrap();
+    let setup = Scene::released().setup().unwrap();
     let solver = solver(&setup.model, &Optimizer::gradient_descent(), 2, &setup.start.cast());
     let vertices = solver.vertices().unwrap();
     solver.set_control(&setup.control(40));

@@ -114,7 +114,7 @@ fn a_run_fills_its_folder() {
     assert!(metrics[1].ends_with(&",".repeat(7)) && !metrics[2].ends_with(','), "{metrics:?}");
     let validation = lines(root.join("validation.csv"));
     assert_eq!(validation.len(), 1 + 3 * 2);
-    assert!(validation[1].starts_with("4,hanging 8x8,") && validation[6].starts_with("12,falling 8x8,"));
+    assert!(validation[1].starts_with("4,swinging 8x8,") && validation[6].starts_with("12,falling 8x8,"));
     let picture = std::fs::read(root.join("plot.png")).unwrap();
     assert_eq!(&picture[..4], b"\x89PNG");
     for name in ["best", "last"] {
@@ -124,7 +124,7 @@ fn a_run_fills_its_folder() {
         let card: serde_json::Value = serde_json::from_slice(&card).unwrap();
         assert_eq!(card["parameters"], weights.parameter_count());
         assert_eq!(card["config"]["pool"][1]["grid"], serde_json::json!([9, 12]));
-        assert_eq!(card["validation"][0]["scene"], "hanging 8x8");
+        assert_eq!(card["validation"][0]["scene"], "swinging 8x8");
     }
 }
 

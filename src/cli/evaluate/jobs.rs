@@ -215,7 +215,7 @@ pub fn with_valid_scenes(
 ) -> Result<Sequence> {
     let coarse = grids.iter().filter(|_| coarsened).map(|&grid| coarse(grid));
     for grid in grids.iter().copied().chain(coarse) {
-        sequence.scene(grid, &settings.physics)?.setup()?;
+        sequence.scene(grid, &settings.physics_of(&sequence))?.setup()?;
     }
     Ok(sequence)
 }

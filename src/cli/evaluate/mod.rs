@@ -52,7 +52,7 @@ pub struct Args {
     /// fnopt,spectral,quasi-newton,lbfgs,adam, and newton only if it is named]
     #[arg(long, value_delimiter = ',', value_parser = trimmed::<String>, value_name = "NAME[:N],..")]
     solver: Option<Vec<String>>,
-    /// Iterations per frame for solvers given without a number [default: 10; in the suite iterations
+    /// Iterations per frame for solvers given without a number [default: what suits each, as in rollout; in the suite iterations
     /// 3,5,8,10,15,20,25,30]
     #[arg(long, value_delimiter = ',', value_parser = trimmed::<usize>, value_name = "N,..")]
     iterations: Option<Vec<usize>>,
@@ -61,13 +61,13 @@ pub struct Args {
     checkpoint: Option<PathBuf>,
     /// Energy coefficients stretch, shear, bend, or a JSON file with coefficients or moduli under "material"
     /// as in a scene, such as fit-material writes; its "frame_time_s" and the density and drag of its "wind"
-    /// apply too [default: the moduli fitted to three trajectories of ARCSim, assets/materials/arcsim.json;
-    /// in a suite the default scene's]
+    /// apply too [default: "material" in a sequence's meta.json, otherwise the moduli fitted to three trajectories
+    /// of ARCSim, assets/materials/arcsim.json; in a suite the default scene's]
     #[arg(long, value_name = "KS,KH,KB|FILE")]
     material: Option<String>,
-    /// Density of the air [kg/m^3] [default: the sequence's, or in a suite the default scene's]
-    #[arg(long, value_name = "DENSITY", visible_alias = "density")]
-    wind: Option<f64>,
+    /// Density of the air [kg/m^3], formerly --wind [default: the sequence's, or in a suite the default scene's]
+    #[arg(long, value_name = "DENSITY", alias = "wind", alias = "density")]
+    air_density: Option<f64>,
     /// Frames of each sequence, including the start [default: all]
     #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(1..))]
     frames: Option<u32>,
@@ -95,7 +95,7 @@ pub struct Args {
     /// Simulate nothing; print the tables of all scores in these folders, which must be made with the same
     /// settings
     #[arg(long, value_name = "DIR", num_args = 1.., conflicts_with_all = [
-        "ground_truth", "sequences", "grid", "solver", "iterations", "checkpoint", "material", "wind", "frames", "points",
+        "ground_truth", "sequences", "grid", "solver", "iterations", "checkpoint", "material", "air_density", "frames", "points",
         "repeats", "compare", "out", "shard", "device", "adapter", "precision",
     ])]
     merge: Vec<PathBuf>,
@@ -115,7 +115,7 @@ pub struct Args {
     /// Write the scores as JSON to FILE or, without FILE, print them in place of the tables
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = STDOUT)]
     json: Option<PathBuf>,
-    /// Write the tables as CSV; `-` prints it in place of the tables
+    /// Write the cells of all tables as one CSV table: table, row, column, value; `-` prints it in place of the tables
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
     /// Write the tables as Markdown; `-` prints it in place of the tables
@@ -177,6 +177,7 @@ pub fn run_command(args: &Args) -> Result<Ending> {
         return Err(first.into());
     }
     wrong.iter().for_each(|error| status!("error: {error}; continuing with the rest"));
+    args.tell_materials(&sequences);
     let device = args.open(&entries)?;
     let plan = Plan {
         sequences: &sequences,
@@ -222,11 +223,29 @@ impl Args {
             return Err(Error::invalid("--frames", "frames", "at least 2", frames));
         }
         let physics = self.material.as_deref().map_or_else(material::fitted, material::read)?;
-        if let Some(density) = self.wind.filter(|density| !(density.is_finite() && *density >= 0.0)) {
-            return Err(Error::invalid("--wind", "density", "a finite number, 0 or greater", density));
+        if let Some(density) = self.air_density.filter(|density| !(density.is_finite() && *density >= 0.0)) {
+            return Err(Error::invalid("--air-density", "density", "a finite number, 0 or greater", density));
         }
-        let physics = Physics { density: self.wind.or(physics.density), ..physics };
-        Ok(Settings { physics, points: self.points as usize, frames: self.most_frames() })
+        let physics = Physics { density: self.air_density.or(physics.density), ..physics };
+        let own_material = self.material.is_none();
+        Ok(Settings { physics, own_material, points: self.points as usize, frames: self.most_frames() })
+    }
+
+    /// Says which material is used.
+    fn tell_materials(&self, sequences: &[Sequence]) {
+        if let Some(material) = &self.material {
+            return status!("material: {material}");
+        }
+        let (own, fitted): (Vec<&Sequence>, Vec<&Sequence>) =
+            sequences.iter().partition(|sequence| sequence.stiffness().is_some());
+        let names =
+            |of: &[&Sequence]| of.iter().map(|sequence| &*sequence.name).collect::<Vec<_>>().join(", ");
+        if !own.is_empty() {
+            status!("material: that of meta.json for {}", names(&own));
+        }
+        if !fitted.is_empty() {
+            status!("material: the one fitted to ARCSim's trajectories for {}", names(&fitted));
+        }
     }
 
     /// Returns the largest number of frames to simulate of a sequence, or of a case of a suite.
@@ -337,9 +356,10 @@ impl Args {
                 // Newton's method converges whatever the number.
                 (_, optimizer) if optimizer.converges() => vec![1],
                 (Some(n), _) => vec![n],
-                (None, _) => {
-                    self.iterations.clone().unwrap_or(if any { ITERATIONS.to_vec() } else { vec![10] })
-                }
+                (None, _) => self.iterations.clone().unwrap_or(match any {
+                    true => ITERATIONS.to_vec(),
+                    false => vec![optimizer.default_iterations()],
+                }),
             };
             let allowed = 1..=MOST_ITERATIONS as usize;
             if let Some(n) = all.iter().find(|n| !allowed.contains(n)) {

@@ -186,7 +186,7 @@ fn convergence_on(
     plan: &Plan,
     tick: &impl Fn() -> ControlFlow<()>,
 ) -> Result<Option<Vec<(String, GapCurve)>>> {
-    let mut scene = sequence.scene(grid, &plan.settings.physics)?;
+    let mut scene = sequence.scene(grid, &plan.settings.physics_of(sequence))?;
     scene.frames = Some(sequence.truth.frames().min(plan.settings.frames).min(CONVERGENCE_FRAMES));
     let Some(track) = track(&scene.setup()?, tick)? else { return Ok(None) };
     let mut curves: Vec<(String, GapCurve)> = Vec::new();

@@ -16,6 +16,7 @@ impl Args {
     pub(super) fn write_tables(&self, tables: &[Table], scores: &[impl serde::Serialize]) -> Result<()> {
         let content = |what: Written| match what {
             Written::Scores => as_json(scores) + "\n",
+            Written::Tables(Format::Csv) => Table::cells_as_csv(tables),
             Written::Tables(format) => text(tables, format),
         };
         let is_printed = |file: &Path| file == Path::new(STDOUT);

@@ -51,7 +51,7 @@ impl Args {
             if let Some(physics) = given {
                 physics.apply(scene);
             }
-            scene.wind.density = self.wind.unwrap_or(scene.wind.density);
+            scene.wind.density = self.air_density.unwrap_or(scene.wind.density);
             // Report errors in a scene before the work.
             scene.setup()?;
         }
