@@ -1,6 +1,6 @@
 //! A cloth in a web page: simulated and drawn on one device, with nothing copied in between.
 //!
-//! The README says how to build it, under Embedding.
+//! `docs/embedding.md` says how to build it, under Browsers.
 
 #[cfg(target_arch = "wasm32")]
 #[path = "../host/draw.rs"]
@@ -12,5 +12,5 @@ fn main() {
     #[cfg(target_arch = "wasm32")]
     page::start();
     #[cfg(not(target_arch = "wasm32"))]
-    eprintln!("This example runs in a browser; the README says how to build it, under Embedding.");
+    eprintln!("This example runs in a browser; docs/embedding.md says how to build it, under Browsers.");
 }
