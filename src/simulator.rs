@@ -2,7 +2,7 @@
 
 use crate::cloth::{Cloth, Control, Model, State};
 use crate::gpu::{Context, Readback, Storage};
-use crate::sim::{FrameStats, Optimizer, Solver};
+use crate::sim::{FrameStats, Memory, Optimizer, Solver};
 use crate::{Error, Result, cpu};
 use std::iter::Peekable;
 use std::ops::ControlFlow;
@@ -106,6 +106,38 @@ impl Simulator {
             }
             Backend::Gpu { solver, .. } => solver.set_state(start),
         }
+    }
+
+    /// Goes on from `frame` of an earlier simulation: replaces the state and the optimizer's memory by those at its end
+    /// ([`Simulator::state`], [`Simulator::memory`]). On the same device the frames that follow have the bits of an
+    /// unbroken simulation. Fails, and changes nothing, if the memory is not that of such an optimizer.
+    ///
+    /// Panics if a length of the state does not match the model.
+    pub fn resume(&mut self, frame: usize, state: &State<f32>, memory: &Memory) -> Result<()> {
+        match &mut self.backend {
+            Backend::Cpu { solver, .. } => solver.set_memory(memory)?,
+            Backend::Gpu { solver, .. } => solver.set_memory(memory)?,
+        }
+        self.set_state(state);
+        self.frame = frame;
+        // Setting the state has reset it.
+        match &mut self.backend {
+            Backend::Cpu { solver, .. } => solver.set_memory(memory),
+            Backend::Gpu { solver, .. } => solver.set_memory(memory),
+        }
+    }
+
+    /// Returns what the optimizer remembers from frame to frame. Waits for a GPU. Fails if the device is lost.
+    pub fn memory(&mut self) -> Result<Memory> {
+        match &mut self.backend {
+            Backend::Cpu { solver, .. } => Ok(solver.memory()),
+            Backend::Gpu { solver, .. } => solver.memory(),
+        }
+    }
+
+    /// Returns the number of the last frame that was computed, also of those that nobody received.
+    pub fn frame(&self) -> usize {
+        self.frame
     }
 
     /// Replaces the state of cloth `b` alone and resets the optimizer's memory of it. The others continue,

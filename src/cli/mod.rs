@@ -30,8 +30,8 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::str::FromStr;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use tracing_subscriber::{EnvFilter, filter::LevelFilter};
 
 /// Simulate cloth with a Fourier neural operator trained as an optimizer
@@ -233,7 +233,7 @@ fn start_threads() -> Result<()> {
 }
 
 /// Options that choose the optimizer, its weights and its iterations.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct SolverArgs {
     /// Optimizer for each frame: fnopt (learned), fnopt-paper (as published), spectral, gd, adam, lbfgs or
     /// quasi-newton; on the CPU only, quasi-newton-exact or newton, which runs to convergence whatever the number of
@@ -405,6 +405,11 @@ pub fn go_on(interrupted: &AtomicBool) -> ControlFlow<()> {
 /// and on Linux by the loss of the terminal, unless the process was told to survive that. A second Ctrl-C or
 /// SIGTERM ends the process at once.
 pub fn interrupt_flag() -> Arc<AtomicBool> {
+    static FLAG: OnceLock<Arc<AtomicBool>> = OnceLock::new();
+    FLAG.get_or_init(install_interrupts).clone()
+}
+
+fn install_interrupts() -> Arc<AtomicBool> {
     let flag = Arc::new(AtomicBool::new(false));
     let warn = |signal, error| tracing::warn!("signal {signal} will discard the results so far: {error}");
     for signal in [SIGINT, SIGTERM] {

@@ -7,22 +7,25 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Frame;
+use fnopt::cloth::State;
 use fnopt::eval::{Soundness, Verdict, median_time};
-use fnopt::io::{Format, Trajectory, write_atomic};
+use fnopt::io::{Format, ReadOptions, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
-use fnopt::sim::{FrameStats, Optimizer};
-use fnopt::{Error, io};
+use fnopt::sim::{FrameStats, Memory, Optimizer};
+use fnopt::{Error, io, ndarray};
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `fnopt rollout`.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub struct Args {
-    /// Scene file (JSON), or `-` for the standard input [default: a sheet hanging from two corners that move along xy_v2, in air]
-    scene: Option<PathBuf>,
+    /// Scene files (JSON), or `-` for the standard input; of several, each is written into a folder of its own name in
+    /// --out [default: a sheet hanging from two corners that move along xy_v2, in air]
+    #[arg(value_name = "SCENE")]
+    scenes: Vec<PathBuf>,
     /// Motion of the handles: a built-in one such as xy_v2, yz, rot_h0 or updown_opp, `none`, or a .npy of
     /// [frames, handles, 3] metres
     #[arg(long, value_name = "M")]
@@ -42,6 +45,10 @@ pub struct Args {
     /// Frames to simulate, including the start
     #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
     frames: Option<u32>,
+    /// Go on from the last frame of an earlier rollout of the same scene (its rollout.npz), to the same bits as if it had
+    /// not ended; the file that is written has the earlier frames, too
+    #[arg(long, value_name = "FILE.npz")]
+    r#continue: Option<PathBuf>,
     #[command(flatten)]
     solver: SolverArgs,
     #[command(flatten)]
@@ -68,13 +75,37 @@ const REPORT: &str = "report.json";
 const REPLAY: &str = "replay";
 
 pub fn run(args: &Args) -> Result<Ending> {
+    if args.scenes.len() < 2 {
+        return simulate(args);
+    }
+    let each = args.each()?;
+    // Wrong scenes are refused before the work on others.
+    each.iter().try_for_each(|args| args.scene().and_then(|scene| Ok(scene.setup().map(drop)?)))?;
+    let mut exploded = false;
+    for args in &each {
+        status!("{}: {}", args.scenes[0].display(), args.out.display());
+        match simulate(args)? {
+            Ending::NonFinite => exploded = true,
+            Ending::Done => {}
+            ended => return Ok(ended),
+        }
+    }
+    Ok(if exploded { Ending::NonFinite } else { Ending::Done })
+}
+
+/// Simulates a single scene.
+fn simulate(args: &Args) -> Result<Ending> {
     let scene = args.scene()?;
-    let setup = scene.setup()?;
+    let mut setup = scene.setup()?;
     tracing::info!("scene: {}, {} frames of {}", scene.origin, setup.frames(), setup.model.grid);
     let optimizer = args.solver.optimizer()?;
     args.solver.check_grid(&optimizer, setup.model.grid)?;
     args.check_inputs_are_kept(&scene)?;
     args.format.iter().try_for_each(|format| format.check_capacity(setup.frames(), "--format"))?;
+    let earlier = match &args.r#continue {
+        Some(file) => Some(Earlier::read(file, &setup, &optimizer)?),
+        None => None,
+    };
     let trajectory = setup.trajectory()?;
     let solver = (&optimizer, args.solver.iterations(&optimizer));
     let (mut simulator, device, line) = args.device.simulator(&setup.model, solver)?;
@@ -84,10 +115,21 @@ pub fn run(args: &Args) -> Result<Ending> {
     args.files().iter().chain([&args.replay()]).try_for_each(|file| writable_file(file))?;
     args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
 
-    let mut run = Run::new(args, (&scene, &setup), &optimizer, (device.name(), trajectory));
+    let mut trajectory = trajectory;
+    let mut done = 0;
     simulator.set_state(&setup.start.cast());
-    let bar = progress(setup.frames() as u64 - 1, "frames");
-    let controls = (1..setup.frames()).map(|f| setup.control(f));
+    if let Some(earlier) = earlier {
+        done = earlier.trajectory.frames() - 1;
+        simulator
+            .resume(done, &earlier.state, &earlier.memory)
+            .map_err(|error| error.of_file(args.r#continue.as_deref().unwrap_or(Path::new(""))))?;
+        (setup.start, trajectory) = (earlier.state.cast(), earlier.trajectory);
+        trajectory.reserve(setup.frames() - trajectory.frames())?;
+    }
+    let setup = setup;
+    let mut run = Run::new(args, (&scene, &setup), &optimizer, (device.name(), trajectory));
+    let bar = progress((setup.frames() - 1 - done) as u64, "frames");
+    let controls = (done + 1..setup.frames()).map(|f| setup.control(f));
     let outcome = simulator.rollout(controls, |frame| {
         bar.inc(1);
         bar.set_message(format!("energy {:.4}", frame.stats[0].energy.total()));
@@ -95,13 +137,106 @@ pub fn run(args: &Args) -> Result<Ending> {
         go_on(&interrupted)
     });
     bar.finish_and_clear();
+    // A GPU that was interrupted has gone a frame further than the trajectory.
+    if simulator.frame() + 1 == run.trajectory.frames() {
+        run.remember(&simulator.state()?, &simulator.memory()?);
+    }
     run.end(outcome)
 }
 
+/// The end of an earlier rollout.
+struct Earlier {
+    trajectory: Trajectory,
+    state: State<f32>,
+    memory: Memory,
+}
+
+/// Arrays beside the frames of `rollout.npz`, in grid units: positions and velocities of the last frame, what the
+/// optimizer remembers, and its name.
+const STATE: [&str; 2] = ["last_positions", "last_velocities"];
+const MEMORY: [&str; 3] = ["memory_accelerations", "memory_hidden", "memory_scales"];
+const SOLVER: &str = "solver";
+
+impl Earlier {
+    /// Reads it, and checks that the frames are those of the scene and the optimizer.
+    fn read(file: &Path, setup: &Setup, optimizer: &Optimizer) -> Result<Self> {
+        let origin = file.display().to_string();
+        let trajectory = Trajectory::read(
+            file,
+            &ReadOptions { likely_grid: Some(setup.model.grid), ..Default::default() },
+        )?;
+        let invalid = |field: &str, expected: String, found: String| {
+            anyhow::Error::from(Error::invalid(&origin, field, expected, found))
+        };
+        let numbers = |name: &str| -> Result<Vec<f32>> {
+            let array = io::read_npz_array(file, name)?;
+            let array = array.ok_or_else(|| {
+                invalid(name, "an array, as rollout writes beside the frames".into(), "none".into())
+            })?;
+            Ok(array.iter().map(|&v| v as f32).collect())
+        };
+        let grid = setup.model.grid;
+        if trajectory.grid() != grid {
+            return Err(invalid("grid", grid.to_string(), trajectory.grid().to_string()));
+        }
+        let rate = 1.0 / setup.units.frame_time_s;
+        if (trajectory.fps() / rate - 1.0).abs() > 1e-9 {
+            return Err(invalid("fps", format!("{rate}"), format!("{}", trajectory.fps())));
+        }
+        if trajectory.frames() >= setup.frames() {
+            let expected = format!("fewer than the {} of the scene (--frames asks for more)", setup.frames());
+            return Err(invalid("frames", expected, trajectory.frames().to_string()));
+        }
+        let name: String = numbers(SOLVER)?.iter().map(|&c| c as u8 as char).collect();
+        if name != identity(optimizer) {
+            return Err(invalid(SOLVER, identity(optimizer), name));
+        }
+        let [x, v] = [numbers(STATE[0])?, numbers(STATE[1])?];
+        let len = 3 * grid.particles();
+        for (name, values) in STATE.iter().zip([&x, &v]) {
+            if values.len() != len || !values.iter().all(|v| v.is_finite()) {
+                return Err(invalid(
+                    name,
+                    format!("{len} finite numbers"),
+                    format!("{} numbers", values.len()),
+                ));
+            }
+        }
+        let memory = Memory {
+            accelerations: numbers(MEMORY[0])?,
+            hidden: numbers(MEMORY[1])?,
+            scales: numbers(MEMORY[2])?,
+        };
+        Ok(Self { trajectory, state: State { x, v }, memory })
+    }
+}
+
+/// Returns the name of an optimizer, with the checksum of its weights.
+fn identity(optimizer: &Optimizer) -> String {
+    match optimizer.weights_crc32() {
+        Some(weights) => format!("{} {weights}", optimizer.name()),
+        None => optimizer.name().to_owned(),
+    }
+}
+
 impl Args {
+    /// Returns the arguments of each of several scenes. Fails if two would share a folder.
+    fn each(&self) -> Result<Vec<Self>> {
+        let mut each: Vec<Self> = Vec::new();
+        for scene in &self.scenes {
+            let out = self.out.join(scene.file_stem().unwrap_or_default());
+            if let Some(other) = each.iter().find(|other| other.out == out) {
+                let expected = format!("another name than that of {}", other.scenes[0].display());
+                return Err(Error::invalid("rollout", "SCENE", expected, scene.display()).into());
+            }
+            each.push(Self { scenes: vec![scene.clone()], out, ..self.clone() });
+        }
+        Ok(each)
+    }
+
     /// Returns the scene with the changes made on the command line.
     fn scene(&self) -> Result<Scene> {
-        let mut scene = match &self.scene {
+        let mut scene = match self.scenes.first() {
             Some(path) if self.repulsion.is_some() && numbers::<2>(&path.to_string_lossy()).is_some() => {
                 let expected = format!("an equals sign before it, as in --repulsion={}", path.display());
                 return Err(Error::invalid("--repulsion", "value", expected, "a space").into());
@@ -145,7 +280,7 @@ impl Args {
             written.iter().any(|file| same(read, file)) || folders.iter().any(in_folder)
         };
         let named = [
-            self.scene.as_deref(),
+            self.scenes.first().map(PathBuf::as_path),
             self.material.as_deref().map(Path::new),
             self.solver.checkpoint.as_deref(),
         ];
@@ -246,6 +381,20 @@ impl<'a> Run<'a> {
         }
     }
 
+    /// Puts what a later rollout needs to go on beside the frames, and the handles and the cloth.
+    fn remember(&mut self, state: &State<f32>, memory: &Memory) {
+        let mut put = |name: &str, values: &[f32]| {
+            let wide: Vec<f64> = values.iter().map(|&v| v.into()).collect();
+            self.trajectory.put_beside(name, ndarray::Array1::from(wide).into_dyn());
+        };
+        put(STATE[0], &state.x);
+        put(STATE[1], &state.v);
+        put(MEMORY[0], &memory.accelerations);
+        put(MEMORY[1], &memory.hidden);
+        put(MEMORY[2], &memory.scales);
+        put(SOLVER, &identity(self.optimizer).bytes().map(f32::from).collect::<Vec<_>>());
+    }
+
     fn keep(&mut self, frame: &Frame) {
         self.setup.push(&mut self.trajectory, &frame.state);
         self.soundness.judge(frame);
@@ -261,7 +410,7 @@ impl<'a> Run<'a> {
     /// Writes the frames, however the run ended, and reports how it ended.
     fn end(&self, outcome: fnopt::Result<()>) -> Result<Ending> {
         let status = match &outcome {
-            Ok(()) if self.per_frame.len() + 1 < self.setup.frames() => Status::Interrupted,
+            Ok(()) if self.trajectory.frames() < self.setup.frames() => Status::Interrupted,
             Ok(()) => Status::Done,
             Err(Error::NonFinite { .. }) => Status::NonFinite,
             Err(_) => Status::Failed,
@@ -277,7 +426,7 @@ impl<'a> Run<'a> {
         if let Some(error) = returned {
             return Err(error.into());
         }
-        let last = self.per_frame.len();
+        let last = self.trajectory.frames() - 1;
         let ending = match outcome {
             Ok(()) if status == Status::Interrupted => {
                 status!("interrupted after frame {last}; the frames so far are kept");

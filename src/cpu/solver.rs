@@ -1,11 +1,11 @@
 //! The solver that computes a frame on the CPU (paper sections 3.2 and 3.3).
 
-use super::optim::{Minimizer, Subspace, minimizer, norm};
+use super::optim::{Hidden, Minimizer, Subspace, Update, minimizer, norm};
 use super::reference::Minimum;
 use super::{Objective, Real, Reference};
 use crate::cloth::{Cloth, Control, Model, State};
 use crate::settings::LEARNED_ITERATIONS;
-use crate::sim::{Direction, FrameStats, IterationLog, Length, Optimizer, StepCounts};
+use crate::sim::{Direction, FrameStats, IterationLog, Length, Memory, Optimizer, StepCounts};
 use crate::{Error, Result};
 use rayon::prelude::*;
 
@@ -155,6 +155,53 @@ impl<T: Real> Solver<T> {
             Method::Steps(_, minimizer) => minimizer.reset_memory_of(b),
             Method::Subspace(_, subspace) => subspace.reset_memory_of(b),
             Method::Newton(_) => {}
+        }
+    }
+
+    /// Returns what the optimizer remembers from frame to frame, in single precision.
+    pub fn memory(&mut self) -> Memory {
+        let mut memory = Memory::default();
+        let single = |values: &[T]| values.iter().map(|v| v.f64() as f32).collect::<Vec<_>>();
+        if let Method::Subspace(_, subspace) = &mut self.method {
+            memory.accelerations = subspace.last_accelerations().flat_map(|last| single(last)).collect();
+        }
+        if let Some(Hidden { last_grad, last_step, scale }) = self.hidden_mut() {
+            memory.hidden = [single(last_grad), single(last_step)].concat();
+            memory.scales = single(scale);
+        }
+        memory
+    }
+
+    /// Replaces what the optimizer remembers. Fails, and changes nothing, if it is not that of such an optimizer
+    /// ([`Solver::memory`]), or not finite.
+    pub fn set_memory(&mut self, memory: &Memory) -> Result<()> {
+        memory.check(&self.memory())?;
+        let copy = |to: &mut [T], from: &[f32]| {
+            to.iter_mut().zip(from).for_each(|(to, &from)| *to = T::of(from.into()));
+        };
+        if let Method::Subspace(_, subspace) = &mut self.method {
+            let mut from = &memory.accelerations[..];
+            for last in subspace.last_accelerations() {
+                let (own, rest) = from.split_at(last.len());
+                copy(last, own);
+                from = rest;
+            }
+        }
+        if let Some(Hidden { last_grad, last_step, scale }) = self.hidden_mut() {
+            let (of_grad, of_step) = memory.hidden.split_at(last_grad.len());
+            copy(last_grad, of_grad);
+            copy(last_step, of_step);
+            copy(scale, &memory.scales);
+        }
+        Ok(())
+    }
+
+    /// Returns the hidden state of the network, if there is one.
+    fn hidden_mut(&mut self) -> Option<&mut Hidden<T>> {
+        match &mut self.method {
+            Method::Steps(_, minimizer) => minimizer.hidden_mut(),
+            Method::Subspace(_, subspace) => subspace.network().map(Update::hidden_mut),
+            Method::Newton(_) => None,
         }
     }
 

@@ -22,6 +22,7 @@ pub(crate) use document::{Node, parse_json, parse_toml};
 pub use format::Format;
 pub use mesh::{Mesh, vertex_normals};
 pub use npy::{parse_npy, read_npy};
+pub use npz::read_npz_array;
 pub(crate) use obj::Polygons;
 pub use obj::read_obj;
 pub use trajectory::{ReadOptions, Trajectory};

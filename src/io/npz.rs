@@ -3,7 +3,7 @@
 use super::{Trajectory, npy::Array, open, trajectory::Parts, zip::Archive};
 use crate::{Error, Result};
 use ::zip::{CompressionMethod, write::SimpleFileOptions};
-use ndarray::{Array2, aview0};
+use ndarray::{Array2, ArrayD, aview0};
 use ndarray_npy::NpzWriter;
 use std::{
     io::{self, BufReader, Seek, Write},
@@ -35,7 +35,8 @@ fn write_arrays(trajectory: &Trajectory, writer: impl Write + Seek, large: bool)
         npz.add_array(VELOCITIES, &trajectory.velocities())?;
         npz.add_array(FACES, &Array2::from(faces))?;
         npz.add_array(COORDINATES, &Array2::from(coordinates))?;
-        npz.add_array(RATE, &aview0(&trajectory.fps()))
+        npz.add_array(RATE, &aview0(&trajectory.fps()))?;
+        trajectory.beside().iter().try_for_each(|(name, array)| npz.add_array(name.as_str(), array))
     })();
     if let Err(error) = arrays {
         // Dropping the writer would try to finish the archive, and print that it cannot.
@@ -83,6 +84,17 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
         parts.fps = Some(rate.ok_or_else(|| array.invalid("value", "one number above 0 [1/s]", &values))?);
     }
     Ok(parts)
+}
+
+/// Reads one array of floating-point numbers of an NPZ file; `None` if it has none of this name.
+pub fn read_npz_array(path: impl AsRef<Path>, name: &str) -> Result<Option<ArrayD<f64>>> {
+    let path = path.as_ref();
+    let (file, size) = open(path)?;
+    let mut archive = Archive::open(BufReader::new(file), size, path.display().to_string())?;
+    if !archive.entries.iter().any(|entry| entry.name == format!("{name}.npy")) {
+        return Ok(None);
+    }
+    array(&mut archive, path, name)?.of_floats()?.read(|x| x).map(Some)
 }
 
 /// Opens an array of an archive.

@@ -3,7 +3,7 @@
 use super::atomic::UNFINISHED;
 use super::{Format, create_folder, entries, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
 use crate::{Error, Result, cloth::Grid, memory};
-use ndarray::ArrayView3;
+use ndarray::{ArrayD, ArrayView3};
 use ndarray_npy::WriteNpyExt;
 use rayon::prelude::*;
 use std::{
@@ -18,6 +18,8 @@ pub struct Trajectory {
     fps: f64,
     positions: Vec<[f32; 3]>,
     velocities: Vec<[f32; 3]>,
+    /// Arrays that an NPZ file holds beside the frames.
+    beside: Vec<(String, ArrayD<f64>)>,
 }
 
 /// Properties of a trajectory that a file may lack.
@@ -57,7 +59,19 @@ impl Trajectory {
     pub fn new(grid: Grid, fps: f64) -> Self {
         assert!(grid.particles() > 0, "a trajectory has particles");
         assert!(fps.is_finite() && fps > 0.0, "frames per second are above 0");
-        Self { grid, fps, positions: Vec::new(), velocities: Vec::new() }
+        Self { grid, fps, positions: Vec::new(), velocities: Vec::new(), beside: Vec::new() }
+    }
+
+    /// Puts an array beside the frames, which only NPZ files hold and [`Trajectory::read`] does not read. It replaces one
+    /// of the same name.
+    pub fn put_beside(&mut self, name: &str, array: ArrayD<f64>) {
+        self.beside.retain(|(other, _)| other != name);
+        self.beside.push((name.to_owned(), array));
+    }
+
+    /// Returns the arrays beside the frames with their names.
+    pub(super) fn beside(&self) -> &[(String, ArrayD<f64>)] {
+        &self.beside
     }
 
     /// Reserves room for `frames` more frames, so that pushing them does not reallocate. Fails if there is

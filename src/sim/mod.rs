@@ -2,6 +2,7 @@
 //! into the caller's encoder. [`crate::cpu::Solver`] is its counterpart without a GPU.
 
 mod learned;
+mod memory;
 mod method;
 mod optimizer;
 mod solver;
@@ -11,6 +12,7 @@ mod vertices;
 
 pub use crate::settings::{AdamSettings, LbfgsSettings};
 pub(crate) use learned::Learned;
+pub use memory::Memory;
 pub use optimizer::{Direction, Initial, Length, MAX_DIRECTIONS, Optimizer};
 pub use solver::{INITIAL_SCALE, Solver};
 pub use stats::{FrameStats, IterationLog, StepCounts};

@@ -1,7 +1,7 @@
 //! One frame of a batch of cloths on a device, recorded into the caller's encoder.
 
 use super::method::{Method, row, rows};
-use super::{FrameStats, IterationLog, Optimizer, StepCounts, Vertices};
+use super::{FrameStats, IterationLog, Memory, Optimizer, StepCounts, Vertices};
 use crate::cloth::{Cloth, Control, Grid, Model, State};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::{Begin, ClothTerms, Objective, Room, gradient};
@@ -277,6 +277,46 @@ impl Solver {
             hidden.write(&self.context, &vec![0f32; hidden.len()]);
             scales.write(&self.context, &vec![INITIAL_SCALE; scales.len()]);
         }
+    }
+
+    /// Returns what the optimizer remembers from frame to frame. Waits for the device. Fails if it is lost.
+    pub fn memory(&self) -> Result<Memory> {
+        let mut memory = Memory::default();
+        if self.method.checks_energy() {
+            memory.accelerations = self.objective.iterate.a.read(&self.context)?;
+        }
+        if let (Some(scales), Some(hidden)) = (self.method.scales(), &self.objective.iterate.hidden) {
+            memory.hidden = hidden.read(&self.context)?;
+            // A frame starts from the last row.
+            let rows: Vec<f32> = scales.read(&self.context)?;
+            memory.scales = rows[rows.len() - scales.shape()[1]..][..3 * self.model.batch()].to_vec();
+        }
+        Ok(memory)
+    }
+
+    /// Replaces what the optimizer remembers, ahead of the next submission. Fails, and changes nothing, if it is not
+    /// that of such an optimizer ([`Solver::memory`]), or not finite.
+    pub fn set_memory(&self, memory: &Memory) -> Result<()> {
+        let mut expected = Memory::default();
+        let (a, scales) = (&self.objective.iterate.a, self.method.scales());
+        if self.method.checks_energy() {
+            expected.accelerations = vec![0.0; a.len()];
+        }
+        if let (Some(_), Some(hidden)) = (scales, &self.objective.iterate.hidden) {
+            expected.hidden = vec![0.0; hidden.len()];
+            expected.scales = vec![0.0; 3 * self.model.batch()];
+        }
+        memory.check(&expected)?;
+        if self.method.checks_energy() {
+            a.write(&self.context, &memory.accelerations);
+        }
+        if let (Some(scales), Some(hidden)) = (scales, &self.objective.iterate.hidden) {
+            hidden.write(&self.context, &memory.hidden);
+            for row in (0..scales.len()).step_by(scales.shape()[1]) {
+                scales.write_at(&self.context, row, &memory.scales);
+            }
+        }
+        Ok(())
     }
 
     /// Applies [`Solver::reset_memory`] to cloth `b` alone. Panics if there is no such cloth.

@@ -1,6 +1,6 @@
 //! `fnopt rollout`: the files it writes, and those it keeps when it ends early.
 
-use super::command::{command, done, fnopt, json, quiet, refused_cleanly, send, signals, text};
+use super::command::{command, done, fnopt, json, quiet, refused, refused_cleanly, send, signals, text};
 use std::path::Path;
 use std::process::Stdio;
 
@@ -344,4 +344,77 @@ fn light_and_fast_cloths_stay_finite() {
         let output = command(folder.path(), &rollout).output().unwrap();
         assert_eq!(output.status.code(), Some(0), "{solver}: {}", text(&output.stderr));
     }
+}
+
+/// A rollout that was continued has the frames and the bits of one that was not interrupted.
+#[test]
+fn a_rollout_goes_on_to_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    for (solver, more) in [
+        ("fnopt", "cpu"),
+        ("spectral", "cpu"),
+        ("fnopt-paper", "cpu"),
+        ("newton", "cpu"),
+        ("fnopt", "llvmpipe"),
+    ] {
+        let device = match more {
+            "cpu" => vec!["--device", "cpu"],
+            adapter => vec!["--device", "gpu", "--adapter", adapter],
+        };
+        let run = |more: &[&str]| {
+            let few = ["rollout", "--solver", solver, "--grid", "24", "--no-pictures"];
+            fnopt(folder.path(), &[&few[..], &device, more].concat())
+        };
+        for (out, frames) in [("whole", "40"), ("half", "35")] {
+            done(run(&["--out", out, "--frames", frames]));
+        }
+        // In place of the earlier one.
+        done(run(&["--out", "half", "--frames", "40", "--continue", "half/rollout.npz"]));
+        let read = |out: &str| std::fs::read(folder.path().join(out).join("rollout.npz")).unwrap();
+        assert!(read("half") == read("whole"), "{solver} on {more}");
+        let report = json(&folder.path().join("half/report.json"));
+        assert_eq!((&report["status"], &report["frames"]), (&"done".into(), &40.into()));
+        assert_eq!(report["per_frame"][0]["frame"], 35);
+        let said = ["half/rollout.npz", "frames", "fewer than the 40"];
+        refused(run(&["--frames", "40", "--continue", "half/rollout.npz"]), &said);
+        refused(
+            run(&["--continue", "half/rollout.npz", "--grid", "25"]),
+            &["half/rollout.npz", "grid", "24x25"],
+        );
+        let other = [
+            "rollout",
+            "--solver",
+            "gd",
+            "--grid",
+            "24",
+            "--device",
+            "cpu",
+            "--continue",
+            "half/rollout.npz",
+        ];
+        refused(fnopt(folder.path(), &other), &["half/rollout.npz", "solver", "expected gd"]);
+    }
+}
+
+/// Several scenes are simulated one after another, each into a folder of its own.
+#[test]
+fn several_scenes_have_a_folder_each() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    for (name, text) in
+        [("a.json", r#"{"grid": [8, 8]}"#), ("b.json", r#"{"grid": [9, 9]}"#), ("c.json", r#"{"grid": 3}"#)]
+    {
+        std::fs::write(at.join(name), text).unwrap();
+    }
+    let few = ["--frames", "3", "--solver", "gd", "--device", "cpu", "--no-pictures"];
+    done(fnopt(at, &[&["rollout", "a.json", "b.json"], &few[..]].concat()));
+    for (name, grid) in [("a", "8"), ("b", "9")] {
+        let report = json(&at.join("out").join(name).join("report.json"));
+        assert_eq!(report["settings"]["scene"]["grid"][0].to_string(), grid);
+    }
+    // A wrong one is refused before the work on the others.
+    std::fs::remove_dir_all(at.join("out")).unwrap();
+    refused(fnopt(at, &[&["rollout", "a.json", "c.json"], &few[..]].concat()), &["c.json", "grid"]);
+    refused(fnopt(at, &[&["rollout", "a.json", "./a.json"], &few[..]].concat()), &["another name", "a.json"]);
+    assert!(!at.join("out").exists());
 }

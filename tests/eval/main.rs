@@ -6,6 +6,7 @@ mod fit;
 mod metrics;
 #[path = "../noise/mod.rs"]
 mod noise;
+mod pictures;
 mod repeats;
 mod scores;
 mod sequences;

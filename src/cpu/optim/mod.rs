@@ -34,6 +34,10 @@ pub trait Minimizer<T>: Send + Sync {
     fn step(&mut self, grad: &[T], norms: &[f64], a: &mut [T]);
     /// Clears the state kept across frames for this cloth, as when it restarts. Most optimizers keep none.
     fn reset_memory_of(&mut self, _cloth: usize) {}
+    /// Returns the hidden state of a network; `None` for other optimizers, which keep nothing from frame to frame.
+    fn hidden_mut(&mut self) -> Option<&mut Hidden<T>> {
+        None
+    }
     /// Returns the scale of each sample, shape \[S\]; empty if the optimizer has none.
     fn scales(&self) -> &[T] {
         &[]

@@ -225,6 +225,16 @@ impl<T: Real> Subspace<T> {
         }
     }
 
+    /// Returns the accelerations of the frame before, of each cloth.
+    pub fn last_accelerations(&mut self) -> impl Iterator<Item = &mut [T]> {
+        self.cloths.iter_mut().map(|cloth| &mut cloth.last[..])
+    }
+
+    /// Returns the update rule of the network among the directions.
+    pub fn network(&mut self) -> Option<&mut Update<T>> {
+        self.network.as_mut()
+    }
+
     /// Returns the scale of the network's steps for each sample, shape \[S\]; empty without a network.
     pub fn scales(&self) -> &[T] {
         self.network.as_ref().map_or(&[], |network| super::Minimizer::scales(network))

@@ -132,6 +132,10 @@ impl<T: Real> Minimizer<T> for Update<T> {
         scale[3 * cloth..][..3].fill(T::of(INITIAL_SCALE.into()));
     }
 
+    fn hidden_mut(&mut self) -> Option<&mut Hidden<T>> {
+        Some(&mut self.hidden)
+    }
+
     fn scales(&self) -> &[T] {
         &self.hidden.scale
     }
