@@ -3,16 +3,16 @@
 use super::Units;
 use super::setup::warn_once;
 use super::surface::Sheet;
-use crate::Result;
 use crate::cloth::{Air, Cloth, Grid, Model};
 use crate::cpu::{Equilibrium, equilibrium};
 use crate::scene::{Placement, UpAxis};
+use crate::{Error, Result};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Particles of the grid on which it begins, and of the finest on which the equilibrium is computed: there a factored
-/// Hessian takes a second.
+/// Particles of the grid on which it begins, and of the finest on which the equilibrium is computed, in a few
+/// seconds.
 const COARSE: usize = 40 * 40;
-const FINEST: usize = 256 * 256;
+const FINEST: usize = 128 * 128;
 /// Number of drapes that a process remembers: as many as the grids and materials that it is likely to return to.
 const REMEMBERED: usize = 16;
 
@@ -30,7 +30,8 @@ static DRAPES: Mutex<Vec<Drape>> = Mutex::new(Vec::new());
 /// air: the positions of the particles \[edges\], z up. Where it is held in the scene does not matter.
 ///
 /// It starts from a stored drape on a coarse grid, and lets the same sheet come to rest on finer and finer ones. On
-/// grids finer than 256x256 the drape of such a grid is resampled. `origin` names the scene in warnings.
+/// grids finer than 128x128, or where memory runs out, the drape of a coarser one is resampled. `origin` names
+/// the scene in warnings.
 pub(super) fn settled(grid: Grid, units: &Units, cloth: &Cloth, origin: &str) -> Result<Arc<Vec<[f64; 3]>>> {
     let cloth = Cloth { air: Air::default(), handles: Placement::Corners.particles(grid), ..cloth.clone() };
     // Not held while the drape is computed: the threads that compute it may be in need of another.
@@ -50,7 +51,11 @@ pub(super) fn settled(grid: Grid, units: &Units, cloth: &Cloth, origin: &str) ->
     for level in levels(grid) {
         sheet = sheet.regrid(level);
         let finer = height / (level.h - 1) as f64;
-        let reached = at_rest(&sheet, (grid, units), &cloth, finer)?;
+        let reached = match at_rest(&sheet, (grid, units), &cloth, finer) {
+            // Not enough memory for the factors.
+            Err(Error::Device(_)) => break,
+            reached => reached?,
+        };
         sheet.points = points(&reached.x, finer);
         still = reached.is_still();
     }

@@ -59,7 +59,7 @@
 //!
 //! - `settled` hangs still from the corners (H-1, 0) and (0, 0), at (0, 0.5, +-0.45) times the side, y up: in the
 //!   equilibrium of the scene's cloth under its gravity, in still air. It is computed when the scene is set up, which
-//!   takes up to a second on 64x64 particles; on grids finer than 256x256 it is resampled.
+//!   takes up to a second on 64x64 particles; on grids finer than 128x128 it is resampled.
 //! - `flat` has particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up.
 //! - `hanging` is a vertical plane whose upper edge, j = 0, is `(0, 0.5, z)` times the side.
 //! - An OBJ has vertex `i W + j` for particle (i, j). Its faces, if it has any, cover each cell by two

@@ -129,11 +129,11 @@ fn frames_on_the_device_are_nearly_as_exact_as_on_the_host() {
 ///
 /// An optimizer that stops far from the minimum amplifies differences at the start of a frame: the learned
 /// one two- or threefold, L-BFGS a hundredfold in ten frames. In single precision, the host, too, is soon far
-/// from double precision. With gradient descent and L-BFGS, the root mean square and the largest magnitude of
-/// the differences stay within a share of the side. With the learned optimizer, this holds for the first
-/// frame. After that a device, which rounds in every operation, may differ by ten times the host's distance
-/// if that is more. (Adam is left out: where a gradient is 0 but for roundings, its sign decides about a
-/// whole step. Quasi-Newton's distances are those of L-BFGS within five frames.)
+/// from double precision. The root mean square and the largest magnitude of the differences stay within a share
+/// of the side. After the first frame of an optimizer that amplifies, a device, which rounds in every
+/// operation, may differ by ten times the host's distance if that is more. (Adam is left out: where a gradient
+/// is 0 but for roundings, its sign decides about a whole step. Quasi-Newton's distances are those of L-BFGS
+/// within five frames.)
 #[test]
 fn twenty_frames_drift_within_bounds_of_the_host() {
     let _turn = device();
@@ -164,7 +164,8 @@ fn twenty_frames_drift_within_bounds_of_the_host() {
                 "{what}: {:.1e}, {:.1e}; on the host {:.1e}, {:.1e}",
                 on_device.0, on_device.1, on_host.0, on_host.1
             );
-            let times = if frame > first && optimizer.weights().is_some() { 10.0 } else { 0.0 };
+            let amplifies = optimizer.name() != "gd";
+            let times = if frame > first && amplifies { 10.0 } else { 0.0 };
             let grown = (times * farthest.0, times * farthest.1);
             let allowed = ((mean * side).max(grown.0), (most * side).max(grown.1));
             assert!(
