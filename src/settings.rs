@@ -23,6 +23,13 @@ pub struct LbfgsSettings {
     pub curvature: f64,
 }
 
+/// Largest multiple of the last step at which its secant's minimum is sought: farther out the slopes at its ends say
+/// little.
+pub const LONGEST: f64 = 2.0;
+
+/// Least factor by which the length of steps along secants changes from one to the next.
+pub const SHORTEST: f64 = 0.1;
+
 /// Longest history of L-BFGS that the kernel supports.
 pub const MAX_HISTORY: usize = 32;
 

@@ -5,11 +5,16 @@
 // iteration of a frame. For any other initial H the recursion is split into two dispatches (PART), between
 // which other kernels apply it to q.
 //
+// With SECANT, the last step s is first corrected to the minimum of the parabola that has the slopes at its
+// ends, t = -g_(k-1).s / y.s clamped to 0..LONGEST, if y.s > 0:
+//   a += (t - 1) s,  g_k += (t - 1) y,  length = min(1, length clamp(t, SHORTEST, LONGEST))
+// and then a -= length q. The length is 1 in the first iteration of a frame.
+//
 // grad, a: [B, 3 n]
 // history: [B, HISTORY, 2, 3 n] = (s, y)
 // last: [B, 2, 3 n], last gradient and last step; between the two dispatches, q in place of the step
-// pairs: [B, 2 HISTORY + 2], number of pairs, slot of the newest, 1 / y.s of each slot,
-//   then alpha of the first loop, from the newest pair on
+// pairs: [B, 2 HISTORY + 3], number of pairs, slot of the newest, 1 / y.s of each slot,
+//   alpha of the first loop, from the newest pair on, then the length
 //
 // One workgroup per cloth. Its invocations stride over the elements and add up in a fixed order.
 // Workgroups: (B).
@@ -31,6 +36,9 @@ const LANES: u32 = 256u;
 const MAX_HISTORY: u32 = 32u;
 override HISTORY: u32 = 5;
 override CURVATURE: f32 = 1e-12;
+override SECANT: bool = false;
+override LONGEST: f32 = 2.0;
+override SHORTEST: f32 = 0.1;
 // 0: the whole step; 1: the part before the initial H; 2: the part after it.
 override PART: u32 = 0;
 
@@ -54,13 +62,14 @@ fn total(lane: u32, value: vec2f) -> vec2f {
 fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let n = 3u * params.particles;
     let first = group.x * n;
-    let book = group.x * (2u * HISTORY + 2u);
+    let book = group.x * (2u * HISTORY + 3u);
     let previous_grad = 2u * first;
     let q = 2u * first + n; // the last step, then the direction
     let ring = 2u * first * HISTORY;
     var count = 0u;
     var newest = HISTORY - 1u;
     var gamma = 1.0;
+    var length = 1.0;
     var alpha: array<f32, MAX_HISTORY>;
 
     // 1 / y.s of the newest pair.
@@ -70,17 +79,26 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         count = min(u32(pairs[book]), HISTORY);
         newest = min(u32(pairs[book + 1u]), HISTORY - 1u);
         newest_rho = pairs[book + 2u + newest];
+        if SECANT {
+            length = pairs[book + 2u + 2u * HISTORY];
+        }
     }
     if PART != 2u {
         // The pair of the last step. The first iteration has none.
         var sums = vec2f();
         if params.first == 0u {
             for (var e = lane; e < n; e += LANES) {
-                let y = grad[first + e] - last[previous_grad + e];
-                sums += y * vec2f(last[q + e], y);
+                let before = last[previous_grad + e];
+                sums += vec2f(grad[first + e] - before, before) * last[q + e];
             }
         }
         sums = total(lane, sums);
+        var more = 0.0;
+        if SECANT && sums.x > 0.0 {
+            let factor = -sums.y / sums.x;
+            more = clamp(factor, 0.0, LONGEST) - 1.0;
+            length = min(1.0, length * clamp(factor, SHORTEST, LONGEST));
+        }
         let keep = params.first == 0u && sums.x > CURVATURE;
         if keep {
             newest = (newest + 1u) % HISTORY;
@@ -93,10 +111,16 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         }
         let pair = ring + newest * 2u * n;
         for (var e = lane; e < n; e += LANES) {
-            let g = grad[first + e];
+            var g = grad[first + e];
+            let s = last[q + e];
+            let y = g - last[previous_grad + e];
             if keep {
-                history[pair + e] = last[q + e];
-                history[pair + n + e] = g - last[previous_grad + e];
+                history[pair + e] = s;
+                history[pair + n + e] = y;
+            }
+            if SECANT && params.first == 0u {
+                a[first + e] += more * s;
+                g += more * y;
             }
             last[previous_grad + e] = g;
             last[q + e] = g;
@@ -131,6 +155,7 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
         if lane == 0u {
             pairs[book] = f32(count);
             pairs[book + 1u] = f32(newest);
+            pairs[book + 2u + 2u * HISTORY] = length;
         }
     }
     if PART == 0u {
@@ -171,7 +196,7 @@ fn lbfgs(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) grou
     }
 
     for (var e = lane; e < n; e += LANES) {
-        let step = -last[q + e];
+        let step = -length * last[q + e];
         last[q + e] = step;
         a[first + e] += step;
     }

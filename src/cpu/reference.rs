@@ -132,8 +132,8 @@ impl Reference {
             }
             self.history.remember(&grad, 0.0);
             match inverse {
-                Inverse::AtRest => self.history.compute_direction(&grad, Some(&mut self.rest)),
-                _ => self.history.compute_direction(&grad, Some(&mut self.hessian)),
+                Inverse::AtRest => self.history.compute_direction(Some(&mut self.rest)),
+                _ => self.history.compute_direction(Some(&mut self.hessian)),
             }
             let Some(lower) = self.search(energy, &grad, (state, control)) else {
                 if inverse == Inverse::Here {

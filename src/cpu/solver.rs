@@ -42,7 +42,7 @@ impl<T: Real> Solver<T> {
         let method = match optimizer.length {
             Length::Armijo => Method::Newton(references(model)?),
             Length::Subspace => Method::Subspace(iterations, Box::new(Subspace::new(optimizer, model)?)),
-            Length::Fixed(_) => Method::Steps(iterations, minimizer(optimizer, model)?),
+            Length::Fixed(_) | Length::Secant => Method::Steps(iterations, minimizer(optimizer, model)?),
         };
         let (optimizer, objective) = (optimizer.clone(), Objective::new(model));
         Ok(Self { optimizer, method, log: IterationLog::default(), converged: Vec::new(), objective })

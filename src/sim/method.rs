@@ -6,7 +6,7 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::Objective;
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{Adam, GradientDescent, Lbfgs, LbfgsMemory, QuasiNewton, Subspace};
+use crate::kernels::optim::{Adam, GradientDescent, Lbfgs, LbfgsMemory, Part, QuasiNewton, Subspace};
 use crate::settings::{AdamSettings, LEARNED_ITERATIONS, LbfgsSettings};
 use crate::{Error, Result};
 
@@ -75,28 +75,30 @@ impl Method {
             let plan = Box::new(Subspace::new(context, count, iterations, (grid, batch))?);
             return Ok(Self::Subspace { plan, network });
         }
-        let ([direction], Length::Fixed(length)) = (&optimizer.directions[..], optimizer.length) else {
-            return refused();
-        };
-        Ok(match *direction {
-            Direction::Network(ref weights) => {
+        let [direction] = &optimizer.directions[..] else { return refused() };
+        Ok(match (direction, optimizer.length) {
+            (Direction::Network(weights), Length::Fixed(_)) => {
                 let (step, scales) = learned(weights, iterations)?;
                 Self::Learned { step, scales }
             }
-            Direction::Gradient => {
-                Self::GradientDescent { kernel: GradientDescent::new(context)?, rate: length }
+            (Direction::Gradient, Length::Fixed(rate)) => {
+                Self::GradientDescent { kernel: GradientDescent::new(context)?, rate }
             }
-            Direction::Adam(settings) => Self::Adam {
+            (&Direction::Adam(settings), Length::Fixed(_)) => Self::Adam {
                 kernel: Adam::new(context)?,
                 settings,
                 moments: Tensor::zeros(context, "adam.moments", &[samples, n, 2])?,
             },
-            Direction::Lbfgs { settings, initial: Initial::Identity } => {
-                let kernel = Lbfgs::new(context, settings)?;
+            (&Direction::Lbfgs { settings, initial: Initial::Identity }, length) => {
+                let kernel = match length {
+                    Length::Fixed(_) => Lbfgs::new(context, settings)?,
+                    Length::Secant => Lbfgs::along_secants(context, settings, Part::Whole)?,
+                    _ => return refused(),
+                };
                 kernel.check_size(context, n)?;
                 Self::Lbfgs { kernel, memory: memory(settings)? }
             }
-            Direction::Lbfgs { settings, initial: Initial::Spectral } => {
+            (&Direction::Lbfgs { settings, initial: Initial::Spectral }, Length::Secant) => {
                 let plan = QuasiNewton::new(context, settings, (grid, batch))?;
                 plan.check_size(context, n)?;
                 Self::QuasiNewton { plan: Box::new(plan), memory: memory(settings)? }

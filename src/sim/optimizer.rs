@@ -65,6 +65,10 @@ pub enum Initial {
 pub enum Length {
     /// This multiple of its one direction. Nothing checks the energy.
     Fixed(f64),
+    /// That of L-BFGS, corrected one iteration later to the minimum that the slopes at both ends of the step suggest.
+    /// There the gradient is interpolated, so that nothing is evaluated again. Where steps turn out too long, the next
+    /// ones begin shorter, but never longer than the direction.
+    Secant,
     /// Until the energy decreases enough (Armijo), and as often as it takes to converge, whatever the number of
     /// iterations.
     Armijo,
@@ -131,14 +135,20 @@ impl Optimizer {
         Self::fixed(Direction::Lbfgs { settings, initial: Initial::Identity }, 1.0)
     }
 
-    /// Returns the quasi-Newton method: history 5, step 1, pairs with `y.s > 1e-12`.
+    /// Returns L-BFGS along secants, from this inverse Hessian: history 5, pairs with `y.s > 1e-12`.
+    fn secant(initial: Initial) -> Self {
+        let directions = vec![Direction::Lbfgs { settings: LBFGS, initial }];
+        Self { directions, length: Length::Secant }
+    }
+
+    /// Returns the quasi-Newton method: history 5, pairs with `y.s > 1e-12`.
     pub fn quasi_newton() -> Self {
-        Self::fixed(Direction::Lbfgs { settings: LBFGS, initial: Initial::Spectral }, 1.0)
+        Self::secant(Initial::Spectral)
     }
 
     /// Returns the quasi-Newton method with exact factors of the Hessian at rest. CPU only.
     pub fn quasi_newton_exact() -> Self {
-        Self::fixed(Direction::Lbfgs { settings: LBFGS, initial: Initial::Factored }, 1.0)
+        Self::secant(Initial::Factored)
     }
 
     /// Returns Newton's method until it converges: the exact physics, for comparison. CPU only.
@@ -201,14 +211,23 @@ impl Optimizer {
                 return refused("directions of a line search", "newton alone".into(), names());
             }
             Length::Fixed(length) => {
-                if count != 1 || matches!(self.directions[..], [Direction::Newton | Direction::Last]) {
+                let corrected = |d: &Direction| match d {
+                    Direction::Newton | Direction::Last => true,
+                    // As if the handles were free, its steps are too long.
+                    Direction::Lbfgs { initial, .. } => *initial != Initial::Identity,
+                    _ => false,
+                };
+                if count != 1 || corrected(&self.directions[0]) {
                     return refused("directions", "one that a fixed length suits".into(), names());
                 }
                 if !length.is_finite() {
                     return refused("length", "a finite number".into(), length.to_string());
                 }
             }
-            Length::Armijo => {}
+            Length::Secant if !matches!(self.directions[..], [Direction::Lbfgs { .. }]) => {
+                return refused("directions of a secant", "lbfgs alone".into(), names());
+            }
+            Length::Armijo | Length::Secant => {}
         }
         for direction in &self.directions {
             match *direction {
@@ -273,11 +292,9 @@ impl Optimizer {
             ([Network(_)], Length::Fixed(_)) => PAPER,
             ([Gradient], Length::Fixed(_)) => "gd",
             ([Adam(_)], Length::Fixed(_)) => "adam",
-            ([Lbfgs { initial, .. }], Length::Fixed(_)) => match initial {
-                Initial::Identity => "lbfgs",
-                Initial::Spectral => "quasi-newton",
-                Initial::Factored => "quasi-newton-exact",
-            },
+            ([Lbfgs { initial: Initial::Identity, .. }], Length::Fixed(_)) => "lbfgs",
+            ([Lbfgs { initial: Initial::Spectral, .. }], Length::Secant) => "quasi-newton",
+            ([Lbfgs { initial: Initial::Factored, .. }], Length::Secant) => "quasi-newton-exact",
             ([Newton], Length::Armijo) => "newton",
             _ => "custom",
         }
@@ -330,6 +347,7 @@ mod tests {
         assert!(refused(vec![Direction::Newton], Length::Subspace).contains("newton"));
         assert!(refused(vec![Direction::Gradient], Length::Armijo).contains("gradient"));
         assert!(refused(vec![Direction::Last], Length::Fixed(1.0)).contains("last"));
+        assert!(refused(vec![Direction::Spectral], Length::Secant).contains("lbfgs alone"));
         assert!(refused(vec![Direction::Gradient], Length::Fixed(f64::NAN)).contains("NaN"));
     }
 }

@@ -123,7 +123,7 @@ fn exit_codes_do_not_hang_on_who_listens() {
     let folder = tempfile::tempdir().unwrap();
     let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/adamw.safetensors");
     let rollout = ["rollout", "--device", "cpu", "--solver", "gd", "--frames", "3", "--no-pictures"];
-    let explodes = exploding_bench("64x8,32");
+    let explodes = exploding_bench("64x8,8x64");
     let cases: [(&[&str], i32); 4] = [
         (&rollout, 0),
         // A file that is not a network, and a missing file.

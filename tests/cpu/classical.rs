@@ -3,7 +3,7 @@
 use crate::golden::largest_difference as apart;
 use crate::noise::noise;
 use fnopt::cpu::optim::{Adam, GradientDescent, Lbfgs, Minimizer};
-use fnopt::settings::{AdamSettings, LbfgsSettings};
+use fnopt::settings::{AdamSettings, LONGEST, LbfgsSettings, SHORTEST};
 
 /// Returns the iterates from `a` on, for the gradient `k a` with one steepness k per unknown.
 fn iterates(
@@ -121,6 +121,29 @@ fn lbfgs_remembers_as_many_pairs_as_it_is_told() {
             let others = [HISTORY - 1, HISTORY + 1].map(|pairs| apart(&step, &of(pairs)) / size);
             assert!(others.iter().all(|&other| other > 1e-6), "step {at}: {others:?}");
         }
+    }
+}
+
+/// One iteration later, a step along a secant stands at the exact minimum of a quadratic energy along it, unless
+/// that is farther than twice the step; the interpolated gradient there is the true one.
+#[test]
+fn steps_along_secants_are_corrected_to_their_minimum() {
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    // Without pairs the first step is the gradient: half the way to the minimum of 0.5, five times that of 5.
+    for (steepness, corrected) in [(0.8, 1.0 / 0.8), (5.0, 0.2), (0.25, LONGEST)] {
+        let (start, settings) = (noise(12, 1), LbfgsSettings { history: 5, curvature: 1e-12 });
+        let mut lbfgs = Lbfgs::new(settings, 12, 1).along_secants();
+        let (mut a, grad) = (start.clone(), |a: &[f64]| a.iter().map(|a| steepness * a).collect::<Vec<_>>());
+        lbfgs.begin_frame();
+        lbfgs.step(&grad(&a), &[], &mut a);
+        let first: Vec<f64> = start.iter().zip(&a).map(|(start, a)| a - start).collect();
+        lbfgs.step(&grad(&a), &[], &mut a);
+        let at: Vec<f64> = start.iter().zip(&first).map(|(start, s)| start + corrected * s).collect();
+        // The pair knows the curvature, so the next direction ends at the minimum. It begins shorter if the first
+        // step was too long.
+        let length = corrected.clamp(SHORTEST, 1.0);
+        let expected: Vec<f64> = at.iter().map(|at| (1.0 - length) * at).collect();
+        assert!(apart(&a, &expected) < 1e-14 * dot(&start, &start).sqrt(), "{steepness}: {a:?} {expected:?}");
     }
 }
 

@@ -95,7 +95,7 @@ fn a_sheet_held_along_a_whole_edge_hangs_still() {
             r#"{{"grid": [{n}, {n}], "start": "hanging", "handles": [{}], "motion": "none", "frames": 31}}"#,
             edge(n, true)
         );
-        for solver in ["spectral", "fnopt", "newton", "lbfgs"] {
+        for solver in ["spectral", "fnopt", "newton", "lbfgs", "quasi-newton", "quasi-newton-exact"] {
             let run = Run::sound(&scene, solver);
             // It stretches by rho g L^2 / (2 Y), 0.6 mm.
             assert!(run.moved(0, 30) < 1e-3, "{solver}, {n}: {:.1e} m", run.moved(0, 30));
@@ -110,7 +110,7 @@ fn a_sheet_held_along_a_whole_edge_hangs_still() {
         let scene = format!(
             r#"{{"grid": [16, 16], "start": "hanging", "handles": [{handles}], "motion": "none", "frames": 31}}"#
         );
-        for solver in ["spectral", "fnopt", "newton", "lbfgs"] {
+        for solver in ["spectral", "fnopt", "newton", "lbfgs", "quasi-newton", "quasi-newton-exact"] {
             Run::sound(&scene, solver);
         }
     }

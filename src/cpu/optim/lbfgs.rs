@@ -1,18 +1,20 @@
-//! Limited-memory BFGS by the two-loop recursion, with step length 1 and a history that is cleared every
-//! frame. The initial inverse Hessian is a multiple of the identity, or that of the cloth at rest, which
+//! Limited-memory BFGS by the two-loop recursion, with steps of length 1 or along secants, and a history that is
+//! cleared every frame. The initial inverse Hessian is a multiple of the identity, or that of the cloth at rest, which
 //! makes it the quasi-Newton method.
 
 use super::{FactoredRestHessian, InverseHessian, Minimizer, RestHessian, dot};
 use crate::Result;
 use crate::cloth::Model;
 use crate::cpu::Real;
-use crate::settings::LbfgsSettings;
+use crate::settings::{LONGEST, LbfgsSettings, SHORTEST};
 use rayon::prelude::*;
 
 /// L-BFGS for a batch of cloths, each with its own history.
 pub struct Lbfgs<T> {
     cloths: Vec<(History<T>, Initial<T>)>,
     curvature: f64,
+    /// Whether steps are corrected to the minimum of their secants.
+    secant: bool,
     /// Number of unknowns per cloth.
     len: usize,
 }
@@ -31,7 +33,9 @@ pub(in crate::cpu) struct History<T> {
     last_step: Vec<T>,
     /// Whether that step has been taken.
     started: bool,
-    /// The result of [`History::compute_direction`].
+    /// Multiple of the direction that the next step along a secant begins with, at most 1.
+    length: f64,
+    /// The gradient at the iterate, then the result of [`History::compute_direction`].
     pub direction: Vec<T>,
 }
 
@@ -46,7 +50,12 @@ impl<T: Real> Lbfgs<T> {
     pub fn new(settings: LbfgsSettings, len: usize, batch: usize) -> Self {
         let LbfgsSettings { history, curvature } = settings;
         let cloths = (0..batch).map(|_| (History::new(history, len), None)).collect();
-        Self { cloths, curvature, len }
+        Self { cloths, curvature, secant: false, len }
+    }
+
+    /// Corrects steps to the minimum of their secants ([`Length::Secant`](crate::sim::Length::Secant)).
+    pub fn along_secants(self) -> Self {
+        Self { secant: true, ..self }
     }
 
     /// Builds the quasi-Newton method for the cloths of `model`: L-BFGS that starts from their Hessians at
@@ -62,7 +71,8 @@ impl<T: Real> Lbfgs<T> {
             };
             Ok((History::new(history, len), Some(initial)))
         };
-        Ok(Self { cloths: model.cloths.iter().map(cloth).collect::<Result<_>>()?, curvature, len })
+        let cloths = model.cloths.iter().map(cloth).collect::<Result<_>>()?;
+        Ok(Self { cloths, curvature, secant: false, len })
     }
 }
 
@@ -72,12 +82,15 @@ impl<T: Real> Minimizer<T> for Lbfgs<T> {
     }
 
     fn step(&mut self, grad: &[T], _norms: &[f64], a: &mut [T]) {
-        let curvature = self.curvature;
+        let (curvature, secant) = (self.curvature, self.secant);
         let batch = grad.par_chunks(self.len).zip(a.par_chunks_mut(self.len));
         self.cloths.par_iter_mut().zip(batch).for_each(|((history, initial), (grad, a))| {
             history.remember(grad, curvature);
-            history.compute_direction(grad, initial.as_deref_mut());
-            history.step(T::one(), a);
+            if secant {
+                history.move_to_minimum_of_secant(a);
+            }
+            history.compute_direction(initial.as_deref_mut());
+            history.step(T::of(history.length), a);
         });
     }
 }
@@ -93,6 +106,7 @@ impl<T: Real> History<T> {
             last_grad: zeros(),
             last_step: zeros(),
             started: false,
+            length: 1.0,
             direction: zeros(),
         }
     }
@@ -101,11 +115,13 @@ impl<T: Real> History<T> {
     pub fn clear(&mut self) {
         self.pairs = 0;
         self.started = false;
+        self.length = 1.0;
     }
 
-    /// Stores the pair of the last step, if any, that led to this gradient, provided that its curvature
-    /// suffices. A full ring drops its oldest pair.
+    /// Takes the gradient at the iterate, and stores the pair of the last step, if any, that led there, provided
+    /// that its curvature suffices. A full ring drops its oldest pair.
     pub fn remember(&mut self, grad: &[T], curvature: f64) {
+        self.direction.copy_from_slice(grad);
         if !self.started {
             return;
         }
@@ -128,13 +144,32 @@ impl<T: Real> History<T> {
         }
     }
 
-    /// Sets `direction` to the inverse Hessian times `grad`. The inverse Hessian is `initial`, updated by the
+    /// Moves the iterate `a` and its gradient along the last step, if any, to the minimum of the parabola that has the
+    /// slopes at its ends; the gradient is interpolated. The next step begins longer or shorter by as much.
+    fn move_to_minimum_of_secant(&mut self, a: &mut [T]) {
+        if !self.started {
+            return;
+        }
+        let before = dot(&self.last_grad, &self.last_step);
+        let rise = dot(&self.direction, &self.last_step) - before;
+        let factor = -before / rise;
+        if rise.is_nan() || rise <= 0.0 || !factor.is_finite() {
+            return;
+        }
+        let more = T::of(factor.clamp(0.0, LONGEST) - 1.0);
+        add_scaled(a, &self.last_step, more.f64());
+        for (grad, &last) in self.direction.iter_mut().zip(&self.last_grad) {
+            *grad = *grad + more * (*grad - last);
+        }
+        self.length = (self.length * factor.clamp(SHORTEST, LONGEST)).min(1.0);
+    }
+
+    /// Sets `direction` to the inverse Hessian times the gradient. The inverse Hessian is `initial`, updated by the
     /// pairs of the history.
-    pub fn compute_direction(&mut self, grad: &[T], initial: Option<&mut (dyn InverseHessian<T> + 'static)>) {
-        self.last_grad.copy_from_slice(grad);
+    pub fn compute_direction(&mut self, initial: Option<&mut (dyn InverseHessian<T> + 'static)>) {
         let pairs = &self.ring[..self.pairs];
         let direction = &mut self.direction;
-        direction.copy_from_slice(grad);
+        self.last_grad.copy_from_slice(direction);
         let mut weights = vec![0.0; pairs.len()];
         for (pair, weight) in pairs.iter().zip(&mut weights).rev() {
             *weight = pair.inverse * dot(&pair.s, direction);

@@ -44,32 +44,29 @@ pub trait Minimizer<T>: Send + Sync {
     }
 }
 
-/// Builds an optimizer with a fixed length for the cloths of `model`. Fails if the grid does not suit the network,
+/// Builds an optimizer with a fixed length or along secants for the cloths of `model`. Fails if the grid does not suit the network,
 /// if there is not enough memory, or if its length is another: [`Subspace`] and [`crate::cpu::Reference`] see more
 /// than the gradient.
 pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dyn Minimizer<T>>> {
     let (batch, cloth) = (model.batch(), 3 * model.grid.particles());
-    let ([direction], Length::Fixed(length)) = (&optimizer.directions[..], optimizer.length) else {
-        return Err(no_fixed_length(optimizer));
+    let refused = || {
+        let expected = "one direction that depends on the gradient alone, and a length that does, too";
+        Error::invalid("optimizer", "directions", expected, optimizer.name())
     };
-    Ok(match *direction {
-        Direction::Network(ref weights) => Box::new(update(weights, model)?),
-        Direction::Gradient => Box::new(GradientDescent::new(length)),
-        Direction::Adam(settings) => Box::new(Adam::new(settings, batch * cloth)),
-        Direction::Lbfgs { settings, initial: Initial::Identity } => {
-            Box::new(Lbfgs::new(settings, cloth, batch))
+    let [direction] = &optimizer.directions[..] else { return Err(refused()) };
+    Ok(match (direction, optimizer.length) {
+        (Direction::Network(weights), Length::Fixed(_)) => Box::new(update(weights, model)?),
+        (Direction::Gradient, Length::Fixed(rate)) => Box::new(GradientDescent::new(rate)),
+        (Direction::Adam(settings), Length::Fixed(_)) => Box::new(Adam::new(*settings, batch * cloth)),
+        (&Direction::Lbfgs { settings, initial }, length @ (Length::Fixed(_) | Length::Secant)) => {
+            let lbfgs = match initial {
+                Initial::Identity => Lbfgs::new(settings, cloth, batch),
+                _ => Lbfgs::from_rest(settings, initial == Initial::Factored, model)?,
+            };
+            Box::new(if length == Length::Secant { lbfgs.along_secants() } else { lbfgs })
         }
-        Direction::Lbfgs { settings, initial } => {
-            Box::new(Lbfgs::from_rest(settings, initial == Initial::Factored, model)?)
-        }
-        _ => return Err(no_fixed_length(optimizer)),
+        _ => return Err(refused()),
     })
-}
-
-/// Returns the error for an optimizer that has no single direction of fixed length.
-fn no_fixed_length(optimizer: &Optimizer) -> Error {
-    let expected = "one direction that depends on the gradient alone, and a fixed length";
-    Error::invalid("optimizer", "directions", expected, optimizer.name())
 }
 
 /// Builds the learned update rule for the cloths of `model`.

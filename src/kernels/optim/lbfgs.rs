@@ -6,7 +6,7 @@ use crate::Result;
 use crate::gpu::AdapterKind;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::size;
-use crate::settings::{LbfgsSettings, MAX_HISTORY};
+use crate::settings::{LONGEST, LbfgsSettings, MAX_HISTORY, SHORTEST};
 
 pub(crate) const SOURCE: Source =
     Source { name: "lbfgs", wgsl: include_str!("../../../shaders/optim/lbfgs.wgsl"), appended: &[] };
@@ -45,8 +45,8 @@ pub struct LbfgsMemory {
     /// Last gradient and last step, shape [B, 2, 3 n]. Between the parts of a step the direction replaces
     /// the last step.
     pub last: Tensor,
-    /// Number of pairs, index of the newest, 1 / y.s of each pair, and alpha of the first loop, shape
-    /// [B, 2 history + 2].
+    /// Number of pairs, index of the newest, 1 / y.s of each pair, alpha of the first loop, and the length of steps
+    /// along secants, shape [B, 2 history + 3].
     pub pairs: Tensor,
 }
 
@@ -57,23 +57,34 @@ impl LbfgsMemory {
         Ok(Self {
             history: Tensor::zeros(context, "lbfgs.history", &[batch, history, 2, n])?,
             last: Tensor::zeros(context, "lbfgs.last", &[batch, 2, n])?,
-            pairs: Tensor::zeros(context, "lbfgs.pairs", &[batch, 2 * history + 2])?,
+            pairs: Tensor::zeros(context, "lbfgs.pairs", &[batch, 2 * history + 3])?,
         })
     }
 }
 
 impl Lbfgs {
-    /// Builds the kernel. Panics if the history is not 1 to [`MAX_HISTORY`] pairs.
+    /// Builds the kernel for steps of length 1. Panics if the history is not 1 to [`MAX_HISTORY`] pairs.
     pub fn new(context: &Context, settings: LbfgsSettings) -> Result<Self> {
-        Self::part(context, settings, Part::Whole)
+        Self::build(context, settings, (Part::Whole, false))
     }
 
-    /// Builds the kernel for a part of the step, otherwise like [`Lbfgs::new`].
-    pub fn part(context: &Context, settings: LbfgsSettings, part: Part) -> Result<Self> {
+    /// Builds the kernel for a part of a step along a secant ([`Length::Secant`](crate::sim::Length::Secant)),
+    /// otherwise like [`Lbfgs::new`].
+    pub fn along_secants(context: &Context, settings: LbfgsSettings, part: Part) -> Result<Self> {
+        Self::build(context, settings, (part, true))
+    }
+
+    fn build(context: &Context, settings: LbfgsSettings, (part, secant): (Part, bool)) -> Result<Self> {
         let LbfgsSettings { history, curvature } = settings;
         assert!((1..=MAX_HISTORY).contains(&history), "a history of 1 to {MAX_HISTORY} pairs, not {history}");
-        let constants =
-            [("HISTORY", history as f64), ("CURVATURE", curvature), ("PART", f64::from(part as u8))];
+        let constants = [
+            ("HISTORY", history as f64),
+            ("CURVATURE", curvature),
+            ("SECANT", f64::from(u8::from(secant))),
+            ("LONGEST", LONGEST),
+            ("SHORTEST", SHORTEST),
+            ("PART", f64::from(part as u8)),
+        ];
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &constants)?, history })
     }
 
@@ -96,7 +107,7 @@ impl Lbfgs {
         let (samples, n) = iterate.samples_and_particles();
         let batch = samples / 3;
         assert_eq!(memory.history.shape(), [batch, self.history, 2, 3 * n]);
-        assert_eq!((memory.last.len(), memory.pairs.len()), (batch * 6 * n, batch * (2 * self.history + 2)));
+        assert_eq!((memory.last.len(), memory.pairs.len()), (batch * 6 * n, batch * (2 * self.history + 3)));
         let params = Params { particles: size(n), first: u32::from(iteration == 0) };
         let LbfgsMemory { history, last, pairs } = memory;
         let tensors = [&iterate.grad, history, last, pairs, &iterate.a];

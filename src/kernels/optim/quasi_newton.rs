@@ -1,4 +1,4 @@
-//! The plan of a quasi-Newton step: L-BFGS that starts from the Hessian of a flat sheet.
+//! The plan of a quasi-Newton step: L-BFGS along secants that starts from the Hessian of a flat sheet.
 
 use super::{CosineOrder, Iterate, Lbfgs, LbfgsMemory, Part, RestModes};
 use crate::Result;
@@ -7,7 +7,7 @@ use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::fft::{Fields, RealFft2};
 use crate::settings::{LbfgsSettings, Norm};
 
-/// L-BFGS with the initial inverse Hessian `P C^T diag(1 / lambda) C P`: the cosine transform C (DCT-II)
+/// L-BFGS along secants with the initial inverse Hessian `P C^T diag(1 / lambda) C P`: the cosine transform C (DCT-II)
 /// nearly diagonalises the Hessian of a sheet at rest, and P zeroes the handles (after Liu, Bouaziz and Kavan
 /// 2017).
 ///
@@ -34,11 +34,11 @@ impl QuasiNewton {
         let spectrum = || Tensor::zeros(context, "quasi-newton.spectrum", &fft.spectrum_shape());
         let spectra = [spectrum()?, spectrum()?];
         Ok(Self {
-            before: Lbfgs::part(context, settings, Part::Before)?,
+            before: Lbfgs::along_secants(context, settings, Part::Before)?,
             order: CosineOrder::new(context, false)?,
             modes: RestModes::new(context, grid)?,
             restore: CosineOrder::new(context, true)?,
-            after: Lbfgs::part(context, settings, Part::After)?,
+            after: Lbfgs::along_secants(context, settings, Part::After)?,
             ordered: Tensor::zeros(context, "quasi-newton.ordered", &[3 * batch, grid.h, grid.w])?,
             spectra,
             fft,

@@ -4,21 +4,41 @@ use super::classical::frames_match;
 use crate::common::{GRIDS, cases, context, device};
 use fnopt::cloth::Grid;
 use fnopt::gpu::AdapterKind;
-use fnopt::kernels::optim::{Lbfgs, LbfgsMemory};
+use fnopt::kernels::optim::{Lbfgs, LbfgsMemory, Part};
 use fnopt::settings::LbfgsSettings;
-use fnopt::sim::Optimizer;
+use fnopt::sim::{Direction, Initial, Length, Optimizer};
 
 /// Two dozen iterations amplify the roundings of the sums by the condition number of the problem, about 6.
 const TOLERANCE: f64 = 2e-5;
 
-fn check(history: usize, curvature: f64, (grid, batch): (Grid, usize)) {
-    let settings = LbfgsSettings { history, curvature };
-    let kernel = Lbfgs::new(context(), settings).unwrap();
+/// Steps along secants, from the identity.
+#[test]
+fn steps_along_secants_match() {
+    let _turn = device();
+    for (grid, batch) in cases() {
+        let settings = LbfgsSettings { history: 5, curvature: 1e-12 };
+        let kernel = Lbfgs::along_secants(context(), settings, Part::Whole).unwrap();
+        let memory = forgotten(grid, batch, 5);
+        let push = |s: &mut _, iteration, iterate: &_| kernel.push(s, iteration, iterate, &memory);
+        let direction = Direction::Lbfgs { settings, initial: Initial::Identity };
+        let optimizer = Optimizer { directions: vec![direction], length: Length::Secant };
+        frames_match(&optimizer, &push, (grid, batch), TOLERANCE);
+    }
+}
+
+/// Whatever the memory holds, a frame starts without it.
+fn forgotten(grid: Grid, batch: usize, history: usize) -> LbfgsMemory {
     let memory = LbfgsMemory::new(context(), batch, grid.particles(), history).unwrap();
-    // Whatever the memory holds, a frame starts without it.
     for tensor in [&memory.history, &memory.last, &memory.pairs] {
         tensor.write(context(), &vec![f32::NAN; tensor.len()]);
     }
+    memory
+}
+
+fn check(history: usize, curvature: f64, (grid, batch): (Grid, usize)) {
+    let settings = LbfgsSettings { history, curvature };
+    let kernel = Lbfgs::new(context(), settings).unwrap();
+    let memory = forgotten(grid, batch, history);
     let push = |s: &mut _, iteration, iterate: &_| kernel.push(s, iteration, iterate, &memory);
     frames_match(&Optimizer::lbfgs_with(settings), &push, (grid, batch), TOLERANCE);
 }
