@@ -1,32 +1,49 @@
-//! Available memory. A system that overcommits kills the process that uses more than there is.
+//! Available memory. A system that overcommits kills the process that uses more than there is. So what is large is
+//! taken before the work begins ([`reserve`]), and what consists of many parts is estimated ([`check`]).
 
 use crate::{Error, Result};
 use std::path::Path;
 
-/// Reserves room in `values` for exactly `more` elements of `what`. Fails if there is not enough memory. A
-/// successful reservation alone proves little on systems that overcommit, as most Linux systems do.
-pub(crate) fn reserve<T>(values: &mut Vec<T>, more: usize, what: &str) -> Result<()> {
+/// Reserves room in `values` for exactly `more` elements of `what`, and takes it from the system at once: later
+/// requests then see what is left. Fails if there is not enough memory.
+pub(crate) fn reserve<T: Default>(values: &mut Vec<T>, more: usize, what: &str) -> Result<()> {
     reserve_each([values], more, what)
 }
 
 /// Applies [`reserve`] to several vectors, for which there must be enough memory together.
-pub(crate) fn reserve_each<T, const N: usize>(
+pub(crate) fn reserve_each<T: Default, const N: usize>(
     values: [&mut Vec<T>; N],
     more: usize,
     what: &str,
 ) -> Result<()> {
     let bytes = more.saturating_mul(size_of::<T>()).saturating_mul(N);
-    if is_available(bytes) && values.into_iter().all(|values| values.try_reserve_exact(more).is_ok()) {
-        return Ok(());
+    check(bytes, what)?;
+    for values in values {
+        values.try_reserve_exact(more).map_err(|_| missing(bytes, what))?;
+        // A page that was never written to counts as available, whoever it belongs to.
+        let room = values.spare_capacity_mut().iter_mut().take(more);
+        room.step_by((PAGE / size_of::<T>().max(1)).max(1)).for_each(|first| {
+            first.write(T::default());
+        });
     }
-    let there = available().map_or_else(String::new, |there| format!(", of {}", gib(there as usize)));
-    Err(Error::Device(format!("cpu: not enough memory: {what}: {}{there}", gib(bytes))))
+    Ok(())
 }
 
-/// Whether `bytes` of memory are available, or the amount is unknown. Memory that is reserved but not yet
-/// used still counts as available, so ask for everything at once.
-fn is_available(bytes: usize) -> bool {
-    available().is_none_or(|available| bytes as u64 <= available)
+/// Smallest unit in which systems hand out memory, in bytes.
+const PAGE: usize = 4096;
+
+/// Fails if fewer than `bytes` of memory are available for `what`. Where the amount is unknown, everything is
+/// accepted.
+pub(crate) fn check(bytes: usize, what: &str) -> Result<()> {
+    match available().is_none_or(|available| bytes as u64 <= available) {
+        true => Ok(()),
+        false => Err(missing(bytes, what)),
+    }
+}
+
+fn missing(bytes: usize, what: &str) -> Error {
+    let there = available().map_or_else(String::new, |there| format!(", of {}", gib(there as usize)));
+    Error::Device(format!("cpu: not enough memory: {what}: {}{there}", gib(bytes)))
 }
 
 /// Returns the available bytes, if known: the smaller of what the machine has left and what a container or
@@ -79,7 +96,8 @@ fn of_machine() -> Option<u64> {
 
 /// Formats a number of bytes for display.
 pub(crate) fn gib(bytes: usize) -> String {
-    format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))
+    let mib = bytes as f64 / f64::from(1 << 20);
+    if mib < 1000.0 { format!("{mib:.0} MiB") } else { format!("{:.1} GiB", mib / 1024.0) }
 }
 
 #[cfg(test)]

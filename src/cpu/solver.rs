@@ -1,12 +1,13 @@
 //! The solver that computes a frame on the CPU (paper sections 3.2 and 3.3).
 
+use super::operator::activations_len;
 use super::optim::{Hidden, Minimizer, Subspace, Update, minimizer, norm};
 use super::reference::Minimum;
 use super::{Objective, Real, Reference};
 use crate::cloth::{Cloth, Control, Model, State};
 use crate::settings::LEARNED_ITERATIONS;
-use crate::sim::{Direction, FrameStats, IterationLog, Length, Memory, Optimizer, StepCounts};
-use crate::{Error, Result};
+use crate::sim::{Direction, FrameStats, Initial, IterationLog, Length, Memory, Optimizer, StepCounts};
+use crate::{Error, Result, memory};
 use rayon::prelude::*;
 
 /// Advances a batch of cloths frame by frame.
@@ -39,6 +40,8 @@ impl<T: Real> Solver<T> {
         }
         model.check()?;
         optimizer.check()?;
+        let what = format!("{} on {} x {}", optimizer.name(), model.batch(), model.grid);
+        memory::check(bytes::<T>(optimizer, model), &what)?;
         let method = match optimizer.length {
             Length::Armijo => Method::Newton(references(model)?),
             Length::Subspace => Method::Subspace(iterations, Box::new(Subspace::new(optimizer, model)?)),
@@ -246,6 +249,30 @@ impl<T: Real> Solver<T> {
         };
         (0..batch).map(cloth).collect()
     }
+}
+
+/// Returns about how many bytes a solver takes, but for the factors of Hessians: measured on 512x512 and 1024x1024
+/// particles in single precision, rounded up.
+fn bytes<T: Real>(optimizer: &Optimizer, model: &Model) -> usize {
+    let of_direction = |direction: &Direction| match direction {
+        Direction::Gradient | Direction::Newton => 0,
+        Direction::Adam(_) => 30,
+        Direction::Lbfgs { settings, initial } => {
+            24 * (settings.history + 1) + if *initial == Initial::Identity { 0 } else { 60 }
+        }
+        Direction::Spectral => 60,
+        Direction::CoRotated => 90,
+        Direction::Last => 30,
+        Direction::Network(_) => 420,
+    };
+    let subspace = if optimizer.length == Length::Subspace { 80 } else { 0 };
+    let of_cloth = 270 + subspace + optimizer.directions.iter().map(of_direction).sum::<usize>();
+    let samples = 3 * model.batch();
+    let activations = optimizer
+        .weights()
+        .map_or(0, |weights| size_of::<T>() * activations_len(weights.config.channels, model.grid, samples));
+    let cloths = (model.batch() * model.grid.particles()).saturating_mul(of_cloth);
+    cloths / size_of::<f32>() * size_of::<T>() + activations
 }
 
 /// Extracts cloth `b` of a batch, in double precision: its state and control. Each cloth has `len` numbers

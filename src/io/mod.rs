@@ -27,7 +27,7 @@ pub(crate) use obj::Polygons;
 pub use obj::read_obj;
 pub use trajectory::{ReadOptions, Trajectory};
 
-use crate::{Error, Result};
+use crate::{Error, Result, memory};
 use std::{
     fs::File,
     io::Read,
@@ -83,6 +83,8 @@ pub fn read_text(path: &Path) -> Result<String> {
 /// Reads all bytes of a file.
 pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    open(path)?.0.read_to_end(&mut bytes).map_err(|e| Error::io(path, "cannot read", e))?;
+    let (mut file, size) = open(path)?;
+    memory::reserve(&mut bytes, usize::try_from(size).unwrap_or(usize::MAX), &path.display().to_string())?;
+    file.read_to_end(&mut bytes).map_err(|e| Error::io(path, "cannot read", e))?;
     Ok(bytes)
 }

@@ -166,7 +166,7 @@ impl<R: Read> Array<R> {
     }
 
     /// Returns a vector with room for `len` elements. An array in a compressed archive may be longer than memory.
-    fn reserved<T>(&self, len: usize) -> Result<Vec<T>> {
+    fn reserved<T: Default>(&self, len: usize) -> Result<Vec<T>> {
         let mut values = Vec::new();
         let bytes = len.saturating_mul(size_of::<T>());
         let too_long = |_| self.invalid("length", "an array that fits into memory", memory::gib(bytes));
@@ -175,7 +175,7 @@ impl<R: Read> Array<R> {
     }
 
     /// Reads the whole array, converting each element with `cast`.
-    pub fn read<T>(&mut self, cast: impl Fn(f64) -> T) -> Result<ArrayD<T>> {
+    pub fn read<T: Default>(&mut self, cast: impl Fn(f64) -> T) -> Result<ArrayD<T>> {
         let mut data = self.reserved(self.len)?;
         self.elements(|x| data.push(cast(x)))?;
         let shape = IxDyn(&self.shape).set_f(self.fortran);

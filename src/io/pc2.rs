@@ -1,7 +1,7 @@
 //! PointCache2 (`.pc2`): a 32-byte header, then the positions of every point of every sample as `f32`.
 
 use super::{Trajectory, open, trajectory::Parts};
-use crate::{Error, Result};
+use crate::{Error, Result, memory};
 use std::{
     io::{self, BufReader, Read, Write},
     path::Path,
@@ -46,7 +46,8 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
         let expected = format!("{samples} samples of {points} points");
         return Err(Error::invalid(&origin, "length", expected, format!("{size} bytes")));
     }
-    let mut positions = Vec::with_capacity((points * samples) as usize);
+    let mut positions: Vec<[f32; 3]> = Vec::new();
+    memory::reserve(&mut positions, (points * samples) as usize, &origin)?;
     let mut point = [0; 12];
     for _ in 0..points * samples {
         reader.read_exact(&mut point).map_err(|e| Error::io(path, "cannot read", e))?;

@@ -6,7 +6,7 @@ use super::surface::Sheet;
 use super::{Handles, Motion, Scene, Units, UpAxis};
 use crate::cloth::{Cloth, Control, Grid, Material, Model, State, VertexView, cast};
 use crate::io::Trajectory;
-use crate::{Error, Result};
+use crate::{Error, Result, memory};
 use num_traits::Float;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
@@ -16,6 +16,8 @@ use std::sync::{Mutex, PoisonError};
 pub const MAX_FRAMES: usize = 1_000_000;
 /// The most handle positions, likewise.
 const MAX_HANDLE_POSITIONS: usize = 50_000_000;
+/// Bytes that a scene takes per particle while it is set up: points, start and cloth.
+const BYTES_PER_PARTICLE: usize = 200;
 /// Spacing of single-precision numbers \[edges\] above which the cloth's distance from the origin harms its
 /// frames.
 const COARSEST: f64 = 1e-3;
@@ -295,6 +297,7 @@ impl Scene {
     pub fn setup(&self) -> Result<Setup> {
         let units = self.check()?;
         let grid = self.grid;
+        memory::check(grid.particles().saturating_mul(BYTES_PER_PARTICLE), &format!("a scene of {grid}"))?;
         let cloth = Cloth {
             material: self.stiffness.in_grid_units(&units, grid),
             gravity: units.acceleration(self.up.to_z_up(self.gravity)),

@@ -278,3 +278,19 @@ fn the_vectors_of_the_self_test_are_a_frame_in_double_precision() {
     let moved = stored.iter().zip(moved.iter().flatten()).map(|(s, v)| (s - v).abs()).fold(0.0, f64::max);
     assert!(moved > 1e-5, "{moved:.1e} m");
 }
+
+/// A system that overcommits would kill the process in its first frame.
+#[test]
+#[cfg(target_os = "linux")]
+fn more_cloths_than_memory_holds_are_refused_before_the_work() {
+    let model = Model { grid: Grid { h: 4096, w: 4096 }, cloths: vec![Cloth::default(); 100_000] };
+    for optimizer in [Optimizer::gradient_descent(), Optimizer::spectral(), starter()] {
+        let refused =
+            Solver::<f32>::new(&model, &optimizer, 10).err().expect("hundreds of terabytes").to_string();
+        let name = optimizer.name();
+        assert!(
+            refused.contains(&format!("not enough memory: {name} on 100000 x 4096x4096: ")),
+            "{name}: {refused}"
+        );
+    }
+}

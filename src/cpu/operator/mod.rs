@@ -57,6 +57,11 @@ fn task_rows(grid: Grid, samples: usize) -> usize {
     (samples * grid.h).div_ceil(tasks).min(band_rows(grid.w))
 }
 
+/// Returns how many numbers the activations of a pass have ([`Network`]).
+pub(super) fn activations_len(channels: usize, grid: Grid, samples: usize) -> usize {
+    2 * samples_per_pass(grid, samples) * padded(channels) * grid.particles()
+}
+
 /// Returns how many of `samples` samples pass through the network at a time: a divisor of their number, of about
 /// [`PASS`] positions or, on many threads, as many as make tasks of full size for each. The three samples of a
 /// cloth stay together unless they are so large that it hardly matters how often the spectral product reads its

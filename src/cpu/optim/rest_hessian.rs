@@ -5,7 +5,7 @@ use crate::cloth::{Cloth, Grid, Material};
 use crate::cpu::Real;
 use crate::cpu::matmul::{LANES, Start, Target, Term, product};
 use crate::settings::TENSION;
-use crate::{Error, Result};
+use crate::{Error, Result, memory};
 use faer::linalg::solvers::Solve;
 use faer::sparse::linalg::solvers::Llt;
 use faer::sparse::{SparseColMat, Triplet};
@@ -262,6 +262,9 @@ impl FactoredRestHessian {
     /// Factors the Hessian of one cloth. Fails if there is not enough memory for the factors.
     pub fn new(grid: Grid, cloth: &Cloth) -> Result<Self> {
         let Grid { h, w } = grid;
+        // Measured on 300x300 to 1000x1000 particles: the fill grows with their logarithm.
+        let each = (160 * grid.particles().ilog2() as usize).saturating_sub(1000);
+        memory::check(grid.particles().saturating_mul(each), "the factors of a Hessian at rest")?;
         let (n, Material { stretch, shear, bend }) = ((h * w) as f64, cloth.material);
         let along = |length: usize, lines: usize, d: f64, d2: f64| {
             d * (2.0 * stretch / ((length - 1) * lines) as f64 + 4.0 * shear / n) + d2 * 2.0 * bend / n
