@@ -102,6 +102,9 @@
 //! | [`train`] | pools of cloths, the run loop and its files |
 //! | [`verify`] | checks of every stage against golden files |
 //!
+//! [`eval`], [`train`] and [`verify`] belong to the feature `lab`, [`render`] to the feature `render`; `weights` embeds the shipped
+//! weights. The command `fnopt` (`cli`) has all of them.
+//!
 //! # Units, shapes and errors
 //!
 //! Bad input is an [`Error`]. A control whose length does not match the model is an error of
@@ -112,22 +115,29 @@
 //! rest length of an edge, the time of a frame and the mass of a cell are 1. The z axis points up, and
 //! particle (i, j) has number `i W + j`. State arrays are channel-first, `[B, 3, H, W]`.
 
+// Some parts serve evaluation and training alone.
+#![cfg_attr(not(feature = "lab"), allow(dead_code, unused_imports))]
+
 pub mod cloth;
 pub mod cpu;
 mod error;
+#[cfg(feature = "lab")]
 pub mod eval;
 pub mod gpu;
 pub mod io;
 pub mod kernels;
 mod memory;
 pub mod network;
+#[cfg(feature = "render")]
 pub mod render;
 pub mod scene;
 pub mod settings;
 pub mod sim;
 mod simulator;
 mod statistics;
+#[cfg(feature = "lab")]
 pub mod train;
+#[cfg(feature = "lab")]
 pub mod verify;
 
 pub use error::{Error, Result};

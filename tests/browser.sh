@@ -7,7 +7,7 @@ cd "$(dirname "$0")/.."
 target=${CARGO_TARGET_DIR:-target}
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
-cargo build --release --no-default-features --example browser --target wasm32-unknown-unknown
+cargo build --release --no-default-features --features weights --example browser --target wasm32-unknown-unknown
 wasm-bindgen --target web --no-typescript --out-dir "$scratch" "$target/wasm32-unknown-unknown/release/examples/browser.wasm"
 cp examples/browser/index.html "$scratch"
 cargo run --release -- rollout --device cpu --frames 4 --no-pictures --out "$scratch/native"

@@ -16,7 +16,7 @@ use fnopt::sim::{Length, Optimizer, Solver};
 use fnopt::{Device, Simulator};
 use std::collections::HashSet;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -44,6 +44,9 @@ pub struct Args {
     /// device's peak
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
+    /// Compare with an earlier bench: its JSON, of the same grids and batches
+    #[arg(long, value_name = "FILE.json")]
+    against: Option<PathBuf>,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -70,6 +73,10 @@ struct Row {
     ms_p10: f64,
     ms_p90: f64,
     cloth_frames_per_s: f64,
+    /// The time of each frame.
+    ms_frames: Vec<f64>,
+    /// `ms_per_frame` over that of the same size in the file of `--against`.
+    ratio: Option<f64>,
     /// GFLOP/s, counting the operations of the network alone; `null` for the classical optimizers.
     gflop_per_s: Option<f64>,
     /// Time per frame when one submission advances several; `null` on the CPU.
@@ -109,6 +116,13 @@ pub fn run(args: &Args) -> Result<Ending> {
         picture_file(path, "--plot")?;
     }
     let sizes = sizes(args, &grids)?;
+    let earlier = args.against.as_deref().map(Earlier::read).transpose()?;
+    if let Some((earlier, path)) = earlier.as_ref().zip(args.against.as_ref())
+        && !sizes.iter().any(|&size| earlier.ms(size).is_some())
+    {
+        let expected = format!("a row of {} x {}, as is to be timed", sizes[0].1, sizes[0].0);
+        return Err(Error::invalid(path.display().to_string(), "rows", expected, "only others").into());
+    }
     let (device, line) = args.device.open_for(&optimizer)?;
     status!("{line}");
     let interrupted = interrupt_flag();
@@ -116,7 +130,8 @@ pub fn run(args: &Args) -> Result<Ending> {
     let (mut out, count) = (output(), sizes.len());
     for size in sizes {
         match measure(args, &device, &optimizer, size, &interrupted) {
-            Ok(Some(row)) => {
+            Ok(Some(mut row)) => {
+                row.ratio = earlier.as_ref().and_then(|e| e.ms(size)).map(|before| row.ms_per_frame / before);
                 if !args.json {
                     print(&mut out, &row)?;
                 }
@@ -180,6 +195,7 @@ pub fn run(args: &Args) -> Result<Ending> {
             "weights_crc32": optimizer.weights_crc32(),
             "precision": args.device.precision,
             "frames": args.frames,
+            "against": args.against,
             "peak_gflop_per_s": gflop_per_s,
             "rows": rows,
             "failures": failures,
@@ -196,6 +212,32 @@ pub fn run(args: &Args) -> Result<Ending> {
         write_png(path, &plot(&rows, peak_rate))?;
     }
     ending
+}
+
+/// An earlier bench.
+struct Earlier(serde_json::Value);
+
+impl Earlier {
+    /// Reads its JSON. Fails if it has no rows of times.
+    fn read(path: &Path) -> Result<Self> {
+        let origin = path.display().to_string();
+        let value: serde_json::Value = serde_json::from_str(&fnopt::io::read_text(path)?)
+            .map_err(|e| Error::invalid(&origin, "text", "JSON, as fnopt bench --json prints it", e))?;
+        let timed = |row: &serde_json::Value| row["ms_per_frame"].as_f64().is_some_and(|ms| ms > 0.0);
+        match value["rows"].as_array() {
+            Some(rows) if !rows.is_empty() && rows.iter().all(timed) => Ok(Self(value)),
+            _ => {
+                let expected = "at least one, each with \"ms_per_frame\" above 0";
+                Err(Error::invalid(&origin, "rows", expected, &value["rows"]).into())
+            }
+        }
+    }
+
+    /// Returns the milliseconds per frame of a size, if it is there.
+    fn ms(&self, (grid, batch): (Grid, usize)) -> Option<f64> {
+        let mut rows = self.0["rows"].as_array()?.iter();
+        rows.find(|row| row["grid"] == grid.to_string() && row["batch"] == batch)?["ms_per_frame"].as_f64()
+    }
 }
 
 /// Returns the time that this share of the frames does not exceed.
@@ -346,10 +388,12 @@ fn measure(
         ms_p90: percentile(&times, 0.9),
         cloth_frames_per_s: 1e3 * batch as f64 / ms_per_frame,
         gflop_per_s: flop.map(|f| f / ms_per_frame * 1e-6),
+        ratio: None,
         ms_together: None,
         encode_ms: None,
         dispatches: None,
         kernels: Vec::new(),
+        ms_frames: times,
     };
     if let Device::Gpu(context) = device {
         drop(simulator);
@@ -415,6 +459,9 @@ fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
     write!(out, " (minimum {ms_least:.3}), {cloth_frames_per_s:.1} cloth-frames/s")?;
     if let Some(rate) = row.gflop_per_s {
         write!(out, ", {rate:.1} GFLOP/s")?;
+    }
+    if let Some(ratio) = row.ratio {
+        write!(out, ", {ratio:.2} times as long as before")?;
     }
     writeln!(out)?;
     if let (Some(ms), Some(count)) = (row.encode_ms, row.dispatches) {

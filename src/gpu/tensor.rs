@@ -43,7 +43,9 @@ impl Tensor {
     }
 
     fn zeros_of(context: &Context, label: &'static str, shape: &[usize], storage: Storage) -> Result<Self> {
-        let bytes = (storage.bytes() * shape.iter().product::<usize>().max(1)) as u64;
+        // Beyond any device, whatever it would wrap to.
+        let elements = shape.iter().fold(1usize, |product, &length| product.saturating_mul(length));
+        let bytes = elements.max(1).saturating_mul(storage.bytes()) as u64;
         let most = context.largest_binding();
         if bytes > most {
             return Err(Error::Device(format!(

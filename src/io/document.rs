@@ -222,6 +222,7 @@ impl<'de> Visitor<'de> for OnceVisitor {
 }
 
 /// Parses a TOML document. Errors report line and column.
+#[cfg(feature = "lab")]
 pub(crate) fn parse_toml(origin: &str, text: &str) -> Result<Value> {
     let value: Value = toml::from_str(text).map_err(|e| {
         let at = e.span().map_or(0, |span| span.start.min(text.len()));

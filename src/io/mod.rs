@@ -18,7 +18,9 @@ mod zip;
 
 pub(crate) use atomic::{UNFINISHED, replace};
 pub use atomic::{folder_of, is_stream, target_of, write_atomic};
-pub(crate) use document::{Node, parse_json, parse_toml};
+#[cfg(feature = "lab")]
+pub(crate) use document::parse_toml;
+pub(crate) use document::{Node, parse_json};
 pub use format::Format;
 pub use mesh::{Mesh, vertex_normals};
 pub use npy::{parse_npy, read_npy};

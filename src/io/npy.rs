@@ -4,7 +4,7 @@ use super::open;
 use crate::{Error, Result, memory};
 use ndarray::{ArrayD, IxDyn, ShapeBuilder};
 use std::{
-    io::{BufReader, Read},
+    io::{self, BufReader, Read, Write},
     path::Path,
 };
 
@@ -67,6 +67,71 @@ pub(super) struct Array<R> {
     pub shape: Vec<usize>,
     len: usize,
 }
+
+/// A type of elements that are written, in little-endian order.
+pub(super) trait Number: Copy {
+    /// Its name in a header, after the character of the byte order.
+    const NAME: &str;
+    /// Appends its bytes.
+    fn put(self, bytes: &mut Vec<u8>);
+}
+
+impl Number for f32 {
+    const NAME: &str = "f4";
+    fn put(self, bytes: &mut Vec<u8>) {
+        bytes.extend(self.to_le_bytes());
+    }
+}
+
+impl Number for f64 {
+    const NAME: &str = "f8";
+    fn put(self, bytes: &mut Vec<u8>) {
+        bytes.extend(self.to_le_bytes());
+    }
+}
+
+impl Number for i32 {
+    const NAME: &str = "i4";
+    fn put(self, bytes: &mut Vec<u8>) {
+        bytes.extend(self.to_le_bytes());
+    }
+}
+
+/// Bytes that are written at a time.
+const CHUNK: usize = 1 << 16;
+
+/// Writes an array in C order, in version 1.0 of the format, which every NumPy reads. Panics if it does not have as many
+/// elements as its shape.
+pub(super) fn write<T: Number>(
+    writer: &mut impl Write,
+    shape: &[usize],
+    values: impl ExactSizeIterator<Item = T>,
+) -> io::Result<()> {
+    assert_eq!(values.len(), shape.iter().product::<usize>(), "{shape:?}");
+    let axes: String = shape.iter().map(|length| format!("{length}, ")).collect();
+    // One axis needs its comma.
+    let axes = if shape.len() > 1 { axes.trim_end_matches(", ") } else { axes.trim_end() };
+    let header = format!("{{'descr': '<{}', 'fortran_order': False, 'shape': ({axes}), }}", T::NAME);
+    // Elements begin at a multiple of 64 bytes, after a line break.
+    let end = (START.len() + 2 + header.len() + 1).next_multiple_of(64);
+    let len = u16::try_from(end - START.len() - 2).map_err(io::Error::other)?;
+    let mut bytes = START.to_vec();
+    bytes.extend(len.to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.resize(end - 1, b' ');
+    bytes.push(b'\n');
+    for value in values {
+        value.put(&mut bytes);
+        if bytes.len() >= CHUNK {
+            writer.write_all(&bytes)?;
+            bytes.clear();
+        }
+    }
+    writer.write_all(&bytes)
+}
+
+/// How a file of version 1.0 begins.
+const START: &[u8; 8] = b"\x93NUMPY\x01\x00";
 
 /// Maximum number of axes that NumPy 2 allows.
 const MAX_AXES: usize = 64;

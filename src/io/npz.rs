@@ -1,10 +1,9 @@
 //! Trajectories as NumPy archives (`.npz`).
 
-use super::{Trajectory, npy::Array, open, trajectory::Parts, zip::Archive};
+use super::{Trajectory, npy, npy::Array, open, trajectory::Parts, zip::Archive};
 use crate::{Error, Result};
-use ::zip::{CompressionMethod, write::SimpleFileOptions};
-use ndarray::{Array2, ArrayD, aview0};
-use ndarray_npy::NpzWriter;
+use ::zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
+use ndarray::ArrayD;
 use std::{
     io::{self, BufReader, Seek, Write},
     path::Path,
@@ -25,25 +24,42 @@ pub(super) fn write(trajectory: &Trajectory, writer: impl Write + Seek) -> io::R
 
 /// Writes with 64-bit lengths if `large`, else with 32-bit lengths, which more programs can read.
 fn write_arrays(trajectory: &Trajectory, writer: impl Write + Seek, large: bool) -> io::Result<()> {
-    let faces: Vec<[i32; 3]> = trajectory.grid().faces().iter().map(|f| f.map(|k| k as i32)).collect();
+    let faces = trajectory.grid().faces();
     let coordinates = trajectory.grid().texture_coordinates();
     let options =
         SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(large);
-    let mut npz = NpzWriter::new_with_options(writer, options);
+    let mut archive = ZipWriter::new(writer);
     let arrays = (|| {
-        npz.add_array(POSITIONS, &trajectory.positions())?;
-        npz.add_array(VELOCITIES, &trajectory.velocities())?;
-        npz.add_array(FACES, &Array2::from(faces))?;
-        npz.add_array(COORDINATES, &Array2::from(coordinates))?;
-        npz.add_array(RATE, &aview0(&trajectory.fps()))?;
-        trajectory.beside().iter().try_for_each(|(name, array)| npz.add_array(name.as_str(), array))
+        for (name, array) in [(POSITIONS, trajectory.positions()), (VELOCITIES, trajectory.velocities())] {
+            add(&mut archive, (name, options), array.shape(), array.iter().copied())?;
+        }
+        let corners = faces.as_flattened().iter().map(|&k| k as i32);
+        add(&mut archive, (FACES, options), &[faces.len(), 3], corners)?;
+        let flat = coordinates.as_flattened();
+        add(&mut archive, (COORDINATES, options), &[coordinates.len(), 2], flat.iter().copied())?;
+        add(&mut archive, (RATE, options), &[], [trajectory.fps()].into_iter())?;
+        let mut beside = trajectory.beside().iter();
+        beside.try_for_each(|(name, array)| {
+            add(&mut archive, (name, options), array.shape(), array.iter().copied())
+        })
     })();
     if let Err(error) = arrays {
         // Dropping the writer would try to finish the archive, and print that it cannot.
-        std::mem::forget(npz);
-        return Err(io::Error::other(error));
+        std::mem::forget(archive);
+        return Err(error);
     }
-    npz.finish().map(drop).map_err(io::Error::other)
+    archive.finish().map(drop).map_err(io::Error::other)
+}
+
+/// Appends an array to an archive.
+fn add<T: npy::Number>(
+    archive: &mut ZipWriter<impl Write + Seek>,
+    (name, options): (&str, SimpleFileOptions),
+    shape: &[usize],
+    values: impl ExactSizeIterator<Item = T>,
+) -> io::Result<()> {
+    archive.start_file(format!("{name}.npy"), options)?;
+    npy::write(archive, shape, values)
 }
 
 /// Reads an archive. Only the positions are required.

@@ -4,12 +4,8 @@ use super::atomic::UNFINISHED;
 use super::{Format, create_folder, entries, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
 use crate::{Error, Result, cloth::Grid, memory};
 use ndarray::{ArrayD, ArrayView3};
-use ndarray_npy::WriteNpyExt;
 use rayon::prelude::*;
-use std::{
-    io,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 /// The frames of one cloth: positions and velocities at equal time intervals.
 #[derive(Clone, Debug, PartialEq)]
@@ -146,8 +142,9 @@ impl Trajectory {
         match format {
             Format::Npz => write_atomic(&file, |w| npz::write(self, w)).map(|()| file),
             Format::Npy => {
-                let npy = |w: &mut _| self.positions().write_npy(w).map_err(io::Error::other);
-                write_atomic(&file, npy).map(|()| file)
+                let positions = self.positions();
+                let write = |w: &mut _| npy::write(w, positions.shape(), positions.iter().copied());
+                write_atomic(&file, write).map(|()| file)
             }
             Format::Pc2 => write_atomic(&file, |w| pc2::write(self, w)).map(|()| file),
             Format::Obj | Format::Ply => self.write_frames(folder, format),
@@ -171,7 +168,10 @@ impl Trajectory {
             return Err(Error::invalid(in_the_way.display().to_string(), "type", "a file", "a folder"));
         }
         // Frames of two runs in one folder would be read as one sequence, so none is in its place before all
-        // are written.
+        // are written. What a run that was killed has left is of no use.
+        for left in unfinished(&folder)? {
+            std::fs::remove_dir_all(&left).map_err(|e| Error::io(&left, "cannot remove", e))?;
+        }
         let unfinished = tempfile::Builder::new().prefix(UNFINISHED).tempdir_in(&folder);
         let unfinished = unfinished.map_err(|e| Error::io(&folder, "cannot create a folder", e))?;
         (0..self.frames()).into_par_iter().try_for_each(|f| {
@@ -311,8 +311,23 @@ fn frame_files(folder: &Path, format: Format) -> Result<Vec<(String, usize, Path
     Ok(files)
 }
 
+/// Returns the folders of frames that a run has not put into their place. Only one that was killed leaves any.
+fn unfinished(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut found = entries(folder)?;
+    let is_prefixed = |path: &PathBuf| {
+        path.file_name().and_then(|name| name.to_str()).is_some_and(|name| name.starts_with(UNFINISHED))
+    };
+    found.retain(|path| is_prefixed(path) && path.is_dir());
+    Ok(found)
+}
+
 /// Reads a sequence of OBJ files with consecutive numbers, which may begin anywhere.
 fn read_folder(folder: &Path) -> Result<Parts> {
+    // The files beside it may be a part of one run, or parts of two.
+    if let Some(left) = unfinished(folder)?.first() {
+        let expected = format!("all frames in their place; {} is of a run that was killed", left.display());
+        return Err(Error::invalid(folder.display().to_string(), "frames", expected, "perhaps a part"));
+    }
     let mut files = frame_files(folder, Format::Obj)?;
     // Next to files that are called by their number alone, others are not frames.
     if files.first().is_some_and(|(name, ..)| name.is_empty()) {

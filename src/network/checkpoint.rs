@@ -3,16 +3,13 @@
 //! Names may carry the prefix `nn.`. Complex tensors are pairs of reals on a last axis of 2, or complex
 //! numbers. The configuration comes from the metadata (key `config`, JSON) if present, else from the shapes.
 
-use super::weights::{Block, Config, Dense, Weights, diagonal};
+use super::weights::{Block, Config, Dense, MAX_LAYERS, Weights, diagonal};
 use crate::{Error, Result, io};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use std::collections::{BTreeMap, HashMap};
 use std::fmt;
 use std::io::Write;
 use std::path::Path;
-
-/// Upper bound on the number of blocks, beyond any sensible network, so that damaged metadata fails early.
-const MAX_LAYERS: usize = 64;
 
 /// A checkpoint file in memory. Its tensors are in single precision, whatever the precision of the file.
 #[derive(Clone, Debug)]
@@ -152,14 +149,7 @@ impl Checkpoint {
     }
 
     fn checked(&self, config: Config, field: &str) -> Result<Config> {
-        let Config { fields, lifting, channels, projection, layers, modes_h, modes_w } = config;
-        let sizes = [fields, lifting, channels, projection, layers, modes_h, modes_w];
-        let possible = sizes.iter().all(|n| (1..=1 << 20).contains(n)) && layers <= MAX_LAYERS;
-        if !possible {
-            let expected = format!("positive sizes and at most {MAX_LAYERS} layers");
-            return Err(Error::invalid(&self.origin, field, expected, format!("{config:?}")));
-        }
-        config.check_fields(&self.origin, field)?;
+        config.check(&self.origin, field)?;
         Ok(config)
     }
 

@@ -37,13 +37,22 @@ impl Default for Config {
     }
 }
 
+/// Most blocks of a network, beyond any sensible one, so that damaged metadata fails early.
+pub(super) const MAX_LAYERS: usize = 64;
+
 impl Config {
     /// Number of fields of the update rule: gradient, last gradient and last step.
     pub const FIELDS: usize = 3;
 
-    /// Fails unless the fields are those of the update rule; `origin` and `field` name the configuration's
-    /// source in the error.
-    pub(crate) fn check_fields(&self, origin: &str, field: &str) -> Result<()> {
+    /// Fails unless the sizes are positive and bounded, and the fields those of the update rule; `origin` and `field`
+    /// name the configuration's source in the error.
+    pub(crate) fn check(&self, origin: &str, field: &str) -> Result<()> {
+        let Self { fields, lifting, channels, projection, layers, modes_h, modes_w } = *self;
+        let sizes = [fields, lifting, channels, projection, layers, modes_h, modes_w];
+        if !sizes.iter().all(|n| (1..=1 << 20).contains(n)) || layers > MAX_LAYERS {
+            let expected = format!("positive sizes and at most {MAX_LAYERS} layers");
+            return Err(Error::invalid(origin, field, expected, format!("{self:?}")));
+        }
         if self.fields == Self::FIELDS {
             return Ok(());
         }
@@ -154,13 +163,38 @@ pub struct Weights {
 }
 
 /// The checkpoint file of [`Weights::shipped`].
+#[cfg(feature = "weights")]
 const SHIPPED: &[u8] = include_bytes!("../../assets/weights/fnopt.safetensors");
 
 impl Weights {
-    /// Returns the trained weights that ship with the crate.
+    /// Returns the trained weights that ship with the crate (feature `weights`).
+    #[cfg(feature = "weights")]
     pub fn shipped() -> Self {
         Self::from_bytes(SHIPPED, "the weights that come with the program")
             .expect("they are checked before they ship")
+    }
+
+    /// Fails if the sizes are not those of a network of the update rule, or if a parameter does not have the length that
+    /// they require. `origin` names the weights' source.
+    pub fn check(&self, origin: &str) -> Result<()> {
+        self.config.check(origin, "network")?;
+        let Config { lifting, channels: c, projection, layers, .. } = self.config;
+        if self.blocks.len() != layers {
+            return Err(Error::invalid(origin, "blocks", format!("{layers} of them"), self.blocks.len()));
+        }
+        let dense = |outputs: usize, inputs: usize| [outputs.saturating_mul(inputs), outputs];
+        let spectral = c.saturating_mul(c).saturating_mul(self.config.modes().saturating_mul(2));
+        let block = [spectral, c, c.saturating_mul(c)];
+        let layers = [dense(lifting, self.config.inputs()), dense(c, lifting)].concat().into_iter();
+        let heads = [dense(projection, c), dense(1, projection), dense(1, c)].concat();
+        let expected = layers.chain(self.blocks.iter().flat_map(|_| block)).chain(heads);
+        for ((name, found), expected) in self.parameter_names().iter().zip(self.parameters()).zip(expected) {
+            if found.len() != expected {
+                let expected = format!("{expected} numbers for {:?}", self.config);
+                return Err(Error::invalid(origin, name, expected, found.len()));
+            }
+        }
+        Ok(())
     }
 
     /// Returns weights that are all zero.

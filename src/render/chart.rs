@@ -97,6 +97,9 @@ const FEW: usize = 14;
 /// and how many times as large the span must be with them.
 const OUTSIDE: f64 = 0.005;
 const SPIKE: f64 = 2.0;
+/// Magnitude from which on values are not drawn: no measurement, and near the end of the numbers the library looks for
+/// ticks without end.
+const LARGEST: f64 = 1e301;
 /// Approximate number of ticks along an axis.
 const TICKS: usize = 7;
 
@@ -310,7 +313,7 @@ impl ValueFormatter<f64> for Axis {
 impl Scale {
     /// Whether a value has a position.
     fn shows(self, value: f64) -> bool {
-        value.is_finite() && (self == Self::Linear || value > 0.0)
+        value.abs() < LARGEST && (self == Self::Linear || value > 0.0)
     }
 
     /// Maps a value to its position on a uniform axis.
@@ -484,6 +487,12 @@ mod tests {
         assert_eq!(text(0.0, 2e-4, Scale::Linear), "0 5e-5 1e-4 1.5e-4 2e-4");
         assert_eq!(text(-3e6, 3e6, Scale::Linear), "-3e6 -2e6 -1e6 0 1e6 2e6 3e6");
         assert_eq!(text(0.02, 3000.0, Scale::Logarithmic), "0.1 1 10 100 1000");
+        assert_eq!(text(0.0, 9e300, Scale::Linear), "0 2e300 4e300 6e300 8e300");
+        assert!(
+            !Scale::Linear.shows(-9e307)
+                && !Scale::Logarithmic.shows(9e307)
+                && !Scale::Linear.shows(f64::NAN)
+        );
         assert_eq!(text(30.0, 600.0, Scale::Logarithmic), "50 100 200 500");
         assert_eq!(text(3.5, 16.0, Scale::Logarithmic), "5 7 10 15");
         assert_eq!(text(0.03, 35.0, Scale::Logarithmic), "0.1 1 10");

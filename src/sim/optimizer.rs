@@ -179,7 +179,7 @@ impl Optimizer {
     }
 
     /// Fails if no solver can run it: a subspace has one to four different directions, each other length exactly
-    /// one that it suits; the weights must belong to a network whose inputs are the update rule's fields, and a
+    /// one that it suits; the weights must be whole ([`Weights::check`]), and a
     /// history must be neither empty nor too long for the kernels.
     pub fn check(&self) -> Result<()> {
         let refused = |field: &str, expected: String, found: String| {
@@ -231,7 +231,7 @@ impl Optimizer {
         }
         for direction in &self.directions {
             match *direction {
-                Direction::Network(ref weights) => weights.config.check_fields("optimizer", "network")?,
+                Direction::Network(ref weights) => weights.check("the optimizer's weights")?,
                 Direction::Lbfgs { settings: LbfgsSettings { history, .. }, .. }
                     if !(1..=MAX_HISTORY).contains(&history) =>
                 {
@@ -333,6 +333,22 @@ mod tests {
             assert_eq!(optimizer.name(), name);
             optimizer.check().unwrap();
         }
+    }
+
+    #[test]
+    fn weights_that_a_host_built_wrongly_are_refused_by_name() {
+        let refused = |spoil: &dyn Fn(&mut Weights)| {
+            let mut weights = Weights::zeros(crate::network::Config::default());
+            Optimizer::learned(weights.clone()).check().unwrap();
+            spoil(&mut weights);
+            Optimizer::paper(weights).check().unwrap_err().to_string()
+        };
+        let found = refused(&|w| w.blocks[2].skip.truncate(10));
+        assert!(found.contains("fno_blocks.fno_skips.2.conv.weight: expected 4096 numbers"), "{found}");
+        assert!(refused(&|w| w.lifting.swap(0, 1)).contains("lifting.fcs.0.weight: expected 1280"));
+        assert!(refused(&|w| drop(w.blocks.pop())).contains("blocks: expected 4 of them, found 3"));
+        assert!(refused(&|w| w.config.modes_h = usize::MAX).contains("positive sizes"));
+        assert!(refused(&|w| w.config.fields = 4).contains("3 fields"));
     }
 
     #[test]

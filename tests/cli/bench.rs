@@ -1,6 +1,6 @@
 //! `fnopt bench`: what it reports, and what is kept when a size fails.
 
-use super::command::{exploding_bench, fnopt, text};
+use super::command::{exploding_bench, fnopt, refused_cleanly, text};
 
 fn parsed(output: &[u8]) -> serde_json::Value {
     serde_json::from_slice(output).unwrap_or_else(|e| panic!("{e}: {}", text(output)))
@@ -29,6 +29,15 @@ fn results_say_what_made_them() {
         assert!(0.0 < rate && rate < 1.05 * peak, "{rate} of {peak} GFLOP/s");
     }
     assert!(folder.path().join("p.png").is_file());
+    assert_eq!(rows[0]["ms_frames"].as_array().unwrap().len(), 2);
+
+    let file = folder.path().join("before.json");
+    std::fs::write(&file, learned.to_string()).unwrap();
+    let again = ["--grid", "8,16", "--iterations", "3", "--against", "before.json", "--json"];
+    let again = parsed(&on_cpu(&again));
+    let ratio = again["rows"][0]["ratio"].as_f64().unwrap();
+    let times = [&again, &learned].map(|all| all["rows"][0]["ms_per_frame"].as_f64().unwrap());
+    assert!((ratio - times[0] / times[1]).abs() < 1e-9 && again["rows"][1]["ratio"].is_null(), "{again}");
 
     let newton = on_cpu(&["--grid", "8", "--solver", "newton"]);
     assert!(text(&newton).starts_with("8x8 batch 1, to convergence: "), "{}", text(&newton));
@@ -36,6 +45,28 @@ fn results_say_what_made_them() {
     let row = &newton["rows"][0];
     assert!(row["iterations"].is_null() && row["gflop_per_s"].is_null() && newton["weights_crc32"].is_null());
     assert!(folder.path().join("newton.png").is_file());
+}
+
+#[test]
+fn an_earlier_bench_must_have_a_size_in_common() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("none.json"), r#"{"rows": [{"grid": "9x9", "batch": 1}]}"#).unwrap();
+    std::fs::write(
+        folder.path().join("other.json"),
+        r#"{"rows": [{"grid": "9x9", "batch": 1, "ms_per_frame": 1}]}"#,
+    )
+    .unwrap();
+    for (file, said) in [
+        ("none.json", "each with \"ms_per_frame\""),
+        ("other.json", "a row of 1 x 8x8"),
+        ("no", "no: cannot read"),
+    ] {
+        refused_cleanly(
+            folder.path(),
+            &["bench", "--device", "cpu", "--grid", "8", "--against", file],
+            &[said],
+        );
+    }
 }
 
 /// An adapter's peak bounds what a frame reaches there.

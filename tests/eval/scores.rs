@@ -8,6 +8,7 @@ use fnopt::io::Trajectory;
 use fnopt::scene::Stiffness;
 use fnopt::sim::{FrameStats, Optimizer};
 use fnopt::{Device, Simulator};
+use proptest::prelude::*;
 use std::ops::ControlFlow;
 use std::path::Path;
 
@@ -322,5 +323,35 @@ fn only_scores_made_alike_are_merged() {
         let error = other(change).unwrap_err();
         let expected = [format!("b.json: {field}: expected"), "a.json".into()];
         expected.iter().for_each(|part| assert!(error.contains(part), "no '{part}' in {error}"));
+    }
+}
+
+/// A score of the truth with itself, as it is kept.
+fn kept() -> String {
+    let sequence = Sequence::load(&shipped(), "xy_v2").unwrap();
+    let score = compare(&sequence, "itself", &sequence.truth, &Settings { frames: 3, ..SETTINGS }).unwrap();
+    serde_json::to_string(&score).unwrap()
+}
+
+proptest! {
+    #[test]
+    fn damaged_scores_never_panic(
+        at in any::<prop::sample::Index>(), text in "[\\[\\]{}\",:0-9eE+.nul-]{1,12}", longer in any::<bool>()
+    ) {
+        thread_local!(static KEPT: String = kept());
+        let mut json = KEPT.with(String::clone);
+        let from = at.index(json.len());
+        let to = if longer { from } else { (from + text.len()).min(json.len()) };
+        json.replace_range(from..to, &text);
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("score.json");
+        std::fs::write(&path, json).unwrap();
+        if let Ok(score) = Score::read(&path) {
+            for table in tables(&[score]) {
+                for format in [Format::Text { bold: false }, Format::Markdown, Format::Csv] {
+                    prop_assert!(!table.write(format).is_empty());
+                }
+            }
+        }
     }
 }
