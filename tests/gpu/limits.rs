@@ -237,7 +237,7 @@ fn unsupported_models_and_options_are_refused() {
         );
         assert_eq!(
             refused(&held(&[]), &Optimizer::paper(weights.clone())),
-            "optimizer: network: expected 3 fields: gradient, last gradient and last step, found 2"
+            "the optimizer's weights: network: expected 3 fields: gradient, last gradient and last step, found 2"
         );
         assert!(refused(&model(grid, 0), &gd).contains("model: cloths: expected at least one"));
     }
