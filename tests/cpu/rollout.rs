@@ -260,7 +260,8 @@ fn reset_forgets_the_hidden_state() {
 /// if `FNOPT_WRITE_VECTORS` is set.
 #[test]
 fn the_vectors_of_the_self_test_are_a_frame_in_double_precision() {
-    let setup = Scene::released().setup().unwrap();
+    let scene = concat!(env!("CARGO_MANIFEST_DIR"), "/assets/selftest/scene.json");
+    let setup = Scene::load(scene).unwrap().setup().unwrap();
     let optimizer = Optimizer::paper(Weights::shipped());
     let mut exact = setup.start.clone();
     let _ = Solver::<f64>::new(&setup.model, &optimizer, 10).unwrap().step(&mut exact, &setup.control(1));
