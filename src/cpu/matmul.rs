@@ -16,7 +16,7 @@ const BLOCK_ROWS: usize = 6;
 
 /// One product `A B` of a sum: A of shape [M, K] with `a_stride` between rows, B of shape [K, N] with
 /// `b_stride`.
-pub(crate) struct Term<'a, T> {
+pub struct Term<'a, T> {
     a: &'a [T],
     /// Numbers between the rows of A, or of its transpose.
     a_stride: usize,
@@ -43,7 +43,7 @@ impl<'a, T> Term<'a, T> {
 
 /// The destination of a product: M rows of N numbers with `stride` between rows. N is a multiple of
 /// [`LANES`].
-pub(crate) struct Target<'a, T> {
+pub struct Target<'a, T> {
     pub out: &'a mut [T],
     pub stride: usize,
     pub rows: usize,
@@ -53,7 +53,7 @@ pub(crate) struct Target<'a, T> {
 
 /// The initial value to which a product is added.
 #[derive(Clone, Copy)]
-pub(crate) enum Start<'a, T> {
+pub enum Start<'a, T> {
     Zero,
     /// The same numbers for each row, shape \[N\], such as a bias.
     Row(&'a [T]),
@@ -64,6 +64,10 @@ pub(crate) enum Start<'a, T> {
 /// Computes `out[m, n] = start[n] + sum over terms and k of a[m, k] b[k, n]`, summed in this order whatever
 /// the number of threads.
 pub(crate) fn product<T: Real>(target: Target<'_, T>, terms: &[Term<'_, T>]) {
+    T::product(target, terms);
+}
+
+pub(super) fn generic_product<T: Real>(target: Target<'_, T>, terms: &[Term<'_, T>]) {
     assert!(target.columns.is_multiple_of(LANES), "columns come in multiples of the register width");
     pulp::Arch::new().dispatch(Product { target, terms });
 }
@@ -71,16 +75,28 @@ pub(crate) fn product<T: Real>(target: Target<'_, T>, terms: &[Term<'_, T>]) {
 /// Computes `out[m] = start + sum over k of a[m, k] weight[k]` for rows of `weight.len()` numbers, a multiple
 /// of [`LANES`].
 pub(crate) fn weighted_rows<T: Real>(out: &mut [T], start: T, a: &[T], weight: &[T]) {
+    T::weighted_rows(out, start, a, weight);
+}
+
+pub(super) fn generic_weighted_rows<T: Real>(out: &mut [T], start: T, a: &[T], weight: &[T]) {
     pulp::Arch::new().dispatch(WeightedRows { out, start, a, weight });
 }
 
 /// Computes `sums[n] += sum over m of rows[m, n]` for rows of `sums.len()` numbers, a multiple of [`LANES`].
 pub(crate) fn add_rows<T: Real>(sums: &mut [T], rows: &[T]) {
+    T::add_rows(sums, rows);
+}
+
+pub(super) fn generic_add_rows<T: Real>(sums: &mut [T], rows: &[T]) {
     pulp::Arch::new().dispatch(AddRows { sums, rows });
 }
 
 /// Computes `largest[n] = max(largest[n], rows[m, n])` over all rows, each of `largest.len()` numbers.
 pub(crate) fn largest_rows<T: Real>(largest: &mut [T], rows: &[T]) {
+    T::largest_rows(largest, rows);
+}
+
+pub(super) fn generic_largest_rows<T: Real>(largest: &mut [T], rows: &[T]) {
     pulp::Arch::new().dispatch(LargestRows { largest, rows });
 }
 

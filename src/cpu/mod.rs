@@ -5,6 +5,7 @@
 //! runs where there is no GPU adapter.
 
 pub mod cloth;
+mod compiled;
 mod elementary;
 mod equilibrium;
 mod factored_hessian;

@@ -135,6 +135,10 @@ impl<T: Real> Objective<T> {
 
     /// Moves the particles as [`Objective::move_to_trial`] does, then computes the gradient there and its norms.
     pub fn evaluate(&mut self, state: &State<T>, control: &Control<T>) {
+        T::evaluate(self, state, control);
+    }
+
+    pub(super) fn generic_evaluate(&mut self, state: &State<T>, control: &Control<T>) {
         self.move_to_trial(state, control);
         let cloth = self.cloth_len();
         let Self { trial, rows, total_acceleration, grad, norms, repulsion_energy } = self;

@@ -1,12 +1,13 @@
 //! The two scalar types of the CPU path, and their operations on vector registers.
 
+use super::compiled::Compiled;
 use super::elementary;
 use num_traits::Float;
 use pulp::Simd;
 use realfft::FftNum;
 
 /// A real number type of the CPU path: f64 defines what is correct, f32 is fast. There are no others.
-pub trait Real: Float + FftNum + Default + std::iter::Sum + sealed::Sealed {
+pub trait Real: Float + FftNum + Default + std::iter::Sum + Compiled {
     /// A vector register full of numbers.
     type Lanes<S: Simd>: Copy;
 
@@ -58,12 +59,6 @@ pub trait Real: Float + FftNum + Default + std::iter::Sum + sealed::Sealed {
     fn of(value: f64) -> Self;
     /// Converts to f64.
     fn f64(self) -> f64;
-}
-
-mod sealed {
-    pub trait Sealed {}
-    impl Sealed for f32 {}
-    impl Sealed for f64 {}
 }
 
 macro_rules! registers {

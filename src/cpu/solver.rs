@@ -35,6 +35,10 @@ impl<T: Real> Solver<T> {
     /// is 0, the model ([`Model::check`]) or the optimizer is invalid, the grid does not suit the network, or
     /// there is not enough memory.
     pub fn new(model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
+        T::new_solver(model, optimizer, iterations)
+    }
+
+    pub(super) fn generic_new(model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         if iterations == 0 {
             return Err(Error::invalid("solver", "iterations", "at least 1", 0));
         }
@@ -77,10 +81,10 @@ impl<T: Real> Solver<T> {
     pub fn step(&mut self, state: &mut State<T>, control: &Control<T>) -> Vec<FrameStats> {
         // Run as one task of the pool: called from outside, each of the hundreds of parallel loops of a frame
         // would wait for a thread of the pool to wake.
-        rayon::scope(|_| self.frame(state, control))
+        rayon::scope(|_| T::frame(self, state, control))
     }
 
-    fn frame(&mut self, state: &mut State<T>, control: &Control<T>) -> Vec<FrameStats> {
+    pub(super) fn generic_frame(&mut self, state: &mut State<T>, control: &Control<T>) -> Vec<FrameStats> {
         let objective = &mut self.objective;
         objective.begin_frame(state, control);
         objective.trial.a.fill(T::zero());

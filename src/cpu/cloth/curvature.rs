@@ -82,6 +82,15 @@ pub fn local_model<T: Real>(
     directions: &[T],
     grad: &[T],
 ) -> LocalModel {
+    T::local_model(trial, rows, directions, grad)
+}
+
+pub(in crate::cpu) fn generic_local_model<T: Real>(
+    trial: &Trial<'_, T>,
+    rows: &mut CurvatureRows<T>,
+    directions: &[T],
+    grad: &[T],
+) -> LocalModel {
     assert_eq!(rows.grid, trial.grid, "working memory and cloth share a grid");
     match directions.len() / trial.x.len() {
         0 => along::<T, 0>(trial, rows, directions, grad),

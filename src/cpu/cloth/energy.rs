@@ -10,6 +10,10 @@ use rayon::prelude::*;
 
 /// Returns the energy terms of one cloth, except its repulsion, summed in double precision row by row.
 pub fn energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTerms {
+    T::energy(trial)
+}
+
+pub(in crate::cpu) fn generic_energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTerms {
     let stored = Stored::new(trial.grid.w);
     let row = |work: &mut Work<T>, i| Arch::new().dispatch(Row { trial, i, stored, work });
     let rows: Vec<EnergyTerms> =

@@ -73,6 +73,14 @@ impl<T: Real> Work<T> {
 
 /// Computes `dL/da` of one cloth, `grad` [3, H, W]. At handles only inertia and external work depend on a.
 pub fn gradient<T: Real>(trial: &Trial<'_, T>, rows: &mut GradientRows<T>, grad: &mut [T]) {
+    T::gradient(trial, rows, grad);
+}
+
+pub(in crate::cpu) fn generic_gradient<T: Real>(
+    trial: &Trial<'_, T>,
+    rows: &mut GradientRows<T>,
+    grad: &mut [T],
+) {
     let Grid { h, w } = trial.grid;
     assert_eq!(rows.grid, trial.grid, "working memory and cloth share a grid");
     let (stored, band) = (rows.stored, h.div_ceil(rows.tasks.len()));

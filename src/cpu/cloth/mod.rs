@@ -22,8 +22,11 @@ mod vertices;
 mod wind;
 
 pub use cells::{Cells, Placed, Walk};
+pub(super) use curvature::generic_local_model;
 pub use curvature::{CurvatureRows, LocalModel, local_model};
 pub use energy::energy;
+pub(super) use energy::generic_energy;
+pub(super) use gradient::generic_gradient;
 pub use gradient::{GradientRows, gradient};
 pub use hessian::{AFTER, Block, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};

@@ -48,6 +48,13 @@ pub trait Minimizer<T>: Send + Sync {
 /// if there is not enough memory, or if its length is another: [`Subspace`] and [`crate::cpu::Reference`] see more
 /// than the gradient.
 pub fn minimizer<T: Real>(optimizer: &Optimizer, model: &Model) -> Result<Box<dyn Minimizer<T>>> {
+    T::minimizer(optimizer, model)
+}
+
+pub(super) fn generic_minimizer<T: Real>(
+    optimizer: &Optimizer,
+    model: &Model,
+) -> Result<Box<dyn Minimizer<T>>> {
     let (batch, cloth) = (model.batch(), 3 * model.grid.particles());
     let refused = || {
         let expected = "one direction that depends on the gradient alone, and a length that does, too";
