@@ -3,6 +3,7 @@
 use super::Grid;
 use crate::{Error, Result};
 use num_traits::Float;
+use std::collections::HashSet;
 use std::ops::Range;
 
 /// Energy coefficients in grid units, the paper's material parameters; see
@@ -137,14 +138,13 @@ impl Model {
             let refused = |expected: String, p: usize| {
                 Err(Error::invalid("model", format!("handles of cloth {b}"), expected, p))
             };
-            let mut seen = vec![false; n];
+            let mut seen = HashSet::new();
             for &p in &cloth.handles {
-                match seen.get_mut(p) {
-                    None => {
-                        return refused(format!("particles 0 to {} of a grid of {}", n - 1, self.grid), p);
-                    }
-                    Some(true) => return refused("no particle more than once".into(), p),
-                    Some(seen) => *seen = true,
+                if p >= n {
+                    return refused(format!("particles 0 to {} of a grid of {}", n - 1, self.grid), p);
+                }
+                if !seen.insert(p) {
+                    return refused("no particle more than once".into(), p);
                 }
             }
         }

@@ -87,8 +87,9 @@ fn a_suite_honours_its_options_or_refuses_them() {
 #[test]
 fn repulsion_is_reported() {
     let folder = tempfile::tempdir().unwrap();
-    let few = ["--sequences", "single-mid-edge without,single-mid-edge with", "--frames", "100"];
+    let cases = "single-mid-edge without,single-mid-edge with";
     // The sheet begins to meet itself in about frame 74.
+    let few = ["--sequences", cases, "--frames", "100", "--grid", "16"];
     let rest = ["--solver", "fnopt-paper", "--device", "cpu", "--json", "s.json"];
     let arguments = [&["evaluate", "--suite", "repulsion"], &few[..], &rest].concat();
     let (printed, _) = done(quiet(folder.path(), &arguments).output().unwrap());
