@@ -42,8 +42,8 @@ pub(crate) fn check(bytes: usize, what: &str) -> Result<()> {
 }
 
 fn missing(bytes: usize, what: &str) -> Error {
-    let there = available().map_or_else(String::new, |there| format!(", of {}", gib(there as usize)));
-    Error::Device(format!("cpu: not enough memory: {what}: {}{there}", gib(bytes)))
+    let there = available().map_or_else(String::new, |there| format!(", of {}", readable(there as usize)));
+    Error::Device(format!("cpu: not enough memory: {what}: {}{there}", readable(bytes)))
 }
 
 /// Returns the available bytes, if known: the smaller of what the machine has left and what a container or
@@ -95,7 +95,7 @@ fn of_machine() -> Option<u64> {
 }
 
 /// Formats a number of bytes for display.
-pub(crate) fn gib(bytes: usize) -> String {
+pub(crate) fn readable(bytes: usize) -> String {
     let mib = bytes as f64 / f64::from(1 << 20);
     if mib < 1000.0 { format!("{mib:.0} MiB") } else { format!("{:.1} GiB", mib / 1024.0) }
 }

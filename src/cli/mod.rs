@@ -9,6 +9,7 @@ mod inspect;
 mod material;
 pub mod output;
 mod rollout;
+mod rollout_end;
 mod train;
 mod tune;
 mod verify;

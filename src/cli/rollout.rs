@@ -2,18 +2,18 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, progress, status};
+use super::rollout_end::{self, RolloutEnd};
 use super::{
     Ending, SolverArgs, go_on, interrupt_flag, material, numbers, one_grid, writable_file, writable_folder,
 };
 use anyhow::Result;
 use fnopt::Frame;
-use fnopt::cloth::State;
 use fnopt::eval::{Soundness, Verdict, median_time};
-use fnopt::io::{Format, ReadOptions, Trajectory, write_atomic};
+use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
-use fnopt::sim::{FrameStats, Memory, Optimizer};
-use fnopt::{Error, io, ndarray};
+use fnopt::sim::{FrameStats, Optimizer};
+use fnopt::{Error, io};
 use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::io::Write;
@@ -103,7 +103,7 @@ fn simulate(args: &Args) -> Result<Ending> {
     args.check_inputs_are_kept(&scene)?;
     args.format.iter().try_for_each(|format| format.check_capacity(setup.frames(), "--format"))?;
     let earlier = match &args.r#continue {
-        Some(file) => Some(Earlier::read(file, &setup, &optimizer)?),
+        Some(file) => Some(RolloutEnd::read(file, &setup, &optimizer)?),
         None => None,
     };
     let trajectory = setup.trajectory()?;
@@ -139,84 +139,10 @@ fn simulate(args: &Args) -> Result<Ending> {
     bar.finish_and_clear();
     // A GPU that was interrupted has gone a frame further than the trajectory.
     if simulator.frame() + 1 == run.trajectory.frames() {
-        run.remember(&simulator.state()?, &simulator.memory()?);
+        let state = (&simulator.state()?, &simulator.memory()?);
+        rollout_end::keep(&mut run.trajectory, &optimizer, state);
     }
     run.end(outcome)
-}
-
-/// The end of an earlier rollout.
-struct Earlier {
-    trajectory: Trajectory,
-    state: State<f32>,
-    memory: Memory,
-}
-
-/// Arrays beside the frames of `rollout.npz`, in grid units: positions and velocities of the last frame, what the
-/// optimizer remembers, and its name.
-const STATE: [&str; 2] = ["last_positions", "last_velocities"];
-const MEMORY: [&str; 3] = ["memory_accelerations", "memory_hidden", "memory_scales"];
-const SOLVER: &str = "solver";
-
-impl Earlier {
-    /// Reads it, and checks that the frames are those of the scene and the optimizer.
-    fn read(file: &Path, setup: &Setup, optimizer: &Optimizer) -> Result<Self> {
-        let origin = file.display().to_string();
-        let trajectory = Trajectory::read(
-            file,
-            &ReadOptions { likely_grid: Some(setup.model.grid), ..Default::default() },
-        )?;
-        let invalid = |field: &str, expected: String, found: String| {
-            anyhow::Error::from(Error::invalid(&origin, field, expected, found))
-        };
-        let numbers = |name: &str| -> Result<Vec<f32>> {
-            let array = io::read_npz_array(file, name)?;
-            let array = array.ok_or_else(|| {
-                invalid(name, "an array, as rollout writes beside the frames".into(), "none".into())
-            })?;
-            Ok(array.iter().map(|&v| v as f32).collect())
-        };
-        let grid = setup.model.grid;
-        if trajectory.grid() != grid {
-            return Err(invalid("grid", grid.to_string(), trajectory.grid().to_string()));
-        }
-        let rate = 1.0 / setup.units.frame_time_s;
-        if (trajectory.fps() / rate - 1.0).abs() > 1e-9 {
-            return Err(invalid("fps", format!("{rate}"), format!("{}", trajectory.fps())));
-        }
-        if trajectory.frames() >= setup.frames() {
-            let expected = format!("fewer than the {} of the scene (--frames asks for more)", setup.frames());
-            return Err(invalid("frames", expected, trajectory.frames().to_string()));
-        }
-        let name: String = numbers(SOLVER)?.iter().map(|&c| c as u8 as char).collect();
-        if name != identity(optimizer) {
-            return Err(invalid(SOLVER, identity(optimizer), name));
-        }
-        let [x, v] = [numbers(STATE[0])?, numbers(STATE[1])?];
-        let len = 3 * grid.particles();
-        for (name, values) in STATE.iter().zip([&x, &v]) {
-            if values.len() != len || !values.iter().all(|v| v.is_finite()) {
-                return Err(invalid(
-                    name,
-                    format!("{len} finite numbers"),
-                    format!("{} numbers", values.len()),
-                ));
-            }
-        }
-        let memory = Memory {
-            accelerations: numbers(MEMORY[0])?,
-            hidden: numbers(MEMORY[1])?,
-            scales: numbers(MEMORY[2])?,
-        };
-        Ok(Self { trajectory, state: State { x, v }, memory })
-    }
-}
-
-/// Returns the name of an optimizer, with the checksum of its weights.
-fn identity(optimizer: &Optimizer) -> String {
-    match optimizer.weights_crc32() {
-        Some(weights) => format!("{} {weights}", optimizer.name()),
-        None => optimizer.name().to_owned(),
-    }
 }
 
 impl Args {
@@ -379,20 +305,6 @@ impl<'a> Run<'a> {
             per_frame: Vec::new(),
             soundness: Soundness::new(setup),
         }
-    }
-
-    /// Puts what a later rollout needs to go on beside the frames, and the handles and the cloth.
-    fn remember(&mut self, state: &State<f32>, memory: &Memory) {
-        let mut put = |name: &str, values: &[f32]| {
-            let wide: Vec<f64> = values.iter().map(|&v| v.into()).collect();
-            self.trajectory.put_beside(name, ndarray::Array1::from(wide).into_dyn());
-        };
-        put(STATE[0], &state.x);
-        put(STATE[1], &state.v);
-        put(MEMORY[0], &memory.accelerations);
-        put(MEMORY[1], &memory.hidden);
-        put(MEMORY[2], &memory.scales);
-        put(SOLVER, &identity(self.optimizer).bytes().map(f32::from).collect::<Vec<_>>());
     }
 
     fn keep(&mut self, frame: &Frame) {

@@ -234,7 +234,7 @@ impl<R: Read> Array<R> {
     fn reserved<T: Default>(&self, len: usize) -> Result<Vec<T>> {
         let mut values = Vec::new();
         let bytes = len.saturating_mul(size_of::<T>());
-        let too_long = |_| self.invalid("length", "an array that fits into memory", memory::gib(bytes));
+        let too_long = |_| self.invalid("length", "an array that fits into memory", memory::readable(bytes));
         memory::reserve(&mut values, len, "its elements").map_err(too_long)?;
         Ok(values)
     }
