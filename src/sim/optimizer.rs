@@ -63,7 +63,8 @@ pub enum Initial {
 /// How far an iteration goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Length {
-    /// This multiple of its one direction. Nothing checks the energy.
+    /// This multiple of its one direction: of the gradient any, of the network's, Adam's and L-BFGS's, whose lengths
+    /// are their own, 1. Nothing checks the energy.
     Fixed(f64),
     /// That of L-BFGS, corrected one iteration later to the minimum that the slopes at both ends of the step suggest.
     /// There the gradient is interpolated, so that nothing is evaluated again. Where steps turn out too long, the next
@@ -211,14 +212,19 @@ impl Optimizer {
                 return refused("directions of a line search", "newton alone".into(), names());
             }
             Length::Fixed(length) => {
-                let corrected = |d: &Direction| match d {
-                    Direction::Newton | Direction::Last => true,
-                    // As if the handles were free, its steps are too long.
-                    Direction::Lbfgs { initial, .. } => *initial != Initial::Identity,
-                    _ => false,
+                let own_length = match self.directions[..] {
+                    [Direction::Gradient] => false,
+                    // From another start than the identity, as if the handles were free, its steps are too long.
+                    [
+                        Direction::Network(_)
+                        | Direction::Adam(_)
+                        | Direction::Lbfgs { initial: Initial::Identity, .. },
+                    ] => true,
+                    _ => return refused("directions", "one that a fixed length suits".into(), names()),
                 };
-                if count != 1 || corrected(&self.directions[0]) {
-                    return refused("directions", "one that a fixed length suits".into(), names());
+                if own_length && length != 1.0 {
+                    let expected = format!("1, because {} has its own", names());
+                    return refused("length", expected, length.to_string());
                 }
                 if !length.is_finite() {
                     return refused("length", "a finite number".into(), length.to_string());
@@ -363,6 +369,11 @@ mod tests {
         assert!(refused(vec![Direction::Newton], Length::Subspace).contains("newton"));
         assert!(refused(vec![Direction::Gradient], Length::Armijo).contains("gradient"));
         assert!(refused(vec![Direction::Last], Length::Fixed(1.0)).contains("last"));
+        assert!(refused(vec![Direction::Spectral], Length::Fixed(1.0)).contains("spectral"));
+        assert!(refused(vec![], Length::Fixed(1.0)).contains("directions"));
+        let settings = LBFGS;
+        let lbfgs = Direction::Lbfgs { settings, initial: Initial::Identity };
+        assert!(refused(vec![lbfgs], Length::Fixed(0.5)).contains("1, because lbfgs has its own"));
         assert!(refused(vec![Direction::Spectral], Length::Secant).contains("lbfgs alone"));
         assert!(refused(vec![Direction::Gradient], Length::Fixed(f64::NAN)).contains("NaN"));
     }
