@@ -2,7 +2,10 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, status};
-use super::{Ending, SolverArgs, default_scenes, go_on, grids, interrupt_flag, median, picture_file};
+use super::{
+    Ending, ListedSolver, MOST_ITERATIONS, default_scenes, go_on, grids, interrupt_flag, listed_solvers,
+    median, picture_file, trimmed,
+};
 use anyhow::Result;
 use fnopt::Error;
 use fnopt::cloth::{Control, Grid};
@@ -36,15 +39,25 @@ pub struct Args {
     /// Frames to time, after three untimed ones
     #[arg(long, default_value_t = 10, value_name = "F", value_parser = clap::value_parser!(u32).range(1..=100_000))]
     frames: u32,
-    #[command(flatten)]
-    solver: SolverArgs,
+    /// Solvers, which take turns: fnopt (learned), fnopt-paper (as published), spectral, gd, adam, lbfgs or quasi-newton;
+    /// on the CPU only, quasi-newton-exact or newton, which runs to convergence. A number of iterations may follow after a
+    /// colon
+    #[arg(long, value_delimiter = ',', default_value = "fnopt", value_parser = trimmed::<String>, value_name = "NAME[:N],..")]
+    solver: Vec<String>,
+    /// Iterations per frame for solvers given without a number [default: what suits each: 20 for fnopt, spectral and
+    /// quasi-newton-exact, 10 for fnopt-paper and gd, 40 for quasi-newton, 100 for lbfgs and adam]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MOST_ITERATIONS))]
+    iterations: Option<u32>,
+    /// Weights of the learned optimizer, a safetensors file [default: the weights that ship with the program]
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
     #[command(flatten)]
     device: InferenceArgs,
     /// Plot ms per frame over particles and cloths (PNG), and the network's operations per second below the
     /// device's peak
     #[arg(long, value_name = "FILE")]
     plot: Option<PathBuf>,
-    /// Compare with an earlier bench: its JSON, of the same grids and batches
+    /// Compare with an earlier bench: its JSON, of the same grids and batches, and of the same solvers if it has several
     #[arg(long, value_name = "FILE.json")]
     against: Option<PathBuf>,
     /// Print JSON
@@ -59,8 +72,17 @@ const TOGETHER: usize = 4;
 /// Most timed recordings of a frame, and the seconds after which to stop early. At least five are timed.
 const RECORDINGS: (usize, f64) = (100, 1.0);
 
+/// A solver to time.
+struct Timed {
+    /// Its name, with the number of iterations if it was given.
+    label: String,
+    optimizer: Optimizer,
+    iterations: usize,
+}
+
 #[derive(serde::Serialize)]
 struct Row {
+    solver: String,
     grid: String,
     #[serde(skip)]
     particles: usize,
@@ -75,7 +97,7 @@ struct Row {
     cloth_frames_per_s: f64,
     /// The time of each frame.
     ms_frames: Vec<f64>,
-    /// `ms_per_frame` over that of the same size in the file of `--against`.
+    /// `ms_per_frame` over that of the same size, and solver if there are several, in the file of `--against`.
     ratio: Option<f64>,
     /// GFLOP/s, counting the operations of the network alone; `null` for the classical optimizers.
     gflop_per_s: Option<f64>,
@@ -95,9 +117,10 @@ struct KernelRow {
     dispatches: usize,
 }
 
-/// A size that could not be timed.
+/// A solver that could not be timed at a size.
 #[derive(serde::Serialize)]
 struct Failure {
+    solver: String,
     grid: String,
     batch: usize,
     error: String,
@@ -111,29 +134,35 @@ fn batch(text: &str) -> std::result::Result<u32, String> {
 
 pub fn run(args: &Args) -> Result<Ending> {
     let grids = grids(&args.grid)?;
-    let optimizer = args.solver.optimizer()?;
+    let solvers = args.solvers()?;
     if let Some(path) = &args.plot {
         picture_file(path, "--plot")?;
     }
     let sizes = sizes(args, &grids)?;
     let earlier = args.against.as_deref().map(Earlier::read).transpose()?;
     if let Some((earlier, path)) = earlier.as_ref().zip(args.against.as_ref())
-        && !sizes.iter().any(|&size| earlier.ms(size).is_some())
+        && !solvers.iter().any(|of| sizes.iter().any(|&size| earlier.ms(size, &of.label).is_some()))
     {
-        let expected = format!("a row of {} x {}, as is to be timed", sizes[0].1, sizes[0].0);
+        let of = if solvers.len() > 1 { format!("{} on ", solvers[0].label) } else { String::new() };
+        let expected = format!("a row of {of}{} x {}, as is to be timed", sizes[0].1, sizes[0].0);
         return Err(Error::invalid(path.display().to_string(), "rows", expected, "only others").into());
     }
-    let (device, line) = args.device.open_for(&optimizer)?;
+    let on_gpu = solvers.iter().find(|of| of.optimizer.runs_on_gpu()).unwrap_or(&solvers[0]);
+    let (device, line) = args.device.open_for(&on_gpu.optimizer)?;
     status!("{line}");
     let interrupted = interrupt_flag();
     let (mut rows, mut failures, mut first_error) = (Vec::new(), Vec::new(), None);
-    let (mut out, count) = (output(), sizes.len());
-    for size in sizes {
-        match measure(args, &device, &optimizer, size, &interrupted) {
+    let (mut out, several) = (output(), solvers.len() > 1);
+    // Solvers take turns at each size: how warm the machine is changes little between neighbours.
+    let trials: Vec<_> = sizes.iter().flat_map(|&size| solvers.iter().map(move |of| (size, of))).collect();
+    let (count, them) = (trials.len(), if several { "trials" } else { "sizes" });
+    for (size, of) in trials {
+        match measure(args, &device, of, size, &interrupted) {
             Ok(Some(mut row)) => {
-                row.ratio = earlier.as_ref().and_then(|e| e.ms(size)).map(|before| row.ms_per_frame / before);
+                let before = earlier.as_ref().and_then(|earlier| earlier.ms(size, &of.label));
+                row.ratio = before.map(|before| row.ms_per_frame / before);
                 if !args.json {
-                    print(&mut out, &row)?;
+                    print(&mut out, &row, several)?;
                 }
                 rows.push(row);
             }
@@ -142,9 +171,10 @@ pub fn run(args: &Args) -> Result<Ending> {
             Err(error) => {
                 let (grid, batch) = size;
                 if count > 1 {
-                    status!("{grid} batch {batch}: {error:#}");
+                    status!("{} on {grid} batch {batch}: {error:#}", of.label);
                 }
-                failures.push(Failure { grid: grid.to_string(), batch, error: error.to_string() });
+                let (solver, grid) = (of.label.clone(), grid.to_string());
+                failures.push(Failure { solver, grid, batch, error: error.to_string() });
                 first_error.get_or_insert(error);
             }
         }
@@ -166,7 +196,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         }
     }
     if go_on(&interrupted).is_break() {
-        status!("interrupted after {} of {count} sizes", rows.len());
+        status!("interrupted after {} of {count} {them}", rows.len());
     }
     let gflop_per_s = peak_rate.map(|rate| rate * 1e-9);
     // Input that is refused leaves no output.
@@ -176,7 +206,7 @@ pub fn run(args: &Args) -> Result<Ending> {
         _ if go_on(&interrupted).is_break() => Ok(Ending::Interrupted),
         None => Ok(Ending::Done),
         Some(error) if count == 1 || failures.is_empty() => Err(error),
-        Some(error) => Err(error.context(format!("{} of {count} sizes could not be timed", failures.len()))),
+        Some(error) => Err(error.context(format!("{} of {count} {them} could not be timed", failures.len()))),
     };
     if rows.is_empty() && ending.is_err() && (is_refused || !args.json) {
         return ending;
@@ -191,8 +221,8 @@ pub fn run(args: &Args) -> Result<Ending> {
                 Device::Cpu => None,
                 Device::Gpu(context) => Some(context.tuning()),
             },
-            "solver": optimizer.name(),
-            "weights_crc32": optimizer.weights_crc32(),
+            "solver": solvers.iter().map(|of| &*of.label).collect::<Vec<_>>().join(","),
+            "weights_crc32": solvers.iter().find_map(|of| of.optimizer.weights_crc32()),
             "precision": args.device.precision,
             "frames": args.frames,
             "against": args.against,
@@ -233,10 +263,30 @@ impl Earlier {
         }
     }
 
-    /// Returns the milliseconds per frame of a size, if it is there.
-    fn ms(&self, (grid, batch): (Grid, usize)) -> Option<f64> {
-        let mut rows = self.0["rows"].as_array()?.iter();
-        rows.find(|row| row["grid"] == grid.to_string() && row["batch"] == batch)?["ms_per_frame"].as_f64()
+    /// Returns the milliseconds per frame of a size, if it is there: of this solver, or of the only one.
+    fn ms(&self, (grid, batch): (Grid, usize), solver: &str) -> Option<f64> {
+        let rows = self.0["rows"].as_array()?.iter();
+        let of_size: Vec<_> =
+            rows.filter(|row| row["grid"] == grid.to_string() && row["batch"] == batch).collect();
+        let row = match of_size[..] {
+            [only] => only,
+            _ => of_size.into_iter().find(|row| row["solver"] == solver)?,
+        };
+        row["ms_per_frame"].as_f64()
+    }
+}
+
+impl Args {
+    /// Returns the solvers, each once.
+    fn solvers(&self) -> Result<Vec<Timed>> {
+        let mut seen = HashSet::new();
+        let listed = listed_solvers(&self.solver, self.checkpoint.as_deref())?.into_iter();
+        let timed = listed.map(|ListedSolver { name, optimizer, iterations }| {
+            let label = iterations.map_or(name.clone(), |n| format!("{name}:{n}"));
+            let asked = iterations.or(self.iterations.map(|n| n as usize));
+            Timed { label, iterations: asked.unwrap_or(optimizer.default_iterations()), optimizer }
+        });
+        Ok(timed.filter(|of| seen.insert(of.label.clone())).collect())
     }
 }
 
@@ -310,24 +360,26 @@ fn peak_of(context: &Context) -> Result<f64> {
     Ok((MultiplyAdd::FLOP * steps as usize * LEN) as f64 / best)
 }
 
-/// Plots time over the particles of all cloths, with a curve for each batch size, and for the learned optimizer
-/// also the operations per second, with the peak of the device.
+/// Plots time over the particles of all cloths, with a curve for each solver and batch size, and for the learned
+/// optimizer also the operations per second, with the peak of the device.
 fn plot(rows: &[Row], peak: Option<f64>) -> Image {
     let particles = |row: &Row| (row.particles * row.batch) as f64;
-    let mut batches: Vec<usize> = rows.iter().map(|row| row.batch).collect();
-    batches.sort_unstable();
-    batches.dedup();
+    let mut kinds: Vec<(&str, usize)> = rows.iter().map(|row| (&*row.solver, row.batch)).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    let several = kinds.iter().any(|kind| kind.0 != kinds[0].0);
     let curves = |value: &dyn Fn(&Row) -> Option<f64>| -> Vec<Curve> {
-        let of = |&batch: &usize| {
-            let rows = rows.iter().filter(|row| row.batch == batch);
+        let of = |&(solver, batch): &(&str, usize)| {
+            let rows = rows.iter().filter(|row| row.solver == solver && row.batch == batch);
             let mut points: Vec<[f64; 2]> =
                 rows.filter_map(|row| Some([particles(row), value(row)?])).collect();
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-            let label = format!("{batch} cloth{}", if batch == 1 { "" } else { "s" });
+            let solver = if several { format!("{solver}, ") } else { String::new() };
+            let label = format!("{solver}{batch} cloth{}", if batch == 1 { "" } else { "s" });
             Curve { label, colour: 0, points, notes: Vec::new() }
         };
-        let coloured = |(colour, batch)| Curve { colour, ..of(batch) };
-        batches.iter().enumerate().map(coloured).filter(|curve| !curve.points.is_empty()).collect()
+        let coloured = |(colour, kind)| Curve { colour, ..of(kind) };
+        kinds.iter().enumerate().map(coloured).filter(|curve| !curve.points.is_empty()).collect()
     };
     let chart = |title: &str, unit: &str, curves| {
         let axes = ["particles".into(), unit.into()];
@@ -338,7 +390,7 @@ fn plot(rows: &[Row], peak: Option<f64>) -> Image {
     if !speeds.is_empty() {
         let ends = [f64::min, f64::max].map(|end| rows.iter().map(particles).reduce(end));
         let line = peak.map(|peak| ends.into_iter().flatten().map(|p| [p, peak * 1e-9]).collect());
-        let (label, colour, notes) = ("peak".into(), batches.len(), Vec::new());
+        let (label, colour, notes) = ("peak".into(), kinds.len(), Vec::new());
         speeds.extend(line.map(|points| Curve { label, colour, points, notes }));
         both.push(chart("Operations", "GFLOP/s", speeds));
     }
@@ -349,12 +401,12 @@ fn plot(rows: &[Row], peak: Option<f64>) -> Image {
 fn measure(
     args: &Args,
     device: &Device,
-    optimizer: &Optimizer,
+    Timed { label, optimizer, iterations }: &Timed,
     (grid, batch): (Grid, usize),
     interrupted: &AtomicBool,
 ) -> Result<Option<Row>> {
     let setups = default_scenes(grid, batch)?;
-    let (frames, iterations) = (args.frames as usize, args.solver.iterations(optimizer));
+    let (frames, iterations) = (args.frames as usize, *iterations);
     let mut simulator = Simulator::new(device, &setups.model, optimizer, iterations)?;
     simulator.set_state(&setups.start.cast());
     let mut times = Vec::with_capacity(frames);
@@ -378,6 +430,7 @@ fn measure(
     let of_network = |weights: &Arc<Weights>| weights.config.flop(grid) * (3 * batch * evaluations) as f64;
     let flop = optimizer.weights().map(of_network);
     let mut row = Row {
+        solver: label.clone(),
         grid: grid.to_string(),
         particles: grid.particles(),
         batch,
@@ -449,9 +502,14 @@ fn time_together(context: &Context, solver: &Solver, controls: &[Control<f32>]) 
     Ok(median(&times))
 }
 
-fn print(out: &mut impl Write, row: &Row) -> std::io::Result<()> {
+/// Prints a row, with its solver if there are several.
+fn print(out: &mut impl Write, row: &Row, several: bool) -> std::io::Result<()> {
+    if several {
+        write!(out, "{} on ", row.solver)?;
+    }
     let Row { grid, batch, iterations, ms_per_frame, ms_least, cloth_frames_per_s, .. } = row;
     match iterations {
+        Some(1) => write!(out, "{grid} batch {batch}, 1 iteration: ")?,
         Some(count) => write!(out, "{grid} batch {batch}, {count} iterations: ")?,
         None => write!(out, "{grid} batch {batch}, to convergence: ")?,
     }

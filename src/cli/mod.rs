@@ -277,6 +277,53 @@ impl SolverArgs {
     }
 }
 
+/// A solver of a list.
+pub struct ListedSolver {
+    pub name: String,
+    pub optimizer: Optimizer,
+    /// The number of iterations given with it.
+    pub iterations: Option<usize>,
+}
+
+/// Reads solvers given as `NAME` or `NAME:ITERATIONS`; `single-pass` is the published step, taken once. Fails if there
+/// is a file of weights that none of them needs.
+pub fn listed_solvers(texts: &[String], checkpoint: Option<&Path>) -> fnopt::Result<Vec<ListedSolver>> {
+    let mut weights: Option<Weights> = None;
+    let mut listed = Vec::new();
+    for text in texts {
+        let invalid = |name: &str, expected: &str| Err(Error::invalid("--solver", name, expected, text));
+        let (name, iterations) = match text.split_once(':') {
+            None => (text.as_str(), None),
+            Some((name, n)) => match n.parse() {
+                Ok(n) => (name, Some(n)),
+                Err(_) => return invalid(name, "NAME or NAME:ITERATIONS"),
+            },
+        };
+        let (known, iterations) = match (name, iterations) {
+            ("single-pass", None | Some(1)) => ("fnopt-paper", Some(1)),
+            ("single-pass", _) => return invalid(name, "no number of iterations other than 1"),
+            _ => (name, iterations),
+        };
+        if let Some(n) = iterations.filter(|n| !(1..=MOST_ITERATIONS as usize).contains(n)) {
+            let expected = format!("1 to {MOST_ITERATIONS} iterations");
+            return Err(Error::invalid("--solver", name, expected, n));
+        }
+        let load = || match &weights {
+            Some(weights) => Ok(weights.clone()),
+            None => Ok(weights.insert(load_weights(checkpoint)?).clone()),
+        };
+        let optimizer = Optimizer::named(known, "--solver", load)?;
+        listed.push(ListedSolver { name: name.to_owned(), optimizer, iterations });
+    }
+    match checkpoint {
+        Some(path) if weights.is_none() => {
+            let expected = "a solver that has weights, such as fnopt";
+            Err(Error::invalid("--checkpoint", "solver", expected, format!("none for {}", path.display())))
+        }
+        _ => Ok(listed),
+    }
+}
+
 /// Loads the weights from a file, or those that ship with the program.
 pub fn load_weights(path: Option<&Path>) -> Result<Weights> {
     let weights = match path {

@@ -39,6 +39,46 @@ fn results_say_what_made_them() {
     let times = [&again, &learned].map(|all| all["rows"][0]["ms_per_frame"].as_f64().unwrap());
     assert!((ratio - times[0] / times[1]).abs() < 1e-9 && again["rows"][1]["ratio"].is_null(), "{again}");
 
+    // Several solvers take turns at each size.
+    let both = [
+        "--grid",
+        "8,12",
+        "--solver",
+        "gd:2, lbfgs,gd:2",
+        "--iterations",
+        "3",
+        "--json",
+        "--plot",
+        "both.png",
+    ];
+    let both = parsed(&on_cpu(&both));
+    let (of, rows) = (&both["solver"], both["rows"].as_array().unwrap());
+    let kinds: Vec<_> = rows.iter().map(|row| [&row["grid"], &row["solver"], &row["iterations"]]).collect();
+    let expected =
+        |grid: &str| [("gd:2", 2), ("lbfgs", 3)].map(|(name, n)| [grid.into(), name.into(), n.into()]);
+    let expected: Vec<[serde_json::Value; 3]> = ["8x8", "12x12"].into_iter().flat_map(expected).collect();
+    assert_eq!(kinds, expected.iter().map(|kind| kind.each_ref()).collect::<Vec<_>>());
+    assert_eq!(of, "gd:2,lbfgs");
+    // Each is compared with itself, in any order.
+    std::fs::write(folder.path().join("both.json"), both.to_string()).unwrap();
+    let later = on_cpu(&[
+        "--grid",
+        "8",
+        "--solver",
+        "lbfgs,spectral",
+        "--iterations",
+        "3",
+        "--against",
+        "both.json",
+        "--json",
+    ]);
+    let later = parsed(&later);
+    let ratio = later["rows"][0]["ratio"].as_f64().unwrap();
+    let times = [&later["rows"][0], &both["rows"][1]].map(|row| row["ms_per_frame"].as_f64().unwrap());
+    assert!((ratio - times[0] / times[1]).abs() < 1e-9 && later["rows"][1]["ratio"].is_null(), "{later}");
+    let printed = on_cpu(&["--grid", "8", "--solver", "gd:1,lbfgs:1"]);
+    assert!(text(&printed).starts_with("gd:1 on 8x8 batch 1, 1 iteration: "), "{}", text(&printed));
+
     let newton = on_cpu(&["--grid", "8", "--solver", "newton"]);
     assert!(text(&newton).starts_with("8x8 batch 1, to convergence: "), "{}", text(&newton));
     let newton = parsed(&on_cpu(&["--grid", "8", "--solver", "newton", "--json", "--plot", "newton.png"]));

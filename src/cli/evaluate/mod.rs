@@ -8,7 +8,7 @@ mod suite;
 use super::device::InferenceArgs;
 use super::output::status;
 use super::{
-    Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, go_on, grids, interrupt_flag, load_weights,
+    Ending, MOST_ITERATIONS, MOST_POINTS, SHIPPED_SEQUENCES, go_on, grids, interrupt_flag, listed_solvers,
     material, sequences, trimmed, writable_file, writable_folder,
 };
 use anyhow::Result;
@@ -17,8 +17,6 @@ use fnopt::Error;
 use fnopt::eval::suite::{ITERATIONS, Suite};
 use fnopt::eval::{Entry, Format, Physics, Score, Sequence, Settings, tables};
 use fnopt::io::folder_of;
-use fnopt::network::Weights;
-use fnopt::sim::Optimizer;
 use jobs::{Kept, Plan, with_valid_scenes};
 use report::{Written, documents, tell_devices, tell_missing, tell_unconverged, timed};
 use std::ops::ControlFlow;
@@ -27,6 +25,9 @@ use std::sync::atomic::AtomicBool;
 
 /// The file name that stands for standard output.
 const STDOUT: &str = "-";
+
+/// The solver that simulates a coarse grid and interpolates.
+const INTERPOLATION: &str = "interpolation";
 
 /// The solvers that take part if none are named, and those if a suite sets the number of iterations.
 const SOLVERS: [&str; 6] = ["newton", "fnopt", "spectral", "quasi-newton", "lbfgs:100", "adam:500"];
@@ -318,75 +319,42 @@ impl Args {
 
     /// Returns the solvers, each with every number of iterations asked for.
     fn entries(&self, suite: Option<Suite>) -> fnopt::Result<Vec<Entry>> {
-        let mut weights: Option<Weights> = None;
         let mut entries = Vec::new();
         let any = suite == Some(Suite::Iterations);
         let usual: &[&str] = if any { &SOLVERS_OF_ITERATIONS_SUITE } else { &SOLVERS };
         let named = self.solver.clone().unwrap_or_else(|| usual.iter().map(|&name| name.into()).collect());
-        for text in &named {
-            let (name, own) = match text.split_once(':') {
-                None => (text.as_str(), None),
-                Some((name, n)) => (
-                    name,
-                    Some(
-                        n.parse()
-                            .map_err(|_| Error::invalid("--solver", name, "NAME or NAME:ITERATIONS", text))?,
-                    ),
-                ),
-            };
-            let (known, own) = match name {
-                "single-pass" if own.is_some_and(|n: usize| n != 1) => {
-                    return Err(Error::invalid(
-                        "--solver",
-                        name,
-                        "no number of iterations other than 1",
-                        text,
-                    ));
-                }
-                "single-pass" => ("fnopt-paper", Some(1)),
-                "interpolation" => ("fnopt-paper", own),
-                _ => (name, own),
-            };
-            let mut load = || match &weights {
-                Some(weights) => Ok(weights.clone()),
-                None => Ok(weights.insert(load_weights(self.checkpoint.as_deref())?).clone()),
-            };
-            let optimizer = Optimizer::named(known, "--solver", &mut load)?;
-            let all = match (own, &optimizer) {
+        let allowed = 1..=MOST_ITERATIONS as usize;
+        if let Some(n) = self.iterations.iter().flatten().find(|n| !allowed.contains(n)) {
+            return Err(Error::invalid("--iterations", "number", format!("1 to {MOST_ITERATIONS}"), n));
+        }
+        // On a coarse grid it is the published step.
+        let coarse = |text: &String| match text.strip_prefix(INTERPOLATION) {
+            Some(rest) if rest.is_empty() || rest.starts_with(':') => Some(format!("fnopt-paper{rest}")),
+            _ => None,
+        };
+        let texts: Vec<String> =
+            named.iter().map(|text| coarse(text).unwrap_or_else(|| text.clone())).collect();
+        for (solver, text) in listed_solvers(&texts, self.checkpoint.as_deref())?.into_iter().zip(&named) {
+            let coarse = coarse(text).is_some();
+            let name = if coarse { INTERPOLATION.to_owned() } else { solver.name };
+            let all = match solver.iterations {
                 // Newton's method converges whatever the number.
-                (_, optimizer) if optimizer.converges() => vec![1],
-                (Some(n), _) => vec![n],
-                (None, _) => self.iterations.clone().unwrap_or(match any {
+                _ if solver.optimizer.converges() => vec![1],
+                Some(n) => vec![n],
+                None => self.iterations.clone().unwrap_or_else(|| match any {
                     true => ITERATIONS.to_vec(),
-                    false => vec![optimizer.default_iterations()],
+                    false => vec![solver.optimizer.default_iterations()],
                 }),
             };
-            let allowed = 1..=MOST_ITERATIONS as usize;
-            if let Some(n) = all.iter().find(|n| !allowed.contains(n)) {
-                let expected = format!("1 to {MOST_ITERATIONS} iterations");
-                let option = if own.is_some() { "--solver" } else { "--iterations" };
-                return Err(Error::invalid(option, name, expected, n));
-            }
             let of = |iterations| Entry {
-                name: name.to_owned(),
-                optimizer: optimizer.clone(),
+                name: name.clone(),
+                optimizer: solver.optimizer.clone(),
                 iterations,
-                coarse: name == "interpolation",
+                coarse,
             };
             entries.extend(all.into_iter().map(of));
         }
-        match &self.checkpoint {
-            Some(path) if weights.is_none() => {
-                let expected = "a solver that has weights, such as fnopt";
-                Err(Error::invalid(
-                    "--checkpoint",
-                    "solver",
-                    expected,
-                    format!("none for {}", path.display()),
-                ))
-            }
-            _ => Ok(entries),
-        }
+        Ok(entries)
     }
 
     /// Returns the names and folders of the systems to compare with. Fails if a name is that of a solver or
