@@ -2,9 +2,9 @@
 
 use fnopt::{
     Error,
-    cloth::Grid,
+    cloth::{Body, Grid, Pose, Shape, VertexView},
     io::{Format, ReadOptions, Trajectory, read_npy, read_obj},
-    render::{GifOptions, Image, StripOptions, View, strip, write_gif, write_png},
+    render::{Bodies, GifOptions, Image, StripOptions, View, strip, write_gif, write_png},
 };
 use ndarray::{Array2, ArrayD, array};
 use ndarray_npy::{NpzReader, NpzWriter};
@@ -494,6 +494,55 @@ fn an_animation_runs_in_real_time_and_shows_what_a_picture_shows() {
     assert!((seconds - 38.0 * 4.0 / 60.0 - 0.8).abs() < 0.02, "{seconds} s");
 }
 
+const BALL: Shape = Shape::Sphere { radius: 0.15 };
+
+/// Returns a body that moves across before the cloth of [`waving`], and a floor below it.
+fn moving(shape: Shape, frames: usize) -> Bodies {
+    let pose = |position| Pose { position, ..Pose::default() };
+    let body = |shape| Body { shape, pose: pose([0.0, 0.0, -1.4]), thickness: 0.01, friction: 0.0 };
+    let path = (0..frames).map(|f| pose([0.1 + 0.8 * f as f64 / frames as f64, -0.4, -0.3])).collect();
+    // z up becomes y up.
+    let transform = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0]];
+    Bodies::new(&[body(shape), body(Shape::Plane)], &[path], &VertexView { transform, time: 1.0 })
+}
+
+#[test]
+fn bodies_move_through_strips_and_animations() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("a.gif");
+    let (trajectory, bodies) = (waving(GRID, 40), moving(BALL, 40));
+    // From the side of the positive z axis.
+    let view = View { azimuth: Some(-90.0), elevation: Some(10.0), ..View::default() };
+    let options = StripOptions { height: 120, panels: 4, view, bodies: &bodies };
+    let image = strip(&trajectory, &[], &options);
+    assert_eq!(image, strip(&trajectory, &[], &options));
+    // Planes have no part in the framing.
+    let [floors, none] = [moving(Shape::Plane, 40), Bodies::default()]
+        .map(|bodies| strip(&trajectory, &[], &StripOptions { bodies: &bodies, ..options }));
+    assert!(floors.width == none.width && floors != none);
+    let gif = GifOptions { size: 96, view, bodies: &bodies, ..GifOptions::default() };
+    write_gif(&path, &trajectory, &[], &gif).unwrap();
+    let (frames, _) = play(&path);
+    let width = image.width / 4;
+    let panel = |k: usize| {
+        let row = |y: usize| (0..width).map(move |x| (x, y)).map(|(x, y)| image.at(k * width + x, y));
+        Image { width, height: 120, pixels: (0..120).flat_map(row).collect() }
+    };
+    // The ball is the one thing that is dark and not coloured; captions are at the bottom.
+    let column = |image: &Image| {
+        let rows = image.pixels.chunks(image.width).take(image.height * 3 / 4);
+        let grey = |p: &[u8; 3]| p.iter().all(|&c| c < 165) && p[0].abs_diff(p[2]) < 16;
+        let columns: Vec<usize> =
+            rows.flat_map(|row| row.iter().enumerate().filter(|(_, p)| grey(p)).map(|(x, _)| x)).collect();
+        assert!(columns.len() > 40, "{} pixels of a ball", columns.len());
+        columns.iter().sum::<usize>() as f64 / columns.len() as f64 / image.width as f64
+    };
+    for places in [[0, 1, 2, 3].map(|k| column(&panel(k))), [0, 6, 13, 19].map(|f| column(&frames[f]))] {
+        let steps: Vec<f64> = places.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(steps.iter().all(|step| *step > 0.05), "{places:?}");
+    }
+}
+
 #[test]
 fn cloths_that_cannot_be_drawn_do_not_stop_a_run() {
     let dir = tempfile::tempdir().unwrap();
@@ -508,9 +557,9 @@ fn cloths_that_cannot_be_drawn_do_not_stop_a_run() {
     point.push(&[[1.0; 3]; 108], &[[0.0; 3]; 108]);
     for trajectory in [&bad, &point, &Trajectory::new(GRID, 60.0)] {
         for up in [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]] {
-            let view = View { up, ..View::default() };
-            strip(trajectory, &[0, 107], &StripOptions { view, ..options });
-            write_gif(&path, trajectory, &[0, 107], &GifOptions { view, ..gif }).unwrap();
+            let (view, bodies) = (View { up, ..View::default() }, &moving(BALL, 3));
+            strip(trajectory, &[0, 107], &StripOptions { view, bodies, ..options });
+            write_gif(&path, trajectory, &[0, 107], &GifOptions { view, bodies, ..gif }).unwrap();
         }
     }
     assert_eq!(play(&path).0.len(), 1);

@@ -10,6 +10,7 @@ mod material;
 pub mod output;
 mod rollout;
 mod rollout_end;
+mod scenes;
 mod train;
 mod tune;
 mod verify;
@@ -20,7 +21,7 @@ use fnopt::cloth::Grid;
 use fnopt::eval::{Sequence, median};
 use fnopt::io::{create_folder, folder_of, is_stream, target_of};
 use fnopt::network::Weights;
-use fnopt::scene::{Batch, Scene, Setup};
+use fnopt::scene::{Batch, NamedScene, Scene, Setup};
 use fnopt::sim::Optimizer;
 use fnopt::{Error, Result};
 use output::status;
@@ -79,6 +80,8 @@ impl Cli {
 enum Command {
     /// Simulate a scene and write positions, a report and pictures
     Rollout(rollout::Args),
+    /// List the scenes that come with the program, or print one
+    Scenes(scenes::Args),
     /// Train weights for the learned optimizer
     Train(train::Args),
     /// Compare solvers with recorded trajectories and print tables
@@ -183,6 +186,7 @@ pub fn run(cli: Cli) -> ExitCode {
     let stores = !matches!(cli.command, Command::Tune(_));
     let ending = match cli.command {
         Command::Rollout(args) => rollout::run(&args),
+        Command::Scenes(args) => scenes::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Evaluate(args) => evaluate::run_command(&args),
         Command::FitMaterial(args) => fit_material::run(&args),
@@ -394,6 +398,29 @@ pub fn sequences(folder: &Path, named: Option<&[String]>) -> fnopt::Result<Vec<f
         ));
     }
     Sequence::load_all(folder, named)
+}
+
+/// Returns the scene that a SCENE argument asks for: `-` for the standard input, a file, or the name of a scene that comes
+/// with the program. A file that exists goes before a scene of the same name.
+pub fn load_scene(argument: &Path) -> fnopt::Result<Scene> {
+    if argument == Path::new("-") {
+        let text = std::io::read_to_string(std::io::stdin())
+            .map_err(|e| Error::io("standard input", "cannot read", e))?;
+        let here = std::path::absolute(".").map_err(|e| Error::io(".", "cannot find", e))?;
+        return Scene::parse(&text, "standard input", &here);
+    }
+    let is_file = argument.exists() && !argument.is_dir();
+    match argument.to_str() {
+        Some(name) if !is_file && !name.contains(['.', '/', '\\']) => match NamedScene::find(name, "SCENE") {
+            // It may have been meant as a file.
+            Err(Error::Unknown { origin, kind, name, hint }) => {
+                let hint = format!("{hint}, and no file of this name; `fnopt scenes` lists the scenes");
+                Err(Error::Unknown { origin, kind, name, hint })
+            }
+            found => found?.scene(),
+        },
+        _ => Scene::load(argument),
+    }
 }
 
 /// Sets up a batch of copies of the default sheet on a grid, let go at one corner, so that every frame has work to do. Fails if they have too many particles.

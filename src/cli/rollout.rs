@@ -4,15 +4,16 @@ use super::device::InferenceArgs;
 use super::output::{output, progress, status};
 use super::rollout_end::{self, RolloutEnd};
 use super::{
-    Ending, SolverArgs, go_on, interrupt_flag, material, numbers, one_grid, writable_file, writable_folder,
+    Ending, SolverArgs, go_on, interrupt_flag, load_scene, material, numbers, one_grid, writable_file,
+    writable_folder,
 };
 use anyhow::Result;
 use fnopt::Frame;
 use fnopt::eval::{Soundness, Verdict, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
-use fnopt::render::{GifOptions, StripOptions, View, strip, write_gif, write_png};
+use fnopt::render::{Bodies, GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
-use fnopt::sim::{FrameStats, Optimizer};
+use fnopt::sim::{BodyStats, FrameStats, Optimizer};
 use fnopt::{Error, io};
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -22,8 +23,9 @@ use std::path::{Path, PathBuf};
 /// Arguments of `fnopt rollout`.
 #[derive(Clone, Debug, clap::Args)]
 pub struct Args {
-    /// Scene files (JSON), or `-` for the standard input; of several, each is written into a folder of its own name in
-    /// --out [default: a sheet hanging from two corners that move along xy_v2, in air]
+    /// Scene files (JSON), names of scenes that come with the program (`fnopt scenes` lists them), or `-` for the standard
+    /// input; of several, each is written into a folder of its own name in --out [default: a sheet hanging from two
+    /// corners that move along xy_v2, in air]
     #[arg(value_name = "SCENE")]
     scenes: Vec<PathBuf>,
     /// Motion of the handles: a built-in one such as xy_v2, yz, rot_h0 or updown_opp, `none`, or a .npy of
@@ -167,12 +169,7 @@ impl Args {
                 let expected = format!("an equals sign before it, as in --repulsion={}", path.display());
                 return Err(Error::invalid("--repulsion", "value", expected, "a space").into());
             }
-            Some(path) if path == Path::new("-") => {
-                let text = std::io::read_to_string(std::io::stdin())
-                    .map_err(|e| Error::io("standard input", "cannot read", e))?;
-                Scene::parse(&text, "standard input", &absolute(Path::new(".")))?
-            }
-            Some(path) => Scene::load(path)?,
+            Some(path) => load_scene(path)?,
             None => Scene::default(),
         };
         if let Some(motion) = &self.motion {
@@ -276,6 +273,34 @@ struct PerFrame {
     energy_total: f64,
     #[serde(flatten)]
     stats: FrameStats,
+    /// What each body did, left out where there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    bodies: Vec<OfBody>,
+}
+
+/// What a body did in a frame, in SI units and the scene's axes.
+#[derive(serde::Serialize)]
+struct OfBody {
+    touching: usize,
+    /// Largest depth of a particle below its surface.
+    deepest_m: f64,
+    /// Force of the cloth on it.
+    load_n: [f64; 3],
+    /// Work that friction took from the cloth.
+    friction_work_j: f64,
+}
+
+impl OfBody {
+    fn new(stats: &BodyStats, setup: &Setup) -> Self {
+        let joules = |energy: f64| setup.units.energy_j(energy, setup.model.grid.particles());
+        let newtons = stats.load.map(|load| joules(load) / setup.units.length_m);
+        Self {
+            touching: stats.touching,
+            deepest_m: stats.deepest * setup.units.length_m,
+            load_n: setup.up.from_z_up(newtons),
+            friction_work_j: joules(stats.friction_work),
+        }
+    }
 }
 
 /// How a simulation ended.
@@ -310,11 +335,12 @@ impl<'a> Run<'a> {
     fn keep(&mut self, frame: &Frame) {
         self.setup.push(&mut self.trajectory, &frame.state);
         self.soundness.judge(frame);
-        let stats = frame.stats[0];
+        let stats = frame.stats[0].clone();
         self.per_frame.push(PerFrame {
             frame: frame.index,
             ms: frame.wall.as_secs_f64() * 1e3,
             energy_total: stats.energy.total(),
+            bodies: stats.bodies.iter().map(|body| OfBody::new(body, self.setup)).collect(),
             stats,
         });
     }
@@ -437,20 +463,25 @@ impl<'a> Run<'a> {
 
     fn write_picture(&self) -> fnopt::Result<Vec<PathBuf>> {
         let path = self.args.out.join(format!("{NAME}.png"));
-        let options = StripOptions { view: self.view(), ..Default::default() };
+        let options = StripOptions { view: self.view(), bodies: &self.bodies(), ..Default::default() };
         write_png(&path, &strip(&self.trajectory, self.handles(), &options))?;
         Ok(vec![path])
     }
 
     fn write_animation(&self) -> fnopt::Result<Vec<PathBuf>> {
         let path = self.args.out.join(format!("{NAME}.gif"));
-        let options = GifOptions { view: self.view(), ..Default::default() };
+        let options = GifOptions { view: self.view(), bodies: &self.bodies(), ..Default::default() };
         write_gif(&path, &self.trajectory, self.handles(), &options)?;
         Ok(vec![path])
     }
 
     fn view(&self) -> View {
         View { up: self.setup.up.down(-1.0).map(|c| c as f32), ..Default::default() }
+    }
+
+    fn bodies(&self) -> Bodies {
+        let setup = self.setup;
+        Bodies::new(&setup.model.cloths[0].bodies, &setup.poses, &setup.vertex_view())
     }
 
     fn handles(&self) -> &[usize] {

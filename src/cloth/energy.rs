@@ -29,18 +29,24 @@ pub struct EnergyTerms {
     /// comes into range, unless delta is 1: a step that brings particles there would seem to raise the energy.
     #[serde(default)]
     pub repulsion: f64,
+    /// Contact with bodies: the sum of the energies of their barriers and friction
+    /// ([`Contact`](super::terms::Contact)); 0 without bodies.
+    #[serde(default)]
+    pub contact: f64,
 }
 
 impl EnergyTerms {
     /// Builds the terms from an array in the order of the fields.
-    pub(crate) fn from_array([stretch, shear, bend, inertia, external, repulsion]: [f64; 6]) -> Self {
-        Self { stretch, shear, bend, inertia, external, repulsion }
+    pub(crate) fn from_array(
+        [stretch, shear, bend, inertia, external, repulsion, contact]: [f64; 7],
+    ) -> Self {
+        Self { stretch, shear, bend, inertia, external, repulsion, contact }
     }
 
     /// Returns the terms in the order of the fields.
-    pub(crate) fn to_array(self) -> [f64; 6] {
-        let Self { stretch, shear, bend, inertia, external, repulsion } = self;
-        [stretch, shear, bend, inertia, external, repulsion]
+    pub(crate) fn to_array(self) -> [f64; 7] {
+        let Self { stretch, shear, bend, inertia, external, repulsion, contact } = self;
+        [stretch, shear, bend, inertia, external, repulsion, contact]
     }
 
     /// Returns the energy, the sum of all terms.

@@ -1,12 +1,14 @@
 //! The cloth: its grid, its constants ([`Model`]), its state ([`State`]) and what drives a frame ([`Control`]), in
 //! grid units. Everything that computes builds on this.
 
+mod body;
 mod energy;
 mod grid;
 mod model;
 pub mod terms;
 mod view;
 
+pub use body::{Body, Distance, MAX_BODIES, Pose, Shape, Sweep};
 pub use energy::EnergyTerms;
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub(crate) use model::cast;

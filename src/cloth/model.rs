@@ -1,6 +1,6 @@
 //! What stays fixed during a run, what changes, and what drives a frame. Grid units throughout, z up.
 
-use super::Grid;
+use super::{Body, Grid, MAX_BODIES, Sweep};
 use crate::{Error, Result};
 use num_traits::Float;
 use std::collections::HashSet;
@@ -85,6 +85,8 @@ pub struct Cloth {
     pub repulsion: Option<Repulsion>,
     /// Particle numbers of the handles, without duplicates.
     pub handles: Vec<usize>,
+    /// Bodies that it meets, [`MAX_BODIES`] at most.
+    pub bodies: Vec<Body>,
 }
 
 /// A batch of independent cloths on one grid.
@@ -135,6 +137,18 @@ impl Model {
             if let Some(repulsion) = cloth.repulsion {
                 repulsion.check("model", &format!("repulsion of cloth {b}"))?;
             }
+            if cloth.bodies.len() > MAX_BODIES {
+                let expected = format!("{MAX_BODIES} at most");
+                return Err(Error::invalid(
+                    "model",
+                    format!("bodies of cloth {b}"),
+                    expected,
+                    cloth.bodies.len(),
+                ));
+            }
+            for (k, body) in cloth.bodies.iter().enumerate() {
+                body.check("model", &format!("body {k} of cloth {b}"))?;
+            }
             let refused = |expected: String, p: usize| {
                 Err(Error::invalid("model", format!("handles of cloth {b}"), expected, p))
             };
@@ -174,6 +188,17 @@ impl Model {
     pub(crate) fn refuse_repulsion(&self, why: &str) -> Result<()> {
         let Some(b) = self.cloths.iter().position(|cloth| cloth.repulsion.is_some()) else { return Ok(()) };
         Err(Error::invalid("model", format!("repulsion of cloth {b}"), format!("none, {why}"), "one"))
+    }
+
+    /// Returns the number of bodies of all cloths together.
+    pub fn bodies(&self) -> usize {
+        self.cloths.iter().map(|c| c.bodies.len()).sum()
+    }
+
+    /// Returns the places of cloth `b` in [`Control::bodies`]. Panics if there is no cloth `b`.
+    pub fn body_range(&self, b: usize) -> Range<usize> {
+        let before: usize = self.cloths[..b].iter().map(|cloth| cloth.bodies.len()).sum();
+        before..before + self.cloths[b].bodies.len()
     }
 
     /// Returns the number of handles of all cloths together.
@@ -239,8 +264,8 @@ impl<T: Float> State<T> {
 }
 
 impl<T: Float> Control<T> {
-    /// Fails unless the control has a position for each handle of the model, and wind and accelerations for
-    /// all of its cloths or for none. Solvers panic in such a case.
+    /// Fails unless the control has a position for each handle of the model, wind and accelerations for all of its
+    /// cloths or for none, and valid sweeps of all of its bodies or of none. Solvers panic in such a case.
     pub fn check(&self, model: &Model) -> Result<()> {
         let batch = model.batch();
         let fits = |field: &str, found: usize, allowed: [usize; 2]| match allowed.contains(&found) {
@@ -255,14 +280,17 @@ impl<T: Float> Control<T> {
         };
         fits("handles", self.handles.len(), [model.handles(); 2])?;
         fits("wind", self.wind.len(), [0, batch])?;
-        fits("external", self.external.len(), [0, 3 * batch * model.grid.particles()])
+        fits("external", self.external.len(), [0, 3 * batch * model.grid.particles()])?;
+        fits("bodies", self.bodies.len(), [0, model.bodies()])?;
+        self.bodies.iter().enumerate().try_for_each(|(k, sweep)| sweep.check(&format!("bodies[{k}]")))
     }
 
     /// Returns the control in another precision.
     pub fn cast<U: Float>(&self) -> Control<U> {
         let points = |points: &[[T; 3]]| points.iter().map(|p| p.map(cast)).collect();
         let external = self.external.iter().map(|&f| cast(f)).collect();
-        Control { handles: points(&self.handles), wind: points(&self.wind), external }
+        let bodies = self.bodies.clone();
+        Control { handles: points(&self.handles), wind: points(&self.wind), external, bodies }
     }
 }
 
@@ -278,4 +306,15 @@ pub struct Control<T> {
     /// [B, 3, H, W]; empty for none. Divide a force by the particle's mass;
     /// [`Setup::acceleration_of`](crate::scene::Setup::acceleration_of) converts.
     pub external: Vec<T>,
+    /// How the bodies move in the frame: all bodies of cloth 0, then of cloth 1, and so on; empty for bodies that
+    /// stay where the model has them.
+    pub bodies: Vec<Sweep>,
+}
+
+impl<T> Control<T> {
+    /// Returns how body `k` of cloth `b` moves in the frame. Panics if there is no such body.
+    pub fn sweep(&self, model: &Model, b: usize, k: usize) -> Sweep {
+        let stays = || Sweep::still(model.cloths[b].bodies[k].pose);
+        if self.bodies.is_empty() { stays() } else { self.bodies[model.body_range(b).start + k] }
+    }
 }

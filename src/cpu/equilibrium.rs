@@ -38,7 +38,8 @@ impl Equilibrium {
     }
 }
 
-/// Lets one cloth come to rest from positions `x` [3, H, W], with its handles where they are there, in still air.
+/// Lets one cloth come to rest from positions `x` [3, H, W], with its handles where they are there, in still air
+/// and far from bodies.
 ///
 /// A backward-Euler frame that starts at rest moves the cloth towards its equilibrium, the farther, the longer the
 /// frame: scaled by the square of the duration, the elastic energy and the work of gravity outweigh the inertia. So a
@@ -46,9 +47,9 @@ impl Equilibrium {
 /// [`Reference::new`] does. Panics if the length does not match the model.
 pub fn equilibrium(model: &Model, x: &[f64]) -> Result<Equilibrium> {
     let n = model.grid.particles();
-    let mut reference = Reference::new(model)?;
+    let cloth = Cloth { air: Air::default(), bodies: Vec::new(), ..model.cloths[0].clone() };
+    let mut reference = Reference::new(&Model { grid: model.grid, cloths: vec![cloth.clone()] })?;
     reference.iterations = ITERATIONS;
-    let cloth = Cloth { air: Air::default(), ..model.cloths[0].clone() };
     let handles = cloth.handles.iter().map(|&p| [x[p], x[n + p], x[2 * n + p]]).collect();
     let control = Control { handles, ..Default::default() };
     let still = vec![0.0; 3 * n];

@@ -1,7 +1,7 @@
 //! Newton steps from the sparse Hessian of a frame's energy and its Cholesky factors.
 
 use super::cloth::{
-    AFTER, Hessian, Projection, RepellingPair, Trial, add_own_block, neighbours, repelling_pairs,
+    AFTER, Contacts, Hessian, Projection, RepellingPair, Trial, add_own_block, neighbours, repelling_pairs,
 };
 use crate::cloth::{Grid, Repulsion};
 use crate::cpu::optim::InverseHessian;
@@ -168,16 +168,21 @@ impl FactoredHessian {
         self.is_stale = !self.analysis.pairs.is_empty();
     }
 
-    /// Factors the Hessian at a trial, with that of the repulsion if there is one, removing about as little of its
+    /// Factors the Hessian at a trial, with that of the contacts and of the repulsion if there is one, removing about as little of its
     /// negative curvature as makes it positive definite.
     ///
     /// Full projection always gives a definite matrix but converges slowly: much of a folded sheet is
     /// compressed, and there the projected Hessian is far stiffer than the cloth.
-    pub fn factor(&mut self, trial: &Trial<'_, f64>, repulsion: Option<Repulsion>) -> Result<()> {
+    pub fn factor(
+        &mut self,
+        trial: &Trial<'_, f64>,
+        repulsion: Option<Repulsion>,
+        contacts: &Contacts<f64>,
+    ) -> Result<()> {
         let pairs = repulsion.map_or_else(Vec::new, |repulsion| repelling_pairs(trial, repulsion));
         self.contain(&pairs)?;
         loop {
-            self.assemble(trial, &pairs, self.projection);
+            self.assemble(trial, &pairs, contacts, self.projection);
             let matrix = SparseColMatRef::new(self.analysis.pattern.as_ref(), &self.values);
             let Projection(share) = self.projection;
             // Without negative curvature the matrix is definite, so a pivot that is not positive is due to
@@ -225,7 +230,13 @@ impl FactoredHessian {
     }
 
     /// Assembles the lower triangle. Rows and columns of handles are those of the identity.
-    fn assemble(&mut self, trial: &Trial<'_, f64>, pairs: &[RepellingPair], projection: Projection) {
+    fn assemble(
+        &mut self,
+        trial: &Trial<'_, f64>,
+        pairs: &[RepellingPair],
+        contacts: &Contacts<f64>,
+        projection: Projection,
+    ) {
         let Self { grid, hessian, analysis, values, .. } = self;
         let (grid, n) = (*grid, grid.particles());
         hessian.fill(trial, projection);
@@ -239,6 +250,8 @@ impl FactoredHessian {
                 *hessian.at_mut((p, row), (p, column)) = f64::from(u8::from(row == column));
             }
         }
+        // Convex, so nothing of them needs to be removed.
+        contacts.add_own_blocks(trial, hessian);
         let mut blocks = vec![[[0.0; 3]; 3]; analysis.pairs.len()];
         for pair in pairs {
             let block = pair.block(projection);

@@ -3,11 +3,12 @@
 
 use super::Real;
 use super::cloth::{
-    CurvatureRows, Frame, GradientRows, LocalModel, Trial, add_wind, end_frame, energy, gradient,
-    local_model, repulsion, repulsion_curvature, shifts, stretch,
+    Approach, Contacts, CurvatureRows, Frame, GradientRows, LocalModel, Trial, add_wind, end_frame, energy,
+    gradient, local_model, repulsion, repulsion_curvature, shifts, stretch,
 };
 use super::optim::norm;
-use crate::cloth::{Control, EnergyTerms, Model, State};
+use crate::cloth::{Control, EnergyTerms, Model, State, Sweep};
+use crate::sim::{BodyStats, MAX_DIRECTIONS};
 use rayon::prelude::*;
 
 /// The energies L(a) of a batch of cloths (paper section 3.2).
@@ -15,8 +16,8 @@ pub struct Objective<T> {
     pub(super) trial: Trials<T>,
     /// One per cloth.
     rows: Vec<GradientRows<T>>,
-    /// External accelerations plus those of the repulsion [edges / frame^2], shape [B, 3, H, W]; empty if no
-    /// cloth repels.
+    /// External accelerations plus those of repulsion and contacts [edges / frame^2], shape [B, 3, H, W]; empty if no
+    /// cloth repels or meets bodies.
     total_acceleration: Vec<T>,
     /// Gradient dL/da, shape [B, 3, H, W].
     pub(super) grad: Vec<T>,
@@ -37,13 +38,20 @@ pub(super) struct Trials<T> {
     f: Vec<T>,
     /// Handle slots, shape [B, H, W].
     slots: Vec<u32>,
+    /// Contacts of each cloth in this frame, shape \[B\].
+    pub contacts: Vec<Contacts<T>>,
+}
+
+/// Whether the gradient sees forces that depend on the positions.
+fn has_total(model: &Model) -> bool {
+    model.repels() || model.bodies() > 0
 }
 
 impl<T: Real> Objective<T> {
     /// Builds the objective for the cloths of `model`, at a = 0.
     pub fn new(model: &Model) -> Self {
         let zeros = || vec![T::zero(); model.batch() * 3 * model.grid.particles()];
-        let total_acceleration = if model.repels() { zeros() } else { Vec::new() };
+        let total_acceleration = if has_total(model) { zeros() } else { Vec::new() };
         Self {
             trial: Trials {
                 model: model.clone(),
@@ -51,6 +59,7 @@ impl<T: Real> Objective<T> {
                 shift: zeros(),
                 f: zeros(),
                 slots: model.handle_slots(),
+                contacts: vec![Contacts::default(); model.batch()],
             },
             rows: (0..model.batch()).map(|_| GradientRows::new(model.grid)).collect(),
             total_acceleration,
@@ -69,8 +78,9 @@ impl<T: Real> Objective<T> {
         );
         old.clone_from(model);
         self.repulsion_energy.fill(0.0);
-        self.total_acceleration.resize(if model.repels() { self.grad.len() } else { 0 }, T::zero());
+        self.total_acceleration.resize(if has_total(model) { self.grad.len() } else { 0 }, T::zero());
         self.trial.slots = model.handle_slots();
+        self.trial.contacts.fill(Contacts::default());
     }
 
     /// Returns the cloths.
@@ -93,10 +103,10 @@ impl<T: Real> Objective<T> {
         3 * self.trial.model.grid.particles()
     }
 
-    /// Starts a frame, during which gravity, wind and the external accelerations of `control` are constant.
-    /// Panics if a length does not match the model.
+    /// Starts a frame, during which gravity, wind and the external accelerations of `control` are constant, and bodies
+    /// are planes. Panics if a length does not match the model.
     pub fn begin_frame(&mut self, state: &State<T>, control: &Control<T>) {
-        let Trials { model, f, .. } = &mut self.trial;
+        let Trials { model, f, slots, contacts, .. } = &mut self.trial;
         let (grid, batch, cloth) = (model.grid, model.batch(), 3 * model.grid.particles());
         let len = batch * cloth;
         assert!(state.x.len() == len && state.v.len() == len, "a state has shape [B, 3, H, W]");
@@ -112,8 +122,34 @@ impl<T: Real> Objective<T> {
                 }
             }
             let wind = control.wind.get(b).copied().unwrap_or([T::zero(); 3]);
-            add_wind(grid, setting.air, wind, (&state.x[at.clone()], &state.v[at]), f);
+            add_wind(grid, setting.air, wind, (&state.x[at.clone()], &state.v[at.clone()]), f);
+            if !setting.bodies.is_empty() {
+                contacts[b] = Contacts::find(Approach {
+                    grid,
+                    cloth: setting,
+                    sweeps: &sweeps(model, control, b),
+                    x: &state.x[at.clone()],
+                    v: &state.v[at],
+                    slots: &slots[b * cloth / 3..][..cloth / 3],
+                });
+            }
         }
+    }
+
+    /// Changes the trial accelerations of particles that they lead into a body, so that they stay outside. Returns whether
+    /// there are any.
+    pub fn move_out_of_bodies(&mut self, state: &State<T>, control: &Control<T>) -> bool {
+        if self.trial.model.bodies() == 0 {
+            return false;
+        }
+        self.move_to_trial(state, control);
+        let cloth = self.cloth_len();
+        let Trials { model, a, shift, contacts, .. } = &mut self.trial;
+        let fields = a.chunks_exact_mut(cloth).zip(shift.chunks_exact_mut(cloth));
+        let cloths = contacts.iter().zip(&model.cloths);
+        fields.zip(cloths).fold(false, |moved, ((a, shift), (contacts, setting))| {
+            contacts.confine(&setting.bodies, a, shift) || moved
+        })
     }
 
     /// Sets the trial accelerations \[edges / frame^2\], shape [B, 3, H, W]. Panics if the length does not
@@ -152,11 +188,12 @@ impl<T: Real> Objective<T> {
                     0.0
                 }
             };
+            trial.contacts[b].add_accelerations(before.grid, before.shift, total_acceleration);
         });
         let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
             let mut of_gradient = trial.cloth(state, b);
             if !total_acceleration.is_empty() {
-                // The repulsion depends on positions alone, so to the gradient it is an external force.
+                // What depends on positions alone is an external force to the gradient.
                 of_gradient.f = &total_acceleration[b * cloth..][..cloth];
             }
             gradient(&of_gradient, rows, grad);
@@ -207,6 +244,7 @@ impl<T: Real> Objective<T> {
         if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
             terms.repulsion = repulsion(&trial, of_cloth, &mut vec![T::zero(); self.cloth_len()]);
         }
+        terms.contact = self.trial.contacts[b].energy(trial.shift);
         terms
     }
 
@@ -222,12 +260,16 @@ impl<T: Real> Objective<T> {
         let grad = &self.grad[b * self.cloth_len()..][..self.cloth_len()];
         let mut model = local_model(&trial, rows, directions, grad);
         model.energy.repulsion = self.repulsion_energy[b];
-        if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
-            let of_repulsion = repulsion_curvature(&trial, of_cloth, directions);
-            for (sums, of_repulsion) in model.curvature.iter_mut().zip(of_repulsion) {
-                sums.iter_mut().zip(of_repulsion).for_each(|(sum, of_repulsion)| *sum += of_repulsion);
+        let mut add = |more: [[f64; MAX_DIRECTIONS]; MAX_DIRECTIONS]| {
+            for (sums, more) in model.curvature.iter_mut().zip(more) {
+                sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
             }
+        };
+        if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
+            add(repulsion_curvature(&trial, of_cloth, directions));
         }
+        add(self.trial.contacts[b].curvature(trial.shift, directions));
+        model.energy.contact = self.trial.contacts[b].energy(trial.shift);
         model
     }
 
@@ -243,7 +285,15 @@ impl<T: Real> Objective<T> {
         if let Some(of_cloth) = self.trial.model.cloths[b].repulsion {
             terms.repulsion = repulsion(&trial, of_cloth, &mut vec![T::zero(); self.cloth_len()]);
         }
+        terms.contact = self.trial.contacts[b].energy(trial.shift);
         terms
+    }
+
+    /// Returns what the bodies of cloth `b` do at the current trial.
+    pub fn body_stats(&self, state: &State<T>, control: &Control<T>, b: usize) -> Vec<BodyStats> {
+        let (trial, model) = (self.trial.cloth(state, b), &self.trial.model);
+        let sweeps = sweeps(model, control, b);
+        self.trial.contacts[b].stats(&model.cloths[b].bodies, &sweeps, trial.x, trial.shift)
     }
 
     /// Returns the largest and the mean stretch of cloth `b` at the current trial.
@@ -256,9 +306,11 @@ impl<T: Real> Objective<T> {
         let cloth = self.cloth_len();
         let parts = state.x.chunks_exact_mut(cloth).zip(state.v.chunks_exact_mut(cloth));
         for (b, (x, v)) in parts.enumerate() {
-            let Trials { shift, a, slots, .. } = &self.trial;
+            let Trials { shift, a, slots, contacts, model, .. } = &self.trial;
             let frame = frame(slots, a, control, (b, cloth / 3));
-            end_frame(frame, &shift[b * cloth..][..cloth], x, v);
+            let shift = &shift[b * cloth..][..cloth];
+            end_frame(frame, shift, x, v);
+            contacts[b].end_frame(&model.cloths[b].bodies, x, v);
         }
     }
 }
@@ -278,6 +330,11 @@ impl<T: Real> Trials<T> {
             slots: &self.slots[n * b..n * (b + 1)],
         }
     }
+}
+
+/// Returns how the bodies of cloth `b` move in the frame.
+fn sweeps<T>(model: &Model, control: &Control<T>, b: usize) -> Vec<Sweep> {
+    (0..model.cloths[b].bodies.len()).map(|k| control.sweep(model, b, k)).collect()
 }
 
 /// Returns the start of the frame for cloth `b` of `n` particles, given the slots and accelerations of all

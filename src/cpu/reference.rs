@@ -123,8 +123,9 @@ impl Reference {
         let (mut inverse, mut iterations, mut rises) = (Inverse::AtRest, 0, 0);
         while norm(&grad) > self.tolerance && iterations < self.iterations {
             if inverse == Inverse::Missing {
-                let repulsion = self.objective.model().cloths[0].repulsion;
-                if self.hessian.factor(&self.objective.trial.cloth(state, 0), repulsion).is_err() {
+                let Trials { model, contacts, .. } = &self.objective.trial;
+                let trial = self.objective.trial.cloth(state, 0);
+                if self.hessian.factor(&trial, model.cloths[0].repulsion, &contacts[0]).is_err() {
                     break;
                 }
                 self.history.clear();
@@ -303,12 +304,13 @@ pub(crate) fn free_fall(model: &Model) -> f64 {
     0.5 * square * ((model.grid.h - 1) * (model.grid.w - 1)) as f64 / model.grid.particles() as f64
 }
 
-/// Begins a frame at the accelerations `a` [3, H, W], with those of handles set to 0.
+/// Begins a frame at the accelerations `a` [3, H, W], with those of handles set to 0, and outside the bodies.
 fn begin(objective: &mut Objective<f64>, state: &State<f64>, control: &Control<f64>, a: &[f64]) {
     objective.begin_frame(state, control);
     objective.set_accelerations(a);
     let Trials { model, a, .. } = &mut objective.trial;
     hold(model, a);
+    objective.move_out_of_bodies(state, control);
 }
 
 /// Returns L where the accelerations lead.

@@ -1,5 +1,6 @@
 //! The solver that computes a frame on the CPU (paper sections 3.2 and 3.3).
 
+use super::cloth::MAX_CONTACTS;
 use super::operator::activations_len;
 use super::optim::{Hidden, Minimizer, Subspace, Update, minimizer, norm};
 use super::reference::Minimum;
@@ -94,6 +95,7 @@ impl<T: Real> Solver<T> {
             Method::Steps(iterations, minimizer) => {
                 minimizer.begin_frame();
                 for _ in 0..*iterations {
+                    objective.move_out_of_bodies(state, control);
                     objective.evaluate(state, control);
                     minimizer.step(&objective.grad, &objective.norms, &mut objective.trial.a);
                     self.log.gradient_norms.extend(&objective.norms);
@@ -104,7 +106,7 @@ impl<T: Real> Solver<T> {
                 subspace.begin_frame(objective, (state, control));
                 for iteration in 0..*iterations {
                     objective.evaluate(state, control);
-                    subspace.step(objective, state, iteration);
+                    subspace.step(objective, (state, control), iteration);
                     self.log.gradient_norms.extend(&objective.norms);
                     if iteration < LEARNED_ITERATIONS {
                         self.log.scales.extend(subspace.scales().iter().map(|s| s.f64()));
@@ -117,15 +119,9 @@ impl<T: Real> Solver<T> {
                 objective.evaluate(state, control);
                 self.log.gradient_norms.extend(&objective.norms);
                 let cloth = objective.cloth_len();
-                let (mut end, still) = (0, vec![0.0; cloth]);
-                let cloths = objective.trial.model.cloths.iter().enumerate();
-                let parts: Vec<_> = cloths
-                    .map(|(b, setting)| {
-                        let begin = end;
-                        end += setting.handles.len();
-                        part(state, control, (b, cloth), begin..end)
-                    })
-                    .collect();
+                let still = vec![0.0; cloth];
+                let model = &objective.trial.model;
+                let parts: Vec<_> = (0..model.batch()).map(|b| part(model, state, control, b)).collect();
                 let each = references.par_iter_mut().zip(&parts);
                 let minima: Vec<Minimum> = each
                     .map(|(reference, (state, control))| reference.minimise(state, control, &still))
@@ -143,7 +139,7 @@ impl<T: Real> Solver<T> {
             }
         }
         objective.move_to_trial(state, control);
-        let stats = self.stats(state);
+        let stats = self.stats(state, control);
         self.objective.end_frame(state, control);
         stats
     }
@@ -227,7 +223,7 @@ impl<T: Real> Solver<T> {
         &self.objective.trial.a
     }
 
-    fn stats(&self, state: &State<T>) -> Vec<FrameStats> {
+    fn stats(&self, state: &State<T>, control: &Control<T>) -> Vec<FrameStats> {
         let batch = self.objective.model().batch();
         let norms = &self.log.gradient_norms;
         let first = match &self.method {
@@ -249,6 +245,7 @@ impl<T: Real> Solver<T> {
                     Method::Subspace(_, subspace) => subspace.step_counts(b),
                     _ => StepCounts::default(),
                 },
+                bodies: self.objective.body_stats(state, control, b),
             }
         };
         (0..batch).map(cloth).collect()
@@ -270,7 +267,9 @@ fn bytes<T: Real>(optimizer: &Optimizer, model: &Model) -> usize {
         Direction::Network(_) => 420,
     };
     let subspace = if optimizer.length == Length::Subspace { 80 } else { 0 };
-    let of_cloth = 270 + subspace + optimizer.directions.iter().map(of_direction).sum::<usize>();
+    let bodies = model.cloths.iter().map(|cloth| cloth.bodies.len().min(MAX_CONTACTS)).max().unwrap_or(0);
+    let of_cloth =
+        270 + 60 * bodies + subspace + optimizer.directions.iter().map(of_direction).sum::<usize>();
     let samples = 3 * model.batch();
     let activations = optimizer
         .weights()
@@ -279,21 +278,25 @@ fn bytes<T: Real>(optimizer: &Optimizer, model: &Model) -> usize {
     cloths / size_of::<f32>() * size_of::<T>() + activations
 }
 
-/// Extracts cloth `b` of a batch, in double precision: its state and control. Each cloth has `len` numbers
-/// per array, and `handles` is the range of its own handles.
+/// Extracts cloth `b` of a batch, in double precision: its state and control.
 fn part<T: Real>(
+    model: &Model,
     state: &State<T>,
     control: &Control<T>,
-    (b, len): (usize, usize),
-    handles: std::ops::Range<usize>,
+    b: usize,
 ) -> (State<f64>, Control<f64>) {
+    let len = 3 * model.grid.particles();
     let wide = |values: &[T]| values[b * len..(b + 1) * len].iter().map(|v| v.f64()).collect();
     let state = State { x: wide(&state.x), v: wide(&state.v) };
     let point = |p: &[T; 3]| p.map(|v| v.f64());
     let control = Control {
-        handles: control.handles[handles].iter().map(point).collect(),
+        handles: control.handles[model.handle_range(b)].iter().map(point).collect(),
         wind: control.wind.get(b).map(point).into_iter().collect(),
         external: if control.external.is_empty() { Vec::new() } else { wide(&control.external) },
+        bodies: match control.bodies.is_empty() {
+            true => Vec::new(),
+            false => control.bodies[model.body_range(b)].to_vec(),
+        },
     };
     (state, control)
 }

@@ -266,7 +266,7 @@ pub fn run(
         if own == grid {
             score.energy = Some(mean(&|s| s.energy.total()));
             let term = |k: usize| mean(&|s| s.energy.to_array()[k]);
-            score.energy_terms = Some(EnergyTerms::from_array([0, 1, 2, 3, 4, 5].map(term)));
+            score.energy_terms = Some(EnergyTerms::from_array(std::array::from_fn(term)));
             let gradients = &simulated.gradients;
             score.gradient = Some(gradients.iter().sum::<f64>() / gradients.len() as f64);
             score.stretch_largest = simulated.verdict.stretch_largest_free;
@@ -371,7 +371,7 @@ pub(super) fn simulate(
     let outcome = simulator.rollout(controls, |frame| {
         let state = &frame.state;
         setup.push(&mut done.trajectory, state);
-        done.stats.push(frame.stats[0]);
+        done.stats.push(frame.stats[0].clone());
         let after = state.cast();
         let control = setup.control::<f32>(frame.index).cast();
         done.gradients.push(objective.gradient_at_end(&before, &after, &control));

@@ -17,6 +17,7 @@ pub const CHANNEL_MULTIPLE: usize = 32;
 
 /// Shader text that holds only functions and constants, appended to the kernels that call them.
 pub(crate) mod common {
+    pub const BODY: &str = include_str!("../../shaders/common/body.wgsl");
     pub const CELL: &str = include_str!("../../shaders/common/cell.wgsl");
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
@@ -32,6 +33,7 @@ pub(crate) mod common {
 /// sum them over a cloth. [`crate::cloth::terms`] defines them.
 pub(crate) mod terms {
     pub const ANGLE: &str = include_str!("../../shaders/terms/angle.wgsl");
+    pub const CONTACT: &str = include_str!("../../shaders/terms/contact.wgsl");
     pub const EDGE: &str = include_str!("../../shaders/terms/edge.wgsl");
     pub const PARTICLE: &str = include_str!("../../shaders/terms/particle.wgsl");
 }
@@ -42,6 +44,7 @@ pub(crate) mod pieces {
     pub const BLOCK_INPUTS: &str = include_str!("../../shaders/pieces/block_inputs.wgsl");
     pub const BLOCK_OUTPUT: &str = include_str!("../../shaders/pieces/block_output.wgsl");
     pub const BUCKET: &str = include_str!("../../shaders/pieces/bucket.wgsl");
+    pub const DISPLACED: &str = include_str!("../../shaders/pieces/displaced.wgsl");
     pub const FEATURES: &str = include_str!("../../shaders/pieces/features.wgsl");
     pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/pieces/lifted_embedding.wgsl");
     pub const LIFTED_FIELDS: &str = include_str!("../../shaders/pieces/lifted_fields.wgsl");

@@ -1,7 +1,8 @@
 //! Animated GIFs.
 
 use super::{
-    Image, View,
+    Bodies, Image, View,
+    body::NONE,
     palette::Palette,
     stage::{Size, Stage},
 };
@@ -19,7 +20,7 @@ use std::{
 
 /// Options of [`write_gif`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GifOptions {
+pub struct GifOptions<'a> {
     /// Width and height \[px\].
     pub size: usize,
     /// Largest number of frames per second [1/s]. Frames are skipped to stay below it, and the animation
@@ -29,11 +30,13 @@ pub struct GifOptions {
     pub most: usize,
     /// The direction of view.
     pub view: View,
+    /// The bodies that the cloth meets, which are drawn with it.
+    pub bodies: &'a Bodies,
 }
 
-impl Default for GifOptions {
+impl Default for GifOptions<'_> {
     fn default() -> Self {
-        Self { size: 320, max_fps: 30.0, most: 1800, view: View::default() }
+        Self { size: 320, max_fps: 30.0, most: 1800, view: View::default(), bodies: &NONE }
     }
 }
 
@@ -53,16 +56,17 @@ pub fn write_gif(
     path: impl AsRef<Path>,
     trajectory: &Trajectory,
     handles: &[usize],
-    options: &GifOptions,
+    options: &GifOptions<'_>,
 ) -> Result<()> {
     assert!((1..=4096).contains(&options.size), "an animation is 1 to 4096 pixels wide");
     assert!(options.max_fps > 0.0 && options.most > 0, "an animation has frames");
-    let stage = Stage::new(trajectory, handles, &options.view, Size::Fixed(options.size, options.size), 2);
+    let (marked, size) = ((handles, options.bodies), Size::Fixed(options.size, options.size));
+    let stage = Stage::new(trajectory, marked, &options.view, size, 2);
     // A rate slightly above the limit, such as that of a frame time of 0.0333 s, counts as the limit.
     let every = (trajectory.fps() / options.max_fps - 0.05).ceil().max(1.0) as usize;
     let every = every.max(trajectory.frames().div_ceil(options.most));
     let shown: Vec<usize> = (0..trajectory.frames()).step_by(every).collect();
-    let draw = |&frame: &usize| stage.draw(trajectory.frame(frame));
+    let draw = |&frame: &usize| stage.draw(frame, trajectory.frame(frame));
     let swatches: Vec<Image> = match shown.len().div_ceil(SWATCHES) {
         0 => vec![stage.draw_empty()],
         step => shown.par_iter().step_by(step).map(draw).collect(),

@@ -1,6 +1,6 @@
 //! The camera: where a picture is taken from.
 
-use glam::{Mat3, Vec3, vec3};
+use glam::{DVec3, Mat3, Vec2, Vec3, vec3};
 
 /// The direction from which a trajectory is seen.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,6 +58,16 @@ impl Unit {
         Self { centre: (low + high) / 2.0, size: if size > 0.0 { size } else { 1.0 } }
     }
 
+    /// Returns the largest extent of the first frame \[m\].
+    pub fn size(&self) -> f64 {
+        f64::from(self.size)
+    }
+
+    /// Converts a position \[m\].
+    pub fn place(&self, p: DVec3) -> DVec3 {
+        (p - self.centre.as_dvec3()) / self.size()
+    }
+
     /// Converts positions \[m\].
     pub fn of(&self, positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
         positions.iter().map(|&p| ((Vec3::from(p) - self.centre) / self.size).to_array()).collect()
@@ -87,7 +97,7 @@ pub(super) fn range(values: impl Iterator<Item = f32>) -> (f32, f32) {
 }
 
 /// A perspective camera. Its axes are x right, y up, z towards the eye.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Camera {
     /// Rotation from the world to the camera's axes.
     pub rotation: Mat3,
@@ -100,6 +110,16 @@ pub(super) struct Camera {
 }
 
 impl Camera {
+    /// Position of the eye along the camera's axes.
+    pub fn eye(&self) -> Vec3 {
+        self.eye
+    }
+
+    /// Returns the direction from the eye to a place in the picture \[px\], along the camera's axes, of any length.
+    pub fn ray(&self, place: Vec2) -> Vec3 {
+        vec3(place.x - self.centre[0], self.centre[1] - place.y, -self.focal)
+    }
+
     /// Returns the picture coordinates of a point \[px\], y down, and its distance in front of the eye; NaN if
     /// it is not in front.
     pub fn project(&self, p: Vec3) -> Vec3 {

@@ -1,7 +1,9 @@
 //! Frames of several systems next to the truth, coloured by their distance from it.
 
 use super::{
-    Image, View, shade,
+    Image, View,
+    body::NONE,
+    shade,
     stage::{Size, Stage},
     text,
 };
@@ -49,7 +51,7 @@ pub fn error_maps(
 
     // All share one camera, whatever their grids.
     let others: Vec<&Trajectory> = maps.iter().map(|map| &map.frames).collect();
-    let stage = Stage::with(truth, &others, handles, view, (Size::Height(HEIGHT), 3));
+    let stage = Stage::with(truth, &others, (handles, &NONE), view, (Size::Height(HEIGHT), 3));
     let [width, _] = stage.size;
     let caption = |image: &mut Image, line: &str, [x, y]: [f32; 2]| {
         // Shrink captions that are too wide for the panel.
@@ -58,7 +60,7 @@ pub fn error_maps(
     };
     let bottom = [LEFT as f32, HEIGHT as f32 - 24.0];
     let truths = (0..truth.frames()).into_par_iter().map(|frame| {
-        let mut image = stage.draw(truth.frame(frame));
+        let mut image = stage.draw(frame, truth.frame(frame));
         let name = if frame == 0 { "truth, " } else { "" };
         caption(&mut image, &format!("{name}{:.2} s", times[frame]), bottom);
         if frame == 0 {
@@ -72,7 +74,7 @@ pub fn error_maps(
         let own = stage.on(map.frames.grid());
         let draw = |frame: usize| {
             let heat: Vec<f32> = map.errors[frame].iter().map(|error| error / largest).collect();
-            let mut image = own.draw_heat(map.frames.frame(frame), &heat);
+            let mut image = own.draw_heat(frame, map.frames.frame(frame), &heat);
             let mean = map.errors[frame].iter().map(|&e| f64::from(e)).sum::<f64>() / heat.len() as f64;
             let name = if frame == 0 { format!("{}: ", map.label) } else { String::new() };
             caption(&mut image, &format!("{name}mean {mean:.3} m"), bottom);

@@ -33,7 +33,7 @@ pub(super) struct Look<'a> {
 
 impl<'a> Look<'a> {
     pub fn new(
-        stage: &'a Stage,
+        stage: &'a Stage<'_>,
         (positions, heat): (&[[f32; 3]], &'a [f32]),
         projected: Vec<Vec3>,
         radius: f32,
@@ -77,11 +77,9 @@ impl<'a> Look<'a> {
             field += weight * vec2((v % self.grid.w) as f32, (v / self.grid.w) as f32);
         }
         let side = if front { 1.0 } else { -1.0 };
-        let [cx, cy] = self.camera.centre;
-        let ray = vec3(cx - place.x, place.y - cy, self.camera.focal);
         self.lights.cloth(&Sample {
             normal: (side * normal).normalize_or(Vec3::Z),
-            eye: ray.normalize(),
+            eye: -self.camera.ray(place).normalize(),
             valley: side * valley,
             field: field * self.fields,
             front,

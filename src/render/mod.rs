@@ -2,10 +2,11 @@
 //!
 //! [`strip()`] draws frames side by side, and [`write_gif`] an animation. Both show the whole trajectory from
 //! one fixed [`View`]. The cloth is petrol blue in front and sand at the back, handles are orange spheres,
-//! and a soft shadow lies on the floor. Vertices that are not finite are left out, along with their
-//! triangles. [`charts`] draws curves.
+//! [`Bodies`] are grey, and a soft shadow lies on the floor. Vertices that are not finite are left out, along with
+//! their triangles. [`charts`] draws curves.
 
 mod animation;
+mod body;
 mod camera;
 mod chart;
 mod error_map;
@@ -21,6 +22,7 @@ mod surface;
 mod text;
 
 pub use animation::{GifOptions, write_gif};
+pub use body::Bodies;
 pub use camera::View;
 pub use chart::{Chart, Curve, Line, Scale, charts};
 pub use error_map::{ErrorMap, error_maps};

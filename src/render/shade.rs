@@ -1,5 +1,6 @@
 //! Colours and light. Colours are linear until [`to_srgb`].
 
+use super::body::Spot;
 use glam::{Vec2, Vec3, vec2, vec3};
 use std::sync::LazyLock;
 
@@ -9,6 +10,12 @@ const FRONT: Vec3 = vec3(0.065, 0.32, 0.48);
 const BACK: Vec3 = vec3(0.66, 0.47, 0.25);
 /// Handles: orange.
 pub(super) const HANDLE: Vec3 = vec3(0.95, 0.16, 0.02);
+/// Bodies: grey.
+const BODY: Vec3 = vec3(0.37, 0.365, 0.355);
+/// Planes: grey, near the background.
+const PLANE: Vec3 = vec3(0.47, 0.465, 0.455);
+/// Half the width of the lines on a plane \[fields\], and their tone.
+const LINE: (f32, f32) = (0.014, 0.88);
 /// Background at the top and at the bottom.
 const BACKGROUND: [Vec3; 2] = [vec3(0.86, 0.88, 0.90), vec3(0.60, 0.61, 0.62)];
 /// Number of checker fields along the longer side of the cloth.
@@ -71,6 +78,19 @@ impl Lights {
         albedo * light * (0.35 + 0.65 * open) + vec3(0.9, 0.95, 1.0) * (0.16 * rim + 0.045 * shine)
     }
 
+    /// Returns the light from a body, which is matte.
+    pub fn body(&self, spot: &Spot) -> Vec3 {
+        let n = spot.normal;
+        let key = (0.5 + 0.5 * n.dot(self.key)).powi(2);
+        let fill = n.dot(self.fill).max(0.0);
+        let sky = 0.5 + 0.5 * n.dot(self.up);
+        let light = vec3(1.0, 0.97, 0.93) * (1.05 * key)
+            + vec3(0.75, 0.85, 1.0) * (0.10 * fill)
+            + vec3(0.86, 0.91, 1.0) * (0.12 + 0.22 * sky);
+        let albedo = if spot.is_plane { PLANE * lines(spot.field) } else { BODY };
+        albedo * light
+    }
+
     /// Returns the light from a marker with the normal `n` along the camera's axes.
     pub fn marker(&self, n: Vec3) -> Vec3 {
         let key = (0.5 + 0.5 * n.dot(self.key)).powi(2);
@@ -95,6 +115,12 @@ fn checker(field: Vec2) -> f32 {
     let tone = if (column + row).is_multiple_of(2) { 1.05 } else { 0.95 };
     let edge = (field - vec2(column as f32, row as f32) - 0.5).abs().max_element();
     if edge > 0.46 { tone * 0.86 } else { tone }
+}
+
+/// Returns the tone of a plane with lines between its fields.
+fn lines(field: Vec2) -> f32 {
+    let apart = (field - field.round()).abs().min_element();
+    if apart < LINE.0 { LINE.1 } else { 1.0 }
 }
 
 /// Returns the number of checker fields per edge for a cloth of `cells` by `cells` edges.

@@ -1,7 +1,7 @@
 //! The soft shadow on the floor.
 
 use super::surface::{DepthBuffer, NOTHING};
-use glam::Vec3;
+use glam::{Vec2, Vec3, vec2};
 
 /// Pixels of the picture per pixel of the shadow along each axis: a blurred shadow needs no higher
 /// resolution.
@@ -15,14 +15,20 @@ pub(super) struct Shadow {
 }
 
 impl Shadow {
-    /// Computes the shadow of `triangles`, which are given on the floor, as it appears in the picture, in units
-    /// of [`PIXELS`] pixels.
-    pub fn new(size: [usize; 2], triangles: impl Iterator<Item = [Vec3; 3]>) -> Self {
+    /// Computes the shadow of `triangles`, which are given on the floor, as it appears in the picture, and of whatever
+    /// else makes a place of the picture dark; all in units of [`PIXELS`] pixels.
+    pub fn new(
+        size: [usize; 2],
+        triangles: impl Iterator<Item = [Vec3; 3]>,
+        is_dark: impl Fn(Vec2) -> bool,
+    ) -> Self {
         let [width, height] = size.map(|n| n.div_ceil(PIXELS));
         let mut mask = DepthBuffer::new(width, height);
         triangles.for_each(|corners| mask.triangle(0, corners));
+        let place = |k: usize| vec2((k % width) as f32 + 0.5, (k / width) as f32 + 0.5);
+        let is_light = |(k, &seen): (usize, &u32)| seen == NOTHING && !is_dark(place(k));
         let mut dark: Vec<f32> =
-            mask.seen.iter().map(|&seen| if seen == NOTHING { 0.0 } else { 1.0 }).collect();
+            mask.seen.iter().enumerate().map(|of| if is_light(of) { 0.0 } else { 1.0 }).collect();
         // Three running means approximate a smooth bell, flatter vertically because the floor is seen at a
         // low angle.
         for _ in 0..3 {
@@ -53,12 +59,14 @@ impl Shadow {
     }
 }
 
-/// Returns the mean over `2 radius + 1` neighbours, with zeros outside.
+/// Returns the mean over `2 radius + 1` neighbours, where the values at the ends go on outside: a shadow may leave the
+/// picture.
 fn running_mean(values: &[f32], radius: usize) -> Vec<f32> {
-    let at = |k: Option<usize>| k.and_then(|k| values.get(k)).copied().unwrap_or(0.0);
-    let mut sum: f32 = values.iter().take(radius).sum();
+    // Neighbour 0 is `radius + 1` before the first value.
+    let at = |k: usize| values[k.saturating_sub(radius + 1).min(values.len() - 1)];
+    let mut sum: f32 = (0..2 * radius + 1).map(at).sum();
     let mut mean = |k: usize| {
-        sum += at(k.checked_add(radius)) - at(k.checked_sub(radius + 1));
+        sum += at(k + 2 * radius + 1) - at(k);
         // Rounding must not leave a faint trace beyond the shadow.
         if sum < 1e-4 { 0.0 } else { sum / (2 * radius + 1) as f32 }
     };
@@ -77,5 +85,13 @@ mod tests {
         assert!((mean.iter().sum::<f32>() - 6.0).abs() < 1e-5);
         assert!(mean[7] == 0.0 && mean[13] == 0.0);
         assert!((8..=12).all(|k| (mean[k] - 1.2).abs() < 1e-6));
+    }
+
+    #[test]
+    fn a_running_mean_does_not_fade_at_the_ends() {
+        let mean = running_mean(&[1.0, 1.0, 1.0, 0.0, 0.0, 0.0], 1);
+        let expected = [1.0, 1.0, 2.0 / 3.0, 1.0 / 3.0, 0.0, 0.0];
+        assert!(mean.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{mean:?}");
+        assert!(running_mean(&[0.5], 3).iter().all(|a| (a - 0.5).abs() < 1e-6));
     }
 }

@@ -1,7 +1,8 @@
 //! Frames side by side.
 
 use super::{
-    Image, View,
+    Bodies, Image, View,
+    body::NONE,
     stage::{Size, Stage},
     text,
 };
@@ -10,27 +11,30 @@ use rayon::prelude::*;
 
 /// Options of [`strip()`].
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct StripOptions {
+pub struct StripOptions<'a> {
     /// Number of frames; fewer if the trajectory has fewer.
     pub panels: usize,
     /// Height \[px\]; the width of a panel follows from the shape of the trajectory.
     pub height: usize,
     /// The direction of view.
     pub view: View,
+    /// The bodies that the cloth meets, which are drawn with it.
+    pub bodies: &'a Bodies,
 }
 
-impl Default for StripOptions {
+impl Default for StripOptions<'_> {
     fn default() -> Self {
-        Self { panels: 8, height: 420, view: View::default() }
+        Self { panels: 8, height: 420, view: View::default(), bodies: &NONE }
     }
 }
 
 /// Draws frames, evenly spread over the trajectory from the first to the last, side by side with their times
 /// in seconds. `handles` are the vertices to mark. An empty trajectory gives an empty panel. Panics if
 /// `panels` or `height` is 0, a handle is not a vertex, or the upward direction is 0.
-pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions) -> Image {
+pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions<'_>) -> Image {
     assert!(options.panels > 0 && options.height > 0, "a strip has panels and a height");
-    let stage = Stage::new(trajectory, handles, &options.view, Size::Height(options.height), 3);
+    let marked = (handles, options.bodies);
+    let stage = Stage::new(trajectory, marked, &options.view, Size::Height(options.height), 3);
     let count = options.panels.min(trajectory.frames()).max(1);
     // As many decimals as it takes to tell the panels apart.
     let step = trajectory.frames() as f64 / trajectory.fps() / count as f64;
@@ -42,7 +46,7 @@ pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions)
             return stage.draw_empty();
         }
         let positions = trajectory.frame(frame);
-        let mut image = stage.draw(positions);
+        let mut image = stage.draw(frame, positions);
         // Still legible where a strip is shown at half its size.
         let height = (options.height as f32 / 14.0).max(12.0);
         let diverged = if stage.is_whole(positions) { "" } else { ", diverged" };

@@ -1,6 +1,6 @@
 //! Visibility: the nearest triangle or marker at each sample of a picture.
 
-use glam::{Vec3, vec3};
+use glam::{Vec2, Vec3, vec2, vec3};
 
 /// A depth buffer: for each sample, the number of the nearest object, or [`NOTHING`].
 pub(super) struct DepthBuffer {
@@ -74,6 +74,18 @@ impl DepthBuffer {
                 let (u, v, w) = (area(b, c, px, py), area(c, a, px, py), area(a, b, px, py));
                 if (sign * u).min(sign * v).min(sign * w) >= 0.0 {
                     self.put(x, y, object, u * near_a + v * near_b + w * near_c);
+                }
+            }
+        }
+    }
+
+    /// Draws what lies within a rectangle of the picture, given by two corners. `distance` returns how far away it is at
+    /// a point.
+    pub fn solid(&mut self, object: u32, [low, high]: [Vec2; 2], distance: impl Fn(Vec2) -> Option<f32>) {
+        for y in Self::span(low.y, high.y, self.height) {
+            for x in Self::span(low.x, high.x, self.width) {
+                if let Some(distance) = distance(vec2(x as f32 + 0.5, y as f32 + 0.5)) {
+                    self.put(x, y, object, 1.0 / distance);
                 }
             }
         }

@@ -33,7 +33,12 @@ static DRAPES: Mutex<Vec<Drape>> = Mutex::new(Vec::new());
 /// grids finer than 128x128, or where memory runs out, the drape of a coarser one is resampled. `origin` names
 /// the scene in warnings.
 pub(super) fn settled(grid: Grid, units: &Units, cloth: &Cloth, origin: &str) -> Result<Arc<Vec<[f64; 3]>>> {
-    let cloth = Cloth { air: Air::default(), handles: Placement::Corners.particles(grid), ..cloth.clone() };
+    let cloth = Cloth {
+        air: Air::default(),
+        handles: Placement::Corners.particles(grid),
+        bodies: Vec::new(),
+        ..cloth.clone()
+    };
     // Not held while the drape is computed: the threads that compute it may be in need of another.
     let drapes = || DRAPES.lock().unwrap_or_else(PoisonError::into_inner);
     let known = drapes()
@@ -103,6 +108,7 @@ fn at_rest(sheet: &Sheet, (grid, units): (Grid, &Units), cloth: &Cloth, finer: f
         }),
         air: Air::default(),
         handles: Placement::Corners.particles(sheet.grid),
+        bodies: Vec::new(),
     };
     let x: Vec<f64> = (0..3).flat_map(|c| sheet.points.iter().map(move |p| p[c] / finer)).collect();
     equilibrium(&Model { grid: sheet.grid, cloths: vec![own_cloth] }, &x)

@@ -2,8 +2,8 @@
 
 use super::start::read_transform;
 use super::{
-    Handles, Mass, Moduli, Motion, Placement, RepulsionSettings, Scene, Side, Start, StartFile, Stiffness,
-    UpAxis, Wind, authors,
+    BodyMotion, BodySettings, Handles, Mass, Moduli, Motion, Placement, RepulsionSettings, Scene, Side,
+    Start, StartFile, Stiffness, UpAxis, Wind, authors,
 };
 use crate::cloth::{Grid, Material};
 use crate::io::Node;
@@ -13,7 +13,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The fields of a scene file.
-pub(super) const FIELDS: [&str; 15] = [
+pub(super) const FIELDS: [&str; 18] = [
     "grid",
     "side_m",
     "mass_kg",
@@ -22,6 +22,9 @@ pub(super) const FIELDS: [&str; 15] = [
     "gravity",
     "wind",
     "repulsion",
+    "bodies",
+    "friction",
+    "thickness_m",
     "frame_time_s",
     "frames",
     "start",
@@ -76,6 +79,9 @@ impl Scene {
             "gravity": self.gravity,
             "wind": self.wind,
             "repulsion": self.repulsion.map_or(json!(false), |settings| json!(settings)),
+            "bodies": self.bodies.iter().map(BodySettings::to_json).collect::<Vec<_>>(),
+            "friction": self.friction,
+            "thickness_m": self.thickness_m,
             "frame_time_s": self.frame_time_s,
             "frames": self.frames,
             "start": match &self.start {
@@ -120,25 +126,31 @@ impl Scene {
         if let Motion::File(path) = &mut scene.motion {
             absolute(path)?;
         }
+        for body in &mut scene.bodies {
+            if let BodyMotion::File(path) = &mut body.motion {
+                absolute(path)?;
+            }
+        }
         io::replace(path, |w| writeln!(w, "{:#}", scene.to_json()))
     }
 }
 
 /// Fields that other simulators have, and what to do here.
-const ABSENT: [(&str, &str); 31] = [
+const ABSENT: [(&str, &str); 29] = [
     ("damping", "there is none; the air slows the cloth (\"wind\": {\"density\", \"drag\"})"),
     ("drag", "it is a field of \"wind\""),
-    ("colliders", NO_BODIES),
-    ("collider", NO_BODIES),
-    ("collisions", NO_BODIES),
-    ("collision", NO_BODIES),
-    ("obstacles", NO_BODIES),
-    ("bodies", NO_BODIES),
-    ("ground", NO_BODIES),
-    ("floor", NO_BODIES),
-    ("friction", NO_BODIES),
+    ("colliders", BODIES),
+    ("collider", BODIES),
+    ("collisions", BODIES),
+    ("collision", BODIES),
+    ("obstacles", BODIES),
+    ("ground", A_PLANE),
+    ("floor", A_PLANE),
     ("self_collision", "\"repulsion\": true keeps the layers of the cloth apart"),
-    ("thickness", "\"repulsion\": {\"distance\"} keeps the layers of the cloth apart, in edges"),
+    (
+        "thickness",
+        "\"thickness_m\" is the distance from bodies, and \"repulsion\": {\"distance\"} that of layers, in edges",
+    ),
     ("pressure", "there is none; a uniform acceleration is \"gravity\", and a wind is \"wind\""),
     ("substeps", "a frame is one step; \"frame_time_s\" makes it shorter"),
     ("fps", "\"frame_time_s\" is its reciprocal"),
@@ -158,7 +170,9 @@ const ABSENT: [(&str, &str); 31] = [
     ("solver", "it is an option of the command, --solver"),
     ("iterations", "it is an option of the command, --iterations"),
 ];
-const NO_BODIES: &str = "the cloth meets nothing but itself yet (\"repulsion\": true)";
+const BODIES: &str =
+    "they are called \"bodies\": [{\"shape\": \"sphere\", \"radius_m\": 0.2, \"position_m\": [0, 0, 0]}]";
+const A_PLANE: &str = "it is one of \"bodies\": [{\"shape\": \"plane\", \"position_m\": [0, 0, 0]}]";
 
 /// Reads our own format; see the documentation of [`super`].
 fn read(node: &Node, folder: &Path) -> Result<Scene> {
@@ -174,6 +188,11 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         gravity: node.get_or("gravity", up.down(super::GRAVITY_M_S2), |n| read_gravity(n, up))?,
         wind: node.get_or("wind", fallback.wind, read_wind)?,
         repulsion: node.get_or("repulsion", fallback.repulsion, read_repulsion)?,
+        bodies: node.get_or("bodies", Vec::new(), |n| {
+            n.items()?.iter().map(|body| BodySettings::read(body, up, folder)).collect()
+        })?,
+        friction: node.get_or("friction", fallback.friction, Node::number)?,
+        thickness_m: node.get_or("thickness_m", None, |n| n.number().map(Some))?,
         frame_time_s: node.get_or("frame_time_s", fallback.frame_time_s, Node::number)?,
         frames: node.get_or("frames", None, read_frames)?,
         start: node.get_or("start", fallback.start, |n| read_start(n, folder))?,

@@ -35,6 +35,9 @@
 //! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
 //! | `repulsion` | repulsion between the layers of the cloth: `{"strength", "distance"}`, each 1 if left out; `true` for both defaults; or `false` for none | m^2/s^2, edges | `false` |
+//! | `bodies` | bodies that the cloth meets, `[{"shape", ..}, ..]`, see below; 32 at most | | `[]` |
+//! | `friction` | the cloth's coefficient of friction; between cloth and body the smaller of both counts | | `1` |
+//! | `thickness_m` | distance that the cloth's particles keep from bodies, 0.001 to 10 edges | m | 0.16 edges, and on a ball or capsule of radius R at least `edge^2 / (8 R)` |
 //! | `frame_time_s` | duration of a frame | s | `1/60` |
 //! | `frames` | number of frames, including the start | | the length of the motion; 391 without a motion |
 //! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj`, `.npy` or `.npz`, `{"file", "grid", "transform"}`, or the positions themselves, `{"vertices": [[x, y, z], ..], "grid"}` | m | `"settled"` |
@@ -54,6 +57,15 @@
 //! particles, not triangles: at a distance below 1, layers slip through the gaps between particles. It also
 //! reaches no further than one edge: layers that approach each other by about two edges per frame or more
 //! pass through each other undetected.
+//!
+//! **Bodies.** A body has a `shape`: `plane` (everything below it, with a `normal`), `sphere` (`radius_m`), `capsule`
+//! (`radius_m`, `length_m` between the centres of its ends, `axis`) or `box` (`sides_m`). It is at `position_m`, rotated by
+//! `rotation`, `[degrees, x, y, z]`; in place of a rotation, `normal` and `axis` tell where its up axis points. It has a
+//! coefficient of `friction` (0.3 if left out), and a `thickness_m` (0) that is added to the cloth's. `motion` moves it:
+//! keys `[{"time_s", "position_m", "rotation"}, ..]`, straight and evenly from one to the next, or the path of a `.npy` with
+//! a row for each frame, [frames, 3] for positions or [frames, 7] for positions and quaternions (x, y, z, w). Bodies may
+//! be fast: a particle meets what is on its way. They move the cloth and are not moved by it. Particles of the
+//! start that are inside a body are moved out.
 //!
 //! **Start.** The start states:
 //!
@@ -94,6 +106,18 @@
 //! a built-in motion, by linear interpolation between rows for a recorded one. Past its end, a motion keeps
 //! its last position.
 //!
+//! # Scenes by name
+//!
+//! Some scenes come with the library. [`Scene::named`] returns one, and [`named_scenes`] lists them all with their scene
+//! files, which are a start for files of one's own. On the command line, `fnopt rollout sphere` runs one, `fnopt scenes`
+//! lists them and `fnopt scenes sphere` prints a file.
+//!
+//! ```
+//! let scene = fnopt::scene::Scene::named("sphere")?;
+//! assert_eq!(scene.bodies.len(), 2);
+//! # Ok::<(), fnopt::Error>(())
+//! ```
+//!
 //! # The authors' scene files
 //!
 //! A document with a field `mesh_..` or `handle_ind_list` is read as a scene of the authors of the method: z
@@ -113,10 +137,12 @@
 //! above is an error.
 
 mod authors;
+mod bodies;
 mod drape;
 pub(crate) mod file;
 mod handles;
 mod motion;
+mod named;
 mod obj;
 mod points;
 mod setup;
@@ -124,8 +150,10 @@ mod start;
 mod surface;
 mod units;
 
+pub use bodies::{BodyMotion, BodyPose, BodySettings, BodyShape};
 pub use handles::{Handles, Placement};
 pub use motion::{BuiltIn, Motion};
+pub use named::{NamedScene, named_scenes};
 pub use setup::{Batch, MAX_FRAMES, Setup};
 pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};
@@ -289,6 +317,12 @@ pub struct Scene {
     pub wind: Wind,
     /// Repulsion between the layers of the cloth; `None` for a cloth that passes through itself.
     pub repulsion: Option<RepulsionSettings>,
+    /// Bodies that the cloth meets.
+    pub bodies: Vec<BodySettings>,
+    /// Distance that the cloth keeps from bodies \[m\], to which theirs is added; `None` for 0.16 edges.
+    pub thickness_m: Option<f64>,
+    /// The cloth's coefficient of friction; between cloth and body the smaller of both counts.
+    pub friction: f64,
     /// Duration of a frame \[s\].
     pub frame_time_s: f64,
     /// Number of frames, including the start; `None` for the length of the motion.
@@ -320,6 +354,9 @@ impl Default for Scene {
             gravity: up.down(GRAVITY_M_S2),
             wind: Wind::default(),
             repulsion: None,
+            bodies: Vec::new(),
+            thickness_m: None,
+            friction: 1.0,
             frame_time_s: 1.0 / 60.0,
             frames: None,
             start: Start::default(),
@@ -348,7 +385,11 @@ impl Scene {
             Motion::File(path) => Some(&**path),
             _ => None,
         };
-        start.into_iter().chain(motion)
+        let poses = self.bodies.iter().filter_map(|body| match &body.motion {
+            BodyMotion::File(path) => Some(&**path),
+            _ => None,
+        });
+        start.into_iter().chain(motion).chain(poses)
     }
 
     /// Checks everything that can be checked without reading a file, and returns the units that follow from
@@ -389,6 +430,8 @@ impl Scene {
         self.check_stiffness()?;
         self.not_negative("wind.density", self.wind.density)?;
         self.not_negative("wind.drag", self.wind.drag)?;
+        self.not_negative("friction", self.friction)?;
+        self.thickness_m.map_or(Ok(0.0), |thickness| self.positive("thickness_m", thickness))?;
         for (field, vector) in [("gravity", self.gravity), ("wind.velocity", self.wind.velocity)] {
             if vector.iter().any(|c| !c.is_finite()) {
                 return Err(Error::invalid(&self.origin, field, "finite numbers", format!("{vector:?}")));

@@ -4,9 +4,10 @@ use super::motion::Recording;
 use super::points::{norm, zip};
 use super::surface::Sheet;
 use super::{Handles, Motion, Scene, Units, UpAxis};
-use crate::cloth::{Cloth, Control, Grid, Material, Model, State, VertexView, cast};
+use crate::cloth::{Cloth, Control, Grid, Material, Model, Pose, State, Sweep, VertexView, cast};
 use crate::io::Trajectory;
 use crate::{Error, Result, memory};
+use glam::DVec3;
 use num_traits::Float;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
@@ -47,6 +48,9 @@ pub struct Setup {
     pub start: State<f64>,
     /// Handle positions \[edges\] for each frame, including the start, shape `[frames][handles]`.
     pub handles: Vec<Vec<[f64; 3]>>,
+    /// Poses of each body in each frame, including the start: a single one if it does not move; past the last one it
+    /// stays there. Shape `[bodies][frames]`.
+    pub poses: Vec<Vec<Pose>>,
     /// Wind velocity [edges / frame].
     pub wind: [f64; 3],
     /// Size of the grid units in SI units.
@@ -65,6 +69,8 @@ pub struct Batch {
     /// Handle positions \[edges\] for each frame: all handles of cloth 0, then of cloth 1, and so on. There
     /// are as many frames as the longest cloth has; the others' handles keep their last positions.
     pub handles: Vec<Vec<[f64; 3]>>,
+    /// Poses of the bodies of all cloths, as in [`Setup::poses`]: all bodies of cloth 0, then of cloth 1, and so on.
+    pub poses: Vec<Vec<Pose>>,
     /// Wind velocity of each cloth [edges / frame], shape `[B]`.
     pub wind: Vec<[f64; 3]>,
     /// Units of each cloth, shape `[B]`.
@@ -97,13 +103,26 @@ fn view_m(units: &Units, up: UpAxis) -> VertexView {
     VertexView { transform, ..Default::default() }
 }
 
-/// Returns the control of a frame; past the end, the handles keep their last positions.
-fn control<T: Float>(handles: &[Vec<[f64; 3]>], wind: &[[f64; 3]], frame: usize) -> Control<T> {
+/// Returns the control of a frame; past the end, the handles keep their last positions, and bodies their last poses.
+fn control<T: Float>(
+    handles: &[Vec<[f64; 3]>],
+    poses: &[Vec<Pose>],
+    wind: &[[f64; 3]],
+    frame: usize,
+) -> Control<T> {
+    let pose = |poses: &[Pose], frame: usize| poses[frame.min(poses.len() - 1)];
     let row = handles.get(frame).or(handles.last()).map_or(&[][..], Vec::as_slice);
     Control {
         handles: row.iter().map(|p| p.map(cast)).collect(),
         wind: wind.iter().map(|w| w.map(cast)).collect(),
         external: Vec::new(),
+        bodies: match poses.iter().all(|poses| poses.len() == 1) {
+            true => Vec::new(),
+            false => poses
+                .iter()
+                .map(|poses| Sweep { from: pose(poses, frame.saturating_sub(1)), to: pose(poses, frame) })
+                .collect(),
+        },
     }
 }
 
@@ -116,7 +135,7 @@ impl Setup {
     /// Returns the control of the step that ends at `frame`, where the start is frame 0. Past the end, the
     /// handles keep their last positions.
     pub fn control<T: Float>(&self, frame: usize) -> Control<T> {
-        control(&self.handles, &[self.wind], frame)
+        control(&self.handles, &self.poses, &[self.wind], frame)
     }
 
     /// Converts a position \[m\] in the scene's axes to a handle position of a [`Control`]: in edges, z up.
@@ -231,6 +250,7 @@ impl Setup {
                 v: setups.iter().flat_map(|s| s.start.v.iter().copied()).collect(),
             },
             handles: (0..frames).map(row).collect(),
+            poses: setups.iter().flat_map(|s| s.poses.clone()).collect(),
             wind: setups.iter().map(|s| s.wind).collect(),
             units: setups.iter().map(|s| s.units).collect(),
             up: setups.iter().map(|s| s.up).collect(),
@@ -247,7 +267,7 @@ impl Batch {
     /// Returns the control of the step that ends at `frame`, where the start is frame 0. Past the end, the
     /// handles keep their last positions.
     pub fn control<T: Float>(&self, frame: usize) -> Control<T> {
-        control(&self.handles, &self.wind, frame)
+        control(&self.handles, &self.poses, &self.wind, frame)
     }
 
     /// As [`Setup::handle_at`], for cloth `b`. Panics if there is no such cloth, as the functions below do.
@@ -298,17 +318,18 @@ impl Scene {
         let units = self.check()?;
         let grid = self.grid;
         memory::check(grid.particles().saturating_mul(BYTES_PER_PARTICLE), &format!("a scene of {grid}"))?;
-        let cloth = Cloth {
+        let mut cloth = Cloth {
             material: self.stiffness.in_grid_units(&units, grid),
             gravity: units.acceleration(self.up.to_z_up(self.gravity)),
             air: units.air(self.wind.density, self.wind.drag),
             repulsion: self.repulsion.map(|settings| units.repulsion(settings)),
             handles: self.handles.on(grid, &self.origin)?,
+            bodies: Vec::new(),
         };
         let wind = units.velocity(self.up.to_z_up(self.wind.velocity));
         self.check_units(&units, &cloth, wind)?;
         let [mut points, velocities] = self.start.on(&cloth, &units, (grid, self.up), &self.origin)?;
-        let particles = &cloth.handles;
+        let particles = cloth.handles.clone();
         let at_start: Vec<[f64; 3]> = particles.iter().map(|&p| points[p]).collect();
         let handles = self.trajectory(&units, &at_start)?;
         self.warn_if_size_differs(&points);
@@ -326,10 +347,22 @@ impl Scene {
             ));
         }
         particles.iter().zip(&handles[0]).for_each(|(&p, &at)| points[p] = at);
+        let mut poses = Vec::new();
+        for (k, settings) in self.bodies.iter().enumerate() {
+            let field = format!("bodies[{k}]");
+            let of_scene = (&units, self.up, handles.len());
+            let of_cloth = (self.thickness_m, self.friction);
+            let (body, path) = settings.setup(of_scene, of_cloth, (&self.origin, &field))?;
+            cloth.bodies.push(body);
+            poses.push(path);
+        }
+        self.move_out_of_bodies(&cloth, &mut points);
+        self.warn_of_jumps(&cloth, &poses);
         let setup = Setup {
             start: State { x: field(&points), v: field(&velocities) },
             model: Model { grid, cloths: vec![cloth] },
             handles,
+            poses,
             wind,
             units,
             up: self.up,
@@ -345,6 +378,54 @@ impl Scene {
             ));
         }
         Ok(setup)
+    }
+
+    /// Moves free particles that are inside a body, or nearer than its thickness, out of it, and warns if any were inside.
+    fn move_out_of_bodies(&self, cloth: &Cloth, points: &mut [[f64; 3]]) {
+        let handles: BTreeSet<usize> = cloth.handles.iter().copied().collect();
+        for (k, body) in cloth.bodies.iter().enumerate() {
+            let (mut inside, mut held) = (0, 0);
+            for (p, point) in points.iter_mut().enumerate() {
+                let own = body.pose.inward((*point).into());
+                let surface = body.shape.distance(own);
+                let is_inside = surface.distance < 0.0;
+                if handles.contains(&p) {
+                    held += usize::from(is_inside);
+                } else if surface.distance < body.thickness {
+                    inside += usize::from(is_inside);
+                    let out = body.pose.turned(surface.normal) * (body.thickness - surface.distance);
+                    *point = (DVec3::from(*point) + out).to_array();
+                }
+            }
+            let (origin, shape) = (&self.origin, body.shape.name());
+            if inside > 0 {
+                warn_once(format!(
+                    "{origin}: bodies[{k}]: {inside} particles of the start were inside the {shape}; they were moved out"
+                ));
+            }
+            if held > 0 {
+                warn_once(format!(
+                    "{origin}: bodies[{k}]: {held} handles begin inside the {shape}; handles go where they are told"
+                ));
+            }
+        }
+    }
+
+    /// Warns of bodies that jump by more than their size from one frame to the next.
+    fn warn_of_jumps(&self, cloth: &Cloth, poses: &[Vec<Pose>]) {
+        for (k, (body, poses)) in cloth.bodies.iter().zip(poses).enumerate() {
+            let far = |pair: &[Pose]| {
+                (DVec3::from(pair[1].position) - DVec3::from(pair[0].position)).length()
+                    > 2.0 * body.shape.reach()
+            };
+            if let Some(frame) = poses.windows(2).position(far) {
+                warn_once(format!(
+                    "{}: bodies[{k}]: it moves by more than its size in frame {}; what it passes is still met",
+                    self.origin,
+                    frame + 1
+                ));
+            }
+        }
     }
 
     /// Warns if the start's edges are not about as long as the sheet's. The usual mistake is a wrong unit or

@@ -2,9 +2,9 @@
 
 use super::method::{Method, row, rows};
 use super::{FrameStats, IterationLog, Memory, Optimizer, StepCounts, Vertices};
-use crate::cloth::{Cloth, Control, Grid, Model, State};
+use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, State};
 use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::cloth::{Begin, ClothTerms, Objective, Room, gradient};
+use crate::kernels::cloth::{Begin, ClothContacts, ClothTerms, Objective, Room, gradient};
 use crate::kernels::optim::subspace_step::STATE;
 use crate::{Error, Result};
 use std::borrow::Cow;
@@ -56,7 +56,7 @@ pub struct Solver {
     sums: Tensor,
     /// The rows of `sums` at a = 0 and of the last iteration.
     ends: [Tensor; 2],
-    /// Read in place of the checks of the steps by optimizers that have none.
+    /// Read in place of the checks of the steps by optimizers that have none, and of the report of bodies.
     unchecked: Tensor,
     frame: Schedule,
 }
@@ -82,6 +82,7 @@ impl Solver {
         let room = Room {
             handles: batch * grid.particles(),
             repulsion: model.repels(),
+            bodies: model.cloths.iter().map(|cloth| cloth.bodies.len()).max().unwrap_or(0),
             hidden: method.scales().is_some(),
         };
         let objective = Objective::new(context, grid, batch, room)?;
@@ -127,6 +128,9 @@ impl Solver {
         }
         for iteration in 0..self.iterations {
             let sums = row(&self.sums, iteration, before.shape());
+            if !method.checks_energy() {
+                objective.confine(&mut frame, None);
+            }
             objective.evaluate(&mut frame, &sums);
             method.push(&mut frame, objective, iteration, &sums);
         }
@@ -222,12 +226,18 @@ impl Solver {
     /// and accelerations keep their values. If the handles of any cloth change, all handles are held where they
     /// are, until a control moves them.
     ///
-    /// Fails if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a
-    /// repulsion although the solver was built without any, which requires a new solver.
+    /// Fails if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a repulsion, or
+    /// more bodies than any had, although the solver was built without room for them, which requires a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
         if !self.objective.has_room_for_repulsion() {
             model.refuse_repulsion("since the solver was built without")?;
+        }
+        let room = self.objective.room_for_bodies();
+        if let Some(b) = model.cloths.iter().position(|cloth| cloth.bodies.len() > room) {
+            let expected = format!("{room} at most, for which the solver was built");
+            let found = model.cloths[b].bodies.len();
+            return Err(Error::invalid("model", format!("bodies of cloth {b}"), expected, found));
         }
         let slots = model.handle_slots();
         let handles_differ = slots != self.model.handle_slots();
@@ -378,6 +388,9 @@ impl Solver {
         let objective = &self.objective;
         control.check(&self.model).unwrap_or_else(|e| panic!("{e}"));
         let mut changes = vec![(&self.targets, Cow::from(bytemuck::cast_slice(&control.handles)))];
+        if let Some((bodies, params)) = objective.bodies(&self.model, control) {
+            changes.push((bodies, bytemuck::cast_slice(&params).to_vec().into()));
+        }
         // A control without wind or accelerations clears those of earlier controls. A recorded control may
         // never be submitted, so recording only raises these flags; `set_control` also lowers them.
         let optional = [
@@ -403,9 +416,9 @@ impl Solver {
     }
 
     /// Returns the tensors that [`Solver::frame`] reads, for a [`Readback`](crate::gpu::Readback).
-    pub fn frame_tensors(&self) -> [&Tensor; 6] {
-        let [terms, first, last, steps] = self.statistics_tensors();
-        [&self.objective.x, &self.objective.v, terms, first, last, steps]
+    pub fn frame_tensors(&self) -> [&Tensor; 7] {
+        let [terms, first, last, steps, bodies] = self.statistics_tensors();
+        [&self.objective.x, &self.objective.v, terms, first, last, steps, bodies]
     }
 
     /// Returns the state and the statistics of each cloth in the last frame, from the concatenated contents of
@@ -419,9 +432,16 @@ impl Solver {
 
     /// Returns the tensors that [`Solver::statistics`] reads, in the order in which it expects their
     /// contents.
-    pub fn statistics_tensors(&self) -> [&Tensor; 4] {
+    pub fn statistics_tensors(&self) -> [&Tensor; 5] {
         let [first, last] = &self.ends;
-        [&self.objective.terms, first, last, self.method.state().unwrap_or(&self.unchecked)]
+        let steps = self.method.state().unwrap_or(&self.unchecked);
+        [
+            &self.objective.terms,
+            first,
+            last,
+            steps,
+            self.objective.contact_report().unwrap_or(&self.unchecked),
+        ]
     }
 
     /// Returns the statistics of each cloth in the last frame, from the concatenated contents of
@@ -433,20 +453,26 @@ impl Solver {
         let Grid { h, w } = self.model.grid;
         let edges = ((h - 1) * w + h * (w - 1)) as f64;
         let (terms, rest) = contents.split_at(self.objective.terms.len());
-        let (ends, steps) = rest.split_at(2 * self.ends[0].len());
+        let (ends, rest) = rest.split_at(2 * self.ends[0].len());
+        let (steps, report) = rest.split_at(self.statistics_tensors()[3].len());
         let ends = self.gradient_norms(ends);
         let steps = &steps[steps.len() - STATE * self.model.batch()..];
         let (first, last) = ends.split_at(3 * self.model.batch());
         let of_cloth =
             |norms: &[f64], b: usize| norms[3 * b..][..3].iter().map(|g| g * g).sum::<f64>().sqrt();
+        let contacts = |b: usize| {
+            let of_cloth = report.len() / self.model.batch();
+            ClothContacts::of(&report[b * of_cloth..][..of_cloth], self.model.cloths[b].bodies.len())
+        };
         let stats = |(b, terms): (usize, ClothTerms)| FrameStats {
-            energy: terms.energy,
+            energy: EnergyTerms { contact: contacts(b).energy, ..terms.energy },
             gradient_first: of_cloth(first, b),
             gradient_last: of_cloth(last, b),
             stretch_largest: terms.stretch_largest,
             stretch_mean: terms.stretch_sum / edges,
             converged: None,
             steps: step_counts(&steps[b * STATE..][..STATE]),
+            bodies: contacts(b).bodies,
         };
         ClothTerms::all(terms).enumerate().map(stats).collect()
     }

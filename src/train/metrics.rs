@@ -119,8 +119,14 @@ mod tests {
         let pools = [PoolConfig::default(), PoolConfig::default()];
         let mut metrics = Metrics::open(path.clone(), &pools, 0).unwrap();
         let outcome = |stretch: f64, log_gradient| {
-            let energy =
-                EnergyTerms { stretch, shear: 2.0, bend: 3.0, inertia: 4.0, external: -5.0, repulsion: 0.0 };
+            let energy = EnergyTerms {
+                stretch,
+                shear: 2.0,
+                bend: 3.0,
+                inertia: 4.0,
+                external: -5.0,
+                ..Default::default()
+            };
             Outcome { energy, log_gradient, scale: [0.05; 3] }
         };
         let second = Duration::from_secs(1);

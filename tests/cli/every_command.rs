@@ -110,7 +110,7 @@ fn bad_input_is_refused_by_name_and_leaves_nothing() {
         (&["train", "--minutes", "-1"], &["--minutes", "above 0"]),
         (&["train", "few.toml", "--steps", "-1"], &["'-1' for '--steps <N>'"]),
         (&["bench", "--batch", "-1"], &["'-1' for '--batch"]),
-        (&["rollout", "-5"], &["-5", "cannot read"]),
+        (&["rollout", "-5"], &["unknown scene '-5'", "no file of this name"]),
     ];
     for (arguments, said) in cases {
         refused_cleanly(at, arguments, said);

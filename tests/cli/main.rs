@@ -8,6 +8,7 @@ mod every_command;
 #[cfg(target_os = "linux")]
 mod interrupted;
 mod rollout;
+mod scenes;
 mod scores;
 mod suite;
 mod train;

@@ -1,7 +1,7 @@
 //! A batch of cloths that have nothing in common but their grid.
 
 use crate::noise;
-use fnopt::cloth::{Air, Cloth, Control, Grid, Material, Model, State};
+use fnopt::cloth::{Air, Body, Cloth, Control, Grid, Material, Model, Pose, Shape, State, Sweep};
 
 /// Builds three different cloths in wind, their state and their control.
 pub fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
@@ -23,7 +23,7 @@ pub fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
     }
     let wind = vec![[0.1, 0.0, 0.2], [0.0; 3], [-0.2, 0.1, 0.0]];
     let external = noise(7).map(|f| 0.02 * f).collect();
-    (model, state, Control { handles, wind, external })
+    (model, state, Control { handles, wind, external, ..Control::default() })
 }
 
 /// Returns each cloth of such a batch alone.
@@ -36,9 +36,48 @@ pub fn one_by_one(
         let own = |of_all: &[f32]| of_all[b * len..(b + 1) * len].to_vec();
         let (mine, others) = handles.split_at(cloth.handles.len());
         handles = others;
-        let control =
-            Control { handles: mine.to_vec(), wind: vec![control.wind[b]], external: own(&control.external) };
+        let control = Control {
+            handles: mine.to_vec(),
+            wind: vec![control.wind[b]],
+            external: own(&control.external),
+            ..Control::default()
+        };
         let state = State { x: own(&state.x), v: own(&state.v) };
         (Model { grid: model.grid, cloths: vec![cloth.clone()] }, state, control)
     })
+}
+
+/// Builds such a batch among bodies of all shapes, which move, touch most of the cloths and rub on them; the second cloth
+/// meets none.
+#[allow(dead_code, reason = "not every test meets bodies")]
+pub fn among_bodies(grid: Grid) -> (Model, State<f32>, Control<f32>) {
+    let (mut model, mut state, control) = varied_batch(grid);
+    let turned = |position: [f64; 3], angle: f64| {
+        let rotation = [0.0, (0.5 * angle).sin(), 0.0, (0.5 * angle).cos()];
+        Pose { position, rotation }
+    };
+    let body = |shape, pose, friction| Body { shape, pose, thickness: 0.2, friction };
+    let (across, along) = (grid.w as f64, grid.h as f64);
+    let sphere = Shape::Sphere { radius: 0.3 * across };
+    let capsule = Shape::Capsule { radius: 1.0, half_length: 2.0 };
+    model.cloths[0].bodies = vec![
+        body(sphere, turned([0.4 * across, 0.0, -0.3 * across - 0.02], 0.0), 0.4),
+        body(Shape::Box { half: [1.0, 2.0, 1.0] }, turned([0.7 * across, 0.2 * along, -1.25], 0.4), 0.2),
+        body(capsule, turned([1.0, -0.3 * along, 0.9], 1.4), 0.0),
+        body(Shape::Plane, turned([0.0, 0.0, -0.1], 0.02), 0.3),
+        body(sphere, turned([0.5 * across, 0.0, 0.3 * across + 0.2], 0.0), 0.1),
+    ];
+    model.cloths[2].bodies = vec![body(capsule, turned([0.5 * across, 0.0, -1.1], 1.6), 0.5)];
+    // Some particles fly into the bodies or through them.
+    state
+        .v
+        .iter_mut()
+        .zip(noise::noise(9 * grid.particles(), 11))
+        .for_each(|(v, noise)| *v = 0.2 * noise as f32);
+    let swept = |body: &Body| {
+        let from = Pose { position: body.pose.position.map(|c| c - 0.05), ..body.pose };
+        Sweep { from, to: body.pose }
+    };
+    let bodies = model.cloths.iter().flat_map(|cloth| &cloth.bodies).map(swept).collect();
+    (model, state, Control { bodies, ..control })
 }

@@ -1,6 +1,7 @@
 //! Tests of the CPU path; they need no adapter.
 
 mod adjoint;
+mod bodies;
 mod checkpoint;
 mod classical;
 mod cloth;

@@ -41,7 +41,7 @@ fn the_default_scene_looks_as_before() {
         })
         .unwrap();
     let view = View { up: setup.up.down(-1.0).map(|c| c as f32), ..View::default() };
-    let options = StripOptions { panels: 6, height: 120, view };
+    let options = StripOptions { panels: 6, height: 120, view, ..StripOptions::default() };
     let image = strip(&trajectory, &setup.model.cloths[0].handles, &options);
     looks_like(&image, "strip.png", 1.0);
     // Another frame rate of panels is another picture.

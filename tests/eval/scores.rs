@@ -72,7 +72,7 @@ fn energies_and_stretch_are_means_over_the_frames() {
     let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, iterations).unwrap();
     simulator.set_state(&setup.start.cast());
     let stats: Vec<_> =
-        (1..41).map(|frame| simulator.step(&setup.control(frame)).unwrap().stats[0]).collect();
+        (1..41).map(|frame| simulator.step(&setup.control(frame)).unwrap().stats[0].clone()).collect();
     let mean = |of: &dyn Fn(&FrameStats) -> f64| stats.iter().map(of).sum::<f64>() / 40.0;
     let near = |found: Option<f64>, expected: f64| {
         let found = found.unwrap();

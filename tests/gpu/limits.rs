@@ -72,7 +72,7 @@ fn batches_are_larger_than_a_binding() {
         let state = State { x: repeat(&start.x), v: repeat(&start.v) };
         let handles = control.handles[..model.cloths[0].handles.len()].repeat(batch);
         let wind = vec![control.wind[0]; batch];
-        (model, state, Control { handles, wind, external: repeat(&control.external) })
+        (model, state, Control { handles, wind, external: repeat(&control.external), ..Control::default() })
     };
     // 18 columns are padded to 20.
     assert!((4 * 64 * 21 * 20 * 3 * batch) as u64 > narrow.largest_binding());

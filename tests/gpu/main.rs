@@ -7,6 +7,7 @@
 //! files themselves are checked in `src/kernels/tests.rs`, which needs no adapter.
 
 mod backward;
+mod bodies;
 #[path = "../cloths/mod.rs"]
 mod cloths;
 mod common;

@@ -1,7 +1,7 @@
 //! Whole frames: against the CPU path, repeated, in batches, and in a host's encoder.
 
 use crate::cloths::{self, one_by_one};
-use crate::common::{assert_close, context, device, half, largest, read, sharings, widened};
+use crate::common::{assert_close, context, device, half, largest, read, sharings};
 use fnopt::cloth::{Control, Grid, Model, State};
 use fnopt::cpu::{self, Track};
 use fnopt::eval::median_gap;
@@ -207,11 +207,7 @@ fn frames_of_all_optimizers_agree_with_the_host() {
         let solver = solver_with(tuning, &model, (&optimizer, n), &start);
         let mut host = cpu::Solver::<f64>::new(&model, &optimizer, n).unwrap();
         let mut expected = start.cast::<f64>();
-        let double = Control {
-            handles: control.handles.iter().map(|p| p.map(f64::from)).collect(),
-            wind: control.wind.iter().map(|p| p.map(f64::from)).collect(),
-            external: widened(&control.external),
-        };
+        let double = control.cast();
         for frame in 0..3 {
             let found = step(&solver, &control);
             let stats = host.step(&mut expected, &double);

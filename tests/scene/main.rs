@@ -2,6 +2,7 @@
 
 mod common;
 mod documents;
+mod named;
 mod refusals;
 mod setups;
 mod units;

@@ -9,7 +9,7 @@ use fnopt::Device;
 use fnopt::cloth::Grid;
 use fnopt::eval::suite::{self, Case, CaseScore, Prepared, Suite};
 use fnopt::eval::{Entry, Table, gap_curves, gap_tables};
-use fnopt::render::{StripOptions, View, strip, write_png};
+use fnopt::render::{Bodies, StripOptions, View, strip, write_png};
 use fnopt::{Error, io};
 use std::collections::BTreeSet;
 use std::ops::ControlFlow;
@@ -88,8 +88,11 @@ impl Args {
         // Never leave an earlier score next to this picture.
         io::remove(&file)?;
         let view = View { up: [0.0, 1.0, 0.0], ..Default::default() };
-        let options = StripOptions { view, ..Default::default() };
-        write_png(picture, &strip(&trajectory, &prepared.setup.model.cloths[0].handles, &options))?;
+        let setup = &prepared.setup;
+        let cloth = &setup.model.cloths[0];
+        let bodies = Bodies::new(&cloth.bodies, &setup.poses, &setup.vertex_view());
+        let options = StripOptions { view, bodies: &bodies, ..Default::default() };
+        write_png(picture, &strip(&trajectory, &cloth.handles, &options))?;
         // The score is written last: if it exists, so does its picture.
         score.write(&file)?;
         Ok(Some(score))

@@ -1,5 +1,6 @@
 //! The local terms of the energy of a frame (paper section 3.2), each defined once, in plain double precision:
-//! [`Edge`] (stretch), [`Angle`] (shear and bend) and [`Particle`] (inertia and external work).
+//! [`Edge`] (stretch), [`Angle`] (shear and bend), [`Particle`] (inertia and external work) and [`Contact`] (barrier and friction
+//! of a body).
 //!
 //! A term depends on one element: an edge vector, two of them, or a particle's acceleration. It has an energy, a
 //! derivative and second derivatives with respect to these. The functions [`edges`], [`corners`], [`bends`] and
@@ -14,10 +15,12 @@
 //! position.
 
 mod angle;
+mod contact;
 mod edge;
 mod particle;
 
 pub use angle::Angle;
+pub use contact::Contact;
 pub use edge::Edge;
 pub use particle::Particle;
 

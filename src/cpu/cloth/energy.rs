@@ -18,7 +18,7 @@ pub(in crate::cpu) fn generic_energy<T: Real>(trial: &Trial<'_, T>) -> EnergyTer
     let row = |work: &mut Work<T>, i| Arch::new().dispatch(Row { trial, i, stored, work });
     let rows: Vec<EnergyTerms> =
         (0..trial.grid.h).into_par_iter().map_init(|| Work::new(stored.stride), row).collect();
-    EnergyTerms::from_array([0, 1, 2, 3, 4, 5].map(|k| rows.iter().map(|row| row.to_array()[k]).sum()))
+    EnergyTerms::from_array(std::array::from_fn(|k| rows.iter().map(|row| row.to_array()[k]).sum()))
 }
 
 /// Edges of a row and of the next one, shape [3, W'], and the squares to be summed, shape \[W'\].

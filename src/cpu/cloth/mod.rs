@@ -6,6 +6,7 @@
 //! the vectorised forms against it.
 
 mod cells;
+mod contacts;
 mod curvature;
 mod energy;
 mod gradient;
@@ -22,6 +23,7 @@ mod vertices;
 mod wind;
 
 pub use cells::{Cells, Placed, Walk};
+pub use contacts::{Approach, Contacts, MAX_CONTACTS};
 pub(super) use curvature::generic_local_model;
 pub use curvature::{CurvatureRows, LocalModel, local_model};
 pub use energy::energy;

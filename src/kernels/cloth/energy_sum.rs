@@ -36,7 +36,7 @@ impl ClothTerms {
     pub fn all(terms: &[f32]) -> impl Iterator<Item = Self> {
         terms.chunks_exact(TERMS).map(|of_cloth| {
             let at = |k: usize| f64::from(of_cloth[k]);
-            let energy = EnergyTerms::from_array([0, 1, 2, 3, 4, 7].map(at));
+            let energy = EnergyTerms::from_array([at(0), at(1), at(2), at(3), at(4), at(7), 0.0]);
             Self { energy, stretch_largest: at(5), stretch_sum: at(6) }
         })
     }

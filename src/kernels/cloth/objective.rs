@@ -1,11 +1,11 @@
 //! The objective of a frame on a device.
 
 use super::{
-    ClothParams, Curvature, Energy, EnergySum, ExternalForce, ExternalForceTensors, Gradient, Integrate,
-    Predict, Repulsion, RepulsionCurvature, StateTensors, TERMS, Trial, energy,
+    BodyParams, ClothParams, Contacts, Curvature, Energy, EnergySum, ExternalForce, ExternalForceTensors,
+    Gradient, Integrate, Predict, Repulsion, RepulsionCurvature, StateTensors, TERMS, Trial, energy,
 };
 use crate::Result;
-use crate::cloth::{Grid, Model};
+use crate::cloth::{Control, Grid, Model};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::optim::Iterate;
 
@@ -40,6 +40,7 @@ pub struct Objective {
     parts: Tensor,
     external_force: ExternalForce,
     repulsion: Option<(Repulsion, RepulsionCurvature)>,
+    contacts: Option<Contacts>,
     gradient: Gradient,
     curvature: Curvature,
     energy: Energy,
@@ -54,6 +55,8 @@ pub struct Room {
     pub handles: usize,
     /// Whether cloths may have a repulsion, which costs a search for near particles in every evaluation.
     pub repulsion: bool,
+    /// Number of bodies that each cloth may meet, which cost a few dispatches in every evaluation.
+    pub bodies: usize,
     /// Whether the iterate has the hidden state of a network.
     pub hidden: bool,
 }
@@ -90,12 +93,15 @@ impl Objective {
             wind: zeros("wind", &[batch, 3])?,
             targets: zeros("handle targets", &[room.handles.max(1), 3])?,
             control_accelerations: field("control accelerations")?,
-            iterate: if room.repulsion { iterate.with_total(context)? } else { iterate },
+            iterate: if room.repulsion || room.bodies > 0 { iterate.with_total(context)? } else { iterate },
             terms: zeros("energy terms", &[batch, TERMS])?,
             cloths: zeros("cloths", &[batch, ClothParams::LEN])?,
             parts: zeros("energy parts", &energy::parts_shape(batch, grid))?,
             external_force: ExternalForce::new(context)?,
             repulsion: room.repulsion.then(repulsion).transpose()?,
+            contacts: (room.bodies > 0)
+                .then(|| Contacts::new(context, batch, grid.particles(), room.bodies))
+                .transpose()?,
             gradient: Gradient::new(context)?,
             curvature: Curvature::new(context)?,
             energy: Energy::new(context)?,
@@ -104,14 +110,38 @@ impl Objective {
         })
     }
 
-    /// Sets the constants and handles of the cloths, ahead of the next submission. Panics if the sizes do not match,
-    /// if there are more handles than there is room for, or if one has a repulsion although there is no room for it.
+    /// Sets the constants, handles and bodies of the cloths, ahead of the next submission; the bodies stay where the model
+    /// has them. Panics if the sizes do not match, or if there are more handles or bodies than there is room for, or a
+    /// repulsion although there is no room for it.
     pub fn set_cloths(&self, model: &Model) {
         assert_eq!((model.grid, model.batch()), (self.grid, self.batch()));
         assert!(model.handles() <= self.targets.shape()[0], "room for {} handles", self.targets.shape()[0]);
         assert!(self.has_room_for_repulsion() || !model.repels(), "there is no room for a repulsion");
         self.cloths.write(&self.context, &ClothParams::all(model));
         self.iterate.slots.write(&self.context, &model.handle_slots());
+        if let Some((bodies, params)) = self.bodies(model, &Control::<f32>::default()) {
+            bodies.write(&self.context, &params);
+        }
+    }
+
+    /// Returns the tensor of the bodies and its contents in the frame that `control` drives; `None` without room for
+    /// bodies. Panics if there are more than there is room for.
+    pub fn bodies<T>(&self, model: &Model, control: &Control<T>) -> Option<(&Tensor, Vec<BodyParams>)> {
+        let most = model.cloths.iter().map(|cloth| cloth.bodies.len()).max().unwrap_or(0);
+        assert!(most <= self.room_for_bodies(), "room for {} bodies", self.room_for_bodies());
+        let contacts = self.contacts.as_ref()?;
+        Some((&contacts.bodies, BodyParams::all(model, control, contacts.count())))
+    }
+
+    /// Returns the number of bodies that each cloth has room for.
+    pub fn room_for_bodies(&self) -> usize {
+        self.contacts.as_ref().map_or(0, Contacts::count)
+    }
+
+    /// Returns what each body did in the last frame, shape [B, count, 8]
+    /// ([`ClothContacts`](super::ClothContacts)); `None` without room for bodies.
+    pub fn contact_report(&self) -> Option<&Tensor> {
+        self.contacts.as_ref().map(|contacts| &contacts.report)
     }
 
     /// Returns the grid.
@@ -144,13 +174,14 @@ impl Objective {
         self.repulsion.is_some()
     }
 
-    /// Returns the parts of the energy in which an evaluation leaves that of the repulsion, if there is one.
-    pub fn repulsion_parts(&self) -> Option<&Tensor> {
-        self.repulsion.as_ref().map(|_| &self.parts)
+    /// Returns the parts of the energy in which an evaluation leaves that of repulsion and contacts, if there are any.
+    pub fn position_parts(&self) -> Option<&Tensor> {
+        (self.repulsion.is_some() || self.contacts.is_some()).then_some(&self.parts)
     }
 
     /// Appends the start of a frame: the displacement by the velocities and of the handles to their targets, and the
-    /// external accelerations, constant from then on. Two dispatches.
+    /// external accelerations, constant from then on, and with bodies the contacts. Two dispatches, and another with
+    /// bodies.
     pub fn begin_frame(&self, schedule: &mut Schedule, begin: Begin) -> Result<()> {
         let predict = match begin {
             Begin::Zero => Predict::new(&self.context)?,
@@ -160,43 +191,72 @@ impl Objective {
         let Self { cloths, wind, x, v, control_accelerations, iterate, .. } = self;
         let from = ExternalForceTensors { cloths, wind, x, v, control_accelerations };
         self.external_force.push(schedule, self.grid, from, &iterate.external);
+        if let Some(contacts) = &self.contacts {
+            contacts.find(schedule, self.trial());
+        }
         Ok(())
     }
 
+    /// Appends what keeps particles out of the bodies, where there are any: changes `iterate.a`, and with `directions` also
+    /// the last step among them and in the hidden state, if there is one.
+    pub fn confine(&self, schedule: &mut Schedule, directions: Option<&Tensor>) {
+        if let Some(contacts) = &self.contacts {
+            contacts.confine(schedule, self.trial(), directions);
+        }
+    }
+
     /// Appends the gradient at `iterate.a`, with partial sums of its squares and of those of the last step
-    /// ([`Gradient::push`]). One dispatch, and six more with a repulsion.
+    /// ([`Gradient::push`]). One dispatch, six more with a repulsion and another with bodies.
     pub fn evaluate(&self, schedule: &mut Schedule, sums: &Tensor) {
-        self.repel(schedule);
+        self.push_by_positions(schedule);
         self.gradient.push(schedule, self.trial(), sums);
     }
 
     /// Appends the quadratic model of the energy along `directions` at `iterate.a`, where it was evaluated, in parts
-    /// [B, parts, 24] ([`Curvature::push`]). The energy of the repulsion is in [`Objective::repulsion_parts`]. One
-    /// dispatch, and another with a repulsion.
+    /// [B, parts, 24] ([`Curvature::push`]). The energy of repulsion and contacts is in [`Objective::position_parts`].
+    /// One dispatch, another with a repulsion and another with bodies.
     pub fn local_model(&self, schedule: &mut Schedule, directions: &Tensor, parts: &Tensor) {
         self.curvature.push(schedule, self.trial(), [directions, parts]);
         if let Some((repulsion, curvature)) = &self.repulsion {
             curvature.push(schedule, self.trial(), repulsion.cells(), [directions, parts]);
+        }
+        if let Some(contacts) = &self.contacts {
+            contacts.push_curvature(schedule, self.trial(), [directions, parts]);
         }
     }
 
     /// Appends the energy alone at `iterate.a`, in parts as those of [`Objective::local_model`], without an evaluation
     /// before.
     pub fn model_energy(&self, schedule: &mut Schedule, directions: &Tensor, parts: &Tensor) {
-        self.repel(schedule);
+        self.push_by_positions(schedule);
         self.curvature.push_energy(schedule, self.trial(), [directions, parts]);
     }
 
-    /// Appends the energy terms at `iterate.a`, in [`Objective::terms`].
+    /// Appends the energy terms at `iterate.a`, in [`Objective::terms`], and what the bodies do, in
+    /// [`Objective::contact_report`].
     pub fn energy(&self, schedule: &mut Schedule) {
         self.energy.push(schedule, self.trial(), &self.parts);
         self.repel(schedule);
         self.energy_sum.push(schedule, &self.parts, &self.terms);
+        if let Some(contacts) = &self.contacts {
+            contacts.report(schedule, self.trial());
+        }
     }
 
-    /// Appends the end of a frame: the state moves to where the accelerations lead. One dispatch.
+    /// Appends the end of a frame: the state moves to where the accelerations lead. One dispatch, and another with bodies.
     pub fn end_frame(&self, schedule: &mut Schedule) {
         self.integrate.push(schedule, self.state(), &self.iterate);
+        if let Some(contacts) = &self.contacts {
+            contacts.end_frame(schedule, [&self.x, &self.v]);
+        }
+    }
+
+    /// Appends the forces that depend on the positions, and their energy.
+    fn push_by_positions(&self, schedule: &mut Schedule) {
+        self.repel(schedule);
+        if let Some(contacts) = &self.contacts {
+            contacts.push(schedule, self.trial(), self.repulsion.is_some(), &self.parts);
+        }
     }
 
     fn repel(&self, schedule: &mut Schedule) {

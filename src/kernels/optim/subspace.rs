@@ -74,10 +74,12 @@ impl Subspace {
     }
 
     /// Starts a frame from `iterate.base`, with the last frame's acceleration still in `iterate.a`: it
-    /// becomes the last step, and 0. One dispatch.
+    /// becomes the last step, and 0, or with bodies what keeps the particles out of them. One dispatch, and another with
+    /// bodies.
     pub fn begin(&self, schedule: &mut Schedule, objective: &Objective) {
         let of = (&objective.iterate, &objective.x);
         self.axes_kernel.push(schedule, objective.grid(), of, [&self.axes, &self.directions]);
+        objective.confine(schedule, None);
     }
 
     /// Moves the iterate from a = 0, where it was evaluated, to the best multiple, at most
@@ -86,10 +88,11 @@ impl Subspace {
         // The other directions are those of the frame before, whose sums are not read.
         objective.local_model(schedule, &self.directions, &self.parts);
         self.decide(schedule, objective, When::Start);
+        objective.confine(schedule, Some(&self.directions));
     }
 
     /// Moves the iterate, which was evaluated, by the step of `iteration`, counted from 0. Six dispatches, and
-    /// another with a repulsion.
+    /// another with a repulsion, and two with bodies.
     pub fn push(&self, schedule: &mut Schedule, objective: &Objective, iteration: usize) {
         assert!(iteration < self.iterations, "iteration {iteration} of {}", self.iterations);
         let (grid, iterate) = (objective.grid(), &objective.iterate);
@@ -103,6 +106,7 @@ impl Subspace {
         self.directions_kernel.push(schedule, grid, (iterate, axes, along_row), [z, directions]);
         objective.local_model(schedule, directions, &self.parts);
         self.decide(schedule, objective, When::Iteration(iteration));
+        objective.confine(schedule, Some(&self.directions));
     }
 
     /// Ends a frame: takes the last step back if it has increased the energy. Two dispatches, without a repulsion.
@@ -112,7 +116,7 @@ impl Subspace {
     }
 
     fn decide(&self, schedule: &mut Schedule, objective: &Objective, when: When) {
-        let sums = (&self.parts, objective.repulsion_parts());
+        let sums = (&self.parts, objective.position_parts());
         let to = (&objective.iterate, &self.directions, &self.state);
         self.step.push(schedule, objective.grid(), when, sums, to);
     }

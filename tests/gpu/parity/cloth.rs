@@ -23,6 +23,7 @@ pub fn model(grid: Grid, batch: usize) -> Model {
         air: [Air { density: 0.3, drag: 0.1 }, Air { density: 0.0, drag: 0.2 }, Air::default()][b],
         repulsion: None,
         handles: [vec![0, (h - 1) * w], vec![w / 2], vec![w - 1, h * w - 1, h * w / 2]][b].clone(),
+        bodies: Vec::new(),
     };
     Model { grid, cloths: (0..batch).map(cloth).collect() }
 }

@@ -10,6 +10,7 @@ mod block;
 mod cells;
 mod classical;
 mod cloth;
+mod contact;
 mod cosine_directions;
 mod curvature;
 mod draw;

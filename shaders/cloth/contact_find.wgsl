@@ -1,0 +1,198 @@
+// Start of a frame: the contacts that may arise for each particle, as planes until its end (`cpu::cloth::Contacts`).
+//
+// A particle's velocity takes it from x to x + base. Seen from the body it goes from one of the body's points to
+// another; the plane is that of the body's surface where it meets the body on its way, else where it arrives. The way
+// is searched in steps of the distance to the surface. The nearest of the bodies are kept if there are more than SLOTS.
+//
+// With h the thickness, m the mass over H W, g the gap before, and D the particle's block of the Hessian of the stretch,
+// the stiffness is k = n . D n + m / min(g, gap predicted)^2 and the load for friction max(2 k / h (h - g)^2 with k at g,
+// m (h - gap predicted)).
+//
+// cloths: [B]
+// bodies: [B, count]
+// slots: [B, n], not 0 at handles, which have no contacts
+// x: [B, 3, n]
+// base: [B, 3, n]
+// contacts: [B, SLOTS, n]
+//
+// One invocation per particle. Workgroups: (n / 64 over x and y, B in z).
+// Adjoint: none, training has no bodies.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+    bodies: u32, // most of a cloth
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
+@group(0) @binding(2) var<storage, read> bodies: array<Body>;
+@group(0) @binding(3) var<storage, read> slots: array<u32>;
+@group(0) @binding(4) var<storage, read> x: array<f32>;
+@group(0) @binding(5) var<storage, read> base: array<f32>;
+@group(0) @binding(6) var<storage, read_write> contacts: array<Contact>;
+
+override SLOTS: u32 = 1;
+
+const STEPS: u32 = 64u;
+const LEAST_ADVANCE: f32 = 0.020833333;
+const STIFFEST: f32 = 0.1;
+
+fn position(b: u32, p: u32) -> vec3f {
+    let n = params.rows * params.columns;
+    let at = b * 3u * n + p;
+    return vec3f(x[at], x[at + n], x[at + 2u * n]);
+}
+
+// Returns what the edge to particle q adds to n . D n.
+fn of_edge(b: u32, own: vec3f, q: u32, normal: vec3f, factor: f32) -> f32 {
+    let edge = position(b, q) - own;
+    let l = length(edge);
+    if !(l > 0.0) {
+        return 0.0;
+    }
+    let cosine = dot(edge, normal) / l;
+    let along = cosine * cosine;
+    return 2.0 * factor * (along + max(1.0 - 1.0 / l, 0.0) * (1.0 - along));
+}
+
+fn elastic_along(b: u32, p: u32, own: vec3f, normal: vec3f) -> f32 {
+    let h = params.rows;
+    let w = params.columns;
+    let i = p / w;
+    let j = p % w;
+    let stretch = cloths[b].material.x;
+    let vertical = stretch / ((f32(h) - 1.0) * f32(w));
+    let horizontal = stretch / (f32(h) * (f32(w) - 1.0));
+    var sum = 0.0;
+    if i > 0u {
+        sum += of_edge(b, own, p - w, normal, vertical);
+    }
+    if i + 1u < h {
+        sum += of_edge(b, own, p + w, normal, vertical);
+    }
+    if j > 0u {
+        sum += of_edge(b, own, p - 1u, normal, horizontal);
+    }
+    if j + 1u < w {
+        sum += of_edge(b, own, p + 1u, normal, horizontal);
+    }
+    return sum;
+}
+
+fn stiffness(elastic: f32, m: f32, gap: f32, h: f32) -> f32 {
+    let g = clamp(gap, STIFFEST * h, h);
+    return elastic + m / (g * g);
+}
+
+// A contact, and the gap that is predicted; a contact without gradient if the body is far away.
+struct Found {
+    contact: Contact,
+    predicted: f32,
+}
+
+fn find(b: u32, p: u32, number: u32, own: vec3f, v: vec3f) -> Found {
+    var found: Found;
+    found.predicted = 1e30;
+    let body = bodies[b * params.bodies + number];
+    if body.kind == 0u {
+        return found;
+    }
+    let start = inward(body.from_position, body.from_rotation, own);
+    let end = inward(body.to_position, body.to_rotation, own + v);
+    let way = end - start;
+    let l = length(way);
+    let h = body.thickness;
+    let near = h + 2.0 * l + 1.0;
+    if length(start) > reach_of(body) + near {
+        return found;
+    }
+    let before = distance_to(body, start).w;
+    if !(before <= near) {
+        return found;
+    }
+    var place = end;
+    if before > 0.0 && before <= l {
+        var share = 0.0;
+        for (var k = 0u; k < STEPS && share < 1.0; k++) {
+            let here = start + share * way;
+            let left = distance_to(body, here).w;
+            if left <= 0.0 {
+                place = here;
+                break;
+            }
+            share += max(left / l, LEAST_ADVANCE);
+        }
+    }
+    let surface = distance_to(body, place);
+    let normal = rotated(body.to_rotation, surface.xyz);
+    let at_place = outward(body.to_position, body.to_rotation, place);
+    let at_start = dot(normal, own - at_place) + surface.w;
+    let predicted = at_start + dot(normal, v);
+    let count = f32(params.rows) * f32(params.columns);
+    let m = mass(p / params.columns, p % params.columns, params.rows, params.columns) / count;
+    let elastic = elastic_along(b, p, own, normal);
+    let k = stiffness(elastic, m, min(before, predicted), h);
+    let depth = max(h - before, 0.0);
+    let pressed = 2.0 * stiffness(elastic, m, before, h) / h * depth * depth;
+    let stopped = m * max(h - predicted, 0.0);
+    let s = pow(2.0 * k / (3.0 * h), 1.0 / 3.0);
+    found.contact.gradient = s * normal;
+    found.contact.offset = s * (h - at_start);
+    found.contact.drift = at_place - outward(body.from_position, body.from_rotation, place);
+    found.contact.friction = body.friction * max(pressed, stopped);
+    found.contact.thickness = h;
+    found.contact.body = number;
+    found.predicted = predicted;
+    return found;
+}
+
+@compute @workgroup_size(64)
+fn contact_find(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let n = params.rows * params.columns;
+    let p = (group.y * groups.x + group.x) * 64u + lane;
+    let b = group.z;
+    if p >= n {
+        return;
+    }
+    let first = b * SLOTS * n + p;
+    var gaps: array<f32, 4>;
+    for (var k = 0u; k < SLOTS; k++) {
+        gaps[k] = 1e30;
+        contacts[first + k * n] = Contact();
+    }
+    if slots[b * n + p] != 0u {
+        return;
+    }
+    let own = position(b, p);
+    let at = b * 3u * n + p;
+    let v = vec3f(base[at], base[at + n], base[at + 2u * n]);
+    var used = 0u;
+    for (var number = 0u; number < params.bodies; number++) {
+        let found = find(b, p, number, own, v);
+        if !(found.predicted < 1e30) {
+            continue;
+        }
+        // The next free place, or that of the farthest.
+        var place = used;
+        if used == SLOTS {
+            place = 0u;
+            for (var k = 1u; k < SLOTS; k++) {
+                if gaps[k] > gaps[place] {
+                    place = k;
+                }
+            }
+            if gaps[place] <= found.predicted {
+                continue;
+            }
+        } else {
+            used++;
+        }
+        gaps[place] = found.predicted;
+        contacts[first + place * n] = found.contact;
+    }
+}

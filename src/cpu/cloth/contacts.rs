@@ -1,0 +1,414 @@
+//! The contacts of a cloth with bodies: found at the start of a frame, they are planes until its end
+//! ([`Contact`]).
+
+use super::vector::{add, at, dot, scaled, sub};
+use super::{Hessian, Trial};
+use crate::cloth::terms::{self, Elastic};
+use crate::cloth::{Body, Cloth, Grid, Sweep};
+use crate::cpu::Real;
+use crate::sim::{BodyStats, MAX_DIRECTIONS};
+use glam::DVec3;
+use rayon::prelude::*;
+
+/// Most bodies that act on one particle in a frame: the nearest ones.
+pub const MAX_CONTACTS: usize = 4;
+/// Particles per task.
+const TASK: usize = 256;
+/// Steps of the search along a particle's way, and the least share of the way that a step advances.
+const MARCH_STEPS: usize = 64;
+const LEAST_ADVANCE: f64 = 1.0 / 48.0;
+
+/// A cloth at the start of a frame, before its contacts are known.
+#[derive(Clone, Copy)]
+pub struct Approach<'a, T> {
+    /// The grid.
+    pub grid: Grid,
+    /// The constants of the cloth.
+    pub cloth: &'a Cloth,
+    /// How its bodies move in the frame.
+    pub sweeps: &'a [Sweep],
+    /// Positions \[edges\], shape [3, H, W].
+    pub x: &'a [T],
+    /// Velocities [edges / frame], shape [3, H, W].
+    pub v: &'a [T],
+    /// Handle slots, shape [H, W]. Handles go where they are told, whatever is there.
+    pub slots: &'a [u32],
+}
+
+/// The contacts of a cloth in one frame.
+#[derive(Clone, Debug, Default)]
+pub struct Contacts<T> {
+    /// In the order of the particles.
+    found: Vec<Found<T>>,
+}
+
+/// A [`terms::Contact`] in the precision of the cloth.
+#[derive(Clone, Copy, Debug)]
+struct Found<T> {
+    particle: usize,
+    /// Number of the body.
+    body: usize,
+    gradient: [T; 3],
+    offset: T,
+    drift: [T; 3],
+    friction: T,
+}
+
+impl<T: Real> Contacts<T> {
+    /// Finds the contacts that may arise in a frame: those of particles that are nearer to a body than its thickness,
+    /// twice their way in the frame relative to the body, and one edge together.
+    pub fn find(start: Approach<'_, T>) -> Self {
+        let particles: Vec<usize> = (0..start.grid.particles()).filter(|&p| start.slots[p] == 0).collect();
+        let elastic = Elastic::new(start.grid, start.cloth.material);
+        let of_task = |task: &[usize]| {
+            let mut found = Vec::new();
+            task.iter().for_each(|&p| start.find_at(p, elastic, &mut found));
+            found
+        };
+        let tasks: Vec<Vec<Found<T>>> = particles.par_chunks(TASK).map(of_task).collect();
+        Self { found: tasks.into_iter().flatten().collect() }
+    }
+
+    /// Subtracts their gradient, divided by the particles' weights, from the accelerations [3, H, W]: to
+    /// the gradient of the other terms a contact is an external force.
+    pub fn add_accelerations(&self, grid: Grid, shift: &[T], accelerations: &mut [T]) {
+        let n = grid.particles();
+        for contact in &self.found {
+            let p = contact.particle;
+            let per_weight = T::of(n as f64 / grid.mass(p / grid.w, p % grid.w));
+            let gradient = contact.gradient(at(shift, n, p));
+            (0..3).for_each(|c| {
+                accelerations[c * n + p] = accelerations[c * n + p] - per_weight * gradient[c];
+            });
+        }
+    }
+
+    /// Returns their energy at the displacements `shift` [3, H, W].
+    pub fn energy(&self, shift: &[T]) -> f64 {
+        let n = shift.len() / 3;
+        self.found.iter().map(|contact| contact.energy(at(shift, n, contact.particle)).f64()).sum()
+    }
+
+    /// Returns their second derivatives along each pair of `directions` [K, 3, H, W].
+    pub fn curvature(&self, shift: &[T], directions: &[T]) -> [[f64; MAX_DIRECTIONS]; MAX_DIRECTIONS] {
+        let n = shift.len() / 3;
+        let count = directions.len() / shift.len();
+        let mut curvature = [[0.0; MAX_DIRECTIONS]; MAX_DIRECTIONS];
+        for contact in &self.found {
+            let along = |k: usize| at(&directions[k * shift.len()..], n, contact.particle);
+            let curved = contact.curved(at(shift, n, contact.particle));
+            for (i, sums) in curvature.iter_mut().enumerate().take(count) {
+                let product = curved.times(along(i));
+                for (j, sum) in sums.iter_mut().enumerate().take(count) {
+                    *sum += dot(product, along(j)).f64();
+                }
+            }
+        }
+        curvature
+    }
+
+    /// Moves particles that are nearer to a plane than [`terms::Contact::LEAST_GAP`] of its thickness out to there: adds to
+    /// their accelerations `a` [3, H, W] what is missing in `shift` [3, H, W], and to both. Returns whether it moved any.
+    pub fn confine(&self, bodies: &[Body], a: &mut [T], shift: &mut [T]) -> bool {
+        let n = shift.len() / 3;
+        let mut moved = false;
+        for contact in &self.found {
+            let p = contact.particle;
+            if let Some(out) = contact.way_out(bodies[contact.body].thickness, at(shift, n, p)) {
+                moved = true;
+                for c in 0..3 {
+                    a[c * n + p] = a[c * n + p] + out[c];
+                    shift[c * n + p] = shift[c * n + p] + out[c];
+                }
+            }
+        }
+        moved
+    }
+
+    /// Corrects the end of a frame, positions and velocities [3, H, W], of which the latter are the displacements:
+    /// confines the particles ([`Contacts::confine`]), and takes back the slip of those that stick.
+    pub fn end_frame(&self, bodies: &[Body], x: &mut [T], v: &mut [T]) {
+        let n = v.len() / 3;
+        for contact in &self.found {
+            let p = contact.particle;
+            let y = at(v, n, p);
+            let slip = contact.slip(y);
+            let sticks = contact.friction > T::zero()
+                && contact.depth(y) > T::zero()
+                && dot(slip, slip).sqrt() < T::of(terms::Contact::STICKING);
+            let back = if sticks { scaled(slip, -T::one()) } else { [T::zero(); 3] };
+            let out = contact.way_out(bodies[contact.body].thickness, y).unwrap_or([T::zero(); 3]);
+            let correction = add(back, out);
+            for c in 0..3 {
+                x[c * n + p] = x[c * n + p] + correction[c];
+                v[c * n + p] = v[c * n + p] + correction[c];
+            }
+        }
+    }
+
+    /// Returns what each body did in the frame that moved the particles by `shift` [3, H, W] from `x`.
+    pub fn stats(&self, bodies: &[Body], sweeps: &[Sweep], x: &[T], shift: &[T]) -> Vec<BodyStats> {
+        let n = shift.len() / 3;
+        let mut stats = vec![BodyStats::default(); bodies.len()];
+        for contact in &self.found {
+            let (p, stats) = (contact.particle, &mut stats[contact.body]);
+            let y = at(shift, n, p);
+            let place = add(at(x, n, p), y).map(|c| c.f64());
+            let own = sweeps[contact.body].to.inward(place.into());
+            stats.deepest = stats.deepest.max(-bodies[contact.body].shape.distance(own).distance);
+            let depth = contact.depth(y);
+            if depth > T::zero() {
+                stats.touching += 1;
+                let load = scaled(contact.gradient, -T::of(3.0) * depth * depth);
+                let slip = contact.slip(y);
+                let length = dot(slip, slip).sqrt().max(T::of(terms::Contact::STICKING));
+                let rub = scaled(slip, contact.friction / length);
+                (0..3).for_each(|c| stats.load[c] += load[c].f64() + rub[c].f64());
+                stats.friction_work += dot(rub, slip).f64();
+            }
+        }
+        stats
+    }
+}
+
+impl Contacts<f64> {
+    /// Adds their second derivatives to the particles' own blocks of the Hessian.
+    pub(in crate::cpu) fn add_own_blocks(&self, trial: &Trial<'_, f64>, hessian: &mut Hessian) {
+        let n = trial.grid.particles();
+        for contact in &self.found {
+            let p = contact.particle;
+            let block = contact.curved(at(trial.shift, n, p));
+            for column in 0..3 {
+                let mut unit = [0.0; 3];
+                unit[column] = 1.0;
+                let column_of = block.times(unit);
+                // A number and its mirror image share a place.
+                for (row, value) in column_of.into_iter().enumerate().skip(column) {
+                    *hessian.at_mut((p, row), (p, column)) += value;
+                }
+            }
+        }
+    }
+}
+
+impl<T: Real> Found<T> {
+    fn new(particle: usize, body: usize, contact: terms::Contact) -> Self {
+        let single = |v: DVec3| v.to_array().map(T::of);
+        Self {
+            particle,
+            body,
+            gradient: single(contact.gradient),
+            offset: T::of(contact.offset),
+            drift: single(contact.drift),
+            friction: T::of(contact.friction),
+        }
+    }
+
+    fn depth(&self, y: [T; 3]) -> T {
+        (self.offset - dot(self.gradient, y)).max(T::zero())
+    }
+
+    fn slip(&self, y: [T; 3]) -> [T; 3] {
+        let u = sub(y, self.drift);
+        sub(u, scaled(self.gradient, dot(u, self.gradient) / dot(self.gradient, self.gradient)))
+    }
+
+    fn energy(&self, y: [T; 3]) -> T {
+        let depth = self.depth(y);
+        let barrier = depth * depth * depth;
+        if self.friction <= T::zero() {
+            return barrier;
+        }
+        let (slip, half, sticking) = (self.slip(y), T::of(0.5), T::of(terms::Contact::STICKING));
+        let slip = dot(slip, slip).sqrt();
+        let slipping = if slip < sticking { half * slip * slip / sticking } else { slip - half * sticking };
+        barrier + self.friction * slipping
+    }
+
+    fn gradient(&self, y: [T; 3]) -> [T; 3] {
+        let depth = self.depth(y);
+        let barrier = scaled(self.gradient, -T::of(3.0) * depth * depth);
+        if self.friction <= T::zero() {
+            return barrier;
+        }
+        let slip = self.slip(y);
+        let length = dot(slip, slip).sqrt().max(T::of(terms::Contact::STICKING));
+        add(barrier, scaled(slip, self.friction / length))
+    }
+
+    fn curved(&self, y: [T; 3]) -> Curved<T> {
+        let normal = scaled(self.gradient, dot(self.gradient, self.gradient).sqrt().recip());
+        let mut curved = Curved {
+            gradient: self.gradient,
+            of_gradient: T::of(6.0) * self.depth(y),
+            normal,
+            slip: [T::zero(); 3],
+            of_friction: T::zero(),
+        };
+        if self.friction > T::zero() {
+            let slip = self.slip(y);
+            let length = dot(slip, slip).sqrt();
+            let sticking = T::of(terms::Contact::STICKING);
+            curved.of_friction = self.friction / length.max(sticking);
+            if length >= sticking {
+                curved.slip = scaled(slip, length.recip());
+            }
+        }
+        curved
+    }
+
+    /// Returns how to leave, from the displacement y, what [`Contacts::confine`] does not allow; `None` where it does.
+    fn way_out(&self, thickness: f64, y: [T; 3]) -> Option<[T; 3]> {
+        let squared = dot(self.gradient, self.gradient);
+        let deepest = squared.sqrt() * T::of((1.0 - terms::Contact::LEAST_GAP) * thickness);
+        let excess = self.offset - dot(self.gradient, y) - deepest;
+        (excess > T::zero()).then(|| scaled(self.gradient, excess / squared))
+    }
+}
+
+/// The second derivatives of a contact: `of_gradient q q' + of_friction (1 - n n' - w w')`.
+struct Curved<T> {
+    gradient: [T; 3],
+    of_gradient: T,
+    normal: [T; 3],
+    /// Direction of a slip; zero where the particle sticks.
+    slip: [T; 3],
+    of_friction: T,
+}
+
+impl<T: Real> Curved<T> {
+    /// Returns their product with a vector.
+    fn times(&self, p: [T; 3]) -> [T; 3] {
+        let across = sub(p, scaled(self.normal, dot(self.normal, p)));
+        let across = sub(across, scaled(self.slip, dot(self.slip, p)));
+        add(scaled(self.gradient, self.of_gradient * dot(self.gradient, p)), scaled(across, self.of_friction))
+    }
+}
+
+impl<T: Real> Approach<'_, T> {
+    /// Appends the contacts of particle `p`.
+    fn find_at(&self, p: usize, elastic: Elastic, found: &mut Vec<Found<T>>) {
+        let n = self.grid.particles();
+        let wide = |field: &[T]| DVec3::from(at(field, n, p).map(|c| c.f64()));
+        let (x, v) = (wide(self.x), wide(self.v));
+        let first = found.len();
+        let mut gaps = [0.0; MAX_CONTACTS];
+        for (number, (body, sweep)) in self.cloth.bodies.iter().zip(self.sweeps).enumerate() {
+            let Some(plane) = Plane::find(body, sweep, x, x + v) else { continue };
+            let mut place = found.len() - first;
+            if place == MAX_CONTACTS {
+                let farthest =
+                    (0..MAX_CONTACTS).fold(0, |most, k| if gaps[k] > gaps[most] { k } else { most });
+                if gaps[farthest] <= plane.predicted {
+                    continue;
+                }
+                place = farthest;
+            }
+            gaps[place] = plane.predicted;
+            let contact = self.contact(p, plane, body, elastic);
+            let contact = Found::new(p, number, contact);
+            match found.get_mut(first + place) {
+                Some(other) => *other = contact,
+                None => found.push(contact),
+            }
+        }
+    }
+
+    /// Returns the contact of particle `p` with a plane.
+    fn contact(&self, p: usize, plane: Plane, body: &Body, elastic: Elastic) -> terms::Contact {
+        let (n, h) = (self.grid.particles(), body.thickness);
+        let mass = self.grid.mass(p / self.grid.w, p % self.grid.w) / n as f64;
+        let own = self.elastic_along(p, plane.normal, elastic);
+        // A particle that would go deep needs a stiff barrier in this very frame.
+        let stiffness = terms::Contact::stiffness(own, mass, plane.before.min(plane.predicted), h);
+        let before = terms::Contact::stiffness(own, mass, plane.before, h);
+        // What pressed on the body at the start, or what stops a particle that meets it in this frame.
+        let pressed = terms::Contact::load_at(before, plane.before, h);
+        let stopped = mass * (h - plane.predicted).max(0.0);
+        terms::Contact {
+            drift: plane.drift,
+            friction: body.friction * pressed.max(stopped),
+            ..terms::Contact::new(plane.normal, plane.at_start, stiffness, h)
+        }
+    }
+
+    /// Returns n . D n, with the block D of particle `p` in the Hessian of the stretch at the start of the frame, where
+    /// compressed edges count as unstretched. Shear and bend are weak beside it.
+    fn elastic_along(&self, p: usize, normal: DVec3, elastic: Elastic) -> f64 {
+        let Grid { h, w } = self.grid;
+        let (n, i, j) = (h * w, p / w, p % w);
+        let place = |q: usize| DVec3::from(at(self.x, n, q).map(|c| c.f64()));
+        let own = place(p);
+        let vertical = [(i > 0).then(|| p - w), (i + 1 < h).then(|| p + w)].map(|q| (q, elastic.vertical));
+        let horizontal =
+            [(j > 0).then(|| p - 1), (j + 1 < w).then(|| p + 1)].map(|q| (q, elastic.horizontal));
+        let edges = vertical.into_iter().chain(horizontal);
+        edges
+            .filter_map(|(q, term)| {
+                let edge = place(q?) - own;
+                let length = edge.length();
+                if length == 0.0 {
+                    return None;
+                }
+                let along = (edge.dot(normal) / length).powi(2);
+                Some(2.0 * term.factor * (along + (1.0 - 1.0 / length).max(0.0) * (1.0 - along)))
+            })
+            .sum()
+    }
+}
+
+/// The plane that stands for a body before one particle.
+#[derive(Clone, Copy, Debug)]
+struct Plane {
+    /// Away from the body, at the end of the frame.
+    normal: DVec3,
+    /// Distance from the body at the start of the frame.
+    before: f64,
+    /// Distance above the plane of the particle's place at the start of the frame.
+    at_start: f64,
+    /// The same, of the place to which its velocity takes it.
+    predicted: f64,
+    /// Displacement of the body's point in the frame.
+    drift: DVec3,
+}
+
+impl Plane {
+    /// Finds the plane for a particle whose velocity takes it from `x` to `predicted`: where it meets the body on its
+    /// way, else where it arrives. Returns `None` if it stays far away.
+    fn find(body: &Body, sweep: &Sweep, x: DVec3, predicted: DVec3) -> Option<Self> {
+        let (start, end) = (sweep.from.inward(x), sweep.to.inward(predicted));
+        let way = end - start;
+        let length = way.length();
+        let near = body.thickness + 2.0 * length + 1.0;
+        if start.length() > body.shape.reach() + near {
+            return None;
+        }
+        let before = body.shape.distance(start).distance;
+        if before > near {
+            return None;
+        }
+        let mut place = end;
+        if before > 0.0 && before <= length {
+            let mut share = 0.0;
+            for _ in 0..MARCH_STEPS {
+                let here = start + share * way;
+                let left = body.shape.distance(here).distance;
+                if left <= 0.0 {
+                    place = here;
+                    break;
+                }
+                share += (left / length).max(LEAST_ADVANCE);
+                if share >= 1.0 {
+                    break;
+                }
+            }
+        }
+        let surface = body.shape.distance(place);
+        let normal = sweep.to.turned(surface.normal);
+        let (at_place, distance) = (sweep.to.outward(place), surface.distance);
+        let above = |point: DVec3| normal.dot(point - at_place) + distance;
+        // The body's point that touches, where it was.
+        let drift = sweep.to.outward(place) - sweep.from.outward(place);
+        Some(Self { normal, before, at_start: above(x), predicted: above(predicted), drift })
+    }
+}

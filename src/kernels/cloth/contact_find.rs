@@ -1,0 +1,43 @@
+//! Host side of `shaders/cloth/contact_find.wgsl`.
+
+use super::Trial;
+use crate::Result;
+use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::kernels::{common, size, terms};
+
+pub(crate) const SOURCE: Source = Source {
+    name: "contact_find",
+    wgsl: include_str!("../../../shaders/cloth/contact_find.wgsl"),
+    appended: &[common::CLOTH, common::BODY, terms::CONTACT],
+};
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Params {
+    rows: u32,
+    columns: u32,
+    bodies: u32,
+}
+
+/// Finds the contacts of a frame.
+#[derive(Clone, Debug)]
+pub struct ContactFind {
+    kernel: Kernel,
+}
+
+impl ContactFind {
+    /// Builds the kernel for so many contacts of a particle.
+    pub fn new(context: &Context, slots: usize) -> Result<Self> {
+        Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("SLOTS", slots as f64)])? })
+    }
+
+    /// Sets `contacts` [B, slots n, 12] from the `bodies` [B, count, 24] and where the trial begins: `x` and
+    /// `iterate.base`.
+    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, [bodies, contacts]: [&Tensor; 2]) {
+        let (grid, batch) = (trial.grid, trial.batch());
+        let &[_, count, _] = bodies.shape() else { panic!("contact_find: {:?}", bodies.shape()) };
+        let params = Params { rows: size(grid.h), columns: size(grid.w), bodies: size(count) };
+        let tensors = [trial.cloths, bodies, &trial.iterate.slots, trial.x, &trial.iterate.base, contacts];
+        schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
+    }
+}

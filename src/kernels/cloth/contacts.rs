@@ -1,0 +1,137 @@
+//! The contacts of cloths with bodies on a device.
+
+use super::{
+    Contact, ContactConfine, ContactCurvature, ContactEnd, ContactFind, ContactReport, Trial, contact_report,
+};
+use crate::Result;
+use crate::cloth::{Body, Control, Model, Shape, Sweep};
+use crate::cpu::cloth::MAX_CONTACTS;
+use crate::gpu::{Context, Schedule, Tensor};
+
+/// One element of the WGSL's `array<Body>`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, bytemuck::Pod, bytemuck::Zeroable)]
+pub struct BodyParams {
+    sizes: [f32; 3],
+    /// 0 for no body.
+    kind: u32,
+    thickness: f32,
+    friction: f32,
+    padding: [f32; 2],
+    from_position: [f32; 4],
+    from_rotation: [f32; 4],
+    to_position: [f32; 4],
+    to_rotation: [f32; 4],
+}
+
+impl BodyParams {
+    /// Number of 32-bit values in an element.
+    pub const LEN: usize = size_of::<Self>() / size_of::<f32>();
+
+    /// Returns the bodies of each cloth and how they move in the frame, with room for `count` of each, shape [B, count].
+    pub fn all<T>(model: &Model, control: &Control<T>, count: usize) -> Vec<Self> {
+        let of_cloth = |b: usize| {
+            let bodies = model.cloths[b].bodies.iter().enumerate();
+            let own = bodies.map(move |(k, body)| Self::new(body, control.sweep(model, b, k)));
+            own.chain(std::iter::repeat(Self::default())).take(count)
+        };
+        (0..model.batch()).flat_map(of_cloth).collect()
+    }
+
+    fn new(body: &Body, sweep: Sweep) -> Self {
+        let kind = match body.shape {
+            Shape::Plane => 1,
+            Shape::Sphere { .. } => 2,
+            Shape::Capsule { .. } => 3,
+            Shape::Box { .. } => 4,
+        };
+        let four = |[x, y, z]: [f64; 3]| [x as f32, y as f32, z as f32, 0.0];
+        let rotation = |q: [f64; 4]| q.map(|c| c as f32);
+        Self {
+            sizes: body.shape.sizes().map(|size| size as f32),
+            kind,
+            thickness: body.thickness as f32,
+            friction: body.friction as f32,
+            padding: [0.0; 2],
+            from_position: four(sweep.from.position),
+            from_rotation: rotation(sweep.from.rotation),
+            to_position: four(sweep.to.position),
+            to_rotation: rotation(sweep.to.rotation),
+        }
+    }
+}
+
+/// Number of 32-bit values in an element of the WGSL's `array<Contact>`.
+pub const CONTACT: usize = 12;
+
+/// The contacts of a batch of cloths, and what computes with them.
+#[derive(Clone, Debug)]
+pub struct Contacts {
+    /// Bodies of each cloth ([`BodyParams`]), shape [B, count, 24].
+    pub bodies: Tensor,
+    /// What each body did in the last frame, shape [B, count, 8], see [`contact_report`].
+    pub report: Tensor,
+    /// Shape [B, slots n, 12].
+    contacts: Tensor,
+    find: ContactFind,
+    contact: Contact,
+    curvature: ContactCurvature,
+    confine: ContactConfine,
+    end: ContactEnd,
+    report_kernel: ContactReport,
+}
+
+impl Contacts {
+    /// Builds the kernels and tensors for `batch` cloths of `n` particles with room for `count` bodies each, of which there
+    /// are none yet.
+    pub fn new(context: &Context, batch: usize, n: usize, count: usize) -> Result<Self> {
+        let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
+        let slots = count.min(MAX_CONTACTS);
+        Ok(Self {
+            bodies: zeros("bodies", &[batch, count, BodyParams::LEN])?,
+            report: zeros("contact report", &[batch, count, contact_report::VALUES])?,
+            contacts: zeros("contacts", &[batch, slots * n, CONTACT])?,
+            find: ContactFind::new(context, slots)?,
+            contact: Contact::new(context, slots)?,
+            curvature: ContactCurvature::new(context, slots)?,
+            confine: ContactConfine::new(context, slots)?,
+            end: ContactEnd::new(context, slots)?,
+            report_kernel: ContactReport::new(context, slots)?,
+        })
+    }
+
+    /// Returns the number of bodies that each cloth has room for.
+    pub fn count(&self) -> usize {
+        self.bodies.shape()[1]
+    }
+
+    /// Appends the search for the contacts of a frame that begins at `trial`. One dispatch.
+    pub fn find(&self, schedule: &mut Schedule, trial: Trial<'_>) {
+        self.find.push(schedule, trial, [&self.bodies, &self.contacts]);
+    }
+
+    /// Appends the accelerations by contacts and their energy ([`Contact::push`]). One dispatch.
+    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, after_repulsion: bool, parts: &Tensor) {
+        self.contact.push(schedule, trial, after_repulsion, [&self.contacts, parts]);
+    }
+
+    /// Appends their second derivatives ([`ContactCurvature::push`]). One dispatch.
+    pub fn push_curvature(&self, schedule: &mut Schedule, trial: Trial<'_>, tensors: [&Tensor; 2]) {
+        self.curvature.push(schedule, trial, &self.contacts, tensors);
+    }
+
+    /// Appends what keeps a step out of the bodies ([`ContactConfine::push`]). One dispatch.
+    pub fn confine(&self, schedule: &mut Schedule, trial: Trial<'_>, directions: Option<&Tensor>) {
+        self.confine.push(schedule, trial, &self.contacts, directions);
+    }
+
+    /// Appends the report at the accepted accelerations, before the frame ends. One dispatch.
+    pub fn report(&self, schedule: &mut Schedule, trial: Trial<'_>) {
+        self.report_kernel.push(schedule, trial, [&self.contacts, &self.bodies, &self.report]);
+    }
+
+    /// Appends the corrections of a frame's end to `x` and `v`. One dispatch.
+    pub fn end_frame(&self, schedule: &mut Schedule, [x, v]: [&Tensor; 2]) {
+        self.end.push(schedule, [&self.contacts, x, v]);
+    }
+}
