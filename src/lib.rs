@@ -48,9 +48,11 @@
 //!
 //! 1. [`kernels::cloth::Predict`] prepares a = 0, which moves the particles by their velocity and the handles to
 //!    their targets. [`kernels::cloth::ExternalForce`] sums gravity, the control's accelerations and the
-//!    forces of the air.
+//!    forces of the air. If there are bodies, [`kernels::cloth::ContactFind`] finds for each particle the planes that
+//!    stand for them in this frame.
 //! 2. N times (paper section 3.3): if the layers of the cloth are to be kept apart,
-//!    [`kernels::cloth::Repulsion`] adds the repulsion between nearby particles to the external acceleration.
+//!    [`kernels::cloth::Repulsion`] adds the repulsion between nearby particles to the external acceleration, and
+//!    [`kernels::cloth::Contact`] the forces of bodies.
 //!    [`kernels::cloth::Gradient`] computes dL/da and its norm. [`network::Forward`] runs the network
 //!    (section 4): the normalised fields ([`kernels::optim::Features`]), the lifting, four Fourier blocks
 //!    (truncated transform, spectral product, inverse), the field head, and the scalar head with the
@@ -58,10 +60,12 @@
 //!    the others are the gradient under two spectral inverses of the Hessian at rest, in world axes and in the
 //!    sheet's own, and the last step. [`kernels::cloth::Curvature`] sums the energy, its slopes and its second
 //!    derivatives along them, and [`kernels::optim::SubspaceStep`] adds the combination that minimises this model to
-//!    a. If the step before raised the energy, it shortens that one instead. With `fnopt-paper` the network's step is
+//!    a. If the step before raised the energy, it shortens that one instead.
+//!    [`kernels::cloth::ContactConfine`] keeps the step out of the bodies. With `fnopt-paper` the network's step is
 //!    taken as it is. Other optimizers ([`sim::Optimizer`]) replace what follows the gradient.
 //! 3. [`kernels::cloth::Energy`] computes the statistics, with the repulsion evaluated once more.
-//!    [`kernels::cloth::Integrate`] then updates the state: v += a, x += v.
+//!    [`kernels::cloth::Integrate`] then updates the state: v += a, x += v. With bodies,
+//!    [`kernels::cloth::ContactReport`] says what they did, and [`kernels::cloth::ContactEnd`] stops particles that stick.
 //!
 //! A frame in a subspace ([`kernels::optim::Subspace`]) starts at a multiple of the last frame's accelerations, and
 //! ends with a check that takes back a step that raised the energy.

@@ -1,7 +1,7 @@
 
 // Parameters of a cloth in grid units.
 struct Cloth {
-    material: vec4f, // stretch, shear, bend, unused
+    material: vec4f, // stretch, shear, bend; curvature of contacts per mass, 0 without bodies
     gravity: vec4f, // acceleration, unused
     air: vec4f, // density and drag coefficients, unused
     repulsion: vec4f, // strength, distance (0 for no repulsion), search cells per edge length, unused

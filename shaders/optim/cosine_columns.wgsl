@@ -88,7 +88,7 @@ fn eigenvalues(field: u32, k: u32, l: u32, material: vec4f) -> vec4f {
             others += 2.0 * NORMAL * material.x;
         }
         default: {
-            others += 4.0 * material.y * (m + q);
+            others += 4.0 * material.y * (m + q) + material.w;
         }
     }
     return stretch + others / (h * w);

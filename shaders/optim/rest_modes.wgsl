@@ -32,12 +32,12 @@ fn times(a: vec2f, b: vec2f) -> vec2f {
     return vec2f(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x);
 }
 
-// Returns lambda of a mode: inertia, stretch, bend and shear. `mu` is 2 - 2 cos(pi k / n) along either axis.
+// Returns lambda of a mode: inertia, stretch, bend, shear and contacts. `mu` is 2 - 2 cos(pi k / n) along either axis.
 fn eigenvalue(mu: vec2f, material: vec4f) -> f32 {
     let h = f32(params.rows);
     let w = f32(params.columns);
     let stretch = 2.0 * material.x * (mu.x / ((h - 1.0) * w) + mu.y / (h * (w - 1.0)));
-    return stretch + (1.0 + 2.0 * material.z * dot(mu, mu) + 4.0 * material.y * (mu.x + mu.y)) / (h * w);
+    return stretch + (1.0 + material.w + 2.0 * material.z * dot(mu, mu) + 4.0 * material.y * (mu.x + mu.y)) / (h * w);
 }
 
 @compute @workgroup_size(64)

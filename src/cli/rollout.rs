@@ -9,11 +9,12 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Frame;
+use fnopt::cloth::BodyStats;
 use fnopt::eval::{Soundness, Verdict, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{Bodies, GifOptions, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
-use fnopt::sim::{BodyStats, FrameStats, Optimizer};
+use fnopt::sim::{FrameStats, Optimizer};
 use fnopt::{Error, io};
 use std::borrow::Cow;
 use std::collections::BTreeSet;

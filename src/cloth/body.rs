@@ -5,6 +5,8 @@ use glam::{DQuat, DVec3};
 
 /// Most bodies that one cloth may meet.
 pub const MAX_BODIES: usize = 32;
+/// Most bodies that act on one particle in a frame: the nearest ones.
+pub const MAX_CONTACTS: usize = 4;
 /// Largest size or distance of a body \[edges\]: beyond it, single precision does not resolve a contact.
 const FARTHEST: f64 = 1e6;
 
@@ -224,4 +226,18 @@ impl Body {
         }
         Ok(())
     }
+}
+
+/// What a body did to one cloth in one frame, in grid units.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct BodyStats {
+    /// Number of particles on which it pressed.
+    pub touching: usize,
+    /// Largest depth of a particle below its surface \[edges\]; 0 if all are outside.
+    pub deepest: f64,
+    /// Sum of the forces of the cloth on it, barrier and friction: the derivative of the energy
+    /// ([`Contact::gradient`](super::terms::Contact::gradient)), shape \[3\].
+    pub load: [f64; 3],
+    /// Work that friction took from the cloth.
+    pub friction_work: f64,
 }

@@ -8,7 +8,7 @@ mod model;
 pub mod terms;
 mod view;
 
-pub use body::{Body, Distance, MAX_BODIES, Pose, Shape, Sweep};
+pub use body::{Body, BodyStats, Distance, MAX_BODIES, MAX_CONTACTS, Pose, Shape, Sweep};
 pub use energy::EnergyTerms;
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub(crate) use model::cast;

@@ -7,8 +7,8 @@ use super::cloth::{
     gradient, local_model, repulsion, repulsion_curvature, shifts, stretch,
 };
 use super::optim::norm;
-use crate::cloth::{Control, EnergyTerms, Model, State, Sweep};
-use crate::sim::{BodyStats, MAX_DIRECTIONS};
+use crate::cloth::{BodyStats, Control, EnergyTerms, Model, State, Sweep};
+use crate::sim::MAX_DIRECTIONS;
 use rayon::prelude::*;
 
 /// The energies L(a) of a batch of cloths (paper section 3.2).

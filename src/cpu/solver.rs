@@ -1,11 +1,10 @@
 //! The solver that computes a frame on the CPU (paper sections 3.2 and 3.3).
 
-use super::cloth::MAX_CONTACTS;
 use super::operator::activations_len;
 use super::optim::{Hidden, Minimizer, Subspace, Update, minimizer, norm};
 use super::reference::Minimum;
 use super::{Objective, Real, Reference};
-use crate::cloth::{Cloth, Control, Model, State};
+use crate::cloth::{Cloth, Control, MAX_CONTACTS, Model, State};
 use crate::settings::LEARNED_ITERATIONS;
 use crate::sim::{Direction, FrameStats, Initial, IterationLog, Length, Memory, Optimizer, StepCounts};
 use crate::{Error, Result, memory};

@@ -15,6 +15,6 @@ pub(crate) use learned::Learned;
 pub use memory::Memory;
 pub use optimizer::{Direction, Initial, Length, MAX_DIRECTIONS, Optimizer};
 pub use solver::{INITIAL_SCALE, Solver};
-pub use stats::{BodyStats, FrameStats, IterationLog, StepCounts};
+pub use stats::{FrameStats, IterationLog, StepCounts};
 pub use tune::tune;
 pub use vertices::Vertices;

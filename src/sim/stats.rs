@@ -1,6 +1,6 @@
 //! Statistics that a frame reports for each cloth.
 
-use crate::cloth::EnergyTerms;
+use crate::cloth::{BodyStats, EnergyTerms};
 
 /// Statistics of one cloth in one frame, in grid units. Stretch is over all edges, including those at handles,
 /// which rightly stretch more ([`FreeEdges`](crate::eval::FreeEdges) leaves them out).
@@ -24,20 +24,6 @@ pub struct FrameStats {
     /// What each body did, in the order of the cloth's bodies.
     #[serde(skip)]
     pub bodies: Vec<BodyStats>,
-}
-
-/// What a body did to one cloth in one frame, in grid units.
-#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct BodyStats {
-    /// Number of particles on which it pressed.
-    pub touching: usize,
-    /// Largest depth of a particle below its surface \[edges\]; 0 if all are outside.
-    pub deepest: f64,
-    /// Sum of the forces of the cloth on it, barrier and friction: the derivative of the energy
-    /// ([`Contact::gradient`](crate::cloth::terms::Contact::gradient)), shape \[3\].
-    pub load: [f64; 3],
-    /// Work that friction took from the cloth.
-    pub friction_work: f64,
 }
 
 /// What became of the steps of one cloth in one frame, where they are checked

@@ -1,5 +1,6 @@
 //! Scenes: documents, setups, units, and refusals.
 
+mod bodies;
 mod common;
 mod documents;
 mod named;

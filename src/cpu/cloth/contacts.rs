@@ -4,14 +4,12 @@
 use super::vector::{add, at, dot, scaled, sub};
 use super::{Hessian, Trial};
 use crate::cloth::terms::{self, Elastic};
-use crate::cloth::{Body, Cloth, Grid, Sweep};
+use crate::cloth::{Body, BodyStats, Cloth, Grid, MAX_CONTACTS, Sweep};
 use crate::cpu::Real;
-use crate::sim::{BodyStats, MAX_DIRECTIONS};
+use crate::sim::MAX_DIRECTIONS;
 use glam::DVec3;
 use rayon::prelude::*;
 
-/// Most bodies that act on one particle in a frame: the nearest ones.
-pub const MAX_CONTACTS: usize = 4;
 /// Particles per task.
 const TASK: usize = 256;
 /// Steps of the search along a particle's way, and the least share of the way that a step advances.

@@ -23,7 +23,7 @@ mod vertices;
 mod wind;
 
 pub use cells::{Cells, Placed, Walk};
-pub use contacts::{Approach, Contacts, MAX_CONTACTS};
+pub use contacts::{Approach, Contacts};
 pub(super) use curvature::generic_local_model;
 pub use curvature::{CurvatureRows, LocalModel, local_model};
 pub use energy::energy;

@@ -72,13 +72,13 @@ fn mu(n: usize, k: usize) -> f64 {
 }
 
 /// Returns the eigenvalue of mode (k, l): inertia, stretch, bend and shear of a small wave on the sheet at
-/// rest.
-fn eigenvalue(grid: Grid, material: Material, (k, l): (usize, usize)) -> f64 {
-    let Grid { h, w } = grid;
+/// rest, and its contacts with bodies, as if all particles had them.
+fn eigenvalue(grid: Grid, cloth: &Cloth, (k, l): (usize, usize)) -> f64 {
+    let (Grid { h, w }, material) = (grid, cloth.material);
     let (mu_h, mu_w) = (mu(h, k), mu(w, l));
     let n = (h * w) as f64;
     let stretch = mu_h / ((h - 1) * w) as f64 + mu_w / (h * (w - 1)) as f64;
-    1.0 / n
+    (1.0 + cloth.contact_curvature()) / n
         + 2.0 * material.stretch * stretch
         + 2.0 * material.bend / n * (mu_h * mu_h + mu_w * mu_w)
         + 4.0 * material.shear / n * (mu_h + mu_w)
@@ -181,7 +181,7 @@ impl<T: Real> RestHessian<T> {
     pub fn with(cosines: &Arc<Cosines<T>>, cloth: &Cloth) -> Self {
         let grid = cosines.grid;
         Self {
-            inverse: cosines.inverses(&|mode| eigenvalue(grid, cloth.material, mode)),
+            inverse: cosines.inverses(&|mode| eigenvalue(grid, cloth, mode)),
             handles: cloth.handles.clone(),
             scratch: cosines.scratch(),
             cosines: cosines.clone(),

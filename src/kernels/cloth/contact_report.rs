@@ -2,9 +2,9 @@
 
 use super::Trial;
 use crate::Result;
+use crate::cloth::BodyStats;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, pieces, size, terms};
-use crate::sim::BodyStats;
 
 pub(crate) const SOURCE: Source = Source {
     name: "contact_report",

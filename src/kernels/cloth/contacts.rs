@@ -4,8 +4,7 @@ use super::{
     Contact, ContactConfine, ContactCurvature, ContactEnd, ContactFind, ContactReport, Trial, contact_report,
 };
 use crate::Result;
-use crate::cloth::{Body, Control, Model, Shape, Sweep};
-use crate::cpu::cloth::MAX_CONTACTS;
+use crate::cloth::{Body, Control, MAX_CONTACTS, Model, Shape, Sweep};
 use crate::gpu::{Context, Schedule, Tensor};
 
 /// One element of the WGSL's `array<Body>`.

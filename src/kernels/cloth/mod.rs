@@ -104,7 +104,7 @@ impl ClothParams {
             cloth.repulsion.map_or([0.0, 0.0, 1.0], |r| [r.strength, r.distance, r.distance.recip()]);
         let [gx, gy, gz] = cloth.gravity.map(|g| g as f32);
         Self {
-            material: [m.stretch as f32, m.shear as f32, m.bend as f32, 0.0],
+            material: [m.stretch, m.shear, m.bend, cloth.contact_curvature()].map(|k| k as f32),
             gravity: [gx, gy, gz, 0.0],
             air: [cloth.air.density as f32, cloth.air.drag as f32, 0.0, 0.0],
             repulsion: [strength as f32, distance as f32, per_edge as f32, 0.0],
