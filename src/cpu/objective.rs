@@ -136,19 +136,15 @@ impl<T: Real> Objective<T> {
         }
     }
 
-    /// Changes the trial accelerations of particles that they lead into a body, so that they stay outside. Returns whether
-    /// there are any.
-    pub fn move_out_of_bodies(&mut self, state: &State<T>, control: &Control<T>) -> bool {
-        if self.trial.model.bodies() == 0 {
-            return false;
-        }
-        self.move_to_trial(state, control);
+    /// Changes the trial accelerations of particles that they lead into a body, so that they stay outside. Calls `moved`
+    /// with the cloth, the element and what was added, and returns whether there are any.
+    pub fn move_out_of_bodies(&mut self, state: &State<T>, mut moved: impl FnMut(usize, usize, T)) -> bool {
         let cloth = self.cloth_len();
-        let Trials { model, a, shift, contacts, .. } = &mut self.trial;
-        let fields = a.chunks_exact_mut(cloth).zip(shift.chunks_exact_mut(cloth));
-        let cloths = contacts.iter().zip(&model.cloths);
-        fields.zip(cloths).fold(false, |moved, ((a, shift), (contacts, setting))| {
-            contacts.confine(&setting.bodies, a, shift) || moved
+        let Trials { model, a, contacts, .. } = &mut self.trial;
+        let fields = a.chunks_exact_mut(cloth).zip(state.v.chunks_exact(cloth));
+        let cloths = fields.zip(contacts.iter().zip(&model.cloths)).enumerate();
+        cloths.fold(false, |any, (b, ((a, v), (contacts, setting)))| {
+            contacts.confine(&setting.bodies, v, a, |element, out| moved(b, element, out)) || any
         })
     }
 

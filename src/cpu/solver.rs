@@ -94,7 +94,7 @@ impl<T: Real> Solver<T> {
             Method::Steps(iterations, minimizer) => {
                 minimizer.begin_frame();
                 for _ in 0..*iterations {
-                    objective.move_out_of_bodies(state, control);
+                    objective.move_out_of_bodies(state, |_, _, _| ());
                     objective.evaluate(state, control);
                     minimizer.step(&objective.grad, &objective.norms, &mut objective.trial.a);
                     self.log.gradient_norms.extend(&objective.norms);
@@ -105,7 +105,7 @@ impl<T: Real> Solver<T> {
                 subspace.begin_frame(objective, (state, control));
                 for iteration in 0..*iterations {
                     objective.evaluate(state, control);
-                    subspace.step(objective, (state, control), iteration);
+                    subspace.step(objective, state, iteration);
                     self.log.gradient_norms.extend(&objective.norms);
                     if iteration < LEARNED_ITERATIONS {
                         self.log.scales.extend(subspace.scales().iter().map(|s| s.f64()));

@@ -105,22 +105,24 @@ impl<T: Real> Contacts<T> {
         curvature
     }
 
-    /// Moves particles that are nearer to a plane than [`terms::Contact::LEAST_GAP`] of its thickness out to there: adds to
-    /// their accelerations `a` [3, H, W] what is missing in `shift` [3, H, W], and to both. Returns whether it moved any.
-    pub fn confine(&self, bodies: &[Body], a: &mut [T], shift: &mut [T]) -> bool {
-        let n = shift.len() / 3;
-        let mut moved = false;
+    /// Moves particles out that their velocities `v` and accelerations `a` [3, H, W] lead nearer to a plane than
+    /// [`terms::Contact::LEAST_GAP`] of its thickness, by adding to `a`. Calls `moved` with each element and what was
+    /// added, and returns whether there are any.
+    pub fn confine(&self, bodies: &[Body], v: &[T], a: &mut [T], mut moved: impl FnMut(usize, T)) -> bool {
+        let n = a.len() / 3;
+        let mut any = false;
         for contact in &self.found {
             let p = contact.particle;
-            if let Some(out) = contact.way_out(bodies[contact.body].thickness, at(shift, n, p)) {
-                moved = true;
-                for c in 0..3 {
-                    a[c * n + p] = a[c * n + p] + out[c];
-                    shift[c * n + p] = shift[c * n + p] + out[c];
+            let y = add(at(v, n, p), at(a, n, p));
+            if let Some(out) = contact.way_out(bodies[contact.body].thickness, y) {
+                any = true;
+                for (c, out) in out.into_iter().enumerate() {
+                    a[c * n + p] = a[c * n + p] + out;
+                    moved(c * n + p, out);
                 }
             }
         }
-        moved
+        any
     }
 
     /// Corrects the end of a frame, positions and velocities [3, H, W], of which the latter are the displacements:

@@ -29,8 +29,8 @@ pub struct Subspace<T: Real> {
     directions: Vec<Direction>,
     network: Option<Update<T>>,
     cloths: Vec<OfCloth<T>>,
-    /// Accelerations of all cloths before a change, shape [B, 3, H, W].
-    before: Vec<T>,
+    /// Accelerations of all cloths after a step, shape [B, 3, H, W].
+    moved: Vec<T>,
     /// Norms of the gradient at a = 0 for each component of each cloth, shape [B, 3].
     norms_at_start: Vec<f64>,
 }
@@ -69,9 +69,9 @@ impl<T: Real> Subspace<T> {
             Some(weights) => Some(super::update(weights, model)?),
             None => None,
         };
-        let before = vec![T::zero(); 3 * model.batch() * model.grid.particles()];
+        let moved = vec![T::zero(); 3 * model.batch() * model.grid.particles()];
         let norms_at_start = vec![0.0; 3 * model.batch()];
-        let mut new = Self { directions, network, cloths: Vec::new(), before, norms_at_start };
+        let mut new = Self { directions, network, cloths: Vec::new(), moved, norms_at_start };
         new.set_cloths(model);
         Ok(new)
     }
@@ -118,7 +118,7 @@ impl<T: Real> Subspace<T> {
                 sheet_axes(grid, x, shift, &mut cloth.axes);
             }
         });
-        objective.move_out_of_bodies(state, control);
+        objective.move_out_of_bodies(state, |_, _, _| ());
         self.start_warm(objective, (state, control));
     }
 
@@ -144,21 +144,16 @@ impl<T: Real> Subspace<T> {
         for (cloth, a) in self.cloths.iter().zip(objective.trial.a.chunks_exact_mut(len)) {
             a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a + step);
         }
-        self.end_step(objective, (state, control));
+        self.end_step(objective, state);
     }
 
     /// Ends a step: moves particles out of the bodies, which counts as part of it, and tells the network.
-    fn end_step(&mut self, objective: &mut Objective<T>, (state, control): (&State<T>, &Control<T>)) {
-        let len = objective.cloth_len();
-        let Self { network, cloths, before, .. } = self;
-        before.copy_from_slice(&objective.trial.a);
-        if objective.move_out_of_bodies(state, control) {
-            let moved = objective.trial.a.chunks_exact(len).zip(before.chunks_exact(len));
-            for (cloth, (after, before)) in cloths.iter_mut().zip(moved) {
-                let moved = after.iter().zip(before).map(|(&after, &before)| after - before);
-                cloth.last.iter_mut().zip(moved).for_each(|(last, moved)| *last = *last + moved);
-            }
-        }
+    fn end_step(&mut self, objective: &mut Objective<T>, state: &State<T>) {
+        let Self { network, cloths, .. } = self;
+        objective.move_out_of_bodies(state, |b, element, out| {
+            let last = &mut cloths[b].last[element];
+            *last = *last + out;
+        });
         if let Some(network) = network {
             cloths.iter().enumerate().for_each(|(b, cloth)| network.took(b, &cloth.last));
         }
@@ -166,13 +161,8 @@ impl<T: Real> Subspace<T> {
 
     /// Adds the step of `iteration`, counted from 0, to the accelerations of `objective`, which has been evaluated
     /// there.
-    pub fn step(
-        &mut self,
-        objective: &mut Objective<T>,
-        (state, control): (&State<T>, &Control<T>),
-        iteration: usize,
-    ) {
-        let Self { directions, network, cloths, before, .. } = self;
+    pub fn step(&mut self, objective: &mut Objective<T>, state: &State<T>, iteration: usize) {
+        let Self { directions, network, cloths, moved, .. } = self;
         let proposed = match network {
             Some(network) if iteration < LEARNED_ITERATIONS => {
                 network.propose(&objective.grad, &objective.norms)
@@ -181,10 +171,10 @@ impl<T: Real> Subspace<T> {
         };
         let len = objective.cloth_len();
         // The steps go to a copy, which then changes places with the accelerations.
-        before.copy_from_slice(&objective.trial.a);
+        moved.copy_from_slice(&objective.trial.a);
         {
             let objective = &*objective;
-            let each = cloths.par_iter_mut().zip(before.par_chunks_exact_mut(len)).enumerate();
+            let each = cloths.par_iter_mut().zip(moved.par_chunks_exact_mut(len)).enumerate();
             each.for_each(|(b, (cloth, a))| {
                 let grad = &objective.grad[b * len..][..len];
                 for (p, kind) in cloth.directions.chunks_exact_mut(len).zip(&*directions) {
@@ -205,8 +195,8 @@ impl<T: Real> Subspace<T> {
                 cloth.advance(&model, a);
             });
         }
-        std::mem::swap(&mut objective.trial.a, before);
-        self.end_step(objective, (state, control));
+        std::mem::swap(&mut objective.trial.a, moved);
+        self.end_step(objective, state);
     }
 
     /// Ends a frame of `objective`, which has moved to where the last step led: takes that back if it raised the
