@@ -3,7 +3,7 @@
 use crate::noise::noise;
 use fnopt::cloth::terms::Contact;
 use fnopt::cloth::{Body, Cloth, Control, EnergyTerms, Grid, Material, Model, Pose, Shape, State, Sweep};
-use fnopt::cpu::cloth::CurvatureRows;
+use fnopt::cpu::cloth::{Approach, Contacts, CurvatureRows};
 use fnopt::cpu::{Objective, Real, Solver};
 use fnopt::sim::{FrameStats, Optimizer};
 use glam::{DMat3, DQuat, DVec3};
@@ -81,6 +81,45 @@ fn contacts_have_these_derivatives() {
         let size = found.to_cols_array().iter().fold(1.0, |most: f64, v| most.max(v.abs()));
         assert!(off < 1e-6 * size, "{k}: {change} {found}");
     }
+}
+
+/// On a plane that moves, what the CPU path sums is the plain definition, with its stiffness and loads.
+#[test]
+fn contacts_are_the_plain_ones() {
+    let grid = Grid { h: 9, w: 8 };
+    let n = grid.particles();
+    let plane = Body { friction: 0.4, ..body(Shape::Plane, at(0.0, 0.0, -0.1)) };
+    let cloth = Cloth { handles: vec![3], bodies: vec![plane], ..Cloth::default() };
+    let slots = Model { grid, cloths: vec![cloth.clone()] }.handle_slots();
+    let drift = DVec3::new(0.02, -0.01, 0.0);
+    let sweep = Sweep { from: at(-drift.x, -drift.y, -0.1), to: plane.pose };
+    // Level, so that stretch has no stiffness along the normal.
+    let State { x, .. } = State::<f64>::rest(grid, 1);
+    let mut v: Vec<f64> = noise(3 * n, 8).iter().map(|v| 0.03 * v).collect();
+    v[2 * n..].fill(-0.02);
+    let sweeps = [sweep];
+    let start = Approach { grid, cloth: &cloth, sweeps: &sweeps, x: &x, v: &v, slots: &slots };
+    let contacts = Contacts::find(start);
+    let shift: Vec<f64> = v.iter().zip(noise(3 * n, 9)).map(|(v, d)| v + 0.01 * d).collect();
+    let mut accelerations = vec![0.0; 3 * n];
+    contacts.add_accelerations(grid, &shift, &mut accelerations);
+    let mut energy = 0.0;
+    for p in (0..n).filter(|&p| p != 3) {
+        let mass = grid.mass(p / grid.w, p % grid.w) / n as f64;
+        let (gap, h) = (0.1, plane.thickness);
+        let load = Contact::load_at(Contact::stiffness(0.0, mass, gap, h), gap, h);
+        let load = load.max(mass * (h - gap + 0.02));
+        let stiffness = Contact::stiffness(0.0, mass, gap - 0.02, h);
+        let plain = Contact::new(DVec3::Z, gap, stiffness, h);
+        let plain = Contact { drift, friction: 0.4 * load, ..plain };
+        let y = DVec3::new(shift[p], shift[n + p], shift[2 * n + p]);
+        energy += plain.energies(y).iter().sum::<f64>();
+        let found = -mass * DVec3::new(accelerations[p], accelerations[n + p], accelerations[2 * n + p]);
+        let gradient = plain.gradient(y);
+        assert!((found - gradient).length() < 1e-12 * gradient.length(), "{p}: {found} {gradient}");
+    }
+    assert!((contacts.energy(&shift) - energy).abs() < 1e-12 * energy, "{energy}");
+    assert!(accelerations[3] == 0.0, "a handle");
 }
 
 /// A crumpled sheet among bodies that move, with a handle.

@@ -3,7 +3,7 @@
 use crate::cloths::among_bodies;
 use crate::common::{assert_close, context, device, largest, read};
 use crate::solver::{assert_same, optimizers, solver, statistics, step};
-use fnopt::cloth::{Cloth, Control, Grid};
+use fnopt::cloth::{Cloth, Control, Grid, Repulsion};
 use fnopt::cpu;
 use fnopt::sim::Optimizer;
 
@@ -41,6 +41,32 @@ fn frames_among_bodies_agree_with_the_host() {
         solver.set_state(&start);
         context().submit(|encoder| solver.record_frames(encoder, &[control.clone(), still]).unwrap());
         assert_same(&format!("{name}, two frames at once"), &read(solver.positions()), &second.x);
+    }
+}
+
+/// Repulsion and bodies act together.
+#[test]
+fn cloths_that_repel_themselves_among_bodies_agree_with_the_host() {
+    let _turn = device();
+    let (mut model, mut start, control) = among_bodies(GRID);
+    start.v.iter_mut().for_each(|v| *v *= 0.2);
+    start.x.iter_mut().for_each(|x| *x *= 0.7);
+    model.cloths[0].repulsion = Some(Repulsion { strength: 0.05, distance: 0.9 });
+    for optimizer in [Optimizer::spectral(), Optimizer::gradient_descent()] {
+        let name = optimizer.name();
+        let solver = solver(&model, &optimizer, 1, &start);
+        let mut host = cpu::Solver::<f64>::new(&model, &optimizer, 1).unwrap();
+        let mut expected = start.cast::<f64>();
+        let found = step(&solver, &control);
+        let stats = host.step(&mut expected, &control.cast());
+        assert_close(name, &found.x, &expected.x, (1e-3 * largest(&expected.v), 2e-7));
+        let energy = stats[0].energy;
+        assert!(energy.contact > 0.0 && energy.repulsion != 0.0, "{energy:?}");
+        let of_device = statistics(&solver)[0].energy;
+        for (found, wanted) in [(of_device.contact, energy.contact), (of_device.repulsion, energy.repulsion)]
+        {
+            assert!((found - wanted).abs() <= 0.01 * wanted.abs(), "{name}: {found} {wanted}");
+        }
     }
 }
 
