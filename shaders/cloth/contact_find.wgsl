@@ -35,7 +35,7 @@ struct Params {
 override SLOTS: u32 = 1;
 
 const STEPS: u32 = 64u;
-const LEAST_ADVANCE: f32 = 0.020833333;
+const LEAST_ADVANCE: f32 = 0.0208333333;
 const STIFFEST: f32 = 0.1;
 
 fn position(b: u32, p: u32) -> vec3f {

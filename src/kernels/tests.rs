@@ -384,6 +384,25 @@ fn the_longest_history_is_the_same_on_both_sides() {
     assert!(source.contains(&format!("const MAX_HISTORY: u32 = {longest}u;")), "{longest}");
 }
 
+/// The constants of contacts, which parity tests would not all tell apart.
+#[test]
+fn contacts_have_the_same_constants_on_both_sides() {
+    use crate::cloth::terms::Contact;
+    let (find, term) = (cloth::contact_find::SOURCE.wgsl, super::terms::CONTACT);
+    let is_there = |text: &str, name: &str, value: f64| {
+        let line = text.lines().find_map(|line| line.strip_prefix(&format!("const {name}: ")));
+        let number = line.and_then(|line| line.split_once("= ")).map(|(_, number)| number);
+        let number = number.map(|number| number.trim_end_matches([';', 'u']).parse::<f64>());
+        let Some(Ok(number)) = number else { panic!("{name}: {line:?}") };
+        assert_eq!(number as f32, value as f32, "{name}");
+    };
+    is_there(term, "STICKING", Contact::STICKING);
+    is_there(term, "LEAST_GAP", Contact::LEAST_GAP);
+    is_there(find, "STIFFEST", Contact::STIFFEST);
+    is_there(find, "LEAST_ADVANCE", Contact::LEAST_ADVANCE);
+    is_there(find, "STEPS", Contact::STEPS as f64);
+}
+
 #[test]
 fn rows_of_texels_are_as_long_on_both_sides() {
     let place = std::fs::read_to_string(root().join("shaders/common/texel.wgsl")).unwrap();

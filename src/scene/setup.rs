@@ -353,6 +353,12 @@ impl Scene {
             let of_scene = (&units, self.up, handles.len());
             let of_cloth = (self.thickness_m, self.friction);
             let (body, path) = settings.setup(of_scene, of_cloth, (&self.origin, &field))?;
+            if body.thickness > 0.5 {
+                warn_once(format!(
+                    "{}: {field}: the cloth stays {:.2} edges away, more than half an edge: is thickness_m in metres?",
+                    self.origin, body.thickness
+                ));
+            }
             cloth.bodies.push(body);
             poses.push(path);
         }

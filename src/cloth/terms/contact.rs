@@ -30,6 +30,10 @@ impl Contact {
     pub const LEAST_GAP: f64 = 0.05;
     /// Share of the thickness at which a gap counts in the stiffness at least.
     pub const STIFFEST: f64 = 0.1;
+    /// Most steps of the search along a particle's way to a body.
+    pub const STEPS: usize = 64;
+    /// The least share of the way that such a step advances.
+    pub const LEAST_ADVANCE: f64 = 1.0 / 48.0;
 
     /// Returns the stiffness k of a contact: the particle's own, `elastic = n . D n` with its block D of the
     /// elastic Hessian, and that of its mass over the gap, which is at least a tenth of the thickness and at

@@ -12,9 +12,6 @@ use rayon::prelude::*;
 
 /// Particles per task.
 const TASK: usize = 256;
-/// Steps of the search along a particle's way, and the least share of the way that a step advances.
-const MARCH_STEPS: usize = 64;
-const LEAST_ADVANCE: f64 = 1.0 / 48.0;
 
 /// A cloth at the start of a frame, before its contacts are known.
 #[derive(Clone, Copy)]
@@ -390,14 +387,14 @@ impl Plane {
         let mut place = end;
         if before > 0.0 && before <= length {
             let mut share = 0.0;
-            for _ in 0..MARCH_STEPS {
+            for _ in 0..terms::Contact::STEPS {
                 let here = start + share * way;
                 let left = body.shape.distance(here).distance;
                 if left <= 0.0 {
                     place = here;
                     break;
                 }
-                share += (left / length).max(LEAST_ADVANCE);
+                share += (left / length).max(terms::Contact::LEAST_ADVANCE);
                 if share >= 1.0 {
                     break;
                 }
