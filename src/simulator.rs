@@ -2,6 +2,7 @@
 
 use crate::cloth::{Cloth, Control, Model, State};
 use crate::gpu::{Context, Readback, Storage};
+use crate::scene::Script;
 use crate::sim::{FrameStats, Memory, Optimizer, Solver};
 use crate::{Error, Result, cpu};
 use std::iter::Peekable;
@@ -235,6 +236,59 @@ impl Simulator {
                 begun = Instant::now();
             }
         }
+    }
+}
+
+impl Simulator {
+    /// Computes the frames of a scene that are left, from the simulator's own state, and passes each to `take` as
+    /// [`Simulator::rollout`] does, with the script as it is in that frame. Before the frames with changes
+    /// ([`Setup::changes`](crate::scene::Setup::changes)) it waits for the state and replaces the cloth.
+    ///
+    /// Fails as [`Simulator::rollout`] and [`Simulator::set_cloths`] do.
+    ///
+    /// ```
+    /// use fnopt::scene::{Scene, Script};
+    /// use fnopt::sim::Optimizer;
+    /// use fnopt::{Device, Simulator};
+    /// use std::ops::ControlFlow;
+    /// use std::path::Path;
+    ///
+    /// // A sheet that hangs from two corners, of which one is let go after half a second.
+    /// let text = r#"{"frames": 60, "motion": "none", "events": [{"frame": 30, "release": [[0, 0]]}]}"#;
+    /// let setup = Scene::parse(text, "a scene", Path::new(""))?.setup()?;
+    /// let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &Optimizer::spectral(), 5)?;
+    /// simulator.set_state(&setup.start.cast());
+    /// let mut held = Vec::new();
+    /// simulator.play(&mut Script::new(&setup), |script, _| {
+    ///     held.push(script.cloth().handles.len());
+    ///     ControlFlow::Continue(())
+    /// })?;
+    /// assert_eq!((held[28], held[29]), (2, 1));
+    /// # Ok::<(), fnopt::Error>(())
+    /// ```
+    pub fn play(
+        &mut self,
+        script: &mut Script<'_>,
+        mut take: impl FnMut(&Script<'_>, Frame) -> ControlFlow<()>,
+    ) -> Result<()> {
+        let frames = script.setup().frames();
+        let mut flow = ControlFlow::Continue(());
+        while flow.is_continue() && self.frame + 1 < frames {
+            let next = self.frame + 1;
+            if script.next_change().is_some_and(|frame| frame <= next) {
+                let start = self.state()?;
+                if let Some(cloth) = script.enter(next, &start) {
+                    self.set_cloths(std::slice::from_ref(cloth))?;
+                }
+            }
+            let end = script.next_change().map_or(frames, |change| change.min(frames));
+            let script = &*script;
+            self.rollout((next..end).map(|frame| script.control(frame)), |frame| {
+                flow = take(script, frame);
+                flow
+            })?;
+        }
+        Ok(())
     }
 }
 

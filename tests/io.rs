@@ -499,7 +499,8 @@ const BALL: Shape = Shape::Sphere { radius: 0.15 };
 /// Returns a body that moves across before the cloth of [`waving`], and a floor below it.
 fn moving(shape: Shape, frames: usize) -> Bodies {
     let pose = |position| Pose { position, ..Pose::default() };
-    let body = |shape| Body { shape, pose: pose([0.0, 0.0, -1.4]), thickness: 0.01, friction: 0.0 };
+    let body =
+        |shape| Body { shape, pose: pose([0.0, 0.0, -1.4]), thickness: 0.01, friction: 0.0, present: true };
     let path = (0..frames).map(|f| pose([0.1 + 0.8 * f as f64 / frames as f64, -0.4, -0.3])).collect();
     // z up becomes y up.
     let transform = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0]];

@@ -12,8 +12,8 @@ use fnopt::Frame;
 use fnopt::cloth::BodyStats;
 use fnopt::eval::{Soundness, Verdict, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
-use fnopt::render::{Bodies, GifOptions, StripOptions, View, strip, write_gif, write_png};
-use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Setup};
+use fnopt::render::{Bodies, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
+use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Script, Setup};
 use fnopt::sim::{FrameStats, Optimizer};
 use fnopt::{Error, io};
 use std::borrow::Cow;
@@ -99,7 +99,7 @@ pub fn run(args: &Args) -> Result<Ending> {
 /// Simulates a single scene.
 fn simulate(args: &Args) -> Result<Ending> {
     let scene = args.scene()?;
-    let mut setup = scene.setup()?;
+    let setup = scene.setup()?;
     tracing::info!("scene: {}, {} frames of {}", scene.origin, setup.frames(), setup.model.grid);
     let optimizer = args.solver.optimizer()?;
     args.solver.check_grid(&optimizer, setup.model.grid)?;
@@ -119,21 +119,21 @@ fn simulate(args: &Args) -> Result<Ending> {
     args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
 
     let mut trajectory = trajectory;
-    let mut done = 0;
-    simulator.set_state(&setup.start.cast());
+    let mut script = Script::new(&setup);
+    let mut start = setup.start.cast();
+    simulator.set_state(&start);
     if let Some(earlier) = earlier {
-        done = earlier.trajectory.frames() - 1;
+        (script, start, trajectory) = (earlier.script, earlier.state, earlier.trajectory);
+        simulator.set_cloths(std::slice::from_ref(script.cloth()))?;
         simulator
-            .resume(done, &earlier.state, &earlier.memory)
+            .resume(trajectory.frames() - 1, &start, &earlier.memory)
             .map_err(|error| error.of_file(args.r#continue.as_deref().unwrap_or(Path::new(""))))?;
-        (setup.start, trajectory) = (earlier.state.cast(), earlier.trajectory);
         trajectory.reserve(setup.frames() - trajectory.frames())?;
     }
-    let setup = setup;
-    let mut run = Run::new(args, (&scene, &setup), &optimizer, (device.name(), trajectory));
-    let bar = progress((setup.frames() - 1 - done) as u64, "frames");
-    let controls = (done + 1..setup.frames()).map(|f| setup.control(f));
-    let outcome = simulator.rollout(controls, |frame| {
+    let soundness = Soundness::after(script.clone(), &start);
+    let mut run = Run::new(args, (&scene, soundness), &optimizer, (device.name(), trajectory));
+    let bar = progress((setup.frames() - run.trajectory.frames()) as u64, "frames");
+    let outcome = simulator.play(&mut script, |_, frame| {
         bar.inc(1);
         bar.set_message(format!("energy {:.4}", frame.stats[0].energy.total()));
         run.keep(&frame);
@@ -143,7 +143,7 @@ fn simulate(args: &Args) -> Result<Ending> {
     // A GPU that was interrupted has gone a frame further than the trajectory.
     if simulator.frame() + 1 == run.trajectory.frames() {
         let state = (&simulator.state()?, &simulator.memory()?);
-        rollout_end::keep(&mut run.trajectory, &optimizer, state);
+        rollout_end::keep(&mut run.trajectory, &optimizer, &script, state);
     }
     run.end(outcome)
 }
@@ -187,6 +187,8 @@ impl Args {
         }
         if self.frames.is_some() {
             scene.frames = self.frames.map(|frames| frames as usize);
+            // Fewer frames than the scene has are a part of it.
+            scene.events.retain(|event| self.frames.is_some_and(|frames| event.frame < frames as usize));
         }
         Ok(scene)
     }
@@ -317,19 +319,19 @@ enum Status {
 impl<'a> Run<'a> {
     fn new(
         args: &'a Args,
-        (scene, setup): (&'a Scene, &'a Setup),
+        (scene, soundness): (&'a Scene, Soundness<'a>),
         optimizer: &'a Optimizer,
         (device, trajectory): (String, Trajectory),
     ) -> Self {
         Self {
             args,
             scene,
-            setup,
+            setup: soundness.setup(),
             optimizer,
             device,
             trajectory,
             per_frame: Vec::new(),
-            soundness: Soundness::new(setup),
+            soundness,
         }
     }
 
@@ -482,11 +484,15 @@ impl<'a> Run<'a> {
 
     fn bodies(&self) -> Bodies {
         let setup = self.setup;
-        Bodies::new(&setup.model.cloths[0].bodies, &setup.poses, &setup.vertex_view())
+        let mut bodies = Bodies::new(&setup.model.cloths[0].bodies, &setup.poses, &setup.vertex_view());
+        setup.changes.iter().for_each(|change| bodies.change(change.frame, &change.cloth.bodies));
+        bodies
     }
 
-    fn handles(&self) -> &[usize] {
-        &self.setup.model.cloths[0].handles
+    fn handles(&self) -> Marks {
+        let mut marks = Marks::from(&self.setup.model.cloths[0].handles);
+        self.setup.changes.iter().for_each(|change| marks.change(change.frame, &change.cloth.handles));
+        marks
     }
 
     fn report(&self, status: Status, written: &[PathBuf]) -> serde_json::Value {
@@ -593,7 +599,8 @@ mod tests {
         let (scene, optimizer) = (args.scene().unwrap(), args.solver.optimizer().unwrap());
         let setup = scene.setup().unwrap();
         let trajectory = setup.trajectory().unwrap();
-        let mut run = Run::new(&args, (&scene, &setup), &optimizer, (String::new(), trajectory));
+        let scene = (&scene, Soundness::new(&setup));
+        let mut run = Run::new(&args, scene, &optimizer, (String::new(), trajectory));
         let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, 1).unwrap();
         simulator.set_state(&setup.start.cast());
         run.keep(&simulator.step(&setup.control(1)).unwrap());

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use fnopt::cloth::State;
 use fnopt::io::{self, ReadOptions, Trajectory};
-use fnopt::scene::Setup;
+use fnopt::scene::{Script, Setup};
 use fnopt::sim::{Memory, Optimizer};
 use fnopt::{Error, ndarray};
 use std::path::Path;
@@ -13,16 +13,19 @@ use std::path::Path;
 const STATE: [&str; 2] = ["last_positions", "last_velocities"];
 const MEMORY: [&str; 3] = ["memory_accelerations", "memory_hidden", "memory_scales"];
 const SOLVER: &str = "solver";
+/// Name of the array of what holds the handles ([`Script::anchors`]).
+const ANCHORS: &str = "handle_anchors";
 
-pub struct RolloutEnd {
+pub struct RolloutEnd<'a> {
     pub trajectory: Trajectory,
     pub state: State<f32>,
     pub memory: Memory,
+    pub script: Script<'a>,
 }
 
-impl RolloutEnd {
+impl<'a> RolloutEnd<'a> {
     /// Reads it, and checks that the frames are those of the scene and the optimizer.
-    pub fn read(file: &Path, setup: &Setup, optimizer: &Optimizer) -> Result<Self> {
+    pub fn read(file: &Path, setup: &'a Setup, optimizer: &Optimizer) -> Result<Self> {
         let origin = file.display().to_string();
         let trajectory = Trajectory::read(
             file,
@@ -31,12 +34,15 @@ impl RolloutEnd {
         let invalid = |field: &str, expected: String, found: String| {
             anyhow::Error::from(Error::invalid(&origin, field, expected, found))
         };
-        let numbers = |name: &str| -> Result<Vec<f32>> {
+        let wide = |name: &str| -> Result<Vec<f64>> {
             let array = io::read_npz_array(file, name)?;
             let array = array.ok_or_else(|| {
                 invalid(name, "an array, as rollout writes beside the frames".into(), "none".into())
             })?;
-            Ok(array.iter().map(|&v| v as f32).collect())
+            Ok(array.into_iter().collect())
+        };
+        let numbers = |name: &str| {
+            Ok::<_, anyhow::Error>(wide(name)?.into_iter().map(|v| v as f32).collect::<Vec<_>>())
         };
         let grid = setup.model.grid;
         if trajectory.grid() != grid {
@@ -70,12 +76,25 @@ impl RolloutEnd {
             hidden: numbers(MEMORY[1])?,
             scales: numbers(MEMORY[2])?,
         };
-        Ok(Self { trajectory, state: State { x, v }, memory })
+        let done = trajectory.frames() - 1;
+        let script = match setup.changes.first().is_some_and(|change| change.frame <= done) {
+            true => Script::resume(setup, done, &wide(ANCHORS)?).map_err(|error| error.of_file(file))?,
+            false => Script::new(setup),
+        };
+        Ok(Self { trajectory, state: State { x, v }, memory, script })
     }
 }
 
 /// Puts it beside the frames of the trajectory.
-pub fn keep(trajectory: &mut Trajectory, optimizer: &Optimizer, (state, memory): (&State<f32>, &Memory)) {
+pub fn keep(
+    trajectory: &mut Trajectory,
+    optimizer: &Optimizer,
+    script: &Script<'_>,
+    (state, memory): (&State<f32>, &Memory),
+) {
+    if !script.setup().changes.is_empty() {
+        trajectory.put_beside(ANCHORS, ndarray::Array1::from(script.anchors().to_vec()).into_dyn());
+    }
     let mut put = |name: &str, values: &[f32]| {
         let wide: Vec<f64> = values.iter().map(|&v| v.into()).collect();
         trajectory.put_beside(name, ndarray::Array1::from(wide).into_dyn());

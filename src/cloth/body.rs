@@ -196,6 +196,8 @@ pub struct Body {
     pub thickness: f64,
     /// Coulomb's coefficient of friction between the cloth and the body.
     pub friction: f64,
+    /// Whether the cloth meets it; else it is as if it were not there, but keeps its place among the bodies.
+    pub present: bool,
 }
 
 impl Body {
@@ -204,7 +206,7 @@ impl Body {
         let refused = |part: &str, expected: &str, found: String| {
             Err(Error::invalid(origin, format!("{field}.{part}"), expected, found))
         };
-        let Self { shape, pose, thickness, friction } = *self;
+        let Self { shape, pose, thickness, friction, .. } = *self;
         let positive = match shape {
             Shape::Plane => true,
             Shape::Sphere { radius } => radius > 0.0,

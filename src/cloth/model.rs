@@ -103,7 +103,7 @@ impl Cloth {
         let of_body = |Body { thickness: h, friction, .. }: &Body| {
             4.0 / (h * h) * (0.5 * weight * h).sqrt() + friction * weight / Contact::STICKING
         };
-        self.bodies.iter().map(of_body).fold(0.0, f64::max)
+        self.bodies.iter().filter(|body| body.present).map(of_body).fold(0.0, f64::max)
     }
 }
 

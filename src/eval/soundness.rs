@@ -2,11 +2,11 @@
 
 use super::FreeEdges;
 use crate::Frame;
-use crate::cloth::{Control, Grid, State};
+use crate::cloth::{Control, Grid, Model, State};
 use crate::cpu::cloth::sheet_axes;
 use crate::cpu::optim::{CoRotatedHessian, Cosines, InverseHessian, RestHessian};
 use crate::cpu::{Objective, free_fall};
-use crate::scene::Setup;
+use crate::scene::{Script, Setup};
 use crate::statistics::median;
 use std::fmt;
 use std::sync::Arc;
@@ -108,7 +108,7 @@ impl fmt::Display for Fault {
 
 /// Judges the frames of a rollout of one cloth, one after another.
 pub struct Soundness<'a> {
-    setup: &'a Setup,
+    script: Script<'a>,
     edges: FreeEdges,
     estimate: Option<Estimate>,
     /// The frame before the next one.
@@ -122,20 +122,35 @@ pub struct Soundness<'a> {
 impl<'a> Soundness<'a> {
     /// Prepares to judge the frames of a rollout from the start of `setup`.
     pub fn new(setup: &'a Setup) -> Self {
-        let estimate = setup.model.grid.particles() <= MOST_PARTICLES;
+        Self::after(Script::new(setup), &setup.start.cast())
+    }
+
+    /// Prepares to judge the frames of a rollout that goes on from this state, where the course of the scene is at `script`.
+    pub fn after(script: Script<'a>, start: &State<f32>) -> Self {
+        let model = model_of(&script);
         Self {
-            setup,
-            edges: FreeEdges::new(&setup.model, 0),
-            estimate: estimate.then(|| Estimate::new(setup)),
-            before: setup.start.cast(),
+            edges: FreeEdges::new(&model, 0),
+            estimate: (model.grid.particles() <= MOST_PARTICLES).then(|| Estimate::new(&model)),
+            script,
+            before: start.clone(),
             stretches: None,
             gaps: Vec::new(),
             unconverged: None,
         }
     }
 
+    /// Returns the setup of the scene.
+    pub fn setup(&self) -> &'a Setup {
+        self.script.setup()
+    }
+
     /// Takes the next frame. Returns the largest stretch of its free edges, NaN if it is not finite.
     pub fn judge(&mut self, frame: &Frame) -> f64 {
+        if self.script.enter(frame.index, &self.before).is_some() {
+            let model = model_of(&self.script);
+            self.edges = FreeEdges::new(&model, 0);
+            self.estimate = self.estimate.take().map(|_| Estimate::new(&model));
+        }
         let (stats, free) = (&frame.stats[0], self.edges.largest(&frame.state.x));
         let [most_free, most] = self.stretches.unwrap_or([f64::NEG_INFINITY; 2]);
         // NaN stays.
@@ -145,9 +160,9 @@ impl<'a> Soundness<'a> {
             let [frames, first] = self.unconverged.unwrap_or([0, frame.index]);
             self.unconverged = Some([frames + 1, first]);
         }
-        let every = self.setup.model.grid.particles().div_ceil(PARTICLES_PER_FRAME);
+        let every = self.script.setup().model.grid.particles().div_ceil(PARTICLES_PER_FRAME);
         if let Some(estimate) = self.estimate.as_mut().filter(|_| frame.index.is_multiple_of(every)) {
-            let control = self.setup.control::<f32>(frame.index).cast();
+            let control = self.script.control::<f32>(frame.index).cast();
             self.gaps.push(estimate.gap(&self.before.cast(), &frame.state.cast(), &control));
         }
         self.before.clone_from(&frame.state);
@@ -166,6 +181,11 @@ impl<'a> Soundness<'a> {
     }
 }
 
+/// Returns the model of the cloth as it is now.
+fn model_of(script: &Script<'_>) -> Model {
+    Model { grid: script.setup().model.grid, cloths: vec![script.cloth().clone()] }
+}
+
 /// Estimates the energy gap of a frame without its minimum.
 struct Estimate {
     grid: Grid,
@@ -182,8 +202,8 @@ struct Estimate {
 }
 
 impl Estimate {
-    fn new(setup: &Setup) -> Self {
-        let (model, grid) = (&setup.model, setup.model.grid);
+    fn new(model: &Model) -> Self {
+        let grid = model.grid;
         let (cloth, n) = (&model.cloths[0], grid.particles());
         let cosines = Arc::new(Cosines::new(grid));
         Self {

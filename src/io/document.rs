@@ -128,6 +128,11 @@ impl<'a> Node<'a> {
         self.array("three numbers [x, y, z]", Node::number)
     }
 
+    /// Reads a truth value.
+    pub fn flag(&self) -> Result<bool> {
+        self.value.as_bool().ok_or_else(|| self.invalid("true or false"))
+    }
+
     /// Reads a string.
     pub fn text(&self) -> Result<&'a str> {
         self.value.as_str().ok_or_else(|| self.invalid("a text"))

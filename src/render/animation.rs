@@ -1,7 +1,7 @@
 //! Animated GIFs.
 
 use super::{
-    Bodies, Image, View,
+    Bodies, Image, Marks, View,
     body::NONE,
     palette::Palette,
     stage::{Size, Stage},
@@ -55,12 +55,12 @@ const SAME: u8 = 255;
 pub fn write_gif(
     path: impl AsRef<Path>,
     trajectory: &Trajectory,
-    handles: &[usize],
+    handles: impl Into<Marks>,
     options: &GifOptions<'_>,
 ) -> Result<()> {
     assert!((1..=4096).contains(&options.size), "an animation is 1 to 4096 pixels wide");
     assert!(options.max_fps > 0.0 && options.most > 0, "an animation has frames");
-    let (marked, size) = ((handles, options.bodies), Size::Fixed(options.size, options.size));
+    let (marked, size) = ((handles.into(), options.bodies), Size::Fixed(options.size, options.size));
     let stage = Stage::new(trajectory, marked, &options.view, size, 2);
     // A rate slightly above the limit, such as that of a frame time of 0.0333 s, counts as the limit.
     let every = (trajectory.fps() / options.max_fps - 0.05).ceil().max(1.0) as usize;

@@ -33,6 +33,8 @@ pub struct Bodies {
 struct Path {
     shape: Shape,
     poses: Vec<Pose>,
+    /// Frames from which on it is there or is not, in order.
+    presence: Vec<(usize, bool)>,
 }
 
 /// No bodies.
@@ -65,9 +67,18 @@ impl Bodies {
             Path {
                 shape: scaled(shape, scale),
                 poses: poses.iter().map(|pose| convert(&lower(*pose))).collect(),
+                presence: vec![(0, body.present)],
             }
         };
         Self { all: bodies.iter().enumerate().map(path).collect() }
+    }
+
+    /// Shows and hides bodies, given as at the start, according to those that a scene has from `frame` on. Frames are given
+    /// in order.
+    pub fn change(&mut self, frame: usize, bodies: &[Body]) {
+        for (path, body) in self.all.iter_mut().zip(bodies) {
+            path.presence.push((frame, body.present));
+        }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -76,12 +87,15 @@ impl Bodies {
 
     /// Number of frames after which no body moves.
     fn frames(&self) -> usize {
-        self.all.iter().map(|path| path.poses.len()).max().unwrap_or(0)
+        let of_path = |path: &Path| path.poses.len().max(path.presence.last().map_or(0, |last| last.0 + 1));
+        self.all.iter().map(of_path).max().unwrap_or(0)
     }
 
     /// Returns the bodies in a frame, in the unit of a picture.
     fn at<'a>(&'a self, frame: usize, unit: &'a Unit) -> impl Iterator<Item = (Shape, DVec3, DQuat)> + 'a {
-        self.all.iter().map(move |Path { shape, poses }| {
+        let is_there =
+            move |path: &&Path| path.presence.iter().rfind(|from| from.0 <= frame).is_some_and(|from| from.1);
+        self.all.iter().filter(is_there).map(move |Path { shape, poses, .. }| {
             let pose = &poses[frame.min(poses.len() - 1)];
             let place = unit.place(pose.position.into());
             (scaled(*shape, 1.0 / unit.size()), place, DQuat::from_array(pose.rotation))
@@ -406,7 +420,7 @@ mod tests {
             let rotation = DQuat::from_scaled_axis(2.0 * place);
             let pose = Pose { position: (2.0 * place).to_array(), rotation: rotation.to_array() };
             let shape = SHAPES[1 + k % 3];
-            let body = Body { shape, pose, thickness: 1e-3, friction: 0.0 };
+            let body = Body { shape, pose, thickness: 1e-3, friction: 0.0, present: true };
             let bodies = Bodies::new(&[body], &[], &VertexView::default());
             let unit = Unit::new(&[]);
             let solids = bodies.seen(0, &unit, &camera, &Room::around(std::iter::empty()));
@@ -426,7 +440,8 @@ mod tests {
         let view = VertexView { transform, time: 1.0 };
         let pose = |position| Pose { position, rotation: DQuat::from_rotation_x(0.4).to_array() };
         let capsule = Shape::Capsule { radius: 2.0, half_length: 5.0 };
-        let body = |shape| Body { shape, pose: pose([1.0, 2.0, 3.0]), thickness: 0.2, friction: 0.0 };
+        let body =
+            |shape| Body { shape, pose: pose([1.0, 2.0, 3.0]), thickness: 0.2, friction: 0.0, present: true };
         let later = vec![pose([0.0; 3]), pose([0.0, 0.0, 8.0])];
         let bodies = Bodies::new(&[body(capsule), body(Shape::Plane)], &[later], &view);
         let at = |frame: usize| bodies.at(frame, &Unit::new(&[])).collect::<Vec<_>>();

@@ -51,7 +51,7 @@ pub fn error_maps(
 
     // All share one camera, whatever their grids.
     let others: Vec<&Trajectory> = maps.iter().map(|map| &map.frames).collect();
-    let stage = Stage::with(truth, &others, (handles, &NONE), view, (Size::Height(HEIGHT), 3));
+    let stage = Stage::with(truth, &others, (handles.into(), &NONE), view, (Size::Height(HEIGHT), 3));
     let [width, _] = stage.size;
     let caption = |image: &mut Image, line: &str, [x, y]: [f32; 2]| {
         // Shrink captions that are too wide for the panel.

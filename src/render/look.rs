@@ -35,6 +35,7 @@ impl<'a> Look<'a> {
     pub fn new(
         stage: &'a Stage<'_>,
         (positions, heat): (&[[f32; 3]], &'a [f32]),
+        handles: &'a [usize],
         projected: Vec<Vec3>,
         radius: f32,
     ) -> Self {
@@ -45,7 +46,7 @@ impl<'a> Look<'a> {
             faces: &stage.faces,
             camera: &stage.camera,
             lights: &stage.lights,
-            handles: &stage.handles,
+            handles,
             grid: stage.grid,
             projected,
             normals: normals.iter().map(turn).collect(),

@@ -1,7 +1,7 @@
 //! A trajectory set up for drawing: the camera, the lights and everything else that its frames share.
 
 use super::{
-    Bodies, Image, View,
+    Bodies, Image, Marks, View,
     body::{Room, Solid},
     camera::{Camera, Unit, is_whole, place, range, usable},
     look::Look,
@@ -34,7 +34,8 @@ pub(super) struct Stage<'a> {
     samples: usize,
     pub grid: Grid,
     pub faces: Vec<[u32; 3]>,
-    pub handles: Vec<usize>,
+    /// Vertices to mark, which may change from frame to frame.
+    pub handles: Marks,
     bodies: &'a Bodies,
     pub camera: Camera,
     pub lights: Lights,
@@ -71,7 +72,7 @@ impl<'a> Stage<'a> {
     /// `marked`. Panics if a handle is not a particle of the grid.
     pub fn new(
         trajectory: &Trajectory,
-        marked: (&[usize], &'a Bodies),
+        marked: (Marks, &'a Bodies),
         view: &View,
         size: Size,
         samples: usize,
@@ -83,12 +84,12 @@ impl<'a> Stage<'a> {
     pub fn with(
         trajectory: &Trajectory,
         others: &[&Trajectory],
-        (handles, bodies): (&[usize], &'a Bodies),
+        (handles, bodies): (Marks, &'a Bodies),
         view: &View,
         (size, samples): (Size, usize),
     ) -> Self {
         let grid = trajectory.grid();
-        assert!(handles.iter().all(|&h| h < grid.particles()), "handles are particles of the grid");
+        assert!(handles.all().all(|h| h < grid.particles()), "handles are particles of the grid");
         let faces = grid.faces();
         let up = view.up();
         let first: &[[f32; 3]] = if trajectory.frames() > 0 { trajectory.frame(0) } else { &[] };
@@ -134,13 +135,12 @@ impl<'a> Stage<'a> {
         };
         let camera = Camera::fit(rotation, &points, size.map(|n| n * samples));
         let lights = Lights::new(rotation * up, rotation * sum(&normals));
-        let handles = handles.to_vec();
         Self { size, samples, grid, faces, handles, bodies, camera, lights, unit, up, floor, room }
     }
 
     /// Returns the same stage for a cloth on another grid, without markers.
     pub fn on(&self, grid: Grid) -> Self {
-        Self { grid, faces: grid.faces(), handles: Vec::new(), ..self.clone() }
+        Self { grid, faces: grid.faces(), handles: Marks::default(), ..self.clone() }
     }
 
     /// Draws the stage without a cloth.
@@ -168,7 +168,8 @@ impl<'a> Stage<'a> {
         let projected: Vec<Vec3> = positions.iter().map(|p| self.camera.project(place(p))).collect();
         let mut buffer = DepthBuffer::new(width * n, height * n);
         let solids = self.bodies.seen(frame, &self.unit, &self.camera, &self.room);
-        let first_solid = (self.faces.len() + self.handles.len()) as u32;
+        let handles = self.handles.at(frame);
+        let first_solid = (self.faces.len() + handles.len()) as u32;
         for (solid, object) in solids.iter().zip(first_solid..) {
             buffer.solid(object, solid.bounds(&self.camera), |place| solid.distance(self.camera.ray(place)));
         }
@@ -176,7 +177,7 @@ impl<'a> Stage<'a> {
             buffer.triangle(k as u32, face.map(|v| projected[v as usize]));
         }
         let radius = MARKER * buffer.height as f32;
-        for (k, &handle) in self.handles.iter().enumerate() {
+        for (k, &handle) in handles.iter().enumerate() {
             // A marker is a sphere around its vertex, so its front is nearer than the cloth around it.
             let centre = projected[handle];
             let front = vec3(centre.x, centre.y, centre.z * (1.0 - 1.5 * radius / self.camera.focal));
@@ -184,7 +185,7 @@ impl<'a> Stage<'a> {
         }
 
         let shadow = self.shadow(positions, &solids);
-        let look = Look::new(self, (positions, heat), projected, radius);
+        let look = Look::new(self, (positions, heat), handles, projected, radius);
         let mut image = Image::new(width, height);
         for (y, row) in image.pixels.chunks_mut(width).enumerate() {
             let wall = shade::background((y as f32 + 0.5) / height as f32);
@@ -259,7 +260,7 @@ mod tests {
         let mut trajectory = Trajectory::new(grid, 60.0);
         trajectory.push(positions, positions);
         let view = View { azimuth: Some(azimuth), elevation: Some(0.0), ..View::default() };
-        Stage::new(&trajectory, (&[0, 5], &NONE), &view, Size::Fixed(200, 160), 2)
+        Stage::new(&trajectory, ((&[0, 5]).into(), &NONE), &view, Size::Fixed(200, 160), 2)
     }
 
     #[test]
@@ -272,7 +273,7 @@ mod tests {
             trajectory.push(&positions, &positions);
         }
         let view = View { azimuth: Some(0.0), elevation: Some(0.0), ..View::default() };
-        let stage = Stage::new(&trajectory, (&[], &NONE), &view, Size::Fixed(200, 160), 1);
+        let stage = Stage::new(&trajectory, (Marks::default(), &NONE), &view, Size::Fixed(200, 160), 1);
         for &p in &positions {
             let at = stage.camera.project(Vec3::from(p));
             assert!((0.0..200.0).contains(&at.x) && (0.0..160.0).contains(&at.y), "{p:?} is drawn at {at}");
@@ -366,7 +367,8 @@ mod tests {
         // The body's up axis is the y axis here.
         let transform = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, -1.0, 0.0, 0.0]];
         let view = VertexView { transform, time: 1.0 };
-        let body = |shape| Body { shape, pose: Pose::default(), thickness: 1e-3, friction: 0.0 };
+        let body =
+            |shape| Body { shape, pose: Pose::default(), thickness: 1e-3, friction: 0.0, present: true };
         let pose =
             |p: &Vec3| Pose { position: vec3(p.x, -p.z, p.y).as_dvec3().to_array(), ..Pose::default() };
         let poses: Vec<Vec<Pose>> = all.iter().map(|(_, path)| path.iter().map(pose).collect()).collect();
@@ -382,7 +384,7 @@ mod tests {
 
     fn with_bodies<'a>(positions: &[[f32; 3]], bodies: &'a Bodies, view: View) -> Stage<'a> {
         let trajectory = repeated(positions, Grid { h: 12, w: 9 }, 3);
-        Stage::new(&trajectory, (&[], bodies), &view, Size::Fixed(200, 160), 2)
+        Stage::new(&trajectory, (Marks::default(), bodies), &view, Size::Fixed(200, 160), 2)
     }
 
     /// Whether a pixel shows a body and not the cloth, which is coloured, or the background, which is light.

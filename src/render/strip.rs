@@ -1,7 +1,7 @@
 //! Frames side by side.
 
 use super::{
-    Bodies, Image, View,
+    Bodies, Image, Marks, View,
     body::NONE,
     stage::{Size, Stage},
     text,
@@ -31,9 +31,9 @@ impl Default for StripOptions<'_> {
 /// Draws frames, evenly spread over the trajectory from the first to the last, side by side with their times
 /// in seconds. `handles` are the vertices to mark. An empty trajectory gives an empty panel. Panics if
 /// `panels` or `height` is 0, a handle is not a vertex, or the upward direction is 0.
-pub fn strip(trajectory: &Trajectory, handles: &[usize], options: &StripOptions<'_>) -> Image {
+pub fn strip(trajectory: &Trajectory, handles: impl Into<Marks>, options: &StripOptions<'_>) -> Image {
     assert!(options.panels > 0 && options.height > 0, "a strip has panels and a height");
-    let marked = (handles, options.bodies);
+    let marked = (handles.into(), options.bodies);
     let stage = Stage::new(trajectory, marked, &options.view, Size::Height(options.height), 3);
     let count = options.panels.min(trajectory.frames()).max(1);
     // As many decimals as it takes to tell the panels apart.

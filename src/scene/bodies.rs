@@ -27,6 +27,8 @@ pub struct BodySettings {
     pub friction: f64,
     /// Thickness that is added to that of the cloth \[m\].
     pub thickness_m: f64,
+    /// Whether it is there at the start. Events hide and show bodies.
+    pub visible: bool,
 }
 
 /// The shape of a body around its own origin, in the scene's axes.
@@ -85,12 +87,13 @@ impl BodySettings {
     /// Returns a body of this shape that stays at the origin, with the default friction.
     pub fn new(shape: BodyShape) -> Self {
         let (pose, motion) = (BodyPose::default(), BodyMotion::Still);
-        Self { shape, pose, motion, friction: FRICTION, thickness_m: 0.0 }
+        Self { shape, pose, motion, friction: FRICTION, thickness_m: 0.0, visible: true }
     }
 
     /// Reads a body of a scene file with this axis up. Relative paths are resolved against `folder`.
     pub(super) fn read(node: &Node, up: UpAxis, folder: &Path) -> Result<Self> {
-        const COMMON: [&str; 6] = ["shape", "position_m", "rotation", "motion", "friction", "thickness_m"];
+        const COMMON: [&str; 7] =
+            ["shape", "position_m", "rotation", "motion", "friction", "thickness_m", "visible"];
         if !node.value.is_object() {
             return Err(node.invalid("a body, {\"shape\": \"sphere\", \"radius_m\": 0.2, ..}"));
         }
@@ -133,6 +136,7 @@ impl BodySettings {
         }
         body.friction = node.get_or("friction", body.friction, Node::not_negative)?;
         body.thickness_m = node.get_or("thickness_m", 0.0, Node::not_negative)?;
+        body.visible = node.get_or("visible", true, Node::flag)?;
         if let Some(motion) = node.get("motion") {
             body.motion = read_motion(&motion, body.pose, folder)?;
         }
@@ -162,6 +166,7 @@ impl BodySettings {
         }
         set("friction", json!(self.friction));
         set("thickness_m", json!(self.thickness_m));
+        set("visible", json!(self.visible));
         match &self.motion {
             BodyMotion::Still => {}
             BodyMotion::File(path) => set("motion", json!(path.to_string_lossy())),
@@ -216,6 +221,7 @@ impl BodySettings {
             pose: poses[0],
             thickness: own + edges(self.thickness_m),
             friction: self.friction.min(cloth_friction),
+            present: self.visible,
         };
         body.check(origin, field)?;
         poses.iter().enumerate().try_for_each(|(frame, pose)| {

@@ -2,8 +2,8 @@
 
 use super::start::read_transform;
 use super::{
-    BodyMotion, BodySettings, Handles, Mass, Moduli, Motion, Placement, RepulsionSettings, Scene, Side,
-    Start, StartFile, Stiffness, UpAxis, Wind, authors,
+    Attachment, BodyMotion, BodySettings, Event, Handles, Mass, Moduli, Motion, Placement, RepulsionSettings,
+    Scene, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
 };
 use crate::cloth::{Grid, Material};
 use crate::io::Node;
@@ -13,7 +13,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The fields of a scene file.
-pub(super) const FIELDS: [&str; 18] = [
+pub(super) const FIELDS: [&str; 20] = [
     "grid",
     "side_m",
     "mass_kg",
@@ -29,10 +29,33 @@ pub(super) const FIELDS: [&str; 18] = [
     "frames",
     "start",
     "handles",
+    "attached",
     "motion",
     "speed",
+    "events",
     "up",
 ];
+
+impl Stiffness {
+    /// Returns the material as [`read_stiffness`] reads it.
+    pub(super) fn to_json(self) -> Value {
+        match self {
+            Stiffness::Grid(coefficients) => json!(coefficients),
+            Stiffness::Moduli(moduli) => json!(moduli),
+        }
+    }
+}
+
+impl Handles {
+    /// Returns the handles as [`read_handles`] reads them.
+    pub(super) fn to_json(&self) -> Value {
+        match self {
+            Handles::Placement(placement) => json!(placement.name()),
+            Handles::Cells(cells) => json!(cells),
+            Handles::Vertices(vertices) => json!(vertices),
+        }
+    }
+}
 
 impl Scene {
     /// Reads a scene file, in our format or the authors', and checks its numbers. [`Scene::setup`] reads the
@@ -72,10 +95,7 @@ impl Scene {
                 Side::Height(h) => json!(h),
                 Side::Both(sides) => json!(sides),
             },
-            "material": match self.stiffness {
-                Stiffness::Grid(coefficients) => json!(coefficients),
-                Stiffness::Moduli(moduli) => json!(moduli),
-            },
+            "material": self.stiffness.to_json(),
             "gravity": self.gravity,
             "wind": self.wind,
             "repulsion": self.repulsion.map_or(json!(false), |settings| json!(settings)),
@@ -93,16 +113,14 @@ impl Scene {
                 Start::Vertices(grid, vertices) => json!({ "vertices": vertices, "grid": [grid.h, grid.w] }),
                 named => json!(named.name()),
             },
-            "handles": match &self.handles {
-                Handles::Placement(placement) => json!(placement.name()),
-                Handles::Cells(cells) => json!(cells),
-                Handles::Vertices(vertices) => json!(vertices),
-            },
+            "handles": self.handles.to_json(),
+            "attached": self.attached.iter().map(Attachment::to_json).collect::<Vec<_>>(),
             "motion": match &self.motion {
                 Motion::Rows(rows) => json!(rows),
                 named => json!(named.to_string()),
             },
             "speed": self.speed,
+            "events": self.events.iter().map(Event::to_json).collect::<Vec<_>>(),
             "up": match self.up {
                 UpAxis::Y => "y",
                 UpAxis::Z => "z",
@@ -198,7 +216,12 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         start: node.get_or("start", fallback.start, |n| read_start(n, folder))?,
         handles: node.get_or("handles", fallback.handles, read_handles)?,
         motion: node.get_or("motion", fallback.motion, |n| read_motion(n, folder))?,
+        attached: node
+            .get_or("attached", Vec::new(), |n| n.items()?.iter().map(Attachment::read).collect())?,
         speed: node.get_or("speed", fallback.speed, Node::number)?,
+        events: node.get_or("events", Vec::new(), |n| {
+            n.items()?.iter().map(|event| Event::read(event, up)).collect()
+        })?,
         up,
         origin: node.origin.to_owned(),
     })
@@ -282,7 +305,7 @@ pub(super) fn read_gravity(node: &Node, up: UpAxis) -> Result<[f64; 3]> {
     node.array("three numbers [x, y, z], or one that points down", Node::number)
 }
 
-fn read_wind(node: &Node) -> Result<Wind> {
+pub(super) fn read_wind(node: &Node) -> Result<Wind> {
     node.deny_unknown(&["velocity", "density", "drag"])?;
     let fallback = Wind::default();
     Ok(Wind {
@@ -343,7 +366,7 @@ fn read_points(node: &Node) -> Result<Vec<[f64; 3]>> {
     node.items()?.iter().map(Node::vector).collect()
 }
 
-fn read_handles(node: &Node) -> Result<Handles> {
+pub(super) fn read_handles(node: &Node) -> Result<Handles> {
     if node.value.is_string() {
         return Placement::named(node.text()?, node.origin).map(Handles::Placement);
     }

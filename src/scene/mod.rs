@@ -42,8 +42,10 @@
 //! | `frames` | number of frames, including the start | | the length of the motion; 391 without a motion |
 //! | `start` | `"settled"`, `"flat"`, `"hanging"`, the path of an `.obj`, `.npy` or `.npz`, `{"file", "grid", "transform"}`, or the positions themselves, `{"vertices": [[x, y, z], ..], "grid"}` | m | `"settled"` |
 //! | `handles` | the name of a placement, pairs `[[i, j], ..]`, or vertex numbers `[k, ..]` with `k = i W + j` | | `"corners"` |
+//! | `attached` | handles that follow bodies, `[{"body", "handles"}, ..]`, see below | | `[]` |
 //! | `motion` | a built-in name, `"none"`, the path of a `.npy`, or the positions themselves, `[[[x, y, z], ..], ..]`: one row per frame time with the positions of all handles | m | `"xy_v2"` |
 //! | `speed` | factor by which the motion is played faster | | `1` |
+//! | `events` | what changes on the way, `[{"frame", ..}, ..]` in the order of time, see below | | `[]` |
 //! | `up` | `"y"` or `"z"`, the axis that points up | | `"y"` |
 //!
 //! **Grid and material.** One rest length l serves both directions: `l = side / (H - 1)`. Grid coefficients
@@ -65,7 +67,30 @@
 //! keys `[{"time_s", "position_m", "rotation"}, ..]`, straight and evenly from one to the next, or the path of a `.npy` with
 //! a row for each frame, [frames, 3] for positions or [frames, 7] for positions and quaternions (x, y, z, w). Bodies may
 //! be fast: a particle meets what is on its way. They move the cloth and are not moved by it. Particles of the
-//! start that are inside a body are moved out.
+//! start that are inside a body are moved out. A body that is not `visible` (true if left out) is not there until an event
+//! shows it.
+//!
+//! **Attachment.** Handles in `attached` follow a body as if they were glued to it where they begin, and `motion` moves the
+//! others: `"body"` is its number in `bodies`, `"handles"` are numbers of handles in the scene's list, all if left out.
+//!
+//! **Events.** An event has a `frame`, the first one with the change, from 1 to the last frame, and any of: `release`, handles
+//! that are let go, given like `handles`, or `"all"`; `grab`, particles that become handles, likewise, which stay where they
+//! are by then or, with a `body`, follow it; `wind`, `gravity` and `material`, as above, from then on; `hide` and `show`,
+//! numbers of bodies. An event first releases, then grabs.
+//!
+//! ```
+//! # use fnopt::scene::Scene;
+//! // A curtain on a rod that moves, which is let go after a second.
+//! let text = r#"{
+//!     "start": "hanging", "handles": [[0, 0], [10, 0], [21, 0], [31, 0]], "attached": [{"body": 0}], "motion": "none",
+//!     "bodies": [{"shape": "capsule", "radius_m": 0.02, "length_m": 1.2, "axis": [0, 0, 1], "friction": 0.2,
+//!         "motion": [{"time_s": 0, "position_m": [0, 0.53, 0]}, {"time_s": 1, "position_m": [1, 0.53, 0]}]}],
+//!     "events": [{"frame": 60, "release": "all"}, {"frame": 90, "wind": {"velocity": [0, 0, 3]}}]
+//! }"#;
+//! let setup = Scene::parse(text, "curtain.json", "".as_ref())?.setup()?;
+//! assert_eq!(setup.changes.len(), 2);
+//! # Ok::<(), fnopt::Error>(())
+//! ```
 //!
 //! **Start.** The start states:
 //!
@@ -139,21 +164,25 @@
 mod authors;
 mod bodies;
 mod drape;
+mod events;
 pub(crate) mod file;
 mod handles;
 mod motion;
 mod named;
 mod obj;
 mod points;
+mod script;
 mod setup;
 mod start;
 mod surface;
 mod units;
 
 pub use bodies::{BodyMotion, BodyPose, BodySettings, BodyShape};
+pub use events::{Attachment, Event, Release};
 pub use handles::{Handles, Placement};
 pub use motion::{BuiltIn, Motion};
 pub use named::{NamedScene, named_scenes};
+pub use script::{Change, Lead, Script};
 pub use setup::{Batch, MAX_FRAMES, Setup};
 pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};
@@ -331,10 +360,14 @@ pub struct Scene {
     pub start: Start,
     /// The particles whose positions are prescribed.
     pub handles: Handles,
-    /// How the handles move.
+    /// Handles that follow bodies.
+    pub attached: Vec<Attachment>,
+    /// How the other handles move.
     pub motion: Motion,
     /// Factor by which the motion is played faster; at 2 it takes half the frames.
     pub speed: f64,
+    /// What changes on the way, in the order of time.
+    pub events: Vec<Event>,
     /// The axis that points up in this scene's vectors and files.
     pub up: UpAxis,
     /// Where the scene comes from, for error messages.
@@ -361,8 +394,10 @@ impl Default for Scene {
             frames: None,
             start: Start::default(),
             handles: Handles::Placement(Placement::Corners),
+            attached: Vec::new(),
             motion: BuiltIn::named("xy_v2").map_or(Motion::Still, Motion::BuiltIn),
             speed: 1.0,
+            events: Vec::new(),
             up,
             origin: "scene".to_owned(),
         }
@@ -427,16 +462,11 @@ impl Scene {
             return Err(Error::invalid(&self.origin, "frame_time_s", expected, format!("{found:e}")));
         }
         self.positive("speed", self.speed)?;
-        self.check_stiffness()?;
-        self.not_negative("wind.density", self.wind.density)?;
-        self.not_negative("wind.drag", self.wind.drag)?;
+        self.check_stiffness("material", self.stiffness)?;
+        self.check_wind("wind", &self.wind)?;
+        self.finite("gravity", self.gravity)?;
         self.not_negative("friction", self.friction)?;
         self.thickness_m.map_or(Ok(0.0), |thickness| self.positive("thickness_m", thickness))?;
-        for (field, vector) in [("gravity", self.gravity), ("wind.velocity", self.wind.velocity)] {
-            if vector.iter().any(|c| !c.is_finite()) {
-                return Err(Error::invalid(&self.origin, field, "finite numbers", format!("{vector:?}")));
-            }
-        }
         let of = match &self.start {
             Start::Vertices(of, _) => Some(*of),
             Start::File(file) => file.grid,
@@ -460,8 +490,21 @@ impl Scene {
         Ok(units)
     }
 
-    fn check_stiffness(&self) -> Result<()> {
-        let fields = match self.stiffness {
+    fn check_wind(&self, field: &str, wind: &Wind) -> Result<()> {
+        self.not_negative(&format!("{field}.density"), wind.density)?;
+        self.not_negative(&format!("{field}.drag"), wind.drag)?;
+        self.finite(&format!("{field}.velocity"), wind.velocity)
+    }
+
+    fn finite(&self, field: &str, vector: [f64; 3]) -> Result<()> {
+        match vector.iter().all(|c| c.is_finite()) {
+            true => Ok(()),
+            false => Err(Error::invalid(&self.origin, field, "finite numbers", format!("{vector:?}"))),
+        }
+    }
+
+    fn check_stiffness(&self, field: &str, stiffness: Stiffness) -> Result<()> {
+        let fields = match stiffness {
             Stiffness::Grid(m) => [("stretch", m.stretch), ("shear", m.shear), ("bend", m.bend)],
             Stiffness::Moduli(m) => [
                 ("stretch_modulus", m.stretch_modulus),
@@ -469,7 +512,7 @@ impl Scene {
                 ("bending_stiffness", m.bending_stiffness),
             ],
         };
-        fields.iter().try_for_each(|(name, value)| self.not_negative(&format!("material.{name}"), *value))
+        fields.iter().try_for_each(|(name, value)| self.not_negative(&format!("{field}.{name}"), *value))
     }
 
     fn positive(&self, field: &str, value: f64) -> Result<f64> {

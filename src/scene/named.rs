@@ -31,6 +31,8 @@ const ALL: &[NamedScene] = &[
     scene!("edge", "a sheet that drops on the edge of a box and slides off it to the floor"),
     scene!("curtain", "a curtain on eight rings that a ball flies through at 10 m/s"),
     scene!("flag", "a flag tied to a pole at three points, in the wind"),
+    scene!("cape", "a cape on the shoulders of a body that walks and turns"),
+    scene!("twist", "two hands take a sheet by its sides, twist it, and one lets go"),
     scene!("fold-corner", "a sheet held at its centre and at a corner, which circles it, folds onto itself"),
     scene!("fold-edge", "a sheet held at the middle of an edge, which moves, folds onto itself"),
 ];

@@ -2,6 +2,7 @@
 
 use super::motion::Recording;
 use super::points::{norm, zip};
+use super::script::Change;
 use super::surface::Sheet;
 use super::{Handles, Motion, Scene, Units, UpAxis};
 use crate::cloth::{Cloth, Control, Grid, Material, Model, Pose, State, Sweep, VertexView, cast};
@@ -9,7 +10,7 @@ use crate::io::Trajectory;
 use crate::{Error, Result, memory};
 use glam::DVec3;
 use num_traits::Float;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
 use std::sync::{Mutex, PoisonError};
 
@@ -51,6 +52,8 @@ pub struct Setup {
     /// Poses of each body in each frame, including the start: a single one if it does not move; past the last one it
     /// stays there. Shape `[bodies][frames]`.
     pub poses: Vec<Vec<Pose>>,
+    /// What changes on the way, in the order of time. The fields above are those of the start.
+    pub changes: Vec<Change>,
     /// Wind velocity [edges / frame].
     pub wind: [f64; 3],
     /// Size of the grid units in SI units.
@@ -110,19 +113,27 @@ fn control<T: Float>(
     wind: &[[f64; 3]],
     frame: usize,
 ) -> Control<T> {
-    let pose = |poses: &[Pose], frame: usize| poses[frame.min(poses.len() - 1)];
     let row = handles.get(frame).or(handles.last()).map_or(&[][..], Vec::as_slice);
     Control {
         handles: row.iter().map(|p| p.map(cast)).collect(),
         wind: wind.iter().map(|w| w.map(cast)).collect(),
         external: Vec::new(),
-        bodies: match poses.iter().all(|poses| poses.len() == 1) {
-            true => Vec::new(),
-            false => poses
-                .iter()
-                .map(|poses| Sweep { from: pose(poses, frame.saturating_sub(1)), to: pose(poses, frame) })
-                .collect(),
-        },
+        bodies: sweeps(poses, frame),
+    }
+}
+
+/// Returns the pose of a body in a frame; past the last one it stays there.
+fn pose(poses: &[Pose], frame: usize) -> Pose {
+    poses[frame.min(poses.len() - 1)]
+}
+
+/// Returns how the bodies move in the step that ends at `frame`; nothing if none of them ever moves.
+pub(super) fn sweeps(poses: &[Vec<Pose>], frame: usize) -> Vec<Sweep> {
+    let sweep =
+        |poses: &Vec<Pose>| Sweep { from: pose(poses, frame.saturating_sub(1)), to: pose(poses, frame) };
+    match poses.iter().all(|poses| poses.len() == 1) {
+        true => Vec::new(),
+        false => poses.iter().map(sweep).collect(),
     }
 }
 
@@ -132,8 +143,14 @@ impl Setup {
         self.handles.len()
     }
 
-    /// Returns the control of the step that ends at `frame`, where the start is frame 0. Past the end, the
-    /// handles keep their last positions.
+    /// Returns where body `k` is at the end of a frame.
+    pub(super) fn pose(&self, k: usize, frame: usize) -> Pose {
+        pose(&self.poses[k], frame)
+    }
+
+    /// Returns the control of the step that ends at `frame`, where the start is frame 0, as if nothing changed on the way
+    /// ([`Script::control`](super::Script::control) knows the changes). Past the end, the handles keep their last
+    /// positions.
     pub fn control<T: Float>(&self, frame: usize) -> Control<T> {
         control(&self.handles, &self.poses, &[self.wind], frame)
     }
@@ -224,8 +241,8 @@ impl Setup {
         trajectory.push(&single(self.vertices_m(&state.x)), &single(self.velocities_m_s(&state.v)));
     }
 
-    /// Combines several setups into one batch. Fails if there are none, or if their grids or frame times
-    /// differ.
+    /// Combines several setups into one batch. Fails if there are none, if something changes on the way in one, or if
+    /// their grids or frame times differ.
     pub fn batch(setups: &[Setup]) -> Result<Batch> {
         let Some(first) = setups.first() else {
             return Err(Error::invalid("batch", "cloths", "at least one", 0));
@@ -233,6 +250,15 @@ impl Setup {
         let (grid, frame_time) = (first.model.grid, first.units.frame_time_s);
         for (k, setup) in setups.iter().enumerate() {
             let name = format!("cloth {k}");
+            if let Some(change) = setup.changes.first() {
+                let expected = "no events, which a Script or Simulator::set_cloths brings about";
+                return Err(Error::invalid(
+                    "batch",
+                    name,
+                    expected,
+                    format!("one in frame {}", change.frame),
+                ));
+            }
             if setup.model.grid != grid {
                 return Err(Error::invalid("batch", name, format!("a {grid} grid"), setup.model.grid));
             }
@@ -331,13 +357,18 @@ impl Scene {
         let [mut points, velocities] = self.start.on(&cloth, &units, (grid, self.up), &self.origin)?;
         let particles = cloth.handles.clone();
         let at_start: Vec<[f64; 3]> = particles.iter().map(|&p| points[p]).collect();
-        let handles = self.trajectory(&units, &at_start)?;
+        let attached = self.attached_bodies(particles.len())?;
+        let mut handles = self.trajectory(&units, &at_start)?;
         self.warn_if_size_differs(&points);
         // The first row of a recording places the handles at the start; for a built-in motion this changes
         // nothing.
         let gaps =
             particles.iter().zip(&handles[0]).map(|(&p, &at)| (norm(zip(points[p], at, |p, at| p - at)), p));
-        let far: Vec<(f64, usize)> = gaps.filter(|&(gap, _)| gap > 1.0).collect();
+        let far: Vec<(f64, usize)> = gaps
+            .zip(&attached)
+            .filter(|((gap, _), of)| *gap > 1.0 && of.is_none())
+            .map(|(far, _)| far)
+            .collect();
         if let Some(&(gap, p)) = far.iter().max_by(|a, b| a.0.total_cmp(&b.0)) {
             warn_once(format!(
                 "{}: motion: {} of {} handles do not begin where the start state has them; handle {p} is off by {gap:.1} edges",
@@ -347,7 +378,7 @@ impl Scene {
             ));
         }
         particles.iter().zip(&handles[0]).for_each(|(&p, &at)| points[p] = at);
-        let mut poses = Vec::new();
+        let mut poses: Vec<Vec<Pose>> = Vec::new();
         for (k, settings) in self.bodies.iter().enumerate() {
             let field = format!("bodies[{k}]");
             let of_scene = (&units, self.up, handles.len());
@@ -362,13 +393,24 @@ impl Scene {
             cloth.bodies.push(body);
             poses.push(path);
         }
-        self.move_out_of_bodies(&cloth, &mut points);
+        // Those that follow a body, from where the start has them.
+        for (handle, body) in attached.iter().enumerate() {
+            let Some(poses) = body.map(|body| &poses[body]) else { continue };
+            let own = poses[0].inward(at_start[handle].into());
+            for (frame, row) in handles.iter_mut().enumerate() {
+                row[handle] = pose(poses, frame).outward(own).to_array();
+            }
+            points[particles[handle]] = at_start[handle];
+        }
+        let changes = self.changes(&units, handles.len(), (&cloth, wind))?;
+        self.move_out_of_bodies(&cloth, &attached, &mut points);
         self.warn_of_jumps(&cloth, &poses);
         let setup = Setup {
             start: State { x: field(&points), v: field(&velocities) },
             model: Model { grid, cloths: vec![cloth] },
             handles,
             poses,
+            changes,
             wind,
             units,
             up: self.up,
@@ -387,16 +429,17 @@ impl Scene {
     }
 
     /// Moves free particles that are inside a body, or nearer than its thickness, out of it, and warns if any were inside.
-    fn move_out_of_bodies(&self, cloth: &Cloth, points: &mut [[f64; 3]]) {
-        let handles: BTreeSet<usize> = cloth.handles.iter().copied().collect();
-        for (k, body) in cloth.bodies.iter().enumerate() {
+    fn move_out_of_bodies(&self, cloth: &Cloth, attached: &[Option<usize>], points: &mut [[f64; 3]]) {
+        let handles: BTreeMap<usize, Option<usize>> =
+            cloth.handles.iter().copied().zip(attached.iter().copied()).collect();
+        for (k, body) in cloth.bodies.iter().enumerate().filter(|(_, body)| body.present) {
             let (mut inside, mut held) = (0, 0);
             for (p, point) in points.iter_mut().enumerate() {
                 let own = body.pose.inward((*point).into());
                 let surface = body.shape.distance(own);
                 let is_inside = surface.distance < 0.0;
-                if handles.contains(&p) {
-                    held += usize::from(is_inside);
+                if let Some(attached) = handles.get(&p) {
+                    held += usize::from(is_inside && *attached != Some(k));
                 } else if surface.distance < body.thickness {
                     inside += usize::from(is_inside);
                     let out = body.pose.turned(surface.normal) * (body.thickness - surface.distance);
@@ -509,7 +552,7 @@ impl Scene {
 
     /// Fails if a constant of the cloth overflows in grid units, or in single precision, in which frames are computed
     /// and written, though it is finite in SI units.
-    fn check_units(&self, units: &Units, cloth: &Cloth, wind: [f64; 3]) -> Result<()> {
+    pub(super) fn check_units(&self, units: &Units, cloth: &Cloth, wind: [f64; 3]) -> Result<()> {
         let Material { stretch, shear, bend } = cloth.material;
         let air = [cloth.air.density, cloth.air.drag];
         self.check_single("side_m, frame_time_s", [units.length_m, units.length_m / units.frame_time_s])?;
@@ -552,6 +595,7 @@ impl Scene {
             let expected = "a grid on which each handle of the recorded motion has a particle of its own";
             return Err(Error::invalid(&self.origin, "grid", expected, grid));
         }
+        self.events.iter_mut().for_each(|event| event.regrid(old, grid));
         self.mass.scale_area(grid.aspect() / old.aspect());
         if let super::Side::Both([height, width]) = self.side_m {
             let now = height * grid.aspect();

@@ -396,6 +396,33 @@ fn a_rollout_goes_on_to_the_same_bits() {
     }
 }
 
+/// So does one in which hands let go and grab, whether it ended before or after they did.
+#[test]
+fn a_rollout_with_events_goes_on_to_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = r#"{
+        "grid": [16, 16], "start": "hanging", "motion": "none", "frames": 50,
+        "bodies": [{"shape": "sphere", "radius_m": 0.1, "motion": [
+            {"time_s": 0.4, "position_m": [0.3, 0, 0]}, {"time_s": 0.8, "position_m": [0.4, 0.1, 0], "rotation": [90, 1, 0, 0]}]}],
+        "events": [{"frame": 10, "release": [[0, 0]]}, {"frame": 20, "grab": [[3, 15], [0, 0]], "body": 0},
+            {"frame": 30, "wind": {"velocity": [2, 0, 1]}, "hide": [0]}]
+    }"#;
+    std::fs::write(folder.path().join("hands.json"), text).unwrap();
+    for device in [&["--device", "cpu"][..], &["--device", "gpu", "--adapter", "llvmpipe"]] {
+        let run = |more: &[&str]| {
+            let few = ["rollout", "hands.json", "--solver", "spectral", "--iterations", "5", "--no-pictures"];
+            done(fnopt(folder.path(), &[&few[..], device, more].concat()));
+        };
+        run(&["--out", "whole"]);
+        let read = |out: &str| std::fs::read(folder.path().join(out).join("rollout.npz")).unwrap();
+        for frames in ["10", "20", "25", "40"] {
+            run(&["--out", frames, "--frames", frames]);
+            run(&["--out", frames, "--continue", &format!("{frames}/rollout.npz")]);
+            assert!(read(frames) == read("whole"), "after {frames} frames, {device:?}");
+        }
+    }
+}
+
 /// Several scenes are simulated one after another, each into a folder of its own.
 #[test]
 fn several_scenes_have_a_folder_each() {

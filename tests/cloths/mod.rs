@@ -56,7 +56,7 @@ pub fn among_bodies(grid: Grid) -> (Model, State<f32>, Control<f32>) {
         let rotation = [0.0, (0.5 * angle).sin(), 0.0, (0.5 * angle).cos()];
         Pose { position, rotation }
     };
-    let body = |shape, pose, friction| Body { shape, pose, thickness: 0.2, friction };
+    let body = |shape, pose, friction| Body { shape, pose, thickness: 0.2, friction, present: true };
     let (across, along) = (grid.w as f64, grid.h as f64);
     let sphere = Shape::Sphere { radius: 0.3 * across };
     let capsule = Shape::Capsule { radius: 1.0, half_length: 2.0 };

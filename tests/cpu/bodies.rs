@@ -17,7 +17,7 @@ const SHAPES: [Shape; 4] = [
 ];
 
 fn body(shape: Shape, pose: Pose) -> Body {
-    Body { shape, pose, thickness: 0.16, friction: 0.0 }
+    Body { shape, pose, thickness: 0.16, friction: 0.0, present: true }
 }
 
 fn at(x: f64, y: f64, z: f64) -> Pose {

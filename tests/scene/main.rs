@@ -3,6 +3,7 @@
 mod bodies;
 mod common;
 mod documents;
+mod events;
 mod named;
 mod refusals;
 mod setups;

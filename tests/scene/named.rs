@@ -28,7 +28,8 @@ fn every_named_scene_sets_up_and_survives_a_round_trip() {
 fn named_scenes_start_outside_their_bodies() {
     for named in named_scenes() {
         let setup = Scene::named(named.name).unwrap().setup().unwrap();
-        let bare = Scene { bodies: Vec::new(), ..Scene::named(named.name).unwrap() }.setup().unwrap();
+        let scene = Scene::named(named.name).unwrap();
+        let bare = Scene { bodies: vec![], attached: vec![], events: vec![], ..scene }.setup().unwrap();
         assert_eq!(setup.start, bare.start, "{}", named.name);
     }
 }

@@ -291,7 +291,8 @@ impl<T: Real> Approach<'_, T> {
         let first = found.len();
         let mut gaps = [0.0; MAX_CONTACTS];
         for (number, (body, sweep)) in self.cloth.bodies.iter().zip(self.sweeps).enumerate() {
-            let Some(plane) = Plane::find(body, sweep, x, x + v) else { continue };
+            let plane = body.present.then(|| Plane::find(body, sweep, x, x + v)).flatten();
+            let Some(plane) = plane else { continue };
             let mut place = found.len() - first;
             if place == MAX_CONTACTS {
                 let farthest =

@@ -39,6 +39,7 @@ impl BodyParams {
 
     fn new(body: &Body, sweep: Sweep) -> Self {
         let kind = match body.shape {
+            _ if !body.present => 0,
             Shape::Plane => 1,
             Shape::Sphere { .. } => 2,
             Shape::Capsule { .. } => 3,

@@ -116,8 +116,13 @@ fn contacts_with_fast_bodies_match() {
     let (mut model, mut state, control) = among_bodies(grid);
     state.v.fill(0.0);
     let pose = |z: f64| Pose { position: [16.0, 1.0, z], ..Pose::default() };
-    let ball =
-        Body { shape: Shape::Sphere { radius: 4.0 }, pose: pose(20.0), thickness: 0.16, friction: 0.3 };
+    let ball = Body {
+        shape: Shape::Sphere { radius: 4.0 },
+        pose: pose(20.0),
+        thickness: 0.16,
+        friction: 0.3,
+        present: true,
+    };
     model.cloths.iter_mut().for_each(|cloth| cloth.bodies = vec![ball]);
     let sweeps = vec![Sweep { from: pose(20.0), to: pose(-20.0) }; 3];
     let a = vec![0.0; state.x.len()];

@@ -1,0 +1,135 @@
+//! What a scene does in each frame: the positions of its handles, and what changes on the way.
+
+use super::Setup;
+use super::setup::sweeps;
+use crate::cloth::{Cloth, Control, State, cast};
+use crate::{Error, Result};
+use glam::DVec3;
+use num_traits::Float;
+
+/// What changes before a frame of a scene ([`Setup::changes`]).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Change {
+    /// The first frame with the change: that at whose end it can be seen.
+    pub frame: usize,
+    /// The cloth from then on. It has the bodies of the cloth at the start.
+    pub cloth: Cloth,
+    /// Wind velocity from then on [edges / frame].
+    pub wind: [f64; 3],
+    /// Where each handle of the cloth goes from then on, in their order.
+    pub leads: Vec<Lead>,
+}
+
+/// What a handle follows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lead {
+    /// The positions of this handle in [`Setup::handles`].
+    Motion(usize),
+    /// Nothing: it stays where it was grabbed.
+    Place,
+    /// The body of this number: it stays at the point of it where it was grabbed.
+    Body(usize),
+}
+
+/// The course of a scene, frame by frame.
+///
+/// Where a cloth is grabbed depends on where it is by then, so a script is told ([`Script::enter`]);
+/// [`Simulator::play`](crate::Simulator::play) does that.
+#[derive(Clone, Debug)]
+pub struct Script<'a> {
+    setup: &'a Setup,
+    /// Number of the changes that have come.
+    changes: usize,
+    /// For each handle where it was grabbed: a point of space, or of a body's own axes; unused for those of a motion.
+    anchors: Vec<[f64; 3]>,
+}
+
+impl<'a> Script<'a> {
+    /// Returns the course of a scene from its start.
+    pub fn new(setup: &'a Setup) -> Self {
+        Self { setup, changes: 0, anchors: vec![[0.0; 3]; setup.model.cloths[0].handles.len()] }
+    }
+
+    /// Returns the course of a scene after its frame `frame`, with the anchors that it had there
+    /// ([`Script::anchors`]). Fails if they are not three finite numbers for each handle.
+    pub fn resume(setup: &'a Setup, frame: usize, anchors: &[f64]) -> Result<Self> {
+        let changes = setup.changes.partition_point(|change| change.frame <= frame);
+        let mut script = Self { changes, ..Self::new(setup) };
+        let handles = script.cloth().handles.len();
+        if anchors.len() != 3 * handles || !anchors.iter().all(|c| c.is_finite()) {
+            let expected = format!("{} finite numbers", 3 * handles);
+            return Err(Error::invalid("script", "anchors", expected, format!("{} numbers", anchors.len())));
+        }
+        script.anchors = anchors.chunks_exact(3).map(|at| [at[0], at[1], at[2]]).collect();
+        Ok(script)
+    }
+
+    /// Returns where the handles were grabbed, in an order of its own: with it, [`Script::resume`] goes on.
+    pub fn anchors(&self) -> &[f64] {
+        self.anchors.as_flattened()
+    }
+
+    /// Returns the setup.
+    pub fn setup(&self) -> &'a Setup {
+        self.setup
+    }
+
+    /// Returns the frame before which something changes next.
+    pub fn next_change(&self) -> Option<usize> {
+        self.setup.changes.get(self.changes).map(|change| change.frame)
+    }
+
+    /// Returns the cloth as it is now.
+    pub fn cloth(&self) -> &'a Cloth {
+        self.now().map_or(&self.setup.model.cloths[0], |change| &change.cloth)
+    }
+
+    fn now(&self) -> Option<&'a Change> {
+        self.changes.checked_sub(1).map(|k| &self.setup.changes[k])
+    }
+
+    /// Makes the changes before `frame`, given the state at its start, and returns the cloth if there are any.
+    pub fn enter<T: Float>(&mut self, frame: usize, start: &State<T>) -> Option<&'a Cloth> {
+        let mut entered = None;
+        while let Some(change) = self.setup.changes.get(self.changes).filter(|change| change.frame <= frame) {
+            let before = self.cloth();
+            let n = start.x.len() / 3;
+            let held = |p: &usize| before.handles.iter().position(|q| q == p);
+            let anchor = |(p, lead): (&usize, &Lead)| {
+                if let Some(k) = held(p) {
+                    return self.anchors[k];
+                }
+                let place = [*p, n + p, 2 * n + p].map(|k| cast(start.x[k]));
+                match *lead {
+                    Lead::Body(body) => {
+                        self.setup.pose(body, frame - 1).inward(DVec3::from(place)).to_array()
+                    }
+                    Lead::Motion(_) | Lead::Place => place,
+                }
+            };
+            self.anchors = change.cloth.handles.iter().zip(&change.leads).map(anchor).collect();
+            self.changes += 1;
+            entered = Some(&change.cloth);
+        }
+        entered
+    }
+
+    /// Returns the control of the step that ends at `frame`, before which nothing may change that has not been entered.
+    /// Past the end, the handles keep their last positions.
+    pub fn control<T: Float>(&self, frame: usize) -> Control<T> {
+        let Some(change) = self.now() else { return self.setup.control(frame) };
+        let setup = self.setup;
+        let row = setup.handles.get(frame).or(setup.handles.last());
+        let place = |(lead, anchor): (&Lead, &[f64; 3])| match *lead {
+            Lead::Motion(handle) => row.map_or(*anchor, |row| row[handle]),
+            Lead::Place => *anchor,
+            Lead::Body(body) => setup.pose(body, frame).outward(DVec3::from(*anchor)).to_array(),
+        };
+        Control {
+            handles: change.leads.iter().zip(&self.anchors).map(|held| place(held).map(cast)).collect(),
+            wind: vec![change.wind.map(cast)],
+            external: Vec::new(),
+            bodies: sweeps(&setup.poses, frame),
+        }
+    }
+}
