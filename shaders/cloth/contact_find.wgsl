@@ -10,6 +10,7 @@
 //
 // cloths: [B]
 // bodies: [B, count]
+// fields: the distances of bodies that are meshes
 // slots: [B, n], not 0 at handles, which have no contacts
 // x: [B, 3, n]
 // base: [B, 3, n]
@@ -30,7 +31,8 @@ struct Params {
 @group(0) @binding(3) var<storage, read> slots: array<u32>;
 @group(0) @binding(4) var<storage, read> x: array<f32>;
 @group(0) @binding(5) var<storage, read> base: array<f32>;
-@group(0) @binding(6) var<storage, read_write> contacts: array<Contact>;
+@group(0) @binding(6) var<storage, read> fields: array<f32>;
+@group(0) @binding(7) var<storage, read_write> contacts: array<Contact>;
 
 override SLOTS: u32 = 1;
 

@@ -2,6 +2,7 @@
 //
 // contacts: [B, SLOTS, n]
 // bodies: [B, count]
+// fields: the distances of bodies that are meshes
 // a: [B, 3, n]
 // given: base [B, 3, n], and more
 // x: [B, 3, n]
@@ -23,7 +24,8 @@ struct Params {
 @group(0) @binding(3) var<storage, read> a: array<f32>;
 @group(0) @binding(4) var<storage, read> given: array<f32>;
 @group(0) @binding(5) var<storage, read> x: array<f32>;
-@group(0) @binding(6) var<storage, read_write> report: array<vec4f>;
+@group(0) @binding(6) var<storage, read> fields: array<f32>;
+@group(0) @binding(7) var<storage, read_write> report: array<vec4f>;
 
 override SLOTS: u32 = 1;
 

@@ -9,7 +9,7 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Frame;
-use fnopt::cloth::BodyStats;
+use fnopt::cloth::{BodyStats, intersections};
 use fnopt::eval::{Soundness, Verdict, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{Bodies, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
@@ -65,6 +65,9 @@ pub struct Args {
     /// Draw no pictures
     #[arg(long)]
     no_pictures: bool,
+    /// Count, exactly, the edges of the cloth that pass through triangles of it in the last frame
+    #[arg(long)]
+    intersections: bool,
     /// Print the summary as JSON
     #[arg(long)]
     json: bool,
@@ -517,11 +520,23 @@ impl<'a> Run<'a> {
             "gap_estimate": self.verdict().gap_estimate,
             "steps_shortened": self.per_frame.iter().map(|frame| frame.stats.steps.shortened).sum::<usize>(),
             "directions_dropped": self.directions_dropped(),
+            "intersections": self.intersections().map(|[edges, pairs]| {
+                serde_json::json!({ "frame": self.trajectory.frames() - 1, "edges": edges, "edge_triangle_pairs": pairs })
+            }),
             "files": names(written).chain([REPORT.into()]).collect::<Vec<_>>(),
             "frames": self.trajectory.frames(),
             "ms_per_frame": self.ms_per_frame(),
             "per_frame": self.per_frame,
         })
+    }
+
+    /// The edges that pass through triangles of the cloth in the last frame and how often they do, if asked for.
+    fn intersections(&self) -> Option<[usize; 2]> {
+        let (grid, last) = (self.trajectory.grid(), self.trajectory.frames() - 1);
+        let positions = self.trajectory.frame(last);
+        let by_axis = || (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c])));
+        let found = self.args.intersections.then(|| intersections(grid, &by_axis().collect::<Vec<_>>()))?;
+        Some([found.iter().map(|one| one.edge).collect::<BTreeSet<_>>().len(), found.len()])
     }
 
     /// Directions that were not finite and were left out, in all frames.
@@ -561,6 +576,10 @@ impl<'a> Run<'a> {
                 let name = "left out";
                 writeln!(out, "{name:<15} {} directions that were not finite", self.directions_dropped())?;
             }
+        }
+        if let Some([edges, pairs]) = self.intersections() {
+            let name = "intersections";
+            writeln!(out, "{name:<15} {edges} edges pass through triangles, {pairs} times (last frame)")?;
         }
         for path in written {
             writeln!(out, "wrote           {}", path.display())?;

@@ -1,7 +1,9 @@
 //! Bodies that a cloth meets: their shapes, where they are, and how they move in a frame. Grid units throughout, z up.
 
+use super::DistanceField;
 use crate::{Error, Result};
 use glam::{DQuat, DVec3};
+use std::sync::Arc;
 
 /// Most bodies that one cloth may meet.
 pub const MAX_BODIES: usize = 32;
@@ -11,7 +13,7 @@ pub const MAX_CONTACTS: usize = 4;
 const FARTHEST: f64 = 1e6;
 
 /// The shape of a body around its own origin, given by its signed distance.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
     /// Everything below the plane z = 0.
     Plane,
@@ -32,6 +34,15 @@ pub enum Shape {
         /// Half of each side \[edges\].
         half: [f64; 3],
     },
+    /// A closed triangle mesh.
+    Mesh {
+        /// Its distances, in a unit of its own. Bodies that share it share its memory.
+        field: Arc<DistanceField>,
+        /// That unit \[edges\].
+        scale: f64,
+        /// How far inside of the mesh the surface is \[edges\]; 0 for the mesh itself.
+        inset: f64,
+    },
 }
 
 /// A point's distance to the surface of a body.
@@ -48,6 +59,10 @@ impl Shape {
     /// a ball, it takes one of them.
     pub fn distance(&self, p: DVec3) -> Distance {
         match *self {
+            Self::Mesh { ref field, scale, inset } => {
+                let Distance { distance, normal } = field.distance(p / scale);
+                Distance { distance: scale * distance + inset, normal }
+            }
             Self::Plane => Distance { distance: p.z, normal: DVec3::Z },
             Self::Sphere { radius } => around(p, radius),
             Self::Capsule { radius, half_length } => {
@@ -75,6 +90,7 @@ impl Shape {
     /// Returns the radius of a ball around the origin that holds the shape \[edges\]; infinite for a plane.
     pub fn reach(&self) -> f64 {
         match *self {
+            Self::Mesh { ref field, scale, .. } => scale * field.reach(),
             Self::Plane => f64::INFINITY,
             Self::Sphere { radius } => radius,
             Self::Capsule { radius, half_length } => radius + half_length,
@@ -89,12 +105,14 @@ impl Shape {
             Self::Sphere { .. } => "sphere",
             Self::Capsule { .. } => "capsule",
             Self::Box { .. } => "box",
+            Self::Mesh { .. } => "mesh",
         }
     }
 
     /// The numbers of the shape, as the kernels read them; those it has not are 0.
     pub(crate) fn sizes(&self) -> [f64; 3] {
         match *self {
+            Self::Mesh { scale, inset, .. } => [scale, inset, self.reach()],
             Self::Plane => [0.0; 3],
             Self::Sphere { radius } => [radius, 0.0, 0.0],
             Self::Capsule { radius, half_length } => [radius, half_length, 0.0],
@@ -186,7 +204,7 @@ impl Sweep {
 }
 
 /// A body that a cloth meets and that the cloth does not move.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Body {
     /// Its shape.
     pub shape: Shape,
@@ -206,8 +224,11 @@ impl Body {
         let refused = |part: &str, expected: &str, found: String| {
             Err(Error::invalid(origin, format!("{field}.{part}"), expected, found))
         };
-        let Self { shape, pose, thickness, friction, .. } = *self;
-        let positive = match shape {
+        let &Self { ref shape, pose, thickness, friction, .. } = self;
+        let positive = match *shape {
+            Shape::Mesh { ref field, scale, inset } => {
+                scale > 0.0 && inset >= 0.0 && scale * field.reach() <= FARTHEST
+            }
             Shape::Plane => true,
             Shape::Sphere { radius } => radius > 0.0,
             Shape::Capsule { radius, half_length } => radius > 0.0 && half_length >= 0.0,

@@ -2,15 +2,19 @@
 //! grid units. Everything that computes builds on this.
 
 mod body;
+mod distance_field;
 mod energy;
 mod grid;
+mod intersections;
 mod model;
 pub mod terms;
 mod view;
 
 pub use body::{Body, BodyStats, Distance, MAX_BODIES, MAX_CONTACTS, Pose, Shape, Sweep};
+pub use distance_field::{DistanceField, MeshFault};
 pub use energy::EnergyTerms;
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
+pub use intersections::{Intersection, intersections};
 pub(crate) use model::cast;
 pub use model::{Air, Cloth, Control, Material, Model, Repulsion, State};
 pub use view::VertexView;

@@ -17,7 +17,6 @@ pub const CHANNEL_MULTIPLE: usize = 32;
 
 /// Shader text that holds only functions and constants, appended to the kernels that call them.
 pub(crate) mod common {
-    pub const BODY: &str = include_str!("../../shaders/common/body.wgsl");
     pub const CELL: &str = include_str!("../../shaders/common/cell.wgsl");
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
@@ -43,6 +42,7 @@ pub(crate) mod terms {
 pub(crate) mod pieces {
     pub const BLOCK_INPUTS: &str = include_str!("../../shaders/pieces/block_inputs.wgsl");
     pub const BLOCK_OUTPUT: &str = include_str!("../../shaders/pieces/block_output.wgsl");
+    pub const BODY: &str = include_str!("../../shaders/pieces/body.wgsl");
     pub const BUCKET: &str = include_str!("../../shaders/pieces/bucket.wgsl");
     pub const DISPLACED: &str = include_str!("../../shaders/pieces/displaced.wgsl");
     pub const FEATURES: &str = include_str!("../../shaders/pieces/features.wgsl");

@@ -61,7 +61,7 @@ impl Bodies {
         let path = |(k, body): (usize, &Body)| {
             let given = poses.get(k).filter(|poses| !poses.is_empty());
             let poses = given.map_or(std::slice::from_ref(&body.pose), Vec::as_slice);
-            let (shape, lowered) = smaller(body.shape, 0.5 * body.thickness);
+            let (shape, lowered) = smaller(body.shape.clone(), 0.5 * body.thickness);
             let lower =
                 |pose: Pose| Pose { position: pose.outward(DVec3::NEG_Z * lowered).to_array(), ..pose };
             Path {
@@ -98,7 +98,7 @@ impl Bodies {
         self.all.iter().filter(is_there).map(move |Path { shape, poses, .. }| {
             let pose = &poses[frame.min(poses.len() - 1)];
             let place = unit.place(pose.position.into());
-            (scaled(*shape, 1.0 / unit.size()), place, DQuat::from_array(pose.rotation))
+            (scaled(shape.clone(), 1.0 / unit.size()), place, DQuat::from_array(pose.rotation))
         })
     }
 
@@ -110,7 +110,7 @@ impl Bodies {
         (0..frames)
             .step_by(stride)
             .flat_map(move |frame| self.at(frame, unit))
-            .map(|(shape, place, rotation)| outline(shape, place, rotation))
+            .map(|(shape, place, rotation)| outline(&shape, place, rotation))
             .filter(|outline| !outline.is_empty() && outline.iter().all(|p| room.holds(*p)))
             .flatten()
             .collect()
@@ -121,7 +121,7 @@ impl Bodies {
     pub(super) fn seen(&self, frame: usize, unit: &Unit, camera: &Camera, room: &Room) -> Vec<Solid> {
         let turn = DQuat::from_mat3(&camera.rotation.as_dmat3());
         let solid = |(shape, place, rotation): (Shape, DVec3, DQuat)| {
-            let outline = outline(shape, place, rotation);
+            let outline = outline(&shape, place, rotation);
             let inward = DMat3::from_quat((turn * rotation).inverse());
             let own = rotation.inverse() * (room.middle.as_dvec3() - place);
             Solid {
@@ -225,7 +225,7 @@ impl Solid {
     /// `ray` that is away.
     fn hit(&self, ray: Vec3) -> Option<(DVec3, f64)> {
         let (from, along) = (self.own(DVec3::ZERO), self.inward * ray.as_dvec3());
-        let times = entry(self.shape, from, along)?;
+        let times = entry(&self.shape, from, along)?;
         let at = from + times * along;
         (self.shape != Shape::Plane || at.truncate().distance(self.patch) < self.radius)
             .then_some((at, times))
@@ -273,7 +273,7 @@ impl Solid {
         let own = self.own(p.as_dvec3());
         self.is_near
             && (self.shape.distance(own).distance <= 0.0
-                || entry(self.shape, own, self.inward * up.as_dvec3()).is_some())
+                || entry(&self.shape, own, self.inward * up.as_dvec3()).is_some())
     }
 
     /// Returns the normal n of a plane that is a floor, and n . p for all its points p; along the axes of the
@@ -292,6 +292,7 @@ fn smaller(shape: Shape, by: f64) -> (Shape, f64) {
         Shape::Sphere { radius } => (Shape::Sphere { radius: less(radius) }, 0.0),
         Shape::Capsule { radius, half_length } => (Shape::Capsule { radius: less(radius), half_length }, 0.0),
         Shape::Box { half } => (Shape::Box { half: half.map(less) }, 0.0),
+        Shape::Mesh { field, scale, inset } => (Shape::Mesh { field, scale, inset: inset + by }, 0.0),
     }
 }
 
@@ -303,6 +304,7 @@ fn scaled(shape: Shape, by: f64) -> Shape {
             Shape::Capsule { radius: by * radius, half_length: by * half_length }
         }
         Shape::Box { half } => Shape::Box { half: half.map(|half| by * half) },
+        Shape::Mesh { field, scale, inset } => Shape::Mesh { field, scale: by * scale, inset: by * inset },
     }
 }
 
@@ -313,7 +315,7 @@ const TURNS: usize = 12;
 const RINGS: usize = 4;
 
 /// Returns points on the surface of a body that show its extent; none for a plane.
-fn outline(shape: Shape, place: DVec3, rotation: DQuat) -> Vec<Vec3> {
+fn outline(shape: &Shape, place: DVec3, rotation: DQuat) -> Vec<Vec3> {
     let round = |radius: f64, half_length: f64| {
         // Rings from the poles to the equator of either half.
         let point = |k: usize| {
@@ -325,22 +327,26 @@ fn outline(shape: Shape, place: DVec3, rotation: DQuat) -> Vec<Vec3> {
         };
         (0..OUTLINE).map(point).collect::<Vec<DVec3>>()
     };
-    let own = match shape {
+    let corners = |[low, high]: [[f64; 3]; 2]| {
+        let corner = |k: usize| DVec3::from_array(std::array::from_fn(|c| [low, high][k >> c & 1][c]));
+        (0..8).map(corner).collect()
+    };
+    let own = match *shape {
         Shape::Plane => Vec::new(),
         Shape::Sphere { radius } => round(radius, 0.0),
         Shape::Capsule { radius, half_length } => round(radius, half_length),
-        Shape::Box { half } => (0..8)
-            .map(|k: usize| {
-                DVec3::from_array(std::array::from_fn(|c| if k >> c & 1 == 0 { -half[c] } else { half[c] }))
-            })
-            .collect(),
+        Shape::Box { half } => corners([half.map(|half| -half), half]),
+        Shape::Mesh { ref field, scale, .. } => {
+            corners(field.bounds().map(|corner| corner.map(|c| scale * c)))
+        }
     };
     own.into_iter().map(|p| (rotation * p + place).as_vec3()).collect()
 }
 
 /// Returns how many times `along` a ray from a point outside a shape goes before it enters it.
-fn entry(shape: Shape, from: DVec3, along: DVec3) -> Option<f64> {
-    match shape {
+fn entry(shape: &Shape, from: DVec3, along: DVec3) -> Option<f64> {
+    match *shape {
+        Shape::Mesh { .. } => march(shape, from, along),
         Shape::Plane => (along.z < 0.0 && from.z > 0.0).then(|| from.z / -along.z),
         Shape::Sphere { radius } => ball(from, along, radius),
         Shape::Capsule { radius, half_length } => {
@@ -360,6 +366,36 @@ fn entry(shape: Shape, from: DVec3, along: DVec3) -> Option<f64> {
     }
 }
 
+/// Implements [`entry`] for any shape, in steps of the distance.
+fn march(shape: &Shape, from: DVec3, along: DVec3) -> Option<f64> {
+    let (reach, length) = (shape.reach(), along.length());
+    let near = NEAR * reach;
+    // The way through a ball that holds it, which it may touch.
+    let ahead = -from.dot(along) / length;
+    let aside = from.length_squared() - ahead * ahead;
+    let half = ((reach + 2.0 * near).powi(2) - aside).max(0.0).sqrt();
+    let (mut way, end) = ((ahead - half).max(0.0), ahead + half);
+    if shape.distance(from).distance <= 0.0 {
+        return None;
+    }
+    for _ in 0..STEPS {
+        if way >= end {
+            return None;
+        }
+        let left = shape.distance(from + along * (way / length)).distance;
+        if left <= near {
+            return Some(way / length);
+        }
+        way += left;
+    }
+    None
+}
+
+/// Most steps along a ray to a shape.
+const STEPS: usize = 256;
+/// Distance at which a ray has reached a shape [radii of a ball that holds it].
+const NEAR: f64 = 1e-4;
+
 /// Implements [`entry`] for a ball around the origin.
 fn ball(from: DVec3, along: DVec3, radius: f64) -> Option<f64> {
     let approach = -from.dot(along);
@@ -372,6 +408,8 @@ fn ball(from: DVec3, along: DVec3, radius: f64) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloth::DistanceField;
+    use std::sync::Arc;
 
     const SHAPES: [Shape; 4] = [
         Shape::Plane,
@@ -385,6 +423,34 @@ mod tests {
         (1..400).map(|k| (DVec3::new(0.754_877, 0.569_840, 0.430_159) * f64::from(k)).fract() * 2.0 - 1.0)
     }
 
+    /// A mesh is reached within a small part of its size, from the outside.
+    #[test]
+    fn a_ray_enters_a_mesh_near_its_surface() {
+        let corner = |k: usize| std::array::from_fn(|c| if k >> c & 1 == 0 { -0.8 } else { 0.8 });
+        let squares = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let faces: Vec<[u32; 3]> =
+            squares.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
+        let vertices: Vec<[f64; 3]> = (0..8).map(corner).collect();
+        let field = Arc::new(DistanceField::new(&vertices, &faces, 32).expect("a closed mesh"));
+        let (mesh, exact) = (Shape::Mesh { field, scale: 1.0, inset: 0.0 }, Shape::Box { half: [0.8; 3] });
+        let (mut entered, mut differ) = (0, 0);
+        for (from, to) in spread().map(|p| 4.0 * p.normalize()).zip(spread().skip(7)) {
+            let along = 0.5 * (to - from);
+            let (found, expected) = (entry(&mesh, from, along), entry(&exact, from, along));
+            entered += usize::from(found.is_some());
+            differ += usize::from(found.is_some() != expected.is_some());
+            if let Some(times) = found {
+                let gap = mesh.distance(from + times * along).distance;
+                assert!(gap.abs() < 1e-3, "from {from} along {along}: {gap}");
+            }
+            if let (Some(found), Some(expected)) = (found, expected) {
+                // Where it grazes an edge, which is rounded, it enters later.
+                assert!((found - expected).abs() * along.length() < 0.2, "{found}, not {expected}");
+            }
+        }
+        assert!(entered > 100 && differ < 8, "{entered} rays enter, {differ} only one");
+    }
+
     #[test]
     fn a_ray_enters_a_body_where_its_distance_becomes_zero() {
         for shape in SHAPES {
@@ -394,7 +460,7 @@ mod tests {
             for (from, to) in rays {
                 // Of another length than 1.
                 let along = 0.5 * (to - from);
-                let times = entry(shape, from, along);
+                let times = entry(&shape, from, along);
                 entered += usize::from(times.is_some());
                 if let Some(times) = times {
                     let gap = shape.distance(from + times * along).distance;
@@ -419,8 +485,8 @@ mod tests {
         for (k, place) in spread().take(60).enumerate() {
             let rotation = DQuat::from_scaled_axis(2.0 * place);
             let pose = Pose { position: (2.0 * place).to_array(), rotation: rotation.to_array() };
-            let shape = SHAPES[1 + k % 3];
-            let body = Body { shape, pose, thickness: 1e-3, friction: 0.0, present: true };
+            let shape = SHAPES[1 + k % 3].clone();
+            let body = Body { shape: shape.clone(), pose, thickness: 1e-3, friction: 0.0, present: true };
             let bodies = Bodies::new(&[body], &[], &VertexView::default());
             let unit = Unit::new(&[]);
             let solids = bodies.seen(0, &unit, &camera, &Room::around(std::iter::empty()));

@@ -372,7 +372,7 @@ mod tests {
         let pose =
             |p: &Vec3| Pose { position: vec3(p.x, -p.z, p.y).as_dvec3().to_array(), ..Pose::default() };
         let poses: Vec<Vec<Pose>> = all.iter().map(|(_, path)| path.iter().map(pose).collect()).collect();
-        let all: Vec<Body> = all.iter().map(|(shape, _)| body(*shape)).collect();
+        let all: Vec<Body> = all.iter().map(|(shape, _)| body(shape.clone())).collect();
         Bodies::new(&all, &poses, &view)
     }
 
@@ -427,7 +427,7 @@ mod tests {
         let path = [vec3(0.6, 0.3, 0.3), vec3(0.6, 0.3, -0.3), vec3(0.6, -0.3, -0.3)];
         for shape in [BALL, Shape::Capsule { radius: 0.1, half_length: 0.1 }, Shape::Box { half: [0.15; 3] }]
         {
-            let bodies = bodies(&[(shape, &path)]);
+            let bodies = bodies(&[(shape.clone(), &path)]);
             let view = View { azimuth: Some(0.0), elevation: Some(0.0), ..View::default() };
             let stage = with_bodies(&positions, &bodies, view);
             for frame in 0..4 {
@@ -448,13 +448,13 @@ mod tests {
         let floor = (Shape::Plane, &[vec3(0.0, -0.6, 0.0)][..]);
         let camera =
             |all: &[(Shape, &[Vec3])]| with_bodies(&flat, &bodies(all), View::default()).camera.clone();
-        assert_eq!(camera(&[]), camera(&[floor]));
+        assert_eq!(camera(&[]), camera(std::slice::from_ref(&floor)));
         // Neither does a body far away, or one as large as a house.
         assert_eq!(camera(&[]), camera(&[(BALL, &[vec3(4.0, 0.0, 0.0)])]));
         assert_eq!(camera(&[]), camera(&[(Shape::Box { half: [9.0; 3] }, &[vec3(0.0, -9.1, 0.0)])]));
 
         let below = vec3(0.0, -0.3, 0.0);
-        let near = camera(&[(BALL, &[below]), floor]);
+        let near = camera(&[(BALL, &[below]), floor.clone()]);
         assert_ne!(camera(&[]), near);
         let bodies = bodies(&[(BALL, &[below]), floor]);
         let stage = with_bodies(&flat, &bodies, View::default());

@@ -1,16 +1,22 @@
 //! The bodies of a scene, in SI units and the scene's axes.
 
+use super::setup::warn_once;
 use super::{Units, UpAxis};
-use crate::cloth::{Body, Pose, Shape};
+use crate::cloth::{Body, DistanceField, Pose, Shape};
 use crate::io::{self, Node};
-use crate::{Error, Result};
+use crate::{Error, Result, memory};
 use glam::{DQuat, DVec3};
 use ndarray::{ArrayD, Ix2};
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Thickness of a contact unless the cloth has one \[edges\].
 const THICKNESS: f64 = 0.16;
+/// Samples of a mesh's distance along its longest side, unless it says.
+const CELLS: usize = 64;
+/// Bytes for each sample while they are computed.
+const BYTES_PER_SAMPLE: usize = 24;
 /// Friction of a body that does not say.
 const FRICTION: f64 = 0.3;
 
@@ -32,7 +38,7 @@ pub struct BodySettings {
 }
 
 /// The shape of a body around its own origin, in the scene's axes.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum BodyShape {
     /// Everything below a plane across the body's up axis.
     Plane,
@@ -52,6 +58,29 @@ pub enum BodyShape {
     Box {
         /// Lengths of its sides along the axes \[m\].
         sides_m: [f64; 3],
+    },
+    /// A closed mesh.
+    Mesh {
+        /// Where it comes from.
+        source: MeshSource,
+        /// What one of its units of length is \[m\].
+        unit_m: f64,
+        /// Samples of its distance along its longest side, 8 to 256.
+        cells: usize,
+    },
+}
+
+/// Where the mesh of a body comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum MeshSource {
+    /// An OBJ file.
+    File(PathBuf),
+    /// The mesh itself.
+    Mesh {
+        /// Vertices in the scene's axes.
+        vertices: Vec<[f64; 3]>,
+        /// The numbers of each face's vertices, from 0.
+        faces: Vec<[u32; 3]>,
     },
 }
 
@@ -97,9 +126,9 @@ impl BodySettings {
         if !node.value.is_object() {
             return Err(node.invalid("a body, {\"shape\": \"sphere\", \"radius_m\": 0.2, ..}"));
         }
-        let shape = node
-            .get("shape")
-            .ok_or_else(|| node.invalid("a \"shape\": \"plane\", \"sphere\", \"capsule\" or \"box\""))?;
+        let shape = node.get("shape").ok_or_else(|| {
+            node.invalid("a \"shape\": \"plane\", \"sphere\", \"capsule\", \"box\" or \"mesh\"")
+        })?;
         let need = |field: &str, what: &str| {
             node.get(field).ok_or_else(|| node.invalid(format!("\"{field}\", {what}")))
         };
@@ -120,9 +149,11 @@ impl BodySettings {
                     need("sides_m", "its sides [m]")?.array("three lengths above 0 [m]", Node::positive)?;
                 (BodyShape::Box { sides_m }, &["sides_m"])
             }
+            "mesh" => (read_mesh(node, folder)?, &["file", "vertices", "faces", "unit_m", "cells"]),
             other => {
                 let origin = format!("{}: {}", node.origin, shape.path);
-                return Err(Error::unknown(origin, "shape", other, ["plane", "sphere", "capsule", "box"]));
+                let known = ["plane", "sphere", "capsule", "box", "mesh"];
+                return Err(Error::unknown(origin, "shape", other, known));
             }
         };
         node.deny_unknown(&[&COMMON[..], own].concat())?;
@@ -149,6 +180,18 @@ impl BodySettings {
         let mut document = pose(&self.pose);
         let mut set = |field: &str, value: Value| document[field] = value;
         match self.shape {
+            BodyShape::Mesh { ref source, unit_m, cells } => {
+                set("shape", json!("mesh"));
+                set("unit_m", json!(unit_m));
+                set("cells", json!(cells));
+                match source {
+                    MeshSource::File(path) => set("file", json!(path.to_string_lossy())),
+                    MeshSource::Mesh { vertices, faces } => {
+                        set("vertices", json!(vertices));
+                        set("faces", json!(faces));
+                    }
+                }
+            }
             BodyShape::Plane => set("shape", json!("plane")),
             BodyShape::Sphere { radius_m } => {
                 set("shape", json!("sphere"));
@@ -192,6 +235,10 @@ impl BodySettings {
     ) -> Result<(Body, Vec<Pose>)> {
         let edges = |m: f64| m / units.length_m;
         let shape = match self.shape {
+            BodyShape::Mesh { ref source, unit_m, cells } => {
+                let field = source.distances(up, cells, (origin, field))?;
+                Shape::Mesh { field: Arc::new(field), scale: edges(unit_m), inset: 0.0 }
+            }
             BodyShape::Plane => Shape::Plane,
             BodyShape::Sphere { radius_m } => Shape::Sphere { radius: edges(radius_m) },
             BodyShape::Capsule { radius_m, length_m } => {
@@ -217,7 +264,7 @@ impl BodySettings {
             }
         };
         let body = Body {
-            shape,
+            shape: shape.clone(),
             pose: poses[0],
             thickness: own + edges(self.thickness_m),
             friction: self.friction.min(cloth_friction),
@@ -225,11 +272,75 @@ impl BodySettings {
         };
         body.check(origin, field)?;
         poses.iter().enumerate().try_for_each(|(frame, pose)| {
-            let moved = Body { pose: *pose, ..body };
+            let moved = Body { pose: *pose, ..body.clone() };
             moved.check(origin, &format!("{field} in frame {frame}"))
         })?;
         Ok((body, poses))
     }
+}
+
+impl MeshSource {
+    /// Returns the mesh's distances in its own unit, z up, with so many samples along its longest side. `origin` and `field`
+    /// name the body in errors.
+    fn distances(&self, up: UpAxis, cells: usize, (origin, field): (&str, &str)) -> Result<DistanceField> {
+        // As many as a cube of its longest side takes, with the empty cells around it.
+        let samples = (cells + 2 * DistanceField::MARGIN_CELLS + 2).pow(3);
+        memory::check(samples * BYTES_PER_SAMPLE, &format!("{field}: a mesh with {cells} cells"))?;
+        let build = |vertices: &mut dyn Iterator<Item = [f64; 3]>,
+                     faces: &[[u32; 3]],
+                     (origin, field): (&str, &str)| {
+            let vertices: Vec<[f64; 3]> = vertices.map(|v| up.to_z_up(v)).collect();
+            let distances = DistanceField::new(&vertices, faces, cells).map_err(|fault| {
+                Error::invalid(
+                    origin,
+                    field,
+                    "a closed mesh, whose faces all turn their fronts outwards",
+                    fault,
+                )
+            })?;
+            if distances.overlaps() {
+                warn_once(format!(
+                    "{origin}: {field}: parts of the mesh overlap; the body is what is inside of any of them"
+                ));
+            }
+            Ok(distances)
+        };
+        match self {
+            Self::File(path) => {
+                let mesh = io::read_obj(path)?;
+                let mut vertices = mesh.positions.iter().map(|p| p.map(f64::from));
+                build(&mut vertices, &mesh.faces, (&path.display().to_string(), "faces"))
+            }
+            Self::Mesh { vertices, faces } => build(&mut vertices.iter().copied(), faces, (origin, field)),
+        }
+    }
+}
+
+/// Reads the shape of a body that is a mesh.
+fn read_mesh(node: &Node, folder: &Path) -> Result<BodyShape> {
+    let source = match (node.get("file"), node.get("vertices"), node.get("faces")) {
+        (Some(file), None, None) => MeshSource::File(folder.join(file.text()?)),
+        (None, Some(vertices), Some(faces)) => {
+            let corner =
+                |n: &Node| u32::try_from(n.count()?).map_err(|_| n.invalid("the number of a vertex"));
+            MeshSource::Mesh {
+                vertices: vertices.items()?.iter().map(Node::vector).collect::<Result<_>>()?,
+                faces: faces
+                    .items()?
+                    .iter()
+                    .map(|face| face.array("the numbers of three vertices", corner))
+                    .collect::<Result<_>>()?,
+            }
+        }
+        _ => return Err(node.invalid("either the \"file\" of an .obj, or \"vertices\" and \"faces\"")),
+    };
+    let cells = node.get_or("cells", CELLS, |n| {
+        n.count()
+            .ok()
+            .filter(|cells| (8..=256).contains(cells))
+            .ok_or_else(|| n.invalid("a whole number, 8 to 256"))
+    })?;
+    Ok(BodyShape::Mesh { source, unit_m: node.get_or("unit_m", 1.0, Node::positive)?, cells })
 }
 
 /// Reads position and rotation; what is missing is that of `fallback`.

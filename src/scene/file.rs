@@ -2,8 +2,8 @@
 
 use super::start::read_transform;
 use super::{
-    Attachment, BodyMotion, BodySettings, Event, Handles, Mass, Moduli, Motion, Placement, RepulsionSettings,
-    Scene, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
+    Attachment, BodyMotion, BodySettings, BodyShape, Event, Handles, Mass, MeshSource, Moduli, Motion,
+    Placement, RepulsionSettings, Scene, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
 };
 use crate::cloth::{Grid, Material};
 use crate::io::Node;
@@ -146,6 +146,9 @@ impl Scene {
         }
         for body in &mut scene.bodies {
             if let BodyMotion::File(path) = &mut body.motion {
+                absolute(path)?;
+            }
+            if let BodyShape::Mesh { source: MeshSource::File(path), .. } = &mut body.shape {
                 absolute(path)?;
             }
         }

@@ -61,7 +61,9 @@
 //! pass through each other undetected.
 //!
 //! **Bodies.** A body has a `shape`: `plane` (everything below it, with a `normal`), `sphere` (`radius_m`), `capsule`
-//! (`radius_m`, `length_m` between the centres of its ends, `axis`) or `box` (`sides_m`). It is at `position_m`, rotated by
+//! (`radius_m`, `length_m` between the centres of its ends, `axis`), `box` (`sides_m`) or `mesh` (the `file` of an `.obj`, or
+//! `vertices` and `faces`, with `unit_m`, the length of its unit, and `cells`, the samples of its distance along its longest
+//! side, 8 to 256, 64 if left out). A mesh must be closed; edges finer than a cell are rounded. A body is at `position_m`, rotated by
 //! `rotation`, `[degrees, x, y, z]`; in place of a rotation, `normal` and `axis` tell where its up axis points. It has a
 //! coefficient of `friction` (0.3 if left out), and a `thickness_m` (0) that is added to the cloth's. `motion` moves it:
 //! keys `[{"time_s", "position_m", "rotation"}, ..]`, straight and evenly from one to the next, or the path of a `.npy` with
@@ -177,7 +179,7 @@ mod start;
 mod surface;
 mod units;
 
-pub use bodies::{BodyMotion, BodyPose, BodySettings, BodyShape};
+pub use bodies::{BodyMotion, BodyPose, BodySettings, BodyShape, MeshSource};
 pub use events::{Attachment, Event, Release};
 pub use handles::{Handles, Placement};
 pub use motion::{BuiltIn, Motion};
@@ -424,7 +426,11 @@ impl Scene {
             BodyMotion::File(path) => Some(&**path),
             _ => None,
         });
-        start.into_iter().chain(motion).chain(poses)
+        let meshes = self.bodies.iter().filter_map(|body| match &body.shape {
+            BodyShape::Mesh { source: MeshSource::File(path), .. } => Some(&**path),
+            _ => None,
+        });
+        start.into_iter().chain(motion).chain(poses).chain(meshes)
     }
 
     /// Checks everything that can be checked without reading a file, and returns the units that follow from

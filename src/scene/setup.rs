@@ -5,7 +5,9 @@ use super::points::{norm, zip};
 use super::script::Change;
 use super::surface::Sheet;
 use super::{Handles, Motion, Scene, Units, UpAxis};
-use crate::cloth::{Cloth, Control, Grid, Material, Model, Pose, State, Sweep, VertexView, cast};
+use crate::cloth::{
+    Cloth, Control, Grid, Intersection, Material, Model, Pose, State, Sweep, VertexView, cast, intersections,
+};
 use crate::io::Trajectory;
 use crate::{Error, Result, memory};
 use glam::DVec3;
@@ -404,6 +406,7 @@ impl Scene {
         }
         let changes = self.changes(&units, handles.len(), (&cloth, wind))?;
         self.move_out_of_bodies(&cloth, &attached, &mut points);
+        self.warn_of_intersections(&points);
         self.warn_of_jumps(&cloth, &poses);
         let setup = Setup {
             start: State { x: field(&points), v: field(&velocities) },
@@ -457,6 +460,22 @@ impl Scene {
                     "{origin}: bodies[{k}]: {held} handles begin inside the {shape}; handles go where they are told"
                 ));
             }
+        }
+    }
+
+    /// Warns if a cloth whose layers are to stay apart begins with layers that pass through each other.
+    fn warn_of_intersections(&self, points: &[[f64; 3]]) {
+        if self.repulsion.is_none() {
+            return;
+        }
+        let found = intersections(self.grid, &field(points));
+        if let Some(Intersection { edge: [p, q], .. }) = found.first() {
+            warn_once(format!(
+                "{}: start: the cloth passes through itself: {} of its edges meet a triangle of it, first that between \
+                 particles {p} and {q}; repulsion keeps layers on the sides where they are",
+                self.origin,
+                found.iter().map(|one| one.edge).collect::<BTreeSet<_>>().len()
+            ));
         }
     }
 

@@ -4,7 +4,7 @@ use super::method::{Method, row, rows};
 use super::{FrameStats, IterationLog, Memory, Optimizer, StepCounts, Vertices};
 use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, State};
 use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::cloth::{Begin, ClothContacts, ClothTerms, Objective, Room, gradient};
+use crate::kernels::cloth::{Begin, ClothContacts, ClothTerms, Fields, Objective, Room, gradient};
 use crate::kernels::optim::subspace_step::STATE;
 use crate::{Error, Result};
 use std::borrow::Cow;
@@ -83,6 +83,7 @@ impl Solver {
             handles: batch * grid.particles(),
             repulsion: model.repels(),
             bodies: model.cloths.iter().map(|cloth| cloth.bodies.len()).max().unwrap_or(0),
+            fields: Fields::of(model).words_count(),
             hidden: method.scales().is_some(),
         };
         let objective = Objective::new(context, grid, batch, room)?;
@@ -227,7 +228,7 @@ impl Solver {
     /// are, until a control moves them.
     ///
     /// Fails if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a repulsion, or
-    /// more bodies than any had, although the solver was built without room for them, which requires a new solver.
+    /// more bodies or larger meshes than any had, although the solver was built without room for them, which requires a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
         if !self.objective.has_room_for_repulsion() {
@@ -238,6 +239,11 @@ impl Solver {
             let expected = format!("{room} at most, for which the solver was built");
             let found = model.cloths[b].bodies.len();
             return Err(Error::invalid("model", format!("bodies of cloth {b}"), expected, found));
+        }
+        let (room, found) = (self.objective.room_for_fields(), Fields::of(&model).words_count());
+        if found > room {
+            let expected = format!("meshes of {room} samples at most, for which the solver was built");
+            return Err(Error::invalid("model", "bodies", expected, format!("{found} samples")));
         }
         let slots = model.handle_slots();
         let handles_differ = slots != self.model.handle_slots();

@@ -396,6 +396,39 @@ fn a_rollout_goes_on_to_the_same_bits() {
     }
 }
 
+/// A sheet that swings through itself is told to, and one that hangs has no intersections.
+#[test]
+fn intersections_are_counted_on_request() {
+    let folder = tempfile::tempdir().unwrap();
+    // Two halves that cross.
+    let vertices: Vec<[f64; 3]> = (0..12 * 12)
+        .map(|p| {
+            let (i, j) = ((p / 12) as f64, (p % 12) as f64);
+            let angle = 5.5 * j / 11.0;
+            let radius = 0.3 - 0.02 * j + 0.001 * i;
+            [radius * angle.cos() + 0.08 * j, radius * angle.sin(), i / 11.0]
+        })
+        .collect();
+    let scene = format!(
+        r#"{{"grid": [12, 12], "start": {{"vertices": {vertices:?}, "grid": [12, 12]}}, "motion": "none", "repulsion": true,
+            "handles": [], "frames": 1}}"#
+    );
+    std::fs::write(folder.path().join("crossed.json"), scene).unwrap();
+    for (scene, crossed) in [("crossed.json", true), ("flag", false)] {
+        let arguments =
+            ["rollout", scene, "--device", "cpu", "--frames", "1", "--no-pictures", "--intersections"];
+        let output = command(folder.path(), &arguments).output().unwrap();
+        let told = text(&output.stderr).contains("the cloth passes through itself");
+        let report = json(&folder.path().join("out/report.json"));
+        let pairs = report["intersections"]["edge_triangle_pairs"].as_u64().unwrap();
+        assert_eq!((told, pairs > 0), (crossed, crossed), "{scene}: {pairs}");
+        assert!(text(&output.stdout).contains("intersections "));
+    }
+    let without = ["rollout", "flag", "--device", "cpu", "--frames", "1", "--no-pictures"];
+    done(fnopt(folder.path(), &without));
+    assert!(json(&folder.path().join("out/report.json"))["intersections"].is_null());
+}
+
 /// So does one in which hands let go and grab, whether it ended before or after they did.
 #[test]
 fn a_rollout_with_events_goes_on_to_the_same_bits() {

@@ -1,7 +1,10 @@
 //! A batch of cloths that have nothing in common but their grid.
 
 use crate::noise;
-use fnopt::cloth::{Air, Body, Cloth, Control, Grid, Material, Model, Pose, Shape, State, Sweep};
+use fnopt::cloth::{
+    Air, Body, Cloth, Control, DistanceField, Grid, Material, Model, Pose, Shape, State, Sweep,
+};
+use std::sync::Arc;
 
 /// Builds three different cloths in wind, their state and their control.
 pub fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
@@ -47,6 +50,21 @@ pub fn one_by_one(
     })
 }
 
+/// Returns the distances of a crystal with corners at distance 1 along the axes.
+#[allow(dead_code, reason = "not every test meets bodies")]
+pub fn crystal() -> Arc<DistanceField> {
+    let corner =
+        |k: usize| std::array::from_fn(|c| if k / 2 == c { 1.0 - 2.0 * (k % 2) as f64 } else { 0.0 });
+    let vertices: Vec<[f64; 3]> = (0..6).map(corner).collect();
+    // One face for each choice of signs, whose fronts turn with their product.
+    let face = |k: u32| {
+        let [x, y, z] = [k & 1, 2 + (k >> 1 & 1), 4 + (k >> 2 & 1)];
+        if k.count_ones().is_multiple_of(2) { [x, y, z] } else { [y, x, z] }
+    };
+    let faces: Vec<[u32; 3]> = (0..8).map(face).collect();
+    Arc::new(DistanceField::new(&vertices, &faces, 24).unwrap())
+}
+
 /// Builds such a batch among bodies of all shapes, which move, touch most of the cloths and rub on them; the second cloth
 /// meets none.
 #[allow(dead_code, reason = "not every test meets bodies")]
@@ -61,13 +79,21 @@ pub fn among_bodies(grid: Grid) -> (Model, State<f32>, Control<f32>) {
     let sphere = Shape::Sphere { radius: 0.3 * across };
     let capsule = Shape::Capsule { radius: 1.0, half_length: 2.0 };
     model.cloths[0].bodies = vec![
-        body(sphere, turned([0.4 * across, 0.0, -0.3 * across - 0.02], 0.0), 0.4),
+        body(sphere.clone(), turned([0.4 * across, 0.0, -0.3 * across - 0.02], 0.0), 0.4),
         body(Shape::Box { half: [1.0, 2.0, 1.0] }, turned([0.7 * across, 0.2 * along, -1.25], 0.4), 0.2),
-        body(capsule, turned([1.0, -0.3 * along, 0.9], 1.4), 0.0),
+        body(capsule.clone(), turned([1.0, -0.3 * along, 0.9], 1.4), 0.0),
         body(Shape::Plane, turned([0.0, 0.0, -0.1], 0.02), 0.3),
         body(sphere, turned([0.5 * across, 0.0, 0.3 * across + 0.2], 0.0), 0.1),
     ];
-    model.cloths[2].bodies = vec![body(capsule, turned([0.5 * across, 0.0, -1.1], 1.6), 0.5)];
+    let crystal = crystal();
+    let mesh = |scale, inset| Shape::Mesh { field: Arc::clone(&crystal), scale, inset };
+    let hidden = Body { present: false, ..body(Shape::Plane, turned([0.0, 0.0, 0.5], 0.0), 0.9) };
+    model.cloths[2].bodies = vec![
+        body(capsule, turned([0.5 * across, 0.0, -1.1], 1.6), 0.5),
+        body(mesh(2.0, 0.1), turned([0.2 * across, -0.2 * along, -1.95], 0.3), 0.4),
+        hidden,
+        body(mesh(1.5, 0.0), turned([0.8 * across, 0.1 * along, 1.55], 0.0), 0.2),
+    ];
     // Some particles fly into the bodies or through them.
     state
         .v

@@ -2,7 +2,9 @@
 
 use crate::noise::noise;
 use fnopt::cloth::terms::Contact;
-use fnopt::cloth::{Body, Cloth, Control, EnergyTerms, Grid, Material, Model, Pose, Shape, State, Sweep};
+use fnopt::cloth::{
+    Body, Cloth, Control, DistanceField, EnergyTerms, Grid, Material, Model, Pose, Shape, State, Sweep,
+};
 use fnopt::cpu::cloth::{Approach, Contacts, CurvatureRows};
 use fnopt::cpu::{Objective, Real, Solver};
 use fnopt::sim::{FrameStats, Optimizer};
@@ -89,7 +91,7 @@ fn contacts_are_the_plain_ones() {
     let grid = Grid { h: 9, w: 8 };
     let n = grid.particles();
     let plane = Body { friction: 0.4, ..body(Shape::Plane, at(0.0, 0.0, -0.1)) };
-    let cloth = Cloth { handles: vec![3], bodies: vec![plane], ..Cloth::default() };
+    let cloth = Cloth { handles: vec![3], bodies: vec![plane.clone()], ..Cloth::default() };
     let slots = Model { grid, cloths: vec![cloth.clone()] }.handle_slots();
     let drift = DVec3::new(0.02, -0.01, 0.0);
     let sweep = Sweep { from: at(-drift.x, -drift.y, -0.1), to: plane.pose };
@@ -446,6 +448,33 @@ fn wrong_bodies_are_refused() {
     let sweep = Sweep { to: at(f64::NAN, 0.0, 0.0), ..Sweep::default() };
     let control = Control::<f32> { bodies: vec![sweep], ..Control::default() };
     assert!(control.check(&model).unwrap_err().to_string().contains("bodies[0].to"));
-    model.cloths[0].bodies = vec![model.cloths[0].bodies[0]; 33];
+    model.cloths[0].bodies = vec![model.cloths[0].bodies[0].clone(); 33];
     assert!(model.check().unwrap_err().to_string().contains("32 at most"));
+}
+
+/// A sheet on a mesh rests as it does on the shape that the mesh shows: on a box, whose sides the samples hold exactly.
+#[test]
+fn a_sheet_rests_on_a_mesh_as_on_the_box_that_it_shows() {
+    let grid = Grid { h: 10, w: 12 };
+    let corner = |k: usize| -> [f64; 3] { std::array::from_fn(|c| if k >> c & 1 == 0 { -0.5 } else { 0.5 }) };
+    let squares = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+    let faces: Vec<[u32; 3]> = squares.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
+    let vertices: Vec<[f64; 3]> = (0..8).map(corner).collect();
+    let field = std::sync::Arc::new(DistanceField::new(&vertices, &faces, 30).unwrap());
+    let shapes = [Shape::Box { half: [10.0; 3] }, Shape::Mesh { field, scale: 20.0, inset: 0.0 }];
+    let ends = shapes.map(|shape| {
+        let bodies = vec![Body { friction: 0.4, ..body(shape, at(5.5, 0.0, -11.0)) }];
+        let cloth = Cloth { gravity: [0.0, 0.0, -0.05], bodies, ..Cloth::default() };
+        let model = Model { grid, cloths: vec![cloth] };
+        let mut solver = Solver::<f64>::new(&model, &Optimizer::spectral(), 10).unwrap();
+        let mut state = State::rest(grid, 1);
+        let mut touching = 0;
+        for _ in 0..60 {
+            touching = solver.step(&mut state, &Control::default())[0].bodies[0].touching;
+        }
+        assert_eq!(touching, grid.particles());
+        state
+    });
+    let apart = ends[0].x.iter().zip(&ends[1].x).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    assert!(apart < 1e-4, "{apart}");
 }

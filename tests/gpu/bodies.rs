@@ -87,7 +87,7 @@ fn bodies_come_and_go() {
     solver.set_state(&start);
     assert_same("bodies that are back", &step(&solver, &control).x, &with);
     let mut many = model.cloths.clone();
-    many[1].bodies = vec![model.cloths[0].bodies[0]; 6];
+    many[1].bodies = vec![model.cloths[0].bodies[0].clone(); 6];
     let error = solver.set_cloths(&many).unwrap_err().to_string();
     assert!(error.contains("bodies of cloth 1") && error.contains("5 at most"), "{error}");
     assert_same(

@@ -3,12 +3,12 @@
 use super::Trial;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, size, terms};
+use crate::kernels::{common, pieces, size, terms};
 
 pub(crate) const SOURCE: Source = Source {
     name: "contact_find",
     wgsl: include_str!("../../../shaders/cloth/contact_find.wgsl"),
-    appended: &[common::CLOTH, common::BODY, terms::CONTACT],
+    appended: &[common::CLOTH, pieces::BODY, terms::CONTACT],
 };
 
 #[repr(C)]
@@ -31,13 +31,14 @@ impl ContactFind {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("SLOTS", slots as f64)])? })
     }
 
-    /// Sets `contacts` [B, slots n, 12] from the `bodies` [B, count, 24] and where the trial begins: `x` and
-    /// `iterate.base`.
-    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, [bodies, contacts]: [&Tensor; 2]) {
+    /// Sets `contacts` [B, slots n, 12] from the `bodies` [B, count, 24], the `fields` of those that are meshes and where
+    /// the trial begins: `x` and `iterate.base`.
+    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, [bodies, fields, contacts]: [&Tensor; 3]) {
         let (grid, batch) = (trial.grid, trial.batch());
         let &[_, count, _] = bodies.shape() else { panic!("contact_find: {:?}", bodies.shape()) };
         let params = Params { rows: size(grid.h), columns: size(grid.w), bodies: size(count) };
-        let tensors = [trial.cloths, bodies, &trial.iterate.slots, trial.x, &trial.iterate.base, contacts];
+        let of_trial = [&trial.iterate.slots, trial.x, &trial.iterate.base];
+        let tensors = [trial.cloths, bodies, of_trial[0], of_trial[1], of_trial[2], fields, contacts];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
     }
 }

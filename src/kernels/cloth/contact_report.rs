@@ -4,12 +4,12 @@ use super::Trial;
 use crate::Result;
 use crate::cloth::BodyStats;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{common, pieces, size, terms};
+use crate::kernels::{pieces, size, terms};
 
 pub(crate) const SOURCE: Source = Source {
     name: "contact_report",
     wgsl: include_str!("../../../shaders/cloth/contact_report.wgsl"),
-    appended: &[common::BODY, terms::CONTACT, pieces::DISPLACED],
+    appended: &[pieces::BODY, terms::CONTACT, pieces::DISPLACED],
 };
 
 #[repr(C)]
@@ -59,14 +59,20 @@ impl ContactReport {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[("SLOTS", slots as f64)])? })
     }
 
-    /// Sets `report` [B, count, 8] from the `contacts` [B, slots n, 12] at `iterate.a` and the `bodies` [B, count, 24].
-    pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, [contacts, bodies, report]: [&Tensor; 3]) {
+    /// Sets `report` [B, count, 8] from the `contacts` [B, slots n, 12] at `iterate.a`, the `bodies` [B, count, 24]
+    /// and the `fields` of those that are meshes.
+    pub fn push(
+        &self,
+        schedule: &mut Schedule,
+        trial: Trial<'_>,
+        [contacts, bodies, fields, report]: [&Tensor; 4],
+    ) {
         let (n, batch) = (trial.grid.particles(), trial.batch());
         let &[_, count, VALUES] = report.shape() else { panic!("contact_report: {:?}", report.shape()) };
         assert_eq!((report.shape()[0], &bodies.shape()[..2]), (batch, &[batch, count][..]));
         let params = Params { particles: size(n), bodies: size(count) };
         let (given, ..) = &trial.iterate.given();
-        let tensors = [contacts, bodies, &trial.iterate.a, given, trial.x, report];
+        let tensors = [contacts, bodies, &trial.iterate.a, given, trial.x, fields, report];
         schedule.dispatch(&self.kernel, &params, &tensors, [size(count), size(batch), 1]);
     }
 }

@@ -36,7 +36,7 @@ pub use contact_curvature::ContactCurvature;
 pub use contact_end::ContactEnd;
 pub use contact_find::ContactFind;
 pub use contact_report::{ClothContacts, ContactReport};
-pub use contacts::{BodyParams, CONTACT, Contacts};
+pub use contacts::{BodyParams, CONTACT, Contacts, Fields};
 pub use curvature::Curvature;
 pub use energy::Energy;
 pub use energy_sum::{ClothTerms, EnergySum, TERMS};

@@ -57,6 +57,8 @@ pub struct Room {
     pub repulsion: bool,
     /// Number of bodies that each cloth may meet, which cost a few dispatches in every evaluation.
     pub bodies: usize,
+    /// Number of 32-bit values of the distances of bodies that are meshes ([`Fields`](super::Fields)).
+    pub fields: usize,
     /// Whether the iterate has the hidden state of a network.
     pub hidden: bool,
 }
@@ -100,7 +102,7 @@ impl Objective {
             external_force: ExternalForce::new(context)?,
             repulsion: room.repulsion.then(repulsion).transpose()?,
             contacts: (room.bodies > 0)
-                .then(|| Contacts::new(context, batch, grid.particles(), room.bodies))
+                .then(|| Contacts::new(context, batch, grid.particles(), [room.bodies, room.fields]))
                 .transpose()?,
             gradient: Gradient::new(context)?,
             curvature: Curvature::new(context)?,
@@ -122,6 +124,9 @@ impl Objective {
         if let Some((bodies, params)) = self.bodies(model, &Control::<f32>::default()) {
             bodies.write(&self.context, &params);
         }
+        if let Some(contacts) = &self.contacts {
+            contacts.set_fields(&self.context, model);
+        }
     }
 
     /// Returns the tensor of the bodies and its contents in the frame that `control` drives; `None` without room for
@@ -136,6 +141,11 @@ impl Objective {
     /// Returns the number of bodies that each cloth has room for.
     pub fn room_for_bodies(&self) -> usize {
         self.contacts.as_ref().map_or(0, Contacts::count)
+    }
+
+    /// Returns the number of values that there is room for of the distances of meshes.
+    pub fn room_for_fields(&self) -> usize {
+        self.contacts.as_ref().map_or(0, Contacts::room_for_fields)
     }
 
     /// Returns what each body did in the last frame, shape [B, count, 8]

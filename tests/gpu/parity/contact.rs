@@ -5,7 +5,7 @@ use crate::common::{assert_close, context, device, largest, poisoned, read, run,
 use fnopt::cloth::{Body, Control, Grid, Model, Pose, Shape, State, Sweep};
 use fnopt::cpu;
 use fnopt::cpu::cloth::CurvatureRows;
-use fnopt::kernels::cloth::{Begin, ClothContacts, Objective, Room, curvature, gradient};
+use fnopt::kernels::cloth::{Begin, ClothContacts, Fields, Objective, Room, curvature, gradient};
 use fnopt::kernels::optim::directions;
 
 const GRIDS: [Grid; 3] = [Grid { h: 8, w: 8 }, Grid { h: 31, w: 33 }, Grid { h: 48, w: 32 }];
@@ -14,7 +14,13 @@ const GRIDS: [Grid; 3] = [Grid { h: 8, w: 8 }, Grid { h: 31, w: 33 }, Grid { h: 
 fn compare(what: &str, (model, state, control): &(Model, State<f32>, Control<f32>), a: &[f32], digits: f64) {
     let (grid, batch, n) = (model.grid, model.batch(), model.grid.particles());
     let most = model.cloths.iter().map(|cloth| cloth.bodies.len()).max().unwrap();
-    let room = Room { handles: model.handles(), repulsion: false, bodies: most, hidden: false };
+    let room = Room {
+        handles: model.handles(),
+        repulsion: false,
+        bodies: most,
+        fields: Fields::of(model).words_count(),
+        hidden: false,
+    };
     let device = Objective::new(context(), grid, batch, room).unwrap();
     device.set_cloths(model);
     let (bodies, params) = device.bodies(model, control).unwrap();
@@ -123,7 +129,7 @@ fn contacts_with_fast_bodies_match() {
         friction: 0.3,
         present: true,
     };
-    model.cloths.iter_mut().for_each(|cloth| cloth.bodies = vec![ball]);
+    model.cloths.iter_mut().for_each(|cloth| cloth.bodies = vec![ball.clone()]);
     let sweeps = vec![Sweep { from: pose(20.0), to: pose(-20.0) }; 3];
     let a = vec![0.0; state.x.len()];
     compare("a fast ball", &(model, state, Control { bodies: sweeps, ..control }), &a, 2e-4);
