@@ -179,7 +179,7 @@ fn wrong_attachments_and_events_are_refused() {
         (r#""events": [{"frame": 9, "wind": {"density": -1}}]"#, &["events[0].wind.density", "0 or more"]),
         (r#""events": [{"frame": 9, "material": {"bend": -1}}]"#, &["events[0].material.bend", "0 or more"]),
         (r#""events": [{"frame": 9, "gravity": 1e300}]"#, &["gravity", "overflow"]),
-        (r#""events": [{"frame": 9, "relese": "all"}]"#, &["relese", "did you mean release"]),
+        (r#""events": [{"frame": 9, "let_go": "all", "grabs": []}]"#, &["unknown field"]),
     ] {
         expect_refusal(&with(fields), said);
     }
