@@ -9,7 +9,7 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Frame;
-use fnopt::cloth::{BodyStats, intersections};
+use fnopt::cloth::{BodyStats, LayerStats, intersections};
 use fnopt::eval::{Soundness, Verdict, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{Bodies, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
@@ -41,6 +41,9 @@ pub struct Args {
     /// as in a scene; its "frame_time_s" and the density and drag of its "wind" apply too
     #[arg(long, value_name = "paper|KS,KH,KB|FILE")]
     material: Option<String>,
+    /// Let the cloth touch itself, as "self_contact" in a scene does: its layers never pass through each other. On the CPU
+    #[arg(long)]
+    self_contact: bool,
     /// Keep the layers of the cloth apart, as "repulsion" in a scene does, with these values or else the
     /// scene's or the default ones
     #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "", value_name = "STRENGTH,DISTANCE")]
@@ -185,6 +188,9 @@ impl Args {
         if let Some(text) = &self.material {
             material::read(text)?.apply(&mut scene);
         }
+        if self.self_contact {
+            scene.self_contact.get_or_insert_default();
+        }
         if let Some(text) = &self.repulsion {
             scene.repulsion = Some(repulsion(text, scene.repulsion)?);
         }
@@ -282,6 +288,9 @@ struct PerFrame {
     /// What each body did, left out where there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     bodies: Vec<OfBody>,
+    /// What its layers did, left out if the cloth does not touch itself.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    layers: Option<OfLayers>,
 }
 
 /// What a body did in a frame, in SI units and the scene's axes.
@@ -306,6 +315,22 @@ impl OfBody {
             load_n: setup.up.from_z_up(newtons),
             friction_work_j: joules(stats.friction_work),
         }
+    }
+}
+
+/// What the layers of the cloth did to each other in a frame.
+#[derive(serde::Serialize)]
+struct OfLayers {
+    /// Pairs of parts, a particle and a triangle or two edges, that are nearer than the thickness.
+    touching: usize,
+    /// Least distance between two parts; `null` if none are near each other.
+    nearest_m: Option<f64>,
+}
+
+impl OfLayers {
+    fn new(stats: LayerStats, setup: &Setup) -> Self {
+        let nearest_m = (stats.pairs > 0).then_some(stats.nearest * setup.units.length_m);
+        Self { touching: stats.touching, nearest_m }
     }
 }
 
@@ -347,6 +372,7 @@ impl<'a> Run<'a> {
             ms: frame.wall.as_secs_f64() * 1e3,
             energy_total: stats.energy.total(),
             bodies: stats.bodies.iter().map(|body| OfBody::new(body, self.setup)).collect(),
+            layers: stats.layers.map(|layers| OfLayers::new(layers, self.setup)),
             stats,
         });
     }

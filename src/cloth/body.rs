@@ -251,6 +251,24 @@ impl Body {
     }
 }
 
+/// What the layers of a cloth did to each other in one frame, in grid units.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct LayerStats {
+    /// Number of pairs of parts, a particle and a triangle or two edges, that were near enough to be watched.
+    pub pairs: usize,
+    /// Number of those that pressed on each other: they are nearer than the thickness.
+    pub touching: usize,
+    /// Least distance between two parts \[edges\], along the direction in which they are kept apart; infinite without
+    /// pairs.
+    pub nearest: f64,
+}
+
+impl Default for LayerStats {
+    fn default() -> Self {
+        Self { pairs: 0, touching: 0, nearest: f64::INFINITY }
+    }
+}
+
 /// What a body did to one cloth in one frame, in grid units.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct BodyStats {

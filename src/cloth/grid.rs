@@ -72,6 +72,50 @@ impl Grid {
         self.iter_faces().collect()
     }
 
+    /// Returns a triangle of [`Grid::faces`] by its index.
+    pub(crate) fn face(&self, face: usize) -> [usize; 3] {
+        let cell = face / 2;
+        let a = cell / (self.w - 1) * self.w + cell % (self.w - 1);
+        let c = a + self.w + 1;
+        if face.is_multiple_of(2) { [a, a + self.w, c] } else { [a, c, a + 1] }
+    }
+
+    /// Returns the index of the first triangle of the cell behind a particle, which must not be on the far borders.
+    pub(crate) fn first_face(&self, p: usize) -> usize {
+        2 * (p / self.w * (self.w - 1) + p % self.w)
+    }
+
+    /// Returns the corner of the triangle across a side of another, which leads from its corner `side` to the next;
+    /// `None` on the border.
+    pub(crate) fn across(&self, face: usize, side: usize) -> Option<usize> {
+        let cell = face / 2;
+        let (i, j) = (cell / (self.w - 1), cell % (self.w - 1));
+        let a = i * self.w + j;
+        match (face.is_multiple_of(2), side) {
+            (true, 0) => (j > 0).then(|| a - 1),
+            (true, 1) => (i + 2 < self.h).then(|| a + 2 * self.w + 1),
+            (true, _) => Some(a + 1),
+            (false, 0) => Some(a + self.w),
+            (false, 1) => (j + 2 < self.w).then(|| a + self.w + 2),
+            (false, _) => (i > 0).then(|| a - self.w),
+        }
+    }
+
+    /// Iterates over the particles that an edge of the triangles joins to `p`.
+    pub(crate) fn ring(self, p: usize) -> impl Iterator<Item = usize> {
+        let (i, j, w) = (p / self.w, p % self.w, self.w);
+        let (up, down, left, right) = (i > 0, i + 1 < self.h, j > 0, j + 1 < w);
+        let joined = [
+            (up && left).then(|| p - w - 1),
+            up.then(|| p - w),
+            left.then(|| p - 1),
+            right.then(|| p + 1),
+            down.then(|| p + w),
+            (down && right).then(|| p + w + 1),
+        ];
+        joined.into_iter().flatten()
+    }
+
     /// Returns the texture coordinates of the particles: `u = 1 - i / (H - 1)`, `v = 1 - j / (W - 1)`. An
     /// image appears upright on a sheet that hangs from the edge j = 0, and unmirrored on the side of the
     /// normals.
@@ -126,6 +170,32 @@ mod tests {
     fn faces_cut_each_cell_once() {
         let faces = Grid { h: 3, w: 2 }.faces();
         assert_eq!(faces, [[0, 2, 3], [0, 3, 1], [2, 4, 5], [2, 5, 3]]);
+    }
+
+    #[test]
+    fn triangles_know_their_neighbours() {
+        let grid = Grid { h: 4, w: 5 };
+        let faces = grid.faces().into_iter().map(|face| face.map(|p| p as usize)).collect::<Vec<_>>();
+        for (k, face) in faces.iter().enumerate() {
+            assert_eq!(grid.face(k), *face);
+            for side in 0..3 {
+                let ends = [face[side], face[(side + 1) % 3]];
+                let other =
+                    faces.iter().enumerate().find(|(n, f)| *n != k && ends.iter().all(|p| f.contains(p)));
+                let across =
+                    other.map(|(_, f)| *f.iter().find(|p| !ends.contains(p)).expect("a third corner"));
+                assert_eq!(grid.across(k, side), across, "face {k}, side {side}");
+            }
+        }
+    }
+
+    #[test]
+    fn rings_are_the_joined_particles() {
+        let grid = Grid { h: 4, w: 5 };
+        for p in 0..grid.particles() {
+            let joined = (0..grid.particles()).filter(|&q| q != p && grid.joined(p, q));
+            assert_eq!(grid.ring(p).collect::<Vec<_>>(), joined.collect::<Vec<_>>());
+        }
     }
 
     #[test]

@@ -7,14 +7,16 @@ mod energy;
 mod grid;
 mod intersections;
 mod model;
+mod proximity;
 pub mod terms;
 mod view;
 
-pub use body::{Body, BodyStats, Distance, MAX_BODIES, MAX_CONTACTS, Pose, Shape, Sweep};
+pub use body::{Body, BodyStats, Distance, LayerStats, MAX_BODIES, MAX_CONTACTS, Pose, Shape, Sweep};
 pub use distance_field::{DistanceField, MeshFault};
 pub use energy::EnergyTerms;
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub use intersections::{Intersection, intersections};
 pub(crate) use model::cast;
-pub use model::{Air, Cloth, Control, Material, Model, Repulsion, State};
+pub use model::{Air, Cloth, Control, Material, Model, Repulsion, SelfContact, State};
+pub use proximity::{Nearest, Parts};
 pub use view::VertexView;

@@ -71,6 +71,36 @@ impl Repulsion {
     }
 }
 
+/// Contact of a cloth with itself: its particles with its triangles, and its edges with each other, as with bodies
+/// ([`Contact`]).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SelfContact {
+    /// Distance at which layers begin to push each other apart \[edges\], 0.001 to 0.5.
+    pub thickness: f64,
+    /// Coefficient of friction between layers, 0 to 100.
+    pub friction: f64,
+}
+
+impl SelfContact {
+    /// How far beyond the thickness a pair of parts is still a contact of the frame \[edges\]: by as much an optimizer
+    /// may change what the velocities predict.
+    pub(crate) const MARGIN: f64 = 0.25;
+
+    /// Fails if a number is out of range; `origin` and `field` name its source in the error.
+    pub(crate) fn check(&self, origin: &str, field: &str) -> Result<()> {
+        let refused = |part: &str, expected: &str, found: f64| {
+            Err(Error::invalid(origin, format!("{field}.{part}"), expected, found))
+        };
+        if !(0.001..=0.5).contains(&self.thickness) {
+            return refused("thickness", "0.001 to 0.5 edges", self.thickness);
+        }
+        if !(0.0..=100.0).contains(&self.friction) {
+            return refused("friction", "0 to 100", self.friction);
+        }
+        Ok(())
+    }
+}
+
 /// The constants of one cloth of a batch, which no frame changes;
 /// [`Solver::set_cloths`](crate::sim::Solver::set_cloths) replaces them.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -82,8 +112,10 @@ pub struct Cloth {
     pub gravity: [f64; 3],
     /// Air around it; zero for none.
     pub air: Air,
-    /// Repulsion between its layers; `None` for a cloth that passes through itself.
+    /// Repulsion between its layers, the cheaper and looser way to keep them apart.
     pub repulsion: Option<Repulsion>,
+    /// Contact with itself; `None` for a cloth that passes through itself.
+    pub self_contact: Option<SelfContact>,
     /// Particle numbers of the handles, without duplicates.
     pub handles: Vec<usize>,
     /// Bodies that it meets, [`MAX_BODIES`] at most.
@@ -155,6 +187,9 @@ impl Model {
             if let Some(repulsion) = cloth.repulsion {
                 repulsion.check("model", &format!("repulsion of cloth {b}"))?;
             }
+            if let Some(self_contact) = cloth.self_contact {
+                self_contact.check("model", &format!("self-contact of cloth {b}"))?;
+            }
             if cloth.bodies.len() > MAX_BODIES {
                 let expected = format!("{MAX_BODIES} at most");
                 return Err(Error::invalid(
@@ -200,6 +235,19 @@ impl Model {
     /// Whether any cloth has a repulsion.
     pub fn repels(&self) -> bool {
         self.cloths.iter().any(|cloth| cloth.repulsion.is_some())
+    }
+
+    /// Whether any cloth touches itself.
+    pub fn touches_itself(&self) -> bool {
+        self.cloths.iter().any(|cloth| cloth.self_contact.is_some())
+    }
+
+    /// Fails, naming the cloth, if one touches itself. `why` completes "expected none, ".
+    pub(crate) fn refuse_self_contact(&self, why: &str) -> Result<()> {
+        let Some(b) = self.cloths.iter().position(|cloth| cloth.self_contact.is_some()) else {
+            return Ok(());
+        };
+        Err(Error::invalid("model", format!("self-contact of cloth {b}"), format!("none, {why}"), "one"))
     }
 
     /// Fails, naming the cloth, if one has a repulsion. `why` completes "expected none, ".

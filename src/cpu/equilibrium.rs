@@ -47,7 +47,8 @@ impl Equilibrium {
 /// [`Reference::new`] does. Panics if the length does not match the model.
 pub fn equilibrium(model: &Model, x: &[f64]) -> Result<Equilibrium> {
     let n = model.grid.particles();
-    let cloth = Cloth { air: Air::default(), bodies: Vec::new(), ..model.cloths[0].clone() };
+    let cloth =
+        Cloth { air: Air::default(), self_contact: None, bodies: Vec::new(), ..model.cloths[0].clone() };
     let mut reference = Reference::new(&Model { grid: model.grid, cloths: vec![cloth.clone()] })?;
     reference.iterations = ITERATIONS;
     let handles = cloth.handles.iter().map(|&p| [x[p], x[n + p], x[2 * n + p]]).collect();

@@ -1,7 +1,7 @@
 //! Newton steps from the sparse Hessian of a frame's energy and its Cholesky factors.
 
 use super::cloth::{
-    AFTER, Contacts, Hessian, Projection, RepellingPair, Trial, add_own_block, neighbours, repelling_pairs,
+    AFTER, Contacts, Coupling, Hessian, Projection, Trial, add_own_block, neighbours, repelling_pairs,
 };
 use crate::cloth::{Grid, Repulsion};
 use crate::cpu::optim::InverseHessian;
@@ -61,7 +61,7 @@ pub struct FactoredHessian {
 
 /// The symbolic factorisation of a pattern.
 struct Analysis {
-    /// Pairs of particles that share no elastic term but may repel each other, the smaller number first, sorted.
+    /// Pairs of particles that share no elastic term but may repel or touch each other, the smaller number first, sorted.
     pairs: Vec<(usize, usize)>,
     /// Particles in the order of the unknowns.
     order: Vec<usize>,
@@ -168,7 +168,7 @@ impl FactoredHessian {
         self.is_stale = !self.analysis.pairs.is_empty();
     }
 
-    /// Factors the Hessian at a trial, with that of the contacts and of the repulsion if there is one, removing about as little of its
+    /// Factors the Hessian at a trial, with that of the contacts, and of the repulsion if there is one, removing about as little of its
     /// negative curvature as makes it positive definite.
     ///
     /// Full projection always gives a definite matrix but converges slowly: much of a folded sheet is
@@ -180,9 +180,14 @@ impl FactoredHessian {
         contacts: &Contacts<f64>,
     ) -> Result<()> {
         let pairs = repulsion.map_or_else(Vec::new, |repulsion| repelling_pairs(trial, repulsion));
-        self.contain(&pairs)?;
+        // Convex, so nothing of them needs to be removed.
+        let of_layers = contacts.couplings(trial);
+        let all = |projection| {
+            pairs.iter().map(move |pair| pair.coupling(projection)).chain(of_layers.iter().copied())
+        };
+        self.contain(all(Projection::NONE))?;
         loop {
-            self.assemble(trial, &pairs, contacts, self.projection);
+            self.assemble(trial, all(self.projection), contacts, self.projection);
             let matrix = SparseColMatRef::new(self.analysis.pattern.as_ref(), &self.values);
             let Projection(share) = self.projection;
             // Without negative curvature the matrix is definite, so a pivot that is not positive is due to
@@ -216,12 +221,14 @@ impl FactoredHessian {
     }
 
     /// Analyses the pattern again if it lacks one of these pairs, or has those of earlier frames.
-    fn contain(&mut self, pairs: &[RepellingPair]) -> Result<()> {
+    fn contain(&mut self, couplings: impl Iterator<Item = Coupling>) -> Result<()> {
         let share_no_term = |p: usize, q: usize| self.hessian.index_of((p, 0), (q, 0)).is_none();
-        let pairs = pairs.iter().map(|pair| (pair.p, pair.q)).filter(|&(p, q)| share_no_term(p, q));
-        let mut pairs: Vec<_> = pairs.collect();
+        let pairs =
+            couplings.flat_map(|coupling| coupling.pairs().map(|(p, q, _)| (p, q)).collect::<Vec<_>>());
+        let mut pairs: Vec<_> = pairs.filter(|&(p, q)| share_no_term(p, q)).collect();
         if self.is_stale || pairs.iter().any(|pair| self.analysis.pairs.binary_search(pair).is_err()) {
             pairs.sort_unstable();
+            pairs.dedup();
             self.is_stale = false;
             self.analysis = Analysis::new(self.grid, &self.hessian, pairs)?;
             (self.values, self.factors, self.workspace) = self.analysis.memory()?;
@@ -233,7 +240,7 @@ impl FactoredHessian {
     fn assemble(
         &mut self,
         trial: &Trial<'_, f64>,
-        pairs: &[RepellingPair],
+        couplings: impl Iterator<Item = Coupling>,
         contacts: &Contacts<f64>,
         projection: Projection,
     ) {
@@ -250,23 +257,23 @@ impl FactoredHessian {
                 *hessian.at_mut((p, row), (p, column)) = f64::from(u8::from(row == column));
             }
         }
-        // Convex, so nothing of them needs to be removed.
         contacts.add_own_blocks(trial, hessian);
         let mut blocks = vec![[[0.0; 3]; 3]; analysis.pairs.len()];
-        for pair in pairs {
-            let block = pair.block(projection);
-            let free = [pair.p, pair.q].map(|p| trial.slots[p] == 0);
-            for (row, column) in (0..9).map(|k| (k / 3, k % 3)) {
+        let is_free = |p: usize| trial.slots[p] == 0;
+        for coupling in couplings {
+            let block = coupling.block;
+            for (p, factor) in coupling.squares().filter(|&(p, _)| is_free(p)) {
                 // A number of a particle's own block and its mirror image share a place.
-                for (p, _) in
-                    [pair.p, pair.q].into_iter().zip(free).filter(|&(_, free)| free && row >= column)
-                {
-                    *hessian.at_mut((p, row), (p, column)) += block[row][column];
+                for (row, column) in (0..9).map(|k| (k / 3, k % 3)).filter(|(row, column)| row >= column) {
+                    *hessian.at_mut((p, row), (p, column)) += factor * block[row][column];
                 }
-                if free == [true; 2] {
-                    match analysis.pairs.binary_search(&(pair.p, pair.q)) {
-                        Ok(k) => blocks[k][row][column] -= block[row][column],
-                        Err(_) => *hessian.at_mut((pair.p, row), (pair.q, column)) -= block[row][column],
+            }
+            for (p, q, factor) in coupling.pairs().filter(|&(p, q, _)| is_free(p) && is_free(q)) {
+                let place = analysis.pairs.binary_search(&(p, q));
+                for (row, column) in (0..9).map(|k| (k / 3, k % 3)) {
+                    match place {
+                        Ok(k) => blocks[k][row][column] += factor * block[row][column],
+                        Err(_) => *hessian.at_mut((p, row), (q, column)) += factor * block[row][column],
                     }
                 }
             }
@@ -306,7 +313,9 @@ fn minimum_degree<I: Iterator<Item = usize>>(
 ) -> Result<(Vec<usize>, Vec<usize>)> {
     let (mut starts, mut rows) = (vec![0], Vec::new());
     for q in 0..n {
+        let first = rows.len();
         rows.extend(near(q).filter(|&p| p > q));
+        rows[first..].sort_unstable();
         starts.push(rows.len());
     }
     let scratch = amd::order_scratch::<usize>(n, rows.len());

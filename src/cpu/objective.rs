@@ -3,11 +3,12 @@
 
 use super::Real;
 use super::cloth::{
-    Approach, Contacts, CurvatureRows, Frame, GradientRows, LocalModel, Trial, add_wind, end_frame, energy,
-    gradient, local_model, repulsion, repulsion_curvature, shifts, stretch,
+    Approach, Contacts, CurvatureRows, Frame, GradientRows, Layers, LocalModel, Trial, add_wind, end_frame,
+    energy, gradient, local_model, repulsion, repulsion_curvature, shifts, stretch,
 };
 use super::optim::norm;
-use crate::cloth::{BodyStats, Control, EnergyTerms, Model, State, Sweep};
+use crate::cloth::{BodyStats, Control, EnergyTerms, LayerStats, Model, State, Sweep};
+use crate::settings::{PARTING_ROUNDS, PARTINGS};
 use crate::sim::MAX_DIRECTIONS;
 use rayon::prelude::*;
 
@@ -44,7 +45,7 @@ pub(super) struct Trials<T> {
 
 /// Whether the gradient sees forces that depend on the positions.
 fn has_total(model: &Model) -> bool {
-    model.repels() || model.bodies() > 0
+    model.repels() || model.touches_itself() || model.bodies() > 0
 }
 
 impl<T: Real> Objective<T> {
@@ -123,29 +124,55 @@ impl<T: Real> Objective<T> {
             }
             let wind = control.wind.get(b).copied().unwrap_or([T::zero(); 3]);
             add_wind(grid, setting.air, wind, (&state.x[at.clone()], &state.v[at.clone()]), f);
-            if !setting.bodies.is_empty() {
+            if !setting.bodies.is_empty() || setting.self_contact.is_some() {
                 contacts[b] = Contacts::find(Approach {
                     grid,
                     cloth: setting,
                     sweeps: &sweeps(model, control, b),
                     x: &state.x[at.clone()],
-                    v: &state.v[at],
+                    v: &state.v[at.clone()],
                     slots: &slots[b * cloth / 3..][..cloth / 3],
+                    handles: &control.handles,
                 });
             }
         }
     }
 
-    /// Changes the trial accelerations of particles that they lead into a body, so that they stay outside. Calls `moved`
-    /// with the cloth, the element and what was added, and returns whether there are any.
-    pub fn move_out_of_bodies(&mut self, state: &State<T>, mut moved: impl FnMut(usize, usize, T)) -> bool {
+    /// Changes the trial accelerations of particles that they lead into a body or through another layer, so that they stay
+    /// outside. Calls `moved` with the cloth, the element and what was added.
+    pub fn confine(&mut self, state: &State<T>, mut moved: impl FnMut(usize, usize, T)) {
         let cloth = self.cloth_len();
         let Trials { model, a, contacts, .. } = &mut self.trial;
         let fields = a.chunks_exact_mut(cloth).zip(state.v.chunks_exact(cloth));
-        let cloths = fields.zip(contacts.iter().zip(&model.cloths)).enumerate();
-        cloths.fold(false, |any, (b, ((a, v), (contacts, setting)))| {
-            contacts.confine(&setting.bodies, v, a, |element, out| moved(b, element, out)) || any
-        })
+        for (b, ((a, v), (contacts, setting))) in fields.zip(contacts.iter().zip(&model.cloths)).enumerate() {
+            contacts.confine(&setting.bodies, v, a, |element, out| moved(b, element, out));
+        }
+    }
+
+    /// Changes the trial accelerations at the end of a frame where they lead layers through each other.
+    pub fn part_layers(&mut self, state: &State<T>, control: &Control<T>) {
+        let cloth = self.cloth_len();
+        let Trials { model, a, slots, contacts, .. } = &mut self.trial;
+        for (b, (a, setting)) in a.chunks_exact_mut(cloth).zip(&model.cloths).enumerate() {
+            let Some(settings) = setting.self_contact else { continue };
+            contacts[b].part_layers(a);
+            let at = b * cloth..(b + 1) * cloth;
+            for _ in 0..PARTING_ROUNDS {
+                let start = Approach {
+                    grid: model.grid,
+                    cloth: setting,
+                    sweeps: &[],
+                    x: &state.x[at.clone()],
+                    v: &state.v[at.clone()],
+                    slots: &slots[b * cloth / 3..][..cloth / 3],
+                    handles: &control.handles,
+                };
+                let layers = Layers::find_missed(&start, settings, a);
+                if !layers.part(PARTINGS, a) {
+                    break;
+                }
+            }
+        }
     }
 
     /// Sets the trial accelerations \[edges / frame^2\], shape [B, 3, H, W]. Panics if the length does not
@@ -290,6 +317,11 @@ impl<T: Real> Objective<T> {
         let (trial, model) = (self.trial.cloth(state, b), &self.trial.model);
         let sweeps = sweeps(model, control, b);
         self.trial.contacts[b].stats(&model.cloths[b].bodies, &sweeps, trial.x, trial.shift)
+    }
+
+    /// Returns what the layers of cloth `b` do to each other at the current trial; `None` if they pass through each other.
+    pub fn layer_stats(&self, state: &State<T>, b: usize) -> Option<LayerStats> {
+        self.trial.contacts[b].layer_stats(self.trial.cloth(state, b).shift)
     }
 
     /// Returns the largest and the mean stretch of cloth `b` at the current trial.

@@ -310,7 +310,7 @@ fn begin(objective: &mut Objective<f64>, state: &State<f64>, control: &Control<f
     objective.set_accelerations(a);
     let Trials { model, a, .. } = &mut objective.trial;
     hold(model, a);
-    objective.move_out_of_bodies(state, |_, _, _| ());
+    objective.confine(state, |_, _, _| ());
 }
 
 /// Returns L where the accelerations lead.

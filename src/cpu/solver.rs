@@ -94,7 +94,7 @@ impl<T: Real> Solver<T> {
             Method::Steps(iterations, minimizer) => {
                 minimizer.begin_frame();
                 for _ in 0..*iterations {
-                    objective.move_out_of_bodies(state, |_, _, _| ());
+                    objective.confine(state, |_, _, _| ());
                     objective.evaluate(state, control);
                     minimizer.step(&objective.grad, &objective.norms, &mut objective.trial.a);
                     self.log.gradient_norms.extend(&objective.norms);
@@ -112,7 +112,7 @@ impl<T: Real> Solver<T> {
                     }
                 }
                 objective.move_to_trial(state, control);
-                subspace.end_frame(objective, state);
+                subspace.check_last_step(objective, state);
             }
             Method::Newton(references) => {
                 objective.evaluate(state, control);
@@ -136,6 +136,10 @@ impl<T: Real> Solver<T> {
                 }
                 objective.settle_handles();
             }
+        }
+        objective.part_layers(state, control);
+        if let Method::Subspace(_, subspace) = &mut self.method {
+            subspace.end_frame(objective);
         }
         objective.move_to_trial(state, control);
         let stats = self.stats(state, control);
@@ -245,6 +249,7 @@ impl<T: Real> Solver<T> {
                     _ => StepCounts::default(),
                 },
                 bodies: self.objective.body_stats(state, control, b),
+                layers: self.objective.layer_stats(state, b),
             }
         };
         (0..batch).map(cloth).collect()

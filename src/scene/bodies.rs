@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Thickness of a contact unless the cloth has one \[edges\].
-const THICKNESS: f64 = 0.16;
+pub(super) const THICKNESS: f64 = 0.16;
 /// Samples of a mesh's distance along its longest side, unless it says.
 const CELLS: usize = 64;
 /// Bytes for each sample while they are computed.

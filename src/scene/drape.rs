@@ -34,6 +34,7 @@ static DRAPES: Mutex<Vec<Drape>> = Mutex::new(Vec::new());
 /// the scene in warnings.
 pub(super) fn settled(grid: Grid, units: &Units, cloth: &Cloth, origin: &str) -> Result<Arc<Vec<[f64; 3]>>> {
     let cloth = Cloth {
+        self_contact: None,
         air: Air::default(),
         handles: Placement::Corners.particles(grid),
         bodies: Vec::new(),
@@ -106,6 +107,7 @@ fn at_rest(sheet: &Sheet, (grid, units): (Grid, &Units), cloth: &Cloth, finer: f
             repulsion.strength /= finer * finer;
             repulsion
         }),
+        self_contact: None,
         air: Air::default(),
         handles: Placement::Corners.particles(sheet.grid),
         bodies: Vec::new(),

@@ -3,7 +3,8 @@
 use super::start::read_transform;
 use super::{
     Attachment, BodyMotion, BodySettings, BodyShape, Event, Handles, Mass, MeshSource, Moduli, Motion,
-    Placement, RepulsionSettings, Scene, Side, Start, StartFile, Stiffness, UpAxis, Wind, authors,
+    Placement, RepulsionSettings, Scene, SelfContactSettings, Side, Start, StartFile, Stiffness, UpAxis,
+    Wind, authors,
 };
 use crate::cloth::{Grid, Material};
 use crate::io::Node;
@@ -13,7 +14,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The fields of a scene file.
-pub(super) const FIELDS: [&str; 20] = [
+pub(super) const FIELDS: [&str; 21] = [
     "grid",
     "side_m",
     "mass_kg",
@@ -22,6 +23,7 @@ pub(super) const FIELDS: [&str; 20] = [
     "gravity",
     "wind",
     "repulsion",
+    "self_contact",
     "bodies",
     "friction",
     "thickness_m",
@@ -99,6 +101,7 @@ impl Scene {
             "gravity": self.gravity,
             "wind": self.wind,
             "repulsion": self.repulsion.map_or(json!(false), |settings| json!(settings)),
+            "self_contact": self.self_contact.map_or(json!(false), |settings| json!(settings)),
             "bodies": self.bodies.iter().map(BodySettings::to_json).collect::<Vec<_>>(),
             "friction": self.friction,
             "thickness_m": self.thickness_m,
@@ -157,7 +160,7 @@ impl Scene {
 }
 
 /// Fields that other simulators have, and what to do here.
-const ABSENT: [(&str, &str); 29] = [
+const ABSENT: [(&str, &str); 30] = [
     ("damping", "there is none; the air slows the cloth (\"wind\": {\"density\", \"drag\"})"),
     ("drag", "it is a field of \"wind\""),
     ("colliders", BODIES),
@@ -167,10 +170,11 @@ const ABSENT: [(&str, &str); 29] = [
     ("obstacles", BODIES),
     ("ground", A_PLANE),
     ("floor", A_PLANE),
-    ("self_collision", "\"repulsion\": true keeps the layers of the cloth apart"),
+    ("self_collision", "it is called \"self_contact\": true"),
+    ("self_collisions", "it is called \"self_contact\": true"),
     (
         "thickness",
-        "\"thickness_m\" is the distance from bodies, and \"repulsion\": {\"distance\"} that of layers, in edges",
+        "\"thickness_m\" is the distance from bodies, and \"self_contact\": {\"thickness_m\"} that of layers",
     ),
     ("pressure", "there is none; a uniform acceleration is \"gravity\", and a wind is \"wind\""),
     ("substeps", "a frame is one step; \"frame_time_s\" makes it shorter"),
@@ -209,6 +213,7 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         gravity: node.get_or("gravity", up.down(super::GRAVITY_M_S2), |n| read_gravity(n, up))?,
         wind: node.get_or("wind", fallback.wind, read_wind)?,
         repulsion: node.get_or("repulsion", fallback.repulsion, read_repulsion)?,
+        self_contact: node.get_or("self_contact", fallback.self_contact, read_self_contact)?,
         bodies: node.get_or("bodies", Vec::new(), |n| {
             n.items()?.iter().map(|body| BodySettings::read(body, up, folder)).collect()
         })?,
@@ -330,6 +335,20 @@ fn read_repulsion(node: &Node) -> Result<Option<RepulsionSettings>> {
             }))
         }
         _ => Err(node.invalid("true, false or {\"strength\", \"distance\"}")),
+    }
+}
+
+fn read_self_contact(node: &Node) -> Result<Option<SelfContactSettings>> {
+    match node.value {
+        Value::Bool(wanted) => Ok(wanted.then(SelfContactSettings::default)),
+        Value::Object(_) => {
+            node.deny_unknown(&["thickness_m", "friction"])?;
+            Ok(Some(SelfContactSettings {
+                thickness_m: node.get_or("thickness_m", None, |n| n.number().map(Some))?,
+                friction: node.get_or("friction", None, |n| n.number().map(Some))?,
+            }))
+        }
+        _ => Err(node.invalid("true, false or {\"thickness_m\", \"friction\"}")),
     }
 }
 

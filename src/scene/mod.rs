@@ -35,6 +35,7 @@
 //! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
 //! | `repulsion` | repulsion between the layers of the cloth: `{"strength", "distance"}`, each 1 if left out; `true` for both defaults; or `false` for none | m^2/s^2, edges | `false` |
+//! | `self_contact` | contact of the cloth with itself: `{"thickness_m", "friction"}`, those of the cloth if left out; `true` for both; or `false` for none | m | `false` |
 //! | `bodies` | bodies that the cloth meets, `[{"shape", ..}, ..]`, see below; 32 at most | | `[]` |
 //! | `friction` | the cloth's coefficient of friction; between cloth and body the smaller of both counts | | `1` |
 //! | `thickness_m` | distance that the cloth's particles keep from bodies, 0.001 to 10 edges | m | 0.16 edges, and on a ball or capsule of radius R at least `edge^2 / (8 R)` |
@@ -59,6 +60,10 @@
 //! particles, not triangles: at a distance below 1, layers slip through the gaps between particles. It also
 //! reaches no further than one edge: layers that approach each other by about two edges per frame or more
 //! pass through each other undetected.
+//!
+//! **Self-contact.** Particles meet triangles and edges meet edges when they come nearer than the thickness, which is 0.001 to
+//! 0.5 edges ([`crate::cloth::SelfContact`]), whatever their speed. It is the stricter way to keep layers apart, and is computed
+//! on the CPU alone.
 //!
 //! **Bodies.** A body has a `shape`: `plane` (everything below it, with a `normal`), `sphere` (`radius_m`), `capsule`
 //! (`radius_m`, `length_m` between the centres of its ends, `axis`), `box` (`sides_m`) or `mesh` (the `file` of an `.obj`, or
@@ -189,7 +194,7 @@ pub use setup::{Batch, MAX_FRAMES, Setup};
 pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};
 
-use crate::cloth::{Grid, Material, Repulsion};
+use crate::cloth::{Grid, Material, Repulsion, SelfContact};
 use crate::{Error, Result};
 use std::path::Path;
 
@@ -331,6 +336,16 @@ impl Default for RepulsionSettings {
     }
 }
 
+/// Contact of the cloth with itself ([`crate::cloth::SelfContact`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct SelfContactSettings {
+    /// Distance that layers keep from each other \[m\]; `None` for that of the cloth ([`Scene::thickness_m`]), or half an
+    /// edge if that is less.
+    pub thickness_m: Option<f64>,
+    /// Coefficient of friction between layers; `None` for that of the cloth.
+    pub friction: Option<f64>,
+}
+
 /// A cloth, the forces on it and the motion of its handles, in SI units and the scene's axes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
@@ -346,8 +361,10 @@ pub struct Scene {
     pub gravity: [f64; 3],
     /// The air.
     pub wind: Wind,
-    /// Repulsion between the layers of the cloth; `None` for a cloth that passes through itself.
+    /// Repulsion between the layers of the cloth, the cheaper and looser way to keep them apart.
     pub repulsion: Option<RepulsionSettings>,
+    /// Contact of the cloth with itself; `None` for a cloth that passes through itself.
+    pub self_contact: Option<SelfContactSettings>,
     /// Bodies that the cloth meets.
     pub bodies: Vec<BodySettings>,
     /// Distance that the cloth keeps from bodies \[m\], to which theirs is added; `None` for 0.16 edges.
@@ -389,6 +406,7 @@ impl Default for Scene {
             gravity: up.down(GRAVITY_M_S2),
             wind: Wind::default(),
             repulsion: None,
+            self_contact: None,
             bodies: Vec::new(),
             thickness_m: None,
             friction: 1.0,
@@ -493,7 +511,28 @@ impl Scene {
             settings.check(&self.origin, "repulsion")?;
             units.repulsion(settings).check(&self.origin, "repulsion")?;
         }
+        if let Some(settings) = self.self_contact {
+            settings
+                .thickness_m
+                .map_or(Ok(0.0), |thickness| self.positive("self_contact.thickness_m", thickness))?;
+            settings
+                .friction
+                .map_or(Ok(()), |friction| self.not_negative("self_contact.friction", friction))?;
+            self.of_layers(&units, settings).check(&self.origin, "self_contact")?;
+        }
         Ok(units)
+    }
+
+    /// Converts self-contact to grid units.
+    fn of_layers(&self, units: &Units, settings: SelfContactSettings) -> SelfContact {
+        let edges = |m: f64| m / units.length_m;
+        SelfContact {
+            thickness: match settings.thickness_m {
+                Some(thickness) => edges(thickness),
+                None => self.thickness_m.map_or(bodies::THICKNESS, edges).min(0.5),
+            },
+            friction: settings.friction.unwrap_or(self.friction),
+        }
     }
 
     fn check_wind(&self, field: &str, wind: &Wind) -> Result<()> {

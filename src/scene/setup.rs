@@ -351,6 +351,7 @@ impl Scene {
             gravity: units.acceleration(self.up.to_z_up(self.gravity)),
             air: units.air(self.wind.density, self.wind.drag),
             repulsion: self.repulsion.map(|settings| units.repulsion(settings)),
+            self_contact: self.self_contact.map(|settings| self.of_layers(&units, settings)),
             handles: self.handles.on(grid, &self.origin)?,
             bodies: Vec::new(),
         };
@@ -465,14 +466,14 @@ impl Scene {
 
     /// Warns if a cloth whose layers are to stay apart begins with layers that pass through each other.
     fn warn_of_intersections(&self, points: &[[f64; 3]]) {
-        if self.repulsion.is_none() {
+        if self.repulsion.is_none() && self.self_contact.is_none() {
             return;
         }
         let found = intersections(self.grid, &field(points));
         if let Some(Intersection { edge: [p, q], .. }) = found.first() {
             warn_once(format!(
                 "{}: start: the cloth passes through itself: {} of its edges meet a triangle of it, first that between \
-                 particles {p} and {q}; repulsion keeps layers on the sides where they are",
+                 particles {p} and {q}; repulsion and self-contact keep layers on the sides where they are",
                 self.origin,
                 found.iter().map(|one| one.edge).collect::<BTreeSet<_>>().len()
             ));

@@ -10,6 +10,9 @@ use crate::{Error, Result};
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+/// Why a device refuses a cloth that touches itself.
+const ON_THE_CPU: &str = "since contact of a cloth with itself is computed on the CPU alone (--device cpu)";
+
 /// Persistent scale of a fresh hidden state (paper section 3.3).
 pub const INITIAL_SCALE: f32 = 0.05;
 
@@ -74,6 +77,7 @@ impl Solver {
     fn build(context: &Context, model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         model.check()?;
         optimizer.check()?;
+        model.refuse_self_contact(ON_THE_CPU)?;
         if iterations == 0 {
             return Err(Error::invalid("solver", "iterations", "at least 1", 0));
         }
@@ -231,6 +235,7 @@ impl Solver {
     /// more bodies or larger meshes than any had, although the solver was built without room for them, which requires a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
+        model.refuse_self_contact(ON_THE_CPU)?;
         if !self.objective.has_room_for_repulsion() {
             model.refuse_repulsion("since the solver was built without")?;
         }
@@ -479,6 +484,7 @@ impl Solver {
             converged: None,
             steps: step_counts(&steps[b * STATE..][..STATE]),
             bodies: contacts(b).bodies,
+            layers: None,
         };
         ClothTerms::all(terms).enumerate().map(stats).collect()
     }

@@ -1,6 +1,6 @@
 //! Statistics that a frame reports for each cloth.
 
-use crate::cloth::{BodyStats, EnergyTerms};
+use crate::cloth::{BodyStats, EnergyTerms, LayerStats};
 
 /// Statistics of one cloth in one frame, in grid units. Stretch is over all edges, including those at handles,
 /// which rightly stretch more ([`FreeEdges`](crate::eval::FreeEdges) leaves them out).
@@ -24,6 +24,9 @@ pub struct FrameStats {
     /// What each body did, in the order of the cloth's bodies.
     #[serde(skip)]
     pub bodies: Vec<BodyStats>,
+    /// What the layers did to each other; `None` for a cloth that passes through itself.
+    #[serde(skip)]
+    pub layers: Option<LayerStats>,
 }
 
 /// What became of the steps of one cloth in one frame, where they are checked

@@ -100,7 +100,7 @@ fn contacts_are_the_plain_ones() {
     let mut v: Vec<f64> = noise(3 * n, 8).iter().map(|v| 0.03 * v).collect();
     v[2 * n..].fill(-0.02);
     let sweeps = [sweep];
-    let start = Approach { grid, cloth: &cloth, sweeps: &sweeps, x: &x, v: &v, slots: &slots };
+    let start = Approach { grid, cloth: &cloth, sweeps: &sweeps, x: &x, v: &v, slots: &slots, handles: &[] };
     let contacts = Contacts::find(start);
     let shift: Vec<f64> = v.iter().zip(noise(3 * n, 9)).map(|(v, d)| v + 0.01 * d).collect();
     let mut accelerations = vec![0.0; 3 * n];

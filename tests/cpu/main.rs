@@ -9,6 +9,7 @@ mod cloth;
 mod cloths;
 mod fft;
 mod golden;
+mod layers;
 mod moduli;
 mod network;
 mod newton;

@@ -1,7 +1,7 @@
 //! Valid scene files: the examples, the defaults, and the authors' own format.
 
 use crate::common::{assets, distance, parse};
-use fnopt::cloth::Grid;
+use fnopt::cloth::{Grid, SelfContact};
 use fnopt::scene::{Handles, Motion, Placement, RepulsionSettings, Scene, Side, Start, UpAxis};
 use std::path::{Path, PathBuf};
 
@@ -65,6 +65,26 @@ fn an_empty_document_and_the_default_file_are_the_default_scene() {
     assert_eq!(setup.model.cloths[0].handles, [31 * 32, 0]);
     assert!((setup.model.cloths[0].gravity[2] + 9.8 * 31.0 / 3600.0).abs() < 1e-15);
     assert!((setup.model.cloths[0].air.density - 1.0 / 31.0 / 0.187).abs() < 1e-15);
+}
+
+#[test]
+fn self_contact_is_asked_for_with_or_without_numbers() {
+    let scene = |text: &str| parse(text).unwrap();
+    let of = |text: &str| scene(text).setup().unwrap().model.cloths[0].self_contact;
+    assert_eq!(of("{}"), None);
+    assert_eq!(of(r#"{"self_contact": false}"#), None);
+    assert_eq!(of(r#"{"self_contact": true}"#), Some(SelfContact { thickness: 0.16, friction: 1.0 }));
+    // Those of the cloth, of which layers take half an edge at most.
+    let thick = of(r#"{"self_contact": true, "thickness_m": 0.5, "friction": 0.3}"#);
+    assert_eq!(thick, Some(SelfContact { thickness: 0.5, friction: 0.3 }));
+    let own =
+        r#"{"self_contact": {"thickness_m": 0.01, "friction": 0.2}, "side_m": 3.1, "thickness_m": 0.5}"#;
+    assert!((of(own).unwrap().thickness - 0.1).abs() < 1e-12);
+    assert_eq!(of(own).unwrap().friction, 0.2);
+    for text in ["{}", r#"{"self_contact": true}"#, own] {
+        let scene = scene(text);
+        assert_eq!(parse(&scene.to_json().to_string()).unwrap().self_contact, scene.self_contact);
+    }
 }
 
 #[test]

@@ -34,11 +34,14 @@ impl<T: Real> Cells<T> {
     /// Sorts the particles of a trial into cubes of this side \[edges\], which must be above 0.
     pub fn new(trial: &Trial<'_, T>, side: T) -> Self {
         let n = trial.grid.particles();
-        let placed = |particle| {
-            let place = add(at(trial.x, n, particle), at(trial.shift, n, particle));
-            Placed { cell: cell(place, side), particle, place }
-        };
-        let mut sorted: Vec<_> = (0..n).map(placed).collect();
+        let place = |particle| add(at(trial.x, n, particle), at(trial.shift, n, particle));
+        Self::of((0..n).map(place), side)
+    }
+
+    /// Sorts places likewise; a particle is then the number of one.
+    pub fn of(places: impl Iterator<Item = [T; 3]>, side: T) -> Self {
+        let placed = |(particle, place)| Placed { cell: cell(place, side), particle, place };
+        let mut sorted: Vec<_> = places.enumerate().map(placed).collect();
         sorted.sort_unstable_by_key(|placed| (placed.cell, placed.particle));
         Self { sorted }
     }

@@ -1,11 +1,14 @@
-//! The contacts of a cloth with bodies: found at the start of a frame, they are planes until its end
-//! ([`Contact`]).
+//! The contacts of a cloth with bodies and with itself: found at the start of a frame, they are planes until its end
+//! ([`Contact`](terms::Contact)).
 
-use super::vector::{add, at, dot, scaled, sub};
-use super::{Hessian, Trial};
+use super::layers::Layers;
+use super::touch::Touch;
+use super::vector::{add, at, dot, scaled};
+use super::{Coupling, Hessian, Trial};
 use crate::cloth::terms::{self, Elastic};
-use crate::cloth::{Body, BodyStats, Cloth, Grid, MAX_CONTACTS, Sweep};
+use crate::cloth::{Body, BodyStats, Cloth, Grid, LayerStats, MAX_CONTACTS, Sweep};
 use crate::cpu::Real;
+use crate::settings::PARTINGS;
 use crate::sim::MAX_DIRECTIONS;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -28,30 +31,32 @@ pub struct Approach<'a, T> {
     pub v: &'a [T],
     /// Handle slots, shape [H, W]. Handles go where they are told, whatever is there.
     pub slots: &'a [u32],
+    /// Handle positions of all cloths at the end of the frame \[edges\].
+    pub handles: &'a [[T; 3]],
 }
 
 /// The contacts of a cloth in one frame.
 #[derive(Clone, Debug, Default)]
 pub struct Contacts<T> {
-    /// In the order of the particles.
+    /// Those with bodies, in the order of the particles.
     found: Vec<Found<T>>,
+    /// Those with itself.
+    layers: Option<Layers<T>>,
 }
 
-/// A [`terms::Contact`] in the precision of the cloth.
+/// A contact of a particle with a body.
 #[derive(Clone, Copy, Debug)]
 struct Found<T> {
     particle: usize,
     /// Number of the body.
     body: usize,
-    gradient: [T; 3],
-    offset: T,
-    drift: [T; 3],
-    friction: T,
+    touch: Touch<T>,
 }
 
 impl<T: Real> Contacts<T> {
     /// Finds the contacts that may arise in a frame: those of particles that are nearer to a body than its thickness,
-    /// twice their way in the frame relative to the body, and one edge together.
+    /// twice their way in the frame relative to the body, and one edge together; and those of parts of the cloth that
+    /// come near each other ([`Layers::find`]).
     pub fn find(start: Approach<'_, T>) -> Self {
         let particles: Vec<usize> = (0..start.grid.particles()).filter(|&p| start.slots[p] == 0).collect();
         let elastic = Elastic::new(start.grid, start.cloth.material);
@@ -61,7 +66,8 @@ impl<T: Real> Contacts<T> {
             found
         };
         let tasks: Vec<Vec<Found<T>>> = particles.par_chunks(TASK).map(of_task).collect();
-        Self { found: tasks.into_iter().flatten().collect() }
+        let layers = start.cloth.self_contact.map(|settings| Layers::find(&start, settings));
+        Self { found: tasks.into_iter().flatten().collect(), layers }
     }
 
     /// Subtracts their gradient, divided by the particles' weights, from the accelerations [3, H, W]: to
@@ -71,17 +77,22 @@ impl<T: Real> Contacts<T> {
         for contact in &self.found {
             let p = contact.particle;
             let per_weight = T::of(n as f64 / grid.mass(p / grid.w, p % grid.w));
-            let gradient = contact.gradient(at(shift, n, p));
+            let gradient = contact.touch.gradient(at(shift, n, p));
             (0..3).for_each(|c| {
                 accelerations[c * n + p] = accelerations[c * n + p] - per_weight * gradient[c];
             });
+        }
+        if let Some(layers) = &self.layers {
+            layers.add_accelerations(shift, accelerations);
         }
     }
 
     /// Returns their energy at the displacements `shift` [3, H, W].
     pub fn energy(&self, shift: &[T]) -> f64 {
         let n = shift.len() / 3;
-        self.found.iter().map(|contact| contact.energy(at(shift, n, contact.particle)).f64()).sum()
+        let of_bodies: f64 =
+            self.found.iter().map(|contact| contact.touch.energy(at(shift, n, contact.particle)).f64()).sum();
+        of_bodies + self.layers.as_ref().map_or(0.0, |layers| layers.energy(shift))
     }
 
     /// Returns their second derivatives along each pair of `directions` [K, 3, H, W].
@@ -91,7 +102,7 @@ impl<T: Real> Contacts<T> {
         let mut curvature = [[0.0; MAX_DIRECTIONS]; MAX_DIRECTIONS];
         for contact in &self.found {
             let along = |k: usize| at(&directions[k * shift.len()..], n, contact.particle);
-            let curved = contact.curved(at(shift, n, contact.particle));
+            let curved = contact.touch.curved(at(shift, n, contact.particle));
             for (i, sums) in curvature.iter_mut().enumerate().take(count) {
                 let product = curved.times(along(i));
                 for (j, sum) in sums.iter_mut().enumerate().take(count) {
@@ -99,27 +110,34 @@ impl<T: Real> Contacts<T> {
                 }
             }
         }
+        if let Some(layers) = &self.layers {
+            layers.add_curvature(shift, directions, &mut curvature);
+        }
         curvature
     }
 
-    /// Moves particles out that their velocities `v` and accelerations `a` [3, H, W] lead nearer to a plane than
+    /// Moves particles out that their velocities `v` and accelerations `a` [3, H, W] lead nearer to a body's plane than
     /// [`terms::Contact::LEAST_GAP`] of its thickness, by adding to `a`. Calls `moved` with each element and what was
-    /// added, and returns whether there are any.
-    pub fn confine(&self, bodies: &[Body], v: &[T], a: &mut [T], mut moved: impl FnMut(usize, T)) -> bool {
+    /// added.
+    pub fn confine(&self, bodies: &[Body], v: &[T], a: &mut [T], mut moved: impl FnMut(usize, T)) {
         let n = a.len() / 3;
-        let mut any = false;
         for contact in &self.found {
             let p = contact.particle;
             let y = add(at(v, n, p), at(a, n, p));
-            if let Some(out) = contact.way_out(bodies[contact.body].thickness, y) {
-                any = true;
+            if let Some(out) = contact.touch.way_out(bodies[contact.body].thickness, y) {
                 for (c, out) in out.into_iter().enumerate() {
                     a[c * n + p] = a[c * n + p] + out;
                     moved(c * n + p, out);
                 }
             }
         }
-        any
+    }
+
+    /// Moves parts of the cloth away from each other likewise ([`Layers::part`]).
+    pub fn part_layers(&self, a: &mut [T]) {
+        if let Some(layers) = &self.layers {
+            layers.part(PARTINGS, a);
+        }
     }
 
     /// Corrects the end of a frame, positions and velocities [3, H, W], of which the latter are the displacements:
@@ -129,12 +147,12 @@ impl<T: Real> Contacts<T> {
         for contact in &self.found {
             let p = contact.particle;
             let y = at(v, n, p);
-            let slip = contact.slip(y);
-            let sticks = contact.friction > T::zero()
-                && contact.depth(y) > T::zero()
+            let slip = contact.touch.slip(y);
+            let sticks = contact.touch.friction > T::zero()
+                && contact.touch.depth(y) > T::zero()
                 && dot(slip, slip).sqrt() < T::of(terms::Contact::STICKING);
             let back = if sticks { scaled(slip, -T::one()) } else { [T::zero(); 3] };
-            let out = contact.way_out(bodies[contact.body].thickness, y).unwrap_or([T::zero(); 3]);
+            let out = contact.touch.way_out(bodies[contact.body].thickness, y).unwrap_or([T::zero(); 3]);
             let correction = add(back, out);
             for c in 0..3 {
                 x[c * n + p] = x[c * n + p] + correction[c];
@@ -153,132 +171,45 @@ impl<T: Real> Contacts<T> {
             let place = add(at(x, n, p), y).map(|c| c.f64());
             let own = sweeps[contact.body].to.inward(place.into());
             stats.deepest = stats.deepest.max(-bodies[contact.body].shape.distance(own).distance);
-            let depth = contact.depth(y);
+            let depth = contact.touch.depth(y);
             if depth > T::zero() {
                 stats.touching += 1;
-                let load = scaled(contact.gradient, -T::of(3.0) * depth * depth);
-                let slip = contact.slip(y);
+                let load = scaled(contact.touch.gradient, -T::of(3.0) * depth * depth);
+                let slip = contact.touch.slip(y);
                 let length = dot(slip, slip).sqrt().max(T::of(terms::Contact::STICKING));
-                let rub = scaled(slip, contact.friction / length);
+                let rub = scaled(slip, contact.touch.friction / length);
                 (0..3).for_each(|c| stats.load[c] += load[c].f64() + rub[c].f64());
                 stats.friction_work += dot(rub, slip).f64();
             }
         }
         stats
     }
+
+    /// Returns what the layers did to each other; `None` for a cloth that passes through itself.
+    pub fn layer_stats(&self, shift: &[T]) -> Option<LayerStats> {
+        self.layers.as_ref().map(|layers| layers.stats(shift))
+    }
 }
 
 impl Contacts<f64> {
-    /// Adds their second derivatives to the particles' own blocks of the Hessian.
+    /// Returns the second derivatives of the contacts of the cloth with itself.
+    pub(in crate::cpu) fn couplings(&self, trial: &Trial<'_, f64>) -> Vec<Coupling> {
+        self.layers.as_ref().map_or_else(Vec::new, |layers| layers.couplings(trial.shift))
+    }
+
+    /// Adds the second derivatives of those with bodies to the particles' own blocks of the Hessian.
     pub(in crate::cpu) fn add_own_blocks(&self, trial: &Trial<'_, f64>, hessian: &mut Hessian) {
         let n = trial.grid.particles();
         for contact in &self.found {
             let p = contact.particle;
-            let block = contact.curved(at(trial.shift, n, p));
-            for column in 0..3 {
-                let mut unit = [0.0; 3];
-                unit[column] = 1.0;
-                let column_of = block.times(unit);
+            let block = contact.touch.curved(at(trial.shift, n, p)).block();
+            for (column, values) in block.into_iter().enumerate() {
                 // A number and its mirror image share a place.
-                for (row, value) in column_of.into_iter().enumerate().skip(column) {
+                for (row, value) in values.into_iter().enumerate().skip(column) {
                     *hessian.at_mut((p, row), (p, column)) += value;
                 }
             }
         }
-    }
-}
-
-impl<T: Real> Found<T> {
-    fn new(particle: usize, body: usize, contact: terms::Contact) -> Self {
-        let single = |v: DVec3| v.to_array().map(T::of);
-        Self {
-            particle,
-            body,
-            gradient: single(contact.gradient),
-            offset: T::of(contact.offset),
-            drift: single(contact.drift),
-            friction: T::of(contact.friction),
-        }
-    }
-
-    fn depth(&self, y: [T; 3]) -> T {
-        (self.offset - dot(self.gradient, y)).max(T::zero())
-    }
-
-    fn slip(&self, y: [T; 3]) -> [T; 3] {
-        let u = sub(y, self.drift);
-        sub(u, scaled(self.gradient, dot(u, self.gradient) / dot(self.gradient, self.gradient)))
-    }
-
-    fn energy(&self, y: [T; 3]) -> T {
-        let depth = self.depth(y);
-        let barrier = depth * depth * depth;
-        if self.friction <= T::zero() {
-            return barrier;
-        }
-        let (slip, half, sticking) = (self.slip(y), T::of(0.5), T::of(terms::Contact::STICKING));
-        let slip = dot(slip, slip).sqrt();
-        let slipping = if slip < sticking { half * slip * slip / sticking } else { slip - half * sticking };
-        barrier + self.friction * slipping
-    }
-
-    fn gradient(&self, y: [T; 3]) -> [T; 3] {
-        let depth = self.depth(y);
-        let barrier = scaled(self.gradient, -T::of(3.0) * depth * depth);
-        if self.friction <= T::zero() {
-            return barrier;
-        }
-        let slip = self.slip(y);
-        let length = dot(slip, slip).sqrt().max(T::of(terms::Contact::STICKING));
-        add(barrier, scaled(slip, self.friction / length))
-    }
-
-    fn curved(&self, y: [T; 3]) -> Curved<T> {
-        let normal = scaled(self.gradient, dot(self.gradient, self.gradient).sqrt().recip());
-        let mut curved = Curved {
-            gradient: self.gradient,
-            of_gradient: T::of(6.0) * self.depth(y),
-            normal,
-            slip: [T::zero(); 3],
-            of_friction: T::zero(),
-        };
-        if self.friction > T::zero() {
-            let slip = self.slip(y);
-            let length = dot(slip, slip).sqrt();
-            let sticking = T::of(terms::Contact::STICKING);
-            curved.of_friction = self.friction / length.max(sticking);
-            if length >= sticking {
-                curved.slip = scaled(slip, length.recip());
-            }
-        }
-        curved
-    }
-
-    /// Returns how to leave, from the displacement y, what [`Contacts::confine`] does not allow; `None` where it does.
-    fn way_out(&self, thickness: f64, y: [T; 3]) -> Option<[T; 3]> {
-        let squared = dot(self.gradient, self.gradient);
-        let deepest = squared.sqrt() * T::of((1.0 - terms::Contact::LEAST_GAP) * thickness);
-        let excess = self.offset - dot(self.gradient, y) - deepest;
-        (excess > T::zero()).then(|| scaled(self.gradient, excess / squared))
-    }
-}
-
-/// The second derivatives of a contact: `of_gradient q q' + of_friction (1 - n n' - w w')`.
-struct Curved<T> {
-    gradient: [T; 3],
-    of_gradient: T,
-    normal: [T; 3],
-    /// Direction of a slip; zero where the particle sticks.
-    slip: [T; 3],
-    of_friction: T,
-}
-
-impl<T: Real> Curved<T> {
-    /// Returns their product with a vector.
-    fn times(&self, p: [T; 3]) -> [T; 3] {
-        let across = sub(p, scaled(self.normal, dot(self.normal, p)));
-        let across = sub(across, scaled(self.slip, dot(self.slip, p)));
-        add(scaled(self.gradient, self.of_gradient * dot(self.gradient, p)), scaled(across, self.of_friction))
     }
 }
 
@@ -304,7 +235,7 @@ impl<T: Real> Approach<'_, T> {
             }
             gaps[place] = plane.predicted;
             let contact = self.contact(p, plane, body, elastic);
-            let contact = Found::new(p, number, contact);
+            let contact = Found { particle: p, body: number, touch: Touch::new(contact) };
             match found.get_mut(first + place) {
                 Some(other) => *other = contact,
                 None => found.push(contact),
@@ -332,7 +263,7 @@ impl<T: Real> Approach<'_, T> {
 
     /// Returns n . D n, with the block D of particle `p` in the Hessian of the stretch at the start of the frame, where
     /// compressed edges count as unstretched. Shear and bend are weak beside it.
-    fn elastic_along(&self, p: usize, normal: DVec3, elastic: Elastic) -> f64 {
+    pub(super) fn elastic_along(&self, p: usize, normal: DVec3, elastic: Elastic) -> f64 {
         let Grid { h, w } = self.grid;
         let (n, i, j) = (h * w, p / w, p % w);
         let place = |q: usize| DVec3::from(at(self.x, n, q).map(|c| c.f64()));

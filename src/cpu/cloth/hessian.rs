@@ -17,6 +17,38 @@ use pulp::{Arch, Simd, WithSimd};
 /// A block of the Hessian: second derivatives with respect to the positions of two particles.
 pub type Block = [[f64; 3]; 3];
 
+/// Second derivatives of a function of one vector `sum w_k x_k` of up to four particles: for each two of them
+/// `w_k w_l block`. A weight of 0 stands for no particle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Coupling {
+    /// The particles.
+    pub particles: [usize; 4],
+    /// Their weights.
+    pub weights: [f64; 4],
+    /// The second derivatives with respect to the vector, symmetric.
+    pub block: Block,
+}
+
+impl Coupling {
+    /// Iterates over the particles with their weights.
+    fn parts(&self) -> impl Iterator<Item = (usize, f64)> + Clone {
+        self.particles.into_iter().zip(self.weights).filter(|(_, weight)| *weight != 0.0)
+    }
+
+    /// Iterates over each two of the particles, the smaller number first, with the product of their weights.
+    pub fn pairs(&self) -> impl Iterator<Item = (usize, usize, f64)> {
+        let later = self.parts();
+        self.parts().enumerate().flat_map(move |(k, (p, of_p))| {
+            later.clone().skip(k + 1).map(move |(q, of_q)| (p.min(q), p.max(q), of_p * of_q))
+        })
+    }
+
+    /// Iterates over the particles, each with the square of its weight.
+    pub fn squares(&self) -> impl Iterator<Item = (usize, f64)> {
+        self.parts().map(|(p, weight)| (p, weight * weight))
+    }
+}
+
 /// The share, from 0 to 1, of each term's possibly negative part that is removed.
 #[derive(Clone, Copy, Debug, PartialEq, PartialOrd)]
 pub struct Projection(pub f64);

@@ -2,7 +2,7 @@
 
 use super::Trial;
 use super::cells::{Cells, Placed, Walk};
-use super::hessian::{Block, Projection};
+use super::hessian::{Block, Coupling, Projection};
 use super::vector::{add, at, dot, scaled, sub};
 use crate::cloth::{Grid, Repulsion};
 use crate::cpu::Real;
@@ -112,8 +112,13 @@ pub struct RepellingPair {
 }
 
 impl RepellingPair {
-    /// Returns the second derivatives with respect to the position of either particle; those with respect to both are
-    /// their negatives.
+    /// Returns the second derivatives.
+    pub fn coupling(&self, projection: Projection) -> Coupling {
+        let block = self.block(projection);
+        Coupling { particles: [self.p, self.q, self.p, self.q], weights: [1.0, -1.0, 0.0, 0.0], block }
+    }
+
+    /// Returns the second derivatives with respect to the difference.
     pub fn block(&self, Projection(share): Projection) -> Block {
         let of = |value: f64| value - share * value.min(0.0);
         let (across, along) = (of(self.across), of(self.along));

@@ -118,7 +118,7 @@ impl<T: Real> Subspace<T> {
                 sheet_axes(grid, x, shift, &mut cloth.axes);
             }
         });
-        objective.move_out_of_bodies(state, |_, _, _| ());
+        objective.confine(state, |_, _, _| ());
         self.start_warm(objective, (state, control));
     }
 
@@ -150,7 +150,7 @@ impl<T: Real> Subspace<T> {
     /// Ends a step: moves particles out of the bodies, which counts as part of it, and tells the network.
     fn end_step(&mut self, objective: &mut Objective<T>, state: &State<T>) {
         let Self { network, cloths, .. } = self;
-        objective.move_out_of_bodies(state, |b, element, out| {
+        objective.confine(state, |b, element, out| {
             let last = &mut cloths[b].last[element];
             *last = *last + out;
         });
@@ -199,9 +199,8 @@ impl<T: Real> Subspace<T> {
         self.end_step(objective, state);
     }
 
-    /// Ends a frame of `objective`, which has moved to where the last step led: takes that back if it raised the
-    /// energy.
-    pub fn end_frame(&mut self, objective: &mut Objective<T>, state: &State<T>) {
+    /// Takes the last step back if it raised the energy of `objective`, which has moved to where it led.
+    pub fn check_last_step(&mut self, objective: &mut Objective<T>, state: &State<T>) {
         let len = objective.cloth_len();
         for (b, cloth) in self.cloths.iter_mut().enumerate() {
             let energy = objective.energy_in_rows(state, b, &mut cloth.rows);
@@ -210,6 +209,13 @@ impl<T: Real> Subspace<T> {
                 cloth.steps.shortened += 1;
                 a.iter_mut().zip(&cloth.last).for_each(|(a, &step)| *a = *a - step);
             }
+        }
+    }
+
+    /// Ends a frame: the next one begins with its accelerations.
+    pub fn end_frame(&mut self, objective: &Objective<T>) {
+        let accelerations = objective.trial.a.chunks_exact(objective.cloth_len());
+        for (cloth, a) in self.cloths.iter_mut().zip(accelerations) {
             cloth.last.copy_from_slice(a);
             if !a.iter().all(|a| a.is_finite()) {
                 cloth.last.fill(T::zero());

@@ -22,6 +22,7 @@ pub fn model(grid: Grid, batch: usize) -> Model {
         gravity: [0.02 * b as f64, -0.01, -0.07],
         air: [Air { density: 0.3, drag: 0.1 }, Air { density: 0.0, drag: 0.2 }, Air::default()][b],
         repulsion: None,
+        self_contact: None,
         handles: [vec![0, (h - 1) * w], vec![w / 2], vec![w - 1, h * w - 1, h * w / 2]][b].clone(),
         bodies: Vec::new(),
     };

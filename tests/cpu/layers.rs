@@ -1,0 +1,313 @@
+//! Contact of a cloth with itself.
+
+use crate::noise::noise;
+use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Parts, SelfContact, State, intersections};
+use fnopt::cpu::cloth::{Approach, CurvatureRows, Layers};
+use fnopt::cpu::{Objective, Solver};
+use fnopt::scene::{Scene, Script, SelfContactSettings};
+use fnopt::sim::Optimizer;
+use glam::DVec3;
+use std::collections::BTreeSet;
+
+const SETTINGS: SelfContact = SelfContact { thickness: 0.16, friction: 0.4 };
+
+/// Returns a field [3, n] of places.
+fn field(places: impl Fn(usize, usize) -> DVec3, grid: Grid) -> Vec<f64> {
+    let all: Vec<DVec3> = (0..grid.particles()).map(|p| places(p / grid.w, p % grid.w)).collect();
+    (0..3).flat_map(|c| all.iter().map(move |place| place[c])).collect()
+}
+
+/// Returns the field with noise of this size.
+fn shaken(mut field: Vec<f64>, size: f64, seed: u64) -> Vec<f64> {
+    let noise = noise(field.len(), seed);
+    field.iter_mut().zip(noise).for_each(|(x, noise)| *x += size * noise);
+    field
+}
+
+/// A sheet folded in the middle, whose halves are this far apart, the upper one shifted by part of an edge.
+fn folded(grid: Grid, apart: f64) -> Vec<f64> {
+    let middle = (grid.w / 2) as f64;
+    let place = |i: usize, j: usize| {
+        let beyond = j as f64 - middle;
+        let upper = f64::from(u8::from(beyond > 0.0));
+        DVec3::new(middle - beyond.abs() + 0.3 * upper, i as f64 + 0.4 * upper, apart * upper)
+    };
+    field(place, grid)
+}
+
+/// A sheet rolled up, its turns about 0.3 edges apart.
+fn rolled(grid: Grid) -> Vec<f64> {
+    let place = |i: usize, j: usize| {
+        let angle = j as f64 / 3.0;
+        let radius = 3.0 + 0.048 * angle;
+        DVec3::new(radius * angle.cos(), radius * angle.sin(), i as f64)
+    };
+    field(place, grid)
+}
+
+fn found(grid: Grid, x: &[f64], v: &[f64]) -> Layers<f64> {
+    let cloth = Cloth { self_contact: Some(SETTINGS), ..Cloth::default() };
+    let slots = vec![0; grid.particles()];
+    Layers::find(&Approach { grid, cloth: &cloth, sweeps: &[], x, v, slots: &slots, handles: &[] }, SETTINGS)
+}
+
+/// The parts of a grid: its particles with all triangles, and each two of its edges.
+fn edges(grid: Grid) -> Vec<[usize; 2]> {
+    let sides = grid.faces().into_iter().flat_map(|[a, b, c]| [[a, b], [b, c], [a, c]]);
+    let sides: BTreeSet<_> = sides.map(|[a, b]| [a.min(b) as usize, a.max(b) as usize]).collect();
+    sides.into_iter().collect()
+}
+
+/// Returns the particles of the pairs that are near, by trying all pairs with each `stride`-th particle and edge.
+fn tried(grid: Grid, x: &[f64], stride: usize) -> BTreeSet<[usize; 4]> {
+    let n = grid.particles();
+    let place = |p: usize| DVec3::new(x[p], x[n + p], x[2 * n + p]);
+    let range = SETTINGS.thickness + 0.25;
+    let is_near = |parts: Parts| {
+        let particles = parts.particles(grid);
+        (parts.distance(&particles.map(place)) < range && parts.nearest(grid, place).is_some())
+            .then_some(particles)
+    };
+    // Boxes that are apart are an answer, too.
+    let bounds = |particles: &[usize]| {
+        let low = particles.iter().fold(DVec3::INFINITY, |low, p| low.min(place(*p)));
+        (low, particles.iter().fold(DVec3::NEG_INFINITY, |high, p| high.max(place(*p))))
+    };
+    let apart = |one: (DVec3, DVec3), other: (DVec3, DVec3)| {
+        (one.0 - range).cmpgt(other.1).any() || (other.0 - range).cmpgt(one.1).any()
+    };
+    let faces: Vec<_> = grid.faces().iter().map(|face| bounds(&face.map(|p| p as usize))).collect();
+    let edges = edges(grid);
+    let boxes: Vec<_> = edges.iter().map(|edge| bounds(edge)).collect();
+    let mut near = BTreeSet::new();
+    for p in (0..n).step_by(stride) {
+        let own = bounds(&[p]);
+        let close = (0..faces.len()).filter(|face| !apart(own, faces[*face]));
+        near.extend(close.filter_map(|face| is_near(Parts::vertex(grid, p, face)?)));
+    }
+    for k in (0..edges.len()).step_by(stride) {
+        let close = (k + 1..edges.len()).filter(|other| !apart(boxes[k], boxes[*other]));
+        near.extend(close.filter_map(|other| is_near(Parts::edges(edges[k], edges[other])?)));
+    }
+    near
+}
+
+#[test]
+fn the_search_finds_what_trying_all_pairs_finds() {
+    let small = Grid { h: 12, w: 14 };
+    let random: Vec<f64> = noise(3 * small.particles(), 3).iter().map(|c| 4.0 * c).collect();
+    let large = Grid { h: 100, w: 100 };
+    let largest = Grid { h: 256, w: 256 };
+    let cases = [
+        ("random", small, random, 1),
+        ("coincident", small, vec![1.0; 3 * small.particles()], 1),
+        ("flat", large, folded(large, 5.0), 7),
+        ("folded", large, shaken(folded(large, 0.2), 0.05, 5), 7),
+        ("rolled", large, shaken(rolled(large), 0.02, 6), 7),
+        ("folded 256", largest, shaken(folded(largest, 0.2), 0.05, 7), 331),
+    ];
+    for (name, grid, x, stride) in cases {
+        let still = vec![0.0; x.len()];
+        let found: BTreeSet<[usize; 4]> =
+            found(grid, &x, &still).pairs().map(|(particles, _)| particles).collect();
+        let edges = edges(grid);
+        let is_sampled =
+            |[a, b, ..]: &[usize; 4]| edges.binary_search(&[*a, *b]).is_ok_and(|k| k % stride == 0);
+        let is_vertex = |pair: &[usize; 4]| {
+            edges.binary_search(&[pair[2], pair[3]]).is_err() || {
+                // The corners of a triangle are joined, too; two edges meet nowhere.
+                Parts::edges([pair[0], pair[1]], [pair[2], pair[3]]).is_none()
+                    || edges.binary_search(&[pair[0], pair[1]]).is_err()
+            }
+        };
+        let of_sample: BTreeSet<[usize; 4]> = found
+            .iter()
+            .filter(|pair| if is_vertex(pair) { pair[0] % stride == 0 } else { is_sampled(pair) })
+            .copied()
+            .collect();
+        let expected = tried(grid, &x, stride);
+        assert_eq!(of_sample, expected, "{name}");
+        println!("{name}: {} pairs, {} compared", found.len(), expected.len());
+        assert!(name == "flat" || name == "coincident" || expected.len() > 100, "{name}: {}", expected.len());
+    }
+}
+
+/// A folded sheet with one handle, whose layers press on each other and slide.
+fn pressed(grid: Grid) -> (Model, State<f64>, Control<f64>, Vec<f64>) {
+    let n = grid.particles();
+    let cloth = Cloth {
+        self_contact: Some(SETTINGS),
+        material: Material { stretch: 10.0, shear: 1.0, bend: 0.1 },
+        handles: vec![5],
+        ..Cloth::default()
+    };
+    let x = shaken(folded(grid, 0.12), 0.02, 9);
+    let v =
+        shaken(field(|_, j| DVec3::new(0.0, 0.0, if j > grid.w / 2 { -0.03 } else { 0.0 }), grid), 0.02, 10);
+    let control = Control { handles: vec![[x[5], x[n + 5], x[2 * n + 5]]], ..Control::default() };
+    let a: Vec<f64> = noise(3 * n, 11).iter().map(|a| 0.01 * a).collect();
+    (Model { grid, cloths: vec![cloth] }, State { x, v }, control, a)
+}
+
+#[test]
+fn gradient_and_curvature_are_derivatives_of_the_energy() {
+    let grid = Grid { h: 10, w: 12 };
+    let (model, state, control, a) = pressed(grid);
+    let mut objective = Objective::new(&model);
+    objective.begin_frame(&state, &control);
+    let energy_at = |objective: &mut Objective<f64>, a: &[f64]| {
+        objective.set_accelerations(a);
+        objective.move_to_trial(&state, &control);
+        objective.energy(&state, 0)
+    };
+    let terms = energy_at(&mut objective, &a);
+    assert!(terms.contact > 1e-3 * terms.total().abs(), "{terms:?}");
+    let mut directions: Vec<Vec<f64>> = (0..3).map(|k| noise(a.len(), 20 + k)).collect();
+    for direction in &mut directions {
+        (0..3).for_each(|c| direction[c * grid.particles() + 5] = 0.0);
+    }
+    let moved = |k: usize, step: f64| -> Vec<f64> {
+        a.iter().zip(&directions[k]).map(|(a, d)| a + step * d).collect()
+    };
+    objective.set_accelerations(&a);
+    objective.evaluate(&state, &control);
+    let all = directions.concat();
+    let model = objective.local_model(&state, 0, (&all, &mut CurvatureRows::new(grid)));
+    let grad_along = |objective: &mut Objective<f64>, a: &[f64], k: usize| -> f64 {
+        objective.set_accelerations(a);
+        objective.evaluate(&state, &control);
+        objective.grad().iter().zip(&directions[k]).map(|(g, d)| g * d).sum()
+    };
+    let h = 1e-6;
+    for k in 0..3 {
+        let [up, down] = [h, -h].map(|h| energy_at(&mut objective, &moved(k, h)).total());
+        let slope = (up - down) / (2.0 * h);
+        assert!((model.slopes[k] - slope).abs() < 1e-6 * slope.abs(), "{k}: {} and {slope}", model.slopes[k]);
+        for l in 0..3 {
+            let [up, down] = [h, -h].map(|h| grad_along(&mut objective, &moved(l, h), k));
+            let second = (up - down) / (2.0 * h);
+            let found = model.curvature[k][l];
+            let size = (model.curvature[k][k] * model.curvature[l][l]).sqrt();
+            assert!((found - second).abs() < 1e-5 * size, "{k} {l}: {found} and {second}");
+        }
+    }
+}
+
+#[test]
+fn forces_sum_to_zero() {
+    let grid = Grid { h: 10, w: 12 };
+    let (_, State { x, v }, ..) = pressed(grid);
+    let n = grid.particles();
+    let layers = found(grid, &x, &v);
+    let mut accelerations = vec![0.0; 3 * n];
+    layers.add_accelerations(&v, &mut accelerations);
+    let (mut sum, mut all) = (DVec3::ZERO, 0.0);
+    for p in 0..n {
+        let force = grid.mass(p / grid.w, p % grid.w)
+            * DVec3::new(accelerations[p], accelerations[n + p], accelerations[2 * n + p]);
+        sum += force;
+        all += force.length();
+    }
+    assert!(all > 1e-2, "{all}");
+    assert!(sum.length() < 1e-12 * all, "{sum} of {all}");
+    for (_, weights) in layers.pairs() {
+        assert!(weights.iter().sum::<f64>().abs() < 1e-12);
+    }
+}
+
+#[test]
+fn parting_moves_layers_apart_and_keeps_the_momentum() {
+    let grid = Grid { h: 10, w: 12 };
+    let n = grid.particles();
+    let x = folded(grid, 0.1);
+    // The upper half would end up below the lower one.
+    let v = field(|_, j| DVec3::new(0.0, 0.0, if j > grid.w / 2 { -0.25 } else { 0.0 }), grid);
+    let layers = found(grid, &x, &v);
+    assert!(layers.stats(&v).nearest < 0.0);
+    let mut a = vec![0.0; 3 * n];
+    assert!(layers.part(40, &mut a));
+    let moved: Vec<f64> = v.iter().zip(&a).map(|(v, a)| v + a).collect();
+    assert!(layers.stats(&moved).nearest > 0.0, "{:?}", layers.stats(&moved));
+    let ends: Vec<f64> = x.iter().zip(&moved).map(|(x, y)| x + y).collect();
+    assert_eq!(intersections(grid, &ends), []);
+}
+
+/// Returns the most intersections in a frame of a scene, and in how many of them layers pressed on each other.
+fn most_intersections(scene: &Scene, last: usize) -> (usize, usize) {
+    let setup = scene.setup().unwrap();
+    let mut solver = Solver::<f32>::new(&setup.model, &Optimizer::spectral(), 20).unwrap();
+    let mut state = setup.start.cast::<f32>();
+    let mut script = Script::new(&setup);
+    let (mut most, mut pressing) = (0, 0);
+    for frame in 1..setup.frames().min(last) {
+        if let Some(cloth) = script.enter(frame, &state) {
+            solver.set_cloths(std::slice::from_ref(cloth)).unwrap();
+        }
+        let stats = solver.step(&mut state, &script.control(frame));
+        let wide: Vec<f64> = state.x.iter().map(|&x| f64::from(x)).collect();
+        most = most.max(intersections(setup.model.grid, &wide).len());
+        pressing += usize::from(stats[0].layers.is_some_and(|layers| layers.touching > 0));
+    }
+    (most, pressing)
+}
+
+fn touching_itself(name: &str, h: usize) -> Scene {
+    let mut scene = Scene::named(name).unwrap();
+    scene.regrid(Grid { h, w: h }).unwrap();
+    Scene { repulsion: None, self_contact: Some(SelfContactSettings::default()), ..scene }
+}
+
+#[test]
+fn twisted_and_folded_cloths_never_pass_through_themselves() {
+    for (name, h, last) in [("twist", 32, 300), ("twist", 64, 130), ("fold-edge", 32, 300)] {
+        let scene = touching_itself(name, h);
+        let (most, pressing) = most_intersections(&scene, last);
+        assert_eq!(most, 0, "{name} at {h}");
+        assert!(pressing > 10, "{name} at {h}: {pressing} frames in which layers press");
+        println!("{name} at {h}: layers press in {pressing} frames");
+    }
+}
+
+#[test]
+fn without_contact_they_do() {
+    let scene = Scene { self_contact: None, ..touching_itself("twist", 32) };
+    assert!(most_intersections(&scene, 140).0 > 0);
+}
+
+#[test]
+fn newton_converges_where_layers_press() {
+    let scene = touching_itself("twist", 16);
+    let setup = scene.setup().unwrap();
+    let mut solver = Solver::<f64>::new(&setup.model, &Optimizer::newton(), 1).unwrap();
+    let (mut state, mut script, mut pressing) = (setup.start.clone(), Script::new(&setup), 0);
+    for frame in 1..150 {
+        if let Some(cloth) = script.enter(frame, &state) {
+            solver.set_cloths(std::slice::from_ref(cloth)).unwrap();
+        }
+        let stats = &solver.step(&mut state, &script.control(frame))[0];
+        assert_eq!(stats.converged, Some(true), "frame {frame}");
+        assert_eq!(intersections(setup.model.grid, &state.x), [], "frame {frame}");
+        pressing += usize::from(stats.layers.is_some_and(|layers| layers.touching > 0));
+    }
+    assert!(pressing > 10, "{pressing}");
+}
+
+#[test]
+fn frames_do_not_depend_on_the_number_of_threads() {
+    let setup = touching_itself("twist", 32).setup().unwrap();
+    let ends = [1, 4].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut solver = Solver::<f32>::new(&setup.model, &Optimizer::spectral(), 5).unwrap();
+            let (mut state, mut script) = (setup.start.cast::<f32>(), Script::new(&setup));
+            for frame in 1..110 {
+                if let Some(cloth) = script.enter(frame, &state) {
+                    solver.set_cloths(std::slice::from_ref(cloth)).unwrap();
+                }
+                solver.step(&mut state, &script.control(frame));
+            }
+            state
+        })
+    });
+    assert_eq!(ends[0], ends[1]);
+}
