@@ -17,6 +17,7 @@ use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Script, Setup};
 use fnopt::sim::{FrameStats, Optimizer};
 use fnopt::{Error, io};
 use std::borrow::Cow;
+use std::cell::OnceCell;
 use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -275,6 +276,8 @@ struct Run<'a> {
     device: String,
     trajectory: Trajectory,
     per_frame: Vec<PerFrame>,
+    /// See [`Run::intersections`]; counted when first asked for, once all frames are there.
+    intersections: OnceCell<Option<[usize; 2]>>,
     soundness: Soundness<'a>,
 }
 
@@ -359,6 +362,7 @@ impl<'a> Run<'a> {
             device,
             trajectory,
             per_frame: Vec::new(),
+            intersections: OnceCell::new(),
             soundness,
         }
     }
@@ -558,6 +562,10 @@ impl<'a> Run<'a> {
 
     /// The edges that pass through triangles of the cloth in the last frame and how often they do, if asked for.
     fn intersections(&self) -> Option<[usize; 2]> {
+        *self.intersections.get_or_init(|| self.count_intersections())
+    }
+
+    fn count_intersections(&self) -> Option<[usize; 2]> {
         let (grid, last) = (self.trajectory.grid(), self.trajectory.frames() - 1);
         let positions = self.trajectory.frame(last);
         let by_axis = || (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c])));

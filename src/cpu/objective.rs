@@ -184,11 +184,12 @@ impl<T: Real> Objective<T> {
     /// Moves the particles to where the trial accelerations lead.
     pub fn move_to_trial(&mut self, state: &State<T>, control: &Control<T>) {
         let cloth = self.cloth_len();
-        let Trials { shift, a, slots, .. } = &mut self.trial;
+        let Trials { shift, a, slots, contacts, .. } = &mut self.trial;
         for (b, shift) in shift.chunks_exact_mut(cloth).enumerate() {
             let at = b * cloth..(b + 1) * cloth;
             let frame = frame(slots, a, control, (b, cloth / 3));
             shifts(frame, &state.x[at.clone()], &state.v[at], shift);
+            contacts[b].move_to(shift);
         }
     }
 

@@ -198,9 +198,10 @@ fn forces_sum_to_zero() {
     let grid = Grid { h: 10, w: 12 };
     let (_, State { x, v }, ..) = pressed(grid);
     let n = grid.particles();
-    let layers = found(grid, &x, &v);
+    let mut layers = found(grid, &x, &v);
     let mut accelerations = vec![0.0; 3 * n];
-    layers.add_accelerations(&v, &mut accelerations);
+    layers.move_to(&v);
+    layers.add_accelerations(&mut accelerations);
     let (mut sum, mut all) = (DVec3::ZERO, 0.0);
     for p in 0..n {
         let force = grid.mass(p / grid.w, p % grid.w)

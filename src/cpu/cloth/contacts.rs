@@ -70,6 +70,13 @@ impl<T: Real> Contacts<T> {
         Self { found: tasks.into_iter().flatten().collect(), layers }
     }
 
+    /// Moves the particles by `shift` [3, H, W]; what follows is to be asked there.
+    pub fn move_to(&mut self, shift: &[T]) {
+        if let Some(layers) = &mut self.layers {
+            layers.move_to(shift);
+        }
+    }
+
     /// Subtracts their gradient, divided by the particles' weights, from the accelerations [3, H, W]: to
     /// the gradient of the other terms a contact is an external force.
     pub fn add_accelerations(&self, grid: Grid, shift: &[T], accelerations: &mut [T]) {
@@ -83,7 +90,7 @@ impl<T: Real> Contacts<T> {
             });
         }
         if let Some(layers) = &self.layers {
-            layers.add_accelerations(shift, accelerations);
+            layers.add_accelerations(accelerations);
         }
     }
 
@@ -92,7 +99,7 @@ impl<T: Real> Contacts<T> {
         let n = shift.len() / 3;
         let of_bodies: f64 =
             self.found.iter().map(|contact| contact.touch.energy(at(shift, n, contact.particle)).f64()).sum();
-        of_bodies + self.layers.as_ref().map_or(0.0, |layers| layers.energy(shift))
+        of_bodies + self.layers.as_ref().map_or(0.0, Layers::energy)
     }
 
     /// Returns their second derivatives along each pair of `directions` [K, 3, H, W].
@@ -111,7 +118,7 @@ impl<T: Real> Contacts<T> {
             }
         }
         if let Some(layers) = &self.layers {
-            layers.add_curvature(shift, directions, &mut curvature);
+            layers.add_curvature(directions, shift.len(), &mut curvature);
         }
         curvature
     }

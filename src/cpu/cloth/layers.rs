@@ -3,7 +3,7 @@
 use super::cells::{Cells, Placed};
 use super::contacts::Approach;
 use super::touch::Touch;
-use super::vector::{add, at, dot, scaled};
+use super::vector::{add, at, dot, scaled, sub};
 use super::{Block, Coupling};
 use crate::cloth::terms::{Contact, Elastic};
 use crate::cloth::{Grid, LayerStats, Nearest, Parts, SelfContact};
@@ -15,6 +15,8 @@ use rayon::prelude::*;
 /// Patches per task of the search, and pairs per task of what follows.
 const TASK: usize = 256;
 
+/// Fewer pairs than this are not worth waking a thread for.
+const ALONE: usize = 2048;
 /// Share of half the distance that a particle sees by which it may leave its way.
 const BUDGET: f64 = 0.85;
 /// Share of the thickness at which a pair counts as met on its way.
@@ -26,6 +28,8 @@ const NEAR: f64 = 0.5;
 #[derive(Clone, Debug)]
 pub struct Layers<T> {
     pairs: Vec<Pair<T>>,
+    /// Numbers of the pairs that press or rub at the current displacements, and how far these part them.
+    active: Vec<(usize, [T; 3])>,
     /// Distance at which they begin to press \[edges\].
     thickness: f64,
 }
@@ -93,18 +97,33 @@ impl<T: Real> Layers<T> {
         self.pairs.iter().map(|pair| (pair.particles, pair.weights))
     }
 
-    /// Iterates over the pairs that press or rub at the displacements `shift` [3, H, W], with their relative displacements.
-    fn active<'a>(&'a self, shift: &'a [T]) -> impl Iterator<Item = (&'a Pair<T>, [T; 3])> {
+    /// Moves the particles by `shift` [3, H, W]: what follows is there.
+    pub fn move_to(&mut self, shift: &[T]) {
         let n = shift.len() / 3;
-        let with_displacement = self.pairs.iter().map(move |pair| (pair, pair.across(shift, n)));
-        with_displacement.filter(|(pair, y)| pair.touch.acts(*y))
+        let Self { pairs, active, .. } = self;
+        let moved = |(k, pair): (usize, &Pair<T>)| {
+            let y = pair.across(shift, n);
+            pair.touch.acts(y).then_some((k, y))
+        };
+        match pairs.len() < ALONE {
+            true => {
+                active.clear();
+                active.extend(pairs.iter().enumerate().filter_map(moved));
+            }
+            false => *active = pairs.par_iter().enumerate().filter_map(moved).collect(),
+        }
+    }
+
+    /// Iterates over the pairs that press or rub, with how far their parts have moved relative to each other.
+    fn active(&self) -> impl Iterator<Item = (&Pair<T>, [T; 3])> {
+        self.active.iter().map(|&(k, y)| (&self.pairs[k], y))
     }
 
     /// Subtracts their gradient from the accelerations [3, H, W], as
     /// [`Contacts::add_accelerations`](super::Contacts::add_accelerations) does.
-    pub fn add_accelerations(&self, shift: &[T], accelerations: &mut [T]) {
-        let n = shift.len() / 3;
-        for (pair, y) in self.active(shift) {
+    pub fn add_accelerations(&self, accelerations: &mut [T]) {
+        let n = accelerations.len() / 3;
+        for (pair, y) in self.active() {
             let gradient = pair.touch.gradient(y);
             for (p, response) in pair.particles.into_iter().zip(pair.response) {
                 (0..3).for_each(|c| {
@@ -114,24 +133,23 @@ impl<T: Real> Layers<T> {
         }
     }
 
-    /// Returns their energy at the displacements `shift` [3, H, W].
-    pub fn energy(&self, shift: &[T]) -> f64 {
-        self.active(shift).map(|(pair, y)| pair.touch.energy(y).f64()).sum()
+    /// Returns their energy.
+    pub fn energy(&self) -> f64 {
+        self.active().map(|(pair, y)| pair.touch.energy(y).f64()).sum()
     }
 
-    /// Adds their second derivatives along each pair of `directions` [K, 3, H, W].
+    /// Adds their second derivatives along each pair of `directions` [K, 3, H, W], of this length each.
     pub fn add_curvature(
         &self,
-        shift: &[T],
         directions: &[T],
+        len: usize,
         curvature: &mut [[f64; MAX_DIRECTIONS]; MAX_DIRECTIONS],
     ) {
-        let n = shift.len() / 3;
-        let count = directions.len() / shift.len();
-        for (pair, y) in self.active(shift) {
+        let (n, count) = (len / 3, directions.len() / len);
+        for (pair, y) in self.active() {
             let curved = pair.touch.curved(y);
             let mut along = [[T::zero(); 3]; MAX_DIRECTIONS];
-            for (along, direction) in along.iter_mut().zip(directions.chunks_exact(shift.len())) {
+            for (along, direction) in along.iter_mut().zip(directions.chunks_exact(len)) {
                 *along = pair.across(direction, n);
             }
             for (i, sums) in curvature.iter_mut().enumerate().take(count) {
@@ -220,6 +238,8 @@ struct Search<'a, T> {
     patches: Vec<Patch>,
     /// Distance within which pairs are contacts.
     range: f64,
+    /// Largest radius of a patch and longest way of one together.
+    largest: f64,
     /// Side of the cells: patches whose centres are farther apart have no pair.
     side: f64,
 }
@@ -232,6 +252,8 @@ struct Patch {
     particle: Ball,
     faces: [Ball; 2],
     edges: [Ball; 3],
+    /// Half of each edge.
+    halves: [DVec3; 3],
 }
 
 /// A ball that moves evenly in the frame.
@@ -240,19 +262,26 @@ struct Ball {
     centre: DVec3,
     /// How it moves.
     way: DVec3,
+    /// Radius at the start.
     radius: f64,
+    /// How much of their way the points inside may go off that of the ball.
+    spread: f64,
 }
 
 impl Ball {
-    const NOWHERE: Self = Self { centre: DVec3::ZERO, way: DVec3::ZERO, radius: f64::NAN };
+    const NOWHERE: Self = Self { centre: DVec3::ZERO, way: DVec3::ZERO, radius: f64::NAN, spread: 0.0 };
 
     /// Returns one around points that move evenly.
     fn around(points: &[(DVec3, DVec3)]) -> Self {
         let count = points.len() as f64;
         let centre = points.iter().map(|(x, _)| *x).sum::<DVec3>() / count;
         let way = points.iter().map(|(_, way)| *way).sum::<DVec3>() / count;
-        let radius = points.iter().map(|(x, of)| (*x - centre).length() + (*of - way).length());
-        Self { centre, way, radius: radius.fold(0.0, f64::max) }
+        let largest = |lengths: &mut dyn Iterator<Item = DVec3>| {
+            lengths.map(DVec3::length_squared).fold(0.0, f64::max).sqrt()
+        };
+        let radius = largest(&mut points.iter().map(|(x, _)| *x - centre));
+        let spread = largest(&mut points.iter().map(|(_, of)| *of - way));
+        Self { centre, way, radius, spread }
     }
 
     /// Whether two balls come as near to each other as this.
@@ -266,7 +295,7 @@ impl Ball {
         } else {
             ahead / square
         };
-        let reach = self.radius + other.radius + range;
+        let reach = self.radius + self.spread + other.radius + other.spread + range;
         (from + share * way).length_squared() < reach * reach
     }
 }
@@ -320,6 +349,8 @@ impl<'a, T: Real> Search<'a, T> {
                 particle: ball(&[p]),
                 faces: [has(below && right, &[p, r, s]), has(below && right, &[p, s, q])],
                 edges: [has(right, &[p, q]), has(below, &[p, r]), has(below && right, &[p, s])],
+                halves: [(right, q), (below, r), (below && right, s)]
+                    .map(|(has, q)| if has { 0.5 * (x[q] - x[p]) } else { DVec3::ZERO }),
             }
         };
         let patches: Vec<Patch> = (0..n).into_par_iter().map(patch).collect();
@@ -330,24 +361,31 @@ impl<'a, T: Real> Search<'a, T> {
         let largest = |of: fn(&Ball) -> f64| {
             patches.iter().map(|patch| of(&patch.all)).filter(|s| s.is_finite()).fold(0.0, f64::max)
         };
-        let side = range + 2.0 * largest(|patch| patch.radius) + 2.0 * largest(|patch| patch.way.length());
+        let largest = largest(|patch| patch.radius + patch.spread) + largest(|patch| patch.way.length());
+        let side = range + 2.0 * largest;
         let elastic = Elastic::new(grid, start.cloth.material);
-        Self { start, settings, elastic, x, base, way, patches, range, side }
+        Self { start, settings, elastic, x, base, way, patches, range, largest, side }
     }
 
     /// Finds the pairs of which at least one part lies in a patch that `wanted` is true for.
     fn run(self, wanted: impl Fn(usize) -> bool + Sync) -> Layers<T> {
         let thickness = self.settings.thickness;
         if !(0..self.patches.len()).any(&wanted) {
-            return Layers { pairs: Vec::new(), thickness };
+            return Layers { pairs: Vec::new(), active: Vec::new(), thickness };
         }
         let cells = Cells::of(self.patches.iter().map(|patch| patch.all.centre.to_array()), self.side);
         let of_task = |task: &[Placed<f64>]| {
             let mut walk = cells.walk(&task[0]);
             let mut found = Vec::new();
             for own in task.iter().filter(|own| own.is_within_reach() && wanted(own.particle)) {
+                let ball = &self.patches[own.particle].all;
+                let reach = self.side - self.largest + ball.radius + ball.spread + ball.way.length();
                 for other in walk.around(own) {
                     let (p, q) = (own.particle, other.particle);
+                    let from = sub(own.place, other.place);
+                    if dot(from, from) > reach * reach {
+                        continue;
+                    }
                     // Once for both.
                     if q > p || !wanted(q) {
                         self.between(p.min(q), p.max(q), &mut found);
@@ -361,7 +399,7 @@ impl<'a, T: Real> Search<'a, T> {
         // An order that depends on nothing but the parts.
         parts.par_sort_unstable_by_key(|(parts, _)| *parts);
         let pairs = parts.into_par_iter().filter_map(|(parts, met)| self.pair(parts, met)).collect();
-        Layers { pairs, thickness }
+        Layers { pairs, active: Vec::new(), thickness }
     }
 
     /// Appends the pairs of patch `p` with another patch `q` that are near.
@@ -382,11 +420,15 @@ impl<'a, T: Real> Search<'a, T> {
             }
         }
         let ends = [1, grid.w, grid.w + 1];
-        for (first, to) in one.edges.iter().zip(ends) {
-            for (second, of) in other.edges.iter().zip(ends) {
-                if first.meets(second, self.range) {
-                    look(Parts::edges([p, p + to], [q, q + of]));
-                }
+        for (k, l) in (0..9).map(|both| (both / 3, both % 3)) {
+            let (first, second) = (&one.edges[k], &other.edges[l]);
+            // Seen along the line between their middles, edges side by side are thin.
+            let from = second.centre - first.centre;
+            let extent = one.halves[k].dot(from).abs() + other.halves[l].dot(from).abs();
+            let reach = self.range + (second.way - first.way).length() + first.spread + second.spread;
+            let square = from.length_squared();
+            if square - extent <= reach * square.sqrt() && first.meets(second, self.range) {
+                look(Parts::edges([p, p + ends[k]], [q, q + ends[l]]));
             }
         }
     }
