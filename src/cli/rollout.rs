@@ -9,7 +9,7 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Frame;
-use fnopt::cloth::{BodyStats, LayerStats, intersections};
+use fnopt::cloth::{BodyStats, Intersection, LayerStats, intersections};
 use fnopt::eval::{Soundness, Verdict, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{Bodies, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
@@ -499,7 +499,8 @@ impl<'a> Run<'a> {
 
     fn write_picture(&self) -> fnopt::Result<Vec<PathBuf>> {
         let path = self.args.out.join(format!("{NAME}.png"));
-        let options = StripOptions { view: self.view(), bodies: &self.bodies(), ..Default::default() };
+        let (view, crossings) = (self.view(), self.shows_crossings());
+        let options = StripOptions { view, bodies: &self.bodies(), crossings, ..Default::default() };
         write_png(&path, &strip(&self.trajectory, self.handles(), &options))?;
         Ok(vec![path])
     }
@@ -566,11 +567,21 @@ impl<'a> Run<'a> {
     }
 
     fn count_intersections(&self) -> Option<[usize; 2]> {
-        let (grid, last) = (self.trajectory.grid(), self.trajectory.frames() - 1);
-        let positions = self.trajectory.frame(last);
-        let by_axis = || (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c])));
-        let found = self.args.intersections.then(|| intersections(grid, &by_axis().collect::<Vec<_>>()))?;
+        let found = self.args.intersections.then(|| self.intersections_in(self.trajectory.frames() - 1))?;
         Some([found.iter().map(|one| one.edge).collect::<BTreeSet<_>>().len(), found.len()])
+    }
+
+    fn intersections_in(&self, frame: usize) -> Vec<Intersection> {
+        let positions = self.trajectory.frame(frame);
+        let by_axis = (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c])));
+        intersections(self.trajectory.grid(), &by_axis.collect::<Vec<_>>())
+    }
+
+    /// Whether a picture is to show where the cloth passes through itself: if asked for, or if it should not, but does from
+    /// the start.
+    fn shows_crossings(&self) -> bool {
+        let stays_apart = self.setup.model.repels() || self.setup.model.touches_itself();
+        self.args.intersections || stays_apart && !self.intersections_in(0).is_empty()
     }
 
     /// Directions that were not finite and were left out, in all frames.

@@ -6,6 +6,7 @@ use super::{
     stage::{Size, Stage},
     text,
 };
+use crate::cloth::{Grid, intersections};
 use crate::io::Trajectory;
 use rayon::prelude::*;
 
@@ -20,11 +21,13 @@ pub struct StripOptions<'a> {
     pub view: View,
     /// The bodies that the cloth meets, which are drawn with it.
     pub bodies: &'a Bodies,
+    /// Whether a cloth that passes through itself is drawn pale, and dark where it does.
+    pub crossings: bool,
 }
 
 impl Default for StripOptions<'_> {
     fn default() -> Self {
-        Self { panels: 8, height: 420, view: View::default(), bodies: &NONE }
+        Self { panels: 8, height: 420, view: View::default(), bodies: &NONE, crossings: false }
     }
 }
 
@@ -46,7 +49,8 @@ pub fn strip(trajectory: &Trajectory, handles: impl Into<Marks>, options: &Strip
             return stage.draw_empty();
         }
         let positions = trajectory.frame(frame);
-        let mut image = stage.draw(frame, positions);
+        let heat = if options.crossings { crossings(trajectory.grid(), positions) } else { Vec::new() };
+        let mut image = stage.draw_heat(frame, positions, &heat);
         // Still legible where a strip is shown at half its size.
         let height = (options.height as f32 / 14.0).max(12.0);
         let diverged = if stage.is_whole(positions) { "" } else { ", diverged" };
@@ -61,4 +65,46 @@ pub fn strip(trajectory: &Trajectory, handles: impl Into<Marks>, options: &Strip
         image.paste(panel, [k * width, 0]);
     }
     image
+}
+
+/// Returns 1 at the vertices of the edges and triangles that pass through each other, 0 elsewhere; nothing if none do.
+fn crossings(grid: Grid, positions: &[[f32; 3]]) -> Vec<f32> {
+    let by_axis: Vec<f64> = (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c]))).collect();
+    let found = intersections(grid, &by_axis);
+    let mut heat = if found.is_empty() { Vec::new() } else { vec![0.0; positions.len()] };
+    for one in found {
+        let face = grid.face(one.face as usize);
+        one.edge.into_iter().map(|v| v as usize).chain(face).for_each(|v| heat[v] = 1.0);
+    }
+    heat
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cloth_that_passes_through_itself_shows_where() {
+        let grid = Grid { h: 12, w: 12 };
+        let picture = |curl: f32, crossings: bool| {
+            // A loop, whose ends pass through each other if it is curled far enough.
+            let at = |p: usize| {
+                let (i, j) = ((p / 12) as f32, (p % 12) as f32);
+                let radius = 3.0 - 0.2 * j + 0.01 * i;
+                [radius * (curl * j).cos() + 0.8 * j, radius * (curl * j).sin(), i]
+            };
+            let positions: Vec<[f32; 3]> = (0..144).map(at).collect();
+            let mut trajectory = Trajectory::new(grid, 60.0);
+            trajectory.push(&positions, &vec![[0.0; 3]; 144]);
+            let options = StripOptions { panels: 1, height: 80, crossings, ..StripOptions::default() };
+            (strip(&trajectory, &[], &options).pixels, super::crossings(grid, &positions))
+        };
+        let [(plain, _), (marked, heat)] = [false, true].map(|crossings| picture(0.5, crossings));
+        assert!(heat.contains(&1.0) && heat.contains(&0.0), "{heat:?}");
+        assert_ne!(plain, marked);
+        // One that does not looks as ever.
+        let [(plain, _), (marked, heat)] = [false, true].map(|crossings| picture(0.1, crossings));
+        assert!(heat.is_empty());
+        assert_eq!(plain, marked);
+    }
 }

@@ -7,7 +7,7 @@ use crate::cloth::{Cloth, Grid};
 use crate::io::Node;
 use crate::{Error, Result};
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 
 /// Handles that follow a body from the start on, each as if it were glued to it where it begins.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -59,6 +59,19 @@ impl Attachment {
             n.items()?.iter().map(Node::count).collect::<Result<_>>().map(Some)
         })?;
         Ok(Self { body: body.count()?, handles })
+    }
+
+    /// Gives its handles their new numbers, given which old one was `seen` for each new one: of those that have become one,
+    /// the first counts. A number that is not that of a handle stays, to be refused.
+    pub(super) fn renumber(&mut self, numbers: &[usize], seen: &mut HashMap<usize, usize>) {
+        if let Some(handles) = &mut self.handles {
+            handles.retain_mut(|handle| {
+                let old = *handle;
+                let Some(&new) = numbers.get(old) else { return true };
+                *handle = new;
+                *seen.entry(new).or_insert(old) == old
+            });
+        }
     }
 
     /// Returns the attachment as [`Attachment::read`] reads it.
@@ -131,10 +144,10 @@ impl Event {
     /// Moves the particles that it names to another grid.
     pub(super) fn regrid(&mut self, from: Grid, to: Grid) {
         if let Some(Release::At(handles)) = &mut self.release {
-            *handles = handles.regrid(from, to, true);
+            (*handles, _) = handles.regrid(from, to, true);
         }
         if let Some(handles) = &mut self.grab {
-            *handles = handles.regrid(from, to, true);
+            (*handles, _) = handles.regrid(from, to, true);
         }
     }
 }

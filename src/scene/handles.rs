@@ -2,7 +2,7 @@
 
 use crate::cloth::Grid;
 use crate::{Error, Result};
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::hash::Hash;
 
 /// A named arrangement of one or two handles. `h0` and `h1` are the first and the second handle, as in the
@@ -125,24 +125,37 @@ impl Handles {
     }
 
     /// Returns the same places of the sheet on another grid: each listed handle moves to the nearest
-    /// particle. With `merge`, handles that land on the same particle become one.
-    pub(super) fn regrid(&self, from: Grid, to: Grid, merge: bool) -> Self {
+    /// particle. With `merge`, handles that land on the same particle become one. Also returns the new number of each handle.
+    pub(super) fn regrid(&self, from: Grid, to: Grid, merge: bool) -> (Self, Vec<usize>) {
         // Exact, in integer arithmetic: round(k (n' - 1) / (n - 1)).
         let move_to = |k: usize, n: usize, m: usize| (2 * k.min(n) * (m - 1) + n - 1) / (2 * (n - 1));
         let cell = |[i, j]: [usize; 2]| [move_to(i, from.h, to.h), move_to(j, from.w, to.w)];
         match self {
-            Handles::Placement(placement) => Handles::Placement(*placement),
-            Handles::Cells(cells) => Handles::Cells(moved(cells.iter().copied().map(cell), merge)),
+            Handles::Placement(placement) => {
+                (Handles::Placement(*placement), (0..placement.particles(to).len()).collect())
+            }
+            Handles::Cells(cells) => {
+                let (cells, numbers) = moved(cells.iter().copied().map(cell), merge);
+                (Handles::Cells(cells), numbers)
+            }
             Handles::Vertices(vertices) => {
                 let cells = vertices.iter().map(|p| cell([p / from.w, p % from.w]));
-                Handles::Vertices(moved(cells.map(|[i, j]| i * to.w + j), merge))
+                let (vertices, numbers) = moved(cells.map(|[i, j]| i * to.w + j), merge);
+                (Handles::Vertices(vertices), numbers)
             }
         }
     }
 }
 
-/// Collects `places`, each only once if `once` is set.
-fn moved<T: Copy + Eq + Hash>(places: impl Iterator<Item = T>, once: bool) -> Vec<T> {
-    let mut seen = HashSet::new();
-    places.filter(|&place| !once || seen.insert(place)).collect()
+/// Collects `places`, each only once if `once` is set, and where among them each of the given ones is.
+fn moved<T: Copy + Eq + Hash>(places: impl Iterator<Item = T>, once: bool) -> (Vec<T>, Vec<usize>) {
+    let (mut kept, mut numbers, mut first) = (Vec::new(), Vec::new(), HashMap::new());
+    for place in places {
+        let number = if once { *first.entry(place).or_insert(kept.len()) } else { kept.len() };
+        if number == kept.len() {
+            kept.push(place);
+        }
+        numbers.push(number);
+    }
+    (kept, numbers)
 }

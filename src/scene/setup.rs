@@ -12,7 +12,7 @@ use crate::io::Trajectory;
 use crate::{Error, Result, memory};
 use glam::DVec3;
 use num_traits::Float;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::RangeInclusive;
 use std::sync::{Mutex, PoisonError};
 
@@ -610,12 +610,14 @@ impl Scene {
         let grid = Grid::new(grid.h, grid.w, &self.origin)?;
         // A recording has a row for each handle.
         let recorded = matches!(self.motion, Motion::File(_) | Motion::Rows(_));
-        let handles = Handles::regrid(&self.handles, old, grid, !recorded);
+        let (handles, numbers) = Handles::regrid(&self.handles, old, grid, !recorded);
         if recorded && self.handles.on(old, &self.origin).is_ok() && handles.on(grid, &self.origin).is_err() {
             let expected = "a grid on which each handle of the recorded motion has a particle of its own";
             return Err(Error::invalid(&self.origin, "grid", expected, grid));
         }
         self.events.iter_mut().for_each(|event| event.regrid(old, grid));
+        let mut seen = HashMap::new();
+        self.attached.iter_mut().for_each(|attachment| attachment.renumber(&numbers, &mut seen));
         self.mass.scale_area(grid.aspect() / old.aspect());
         if let super::Side::Both([height, width]) = self.side_m {
             let now = height * grid.aspect();

@@ -1,8 +1,8 @@
 //! Handles that follow bodies, and what changes on the way.
 
 use crate::common::{distance, expect_refusal, parse};
-use fnopt::cloth::{Control, State};
-use fnopt::scene::{Lead, Scene, Script};
+use fnopt::cloth::{Control, Grid, State};
+use fnopt::scene::{Handles, Lead, Scene, Script};
 use fnopt::sim::Optimizer;
 use fnopt::{Device, Simulator};
 use glam::DVec3;
@@ -196,4 +196,19 @@ fn events_move_to_another_grid() {
     scene.regrid(fnopt::cloth::Grid { h: 23, w: 23 }).unwrap();
     let setup = scene.setup().unwrap();
     assert_eq!(setup.changes[1].cloth.handles, [10 * 23, 12 * 23 + 22, 0]);
+}
+
+/// On a coarser grid handles may become one; attachments follow by number.
+#[test]
+fn attachments_follow_their_handles_to_another_grid() {
+    let text = r#"{"grid": [32, 32], "motion": "none", "handles": [[0, 0], [0, 1], [31, 31], [15, 15]],
+        "bodies": [{"shape": "plane", "position_m": [0, -9, 0]}, {"shape": "plane", "position_m": [0, -8, 0]}],
+        "attached": [{"body": 0, "handles": [1, 3]}, {"body": 1, "handles": [0, 2]}]}"#;
+    let mut scene = parse(text).unwrap();
+    scene.regrid(Grid { h: 8, w: 8 }).unwrap();
+    assert_eq!(scene.handles, Handles::Cells(vec![[0, 0], [7, 7], [3, 3]]));
+    // The first two are one, which the first attachment has.
+    let attached: Vec<_> = scene.attached.iter().map(|of| (of.body, of.handles.clone().unwrap())).collect();
+    assert_eq!(attached, [(0, vec![0, 2]), (1, vec![1])]);
+    scene.setup().unwrap();
 }

@@ -268,7 +268,7 @@ proptest! {
 
     #[test]
     fn mutated_scenes_never_panic(
-        file in prop::sample::select(vec!["default", "moduli", "cells", "obj_start", "authors", "recorded", "npy_start"]),
+        file in prop::sample::select(vec!["default", "moduli", "cells", "obj_start", "authors", "recorded", "npy_start", "table", "cape", "twist"]),
         field in any::<prop::sample::Index>(),
         value in junk(),
         cut in any::<prop::sample::Index>(),
