@@ -2,7 +2,7 @@
 
 use crate::cloth::{Cloth, Control, Model, State};
 use crate::gpu::{Context, Readback, Storage};
-use crate::scene::Script;
+use crate::scene::Course;
 use crate::sim::{FrameStats, Memory, Optimizer, Solver};
 use crate::{Error, Result, cpu};
 use std::iter::Peekable;
@@ -240,9 +240,10 @@ impl Simulator {
 }
 
 impl Simulator {
-    /// Computes the frames of a scene that are left, from the simulator's own state, and passes each to `take` as
-    /// [`Simulator::rollout`] does, with the script as it is in that frame. Before the frames with changes
-    /// ([`Setup::changes`](crate::scene::Setup::changes)) it waits for the state and replaces the cloth.
+    /// Computes the frames of a course that are left, that of a scene or of several together
+    /// ([`Script`](crate::scene::Script), [`Scripts`](crate::scene::Scripts)), from the simulator's own state, and passes
+    /// each to `take` as [`Simulator::rollout`] does, with the course as it is in that frame. Before the frames with changes
+    /// ([`Setup::changes`](crate::scene::Setup::changes)) it waits for the state and replaces the cloths.
     ///
     /// Fails as [`Simulator::rollout`] and [`Simulator::set_cloths`] do.
     ///
@@ -266,25 +267,25 @@ impl Simulator {
     /// assert_eq!((held[28], held[29]), (2, 1));
     /// # Ok::<(), fnopt::Error>(())
     /// ```
-    pub fn play(
+    pub fn play<C: Course>(
         &mut self,
-        script: &mut Script<'_>,
-        mut take: impl FnMut(&Script<'_>, Frame) -> ControlFlow<()>,
+        course: &mut C,
+        mut take: impl FnMut(&C, Frame) -> ControlFlow<()>,
     ) -> Result<()> {
-        let frames = script.setup().frames();
+        let frames = course.frames();
         let mut flow = ControlFlow::Continue(());
         while flow.is_continue() && self.frame + 1 < frames {
             let next = self.frame + 1;
-            if script.next_change().is_some_and(|frame| frame <= next) {
+            if course.next_change().is_some_and(|frame| frame <= next) {
                 let start = self.state()?;
-                if let Some(cloth) = script.enter(next, &start) {
-                    self.set_cloths(std::slice::from_ref(cloth))?;
+                if let Some(cloths) = course.enter(next, &start) {
+                    self.set_cloths(&cloths)?;
                 }
             }
-            let end = script.next_change().map_or(frames, |change| change.min(frames));
-            let script = &*script;
-            self.rollout((next..end).map(|frame| script.control(frame)), |frame| {
-                flow = take(script, frame);
+            let end = course.next_change().map_or(frames, |change| change.min(frames));
+            let course = &*course;
+            self.rollout((next..end).map(|frame| course.control(frame)), |frame| {
+                flow = take(course, frame);
                 flow
             })?;
         }

@@ -189,7 +189,7 @@ pub use events::{Attachment, Event, Release};
 pub use handles::{Handles, Placement};
 pub use motion::{BuiltIn, Motion};
 pub use named::{NamedScene, named_scenes};
-pub use script::{Change, Lead, Script};
+pub use script::{Change, Course, Lead, Script, Scripts};
 pub use setup::{Batch, MAX_FRAMES, Setup};
 pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};

@@ -1,8 +1,8 @@
 //! What a scene does in each frame: the positions of its handles, and what changes on the way.
 
-use super::Setup;
 use super::setup::sweeps;
-use crate::cloth::{Cloth, Control, State, cast};
+use super::{Batch, Setup};
+use crate::cloth::{Cloth, Control, State, Sweep, cast};
 use crate::{Error, Result};
 use glam::DVec3;
 use num_traits::Float;
@@ -131,5 +131,99 @@ impl<'a> Script<'a> {
             external: Vec::new(),
             bodies: sweeps(&setup.poses, frame),
         }
+    }
+}
+
+/// The courses of several scenes, whose cloths advance together ([`Setup::batch`]).
+#[derive(Clone, Debug)]
+pub struct Scripts<'a> {
+    each: Vec<Script<'a>>,
+    frames: usize,
+}
+
+impl<'a> Scripts<'a> {
+    /// Returns the courses from their start on, and the batch of their cloths, for which a simulator is to be built. Fails
+    /// as [`Setup::batch`] does, but for events.
+    pub fn new(setups: &'a [Setup]) -> Result<(Self, Batch)> {
+        let batch = Setup::together(setups)?;
+        Ok((Self { each: setups.iter().map(Script::new).collect(), frames: batch.frames() }, batch))
+    }
+
+    /// Returns the course of each scene.
+    pub fn each(&self) -> &[Script<'a>] {
+        &self.each
+    }
+}
+
+/// What a simulation goes through: that of one scene ([`Script`]), or of several ([`Scripts`]).
+pub trait Course {
+    /// Returns the number of frames, including the start.
+    fn frames(&self) -> usize;
+
+    /// Returns the frame before which something changes next.
+    fn next_change(&self) -> Option<usize>;
+
+    /// Makes the changes before `frame`, given the state of all cloths at its start, and returns the cloths if there are
+    /// any.
+    fn enter(&mut self, frame: usize, start: &State<f32>) -> Option<Vec<Cloth>>;
+
+    /// Returns the control of the step that ends at `frame`, before which nothing may change that has not been entered.
+    fn control(&self, frame: usize) -> Control<f32>;
+}
+
+impl Course for Script<'_> {
+    fn frames(&self) -> usize {
+        self.setup.frames()
+    }
+
+    fn next_change(&self) -> Option<usize> {
+        self.next_change()
+    }
+
+    fn enter(&mut self, frame: usize, start: &State<f32>) -> Option<Vec<Cloth>> {
+        self.enter(frame, start).map(|cloth| vec![cloth.clone()])
+    }
+
+    fn control(&self, frame: usize) -> Control<f32> {
+        self.control(frame)
+    }
+}
+
+impl Course for Scripts<'_> {
+    fn frames(&self) -> usize {
+        self.frames
+    }
+
+    fn next_change(&self) -> Option<usize> {
+        self.each.iter().filter_map(Script::next_change).min()
+    }
+
+    fn enter(&mut self, frame: usize, start: &State<f32>) -> Option<Vec<Cloth>> {
+        let len = start.x.len() / self.each.len();
+        let mut entered = false;
+        for (b, script) in self.each.iter_mut().enumerate() {
+            if script.next_change().is_some_and(|next| next <= frame) {
+                let own = |field: &[f32]| field[b * len..(b + 1) * len].to_vec();
+                script.enter(frame, &State { x: own(&start.x), v: own(&start.v) });
+                entered = true;
+            }
+        }
+        entered.then(|| self.each.iter().map(|script| script.cloth().clone()).collect())
+    }
+
+    fn control(&self, frame: usize) -> Control<f32> {
+        let mut all = Control::default();
+        let each: Vec<Control<f32>> = self.each.iter().map(|script| script.control(frame)).collect();
+        let moves = each.iter().any(|control| !control.bodies.is_empty());
+        for (script, own) in self.each.iter().zip(each) {
+            all.handles.extend(own.handles);
+            all.wind.extend(own.wind);
+            // None are given for bodies that never move.
+            match own.bodies.is_empty() && moves {
+                true => all.bodies.extend(script.cloth().bodies.iter().map(|body| Sweep::still(body.pose))),
+                false => all.bodies.extend(own.bodies),
+            }
+        }
+        all
     }
 }

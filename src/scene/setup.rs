@@ -243,24 +243,27 @@ impl Setup {
         trajectory.push(&single(self.vertices_m(&state.x)), &single(self.velocities_m_s(&state.v)));
     }
 
-    /// Combines several setups into one batch. Fails if there are none, if something changes on the way in one, or if
-    /// their grids or frame times differ.
+    /// Combines several setups into one batch. Fails if there are none, if something changes on the way in one
+    /// ([`Scripts`](super::Scripts) know of that), or if their grids or frame times differ.
     pub fn batch(setups: &[Setup]) -> Result<Batch> {
+        for (k, setup) in setups.iter().enumerate() {
+            if let Some(change) = setup.changes.first() {
+                let expected = "no events, which Scripts and Simulator::play bring about";
+                let found = format!("one in frame {}", change.frame);
+                return Err(Error::invalid("batch", format!("cloth {k}"), expected, found));
+            }
+        }
+        Self::together(setups)
+    }
+
+    /// Combines several setups as they are at the start.
+    pub(super) fn together(setups: &[Setup]) -> Result<Batch> {
         let Some(first) = setups.first() else {
             return Err(Error::invalid("batch", "cloths", "at least one", 0));
         };
         let (grid, frame_time) = (first.model.grid, first.units.frame_time_s);
         for (k, setup) in setups.iter().enumerate() {
             let name = format!("cloth {k}");
-            if let Some(change) = setup.changes.first() {
-                let expected = "no events, which a Script or Simulator::set_cloths brings about";
-                return Err(Error::invalid(
-                    "batch",
-                    name,
-                    expected,
-                    format!("one in frame {}", change.frame),
-                ));
-            }
             if setup.model.grid != grid {
                 return Err(Error::invalid("batch", name, format!("a {grid} grid"), setup.model.grid));
             }

@@ -2,7 +2,7 @@
 
 use crate::common::{distance, expect_refusal, parse};
 use fnopt::cloth::{Control, Grid, State};
-use fnopt::scene::{Handles, Lead, Scene, Script};
+use fnopt::scene::{Handles, Lead, Scene, Script, Scripts};
 use fnopt::sim::Optimizer;
 use fnopt::{Device, Simulator};
 use glam::DVec3;
@@ -211,4 +211,37 @@ fn attachments_follow_their_handles_to_another_grid() {
     let attached: Vec<_> = scene.attached.iter().map(|of| (of.body, of.handles.clone().unwrap())).collect();
     assert_eq!(attached, [(0, vec![0, 2]), (1, vec![1])]);
     scene.setup().unwrap();
+}
+
+/// Scenes with events of their own advance together as each does alone.
+#[test]
+fn scenes_with_events_advance_together() {
+    let moving = parse(ATTACHED).unwrap().setup().unwrap();
+    let still = parse(EVENTS).unwrap().setup().unwrap();
+    let plain = parse(r#"{"grid": [12, 12], "start": "hanging", "frames": 20}"#).unwrap().setup().unwrap();
+    let setups = [moving, still, plain];
+    let (mut scripts, batch) = Scripts::new(&setups).unwrap();
+    assert_eq!((batch.frames(), scripts.each().len()), (60, 3));
+    let optimizer = Optimizer::spectral();
+    let mut together = Simulator::new(&Device::Cpu, &batch.model, &optimizer, 5).unwrap();
+    together.set_state(&batch.start.cast());
+    let mut states = Vec::new();
+    let took = together.play(&mut scripts, |_, frame| {
+        states.push(frame.state.x);
+        ControlFlow::Continue(())
+    });
+    took.unwrap();
+    assert_eq!(states.len(), 59);
+    for (b, setup) in setups.iter().enumerate() {
+        let mut alone = Simulator::new(&Device::Cpu, &setup.model, &optimizer, 5).unwrap();
+        alone.set_state(&setup.start.cast());
+        let played = alone.play(&mut Script::new(setup), |_, frame| {
+            let all = &states[frame.index - 1];
+            let len = all.len() / 3;
+            assert_eq!(all[b * len..(b + 1) * len], frame.state.x, "cloth {b}, frame {}", frame.index);
+            ControlFlow::Continue(())
+        });
+        played.unwrap();
+    }
+    assert!(setups[1].changes.len() > 1);
 }
