@@ -1,6 +1,6 @@
 //! Frames on any device, submitted and read back.
 
-use crate::cloth::{Cloth, Control, Model, State};
+use crate::cloth::{Cloth, Control, Model, SelfContact, State};
 use crate::gpu::{Context, Readback, Storage};
 use crate::scene::Course;
 use crate::sim::{FrameStats, Memory, Optimizer, Solver};
@@ -226,6 +226,18 @@ impl Simulator {
             if let Some(cloth) = frame.first_broken() {
                 self.frame += self.backend.drain()?;
                 return Err(Error::NonFinite { frame: frame.index, cloth });
+            }
+            if let Some(cloth) = frame.stats.iter().position(|of| of.layers.is_some_and(|of| of.overflow)) {
+                self.frame += self.backend.drain()?;
+                let origin = format!("frame {}, cloth {cloth}", frame.index);
+                let expected =
+                    format!("{} pairs of near parts for each particle at most", SelfContact::MOST_PAIRS);
+                return Err(Error::invalid(
+                    origin,
+                    "self-contact",
+                    expected,
+                    "more: the cloth has collapsed",
+                ));
             }
             if take(frame).is_break() {
                 self.frame += self.backend.drain()?;

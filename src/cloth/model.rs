@@ -82,6 +82,9 @@ pub struct SelfContact {
 }
 
 impl SelfContact {
+    /// Most pairs of parts near each other for each particle, in any part of a cloth; a crumpled one has some twenty.
+    pub const MOST_PAIRS: usize = 128;
+
     /// How far beyond the thickness a pair of parts is still a contact of the frame \[edges\]: by as much an optimizer
     /// may change what the velocities predict.
     pub(crate) const MARGIN: f64 = 0.25;

@@ -272,8 +272,10 @@ fn bytes<T: Real>(optimizer: &Optimizer, model: &Model) -> usize {
     };
     let subspace = if optimizer.length == Length::Subspace { 80 } else { 0 };
     let bodies = model.cloths.iter().map(|cloth| cloth.bodies.len().min(MAX_CONTACTS)).max().unwrap_or(0);
+    // What the search for pairs takes, and some pairs.
+    let layers = if model.touches_itself() { 1500 } else { 0 };
     let of_cloth =
-        270 + 60 * bodies + subspace + optimizer.directions.iter().map(of_direction).sum::<usize>();
+        270 + 60 * bodies + layers + subspace + optimizer.directions.iter().map(of_direction).sum::<usize>();
     let samples = 3 * model.batch();
     let activations = optimizer
         .weights()

@@ -32,6 +32,8 @@ pub struct Layers<T> {
     active: Vec<(usize, [T; 3])>,
     /// Distance at which they begin to press \[edges\].
     thickness: f64,
+    /// Whether there were too many pairs, of which none was kept.
+    overflow: bool,
 }
 
 /// Two parts, and the contact that their relative displacement `y = sum w_k y_k` has.
@@ -76,8 +78,8 @@ impl<T: Real> Layers<T> {
         Search::new(start, settings, None).run(|_| true)
     }
 
-    /// Finds the pairs that come nearer to each other than [`Contact::LEAST_GAP`] of the thickness on the way on which the
-    /// accelerations `a` [3, H, W] have led, among those that [`Layers::find`] may have missed, or not kept apart.
+    /// Finds the pairs that come nearer to each other than half the thickness on the way on which the accelerations `a`
+    /// [3, H, W] have led, among those that [`Layers::find`] may have missed.
     ///
     /// It has seen all pairs that come within `r`, the thickness and the margin. So two particles that have both left the
     /// way on which it looked by less than `0.85 r / 2` have not met anything else: that is the budget of a particle.
@@ -201,7 +203,8 @@ impl<T: Real> Layers<T> {
     /// Returns what they do at the displacements `shift` [3, H, W].
     pub fn stats(&self, shift: &[T]) -> LayerStats {
         let n = shift.len() / 3;
-        let mut stats = LayerStats { pairs: self.pairs.len(), ..LayerStats::default() };
+        let (pairs, overflow) = (self.pairs.len(), self.overflow);
+        let mut stats = LayerStats { pairs, overflow, ..LayerStats::default() };
         for pair in &self.pairs {
             let gap = pair.touch.gap(self.thickness, pair.across(shift, n));
             stats.touching += usize::from(gap < self.thickness);
@@ -370,14 +373,18 @@ impl<'a, T: Real> Search<'a, T> {
     /// Finds the pairs of which at least one part lies in a patch that `wanted` is true for.
     fn run(self, wanted: impl Fn(usize) -> bool + Sync) -> Layers<T> {
         let thickness = self.settings.thickness;
+        let none = |overflow| Layers { pairs: Vec::new(), active: Vec::new(), thickness, overflow };
         if !(0..self.patches.len()).any(&wanted) {
-            return Layers { pairs: Vec::new(), active: Vec::new(), thickness };
+            return none(false);
         }
         let cells = Cells::of(self.patches.iter().map(|patch| patch.all.centre.to_array()), self.side);
         let of_task = |task: &[Placed<f64>]| {
             let mut walk = cells.walk(&task[0]);
             let mut found = Vec::new();
             for own in task.iter().filter(|own| own.is_within_reach() && wanted(own.particle)) {
+                if found.len() > SelfContact::MOST_PAIRS * task.len() {
+                    return None;
+                }
                 let ball = &self.patches[own.particle].all;
                 let reach = self.side - self.largest + ball.radius + ball.spread + ball.way.length();
                 for other in walk.around(own) {
@@ -392,14 +399,15 @@ impl<'a, T: Real> Search<'a, T> {
                     }
                 }
             }
-            found
+            Some(found)
         };
-        let tasks: Vec<Vec<_>> = cells.sorted().par_chunks(TASK).map(of_task).collect();
+        let tasks: Option<Vec<Vec<_>>> = cells.sorted().par_chunks(TASK).map(of_task).collect();
+        let Some(tasks) = tasks else { return none(true) };
         let mut parts: Vec<_> = tasks.into_iter().flatten().collect();
         // An order that depends on nothing but the parts.
         parts.par_sort_unstable_by_key(|(parts, _)| *parts);
         let pairs = parts.into_par_iter().filter_map(|(parts, met)| self.pair(parts, met)).collect();
-        Layers { pairs, active: Vec::new(), thickness }
+        Layers { pairs, ..none(false) }
     }
 
     /// Appends the pairs of patch `p` with another patch `q` that are near.
