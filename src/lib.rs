@@ -49,7 +49,8 @@
 //! 1. [`kernels::cloth::Predict`] prepares a = 0, which moves the particles by their velocity and the handles to
 //!    their targets. [`kernels::cloth::ExternalForce`] sums gravity, the control's accelerations and the
 //!    forces of the air. If there are bodies, [`kernels::cloth::ContactFind`] finds for each particle the planes that
-//!    stand for them in this frame.
+//!    stand for them in this frame. A cloth that touches itself has planes between its own parts, too
+//!    ([`cpu::cloth::Layers`]; on the CPU alone).
 //! 2. N times (paper section 3.3): if the layers of the cloth are to be kept apart,
 //!    [`kernels::cloth::Repulsion`] adds the repulsion between nearby particles to the external acceleration, and
 //!    [`kernels::cloth::Contact`] the forces of bodies.

@@ -1,6 +1,7 @@
 //! Contact of a cloth with itself.
 
 use crate::noise::noise;
+use fnopt::cloth::terms::Contact;
 use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Parts, SelfContact, State, intersections};
 use fnopt::cpu::cloth::{Approach, CurvatureRows, Layers};
 use fnopt::cpu::{Objective, Solver};
@@ -327,5 +328,50 @@ fn a_cloth_that_has_collapsed_is_an_error() {
     let error = simulator.step(&Control::default()).unwrap_err().to_string();
     for said in ["frame 1, cloth 0", "self-contact", "128 pairs", "collapsed"] {
         assert!(error.contains(said), "no '{said}' in: {error}");
+    }
+}
+
+/// Half of a sheet without stiffness lies on the other half, which is held, under gravity that is not straight down: it
+/// sticks where the friction is above the tangent of the angle, else it slides with `G (sin - mu cos)`.
+#[test]
+fn layers_slide_on_each_other_as_friction_allows() {
+    let grid = Grid { h: 24, w: 16 };
+    let n = grid.particles();
+    let (gravity, tangent) = (0.05, 0.3f64);
+    let cosine = (1.0 + tangent * tangent).sqrt().recip();
+    let x = folded(grid, 0.155);
+    let held: Vec<usize> = (0..n).filter(|p| p % grid.w <= grid.w / 2).collect();
+    let control = Control {
+        handles: held.iter().map(|&p| [x[p], x[n + p], x[2 * n + p]]).collect(),
+        ..Control::default()
+    };
+    for friction in [0.4, 0.2, 0.1] {
+        let cloth = Cloth {
+            material: Material { stretch: 0.0, shear: 0.0, bend: 0.0 },
+            gravity: [0.0, gravity * tangent * cosine, -gravity * cosine],
+            self_contact: Some(SelfContact { thickness: 0.16, friction }),
+            handles: held.clone(),
+            ..Cloth::default()
+        };
+        let model = Model { grid, cloths: vec![cloth] };
+        let mut solver = Solver::<f64>::new(&model, &Optimizer::newton(), 1).unwrap();
+        let mut state = State { x: x.clone(), v: vec![0.0; 3 * n] };
+        // In the middle of the layer, where nothing hangs over a border.
+        let watched = (9..14).flat_map(|i| (11..14).map(move |j| i * 16 + j));
+        let speed = |state: &State<f64>| watched.clone().map(|p| state.v[n + p]).sum::<f64>() / 15.0;
+        let mut speeds = Vec::new();
+        for _ in 0..9 {
+            solver.step(&mut state, &control);
+            speeds.push(speed(&state));
+        }
+        let expected = gravity * cosine * (tangent - friction);
+        if expected < 0.0 {
+            // It creeps, since friction is rounded off below this.
+            assert!(speeds[8].abs() < Contact::STICKING, "{friction}: {}", speeds[8]);
+            continue;
+        }
+        // From where the layer lies at rest, to where what hangs over the border tells.
+        let found = (speeds[8] - speeds[2]) / 6.0;
+        assert!((found - expected).abs() < 0.02 * expected, "{friction}: {found}, not {expected}");
     }
 }
