@@ -98,10 +98,13 @@ fn tried(grid: Grid, x: &[f64], stride: usize) -> BTreeSet<[usize; 4]> {
 fn the_search_finds_what_trying_all_pairs_finds() {
     let small = Grid { h: 12, w: 14 };
     let random: Vec<f64> = noise(3 * small.particles(), 3).iter().map(|c| 4.0 * c).collect();
+    // So few that the pairs of all with all are not too many.
+    let few = Grid { h: 8, w: 8 };
     let large = Grid { h: 100, w: 100 };
     let largest = Grid { h: 256, w: 256 };
     let cases = [
         ("random", small, random, 1),
+        ("coincident", few, vec![1.0; 3 * few.particles()], 1),
         ("flat", large, folded(large, 5.0), 7),
         ("folded", large, shaken(folded(large, 0.2), 0.05, 5), 7),
         ("rolled", large, shaken(rolled(large), 0.02, 6), 7),
