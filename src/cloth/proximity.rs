@@ -67,9 +67,8 @@ impl Parts {
                 let (uu, vv, uv) = (u.dot(u), v.dot(v), u.dot(v));
                 let along =
                     |top: f64, bottom: f64| if bottom > 0.0 { (top / bottom).clamp(0.0, 1.0) } else { 0.0 };
-                let determinant = uu * vv - uv * uv;
-                let is_parallel = determinant <= PARALLEL * uu * vv;
-                let first = if is_parallel { 0.0 } else { along(uv * v.dot(r) - vv * u.dot(r), determinant) };
+                // Of parallel edges any point is as good to begin with.
+                let first = nearest_on_lines([u, v, r]).map_or(0.0, |[s, _]| s.clamp(0.0, 1.0));
                 let t = along(uv * first + v.dot(r), vv);
                 let s = along(uv * t - u.dot(r), uu);
                 let t = along(uv * s + v.dot(r), vv);
@@ -104,19 +103,22 @@ impl Parts {
                 let [a, b] = first.map(&place);
                 let [c, d] = second.map(place);
                 let (u, v, r) = (b - a, d - c, a - c);
-                let (uu, vv, uv) = (u.dot(u), v.dot(v), u.dot(v));
-                let determinant = uu * vv - uv * uv;
-                if determinant <= PARALLEL * uu * vv {
-                    return None;
-                }
-                let s = (uv * v.dot(r) - vv * u.dot(r)) / determinant;
-                let t = (uu * v.dot(r) - uv * u.dot(r)) / determinant;
+                let [s, t] = nearest_on_lines([u, v, r])?;
                 let is_inside = s > 0.0 && s < 1.0 && t > 0.0 && t < 1.0;
                 let separation = r + s * u - t * v;
                 is_inside.then_some(Nearest { weights: [1.0 - s, s, t - 1.0, -t], separation })
             }
         }
     }
+}
+
+/// Returns how far along u and v two lines that begin r apart are nearest to each other; `None` if they are parallel.
+fn nearest_on_lines([u, v, r]: [DVec3; 3]) -> Option<[f64; 2]> {
+    let (uu, vv, uv) = (u.dot(u), v.dot(v), u.dot(v));
+    let (ur, vr) = (u.dot(r), v.dot(r));
+    let determinant = uu * vv - uv * uv;
+    (determinant > PARALLEL * uu * vv)
+        .then(|| [uv * vr - vv * ur, uu * vr - uv * ur].map(|top| top / determinant))
 }
 
 /// Returns the barycentric coordinates of the point of a triangle that is nearest to the origin, by the regions of its
