@@ -1,6 +1,6 @@
 //! Frames on any device, submitted and read back.
 
-use crate::cloth::{Cloth, Control, Model, SelfContact, State};
+use crate::cloth::{Cloth, Control, Model, State};
 use crate::gpu::{Context, Readback, Storage};
 use crate::scene::Course;
 use crate::sim::{FrameStats, Memory, Optimizer, Solver};
@@ -227,11 +227,12 @@ impl Simulator {
                 self.frame += self.backend.drain()?;
                 return Err(Error::NonFinite { frame: frame.index, cloth });
             }
-            if let Some(cloth) = frame.stats.iter().position(|of| of.layers.is_some_and(|of| of.overflow)) {
+            let overflow = |of: &FrameStats| of.layers.and_then(|layers| layers.overflow);
+            let mut overflows = frame.stats.iter().map(overflow).enumerate();
+            if let Some((cloth, most)) = overflows.find_map(|(cloth, most)| Some((cloth, most?))) {
                 self.frame += self.backend.drain()?;
                 let origin = format!("frame {}, cloth {cloth}", frame.index);
-                let expected =
-                    format!("{} pairs of near parts for each particle at most", SelfContact::MOST_PAIRS);
+                let expected = format!("{most} pairs of near parts for each particle at most");
                 return Err(Error::invalid(
                     origin,
                     "self-contact",

@@ -36,55 +36,10 @@ struct Params {
 
 override SLOTS: u32 = 1;
 
-const STEPS: u32 = 64u;
-const LEAST_ADVANCE: f32 = 0.0208333333;
-const STIFFEST: f32 = 0.1;
-
 fn position(b: u32, p: u32) -> vec3f {
     let n = params.rows * params.columns;
     let at = b * 3u * n + p;
     return vec3f(x[at], x[at + n], x[at + 2u * n]);
-}
-
-// Returns what the edge to particle q adds to n . D n.
-fn of_edge(b: u32, own: vec3f, q: u32, normal: vec3f, factor: f32) -> f32 {
-    let edge = position(b, q) - own;
-    let l = length(edge);
-    if !(l > 0.0) {
-        return 0.0;
-    }
-    let cosine = dot(edge, normal) / l;
-    let along = cosine * cosine;
-    return 2.0 * factor * (along + max(1.0 - 1.0 / l, 0.0) * (1.0 - along));
-}
-
-fn elastic_along(b: u32, p: u32, own: vec3f, normal: vec3f) -> f32 {
-    let h = params.rows;
-    let w = params.columns;
-    let i = p / w;
-    let j = p % w;
-    let stretch = cloths[b].material.x;
-    let vertical = stretch / ((f32(h) - 1.0) * f32(w));
-    let horizontal = stretch / (f32(h) * (f32(w) - 1.0));
-    var sum = 0.0;
-    if i > 0u {
-        sum += of_edge(b, own, p - w, normal, vertical);
-    }
-    if i + 1u < h {
-        sum += of_edge(b, own, p + w, normal, vertical);
-    }
-    if j > 0u {
-        sum += of_edge(b, own, p - 1u, normal, horizontal);
-    }
-    if j + 1u < w {
-        sum += of_edge(b, own, p + 1u, normal, horizontal);
-    }
-    return sum;
-}
-
-fn stiffness(elastic: f32, m: f32, gap: f32, h: f32) -> f32 {
-    let g = clamp(gap, STIFFEST * h, h);
-    return elastic + m / (g * g);
 }
 
 // A contact, and the gap that is predicted; a contact without gradient if the body is far away.
@@ -116,7 +71,7 @@ fn find(b: u32, p: u32, number: u32, own: vec3f, v: vec3f) -> Found {
     var place = end;
     if before > 0.0 && before <= l {
         var share = 0.0;
-        for (var k = 0u; k < STEPS && share < 1.0; k++) {
+        for (var k = 0u; k < MOST_ADVANCES && share < 1.0; k++) {
             let here = start + share * way;
             let left = distance_to(body, here).w;
             if left <= 0.0 {
@@ -133,17 +88,13 @@ fn find(b: u32, p: u32, number: u32, own: vec3f, v: vec3f) -> Found {
     let predicted = at_start + dot(normal, v);
     let count = f32(params.rows) * f32(params.columns);
     let m = mass(p / params.columns, p % params.columns, params.rows, params.columns) / count;
-    let elastic = elastic_along(b, p, own, normal);
-    let k = stiffness(elastic, m, min(before, predicted), h);
-    let depth = max(h - before, 0.0);
-    let pressed = 2.0 * stiffness(elastic, m, before, h) / h * depth * depth;
+    let elastic = elastic_along(b, p, normal);
+    let k = contact_stiffness(elastic, m, min(before, predicted), h);
+    let pressed = contact_load(contact_stiffness(elastic, m, before, h), before, h);
     let stopped = m * max(h - predicted, 0.0);
-    let s = pow(2.0 * k / (3.0 * h), 1.0 / 3.0);
-    found.contact.gradient = s * normal;
-    found.contact.offset = s * (h - at_start);
+    found.contact = contact_of(normal, at_start, k, h);
     found.contact.drift = at_place - outward(body.from_position, body.from_rotation, place);
     found.contact.friction = body.friction * max(pressed, stopped);
-    found.contact.thickness = h;
     found.contact.body = number;
     found.predicted = predicted;
     return found;

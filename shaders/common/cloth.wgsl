@@ -5,6 +5,7 @@ struct Cloth {
     gravity: vec4f, // acceleration, unused
     air: vec4f, // density and drag coefficients, unused
     repulsion: vec4f, // strength, distance (0 for no repulsion), search cells per edge length, unused
+    layers: vec4f, // thickness of the contact with itself (0 for none), its friction, unused
 }
 
 // Returns the mass of particle (i, j): 1 inside, 1/2 on the border, 1/4 in the corners.

@@ -1,5 +1,6 @@
 
-// The contact of a particle with a body, as a function of its displacement y in the frame. Defined in plain words in
+// The contact of a particle with a body, or of two parts of a cloth, as a function of its displacement y in the frame, or of
+// theirs relative to each other. Defined in plain words in
 // `cloth::terms::contact`.
 struct Contact {
     gradient: vec3f, // s n; 0 for no contact
@@ -13,6 +14,31 @@ struct Contact {
 
 const STICKING: f32 = 1e-3;
 const LEAST_GAP: f32 = 0.05;
+const STIFFEST: f32 = 0.1;
+const MOST_ADVANCES: u32 = 64u;
+const LEAST_ADVANCE: f32 = 0.0208333333;
+
+// Returns the stiffness k, from the particle's own and its mass over the gap.
+fn contact_stiffness(elastic: f32, m: f32, gap: f32, h: f32) -> f32 {
+    let g = clamp(gap, STIFFEST * h, h);
+    return elastic + m / (g * g);
+}
+
+// Returns the force of the barrier at a gap.
+fn contact_load(stiffness: f32, gap: f32, h: f32) -> f32 {
+    let depth = max(h - gap, 0.0);
+    return 2.0 * stiffness / h * depth * depth;
+}
+
+// Returns the contact whose plane is `gap` away at y = 0.
+fn contact_of(normal: vec3f, gap: f32, stiffness: f32, h: f32) -> Contact {
+    let s = pow(2.0 * stiffness / (3.0 * h), 1.0 / 3.0);
+    var contact: Contact;
+    contact.gradient = s * normal;
+    contact.offset = s * (h - gap);
+    contact.thickness = h;
+    return contact;
+}
 
 fn contact_depth(contact: Contact, y: vec3f) -> f32 {
     return max(contact.offset - dot(contact.gradient, y), 0.0);

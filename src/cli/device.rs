@@ -135,19 +135,14 @@ impl InferenceArgs {
     }
 
     /// Opens the device for a simulation and creates its simulator. Also returns a line that reports which
-    /// device was chosen and why. `auto` chooses the CPU for what only that can do. If it chose a GPU whose driver or memory is not up to it, falls back to
-    /// the CPU, except in f16, which the CPU lacks.
+    /// device was chosen and why. If `auto` chose a GPU whose driver or memory is not up to it, falls back to the CPU, except
+    /// in f16, which the CPU lacks.
     pub fn simulator(
         &self,
         model: &Model,
         solver: (&Optimizer, usize),
     ) -> Result<(Simulator, Device, String)> {
-        let opened = match (self.on.device, &self.on.adapter) {
-            (DeviceKind::Auto, None) if model.touches_itself() => {
-                self.store(cpu("contact of a cloth with itself runs only on the CPU"))
-            }
-            _ => self.open_for(solver.0),
-        }?;
+        let opened = self.open_for(solver.0)?;
         let falls_back_to_cpu = self.on.device == DeviceKind::Auto && self.on.adapter.is_none();
         simulator(opened, falls_back_to_cpu && self.precision == Precision::F32, model, solver)
     }

@@ -42,7 +42,7 @@ pub struct Args {
     /// as in a scene; its "frame_time_s" and the density and drag of its "wind" apply too
     #[arg(long, value_name = "paper|KS,KH,KB|FILE")]
     material: Option<String>,
-    /// Let the cloth touch itself, as "self_contact" in a scene does: its layers never pass through each other. On the CPU
+    /// Let the cloth touch itself, as "self_contact" in a scene does: its layers never pass through each other
     #[arg(long)]
     self_contact: bool,
     /// Keep the layers of the cloth apart, as "repulsion" in a scene does, with these values or else the

@@ -261,14 +261,14 @@ pub struct LayerStats {
     /// Least distance between two parts \[edges\], along the direction in which they are kept apart; infinite without
     /// pairs.
     pub nearest: f64,
-    /// Whether there were more pairs than [`SelfContact::MOST_PAIRS`](super::SelfContact::MOST_PAIRS) for each particle.
-    /// Then none was kept; [`Simulator`](crate::Simulator) ends with an error.
-    pub overflow: bool,
+    /// The most pairs for each particle that there is room for, if there were more. Then none was kept;
+    /// [`Simulator`](crate::Simulator) ends with an error.
+    pub overflow: Option<usize>,
 }
 
 impl Default for LayerStats {
     fn default() -> Self {
-        Self { pairs: 0, touching: 0, nearest: f64::INFINITY, overflow: false }
+        Self { pairs: 0, touching: 0, nearest: f64::INFINITY, overflow: None }
     }
 }
 

@@ -89,6 +89,13 @@ impl SelfContact {
     /// may change what the velocities predict.
     pub(crate) const MARGIN: f64 = 0.25;
 
+    /// Share of half the distance within which pairs were searched by which a particle may leave the way that it was
+    /// expected to take.
+    pub(crate) const BUDGET: f64 = 0.85;
+
+    /// Share of the thickness at which a pair counts as met on its way.
+    pub(crate) const NEAR: f64 = 0.5;
+
     /// Fails if a number is out of range; `origin` and `field` name its source in the error.
     pub(crate) fn check(&self, origin: &str, field: &str) -> Result<()> {
         let refused = |part: &str, expected: &str, found: f64| {

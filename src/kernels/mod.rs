@@ -20,9 +20,11 @@ pub(crate) mod common {
     pub const CELL: &str = include_str!("../../shaders/common/cell.wgsl");
     pub const CLOTH: &str = include_str!("../../shaders/common/cloth.wgsl");
     pub const DRAWN: &str = include_str!("../../shaders/common/drawn.wgsl");
+    pub const FACES: &str = include_str!("../../shaders/common/faces.wgsl");
     pub const FINITE: &str = include_str!("../../shaders/common/finite.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
     pub const JOINED: &str = include_str!("../../shaders/common/joined.wgsl");
+    pub const NEAREST: &str = include_str!("../../shaders/common/nearest.wgsl");
     pub const OFFSET: &str = include_str!("../../shaders/common/offset.wgsl");
     pub const TEXEL: &str = include_str!("../../shaders/common/texel.wgsl");
     pub const TANH: &str = include_str!("../../shaders/common/tanh.wgsl");
@@ -40,15 +42,21 @@ pub(crate) mod terms {
 /// Shader text that depends on a kernel's bindings: what is common to kernels with the same bindings, and
 /// what differs between kernels of one file.
 pub(crate) mod pieces {
+    pub const ACROSS: &str = include_str!("../../shaders/pieces/across.wgsl");
     pub const BLOCK_INPUTS: &str = include_str!("../../shaders/pieces/block_inputs.wgsl");
     pub const BLOCK_OUTPUT: &str = include_str!("../../shaders/pieces/block_output.wgsl");
     pub const BODY: &str = include_str!("../../shaders/pieces/body.wgsl");
     pub const BUCKET: &str = include_str!("../../shaders/pieces/bucket.wgsl");
+    pub const CONTACT_PRODUCTS: &str = include_str!("../../shaders/pieces/contact_products.wgsl");
     pub const DISPLACED: &str = include_str!("../../shaders/pieces/displaced.wgsl");
+    pub const ELASTIC_ALONG: &str = include_str!("../../shaders/pieces/elastic_along.wgsl");
     pub const FEATURES: &str = include_str!("../../shaders/pieces/features.wgsl");
     pub const LIFTED_EMBEDDING: &str = include_str!("../../shaders/pieces/lifted_embedding.wgsl");
     pub const LIFTED_FIELDS: &str = include_str!("../../shaders/pieces/lifted_fields.wgsl");
     pub const LIFTING_INPUTS: &str = include_str!("../../shaders/pieces/lifting_inputs.wgsl");
+    pub const PAIR: &str = include_str!("../../shaders/pieces/pair.wgsl");
+    pub const PAIRS_OF: &str = include_str!("../../shaders/pieces/pairs_of.wgsl");
+    pub const PATCH: &str = include_str!("../../shaders/pieces/patch.wgsl");
     pub const PRODUCTS: &str = include_str!("../../shaders/pieces/products.wgsl");
     pub const SCALAR_HEAD: &str = include_str!("../../shaders/pieces/scalar_head.wgsl");
     pub const SIX_FIELDS: &str = include_str!("../../shaders/pieces/six_fields.wgsl");

@@ -27,6 +27,16 @@ const ALL: &[(&Source, usize)] = &[
     (&cloth::contact_confine::SOURCE, 0),
     (&cloth::contact_report::SOURCE, 0),
     (&cloth::contact_end::SOURCE, 0),
+    (&cloth::layer_motion::SOURCE, 0),
+    (&cloth::layer_place::SOURCE, 0),
+    (&cloth::layer_find::SOURCE, 0),
+    (&cloth::layer_list::SOURCE, 0),
+    (&cloth::layer_order::SOURCE, 0),
+    (&cloth::layer_press::SOURCE, 0),
+    (&cloth::layer_force::SOURCE, 0),
+    (&cloth::layer_curvature::SOURCE, 0),
+    (&cloth::layer_part::SOURCE, 0),
+    (&cloth::layer_report::SOURCE, 0),
     (&cloth::energy::SOURCE, 0),
     (&cloth::energy_sum::SOURCE, 0),
     (&cloth::integrate::SOURCE, 0),
@@ -85,6 +95,16 @@ const TESTED_ELSEWHERE: &[(&str, &str)] = &[
     ("contact_confine", "contact"),
     ("contact_report", "contact"),
     ("contact_end", "contact"),
+    ("layer_motion", "layers"),
+    ("layer_place", "layers"),
+    ("layer_find", "layers"),
+    ("layer_list", "layers"),
+    ("layer_order", "layers"),
+    ("layer_press", "layers"),
+    ("layer_force", "layers"),
+    ("layer_curvature", "layers"),
+    ("layer_part", "layers"),
+    ("layer_report", "layers"),
     // Meaningful only together.
     ("cell_count", "cells"),
     ("cell_scan", "cells"),
@@ -125,6 +145,16 @@ const TWINS: &[(&str, &str)] = &[
     ("contact_confine", "cloth/contacts"),
     ("contact_report", "cloth/contacts"),
     ("contact_end", "cloth/contacts"),
+    ("layer_motion", "cloth/layers"),
+    ("layer_place", "cloth/layers"),
+    ("layer_find", "cloth/layers"),
+    ("layer_list", "cloth/layers"),
+    ("layer_order", "cloth/layers"),
+    ("layer_press", "cloth/layers"),
+    ("layer_force", "cloth/layers"),
+    ("layer_curvature", "cloth/layers"),
+    ("layer_part", "cloth/layers"),
+    ("layer_report", "cloth/layers"),
     ("features", "optim/update"),
     ("gradient_descent", "optim/gd"),
     ("cosine_order", "optim/rest_hessian"),
@@ -387,8 +417,9 @@ fn the_longest_history_is_the_same_on_both_sides() {
 /// The constants of contacts, which parity tests would not all tell apart.
 #[test]
 fn contacts_have_the_same_constants_on_both_sides() {
+    use crate::cloth::SelfContact;
     use crate::cloth::terms::Contact;
-    let (find, term) = (cloth::contact_find::SOURCE.wgsl, super::terms::CONTACT);
+    let (motion, term) = (cloth::layer_motion::SOURCE.wgsl, super::terms::CONTACT);
     let is_there = |text: &str, name: &str, value: f64| {
         let line = text.lines().find_map(|line| line.strip_prefix(&format!("const {name}: ")));
         let number = line.and_then(|line| line.split_once("= ")).map(|(_, number)| number);
@@ -398,9 +429,12 @@ fn contacts_have_the_same_constants_on_both_sides() {
     };
     is_there(term, "STICKING", Contact::STICKING);
     is_there(term, "LEAST_GAP", Contact::LEAST_GAP);
-    is_there(find, "STIFFEST", Contact::STIFFEST);
-    is_there(find, "LEAST_ADVANCE", Contact::LEAST_ADVANCE);
-    is_there(find, "STEPS", Contact::STEPS as f64);
+    is_there(term, "STIFFEST", Contact::STIFFEST);
+    is_there(term, "LEAST_ADVANCE", Contact::LEAST_ADVANCE);
+    is_there(term, "MOST_ADVANCES", Contact::STEPS as f64);
+    is_there(motion, "MARGIN", SelfContact::MARGIN);
+    is_there(motion, "BUDGET", SelfContact::BUDGET);
+    is_there(motion, "NEAR", SelfContact::NEAR);
 }
 
 #[test]

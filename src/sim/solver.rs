@@ -4,14 +4,13 @@ use super::method::{Method, row, rows};
 use super::{FrameStats, IterationLog, Memory, Optimizer, StepCounts, Vertices};
 use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, State};
 use crate::gpu::{Context, Schedule, Tensor};
-use crate::kernels::cloth::{Begin, ClothContacts, ClothTerms, Fields, Objective, Room, gradient};
+use crate::kernels::cloth::{
+    Begin, ClothContacts, ClothLayers, ClothTerms, Fields, Objective, Room, gradient,
+};
 use crate::kernels::optim::subspace_step::STATE;
 use crate::{Error, Result};
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Why a device refuses a cloth that touches itself.
-const ON_THE_CPU: &str = "since contact of a cloth with itself is computed on the CPU alone (--device cpu)";
 
 /// Persistent scale of a fresh hidden state (paper section 3.3).
 pub const INITIAL_SCALE: f32 = 0.05;
@@ -59,7 +58,7 @@ pub struct Solver {
     sums: Tensor,
     /// The rows of `sums` at a = 0 and of the last iteration.
     ends: [Tensor; 2],
-    /// Read in place of the checks of the steps by optimizers that have none, and of the report of bodies.
+    /// Read in place of the checks of the steps by optimizers that have none, and of the reports of bodies and layers.
     unchecked: Tensor,
     frame: Schedule,
 }
@@ -77,7 +76,6 @@ impl Solver {
     fn build(context: &Context, model: &Model, optimizer: &Optimizer, iterations: usize) -> Result<Self> {
         model.check()?;
         optimizer.check()?;
-        model.refuse_self_contact(ON_THE_CPU)?;
         if iterations == 0 {
             return Err(Error::invalid("solver", "iterations", "at least 1", 0));
         }
@@ -86,6 +84,7 @@ impl Solver {
         let room = Room {
             handles: batch * grid.particles(),
             repulsion: model.repels(),
+            self_contact: model.touches_itself(),
             bodies: model.cloths.iter().map(|cloth| cloth.bodies.len()).max().unwrap_or(0),
             fields: Fields::of(model).words_count(),
             hidden: method.scales().is_some(),
@@ -140,6 +139,7 @@ impl Solver {
             method.push(&mut frame, objective, iteration, &sums);
         }
         method.push_end(&mut frame, objective);
+        objective.part_layers(&mut frame);
         objective.energy(&mut frame);
         objective.end_frame(&mut frame);
         frame.finish()
@@ -231,13 +231,15 @@ impl Solver {
     /// and accelerations keep their values. If the handles of any cloth change, all handles are held where they
     /// are, until a control moves them.
     ///
-    /// Fails if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a repulsion, or
+    /// Fails if the number of cloths differs, if they are not valid ([`Model::check`]), or if one has a repulsion, or touches itself, or has
     /// more bodies or larger meshes than any had, although the solver was built without room for them, which requires a new solver.
     pub fn set_cloths(&mut self, cloths: &[Cloth]) -> Result<()> {
         let model = self.model.with_cloths(cloths)?;
-        model.refuse_self_contact(ON_THE_CPU)?;
         if !self.objective.has_room_for_repulsion() {
             model.refuse_repulsion("since the solver was built without")?;
+        }
+        if !self.objective.has_room_for_self_contact() {
+            model.refuse_self_contact("since the solver was built without")?;
         }
         let room = self.objective.room_for_bodies();
         if let Some(b) = model.cloths.iter().position(|cloth| cloth.bodies.len() > room) {
@@ -427,9 +429,9 @@ impl Solver {
     }
 
     /// Returns the tensors that [`Solver::frame`] reads, for a [`Readback`](crate::gpu::Readback).
-    pub fn frame_tensors(&self) -> [&Tensor; 7] {
-        let [terms, first, last, steps, bodies] = self.statistics_tensors();
-        [&self.objective.x, &self.objective.v, terms, first, last, steps, bodies]
+    pub fn frame_tensors(&self) -> [&Tensor; 8] {
+        let [terms, first, last, steps, bodies, layers] = self.statistics_tensors();
+        [&self.objective.x, &self.objective.v, terms, first, last, steps, bodies, layers]
     }
 
     /// Returns the state and the statistics of each cloth in the last frame, from the concatenated contents of
@@ -443,7 +445,7 @@ impl Solver {
 
     /// Returns the tensors that [`Solver::statistics`] reads, in the order in which it expects their
     /// contents.
-    pub fn statistics_tensors(&self) -> [&Tensor; 5] {
+    pub fn statistics_tensors(&self) -> [&Tensor; 6] {
         let [first, last] = &self.ends;
         let steps = self.method.state().unwrap_or(&self.unchecked);
         [
@@ -452,6 +454,7 @@ impl Solver {
             last,
             steps,
             self.objective.contact_report().unwrap_or(&self.unchecked),
+            self.objective.layer_report().unwrap_or(&self.unchecked),
         ]
     }
 
@@ -465,7 +468,9 @@ impl Solver {
         let edges = ((h - 1) * w + h * (w - 1)) as f64;
         let (terms, rest) = contents.split_at(self.objective.terms.len());
         let (ends, rest) = rest.split_at(2 * self.ends[0].len());
-        let (steps, report) = rest.split_at(self.statistics_tensors()[3].len());
+        let [.., steps, bodies, _] = self.statistics_tensors();
+        let (steps, rest) = rest.split_at(steps.len());
+        let (report, layers) = rest.split_at(bodies.len());
         let ends = self.gradient_norms(ends);
         let steps = &steps[steps.len() - STATE * self.model.batch()..];
         let (first, last) = ends.split_at(3 * self.model.batch());
@@ -475,8 +480,14 @@ impl Solver {
             let of_cloth = report.len() / self.model.batch();
             ClothContacts::of(&report[b * of_cloth..][..of_cloth], self.model.cloths[b].bodies.len())
         };
+        let layers = |b: usize| {
+            self.model.cloths[b].self_contact?;
+            let of_cloth = layers.len() / self.model.batch();
+            Some(ClothLayers::of(&layers[b * of_cloth..][..of_cloth], self.model.grid.particles()))
+        };
+        let contact = |b: usize| contacts(b).energy + layers(b).map_or(0.0, |layers| layers.energy);
         let stats = |(b, terms): (usize, ClothTerms)| FrameStats {
-            energy: EnergyTerms { contact: contacts(b).energy, ..terms.energy },
+            energy: EnergyTerms { contact: contact(b), ..terms.energy },
             gradient_first: of_cloth(first, b),
             gradient_last: of_cloth(last, b),
             stretch_largest: terms.stretch_largest,
@@ -484,7 +495,7 @@ impl Solver {
             converged: None,
             steps: step_counts(&steps[b * STATE..][..STATE]),
             bodies: contacts(b).bodies,
-            layers: None,
+            layers: layers(b).map(|layers| layers.stats),
         };
         ClothTerms::all(terms).enumerate().map(stats).collect()
     }

@@ -40,8 +40,14 @@ impl DeviceLoss {
         let plan = Plan { grid, samples: 3 * batch, tuning: *tuning, keep: Keep::Adjoint };
         let forward = Forward::with_parameters(context, parameters, &plan)?;
         let backward = Backward::new(context, &forward, parameters, gradient, tuning)?;
-        let room =
-            Room { handles: batch * MAX_HANDLES, repulsion: false, bodies: 0, fields: 0, hidden: true };
+        let room = Room {
+            handles: batch * MAX_HANDLES,
+            repulsion: false,
+            self_contact: false,
+            bodies: 0,
+            fields: 0,
+            hidden: true,
+        };
         Ok(Self {
             context: context.clone(),
             objective: Objective::new(context, grid, batch, room)?,

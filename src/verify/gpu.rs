@@ -273,8 +273,14 @@ impl Stages for GpuStages {
 
 /// Builds the objective of the cloths of a model, at zero.
 fn objective(context: &Context, model: &Model) -> Result<Objective> {
-    let room =
-        Room { handles: model.handles(), repulsion: model.repels(), bodies: 0, fields: 0, hidden: false };
+    let room = Room {
+        handles: model.handles(),
+        repulsion: model.repels(),
+        self_contact: false,
+        bodies: 0,
+        fields: 0,
+        hidden: false,
+    };
     let objective = Objective::new(context, model.grid, model.batch(), room)?;
     objective.set_cloths(model);
     Ok(objective)

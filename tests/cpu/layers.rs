@@ -323,7 +323,7 @@ fn a_cloth_that_has_collapsed_is_an_error() {
     let grid = Grid { h: 32, w: 32 };
     let x = vec![1.0; 3 * grid.particles()];
     let layers = found(grid, &x, &vec![0.0; x.len()]);
-    assert!(layers.stats(&vec![0.0; x.len()]).overflow && layers.pairs().count() == 0);
+    assert!(layers.stats(&vec![0.0; x.len()]).overflow.is_some() && layers.pairs().count() == 0);
     let cloth = Cloth { self_contact: Some(SETTINGS), ..Cloth::default() };
     let model = Model { grid, cloths: vec![cloth] };
     let mut simulator = Simulator::new(&Device::Cpu, &model, &Optimizer::spectral(), 2).unwrap();

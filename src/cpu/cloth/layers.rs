@@ -17,10 +17,6 @@ const TASK: usize = 256;
 
 /// Fewer pairs than this are not worth waking a thread for.
 const ALONE: usize = 2048;
-/// Share of half the distance that a particle sees by which it may leave its way.
-const BUDGET: f64 = 0.85;
-/// Share of the thickness at which a pair counts as met on its way.
-const NEAR: f64 = 0.5;
 
 /// Pairs of parts of a cloth that may touch in a frame. For the frame each is a plane between the parts ([`Contact`]), and
 /// their points that are nearest to each other stay the same: so all is a function of one vector for each pair, and the
@@ -86,7 +82,7 @@ impl<T: Real> Layers<T> {
     pub fn find_missed(start: &Approach<'_, T>, settings: SelfContact, a: &[T]) -> Self {
         let n = start.grid.particles();
         let search = Search::new(start, settings, Some(a));
-        let budget = BUDGET * 0.5 * (settings.thickness + SelfContact::MARGIN);
+        let budget = SelfContact::BUDGET * 0.5 * (settings.thickness + SelfContact::MARGIN);
         let mean = (0..n).map(|p| search.way[p] - search.base[p]).sum::<DVec3>() / n as f64;
         let has_left = |p: usize| (search.way[p] - search.base[p] - mean).length() > budget;
         let of_patch: Vec<bool> = (0..n).map(|p| corners(start.grid, p).any(has_left)).collect();
@@ -203,7 +199,8 @@ impl<T: Real> Layers<T> {
     /// Returns what they do at the displacements `shift` [3, H, W].
     pub fn stats(&self, shift: &[T]) -> LayerStats {
         let n = shift.len() / 3;
-        let (pairs, overflow) = (self.pairs.len(), self.overflow);
+        let pairs = self.pairs.len();
+        let overflow = self.overflow.then_some(SelfContact::MOST_PAIRS);
         let mut stats = LayerStats { pairs, overflow, ..LayerStats::default() };
         for pair in &self.pairs {
             let gap = pair.touch.gap(self.thickness, pair.across(shift, n));
@@ -359,7 +356,7 @@ impl<'a, T: Real> Search<'a, T> {
         let patches: Vec<Patch> = (0..n).into_par_iter().map(patch).collect();
         let range = match a {
             None => settings.thickness + SelfContact::MARGIN,
-            Some(_) => NEAR * settings.thickness,
+            Some(_) => SelfContact::NEAR * settings.thickness,
         };
         let largest = |of: fn(&Ball) -> f64| {
             patches.iter().map(|patch| of(&patch.all)).filter(|s| s.is_finite()).fold(0.0, f64::max)
@@ -454,7 +451,7 @@ impl<'a, T: Real> Search<'a, T> {
         if before - fastest >= self.range {
             return None;
         }
-        let near = NEAR * self.settings.thickness;
+        let near = SelfContact::NEAR * self.settings.thickness;
         let mut share = 0.0;
         let mut left = before;
         if fastest > 0.0 {

@@ -54,8 +54,18 @@ impl Cells {
 
     /// Sorts the particles at `iterate.a`.
     pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>) {
+        self.count.push(schedule, trial, self.counted());
+        self.sort(schedule);
+    }
+
+    /// Returns what a kernel sets that counts the particles in each bucket ([`CellCount::push`]).
+    pub fn counted(&self) -> [&Tensor; 3] {
+        [&self.counts, &self.placed, &self.in_bucket]
+    }
+
+    /// Sorts what was counted.
+    pub fn sort(&self, schedule: &mut Schedule) {
         let Self { counts, placed, in_bucket, numbers, ends, sorted, .. } = self;
-        self.count.push(schedule, trial, [counts, placed, in_bucket]);
         self.scan.push(schedule, counts, ends);
         self.fill.push(schedule, [ends, placed, in_bucket], numbers);
         self.order.push(schedule, [ends, placed, in_bucket, numbers], sorted);

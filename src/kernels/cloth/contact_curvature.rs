@@ -9,7 +9,7 @@ use crate::kernels::{pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "contact_curvature",
     wgsl: include_str!("../../../shaders/cloth/contact_curvature.wgsl"),
-    appended: &[terms::CONTACT, pieces::DISPLACED, pieces::PRODUCTS],
+    appended: &[terms::CONTACT, pieces::DISPLACED, pieces::PRODUCTS, pieces::CONTACT_PRODUCTS],
 };
 
 #[repr(C)]

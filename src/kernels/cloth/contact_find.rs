@@ -8,7 +8,7 @@ use crate::kernels::{common, pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "contact_find",
     wgsl: include_str!("../../../shaders/cloth/contact_find.wgsl"),
-    appended: &[common::CLOTH, pieces::BODY, terms::CONTACT],
+    appended: &[common::CLOTH, pieces::BODY, pieces::ELASTIC_ALONG, terms::CONTACT],
 };
 
 #[repr(C)]

@@ -18,6 +18,17 @@ pub mod energy_sum;
 pub mod external_force;
 pub mod gradient;
 pub mod integrate;
+pub mod layer_curvature;
+pub mod layer_find;
+pub mod layer_force;
+pub mod layer_list;
+pub mod layer_motion;
+pub mod layer_order;
+pub mod layer_part;
+pub mod layer_place;
+pub mod layer_press;
+pub mod layer_report;
+mod layers;
 mod objective;
 pub mod predict;
 pub mod repulsion;
@@ -43,6 +54,17 @@ pub use energy_sum::{ClothTerms, EnergySum, TERMS};
 pub use external_force::{ExternalForce, ExternalForceTensors};
 pub use gradient::Gradient;
 pub use integrate::Integrate;
+pub use layer_curvature::LayerCurvature;
+pub use layer_find::{Finds, LayerFind};
+pub use layer_force::LayerForce;
+pub use layer_list::LayerList;
+pub use layer_motion::{LayerMotion, Way};
+pub use layer_order::LayerOrder;
+pub use layer_part::LayerPart;
+pub use layer_place::LayerPlace;
+pub use layer_press::{LayerPress, Tells};
+pub use layer_report::{ClothLayers, LayerReport};
+pub use layers::{Layers, MOST_MISSED, MOST_PAIRS, PairParams, Pairs};
 pub use objective::{Begin, Objective, Room};
 pub use predict::Predict;
 pub use repulsion::Repulsion;
@@ -86,6 +108,7 @@ pub struct ClothParams {
     gravity: [f32; 4],
     air: [f32; 4],
     repulsion: [f32; 4],
+    layers: [f32; 4],
 }
 
 impl ClothParams {
@@ -102,12 +125,14 @@ impl ClothParams {
         // Without repulsion, cells are one edge wide and are not searched.
         let [strength, distance, per_edge] =
             cloth.repulsion.map_or([0.0, 0.0, 1.0], |r| [r.strength, r.distance, r.distance.recip()]);
+        let [thickness, friction] = cloth.self_contact.map_or([0.0; 2], |s| [s.thickness, s.friction]);
         let [gx, gy, gz] = cloth.gravity.map(|g| g as f32);
         Self {
             material: [m.stretch, m.shear, m.bend, cloth.contact_curvature()].map(|k| k as f32),
             gravity: [gx, gy, gz, 0.0],
             air: [cloth.air.density as f32, cloth.air.drag as f32, 0.0, 0.0],
             repulsion: [strength as f32, distance as f32, per_edge as f32, 0.0],
+            layers: [thickness as f32, friction as f32, 0.0, 0.0],
         }
     }
 }

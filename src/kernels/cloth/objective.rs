@@ -2,7 +2,7 @@
 
 use super::{
     BodyParams, ClothParams, Contacts, Curvature, Energy, EnergySum, ExternalForce, ExternalForceTensors,
-    Gradient, Integrate, Predict, Repulsion, RepulsionCurvature, StateTensors, TERMS, Trial, energy,
+    Gradient, Integrate, Layers, Predict, Repulsion, RepulsionCurvature, StateTensors, TERMS, Trial, energy,
 };
 use crate::Result;
 use crate::cloth::{Control, Grid, Model};
@@ -34,13 +34,14 @@ pub struct Objective {
     /// Energy terms and stretch, as [`Objective::energy`] leaves them, shape [B, 8]; see
     /// [`ClothTerms`](super::ClothTerms).
     pub terms: Tensor,
-    /// Constants of the cloths, shape [B, 16].
+    /// Constants of the cloths, shape [B, 20].
     cloths: Tensor,
     /// Parts of the energy, shape [B, parts, 8].
     parts: Tensor,
     external_force: ExternalForce,
     repulsion: Option<(Repulsion, RepulsionCurvature)>,
     contacts: Option<Contacts>,
+    layers: Option<Layers>,
     gradient: Gradient,
     curvature: Curvature,
     energy: Energy,
@@ -55,6 +56,8 @@ pub struct Room {
     pub handles: usize,
     /// Whether cloths may have a repulsion, which costs a search for near particles in every evaluation.
     pub repulsion: bool,
+    /// Whether cloths may touch themselves, which costs a search for near parts in every frame.
+    pub self_contact: bool,
     /// Number of bodies that each cloth may meet, which cost a few dispatches in every evaluation.
     pub bodies: usize,
     /// Number of 32-bit values of the distances of bodies that are meshes ([`Fields`](super::Fields)).
@@ -95,7 +98,10 @@ impl Objective {
             wind: zeros("wind", &[batch, 3])?,
             targets: zeros("handle targets", &[room.handles.max(1), 3])?,
             control_accelerations: field("control accelerations")?,
-            iterate: if room.repulsion || room.bodies > 0 { iterate.with_total(context)? } else { iterate },
+            iterate: match room.repulsion || room.self_contact || room.bodies > 0 {
+                true => iterate.with_total(context)?,
+                false => iterate,
+            },
             terms: zeros("energy terms", &[batch, TERMS])?,
             cloths: zeros("cloths", &[batch, ClothParams::LEN])?,
             parts: zeros("energy parts", &energy::parts_shape(batch, grid))?,
@@ -104,6 +110,7 @@ impl Objective {
             contacts: (room.bodies > 0)
                 .then(|| Contacts::new(context, batch, grid.particles(), [room.bodies, room.fields]))
                 .transpose()?,
+            layers: room.self_contact.then(|| Layers::new(context, batch, grid)).transpose()?,
             gradient: Gradient::new(context)?,
             curvature: Curvature::new(context)?,
             energy: Energy::new(context)?,
@@ -114,11 +121,13 @@ impl Objective {
 
     /// Sets the constants, handles and bodies of the cloths, ahead of the next submission; the bodies stay where the model
     /// has them. Panics if the sizes do not match, or if there are more handles or bodies than there is room for, or a
-    /// repulsion although there is no room for it.
+    /// repulsion or self-contact although there is no room for it.
     pub fn set_cloths(&self, model: &Model) {
         assert_eq!((model.grid, model.batch()), (self.grid, self.batch()));
         assert!(model.handles() <= self.targets.shape()[0], "room for {} handles", self.targets.shape()[0]);
         assert!(self.has_room_for_repulsion() || !model.repels(), "there is no room for a repulsion");
+        let touches = model.touches_itself();
+        assert!(self.has_room_for_self_contact() || !touches, "there is no room for self-contact");
         self.cloths.write(&self.context, &ClothParams::all(model));
         self.iterate.slots.write(&self.context, &model.handle_slots());
         if let Some((bodies, params)) = self.bodies(model, &Control::<f32>::default()) {
@@ -154,6 +163,17 @@ impl Objective {
         self.contacts.as_ref().map(|contacts| &contacts.report)
     }
 
+    /// Returns what the layers of the cloths did in the last frame, shape [B, 8] ([`ClothLayers`](super::ClothLayers));
+    /// `None` without room for self-contact.
+    pub fn layer_report(&self) -> Option<&Tensor> {
+        self.layers.as_ref().map(|layers| &layers.report)
+    }
+
+    /// Returns what computes the contacts of the cloths with themselves; `None` without room for them.
+    pub fn layers(&self) -> Option<&Layers> {
+        self.layers.as_ref()
+    }
+
     /// Returns the grid.
     pub fn grid(&self) -> Grid {
         self.grid
@@ -164,7 +184,7 @@ impl Objective {
         self.x.shape()[0]
     }
 
-    /// Returns the constants of the cloths ([`ClothParams`]), shape [B, 16].
+    /// Returns the constants of the cloths ([`ClothParams`]), shape [B, 20].
     pub fn cloths(&self) -> &Tensor {
         &self.cloths
     }
@@ -184,14 +204,20 @@ impl Objective {
         self.repulsion.is_some()
     }
 
+    /// Whether cloths may touch themselves.
+    pub fn has_room_for_self_contact(&self) -> bool {
+        self.layers.is_some()
+    }
+
     /// Returns the parts of the energy in which an evaluation leaves that of repulsion and contacts, if there are any.
     pub fn position_parts(&self) -> Option<&Tensor> {
-        (self.repulsion.is_some() || self.contacts.is_some()).then_some(&self.parts)
+        let has_any = self.repulsion.is_some() || self.contacts.is_some() || self.layers.is_some();
+        has_any.then_some(&self.parts)
     }
 
     /// Appends the start of a frame: the displacement by the velocities and of the handles to their targets, and the
-    /// external accelerations, constant from then on, and with bodies the contacts. Two dispatches, and another with
-    /// bodies.
+    /// external accelerations, constant from then on, and with bodies or self-contact the contacts. Two dispatches,
+    /// another with bodies and eleven with self-contact.
     pub fn begin_frame(&self, schedule: &mut Schedule, begin: Begin) -> Result<()> {
         let predict = match begin {
             Begin::Zero => Predict::new(&self.context)?,
@@ -203,6 +229,9 @@ impl Objective {
         self.external_force.push(schedule, self.grid, from, &iterate.external);
         if let Some(contacts) = &self.contacts {
             contacts.find(schedule, self.trial());
+        }
+        if let Some(layers) = &self.layers {
+            layers.find(schedule, self.trial());
         }
         Ok(())
     }
@@ -216,7 +245,7 @@ impl Objective {
     }
 
     /// Appends the gradient at `iterate.a`, with partial sums of its squares and of those of the last step
-    /// ([`Gradient::push`]). One dispatch, six more with a repulsion and another with bodies.
+    /// ([`Gradient::push`]). One dispatch, six more with a repulsion, another with bodies and two with self-contact.
     pub fn evaluate(&self, schedule: &mut Schedule, sums: &Tensor) {
         self.push_by_positions(schedule);
         self.gradient.push(schedule, self.trial(), sums);
@@ -224,7 +253,7 @@ impl Objective {
 
     /// Appends the quadratic model of the energy along `directions` at `iterate.a`, where it was evaluated, in parts
     /// [B, parts, 24] ([`Curvature::push`]). The energy of repulsion and contacts is in [`Objective::position_parts`].
-    /// One dispatch, another with a repulsion and another with bodies.
+    /// One dispatch, and another each with a repulsion, with bodies and with self-contact.
     pub fn local_model(&self, schedule: &mut Schedule, directions: &Tensor, parts: &Tensor) {
         self.curvature.push(schedule, self.trial(), [directions, parts]);
         if let Some((repulsion, curvature)) = &self.repulsion {
@@ -232,6 +261,9 @@ impl Objective {
         }
         if let Some(contacts) = &self.contacts {
             contacts.push_curvature(schedule, self.trial(), [directions, parts]);
+        }
+        if let Some(layers) = &self.layers {
+            layers.push_curvature(schedule, self.trial(), [directions, parts]);
         }
     }
 
@@ -242,14 +274,25 @@ impl Objective {
         self.curvature.push_energy(schedule, self.trial(), [directions, parts]);
     }
 
-    /// Appends the energy terms at `iterate.a`, in [`Objective::terms`], and what the bodies do, in
-    /// [`Objective::contact_report`].
+    /// Appends what keeps the layers of cloths that touch themselves apart at the end of a frame: changes `iterate.a`
+    /// ([`Layers::part`]).
+    pub fn part_layers(&self, schedule: &mut Schedule) {
+        if let Some(layers) = &self.layers {
+            layers.part(schedule, self.trial());
+        }
+    }
+
+    /// Appends the energy terms at `iterate.a`, in [`Objective::terms`], what the bodies do, in
+    /// [`Objective::contact_report`], and what the layers do, in [`Objective::layer_report`].
     pub fn energy(&self, schedule: &mut Schedule) {
         self.energy.push(schedule, self.trial(), &self.parts);
         self.repel(schedule);
         self.energy_sum.push(schedule, &self.parts, &self.terms);
         if let Some(contacts) = &self.contacts {
             contacts.report(schedule, self.trial());
+        }
+        if let Some(layers) = &self.layers {
+            layers.report(schedule, self.trial());
         }
     }
 
@@ -266,6 +309,10 @@ impl Objective {
         self.repel(schedule);
         if let Some(contacts) = &self.contacts {
             contacts.push(schedule, self.trial(), self.repulsion.is_some(), &self.parts);
+        }
+        if let Some(layers) = &self.layers {
+            let after_others = self.repulsion.is_some() || self.contacts.is_some();
+            layers.push(schedule, self.trial(), after_others, &self.parts);
         }
     }
 

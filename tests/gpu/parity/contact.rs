@@ -17,6 +17,7 @@ fn compare(what: &str, (model, state, control): &(Model, State<f32>, Control<f32
     let room = Room {
         handles: model.handles(),
         repulsion: false,
+        self_contact: false,
         bodies: most,
         fields: Fields::of(model).words_count(),
         hidden: false,

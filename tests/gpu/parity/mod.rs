@@ -23,6 +23,7 @@ mod gradient_descent;
 mod gradient_size;
 mod head_weight_adj;
 mod integrate;
+mod layers;
 mod lbfgs;
 mod multiply_add;
 mod operator;

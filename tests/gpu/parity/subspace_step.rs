@@ -283,7 +283,14 @@ fn frames_lower_the_energy() {
         let held = |k: usize| slots[k / (3 * n) * n + k % n] != 0;
         let mut learned = field(&model, 0.1, 77);
         (0..learned.len()).filter(|&k| held(k)).for_each(|k| learned[k] = 0.0);
-        let room = Room { handles: model.handles(), repulsion: repels, bodies: 0, fields: 0, hidden: false };
+        let room = Room {
+            handles: model.handles(),
+            repulsion: repels,
+            self_contact: false,
+            bodies: 0,
+            fields: 0,
+            hidden: false,
+        };
         let frame = |order: Order| {
             let context = context().with_order(order);
             let plan = Subspace::new(&context, count, ITERATIONS, (grid, batch)).unwrap();

@@ -1,0 +1,114 @@
+// Where the particles of a cloth are and how they move in a frame, as far as it is known, and how large the cells must be in
+// which parts of the cloth that may touch are searched (`cpu::cloth::Layers`).
+//
+// The way is base at the start of a frame, and then the pairs of every particle are wanted. With ENDS it is base + a, that
+// which the frame took, and pairs are wanted of particles that have left the way at the start by more than a budget.
+// Ways are relative to that of the mean particle.
+//
+// cloths: [B]
+// slots: [B, n]
+// x, base, a: [B, 3, n]
+// motion: [B, n, 2] of (place, 1 for a handle), (way, 1 for a particle whose pairs are wanted)
+// extents: [B] of (cells per edge, distance within which pairs are contacts, what the reach of a patch adds to its own
+//   size and way, 0)
+//
+// One workgroup per cloth. Workgroups: (B).
+// Adjoint: none, training has no self-contact.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
+@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(3) var<storage, read> x: array<f32>;
+@group(0) @binding(4) var<storage, read> base: array<f32>;
+@group(0) @binding(5) var<storage, read> a: array<f32>;
+@group(0) @binding(6) var<storage, read_write> motion: array<vec4f>;
+@group(0) @binding(7) var<storage, read_write> extents: array<vec4f>;
+
+override ENDS: bool = false;
+
+const LANES: u32 = 256u;
+const MARGIN: f32 = 0.25;
+const BUDGET: f32 = 0.85;
+const NEAR: f32 = 0.5;
+
+// Of each invocation, then of all: sums of base and of what is added to it, and later the largest sizes and ways.
+var<workgroup> bases: array<vec3f, LANES>;
+var<workgroup> added: array<vec3f, LANES>;
+
+fn of_field(b: u32, p: u32) -> vec3f {
+    let n = params.rows * params.columns;
+    let at = b * 3u * n + p;
+    return vec3f(base[at], base[at + n], base[at + 2u * n]);
+}
+
+// Returns what particle p adds to its way by the velocity.
+fn addition(b: u32, p: u32) -> vec3f {
+    let n = params.rows * params.columns;
+    if !ENDS || slots[b * n + p] != 0u {
+        return vec3f();
+    }
+    let at = b * 3u * n + p;
+    return vec3f(a[at], a[at + n], a[at + 2u * n]);
+}
+
+@compute @workgroup_size(256)
+fn layer_motion(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
+    let b = group.x;
+    let n = params.rows * params.columns;
+    let thickness = cloths[b].layers.x;
+    var of_base = vec3f();
+    var of_added = vec3f();
+    for (var p = lane; p < n; p += LANES) {
+        of_base += of_field(b, p);
+        of_added += addition(b, p);
+    }
+    bases[lane] = of_base;
+    added[lane] = of_added;
+    for (var half = LANES / 2u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if lane < half {
+            bases[lane] += bases[lane + half];
+            added[lane] += added[lane + half];
+        }
+    }
+    workgroupBarrier();
+    let mean_base = bases[0] / f32(n);
+    let mean_added = added[0] / f32(n);
+    let budget = 0.5 * BUDGET * (thickness + MARGIN);
+    for (var p = lane; p < n; p += LANES) {
+        let at = b * 3u * n + p;
+        let left = addition(b, p) - mean_added;
+        let wanted = select(0.0, 1.0, !ENDS || length(left) > budget);
+        let held = select(0.0, 1.0, slots[b * n + p] != 0u);
+        motion[2u * (b * n + p)] = vec4f(x[at], x[at + n], x[at + 2u * n], held);
+        motion[2u * (b * n + p) + 1u] = vec4f(of_field(b, p) - mean_base + left, wanted);
+    }
+    storageBarrier();
+    workgroupBarrier();
+    var largest = vec2f();
+    for (var p = lane; p < n; p += LANES) {
+        let ball = patch_ball(b, p);
+        let sizes = vec2f(ball.size, length(ball.way));
+        // Patches that are nowhere have no pairs.
+        if is_within_reach(vec3f(sizes, 0.0)) && is_within_reach(ball.centre) {
+            largest = max(largest, sizes);
+        }
+    }
+    bases[lane] = vec3f(largest, 0.0);
+    for (var half = LANES / 2u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if lane < half {
+            bases[lane] = max(bases[lane], bases[lane + half]);
+        }
+    }
+    if lane == 0u {
+        let range = select(thickness + MARGIN, NEAR * thickness, ENDS);
+        let most = bases[0].x + bases[0].y;
+        extents[b] = vec4f(1.0 / (range + 2.0 * most), range, range + most, 0.0);
+    }
+}

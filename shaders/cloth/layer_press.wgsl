@@ -1,0 +1,61 @@
+// What each pair of parts of a cloth does at the current accelerations (`terms/contact`): the derivative of its energy with
+// respect to the relative displacement, and the energy. With PARTS instead how to leave what is nearer than LEAST_GAP of
+// the thickness, over the sum of the weights times what a force accelerates their particles by, and 1; zeros elsewhere.
+//
+// pair_ends: [B, buckets]
+// pairs: [B, room]
+// a: [B, 3, n]
+// given: base [B, 3, n], and more
+// presses: [B, room]
+//
+// The invocations stride over the pairs. Workgroups: (n / 64 over x and y, B in z).
+// Adjoint: none, training has no self-contact.
+
+struct Params {
+    rows: u32, // H
+    columns: u32, // W
+    buckets: u32,
+    room: u32,
+}
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> pair_ends: array<u32>;
+@group(0) @binding(2) var<storage, read> pairs: array<Pair>;
+@group(0) @binding(3) var<storage, read> a: array<f32>;
+@group(0) @binding(4) var<storage, read> given: array<f32>;
+@group(0) @binding(5) var<storage, read_write> presses: array<vec4f>;
+
+override PARTS: bool = false;
+
+@compute @workgroup_size(64)
+fn layer_press(
+    @builtin(local_invocation_index) lane: u32,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let b = group.z;
+    let count = pairs_of(b);
+    let n = params.rows * params.columns;
+    for (var k = (group.y * groups.x + group.x) * 64u + lane; k < count; k += groups.x * groups.y * 64u) {
+        let pair = pairs[b * params.room + k];
+        let y = across(b, pair);
+        var press = vec4f();
+        if PARTS {
+            let out = contact_way_out(pair.contact, y);
+            if any(out != vec3f()) {
+                var sum = 0.0;
+                for (var corner = 0u; corner < 4u; corner++) {
+                    let p = pair.particles[corner];
+                    if (p & HELD) == 0u {
+                        let m = mass(p / params.columns, p % params.columns, params.rows, params.columns);
+                        sum += pair.weights[corner] * pair.weights[corner] * f32(n) / m;
+                    }
+                }
+                press = vec4f(out / sum, 1.0);
+            }
+        } else {
+            press = vec4f(contact_gradient(pair.contact, y), contact_energy(pair.contact, y));
+        }
+        presses[b * params.room + k] = press;
+    }
+}
