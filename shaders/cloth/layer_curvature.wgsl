@@ -9,7 +9,7 @@
 // directions: [K, slot], [B, 3, n] each
 // parts: [B, parts, 24], see `curvature`; the first ten numbers of each part are increased
 //
-// The invocations stride over the pairs, and a workgroup adds to the part of its number. Sums have a fixed order.
+// One workgroup per part, whose invocations stride over the pairs. Sums have a fixed order.
 // Workgroups: (parts, B).
 // Adjoint: none, the optimizer is not trained.
 

@@ -6,7 +6,7 @@
 // counts: [B, buckets], 0 on entry; how many of them are listed
 // corners: [B, 4 room] of 4 pair + corner
 //
-// The invocations stride over the pairs. Workgroups: (n / 64 over x and y, B in z).
+// One invocation per particle; they stride over the pairs. Workgroups: (n / 64 over x and y, B in z).
 // Adjoint: none, training has no self-contact.
 
 struct Params {

@@ -8,7 +8,7 @@
 // given: base [B, 3, n], and more
 // presses: [B, room]
 //
-// The invocations stride over the pairs. Workgroups: (n / 64 over x and y, B in z).
+// One invocation per particle; they stride over the pairs. Workgroups: (n / 64 over x and y, B in z).
 // Adjoint: none, training has no self-contact.
 
 struct Params {

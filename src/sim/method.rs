@@ -6,7 +6,9 @@ use crate::cloth::Grid;
 use crate::gpu::{Context, Schedule, Tensor, Tuning};
 use crate::kernels::cloth::Objective;
 use crate::kernels::operator::Scales;
-use crate::kernels::optim::{Adam, GradientDescent, Lbfgs, LbfgsMemory, Part, QuasiNewton, Subspace};
+use crate::kernels::optim::{
+    Adam, GradientDescent, Lbfgs, LbfgsMemory, Part, QuasiNewton, StepScale, Subspace,
+};
 use crate::settings::{AdamSettings, LEARNED_ITERATIONS, LbfgsSettings};
 use crate::{Error, Result};
 
@@ -19,10 +21,12 @@ pub(super) enum Method {
         step: Box<Learned>,
         scales: Tensor,
     },
-    /// `network` is the fourth direction, with its scales as above, in rows for the iterations in which it proposes.
+    /// `network` is the fourth direction, with its scales as above, in rows `[2, S]` for the iterations in which it proposes:
+    /// after them, and those with which they begin.
     Subspace {
         plan: Box<Subspace>,
         network: Option<(Box<Learned>, Tensor)>,
+        step_scale: StepScale,
     },
     GradientDescent {
         kernel: GradientDescent,
@@ -59,26 +63,28 @@ impl Method {
             let found = format!("{}, which does not (use the CPU)", context.name());
             Err(Error::invalid("optimizer", optimizer.name(), expected, found))
         };
-        let learned = |weights, iterations| {
+        let learned = |weights, (iterations, scales): (usize, usize)| {
             let step = Box::new(Learned::new(context, weights, tuning, (grid, samples))?);
-            Result::Ok((step, rows(context, "scales", iterations, samples)?))
+            Result::Ok((step, rows(context, "scales", iterations, scales)?))
         };
         if let ([Direction::Spectral, Direction::CoRotated, Direction::Last, rest @ ..], Length::Subspace) =
             (&optimizer.directions[..], optimizer.length)
         {
             let network = match rest {
                 [] => None,
-                [Direction::Network(weights)] => Some(learned(weights, iterations.min(LEARNED_ITERATIONS))?),
+                [Direction::Network(weights)] => {
+                    Some(learned(weights, (iterations.min(LEARNED_ITERATIONS), 2 * samples))?)
+                }
                 _ => return refused(),
             };
             let count = optimizer.directions.len();
             let plan = Box::new(Subspace::new(context, count, iterations, (grid, batch))?);
-            return Ok(Self::Subspace { plan, network });
+            return Ok(Self::Subspace { plan, network, step_scale: StepScale::new(context)? });
         }
         let [direction] = &optimizer.directions[..] else { return refused() };
         Ok(match (direction, optimizer.length) {
             (Direction::Network(weights), Length::Fixed(_)) => {
-                let (step, scales) = learned(weights, iterations)?;
+                let (step, scales) = learned(weights, (iterations, samples))?;
                 Self::Learned { step, scales }
             }
             (Direction::Gradient, Length::Fixed(rate)) => {
@@ -165,11 +171,16 @@ impl Method {
             Self::Learned { step, scales: rows } => {
                 step.push(schedule, (iterate, sums), scales(rows), None);
             }
-            Self::Subspace { plan, network } => {
+            Self::Subspace { plan, network, step_scale } => {
                 // Later its last proposal stays among the directions.
                 if let Some((step, rows)) = network.as_ref().filter(|_| iteration < LEARNED_ITERATIONS) {
                     let direction = plan.learned_step();
-                    step.push(schedule, (iterate, sums), scales(rows), direction.as_ref());
+                    let Scales { tensor, before, after } = scales(rows);
+                    let begin = after + sums.shape()[0];
+                    let of_last = Scales { tensor, before, after: begin };
+                    step_scale.push(schedule, objective.grid(), sums, of_last);
+                    let of_step = Scales { tensor, before: begin, after };
+                    step.push(schedule, (iterate, sums), of_step, direction.as_ref());
                 }
                 plan.push(schedule, objective, iteration);
             }

@@ -1,10 +1,10 @@
 //! Tests that run on an adapter; a software one is enough. Without one they fail and say how to get one.
 //!
 //! `parity` compares each shader with the CPU path, or with plain formulas in double precision. `forward` and
-//! `backward` cover the network, `solver` whole frames, `repelling` frames with repulsion, `limits` sizes
-//! beyond what a device takes at once, `train` training steps, `control` what a host changes between frames,
-//! `vertices` the vertex buffer, and `order` that it does not matter which invocation runs first. The WGSL
-//! files themselves are checked in `src/kernels/tests.rs`, which needs no adapter.
+//! `backward` cover the network, `solver` whole frames, `repelling` frames with repulsion, `touching` those of
+//! cloths that touch themselves, `limits` sizes beyond what a device takes at once, `train` training steps, `control` what
+//! a host changes between frames, `vertices` the vertex buffer, and `order` that it does not matter which invocation runs
+//! first. The WGSL files themselves are checked in `src/kernels/tests.rs`, which needs no adapter.
 
 mod backward;
 mod bodies;
@@ -20,5 +20,6 @@ mod order;
 mod parity;
 mod repelling;
 mod solver;
+mod touching;
 mod train;
 mod vertices;

@@ -3,6 +3,7 @@
 use crate::common::{context, device, half, noise, poisoned, read, run, tensor};
 use crate::repelling::crowded;
 use crate::solver::{assert_same, starter, step, tuned, varied_batch};
+use crate::touching::{GRID, touching};
 use fnopt::cloth::{Grid, State};
 use fnopt::gpu::{Context, Order, Sharing, Tuning};
 use fnopt::kernels::fft::{Fields, RealFft2};
@@ -12,7 +13,7 @@ use fnopt::sim::{Optimizer, Solver};
 /// The device's order and the others.
 pub const ORDERS: [Order; 3] = [Order::Natural, Order::Reversed, Order::Scattered];
 
-/// Frames of all optimizers, with repulsion, with rows longer than a workgroup, and in 16 bits.
+/// Frames of all optimizers, with repulsion, with self-contact, with rows longer than a workgroup, and in 16 bits.
 #[test]
 fn frames_have_the_same_bits_in_every_order() {
     let _turn = device();
@@ -41,6 +42,7 @@ fn frames_have_the_same_bits_in_every_order() {
         compare(context(), varied_batch(), &optimizer, Some(tuning));
         compare(context(), crowded(), &optimizer, Some(tuning));
     }
+    compare(context(), touching(GRID), &Optimizer::spectral(), None);
     let learned = Optimizer::paper(starter().clone());
     let long = Grid { h: 9, w: 1100 };
     let (mut model, _, mut control) = varied_batch();

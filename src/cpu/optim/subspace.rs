@@ -165,6 +165,7 @@ impl<T: Real> Subspace<T> {
         let Self { directions, network, cloths, moved, .. } = self;
         let proposed = match network {
             Some(network) if iteration < LEARNED_ITERATIONS => {
+                network.hidden_mut().scale_to_step();
                 network.propose(&objective.grad, &objective.norms)
             }
             _ => &[],

@@ -14,6 +14,8 @@ use rayon::prelude::*;
 const SQUASH: f64 = 10.0;
 /// Lower bound of a norm. Below the smallest normal f32, hence used in double precision only.
 pub(super) const NORM_FLOOR: f64 = 1e-40;
+/// Share of the largest component's size that counts as that of a component at least.
+const LEAST_SHARE: f64 = 1e-2;
 
 /// The hidden state that the update rule carries from one iteration to the next, across frames.
 #[derive(Clone, Debug)]
@@ -84,6 +86,24 @@ impl<T: Real> Hidden<T> {
             input.copy_from_slice(source);
             T::squash(input, factor(norm), T::of(SQUASH));
         });
+    }
+
+    /// Sets the scales to the size of the last step, its root mean square for each component. Those of a cloth without a
+    /// step stay.
+    ///
+    /// Where the network's step is a direction among others, nothing that it does shows in its length: scales that were
+    /// passed on from one proposal to the next would drift apart until one component is all that is left, or overflow.
+    pub fn scale_to_step(&mut self) {
+        let n = self.last_step.len() / self.scale.len();
+        for (step, scale) in self.last_step.chunks_exact(3 * n).zip(self.scale.chunks_exact_mut(3)) {
+            let sizes = [0, 1, 2].map(|c| norm(&step[c * n..][..n]) / (n as f64).sqrt());
+            let largest = sizes.iter().copied().fold(0.0, f64::max);
+            if largest > 0.0 && largest.is_finite() {
+                for (scale, size) in scale.iter_mut().zip(sizes) {
+                    *scale = T::of(size.max(LEAST_SHARE * largest));
+                }
+            }
+        }
     }
 
     /// Computes the step from the network's `field` and `scalar`, and stores it along with `grad`.

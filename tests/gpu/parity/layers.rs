@@ -3,7 +3,8 @@
 use crate::common::{
     assert_close, context, device, largest, narrowed, noise, poisoned, read, run, tensor, widened,
 };
-use fnopt::cloth::{Cloth, Control, Grid, Material, Model, SelfContact, State};
+use crate::touching::{field, folded, touching};
+use fnopt::cloth::{Control, Grid, Model, SelfContact, State};
 use fnopt::cpu;
 use fnopt::cpu::cloth::{Approach, CurvatureRows, Layers};
 use fnopt::kernels::cloth::{Begin, ClothLayers, MOST_PAIRS, Objective, Pairs, Room, curvature, gradient};
@@ -11,63 +12,6 @@ use fnopt::kernels::optim::directions;
 use std::collections::BTreeSet;
 
 const GRIDS: [Grid; 3] = [Grid { h: 9, w: 10 }, Grid { h: 31, w: 33 }, Grid { h: 48, w: 32 }];
-const SETTINGS: SelfContact = SelfContact { thickness: 0.16, friction: 0.4 };
-
-/// Returns a field [3, n] of places, with noise of this size.
-fn field(grid: Grid, (size, seed): (f32, u64), place: impl Fn(f32, f32) -> [f32; 3]) -> Vec<f32> {
-    let all: Vec<_> =
-        (0..grid.particles()).map(|p| place((p / grid.w) as f32, (p % grid.w) as f32)).collect();
-    let noise = noise(3 * all.len(), seed);
-    let places = (0..3).flat_map(|c| all.iter().map(move |place| place[c]));
-    places.zip(noise).map(|(x, noise)| x + size * noise).collect()
-}
-
-/// Returns the place of a particle of a sheet folded in the middle, whose halves are so far apart, the upper one shifted by
-/// part of an edge.
-fn folded(grid: Grid, apart: f32, (i, j): (f32, f32)) -> [f32; 3] {
-    let middle = (grid.w / 2) as f32;
-    let upper = f32::from(u8::from(j > middle));
-    [middle - (j - middle).abs() + 0.3 * upper, i + 0.4 * upper, apart * upper]
-}
-
-/// A folded sheet with a handle, whose layers press on each other and slide; a rolled one, a flat one, and one that passes
-/// through itself.
-fn touching(grid: Grid) -> (Model, State<f32>, Control<f32>) {
-    let cloth = |handles: &[usize]| Cloth {
-        material: Material { stretch: 10.0, shear: 1.0, bend: 0.1 },
-        self_contact: Some(SETTINGS),
-        handles: handles.to_vec(),
-        ..Cloth::default()
-    };
-    let through = Cloth { self_contact: None, ..cloth(&[]) };
-    let model = Model { grid, cloths: vec![cloth(&[5, grid.w - 1]), cloth(&[]), cloth(&[3]), through] };
-    let middle = (grid.w / 2) as f32;
-    let folded = |i, j| folded(grid, 0.12, (i, j));
-    let rolled = |i: f32, j: f32| {
-        let (radius, angle) = (1.2 + 0.03 * j, j / 1.2);
-        [radius * angle.cos(), radius * angle.sin(), i]
-    };
-    let fields = [
-        field(grid, (0.02, 9), folded),
-        field(grid, (0.02, 10), rolled),
-        field(grid, (0.02, 11), |i, j| [j, i, 0.0]),
-        field(grid, (0.02, 12), folded),
-    ];
-    let still = |_: f32, _: f32| [0.0; 3];
-    let falling = |_: f32, j: f32| [0.0, 0.0, if j > middle { -0.03 } else { 0.0 }];
-    let velocities = [
-        field(grid, (0.02, 13), falling),
-        field(grid, (0.05, 14), still),
-        field(grid, (0.02, 15), |_, _| [0.5, 0.0, 3.0]),
-        field(grid, (0.02, 16), still),
-    ];
-    let state = State { x: fields.concat(), v: velocities.concat() };
-    let (n, mut handles) = (grid.particles(), Vec::new());
-    for (b, cloth) in model.cloths.iter().enumerate() {
-        handles.extend(cloth.handles.iter().map(|p| [0, 1, 2].map(|c| state.x[(3 * b + c) * n + p] + 0.01)));
-    }
-    (model, state, Control { handles, ..Control::default() })
-}
 
 /// Sets up the device's objective for a frame.
 fn on_device((model, state, control): &(Model, State<f32>, Control<f32>), a: &[f32]) -> Objective {

@@ -42,6 +42,7 @@ mod scalar_head;
 mod sheet_axes;
 mod spectral;
 mod spectral_weight_adj;
+mod step_scale;
 mod subspace_step;
 mod transform_rows;
 mod transpose;
