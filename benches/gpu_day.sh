@@ -3,7 +3,7 @@
 # frames of all solvers, the same frames in PyTorch, and a training step. One log per step, and a summary.
 #
 #     benches/gpu_day.sh [OUT] [STEP..]        by default out/gpu_day and all steps, in this order:
-#                                              doctor verify tests tune bench half peer training
+#                                              doctor verify tests tune bench half contacts peer training
 #
 # On a machine without cargo, PROGRAM is a built `fnopt` and TESTS a folder of built test programs. GOLDEN lists further folders of
 # golden files. SECONDS_PER_STEP (default 600) limits each step; a step that fails does not stop the others. Exits with 1 if any did.
@@ -11,7 +11,7 @@ set -uo pipefail
 cd "$(dirname "$0")/.."
 out=${1:-out/gpu_day}
 shift || true
-steps=${*:-doctor verify tests tune bench half peer training}
+steps=${*:-doctor verify tests tune bench half contacts peer training}
 limit=${SECONDS_PER_STEP:-600}
 mkdir -p "$out"
 out=$(cd "$out" && pwd)
@@ -74,6 +74,23 @@ bench() {
 half() {
     run bench_fnopt_f16 "$program" bench --device gpu --precision f16 --grid 32,64,100 --batch 1,16,256
     cat "$out/bench_fnopt_f16.log"
+}
+
+# Scenes with bodies and layers that press, and the test that a fine twist never passes through itself.
+contacts() {
+    local scene
+    for scene in twist sphere table; do
+        run "contacts_$scene" "$program" rollout "$scene" --device gpu --grid 64 --solver spectral --iterations 20 --intersections \
+            --no-pictures --out "$out/$scene"
+        grep -E 'ms/frame|intersections' "$out/contacts_$scene.log"
+    done
+    if [[ -z "${TESTS:-}" ]]; then
+        run contacts_tests cargo test --release --locked --test gpu -- --ignored
+    else
+        for test in "$TESTS"/*; do
+            run "contacts_tests_$(basename "$test")" "$test" --ignored
+        done
+    fi
 }
 
 peer() {

@@ -36,6 +36,7 @@ def cases():
     yield "batch", [*bench, "--grid", "32", "--batch", "256"]
     yield "f16", [*bench, "--grid", "32", "--precision", "f16"]
     yield "repulsion", ["rollout", "--device", "gpu", "--repulsion", "--frames", "3", "--no-pictures", "--out", "rollout"]
+    yield "self-contact", ["rollout", "--device", "gpu", "--self-contact", "--frames", "3", "--no-pictures", "--out", "rollout"]
     yield "bodies", ["rollout", "sphere", "--device", "gpu", "--frames", "3", "--no-pictures", "--out", "rollout"]
 
 

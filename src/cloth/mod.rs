@@ -9,6 +9,7 @@ mod intersections;
 mod model;
 mod proximity;
 pub mod terms;
+mod untangle;
 mod view;
 
 pub use body::{Body, BodyStats, Distance, LayerStats, MAX_BODIES, MAX_CONTACTS, Pose, Shape, Sweep};
@@ -19,4 +20,5 @@ pub use intersections::{Intersection, intersections};
 pub(crate) use model::cast;
 pub use model::{Air, Cloth, Control, Material, Model, Repulsion, SelfContact, State};
 pub use proximity::{Nearest, Parts};
+pub use untangle::untangle;
 pub use view::VertexView;

@@ -7,6 +7,7 @@ use super::surface::Sheet;
 use super::{Handles, Motion, Scene, Units, UpAxis};
 use crate::cloth::{
     Cloth, Control, Grid, Intersection, Material, Model, Pose, State, Sweep, VertexView, cast, intersections,
+    untangle,
 };
 use crate::io::Trajectory;
 use crate::{Error, Result, memory};
@@ -410,7 +411,7 @@ impl Scene {
         }
         let changes = self.changes(&units, handles.len(), (&cloth, wind))?;
         self.move_out_of_bodies(&cloth, &attached, &mut points);
-        self.warn_of_intersections(&points);
+        self.untangle(&cloth, &mut points);
         self.warn_of_jumps(&cloth, &poses);
         let setup = Setup {
             start: State { x: field(&points), v: field(&velocities) },
@@ -467,19 +468,34 @@ impl Scene {
         }
     }
 
-    /// Warns if a cloth whose layers are to stay apart begins with layers that pass through each other.
-    fn warn_of_intersections(&self, points: &[[f64; 3]]) {
+    /// Moves layers of a cloth that touches itself out of each other where they have passed through each other, if short moves do
+    /// that ([`untangle`]). Warns if they have; also of a cloth whose layers repel each other, which stays as it is.
+    fn untangle(&self, cloth: &Cloth, points: &mut [[f64; 3]]) {
         if self.repulsion.is_none() && self.self_contact.is_none() {
             return;
         }
-        let found = intersections(self.grid, &field(points));
-        if let Some(Intersection { edge: [p, q], .. }) = found.first() {
+        let mut x = field(points);
+        let found = intersections(self.grid, &x);
+        let Some(Intersection { edge: [p, q], .. }) = found.first() else { return };
+        let what = format!(
+            "{}: start: the cloth passes through itself: {} of its edges meet a triangle of it, first that between particles \
+             {p} and {q}",
+            self.origin,
+            found.iter().map(|one| one.edge).collect::<BTreeSet<_>>().len()
+        );
+        if self.self_contact.is_some() && untangle(self.grid, &mut x, &cloth.handles) {
+            let n = points.len();
+            let mut farthest = 0.0_f64;
+            for (p, point) in points.iter_mut().enumerate() {
+                let to = [0, 1, 2].map(|c| x[c * n + p]);
+                farthest = farthest.max(norm(zip(to, *point, |to, from| to - from)));
+                *point = to;
+            }
             warn_once(format!(
-                "{}: start: the cloth passes through itself: {} of its edges meet a triangle of it, first that between \
-                 particles {p} and {q}; repulsion and self-contact keep layers on the sides where they are",
-                self.origin,
-                found.iter().map(|one| one.edge).collect::<BTreeSet<_>>().len()
+                "{what}; its layers were moved out of each other, by {farthest:.1} edges at most"
             ));
+        } else {
+            warn_once(format!("{what}; repulsion and self-contact keep layers on the sides where they are"));
         }
     }
 

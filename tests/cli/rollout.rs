@@ -424,6 +424,25 @@ fn intersections_are_counted_on_request() {
         assert_eq!((told, pairs > 0), (crossed, crossed), "{scene}: {pairs}");
         assert!(text(&output.stdout).contains("intersections "));
     }
+    // The corner of a fold pokes through the layer below it: self-contact moves it out first.
+    let vertices: Vec<[f64; 3]> = (0..20 * 24)
+        .map(|p| {
+            let (i, j) = ((p / 24) as f64, (p % 24) as f64);
+            let upper = f64::from(u8::from(j > 11.5));
+            let above = upper * (0.5 - 0.3 * (i + j - 35.0).max(0.0));
+            [12.0 - (j - 11.5).abs() + 0.3 * upper, i + 0.4 * upper, above].map(|x| x / 19.0)
+        })
+        .collect();
+    let scene = format!(
+        r#"{{"grid": [20, 24], "start": {{"vertices": {vertices:?}, "grid": [20, 24]}}, "motion": "none", "self_contact": true,
+            "handles": [], "frames": 12, "gravity": [0, 0, 0]}}"#
+    );
+    std::fs::write(folder.path().join("poking.json"), scene).unwrap();
+    let arguments = ["rollout", "poking.json", "--device", "cpu", "--no-pictures", "--intersections"];
+    let output = command(folder.path(), &arguments).output().unwrap();
+    let log = text(&output.stderr);
+    assert!(output.status.success() && log.contains("were moved out of each other, by 1."), "{log}");
+    assert_eq!(json(&folder.path().join("out/report.json"))["intersections"]["edge_triangle_pairs"], 0);
     let without = ["rollout", "flag", "--device", "cpu", "--frames", "1", "--no-pictures"];
     done(fnopt(folder.path(), &without));
     assert!(json(&folder.path().join("out/report.json"))["intersections"].is_null());
