@@ -2,6 +2,7 @@
 
 use super::cells::{Cells, Placed};
 use super::contacts::Approach;
+use super::flat_tiles::FlatTiles;
 use super::touch::Touch;
 use super::vector::{add, at, dot, scaled, sub};
 use super::{Block, Coupling};
@@ -236,6 +237,7 @@ struct Search<'a, T> {
     way: Vec<DVec3>,
     /// One for each particle.
     patches: Vec<Patch>,
+    tiles: FlatTiles,
     /// Distance within which pairs are contacts.
     range: f64,
     /// Largest radius of a patch and longest way of one together.
@@ -364,7 +366,8 @@ impl<'a, T: Real> Search<'a, T> {
         let largest = largest(|patch| patch.radius + patch.spread) + largest(|patch| patch.way.length());
         let side = range + 2.0 * largest;
         let elastic = Elastic::new(grid, start.cloth.material);
-        Self { start, settings, elastic, x, base, way, patches, range, largest, side }
+        let tiles = FlatTiles::new(grid, &x, &way, range);
+        Self { start, settings, elastic, x, base, way, patches, tiles, range, largest, side }
     }
 
     /// Finds the pairs of which at least one part lies in a patch that `wanted` is true for.
@@ -384,10 +387,11 @@ impl<'a, T: Real> Search<'a, T> {
                 }
                 let ball = &self.patches[own.particle].all;
                 let reach = self.side - self.largest + ball.radius + ball.spread + ball.way.length();
+                let is_apart = self.tiles.around(own.particle);
                 for other in walk.around(own) {
                     let (p, q) = (own.particle, other.particle);
                     let from = sub(own.place, other.place);
-                    if dot(from, from) > reach * reach {
+                    if dot(from, from) > reach * reach || is_apart(q) {
                         continue;
                     }
                     // Once for both.

@@ -9,6 +9,7 @@ mod cells;
 mod contacts;
 mod curvature;
 mod energy;
+mod flat_tiles;
 mod gradient;
 mod hessian;
 mod integrate;
