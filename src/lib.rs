@@ -49,22 +49,24 @@
 //! 1. [`kernels::cloth::Predict`] prepares a = 0, which moves the particles by their velocity and the handles to
 //!    their targets. [`kernels::cloth::ExternalForce`] sums gravity, the control's accelerations and the
 //!    forces of the air. If there are bodies, [`kernels::cloth::ContactFind`] finds for each particle the planes that
-//!    stand for them in this frame. A cloth that touches itself has planes between its own parts, too
-//!    ([`cpu::cloth::Layers`]; on the CPU alone).
+//!    stand for them in this frame. A cloth that touches itself has planes between its own parts, too:
+//!    [`kernels::cloth::Layers`] finds the pairs of parts that come near each other.
 //! 2. N times (paper section 3.3): if the layers of the cloth are to be kept apart,
 //!    [`kernels::cloth::Repulsion`] adds the repulsion between nearby particles to the external acceleration, and
-//!    [`kernels::cloth::Contact`] the forces of bodies.
+//!    [`kernels::cloth::Contact`] the forces of bodies, and [`kernels::cloth::LayerForce`] those between layers that touch.
 //!    [`kernels::cloth::Gradient`] computes dL/da and its norm. [`network::Forward`] runs the network
 //!    (section 4): the normalised fields ([`kernels::optim::Features`]), the lifting, four Fourier blocks
 //!    (truncated transform, spectral product, inverse), the field head, and the scalar head with the
-//!    persistent scale. [`kernels::optim::Update`] computes its step. With `fnopt` that is one of four directions;
+//!    persistent scale. [`kernels::optim::Update`] computes its step. With `fnopt` that is one of four directions, whose scale
+//!    [`kernels::optim::StepScale`] takes from the step before;
 //!    the others are the gradient under two spectral inverses of the Hessian at rest, in world axes and in the
 //!    sheet's own, and the last step. [`kernels::cloth::Curvature`] sums the energy, its slopes and its second
 //!    derivatives along them, and [`kernels::optim::SubspaceStep`] adds the combination that minimises this model to
 //!    a. If the step before raised the energy, it shortens that one instead.
 //!    [`kernels::cloth::ContactConfine`] keeps the step out of the bodies. With `fnopt-paper` the network's step is
 //!    taken as it is. Other optimizers ([`sim::Optimizer`]) replace what follows the gradient.
-//! 3. [`kernels::cloth::Energy`] computes the statistics, with the repulsion evaluated once more.
+//! 3. Layers that are still too near each other are parted ([`kernels::cloth::LayerPart`]), after a search for those that
+//!    particles have met which left their way. [`kernels::cloth::Energy`] computes the statistics, with the repulsion evaluated once more.
 //!    [`kernels::cloth::Integrate`] then updates the state: v += a, x += v. With bodies,
 //!    [`kernels::cloth::ContactReport`] says what they did, and [`kernels::cloth::ContactEnd`] stops particles that stick.
 //!
