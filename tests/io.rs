@@ -49,7 +49,7 @@ fn frames_that_no_memory_holds_are_an_error() {
 fn positions_come_back_bit_for_bit_from_every_format_that_is_read() {
     let dir = tempfile::tempdir().unwrap();
     let written = waving(GRID, 5);
-    for format in [Format::Npz, Format::Npy, Format::Pc2, Format::Obj] {
+    for format in Format::SINGLE_FILES.into_iter().chain([Format::Obj]) {
         let path = written.write(dir.path().join("new/folder"), "cloth", format).unwrap();
         let grid = (!matches!(format, Format::Npz | Format::Obj)).then_some(GRID);
         let read = Trajectory::read(&path, &ReadOptions { grid, ..ReadOptions::default() }).unwrap();
@@ -69,7 +69,7 @@ fn positions_come_back_bit_for_bit_from_every_format_that_is_read() {
     // No temporary files are left.
     assert_eq!(
         names(&dir.path().join("new/folder")),
-        ["cloth.npy", "cloth.npz", "cloth.obj", "cloth.pc2", "cloth_obj"]
+        ["cloth.mdd", "cloth.npy", "cloth.npz", "cloth.obj", "cloth.pc2", "cloth_obj"]
     );
 }
 
@@ -319,11 +319,45 @@ fn a_damaged_archive_is_noticed() {
     assert!(error.contains("vertices_seq") && error.contains("checksum"), "{error}");
 }
 
+/// The bytes that other programs expect, and the rate of the frames from their times.
+#[test]
+fn an_mdd_holds_what_is_documented() {
+    let dir = tempfile::tempdir().unwrap();
+    let written = waving(Grid { h: 3, w: 3 }, 4);
+    let path = written.write(dir.path(), "cloth", Format::Mdd).unwrap();
+    let bytes = fs::read(&path).unwrap();
+    let word = |k: usize| <[u8; 4]>::try_from(&bytes[4 * k..][..4]).unwrap();
+    assert_eq!([0, 1].map(|k| i32::from_be_bytes(word(k))), [4, 9]);
+    for frame in 0..4 {
+        assert!((f32::from_be_bytes(word(2 + frame)) - frame as f32 / 60.0).abs() < 1e-6);
+        let first = [0, 1, 2].map(|c| f32::from_be_bytes(word(6 + 27 * frame + c)));
+        assert_eq!(first, written.frame(frame)[0]);
+    }
+    assert_eq!(bytes.len(), 4 * (2 + 4 + 4 * 27));
+    let read = Trajectory::read(&path, &ReadOptions { fps: 10.0, ..ReadOptions::default() }).unwrap();
+    assert_eq!(read.fps(), 60.0);
+    // Times that are all the same say nothing, and a length that does not fit is an error.
+    let mut still = bytes.clone();
+    still[8..24].fill(0);
+    fs::write(&path, &still).unwrap();
+    assert_eq!(
+        Trajectory::read(&path, &ReadOptions { fps: 10.0, ..ReadOptions::default() }).unwrap().fps(),
+        10.0
+    );
+    for (what, bytes) in
+        [("short", &bytes[..bytes.len() - 1]), ("headless", &bytes[..6]), ("timeless", &bytes[..12])]
+    {
+        fs::write(&path, bytes).unwrap();
+        let error = Trajectory::read(&path, &ReadOptions::default()).unwrap_err().to_string();
+        assert!(error.contains("cloth.mdd") && error.contains("length"), "{what}: {error}");
+    }
+}
+
 /// Passes `bytes` to every reader. Readers may refuse, but not panic.
 fn read_all(bytes: &[u8]) {
     let dir = tempfile::tempdir().unwrap();
-    for extension in ["npz", "npy", "pc2"] {
-        let path = dir.path().join(format!("x.{extension}"));
+    for format in Format::SINGLE_FILES {
+        let path = dir.path().join(format!("x.{format}"));
         fs::write(&path, bytes).unwrap();
         let _ = Trajectory::read(&path, &ReadOptions::default());
         let _ = read_npy(&path);
@@ -341,7 +375,7 @@ fn samples() -> Vec<Vec<u8>> {
     let trajectory = waving(Grid { h: 3, w: 3 }, 2);
     let path = |format| trajectory.write(dir.path(), "s", format).unwrap();
     let obj = path(Format::Obj).join("00000.obj");
-    let others = [Format::Npz, Format::Npy, Format::Pc2].map(path);
+    let others = Format::SINGLE_FILES.map(path);
     [obj, "tests/data/compressed.npz".into()]
         .into_iter()
         .chain(others)

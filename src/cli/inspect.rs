@@ -3,7 +3,7 @@
 use super::Ending;
 use super::output::output;
 use anyhow::Result;
-use fnopt::io::{ReadOptions, Trajectory};
+use fnopt::io::{Format, ReadOptions, Trajectory};
 use fnopt::network::Checkpoint;
 use std::io::Write;
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ use std::path::PathBuf;
 /// Arguments of `fnopt inspect`.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// A checkpoint (safetensors) or a trajectory (npz, npy, pc2 or a folder of OBJ files)
+    /// A checkpoint (safetensors) or a trajectory (npz, npy, pc2, mdd or a folder of OBJ files)
     file: PathBuf,
     /// Print JSON
     #[arg(long)]
@@ -20,7 +20,7 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<Ending> {
     let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-    if args.file.is_dir() || ["npz", "npy", "pc2"].contains(&&*extension) {
+    if args.file.is_dir() || Format::SINGLE_FILES.iter().any(|format| format.name() == extension) {
         return trajectory(args);
     }
     let checkpoint = Checkpoint::open(&args.file)?;

@@ -63,7 +63,7 @@ pub struct Args {
     /// Folder to write to
     #[arg(long, default_value = "out", value_name = "DIR")]
     out: PathBuf,
-    /// Formats of the positions: npz, npy, obj, ply, pc2
+    /// Formats of the positions: npz, npy, obj, ply, pc2, mdd
     #[arg(long, value_delimiter = ',', default_value = "npz", value_name = "FORMAT,..")]
     format: Vec<Format>,
     /// Draw no pictures
@@ -234,7 +234,7 @@ impl Args {
         let endings = |format: &Format| match format {
             Format::Obj | Format::Ply => vec![],
             // With the mesh that it moves.
-            Format::Pc2 => vec!["pc2", "obj"],
+            cache if cache.is_vertex_cache() => vec![cache.name(), "obj"],
             single => vec![single.name()],
         };
         let pictures: &[&str] = if self.no_pictures { &[] } else { &["png", "gif"] };
@@ -462,7 +462,15 @@ impl<'a> Run<'a> {
             Err(error) => trouble.push(error),
         };
         let formats: BTreeSet<Format> = self.args.format.iter().copied().collect();
-        formats.into_iter().for_each(|format| note(self.write_frames(format)));
+        let out = &self.args.out;
+        for &format in &formats {
+            note(self.trajectory.write(out, NAME, format).map(|path| vec![path]));
+        }
+        if formats.iter().any(|format| format.is_vertex_cache()) {
+            // The mesh that it moves.
+            let mesh = out.join(format!("{NAME}.obj"));
+            note(self.trajectory.write_mesh(&mesh).map(|()| vec![mesh]));
+        }
         if !self.args.no_pictures {
             note(self.write_picture());
             note(self.write_animation());
@@ -478,17 +486,6 @@ impl<'a> Run<'a> {
             Err(error) => trouble.push(error),
         }
         (written, trouble)
-    }
-
-    fn write_frames(&self, format: Format) -> fnopt::Result<Vec<PathBuf>> {
-        let out = &self.args.out;
-        let mut written = vec![self.trajectory.write(out, NAME, format)?];
-        if format == Format::Pc2 {
-            let mesh = out.join(format!("{NAME}.obj"));
-            self.trajectory.write_mesh(&mesh)?;
-            written.push(mesh);
-        }
-        Ok(written)
     }
 
     fn write_report(&self, status: Status, written: &[PathBuf]) -> fnopt::Result<PathBuf> {

@@ -202,7 +202,7 @@ impl Sequence {
         (recorded.frame(frame).iter().map(|p| p.map(f64::from)).collect(), faces)
     }
 
-    /// Reads another system's trajectory of the cloth: an npz, npy or pc2 file or a folder of OBJ files. Its
+    /// Reads another system's trajectory of the cloth: an npz, npy, pc2 or mdd file or a folder of OBJ files. Its
     /// vertices are those of the mesh if there is one, otherwise those of the grid given by its faces, of the
     /// truth's grid, or of a square grid. Vertices of the mesh are returned as a single row, which
     /// [`Sequence::on_grid`] resamples to a grid. Numbers that are not finite are kept: that system diverged.

@@ -16,11 +16,21 @@ pub enum Format {
     Ply,
     /// PointCache2, the vertex cache of Blender's Mesh Cache modifier and of 3ds Max.
     Pc2,
+    /// NewTek's MDD, a vertex cache that Blender's Mesh Cache modifier, Maya, Houdini and LightWave read.
+    Mdd,
 }
 
 impl Format {
     /// All formats.
-    pub const ALL: [Format; 5] = [Self::Npz, Self::Npy, Self::Obj, Self::Ply, Self::Pc2];
+    pub const ALL: [Format; 6] = [Self::Npz, Self::Npy, Self::Obj, Self::Ply, Self::Pc2, Self::Mdd];
+
+    /// Those of which one file holds a whole trajectory; all can be read ([`Trajectory::read`](super::Trajectory::read)).
+    pub const SINGLE_FILES: [Format; 4] = [Self::Npz, Self::Npy, Self::Pc2, Self::Mdd];
+
+    /// Whether it holds positions alone, and moves the vertices of a mesh that is imported beside it.
+    pub fn is_vertex_cache(self) -> bool {
+        matches!(self, Self::Pc2 | Self::Mdd)
+    }
 
     /// Returns the name of the format, which is also its file extension.
     pub fn name(self) -> &'static str {
@@ -30,12 +40,13 @@ impl Format {
             Self::Obj => "obj",
             Self::Ply => "ply",
             Self::Pc2 => "pc2",
+            Self::Mdd => "mdd",
         }
     }
 
     /// Checks that a file of this format can hold `frames` frames. Fails with an error that names `origin`.
     pub fn check_capacity(self, frames: usize, origin: &str) -> Result<()> {
-        if self == Self::Pc2 && i32::try_from(frames).is_err() {
+        if self.is_vertex_cache() && i32::try_from(frames).is_err() {
             return Err(Error::invalid(origin, self.name(), "at most 2^31 - 1 frames", frames));
         }
         Ok(())

@@ -7,6 +7,7 @@
 mod atomic;
 mod document;
 mod format;
+mod mdd;
 mod mesh;
 mod npy;
 mod npz;
@@ -45,6 +46,23 @@ fn open(path: &Path) -> Result<(File, u64)> {
         return Err(Error::invalid(path.display().to_string(), "type", "a file", "a folder"));
     }
     Ok((file, meta.len()))
+}
+
+/// Reads so many points of three 32-bit words each.
+fn read_points(
+    reader: &mut impl Read,
+    count: u64,
+    path: &Path,
+    number: fn([u8; 4]) -> f32,
+) -> Result<Vec<[f32; 3]>> {
+    let mut positions: Vec<[f32; 3]> = Vec::new();
+    memory::reserve(&mut positions, count as usize, &path.display().to_string())?;
+    let mut point = [0; 12];
+    for _ in 0..count {
+        reader.read_exact(&mut point).map_err(|e| Error::io(path, "cannot read", e))?;
+        positions.push([0, 4, 8].map(|k| number([point[k], point[k + 1], point[k + 2], point[k + 3]])));
+    }
+    Ok(positions)
 }
 
 /// Creates a folder, and those above it, unless it exists.

@@ -1,7 +1,7 @@
 //! PointCache2 (`.pc2`): a 32-byte header, then the positions of every point of every sample as `f32`.
 
-use super::{Trajectory, open, trajectory::Parts};
-use crate::{Error, Result, memory};
+use super::{Trajectory, open, read_points, trajectory::Parts};
+use crate::{Error, Result};
 use std::{
     io::{self, BufReader, Read, Write},
     path::Path,
@@ -46,14 +46,6 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
         let expected = format!("{samples} samples of {points} points");
         return Err(Error::invalid(&origin, "length", expected, format!("{size} bytes")));
     }
-    let mut positions: Vec<[f32; 3]> = Vec::new();
-    memory::reserve(&mut positions, (points * samples) as usize, &origin)?;
-    let mut point = [0; 12];
-    for _ in 0..points * samples {
-        reader.read_exact(&mut point).map_err(|e| Error::io(path, "cannot read", e))?;
-        positions.push(
-            [0, 4, 8].map(|k| f32::from_le_bytes([point[k], point[k + 1], point[k + 2], point[k + 3]])),
-        );
-    }
+    let positions = read_points(&mut reader, points * samples, path, f32::from_le_bytes)?;
     Ok(Parts { shape: vec![samples as usize, points as usize, 3], positions, ..Parts::default() })
 }

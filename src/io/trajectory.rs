@@ -1,7 +1,7 @@
 //! The frames of a run.
 
 use super::atomic::UNFINISHED;
-use super::{Format, create_folder, entries, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
+use super::{Format, create_folder, entries, mdd, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
 use crate::{Error, Result, cloth::Grid, memory};
 use ndarray::{ArrayD, ArrayView3};
 use rayon::prelude::*;
@@ -147,6 +147,7 @@ impl Trajectory {
                 write_atomic(&file, write).map(|()| file)
             }
             Format::Pc2 => write_atomic(&file, |w| pc2::write(self, w)).map(|()| file),
+            Format::Mdd => write_atomic(&file, |w| mdd::write(self, w)).map(|()| file),
             Format::Obj | Format::Ply => self.write_frames(folder, format),
         }
     }
@@ -189,7 +190,7 @@ impl Trajectory {
         Ok(folder)
     }
 
-    /// Reads a trajectory from an npz, npy or pc2 file or a folder of OBJ files, whose names end in
+    /// Reads a trajectory from an npz, npy, pc2 or mdd file or a folder of OBJ files, whose names end in
     /// consecutive numbers. Arrays are [frames, vertices, 3] or [frames, H, W, 3]. Positions and velocities
     /// must be finite. If the file has no velocities, they are the differences to the previous positions over
     /// the frame time, and 0 in the first frame.
@@ -283,13 +284,14 @@ fn read_file(path: &Path) -> Result<Parts> {
         _ if path.is_dir() => read_folder(path),
         Some("npz") => npz::read(path),
         Some("pc2") => pc2::read(path),
+        Some("mdd") => mdd::read(path),
         Some("npy") => {
             let mut array = npy::open_npy(path)?.of_floats()?;
             let shape = array.shape.clone();
             Ok(Parts { shape, positions: array.triples(|x| x as f32)?, ..Parts::default() })
         }
         _ => {
-            let expected = "an npz, npy or pc2 file or a folder of OBJ files";
+            let expected = "an npz, npy, pc2 or mdd file or a folder of OBJ files";
             Err(Error::invalid(path.display().to_string(), "type", expected, "another one"))
         }
     }

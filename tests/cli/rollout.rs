@@ -19,7 +19,17 @@ fn a_file_in_place_of_the_output_folder_is_named() {
 fn a_rollout_writes_what_it_says() {
     let folder = tempfile::tempdir().unwrap();
     let arguments = [
-        "rollout", "--device", "cpu", "--grid", "16", "12", "--frames", "6", "--format", "npz,pc2", "--json",
+        "rollout",
+        "--device",
+        "cpu",
+        "--grid",
+        "16",
+        "12",
+        "--frames",
+        "6",
+        "--format",
+        "npz,pc2,mdd",
+        "--json",
     ];
     let output = fnopt(folder.path(), &arguments);
     assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
@@ -47,10 +57,9 @@ fn a_rollout_writes_what_it_says() {
     let weights = Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/weights/fnopt.safetensors");
     let sum = crc32fast::hash(&std::fs::read(weights).unwrap());
     assert_eq!(report["weights_crc32"], format!("{sum:08x}"));
-    for picture in
-        ["out/rollout.png", "out/rollout.gif", "out/rollout.npz", "out/rollout.pc2", "out/rollout.obj"]
-    {
-        assert!(folder.path().join(picture).metadata().unwrap().len() > 1000, "{picture}");
+    for ending in ["png", "gif", "npz", "pc2", "mdd", "obj"] {
+        let file = folder.path().join(format!("out/rollout.{ending}"));
+        assert!(file.metadata().unwrap().len() > 1000, "{ending}");
     }
 }
 

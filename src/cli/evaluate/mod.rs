@@ -81,7 +81,7 @@ pub struct Args {
     /// solver stops short of convergence, chance decides which way a fold goes
     #[arg(long, default_value_t = 1, value_name = "K", value_parser = clap::value_parser!(u64).range(1..=1000))]
     repeats: u64,
-    /// Another system's trajectories: DIR/SEQUENCE.npz, .npy or .pc2, or folders of OBJ files, on any grid or
+    /// Another system's trajectories: DIR/SEQUENCE.npz, .npy, .pc2 or .mdd, or folders of OBJ files, on any grid or
     /// on the sequence's mesh; may be given more than once. Its scores are kept with those of the solvers
     #[arg(long, value_name = "NAME=DIR")]
     compare: Vec<String>,
@@ -404,7 +404,7 @@ impl Args {
             match missing.first() {
                 Some(first) if missing.len() == sequences.len() => {
                     let expected = format!(
-                        "{first}.npz, .npy or .pc2, or a folder {first} of OBJ files or with the output of a rollout"
+                        "{first}.npz, .npy, .pc2 or .mdd, or a folder {first} of OBJ files or with the output of a rollout"
                     );
                     let folder = folder.display().to_string();
                     return Err(Error::invalid(folder, "trajectory", expected, "none of them").into());
@@ -481,8 +481,9 @@ fn share_of_slurm() -> Option<(usize, usize)> {
 
 /// Returns the file or folder of another system's trajectory of a sequence, if there is one.
 fn trajectory(folder: &Path, sequence: &Sequence) -> Option<PathBuf> {
-    let names = ["npz", "npy", "pc2"].map(|e| format!("{}.{e}", sequence.name));
-    let inside = ["rollout.npz", "rollout.npy", "rollout.pc2", "rollout_obj", "cloth_pos.npy"];
+    let names = fnopt::io::Format::SINGLE_FILES.map(|format| format!("{}.{format}", sequence.name));
+    let rollouts = fnopt::io::Format::SINGLE_FILES.map(|format| format!("rollout.{format}"));
+    let inside = rollouts.into_iter().chain(["rollout_obj", "cloth_pos.npy"].map(String::from));
     let inside = inside.map(|file| format!("{}/{file}", sequence.name));
     let all = names.into_iter().chain(inside).chain([sequence.name.clone()]).map(|name| folder.join(name));
     all.into_iter().find(|path| path.exists())
