@@ -208,7 +208,7 @@ fn twisted(h: usize, iterations: usize, last: usize) -> (usize, usize) {
 #[test]
 fn a_twisted_cloth_never_passes_through_itself() {
     let _turn = device();
-    let (most, pressing) = twisted(20, 20, 140);
+    let (most, pressing) = twisted(16, 10, 130);
     assert!(most == 0 && pressing > 5, "{most} {pressing}");
 }
 
