@@ -33,9 +33,6 @@ struct Params {
 override K: u32 = 3;
 override SLOTS: u32 = 1;
 
-// Three sums of each invocation.
-var<workgroup> sums: array<vec4f, 192>;
-
 @compute @workgroup_size(64)
 fn contact_curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let b = group.y;
@@ -55,19 +52,5 @@ fn contact_curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgr
             }
         }
     }
-    sums[lane] = curvature0;
-    sums[64u + lane] = curvature1;
-    sums[128u + lane] = vec4f(curvature2, 0.0, 0.0);
-    for (var half = 32u; half > 0u; half /= 2u) {
-        workgroupBarrier();
-        if lane < half {
-            for (var quad = 0u; quad < 192u; quad += 64u) {
-                sums[quad + lane] += sums[quad + lane + half];
-            }
-        }
-    }
-    workgroupBarrier();
-    if lane < 3u && group.x < params.parts {
-        parts[(b * params.parts + group.x) * 6u + lane] += sums[lane * 64u];
-    }
+    add_to_part(b, group.x, lane, 1.0);
 }

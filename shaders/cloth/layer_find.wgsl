@@ -279,7 +279,7 @@ fn look(b: u32, particles: vec4u, is_edges: bool, face: u32) {
     if !(before - speed < range) {
         return;
     }
-    let near = 0.5 * cloths[b].layers.x;
+    let near = extents[b].w;
     var share = 0.0;
     var left = before;
     if speed > 0.0 {

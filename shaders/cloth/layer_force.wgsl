@@ -34,8 +34,6 @@ struct Params {
 
 override SETS: bool = true;
 
-var<workgroup> energies: array<f32, 64>;
-
 @compute @workgroup_size(64)
 fn layer_force(
     @builtin(local_invocation_index) lane: u32,
@@ -64,19 +62,5 @@ fn layer_force(
             given[params.first_total + at + c * n] = given[params.first_source + at + c * n] - push[c];
         }
     }
-    energies[lane] = energy;
-    for (var half = 32u; half > 0u; half /= 2u) {
-        workgroupBarrier();
-        if lane < half {
-            energies[lane] += energies[lane + half];
-        }
-    }
-    if lane == 0u && part < params.groups {
-        let to = (b * params.groups + part) * 8u + 7u;
-        if SETS {
-            parts[to] = energies[0];
-        } else {
-            parts[to] += energies[0];
-        }
-    }
+    put_energy(b, part, lane, energy);
 }

@@ -10,7 +10,7 @@
 // x, base, a: [B, 3, n]
 // motion: [B, n, 2] of (place, 1 for a handle), (way, 1 for a particle whose pairs are wanted)
 // extents: [B] of (cells per edge, distance within which pairs are contacts, what the reach of a patch adds to its own
-//   size and way, 0)
+//   size and way, distance at which a pair has met)
 //
 // One workgroup per cloth. Workgroups: (B).
 // Adjoint: none, training has no self-contact.
@@ -109,6 +109,6 @@ fn layer_motion(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_i
     if lane == 0u {
         let range = select(thickness + MARGIN, NEAR * thickness, ENDS);
         let most = bases[0].x + bases[0].y;
-        extents[b] = vec4f(1.0 / (range + 2.0 * most), range, range + most, 0.0);
+        extents[b] = vec4f(1.0 / (range + 2.0 * most), range, range + most, NEAR * thickness);
     }
 }

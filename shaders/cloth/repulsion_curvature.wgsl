@@ -66,9 +66,6 @@ fn add_cell(b: u32, cell: vec3i, own: vec3f, p: u32) {
     }
 }
 
-// Three sums of each invocation.
-var<workgroup> sums: array<vec4f, 192>;
-
 @compute @workgroup_size(64)
 fn repulsion_curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let b = group.y;
@@ -89,20 +86,5 @@ fn repulsion_curvature(@builtin(local_invocation_index) lane: u32, @builtin(work
             }
         }
     }
-    sums[lane] = curvature0;
-    sums[64u + lane] = curvature1;
-    sums[128u + lane] = vec4f(curvature2, 0.0, 0.0);
-    for (var half = 32u; half > 0u; half /= 2u) {
-        workgroupBarrier();
-        if lane < half {
-            for (var quad = 0u; quad < 192u; quad += 64u) {
-                sums[quad + lane] += sums[quad + lane + half];
-            }
-        }
-    }
-    workgroupBarrier();
-    if lane < 3u && group.x < params.parts {
-        let factor = 4.0 * cloths[b].repulsion.x / f32(n);
-        parts[(b * params.parts + group.x) * 6u + lane] += factor * sums[lane * 64u];
-    }
+    add_to_part(b, group.x, lane, 4.0 * cloths[b].repulsion.x / f32(n));
 }

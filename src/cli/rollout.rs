@@ -9,7 +9,7 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Frame;
-use fnopt::cloth::{BodyStats, Intersection, LayerStats, intersections};
+use fnopt::cloth::{BodyStats, LayerStats};
 use fnopt::eval::{Soundness, Verdict, median_time};
 use fnopt::io::{Format, Trajectory, write_atomic};
 use fnopt::render::{Bodies, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
@@ -42,7 +42,7 @@ pub struct Args {
     /// as in a scene; its "frame_time_s" and the density and drag of its "wind" apply too
     #[arg(long, value_name = "paper|KS,KH,KB|FILE")]
     material: Option<String>,
-    /// Let the cloth touch itself, as "self_contact" in a scene does: its layers never pass through each other
+    /// Let the cloth touch itself, as "self_contact" in a scene does, instead of passing through itself
     #[arg(long)]
     self_contact: bool,
     /// Keep the layers of the cloth apart, as "repulsion" in a scene does, with these values or else the
@@ -564,21 +564,16 @@ impl<'a> Run<'a> {
     }
 
     fn count_intersections(&self) -> Option<[usize; 2]> {
-        let found = self.args.intersections.then(|| self.intersections_in(self.trajectory.frames() - 1))?;
+        let found =
+            self.args.intersections.then(|| self.trajectory.intersections(self.trajectory.frames() - 1))?;
         Some([found.iter().map(|one| one.edge).collect::<BTreeSet<_>>().len(), found.len()])
-    }
-
-    fn intersections_in(&self, frame: usize) -> Vec<Intersection> {
-        let positions = self.trajectory.frame(frame);
-        let by_axis = (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c])));
-        intersections(self.trajectory.grid(), &by_axis.collect::<Vec<_>>())
     }
 
     /// Whether a picture is to show where the cloth passes through itself: if asked for, or if it should not, but does from
     /// the start.
     fn shows_crossings(&self) -> bool {
         let stays_apart = self.setup.model.repels() || self.setup.model.touches_itself();
-        self.args.intersections || stays_apart && !self.intersections_in(0).is_empty()
+        self.args.intersections || stays_apart && !self.trajectory.intersections(0).is_empty()
     }
 
     /// Directions that were not finite and were left out, in all frames.

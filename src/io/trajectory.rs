@@ -2,7 +2,8 @@
 
 use super::atomic::UNFINISHED;
 use super::{Format, create_folder, entries, mdd, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
-use crate::{Error, Result, cloth::Grid, memory};
+use crate::cloth::{Grid, Intersection, intersections};
+use crate::{Error, Result, memory};
 use ndarray::{ArrayD, ArrayView3};
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
@@ -108,6 +109,13 @@ impl Trajectory {
     pub fn frame(&self, frame: usize) -> &[[f32; 3]] {
         let vertices = self.grid.particles();
         &self.positions[frame * vertices..][..vertices]
+    }
+
+    /// Returns where the cloth passes through itself in one frame ([`intersections`]). Panics if there is no such frame.
+    pub fn intersections(&self, frame: usize) -> Vec<Intersection> {
+        let positions = self.frame(frame);
+        let by_axis = (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c])));
+        intersections(self.grid, &by_axis.collect::<Vec<_>>())
     }
 
     /// Returns the velocities of one frame [m/s], shape [V, 3]. Panics if there is no such frame.

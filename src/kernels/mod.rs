@@ -57,7 +57,9 @@ pub(crate) mod pieces {
     pub const PAIR: &str = include_str!("../../shaders/pieces/pair.wgsl");
     pub const PAIRS_OF: &str = include_str!("../../shaders/pieces/pairs_of.wgsl");
     pub const PATCH: &str = include_str!("../../shaders/pieces/patch.wgsl");
+    pub const POSITION_ENERGY: &str = include_str!("../../shaders/pieces/position_energy.wgsl");
     pub const PRODUCTS: &str = include_str!("../../shaders/pieces/products.wgsl");
+    pub const PRODUCTS_PART: &str = include_str!("../../shaders/pieces/products_part.wgsl");
     pub const SCALAR_HEAD: &str = include_str!("../../shaders/pieces/scalar_head.wgsl");
     pub const SIX_FIELDS: &str = include_str!("../../shaders/pieces/six_fields.wgsl");
     pub const TARGET: &str = include_str!("../../shaders/pieces/target.wgsl");

@@ -6,7 +6,6 @@ use super::{
     stage::{Size, Stage},
     text,
 };
-use crate::cloth::{Grid, intersections};
 use crate::io::Trajectory;
 use rayon::prelude::*;
 
@@ -49,7 +48,7 @@ pub fn strip(trajectory: &Trajectory, handles: impl Into<Marks>, options: &Strip
             return stage.draw_empty();
         }
         let positions = trajectory.frame(frame);
-        let heat = if options.crossings { crossings(trajectory.grid(), positions) } else { Vec::new() };
+        let heat = if options.crossings { crossings(trajectory, frame) } else { Vec::new() };
         let mut image = stage.draw_heat(frame, positions, &heat);
         // Still legible where a strip is shown at half its size.
         let height = (options.height as f32 / 14.0).max(12.0);
@@ -68,10 +67,9 @@ pub fn strip(trajectory: &Trajectory, handles: impl Into<Marks>, options: &Strip
 }
 
 /// Returns 1 at the vertices of the edges and triangles that pass through each other, 0 elsewhere; nothing if none do.
-fn crossings(grid: Grid, positions: &[[f32; 3]]) -> Vec<f32> {
-    let by_axis: Vec<f64> = (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c]))).collect();
-    let found = intersections(grid, &by_axis);
-    let mut heat = if found.is_empty() { Vec::new() } else { vec![0.0; positions.len()] };
+fn crossings(trajectory: &Trajectory, frame: usize) -> Vec<f32> {
+    let (grid, found) = (trajectory.grid(), trajectory.intersections(frame));
+    let mut heat = if found.is_empty() { Vec::new() } else { vec![0.0; grid.particles()] };
     for one in found {
         let face = grid.face(one.face as usize);
         one.edge.into_iter().map(|v| v as usize).chain(face).for_each(|v| heat[v] = 1.0);
@@ -82,6 +80,7 @@ fn crossings(grid: Grid, positions: &[[f32; 3]]) -> Vec<f32> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloth::Grid;
 
     #[test]
     fn a_cloth_that_passes_through_itself_shows_where() {
@@ -97,7 +96,7 @@ mod tests {
             let mut trajectory = Trajectory::new(grid, 60.0);
             trajectory.push(&positions, &vec![[0.0; 3]; 144]);
             let options = StripOptions { panels: 1, height: 80, crossings, ..StripOptions::default() };
-            (strip(&trajectory, &[], &options).pixels, super::crossings(grid, &positions))
+            (strip(&trajectory, &[], &options).pixels, super::crossings(&trajectory, 0))
         };
         let [(plain, _), (marked, heat)] = [false, true].map(|crossings| picture(0.5, crossings));
         assert!(heat.contains(&1.0) && heat.contains(&0.0), "{heat:?}");

@@ -1,8 +1,8 @@
 //! Frames of cloths among bodies: against the CPU path, repeated, and with bodies changed.
 
 use crate::cloths::among_bodies;
-use crate::common::{assert_close, context, device, largest, read};
-use crate::solver::{assert_same, optimizers, solver, statistics, step};
+use crate::common::{assert_close, device, largest};
+use crate::solver::{assert_repeats, assert_same, optimizers, solver, statistics, step};
 use fnopt::cloth::{Cloth, Control, Grid, Repulsion};
 use fnopt::cpu;
 use fnopt::sim::Optimizer;
@@ -35,12 +35,7 @@ fn frames_among_bodies_agree_with_the_host() {
         }
         assert!(stats[0].energy.contact > 0.0 && stats[1].energy.contact == 0.0, "{stats:?}");
         let still = Control { bodies: Vec::new(), ..control.clone() };
-        let second = step(&solver, &still);
-        solver.set_state(&start);
-        assert_same(&format!("{name} repeats"), &step(&solver, &control).x, &found.x);
-        solver.set_state(&start);
-        context().submit(|encoder| solver.record_frames(encoder, &[control.clone(), still]).unwrap());
-        assert_same(&format!("{name}, two frames at once"), &read(solver.positions()), &second.x);
+        assert_repeats(name, &solver, &start, &[control.clone(), still], &found.x);
     }
 }
 

@@ -1,7 +1,9 @@
 //! Frames of cloths with repulsion: against the CPU path, repeated, and with repulsion added and removed.
 
-use crate::common::{assert_close, context, device, largest, read};
-use crate::solver::{assert_same, optimizers, solver, starter, statistics, step, varied_batch};
+use crate::common::{assert_close, context, device, largest};
+use crate::solver::{
+    assert_repeats, assert_same, optimizers, solver, starter, statistics, step, varied_batch,
+};
 use fnopt::cloth::{Cloth, Control, Model, Repulsion, State};
 use fnopt::cpu;
 use fnopt::sim::{FrameStats, Optimizer};
@@ -42,13 +44,7 @@ fn frames_of_cloths_that_repel_themselves_agree_with_the_host() {
         assert!(wanted[0] != 0.0 && wanted[1] == 0.0 && wanted[2] != 0.0, "{wanted:?}");
         let of_device: Vec<f32> = of_device.iter().map(|&e| e as f32).collect();
         assert_close(&format!("repulsion of {name}"), &of_device, &wanted, (digits * largest(&wanted), 0.0));
-        let second = step(&solver, &control);
-        solver.set_state(&start);
-        assert_same(&format!("{name} repeats"), &step(&solver, &control).x, &found.x);
-        solver.set_state(&start);
-        context()
-            .submit(|encoder| solver.record_frames(encoder, &[control.clone(), control.clone()]).unwrap());
-        assert_same(&format!("{name}, two frames at once"), &read(solver.positions()), &second.x);
+        assert_repeats(name, &solver, &start, &[control.clone(), control.clone()], &found.x);
     }
 }
 

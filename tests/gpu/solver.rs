@@ -86,6 +86,23 @@ pub fn step(solver: &Solver, control: &Control<f32>) -> State<f32> {
     State { x: read(solver.positions()), v: read(solver.velocities()) }
 }
 
+/// Asserts, right after a frame from `start` under the first of two controls that ended at `found`, that it repeats, and that
+/// both frames in one submission equal frames submitted one by one.
+pub fn assert_repeats(
+    name: &str,
+    solver: &Solver,
+    start: &State<f32>,
+    controls: &[Control<f32>; 2],
+    found: &[f32],
+) {
+    let second = step(solver, &controls[1]);
+    solver.set_state(start);
+    assert_same(&format!("{name} repeats"), &step(solver, &controls[0]).x, found);
+    solver.set_state(start);
+    context().submit(|encoder| solver.record_frames(encoder, controls).unwrap());
+    assert_same(&format!("{name}, two frames at once"), &read(solver.positions()), &second.x);
+}
+
 pub fn statistics(solver: &Solver) -> Vec<FrameStats> {
     let contents: Vec<f32> = solver.statistics_tensors().into_iter().flat_map(read).collect();
     solver.statistics(bytemuck::cast_slice(&contents))

@@ -1,8 +1,8 @@
 //! Frames of cloths that touch themselves: against the CPU path, repeated, and with contact added and removed.
 
 use crate::cloths::among_bodies;
-use crate::common::{assert_close, context, device, largest, noise, read};
-use crate::solver::{assert_same, optimizers, solver, statistics, step, varied_batch};
+use crate::common::{assert_close, context, device, largest, noise};
+use crate::solver::{assert_repeats, assert_same, optimizers, solver, statistics, step, varied_batch};
 use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, SelfContact, State, intersections};
 use fnopt::scene::{Scene, SelfContactSettings};
 use fnopt::sim::Optimizer;
@@ -95,13 +95,7 @@ fn frames_of_cloths_that_touch_themselves_agree_with_the_host() {
             }
         }
         assert!(stats[0].energy.contact > 0.0 && stats[3].energy.contact == 0.0, "{stats:?}");
-        let second = step(&solver, &control);
-        solver.set_state(&start);
-        assert_same(&format!("{name} repeats"), &step(&solver, &control).x, &found.x);
-        solver.set_state(&start);
-        context()
-            .submit(|encoder| solver.record_frames(encoder, &[control.clone(), control.clone()]).unwrap());
-        assert_same(&format!("{name}, two frames at once"), &read(solver.positions()), &second.x);
+        assert_repeats(name, &solver, &start, &[control.clone(), control.clone()], &found.x);
     }
 }
 
@@ -213,7 +207,7 @@ fn a_twisted_cloth_never_passes_through_itself() {
 }
 
 #[test]
-#[ignore = "takes ten minutes on a software device"]
+#[ignore = "takes seven minutes on a software device"]
 fn a_fine_twisted_cloth_never_passes_through_itself() {
     let _turn = device();
     let (most, pressing) = twisted(64, 20, 299);

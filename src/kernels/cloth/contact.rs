@@ -8,7 +8,7 @@ use crate::kernels::{common, pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "contact",
     wgsl: include_str!("../../../shaders/cloth/contact.wgsl"),
-    appended: &[common::CLOTH, terms::CONTACT, pieces::DISPLACED],
+    appended: &[common::CLOTH, terms::CONTACT, pieces::DISPLACED, pieces::POSITION_ENERGY],
 };
 
 #[repr(C)]

@@ -2,14 +2,20 @@
 
 use super::{Trial, curvature};
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::gpu::{Context, Schedule, Source, Tensor};
 use crate::kernels::optim::directions;
 use crate::kernels::{pieces, size, terms};
 
 pub(crate) const SOURCE: Source = Source {
     name: "contact_curvature",
     wgsl: include_str!("../../../shaders/cloth/contact_curvature.wgsl"),
-    appended: &[terms::CONTACT, pieces::DISPLACED, pieces::PRODUCTS, pieces::CONTACT_PRODUCTS],
+    appended: &[
+        terms::CONTACT,
+        pieces::DISPLACED,
+        pieces::PRODUCTS,
+        pieces::PRODUCTS_PART,
+        pieces::CONTACT_PRODUCTS,
+    ],
 };
 
 #[repr(C)]
@@ -23,15 +29,13 @@ struct Params {
 /// Adds the second derivatives of contacts to the quadratic model of the energy.
 #[derive(Clone, Debug)]
 pub struct ContactCurvature {
-    three: Kernel,
-    four: Kernel,
+    kernels: directions::ByCount,
 }
 
 impl ContactCurvature {
     /// Builds the kernels for so many contacts of a particle.
     pub fn new(context: &Context, slots: usize) -> Result<Self> {
-        let kernel = |count: f64| Kernel::new(context, &SOURCE, 0, &[("K", count), ("SLOTS", slots as f64)]);
-        Ok(Self { three: kernel(3.0)?, four: kernel(4.0)? })
+        Ok(Self { kernels: directions::ByCount::new(context, &SOURCE, &[("SLOTS", slots as f64)])? })
     }
 
     /// Adds to `parts` [B, parts, 24], which hold those of the other terms ([`super::Curvature`]), the second
@@ -44,11 +48,7 @@ impl ContactCurvature {
         contacts: &Tensor,
         [directions, parts]: [&Tensor; 2],
     ) {
-        let kernel = match directions.shape()[0] {
-            3 => &self.three,
-            4 => &self.four,
-            other => panic!("three or four directions, not {other}"),
-        };
+        let kernel = self.kernels.of(directions);
         let (grid, batch, iterate) = (trial.grid, trial.batch(), trial.iterate);
         let shape @ [_, groups, _] = curvature::parts_shape(batch, grid);
         assert_eq!(parts.shape(), shape);

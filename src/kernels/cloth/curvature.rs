@@ -28,8 +28,7 @@ struct Params {
 #[derive(Clone, Debug)]
 pub struct Curvature {
     energy: Kernel,
-    three: Kernel,
-    four: Kernel,
+    along: directions::ByCount,
 }
 
 /// Number of values in a part.
@@ -43,19 +42,14 @@ pub fn parts_shape(batch: usize, grid: Grid) -> [usize; 3] {
 impl Curvature {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
-        let kernel = |count: f64| Kernel::new(context, &SOURCE, 0, &[("K", count)]);
-        Ok(Self { energy: kernel(0.0)?, three: kernel(3.0)?, four: kernel(4.0)? })
+        let energy = Kernel::new(context, &SOURCE, 0, &[("K", 0.0)])?;
+        Ok(Self { energy, along: directions::ByCount::new(context, &SOURCE, &[])? })
     }
 
     /// Sets `parts` [B, parts, 24] at `iterate.a`, which like all `directions` ([`directions::shape`]) is 0
     /// at handles. Expects the gradient there in `iterate.grad`. The repulsion is left out.
     pub fn push(&self, schedule: &mut Schedule, trial: Trial<'_>, [directions, parts]: [&Tensor; 2]) {
-        let kernel = match directions.shape()[0] {
-            3 => &self.three,
-            4 => &self.four,
-            other => panic!("three or four directions, not {other}"),
-        };
-        Self::push_kernel(kernel, schedule, trial, [directions, parts]);
+        Self::push_kernel(self.along.of(directions), schedule, trial, [directions, parts]);
     }
 
     /// Sets the energy in `parts` as [`Curvature::push`] does, and all else to 0.

@@ -1,8 +1,8 @@
 //! Host side of `shaders/cloth/layer_curvature.wgsl`.
 
-use super::{Pairs, Trial, curvature};
+use super::{PairParams, Pairs, Trial, curvature};
 use crate::Result;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::gpu::{Context, Schedule, Source, Tensor};
 use crate::kernels::optim::directions;
 use crate::kernels::{pieces, size, terms};
 
@@ -15,6 +15,7 @@ pub(crate) const SOURCE: Source = Source {
         pieces::PAIRS_OF,
         pieces::ACROSS,
         pieces::PRODUCTS,
+        pieces::PRODUCTS_PART,
         pieces::CONTACT_PRODUCTS,
     ],
 };
@@ -22,10 +23,7 @@ pub(crate) const SOURCE: Source = Source {
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
-    rows: u32,
-    columns: u32,
-    buckets: u32,
-    room: u32,
+    of_pairs: PairParams,
     parts: u32,
     slot: u32,
 }
@@ -33,15 +31,13 @@ struct Params {
 /// Adds the second derivatives of the pairs of parts of a cloth to the quadratic model of the energy.
 #[derive(Clone, Debug)]
 pub struct LayerCurvature {
-    three: Kernel,
-    four: Kernel,
+    kernels: directions::ByCount,
 }
 
 impl LayerCurvature {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
-        let kernel = |count: f64| Kernel::new(context, &SOURCE, 0, &[("K", count)]);
-        Ok(Self { three: kernel(3.0)?, four: kernel(4.0)? })
+        Ok(Self { kernels: directions::ByCount::new(context, &SOURCE, &[])? })
     }
 
     /// Adds to `parts` [B, parts, 24], which hold those of the other terms ([`super::Curvature`]), the second
@@ -53,20 +49,12 @@ impl LayerCurvature {
         pairs: &Pairs,
         [directions, parts]: [&Tensor; 2],
     ) {
-        let kernel = match directions.shape()[0] {
-            3 => &self.three,
-            4 => &self.four,
-            other => panic!("three or four directions, not {other}"),
-        };
+        let kernel = self.kernels.of(directions);
         let (grid, batch, iterate) = (trial.grid, trial.batch(), trial.iterate);
         let shape @ [_, groups, _] = curvature::parts_shape(batch, grid);
         assert_eq!(parts.shape(), shape);
-        let of_pairs = pairs.params(grid);
         let params = Params {
-            rows: of_pairs.rows,
-            columns: of_pairs.columns,
-            buckets: of_pairs.buckets,
-            room: of_pairs.room,
+            of_pairs: pairs.params(grid),
             parts: size(groups),
             slot: size(directions::slot(directions, iterate)),
         };

@@ -1,6 +1,6 @@
 //! Host side of `shaders/cloth/layer_force.wgsl`.
 
-use super::{Pairs, Trial, energy};
+use super::{PairParams, Pairs, Trial, energy};
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
 use crate::kernels::{common, pieces, size, terms};
@@ -8,16 +8,13 @@ use crate::kernels::{common, pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "layer_force",
     wgsl: include_str!("../../../shaders/cloth/layer_force.wgsl"),
-    appended: &[common::CLOTH, terms::CONTACT, pieces::BUCKET, pieces::PAIR],
+    appended: &[common::CLOTH, terms::CONTACT, pieces::BUCKET, pieces::PAIR, pieces::POSITION_ENERGY],
 };
 
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
-    rows: u32,
-    columns: u32,
-    buckets: u32,
-    room: u32,
+    of_pairs: PairParams,
     groups: u32,
     first_source: u32,
     first_total: u32,
@@ -52,12 +49,8 @@ impl LayerForce {
         assert_eq!(parts.shape(), shape);
         let (given, external, total) = &trial.iterate.given();
         let total = total.expect("the iterate has a total");
-        let of_pairs = pairs.params(grid);
         let params = Params {
-            rows: of_pairs.rows,
-            columns: of_pairs.columns,
-            buckets: of_pairs.buckets,
-            room: of_pairs.room,
+            of_pairs: pairs.params(grid),
             groups: size(groups),
             first_source: size(if after_others { total } else { *external }),
             first_total: size(total),

@@ -1,6 +1,6 @@
 //! Host side of `shaders/cloth/layer_report.wgsl`.
 
-use super::{Pairs, Trial, layers};
+use super::{PairParams, Pairs, Trial, layers};
 use crate::Result;
 use crate::cloth::LayerStats;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
@@ -15,10 +15,7 @@ pub(crate) const SOURCE: Source = Source {
 #[repr(C)]
 #[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
 struct Params {
-    rows: u32,
-    columns: u32,
-    buckets: u32,
-    room: u32,
+    of_pairs: PairParams,
     rounds: u32,
     stride: u32,
 }
@@ -80,15 +77,8 @@ impl LayerReport {
         let &[rounds, of_batch, buckets] = missed_ends.shape() else {
             panic!("layer_report: {:?}", missed_ends.shape())
         };
-        let of_pairs = pairs.params(grid);
-        let params = Params {
-            rows: of_pairs.rows,
-            columns: of_pairs.columns,
-            buckets: of_pairs.buckets,
-            room: of_pairs.room,
-            rounds: size(rounds),
-            stride: size(of_batch * buckets),
-        };
+        let params =
+            Params { of_pairs: pairs.params(grid), rounds: size(rounds), stride: size(of_batch * buckets) };
         let (given, ..) = &trial.iterate.given();
         let tensors = [&pairs.ends, missed_ends, &pairs.pairs, &trial.iterate.a, given, report];
         schedule.dispatch(&self.kernel, &params, &tensors, [size(batch), 1, 1]);

@@ -3,14 +3,21 @@
 use super::{Cells, Trial, curvature};
 use crate::Result;
 use crate::cloth;
-use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
+use crate::gpu::{Context, Schedule, Source, Tensor};
 use crate::kernels::optim::directions;
 use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
     name: "repulsion_curvature",
     wgsl: include_str!("../../../shaders/cloth/repulsion_curvature.wgsl"),
-    appended: &[common::CLOTH, common::CELL, common::JOINED, pieces::BUCKET, pieces::PRODUCTS],
+    appended: &[
+        common::CLOTH,
+        common::CELL,
+        common::JOINED,
+        pieces::BUCKET,
+        pieces::PRODUCTS,
+        pieces::PRODUCTS_PART,
+    ],
 };
 
 #[repr(C)]
@@ -26,18 +33,19 @@ struct Params {
 /// Adds the second derivatives of the repulsion to the quadratic model of the energy.
 #[derive(Clone, Debug)]
 pub struct RepulsionCurvature {
-    three: Kernel,
-    four: Kernel,
+    kernels: directions::ByCount,
 }
 
 impl RepulsionCurvature {
     /// Builds the kernels.
     pub fn new(context: &Context) -> Result<Self> {
-        let kernel = |count: f64| {
-            let constants = [("K", count), ("SOFTENING", cloth::Repulsion::SOFTENING)];
-            Kernel::new(context, &SOURCE, 0, &constants)
-        };
-        Ok(Self { three: kernel(3.0)?, four: kernel(4.0)? })
+        Ok(Self {
+            kernels: directions::ByCount::new(
+                context,
+                &SOURCE,
+                &[("SOFTENING", cloth::Repulsion::SOFTENING)],
+            )?,
+        })
     }
 
     /// Adds to `parts` [B, parts, 24], which hold those of the other terms ([`super::Curvature`]), the second
@@ -50,11 +58,7 @@ impl RepulsionCurvature {
         cells: &Cells,
         [directions, parts]: [&Tensor; 2],
     ) {
-        let kernel = match directions.shape()[0] {
-            3 => &self.three,
-            4 => &self.four,
-            other => panic!("three or four directions, not {other}"),
-        };
+        let kernel = self.kernels.of(directions);
         let Trial { grid, cloths, iterate, .. } = trial;
         let (batch, Cells { ends, sorted, .. }) = (trial.batch(), cells);
         let shape @ [_, groups, _] = curvature::parts_shape(batch, grid);

@@ -1,8 +1,9 @@
 //! The tensor of the directions of a subspace method.
 
 use super::Iterate;
+use crate::Result;
 use crate::cloth::Grid;
-use crate::gpu::Tensor;
+use crate::gpu::{Context, Kernel, Source, Tensor};
 
 /// Slot of the spectral direction.
 pub const SPECTRAL: usize = 0;
@@ -33,4 +34,35 @@ pub(crate) fn slot(directions: &Tensor, iterate: &Iterate) -> usize {
     assert!(count > LAST_STEP, "{count} directions");
     assert_eq!(slot, (samples * n).next_multiple_of(Tensor::VIEW_ALIGNMENT));
     slot
+}
+
+/// A kernel for three directions, and for four.
+#[derive(Clone, Debug)]
+pub(crate) struct ByCount {
+    three: Kernel,
+    four: Kernel,
+}
+
+impl ByCount {
+    /// Builds the kernels, whose constant K is the number of directions.
+    pub fn new(
+        context: &Context,
+        source: &'static Source,
+        constants: &[(&'static str, f64)],
+    ) -> Result<Self> {
+        let kernel = |count: f64| {
+            let constants = [&[("K", count)], constants].concat();
+            Kernel::new(context, source, 0, &constants)
+        };
+        Ok(Self { three: kernel(3.0)?, four: kernel(4.0)? })
+    }
+
+    /// Returns the kernel for these directions. Panics if they are fewer or more.
+    pub fn of(&self, directions: &Tensor) -> &Kernel {
+        match directions.shape()[0] {
+            3 => &self.three,
+            4 => &self.four,
+            other => panic!("three or four directions, not {other}"),
+        }
+    }
 }
