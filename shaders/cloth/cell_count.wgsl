@@ -6,7 +6,7 @@
 // number: in a single bucket they would slow each other down.
 //
 // cloths: [B]
-// slots: [B, n]
+// marks: [B, n]
 // a, base, x: [B, 3, n]
 // counts: [B, buckets], 0 on entry
 // placed: [B, n] of (bits of the position, how many particles of its bucket were counted before it)
@@ -22,13 +22,16 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<u32>;
 @group(0) @binding(3) var<storage, read> a: array<f32>;
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read> x: array<f32>;
 @group(0) @binding(6) var<storage, read_write> counts: array<atomic<u32>>;
 @group(0) @binding(7) var<storage, read_write> placed: array<vec4u>;
 @group(0) @binding(8) var<storage, read_write> in_bucket: array<u32>;
+
+// Out of reach.
+const NOWHERE: f32 = 1e30;
 
 @compute @workgroup_size(64)
 fn cell_count(
@@ -42,7 +45,8 @@ fn cell_count(
     }
     let b = group.z;
     let own = trial(b, p, params.particles);
-    let place = own.x + own.shift;
+    // What the cloth doesn't have repels nothing.
+    let place = select(own.x + own.shift, vec3f(NOWHERE), is_outside(marks[b * params.particles + p]));
     let mask = params.buckets - 1u;
     var bucket = p & mask;
     if is_within_reach(place) {

@@ -1,6 +1,7 @@
 // Contacts of the particles with bodies (`terms/contact`): the acceleration that they add to the external one, and their
 // energy in partial sums over the particles of a cloth.
 //
+// marks: [B, n]
 // contacts: [B, SLOTS, n]
 // a: [B, 3, n]
 // given: base [B, 3, n]; the accelerations without the contacts [B, 3, n] from element `first_source` on, and those with
@@ -19,10 +20,11 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> contacts: array<Contact>;
-@group(0) @binding(2) var<storage, read> a: array<f32>;
-@group(0) @binding(3) var<storage, read_write> given: array<f32>;
-@group(0) @binding(4) var<storage, read_write> parts: array<f32>;
+@group(0) @binding(1) var<storage, read> marks: array<u32>;
+@group(0) @binding(2) var<storage, read> contacts: array<Contact>;
+@group(0) @binding(3) var<storage, read> a: array<f32>;
+@group(0) @binding(4) var<storage, read_write> given: array<f32>;
+@group(0) @binding(5) var<storage, read_write> parts: array<f32>;
 
 override SLOTS: u32 = 1;
 override SETS: bool = true;
@@ -48,8 +50,10 @@ fn contact(
                 gradient += contact_gradient(one, y);
             }
         }
-        let m = mass(p / params.columns, p % params.columns, params.rows, params.columns);
-        let push = gradient * (f32(params.rows) * f32(params.columns) / m);
+        // Only free particles have contacts.
+        let mark = marks[b * n + p];
+        let per_weight = f32(params.rows) * f32(params.columns) / mass_of(mark);
+        let push = select(vec3f(), gradient * per_weight, is_free(mark));
         let at = b * 3u * n + p;
         for (var c = 0u; c < 3u; c++) {
             given[params.first_total + at + c * n] = given[params.first_source + at + c * n] - push[c];

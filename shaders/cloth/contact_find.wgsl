@@ -11,7 +11,7 @@
 // cloths: [B]
 // bodies: [B, count]
 // fields: the distances of bodies that are meshes
-// slots: [B, n], not 0 at handles, which have no contacts
+// marks: [B, n]; only free particles have contacts
 // x: [B, 3, n]
 // base: [B, 3, n]
 // contacts: [B, SLOTS, n]
@@ -28,7 +28,7 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
 @group(0) @binding(2) var<storage, read> bodies: array<Body>;
-@group(0) @binding(3) var<storage, read> slots: array<u32>;
+@group(0) @binding(3) var<storage, read> marks: array<u32>;
 @group(0) @binding(4) var<storage, read> x: array<f32>;
 @group(0) @binding(5) var<storage, read> base: array<f32>;
 @group(0) @binding(6) var<storage, read> fields: array<f32>;
@@ -40,6 +40,11 @@ fn position(b: u32, p: u32) -> vec3f {
     let n = params.rows * params.columns;
     let at = b * 3u * n + p;
     return vec3f(x[at], x[at + n], x[at + 2u * n]);
+}
+
+// Whether the cloth has particle p of the grid.
+fn has(b: u32, p: u32) -> bool {
+    return !is_outside(marks[b * params.rows * params.columns + p]);
 }
 
 // A contact, and the gap that is predicted; a contact without gradient if the body is far away.
@@ -87,7 +92,7 @@ fn find(b: u32, p: u32, number: u32, own: vec3f, v: vec3f) -> Found {
     let at_start = dot(normal, own - at_place) + surface.w;
     let predicted = at_start + dot(normal, v);
     let count = f32(params.rows) * f32(params.columns);
-    let m = mass(p / params.columns, p % params.columns, params.rows, params.columns) / count;
+    let m = mass_of(marks[b * params.rows * params.columns + p]) / count;
     let elastic = elastic_along(b, p, normal);
     let k = contact_stiffness(elastic, m, min(before, predicted), h);
     let pressed = contact_load(contact_stiffness(elastic, m, before, h), before, h);
@@ -118,7 +123,7 @@ fn contact_find(
         gaps[k] = 1e30;
         contacts[first + k * n] = Contact();
     }
-    if slots[b * n + p] != 0u {
+    if !is_free(marks[b * n + p]) {
         return;
     }
     let own = position(b, p);

@@ -7,9 +7,10 @@
 // and an angle t between two edges what `add_angle` says. With K = 0 there is the energy alone.
 //
 // Each particle owns the edges, corner angles and bends that start at it, as in `energy`. `a` and the
-// directions are 0 at handles, which `base` alone moves.
+// directions are 0 where no free particle is; `base` alone moves the others.
 //
 // cloths: [B]
+// marks: [B, H, W]
 // a, x, grad: [B, 3, H, W]
 // base: [B, 3, H, W], and the external accelerations [B, 3, H, W] from element `first_external` on
 // directions: [K, slot], [B, 3, H, W] each
@@ -33,23 +34,24 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> a: array<f32>;
-@group(0) @binding(3) var<storage, read> base: array<f32>;
-@group(0) @binding(4) var<storage, read> x: array<f32>;
-@group(0) @binding(5) var<storage, read> grad: array<f32>;
-@group(0) @binding(6) var<storage, read> directions: array<f32>;
-@group(0) @binding(7) var<storage, read_write> parts: array<vec4f>;
+@group(0) @binding(2) var<storage, read> marks: array<u32>;
+@group(0) @binding(3) var<storage, read> a: array<f32>;
+@group(0) @binding(4) var<storage, read> base: array<f32>;
+@group(0) @binding(5) var<storage, read> x: array<f32>;
+@group(0) @binding(6) var<storage, read> grad: array<f32>;
+@group(0) @binding(7) var<storage, read> directions: array<f32>;
+@group(0) @binding(8) var<storage, read_write> parts: array<vec4f>;
 
 // Number of directions: 0, 3 or 4.
 override K: u32 = 0;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
-// Starts and shifts of the particles of a tile, with a rim of two particles on the far sides where they
-// exist, and the components of all directions there: component c of direction i is element i.
+// Starts and shifts of the particles of a tile, with a rim of two particles on the far sides, 1 after the shift if the cloth
+// has such a particle, and the components of all directions there: component c of direction i is element i.
 const WITH_RIM: u32 = 10u;
 var<workgroup> starts: array<vec3f, WITH_RIM * WITH_RIM>;
-var<workgroup> shifts: array<vec3f, WITH_RIM * WITH_RIM>;
+var<workgroup> shifts: array<vec4f, WITH_RIM * WITH_RIM>;
 var<workgroup> along_x: array<vec4f, WITH_RIM * WITH_RIM>;
 var<workgroup> along_y: array<vec4f, WITH_RIM * WITH_RIM>;
 var<workgroup> along_z: array<vec4f, WITH_RIM * WITH_RIM>;
@@ -60,10 +62,13 @@ fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
     for (var k = lane; k < WITH_RIM * WITH_RIM; k += 64u) {
         let row = i + k / WITH_RIM;
         let column = j + k % WITH_RIM;
+        shifts[k] = vec4f();
         if row < params.rows && column < params.columns {
-            let at = b * 3u * n + row * params.columns + column;
+            let p = row * params.columns + column;
+            let at = b * 3u * n + p;
             starts[k] = vec3f(x[at], x[at + n], x[at + 2u * n]);
-            shifts[k] = vec3f(base[at] + a[at], base[at + n] + a[at + n], base[at + 2u * n] + a[at + 2u * n]);
+            let shift = vec3f(base[at] + a[at], base[at + n] + a[at + n], base[at + 2u * n] + a[at + 2u * n]);
+            shifts[k] = vec4f(shift, select(1.0, 0.0, is_outside(marks[b * n + p])));
             if K > 0u {
                 along_x[k] = of_directions(at);
                 along_y[k] = of_directions(at + n);
@@ -83,9 +88,14 @@ struct Edge {
     inverse: f32,
 }
 
+// Whether the cloth has a particle at this place of the tile.
+fn has(place: u32) -> bool {
+    return shifts[place].w > 0.0;
+}
+
 // Returns the edge from the particle at place `start` of the tile to that at place `end`.
 fn edge(start: u32, end: u32) -> Edge {
-    let e = offset(starts[end], starts[start], shifts[end], shifts[start], params.zero);
+    let e = offset(starts[end], starts[start], shifts[end].xyz, shifts[start].xyz, params.zero);
     let l = length(e);
     let inverse = select(0.0, 1.0 / max(l, SHORTEST), l > SHORTEST);
     if K == 0u {
@@ -199,37 +209,36 @@ fn curvature(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) 
             let own = lane / 8u * WITH_RIM + lane % 8u;
             let below = own + WITH_RIM;
             let right = own + 1u;
-            let has_down = i + 1u < params.rows;
-            let has_across = j + 1u < params.columns;
-            if has_down {
+            if has(own) && has(below) {
                 let down = edge(own, below);
                 elastic.x += vertical * add_stretch(down, vertical);
-                if i + 2u < params.rows {
+                if has(below + WITH_RIM) {
                     elastic.z += bend * add_angle(down, edge(below, below + WITH_RIM), 0.0, bend);
                 }
             }
-            if has_across {
+            if has(own) && has(right) {
                 let across = edge(own, right);
                 elastic.x += horizontal * add_stretch(across, horizontal);
-                if j + 2u < params.columns {
+                if has(right + 1u) {
                     elastic.z += bend * add_angle(across, edge(right, right + 1u), 0.0, bend);
                 }
             }
-            if has_down && has_across {
-                // Edges need not point away from their corner: reversing one or both leaves the square of its
-                // angle minus a right one unchanged.
-                for (var corner = 0u; corner < 4u; corner++) {
-                    let v = own + corner % 2u;
-                    let h = own + corner / 2u * WITH_RIM;
+            // Edges need not point away from their corner: reversing one or both leaves the square of its angle
+            // minus a right one unchanged.
+            for (var corner = 0u; corner < 4u; corner++) {
+                let v = own + corner % 2u;
+                let h = own + corner / 2u * WITH_RIM;
+                if has(v) && has(v + WITH_RIM) && has(h) && has(h + 1u) {
                     elastic.y +=
                         shear * add_angle(edge(v, v + WITH_RIM), edge(h, h + 1u), RIGHT_ANGLE, shear);
                 }
             }
-            let at = b * 3u * n + i * params.columns + j;
+            let p = i * params.columns + j;
+            let at = b * 3u * n + p;
             let given = params.first_external + at;
             let f = vec3f(base[given], base[given + n], base[given + 2u * n]);
             let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
-            let m = mass(i, j, params.rows, params.columns) / count;
+            let m = mass_of(marks[b * n + p]) / count;
             driven += particle_energies(acceleration, f, m);
             if K > 0u {
                 let px = along_x[own];

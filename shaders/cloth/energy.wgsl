@@ -1,12 +1,12 @@
 // Energy terms and stretch of a cloth, in partial sums over its particles (`cloth::EnergyTerms`, the terms in
 // `shaders/terms`).
 //
-// Each particle owns the edges, corner angles and bends that start at it. A part holds eight numbers:
+// Each particle owns the edges, corner angles and bends that start at it, as far as the cloth has them. A part holds eight numbers:
 // stretch, shear, bend, inertia, external (weighted as in the energy), largest |edge| - 1, sum of
 // ||edge| - 1|, and repulsion, which is 0 here (see `repulsion`).
 //
 // cloths: [B]
-// slots: [B, H, W]
+// marks: [B, H, W]
 // a, x: [B, 3, H, W]
 // base: [B, 3, H, W], and the external accelerations [B, 3, H, W] from element `first_external` on
 // parts: [B, groups, 8]
@@ -25,7 +25,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<u32>;
 @group(0) @binding(3) var<storage, read> a: array<f32>;
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read> x: array<f32>;
@@ -36,10 +36,24 @@ const RIGHT_ANGLE: f32 = 1.5707963267948966;
 var<workgroup> terms: array<vec4f, 64>; // stretch, shear, bend, inertia
 var<workgroup> others: array<vec4f, 64>; // external, largest stretch, sum of |stretch|, unused
 
+// Whether the cloth has a particle (i, j).
+fn has(b: u32, i: u32, j: u32) -> bool {
+    let n = params.rows * params.columns;
+    return i < params.rows && j < params.columns && !is_outside(marks[b * n + i * params.columns + j]);
+}
+
 // Returns the position of particle (i, j) relative to `own`.
 fn position(b: u32, i: u32, j: u32, own: Trial) -> vec3f {
     let other = trial(b, i * params.columns + j, params.rows * params.columns);
     return offset(other.x, own.x, other.shift, own.shift, params.zero);
+}
+
+// Returns the energy of a corner angle over its coefficient; zero if it does not exist.
+fn corner_energy(u: vec3f, w: vec3f, exists: bool) -> f32 {
+    if !exists {
+        return 0.0;
+    }
+    return squared_angle(u, w, RIGHT_ANGLE);
 }
 
 @compute @workgroup_size(64)
@@ -59,46 +73,51 @@ fn energy(
         let j = p % params.columns;
         let rows = f32(params.rows);
         let columns = f32(params.columns);
-        let has_down = i + 1u < params.rows;
-        let has_across = j + 1u < params.columns;
+        let has_own = has(b, i, j);
+        let below = has(b, i + 1u, j);
+        let right = has(b, i, j + 1u);
+        let opposite = has(b, i + 1u, j + 1u);
+        let has_down = has_own && below;
+        let has_across = has_own && right;
         let at = b * 3u * n + p;
         let own = trial(b, p, n);
-        var down = vec3f();
-        var across = vec3f();
+        // Of the cell behind it, as far as the grid goes.
+        let last_row = params.rows - 1u;
+        let last_column = params.columns - 1u;
+        let down = position(b, min(i + 1u, last_row), j, own);
+        let across = position(b, i, min(j + 1u, last_column), own);
         if has_down {
-            down = position(b, i + 1u, j, own);
             let off = stretch_of(down);
             term.x += off * off / ((rows - 1.0) * columns);
             other.y = max(other.y, off);
             other.z += abs(off);
-            if i + 2u < params.rows {
+            if has(b, i + 2u, j) {
                 term.z += squared_angle(down, position(b, i + 2u, j, own) - down, 0.0);
             }
         }
         if has_across {
-            across = position(b, i, j + 1u, own);
             let off = stretch_of(across);
             term.x += off * off / (rows * (columns - 1.0));
             other.y = max(other.y, off);
             other.z += abs(off);
-            if j + 2u < params.columns {
+            if has(b, i, j + 2u) {
                 term.z += squared_angle(across, position(b, i, j + 2u, own) - across, 0.0);
             }
         }
-        if has_down && has_across {
-            let corner = position(b, i + 1u, j + 1u, own);
-            let far_v = corner - across;
-            let far_h = corner - down;
-            term.y += squared_angle(down, across, RIGHT_ANGLE) + squared_angle(down, far_h, RIGHT_ANGLE)
-                + squared_angle(far_v, across, RIGHT_ANGLE) + squared_angle(far_v, far_h, RIGHT_ANGLE);
-        }
+        let corner = position(b, min(i + 1u, last_row), min(j + 1u, last_column), own);
+        let far_v = corner - across;
+        let far_h = corner - down;
+        let has_far_v = right && opposite;
+        let has_far_h = below && opposite;
+        term.y += corner_energy(down, across, has_down && has_across) + corner_energy(down, far_h, has_down && has_far_h)
+            + corner_energy(far_v, across, has_far_v && has_across) + corner_energy(far_v, far_h, has_far_v && has_far_h);
         let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
         let given = params.first_external + at;
         let f = vec3f(base[given], base[given + n], base[given + 2u * n]);
         let count = rows * columns;
         let material = cloths[b].material;
         term *= vec4f(material.x, material.y / count, material.z / count, 0.0);
-        let alone = particle_energies(acceleration, f, mass(i, j, params.rows, params.columns) / count);
+        let alone = particle_energies(acceleration, f, mass_of(marks[b * n + p]) / count);
         term.w = alone.x;
         other.x = alone.y;
     }

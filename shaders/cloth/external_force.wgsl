@@ -6,6 +6,7 @@
 // the drag after an implicit step of a free cell of mass 1. Each corner gets a quarter of it, divided by its mass.
 //
 // cloths: [B]
+// marks: [B, H, W]
 // wind: [B, 3], velocity of the air
 // x, v, control_accelerations, external_acceleration: [B, 3, H, W]
 //
@@ -20,11 +21,12 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> wind: array<f32>;
-@group(0) @binding(3) var<storage, read> x: array<f32>;
-@group(0) @binding(4) var<storage, read> v: array<f32>;
-@group(0) @binding(5) var<storage, read> control_accelerations: array<f32>;
-@group(0) @binding(6) var<storage, read_write> external_acceleration: array<f32>;
+@group(0) @binding(2) var<storage, read> marks: array<u32>;
+@group(0) @binding(3) var<storage, read> wind: array<f32>;
+@group(0) @binding(4) var<storage, read> x: array<f32>;
+@group(0) @binding(5) var<storage, read> v: array<f32>;
+@group(0) @binding(6) var<storage, read> control_accelerations: array<f32>;
+@group(0) @binding(7) var<storage, read_write> external_acceleration: array<f32>;
 
 fn position(b: u32, i: i32, j: i32) -> vec3f {
     let n = params.rows * params.columns;
@@ -38,9 +40,17 @@ fn velocity(b: u32, i: i32, j: i32) -> vec3f {
     return vec3f(v[at], v[at + n], v[at + 2u * n]);
 }
 
-// Returns the force on cell (i, j), zero outside the grid.
+// Whether the cloth has particle (i, j) of the grid.
+fn has(b: u32, i: i32, j: i32) -> bool {
+    return !is_outside(marks[b * params.rows * params.columns + u32(i) * params.columns + u32(j)]);
+}
+
+// Returns the force on cell (i, j), zero if the cloth doesn't have it.
 fn cell(b: u32, i: i32, j: i32) -> vec3f {
     if i < 0 || j < 0 || i + 1 >= i32(params.rows) || j + 1 >= i32(params.columns) {
+        return vec3f();
+    }
+    if !(has(b, i, j) && has(b, i, j + 1) && has(b, i + 1, j) && has(b, i + 1, j + 1)) {
         return vec3f();
     }
     let down_right = position(b, i + 1, j + 1) - position(b, i, j);
@@ -72,9 +82,10 @@ fn external_force(@builtin(global_invocation_id) id: vec3u) {
     let at = b * 3u * n + id.y * params.columns + id.x;
     var f = cloths[b].gravity.xyz
         + vec3f(control_accelerations[at], control_accelerations[at + n], control_accelerations[at + 2u * n]);
-    if cloths[b].air.x != 0.0 || cloths[b].air.y != 0.0 {
+    let mark = marks[b * n + id.y * params.columns + id.x];
+    if !is_outside(mark) && (cloths[b].air.x != 0.0 || cloths[b].air.y != 0.0) {
         let air = (cell(b, i, j) + cell(b, i - 1, j - 1)) + (cell(b, i - 1, j) + cell(b, i, j - 1));
-        f += air / (4.0 * mass(id.y, id.x, params.rows, params.columns));
+        f += air / (4.0 * mass_of(mark));
     }
     external_acceleration[at] = f.x;
     external_acceleration[at + n] = f.y;

@@ -2,10 +2,11 @@
 // in `shaders/terms`), and partial sums of squares, partial_sums[s, k] = (sum g^2, sum d^2) over part k of the particles of a sample,
 // where d is the last step.
 //
-// dx/da is 1 at a free particle and 0 at a handle, where only inertia and the external term count.
+// dx/da is 1 at a free particle and 0 at a handle, where only inertia and the external term count. An edge exists if the
+// cloth has both of its particles, an angle if both of its edges exist.
 //
 // cloths: [B]
-// slots: [B, H, W]
+// marks: [B, H, W]
 // a, x: [B, 3, H, W]
 // base: [B, 3, H, W], and the external accelerations [B, 3, H, W] from element `first_external` on
 // fields: grad [B, 3, H, W] = [S, H, W]; with LAST_STEP also the last step [S, H, W] from element `last_step`
@@ -30,7 +31,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<u32>;
 @group(0) @binding(3) var<storage, read> a: array<f32>;
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read> x: array<f32>;
@@ -41,10 +42,11 @@ override LAST_STEP: bool = false;
 
 const RIGHT_ANGLE: f32 = 1.5707963267948966;
 
-// Starts and shifts of the particles of a tile, with a rim of two particles on every side where they exist.
+// Starts and shifts of the particles of a tile, with a rim of two particles on every side, and 1 in the last component if
+// the cloth has such a particle.
 const WITH_RIM: u32 = 12u;
 var<workgroup> starts: array<vec3f, WITH_RIM * WITH_RIM>;
-var<workgroup> shifts: array<vec3f, WITH_RIM * WITH_RIM>;
+var<workgroup> shifts: array<vec4f, WITH_RIM * WITH_RIM>;
 
 // Loads both for the tile that begins at particle (i, j).
 fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
@@ -52,95 +54,103 @@ fn load_tile(b: u32, i: u32, j: u32, lane: u32) {
         let row = i + k / WITH_RIM;
         let column = j + k % WITH_RIM;
         // Row and column are counted from two before the first, so that neither is negative.
+        shifts[k] = vec4f();
         if row >= 2u && column >= 2u && row < params.rows + 2u && column < params.columns + 2u {
-            let one = trial(b, (row - 2u) * params.columns + column - 2u, params.rows * params.columns);
+            let n = params.rows * params.columns;
+            let p = (row - 2u) * params.columns + column - 2u;
+            let one = trial(b, p, n);
             starts[k] = one.x;
-            shifts[k] = one.shift;
+            shifts[k] = vec4f(one.shift, select(1.0, 0.0, is_outside(marks[b * n + p])));
         }
     }
 }
 
-// Returns the position of the particle `rows` and `columns` away, relative to the particle of this lane;
-// undefined if there is none.
-fn position(lane: u32, rows: i32, columns: i32) -> vec3f {
+// Another particle relative to that of this lane, p; undefined unless the cloth has it.
+struct Other {
+    at: vec3f,
+    exists: bool,
+}
+
+// Returns the particle `rows` and `columns` away.
+fn other(lane: u32, rows: i32, columns: i32) -> Other {
     let own = (lane / 8u + 2u) * WITH_RIM + lane % 8u + 2u;
-    let other = u32(i32(own) + rows * i32(WITH_RIM) + columns);
-    return offset(starts[other], starts[own], shifts[other], shifts[own], params.zero);
+    let place = u32(i32(own) + rows * i32(WITH_RIM) + columns);
+    let shift = shifts[place];
+    return Other(offset(starts[place], starts[own], shift.xyz, shifts[own].xyz, params.zero), shift.w > 0.0);
 }
 
-// Returns d(|edge| - 1)^2 / dp for the edge that starts at p; zero if the edge does not exist.
-fn stretch(edge: vec3f, exists: bool) -> vec3f {
-    return select(vec3f(), -stretch_gradient(edge), exists);
+// Returns d(|edge| - 1)^2 / dp for the edge from p.
+fn stretch(end: Other) -> vec3f {
+    return select(vec3f(), -stretch_gradient(end.at), end.exists);
 }
 
-// Returns d/dp of the four squared corner angles of a cell; zero if the cell does not exist. The other
-// corners are relative to p, and `corner` is opposite to it.
-fn shear(down: vec3f, across: vec3f, corner: vec3f, exists: bool) -> vec3f {
-    if !exists {
-        return vec3f();
-    }
+// Returns d/dp of the squared corner angles of a cell around which p, `down`, `across` and opposite to p `corner` lie.
+fn shear(down: Other, across: Other, corner: Other) -> vec3f {
     // The edges along both axes, through p and opposite to it. All point away from p's side, which leaves
     // (angle - pi / 2)^2 unchanged.
-    let far_v = corner - across;
-    let far_h = corner - down;
-    let at_p = angle_gradient(down, across, RIGHT_ANGLE);
-    let at_down = angle_gradient(down, far_h, RIGHT_ANGLE);
-    let at_across = angle_gradient(far_v, across, RIGHT_ANGLE);
-    return -(at_p.u + at_p.w + at_down.u + at_across.w);
+    let far_v = corner.at - across.at;
+    let far_h = corner.at - down.at;
+    var sum = vec3f();
+    if down.exists && across.exists {
+        let at_p = angle_gradient(down.at, across.at, RIGHT_ANGLE);
+        sum = at_p.u + at_p.w;
+    }
+    if down.exists && corner.exists {
+        sum += angle_gradient(down.at, far_h, RIGHT_ANGLE).u;
+    }
+    if across.exists && corner.exists {
+        sum += angle_gradient(far_v, across.at, RIGHT_ANGLE).w;
+    }
+    return -sum;
 }
 
-// Returns d/dp of the squared bends that involve p along one axis, where p is the k-th of `count` particles.
-// The two particles before it and the two after it are relative to p.
-fn bend(before: array<vec3f, 2>, after: array<vec3f, 2>, k: i32, count: i32) -> vec3f {
+// Returns d/dp of the squared bends that involve p along one axis, given the two particles before it and the two after it.
+fn bend(before: array<Other, 2>, after: array<Other, 2>) -> vec3f {
     var sum = vec3f();
-    let back = -before[0];
-    let ahead = after[0];
-    if k >= 2 {
-        sum += angle_gradient(before[0] - before[1], back, 0.0).w;
+    let back = -before[0].at;
+    let ahead = after[0].at;
+    if before[0].exists && before[1].exists {
+        sum += angle_gradient(before[0].at - before[1].at, back, 0.0).w;
     }
-    if k + 2 < count {
-        sum -= angle_gradient(ahead, after[1] - after[0], 0.0).u;
+    if after[0].exists && after[1].exists {
+        sum -= angle_gradient(ahead, after[1].at - ahead, 0.0).u;
     }
-    if k >= 1 && k + 1 < count {
+    if before[0].exists && after[0].exists {
         let here = angle_gradient(back, ahead, 0.0);
         sum += here.u - here.w;
     }
     return sum;
 }
 
-// Returns the gradient at particle (i, j) of cloth b, the particle of this lane in the tile.
-fn gradient_at(b: u32, i: i32, j: i32, lane: u32) -> vec3f {
-    let last_row = i32(params.rows) - 1;
-    let last_column = i32(params.columns) - 1;
+// Returns the gradient at particle p of cloth b, the particle of this lane in the tile.
+fn gradient_at(b: u32, p: u32, lane: u32) -> vec3f {
     let rows = f32(params.rows);
     let columns = f32(params.columns);
     let count = rows * columns;
     let n = params.rows * params.columns;
-    let p = u32(i) * params.columns + u32(j);
     let at = b * 3u * n + p;
     let acceleration = vec3f(a[at], a[at + n], a[at + 2u * n]);
     let given = params.first_external + at;
     let f = vec3f(base[given], base[given + n], base[given + 2u * n]);
-    let m = mass(u32(i), u32(j), params.rows, params.columns) / count;
+    let mark = marks[b * n + p];
+    let m = mass_of(mark) / count;
     var sum = particle_gradient(acceleration, f, m);
-    if slots[b * n + p] == 0u {
+    if is_free(mark) {
         let material = cloths[b].material;
-        let up = position(lane, -1, 0);
-        let down = position(lane, 1, 0);
-        let left = position(lane, 0, -1);
-        let right = position(lane, 0, 1);
-        let vertical = stretch(up, i > 0) + stretch(down, i < last_row);
-        let horizontal = stretch(left, j > 0) + stretch(right, j < last_column);
+        let up = other(lane, -1, 0);
+        let down = other(lane, 1, 0);
+        let left = other(lane, 0, -1);
+        let right = other(lane, 0, 1);
+        let vertical = stretch(up) + stretch(down);
+        let horizontal = stretch(left) + stretch(right);
         sum += material.x * (vertical / ((rows - 1.0) * columns) + horizontal / (rows * (columns - 1.0)));
-        let corners = shear(up, left, position(lane, -1, -1), i > 0 && j > 0)
-            + shear(up, right, position(lane, -1, 1), i > 0 && j < last_column)
-            + shear(down, left, position(lane, 1, -1), i < last_row && j > 0)
-            + shear(down, right, position(lane, 1, 1), i < last_row && j < last_column);
-        let above = array(up, position(lane, -2, 0));
-        let below = array(down, position(lane, 2, 0));
-        let before = array(left, position(lane, 0, -2));
-        let behind = array(right, position(lane, 0, 2));
-        let bends = bend(above, below, i, i32(params.rows)) + bend(before, behind, j, i32(params.columns));
+        let corners = shear(up, left, other(lane, -1, -1)) + shear(up, right, other(lane, -1, 1))
+            + shear(down, left, other(lane, 1, -1)) + shear(down, right, other(lane, 1, 1));
+        let above = array(up, other(lane, -2, 0));
+        let below = array(down, other(lane, 2, 0));
+        let before = array(left, other(lane, 0, -2));
+        let behind = array(right, other(lane, 0, 2));
+        let bends = bend(above, below) + bend(before, behind);
         sum += (material.y * corners + material.z * bends) / count;
     }
     return sum;
@@ -174,8 +184,9 @@ fn gradient(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) g
         let i = first_row + lane / 8u;
         let j = first_column + lane % 8u;
         if i < params.rows && j < params.columns {
-            let at = b * 3u * n + i * params.columns + j;
-            let g = gradient_at(b, i32(i), i32(j), lane);
+            let p = i * params.columns + j;
+            let at = b * 3u * n + p;
+            let g = gradient_at(b, p, lane);
             fields[at] = g.x;
             fields[at + n] = g.y;
             fields[at + 2u * n] = g.z;

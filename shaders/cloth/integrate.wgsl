@@ -1,6 +1,6 @@
 // End of a frame (backward Euler): v = base + a, x += v; at a handle v = base, and x is exactly the target.
 //
-// slots: [B, n], 0 for a free particle, else 1 + the index of its target
+// marks: [B, n]
 // targets: [handles, 3]
 // base, a, x, v: [B, 3, n]
 //
@@ -12,7 +12,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> slots: array<u32>;
+@group(0) @binding(1) var<storage, read> marks: array<u32>;
 @group(0) @binding(2) var<storage, read> targets: array<f32>;
 @group(0) @binding(3) var<storage, read> base: array<f32>;
 @group(0) @binding(4) var<storage, read> a: array<f32>;
@@ -30,11 +30,11 @@ fn integrate(
         return;
     }
     let at = group.z * params.particles + p;
-    let slot = slots[group.z / 3u * params.particles + p];
-    let shift = base[at] + select(a[at], 0.0, slot != 0u);
+    let mark = marks[group.z / 3u * params.particles + p];
+    let shift = base[at] + select(0.0, a[at], is_free(mark));
     var next = x[at] + shift;
-    if slot != 0u {
-        next = target_of(slot, group.z % 3u);
+    if !is_free(mark) && !is_outside(mark) {
+        next = target_of(slot_of(mark), group.z % 3u);
     }
     v[at] = shift;
     x[at] = next;

@@ -159,7 +159,7 @@ fn is_level(b: u32, p: u32, origin: u32, share: f32, separation: vec3f) -> bool 
 // cell.
 fn tells_of_side(b: u32, face: u32, side: u32, origin: u32, share: f32, separation: vec3f) -> bool {
     let other = corner_across(face, side, params.rows, params.columns);
-    if other == NO_CORNER {
+    if other == NO_CORNER || !is_whole(b, cell_across(face, side, params.columns)) {
         return true;
     }
     return face % 2u == 0u && is_level(b, other, origin, share, separation);
@@ -173,18 +173,23 @@ fn tells_of_corner(b: u32, face: u32, corner: u32, origin: u32, share: f32, sepa
     let down = p / w + 1u < params.rows;
     let left = p % w > 0u;
     let right = p % w + 1u < w;
+    let after = down && right && is_whole(b, p);
+    let above = up && right && is_whole(b, p - w);
+    let before = up && left && is_whole(b, p - w - 1u);
+    // The first triangle of the cell that begins there, or else of the one above it, or before that; or the second of the one
+    // to the left.
     var tells = false;
     if face % 2u == 0u {
-        tells = corner == 0u || (corner == 1u && !down) || (corner == 2u && !right);
+        tells = corner == 0u || (corner == 1u && !after) || (corner == 2u && !after && !above);
     } else {
-        tells = corner == 2u && !up && !right;
+        tells = corner == 2u && !after && !above && !before;
     }
-    tells = tells && (!up || is_level(b, p - w, origin, share, separation));
-    tells = tells && (!down || is_level(b, p + w, origin, share, separation));
-    tells = tells && (!left || is_level(b, p - 1u, origin, share, separation));
-    tells = tells && (!right || is_level(b, p + 1u, origin, share, separation));
-    tells = tells && (!(up && left) || is_level(b, p - w - 1u, origin, share, separation));
-    return tells && (!(down && right) || is_level(b, p + w + 1u, origin, share, separation));
+    tells = tells && (!up || !has(b, p - w) || is_level(b, p - w, origin, share, separation));
+    tells = tells && (!down || !has(b, p + w) || is_level(b, p + w, origin, share, separation));
+    tells = tells && (!left || !has(b, p - 1u) || is_level(b, p - 1u, origin, share, separation));
+    tells = tells && (!right || !has(b, p + 1u) || is_level(b, p + 1u, origin, share, separation));
+    tells = tells && (!before || is_level(b, p - w - 1u, origin, share, separation));
+    return tells && (!after || is_level(b, p + w + 1u, origin, share, separation));
 }
 
 // The weights of the nearest points of two parts, which sum to 0, and the separation; zeros if others tell of it.
@@ -247,10 +252,10 @@ fn pair_of(b: u32, parts: ptr<function, Parts>, nearest: Nearest, before: f32) -
         let weight = pair.weights[k];
         at_start += weight * dot(normal, (*parts).places[k]);
         predicted += weight * dot(normal, after(parts, k, 1.0));
-        if motion[2u * (b * n + p)].w > 0.0 {
+        let m = motion[2u * (b * n + p)].w;
+        if !(m > 0.0) {
             pair.particles[k] |= HELD;
         } else {
-            let m = mass(p / params.columns, p % params.columns, params.rows, params.columns);
             per_mass += weight * weight * f32(n) / m;
             elastic += weight * weight * elastic_along(b, p, normal);
         }
@@ -315,7 +320,7 @@ fn between(b: u32, p: u32, q: u32) {
     for (var k = 0u; k < 4u; k++) {
         let own = select(q, p, k < 2u);
         let other = select(p, q, k < 2u);
-        if other / w + 1u < params.rows && other % w + 1u < w {
+        if other / w + 1u < params.rows && other % w + 1u < w && is_whole(b, other) {
             let face = first_face_of(other, w) + k % 2u;
             let corners = corners_of(face, w);
             if all(corners != vec3u(own)) {
@@ -325,8 +330,8 @@ fn between(b: u32, p: u32, q: u32) {
     }
     for (var k = 0u; k < 3u; k++) {
         for (var l = 0u; l < 3u; l++) {
-            let r = end_of_edge(p, k);
-            let s = end_of_edge(q, l);
+            let r = end_of_edge(b, p, k);
+            let s = end_of_edge(b, q, l);
             if r != p && s != q && p != s && r != q && r != s {
                 look(b, vec4u(p, r, q, s), true, 0u);
             }
@@ -335,10 +340,10 @@ fn between(b: u32, p: u32, q: u32) {
 }
 
 // Returns where the edges of a patch end, to the right, down and along the diagonal; where they begin if there is none.
-fn end_of_edge(p: u32, k: u32) -> u32 {
-    let corners = patch_corners(p);
+fn end_of_edge(b: u32, p: u32, k: u32) -> u32 {
+    let corners = patch_corners(b, p);
     let end = corners[1u + k];
-    let is_there = k < 2u || (corners.y != p && corners.z != p);
+    let is_there = k < 2u || (corners.y != p && corners.z != p && corners.w != p);
     return select(p, end, is_there);
 }
 

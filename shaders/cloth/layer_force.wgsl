@@ -1,7 +1,7 @@
 // The forces between layers of a cloth: the acceleration that they add to the external one, and their energy in partial sums
 // over the particles of a cloth. The energy of a pair counts at its first particle.
 //
-// slots: [B, n]
+// marks: [B, n]
 // ends: [B, buckets], where the list of each particle ends
 // corners: [B, 4 room], see `layer_list`
 // pairs: [B, room]
@@ -24,7 +24,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> slots: array<u32>;
+@group(0) @binding(1) var<storage, read> marks: array<u32>;
 @group(0) @binding(2) var<storage, read> ends: array<u32>;
 @group(0) @binding(3) var<storage, read> corners: array<u32>;
 @group(0) @binding(4) var<storage, read> pairs: array<Pair>;
@@ -55,8 +55,8 @@ fn layer_force(
             gradient += pairs[pair].weights[corner % 4u] * press.xyz;
             energy += select(0.0, press.w, corner % 4u == 0u);
         }
-        let m = mass(p / params.columns, p % params.columns, params.rows, params.columns);
-        let push = select(gradient * (f32(n) / m), vec3f(), slots[b * n + p] != 0u);
+        let mark = marks[b * n + p];
+        let push = select(vec3f(), gradient * (f32(n) / mass_of(mark)), is_free(mark));
         let at = b * 3u * n + p;
         for (var c = 0u; c < 3u; c++) {
             given[params.first_total + at + c * n] = given[params.first_source + at + c * n] - push[c];

@@ -6,9 +6,10 @@
 // Ways are relative to that of the mean particle.
 //
 // cloths: [B]
-// slots: [B, n]
+// marks: [B, n]
 // x, base, a: [B, 3, n]
-// motion: [B, n, 2] of (place, 1 for a handle), (way, 1 for a particle whose pairs are wanted)
+// motion: [B, n, 2] of (place, mass of a free particle, 0 for a handle, -1 outside of the
+//   cloth), (way, 1 for a particle whose pairs are wanted)
 // extents: [B] of (cells per edge, distance within which pairs are contacts, what the reach of a patch adds to its own
 //   size and way, distance at which a pair has met)
 //
@@ -22,7 +23,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<u32>;
 @group(0) @binding(3) var<storage, read> x: array<f32>;
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read> a: array<f32>;
@@ -49,7 +50,7 @@ fn of_field(b: u32, p: u32) -> vec3f {
 // Returns what particle p adds to its way by the velocity.
 fn addition(b: u32, p: u32) -> vec3f {
     let n = params.rows * params.columns;
-    if !ENDS || slots[b * n + p] != 0u {
+    if !ENDS || !is_free(marks[b * n + p]) {
         return vec3f();
     }
     let at = b * 3u * n + p;
@@ -84,8 +85,9 @@ fn layer_motion(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_i
         let at = b * 3u * n + p;
         let left = addition(b, p) - mean_added;
         let wanted = select(0.0, 1.0, !ENDS || length(left) > budget);
-        let held = select(0.0, 1.0, slots[b * n + p] != 0u);
-        motion[2u * (b * n + p)] = vec4f(x[at], x[at + n], x[at + 2u * n], held);
+        let mark = marks[b * n + p];
+        let m = select(select(0.0, mass_of(mark), is_free(mark)), -1.0, is_outside(mark));
+        motion[2u * (b * n + p)] = vec4f(x[at], x[at + n], x[at + 2u * n], m);
         motion[2u * (b * n + p) + 1u] = vec4f(of_field(b, p) - mean_base + left, wanted);
     }
     storageBarrier();

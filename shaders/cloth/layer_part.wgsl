@@ -1,7 +1,7 @@
 // Moves layers of a cloth away from each other that are too near, at the end of a frame: a particle moves by the mean of
 // what its pairs ask for.
 //
-// slots: [B, n]
+// marks: [B, n]
 // ends: [B, buckets], where the list of each particle ends
 // corners: [B, 4 room], see `layer_list`
 // pairs: [B, room]
@@ -19,7 +19,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> slots: array<u32>;
+@group(0) @binding(1) var<storage, read> marks: array<u32>;
 @group(0) @binding(2) var<storage, read> ends: array<u32>;
 @group(0) @binding(3) var<storage, read> corners: array<u32>;
 @group(0) @binding(4) var<storage, read> pairs: array<Pair>;
@@ -35,7 +35,7 @@ fn layer_part(
     let n = params.rows * params.columns;
     let p = (group.y * groups.x + group.x) * 64u + lane;
     let b = group.z;
-    if p >= n || slots[b * n + p] != 0u {
+    if p >= n || !is_free(marks[b * n + p]) {
         return;
     }
     var asked = vec4f();
@@ -49,8 +49,7 @@ fn layer_part(
         asked += select(vec4f(), vec4f(weight * press.xyz, press.w), weight != 0.0);
     }
     if asked.w > 0.0 {
-        let m = mass(p / params.columns, p % params.columns, params.rows, params.columns);
-        let moved = asked.xyz / asked.w * (f32(n) / m);
+        let moved = asked.xyz / asked.w * (f32(n) / mass_of(marks[b * n + p]));
         for (var c = 0u; c < 3u; c++) {
             a[(b * 3u + c) * n + p] += moved[c];
         }

@@ -2,6 +2,7 @@
 // respect to the relative displacement, and the energy. With PARTS instead how to leave what is nearer than LEAST_GAP of
 // the thickness, over the sum of the weights times what a force accelerates their particles by, and 1; zeros elsewhere.
 //
+// marks: [B, n]
 // pair_ends: [B, buckets]
 // pairs: [B, room]
 // a: [B, 3, n]
@@ -19,11 +20,12 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> pair_ends: array<u32>;
-@group(0) @binding(2) var<storage, read> pairs: array<Pair>;
-@group(0) @binding(3) var<storage, read> a: array<f32>;
-@group(0) @binding(4) var<storage, read> given: array<f32>;
-@group(0) @binding(5) var<storage, read_write> presses: array<vec4f>;
+@group(0) @binding(1) var<storage, read> marks: array<u32>;
+@group(0) @binding(2) var<storage, read> pair_ends: array<u32>;
+@group(0) @binding(3) var<storage, read> pairs: array<Pair>;
+@group(0) @binding(4) var<storage, read> a: array<f32>;
+@group(0) @binding(5) var<storage, read> given: array<f32>;
+@group(0) @binding(6) var<storage, read_write> presses: array<vec4f>;
 
 override PARTS: bool = false;
 
@@ -47,8 +49,7 @@ fn layer_press(
                 for (var corner = 0u; corner < 4u; corner++) {
                     let p = pair.particles[corner];
                     if (p & HELD) == 0u {
-                        let m = mass(p / params.columns, p % params.columns, params.rows, params.columns);
-                        sum += pair.weights[corner] * pair.weights[corner] * f32(n) / m;
+                        sum += pair.weights[corner] * pair.weights[corner] * f32(n) / mass_of(marks[b * n + p]);
                     }
                 }
                 press = vec4f(out / sum, 1.0);

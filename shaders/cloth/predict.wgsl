@@ -1,9 +1,9 @@
 // Start of a frame: sets a = 0 and base, the displacement at a = 0:
-//   base = v at a free particle, target - x at a handle
+//   base = v at a free particle, target - x at a handle, 0 outside of the cloth
 // Within a frame (FRESH false), a keeps its value.
 //
 // x, v, base, a: [B, 3, n]
-// slots: [B, n], 0 for a free particle, else 1 + the index of its target
+// marks: [B, n]
 // targets: [handles, 3]
 //
 // One invocation per component of a particle. Workgroups: (n / 64 over x and y, 3 B in z).
@@ -16,7 +16,7 @@ struct Params {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> x: array<f32>;
 @group(0) @binding(2) var<storage, read> v: array<f32>;
-@group(0) @binding(3) var<storage, read> slots: array<u32>;
+@group(0) @binding(3) var<storage, read> marks: array<u32>;
 @group(0) @binding(4) var<storage, read> targets: array<f32>;
 @group(0) @binding(5) var<storage, read_write> base: array<f32>;
 @group(0) @binding(6) var<storage, read_write> a: array<f32>;
@@ -34,10 +34,12 @@ fn predict(
         return;
     }
     let at = group.z * params.particles + p;
-    let slot = slots[group.z / 3u * params.particles + p];
+    let mark = marks[group.z / 3u * params.particles + p];
     var displacement = v[at];
-    if slot != 0u {
-        displacement = target_of(slot, group.z % 3u) - x[at];
+    if is_outside(mark) {
+        displacement = 0.0;
+    } else if !is_free(mark) {
+        displacement = target_of(slot_of(mark), group.z % 3u) - x[at];
     }
     base[at] = displacement;
     if FRESH {

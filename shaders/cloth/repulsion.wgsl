@@ -6,7 +6,7 @@
 // the range. A free particle of mass m gets the acceleration 4 k / m sum (x_p - x_q) / (d^2 + e).
 //
 // cloths: [B]
-// slots: [B, n]
+// marks: [B, n]
 // given: the external accelerations [B, 3, n] from element `first_external` on; those with the repulsion from
 //   `first_total` on
 // ends: [B, buckets], see `cell_scan`
@@ -28,7 +28,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> cloths: array<Cloth>;
-@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<u32>;
 @group(0) @binding(3) var<storage, read> ends: array<u32>;
 @group(0) @binding(4) var<storage, read> sorted: array<vec4u>;
 @group(0) @binding(5) var<storage, read_write> given: array<f32>;
@@ -87,9 +87,8 @@ fn repulsion(
             }
         }
         energy = strength / f32(n) * sum.w;
-        let is_handle = slots[b * n + p] != 0u;
-        let m = mass(p / params.columns, p % params.columns, params.rows, params.columns);
-        let push = select(4.0 * strength / m * sum.xyz, vec3f(), is_handle);
+        let mark = marks[b * n + p];
+        let push = select(vec3f(), 4.0 * strength / mass_of(mark) * sum.xyz, is_free(mark));
         let at = b * 3u * n + p;
         for (var c = 0u; c < 3u; c++) {
             given[params.first_total + at + c * n] = given[params.first_external + at + c * n] + push[c];

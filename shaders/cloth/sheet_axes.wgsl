@@ -5,12 +5,13 @@
 // length, u along the first axis of the grid and v along the second, and
 //   s = unit(u + v), normal = unit(u x v), d = +-unit(s x normal) with d . u >= 0,
 // the axes are t1 = (s + d) / sqrt 2 and t2 = (s - d) / sqrt 2: orthogonal, and equally far from u and v. The
-// third axis is t1 x t2. Where a difference has no direction they are the axes of the world.
+// third axis is t1 x t2. Where a difference has no direction they are the axes of the world. A particle stands for a
+// neighbour that the cloth doesn't have.
 //
-// slots: [B, n]
+// marks: [B, n]
 // x, base: [B, 3, n]
 // axes: [B, 6, n] = t1, then t2, of unit length
-// directions: [K, slot], of which slot 2 [B, 3, n] becomes a, 0 at handles and where a is not finite
+// directions: [K, slot], of which slot 2 [B, 3, n] becomes a, 0 where no free particle is and where a is not finite
 // a: [B, 3, n], becomes 0
 //
 // One invocation per particle. Workgroups: (n / 64 over x and y, B in z).
@@ -24,7 +25,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> slots: array<u32>;
+@group(0) @binding(1) var<storage, read> marks: array<u32>;
 @group(0) @binding(2) var<storage, read> x: array<f32>;
 @group(0) @binding(3) var<storage, read> base: array<f32>;
 @group(0) @binding(4) var<storage, read_write> axes: array<f32>;
@@ -52,6 +53,11 @@ fn unit(v: vec3f) -> vec4f {
     return vec4f(v / l, 1.0);
 }
 
+// Returns particle q, or p if the cloth doesn't have q.
+fn neighbour(b: u32, p: u32, q: u32) -> u32 {
+    return select(q, p, is_outside(marks[b * params.rows * params.columns + q]));
+}
+
 @compute @workgroup_size(64)
 fn sheet_axes(
     @builtin(local_invocation_index) lane: u32,
@@ -67,10 +73,10 @@ fn sheet_axes(
     let i = p / params.columns;
     let j = p % params.columns;
     let first = b * 3u * n;
-    let above = select(i - 1u, 0u, i == 0u) * params.columns + j;
-    let below = min(i + 1u, params.rows - 1u) * params.columns + j;
-    let before = i * params.columns + select(j - 1u, 0u, j == 0u);
-    let behind = i * params.columns + min(j + 1u, params.columns - 1u);
+    let above = neighbour(b, p, select(i - 1u, 0u, i == 0u) * params.columns + j);
+    let below = neighbour(b, p, min(i + 1u, params.rows - 1u) * params.columns + j);
+    let before = neighbour(b, p, i * params.columns + select(j - 1u, 0u, j == 0u));
+    let behind = neighbour(b, p, i * params.columns + min(j + 1u, params.columns - 1u));
     let u = unit(difference(first + above, first + below, n));
     let v = unit(difference(first + before, first + behind, n));
     let s = unit(u.xyz + v.xyz);
@@ -84,13 +90,13 @@ fn sheet_axes(
         t2 = 0.7071067811865476 * (s.xyz - towards_u);
     }
     let out = b * 6u * n + p;
-    let is_free = slots[b * n + p] == 0u;
+    let free = is_free(marks[b * n + p]);
     for (var c = 0u; c < 3u; c++) {
         axes[out + c * n] = t1[c];
         axes[out + (3u + c) * n] = t2[c];
         let at = first + c * n + p;
         let last = a[at];
-        directions[2u * params.slot + at] = select(0.0, last, is_free && is_finite(last));
+        directions[2u * params.slot + at] = select(0.0, last, free && is_finite(last));
         a[at] = 0.0;
     }
 }

@@ -1,9 +1,10 @@
 // Vertices for rendering: position and smooth normal of every particle, at a time t between two frames.
 //
 //   position = A (x - (1 - t) v) + c, where [A | c] are the rows of the affine transform
-//   normal = the unit vector along the sum of (q - p) x (r - p) over the triangles (p, q, r) around p after
+//   normal = the unit vector along the sum of (q - p) x (r - p) over the triangles (p, q, r) of the cloth around p after
 //     the transform, which is their area-weighted mean; zero if that sum is zero
 //
+// marks: [B, H, W]
 // view: [B, 4, 4], the rows of [A | c], then (t, 0, 0, 0)
 // x, v: [B, 3, H, W]
 // interleaved: [B, H W, 6], position then normal
@@ -17,10 +18,11 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> view: array<vec4f>;
-@group(0) @binding(2) var<storage, read> x: array<f32>;
-@group(0) @binding(3) var<storage, read> v: array<f32>;
-@group(0) @binding(4) var<storage, read_write> interleaved: array<f32>;
+@group(0) @binding(1) var<storage, read> marks: array<u32>;
+@group(0) @binding(2) var<storage, read> view: array<vec4f>;
+@group(0) @binding(3) var<storage, read> x: array<f32>;
+@group(0) @binding(4) var<storage, read> v: array<f32>;
+@group(0) @binding(5) var<storage, read_write> interleaved: array<f32>;
 
 // Returns the edge from the particle at element `at`, in row i and column j, to the one `down` rows and
 // `right` columns away, after the linear part of the transform; zero if there is none.
@@ -37,6 +39,20 @@ fn edge(at: u32, i: i32, j: i32, down: i32, right: i32) -> vec3f {
     let rows = at / (3u * n) * 4u;
     let d = start - (1.0 - view[rows + 3u].x) * rate;
     return vec3f(dot(view[rows].xyz, d), dot(view[rows + 1u].xyz, d), dot(view[rows + 2u].xyz, d));
+}
+
+// Returns 1 if the cloth has the cell that begins `down` and `right` of particle (i, j) of cloth b, 0 or -1 each; else 0.
+fn whole(b: u32, i: i32, j: i32, down: i32, right: i32) -> f32 {
+    let row = i + down;
+    let column = j + right;
+    if row < 0 || column < 0 || row + 1 >= i32(params.rows) || column + 1 >= i32(params.columns) {
+        return 0.0;
+    }
+    let w = params.columns;
+    let a = b * params.rows * w + u32(row) * w + u32(column);
+    let outside = is_outside(marks[a]) || is_outside(marks[a + 1u]) || is_outside(marks[a + w])
+        || is_outside(marks[a + w + 1u]);
+    return select(1.0, 0.0, outside);
 }
 
 @compute @workgroup_size(64)
@@ -62,8 +78,13 @@ fn vertices(
     let above = edge(at, i, j, -1, 0);
     let above_left = edge(at, i, j, -1, -1);
     let left = edge(at, i, j, 0, -1);
-    let sum = cross(below, below_right) + cross(below_right, right) + cross(right, above)
-        + cross(above, above_left) + cross(above_left, left) + cross(left, below);
+    let b = group.z;
+    let after = whole(b, i, j, 0, 0);
+    let before = whole(b, i, j, -1, -1);
+    let sum = after * (cross(below, below_right) + cross(below_right, right))
+        + whole(b, i, j, -1, 0) * cross(right, above)
+        + before * (cross(above, above_left) + cross(above_left, left))
+        + whole(b, i, j, 0, -1) * cross(left, below);
     // Scaled first, so that no square underflows.
     let size = max(max(abs(sum.x), abs(sum.y)), abs(sum.z));
     var normal = vec3f();

@@ -12,6 +12,29 @@ fn first_face_of(p: u32, columns: u32) -> u32 {
     return 2u * (p / columns * (columns - 1u) + p % columns);
 }
 
+// Returns the particle at which the cell of the triangle across a side of another begins, if there is one.
+fn cell_across(face: u32, side: u32, columns: u32) -> u32 {
+    let cell = face / 2u;
+    let a = cell / (columns - 1u) * columns + cell % (columns - 1u);
+    switch 3u * (face % 2u) + side {
+        case 0u: {
+            return a - 1u;
+        }
+        case 1u: {
+            return a + columns;
+        }
+        case 4u: {
+            return a + 1u;
+        }
+        case 5u: {
+            return a - columns;
+        }
+        default: {
+            return a;
+        }
+    }
+}
+
 const NO_CORNER: u32 = 0xffffffffu;
 
 // Returns the corner of the triangle across a side of another, which leads from its corner `side` to the next; NO_CORNER

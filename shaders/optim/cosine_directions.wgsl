@@ -3,9 +3,9 @@
 // With y_f[i, j] = sum_l table[l, j] z[f, i, l], at free particles
 //   direction 0 = -(y_0, y_1, y_2)
 //   direction 1 = -(y_3 t1 + y_4 t2 + y_5 t1 x t2)
-// and both are 0 at handles.
+// and both are 0 elsewhere.
 //
-// slots: [B, H, W]
+// marks: [B, H, W]
 // axes: [B, 6, H, W] = t1, t2 (`sheet_axes`)
 // table: [W, W], the orthonormal DCT-II
 // z: [B, 6, H, W]
@@ -21,7 +21,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> slots: array<u32>;
+@group(0) @binding(1) var<storage, read> marks: array<u32>;
 @group(0) @binding(2) var<storage, read> axes: array<f32>;
 @group(0) @binding(3) var<storage, read> table: array<f32>;
 @group(0) @binding(4) var<storage, read> z: array<f32>;
@@ -56,12 +56,12 @@ fn keep(b: u32, i: u32, j: u32, world: vec3f, own: vec3f) {
     }
     let n = params.rows * params.columns;
     let p = i * params.columns + j;
-    let is_free = slots[b * n + p] == 0u;
+    let free = is_free(marks[b * n + p]);
     let axis = b * 6u * n + p;
     let t1 = vec3f(axes[axis], axes[axis + n], axes[axis + 2u * n]);
     let t2 = vec3f(axes[axis + 3u * n], axes[axis + 4u * n], axes[axis + 5u * n]);
-    let spectral = select(vec3f(), -world, is_free);
-    let rotated = select(vec3f(), -(own.x * t1 + own.y * t2 + own.z * cross(t1, t2)), is_free);
+    let spectral = select(vec3f(), -world, free);
+    let rotated = select(vec3f(), -(own.x * t1 + own.y * t2 + own.z * cross(t1, t2)), free);
     let at = b * 3u * n + p;
     for (var c = 0u; c < 3u; c++) {
         directions[at + c * n] = spectral[c];

@@ -3,9 +3,9 @@
 // Forward: v[b, c, i, j] = q[b, c, i', j'], with i' = place(i) and j' = place(j): along each axis the even
 // indices in ascending order, then the odd ones in descending order.
 // With BACK: q[b, c, i', j'] = v[b, c, i, j].
-// Handles are 0 in either direction, because they do not move.
+// It is 0 in either direction where no free particle is.
 //
-// slots: [B, H W]
+// marks: [B, H W]
 // q: [B, 2, 3, H, W], of which the second half is used (see `lbfgs`)
 // v: [3 B, H, W]
 //
@@ -18,7 +18,7 @@ struct Params {
 }
 
 @group(0) @binding(0) var<uniform> params: Params;
-@group(0) @binding(1) var<storage, read> slots: array<u32>;
+@group(0) @binding(1) var<storage, read> marks: array<u32>;
 @group(0) @binding(2) var<storage, read_write> q: array<f32>;
 @group(0) @binding(3) var<storage, read_write> v: array<f32>;
 
@@ -44,7 +44,7 @@ fn cosine_order(
     let column = place(element % params.columns, params.columns);
     let p = row * params.columns + column;
     let cloth = group.z / 3u;
-    let free = slots[cloth * n + p] == 0u;
+    let free = is_free(marks[cloth * n + p]);
     let at = (3u * (2u * cloth + 1u) + group.z % 3u) * n + p;
     let ordered = group.z * n + element;
     if BACK {

@@ -1,10 +1,10 @@
 // Cosine transform along the rows of the gradient g, and of g in the axes of the sheet.
 //
 // z[f, i, l] = sum_j table[l, j] field_f[i, j]; fields 0 to 2 are the components of g, fields 3 to 5 its
-// products with t1, t2 and t1 x t2 (`sheet_axes`). Both are 0 at handles.
+// products with t1, t2 and t1 x t2 (`sheet_axes`). Both are 0 where no free particle is.
 //
 // grad: [B, 3, H, W]
-// slots: [B, H, W]
+// marks: [B, H, W]
 // axes: [B, 6, H, W] = t1, t2
 // table: [W, W], the orthonormal DCT-II, table[l, j] = sqrt((l == 0 ? 1 : 2) / W) cos(pi l (2 j + 1) / 2 W)
 // z: [B, 6, H, W]
@@ -19,7 +19,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> grad: array<f32>;
-@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<u32>;
 @group(0) @binding(3) var<storage, read> axes: array<f32>;
 @group(0) @binding(4) var<storage, read> table: array<f32>;
 @group(0) @binding(5) var<storage, read_write> z: array<f32>;
@@ -30,7 +30,7 @@ fn load_particle(b: u32, i: u32, j: u32, place: u32) {
     let p = i * params.columns + j;
     var world = vec3f();
     var own = vec3f();
-    if i < params.rows && j < params.columns && slots[b * n + p] == 0u {
+    if i < params.rows && j < params.columns && is_free(marks[b * n + p]) {
         let at = b * 3u * n + p;
         let axis = b * 6u * n + p;
         let t1 = vec3f(axes[axis], axes[axis + n], axes[axis + 2u * n]);

@@ -1,6 +1,6 @@
 // The learned step: step = scale tanh(field); a += step; hidden <- (grad, step).
 //
-// With PROPOSES, the step is a direction among others: a <- step, 0 at handles.
+// With PROPOSES, the step is a direction among others: a <- step, 0 where no free particle is.
 //
 // With HEAD, each workgroup first computes the new scale of its sample from the row maxima, as `scalar_head`
 // does, and the first workgroup of the sample stores it.
@@ -12,7 +12,7 @@
 // scale: [s] from element `after` on; with HEAD, computed from the [s] from element `before` on
 // fields: grad [S, H, W] = [B, 3, H, W], then from element `hidden` on last gradient and last step, of the
 //   same shape
-// slots: [B, H, W]; only with PROPOSES
+// marks: [B, H, W]; only with PROPOSES
 // a: [S, H, W]
 //
 // One invocation per component of one or more particles. Workgroups: (at most n / 256, s).
@@ -37,7 +37,7 @@ struct Params {
 @group(0) @binding(2) var<storage, read> rows_max: array<f32>;
 @group(0) @binding(3) var<storage, read> weight: array<f32>;
 @group(0) @binding(4) var<storage, read> bias: array<f32>;
-@group(0) @binding(5) var<storage, read> slots: array<u32>;
+@group(0) @binding(5) var<storage, read> marks: array<u32>;
 @group(0) @binding(6) var<storage, read_write> scale: array<f32>;
 @group(0) @binding(7) var<storage, read_write> fields: array<f32>;
 @group(0) @binding(8) var<storage, read_write> a: array<f32>;
@@ -75,7 +75,7 @@ fn update(
         fields[params.hidden + at] = fields[at];
         fields[params.hidden + params.samples * n + at] = step;
         if PROPOSES {
-            a[at] = select(step, 0.0, slots[sample / 3u * n + p] != 0u);
+            a[at] = select(0.0, step, is_free(marks[sample / 3u * n + p]));
         } else {
             a[at] += step;
         }

@@ -1,6 +1,9 @@
 
-// Returns what the edge to particle q adds to n . D n.
+// Returns what the edge to particle q adds to n . D n, if the cloth has it.
 fn of_edge(b: u32, own: vec3f, q: u32, normal: vec3f, factor: f32) -> f32 {
+    if !has(b, q) {
+        return 0.0;
+    }
     let edge = position(b, q) - own;
     let l = length(edge);
     if !(l > 0.0) {
@@ -12,7 +15,7 @@ fn of_edge(b: u32, own: vec3f, q: u32, normal: vec3f, factor: f32) -> f32 {
 }
 
 // Returns n . D n, with the block D of particle p in the Hessian of the stretch at the start of the frame, where compressed
-// edges count as unstretched, from the kernel's `position`, binding cloths [B], and parameters rows and columns.
+// edges count as unstretched, from the kernel's `position` and `has`, binding cloths [B], and parameters rows and columns.
 fn elastic_along(b: u32, p: u32, normal: vec3f) -> f32 {
     let h = params.rows;
     let w = params.columns;

@@ -14,17 +14,32 @@ fn way_of(b: u32, p: u32) -> vec3f {
     return motion[2u * (b * params.rows * params.columns + p) + 1u].xyz;
 }
 
-// Returns the particles of the cell behind particle p; where there are none, others of them again.
-fn patch_corners(p: u32) -> vec4u {
+// Whether the cloth has particle p of the grid.
+fn has(b: u32, p: u32) -> bool {
+    return motion[2u * (b * params.rows * params.columns + p)].w >= 0.0;
+}
+
+// Whether the cloth has all corners of the cell behind particle a, which must not be on the far borders.
+fn is_whole(b: u32, a: u32) -> bool {
+    return has(b, a) && has(b, a + 1u) && has(b, a + params.columns) && has(b, a + params.columns + 1u);
+}
+
+// Returns the particles of the cell behind particle p, as far as the cloth has them; else others of them again.
+fn patch_corners(b: u32, p: u32) -> vec4u {
     let down = select(0u, params.columns, p / params.columns + 1u < params.rows);
     let right = select(0u, 1u, p % params.columns + 1u < params.columns);
-    return vec4u(p, p + right, p + down, p + right + down);
+    let corners = vec4u(p, p + right, p + down, p + right + down);
+    let exists = vec4<bool>(true, has(b, corners.y), has(b, corners.z), has(b, corners.w));
+    return select(vec4u(p), corners, exists);
 }
+
+// The centre of what the cloth doesn't have: out of reach.
+const NOWHERE: f32 = 1e30;
 
 // Returns a ball around the patch of particle p, its triangles and edges towards the larger numbers, from the kernel's
 // binding motion [B, n, 2].
 fn patch_ball(b: u32, p: u32) -> Ball {
-    let corners = patch_corners(p);
+    let corners = patch_corners(b, p);
     var ball: Ball;
     for (var k = 0u; k < 4u; k++) {
         ball.centre += 0.25 * place_of(b, corners[k]);
@@ -37,12 +52,15 @@ fn patch_ball(b: u32, p: u32) -> Ball {
         spread = max(spread, length(way_of(b, corners[k]) - ball.way));
     }
     ball.size = radius + spread;
+    if !has(b, p) {
+        ball.centre = vec3f(NOWHERE);
+    }
     return ball;
 }
 
 // Whether the pairs of a particle of the patch are wanted.
 fn is_wanted(b: u32, p: u32) -> bool {
-    let corners = patch_corners(p);
+    let corners = patch_corners(b, p);
     for (var k = 0u; k < 4u; k++) {
         if motion[2u * (b * params.rows * params.columns + corners[k]) + 1u].w > 0.0 {
             return true;

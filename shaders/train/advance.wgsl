@@ -4,7 +4,7 @@
 // The velocity of handles is 0 as in the authors' pools, not as in a rollout (paper section 3.3).
 //
 // drawn: [B]
-// slots: [B, n], 0 for a free particle, else 1 + the index of its target
+// marks: [B, n]
 // targets: [handles, 3]
 // base, x, v, a: [B, 3, n]
 //
@@ -17,7 +17,7 @@ struct Params {
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> drawn: array<Drawn>;
-@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(2) var<storage, read> marks: array<u32>;
 @group(0) @binding(3) var<storage, read> targets: array<f32>;
 @group(0) @binding(4) var<storage, read> base: array<f32>;
 @group(0) @binding(5) var<storage, read_write> x: array<f32>;
@@ -31,14 +31,14 @@ fn advance(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let at = id.y * params.particles + p;
-    let slot = slots[id.y / 3u * params.particles + p];
-    if slot == 0u {
+    let mark = marks[id.y / 3u * params.particles + p];
+    if is_free(mark) {
         let shift = base[at] + a[at];
         v[at] = drawn[id.y / 3u].keep * shift;
         x[at] += shift;
     } else {
         v[at] = 0.0;
-        x[at] = target_of(slot, id.y % 3u);
+        x[at] = target_of(slot_of(mark), id.y % 3u);
     }
     a[at] = 0.0;
 }

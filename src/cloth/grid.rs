@@ -85,20 +85,26 @@ impl Grid {
         2 * (p / self.w * (self.w - 1) + p % self.w)
     }
 
-    /// Returns the corner of the triangle across a side of another, which leads from its corner `side` to the next;
-    /// `None` on the border.
-    pub(crate) fn across(&self, face: usize, side: usize) -> Option<usize> {
+    /// Returns the triangle across a side of another, which leads from its corner `side` to the next, and its corner that
+    /// they don't share; `None` on the border.
+    pub(crate) fn across(&self, face: usize, side: usize) -> Option<(usize, usize)> {
         let cell = face / 2;
         let (i, j) = (cell / (self.w - 1), cell % (self.w - 1));
         let a = i * self.w + j;
         match (face.is_multiple_of(2), side) {
-            (true, 0) => (j > 0).then(|| a - 1),
-            (true, 1) => (i + 2 < self.h).then(|| a + 2 * self.w + 1),
-            (true, _) => Some(a + 1),
-            (false, 0) => Some(a + self.w),
-            (false, 1) => (j + 2 < self.w).then(|| a + self.w + 2),
-            (false, _) => (i > 0).then(|| a - self.w),
+            (true, 0) => (j > 0).then(|| (face - 1, a - 1)),
+            (true, 1) => (i + 2 < self.h).then(|| (face + 2 * (self.w - 1) + 1, a + 2 * self.w + 1)),
+            (true, _) => Some((face + 1, a + 1)),
+            (false, 0) => Some((face - 1, a + self.w)),
+            (false, 1) => (j + 2 < self.w).then(|| (face + 1, a + self.w + 2)),
+            (false, _) => (i > 0).then(|| (face - 2 * (self.w - 1) - 1, a - self.w)),
         }
+    }
+
+    /// Returns the corners of the cell of a triangle.
+    pub(crate) fn cell_of(&self, face: usize) -> [usize; 4] {
+        let a = self.face(face)[0];
+        [a, a + 1, a + self.w, a + self.w + 1]
     }
 
     /// Iterates over the particles that an edge of the triangles joins to `p`.
@@ -183,7 +189,7 @@ mod tests {
                 let other =
                     faces.iter().enumerate().find(|(n, f)| *n != k && ends.iter().all(|p| f.contains(p)));
                 let across =
-                    other.map(|(_, f)| *f.iter().find(|p| !ends.contains(p)).expect("a third corner"));
+                    other.map(|(n, f)| (n, *f.iter().find(|p| !ends.contains(p)).expect("a third corner")));
                 assert_eq!(grid.across(k, side), across, "face {k}, side {side}");
             }
         }

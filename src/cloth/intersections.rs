@@ -3,7 +3,6 @@
 //! A tree of boxes around the triangles proposes pairs, and the signs of exact volumes decide about each. Nothing
 //! depends on rounding, on the order of the work, or on the number of threads.
 
-use super::Grid;
 use glam::DVec3;
 use rayon::prelude::*;
 use robust::{Coord3D, orient3d};
@@ -18,12 +17,12 @@ const LEAF: usize = 4;
 pub struct Intersection {
     /// The particles at the ends of the edge, the lower number first.
     pub edge: [u32; 2],
-    /// The triangle, as its index into [`Grid::faces`].
+    /// The triangle, as its index into those of the cloth.
     pub face: u32,
 }
 
-/// Returns all edges of the triangulated grid that pass through a triangle with which they share no particle, in
-/// ascending order (edge, then face). `x` are the places of the particles, shape \[3, H, W\].
+/// Returns all edges of a cloth's triangles ([`Cloth::faces`](super::Cloth::faces)) that pass through one with which they
+/// share no particle, in ascending order (edge, then face). `x` are the places of the particles, shape \[3, H, W\].
 ///
 /// An edge passes through a triangle if its ends lie on different sides of the triangle's plane and its line runs
 /// through the triangle's inside. Touching does not count: not an end in the plane, not an edge that meets the
@@ -34,8 +33,8 @@ pub struct Intersection {
 ///
 /// The answer is exact as long as coordinates other than 0 are 1e-90 or more in magnitude, as all f32 numbers are.
 /// Edges and triangles with a coordinate that is not a number or beyond 1e90 take no part.
-pub fn intersections(grid: Grid, x: &[f64]) -> Vec<Intersection> {
-    let particles = grid.particles();
+pub fn intersections(triangles: &[[u32; 3]], x: &[f64]) -> Vec<Intersection> {
+    let particles = x.len() / 3;
     let place = |p: usize| {
         let place = DVec3::new(x[p], x[particles + p], x[2 * particles + p]);
         // A comparison, unlike a maximum, sees what is not a number.
@@ -43,8 +42,7 @@ pub fn intersections(grid: Grid, x: &[f64]) -> Vec<Intersection> {
     };
     let places: Vec<Option<DVec3>> = (0..particles).map(place).collect();
 
-    let triangles = grid.faces();
-    let mut faces: Vec<Face> = (0..).zip(&triangles).filter_map(|(i, v)| Face::new(i, *v, &places)).collect();
+    let mut faces: Vec<Face> = (0..).zip(triangles).filter_map(|(i, v)| Face::new(i, *v, &places)).collect();
     let tree = Tree::new(&mut faces);
 
     let mut edges: Vec<[u32; 2]> =
@@ -180,6 +178,7 @@ impl<'a> Tree<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloth::Grid;
     use std::collections::BTreeSet;
 
     /// Compares all edges with all triangles by a predicate on `p, q, a, b, c`.
@@ -273,14 +272,14 @@ mod tests {
             [radius * (0.4 * i).cos(), j, radius * (0.4 * i).sin()]
         });
         for x in [flat, turned, wavy, rolled] {
-            assert_eq!(intersections(grid, &x), []);
+            assert_eq!(intersections(&grid.faces(), &x), []);
         }
     }
 
     #[test]
     fn the_edges_of_a_particle_pulled_through_a_triangle_pass_it() {
         let (grid, x) = pulled_through(-0.0625);
-        let found = intersections(grid, &x);
+        let found = intersections(&grid.faces(), &x);
         // The triangle left of the diagonal, as seen with i upwards, of the cell (1, 3).
         let face = 2 * (7 + 3);
         assert_eq!(grid.faces()[face as usize], [11, 19, 20]);
@@ -292,7 +291,7 @@ mod tests {
     fn an_edge_that_ends_on_a_triangle_does_not_count() {
         for (z, count) in [(0.0, 0), (1e-70, 0), (-1e-70, 6)] {
             let (grid, x) = pulled_through(z);
-            assert_eq!(intersections(grid, &x).len(), count, "{z}");
+            assert_eq!(intersections(&grid.faces(), &x).len(), count, "{z}");
         }
     }
 
@@ -301,10 +300,10 @@ mod tests {
         for (h, w) in [(34, 6), (40, 11)] {
             let grid = Grid { h, w };
             let x = crossing_roll(grid);
-            let found = intersections(grid, &x);
+            let found = intersections(&grid.faces(), &x);
             assert!(found.len() > 50, "{}", found.len());
             assert_eq!(found, all_pairs(grid, &x));
-            assert_eq!(found, intersections(grid, &x));
+            assert_eq!(found, intersections(&grid.faces(), &x));
         }
     }
 
@@ -313,10 +312,10 @@ mod tests {
         for (seed, (h, w)) in (0..).zip([(8, 8), (9, 12), (12, 12), (10, 8), (2, 9), (12, 11)]) {
             let grid = Grid { h, w };
             let x = cloud(seed, grid);
-            let found = intersections(grid, &x);
+            let found = intersections(&grid.faces(), &x);
             assert!(h == 2 || found.len() > 500, "{}", found.len());
             assert_eq!(found, all_pairs(grid, &x));
-            assert_eq!(found, intersections(grid, &x));
+            assert_eq!(found, intersections(&grid.faces(), &x));
         }
     }
 
@@ -338,7 +337,7 @@ mod tests {
                 side(a, b, c, p) * side(a, b, c, q) == -1 && about.iter().sum::<i64>().abs() == 3
             });
             let x: Vec<f64> = k.iter().map(|k| *k as f64 / 8.0 - 0.5).collect();
-            assert_eq!(intersections(grid, &x), integers, "{bound}");
+            assert_eq!(intersections(&grid.faces(), &x), integers, "{bound}");
             assert_eq!(integers.is_empty(), bound == 1, "{bound}");
         }
     }
@@ -347,15 +346,15 @@ mod tests {
     fn size_and_place_do_not_matter() {
         let grid = Grid { h: 11, w: 9 };
         let x = cloud(7, grid);
-        let found = intersections(grid, &x);
+        let found = intersections(&grid.faces(), &x);
         for k in [-140, -20, 3, 100, 290] {
             let scaled: Vec<f64> = x.iter().map(|x| x * 2f64.powi(k)).collect();
-            assert_eq!(intersections(grid, &scaled), found, "{k}");
+            assert_eq!(intersections(&grid.faces(), &scaled), found, "{k}");
         }
         for offset in [-1.0, 4096.0, 2f64.powi(31)] {
             let moved: Vec<f64> = x.iter().map(|x| x + offset).collect();
             assert!(moved.iter().zip(&x).all(|(moved, x)| moved - offset == *x));
-            assert_eq!(intersections(grid, &moved), found, "{offset}");
+            assert_eq!(intersections(&grid.faces(), &moved), found, "{offset}");
         }
     }
 
@@ -369,14 +368,14 @@ mod tests {
             for (at, odd) in noise(seed, 20, n as u64).into_iter().zip(odd.iter().cycle()) {
                 x[at as usize] = *odd;
             }
-            assert_eq!(intersections(grid, &x), all_pairs(grid, &x));
-            assert_eq!(intersections(grid, &vec![odd[seed as usize]; n]), []);
+            assert_eq!(intersections(&grid.faces(), &x), all_pairs(grid, &x));
+            assert_eq!(intersections(&grid.faces(), &vec![odd[seed as usize]; n]), []);
         }
         let far: Vec<f64> = cloud(3, grid).iter().map(|x| x * 1e30).collect();
-        assert_eq!(intersections(grid, &far), all_pairs(grid, &far));
+        assert_eq!(intersections(&grid.faces(), &far), all_pairs(grid, &far));
         for (h, w) in [(0, 0), (1, 1), (1, 9), (9, 1), (2, 2)] {
             let grid = Grid { h, w };
-            assert_eq!(intersections(grid, &cloud(5, grid)), []);
+            assert_eq!(intersections(&grid.faces(), &cloud(5, grid)), []);
         }
     }
 
@@ -384,10 +383,10 @@ mod tests {
     fn the_number_of_threads_does_not_matter() {
         let grid = Grid { h: 40, w: 12 };
         let x = crossing_roll(grid);
-        let found = intersections(grid, &x);
+        let found = intersections(&grid.faces(), &x);
         for threads in [1, 2, 3] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            assert_eq!(pool.install(|| intersections(grid, &x)), found);
+            assert_eq!(pool.install(|| intersections(&grid.faces(), &x)), found);
         }
     }
 }

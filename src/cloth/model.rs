@@ -1,7 +1,7 @@
 //! What stays fixed during a run, what changes, and what drives a frame. Grid units throughout, z up.
 
 use super::terms::Contact;
-use super::{Body, Grid, MAX_BODIES, Sweep};
+use super::{Body, Grid, MAX_BODIES, Mark, Mask, Sweep};
 use crate::{Error, Result};
 use num_traits::Float;
 use std::collections::HashSet;
@@ -130,9 +130,39 @@ pub struct Cloth {
     pub handles: Vec<usize>,
     /// Bodies that it meets, [`MAX_BODIES`] at most.
     pub bodies: Vec<Body>,
+    /// Which particles of the grid it has; `None` for all.
+    pub mask: Option<Mask>,
 }
 
 impl Cloth {
+    /// Whether it has particle `p` of the grid.
+    pub fn contains(&self, p: usize) -> bool {
+        self.mask.as_ref().is_none_or(|mask| mask.contains(p))
+    }
+
+    /// Returns the number of its edges along the axes of its grid.
+    pub fn edges(&self, grid: Grid) -> usize {
+        let Grid { h, w } = grid;
+        let Some(mask) = &self.mask else { return (h - 1) * w + h * (w - 1) };
+        let inside = |p: usize| mask.contains(p);
+        let joined = |p: usize, q: usize| usize::from(inside(p) && inside(q));
+        let down = (0..(h - 1) * w).map(|p| joined(p, p + w)).sum::<usize>();
+        let right = (0..h * w).filter(|p| p % w + 1 < w).map(|p| joined(p, p + 1)).sum::<usize>();
+        down + right
+    }
+
+    /// Returns its triangles on its grid, see [`Grid::faces`].
+    pub fn faces(&self, grid: Grid) -> Vec<[u32; 3]> {
+        self.mask.as_ref().map_or_else(|| grid.faces(), Mask::faces)
+    }
+
+    /// Returns the particles of the grid that no acceleration moves: its handles, and those that it doesn't have.
+    pub(crate) fn held(&self) -> Vec<usize> {
+        let outside =
+            self.mask.iter().flat_map(|mask| (0..mask.grid().particles()).filter(|&p| !mask.contains(p)));
+        self.handles.iter().copied().chain(outside).collect()
+    }
+
     /// Returns about how much curvature its contacts add to the energy along a particle's displacement, for each unit of
     /// its mass: that of barrier and friction under the particle's own weight, on the body where it is most; 0 without
     /// bodies. Optimizers take it into their Hessian of the sheet at rest.
@@ -165,7 +195,7 @@ impl Model {
     }
 
     /// Fails if the grid is too small or too large ([`Grid::new`]), there is no cloth, a handle is outside
-    /// the grid or listed twice, a number of a repulsion is out of the range given in [`Repulsion`], a
+    /// the grid, not part of its cloth or listed twice, a mask is of another grid, a number of a repulsion is out of the range given in [`Repulsion`], a
     /// coefficient is negative, or any number is not finite in single precision.
     pub fn check(&self) -> Result<()> {
         Grid::new(self.grid.h, self.grid.w, "model")?;
@@ -215,10 +245,22 @@ impl Model {
             let refused = |expected: String, p: usize| {
                 Err(Error::invalid("model", format!("handles of cloth {b}"), expected, p))
             };
+            if let Some(mask) = cloth.mask.as_ref().filter(|mask| mask.grid() != self.grid) {
+                let field = format!("mask of cloth {b}");
+                return Err(Error::invalid(
+                    "model",
+                    field,
+                    format!("one of a grid of {}", self.grid),
+                    mask.grid(),
+                ));
+            }
             let mut seen = HashSet::new();
             for &p in &cloth.handles {
                 if p >= n {
                     return refused(format!("particles 0 to {} of a grid of {}", n - 1, self.grid), p);
+                }
+                if let Some(mask) = cloth.mask.as_ref().filter(|mask| !mask.contains(p)) {
+                    return refused(format!("particles of the cloth, such as {}", mask.nearest(p)), p);
                 }
                 if !seen.insert(p) {
                     return refused("no particle more than once".into(), p);
@@ -288,19 +330,17 @@ impl Model {
         before..before + self.cloths[b].handles.len()
     }
 
-    /// Returns the handle slot of every particle, shape [B, H, W]: 0 for a free particle, else 1 + the index
-    /// of its position in [`Control::handles`]. Panics if a handle is outside the grid ([`Model::check`]).
-    pub fn handle_slots(&self) -> Vec<u32> {
-        let n = self.grid.particles();
-        let mut slots = vec![0; self.batch() * n];
-        let mut next = 1;
-        for (b, cloth) in self.cloths.iter().enumerate() {
-            for &p in &cloth.handles {
-                slots[b * n..][..n][p] = next;
-                next += 1;
-            }
-        }
-        slots
+    /// Whether all cloths are full rectangles.
+    pub fn is_full(&self) -> bool {
+        self.cloths.iter().all(|cloth| cloth.mask.is_none())
+    }
+
+    /// Returns what each particle is, shape [B, H, W]. Panics if a handle is outside the grid ([`Model::check`]).
+    pub fn marks(&self) -> Vec<Mark> {
+        let of_cloth = |(b, cloth): (usize, &Cloth)| {
+            Mark::of_cloth(self.grid, cloth.mask.as_ref(), &cloth.handles, self.handle_range(b).start)
+        };
+        self.cloths.iter().enumerate().flat_map(of_cloth).collect()
     }
 }
 

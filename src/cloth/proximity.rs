@@ -78,8 +78,13 @@ impl Parts {
     }
 
     /// Returns where the parts are nearest. `None` if another pair of parts tells the same: edges that are nearest at an end of
-    /// one, and triangles on whose border the nearest point is although a neighbour is nearer, or is the one to tell.
-    pub fn nearest(self, grid: Grid, place: impl Fn(usize) -> DVec3) -> Option<Nearest> {
+    /// one, and triangles on whose border the nearest point is although a neighbour is nearer, or is the one to tell. `has`
+    /// says which particles of the grid the cloth has.
+    pub fn nearest(
+        self,
+        (grid, has): (Grid, impl Fn(usize) -> bool),
+        place: impl Fn(usize) -> DVec3,
+    ) -> Option<Nearest> {
         match self {
             Self::Vertex(p, face) => {
                 let corners = grid.face(face);
@@ -87,14 +92,15 @@ impl Parts {
                 let seen = |q: usize| place(q) - place(p);
                 let [a, b, c] = nearest_on_triangle(corners.map(seen));
                 let separation = -(a * seen(corners[0]) + b * seen(corners[1]) + c * seen(corners[2]));
+                let sheet = (grid, &has);
                 let tells = match [a, b, c].map(|weight| weight > 0.0) {
                     [true, true, true] => true,
-                    [true, false, false] => tells_of_corner(grid, face, 0, separation, seen),
-                    [false, true, false] => tells_of_corner(grid, face, 1, separation, seen),
-                    [false, false, true] => tells_of_corner(grid, face, 2, separation, seen),
-                    [true, true, false] => tells_of_side(grid, face, 0, separation, seen),
-                    [false, true, true] => tells_of_side(grid, face, 1, separation, seen),
-                    [true, false, true] => tells_of_side(grid, face, 2, separation, seen),
+                    [true, false, false] => tells_of_corner(sheet, face, 0, separation, seen),
+                    [false, true, false] => tells_of_corner(sheet, face, 1, separation, seen),
+                    [false, false, true] => tells_of_corner(sheet, face, 2, separation, seen),
+                    [true, true, false] => tells_of_side(sheet, face, 0, separation, seen),
+                    [false, true, true] => tells_of_side(sheet, face, 1, separation, seen),
+                    [true, false, true] => tells_of_side(sheet, face, 2, separation, seen),
                     [false, false, false] => false,
                 };
                 tells.then_some(Nearest { weights: [1.0, -a, -b, -c], separation })
@@ -159,37 +165,48 @@ fn nearest_on_triangle([a, b, c]: [DVec3; 3]) -> [f64; 3] {
 /// Whether a triangle is the one that tells of a point on its side from corner `side` to the next: if the triangle across
 /// is not nearer, the one of the two that comes first in its cell.
 fn tells_of_side(
-    grid: Grid,
+    (grid, has): (Grid, &impl Fn(usize) -> bool),
     face: usize,
     side: usize,
     separation: DVec3,
     seen: impl Fn(usize) -> DVec3,
 ) -> bool {
-    match grid.across(face, side) {
+    match grid.across(face, side).filter(|&(other, _)| grid.cell_of(other).into_iter().all(has)) {
         None => true,
         // Of two triangles with a side in common one is the first of its cell, and the other the second.
-        Some(other) => face.is_multiple_of(2) && separation.dot(seen(other) + separation) <= LEVEL,
+        Some((_, other)) => face.is_multiple_of(2) && separation.dot(seen(other) + separation) <= LEVEL,
     }
 }
 
 /// Whether a triangle is the one that tells of its corner: if no edge from there leads nearer, one of those around it.
 fn tells_of_corner(
-    grid: Grid,
+    (grid, has): (Grid, &impl Fn(usize) -> bool),
     face: usize,
     corner: usize,
     separation: DVec3,
     seen: impl Fn(usize) -> DVec3,
 ) -> bool {
     let p = grid.face(face)[corner];
-    let (i, j) = (p / grid.w, p % grid.w);
+    let w = grid.w;
+    let (up, down, left, right) = (p >= w, p + w < grid.particles(), p % w > 0, p % w + 1 < w);
+    let whole = |is_there: bool, a: usize| is_there && [a, a + 1, a + w, a + w + 1].into_iter().all(has);
+    let after = || whole(down && right, p);
+    let above = || whole(up && right, p.wrapping_sub(w));
+    let before = || whole(up && left, p.wrapping_sub(w + 1));
+    // The first triangle of the cell that begins there, or else of the one above it, or before that; or the second of the
+    // one to the left.
     let tells = match (face.is_multiple_of(2), corner) {
         (true, 0) => true,
-        (true, 1) => i + 1 == grid.h,
-        (true, _) => j + 1 == grid.w,
-        (false, 2) => i == 0 && j + 1 == grid.w,
+        (true, 1) => !after(),
+        (true, _) => !after() && !above(),
+        (false, 2) => !after() && !above() && !before(),
         (false, _) => false,
     };
-    tells && grid.ring(p).all(|q| separation.dot(seen(q) + separation) <= LEVEL)
+    let is_joined = |q: usize| match p.abs_diff(q) == w + 1 {
+        true => whole(true, p.min(q)),
+        false => has(q),
+    };
+    tells && grid.ring(p).filter(|&q| is_joined(q)).all(|q| separation.dot(seen(q) + separation) <= LEVEL)
 }
 
 #[cfg(test)]
@@ -211,7 +228,9 @@ mod tests {
             let place = |p: usize| 3.0 * point(100 * seed + p);
             let pairs = [Parts::vertex(grid, 40, 3), Parts::edges([0, 1], [20, 30])];
             for parts in pairs.into_iter().flatten() {
-                let Some(Nearest { weights, separation }) = parts.nearest(grid, place) else { continue };
+                let Some(Nearest { weights, separation }) = parts.nearest((grid, |_| true), place) else {
+                    continue;
+                };
                 let made: DVec3 =
                     parts.particles(grid).into_iter().zip(weights).map(|(p, w)| w * place(p)).sum();
                 assert!((made - separation).length() < 1e-12);
@@ -239,7 +258,8 @@ mod tests {
         let observer = grid.particles() - 1;
         let place = |p: usize| if p == observer { from } else { place(p) };
         let faces = 0..2 * (grid.h - 1) * (grid.w - 1);
-        let pairs = faces.filter_map(|face| Parts::vertex(grid, observer, face)?.nearest(grid, place));
+        let pairs =
+            faces.filter_map(|face| Parts::vertex(grid, observer, face)?.nearest((grid, |_| true), place));
         pairs.map(|nearest| nearest.separation.length()).collect()
     }
 

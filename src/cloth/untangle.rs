@@ -1,6 +1,6 @@
 //! Moves the layers of a cloth out of each other.
 
-use super::{Grid, Intersection, intersections};
+use super::{Cloth, Grid, Intersection, intersections};
 use glam::DVec3;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -15,7 +15,7 @@ const SMOOTHING: f64 = 0.2;
 /// Passes without fewer intersections after which it gives up.
 const PATIENCE: usize = 200;
 
-/// Moves the particles of a cloth so that no edge passes through a triangle ([`intersections`]), all but those in `held`, and
+/// Moves the particles of a cloth so that no edge passes through a triangle ([`intersections`]), all but its handles, and
 /// returns whether that succeeded. If not, nothing is changed. `x` are the places of the particles \[edges\],
 /// shape \[3, H, W\].
 ///
@@ -23,14 +23,14 @@ const PATIENCE: usize = 200;
 /// and the triangle move against each other in the direction in which these lines get shorter fastest, so that what
 /// has passed through is drawn back over its border (intersection contour minimization: Volino and Magnenat-Thalmann
 /// 2006). A start in which a part is wrapped around another in a way that no short move undoes stays as it is.
-pub fn untangle(grid: Grid, x: &mut [f64], held: &[usize]) -> bool {
+pub fn untangle(grid: Grid, cloth: &Cloth, x: &mut [f64]) -> bool {
     let n = grid.particles();
-    let third = corners_beside(grid);
-    let faces = grid.faces();
+    let (faces, held) = (cloth.faces(grid), cloth.held());
+    let third = corners_beside(&faces);
     let mut moved = x.to_vec();
     let (mut least, mut waited) = (usize::MAX, 0);
     for _ in 0..PASSES {
-        let found = intersections(grid, &moved);
+        let found = intersections(&faces, &moved);
         if found.is_empty() {
             x.copy_from_slice(&moved);
             return true;
@@ -58,7 +58,7 @@ pub fn untangle(grid: Grid, x: &mut [f64], held: &[usize]) -> bool {
             ask(edge[1], share, way);
             corners.into_iter().zip(weights).for_each(|(p, weight)| ask(p, weight, -way));
         }
-        for p in held {
+        for p in &held {
             asked.remove(p);
         }
         for (&p, (sum, weights)) in &asked {
@@ -81,9 +81,9 @@ pub fn untangle(grid: Grid, x: &mut [f64], held: &[usize]) -> bool {
 }
 
 /// Returns for each edge, its lower particle first, the third corners of the triangles beside it.
-fn corners_beside(grid: Grid) -> BTreeMap<[u32; 2], Vec<u32>> {
+fn corners_beside(faces: &[[u32; 3]]) -> BTreeMap<[u32; 2], Vec<u32>> {
     let mut beside: BTreeMap<_, Vec<u32>> = BTreeMap::new();
-    for [a, b, c] in grid.faces() {
+    for &[a, b, c] in faces {
         for [p, q, r] in [[a, b, c], [b, c, a], [c, a, b]] {
             beside.entry([p.min(q), p.max(q)]).or_default().push(r);
         }
@@ -125,6 +125,10 @@ fn crossing([p, q]: [DVec3; 2], [a, b, c]: [DVec3; 3]) -> (f64, [f64; 3]) {
 mod tests {
     use super::*;
 
+    fn holding(handles: &[usize]) -> Cloth {
+        Cloth { handles: handles.to_vec(), ..Cloth::default() }
+    }
+
     const GRID: Grid = Grid { h: 20, w: 24 };
 
     fn field(place: impl Fn(f64, f64) -> DVec3) -> Vec<f64> {
@@ -145,11 +149,11 @@ mod tests {
     /// Returns the largest stretch of an edge, the largest move, and whether it succeeded.
     fn untangled(mut x: Vec<f64>, held: &[usize]) -> (f64, f64, bool) {
         let (before, n) = (x.clone(), GRID.particles());
-        assert!(!intersections(GRID, &x).is_empty());
-        let succeeded = untangle(GRID, &mut x, held);
-        assert_eq!(succeeded, intersections(GRID, &x).is_empty());
+        assert!(!intersections(&GRID.faces(), &x).is_empty());
+        let succeeded = untangle(GRID, &holding(held), &mut x);
+        assert_eq!(succeeded, intersections(&GRID.faces(), &x).is_empty());
         let place = |x: &[f64], p: u32| DVec3::new(x[p as usize], x[n + p as usize], x[2 * n + p as usize]);
-        let edges = corners_beside(GRID);
+        let edges = corners_beside(&GRID.faces());
         let length = |x: &[f64], [p, q]: [u32; 2]| (place(x, p) - place(x, q)).length();
         let stretch = edges.keys().map(|&edge| (length(&x, edge) - length(&before, edge)).abs());
         let off = (0..n as u32).map(|p| (place(&x, p) - place(&before, p)).length());
@@ -180,9 +184,9 @@ mod tests {
         let mut x = folded(|_, j| 0.5 - 0.4 * (j - 20.0).max(0.0));
         let before = x.clone();
         let held: Vec<usize> = (0..GRID.particles()).collect();
-        assert!(!untangle(GRID, &mut x, &held) && x == before);
+        assert!(!untangle(GRID, &holding(&held), &mut x) && x == before);
         let mut flat = folded(|_, _| 0.5);
         let before = flat.clone();
-        assert!(untangle(GRID, &mut flat, &[]) && flat == before);
+        assert!(untangle(GRID, &holding(&[]), &mut flat) && flat == before);
     }
 }

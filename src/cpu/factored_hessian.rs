@@ -248,7 +248,7 @@ impl FactoredHessian {
         let (grid, n) = (*grid, grid.particles());
         hessian.fill(trial, projection);
         for p in 0..n {
-            if trial.slots[p] == 0 {
+            if trial.marks[p].is_free() {
                 add_own_block(trial, p, hessian);
                 continue;
             }
@@ -259,7 +259,7 @@ impl FactoredHessian {
         }
         contacts.add_own_blocks(trial, hessian);
         let mut blocks = vec![[[0.0; 3]; 3]; analysis.pairs.len()];
-        let is_free = |p: usize| trial.slots[p] == 0;
+        let is_free = |p: usize| trial.marks[p].is_free();
         for coupling in couplings {
             let block = coupling.block;
             for (p, factor) in coupling.squares().filter(|&(p, _)| is_free(p)) {

@@ -3,11 +3,11 @@
 
 use super::Real;
 use super::cloth::{
-    Approach, Contacts, CurvatureRows, Frame, GradientRows, Layers, LocalModel, Trial, add_wind, end_frame,
-    energy, gradient, local_model, repulsion, repulsion_curvature, shifts, stretch,
+    Approach, Contacts, CurvatureRows, Cut, Frame, GradientRows, Layers, LocalModel, Trial, add_wind,
+    end_frame, energy, gradient, local_model, masses, repulsion, repulsion_curvature, shifts, stretch,
 };
 use super::optim::norm;
-use crate::cloth::{BodyStats, Control, EnergyTerms, LayerStats, Model, State, Sweep};
+use crate::cloth::{BodyStats, Control, EnergyTerms, LayerStats, Mark, Model, State, Sweep};
 use crate::settings::{PARTING_ROUNDS, PARTINGS};
 use crate::sim::MAX_DIRECTIONS;
 use rayon::prelude::*;
@@ -37,8 +37,12 @@ pub(super) struct Trials<T> {
     pub shift: Vec<T>,
     /// External accelerations [edges / frame^2], shape [B, 3, H, W].
     f: Vec<T>,
-    /// Handle slots, shape [B, H, W].
-    slots: Vec<u32>,
+    /// What each particle is, shape [B, H, W].
+    pub marks: Vec<Mark>,
+    /// Masses of the particles over H W, shape [B, H, W].
+    masses: Vec<T>,
+    /// The edges and angles of each cloth that is not a full rectangle, shape \[B\].
+    cuts: Vec<Option<Cut<T>>>,
     /// Contacts of each cloth in this frame, shape \[B\].
     pub contacts: Vec<Contacts<T>>,
 }
@@ -53,15 +57,19 @@ impl<T: Real> Objective<T> {
     pub fn new(model: &Model) -> Self {
         let zeros = || vec![T::zero(); model.batch() * 3 * model.grid.particles()];
         let total_acceleration = if has_total(model) { zeros() } else { Vec::new() };
+        let mut trial = Trials {
+            model: model.clone(),
+            a: zeros(),
+            shift: zeros(),
+            f: zeros(),
+            marks: Vec::new(),
+            masses: Vec::new(),
+            cuts: Vec::new(),
+            contacts: vec![Contacts::default(); model.batch()],
+        };
+        trial.mark();
         Self {
-            trial: Trials {
-                model: model.clone(),
-                a: zeros(),
-                shift: zeros(),
-                f: zeros(),
-                slots: model.handle_slots(),
-                contacts: vec![Contacts::default(); model.batch()],
-            },
+            trial,
             rows: (0..model.batch()).map(|_| GradientRows::new(model.grid)).collect(),
             total_acceleration,
             grad: zeros(),
@@ -80,7 +88,7 @@ impl<T: Real> Objective<T> {
         old.clone_from(model);
         self.repulsion_energy.fill(0.0);
         self.total_acceleration.resize(if has_total(model) { self.grad.len() } else { 0 }, T::zero());
-        self.trial.slots = model.handle_slots();
+        self.trial.mark();
         self.trial.contacts.fill(Contacts::default());
     }
 
@@ -107,7 +115,7 @@ impl<T: Real> Objective<T> {
     /// Starts a frame, during which gravity, wind and the external accelerations of `control` are constant, and bodies
     /// are planes. Panics if a length does not match the model.
     pub fn begin_frame(&mut self, state: &State<T>, control: &Control<T>) {
-        let Trials { model, f, slots, contacts, .. } = &mut self.trial;
+        let Trials { model, f, marks, contacts, .. } = &mut self.trial;
         let (grid, batch, cloth) = (model.grid, model.batch(), 3 * model.grid.particles());
         let len = batch * cloth;
         assert!(state.x.len() == len && state.v.len() == len, "a state has shape [B, 3, H, W]");
@@ -123,7 +131,8 @@ impl<T: Real> Objective<T> {
                 }
             }
             let wind = control.wind.get(b).copied().unwrap_or([T::zero(); 3]);
-            add_wind(grid, setting.air, wind, (&state.x[at.clone()], &state.v[at.clone()]), f);
+            let marks = &marks[b * cloth / 3..][..cloth / 3];
+            add_wind((grid, marks), setting.air, wind, (&state.x[at.clone()], &state.v[at.clone()]), f);
             if !setting.bodies.is_empty() || setting.self_contact.is_some() {
                 contacts[b] = Contacts::find(Approach {
                     grid,
@@ -131,7 +140,7 @@ impl<T: Real> Objective<T> {
                     sweeps: &sweeps(model, control, b),
                     x: &state.x[at.clone()],
                     v: &state.v[at.clone()],
-                    slots: &slots[b * cloth / 3..][..cloth / 3],
+                    marks,
                     handles: &control.handles,
                 });
             }
@@ -152,7 +161,7 @@ impl<T: Real> Objective<T> {
     /// Changes the trial accelerations at the end of a frame where they lead layers through each other.
     pub fn part_layers(&mut self, state: &State<T>, control: &Control<T>) {
         let cloth = self.cloth_len();
-        let Trials { model, a, slots, contacts, .. } = &mut self.trial;
+        let Trials { model, a, marks, contacts, .. } = &mut self.trial;
         for (b, (a, setting)) in a.chunks_exact_mut(cloth).zip(&model.cloths).enumerate() {
             let Some(settings) = setting.self_contact else { continue };
             contacts[b].part_layers(a);
@@ -164,7 +173,7 @@ impl<T: Real> Objective<T> {
                     sweeps: &[],
                     x: &state.x[at.clone()],
                     v: &state.v[at.clone()],
-                    slots: &slots[b * cloth / 3..][..cloth / 3],
+                    marks: &marks[b * cloth / 3..][..cloth / 3],
                     handles: &control.handles,
                 };
                 let layers = Layers::find_missed(&start, settings, a);
@@ -184,10 +193,10 @@ impl<T: Real> Objective<T> {
     /// Moves the particles to where the trial accelerations lead.
     pub fn move_to_trial(&mut self, state: &State<T>, control: &Control<T>) {
         let cloth = self.cloth_len();
-        let Trials { shift, a, slots, contacts, .. } = &mut self.trial;
+        let Trials { shift, a, marks, contacts, .. } = &mut self.trial;
         for (b, shift) in shift.chunks_exact_mut(cloth).enumerate() {
             let at = b * cloth..(b + 1) * cloth;
-            let frame = frame(slots, a, control, (b, cloth / 3));
+            let frame = frame(marks, a, control, (b, cloth / 3));
             shifts(frame, &state.x[at.clone()], &state.v[at], shift);
             contacts[b].move_to(shift);
         }
@@ -212,7 +221,7 @@ impl<T: Real> Objective<T> {
                     0.0
                 }
             };
-            trial.contacts[b].add_accelerations(before.grid, before.shift, total_acceleration);
+            trial.contacts[b].add_accelerations(before.marks, before.shift, total_acceleration);
         });
         let of_cloth = |b: usize, grad: &mut [T], norms: &mut [f64], rows: &mut GradientRows<T>| {
             let mut of_gradient = trial.cloth(state, b);
@@ -335,8 +344,8 @@ impl<T: Real> Objective<T> {
         let cloth = self.cloth_len();
         let parts = state.x.chunks_exact_mut(cloth).zip(state.v.chunks_exact_mut(cloth));
         for (b, (x, v)) in parts.enumerate() {
-            let Trials { shift, a, slots, contacts, model, .. } = &self.trial;
-            let frame = frame(slots, a, control, (b, cloth / 3));
+            let Trials { shift, a, marks, contacts, model, .. } = &self.trial;
+            let frame = frame(marks, a, control, (b, cloth / 3));
             let shift = &shift[b * cloth..][..cloth];
             end_frame(frame, shift, x, v);
             contacts[b].end_frame(&model.cloths[b].bodies, x, v);
@@ -345,6 +354,14 @@ impl<T: Real> Objective<T> {
 }
 
 impl<T: Real> Trials<T> {
+    /// Takes over which particles the cloths have, and which of them are handles.
+    fn mark(&mut self) {
+        let grid = self.model.grid;
+        self.marks = self.model.marks();
+        self.masses = masses(grid, &self.marks);
+        self.cuts = self.marks.chunks_exact(grid.particles()).map(|marks| Cut::of(grid, marks)).collect();
+    }
+
     /// Returns the trial of cloth `b`.
     pub(super) fn cloth<'a>(&'a self, state: &'a State<T>, b: usize) -> Trial<'a, T> {
         let n = self.model.grid.particles();
@@ -356,7 +373,9 @@ impl<T: Real> Trials<T> {
             shift: &self.shift[at.clone()],
             a: &self.a[at.clone()],
             f: &self.f[at],
-            slots: &self.slots[n * b..n * (b + 1)],
+            marks: &self.marks[n * b..n * (b + 1)],
+            masses: &self.masses[n * b..n * (b + 1)],
+            cut: self.cuts[b].as_ref(),
         }
     }
 }
@@ -366,13 +385,13 @@ fn sweeps<T>(model: &Model, control: &Control<T>, b: usize) -> Vec<Sweep> {
     (0..model.cloths[b].bodies.len()).map(|k| control.sweep(model, b, k)).collect()
 }
 
-/// Returns the start of the frame for cloth `b` of `n` particles, given the slots and accelerations of all
+/// Returns the start of the frame for cloth `b` of `n` particles, given the marks and accelerations of all
 /// cloths.
 fn frame<'a, T>(
-    slots: &'a [u32],
+    marks: &'a [Mark],
     a: &'a [T],
     control: &'a Control<T>,
     (b, n): (usize, usize),
 ) -> Frame<'a, T> {
-    Frame { slots: &slots[b * n..][..n], handles: &control.handles, a: &a[b * 3 * n..][..3 * n] }
+    Frame { marks: &marks[b * n..][..n], handles: &control.handles, a: &a[b * 3 * n..][..3 * n] }
 }

@@ -319,9 +319,10 @@ fn energy_here(objective: &mut Objective<f64>, state: &State<f64>, control: &Con
     objective.energy(state, 0).total()
 }
 
-/// Zeroes a field [3, H, W] at the handles.
+/// Zeroes a field [3, H, W] where no free particle is.
 pub(super) fn hold(model: &Model, field: &mut [f64]) {
+    let held = model.cloths[0].held();
     for component in field.chunks_exact_mut(model.grid.particles()) {
-        model.cloths[0].handles.iter().for_each(|&p| component[p] = 0.0);
+        held.iter().for_each(|&p| component[p] = 0.0);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::FreeEdges;
 use crate::Frame;
-use crate::cloth::{Control, Grid, Model, State};
+use crate::cloth::{Control, Grid, Mark, Model, State};
 use crate::cpu::cloth::sheet_axes;
 use crate::cpu::optim::{CoRotatedHessian, Cosines, InverseHessian, RestHessian};
 use crate::cpu::{Objective, free_fall};
@@ -189,6 +189,8 @@ fn model_of(script: &Script<'_>) -> Model {
 /// Estimates the energy gap of a frame without its minimum.
 struct Estimate {
     grid: Grid,
+    /// Shape [H, W].
+    marks: Vec<Mark>,
     objective: Objective<f64>,
     in_space: RestHessian<f64>,
     in_sheet: CoRotatedHessian<f64>,
@@ -208,6 +210,7 @@ impl Estimate {
         let cosines = Arc::new(Cosines::new(grid));
         Self {
             grid,
+            marks: model.marks(),
             objective: Objective::new(model),
             in_space: RestHessian::with(&cosines, cloth),
             in_sheet: CoRotatedHessian::new(&cosines, cloth),
@@ -223,7 +226,7 @@ impl Estimate {
         self.objective.begin_frame(before, control);
         self.objective.set_accelerations(&self.still);
         self.objective.evaluate(before, control);
-        sheet_axes(self.grid, &before.x, &before.v, &mut self.axes);
+        sheet_axes((self.grid, &self.marks), &before.x, &before.v, &mut self.axes);
         let all = self.decrease();
         self.objective.gradient_at_end(before, after, control);
         let left = self.decrease();

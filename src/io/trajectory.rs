@@ -115,7 +115,7 @@ impl Trajectory {
     pub fn intersections(&self, frame: usize) -> Vec<Intersection> {
         let positions = self.frame(frame);
         let by_axis = (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c])));
-        intersections(self.grid, &by_axis.collect::<Vec<_>>())
+        intersections(&self.grid.faces(), &by_axis.collect::<Vec<_>>())
     }
 
     /// Returns the velocities of one frame [m/s], shape [V, 3]. Panics if there is no such frame.

@@ -24,6 +24,7 @@ pub(crate) mod common {
     pub const FINITE: &str = include_str!("../../shaders/common/finite.wgsl");
     pub const GELU: &str = include_str!("../../shaders/common/gelu.wgsl");
     pub const JOINED: &str = include_str!("../../shaders/common/joined.wgsl");
+    pub const MARK: &str = include_str!("../../shaders/common/mark.wgsl");
     pub const NEAREST: &str = include_str!("../../shaders/common/nearest.wgsl");
     pub const OFFSET: &str = include_str!("../../shaders/common/offset.wgsl");
     pub const TEXEL: &str = include_str!("../../shaders/common/texel.wgsl");

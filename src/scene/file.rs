@@ -2,9 +2,9 @@
 
 use super::start::read_transform;
 use super::{
-    Attachment, BodyMotion, BodySettings, BodyShape, Event, Handles, Mass, MeshSource, Moduli, Motion,
-    Placement, RepulsionSettings, Scene, SelfContactSettings, Side, Start, StartFile, Stiffness, UpAxis,
-    Wind, authors,
+    Attachment, BodyMotion, BodySettings, BodyShape, Event, Handles, MaskSettings, Mass, MeshSource, Moduli,
+    Motion, Placement, RepulsionSettings, Scene, SelfContactSettings, Side, Start, StartFile, Stiffness,
+    UpAxis, Wind, authors,
 };
 use crate::cloth::{Grid, Material};
 use crate::io::Node;
@@ -14,9 +14,10 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The fields of a scene file.
-pub(super) const FIELDS: [&str; 21] = [
+pub(super) const FIELDS: [&str; 22] = [
     "grid",
     "side_m",
+    "mask",
     "mass_kg",
     "areal_mass_kg_m2",
     "material",
@@ -97,6 +98,7 @@ impl Scene {
                 Side::Height(h) => json!(h),
                 Side::Both(sides) => json!(sides),
             },
+            "mask": self.mask.as_ref().map(MaskSettings::to_json),
             "material": self.stiffness.to_json(),
             "gravity": self.gravity,
             "wind": self.wind,
@@ -147,6 +149,7 @@ impl Scene {
         if let Motion::File(path) = &mut scene.motion {
             absolute(path)?;
         }
+        scene.mask.iter_mut().flat_map(MaskSettings::files_mut).try_for_each(absolute)?;
         for body in &mut scene.bodies {
             if let BodyMotion::File(path) = &mut body.motion {
                 absolute(path)?;
@@ -205,9 +208,12 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
     node.deny_unknown(&FIELDS)?;
     let fallback = Scene::default();
     let up = node.get_or("up", UpAxis::Y, read_up)?;
+    let mask = node.get_or("mask", None, |n| MaskSettings::read(n, folder).map(Some))?;
+    let start = if mask.is_some() { Start::Flat } else { fallback.start };
     Ok(Scene {
         grid: node.get_or("grid", fallback.grid, read_grid)?,
         side_m: node.get_or("side_m", fallback.side_m, read_side)?,
+        mask,
         mass: read_mass(node)?,
         stiffness: node.get_or("material", fallback.stiffness, read_stiffness)?,
         gravity: node.get_or("gravity", up.down(super::GRAVITY_M_S2), |n| read_gravity(n, up))?,
@@ -221,7 +227,7 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         thickness_m: node.get_or("thickness_m", None, |n| n.number().map(Some))?,
         frame_time_s: node.get_or("frame_time_s", fallback.frame_time_s, Node::number)?,
         frames: node.get_or("frames", None, read_frames)?,
-        start: node.get_or("start", fallback.start, |n| read_start(n, folder))?,
+        start: node.get_or("start", start, |n| read_start(n, folder))?,
         handles: node.get_or("handles", fallback.handles, read_handles)?,
         motion: node.get_or("motion", fallback.motion, |n| read_motion(n, folder))?,
         attached: node

@@ -30,7 +30,8 @@
 //! |---|---|---|---|
 //! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each | | `[32, 32]` |
 //! | `side_m` | side along the height, from which the width follows as cells are square; or `[height, width]`, which must make cells square to within 0.1 % | m | `1` |
-//! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, or mass per area; above 0 | kg or kg/m^2 | areal, `0.187` |
+//! | `mask` | the part of the sheet that the cloth has, see below | | all of it |
+//! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, before it is cut, or mass per area; above 0 | kg or kg/m^2 | areal, `0.187` |
 //! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}` | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
 //! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
@@ -54,6 +55,23 @@
 //! areal mass rho and frame time T, `k_stretch = Y T^2 / (2 s rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`,
 //! `k_bend = D T^2 / (2 sqrt(s) rho l^4)` with `s = H W / ((H - 1)(W - 1))` ([`Units::material`]).
 //!
+//! **Mask.** A cloth need not be a rectangle. A `mask` is a region of the sheet, or `{"outline", "holes"}`, a region that is
+//! kept (the whole sheet if left out) and a list of those that are cut out of it. A region is `"disc"`, the largest in the
+//! middle; `"triangle"`, which hangs from the edge j = 0 with its tip down; `{"circle": [u, v], "radius_m"}`;
+//! `{"polygon": [[u, v], ..]}`; or a file, a `.png` whose bright and opaque pixels are kept, or a `.npy` [rows, columns] that
+//! is not zero where particles are. (u, v) are texture coordinates, 0 to 1: u to the right and v up on a sheet that hangs from
+//! the edge j = 0. The cloth consists of the cells of the grid that lie in the region with all four corners. Without a `start`
+//! such a cloth begins `flat`, since it has no settled drape, and its handles must be particles that it has.
+//!
+//! ```
+//! # use fnopt::scene::Scene;
+//! let text = r#"{"mask": {"outline": "disc", "holes": [{"circle": [0.5, 0.5], "radius_m": 0.1}]}, "grid": [33, 33],
+//!     "handles": [[0, 16]], "motion": "none"}"#;
+//! let setup = Scene::parse(text, "ring.json", "".as_ref())?.setup()?;
+//! assert!(!setup.model.cloths[0].contains(16 * 33 + 16));
+//! # Ok::<(), fnopt::Error>(())
+//! ```
+//!
 //! **Repulsion.** Two particles that are not joined by an edge of the triangulated grid repel each other when
 //! they are closer than `distance`, which is 0.001 to 1 edges ([`crate::cloth::Repulsion`]). `strength` is an
 //! energy per unit mass, so the speed needed to overcome it is the same on every grid. Repulsion acts between
@@ -62,8 +80,7 @@
 //! pass through each other undetected.
 //!
 //! **Self-contact.** Particles meet triangles and edges meet edges when they come nearer than the thickness, which is 0.001 to
-//! 0.5 edges ([`crate::cloth::SelfContact`]), whatever their speed. It is the stricter way to keep layers apart, and is computed
-//! on the CPU alone.
+//! 0.5 edges ([`crate::cloth::SelfContact`]), whatever their speed. It is the stricter way to keep layers apart.
 //!
 //! **Bodies.** A body has a `shape`: `plane` (everything below it, with a `normal`), `sphere` (`radius_m`), `capsule`
 //! (`radius_m`, `length_m` between the centres of its ends, `axis`), `box` (`sides_m`) or `mesh` (the `file` of an `.obj`, or
@@ -174,6 +191,7 @@ mod drape;
 mod events;
 pub(crate) mod file;
 mod handles;
+mod mask;
 mod motion;
 mod named;
 mod obj;
@@ -187,6 +205,7 @@ mod units;
 pub use bodies::{BodyMotion, BodyPose, BodySettings, BodyShape, MeshSource};
 pub use events::{Attachment, Event, Release};
 pub use handles::{Handles, Placement};
+pub use mask::{MaskSettings, Region};
 pub use motion::{BuiltIn, Motion};
 pub use named::{NamedScene, named_scenes};
 pub use script::{Change, Course, Lead, Script, Scripts};
@@ -353,6 +372,8 @@ pub struct Scene {
     pub grid: Grid,
     /// Side lengths \[m\].
     pub side_m: Side,
+    /// The part of the sheet that the cloth has; `None` for all of it.
+    pub mask: Option<MaskSettings>,
     /// Mass of the sheet.
     pub mass: Mass,
     /// Stiffness of the sheet.
@@ -401,6 +422,7 @@ impl Default for Scene {
         Self {
             grid: Grid { h: 32, w: 32 },
             side_m: Side::Height(1.0),
+            mask: None,
             mass: Mass::default(),
             stiffness: Stiffness::default(),
             gravity: up.down(GRAVITY_M_S2),
@@ -448,7 +470,8 @@ impl Scene {
             BodyShape::Mesh { source: MeshSource::File(path), .. } => Some(&**path),
             _ => None,
         });
-        start.into_iter().chain(motion).chain(poses).chain(meshes)
+        let masks = self.mask.iter().flat_map(MaskSettings::files);
+        start.into_iter().chain(motion).chain(poses).chain(meshes).chain(masks)
     }
 
     /// Checks everything that can be checked without reading a file, and returns the units that follow from

@@ -4,7 +4,7 @@ use super::motion::Recording;
 use super::points::{norm, zip};
 use super::script::Change;
 use super::surface::Sheet;
-use super::{Handles, Motion, Scene, Units, UpAxis};
+use super::{Handles, Motion, Scene, Start, Units, UpAxis};
 use crate::cloth::{
     Cloth, Control, Grid, Intersection, Material, Model, Pose, State, Sweep, VertexView, cast, intersections,
     untangle,
@@ -358,7 +358,16 @@ impl Scene {
             self_contact: self.self_contact.map(|settings| self.of_layers(&units, settings)),
             handles: self.handles.on(grid, &self.origin)?,
             bodies: Vec::new(),
+            mask: match &self.mask {
+                Some(settings) => Some(settings.on(grid, &units, &self.origin)?),
+                None => None,
+            },
         };
+        self.check_handles(&cloth, "handles")?;
+        if cloth.mask.is_some() && self.start == Start::Settled {
+            let expected = "flat, hanging or a file, since a cloth with a mask has no settled drape";
+            return Err(Error::invalid(&self.origin, "start", expected, "settled"));
+        }
         let wind = units.velocity(self.up.to_z_up(self.wind.velocity));
         self.check_units(&units, &cloth, wind)?;
         let [mut points, velocities] = self.start.on(&cloth, &units, (grid, self.up), &self.origin)?;
@@ -410,6 +419,9 @@ impl Scene {
             points[particles[handle]] = at_start[handle];
         }
         let changes = self.changes(&units, handles.len(), (&cloth, wind))?;
+        changes.iter().try_for_each(|change| {
+            self.check_handles(&change.cloth, &format!("handles from frame {} on", change.frame))
+        })?;
         self.move_out_of_bodies(&cloth, &attached, &mut points);
         self.untangle(&cloth, &mut points);
         self.warn_of_jumps(&cloth, &poses);
@@ -436,13 +448,27 @@ impl Scene {
         Ok(setup)
     }
 
+    /// Fails if the cloth doesn't have one of its handles.
+    fn check_handles(&self, cloth: &Cloth, field: &str) -> Result<()> {
+        let Some(mask) = &cloth.mask else { return Ok(()) };
+        let w = self.grid.w;
+        let shown = |p: usize| format!("[{}, {}]", p / w, p % w);
+        match cloth.handles.iter().find(|&&p| !mask.contains(p)) {
+            None => Ok(()),
+            Some(&p) => {
+                let expected = format!("particles that the mask leaves, such as {}", shown(mask.nearest(p)));
+                Err(Error::invalid(&self.origin, field, expected, shown(p)))
+            }
+        }
+    }
+
     /// Moves free particles that are inside a body, or nearer than its thickness, out of it, and warns if any were inside.
     fn move_out_of_bodies(&self, cloth: &Cloth, attached: &[Option<usize>], points: &mut [[f64; 3]]) {
         let handles: BTreeMap<usize, Option<usize>> =
             cloth.handles.iter().copied().zip(attached.iter().copied()).collect();
         for (k, body) in cloth.bodies.iter().enumerate().filter(|(_, body)| body.present) {
             let (mut inside, mut held) = (0, 0);
-            for (p, point) in points.iter_mut().enumerate() {
+            for (p, point) in points.iter_mut().enumerate().filter(|(p, _)| cloth.contains(*p)) {
                 let own = body.pose.inward((*point).into());
                 let surface = body.shape.distance(own);
                 let is_inside = surface.distance < 0.0;
@@ -475,7 +501,7 @@ impl Scene {
             return;
         }
         let mut x = field(points);
-        let found = intersections(self.grid, &x);
+        let found = intersections(&cloth.faces(self.grid), &x);
         let Some(Intersection { edge: [p, q], .. }) = found.first() else { return };
         let what = format!(
             "{}: start: the cloth passes through itself: {} of its edges meet a triangle of it, first that between particles \
@@ -483,7 +509,7 @@ impl Scene {
             self.origin,
             found.iter().map(|one| one.edge).collect::<BTreeSet<_>>().len()
         );
-        if self.self_contact.is_some() && untangle(self.grid, &mut x, &cloth.handles) {
+        if self.self_contact.is_some() && untangle(self.grid, cloth, &mut x) {
             let n = points.len();
             let mut farthest = 0.0_f64;
             for (p, point) in points.iter_mut().enumerate() {
@@ -649,7 +675,7 @@ impl Scene {
         }
         self.side_m = super::Side::Height(self.side_m.height());
         self.handles = handles;
-        if let super::Start::File(file) = &mut self.start {
+        if let Start::File(file) = &mut self.start {
             file.grid.get_or_insert(old);
         }
         self.grid = grid;

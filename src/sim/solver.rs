@@ -2,7 +2,7 @@
 
 use super::method::{Method, row, rows};
 use super::{FrameStats, IterationLog, Memory, Optimizer, StepCounts, Vertices};
-use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, State};
+use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::{
     Begin, ClothContacts, ClothLayers, ClothTerms, Fields, Objective, Room, gradient,
@@ -172,6 +172,11 @@ impl Solver {
         &self.objective.x
     }
 
+    /// Returns what each particle is ([`crate::cloth::Mark`]), shape [B, H W].
+    pub(super) fn marks(&self) -> &Tensor {
+        &self.objective.iterate.marks
+    }
+
     /// Returns the velocities [edges / frame], shape [B, 3, H W].
     pub fn velocities(&self) -> &Tensor {
         &self.objective.v
@@ -252,8 +257,7 @@ impl Solver {
             let expected = format!("meshes of {room} samples at most, for which the solver was built");
             return Err(Error::invalid("model", "bodies", expected, format!("{found} samples")));
         }
-        let slots = model.handle_slots();
-        let handles_differ = slots != self.model.handle_slots();
+        let handles_differ = model.marks() != self.model.marks();
         if handles_differ {
             self.targets = self.objective.targets.view(0, &[model.handles(), 3]);
         }
@@ -464,8 +468,6 @@ impl Solver {
         let len: u64 = self.statistics_tensors().map(Tensor::bytes).iter().sum();
         assert_eq!(contents.len() as u64, len, "the contents of the tensors of statistics");
         let contents: Vec<f32> = bytemuck::pod_collect_to_vec(contents);
-        let Grid { h, w } = self.model.grid;
-        let edges = ((h - 1) * w + h * (w - 1)) as f64;
         let (terms, rest) = contents.split_at(self.objective.terms.len());
         let (ends, rest) = rest.split_at(2 * self.ends[0].len());
         let [.., steps, bodies, _] = self.statistics_tensors();
@@ -491,7 +493,7 @@ impl Solver {
             gradient_first: of_cloth(first, b),
             gradient_last: of_cloth(last, b),
             stretch_largest: terms.stretch_largest,
-            stretch_mean: terms.stretch_sum / edges,
+            stretch_mean: terms.stretch_sum / self.model.cloths[b].edges(self.model.grid) as f64,
             converged: None,
             steps: step_counts(&steps[b * STATE..][..STATE]),
             bodies: contacts(b).bodies,

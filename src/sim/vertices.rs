@@ -32,7 +32,7 @@ impl Vertices {
             let view = Tensor::from_slice(context, "view", &[batch, 4, 4], &views)?;
             let interleaved = Tensor::zeros(context, "vertices", &[batch, grid.particles(), 6])?;
             let mut schedule = Schedule::new(context);
-            let from = (&view, solver.positions(), solver.velocities());
+            let from = (solver.marks(), &view, solver.positions(), solver.velocities());
             kernels::cloth::Vertices::new(context)?.push(&mut schedule, grid, from, &interleaved);
             Ok(Self { context: context.clone(), view, interleaved, schedule: schedule.finish()? })
         })

@@ -86,12 +86,12 @@ impl<T: Real> Arrays<T> {
     /// section 3.3), v damped.
     fn end_frames(&mut self, batch: &Batch) {
         let n = self.grid.particles();
-        let (slots, control) = (batch.model(self.grid).handle_slots(), batch.control());
+        let (marks, control) = (batch.model(self.grid).marks(), batch.control());
         let mut shift = vec![T::zero(); 3 * n];
         for (place, drawn) in batch.cloths.iter().enumerate().filter(|(_, drawn)| drawn.advance) {
             let at = place * 3 * n..(place + 1) * 3 * n;
-            let slots = &slots[place * n..][..n];
-            let frame = Frame { slots, handles: &control.handles, a: &self.a[at.clone()] };
+            let marks = &marks[place * n..][..n];
+            let frame = Frame { marks, handles: &control.handles, a: &self.a[at.clone()] };
             let State { x, v } = &mut self.state;
             let (x, v) = (&mut x[at.clone()], &mut v[at.clone()]);
             shifts(frame, x, v, &mut shift);

@@ -5,8 +5,8 @@ use super::{
     TrainingOutput, UpdateCase, gradient_of_push,
 };
 use crate::Result;
-use crate::cloth::{Control, EnergyTerms, Grid, Material, Model, Repulsion, State};
-use crate::cpu::cloth::{GradientRows, Trial, energy, gradient, repulsion};
+use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Material, Model, Repulsion, State};
+use crate::cpu::cloth::{GradientRows, Trial, energy, gradient, masses, repulsion};
 use crate::cpu::operator::{Network, Stage};
 use crate::cpu::optim::{Hidden, Minimizer, Update};
 use crate::cpu::train::{AdamW, AdamWSettings, Loss};
@@ -53,12 +53,12 @@ impl<T: Real> Stages for CpuStages<T> {
 
     fn energy(&mut self, case: &EnergyCase) -> Result<(Vec<EnergyTerms>, Vec<f64>)> {
         let model = Model { grid: case.grid, cloths: case.cloths.clone() };
-        let n = case.grid.particles();
-        let slots = model.handle_slots();
+        let (marks, n) = (model.marks(), case.grid.particles());
+        let masses = masses(case.grid, &marks);
         let [x, base, a, f] = [&case.x, &case.base, &case.a, &case.external].map(|v| cast::<T>(v));
-        let moved = |k: usize| match slots[k / (3 * n) * n + k % n] {
-            0 => base[k] + a[k],
-            _ => base[k],
+        let moved = |k: usize| match marks[k / (3 * n) * n + k % n].is_free() {
+            true => base[k] + a[k],
+            false => base[k],
         };
         let shift: Vec<T> = (0..x.len()).map(moved).collect();
         let mut rows = GradientRows::new(case.grid);
@@ -72,7 +72,9 @@ impl<T: Real> Stages for CpuStages<T> {
                 shift: &shift[at.clone()],
                 a: &a[at.clone()],
                 f: &f[at],
-                slots: &slots[n * b..n * (b + 1)],
+                marks: &marks[n * b..n * (b + 1)],
+                masses: &masses[n * b..n * (b + 1)],
+                cut: None,
             };
             terms.push(energy(&trial));
             let mut grad = vec![T::zero(); 3 * n];
@@ -86,6 +88,7 @@ impl<T: Real> Stages for CpuStages<T> {
         let n = grid.particles();
         let (x, zeros, mut accelerations) =
             (cast::<T>(positions), vec![T::zero(); 3 * n], vec![T::zero(); 3 * n]);
+        let marks = Model { grid, cloths: vec![Cloth::default()] }.marks();
         let trial = Trial {
             grid,
             material: Material::default(),
@@ -93,7 +96,9 @@ impl<T: Real> Stages for CpuStages<T> {
             shift: &zeros,
             a: &zeros,
             f: &zeros,
-            slots: &vec![0; n],
+            marks: &marks,
+            masses: &masses(grid, &marks),
+            cut: None,
         };
         let energy = repulsion(&trial, of_cloth, &mut accelerations);
         Ok((energy, gradient_of_push(grid, &double(&accelerations))))

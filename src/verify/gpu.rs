@@ -4,7 +4,7 @@ use super::{
     AdamWCase, EnergyCase, NetworkOutput, Precision, RolloutCase, RolloutFrame, Stages, TrainingCase,
     TrainingOutput, UpdateCase, gradient_of_push,
 };
-use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Model, Repulsion, State};
+use crate::cloth::{Cloth, Control, EnergyTerms, Grid, Mark, Model, Repulsion, State};
 use crate::cpu::train::AdamWSettings;
 use crate::gpu::{Context, Schedule, Storage, Tensor};
 use crate::kernels::cloth::{ClothTerms, Objective, Room, gradient};
@@ -143,7 +143,7 @@ impl Stages for GpuStages {
         let filled = |values: &[f64], per: usize| -> Vec<f32> {
             single(values).into_iter().cycle().take(samples * per).collect()
         };
-        let iterate = Iterate::with_hidden(context, batch, &vec![0; batch * n])?;
+        let iterate = Iterate::with_hidden(context, batch, &vec![Mark::default(); batch * n])?;
         let [grad, last_step] = [&case.grad, &case.last_step].map(|field| filled(field, n));
         iterate.grad.write(context, &grad);
         iterate.hidden_state().write(context, &[filled(&case.last_grad, n), last_step.clone()].concat());

@@ -2,11 +2,11 @@
 
 use crate::noise;
 use fnopt::cloth::{
-    Air, Body, Cloth, Control, DistanceField, Grid, Material, Model, Pose, Shape, State, Sweep,
+    Air, Body, Cloth, Control, DistanceField, Grid, Mask, Material, Model, Pose, Shape, State, Sweep,
 };
 use std::sync::Arc;
 
-/// Builds three different cloths in wind, their state and their control.
+/// Builds three different cloths in wind, the second of them not a full rectangle, their state and their control.
 pub fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
     let n = grid.particles();
     let noise = |seed| noise::noise(9 * n, seed).into_iter().map(|v| v as f32);
@@ -15,6 +15,7 @@ pub fn varied_batch(grid: Grid) -> (Model, State<f32>, Control<f32>) {
         gravity: [0.0, 0.01 * b as f64, -0.1],
         air: Air { density: 0.1 * b as f64, drag: 0.02 },
         handles: vec![b, n - 1 - b][..2 - b % 2].to_vec(),
+        mask: (b == 1).then(|| jagged(grid)),
         ..Cloth::default()
     };
     let model = Model { grid, cloths: (0..3).map(cloth).collect() };
@@ -106,4 +107,17 @@ pub fn among_bodies(grid: Grid) -> (Model, State<f32>, Control<f32>) {
     };
     let bodies = model.cloths.iter().flat_map(|cloth| &cloth.bodies).map(swept).collect();
     (model, state, Control { bodies, ..control })
+}
+
+/// Returns a mask with a hole, a corner cut off, and a border with teeth, which keeps the middle of the first row.
+pub fn jagged(grid: Grid) -> Mask {
+    let Grid { h, w } = grid;
+    let has = |i: usize, j: usize| {
+        let hole = (i, j) == (h / 2, w / 2) || (i, j) == (h / 2 + 1, w / 2);
+        let corner = i + 1 >= h - 2 && j < 3 && h - i + j < 5;
+        let teeth = j + 1 == w && i % 4 < 2;
+        !(hole || corner || teeth)
+    };
+    let wanted: Vec<bool> = (0..h * w).map(|p| has(p / w, p % w)).collect();
+    Mask::new(grid, &wanted, "a test").unwrap()
 }

@@ -92,7 +92,7 @@ fn contacts_are_the_plain_ones() {
     let n = grid.particles();
     let plane = Body { friction: 0.4, ..body(Shape::Plane, at(0.0, 0.0, -0.1)) };
     let cloth = Cloth { handles: vec![3], bodies: vec![plane.clone()], ..Cloth::default() };
-    let slots = Model { grid, cloths: vec![cloth.clone()] }.handle_slots();
+    let marks = Model { grid, cloths: vec![cloth.clone()] }.marks();
     let drift = DVec3::new(0.02, -0.01, 0.0);
     let sweep = Sweep { from: at(-drift.x, -drift.y, -0.1), to: plane.pose };
     // Level, so that stretch has no stiffness along the normal.
@@ -100,11 +100,11 @@ fn contacts_are_the_plain_ones() {
     let mut v: Vec<f64> = noise(3 * n, 8).iter().map(|v| 0.03 * v).collect();
     v[2 * n..].fill(-0.02);
     let sweeps = [sweep];
-    let start = Approach { grid, cloth: &cloth, sweeps: &sweeps, x: &x, v: &v, slots: &slots, handles: &[] };
+    let start = Approach { grid, cloth: &cloth, sweeps: &sweeps, x: &x, v: &v, marks: &marks, handles: &[] };
     let contacts = Contacts::find(start);
     let shift: Vec<f64> = v.iter().zip(noise(3 * n, 9)).map(|(v, d)| v + 0.01 * d).collect();
     let mut accelerations = vec![0.0; 3 * n];
-    contacts.add_accelerations(grid, &shift, &mut accelerations);
+    contacts.add_accelerations(&marks, &shift, &mut accelerations);
     let mut energy = 0.0;
     for p in (0..n).filter(|&p| p != 3) {
         let mass = grid.mass(p / grid.w, p % grid.w) / n as f64;

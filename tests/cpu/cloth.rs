@@ -1,9 +1,10 @@
 //! Energies and gradients: golden files, central differences, and sheets whose energy has a closed form.
 
 use crate::golden::{Golden, relative_error};
+use crate::marks_of;
 use crate::noise::noise;
-use fnopt::cloth::{EnergyTerms, Grid, Material};
-use fnopt::cpu::cloth::{Frame, GradientRows, Trial, end_frame, energy, gradient, shifts, stretch};
+use fnopt::cloth::{EnergyTerms, Grid, Mark, Material};
+use fnopt::cpu::cloth::{Frame, GradientRows, Trial, end_frame, energy, gradient, masses, shifts, stretch};
 
 /// The arrays that a trial borrows.
 struct Sheet {
@@ -13,7 +14,7 @@ struct Sheet {
     v: Vec<f64>,
     a: Vec<f64>,
     f: Vec<f64>,
-    slots: Vec<u32>,
+    marks: Vec<Mark>,
     handles: Vec<[f64; 3]>,
 }
 
@@ -27,7 +28,16 @@ impl Sheet {
             (0..3).for_each(|c| x[c * n + p] = at[c]);
         }
         let zeros = || vec![0.0; 3 * n];
-        Self { grid, material, x, v: zeros(), a: zeros(), f: zeros(), slots: vec![0; n], handles: vec![] }
+        Self {
+            grid,
+            material,
+            x,
+            v: zeros(),
+            a: zeros(),
+            f: zeros(),
+            marks: marks_of(grid, &[]),
+            handles: vec![],
+        }
     }
 
     /// Reads cloth `b` of a golden file.
@@ -37,23 +47,30 @@ impl Sheet {
         let n = grid.particles();
         let field = |name: &str| file.get(name)[b * 3 * n..(b + 1) * 3 * n].to_vec();
         let (mask, targets) = (&file.get("handle_mask")[b * n..(b + 1) * n], field("handle_positions"));
-        let (mut slots, mut handles) = (vec![0; n], vec![]);
-        for p in (0..n).filter(|&p| mask[p] != 0.0) {
-            handles.push([targets[p], targets[n + p], targets[2 * n + p]]);
-            slots[p] = handles.len() as u32;
-        }
+        let held: Vec<usize> = (0..n).filter(|&p| mask[p] != 0.0).collect();
+        let handles = held.iter().map(|&p| [targets[p], targets[n + p], targets[2 * n + p]]).collect();
         let (x, v, a) = (field("positions"), field("velocities"), field("accelerations"));
-        Self { grid, material, x, v, a, f: field("external_accelerations"), slots, handles }
+        Self {
+            grid,
+            material,
+            x,
+            v,
+            a,
+            f: field("external_accelerations"),
+            marks: marks_of(grid, &held),
+            handles,
+        }
     }
 
     fn frame(&self) -> Frame<'_, f64> {
-        Frame { slots: &self.slots, handles: &self.handles, a: &self.a }
+        Frame { marks: &self.marks, handles: &self.handles, a: &self.a }
     }
 
     fn with_trial<R>(&self, use_it: impl FnOnce(&Trial<'_, f64>) -> R) -> R {
         let shift = self.shift();
-        let Self { grid, material, x, a, f, slots, .. } = self;
-        use_it(&Trial { grid: *grid, material: *material, x, shift: &shift, a, f, slots })
+        let Self { grid, material, x, a, f, marks, .. } = self;
+        let masses = &masses(*grid, marks);
+        use_it(&Trial { grid: *grid, material: *material, x, shift: &shift, a, f, marks, masses, cut: None })
     }
 
     fn shift(&self) -> Vec<f64> {
@@ -119,8 +136,7 @@ fn crumpled(grid: Grid) -> Sheet {
     add(&mut sheet.v, 2, 0.1);
     add(&mut sheet.a, 3, 0.1);
     add(&mut sheet.f, 4, 0.1);
-    sheet.slots[0] = 1;
-    sheet.slots[grid.w + 1] = 2;
+    sheet.marks = marks_of(grid, &[0, grid.w + 1]);
     sheet.handles = vec![[0.2, 0.1, -0.3], [3.1, 0.8, 0.2]];
     sheet
 }
@@ -163,7 +179,7 @@ fn gradient_of_straight_and_degenerate_edges_is_finite() {
         let mut shrunk = crumpled(grid);
         let factor = 10f64.powi(-exponent);
         (shrunk.x.iter_mut().chain(&mut shrunk.v).chain(&mut shrunk.a)).for_each(|x| *x *= factor);
-        shrunk.slots.fill(0);
+        shrunk.marks = marks_of(shrunk.grid, &[]);
         assert!(shrunk.gradient().iter().all(|g| g.is_finite()), "edges of length {factor}");
     }
     for sheet in [point, folded] {

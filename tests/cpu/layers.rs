@@ -1,8 +1,9 @@
 //! Contact of a cloth with itself.
 
+use crate::cloths::jagged;
 use crate::noise::noise;
 use fnopt::cloth::terms::Contact;
-use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Parts, SelfContact, State, intersections};
+use fnopt::cloth::{Cloth, Control, Grid, Mask, Material, Model, Parts, SelfContact, State, intersections};
 use fnopt::cpu::cloth::{Approach, CurvatureRows, Layers};
 use fnopt::cpu::{Objective, Solver};
 use fnopt::scene::{Scene, Script, SelfContactSettings};
@@ -48,26 +49,36 @@ fn rolled(grid: Grid) -> Vec<f64> {
 }
 
 fn found(grid: Grid, x: &[f64], v: &[f64]) -> Layers<f64> {
-    let cloth = Cloth { self_contact: Some(SETTINGS), ..Cloth::default() };
-    let slots = vec![0; grid.particles()];
-    Layers::find(&Approach { grid, cloth: &cloth, sweeps: &[], x, v, slots: &slots, handles: &[] }, SETTINGS)
+    found_of((grid, None), x, v)
 }
 
-/// The parts of a grid: its particles with all triangles, and each two of its edges.
-fn edges(grid: Grid) -> Vec<[usize; 2]> {
-    let sides = grid.faces().into_iter().flat_map(|[a, b, c]| [[a, b], [b, c], [a, c]]);
-    let sides: BTreeSet<_> = sides.map(|[a, b]| [a.min(b) as usize, a.max(b) as usize]).collect();
-    sides.into_iter().collect()
+/// As [`found`], of a cloth that may not be a full rectangle.
+fn found_of((grid, mask): (Grid, Option<Mask>), x: &[f64], v: &[f64]) -> Layers<f64> {
+    let cloth = Cloth { self_contact: Some(SETTINGS), mask, ..Cloth::default() };
+    let marks = Model { grid, cloths: vec![cloth.clone()] }.marks();
+    Layers::find(&Approach { grid, cloth: &cloth, sweeps: &[], x, v, marks: &marks, handles: &[] }, SETTINGS)
+}
+
+/// The edges of a cloth: the sides of its triangles, and edges of the grid between two of its particles.
+fn edges(cloth: &Cloth, grid: Grid) -> Vec<[usize; 2]> {
+    let sides = cloth.faces(grid).into_iter().flat_map(|[a, b, c]| [[a, b], [b, c], [a, c]]);
+    let sides = sides.map(|[a, b]| [a.min(b) as usize, a.max(b) as usize]);
+    let (n, w) = (grid.particles(), grid.w);
+    let right = (0..n).filter(|p| p % w + 1 < w).map(|p| [p, p + 1]);
+    let down = (0..n - w).map(|p| [p, p + w]);
+    let of_grid = right.chain(down).filter(|ends| ends.iter().all(|&p| cloth.contains(p)));
+    sides.chain(of_grid).collect::<BTreeSet<_>>().into_iter().collect()
 }
 
 /// Returns the particles of the pairs that are near, by trying all pairs with each `stride`-th particle and edge.
-fn tried(grid: Grid, x: &[f64], stride: usize) -> BTreeSet<[usize; 4]> {
-    let n = grid.particles();
+fn tried((grid, mask): (Grid, Option<Mask>), x: &[f64], stride: usize) -> BTreeSet<[usize; 4]> {
+    let (n, cloth) = (grid.particles(), Cloth { mask, ..Cloth::default() });
+    let has = |p: usize| cloth.contains(p);
     let place = |p: usize| DVec3::new(x[p], x[n + p], x[2 * n + p]);
     let range = SETTINGS.thickness + 0.25;
     let is_near = |parts: Parts| {
         let particles = parts.particles(grid);
-        (parts.distance(&particles.map(place)) < range && parts.nearest(grid, place).is_some())
+        (parts.distance(&particles.map(place)) < range && parts.nearest((grid, has), place).is_some())
             .then_some(particles)
     };
     // Boxes that are apart are an answer, too.
@@ -79,12 +90,14 @@ fn tried(grid: Grid, x: &[f64], stride: usize) -> BTreeSet<[usize; 4]> {
         (one.0 - range).cmpgt(other.1).any() || (other.0 - range).cmpgt(one.1).any()
     };
     let faces: Vec<_> = grid.faces().iter().map(|face| bounds(&face.map(|p| p as usize))).collect();
-    let edges = edges(grid);
+    let own_faces: BTreeSet<_> = cloth.faces(grid).into_iter().collect();
+    let is_own: Vec<bool> = grid.faces().iter().map(|face| own_faces.contains(face)).collect();
+    let edges = edges(&cloth, grid);
     let boxes: Vec<_> = edges.iter().map(|edge| bounds(edge)).collect();
     let mut near = BTreeSet::new();
-    for p in (0..n).step_by(stride) {
+    for p in (0..n).step_by(stride).filter(|&p| has(p)) {
         let own = bounds(&[p]);
-        let close = (0..faces.len()).filter(|face| !apart(own, faces[*face]));
+        let close = (0..faces.len()).filter(|face| is_own[*face] && !apart(own, faces[*face]));
         near.extend(close.filter_map(|face| is_near(Parts::vertex(grid, p, face)?)));
     }
     for k in (0..edges.len()).step_by(stride) {
@@ -92,6 +105,13 @@ fn tried(grid: Grid, x: &[f64], stride: usize) -> BTreeSet<[usize; 4]> {
         near.extend(close.filter_map(|other| is_near(Parts::edges(edges[k], edges[other])?)));
     }
     near
+}
+
+/// Returns a mask with holes of all shapes.
+fn perforated(grid: Grid) -> Mask {
+    let holes = noise(grid.particles(), 17);
+    let wanted: Vec<bool> = holes.iter().map(|c| c.abs() < 0.93).collect();
+    Mask::new(grid, &wanted, "a test").unwrap()
 }
 
 #[test]
@@ -103,18 +123,20 @@ fn the_search_finds_what_trying_all_pairs_finds() {
     let large = Grid { h: 100, w: 100 };
     let largest = Grid { h: 256, w: 256 };
     let cases = [
-        ("random", small, random, 1),
-        ("coincident", few, vec![1.0; 3 * few.particles()], 1),
-        ("flat", large, folded(large, 5.0), 7),
-        ("folded", large, shaken(folded(large, 0.2), 0.05, 5), 7),
-        ("rolled", large, shaken(rolled(large), 0.02, 6), 7),
-        ("folded 256", largest, shaken(folded(largest, 0.2), 0.05, 7), 331),
+        ("random", small, None, random.clone(), 1),
+        ("random and jagged", small, Some(jagged(small)), random, 1),
+        ("coincident", few, None, vec![1.0; 3 * few.particles()], 1),
+        ("flat", large, None, folded(large, 5.0), 7),
+        ("folded", large, None, shaken(folded(large, 0.2), 0.05, 5), 7),
+        ("rolled", large, None, shaken(rolled(large), 0.02, 6), 7),
+        ("rolled and perforated", large, Some(perforated(large)), shaken(rolled(large), 0.02, 6), 7),
+        ("folded 256", largest, None, shaken(folded(largest, 0.2), 0.05, 7), 331),
     ];
-    for (name, grid, x, stride) in cases {
+    for (name, grid, mask, x, stride) in cases {
         let still = vec![0.0; x.len()];
         let found: BTreeSet<[usize; 4]> =
-            found(grid, &x, &still).pairs().map(|(particles, _)| particles).collect();
-        let edges = edges(grid);
+            found_of((grid, mask.clone()), &x, &still).pairs().map(|(particles, _)| particles).collect();
+        let edges = edges(&Cloth { mask: mask.clone(), ..Cloth::default() }, grid);
         let is_sampled =
             |[a, b, ..]: &[usize; 4]| edges.binary_search(&[*a, *b]).is_ok_and(|k| k % stride == 0);
         let is_vertex = |pair: &[usize; 4]| {
@@ -129,7 +151,7 @@ fn the_search_finds_what_trying_all_pairs_finds() {
             .filter(|pair| if is_vertex(pair) { pair[0] % stride == 0 } else { is_sampled(pair) })
             .copied()
             .collect();
-        let expected = tried(grid, &x, stride);
+        let expected = tried((grid, mask), &x, stride);
         assert_eq!(of_sample, expected, "{name}");
         println!("{name}: {} pairs, {} compared", found.len(), expected.len());
         assert!(name == "flat" || expected.len() > 100, "{name}: {}", expected.len());
@@ -234,7 +256,7 @@ fn parting_moves_layers_apart_and_keeps_the_momentum() {
     let moved: Vec<f64> = v.iter().zip(&a).map(|(v, a)| v + a).collect();
     assert!(layers.stats(&moved).nearest > 0.0, "{:?}", layers.stats(&moved));
     let ends: Vec<f64> = x.iter().zip(&moved).map(|(x, y)| x + y).collect();
-    assert_eq!(intersections(grid, &ends), []);
+    assert_eq!(intersections(&grid.faces(), &ends), []);
 }
 
 /// Returns the most intersections in a frame of a scene, and in how many of them layers pressed on each other.
@@ -250,7 +272,7 @@ fn most_intersections(scene: &Scene, last: usize) -> (usize, usize) {
         }
         let stats = solver.step(&mut state, &script.control(frame));
         let wide: Vec<f64> = state.x.iter().map(|&x| f64::from(x)).collect();
-        most = most.max(intersections(setup.model.grid, &wide).len());
+        most = most.max(intersections(&setup.model.grid.faces(), &wide).len());
         pressing += usize::from(stats[0].layers.is_some_and(|layers| layers.touching > 0));
     }
     (most, pressing)
@@ -291,7 +313,7 @@ fn newton_converges_where_layers_press() {
         }
         let stats = &solver.step(&mut state, &script.control(frame))[0];
         assert_eq!(stats.converged, Some(true), "frame {frame}");
-        assert_eq!(intersections(setup.model.grid, &state.x), [], "frame {frame}");
+        assert_eq!(intersections(&setup.model.grid.faces(), &state.x), [], "frame {frame}");
         pressing += usize::from(stats.layers.is_some_and(|layers| layers.touching > 0));
     }
     assert!(pressing > 10, "{pressing}");

@@ -10,6 +10,7 @@ mod cloths;
 mod fft;
 mod golden;
 mod layers;
+mod masks;
 mod moduli;
 mod network;
 mod newton;
@@ -22,3 +23,10 @@ mod subspace;
 mod terms;
 mod update_rule;
 mod wind;
+
+use fnopt::cloth::{Cloth, Grid, Mark, Model};
+
+/// Returns what the particles of a full rectangle with these handles are.
+fn marks_of(grid: Grid, handles: &[usize]) -> Vec<Mark> {
+    Model { grid, cloths: vec![Cloth { handles: handles.to_vec(), ..Cloth::default() }] }.marks()
+}

@@ -1,8 +1,11 @@
 //! The Hessian of the elastic energy, and Newton's method with it.
 
+use crate::marks_of;
 use crate::noise::noise;
-use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, State};
-use fnopt::cpu::cloth::{Contacts, GradientRows, Hessian, Projection, Trial, gradient, repelling_pairs};
+use fnopt::cloth::{Cloth, Control, Grid, Mark, Material, Model, Repulsion, State};
+use fnopt::cpu::cloth::{
+    Contacts, GradientRows, Hessian, Projection, Trial, gradient, masses, repelling_pairs,
+};
 use fnopt::cpu::optim::InverseHessian;
 use fnopt::cpu::{FactoredHessian, Reference, Solver};
 use fnopt::scene::{Scene, Stiffness};
@@ -13,14 +16,16 @@ struct Sheet {
     grid: Grid,
     x: Vec<f64>,
     zeros: Vec<f64>,
-    slots: Vec<u32>,
+    marks: Vec<Mark>,
+    masses: Vec<f64>,
 }
 
 impl Sheet {
     fn new(grid: Grid, crumpled: f64) -> Self {
         let rest = State::<f64>::rest(grid, 1).x;
         let x = rest.iter().zip(noise(rest.len(), 1)).map(|(x, d)| x + crumpled * d).collect();
-        Self { grid, zeros: vec![0.0; rest.len()], x, slots: vec![0; grid.particles()] }
+        let marks = marks_of(grid, &[]);
+        Self { grid, zeros: vec![0.0; rest.len()], x, masses: masses(grid, &marks), marks }
     }
 
     /// Folds the sheet in two, with its halves 0.4 edges apart.
@@ -41,7 +46,9 @@ impl Sheet {
             shift: &self.zeros,
             a: &self.zeros,
             f: &self.zeros,
-            slots: &self.slots,
+            marks: &self.marks,
+            masses: &self.masses,
+            cut: None,
         }
     }
 
@@ -51,7 +58,7 @@ impl Sheet {
         hessian.factor(&self.at(&self.x), None, &Contacts::default()).unwrap();
         let mut grad = self.gradient(&self.x);
         let n = self.grid.particles();
-        (0..3 * n).filter(|k| self.slots[k % n] != 0).for_each(|k| grad[k] = 0.0);
+        (0..3 * n).filter(|k| !self.marks[k % n].is_free()).for_each(|k| grad[k] = 0.0);
         let mut direction = grad.clone();
         hessian.apply(&mut direction);
         [grad, direction]
@@ -155,7 +162,7 @@ fn factors_are_computed_again() {
     }
     for (seed, handles) in [(1, vec![]), (2, vec![0, 31]), (3, (0..32).collect()), (4, vec![5, 6, 38, 300])] {
         let mut sheet = Sheet::new(grid, 0.05 * seed as f64);
-        handles.into_iter().for_each(|p: usize| sheet.slots[p] = 1);
+        sheet.marks = marks_of(sheet.grid, &handles);
         let again = sheet.directions(&mut reused);
         assert_eq!(again, sheet.directions(&mut FactoredHessian::new(grid).unwrap()), "sheet {seed}");
     }
@@ -174,12 +181,10 @@ fn the_direction_solves_the_system() {
 fn solves_the_system(grid: Grid, repulsion: Option<Repulsion>) {
     let mut sheet = Sheet::new(grid, 0.05);
     // At two corners, at a border, and inside.
-    for (slot, p) in [0, 3, 4 * grid.w + 6, grid.particles() - 1].into_iter().enumerate() {
-        sheet.slots[p] = slot as u32 + 1;
-    }
+    sheet.marks = marks_of(grid, &[0, 3, 4 * grid.w + 6, grid.particles() - 1]);
     let n = sheet.grid.particles();
-    let slots = sheet.slots.clone();
-    let held = |k: usize| slots[k % n] != 0;
+    let marks = sheet.marks.clone();
+    let held = |k: usize| !marks[k % n].is_free();
     let mut grad = noise(3 * n, 5);
     (0..3 * n).filter(|&k| held(k)).for_each(|k| grad[k] = 0.0);
     let mut hessian = FactoredHessian::new(sheet.grid).unwrap();

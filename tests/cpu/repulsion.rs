@@ -2,10 +2,11 @@
 //! that folds onto itself.
 
 use crate::golden::{Golden, relative_error};
+use crate::marks_of;
 use crate::noise::noise;
-use fnopt::cloth::{Grid, Material, Repulsion, State};
+use fnopt::cloth::{Grid, Mark, Material, Repulsion, State};
 use fnopt::cpu::Solver;
-use fnopt::cpu::cloth::{Cells, Projection, Trial, repelling_pairs, repulsion, repulsion_curvature};
+use fnopt::cpu::cloth::{Cells, Projection, Trial, masses, repelling_pairs, repulsion, repulsion_curvature};
 use fnopt::eval;
 use fnopt::scene::{RepulsionSettings, Scene};
 use fnopt::sim::Optimizer;
@@ -36,7 +37,7 @@ struct Sheet {
     x: Vec<f64>,
     shift: Vec<f64>,
     f: Vec<f64>,
-    slots: Vec<u32>,
+    marks: Vec<Mark>,
 }
 
 impl Sheet {
@@ -47,9 +48,8 @@ impl Sheet {
         let mut x: Vec<f64> = State::<f64>::rest(GRID, 1).x.iter().map(|x| 0.2 * x).collect();
         x.iter_mut().zip(noise(3 * n, 91)).for_each(|(x, noise)| *x += 0.4 * noise);
         let of_noise = |seed| noise(3 * n, seed).into_iter().map(|v| 0.1 * v).collect();
-        let mut slots = vec![0; n];
-        (slots[20], slots[n - 1]) = (1, 2);
-        Self { x, shift: of_noise(92), f: of_noise(93), slots }
+        let marks = marks_of(GRID, &[20, n - 1]);
+        Self { x, shift: of_noise(92), f: of_noise(93), marks }
     }
 
     fn repel(&self, of_cloth: Repulsion) -> (f64, Vec<f64>) {
@@ -59,9 +59,19 @@ impl Sheet {
     }
 
     fn with_trial<R>(&self, use_it: impl FnOnce(&Trial<'_, f64>) -> R) -> R {
-        let Self { x, shift, f, slots } = self;
-        let a = vec![0.0; x.len()];
-        use_it(&Trial { grid: GRID, material: Material::default(), x, shift, a: &a, f, slots })
+        let Self { x, shift, f, marks } = self;
+        let (a, masses) = (vec![0.0; x.len()], masses(GRID, marks));
+        use_it(&Trial {
+            grid: GRID,
+            material: Material::default(),
+            x,
+            shift,
+            a: &a,
+            f,
+            marks,
+            masses: &masses,
+            cut: None,
+        })
     }
 
     fn place(&self, p: usize) -> [f64; 3] {
@@ -110,7 +120,7 @@ fn every_pair_in_range_and_not_adjacent_counts() {
                     pairs += 1;
                     sum -= (square + 1e-8).ln();
                     let factor = 4.0 * 0.3 / GRID.mass(p / GRID.w, p % GRID.w) / (square + 1e-8);
-                    if sheet.slots[p] == 0 {
+                    if sheet.marks[p].is_free() {
                         (0..3).for_each(|c| expected[c * n + p] += factor * offset[c]);
                     }
                 }
@@ -138,7 +148,7 @@ fn pushes_are_the_slope_of_the_energy() {
     let of_cloth = Repulsion { strength: 0.3, distance: 0.8 };
     let (_, total) = sheet.repel(of_cloth);
     let step = 1e-6;
-    let free: Vec<usize> = (0..n).filter(|&p| sheet.slots[p] == 0).collect();
+    let free: Vec<usize> = (0..n).filter(|&p| sheet.marks[p].is_free()).collect();
     for p in free {
         for at in [p, n + p, 2 * n + p] {
             let before = sheet.x[at];
@@ -159,7 +169,7 @@ fn pushes_are_the_slope_of_the_energy() {
 fn directions(sheet: &Sheet, count: usize) -> Vec<f64> {
     let n = GRID.particles();
     let mut directions = noise(3 * n * count, 94);
-    (0..directions.len()).filter(|k| sheet.slots[k % n] != 0).for_each(|k| directions[k] = 0.0);
+    (0..directions.len()).filter(|k| !sheet.marks[k % n].is_free()).for_each(|k| directions[k] = 0.0);
     directions
 }
 
@@ -175,7 +185,7 @@ fn second_derivatives_are_the_change_of_the_pushes() {
         let gradient = |k: usize, length: f64| -> Vec<f64> {
             let x = sheet.x.iter().zip(along(k)).map(|(x, d)| x + length * d).collect();
             let moved =
-                Sheet { x, shift: sheet.shift.clone(), f: sheet.f.clone(), slots: sheet.slots.clone() };
+                Sheet { x, shift: sheet.shift.clone(), f: sheet.f.clone(), marks: sheet.marks.clone() };
             let (_, total) = moved.repel(of_cloth);
             let mass = |p: usize| GRID.mass(p / GRID.w, p % GRID.w) / n as f64;
             total.iter().zip(&sheet.f).enumerate().map(|(k, (total, f))| -mass(k % n) * (total - f)).collect()
@@ -232,7 +242,8 @@ fn the_energy_begins_at_zero() {
         let energy = |apart: f64| {
             // Two particles near each other, and all others far from everything.
             let x = (0..3 * n).map(|k| 10.0 * (k % n) as f64 * f64::from(u8::from(k < n))).collect();
-            let mut sheet = Sheet { x, shift: vec![0.0; 3 * n], f: vec![0.0; 3 * n], slots: vec![0; n] };
+            let mut sheet =
+                Sheet { x, shift: vec![0.0; 3 * n], f: vec![0.0; 3 * n], marks: marks_of(GRID, &[]) };
             sheet.x[100] = sheet.x[3] + apart;
             sheet.repel(of_cloth).0
         };

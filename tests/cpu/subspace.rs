@@ -1,5 +1,6 @@
 //! Directions, the local model along them, and the best step among them.
 
+use crate::marks_of;
 use crate::noise::noise;
 use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, State};
 use fnopt::cpu::cloth::{CurvatureRows, LocalModel, sheet_axes};
@@ -253,7 +254,7 @@ fn axes_are_orthonormal_and_turn_with_the_sheet() {
     };
     let axes = |x: &[f64], shift: &[f64]| {
         let mut axes = vec![f64::NAN; 6 * n];
-        sheet_axes(grid, x, shift, &mut axes);
+        sheet_axes((grid, &marks_of(grid, &[])), x, shift, &mut axes);
         axes
     };
     let (own, other) = (axes(&x, &shift), axes(&turned(&x), &turned(&shift)));
@@ -288,7 +289,7 @@ fn co_rotated_inverses_are_symmetric_positive_and_turn_with_the_sheet() {
         let mut x = State::<f64>::rest(grid, 1).x;
         x.iter_mut().zip(noise(3 * n, 7)).for_each(|(x, d)| *x += 0.3 * d);
         let mut axes = vec![0.0; 6 * n];
-        sheet_axes(grid, &x, &vec![0.0; 3 * n], &mut axes);
+        sheet_axes((grid, &marks_of(grid, &[])), &x, &vec![0.0; 3 * n], &mut axes);
         let (u, w) = (noise(3 * n, 8), noise(3 * n, 9));
         let (of_u, of_w) = (co_rotated(grid, &cloth, &axes, &u), co_rotated(grid, &cloth, &axes, &w));
         let (one, two) = (dot(&of_u, &w), dot(&u, &of_w));
@@ -305,7 +306,7 @@ fn co_rotated_inverses_are_exact_for_the_waves_of_a_flat_sheet() {
     let n = grid.particles();
     let cloth = Cloth::default();
     let mut axes = vec![0.0; 6 * n];
-    sheet_axes(grid, &State::<f64>::rest(grid, 1).x, &vec![0.0; 3 * n], &mut axes);
+    sheet_axes((grid, &marks_of(grid, &[])), &State::<f64>::rest(grid, 1).x, &vec![0.0; 3 * n], &mut axes);
     let wave = |k: usize, i: usize| (std::f64::consts::PI * (k * (2 * i + 1)) as f64 / 32.0).cos();
     let field = |component: usize| {
         let mut field = vec![0.0; 3 * n];

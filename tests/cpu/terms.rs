@@ -1,14 +1,15 @@
 //! The plain definitions of the energy's local terms against central differences, and the vectorised forms against
 //! the plain ones.
 
+use crate::cloths::jagged;
 use crate::golden::relative_error;
 use crate::noise::noise;
 use fnopt::cloth::terms::{Angle, Edge, Particle};
-use fnopt::cloth::{EnergyTerms, Grid, Material, State};
+use fnopt::cloth::{Cloth, EnergyTerms, Grid, Mark, Mask, Material, Model, State};
 use fnopt::cpu::Real;
 use fnopt::cpu::cloth::{
-    CurvatureRows, GradientRows, Hessian, LocalModel, PlainTotal, Projection, Trial, energy, gradient,
-    local_model, neighbours, plain_total,
+    CurvatureRows, Cut, GradientRows, Hessian, LocalModel, PlainTotal, Projection, Trial, energy, gradient,
+    local_model, masses, neighbours, plain_total,
 };
 use glam::{DMat3, DVec3};
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -155,26 +156,33 @@ struct Sheet {
     shift: Vec<f64>,
     a: Vec<f64>,
     f: Vec<f64>,
-    slots: Vec<u32>,
+    marks: Vec<Mark>,
+    mask: Option<Mask>,
     directions: Vec<f64>,
 }
 
 impl Sheet {
     /// Builds a sheet at rest, plus noise of this size.
-    fn new((h, w): (usize, usize), crumpled: f64, handles: &[usize]) -> Self {
+    fn new(grid: (usize, usize), crumpled: f64, handles: &[usize]) -> Self {
+        Self::cut(grid, crumpled, Cloth { handles: handles.to_vec(), ..Cloth::default() })
+    }
+
+    /// As [`Sheet::new`], of a cloth that may not be a full rectangle.
+    fn cut((h, w): (usize, usize), crumpled: f64, cloth: Cloth) -> Self {
         let grid = Grid { h, w };
         let n = grid.particles();
         let exact = |values: Vec<f64>| values.into_iter().map(|v| f64::from(v as f32)).collect::<Vec<_>>();
         let noise = |len, seed, size: f64| exact(noise(len, seed).into_iter().map(|v| size * v).collect());
         let rest = State::<f64>::rest(grid, 1).x;
         let x = exact(rest.iter().zip(noise(3 * n, 11, crumpled)).map(|(x, d)| x + d).collect());
-        let (mut slots, mut directions) = (vec![0; n], noise(K * 3 * n, 12, 1.0));
-        for (k, &p) in handles.iter().enumerate() {
-            slots[p] = k as u32 + 1;
+        let mut directions = noise(K * 3 * n, 12, 1.0);
+        for p in (0..n).filter(|&p| cloth.handles.contains(&p) || !cloth.contains(p)) {
             directions.chunks_exact_mut(n).for_each(|field| field[p] = 0.0);
         }
         let shift = noise(3 * n, 13, 0.3 * crumpled);
-        Self { grid, x, shift, a: noise(3 * n, 14, 0.1), f: noise(3 * n, 15, 0.1), slots, directions }
+        let mask = cloth.mask.clone();
+        let marks = Model { grid, cloths: vec![cloth] }.marks();
+        Self { grid, x, shift, a: noise(3 * n, 14, 0.1), f: noise(3 * n, 15, 0.1), marks, mask, directions }
     }
 
     /// Builds a sheet at rest whose particles are moved by `place`, from (j, i) on.
@@ -192,8 +200,11 @@ impl Sheet {
         let all = |values: &[f64]| values.iter().map(|&v| T::of(v)).collect::<Vec<T>>();
         let (x, shift, a, f) = (all(&self.x), all(&self.shift), all(&self.a), all(&self.f));
         let material = Material { stretch: 700.0, shear: 8.0, bend: 3.0 };
-        let (grid, slots) = (self.grid, &self.slots[..]);
-        use_it(&Trial { grid, material, x: &x, shift: &shift, a: &a, f: &f, slots }, &all(&self.directions))
+        let (grid, marks) = (self.grid, &self.marks[..]);
+        let (masses, cut) = (masses(grid, marks), Cut::of(grid, marks));
+        let [x, shift, a, f, masses] = [&x, &shift, &a, &f, &masses].map(|values| &values[..]);
+        let trial = Trial { grid, material, x, shift, a, f, marks, masses, cut: cut.as_ref() };
+        use_it(&trial, &all(&self.directions))
     }
 
     fn plain(&self) -> PlainTotal {
@@ -236,10 +247,9 @@ impl Sheet {
     fn deviation_of_hessian(&self) -> f64 {
         let (grid, n) = (self.grid, self.grid.particles());
         let free = Self {
-            slots: vec![0; n],
             x: self.x.clone(),
             shift: self.shift.clone(),
-            ..Self::new((grid.h, grid.w), 0.0, &[])
+            ..Self::cut((grid.h, grid.w), 0.0, Cloth { mask: self.mask.clone(), ..Cloth::default() })
         };
         let mut hessian = Hessian::new(grid).unwrap();
         free.with_trial(|trial, _| hessian.fill(trial, Projection::NONE));
@@ -249,7 +259,7 @@ impl Sheet {
         for (p, q) in pairs {
             let mut block = DMat3::from_cols_array_2d(&hessian.block(p, q)).transpose();
             if p == q {
-                block += DMat3::IDENTITY * (grid.mass(p / grid.w, p % grid.w) / n as f64);
+                block += DMat3::IDENTITY * (free.marks[p].mass() / n as f64);
             }
             let at = |field: &[f64], p: usize| DVec3::new(field[p], field[n + p], field[2 * n + p]);
             for (i, j) in (0..K).flat_map(|i| (0..K).map(move |j| (i, j))) {
@@ -293,7 +303,15 @@ fn sheets() -> Vec<(String, Sheet)> {
             (name, Sheet::new((h, w), crumpled, &handles))
         })
     };
-    grids.into_iter().chain(rows).flat_map(of_grid).collect()
+    let masked = |(h, w): (usize, usize)| {
+        let mask = jagged(Grid { h, w });
+        let handles = (0..h * w).filter(|&p| mask.contains(p)).step_by(7).take(3).collect();
+        let cloth = Cloth { handles, mask: Some(mask), ..Cloth::default() };
+        let sheet = move |crumpled| Sheet::cut((h, w), crumpled, cloth.clone());
+        [0.4, 1e-3].map(|crumpled| (format!("{h}x{w}, jagged, crumpled by {crumpled}"), sheet(crumpled)))
+    };
+    let full = grids.into_iter().chain(rows.clone()).flat_map(of_grid);
+    full.chain(rows.chain([(9, 12), (11, 17), (130, 131)]).flat_map(masked)).collect()
 }
 
 /// Returns sheets with edges of length zero, straight and folded bends, and corners without a normal.

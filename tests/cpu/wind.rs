@@ -1,5 +1,6 @@
 //! Wind on a flat plate, whose drag is known.
 
+use crate::marks_of;
 use crate::noise::noise;
 use fnopt::cloth::{Air, Grid, State};
 use fnopt::cpu::cloth::add_wind;
@@ -23,7 +24,7 @@ fn drag_of_a_flat_plate() {
     }
     let mut f = vec![0.0; 3 * n];
     let air = Air { density: 0.7, drag: 0.3 };
-    add_wind(GRID, air, [0.4, 0.0, -1.0], (&state.x, &state.v), &mut f);
+    add_wind((GRID, &marks_of(GRID, &[])), air, [0.4, 0.0, -1.0], (&state.x, &state.v), &mut f);
     let area = 8.0 * 11.0;
     // Friction and pressure per mass of a cell, over one plus themselves: the drag at the end of the frame.
     let (friction, pressure) = (0.3 / 1.3, 0.7 * 1.5 / (1.0 + 0.7 * 1.5));
@@ -43,7 +44,13 @@ fn air_never_turns_a_motion_round() {
     state.v[2 * n..].fill(40.0);
     for density in [1e-3, 1.0, 1e3, 1e6] {
         let mut f = vec![0.0; 3 * n];
-        add_wind(GRID, Air { density, drag: density }, [0.0; 3], (&state.x, &state.v), &mut f);
+        add_wind(
+            (GRID, &marks_of(GRID, &[])),
+            Air { density, drag: density },
+            [0.0; 3],
+            (&state.x, &state.v),
+            &mut f,
+        );
         let after = 40.0 / (1.0 + 40.0 * density);
         for f in &f[2 * n..] {
             assert!((40.0 + f - after).abs() < 1e-12 * 40.0, "{density}: {f}");
@@ -61,7 +68,7 @@ fn mirrored_sheets_feel_mirrored_forces() {
     let (air, wind) = (Air { density: 0.7, drag: 0.3 }, [0.4, -0.8, 1.0]);
     let forces = |x: &[f64], v: &[f64]| {
         let mut f = vec![0.0; 3 * n];
-        add_wind(GRID, air, wind, (x, v), &mut f);
+        add_wind((GRID, &marks_of(GRID, &[])), air, wind, (x, v), &mut f);
         f
     };
     let straight = forces(&state.x, &state.v);
@@ -82,7 +89,7 @@ fn mirrored_sheets_feel_mirrored_forces() {
 fn wind_without_density_and_drag_does_nothing() {
     let state = State::<f64>::rest(GRID, 1);
     let mut f = vec![1.0; 3 * GRID.particles()];
-    add_wind(GRID, Air::default(), [3.0, 2.0, 1.0], (&state.x, &state.v), &mut f);
+    add_wind((GRID, &marks_of(GRID, &[])), Air::default(), [3.0, 2.0, 1.0], (&state.x, &state.v), &mut f);
     assert!(f.iter().all(|&f| f == 1.0));
 }
 
@@ -90,7 +97,13 @@ fn wind_without_density_and_drag_does_nothing() {
 fn a_sheet_without_area_feels_no_wind() {
     let x = vec![2.0; 3 * GRID.particles()];
     let mut f = vec![0.0; x.len()];
-    add_wind(GRID, Air { density: 1.0, drag: 1.0 }, [3.0, 2.0, 1.0], (&x, &vec![0.0; x.len()]), &mut f);
+    add_wind(
+        (GRID, &marks_of(GRID, &[])),
+        Air { density: 1.0, drag: 1.0 },
+        [3.0, 2.0, 1.0],
+        (&x, &vec![0.0; x.len()]),
+        &mut f,
+    );
     assert!(f.iter().all(|&f| f == 0.0));
 }
 
@@ -122,8 +135,14 @@ fn forces_rotate_with_everything_else() {
     state.v = noise(3 * n, 12);
     let (air, wind) = (Air { density: 0.7, drag: 0.3 }, [0.4, -0.8, 1.0]);
     let [mut straight, mut around] = [vec![0.0; 3 * n], vec![0.0; 3 * n]];
-    add_wind(GRID, air, wind, (&state.x, &state.v), &mut straight);
-    add_wind(GRID, air, rotate(wind), (&rotated(&state.x), &rotated(&state.v)), &mut around);
+    add_wind((GRID, &marks_of(GRID, &[])), air, wind, (&state.x, &state.v), &mut straight);
+    add_wind(
+        (GRID, &marks_of(GRID, &[])),
+        air,
+        rotate(wind),
+        (&rotated(&state.x), &rotated(&state.v)),
+        &mut around,
+    );
     let largest = straight.iter().fold(0.0, |most: f64, f| most.max(f.abs()));
     for (found, expected) in around.iter().zip(rotated(&straight)) {
         assert!((found - expected).abs() < 1e-12 * largest, "{found} is not {expected}");

@@ -173,7 +173,7 @@ fn new_handles_stay_where_they_are_until_a_control_moves_them() {
     let mut solver = solver(&model, &Optimizer::gradient_descent(), 1, &start);
     step(&solver, &control);
     let mut cloths = model.cloths.clone();
-    for (cloth, handles) in cloths.iter_mut().zip([vec![1, n - 1], vec![n / 2], vec![0, 2, 3]]) {
+    for (cloth, handles) in cloths.iter_mut().zip([vec![1, n - 1], vec![n / 3], vec![0, 2, 3]]) {
         cloth.handles = handles;
     }
     solver.set_cloths(&cloths).unwrap();

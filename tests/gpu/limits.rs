@@ -3,7 +3,7 @@
 use crate::common::{assert_close, context, device, narrow, read, run, sharings, widened};
 use crate::forward::random;
 use crate::solver::{assert_same, solver, solver_with, starter, statistics, step, varied_batch};
-use fnopt::cloth::{Cloth, Control, Grid, Material, Model, State};
+use fnopt::cloth::{Cloth, Control, Grid, Mark, Material, Model, State};
 use fnopt::cpu;
 use fnopt::gpu::{Readback, Sharing, Tuning};
 use fnopt::kernels::optim::{GradientDescent, Iterate};
@@ -48,7 +48,7 @@ fn a_schedule_has_more_parameters_than_one_buffer_holds() {
     let _turn = device();
     let kernel = GradientDescent::new(context()).unwrap();
     let n = 64;
-    let iterate = Iterate::new(context(), 1, &vec![0; n]).unwrap();
+    let iterate = Iterate::new(context(), 1, &vec![Mark::default(); n]).unwrap();
     iterate.grad.write(context(), &[1f32; 192]);
     // Whole numbers, so that their sum is exact. Each appears twice.
     run(|schedule| {

@@ -121,7 +121,8 @@ fn apart(found: &[f32], exact: &[f64]) -> (f64, f64) {
 }
 
 /// Computes each of twenty frames of the default scene from the state that double precision reached. After
-/// one frame, the device is as close to double precision as the host is in single, to a factor of three. (The
+/// one frame, the device is as close to double precision as the host is in single: in the median to a factor of two, and at
+/// most to a factor of ten, since a line search may end elsewhere in one frame. (The
 /// next test starts frames where the device ended, and shows what earlier roundings grow to.)
 #[test]
 fn frames_on_the_device_are_nearly_as_exact_as_on_the_host() {
@@ -132,7 +133,7 @@ fn frames_on_the_device_are_nearly_as_exact_as_on_the_host() {
         let mut single = cpu::Solver::<f32>::new(&setup.model, &optimizer, 10).unwrap();
         let mut double = cpu::Solver::<f64>::new(&setup.model, &optimizer, 10).unwrap();
         let mut start = setup.start.cast::<f32>();
-        let (mut on_device, mut on_host) = (0.0f64, 0.0f64);
+        let (mut on_device, mut on_host) = (Vec::new(), Vec::new());
         for frame in 1..=20 {
             let mut exact = start.cast::<f64>();
             double.reset_memory();
@@ -143,16 +144,20 @@ fn frames_on_the_device_are_nearly_as_exact_as_on_the_host() {
             single.step(&mut start, &setup.control(frame));
             let finite = |x: &[f32]| x.iter().all(|x| x.is_finite());
             assert!(finite(&found.x) && finite(&start.x), "{}, frame {frame}", optimizer.name());
-            on_device = on_device.max(apart(&found.x, &exact.x).0);
-            on_host = on_host.max(apart(&start.x, &exact.x).0);
+            on_device.push(apart(&found.x, &exact.x).0);
+            on_host.push(apart(&start.x, &exact.x).0);
             start = exact.cast();
         }
         let name = optimizer.name();
-        println!("{name}: {on_device:.1e} edges on the device, {on_host:.1e} on the host");
-        assert!(
-            on_device < 3.0 * on_host,
-            "{name}: {on_device:e} edges on the device, {on_host:e} on the host"
+        let [[median, most], [of_host, most_of_host]] = [on_device, on_host].map(|mut all| {
+            all.sort_by(f64::total_cmp);
+            [all[all.len() / 2], all[all.len() - 1]]
+        });
+        let what = format!(
+            "{name}: {median:.1e} edges, at most {most:.1e}, on the device, {of_host:.1e} and {most_of_host:.1e} on the host"
         );
+        println!("{what}");
+        assert!(median < 2.0 * of_host && most < 10.0 * most_of_host, "{what}");
     }
 }
 

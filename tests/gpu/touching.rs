@@ -1,6 +1,6 @@
 //! Frames of cloths that touch themselves: against the CPU path, repeated, and with contact added and removed.
 
-use crate::cloths::among_bodies;
+use crate::cloths::{among_bodies, jagged};
 use crate::common::{assert_close, context, device, largest, noise};
 use crate::solver::{assert_repeats, assert_same, optimizers, solver, statistics, step, varied_batch};
 use fnopt::cloth::{Cloth, Control, Grid, Material, Model, Repulsion, SelfContact, State, intersections};
@@ -30,7 +30,7 @@ pub fn folded(grid: Grid, apart: f32, (i, j): (f32, f32)) -> [f32; 3] {
     [middle - (j - middle).abs() + 0.3 * upper, i + 0.4 * upper, apart * upper]
 }
 
-/// A folded sheet with a handle, whose layers press on each other and slide; a rolled one, a flat one, and one that passes
+/// A folded sheet with a handle, whose layers press on each other and slide; a rolled one that is not a full rectangle, a flat one, and one that passes
 /// through itself.
 pub fn touching(grid: Grid) -> (Model, State<f32>, Control<f32>) {
     let cloth = |handles: &[usize]| Cloth {
@@ -40,7 +40,8 @@ pub fn touching(grid: Grid) -> (Model, State<f32>, Control<f32>) {
         ..Cloth::default()
     };
     let through = Cloth { self_contact: None, ..cloth(&[]) };
-    let model = Model { grid, cloths: vec![cloth(&[5, grid.w - 1]), cloth(&[]), cloth(&[3]), through] };
+    let rolled = Cloth { mask: Some(jagged(grid)), ..cloth(&[]) };
+    let model = Model { grid, cloths: vec![cloth(&[5, grid.w - 1]), rolled, cloth(&[3]), through] };
     let middle = (grid.w / 2) as f32;
     let folded = |i, j| folded(grid, 0.12, (i, j));
     let rolled = |i: f32, j: f32| {
@@ -190,7 +191,7 @@ fn twisted(h: usize, iterations: usize, last: usize) -> (usize, usize) {
     simulator
         .play(&mut script, |_, frame| {
             let x: Vec<f64> = frame.state.x.iter().map(|&x| x.into()).collect();
-            most = most.max(intersections(setup.model.grid, &x).len());
+            most = most.max(intersections(&setup.model.grid.faces(), &x).len());
             pressing += usize::from(frame.stats[0].layers.is_some_and(|layers| layers.touching > 0));
             if frame.index == last { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
         })

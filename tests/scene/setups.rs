@@ -492,7 +492,8 @@ fn vertices_in_a_scenes_view_are_in_metres() {
         let single: Vec<_> = positions.iter().map(|p| p.map(|c| c as f32)).collect();
         let normals = vertex_normals(&single, &grid.faces());
         let still = vec![0.0; setup.start.x.len()];
-        let vertices = fnopt::cpu::cloth::vertices(grid, &setup.vertex_view(), &setup.start.x, &still);
+        let vertices =
+            fnopt::cpu::cloth::vertices(&grid.faces(), &setup.vertex_view(), &setup.start.x, &still);
         for ([x, y, z, a, b, c], (position, normal)) in
             vertices.into_iter().zip(positions.iter().zip(normals))
         {

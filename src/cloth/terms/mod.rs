@@ -24,7 +24,7 @@ pub use contact::Contact;
 pub use edge::Edge;
 pub use particle::Particle;
 
-use super::{Grid, Material};
+use super::{Grid, Mark, Material};
 use std::f64::consts::FRAC_PI_2;
 
 /// The terms of one vertical edge, one horizontal edge, one corner of a cell and one bend: the coefficients of a
@@ -101,11 +101,11 @@ pub fn bends(grid: Grid, material: Material) -> Vec<([Ends; 2], Angle)> {
     bends
 }
 
-/// Returns the particles of a cloth under the external accelerations `f` [3, H, W].
-pub fn particles(grid: Grid, f: &[f64]) -> Vec<Particle> {
-    let n = grid.particles();
+/// Returns the particles with these marks [H, W] under the external accelerations `f` [3, H, W].
+pub fn particles(marks: &[Mark], f: &[f64]) -> Vec<Particle> {
+    let n = marks.len();
     let particle = |p: usize| Particle {
-        mass: grid.mass(p / grid.w, p % grid.w) / n as f64,
+        mass: marks[p].mass() / n as f64,
         external: [f[p], f[n + p], f[2 * n + p]].into(),
     };
     (0..n).map(particle).collect()

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 /// inertia `m |a|^2 / 2` and the external work `-m a . f`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Particle {
-    /// The weight m: the particle's mass ([`Grid::mass`](crate::cloth::Grid::mass)) over the number of particles.
+    /// The weight m: the particle's mass ([`Mark::mass`](crate::cloth::Mark::mass)) over the number of particles.
     pub mass: f64,
     /// The external acceleration f [edges / frame^2].
     pub external: DVec3,

@@ -31,10 +31,14 @@ pub struct Walk<'a, T> {
 }
 
 impl<T: Real> Cells<T> {
-    /// Sorts the particles of a trial into cubes of this side \[edges\], which must be above 0.
+    /// Sorts the particles of a trial into cubes of this side \[edges\], which must be above 0; those that the cloth doesn't
+    /// have lie out of reach.
     pub fn new(trial: &Trial<'_, T>, side: T) -> Self {
         let n = trial.grid.particles();
-        let place = |particle| add(at(trial.x, n, particle), at(trial.shift, n, particle));
+        let place = |particle: usize| match trial.marks[particle].is_outside() {
+            true => [T::infinity(); 3],
+            false => add(at(trial.x, n, particle), at(trial.shift, n, particle)),
+        };
         Self::of((0..n).map(place), side)
     }
 

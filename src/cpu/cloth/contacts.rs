@@ -6,7 +6,7 @@ use super::touch::Touch;
 use super::vector::{add, at, dot, scaled};
 use super::{Coupling, Hessian, Trial};
 use crate::cloth::terms::{self, Elastic};
-use crate::cloth::{Body, BodyStats, Cloth, Grid, LayerStats, MAX_CONTACTS, Sweep};
+use crate::cloth::{Body, BodyStats, Cloth, Grid, LayerStats, MAX_CONTACTS, Mark, Sweep};
 use crate::cpu::Real;
 use crate::settings::PARTINGS;
 use crate::sim::MAX_DIRECTIONS;
@@ -29,8 +29,8 @@ pub struct Approach<'a, T> {
     pub x: &'a [T],
     /// Velocities [edges / frame], shape [3, H, W].
     pub v: &'a [T],
-    /// Handle slots, shape [H, W]. Handles go where they are told, whatever is there.
-    pub slots: &'a [u32],
+    /// What each particle is, shape [H, W]. Handles go where they are told, whatever is there.
+    pub marks: &'a [Mark],
     /// Handle positions of all cloths at the end of the frame \[edges\].
     pub handles: &'a [[T; 3]],
 }
@@ -58,7 +58,8 @@ impl<T: Real> Contacts<T> {
     /// twice their way in the frame relative to the body, and one edge together; and those of parts of the cloth that
     /// come near each other ([`Layers::find`]).
     pub fn find(start: Approach<'_, T>) -> Self {
-        let particles: Vec<usize> = (0..start.grid.particles()).filter(|&p| start.slots[p] == 0).collect();
+        let particles: Vec<usize> =
+            (0..start.grid.particles()).filter(|&p| start.marks[p].is_free()).collect();
         let elastic = Elastic::new(start.grid, start.cloth.material);
         let of_task = |task: &[usize]| {
             let mut found = Vec::new();
@@ -77,13 +78,13 @@ impl<T: Real> Contacts<T> {
         }
     }
 
-    /// Subtracts their gradient, divided by the particles' weights, from the accelerations [3, H, W]: to
+    /// Subtracts their gradient, divided by the weights of the particles with these `marks`, from the accelerations [3, H, W]: to
     /// the gradient of the other terms a contact is an external force.
-    pub fn add_accelerations(&self, grid: Grid, shift: &[T], accelerations: &mut [T]) {
-        let n = grid.particles();
+    pub fn add_accelerations(&self, marks: &[Mark], shift: &[T], accelerations: &mut [T]) {
+        let n = marks.len();
         for contact in &self.found {
             let p = contact.particle;
-            let per_weight = T::of(n as f64 / grid.mass(p / grid.w, p % grid.w));
+            let per_weight = T::of(n as f64 / marks[p].mass());
             let gradient = contact.touch.gradient(at(shift, n, p));
             (0..3).for_each(|c| {
                 accelerations[c * n + p] = accelerations[c * n + p] - per_weight * gradient[c];
@@ -253,7 +254,7 @@ impl<T: Real> Approach<'_, T> {
     /// Returns the contact of particle `p` with a plane.
     fn contact(&self, p: usize, plane: Plane, body: &Body, elastic: Elastic) -> terms::Contact {
         let (n, h) = (self.grid.particles(), body.thickness);
-        let mass = self.grid.mass(p / self.grid.w, p % self.grid.w) / n as f64;
+        let mass = self.marks[p].mass() / n as f64;
         let own = self.elastic_along(p, plane.normal, elastic);
         // A particle that would go deep needs a stiff barrier in this very frame.
         let stiffness = terms::Contact::stiffness(own, mass, plane.before.min(plane.predicted), h);
@@ -281,7 +282,7 @@ impl<T: Real> Approach<'_, T> {
         let edges = vertical.into_iter().chain(horizontal);
         edges
             .filter_map(|(q, term)| {
-                let edge = place(q?) - own;
+                let edge = place(q.filter(|&q| !self.marks[q].is_outside())?) - own;
                 let length = edge.length();
                 if length == 0.0 {
                     return None;

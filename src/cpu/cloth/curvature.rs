@@ -8,6 +8,7 @@
     reason = "iterator adapters would not be compiled for the registers, see `rows`"
 )]
 
+use super::cut::Element;
 use super::rows::{Stored, any_normal, at, cross, dot, load, normalise, scaled, store, vector_at, width};
 use super::{Angle, Factors, Trial, particles};
 use crate::cloth::{EnergyTerms, Grid};
@@ -42,8 +43,6 @@ pub struct CurvatureRows<T> {
     tasks: Vec<Work<T>>,
     /// 1 for the first W - k numbers of a row and 0 past them, k = 0, 1, 2; shape [3, W'].
     masks: Vec<T>,
-    /// Masses of the particles of an inner row over H W, shape \[W'\].
-    masses: Vec<T>,
 }
 
 /// Edges of a row and of the next one. Each is [1 + K, 4, W']: the unit vector and one over the length, then for
@@ -67,7 +66,6 @@ impl<T: Real> CurvatureRows<T> {
             stored,
             tasks: (0..tasks).map(|_| Work { vertical: edges(), horizontal: edges() }).collect(),
             masks: [mask(0), mask(1), mask(2)].concat(),
-            masses: particles::masses(grid, stored.stride),
         }
     }
 }
@@ -108,12 +106,12 @@ fn along<T: Real, const K: usize>(
     directions: &[T],
     grad: &[T],
 ) -> LocalModel {
-    let CurvatureRows { stored, tasks, masks, masses, .. } = rows;
+    let CurvatureRows { stored, tasks, masks, .. } = rows;
     let (h, band) = (trial.grid.h, trial.grid.h.div_ceil(tasks.len()));
-    let (stored, masks, masses) = (*stored, &masks[..], &masses[..]);
+    let (stored, masks) = (*stored, &masks[..]);
     let of_task = |(task, work): (usize, &mut Work<T>)| {
         let range = (task * band).min(h)..((task + 1) * band).min(h);
-        Arch::new().dispatch(Band::<T, K> { trial, range, stored, work, masks, masses, directions, grad })
+        Arch::new().dispatch(Band::<T, K> { trial, range, stored, work, masks, directions, grad })
     };
     match &mut tasks[..] {
         [work] => of_task((0, work)),
@@ -152,7 +150,6 @@ struct Band<'a, 'b, T, const K: usize> {
     stored: Stored,
     work: &'a mut Work<T>,
     masks: &'a [T],
-    masses: &'a [T],
     directions: &'a [T],
     grad: &'a [T],
 }
@@ -178,13 +175,17 @@ impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> LocalModel {
-        let Self { trial, range, stored, work, masks, masses, directions, grad } = self;
+        let Self { trial, range, stored, work, masks, directions, grad } = self;
         let Grid { h, w } = trial.grid;
         let Factors { vertical, horizontal, shear, bend } = trial.factors();
         let Work { vertical: [v, next_v], horizontal: [e, next_e] } = work;
-        let mask = |k: usize| &masks[k * stored.stride..][..stored.stride];
+        // Of a full row, its first W - k elements.
+        let mask = |i: usize, element: Element, k: usize| match trial.cut {
+            Some(cut) => cut.row(i, element),
+            None => &masks[k * stored.stride..][..stored.stride],
+        };
         let (straight, square) = ((bend, BEND), (shear, SHEAR));
-        let particles = particles::Directions { masses, fields: directions, grad };
+        let particles = particles::Directions { fields: directions, grad };
         let edges = Edges::<T, S, K> { simd, stored, trial, directions, kind: std::marker::PhantomData };
         let mut model = LocalModel::default();
         if range.is_empty() {
@@ -203,19 +204,21 @@ impl<T: Real, const K: usize> WithSimd for Band<'_, '_, T, K> {
                 energies: [zero; 5],
             };
             particles.add_row::<S, K>(simd, trial, i, &mut sums);
-            edges.stretch(e, horizontal, mask(1), &mut sums);
-            edges.angles(straight, (&e[1..], e), mask(2), &mut sums);
+            edges.stretch(e, horizontal, mask(i, Element::Right, 1), &mut sums);
+            edges.angles(straight, (&e[1..], e), mask(i, Element::StraightRight, 2), &mut sums);
             if i + 1 < h {
                 edges.load((i + 1, 1, w - 1), next_e);
-                edges.stretch(v, vertical, mask(0), &mut sums);
-                edges.angles(square, (v, e), mask(1), &mut sums);
-                edges.angles(square, (v, next_e), mask(1), &mut sums);
-                edges.angles(square, (&v[1..], e), mask(1), &mut sums);
-                edges.angles(square, (&v[1..], next_e), mask(1), &mut sums);
+                edges.stretch(v, vertical, mask(i, Element::Down, 0), &mut sums);
+                for right in [false, true] {
+                    for (lower, e) in [(false, &*e), (true, &*next_e)] {
+                        let mask = mask(i, Element::corner(lower, right), 1);
+                        edges.angles(square, (&v[usize::from(right)..], e), mask, &mut sums);
+                    }
+                }
             }
             if i + 2 < h {
                 edges.load((i + 1, w, w), next_v);
-                edges.angles(straight, (next_v, v), mask(0), &mut sums);
+                edges.angles(straight, (next_v, v), mask(i, Element::StraightDown, 0), &mut sums);
             }
             std::mem::swap(v, next_v);
             std::mem::swap(e, next_e);

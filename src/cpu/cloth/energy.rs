@@ -1,6 +1,7 @@
 //! The energy of a cloth at a trial acceleration (paper section 3.2): the vectorised form of the energies in
 //! [`terms`](crate::cloth::terms), checked against the plain one.
 
+use super::cut::Element;
 use super::rows::{Stored, cross, dot, load, vector_at, width};
 use super::{Angle, Factors, Trial, particles};
 use crate::cloth::{EnergyTerms, Grid};
@@ -54,32 +55,34 @@ impl<T: Real> WithSimd for Row<'_, '_, T> {
         let (vertical, horizontal) = (vertical.f64(), horizontal.f64());
         let Work { vertical: [v, next_v], horizontal: [e, next_e], squares } = work;
         let mut sums = Squares { simd, stored, squares };
+        let has = |element| trial.cut.map(|cut| cut.row(i, element));
         let mut sum = particles::energy(trial, i);
         load(simd, trial, (i, 1, w - 1), stored, e);
-        sum.stretch += horizontal * sums.of_lengths(e, w - 1);
-        sum.bend += sums.of_angles(bend, (&e[1..], e), w - 2);
+        sum.stretch += horizontal * sums.of_lengths(e, (w - 1, has(Element::Right)));
+        sum.bend += sums.of_angles(bend, (&e[1..], e), (w - 2, has(Element::StraightRight)));
         if i + 1 == h {
             return sum;
         }
         load(simd, trial, (i, w, w), stored, v);
-        sum.stretch += vertical * sums.of_lengths(v, w);
+        sum.stretch += vertical * sums.of_lengths(v, (w, has(Element::Down)));
         load(simd, trial, (i + 1, 1, w - 1), stored, next_e);
-        for right in 0..2 {
-            for e in [&e[..], &next_e[..]] {
-                sum.shear += sums.of_angles(shear, (&v[right..], e), w - 1);
+        for right in [false, true] {
+            for (lower, e) in [(false, &*e), (true, &*next_e)] {
+                let corners = (w - 1, has(Element::corner(lower, right)));
+                sum.shear += sums.of_angles(shear, (&v[usize::from(right)..], e), corners);
             }
         }
         if i + 2 == h {
             return sum;
         }
         load(simd, trial, (i + 1, w, w), stored, next_v);
-        sum.bend += sums.of_angles(bend, (next_v, v), w);
+        sum.bend += sums.of_angles(bend, (next_v, v), (w, has(Element::StraightDown)));
         sum
     }
 }
 
-/// Sums of squares over the first edges, or pairs of edges, of a row: squared in the precision of the cloth,
-/// summed in double precision.
+/// Sums of squares over the first edges, or pairs of edges, of a row, or those of them that a factor of 1 says the cloth has:
+/// squared in the precision of the cloth, summed in double precision.
 struct Squares<'a, T, S> {
     simd: S,
     stored: Stored,
@@ -90,7 +93,7 @@ struct Squares<'a, T, S> {
 impl<T: Real, S: Simd> Squares<'_, T, S> {
     /// Sums `(|e| - 1)^2`.
     #[inline(always)]
-    fn of_lengths(&mut self, edges: &[T], len: usize) -> f64 {
+    fn of_lengths(&mut self, edges: &[T], summed: (usize, Option<&[T]>)) -> f64 {
         let Self { simd, stored, .. } = *self;
         let one = T::splat(simd, T::one());
         for k in 0..stored.count / width::<T, S>() {
@@ -99,13 +102,13 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
             let length = T::sqrt_lanes(simd, dot::<T, S>(simd, e, e));
             self.keep(place, T::sub_lanes(simd, length, one));
         }
-        self.sum(len)
+        self.sum(summed)
     }
 
     /// Sums the energies of the angles between u and w, with the angle `atan2(|u x w|, u . w)`, which unlike the arc
     /// cosine is accurate for small angles.
     #[inline(always)]
-    fn of_angles(&mut self, angle: Angle<T>, (u, w): (&[T], &[T]), len: usize) -> f64 {
+    fn of_angles(&mut self, angle: Angle<T>, (u, w): (&[T], &[T]), summed: (usize, Option<&[T]>)) -> f64 {
         let Self { simd, stored, .. } = *self;
         let rest = T::splat(simd, angle.rest);
         for k in 0..stored.count / width::<T, S>() {
@@ -117,7 +120,7 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
             let excess = T::sub_lanes(simd, T::angle(simd, sine, dot::<T, S>(simd, u, w)), rest);
             self.keep(place, excess);
         }
-        angle.factor.f64() * self.sum(len)
+        angle.factor.f64() * self.sum(summed)
     }
 
     #[inline(always)]
@@ -126,10 +129,19 @@ impl<T: Real, S: Simd> Squares<'_, T, S> {
     }
 
     #[inline(always)]
-    fn sum(&self, len: usize) -> f64 {
+    fn sum(&self, (len, has): (usize, Option<&[T]>)) -> f64 {
         let mut sum = 0.0;
-        for square in &self.squares[..len] {
-            sum += square.f64();
+        match has {
+            None => {
+                for square in &self.squares[..len] {
+                    sum += square.f64();
+                }
+            }
+            Some(has) => {
+                for (&square, &has) in self.squares[..len].iter().zip(has) {
+                    sum += (square * has).f64();
+                }
+            }
         }
         sum
     }

@@ -286,10 +286,9 @@ impl<T: Real> WithSimd for ParticleRow<'_, '_, T> {
             }
             T::store_partial(simd, &mut grad[place..], particles.plus(simd, place, sum));
         }
-        particles.correct_ends(grad);
-        let slots = &trial.slots[i * w..][..w];
-        if slots.iter().fold(0, |any, slot| any | slot) != 0 {
-            for (j, grad) in grad.iter_mut().enumerate().filter(|&(j, _)| slots[j] != 0) {
+        let marks = &trial.marks[i * w..][..w];
+        if !marks.iter().fold(true, |all, mark| all & mark.is_free()) {
+            for (j, grad) in grad.iter_mut().enumerate().filter(|&(j, _)| !marks[j].is_free()) {
                 *grad = particles.alone(j);
             }
         }

@@ -1,29 +1,31 @@
 //! Backward Euler: from accelerations to velocities and positions, with handles (paper section 3.3, Eqs. 8
 //! and 9; dt = 1).
 
+use crate::cloth::{Mark, Role};
 use crate::cpu::Real;
 
 /// The inputs of one frame of one cloth.
 #[derive(Clone, Copy)]
 pub struct Frame<'a, T> {
-    /// Handle slots, shape [H, W], see [`crate::cloth::Model::handle_slots`].
-    pub slots: &'a [u32],
+    /// What each particle is, shape [H, W].
+    pub marks: &'a [Mark],
     /// Handle positions of all cloths at the end of the frame \[edges\].
     pub handles: &'a [[T; 3]],
     /// Trial accelerations [edges / frame^2], shape [3, H, W].
     pub a: &'a [T],
 }
 
-/// Computes the displacements at a trial acceleration: `shift = v + a`, or for a handle `target - x`.
+/// Computes the displacements at a trial acceleration: `shift = v + a`, or for a handle `target - x`; 0 outside of the cloth.
 pub fn shifts<T: Real>(frame: Frame<'_, T>, x: &[T], v: &[T], shift: &mut [T]) {
-    let n = frame.slots.len();
+    let n = frame.marks.len();
     for (component, shift) in shift.chunks_exact_mut(n).enumerate() {
         let at = component * n..(component + 1) * n;
         let (x, v, a) = (&x[at.clone()], &v[at.clone()], &frame.a[at]);
         for p in 0..n {
-            shift[p] = match frame.slots[p] {
-                0 => v[p] + a[p],
-                slot => frame.handles[slot as usize - 1][component] - x[p],
+            shift[p] = match frame.marks[p].role() {
+                Role::Free => v[p] + a[p],
+                Role::Handle(k) => frame.handles[k][component] - x[p],
+                Role::Outside => T::zero(),
             };
         }
     }
@@ -32,14 +34,14 @@ pub fn shifts<T: Real>(frame: Frame<'_, T>, x: &[T], v: &[T], shift: &mut [T]) {
 /// Ends the frame: the accepted `shift` becomes the velocity, and `x <- x + v`. Handles end exactly at their
 /// targets.
 pub fn end_frame<T: Real>(frame: Frame<'_, T>, shift: &[T], x: &mut [T], v: &mut [T]) {
-    let n = frame.slots.len();
+    let n = frame.marks.len();
     v.copy_from_slice(shift);
     for (component, x) in x.chunks_exact_mut(n).enumerate() {
         let shift = &shift[component * n..][..n];
         for p in 0..n {
-            x[p] = match frame.slots[p] {
-                0 => x[p] + shift[p],
-                slot => frame.handles[slot as usize - 1][component],
+            x[p] = match frame.marks[p].role() {
+                Role::Handle(k) => frame.handles[k][component],
+                Role::Free | Role::Outside => x[p] + shift[p],
             };
         }
     }

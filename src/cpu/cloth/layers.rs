@@ -7,7 +7,7 @@ use super::touch::Touch;
 use super::vector::{add, at, dot, scaled, sub};
 use super::{Block, Coupling};
 use crate::cloth::terms::{Contact, Elastic};
-use crate::cloth::{Grid, LayerStats, Nearest, Parts, SelfContact};
+use crate::cloth::{Grid, LayerStats, Nearest, Parts, Role, SelfContact};
 use crate::cpu::Real;
 use crate::sim::MAX_DIRECTIONS;
 use glam::DVec3;
@@ -317,15 +317,16 @@ impl<'a, T: Real> Search<'a, T> {
         let wide = |field: [T; 3]| DVec3::from(field.map(|c| c.f64()));
         let x: Vec<DVec3> = (0..n).map(|p| wide(at(start.x, n, p))).collect();
         let mut base: Vec<DVec3> = (0..n)
-            .map(|p| match start.slots[p] {
-                0 => wide(at(start.v, n, p)),
-                slot => wide(start.handles[slot as usize - 1]) - x[p],
+            .map(|p| match start.marks[p].role() {
+                Role::Free => wide(at(start.v, n, p)),
+                Role::Handle(k) => wide(start.handles[k]) - x[p],
+                Role::Outside => DVec3::ZERO,
             })
             .collect();
         let mut way: Vec<DVec3> = match a {
             None => base.clone(),
             Some(a) => (0..n)
-                .map(|p| if start.slots[p] == 0 { base[p] + wide(at(a, n, p)) } else { base[p] })
+                .map(|p| if start.marks[p].is_free() { base[p] + wide(at(a, n, p)) } else { base[p] })
                 .collect(),
         };
         // Relative to the mean motion, they move least.
@@ -338,20 +339,25 @@ impl<'a, T: Real> Search<'a, T> {
                 points.iter_mut().zip(particles).for_each(|(point, &q)| *point = (x[q], way[q]));
                 Ball::around(&points[..particles.len()])
             };
+            let own = !start.marks[p].is_outside();
             let (below, right) = (p / grid.w + 1 < grid.h, p % grid.w + 1 < grid.w);
-            let has = |has: bool, particles: &[usize]| if has { ball(particles) } else { Ball::NOWHERE };
             let [q, r, s] = [p + 1, p + grid.w, p + grid.w + 1];
+            let exists = |is_there: bool, q: usize| own && is_there && !start.marks[q].is_outside();
+            let (below, right, opposite) = (exists(below, r), exists(right, q), exists(below && right, s));
+            let whole = below && right && opposite;
+            let has = |has: bool, particles: &[usize]| if has { ball(particles) } else { Ball::NOWHERE };
             Patch {
                 all: match (below, right) {
-                    (true, true) => ball(&[p, q, r, s]),
+                    _ if whole => ball(&[p, q, r, s]),
+                    (true, true) => ball(&[p, q, r]),
                     (true, false) => ball(&[p, r]),
                     (false, true) => ball(&[p, q]),
-                    (false, false) => ball(&[p]),
+                    (false, false) => has(own, &[p]),
                 },
-                particle: ball(&[p]),
-                faces: [has(below && right, &[p, r, s]), has(below && right, &[p, s, q])],
-                edges: [has(right, &[p, q]), has(below, &[p, r]), has(below && right, &[p, s])],
-                halves: [(right, q), (below, r), (below && right, s)]
+                particle: has(own, &[p]),
+                faces: [has(whole, &[p, r, s]), has(whole, &[p, s, q])],
+                edges: [has(right, &[p, q]), has(below, &[p, r]), has(whole, &[p, s])],
+                halves: [(right, q), (below, r), (whole, s)]
                     .map(|(has, q)| if has { 0.5 * (x[q] - x[p]) } else { DVec3::ZERO }),
             }
         };
@@ -471,7 +477,8 @@ impl<'a, T: Real> Search<'a, T> {
         if left >= self.range {
             return None;
         }
-        let nearest = parts.nearest(grid, |p| self.x[p] + share * self.way[p])?;
+        let has = |p: usize| !self.start.marks[p].is_outside();
+        let nearest = parts.nearest((grid, has), |p| self.x[p] + share * self.way[p])?;
         Some(Met { nearest, before })
     }
 
@@ -488,8 +495,8 @@ impl<'a, T: Real> Search<'a, T> {
         let mut response = [0.0; 4];
         let (mut per_mass, mut elastic) = (0.0, 0.0);
         for (k, (p, weight)) in particles.into_iter().zip(weights).enumerate() {
-            if self.start.slots[p] == 0 {
-                response[k] = weight * n as f64 / grid.mass(p / grid.w, p % grid.w);
+            if self.start.marks[p].is_free() {
+                response[k] = weight * n as f64 / self.start.marks[p].mass();
                 per_mass += weight * response[k];
                 elastic += weight * weight * self.start.elastic_along(p, normal, self.elastic);
             }

@@ -8,6 +8,7 @@
 mod cells;
 mod contacts;
 mod curvature;
+mod cut;
 mod energy;
 mod flat_tiles;
 mod gradient;
@@ -29,6 +30,7 @@ pub use cells::{Cells, Placed, Walk};
 pub use contacts::{Approach, Contacts};
 pub(super) use curvature::generic_local_model;
 pub use curvature::{CurvatureRows, LocalModel, local_model};
+pub use cut::Cut;
 pub use energy::energy;
 pub(super) use energy::generic_energy;
 pub(super) use gradient::generic_gradient;
@@ -37,6 +39,7 @@ pub use hessian::{AFTER, Block, Coupling, Hessian, Projection, neighbours};
 pub use integrate::{Frame, end_frame, shifts};
 pub use layers::Layers;
 pub(super) use particles::add_own_block;
+pub use particles::masses;
 pub use plain::{PlainTotal, plain_total};
 pub use repulsion::{RepellingPair, repelling_pairs, repulsion, repulsion_curvature};
 pub use sheet_axes::sheet_axes;
@@ -46,7 +49,7 @@ pub use wind::add_wind;
 
 use super::Real;
 use crate::cloth::terms::{self, Elastic};
-use crate::cloth::{Grid, Material};
+use crate::cloth::{Grid, Mark, Material};
 use vector::{add, at, sub};
 
 /// One cloth at a trial acceleration: everything that its energy depends on.
@@ -66,23 +69,15 @@ pub struct Trial<'a, T> {
     pub a: &'a [T],
     /// External accelerations [edges / frame^2], shape [3, H, W].
     pub f: &'a [T],
-    /// Handle slots, shape [H, W]: 0 for a free particle, see [`crate::cloth::Model::handle_slots`].
-    pub slots: &'a [u32],
+    /// What each particle is, shape [H, W].
+    pub marks: &'a [Mark],
+    /// Its mass over their number ([`masses`]), shape [H, W].
+    pub masses: &'a [T],
+    /// The edges and angles that the cloth has, unless it has those of the whole grid ([`Cut::of`]).
+    pub cut: Option<&'a Cut<T>>,
 }
 
 impl<T: Real> Trial<'_, T> {
-    /// Returns the edge from particle (i, j) to (i+1, j).
-    #[inline(always)]
-    fn vertical(&self, i: usize, j: usize) -> [T; 3] {
-        self.edge(i * self.grid.w + j, (i + 1) * self.grid.w + j)
-    }
-
-    /// Returns the edge from particle (i, j) to (i, j+1).
-    #[inline(always)]
-    fn horizontal(&self, i: usize, j: usize) -> [T; 3] {
-        self.edge(i * self.grid.w + j, i * self.grid.w + j + 1)
-    }
-
     /// Returns the vector from particle p to q at the trial acceleration.
     #[inline(always)]
     fn edge(&self, p: usize, q: usize) -> [T; 3] {

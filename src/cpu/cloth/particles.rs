@@ -10,9 +10,9 @@
 )]
 
 use super::curvature::{EXTERNAL, INERTIA, Sums, pair};
-use super::rows::{at, width};
+use super::rows::width;
 use super::{Hessian, Trial, vector};
-use crate::cloth::{EnergyTerms, Grid};
+use crate::cloth::{EnergyTerms, Grid, Mark};
 use crate::cpu::Real;
 use pulp::Simd;
 
@@ -23,7 +23,7 @@ pub(super) fn energy<T: Real>(trial: &Trial<'_, T>, i: usize) -> EnergyTerms {
     let n = h * w;
     let mut sum = EnergyTerms::default();
     for j in 0..w {
-        let mass = trial.grid.mass(i, j) / n as f64;
+        let mass = trial.marks[i * w + j].mass() / n as f64;
         let (a, f) = (vector::at(trial.a, n, i * w + j), vector::at(trial.f, n, i * w + j));
         sum.inertia += 0.5 * mass * vector::dot(a, a).f64();
         sum.external -= mass * vector::dot(a, f).f64();
@@ -33,67 +33,50 @@ pub(super) fn energy<T: Real>(trial: &Trial<'_, T>, i: usize) -> EnergyTerms {
 
 /// The gradient of one component of one row of particles.
 pub(super) struct GradientRow<'a, T> {
-    grid: Grid,
-    /// Number of the row.
-    i: usize,
     /// Components of the accelerations, shape \[W\].
     a: &'a [T],
     /// Components of the external accelerations, shape \[W\].
     f: &'a [T],
-    /// Mass over H W of a particle inside the row.
-    mass: T,
+    /// Masses over H W, shape \[W\].
+    masses: &'a [T],
 }
 
 impl<'a, T: Real> GradientRow<'a, T> {
     /// Returns row number `row`, counted through all components.
     #[inline(always)]
     pub fn new(trial: &Trial<'a, T>, row: usize) -> Self {
-        let grid @ Grid { h, w } = trial.grid;
-        let i = row % h;
-        // Twice that of a particle at the end of the row.
-        let mass = T::of(2.0 * grid.mass(i, 0) / (h * w) as f64);
-        Self { grid, i, a: &trial.a[row * w..][..w], f: &trial.f[row * w..][..w], mass }
+        let Grid { h, w } = trial.grid;
+        let masses = &trial.masses[row % h * w..][..w];
+        Self { a: &trial.a[row * w..][..w], f: &trial.f[row * w..][..w], masses }
     }
 
-    /// Returns `sum` plus the gradient of the particles from `place` on, as if all were inside the row.
+    /// Returns `sum` plus the gradient of the particles from `place` on.
     #[inline(always)]
     pub fn plus<S: Simd>(&self, simd: S, place: usize, sum: T::Lanes<S>) -> T::Lanes<S> {
         let a = T::load_partial(simd, &self.a[place..]);
         let f = T::load_partial(simd, &self.f[place..]);
-        T::fma(simd, T::splat(simd, self.mass), T::sub_lanes(simd, a, f), sum)
-    }
-
-    /// Takes back what [`GradientRow::plus`] added too much at the ends of the row: those particles have half the mass.
-    #[inline(always)]
-    pub fn correct_ends(&self, grad: &mut [T]) {
-        let half = self.mass * T::of(0.5);
-        for j in [0, grad.len() - 1] {
-            grad[j] = grad[j] - half * (self.a[j] - self.f[j]);
-        }
+        T::fma(simd, T::load_partial(simd, &self.masses[place..]), T::sub_lanes(simd, a, f), sum)
     }
 
     /// Returns the gradient of particle `j` of the row by itself.
     #[inline(always)]
     pub fn alone(&self, j: usize) -> T {
-        T::of(self.grid.mass(self.i, j) / self.grid.particles() as f64) * (self.a[j] - self.f[j])
+        self.masses[j] * (self.a[j] - self.f[j])
     }
 }
 
 /// Sums over rows of particles along K directions.
 #[derive(Clone, Copy)]
 pub(super) struct Directions<'a, T> {
-    /// [`masses`], shape \[W'\].
-    pub masses: &'a [T],
     /// Shape [K, 3, H, W].
     pub fields: &'a [T],
     /// The gradient of the energy, shape [3, H, W].
     pub grad: &'a [T],
 }
 
-/// Returns the masses of the particles of an inner row over H W, zero past the row, shape \[len\].
-pub(super) fn masses<T: Real>(grid: Grid, len: usize) -> Vec<T> {
-    let mass = |j: usize| if j < grid.w { 2.0 * grid.mass(0, j) / grid.particles() as f64 } else { 0.0 };
-    (0..len).map(|j| T::of(mass(j))).collect()
+/// Returns the masses of particles over the number of particles of the grid, of each of their cloths.
+pub fn masses<T: Real>(grid: Grid, marks: &[Mark]) -> Vec<T> {
+    marks.iter().map(|mark| T::of(mark.mass() / grid.particles() as f64)).collect()
 }
 
 impl<T: Real> Directions<'_, T> {
@@ -107,17 +90,16 @@ impl<T: Real> Directions<'_, T> {
         i: usize,
         sums: &mut Sums<T::Lanes<S>>,
     ) {
-        let Self { masses, fields, grad } = self;
+        let Self { fields, grad } = self;
         let Grid { h, w } = trial.grid;
         let half = T::splat(simd, T::of(0.5));
-        // Particles of the first and the last row have half the mass of the others.
-        let of_row = T::splat(simd, T::of(if i == 0 || i + 1 == h { 0.5 } else { 1.0 }));
+        let masses = &trial.masses[i * w..][..w];
         for component in 0..3 {
             let row = (component * h + i) * w;
             let (a, f) = (&trial.a[row..][..w], &trial.f[row..][..w]);
             for register in 0..w.div_ceil(width::<T, S>()) {
                 let place = register * width::<T, S>();
-                let mass = T::mul_lanes(simd, of_row, at::<T, S>(masses, place));
+                let mass = T::load_partial(simd, &masses[place..]);
                 let (a, f) = (T::load_partial(simd, &a[place..]), T::load_partial(simd, &f[place..]));
                 let force = T::mul_lanes(simd, mass, a);
                 let energies = &mut sums.energies;
@@ -146,8 +128,7 @@ impl<T: Real> Directions<'_, T> {
 
 /// Adds the second derivatives with respect to the acceleration of particle `p` to its own block of the Hessian.
 pub(in crate::cpu) fn add_own_block(trial: &Trial<'_, f64>, p: usize, hessian: &mut Hessian) {
-    let grid = trial.grid;
-    let mass = grid.mass(p / grid.w, p % grid.w) / grid.particles() as f64;
+    let mass = trial.marks[p].mass() / trial.grid.particles() as f64;
     for c in 0..3 {
         *hessian.at_mut((p, c), (p, c)) += mass;
     }

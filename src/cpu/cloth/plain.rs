@@ -22,18 +22,20 @@ pub struct PlainTotal {
 /// [K, 3, H, W]. Handles move to their targets whatever a is, so only inertia and external work depend on theirs.
 pub fn plain_total(trial: &Trial<'_, f64>, directions: &[f64]) -> PlainTotal {
     let mut sum = Sum::new(*trial, directions);
-    for (ends, edge) in edges(trial.grid, trial.material) {
+    let has = |ends: &Ends| ends.iter().all(|&p| !trial.marks[p].is_outside());
+    for (ends, edge) in edges(trial.grid, trial.material).into_iter().filter(|(ends, _)| has(ends)) {
         let e = sum.edge(ends);
         sum.total.energy.stretch += edge.energy(e);
         sum.add_elastic([ends], [edge.gradient(e)], [[edge.hessian(e)]]);
     }
-    for (pair, angle) in corners(trial.grid, trial.material) {
+    let has = |(pair, _): &([Ends; 2], Angle)| pair.iter().all(has);
+    for (pair, angle) in corners(trial.grid, trial.material).into_iter().filter(has) {
         sum.total.energy.shear += sum.add_angle(pair, angle);
     }
-    for (pair, angle) in bends(trial.grid, trial.material) {
+    for (pair, angle) in bends(trial.grid, trial.material).into_iter().filter(has) {
         sum.total.energy.bend += sum.add_angle(pair, angle);
     }
-    for (p, particle) in particles(trial.grid, trial.f).into_iter().enumerate() {
+    for (p, particle) in particles(trial.marks, trial.f).into_iter().enumerate() {
         let a = DVec3::from(at(trial.a, trial.grid.particles(), p));
         sum.total.energy.inertia += particle.inertia(a);
         sum.total.energy.external += particle.work(a);
@@ -80,7 +82,7 @@ impl<'a> Sum<'a> {
     ) {
         for ([begin, end], gradient) in edges.into_iter().zip(gradient) {
             for (p, gradient) in [(begin, -gradient), (end, gradient)] {
-                if self.trial.slots[p] == 0 {
+                if self.trial.marks[p].is_free() {
                     self.add_gradient(p, gradient);
                 }
             }
@@ -95,7 +97,8 @@ impl<'a> Sum<'a> {
 
     /// Returns by how much each direction changes an edge.
     fn changes(&self, [begin, end]: Ends) -> Vec<DVec3> {
-        let moved = |d: &[f64], p: usize| if self.trial.slots[p] == 0 { vector(d, p) } else { DVec3::ZERO };
+        let moved =
+            |d: &[f64], p: usize| if self.trial.marks[p].is_free() { vector(d, p) } else { DVec3::ZERO };
         let fields = self.directions.chunks_exact(self.trial.x.len());
         fields.map(|d| moved(d, end) - moved(d, begin)).collect()
     }

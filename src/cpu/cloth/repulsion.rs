@@ -34,8 +34,8 @@ pub fn repulsion<T: Real>(trial: &Trial<'_, T>, repulsion: Repulsion, total_acce
             energy -= (square / range.limit).f64().ln();
         });
         let f = at(trial.f, n, p);
-        let factor = T::of(4.0 * strength / grid.mass(p / grid.w, p % grid.w));
-        (p, if trial.slots[p] == 0 { add(f, scaled(sum, factor)) } else { f }, energy)
+        let factor = T::of(4.0 * strength / trial.marks[p].mass());
+        (p, if trial.marks[p].is_free() { add(f, scaled(sum, factor)) } else { f }, energy)
     };
     let mut energy = 0.0;
     for (p, acceleration, of_particle) in range.of_particles(trial, of_particle) {

@@ -4,6 +4,7 @@
 //! [`crate::cpu::elementary`], these functions contain neither closures nor iterator adapters.
 
 use super::Trial;
+use super::cut::Element;
 use crate::cloth::Grid;
 use crate::cpu::Real;
 use crate::cpu::matmul::LANES;
@@ -107,7 +108,7 @@ pub(super) fn any_normal<T: Real, S: Simd>(simd: S, u: [T::Lanes<S>; 3]) -> [T::
 }
 
 /// Sets `edges` [3, W'] to the edges from the first `count` particles of row `i` to the particles `step`
-/// later in the array, which must hold `count` particles from there on.
+/// later in the array, which must hold `count` particles from there on. Those that the cloth doesn't have are zero.
 #[inline(always)]
 pub(super) fn load<T: Real, S: Simd>(
     simd: S,
@@ -133,6 +134,16 @@ pub(super) fn load<T: Real, S: Simd>(
             );
             *edge = T::add_lanes(simd, initial, change);
             place = (place + width::<T, S>()).min(count);
+        }
+    }
+    if let Some(cut) = trial.cut {
+        let has = cut.row(i, if step == 1 { Element::Right } else { Element::Down });
+        for component in 0..3 {
+            let mut place = 0;
+            for edge in T::lanes_mut::<S>(&mut edges[component * stored.stride..][..stored.count]) {
+                *edge = T::mul_lanes(simd, *edge, at::<T, S>(has, place));
+                place += width::<T, S>();
+            }
         }
     }
 }

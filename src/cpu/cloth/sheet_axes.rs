@@ -1,7 +1,7 @@
 //! The sheet's own axes at each particle.
 
 use super::vector::{add, at, cross, dot, length, scaled, sub};
-use crate::cloth::Grid;
+use crate::cloth::{Grid, Mark};
 use crate::cpu::Real;
 
 /// Vectors shorter than this have no direction.
@@ -9,16 +9,18 @@ const SHORTEST: f64 = 1e-12;
 
 /// Sets `axes` [6, H, W] to two orthonormal vectors t_1 and t_2 per particle that span the tangent plane at
 /// the positions `x + shift`, both [3, H, W]: those closest to the directions in which i and j grow. A
-/// particle whose neighbours span no plane gets the x and the y axis.
-pub fn sheet_axes<T: Real>(grid: Grid, x: &[T], shift: &[T], axes: &mut [T]) {
+/// particle whose neighbours span no plane, or that the cloth doesn't have, gets the x and the y axis.
+pub fn sheet_axes<T: Real>((grid, marks): (Grid, &[Mark]), x: &[T], shift: &[T], axes: &mut [T]) {
     let (Grid { h, w }, n) = (grid, grid.particles());
     let between =
         |p: usize, q: usize| add(sub(at(x, n, q), at(x, n, p)), sub(at(shift, n, q), at(shift, n, p)));
     for i in 0..h {
         for j in 0..w {
             let p = i * w + j;
-            let u = between(i.saturating_sub(1) * w + j, (i + 1).min(h - 1) * w + j);
-            let v = between(i * w + j.saturating_sub(1), i * w + (j + 1).min(w - 1));
+            // The particle itself for a neighbour that the cloth doesn't have.
+            let has = |q: usize| if marks[q].is_outside() { p } else { q };
+            let u = between(has(i.saturating_sub(1) * w + j), has((i + 1).min(h - 1) * w + j));
+            let v = between(has(i * w + j.saturating_sub(1)), has(i * w + (j + 1).min(w - 1)));
             let [one, two] = tangents(u, v)
                 .unwrap_or([[T::one(), T::zero(), T::zero()], [T::zero(), T::one(), T::zero()]]);
             for c in 0..3 {

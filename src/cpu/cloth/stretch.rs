@@ -8,22 +8,26 @@ use crate::cpu::Real;
 /// Returns the largest `|e| - 1` and the mean of `| |e| - 1 |` over the edges of one cloth.
 pub fn stretch<T: Real>(trial: &Trial<'_, T>) -> (f64, f64) {
     let Grid { h, w } = trial.grid;
-    let (mut largest, mut sum) = (f64::NEG_INFINITY, 0.0);
-    let mut count = |edge: [T; 3]| {
-        let excess = (length(edge) - T::one()).f64();
+    let (mut largest, mut sum, mut edges) = (f64::NEG_INFINITY, 0.0, 0);
+    let mut count = |p: usize, q: usize| {
+        if trial.marks[p].is_outside() || trial.marks[q].is_outside() {
+            return;
+        }
+        let excess = (length(trial.edge(p, q)) - T::one()).f64();
         // A maximum swallows a NaN; the sum keeps it.
         largest = largest.max(excess);
         sum += excess.abs();
+        edges += 1;
     };
     for i in 0..h {
         for j in 0..w {
             if i + 1 < h {
-                count(trial.vertical(i, j));
+                count(i * w + j, (i + 1) * w + j);
             }
             if j + 1 < w {
-                count(trial.horizontal(i, j));
+                count(i * w + j, i * w + j + 1);
             }
         }
     }
-    (largest, sum / ((h - 1) * w + h * (w - 1)) as f64)
+    (largest, sum / f64::from(edges))
 }

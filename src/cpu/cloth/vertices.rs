@@ -1,14 +1,14 @@
 //! Vertices for rendering: positions and smooth normals.
 
 use super::vector::{add, at, cross, length, scaled, sub};
-use crate::cloth::{Grid, VertexView};
+use crate::cloth::VertexView;
 use crate::cpu::Real;
 
 /// Returns the position and the unit normal of each particle of one cloth, shape [H W, 6], from positions `x`
 /// \[edges\] and velocities `v` [edges / frame], shape [3, H, W]. A normal has the direction of the
-/// area-weighted mean over the adjacent triangles ([`Grid::faces`]); it is zero if that mean is zero.
-pub fn vertices<T: Real>(grid: Grid, view: &VertexView, x: &[T], v: &[T]) -> Vec<[T; 6]> {
-    let n = grid.particles();
+/// area-weighted mean over the adjacent ones of the cloth's triangles, `faces`; it is zero if that mean is zero.
+pub fn vertices<T: Real>(faces: &[[u32; 3]], view: &VertexView, x: &[T], v: &[T]) -> Vec<[T; 6]> {
+    let n = x.len() / 3;
     let transform = view.transform.map(|row| row.map(|c| T::of(c.into())));
     let back = T::of(1.0 - f64::from(view.time));
     let position = |p: usize| {
@@ -17,7 +17,7 @@ pub fn vertices<T: Real>(grid: Grid, view: &VertexView, x: &[T], v: &[T]) -> Vec
     };
     let positions: Vec<[T; 3]> = (0..n).map(position).collect();
     let mut normals = vec![[T::zero(); 3]; n];
-    for face in grid.iter_faces() {
+    for face in faces {
         let face = face.map(|p| p as usize);
         let [p, q, r] = face.map(|p| positions[p]);
         let area = cross(sub(q, p), sub(r, p));

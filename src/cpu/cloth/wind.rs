@@ -1,11 +1,11 @@
 //! Air drag on the cells of a cloth.
 
 use super::vector::{at, cross, dot, length, scaled, sub};
-use crate::cloth::{Air, Grid};
+use crate::cloth::{Air, Grid, Mark};
 use crate::cpu::Real;
 
 /// Adds to the accelerations `f` [3, H, W] the effect of air that moves with velocity `wind` [edges / frame]
-/// on a cloth with positions `x` and velocities `v`, shape [3, H, W].
+/// on a cloth with these `marks` [H, W], positions `x` and velocities `v`, shape [3, H, W].
 ///
 /// With the vector area of a cell (half the cross product of its diagonals: the same for both ways to cut it), its
 /// size A and unit normal n, and `v_rel = wind - mean velocity of the corners`, the force on the cell is
@@ -15,7 +15,13 @@ use crate::cpu::Real;
 /// The force is that at the end of the frame: `v_n` divided by `1 + density A |v_n|`, and the part along the cell by
 /// `1 + drag A` (a cell has mass 1), which is the velocity of a free cell after an implicit step. So the air never
 /// turns a motion round, however light or fast the cloth.
-pub fn add_wind<T: Real>(grid: Grid, air: Air, wind: [T; 3], (x, v): (&[T], &[T]), f: &mut [T]) {
+pub fn add_wind<T: Real>(
+    (grid, marks): (Grid, &[Mark]),
+    air: Air,
+    wind: [T; 3],
+    (x, v): (&[T], &[T]),
+    f: &mut [T],
+) {
     if air == Air::default() {
         return;
     }
@@ -25,6 +31,9 @@ pub fn add_wind<T: Real>(grid: Grid, air: Air, wind: [T; 3], (x, v): (&[T], &[T]
     for i in 0..h - 1 {
         for j in 0..w - 1 {
             let corners = [i * w + j, i * w + j + 1, (i + 1) * w + j, (i + 1) * w + j + 1];
+            if corners.iter().any(|&p| marks[p].is_outside()) {
+                continue;
+            }
             let [a, b, c, d] = corners.map(|p| at(x, n, p));
             let normal = cross(sub(d, a), sub(b, c));
             let double_area = length(normal);
@@ -42,7 +51,7 @@ pub fn add_wind<T: Real>(grid: Grid, air: Air, wind: [T; 3], (x, v): (&[T], &[T]
             let pressure = pressure / (T::one() + pressure) * speed;
             let friction = friction / (T::one() + friction);
             for p in corners {
-                let share = quarter / T::of(grid.mass(p / w, p % w));
+                let share = quarter / T::of(marks[p].mass());
                 for k in 0..3 {
                     let push = pressure * normal[k] + friction * (relative[k] - speed * normal[k]);
                     f[k * n + p] = f[k * n + p] + share * push;

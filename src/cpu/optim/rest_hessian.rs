@@ -27,7 +27,7 @@ pub struct RestHessian<T> {
     cosines: Arc<Cosines<T>>,
     /// 1 / lambda, shape [H, stride], 0 in the padding.
     inverse: Vec<T>,
-    handles: Vec<usize>,
+    held: Vec<usize>,
     scratch: Scratch<T>,
 }
 
@@ -39,7 +39,7 @@ pub struct CoRotatedHessian<T> {
     cosines: Arc<Cosines<T>>,
     /// 1 / lambda along t_1, t_2 and the normal, each of shape [H, stride].
     inverses: [Vec<T>; 3],
-    handles: Vec<usize>,
+    held: Vec<usize>,
     scratch: Scratch<T>,
 }
 
@@ -163,11 +163,11 @@ fn table<T: Real>(
     table
 }
 
-/// Zeroes a field [3, H, W] at the handles.
-pub(super) fn hold<T: Real>(handles: &[usize], field: &mut [T]) {
+/// Zeroes a field [3, H, W] at the particles that are held.
+pub(super) fn hold<T: Real>(held: &[usize], field: &mut [T]) {
     let n = field.len() / 3;
     for component in field.chunks_exact_mut(n) {
-        handles.iter().for_each(|&p| component[p] = T::zero());
+        held.iter().for_each(|&p| component[p] = T::zero());
     }
 }
 
@@ -182,7 +182,7 @@ impl<T: Real> RestHessian<T> {
         let grid = cosines.grid;
         Self {
             inverse: cosines.inverses(&|mode| eigenvalue(grid, cloth, mode)),
-            handles: cloth.handles.clone(),
+            held: cloth.held(),
             scratch: cosines.scratch(),
             cosines: cosines.clone(),
         }
@@ -191,11 +191,11 @@ impl<T: Real> RestHessian<T> {
 
 impl<T: Real> InverseHessian<T> for RestHessian<T> {
     fn apply(&mut self, direction: &mut [T]) {
-        let Self { cosines, inverse, handles, scratch } = self;
-        hold(handles, direction);
+        let Self { cosines, inverse, held, scratch } = self;
+        hold(held, direction);
         let components = direction.par_chunks_exact_mut(cosines.grid.particles()).zip(scratch);
         components.for_each(|(component, scratch)| cosines.apply(component, inverse, scratch));
-        hold(handles, direction);
+        hold(held, direction);
     }
 }
 
@@ -207,7 +207,7 @@ impl<T: Real> CoRotatedHessian<T> {
             |axis: usize| cosines.inverses(&|mode| eigenvalues_of_axes(grid, cloth.material, mode)[axis]);
         Self {
             inverses: [0, 1, 2].map(inverse),
-            handles: cloth.handles.clone(),
+            held: cloth.held(),
             scratch: cosines.scratch(),
             cosines: cosines.clone(),
         }
@@ -216,14 +216,14 @@ impl<T: Real> CoRotatedHessian<T> {
     /// Multiplies `direction` [3, H, W] by the inverse Hessian, given the `axes` [6, H, W] of the sheet. The result
     /// is 0 at handles.
     pub fn apply(&mut self, axes: &[T], direction: &mut [T]) {
-        let Self { cosines, inverses, handles, scratch } = self;
+        let Self { cosines, inverses, held, scratch } = self;
         let n = cosines.grid.particles();
-        hold(handles, direction);
+        hold(held, direction);
         turn(axes, direction, false);
         let components = direction.par_chunks_exact_mut(n).zip(scratch).zip(inverses);
         components.for_each(|((component, scratch), inverse)| cosines.apply(component, inverse, scratch));
         turn(axes, direction, true);
-        hold(handles, direction);
+        hold(held, direction);
     }
 }
 
@@ -253,7 +253,7 @@ fn turn<T: Real>(axes: &[T], field: &mut [T], back: bool) {
 /// 4 k_shear/(HW) (D_H + D_W)`.
 pub struct FactoredRestHessian {
     factors: Llt<usize, f64>,
-    handles: Vec<usize>,
+    held: Vec<usize>,
     /// Shape [3, H, W].
     direction: Vec<f64>,
 }
@@ -269,12 +269,13 @@ impl FactoredRestHessian {
         let along = |length: usize, lines: usize, d: f64, d2: f64| {
             d * (2.0 * stretch / ((length - 1) * lines) as f64 + 4.0 * shear / n) + d2 * 2.0 * bend / n
         };
-        let mut is_handle = vec![false; grid.particles()];
-        cloth.handles.iter().for_each(|&p| is_handle[p] = true);
+        let held = cloth.held();
+        let mut is_held = vec![false; grid.particles()];
+        held.iter().for_each(|&p| is_held[p] = true);
         let mut triplets = Vec::new();
-        for (q, &is_handle) in is_handle.iter().enumerate() {
+        for (q, &held) in is_held.iter().enumerate() {
             let (i, j) = (q / w, q % w);
-            if is_handle {
+            if held {
                 triplets.push(Triplet::new(q, q, 1.0));
                 continue;
             }
@@ -291,7 +292,7 @@ impl FactoredRestHessian {
                 triplets.push(Triplet::new(i * w + l, q, value));
             }
         }
-        triplets.retain(|t| t.row == t.col || !is_handle[t.row]);
+        triplets.retain(|t| t.row == t.col || !is_held[t.row]);
         let failed = |e: &dyn std::fmt::Debug| {
             Error::Device(format!("cpu: factoring the Hessian at rest failed: {e:?}"))
         };
@@ -299,7 +300,7 @@ impl FactoredRestHessian {
         let matrix = SparseColMat::<usize, f64>::try_new_from_triplets(particles, particles, &triplets)
             .map_err(|e| failed(&e))?;
         let factors = matrix.sp_cholesky(Side::Lower).map_err(|e| failed(&e))?;
-        Ok(Self { factors, handles: cloth.handles.clone(), direction: vec![0.0; 3 * particles] })
+        Ok(Self { factors, held, direction: vec![0.0; 3 * particles] })
     }
 }
 
@@ -324,7 +325,7 @@ impl<T: Real> InverseHessian<T> for FactoredRestHessian {
         let n = direction.len() / 3;
         self.direction.iter_mut().zip(&*direction).for_each(|(to, &from)| *to = from.f64());
         for component in self.direction.chunks_exact_mut(n) {
-            self.handles.iter().for_each(|&p| component[p] = 0.0);
+            self.held.iter().for_each(|&p| component[p] = 0.0);
         }
         self.factors.solve_in_place(MatMut::from_column_major_slice_mut(&mut self.direction, n, 3));
         direction.iter_mut().zip(&self.direction).for_each(|(to, &from)| *to = T::of(from));

@@ -48,7 +48,7 @@ struct OfCloth<T> {
     rows: CurvatureRows<T>,
     accepted: Accepted,
     steps: StepCounts,
-    handles: Vec<usize>,
+    held: Vec<usize>,
 }
 
 /// The energy of the iterate that was accepted last, and the sum of its terms' magnitudes.
@@ -93,7 +93,7 @@ impl<T: Real> Subspace<T> {
             accepted: Accepted { energy: f64::INFINITY, magnitude: 0.0, slope: 0.0 },
 
             steps: StepCounts::default(),
-            handles: cloth.handles.clone(),
+            held: cloth.held(),
         };
         self.cloths = model.cloths.iter().map(new).collect();
         for (new, old) in self.cloths.iter_mut().zip(old) {
@@ -108,14 +108,15 @@ impl<T: Real> Subspace<T> {
         for (cloth, a) in self.cloths.iter_mut().zip(objective.trial.a.chunks_exact_mut(len)) {
             cloth.steps = StepCounts::default();
             // Taken at the end of the last frame; handles accelerate as they are told.
-            hold(&cloth.handles, &mut cloth.last);
+            hold(&cloth.held, &mut cloth.last);
             a.fill(T::zero());
         }
         objective.move_to_trial(state, control);
         let starts = state.x.par_chunks_exact(len).zip(objective.trial.shift.par_chunks_exact(len));
-        self.cloths.par_iter_mut().zip(starts).for_each(|(cloth, (x, shift))| {
+        let starts = starts.zip(objective.trial.marks.par_chunks_exact(len / 3));
+        self.cloths.par_iter_mut().zip(starts).for_each(|(cloth, ((x, shift), marks))| {
             if cloth.co_rotated.is_some() {
-                sheet_axes(grid, x, shift, &mut cloth.axes);
+                sheet_axes((grid, marks), x, shift, &mut cloth.axes);
             }
         });
         objective.confine(state, |_, _, _| ());
@@ -189,7 +190,7 @@ impl<T: Real> Subspace<T> {
                     match (kind, &mut cloth.spectral, &mut cloth.co_rotated) {
                         (Direction::Spectral, Some(inverse), _) => inverse.apply(p),
                         (Direction::CoRotated, _, Some(inverse)) => inverse.apply(&cloth.axes, p),
-                        _ => hold(&cloth.handles, p),
+                        _ => hold(&cloth.held, p),
                     }
                 }
                 let model = objective.local_model(state, b, (&cloth.directions, &mut cloth.rows));

@@ -9,7 +9,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "cell_count",
     wgsl: include_str!("../../../shaders/cloth/cell_count.wgsl"),
-    appended: &[common::CLOTH, common::CELL, pieces::TRIAL],
+    appended: &[common::CLOTH, common::MARK, common::CELL, pieces::TRIAL],
 };
 
 #[repr(C)]
@@ -39,8 +39,8 @@ impl CellCount {
         assert_eq!([counts, placed, in_bucket].map(Tensor::len), [batch * buckets, 4 * batch * n, batch * n]);
         assert!(buckets.is_power_of_two(), "{buckets} buckets");
         let params = Params { particles: size(n), buckets: size(buckets) };
-        let Iterate { slots, a, base, .. } = trial.iterate;
-        let tensors = [trial.cloths, slots, a, base, trial.x, counts, placed, in_bucket];
+        let Iterate { marks, a, base, .. } = trial.iterate;
+        let tensors = [trial.cloths, marks, a, base, trial.x, counts, placed, in_bucket];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, batch));
     }
 }

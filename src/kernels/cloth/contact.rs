@@ -8,7 +8,7 @@ use crate::kernels::{common, pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "contact",
     wgsl: include_str!("../../../shaders/cloth/contact.wgsl"),
-    appended: &[common::CLOTH, terms::CONTACT, pieces::DISPLACED, pieces::POSITION_ENERGY],
+    appended: &[common::MARK, terms::CONTACT, pieces::DISPLACED, pieces::POSITION_ENERGY],
 };
 
 #[repr(C)]
@@ -61,7 +61,7 @@ impl Contact {
             first_total: size(total),
         };
         let kernel = if after_repulsion { &self.after_repulsion } else { &self.alone };
-        let tensors = [contacts, &trial.iterate.a, given, parts];
+        let tensors = [&trial.iterate.marks, contacts, &trial.iterate.a, given, parts];
         schedule.dispatch(kernel, &params, &tensors, kernel.spread(grid.particles(), batch));
     }
 }

@@ -8,7 +8,7 @@ use crate::kernels::{common, pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "contact_find",
     wgsl: include_str!("../../../shaders/cloth/contact_find.wgsl"),
-    appended: &[common::CLOTH, pieces::BODY, pieces::ELASTIC_ALONG, terms::CONTACT],
+    appended: &[common::CLOTH, common::MARK, pieces::BODY, pieces::ELASTIC_ALONG, terms::CONTACT],
 };
 
 #[repr(C)]
@@ -37,7 +37,7 @@ impl ContactFind {
         let (grid, batch) = (trial.grid, trial.batch());
         let &[_, count, _] = bodies.shape() else { panic!("contact_find: {:?}", bodies.shape()) };
         let params = Params { rows: size(grid.h), columns: size(grid.w), bodies: size(count) };
-        let of_trial = [&trial.iterate.slots, trial.x, &trial.iterate.base];
+        let of_trial = [&trial.iterate.marks, trial.x, &trial.iterate.base];
         let tensors = [trial.cloths, bodies, of_trial[0], of_trial[1], of_trial[2], fields, contacts];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
     }

@@ -10,7 +10,15 @@ use crate::kernels::{common, pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "curvature",
     wgsl: include_str!("../../../shaders/cloth/curvature.wgsl"),
-    appended: &[common::CLOTH, common::OFFSET, terms::PARTICLE, terms::EDGE, terms::ANGLE, pieces::PRODUCTS],
+    appended: &[
+        common::CLOTH,
+        common::MARK,
+        common::OFFSET,
+        terms::PARTICLE,
+        terms::EDGE,
+        terms::ANGLE,
+        pieces::PRODUCTS,
+    ],
 };
 
 #[repr(C)]
@@ -76,7 +84,7 @@ impl Curvature {
             first_external: size(*external),
             zero: 0,
         };
-        let tensors = [cloths, &iterate.a, given, x, &iterate.grad, directions, parts];
+        let tensors = [cloths, &iterate.marks, &iterate.a, given, x, &iterate.grad, directions, parts];
         schedule.dispatch(kernel, &params, &tensors, [size(count), size(batch), 1]);
     }
 }

@@ -10,7 +10,15 @@ use crate::kernels::{common, pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "energy",
     wgsl: include_str!("../../../shaders/cloth/energy.wgsl"),
-    appended: &[common::CLOTH, common::OFFSET, terms::PARTICLE, terms::EDGE, terms::ANGLE, pieces::TRIAL],
+    appended: &[
+        common::CLOTH,
+        common::MARK,
+        common::OFFSET,
+        terms::PARTICLE,
+        terms::EDGE,
+        terms::ANGLE,
+        pieces::TRIAL,
+    ],
 };
 
 #[repr(C)]
@@ -57,7 +65,7 @@ impl Energy {
             first_external: size(*external),
             zero: 0,
         };
-        let tensors = [cloths, &iterate.slots, &iterate.a, given, x, parts];
+        let tensors = [cloths, &iterate.marks, &iterate.a, given, x, parts];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
     }
 }

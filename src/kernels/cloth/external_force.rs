@@ -8,7 +8,7 @@ use crate::kernels::{common, size};
 pub(crate) const SOURCE: Source = Source {
     name: "external_force",
     wgsl: include_str!("../../../shaders/cloth/external_force.wgsl"),
-    appended: &[common::CLOTH],
+    appended: &[common::CLOTH, common::MARK],
 };
 
 #[repr(C)]
@@ -29,6 +29,8 @@ pub struct ExternalForce {
 pub struct ExternalForceTensors<'a> {
     /// Constants of the cloths, see [`super::ClothParams`].
     pub cloths: &'a Tensor,
+    /// What each particle is, shape [B, n].
+    pub marks: &'a Tensor,
     /// Wind velocities, shape [B, 3].
     pub wind: &'a Tensor,
     /// Positions, shape [B, 3, H, W].
@@ -53,7 +55,7 @@ impl ExternalForce {
         tensors: ExternalForceTensors<'_>,
         external: &Tensor,
     ) {
-        let ExternalForceTensors { cloths, wind, x, v, control_accelerations } = tensors;
+        let ExternalForceTensors { cloths, marks, wind, x, v, control_accelerations } = tensors;
         let batch = external.len() / (3 * grid.particles());
         assert_eq!(
             [external, x, v, control_accelerations].map(Tensor::len),
@@ -63,7 +65,7 @@ impl ExternalForce {
         assert_eq!(wind.shape(), [batch, 3]);
         let params = Params { rows: size(grid.h), columns: size(grid.w) };
         let count = self.kernel.groups([grid.w, grid.h, batch]);
-        let tensors = [cloths, wind, x, v, control_accelerations, external];
+        let tensors = [cloths, marks, wind, x, v, control_accelerations, external];
         schedule.dispatch(&self.kernel, &params, &tensors, count);
     }
 }

@@ -9,7 +9,15 @@ use crate::kernels::{common, pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "gradient",
     wgsl: include_str!("../../../shaders/cloth/gradient.wgsl"),
-    appended: &[common::CLOTH, common::OFFSET, terms::PARTICLE, terms::EDGE, terms::ANGLE, pieces::TRIAL],
+    appended: &[
+        common::CLOTH,
+        common::MARK,
+        common::OFFSET,
+        terms::PARTICLE,
+        terms::EDGE,
+        terms::ANGLE,
+        pieces::TRIAL,
+    ],
 };
 
 #[repr(C)]
@@ -69,7 +77,7 @@ impl Gradient {
             zero: 0,
         };
         let kernel = if hidden.is_some() { &self.with_last_step } else { &self.alone };
-        let tensors = [cloths, &iterate.slots, &iterate.a, given, x, fields, sums];
+        let tensors = [cloths, &iterate.marks, &iterate.a, given, x, fields, sums];
         schedule.dispatch(kernel, &params, &tensors, [size(parts(grid)), size(batch), 1]);
     }
 }

@@ -4,12 +4,12 @@ use super::StateTensors;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
 use crate::kernels::optim::Iterate;
-use crate::kernels::{pieces, size};
+use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
     name: "integrate",
     wgsl: include_str!("../../../shaders/cloth/integrate.wgsl"),
-    appended: &[pieces::TARGET],
+    appended: &[common::MARK, pieces::TARGET],
 };
 
 #[repr(C)]
@@ -36,7 +36,7 @@ impl Integrate {
         let StateTensors { x, v, targets } = state;
         assert_eq!((x.len(), v.len()), (samples * n, samples * n));
         let params = Params { particles: size(n) };
-        let tensors = [&iterate.slots, targets, &iterate.base, &iterate.a, x, v];
+        let tensors = [&iterate.marks, targets, &iterate.base, &iterate.a, x, v];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }
 }

@@ -8,7 +8,7 @@ use crate::kernels::{common, pieces, size, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "layer_force",
     wgsl: include_str!("../../../shaders/cloth/layer_force.wgsl"),
-    appended: &[common::CLOTH, terms::CONTACT, pieces::BUCKET, pieces::PAIR, pieces::POSITION_ENERGY],
+    appended: &[common::MARK, terms::CONTACT, pieces::BUCKET, pieces::PAIR, pieces::POSITION_ENERGY],
 };
 
 #[repr(C)]
@@ -57,7 +57,7 @@ impl LayerForce {
         };
         let kernel = if after_others { &self.after_others } else { &self.alone };
         let Pairs { list_ends, lists, pairs, presses, .. } = pairs;
-        let tensors = [&trial.iterate.slots, list_ends, lists, pairs, presses, given, parts];
+        let tensors = [&trial.iterate.marks, list_ends, lists, pairs, presses, given, parts];
         schedule.dispatch(kernel, &params, &tensors, kernel.spread(grid.particles(), batch));
     }
 }

@@ -9,7 +9,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "layer_motion",
     wgsl: include_str!("../../../shaders/cloth/layer_motion.wgsl"),
-    appended: &[common::CLOTH, common::CELL, pieces::PATCH],
+    appended: &[common::CLOTH, common::MARK, common::CELL, pieces::PATCH],
 };
 
 #[repr(C)]
@@ -51,8 +51,8 @@ impl LayerMotion {
             Way::Taken => &self.taken,
         };
         let params = Params { rows: size(grid.h), columns: size(grid.w) };
-        let Iterate { slots, base, a, .. } = trial.iterate;
-        let tensors = [trial.cloths, slots, trial.x, base, a, motion, extents];
+        let Iterate { marks, base, a, .. } = trial.iterate;
+        let tensors = [trial.cloths, marks, trial.x, base, a, motion, extents];
         schedule.dispatch(kernel, &params, &tensors, [size(batch), 1, 1]);
     }
 }

@@ -8,7 +8,7 @@ use crate::kernels::{common, pieces, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "layer_part",
     wgsl: include_str!("../../../shaders/cloth/layer_part.wgsl"),
-    appended: &[common::CLOTH, terms::CONTACT, pieces::BUCKET, pieces::PAIR],
+    appended: &[common::MARK, terms::CONTACT, pieces::BUCKET, pieces::PAIR],
 };
 
 /// Moves layers of a cloth away from each other.
@@ -28,7 +28,7 @@ impl LayerPart {
         let (grid, batch) = (trial.grid, trial.batch());
         let params = pairs.params(grid);
         let Pairs { list_ends, lists, pairs, presses, .. } = pairs;
-        let tensors = [&trial.iterate.slots, list_ends, lists, pairs, presses, &trial.iterate.a];
+        let tensors = [&trial.iterate.marks, list_ends, lists, pairs, presses, &trial.iterate.a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(grid.particles(), batch));
     }
 }

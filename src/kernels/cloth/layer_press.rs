@@ -8,7 +8,7 @@ use crate::kernels::{common, pieces, terms};
 pub(crate) const SOURCE: Source = Source {
     name: "layer_press",
     wgsl: include_str!("../../../shaders/cloth/layer_press.wgsl"),
-    appended: &[common::CLOTH, terms::CONTACT, pieces::PAIR, pieces::PAIRS_OF, pieces::ACROSS],
+    appended: &[common::MARK, terms::CONTACT, pieces::PAIR, pieces::PAIRS_OF, pieces::ACROSS],
 };
 
 /// Computes what each pair of parts of a cloth does.
@@ -42,7 +42,8 @@ impl LayerPress {
             Tells::WaysOut => &self.ways_out,
         };
         let (given, ..) = &trial.iterate.given();
-        let tensors = [&pairs.ends, &pairs.pairs, &trial.iterate.a, given, &pairs.presses];
+        let tensors =
+            [&trial.iterate.marks, &pairs.ends, &pairs.pairs, &trial.iterate.a, given, &pairs.presses];
         schedule.dispatch(kernel, &pairs.params(grid), &tensors, kernel.spread(grid.particles(), batch));
     }
 }

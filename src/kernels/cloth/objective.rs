@@ -5,7 +5,7 @@ use super::{
     Gradient, Integrate, Layers, Predict, Repulsion, RepulsionCurvature, StateTensors, TERMS, Trial, energy,
 };
 use crate::Result;
-use crate::cloth::{Control, Grid, Model};
+use crate::cloth::{Control, Grid, Mark, Model};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::optim::Iterate;
 
@@ -81,7 +81,7 @@ impl Objective {
     pub fn new(context: &Context, grid: Grid, batch: usize, room: Room) -> Result<Self> {
         let zeros = |label, shape: &[usize]| Tensor::zeros(context, label, shape);
         let field = |label| zeros(label, &[batch, 3, grid.particles()]);
-        let free = vec![0; batch * grid.particles()];
+        let free = vec![Mark::default(); batch * grid.particles()];
         let iterate = if room.hidden {
             Iterate::with_hidden(context, batch, &free)
         } else {
@@ -129,7 +129,7 @@ impl Objective {
         let touches = model.touches_itself();
         assert!(self.has_room_for_self_contact() || !touches, "there is no room for self-contact");
         self.cloths.write(&self.context, &ClothParams::all(model));
-        self.iterate.slots.write(&self.context, &model.handle_slots());
+        self.iterate.marks.write(&self.context, &model.marks());
         if let Some((bodies, params)) = self.bodies(model, &Control::<f32>::default()) {
             bodies.write(&self.context, &params);
         }
@@ -225,7 +225,7 @@ impl Objective {
         };
         predict.push(schedule, self.state(), &self.iterate);
         let Self { cloths, wind, x, v, control_accelerations, iterate, .. } = self;
-        let from = ExternalForceTensors { cloths, wind, x, v, control_accelerations };
+        let from = ExternalForceTensors { cloths, marks: &iterate.marks, wind, x, v, control_accelerations };
         self.external_force.push(schedule, self.grid, from, &iterate.external);
         if let Some(contacts) = &self.contacts {
             contacts.find(schedule, self.trial());

@@ -3,12 +3,12 @@
 use super::StateTensors;
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source};
-use crate::kernels::{pieces, size};
+use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
     name: "predict",
     wgsl: include_str!("../../../shaders/cloth/predict.wgsl"),
-    appended: &[pieces::TARGET],
+    appended: &[common::MARK, pieces::TARGET],
 };
 
 #[repr(C)]
@@ -44,7 +44,7 @@ impl Predict {
         let (samples, n) = iterate.samples_and_particles();
         assert_eq!((state.x.len(), state.v.len()), (samples * n, samples * n));
         let params = Params { particles: size(n) };
-        let tensors = [state.x, state.v, &iterate.slots, state.targets, &iterate.base, &iterate.a];
+        let tensors = [state.x, state.v, &iterate.marks, state.targets, &iterate.base, &iterate.a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples));
     }
 }

@@ -9,7 +9,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "repulsion",
     wgsl: include_str!("../../../shaders/cloth/repulsion.wgsl"),
-    appended: &[common::CLOTH, common::CELL, common::JOINED, pieces::BUCKET],
+    appended: &[common::CLOTH, common::MARK, common::CELL, common::JOINED, pieces::BUCKET],
 };
 
 #[repr(C)]
@@ -63,7 +63,7 @@ impl Repulsion {
             first_external: size(*external),
             first_total: size(total.expect("the iterate has a total")),
         };
-        let tensors = [trial.cloths, &trial.iterate.slots, ends, sorted, given, parts];
+        let tensors = [trial.cloths, &trial.iterate.marks, ends, sorted, given, parts];
         schedule.dispatch(kernel, &params, &tensors, kernel.spread(grid.particles(), batch));
     }
 }

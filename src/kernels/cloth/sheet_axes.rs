@@ -9,7 +9,7 @@ use crate::kernels::{common, size};
 pub(crate) const SOURCE: Source = Source {
     name: "sheet_axes",
     wgsl: include_str!("../../../shaders/cloth/sheet_axes.wgsl"),
-    appended: &[common::OFFSET, common::FINITE],
+    appended: &[common::MARK, common::OFFSET, common::FINITE],
 };
 
 #[repr(C)]
@@ -47,8 +47,8 @@ impl SheetAxes {
         assert_eq!(axes.shape(), [samples / 3, 6, n]);
         let slot = directions::slot(directions, iterate);
         let params = Params { rows: size(grid.h), columns: size(grid.w), slot: size(slot), zero: 0 };
-        let Iterate { slots, a, base, .. } = iterate;
-        let tensors = [slots, x, base, axes, directions, a];
+        let Iterate { marks, a, base, .. } = iterate;
+        let tensors = [marks, x, base, axes, directions, a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(n, samples / 3));
     }
 }

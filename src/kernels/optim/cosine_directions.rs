@@ -5,12 +5,12 @@ use super::{Iterate, directions};
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{pieces, size};
+use crate::kernels::{common, pieces, size};
 
 pub(crate) const SOURCE: Source = Source {
     name: "cosine_directions",
     wgsl: include_str!("../../../shaders/optim/cosine_directions.wgsl"),
-    appended: &[pieces::SIX_FIELDS],
+    appended: &[common::MARK, pieces::SIX_FIELDS],
 };
 
 #[repr(C)]
@@ -48,7 +48,7 @@ impl CosineDirections {
         assert_eq!((table.shape(), z.shape()), (&[grid.w; 2][..], &fields_shape(batch, grid)[..]));
         let slot = directions::slot(directions, iterate);
         let params = Params { rows: size(grid.h), columns: size(grid.w), slot: size(slot) };
-        let tensors = [&iterate.slots, axes, table, z, directions];
+        let tensors = [&iterate.marks, axes, table, z, directions];
         let groups = [grid.w.div_ceil(32), grid.h.div_ceil(8), batch].map(size);
         schedule.dispatch(&self.kernel, &params, &tensors, groups);
     }

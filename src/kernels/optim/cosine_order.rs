@@ -3,12 +3,12 @@
 use super::{Iterate, LbfgsMemory};
 use crate::Result;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::size;
+use crate::kernels::{common, size};
 
 pub(crate) const SOURCE: Source = Source {
     name: "cosine_order",
     wgsl: include_str!("../../../shaders/optim/cosine_order.wgsl"),
-    appended: &[],
+    appended: &[common::MARK],
 };
 
 #[repr(C)]
@@ -36,7 +36,7 @@ impl CosineOrder {
         assert_eq!(iterate.samples_and_particles(), (samples, h * w));
         assert_eq!(memory.last.len(), 2 * samples * h * w);
         let params = Params { rows: size(h), columns: size(w) };
-        let tensors = [&iterate.slots, &memory.last, ordered];
+        let tensors = [&iterate.marks, &memory.last, ordered];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.spread(h * w, samples));
     }
 }

@@ -4,13 +4,13 @@ use super::Iterate;
 use crate::Result;
 use crate::cloth::Grid;
 use crate::gpu::{Context, Kernel, Schedule, Source, Tensor};
-use crate::kernels::{pieces, size};
+use crate::kernels::{common, pieces, size};
 use std::f64::consts::PI;
 
 pub(crate) const SOURCE: Source = Source {
     name: "cosine_rows",
     wgsl: include_str!("../../../shaders/optim/cosine_rows.wgsl"),
-    appended: &[pieces::SIX_FIELDS],
+    appended: &[common::MARK, pieces::SIX_FIELDS],
 };
 
 #[repr(C)]
@@ -64,7 +64,7 @@ impl CosineRows {
         assert_eq!((n, axes.shape()), (grid.particles(), &[batch, 6, n][..]));
         assert_eq!((table.shape(), z.shape()), (&[grid.w; 2][..], &fields_shape(batch, grid)[..]));
         let params = Params { rows: size(grid.h), columns: size(grid.w) };
-        let tensors = [&iterate.grad, &iterate.slots, axes, table, z];
+        let tensors = [&iterate.grad, &iterate.marks, axes, table, z];
         let groups = [grid.w.div_ceil(32), grid.h.div_ceil(8), batch].map(size);
         schedule.dispatch(&self.kernel, &params, &tensors, groups);
     }

@@ -35,6 +35,7 @@ pub use update::{Update, UpdateTensors};
 pub use update_adj::{UpdateAdj, UpdateAdjTensors};
 
 use crate::Result;
+use crate::cloth::Mark;
 use crate::gpu::{Context, Tensor};
 
 /// The unknown of a frame, and what is derived from it.
@@ -54,34 +55,34 @@ pub struct Iterate {
     /// The external accelerations plus those of the repulsion, shape [B, 3, n], in the same buffer; `None` without
     /// a repulsion. To the gradient a repulsion is an external force, since it depends on positions alone.
     pub total: Option<Tensor>,
-    /// 0 for a free particle, otherwise 1 + the index of its handle, shape [B, n].
-    pub slots: Tensor,
+    /// What each particle is ([`Mark`]), shape [B, n].
+    pub marks: Tensor,
     /// Acceleration, shape [B, 3, n].
     pub a: Tensor,
 }
 
 impl Iterate {
-    /// Allocates the tensors for cloths whose handle slots are `slots` [B, n].
-    pub fn new(context: &Context, batch: usize, slots: &[u32]) -> Result<Self> {
-        let grad = Tensor::zeros(context, "grad", &[batch, 3, slots.len() / batch])?;
-        Self::of(context, slots, grad, None)
+    /// Allocates the tensors for cloths whose particles have these `marks` [B, n].
+    pub fn new(context: &Context, batch: usize, marks: &[Mark]) -> Result<Self> {
+        let grad = Tensor::zeros(context, "grad", &[batch, 3, marks.len() / batch])?;
+        Self::of(context, marks, grad, None)
     }
 
     /// As [`Iterate::new`], with a hidden state of zeros.
-    pub fn with_hidden(context: &Context, batch: usize, slots: &[u32]) -> Result<Self> {
-        let (samples, n) = (3 * batch, slots.len() / batch);
+    pub fn with_hidden(context: &Context, batch: usize, marks: &[Mark]) -> Result<Self> {
+        let (samples, n) = (3 * batch, marks.len() / batch);
         let first = (samples * n).next_multiple_of(Tensor::VIEW_ALIGNMENT);
         let fields = Tensor::zeros(context, "grad and hidden state", &[first + 2 * samples * n])?;
         let hidden = fields.view(first, &[2, samples, n]);
-        Self::of(context, slots, fields.view(0, &[batch, 3, n]), Some(hidden))
+        Self::of(context, marks, fields.view(0, &[batch, 3, n]), Some(hidden))
     }
 
-    fn of(context: &Context, slots: &[u32], grad: Tensor, hidden: Option<Tensor>) -> Result<Self> {
+    fn of(context: &Context, marks: &[Mark], grad: Tensor, hidden: Option<Tensor>) -> Result<Self> {
         let &[batch, _, n] = grad.shape() else { unreachable!("a gradient has three axes") };
         let [base, external] = fields_in_one(context, "base and external", grad.shape())?;
         let a = Tensor::zeros(context, "a", grad.shape())?;
-        let slots = Tensor::from_slice(context, "slots", &[batch, n], slots)?;
-        Ok(Self { grad, hidden, base, external, total: None, slots, a })
+        let marks = Tensor::from_slice(context, "marks", &[batch, n], marks)?;
+        Ok(Self { grad, hidden, base, external, total: None, marks, a })
     }
 
     /// Makes room for the accelerations of a repulsion. `base` and `external` begin anew, as zeros.
@@ -98,11 +99,11 @@ impl Iterate {
     /// Returns the number of samples, three per cloth, and of particles. Panics if the tensors do not fit
     /// each other.
     pub fn samples_and_particles(&self) -> (usize, usize) {
-        let Self { grad, hidden, base, external, total, slots, a } = self;
+        let Self { grad, hidden, base, external, total, marks, a } = self;
         let &[batch, 3, n] = a.shape() else { panic!("an acceleration is [B, 3, n]: {:?}", a.shape()) };
         assert_eq!([grad, base, external].map(Tensor::len), [a.len(); 3]);
         assert!(total.as_ref().is_none_or(|total| total.len() == a.len()));
-        assert_eq!(slots.len(), batch * n);
+        assert_eq!(marks.len(), batch * n);
         assert!(hidden.as_ref().is_none_or(|hidden| hidden.shape() == [2, 3 * batch, n]));
         (3 * batch, n)
     }

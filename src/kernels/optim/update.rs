@@ -10,7 +10,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "update",
     wgsl: include_str!("../../../shaders/optim/update.wgsl"),
-    appended: &[pieces::SCALAR_HEAD, common::TANH],
+    appended: &[common::MARK, pieces::SCALAR_HEAD, common::TANH],
 };
 
 #[repr(C)]
@@ -35,7 +35,7 @@ pub struct Update {
     /// Without and with the scalar head.
     moves: [Kernel; 2],
     proposes: [Kernel; 2],
-    /// Bound in place of the head if there is none, and of the slots if they are not needed.
+    /// Bound in place of the head if there is none, and of the marks if they are not needed.
     nothing: Tensor,
 }
 
@@ -103,10 +103,10 @@ impl Update {
             after: size(after),
         };
         let nothing = &self.nothing;
-        let ([alone, with_head], slots, to) = match direction {
+        let ([alone, with_head], marks, to) = match direction {
             Some(direction) => {
                 assert_eq!(direction.shape(), iterate.a.shape());
-                (&self.proposes, &iterate.slots, direction)
+                (&self.proposes, &iterate.marks, direction)
             }
             None => (&self.moves, nothing, &iterate.a),
         };
@@ -114,7 +114,7 @@ impl Update {
             Some((layer, rows_max)) => (with_head, rows_max, &layer.weight, &layer.bias),
             None => (alone, nothing, nothing, nothing),
         };
-        let tensors = [field, rows_max, weight, bias, slots, tensor, &fields, to];
+        let tensors = [field, rows_max, weight, bias, marks, tensor, &fields, to];
         let groups = n.div_ceil(256).clamp(1, MAX_GROUPS);
         schedule.dispatch(kernel, &params, &tensors, [size(groups), size(in_field), 1]);
     }

@@ -9,7 +9,7 @@ use crate::kernels::{common, pieces, size};
 pub(crate) const SOURCE: Source = Source {
     name: "advance",
     wgsl: include_str!("../../../shaders/train/advance.wgsl"),
-    appended: &[common::DRAWN, pieces::TARGET],
+    appended: &[common::MARK, common::DRAWN, pieces::TARGET],
 };
 
 #[repr(C)]
@@ -36,8 +36,8 @@ impl Advance {
         assert_eq!((state.x.len(), state.v.len()), (samples * n, samples * n));
         assert_eq!(drawn.bytes() as usize, samples / 3 * size_of::<super::Drawn>());
         let params = Params { particles: size(n) };
-        let Iterate { slots, a, base, .. } = iterate;
-        let tensors = [drawn, slots, state.targets, base, state.x, state.v, a];
+        let Iterate { marks, a, base, .. } = iterate;
+        let tensors = [drawn, marks, state.targets, base, state.x, state.v, a];
         schedule.dispatch(&self.kernel, &params, &tensors, self.kernel.groups([n, samples, 1]));
     }
 }

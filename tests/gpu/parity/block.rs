@@ -7,7 +7,7 @@ use crate::common::{
     self, ROUNDING, assert_close, cases, context, device, largest, noise, poisoned, read, read_channels,
     read_unpadded, run, tensor,
 };
-use fnopt::cloth::Grid;
+use fnopt::cloth::{Grid, Mark};
 use fnopt::gpu::{Tensor, Tuning};
 use fnopt::kernels::operator::block::{hidden_units, with_head};
 use fnopt::kernels::operator::{Block, BlockTensors, Epilogue, Inputs, Layer, LayerSize, Lifting};
@@ -325,7 +325,7 @@ fn liftings_of_fields_match() {
         for (grid, batch) in cases() {
             let config = config(MODES[0], CHANNELS);
             let (columns, w, n, samples) = (2 * config.modes_w, padded(grid.w), grid.particles(), 3 * batch);
-            let iterate = Iterate::with_hidden(context(), batch, &vec![0; batch * n]).unwrap();
+            let iterate = Iterate::with_hidden(context(), batch, &vec![Mark::default(); batch * n]).unwrap();
             let [grad, hidden] = [noise(samples * n, 17), noise(2 * samples * n, 18)];
             iterate.grad.write(context(), &grad);
             iterate.hidden_state().write(context(), &hidden);

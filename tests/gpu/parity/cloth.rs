@@ -1,8 +1,9 @@
 //! Helpers shared by the tests of the cloth and optimizer kernels.
 
+use crate::cloths::jagged;
 use crate::common::{context, noise, poisoned, tensor, widened};
-use fnopt::cloth::{Air, Cloth, Grid, Material, Model, Repulsion, State};
-use fnopt::cpu::cloth::Trial;
+use fnopt::cloth::{Air, Cloth, Grid, Mark, Material, Model, Repulsion, State};
+use fnopt::cpu::cloth::{Cut, Trial, masses};
 use fnopt::gpu::Tensor;
 use fnopt::kernels::cloth::{self, ClothParams};
 use fnopt::kernels::optim::Iterate;
@@ -14,7 +15,7 @@ pub const WIND: [[f32; 3]; 3] = [[0.3, -0.2, 0.1], [0.0, 0.0, 0.0], [-0.5, 0.4, 
 pub const PAIRS: [(usize, usize); 10] =
     [(0, 0), (0, 1), (0, 2), (0, 3), (1, 1), (1, 2), (1, 3), (2, 2), (2, 3), (3, 3)];
 
-/// Builds cloths with different materials, air and handles.
+/// Builds cloths with different materials, air and handles. The second is not a full rectangle.
 pub fn model(grid: Grid, batch: usize) -> Model {
     let (h, w) = (grid.h, grid.w);
     let cloth = |b: usize| Cloth {
@@ -25,6 +26,7 @@ pub fn model(grid: Grid, batch: usize) -> Model {
         self_contact: None,
         handles: [vec![0, (h - 1) * w], vec![w / 2], vec![w - 1, h * w - 1, h * w / 2]][b].clone(),
         bodies: Vec::new(),
+        mask: (b == 1).then(|| jagged(grid)),
     };
     Model { grid, cloths: (0..batch).map(cloth).collect() }
 }
@@ -49,12 +51,12 @@ pub fn field(model: &Model, amplitude: f32, seed: u64) -> Vec<f32> {
     noise(len, seed).into_iter().map(|v| amplitude * v).collect()
 }
 
-/// Returns noise that is 0 at handles.
+/// Returns noise that is 0 where no free particle is.
 pub fn held(model: &Model, amplitude: f32, seed: u64) -> Vec<f32> {
-    let (slots, n) = (model.handle_slots(), model.grid.particles());
+    let (marks, n) = (model.marks(), model.grid.particles());
     let mut values = field(model, amplitude, seed);
     for (k, v) in values.iter_mut().enumerate() {
-        if slots[k / (3 * n) * n + k % n] != 0 {
+        if !marks[k / (3 * n) * n + k % n].is_free() {
             *v = 0.0;
         }
     }
@@ -78,15 +80,20 @@ pub fn constants(model: &Model) -> Tensor {
     Tensor::from_slice(context(), "cloths", &[model.batch(), ClothParams::LEN], &params).unwrap()
 }
 
-/// Creates the unknown of a frame, filled with NaN except for the slots.
+/// Uploads what the particles are.
+pub fn marks(model: &Model) -> Tensor {
+    Tensor::from_slice(context(), "marks", &[model.batch(), model.grid.particles()], &model.marks()).unwrap()
+}
+
+/// Creates the unknown of a frame, filled with NaN except for the marks.
 pub fn iterate(model: &Model) -> Iterate {
-    let iterate = Iterate::new(context(), model.batch(), &model.handle_slots()).unwrap();
+    let iterate = Iterate::new(context(), model.batch(), &model.marks()).unwrap();
     poison(if model.repels() { iterate.with_total(context()).unwrap() } else { iterate })
 }
 
 /// Fills all fields of an iterate with NaN.
 fn poison(iterate: Iterate) -> Iterate {
-    let Iterate { grad, hidden, base, external, total, a, slots: _ } = &iterate;
+    let Iterate { grad, hidden, base, external, total, a, marks: _ } = &iterate;
     for tensor in [grad, base, external, a].into_iter().chain(hidden).chain(total) {
         tensor.write(context(), &vec![f32::NAN; tensor.len()]);
     }
@@ -95,7 +102,7 @@ fn poison(iterate: Iterate) -> Iterate {
 
 /// Creates the unknown of a frame with a hidden state, also filled with NaN.
 pub fn iterate_with_hidden(model: &Model) -> Iterate {
-    poison(Iterate::with_hidden(context(), model.batch(), &model.handle_slots()).unwrap())
+    poison(Iterate::with_hidden(context(), model.batch(), &model.marks()).unwrap())
 }
 
 /// The cloths of a model on the device, at a trial.
@@ -128,8 +135,8 @@ impl OnDevice {
 
 /// Returns the displacements of the particles in a trial.
 pub fn shift(model: &Model, base: &[f32], a: &[f32]) -> Vec<f64> {
-    let (slots, n) = (model.handle_slots(), model.grid.particles());
-    let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
+    let (marks, n) = (model.marks(), model.grid.particles());
+    let free = |k: usize| marks[k / (3 * n) * n + k % n].is_free();
     let moved = |k: usize| f64::from(base[k]) + if free(k) { f64::from(a[k]) } else { 0.0 };
     (0..base.len()).map(moved).collect()
 }
@@ -140,9 +147,12 @@ pub fn poisoned_field(model: &Model) -> Tensor {
 }
 
 /// All cloths in double precision, with the values of the device.
+#[derive(Clone)]
 pub struct Doubles {
     model: Model,
-    slots: Vec<u32>,
+    marks: Vec<Mark>,
+    masses: Vec<f64>,
+    cuts: Vec<Option<Cut<f64>>>,
     x: Vec<f64>,
     shift: Vec<f64>,
     a: Vec<f64>,
@@ -154,15 +164,15 @@ impl Doubles {
     pub fn new(model: &Model, fields: [&[f32]; 4]) -> Self {
         let shift = shift(model, fields[1], fields[2]);
         let [x, _, a, f] = fields.map(widened);
-        Self { model: model.clone(), slots: model.handle_slots(), x, shift, a, f }
+        let (grid, marks) = (model.grid, model.marks());
+        let cuts = marks.chunks_exact(grid.particles()).map(|marks| Cut::of(grid, marks)).collect();
+        Self { model: model.clone(), masses: masses(grid, &marks), marks, cuts, x, shift, a, f }
     }
 
     /// Returns the cloths with accelerations changed by `step` times a direction [B, 3, n] that is 0 at handles.
     pub fn moved(&self, direction: &[f64], step: f64) -> Self {
         let add = |to: &[f64]| to.iter().zip(direction).map(|(to, p)| to + step * p).collect();
-        let Self { model, slots, x, shift, a, f } = self;
-        let (shift, a) = (add(shift), add(a));
-        Self { model: model.clone(), slots: slots.clone(), x: x.clone(), shift, a, f: f.clone() }
+        Self { shift: add(&self.shift), a: add(&self.a), ..self.clone() }
     }
 
     /// Returns cloth `b`.
@@ -176,7 +186,9 @@ impl Doubles {
             shift: &self.shift[at.clone()],
             a: &self.a[at.clone()],
             f: &self.f[at],
-            slots: &self.slots[n * b..n * (b + 1)],
+            marks: &self.marks[n * b..n * (b + 1)],
+            masses: &self.masses[n * b..n * (b + 1)],
+            cut: self.cuts[b].as_ref(),
         }
     }
 }

@@ -31,8 +31,8 @@ fn compare(what: &str, (model, state, control): &(Model, State<f32>, Control<f32
     device.wind.write(context(), &control.wind);
     device.targets.write(context(), &control.handles);
     device.control_accelerations.write(context(), &control.external);
-    let slots = model.handle_slots();
-    let held = |k: usize| slots[k / (3 * n) * n + k % n] != 0;
+    let marks = model.marks();
+    let held = |k: usize| !marks[k / (3 * n) * n + k % n].is_free();
     let a: Vec<f32> = a.iter().enumerate().map(|(k, &a)| if held(k) { 0.0 } else { a }).collect();
     device.iterate.a.write(context(), &a);
     let along: Vec<f32> = (0..4).flat_map(|k| crate::common::noise(3 * batch * n, 20 + k)).collect();

@@ -63,7 +63,7 @@ fn divided(grid: Grid, values: &[f64], eigenvalue: &dyn Fn((usize, usize)) -> f6
 /// Returns both directions of one cloth, from its gradient [3, n] and axes [6, n].
 fn expected(model: &Model, b: usize, grad: &[f32], axes: &[f32]) -> [Vec<f64>; 2] {
     let (grid, n) = (model.grid, model.grid.particles());
-    let slots = &model.handle_slots()[b * n..][..n];
+    let marks = &model.marks()[b * n..][..n];
     let (mut spectral, mut rotated) = (vec![0.0; 3 * n], vec![0.0; 3 * n]);
     for field in 0..6 {
         let weights = |p: usize| {
@@ -76,7 +76,7 @@ fn expected(model: &Model, b: usize, grad: &[f32], axes: &[f32]) -> [Vec<f64>; 2
                 _ => [0, 1, 2].map(|c| f64::from(u8::from(c == field))),
             }
         };
-        let free = |p: usize| f64::from(u8::from(slots[p] == 0));
+        let free = |p: usize| f64::from(u8::from(marks[p].is_free()));
         let of = |p: usize| (0..3).map(|c| weights(p)[c] * f64::from(grad[c * n + p])).sum::<f64>();
         let values: Vec<f64> = (0..n).map(|p| free(p) * of(p)).collect();
         let material = model.cloths[b].material;

@@ -2,7 +2,7 @@
 
 use super::cloth::{field, iterate, model, targets, upload};
 use crate::common::{ROUNDING, assert_close, context, device, noise, poisoned, read, run, tensor};
-use fnopt::cloth::{Grid, State};
+use fnopt::cloth::{Grid, Role, State};
 use fnopt::gpu::Tensor;
 use fnopt::kernels::cloth::StateTensors;
 use fnopt::kernels::train::{Advance, BatchTensors, Draw, Drawn, PoolTensors, Store};
@@ -119,15 +119,18 @@ fn frames_end_where_they_are_due() {
     let _turn = device();
     let kernel = Advance::new(context()).unwrap();
     let model = model(GRID, 3);
-    let (n, slots, targets) = (GRID.particles(), model.handle_slots(), targets(&model));
+    let (n, marks, targets) = (GRID.particles(), model.marks(), targets(&model));
     let [x, v, a, base] = [151, 152, 153, 154].map(|seed| field(&model, 1.0, seed));
     let [mut next_x, mut next_v, mut next_a] = [x.clone(), v.clone(), a.clone()];
     for k in 6 * n..9 * n {
-        let slot = slots[2 * n + k % n] as usize;
+        let role = marks[2 * n + k % n].role();
         next_a[k] = 0.0;
         let shift = base[k] + a[k];
-        next_v[k] = if slot == 0 { 0.75 * shift } else { 0.0 };
-        next_x[k] = if slot == 0 { x[k] + shift } else { targets[slot - 1][k / n % 3] };
+        next_v[k] = if role == Role::Free { 0.75 * shift } else { 0.0 };
+        next_x[k] = match role {
+            Role::Handle(handle) => targets[handle][k / n % 3],
+            Role::Free | Role::Outside => x[k] + shift,
+        };
     }
     let iterate = iterate(&model);
     iterate.a.write(context(), &a);

@@ -33,7 +33,7 @@ fn energies_and_stretch_match() {
             for (b, found) in read(&terms).chunks_exact(TERMS).enumerate() {
                 let e = energy(&doubles.cloth(b));
                 let (largest, mean) = stretch(&doubles.cloth(b));
-                let edges = ((grid.h - 1) * grid.w + grid.h * (grid.w - 1)) as f64;
+                let edges = model.cloths[b].edges(grid) as f64;
                 let expected = [e.stretch, e.shear, e.bend, e.inertia, e.external, largest, mean * edges];
                 // Squares of strains and angles, which the rounding of an edge changes by the absolute
                 // tolerance, and sums of positive terms. The terms of the external energy have both signs, so

@@ -1,6 +1,6 @@
 //! `external_force` against the CPU path.
 
-use super::cloth::{WIND, constants, crumpled, field, model, poisoned_field, upload};
+use super::cloth::{WIND, constants, crumpled, field, marks, model, poisoned_field, upload};
 use crate::common::{ROUNDING, assert_close, cases, context, device, largest, read, run, tensor, widened};
 use fnopt::cloth::Model;
 use fnopt::cpu::cloth::add_wind;
@@ -14,7 +14,14 @@ fn expected(model: &Model, x: &[f32], v: &[f32], control: &[f32]) -> Vec<f64> {
             f.iter_mut().for_each(|f| *f += g);
         }
         let at = 3 * n * b..3 * n * (b + 1);
-        add_wind(model.grid, model.cloths[b].air, WIND[b].map(f64::from), (&x[at.clone()], &v[at]), f);
+        let marks = &model.marks()[n * b..n * (b + 1)];
+        add_wind(
+            (model.grid, marks),
+            model.cloths[b].air,
+            WIND[b].map(f64::from),
+            (&x[at.clone()], &v[at]),
+            f,
+        );
     }
     f
 }
@@ -28,10 +35,11 @@ fn gravity_forces_and_air_match() {
         let (x, v, control) = (crumpled(&model, 0.3), field(&model, 0.5, 75), field(&model, 0.1, 76));
         let expected = expected(&model, &x, &v, &control);
         let [x, v, control] = [x, v, control].map(|values| upload("input", &model, &values));
-        let (cloths, external) = (constants(&model), poisoned_field(&model));
+        let (cloths, marks, external) = (constants(&model), marks(&model), poisoned_field(&model));
         let wind = tensor("wind", &[batch, 3], WIND[..batch].as_flattened());
         let tensors = ExternalForceTensors {
             cloths: &cloths,
+            marks: &marks,
             wind: &wind,
             x: &x,
             v: &v,
@@ -55,10 +63,16 @@ fn air_ignores_cells_without_area() {
     let (v, control) = (field(&model, 0.5, 75), vec![0.0; x.len()]);
     let expected = expected(&model, &x, &v, &control);
     let [x, v, control] = [x, v, control].map(|values| upload("input", &model, &values));
-    let (cloths, external) = (constants(&model), poisoned_field(&model));
+    let (cloths, marks, external) = (constants(&model), marks(&model), poisoned_field(&model));
     let wind = tensor("wind", &[1, 3], &WIND[0]);
-    let tensors =
-        ExternalForceTensors { cloths: &cloths, wind: &wind, x: &x, v: &v, control_accelerations: &control };
+    let tensors = ExternalForceTensors {
+        cloths: &cloths,
+        marks: &marks,
+        wind: &wind,
+        x: &x,
+        v: &v,
+        control_accelerations: &control,
+    };
     run(|schedule| kernel.push(schedule, grid, tensors, &external));
     assert_close("external_force collapsed", &read(&external), &expected, (0.0, ROUNDING));
 }

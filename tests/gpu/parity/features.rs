@@ -4,7 +4,7 @@ use crate::common::{
     ROUNDING, assert_close, cases, context, device, noise, poisoned, read, read_channels, run, tensor,
     widened,
 };
-use fnopt::cloth::Grid;
+use fnopt::cloth::{Grid, Mark};
 use fnopt::kernels::cloth::gradient::parts;
 use fnopt::kernels::optim::{FeatureInputs, Features, Iterate};
 use fnopt::kernels::padded;
@@ -42,8 +42,8 @@ fn check(kernel: &Features, (grid, samples): (Grid, usize), grad: &[f32], hidden
         expected.extend((0..n).map(|p| (p / grid.w) as f64 / (grid.h - 1) as f64));
         expected.extend((0..n).map(|p| (p % grid.w) as f64 / (grid.w - 1) as f64));
     }
-    let slots = vec![0; samples / 3 * n];
-    let iterate = Iterate::with_hidden(context(), samples / 3, &slots).unwrap();
+    let marks = vec![Mark::default(); samples / 3 * n];
+    let iterate = Iterate::with_hidden(context(), samples / 3, &marks).unwrap();
     iterate.grad.write(context(), grad);
     iterate.hidden_state().write(context(), hidden);
     let squares = sums(grid, samples, [grad, &hidden[samples * n..]]);
@@ -93,8 +93,8 @@ fn tiny_fields_stay_small() {
     };
     for size in [1e-21, 1e-23, 1e-30, 1e-38] {
         let (grad, step) = (tiny(size, 94), tiny(size, 95));
-        let slots = vec![0; grid.particles()];
-        let iterate = Iterate::with_hidden(context(), 1, &slots).unwrap();
+        let marks = vec![Mark::default(); grid.particles()];
+        let iterate = Iterate::with_hidden(context(), 1, &marks).unwrap();
         iterate.grad.write(context(), &grad);
         iterate.hidden_state().write(context(), &[grad.clone(), step.clone()].concat());
         let squares = sums(grid, samples, [&grad, &step]);

@@ -54,8 +54,8 @@ fn rest_has_no_gradient_but_inertia() {
         let x = State::<f32>::rest(grid, batch).x;
         let (a, f) = (field(&model, 0.1, 73), field(&model, 0.1, 74));
         // The sheet stays at rest: `base` cancels the displacement by the acceleration.
-        let (slots, n) = (model.handle_slots(), grid.particles());
-        let free = |k: usize| slots[k / (3 * n) * n + k % n] == 0;
+        let (marks, n) = (model.marks(), grid.particles());
+        let free = |k: usize| marks[k / (3 * n) * n + k % n].is_free();
         let base: Vec<f32> = (0..a.len()).map(|k| if free(k) { -a[k] } else { 0.0 }).collect();
         let (found, expected) = both(&kernel, &model, [&x, &base, &a, &f]);
         // A right angle differs from its constant by a rounding.

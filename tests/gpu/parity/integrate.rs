@@ -14,13 +14,13 @@ fn frames_end_alike() {
         let [x, v] = [crumpled(&model, 0.3), field(&model, 0.5, 77)];
         let [base, a] = [78, 79].map(|seed| field(&model, 0.5, seed));
         let moved = shift(&model, &base, &a);
-        let (slots, targets, n) = (model.handle_slots(), targets(&model), grid.particles());
+        let (marks, targets, n) = (model.marks(), targets(&model), grid.particles());
         let handles: Vec<_> = targets.iter().map(|p| p.map(f64::from)).collect();
         let [mut x_next, mut v_next] = [&x, &v].map(|values| widened(values));
         for b in 0..batch {
             let at = 3 * n * b..3 * n * (b + 1);
             let shift = &moved[at.clone()];
-            let frame = Frame { slots: &slots[n * b..][..n], handles: &handles, a: &[] };
+            let frame = Frame { marks: &marks[n * b..][..n], handles: &handles, a: &[] };
             end_frame(frame, shift, &mut x_next[at.clone()], &mut v_next[at]);
         }
         let iterate = iterate(&model);

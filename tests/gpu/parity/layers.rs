@@ -40,8 +40,8 @@ fn particles_of(pairs: &Pairs, b: usize) -> Vec<[usize; 4]> {
 fn compare(what: &str, case: &(Model, State<f32>, Control<f32>), a: &[f32], digits: f64) -> Vec<f32> {
     let (model, state, control) = case;
     let (grid, batch, n) = (model.grid, model.batch(), model.grid.particles());
-    let slots = model.handle_slots();
-    let held = |k: usize| slots[k / (3 * n) * n + k % n] != 0;
+    let marks = model.marks();
+    let held = |k: usize| !marks[k / (3 * n) * n + k % n].is_free();
     let free = |values: &[f32]| -> Vec<f32> {
         values.iter().enumerate().map(|(k, &a)| if held(k) { 0.0 } else { a }).collect()
     };
@@ -165,7 +165,7 @@ fn the_same_pairs_are_found() {
         let case @ (model, state, control) = &touching(grid);
         let (n, device) = (grid.particles(), on_device(case, &vec![0.0; state.x.len()]));
         run(|schedule| device.begin_frame(schedule, Begin::Kept).unwrap());
-        let (slots, wide) = (model.handle_slots(), state.cast::<f64>());
+        let (marks, wide) = (model.marks(), state.cast::<f64>());
         let targets = control.cast::<f64>().handles;
         for b in 0..model.batch() {
             let ours = particles_of(device.layers().unwrap().pairs(), b);
@@ -182,7 +182,7 @@ fn the_same_pairs_are_found() {
                     sweeps: &[],
                     x: &wide.x[3 * b * n..][..3 * n],
                     v: &wide.v[3 * b * n..][..3 * n],
-                    slots: &slots[b * n..][..n],
+                    marks: &marks[b * n..][..n],
                     handles: &targets,
                 };
                 let settings = SelfContact { thickness: settings.thickness + by, ..settings };

@@ -2,6 +2,7 @@
 
 use super::cloth::{crumpled, field, iterate, model, targets, upload};
 use crate::common::{ROUNDING, assert_close, cases, context, device, read, run, tensor};
+use fnopt::cloth::Role;
 use fnopt::kernels::cloth::{Predict, StateTensors};
 
 #[test]
@@ -11,10 +12,11 @@ fn frames_start_where_velocity_and_handles_lead() {
     for (grid, batch) in cases() {
         let model = model(grid, batch);
         let (x, v, targets) = (crumpled(&model, 0.3), field(&model, 0.5, 77), targets(&model));
-        let (slots, n) = (model.handle_slots(), grid.particles());
-        let start = |at: usize| match slots[at / (3 * n) * n + at % n] {
-            0 => f64::from(v[at]),
-            slot => f64::from(targets[slot as usize - 1][at / n % 3]) - f64::from(x[at]),
+        let (marks, n) = (model.marks(), grid.particles());
+        let start = |at: usize| match marks[at / (3 * n) * n + at % n].role() {
+            Role::Free => f64::from(v[at]),
+            Role::Handle(k) => f64::from(targets[k][at / n % 3]) - f64::from(x[at]),
+            Role::Outside => 0.0,
         };
         let expected: Vec<f64> = (0..x.len()).map(start).collect();
         let iterate = iterate(&model);
@@ -35,7 +37,7 @@ fn slots_beyond_the_targets_are_those_of_the_last() {
     let (grid, batch) = cases().next().unwrap();
     let model = model(grid, batch);
     let iterate = iterate(&model);
-    iterate.slots.write(context(), &vec![u32::MAX; batch * grid.particles()]);
+    iterate.marks.write(context(), &vec![u32::MAX - 1; batch * grid.particles()]);
     let [x, v] = [0.0, 1.0].map(|value| upload("input", &model, &vec![value; 3 * batch * grid.particles()]));
     let targets = tensor("targets", &[4, 3], &[[0.0; 3], [0.0; 3], [0.0; 3], [5.0, 6.0, 7.0]].concat());
     run(|schedule| kernel.push(schedule, StateTensors { x: &x, v: &v, targets: &targets }, &iterate));

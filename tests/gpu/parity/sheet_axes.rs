@@ -22,9 +22,13 @@ fn sum(u: Vector, w: Vector, factor: f64) -> Vector {
 }
 
 /// Returns both axes at particle (i, j) of a cloth at the positions `y` [3, n].
-fn axes(model: &Model, y: &[f64], (i, j): (usize, usize)) -> Option<[Vector; 2]> {
+fn axes(model: &Model, (b, y): (usize, &[f64]), (i, j): (usize, usize)) -> Option<[Vector; 2]> {
     let (grid, n) = (model.grid, model.grid.particles());
-    let at = |i: usize, j: usize| [0, 1, 2].map(|c| y[c * n + i * grid.w + j]);
+    let at = |k: usize, l: usize| {
+        // The particle itself for one that the cloth doesn't have.
+        let q = if model.cloths[b].contains(k * grid.w + l) { k * grid.w + l } else { i * grid.w + j };
+        [0, 1, 2].map(|c| y[c * n + q])
+    };
     let u = unit(sum(at((i + 1).min(grid.h - 1), j), at(i.saturating_sub(1), j), -1.0))?;
     let v = unit(sum(at(i, (j + 1).min(grid.w - 1)), at(i, j.saturating_sub(1)), -1.0))?;
     let s = unit(sum(u, v, 1.0))?;
@@ -39,10 +43,10 @@ fn all_axes(model: &Model, x: &[f32], base: &[f32]) -> Vec<f64> {
     let (grid, n) = (model.grid, model.grid.particles());
     let mut expected = vec![0.0; 2 * x.len()];
     let y: Vec<f64> = x.iter().zip(base).map(|(&x, &base)| f64::from(x) + f64::from(base)).collect();
-    for (y, expected) in y.chunks_exact(3 * n).zip(expected.chunks_exact_mut(6 * n)) {
+    for (b, (y, expected)) in y.chunks_exact(3 * n).zip(expected.chunks_exact_mut(6 * n)).enumerate() {
         for p in 0..n {
             let world = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
-            let found = axes(model, y, (p / grid.w, p % grid.w)).unwrap_or(world);
+            let found = axes(model, (b, y), (p / grid.w, p % grid.w)).unwrap_or(world);
             found.as_flattened().iter().enumerate().for_each(|(c, &t)| expected[c * n + p] = t);
         }
     }
@@ -80,8 +84,8 @@ fn axes_match_and_the_last_acceleration_becomes_a_direction() {
             assert_close(&what, &read(&found), &all_axes(&model, &x, &base), (5e-6, 0.0));
 
             assert!(read(&iterate.a).iter().all(|&a| a == 0.0), "{what}: a");
-            let slots = model.handle_slots();
-            let kept = |k: usize| a[k].is_finite() && slots[k / (3 * n) * n + k % n] == 0;
+            let marks = model.marks();
+            let kept = |k: usize| a[k].is_finite() && marks[k / (3 * n) * n + k % n].is_free();
             let expected: Vec<f64> =
                 (0..a.len()).map(|k| if kept(k) { f64::from(a[k]) } else { 0.0 }).collect();
             let last = directions::one(&all, directions::LAST_STEP, batch, grid);

@@ -1,6 +1,6 @@
 //! `vertices` against the CPU path.
 
-use super::cloth::{crumpled, field, model, upload};
+use super::cloth::{crumpled, field, marks, model, upload};
 use crate::common::{assert_close, cases, context, device, poisoned, read, run, tensor, widened};
 use fnopt::cloth::VertexView;
 use fnopt::cpu;
@@ -30,14 +30,18 @@ fn vertices_match() {
         let cloths = x.chunks_exact(3 * n).zip(v.chunks_exact(3 * n));
         let expected: Vec<f64> = cloths
             .enumerate()
-            .flat_map(|(b, (x, v))| cpu::cloth::vertices(grid, &view(b, batch), &widened(x), &widened(v)))
+            .flat_map(|(b, (x, v))| {
+                let faces = model.cloths[b].faces(grid);
+                cpu::cloth::vertices(&faces, &view(b, batch), &widened(x), &widened(v))
+            })
             .flatten()
             .collect();
         let rows: Vec<_> = (0..batch).flat_map(|b| view(b, batch).to_rows()).collect();
         let view = tensor("view", &[batch, 4, 4], rows.as_flattened());
         let interleaved = poisoned("vertices", &[batch, n, 6]);
         let [x, v] = [x, v].map(|values| upload("state", &model, &values));
-        run(|schedule| kernel.push(schedule, grid, (&view, &x, &v), &interleaved));
+        let marks = marks(&model);
+        run(|schedule| kernel.push(schedule, grid, (&marks, &view, &x, &v), &interleaved));
         let what = format!("vertices {batch} x {grid}");
         let (found, normal) = (read(&interleaved), 6 * n * (batch - 1) + 3);
         assert!(
@@ -70,7 +74,8 @@ fn a_sheet_without_an_extent_has_no_normals() {
     let view = tensor("view", &[batch, 4, 4], rows.as_flattened());
     let interleaved = poisoned("vertices", &[batch, grid.particles(), 6]);
     let [x, v] = [3.0, 0.0].map(|value| upload("state", &model, &vec![value; 3 * batch * grid.particles()]));
-    run(|schedule| kernel.push(schedule, grid, (&view, &x, &v), &interleaved));
+    let marks = marks(&model);
+    run(|schedule| kernel.push(schedule, grid, (&marks, &view, &x, &v), &interleaved));
     for vertex in read(&interleaved).chunks_exact(6) {
         assert_eq!(vertex, [3.0, 3.0, 3.0, 0.0, 0.0, 0.0]);
     }

@@ -1,0 +1,22 @@
+
+// What a particle is, in one word (`cloth::Mark`): four times its mass in the bits from MASS_BIT on, and its slot: 0 if it
+// is free, 1 + the index of its target if it is a handle, OUTSIDE if it is no part of the cloth.
+const MASS_BIT: u32 = 29u;
+const OUTSIDE: u32 = 0x1fffffffu;
+
+fn slot_of(mark: u32) -> u32 {
+    return mark & OUTSIDE;
+}
+
+fn is_free(mark: u32) -> bool {
+    return slot_of(mark) == 0u;
+}
+
+fn is_outside(mark: u32) -> bool {
+    return slot_of(mark) == OUTSIDE;
+}
+
+// Returns the mass: a quarter of each cell around the particle, 1 inside a sheet.
+fn mass_of(mark: u32) -> f32 {
+    return 0.25 * f32(mark >> MASS_BIT);
+}

@@ -1,0 +1,225 @@
+//! Cloths that are not a full rectangle, and what each particle of a grid is.
+
+use super::Grid;
+use crate::{Error, Result};
+use bytemuck::{Pod, Zeroable};
+use std::sync::Arc;
+
+/// Which particles of a grid a cloth has. The others have no mass, take part in no term of the energy, touch nothing
+/// and stay where they start.
+///
+/// A cloth consists of whole cells: those whose four corners it has. An edge of the grid belongs to it if both ends do, and
+/// an angle if both edges do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Mask {
+    grid: Grid,
+    /// Shape [H, W].
+    inside: Arc<[bool]>,
+}
+
+impl Mask {
+    /// Returns the cloth of the whole cells whose corners are all `wanted`, shape [H, W]: particles that belong to no
+    /// such cell are left out. Fails if the length is not the grid's, or nothing is left; `origin` names its source.
+    pub fn new(grid: Grid, wanted: &[bool], origin: &str) -> Result<Self> {
+        if wanted.len() != grid.particles() {
+            let expected = format!("{} numbers, a particle each", grid.particles());
+            return Err(Error::invalid(origin, "mask", expected, wanted.len()));
+        }
+        let mut inside = vec![false; grid.particles()];
+        for [a, b, c, d] in cells(grid) {
+            if [a, b, c, d].iter().all(|&p| wanted[p]) {
+                [a, b, c, d].into_iter().for_each(|p| inside[p] = true);
+            }
+        }
+        if !inside.contains(&true) {
+            let count = wanted.iter().filter(|&&wanted| wanted).count();
+            let expected = format!("a shape that covers at least one cell of the grid of {grid}");
+            return Err(Error::invalid(origin, "mask", expected, format!("{count} particles and no cell")));
+        }
+        Ok(Self { grid, inside: inside.into() })
+    }
+
+    /// Returns the grid that it belongs to.
+    pub fn grid(&self) -> Grid {
+        self.grid
+    }
+
+    /// Whether the cloth has particle `p`. Panics if the grid has no such particle.
+    pub fn contains(&self, p: usize) -> bool {
+        self.inside[p]
+    }
+
+    /// Returns which particles the cloth has, shape [H, W].
+    pub fn inside(&self) -> &[bool] {
+        &self.inside
+    }
+
+    /// Returns the triangles of the cloth, as [`Grid::faces`] does those of the whole grid.
+    pub fn faces(&self) -> Vec<[u32; 3]> {
+        let is_whole = |cell: &[[u32; 3]]| cell.as_flattened().iter().all(|&p| self.contains(p as usize));
+        let faces = self.grid.faces();
+        faces.chunks_exact(2).filter(|cell| is_whole(cell)).flatten().copied().collect()
+    }
+
+    /// Returns the particle of the cloth nearest to a place, in rows and columns.
+    pub fn nearest(&self, p: usize) -> usize {
+        let w = self.grid.w;
+        let away = |q: usize| (p / w).abs_diff(q / w).pow(2) + (p % w).abs_diff(q % w).pow(2);
+        let own = (0..self.inside.len()).filter(|&q| self.contains(q));
+        own.min_by_key(|&q| away(q)).expect("a mask has particles")
+    }
+
+    /// Returns how many of the four cells around particle `p` the cloth has.
+    fn cells_around(&self, p: usize) -> u32 {
+        let (Grid { h, w }, i, j) = (self.grid, p / self.grid.w, p % self.grid.w);
+        let mut count = 0;
+        for (i, j) in [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)] {
+            if (1..h).contains(&i) && (1..w).contains(&j) {
+                let q = i * w + j;
+                count += u32::from([q, q - 1, q - w, q - w - 1].iter().all(|&p| self.contains(p)));
+            }
+        }
+        count
+    }
+}
+
+/// Iterates over the corners of the cells of a grid.
+fn cells(grid: Grid) -> impl Iterator<Item = [usize; 4]> {
+    let Grid { h, w } = grid;
+    (1..h).flat_map(move |i| (1..w).map(move |j| i * w + j)).map(move |q| [q - w - 1, q - w, q - 1, q])
+}
+
+/// What a particle is, in one word that both devices read: four times its mass, and whether it is free, a handle, or no
+/// part of the cloth.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+#[repr(transparent)]
+pub struct Mark(u32);
+
+/// How a particle moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// By its acceleration.
+    Free,
+    /// As the control says: the index of its position in [`Control::handles`](super::Control::handles).
+    Handle(usize),
+    /// Not at all: it is no part of the cloth ([`Mask`]).
+    Outside,
+}
+
+impl Mark {
+    /// The mass is in the bits from here on.
+    const MASS: u32 = 29;
+    /// The slot: 0 for a free particle, 1 + the index of a handle, or this for none.
+    const SLOT: u32 = (1 << Self::MASS) - 1;
+
+    /// Returns the mark of a particle.
+    fn new(quarters: u32, role: Role) -> Self {
+        let slot = match role {
+            Role::Free => 0,
+            Role::Handle(k) => k as u32 + 1,
+            Role::Outside => Self::SLOT,
+        };
+        Self(quarters << Self::MASS | slot)
+    }
+
+    /// Returns the marks of the particles of one cloth, whose handles have the positions from `first` on.
+    pub(super) fn of_cloth(grid: Grid, mask: Option<&Mask>, handles: &[usize], first: usize) -> Vec<Self> {
+        let full = |p: usize| (4.0 * grid.mass(p / grid.w, p % grid.w)) as u32;
+        let mark = |p: usize| match mask {
+            None => Self::new(full(p), Role::Free),
+            Some(mask) if mask.contains(p) => Self::new(mask.cells_around(p), Role::Free),
+            Some(_) => Self::new(0, Role::Outside),
+        };
+        let mut marks: Vec<Self> = (0..grid.particles()).map(mark).collect();
+        for (k, &p) in handles.iter().enumerate() {
+            marks[p] = Self::new(marks[p].0 >> Self::MASS, Role::Handle(first + k));
+        }
+        marks
+    }
+
+    /// Returns how the particle moves.
+    #[inline]
+    pub fn role(self) -> Role {
+        match self.0 & Self::SLOT {
+            0 => Role::Free,
+            Self::SLOT => Role::Outside,
+            slot => Role::Handle(slot as usize - 1),
+        }
+    }
+
+    /// Whether it moves by its acceleration.
+    #[inline]
+    pub fn is_free(self) -> bool {
+        self.0 & Self::SLOT == 0
+    }
+
+    /// Whether it is no part of the cloth.
+    #[inline]
+    pub fn is_outside(self) -> bool {
+        self.0 & Self::SLOT == Self::SLOT
+    }
+
+    /// Returns its mass: a quarter of each cell around it, 1 inside a sheet; 0 outside of the cloth.
+    #[inline]
+    pub fn mass(self) -> f64 {
+        f64::from(self.0 >> Self::MASS) / 4.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GRID: Grid = Grid { h: 9, w: 11 };
+
+    fn mask(wanted: impl Fn(usize, usize) -> bool) -> Result<Mask> {
+        let wanted: Vec<bool> = (0..GRID.particles()).map(|p| wanted(p / GRID.w, p % GRID.w)).collect();
+        Mask::new(GRID, &wanted, "a test")
+    }
+
+    #[test]
+    fn particles_without_a_cell_are_left_out() {
+        // A block of 3 x 3 particles, a tail of one edge, and a particle by itself.
+        let mask =
+            mask(|i, j| (2..5).contains(&i) && (3..6).contains(&j) || i == 3 && j < 8 || (i, j) == (8, 10));
+        let mask = mask.unwrap();
+        assert_eq!(mask.inside().iter().filter(|&&inside| inside).count(), 9);
+        assert_eq!(mask.faces().len(), 8);
+        assert_eq!(mask.nearest(0), 2 * GRID.w + 3);
+    }
+
+    #[test]
+    fn masses_are_those_of_the_cells() {
+        let hole = mask(|i, j| (i, j) != (4, 5)).unwrap();
+        let masses: Vec<f64> = Mark::of_cloth(GRID, Some(&hole), &[0], 0).iter().map(|m| m.mass()).collect();
+        assert_eq!(masses.iter().sum::<f64>(), (8 * 10 - 4) as f64);
+        assert_eq!([masses[0], masses[4 * GRID.w + 5], masses[4 * GRID.w + 4]], [0.25, 0.0, 0.5]);
+        assert_eq!(hole.faces().len(), 2 * (8 * 10 - 4));
+    }
+
+    #[test]
+    fn a_mask_of_all_particles_changes_no_mark() {
+        let all = mask(|_, _| true).unwrap();
+        let handles = [0, 37];
+        assert_eq!(Mark::of_cloth(GRID, Some(&all), &handles, 5), Mark::of_cloth(GRID, None, &handles, 5));
+        assert_eq!(all.faces(), GRID.faces());
+    }
+
+    #[test]
+    fn marks_tell_roles_apart() {
+        for role in [Role::Free, Role::Handle(0), Role::Handle(123_456), Role::Outside] {
+            let mark = Mark::new(3, role);
+            assert_eq!((mark.role(), mark.mass()), (role, 0.75));
+            assert_eq!((mark.is_free(), mark.is_outside()), (role == Role::Free, role == Role::Outside));
+        }
+    }
+
+    #[test]
+    fn a_mask_that_leaves_nothing_is_refused() {
+        let error = mask(|_, j| j % 2 == 0).unwrap_err().to_string();
+        assert!(
+            error.contains("covers at least one cell") && error.contains("54 particles and no cell"),
+            "{error}"
+        );
+    }
+}
