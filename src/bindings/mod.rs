@@ -1,10 +1,15 @@
 //! What the interfaces to other languages share: a simulation that owns its scenes, the choice of a device, reports.
 
+// C needs a part of it.
+#![cfg_attr(not(feature = "python"), allow(dead_code, unused_imports))]
+
 mod device;
+#[cfg(feature = "python")]
 mod report;
 mod session;
 
 pub(crate) use device::{Settings, solvers};
+#[cfg(feature = "python")]
 pub(crate) use report::{PerFrame, Report, Status};
 pub(crate) use session::{Control, Session, Snapshot};
 

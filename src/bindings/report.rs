@@ -4,16 +4,10 @@ use super::Settings;
 use super::device::absolute;
 use crate::Frame;
 use crate::cloth::{BodyStats, LayerStats};
-use crate::scene::Setup;
-use crate::sim::FrameStats;
-use serde_json::Value;
-#[cfg(feature = "lab")]
-use {
-    crate::eval::{Verdict, median_time},
-    crate::scene::Scene,
-    crate::sim::Optimizer,
-    serde_json::json,
-};
+use crate::eval::{Verdict, median_time};
+use crate::scene::{Scene, Setup};
+use crate::sim::{FrameStats, Optimizer};
+use serde_json::{Value, json};
 
 /// How a rollout ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -96,7 +90,6 @@ impl PerFrame {
 }
 
 /// What a report is made of.
-#[cfg(feature = "lab")]
 pub(crate) struct Report<'a> {
     pub scene: &'a Scene,
     pub settings: &'a Settings,
@@ -107,7 +100,6 @@ pub(crate) struct Report<'a> {
     pub per_frame: &'a [PerFrame],
 }
 
-#[cfg(feature = "lab")]
 impl Report<'_> {
     /// Returns the report of a rollout that ended so.
     pub fn to_json(&self, status: Status) -> Value {
