@@ -190,38 +190,3 @@ fn opened(name: &str, open: impl FnOnce() -> Result<Option<Context>>) -> Result<
 pub(super) fn absolute(path: &Path) -> PathBuf {
     std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn every_solver_is_listed_under_its_name() {
-        let found: Vec<_> = solvers().unwrap().iter().map(Optimizer::name).collect();
-        assert_eq!(found, SOLVERS);
-        let Err(Error::Unknown { hint, .. }) = Optimizer::named("no-such-solver", "test", || unreachable!())
-        else {
-            panic!("a solver of this name")
-        };
-        assert_eq!(hint.matches(", ").count() + 1, SOLVERS.len(), "{hint}");
-    }
-
-    #[test]
-    fn wrong_settings_are_refused_by_name() {
-        let settings = |change: &dyn Fn(&mut Settings)| {
-            let mut settings = Settings { device: "cpu".into(), ..Settings::default() };
-            change(&mut settings);
-            let setup = crate::scene::Scene::default().setup().unwrap();
-            let made =
-                settings.optimizer().and_then(|optimizer| settings.simulator(&setup.model, &optimizer));
-            made.err().expect("settings that are refused").to_string()
-        };
-        let found = settings(&|s| s.device = "cuda".into());
-        assert!(found.contains("unknown device 'cuda'") && found.contains("gpu"), "{found}");
-        assert!(settings(&|s| s.solver = "spektral".into()).contains("did you mean spectral"));
-        assert!(settings(&|s| s.adapter = Some("RTX".into())).contains("none with the device cpu"));
-        assert!(settings(&|s| s.precision = "f8".into()).contains("unknown precision 'f8'"));
-        assert!(settings(&|s| s.precision = "f16".into()).contains("f32 on cpu"));
-        assert!(settings(&|s| s.iterations = Some(0)).contains("1 to 100000"));
-    }
-}

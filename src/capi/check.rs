@@ -1,11 +1,23 @@
 //! What crosses the border: arguments on their way in, errors and panics on their way out.
 
-use super::FnoptStatus;
 use crate::{Error, Result};
 use std::any::Any;
 use std::cell::RefCell;
 use std::ffi::{CStr, CString, c_char};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// How a call ended: the exit codes of the command.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum FnoptStatus {
+    /// Done.
+    Done = 0,
+    /// Bad input or environment: an argument, a file, a device.
+    BadInput = 2,
+    /// The simulation became non-finite; its state can still be read and replaced.
+    NonFinite = 3,
+}
 
 thread_local! {
     static LAST: RefCell<CString> = RefCell::default();

@@ -11,6 +11,7 @@ mod check;
 mod scene;
 mod simulation;
 
+pub use check::FnoptStatus;
 pub use scene::{
     FnoptScene, fnopt_scene_default, fnopt_scene_free, fnopt_scene_load, fnopt_scene_parse,
     fnopt_scene_set_frames, fnopt_scene_set_grid,
@@ -23,19 +24,6 @@ pub use simulation::{
 
 use std::ffi::c_char;
 
-/// How a call ended: the exit codes of the command.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[must_use]
-pub enum FnoptStatus {
-    /// Done.
-    Done = 0,
-    /// Bad input or environment: an argument, a file, a device.
-    BadInput = 2,
-    /// The simulation became non-finite; its state can still be read and replaced.
-    NonFinite = 3,
-}
-
 /// Returns what was wrong with the last call on this thread that did not return FNOPT_STATUS_DONE, in UTF-8; an empty text if there
 /// was none. It is valid until the next such call on this thread.
 #[unsafe(no_mangle)]
@@ -47,41 +35,4 @@ pub extern "C" fn fnopt_last_error() -> *const c_char {
 #[unsafe(no_mangle)]
 pub extern "C" fn fnopt_version() -> *const c_char {
     concat!(env!("CARGO_PKG_VERSION"), "\0").as_ptr().cast()
-}
-
-#[cfg(test)]
-mod tests {
-    use std::path::Path;
-
-    /// Returns the names of the functions of this module's sources, each with the number of its arguments.
-    fn functions(source: &str) -> Vec<(String, usize)> {
-        let declared = source.split("extern \"C\" fn ").skip(1).filter(|rest| rest.starts_with("fnopt_"));
-        let arguments = |list: &str| list.split(',').filter(|argument| !argument.trim().is_empty()).count();
-        let found = declared.map(|rest| {
-            let (name, rest) = rest.split_once('(').expect("arguments");
-            (name.to_owned(), arguments(rest.split_once(')').expect("an end of the arguments").0))
-        });
-        found.collect()
-    }
-
-    #[test]
-    fn the_header_declares_every_function_with_its_arguments() {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-        let sources = ["mod", "scene", "simulation"].map(|name| root.join(format!("src/capi/{name}.rs")));
-        let text = sources.map(|path| std::fs::read_to_string(path).expect("a source file")).concat();
-        let header = std::fs::read_to_string(root.join("include/fnopt.h")).expect("include/fnopt.h");
-        let mut all = functions(&text);
-        all.sort();
-        let declared = header.split("fnopt_").skip(1).filter_map(|rest| {
-            let (name, rest) = rest.split_once('(')?;
-            let list = rest.split_once(')')?.0;
-            let is_name = name.chars().all(|c| c.is_ascii_lowercase() || c == '_');
-            let count = if list == "void" { 0 } else { list.split(',').count() };
-            (is_name && rest.split_once(')')?.1.starts_with(';')).then(|| (format!("fnopt_{name}"), count))
-        });
-        let mut declared: Vec<_> = declared.collect();
-        declared.sort();
-        assert_eq!(declared, all, "run cbindgen --output include/fnopt.h");
-        assert!(all.len() > 15);
-    }
 }

@@ -157,6 +157,8 @@ def test_what_is_wrong_is_named():
         (lambda: sim.set_state(np.zeros((256, 3)), cloth=1), "state: cloth: expected 0 to 0, found 1"),
         (lambda: sim.set_state(np.full((256, 3), np.inf)), "positions of particle 0: expected finite"),
         (lambda: simulation(solver="spektral"), "did you mean spectral"),
+        (lambda: fnopt.Simulation(SMALL, device="cuda"), "unknown device 'cuda' .did you mean auto, cpu, gpu"),
+        (lambda: simulation(precision="f8"), "unknown precision 'f8'"),
         (lambda: simulation(iterations=0), "iterations: expected 1 to 100000"),
         (lambda: simulation(cloths=0), "cloths: expected at least one"),
         (lambda: simulation([]), "cloths: expected at least one"),
@@ -218,6 +220,11 @@ def test_solvers_and_adapters_are_listed():
     assert solvers["newton"] == {"iterations": None, "devices": ["cpu"]}
     for name in solvers:
         simulation(solver=name)
+    # The library knows no others.
+    with pytest.raises(ValueError) as error:
+        simulation(solver="no such solver")
+    hint = str(error.value).split("(did you mean ")[1].rstrip(")")
+    assert sorted(hint.replace("? others: ", ", ").split(", ")) == sorted(solvers)
     assert all({"name", "kind", "backend", "driver", "unusable"} == set(of) for of in fnopt.adapters())
 
 
