@@ -66,8 +66,9 @@ impl Default for Settings {
     }
 }
 
-/// Contexts that are open, so that the simulations of a process share a device and its compiled kernels.
-static OPENED: Mutex<BTreeMap<String, Context>> = Mutex::new(BTreeMap::new());
+/// Contexts that are open, so that the simulations of a process share a device and its compiled kernels; `None` where there is
+/// no such adapter, which takes a while to find out.
+static OPENED: Mutex<BTreeMap<String, Option<Context>>> = Mutex::new(BTreeMap::new());
 
 impl Settings {
     /// Returns the optimizer, with its weights read and checked.
@@ -173,17 +174,19 @@ impl Settings {
 /// Returns the context that is open under this name, or opens it.
 fn opened(name: &str, open: impl FnOnce() -> Result<Option<Context>>) -> Result<Option<Context>> {
     let mut all = OPENED.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Some(context) = all.get(name).filter(|context| !context.is_lost()) {
-        return Ok(Some(context.clone()));
+    if let Some(known) = all.get(name).filter(|known| !known.as_ref().is_some_and(Context::is_lost)) {
+        return Ok(known.clone());
     }
-    let Some(context) = open()? else { return Ok(None) };
-    let context = context.with_stored_pipelines()?;
-    let context = match Tuning::measured(&context) {
-        Some(tuning) => context.with_tuning(tuning)?,
-        None => context,
-    };
-    all.insert(name.to_owned(), context.clone());
-    Ok(Some(context))
+    let opened = open()?.map(|context| {
+        let context = context.with_stored_pipelines()?;
+        match Tuning::measured(&context) {
+            Some(tuning) => context.with_tuning(tuning),
+            None => Ok(context),
+        }
+    });
+    let opened = opened.transpose()?;
+    all.insert(name.to_owned(), opened.clone());
+    Ok(opened)
 }
 
 /// Returns a path that is valid wherever the report is read.

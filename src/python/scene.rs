@@ -132,6 +132,11 @@ impl PyScene {
         &self.scene.origin
     }
 
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyAny>,))> {
+        // For other processes and copies.
+        Ok((py.get_type::<Self>().getattr("from_dict")?, (self.to_dict(py)?,)))
+    }
+
     fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
         // Whatever they are called.
         other.cast::<Self>().is_ok_and(|other| {

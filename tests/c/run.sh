@@ -25,7 +25,7 @@ END
 cp "$library" "$scratch"
 for program in examples/c/hang tests/c/errors; do
     name=$(basename "$program")
-    cc -std=c99 -Wall -Wextra -Werror -pedantic -O1 -Iinclude "$program.c" -o "$scratch/$name" -L"$scratch" -lfnopt -lm
+    cc -std=c99 -Wall -Wextra -Werror -pedantic -O1 -I include "$program.c" -o "$scratch/$name" -L "$scratch" -lfnopt -lm
     LD_LIBRARY_PATH="$scratch" DYLD_LIBRARY_PATH="$scratch" "$scratch/$name"
 done
 

@@ -1,3 +1,5 @@
+import pickle
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,11 @@ def test_files_come_before_names(tmp_path, monkeypatch):
     (tmp_path / "sphere").write_text('{"grid": [9, 8]}')
     assert fnopt.Scene.from_file("sphere").grid == (9, 8)
     assert fnopt.Scene.from_file("sphere", grid=16, frames=7).grid == (16, 16)
+
+
+def test_scenes_go_to_other_processes():
+    scene = fnopt.Scene.from_file("table", grid=20)
+    assert pickle.loads(pickle.dumps(scene)) == scene
 
 
 def test_fields_are_replaced_in_a_copy():
