@@ -170,7 +170,7 @@ class Rollout:
         """The report, with the fields of the command's report.json but for `files` and `intersections`."""
     @property
     def status(self) -> str:
-        """How it ended: "done", "interrupted" or "non-finite"."""
+        """How it ended: "done", "interrupted", "non-finite" or "failed"."""
     @property
     def sound(self) -> bool:
         """Whether it can be trusted: no edge stretched more than cloth, no frame far from its minimum."""
@@ -190,7 +190,8 @@ def rollout(
     precision: str = "f32",
     progress: bool = True,
 ) -> Rollout:
-    """Simulates the frames of a scene. KeyboardInterrupt and NonFiniteError have the frames until then in `rollout`."""
+    """Simulates the frames of a scene. KeyboardInterrupt, NonFiniteError and the RuntimeError of a device have the frames
+    until then in `rollout`."""
 
 def solvers() -> Dict[str, Mapping[str, Any]]:
     """The solvers by name: `iterations` per frame where none are given, and the `devices` that run them."""

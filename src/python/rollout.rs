@@ -1,7 +1,7 @@
 //! The function `rollout` and what it returns.
 
 use super::arrays::to_python;
-use super::errors::{NonFiniteError, raised};
+use super::errors::raised;
 use super::scene::scene_of;
 use super::simulation::rows;
 use crate::bindings::{PerFrame, Report, Settings, Status, change_scene};
@@ -10,7 +10,6 @@ use crate::io::{Format, Trajectory, create_folder, folder_of};
 use crate::scene::Script;
 use crate::{Device, Error};
 use numpy::{PyArray2, PyArray3};
-use pyo3::exceptions::PyKeyboardInterrupt;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ops::ControlFlow;
@@ -71,7 +70,7 @@ impl PyRollout {
         to_python(py, &self.report)
     }
 
-    /// How it ended: "done", "interrupted" or "non-finite".
+    /// How it ended: "done", "interrupted", "non-finite" or "failed".
     #[getter]
     fn status(&self) -> &str {
         self.report["status"].as_str().unwrap_or_default()
@@ -147,8 +146,8 @@ fn view<'py>(
 
 /// Simulates the frames of a scene (a Scene, a dict, a file or a name) and returns them.
 ///
-/// Ctrl-C raises KeyboardInterrupt and a simulation that becomes non-finite NonFiniteError; the frames until then are in the
-/// attribute `rollout` of either. The progress bar needs tqdm.
+/// Ctrl-C raises KeyboardInterrupt, a simulation that becomes non-finite NonFiniteError, and a device that fails RuntimeError;
+/// the frames until then are in the attribute `rollout` of each. The progress bar needs tqdm.
 #[pyfunction]
 #[pyo3(signature = (scene, solver = "fnopt", *, iterations = None, frames = None, device = "auto", adapter = None,
     checkpoint = None, precision = "f32", progress = true))]
@@ -237,9 +236,7 @@ pub(super) fn rollout(
     let report = report.to_json(status);
     let rollout = PyRollout { trajectory, report };
     let Some(error) = outcome.err().map(raised).or(stopped) else { return Ok(rollout) };
-    if error.is_instance_of::<PyKeyboardInterrupt>(py) || error.is_instance_of::<NonFiniteError>(py) {
-        error.value(py).setattr("rollout", rollout)?;
-    }
+    error.value(py).setattr("rollout", rollout)?;
     Err(error)
 }
 

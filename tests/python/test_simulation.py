@@ -188,6 +188,19 @@ def test_a_cloth_that_explodes_is_an_error_and_can_be_started_again():
     assert np.isfinite(run(sim, 1)).all()
 
 
+def test_the_others_of_a_batch_go_on_when_one_explodes():
+    sim, alone = simulation(solver="gd", cloths=2), simulation(solver="gd")
+    start = sim.positions[0]
+    run(sim, 3)
+    sim.set_state(start * np.float32(1e18), cloth=0)
+    with pytest.raises(fnopt.NonFiniteError, match="cloth 0"):
+        run(sim, 50)
+    frames = sim.frame
+    sim.set_state(start, cloth=0)
+    assert np.isfinite(run(sim, 4)).all() and sim.frame == frames + 4
+    assert np.array_equal(sim.positions[1], run(alone, frames + 4)[0])
+
+
 def test_other_threads_run_while_frames_are_computed():
     sim = fnopt.Simulation(fnopt.Scene(), "spectral", 2000, device="cpu")
     done, ticks = threading.Event(), []
