@@ -71,7 +71,7 @@ typedef struct {
  */
 typedef struct {
   /**
-   * Targets of the handles [m], x y z for each: all of cloth 0, then of cloth 1, and so on.
+   * Targets of the handles (m), x y z for each: all of cloth 0, then of cloth 1, and so on.
    */
   const double *handles;
   /**
@@ -79,11 +79,11 @@ typedef struct {
    */
   size_t handle_count;
   /**
-   * Wind velocity [m/s], x y z for each cloth.
+   * Wind velocity (m/s), x y z for each cloth.
    */
   const double *wind;
   /**
-   * Accelerations in addition to gravity and air [m/s^2], x y z for each particle of each cloth.
+   * Accelerations in addition to gravity and air (m/s^2), x y z for each particle of each cloth.
    */
   const double *accelerations;
 } FnoptControl;
@@ -231,7 +231,7 @@ FnoptStatus fnopt_step(FnoptSimulation *simulation,
 FnoptStatus fnopt_reset(FnoptSimulation *simulation);
 
 /**
- * Replaces the positions [m] and velocities [m/s] of one cloth, x y z for each particle. Velocities may be NULL for zeros. The
+ * Replaces the positions (m) and velocities (m/s) of one cloth, x y z for each particle. Velocities may be NULL for zeros. The
  * solver forgets what it remembers of the cloth; frames are counted on.
  *
  * # Safety
@@ -245,7 +245,7 @@ FnoptStatus fnopt_set_state(FnoptSimulation *simulation,
                             size_t count);
 
 /**
- * Writes the positions [m] of all cloths, x y z for each particle (i, j), which has number i W + j.
+ * Writes the positions (m) of all cloths, x y z for each particle (i, j), which has number i W + j.
  *
  * # Safety
  *
@@ -254,7 +254,7 @@ FnoptStatus fnopt_set_state(FnoptSimulation *simulation,
 FnoptStatus fnopt_positions(const FnoptSimulation *simulation, float *buffer, size_t count);
 
 /**
- * Writes the velocities [m/s] of all cloths likewise.
+ * Writes the velocities (m/s) of all cloths likewise.
  *
  * # Safety
  *
@@ -332,7 +332,7 @@ size_t fnopt_frame(const FnoptSimulation *simulation);
 size_t fnopt_frames(const FnoptSimulation *simulation);
 
 /**
- * Returns the duration of a frame [s].
+ * Returns the duration of a frame (s).
  *
  * # Safety
  *

@@ -40,7 +40,8 @@ fn the_header_declares_every_function_with_its_arguments() {
     let mut exported: Vec<_> =
         sources.flat_map(|entry| exported(&read(&entry.expect("an entry").path()))).collect();
     let mut declared = declared(&read(&root.join("include/fnopt.h")));
-    (exported.sort(), declared.sort());
+    exported.sort();
+    declared.sort();
     assert_eq!(declared, exported, "cbindgen --output include/fnopt.h makes the header anew");
     assert!(exported.len() > 15 && exported.contains(&("fnopt_step".into(), 2)), "{exported:?}");
 }

@@ -32,13 +32,13 @@ pub struct FnoptOptions {
 /// What to prescribe in a step. What is NULL is as in the scene.
 #[repr(C)]
 pub struct FnoptControl {
-    /// Targets of the handles [m], x y z for each: all of cloth 0, then of cloth 1, and so on.
+    /// Targets of the handles (m), x y z for each: all of cloth 0, then of cloth 1, and so on.
     pub handles: *const f64,
     /// Number of handles.
     pub handle_count: usize,
-    /// Wind velocity [m/s], x y z for each cloth.
+    /// Wind velocity (m/s), x y z for each cloth.
     pub wind: *const f64,
-    /// Accelerations in addition to gravity and air [m/s^2], x y z for each particle of each cloth.
+    /// Accelerations in addition to gravity and air (m/s^2), x y z for each particle of each cloth.
     pub accelerations: *const f64,
 }
 
@@ -159,7 +159,7 @@ pub unsafe extern "C" fn fnopt_reset(simulation: *mut FnoptSimulation) -> FnoptS
     status(|| unsafe { session(simulation) }?.reset())
 }
 
-/// Replaces the positions [m] and velocities [m/s] of one cloth, x y z for each particle. Velocities may be NULL for zeros. The
+/// Replaces the positions (m) and velocities (m/s) of one cloth, x y z for each particle. Velocities may be NULL for zeros. The
 /// solver forgets what it remembers of the cloth; frames are counted on.
 ///
 /// # Safety
@@ -189,7 +189,7 @@ pub unsafe extern "C" fn fnopt_set_state(
     })
 }
 
-/// Writes the positions [m] of all cloths, x y z for each particle (i, j), which has number i W + j.
+/// Writes the positions (m) of all cloths, x y z for each particle (i, j), which has number i W + j.
 ///
 /// # Safety
 ///
@@ -209,7 +209,7 @@ pub unsafe extern "C" fn fnopt_positions(
     })
 }
 
-/// Writes the velocities [m/s] of all cloths likewise.
+/// Writes the velocities (m/s) of all cloths likewise.
 ///
 /// # Safety
 ///
@@ -353,7 +353,7 @@ pub unsafe extern "C" fn fnopt_frames(simulation: *const FnoptSimulation) -> usi
     unsafe { number(simulation, Session::frames) }
 }
 
-/// Returns the duration of a frame [s].
+/// Returns the duration of a frame (s).
 ///
 /// # Safety
 ///
