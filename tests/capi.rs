@@ -23,7 +23,8 @@ fn exported(source: &str) -> Vec<(String, usize)> {
 
 /// Returns the functions that a header declares likewise.
 fn declared(header: &str) -> Vec<(String, usize)> {
-    let code: String = header.split("*/").filter_map(|part| part.split("/*").next()).collect();
+    let is_code = |line: &&str| !line.trim_start().starts_with("//");
+    let code = header.lines().filter(is_code).collect::<Vec<_>>().join(" ");
     let found = code.split(';').filter_map(|statement| {
         let (before, list) = statement.trim_end().strip_suffix(')')?.rsplit_once('(')?;
         let name = before.rsplit([' ', '*']).next()?;

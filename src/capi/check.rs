@@ -70,6 +70,21 @@ pub(super) fn missing(name: &str) -> Error {
     Error::invalid("argument", name, "a pointer", "NULL")
 }
 
+/// Hands what `make` makes to the caller, who frees it as a box.
+///
+/// # Safety
+///
+/// `to` must be NULL or point to room for a pointer.
+pub(super) unsafe fn give<T>(make: impl FnOnce() -> Result<T>, to: *mut *mut T, name: &str) -> Result<()> {
+    if to.is_null() {
+        return Err(missing(name));
+    }
+    let made = Box::into_raw(Box::new(make()?));
+    // SAFETY: the caller's.
+    unsafe { to.write(made) };
+    Ok(())
+}
+
 /// Returns the text of an argument, `None` for NULL.
 ///
 /// # Safety

@@ -3,9 +3,15 @@
 //! Scenes and simulations are opaque objects that the caller frees. Functions that can fail return a status and leave a
 //! text, which [`fnopt_last_error`] returns on the same thread. All lengths, times and masses are in SI units, along the
 //! axes of each scene.
+//!
+//! # Safety
+//!
+//! Of pointers, each function trusts its caller in this: objects are those that this library made and nobody has freed, texts
+//! end with a zero, and arrays have as many elements as the arguments or their descriptions say. NULL where something is
+//! needed is an error.
 
-// Pointers of callers and names without mangling are what this module is for: each function says what it trusts.
-#![allow(unsafe_code)]
+// Pointers of callers and names without mangling are what this module is for.
+#![allow(unsafe_code, clippy::missing_safety_doc)]
 
 mod check;
 mod scene;

@@ -1,10 +1,9 @@
 //! Scenes.
 
-use super::FnoptStatus;
-use super::check::{missing, status, text, value};
+use super::check::{FnoptStatus, give, missing, status, text, value};
+use crate::Error;
 use crate::bindings::{change_scene, find_scene};
 use crate::scene::Scene;
-use crate::{Error, Result};
 use std::ffi::c_char;
 use std::path::Path;
 
@@ -14,36 +13,24 @@ pub struct FnoptScene {
 }
 
 /// Makes the default scene: a sheet of 1 m that hangs from two corners, which move.
-///
-/// # Safety
-///
-/// `scene` points to room for a pointer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fnopt_scene_default(scene: *mut *mut FnoptScene) -> FnoptStatus {
-    // SAFETY: as above.
-    status(|| unsafe { give(Scene::default(), scene) })
+    // SAFETY: the caller's.
+    status(|| unsafe { give(|| Ok(FnoptScene { scene: Scene::default() }), scene, "scene") })
 }
 
 /// Reads a scene file (JSON), or makes the scene of this name that comes with the library.
-///
-/// # Safety
-///
-/// `path` is a text that ends with a zero; `scene` points to room for a pointer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fnopt_scene_load(path: *const c_char, scene: *mut *mut FnoptScene) -> FnoptStatus {
     status(|| {
-        // SAFETY: as above.
+        // SAFETY: the caller's.
         let path = unsafe { text(path, "path") }?.ok_or_else(|| missing("path"))?;
-        // SAFETY: as above.
-        unsafe { give(find_scene(Path::new(path))?, scene) }
+        // SAFETY: the caller's.
+        unsafe { give(|| Ok(FnoptScene { scene: find_scene(Path::new(path))? }), scene, "scene") }
     })
 }
 
 /// Parses the text of a scene file. Relative paths in it are those of `folder`, or of the current folder if it is NULL.
-///
-/// # Safety
-///
-/// `json` is a text that ends with a zero, `folder` one or NULL; `scene` points to room for a pointer.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fnopt_scene_parse(
     json: *const c_char,
@@ -51,68 +38,39 @@ pub unsafe extern "C" fn fnopt_scene_parse(
     scene: *mut *mut FnoptScene,
 ) -> FnoptStatus {
     status(|| {
-        // SAFETY: as above.
-        let json = unsafe { text(json, "json") }?.ok_or_else(|| missing("json"))?;
-        // SAFETY: as above.
-        let folder = Path::new(unsafe { text(folder, "folder") }?.unwrap_or("."));
+        // SAFETY: the caller's.
+        let [json, folder] = unsafe { [text(json, "json")?, text(folder, "folder")?] };
+        let (json, folder) = (json.ok_or_else(|| missing("json"))?, Path::new(folder.unwrap_or(".")));
         let folder = std::path::absolute(folder).map_err(|e| Error::io(folder, "cannot find", e))?;
-        // SAFETY: as above.
-        unsafe { give(Scene::parse(json, "scene", &folder)?, scene) }
+        // SAFETY: the caller's.
+        unsafe { give(|| Ok(FnoptScene { scene: Scene::parse(json, "scene", &folder)? }), scene, "scene") }
     })
 }
 
 /// Moves a scene to another grid, of 8 to 4096 particles along the height and the width, with its handles and its start.
-///
-/// # Safety
-///
-/// `scene` is a scene of this library that no other thread uses meanwhile.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn fnopt_scene_set_grid(
-    scene: *mut FnoptScene,
+pub extern "C" fn fnopt_scene_set_grid(
+    scene: Option<&mut FnoptScene>,
     height: usize,
     width: usize,
 ) -> FnoptStatus {
-    // SAFETY: as above.
-    status(|| change_scene(unsafe { change(scene) }?, Some([height, width]), None))
+    status(|| {
+        let scene = scene.ok_or_else(|| missing("scene"))?;
+        change_scene(&mut scene.scene, Some([height, width]), None)
+    })
 }
 
 /// Sets the number of frames of a scene, including the start. Fewer than it has are a part of it.
-///
-/// # Safety
-///
-/// `scene` is a scene of this library that no other thread uses meanwhile.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn fnopt_scene_set_frames(scene: *mut FnoptScene, frames: usize) -> FnoptStatus {
-    // SAFETY: as above.
-    status(|| change_scene(unsafe { change(scene) }?, None, Some(frames)))
+pub extern "C" fn fnopt_scene_set_frames(scene: Option<&mut FnoptScene>, frames: usize) -> FnoptStatus {
+    status(|| {
+        let scene = scene.ok_or_else(|| missing("scene"))?;
+        change_scene(&mut scene.scene, None, Some(frames))
+    })
 }
 
 /// Frees a scene, which simulations of it do not need; NULL does nothing.
-///
-/// # Safety
-///
-/// `scene` is NULL or a scene of this library that has not been freed.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn fnopt_scene_free(scene: *mut FnoptScene) {
-    value((), || {
-        if !scene.is_null() {
-            // SAFETY: `give` made it from a box.
-            drop(unsafe { Box::from_raw(scene) });
-        }
-    });
-}
-
-/// Hands a scene to the caller.
-unsafe fn give(scene: Scene, to: *mut *mut FnoptScene) -> Result<()> {
-    if to.is_null() {
-        return Err(missing("scene"));
-    }
-    // SAFETY: the caller's.
-    unsafe { to.write(Box::into_raw(Box::new(FnoptScene { scene }))) };
-    Ok(())
-}
-
-unsafe fn change<'a>(scene: *mut FnoptScene) -> Result<&'a mut Scene> {
-    // SAFETY: the caller's.
-    unsafe { scene.as_mut() }.map(|scene| &mut scene.scene).ok_or_else(|| missing("scene"))
+pub extern "C" fn fnopt_scene_free(scene: Option<Box<FnoptScene>>) {
+    value((), || drop(scene));
 }
