@@ -247,7 +247,8 @@ impl Session {
         })
     }
 
-    /// Goes on from a snapshot of this simulation, or of one of the same scenes and solver. Fails if it is of others.
+    /// Goes on from a snapshot of this simulation, or of one of the same scenes and solver. Fails, and changes nothing, if it
+    /// does not fit.
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<()> {
         if snapshot.frame.state.x.len() != self.frame.state.x.len() {
             let of = |state: &State<f32>| format!("{} numbers", state.x.len());
@@ -256,8 +257,13 @@ impl Session {
         }
         let scripts = Scripts::resume(&self.setups, snapshot.entered, &snapshot.anchors)?;
         let cloths: Vec<Cloth> = scripts.each().iter().map(|script| script.cloth().clone()).collect();
+        let before = self.cloths().to_vec();
         self.simulator.set_cloths(&cloths)?;
-        self.simulator.resume(snapshot.frame.index, &snapshot.frame.state, &snapshot.memory)?;
+        let resumed = self.simulator.resume(snapshot.frame.index, &snapshot.frame.state, &snapshot.memory);
+        if let Err(error) = resumed {
+            self.simulator.set_cloths(&before)?;
+            return Err(error);
+        }
         self.frame = snapshot.frame.clone();
         (self.entered, self.anchors) = (snapshot.entered, snapshot.anchors.clone());
         Ok(())

@@ -143,6 +143,14 @@ def test_a_snapshot_goes_on_to_the_same_bits():
     assert np.array_equal(run(fresh, 10), expected)
     with pytest.raises(ValueError, match="snapshot: state: expected 1536 numbers"):
         simulation(scene, cloths=2).restore(snapshot)
+    # Of another solver, or of other handles: nothing changes.
+    for other in (simulation(scene, "fnopt"), simulation(SMALL.replace(motion="none", handles=[[0, 0]]))):
+        expected = run(other, 5)
+        other.reset()
+        run(other, 4)
+        with pytest.raises(ValueError):
+            other.restore(snapshot)
+        assert other.frame == 4 and np.array_equal(run(other, 1), expected)
 
 
 def test_what_is_wrong_is_named():
