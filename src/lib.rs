@@ -108,9 +108,11 @@
 //! | [`eval`] | comparison with recorded sequences, suites, material fitting |
 //! | [`train`] | pools of cloths, the run loop and its files |
 //! | [`verify`] | checks of every stage against golden files |
+//! | `bindings` | what the interfaces to other languages share: a simulation that owns its scenes |
+//! | `python`, `capi` | the Python package (`docs/python.md`) and the C interface (`docs/c.md`) |
 //!
 //! [`eval`], [`train`] and [`verify`] belong to the feature `lab`, [`render`] to the feature `render`; `weights` embeds the shipped
-//! weights. The command `fnopt` (`cli`) has all of them.
+//! weights. The command `fnopt` (`cli`) has all of them. `python` and `capi` belong to the features of their names.
 //!
 //! # Units, shapes and errors
 //!
@@ -125,6 +127,10 @@
 // Some parts serve evaluation and training alone.
 #![cfg_attr(not(feature = "lab"), allow(dead_code, unused_imports))]
 
+#[cfg(any(feature = "python", feature = "capi"))]
+mod bindings;
+#[cfg(feature = "capi")]
+pub mod capi;
 pub mod cloth;
 pub mod cpu;
 mod error;
@@ -135,6 +141,8 @@ pub mod io;
 pub mod kernels;
 mod memory;
 pub mod network;
+#[cfg(feature = "python")]
+mod python;
 #[cfg(feature = "render")]
 pub mod render;
 pub mod scene;

@@ -149,6 +149,18 @@ impl<'a> Scripts<'a> {
         Ok((Self { each: setups.iter().map(Script::new).collect(), frames: batch.frames() }, batch))
     }
 
+    /// Returns the courses after frame `frame`, with the anchors that each had there ([`Script::anchors`]). Fails as
+    /// [`Script::resume`] does, or if there are not as many anchors as scenes.
+    pub fn resume(setups: &'a [Setup], frame: usize, anchors: &[Vec<f64>]) -> Result<Self> {
+        if anchors.len() != setups.len() {
+            let expected = format!("those of {} scenes", setups.len());
+            return Err(Error::invalid("scripts", "anchors", expected, anchors.len()));
+        }
+        let resume = |(setup, anchors): (&'a Setup, &Vec<f64>)| Script::resume(setup, frame, anchors);
+        let each = setups.iter().zip(anchors).map(resume).collect::<Result<_>>()?;
+        Ok(Self { each, frames: setups.iter().map(Setup::frames).max().unwrap_or(0) })
+    }
+
     /// Returns the course of each scene.
     pub fn each(&self) -> &[Script<'a>] {
         &self.each

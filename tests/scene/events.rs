@@ -2,7 +2,7 @@
 
 use crate::common::{distance, expect_refusal, parse};
 use fnopt::cloth::{Control, Grid, State};
-use fnopt::scene::{Handles, Lead, Scene, Script, Scripts};
+use fnopt::scene::{Course, Handles, Lead, Scene, Script, Scripts};
 use fnopt::sim::Optimizer;
 use fnopt::{Device, Simulator};
 use glam::DVec3;
@@ -244,4 +244,29 @@ fn scenes_with_events_advance_together() {
         played.unwrap();
     }
     assert!(setups[1].changes.len() > 1);
+}
+
+/// A host that keeps the anchors alone goes through the same frames.
+#[test]
+fn courses_go_on_from_their_anchors() {
+    let setups = [ATTACHED, EVENTS].map(|text| parse(text).unwrap().setup().unwrap());
+    let (mut whole, batch) = Scripts::new(&setups).unwrap();
+    let start = batch.start.cast();
+    let anchors_of = |scripts: &Scripts| -> Vec<Vec<f64>> {
+        scripts.each().iter().map(|script| script.anchors().to_vec()).collect()
+    };
+    let (mut entered, mut anchors) = (0, anchors_of(&whole));
+    for frame in 1..batch.frames() {
+        let mut resumed = Scripts::resume(&setups, entered, &anchors).unwrap();
+        assert_eq!((resumed.frames(), resumed.next_change()), (batch.frames(), whole.next_change()));
+        let cloths = resumed.enter(frame, &start);
+        assert_eq!(cloths, whole.enter(frame, &start));
+        if cloths.is_some() {
+            (entered, anchors) = (frame, anchors_of(&resumed));
+        }
+        assert_eq!(resumed.control(frame), whole.control(frame), "frame {frame}");
+    }
+    assert!(entered > 0);
+    let error = Scripts::resume(&setups, entered, &anchors[..1]).unwrap_err().to_string();
+    assert!(error.contains("anchors: expected those of 2 scenes, found 1"), "{error}");
 }

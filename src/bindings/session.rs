@@ -1,0 +1,275 @@
+//! A simulation that owns its scenes and goes through them frame by frame.
+
+use super::Settings;
+use crate::cloth::{Cloth, State};
+use crate::scene::{Course, Scene, Script, Scripts, Setup};
+use crate::sim::Memory;
+use crate::{Device, Error, Frame, Result, Simulator, cloth};
+use rayon::prelude::*;
+
+/// A batch of cloths that advances through its scenes.
+pub(crate) struct Session {
+    simulator: Simulator,
+    device: Device,
+    setups: Vec<Setup>,
+    /// The last frame, or the start.
+    frame: Frame,
+    /// The last frame whose events have come, and what holds the handles of each cloth since then.
+    entered: usize,
+    anchors: Vec<Vec<f64>>,
+}
+
+/// What a host prescribes for a frame, in SI units and each scene's axes; `None` for what the scene does.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Control {
+    /// Targets of the handles \[m\]: all of cloth 0, then of cloth 1, and so on.
+    pub handles: Option<Vec<[f64; 3]>>,
+    /// Wind velocity of each cloth [m/s].
+    pub wind: Option<Vec<[f64; 3]>>,
+    /// Acceleration of each particle [m/s^2] in addition to gravity and air: all of cloth 0, then of cloth 1, and so on.
+    pub accelerations: Option<Vec<[f64; 3]>>,
+}
+
+/// A simulation at one of its frames, from which it goes on to the same bits.
+#[derive(Clone, Debug)]
+pub(crate) struct Snapshot {
+    frame: Frame,
+    memory: Memory,
+    entered: usize,
+    anchors: Vec<Vec<f64>>,
+}
+
+impl Session {
+    /// Sets up the scenes, whose cloths advance together, `copies` of each.
+    pub fn new(scenes: &[&Scene], copies: usize, settings: &Settings) -> Result<Self> {
+        let optimizer = settings.optimizer()?;
+        if copies == 0 {
+            return Err(Error::invalid("simulation", "cloths", "at least one", 0));
+        }
+        let setups: Vec<Setup> = scenes.iter().map(|scene| scene.setup()).collect::<Result<_>>()?;
+        // Refused before memory is taken for all of them.
+        let particles: usize = setups.iter().map(|setup| setup.model.grid.particles()).sum();
+        if particles.saturating_mul(copies) > u32::MAX as usize / 3 {
+            return Err(Error::invalid("simulation", "cloths", "fewer particles in all", copies));
+        }
+        let setups: Vec<Setup> =
+            setups.into_iter().flat_map(|setup| std::iter::repeat_n(setup, copies)).collect();
+        let (scripts, batch) = Scripts::new(&setups)?;
+        let anchors = anchors(&scripts);
+        let (simulator, device) = settings.simulator(&batch.model, &optimizer)?;
+        let frame =
+            Frame { index: 0, state: batch.start.cast(), stats: Vec::new(), wall: Default::default() };
+        let mut session = Self { simulator, device, setups, frame, entered: 0, anchors };
+        session.simulator.set_state(&session.frame.state);
+        Ok(session)
+    }
+
+    /// Returns the device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Returns the setups of the cloths.
+    pub fn setups(&self) -> &[Setup] {
+        &self.setups
+    }
+
+    /// Returns the number of particles of a cloth.
+    pub fn particles(&self) -> usize {
+        self.setups[0].model.grid.particles()
+    }
+
+    /// Returns the last frame, or the start.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// Returns the number of frames of the longest scene, including the start.
+    pub fn frames(&self) -> usize {
+        self.setups.iter().map(Setup::frames).max().unwrap_or(0)
+    }
+
+    /// Returns the cloths as they are now.
+    pub fn cloths(&self) -> &[Cloth] {
+        &self.simulator.model().cloths
+    }
+
+    /// Lets the events before the next frame come, and returns what the scenes do in it.
+    pub fn next_control(&mut self) -> Result<cloth::Control<f32>> {
+        let next = self.frame.index + 1;
+        let mut scripts = Scripts::resume(&self.setups, self.entered, &self.anchors)?;
+        if scripts.next_change().is_some_and(|change| change <= next)
+            && let Some(cloths) = scripts.enter(next, &self.frame.state)
+        {
+            self.simulator.set_cloths(&cloths)?;
+            (self.entered, self.anchors) = (next, anchors(&scripts));
+        }
+        Ok(scripts.control(next))
+    }
+
+    /// Returns what the scenes do in the next frame, in SI units.
+    pub fn next_control_si(&mut self) -> Result<Control> {
+        let control = self.next_control()?;
+        let model = self.simulator.model();
+        let wide = |v: [f32; 3]| v.map(f64::from);
+        let mut handles = Vec::with_capacity(control.handles.len());
+        for (b, setup) in self.setups.iter().enumerate() {
+            let own = &control.handles[model.handle_range(b)];
+            handles.extend(own.iter().map(|&p| setup.up.from_z_up(setup.units.position_m(wide(p)))));
+        }
+        let wind = self.setups.iter().zip(&control.wind);
+        let wind = wind.map(|(setup, &v)| setup.up.from_z_up(setup.units.velocity_m_s(wide(v)))).collect();
+        Ok(Control { handles: Some(handles), wind: Some(wind), accelerations: None })
+    }
+
+    /// Computes the next frame as the scenes have it, but for what `given` prescribes. Fails as [`Simulator::step`] does, or
+    /// if a length does not match or a number is not finite.
+    pub fn step(&mut self, given: &Control) -> Result<()> {
+        let mut control = self.next_control()?;
+        let (setups, n) = (&self.setups, self.particles());
+        let check = |field: &str, given: &[[f64; 3]], expected: usize| {
+            if given.len() != expected {
+                return Err(Error::invalid("control", field, expected.to_string(), given.len()));
+            }
+            match given.iter().position(|v| !v.iter().all(|c| (*c as f32).is_finite())) {
+                Some(k) => {
+                    let found = format!("{:?}", given[k]);
+                    Err(Error::invalid("control", format!("{field}[{k}]"), "finite numbers", found))
+                }
+                None => Ok(()),
+            }
+        };
+        if let Some(handles) = &given.handles {
+            check("handles", handles, control.handles.len())?;
+            for (b, setup) in setups.iter().enumerate() {
+                for k in self.simulator.model().handle_range(b) {
+                    control.handles[k] = setup.handle_at(handles[k]);
+                }
+            }
+        }
+        if let Some(wind) = &given.wind {
+            check("wind", wind, setups.len())?;
+            control.wind = setups.iter().zip(wind).map(|(setup, &v)| setup.wind_of(v)).collect();
+        }
+        if let Some(accelerations) = &given.accelerations {
+            check("accelerations", accelerations, setups.len() * n)?;
+            control.external = vec![0.0; 3 * accelerations.len()];
+            let own = control.external.chunks_exact_mut(3 * n).zip(accelerations.chunks_exact(n));
+            for (setup, (field, own)) in setups.iter().zip(own) {
+                for (p, &a) in own.iter().enumerate() {
+                    let a: [f32; 3] = setup.acceleration_of(a);
+                    (0..3).for_each(|c| field[c * n + p] = a[c]);
+                }
+            }
+        }
+        match self.simulator.step(&control) {
+            Ok(frame) => {
+                self.frame = frame;
+                Ok(())
+            }
+            Err(error @ Error::NonFinite { .. }) => {
+                // It can be looked at, and cloths can be started again.
+                self.frame.state = self.simulator.state()?;
+                self.frame.index = self.simulator.frame();
+                Err(error)
+            }
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Writes the positions \[m\] of all cloths, shape [B, H W, 3], in each scene's axes. Panics if `out` is not as long.
+    pub fn positions(&self, out: &mut [f32]) {
+        self.convert(&self.frame.state.x, out, |setup, x| setup.vertices_m(x));
+    }
+
+    /// Writes the velocities [m/s] likewise.
+    pub fn velocities(&self, out: &mut [f32]) {
+        self.convert(&self.frame.state.v, out, |setup, v| setup.velocities_m_s(v));
+    }
+
+    fn convert(
+        &self,
+        field: &[f32],
+        out: &mut [f32],
+        points: impl Fn(&Setup, &[f32]) -> Vec<[f64; 3]> + Sync,
+    ) {
+        assert_eq!(field.len(), out.len(), "[B, H W, 3]");
+        let len = 3 * self.particles();
+        let one = |(setup, (own, out)): (&Setup, (&[f32], &mut [f32]))| {
+            let points = points(setup, own);
+            out.iter_mut().zip(points.as_flattened()).for_each(|(to, &from)| *to = from as f32);
+        };
+        match &*self.setups {
+            // Without waking threads.
+            [setup] => one((setup, (field, out))),
+            setups => setups.par_iter().zip(field.par_chunks(len).zip(out.par_chunks_mut(len))).for_each(one),
+        }
+    }
+
+    /// Replaces the state of one cloth, given on its own grid in metres and metres per second; the optimizer forgets what it
+    /// remembers of it. Frames are counted on.
+    pub fn set_cloth_state(
+        &mut self,
+        b: usize,
+        positions: &[[f64; 3]],
+        velocities: &[[f64; 3]],
+    ) -> Result<()> {
+        let Some(setup) = self.setups.get(b) else {
+            let expected = format!("0 to {}", self.setups.len() - 1);
+            return Err(Error::invalid("state", "cloth", expected, b));
+        };
+        let state = setup.state_of(setup.model.grid, positions, velocities)?.cast();
+        self.simulator.set_cloth_state(b, &state);
+        let len = 3 * self.particles();
+        self.frame.state.x[b * len..][..len].copy_from_slice(&state.x);
+        self.frame.state.v[b * len..][..len].copy_from_slice(&state.v);
+        Ok(())
+    }
+
+    /// Goes back to the start.
+    pub fn reset(&mut self) -> Result<()> {
+        let (scripts, batch) = Scripts::new(&self.setups)?;
+        self.simulator.set_cloths(&batch.model.cloths)?;
+        (self.entered, self.anchors) = (0, anchors(&scripts));
+        self.frame =
+            Frame { index: 0, state: batch.start.cast(), stats: Vec::new(), wall: Default::default() };
+        self.simulator.set_state(&self.frame.state);
+        Ok(())
+    }
+
+    /// Returns the simulation as it is now.
+    pub fn snapshot(&mut self) -> Result<Snapshot> {
+        Ok(Snapshot {
+            frame: self.frame.clone(),
+            memory: self.simulator.memory()?,
+            entered: self.entered,
+            anchors: self.anchors.clone(),
+        })
+    }
+
+    /// Goes on from a snapshot of this simulation, or of one of the same scenes and solver. Fails, and changes nothing, if it
+    /// does not fit.
+    pub fn restore(&mut self, snapshot: &Snapshot) -> Result<()> {
+        if snapshot.frame.state.x.len() != self.frame.state.x.len() {
+            let of = |state: &State<f32>| format!("{} numbers", state.x.len());
+            let (expected, found) = (of(&self.frame.state), of(&snapshot.frame.state));
+            return Err(Error::invalid("snapshot", "state", expected, found));
+        }
+        let scripts = Scripts::resume(&self.setups, snapshot.entered, &snapshot.anchors)?;
+        let cloths: Vec<Cloth> = scripts.each().iter().map(|script| script.cloth().clone()).collect();
+        let before = self.cloths().to_vec();
+        self.simulator.set_cloths(&cloths)?;
+        let resumed = self.simulator.resume(snapshot.frame.index, &snapshot.frame.state, &snapshot.memory);
+        if let Err(error) = resumed {
+            self.simulator.set_cloths(&before)?;
+            return Err(error);
+        }
+        self.frame = snapshot.frame.clone();
+        (self.entered, self.anchors) = (snapshot.entered, snapshot.anchors.clone());
+        Ok(())
+    }
+}
+
+fn anchors(scripts: &Scripts<'_>) -> Vec<Vec<f64>> {
+    scripts.each().iter().map(|script: &Script<'_>| script.anchors().to_vec()).collect()
+}
