@@ -79,6 +79,12 @@ impl Session {
         self.setups[0].model.grid.particles()
     }
 
+    /// Returns the triangles of the first cloth; those of the others differ where their masks do.
+    pub fn faces(&self) -> Vec<[u32; 3]> {
+        let model = &self.setups[0].model;
+        model.cloths[0].faces(model.grid)
+    }
+
     /// Returns the last frame, or the start.
     pub fn frame(&self) -> &Frame {
         &self.frame

@@ -178,7 +178,7 @@ pub unsafe extern "C" fn fnopt_faces(
     buffer: *mut u32,
     count: usize,
 ) -> usize {
-    let faces = || simulation.map_or(Vec::new(), |of| of.session.setups()[0].model.grid.faces());
+    let faces = || simulation.map_or(Vec::new(), |of| of.session.faces());
     // SAFETY: the caller's.
     value(0, || unsafe { list(faces().as_flattened(), buffer, count) } / 3)
 }

@@ -78,7 +78,7 @@ pub(super) fn intersections<'py>(
     let points = Points::take(positions, "positions")?.broadcast(&[grid.particles()], "positions")?;
     let found = py.detach(|| {
         let x: Vec<f64> = (0..3).flat_map(|c| points.iter().map(move |p| p[c])).collect();
-        cloth::intersections(grid, &x)
+        cloth::intersections(&grid.faces(), &x)
     });
     super::simulation::rows(py, found.iter().map(|one| [one.edge[0], one.edge[1], one.face]).collect())
 }

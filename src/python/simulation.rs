@@ -112,7 +112,7 @@ impl PySimulation {
     /// Triangles of a cloth, [triangles, 3].
     #[getter]
     fn faces<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
-        rows(py, self.session.setups()[0].model.grid.faces())
+        rows(py, self.session.faces())
     }
 
     /// Texture coordinates of a cloth, [particles, 2].
