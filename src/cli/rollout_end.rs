@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use fnopt::cloth::State;
-use fnopt::io::{self, ReadOptions, Trajectory};
+use fnopt::io::{self, ReadOptions, Recording, Trajectory};
 use fnopt::scene::{Script, Setup};
 use fnopt::sim::{Memory, Optimizer};
 use fnopt::{Error, ndarray};
@@ -15,9 +15,21 @@ const MEMORY: [&str; 3] = ["memory_accelerations", "memory_hidden", "memory_scal
 const SOLVER: &str = "solver";
 /// Name of the array of what holds the handles ([`Script::anchors`]).
 const ANCHORS: &str = "handle_anchors";
+/// Names of the numbers of the last frame that was simulated, and of frames from one in the file to the next.
+const LAST: &str = "last_frame";
+const EVERY: &str = "every";
+
+/// Which frames of a rollout are in its file, and at which rate it says they are.
+#[derive(Clone, Copy)]
+pub struct Kept {
+    pub every: usize,
+    pub fps: f64,
+}
 
 pub struct RolloutEnd<'a> {
     pub trajectory: Trajectory,
+    /// Number of the last frame that was simulated.
+    pub frame: usize,
     pub state: State<f32>,
     pub memory: Memory,
     pub script: Script<'a>,
@@ -25,7 +37,7 @@ pub struct RolloutEnd<'a> {
 
 impl<'a> RolloutEnd<'a> {
     /// Reads it, and checks that the frames are those of the scene and the optimizer.
-    pub fn read(file: &Path, setup: &'a Setup, optimizer: &Optimizer) -> Result<Self> {
+    pub fn read(file: &Path, setup: &'a Setup, optimizer: &Optimizer, kept: Kept) -> Result<Self> {
         let origin = file.display().to_string();
         let trajectory = Trajectory::read(
             file,
@@ -48,13 +60,35 @@ impl<'a> RolloutEnd<'a> {
         if trajectory.grid() != grid {
             return Err(invalid("grid", grid.to_string(), trajectory.grid().to_string()));
         }
-        let rate = 1.0 / setup.units.frame_time_s;
-        if (trajectory.fps() / rate - 1.0).abs() > 1e-9 {
-            return Err(invalid("fps", format!("{rate}"), format!("{}", trajectory.fps())));
+        // Files of earlier versions have every frame and do not say so.
+        let number = |name: &str, default: usize| -> Result<usize> {
+            match io::read_npz_array(file, name)? {
+                None => Ok(default),
+                Some(array) => match array.iter().copied().collect::<Vec<_>>()[..] {
+                    [x] if x >= 0.0 && x.fract() == 0.0 => Ok(x as usize),
+                    ref other => Err(invalid(name, "a whole number".into(), format!("{other:?}"))),
+                },
+            }
+        };
+        let every = number(EVERY, 1)?;
+        if every != kept.every {
+            return Err(invalid(
+                "frames",
+                format!("every {} (--every)", kept.every),
+                format!("every {every}"),
+            ));
         }
-        if trajectory.frames() >= setup.frames() {
-            let expected = format!("fewer than the {} of the scene (--frames asks for more)", setup.frames());
+        if (trajectory.fps() / kept.fps - 1.0).abs() > 1e-9 {
+            return Err(invalid("fps", format!("{}", kept.fps), format!("{}", trajectory.fps())));
+        }
+        let done = number(LAST, trajectory.frames() - 1)?;
+        if done / every + 1 != trajectory.frames() {
+            let expected = format!("{}, up to frame {done}", done / every + 1);
             return Err(invalid("frames", expected, trajectory.frames().to_string()));
+        }
+        if done + 1 >= setup.frames() {
+            let expected = format!("fewer than the {} of the scene (--frames asks for more)", setup.frames());
+            return Err(invalid("frames", expected, (done + 1).to_string()));
         }
         let name: String = numbers(SOLVER)?.iter().map(|&c| c as u8 as char).collect();
         if name != identity(optimizer) {
@@ -76,28 +110,30 @@ impl<'a> RolloutEnd<'a> {
             hidden: numbers(MEMORY[1])?,
             scales: numbers(MEMORY[2])?,
         };
-        let done = trajectory.frames() - 1;
         let script = match setup.changes.first().is_some_and(|change| change.frame <= done) {
             true => Script::resume(setup, done, &wide(ANCHORS)?).map_err(|error| error.of_file(file))?,
             false => Script::new(setup),
         };
-        Ok(Self { trajectory, state: State { x, v }, memory, script })
+        Ok(Self { trajectory, frame: done, state: State { x, v }, memory, script })
     }
 }
 
-/// Puts it beside the frames of the trajectory.
+/// Puts it beside the frames of a rollout.
 pub fn keep(
-    trajectory: &mut Trajectory,
-    optimizer: &Optimizer,
-    script: &Script<'_>,
+    recording: &mut Recording,
+    (optimizer, script): (&Optimizer, &Script<'_>),
+    (frame, every): (usize, usize),
     (state, memory): (&State<f32>, &Memory),
 ) {
+    for (name, number) in [(LAST, frame), (EVERY, every)] {
+        recording.put_beside(name, ndarray::arr0(number as f64).into_dyn());
+    }
     if !script.setup().changes.is_empty() {
-        trajectory.put_beside(ANCHORS, ndarray::Array1::from(script.anchors().to_vec()).into_dyn());
+        recording.put_beside(ANCHORS, ndarray::Array1::from(script.anchors().to_vec()).into_dyn());
     }
     let mut put = |name: &str, values: &[f32]| {
         let wide: Vec<f64> = values.iter().map(|&v| v.into()).collect();
-        trajectory.put_beside(name, ndarray::Array1::from(wide).into_dyn());
+        recording.put_beside(name, ndarray::Array1::from(wide).into_dyn());
     };
     put(STATE[0], &state.x);
     put(STATE[1], &state.v);

@@ -1,6 +1,6 @@
 //! Trajectories as NumPy archives (`.npz`).
 
-use super::{Trajectory, npy, npy::Array, open, trajectory::Parts, zip::Archive};
+use super::{clip::Clip, npy, npy::Array, open, trajectory::Parts, zip::Archive};
 use crate::{Error, Result};
 use ::zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 use ndarray::ArrayD;
@@ -15,30 +15,39 @@ const FACES: &str = "faces";
 const COORDINATES: &str = "vertices_uv";
 const RATE: &str = "fps";
 
-/// Writes a trajectory array by array, without a second copy of the large ones.
-pub(super) fn write(trajectory: &Trajectory, writer: impl Write + Seek) -> io::Result<()> {
+/// Writes a clip array by array.
+pub(super) fn write(clip: &Clip, writer: impl Write + Seek) -> io::Result<()> {
+    let bytes = if clip.options.half { 2 } else { 4 };
     // The header makes an array slightly longer.
-    let bytes = 4 * trajectory.positions().len() as u64 + 1024;
-    write_arrays(trajectory, writer, bytes > u64::from(u32::MAX))
+    let longest = 3 * bytes * clip.count() as u64 * clip.topology.vertices() as u64 + 1024;
+    write_arrays(clip, writer, longest > u64::from(u32::MAX))
 }
 
 /// Writes with 64-bit lengths if `large`, else with 32-bit lengths, which more programs can read.
-fn write_arrays(trajectory: &Trajectory, writer: impl Write + Seek, large: bool) -> io::Result<()> {
-    let faces = trajectory.grid().faces();
-    let coordinates = trajectory.grid().texture_coordinates();
-    let options =
-        SimpleFileOptions::default().compression_method(CompressionMethod::Stored).large_file(large);
+fn write_arrays(clip: &Clip, writer: impl Write + Seek, large: bool) -> io::Result<()> {
+    let (frames, topology) = (clip.frames, clip.topology);
+    let options = match clip.options.compress {
+        // Positions compress little, and hardly more at higher levels.
+        true => SimpleFileOptions::default()
+            .compression_method(CompressionMethod::Deflated)
+            .compression_level(Some(1)),
+        false => SimpleFileOptions::default().compression_method(CompressionMethod::Stored),
+    }
+    .large_file(large);
     let mut archive = ZipWriter::new(writer);
     let arrays = (|| {
-        for (name, array) in [(POSITIONS, trajectory.positions()), (VELOCITIES, trajectory.velocities())] {
-            add(&mut archive, (name, options), array.shape(), array.iter().copied())?;
+        start(&mut archive, (POSITIONS, options))?;
+        npy::write_frames(clip, &mut archive, |frame| frames.positions_of(frame))?;
+        start(&mut archive, (VELOCITIES, options))?;
+        npy::write_frames(clip, &mut archive, |frame| frames.velocities_of(frame))?;
+        let corners: Vec<i32> = topology.triangles().flatten().map(|k| k as i32).collect();
+        add(&mut archive, (FACES, options), &[corners.len() / 3, 3], corners.into_iter())?;
+        if !topology.uv().is_empty() {
+            let flat = topology.uv().as_flattened();
+            add(&mut archive, (COORDINATES, options), &[flat.len() / 2, 2], flat.iter().copied())?;
         }
-        let corners = faces.as_flattened().iter().map(|&k| k as i32);
-        add(&mut archive, (FACES, options), &[faces.len(), 3], corners)?;
-        let flat = coordinates.as_flattened();
-        add(&mut archive, (COORDINATES, options), &[coordinates.len(), 2], flat.iter().copied())?;
-        add(&mut archive, (RATE, options), &[], [trajectory.fps()].into_iter())?;
-        let mut beside = trajectory.beside().iter();
+        add(&mut archive, (RATE, options), &[], [clip.fps()].into_iter())?;
+        let mut beside = frames.beside().iter();
         beside.try_for_each(|(name, array)| {
             add(&mut archive, (name, options), array.shape(), array.iter().copied())
         })
@@ -51,14 +60,22 @@ fn write_arrays(trajectory: &Trajectory, writer: impl Write + Seek, large: bool)
     archive.finish().map(drop).map_err(io::Error::other)
 }
 
+/// Begins an array of an archive.
+fn start(
+    archive: &mut ZipWriter<impl Write + Seek>,
+    (name, options): (&str, SimpleFileOptions),
+) -> io::Result<()> {
+    archive.start_file(format!("{name}.npy"), options).map_err(io::Error::other)
+}
+
 /// Appends an array to an archive.
 fn add<T: npy::Number>(
     archive: &mut ZipWriter<impl Write + Seek>,
-    (name, options): (&str, SimpleFileOptions),
+    named: (&str, SimpleFileOptions),
     shape: &[usize],
     values: impl ExactSizeIterator<Item = T>,
 ) -> io::Result<()> {
-    archive.start_file(format!("{name}.npy"), options)?;
+    start(archive, named)?;
     npy::write(archive, shape, values)
 }
 
@@ -127,7 +144,7 @@ fn array<'a, R: io::Read + Seek>(
 mod tests {
     use super::*;
     use crate::cloth::Grid;
-    use crate::io::ReadOptions;
+    use crate::io::{Frames, ReadOptions, Trajectory, WriteOptions};
 
     #[test]
     fn archives_of_long_entries_are_read_too() {
@@ -138,7 +155,9 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("long.npz");
-        write_arrays(&trajectory, std::fs::File::create(&path).unwrap(), true).unwrap();
+        let (topology, options) = (trajectory.topology(), &WriteOptions::default());
+        let clip = Clip { frames: &trajectory, topology: &topology, options };
+        write_arrays(&clip, std::fs::File::create(&path).unwrap(), true).unwrap();
         assert_eq!(Trajectory::read(&path, &ReadOptions::default()).unwrap(), trajectory);
     }
 }

@@ -239,9 +239,15 @@ impl Setup {
     /// Appends the state at the end of a frame to a trajectory. Panics if the state is not that of one cloth,
     /// or if the trajectory has another number of particles.
     pub fn push(&self, trajectory: &mut Trajectory, state: &State<f32>) {
-        let single =
-            |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
-        trajectory.push(&single(self.vertices_m(&state.x)), &single(self.velocities_m_s(&state.v)));
+        let [positions, velocities] = self.points(state);
+        trajectory.push(&positions, &velocities);
+    }
+
+    /// Returns positions \[m\] and velocities [m/s] of a state in the scene's axes, [V, 3] each, as files hold them.
+    /// Panics if the state is not that of one cloth.
+    pub fn points(&self, state: &State<f32>) -> [Vec<[f32; 3]>; 2] {
+        let single = |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect();
+        [single(self.vertices_m(&state.x)), single(self.velocities_m_s(&state.v))]
     }
 
     /// Combines several setups into one batch. Fails if there are none, if something changes on the way in one
