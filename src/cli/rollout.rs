@@ -73,7 +73,7 @@ pub struct Args {
     /// Frames per second that the files name [default: as many as a second of the simulation has]
     #[arg(long, value_name = "RATE")]
     fps: Option<f64>,
-    /// Number of the first frame in files that number them: pc2, mdd, usda, obj, ply [default: 0]
+    /// Number of the first frame in files that number them: pc2, usda, obj, ply [default: 0]
     #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(..=MAX_FRAMES as i64))]
     start_frame: Option<u32>,
     /// Write npz and npy in 16 bits: half the size, and 0.5 mm between neighbouring numbers near 1 m
@@ -144,13 +144,11 @@ fn simulate(args: &Args) -> Result<Ending> {
     let mut script = Script::new(&setup);
     let (mut last, mut start) = (0, setup.start.cast());
     simulator.set_state(&start);
-    if let Some(earlier) = earlier {
+    if let (Some(earlier), Some(file)) = (earlier, &args.r#continue) {
         (script, start, last) = (earlier.script, earlier.state, earlier.frame);
         simulator.set_cloths(std::slice::from_ref(script.cloth()))?;
-        simulator
-            .resume(last, &start, &earlier.memory)
-            .map_err(|error| error.of_file(args.r#continue.as_deref().unwrap_or(Path::new(""))))?;
-        recording.extend(&earlier.trajectory)?;
+        simulator.resume(last, &start, &earlier.memory).map_err(|error| error.of_file(file))?;
+        recording.extend_from(file)?;
     } else {
         let [positions, velocities] = setup.points(&start);
         recording.push(&positions, &velocities)?;
@@ -170,8 +168,8 @@ fn simulate(args: &Args) -> Result<Ending> {
     // A GPU that was interrupted has gone a frame further than the recording.
     if simulator.frame() + 1 == run.frames {
         let state = (&simulator.state()?, &simulator.memory()?);
-        let numbers = (run.frames - 1, args.every as usize);
-        rollout_end::keep(&mut run.recording, (&optimizer, &script), numbers, state);
+        let kept = (run.frames - 1, args.kept(&setup));
+        rollout_end::keep(&mut run.recording, (&optimizer, &script), kept, state);
     }
     run.end(played.and(kept))
 }
@@ -227,7 +225,11 @@ impl Args {
     /// Returns which frames the files have.
     fn kept(&self, setup: &Setup) -> Kept {
         let every = self.every as usize;
-        Kept { every, fps: self.fps.unwrap_or(1.0 / (every as f64 * setup.units.frame_time_s)) }
+        Kept {
+            every,
+            half: self.half,
+            fps: self.fps.unwrap_or(1.0 / (every as f64 * setup.units.frame_time_s)),
+        }
     }
 
     /// Returns what the files are to be like.
@@ -252,11 +254,11 @@ impl Args {
         if let Some(fps) = self.fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
             return Err(Error::invalid("--fps", "value", "a number above 0", fps));
         }
-        use Format::{Mdd, Npy, Npz, Obj, Pc2, Ply, Usda};
+        use Format::{Npy, Npz, Obj, Pc2, Ply, Usda};
         for (name, is_given, formats) in [
             ("--half", self.half, &[Npz, Npy][..]),
             ("--compress", self.compress, &[Npz]),
-            ("--start-frame", self.start_frame.is_some(), &[Pc2, Mdd, Usda, Obj, Ply]),
+            ("--start-frame", self.start_frame.is_some(), &[Pc2, Usda, Obj, Ply]),
         ] {
             if is_given && !self.format.iter().any(|format| formats.contains(format)) {
                 let join =

@@ -15,19 +15,21 @@ const MEMORY: [&str; 3] = ["memory_accelerations", "memory_hidden", "memory_scal
 const SOLVER: &str = "solver";
 /// Name of the array of what holds the handles ([`Script::anchors`]).
 const ANCHORS: &str = "handle_anchors";
-/// Names of the numbers of the last frame that was simulated, and of frames from one in the file to the next.
+/// Names of the number of the last frame that was simulated, of that of frames from one in the file to the next, and of
+/// whether they are rounded to 16 bits (1) or not (0).
 const LAST: &str = "last_frame";
 const EVERY: &str = "every";
+const HALF: &str = "half";
 
-/// Which frames of a rollout are in its file, and at which rate it says they are.
+/// Which frames of a rollout are in its file, how exactly, and at which rate it says they are.
 #[derive(Clone, Copy)]
 pub struct Kept {
     pub every: usize,
+    pub half: bool,
     pub fps: f64,
 }
 
 pub struct RolloutEnd<'a> {
-    pub trajectory: Trajectory,
     /// Number of the last frame that was simulated.
     pub frame: usize,
     pub state: State<f32>,
@@ -39,10 +41,8 @@ impl<'a> RolloutEnd<'a> {
     /// Reads it, and checks that the frames are those of the scene and the optimizer.
     pub fn read(file: &Path, setup: &'a Setup, optimizer: &Optimizer, kept: Kept) -> Result<Self> {
         let origin = file.display().to_string();
-        let trajectory = Trajectory::read(
-            file,
-            &ReadOptions { likely_grid: Some(setup.model.grid), ..Default::default() },
-        )?;
+        let options = ReadOptions { likely_grid: Some(setup.model.grid), ..Default::default() };
+        let (outline, frames) = Trajectory::read_outline(file, &options)?;
         let invalid = |field: &str, expected: String, found: String| {
             anyhow::Error::from(Error::invalid(&origin, field, expected, found))
         };
@@ -57,8 +57,8 @@ impl<'a> RolloutEnd<'a> {
             Ok::<_, anyhow::Error>(wide(name)?.into_iter().map(|v| v as f32).collect::<Vec<_>>())
         };
         let grid = setup.model.grid;
-        if trajectory.grid() != grid {
-            return Err(invalid("grid", grid.to_string(), trajectory.grid().to_string()));
+        if outline.grid() != grid {
+            return Err(invalid("grid", grid.to_string(), outline.grid().to_string()));
         }
         // Files of earlier versions have every frame and do not say so.
         let number = |name: &str, default: usize| -> Result<usize> {
@@ -72,19 +72,20 @@ impl<'a> RolloutEnd<'a> {
         };
         let every = number(EVERY, 1)?;
         if every != kept.every {
-            return Err(invalid(
-                "frames",
-                format!("every {} (--every)", kept.every),
-                format!("every {every}"),
-            ));
+            return Err(invalid(EVERY, format!("{} (--every)", kept.every), every.to_string()));
         }
-        if (trajectory.fps() / kept.fps - 1.0).abs() > 1e-9 {
-            return Err(invalid("fps", format!("{}", kept.fps), format!("{}", trajectory.fps())));
+        let half = number(HALF, 0)? == 1;
+        if half != kept.half {
+            let bits = |half| if half { "16 bits (--half)" } else { "32 bits (without --half)" };
+            return Err(invalid("numbers", bits(kept.half).into(), bits(half).into()));
         }
-        let done = number(LAST, trajectory.frames() - 1)?;
-        if done / every + 1 != trajectory.frames() {
+        if (outline.fps() / kept.fps - 1.0).abs() > 1e-9 {
+            return Err(invalid("fps", format!("{}", kept.fps), format!("{}", outline.fps())));
+        }
+        let done = number(LAST, frames - 1)?;
+        if done / every + 1 != frames {
             let expected = format!("{}, up to frame {done}", done / every + 1);
-            return Err(invalid("frames", expected, trajectory.frames().to_string()));
+            return Err(invalid("frames", expected, frames.to_string()));
         }
         if done + 1 >= setup.frames() {
             let expected = format!("fewer than the {} of the scene (--frames asks for more)", setup.frames());
@@ -114,7 +115,7 @@ impl<'a> RolloutEnd<'a> {
             true => Script::resume(setup, done, &wide(ANCHORS)?).map_err(|error| error.of_file(file))?,
             false => Script::new(setup),
         };
-        Ok(Self { trajectory, frame: done, state: State { x, v }, memory, script })
+        Ok(Self { frame: done, state: State { x, v }, memory, script })
     }
 }
 
@@ -122,10 +123,10 @@ impl<'a> RolloutEnd<'a> {
 pub fn keep(
     recording: &mut Recording,
     (optimizer, script): (&Optimizer, &Script<'_>),
-    (frame, every): (usize, usize),
+    (frame, kept): (usize, Kept),
     (state, memory): (&State<f32>, &Memory),
 ) {
-    for (name, number) in [(LAST, frame), (EVERY, every)] {
+    for (name, number) in [(LAST, frame), (EVERY, kept.every), (HALF, usize::from(kept.half))] {
         recording.put_beside(name, ndarray::arr0(number as f64).into_dyn());
     }
     if !script.setup().changes.is_empty() {

@@ -40,8 +40,7 @@ pub struct WriteOptions {
     /// Frames per second that the file names, if not those of the frames: more let them play faster. Velocities stay what
     /// they are, except in USD, whose are those of the file's own time.
     pub fps: Option<f64>,
-    /// Number of the first frame in PC2's header, in USD's time codes, in the names of OBJ and PLY files, and, over the
-    /// frames per second, in MDD's times.
+    /// Number of the first frame in PC2's header, in USD's time codes and in the names of OBJ and PLY files.
     pub start_frame: u32,
     /// Whether z points up instead of y; USD says so, and glTF, which is always y up, is turned.
     pub z_up: bool,

@@ -152,7 +152,7 @@ fn description(clip: &Clip, layout: &Layout) -> io::Result<Value> {
             "bufferView": 0, "byteOffset": offset, "componentType": float, "count": vertices, "type": "VEC3",
         });
         // Positions must have their range.
-        if accessors.len() as u64 % arrays(topology) == 0 {
+        if (accessors.len() as u64).is_multiple_of(arrays(topology)) {
             let range = |of: fn(f32, f32) -> f32| {
                 points.iter().copied().reduce(|a, b| [0, 1, 2].map(|c| of(a[c], b[c]))).unwrap_or_default()
             };

@@ -10,12 +10,12 @@ use std::{
 
 const HEADER_LEN: u64 = 8;
 
-/// Writes the positions of a clip. Frame 0 is at time 0.
+/// Writes the positions of a clip. The first is at time 0: later, single precision would lose the rate.
 pub(super) fn write(clip: &Clip, writer: &mut impl Write) -> io::Result<()> {
     for n in [clip.count(), clip.topology.vertices()] {
         writer.write_all(&i32::try_from(n).map_err(io::Error::other)?.to_be_bytes())?;
     }
-    for frame in clip.start()..clip.start() + clip.count() {
+    for frame in 0..clip.count() {
         writer.write_all(&((frame as f64 / clip.fps()) as f32).to_be_bytes())?;
     }
     clip.write_positions(writer, f32::to_be_bytes)

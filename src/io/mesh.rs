@@ -12,10 +12,18 @@ pub struct Mesh {
     pub faces: Vec<[u32; 3]>,
 }
 
-/// Computes smooth unit normals, shape [V, 3]: the area-weighted mean of the normals of the adjacent faces, which are
-/// polygons of vertex numbers. Faces with a non-finite normal are ignored; a vertex without a usable face gets the
-/// zero vector. Panics if a face has fewer than three corners or a vertex beyond V.
-pub fn vertex_normals(positions: &[[f32; 3]], faces: impl IntoIterator<Item: AsRef<[u32]>>) -> Vec<[f32; 3]> {
+/// Computes smooth unit normals, shape [V, 3]: the area-weighted mean of the normals of the adjacent
+/// triangles. Triangles with a non-finite normal are ignored; a vertex without a usable triangle gets the
+/// zero vector. Panics if a face has a vertex beyond V.
+pub fn vertex_normals(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<[f32; 3]> {
+    polygon_normals(positions, faces)
+}
+
+/// Computes the same from polygons, which have three corners or more.
+pub(super) fn polygon_normals(
+    positions: &[[f32; 3]],
+    faces: impl IntoIterator<Item: AsRef<[u32]>>,
+) -> Vec<[f32; 3]> {
     let mut sums = vec![Vec3::ZERO; positions.len()];
     for face in faces {
         let face = face.as_ref();

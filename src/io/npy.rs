@@ -298,6 +298,29 @@ impl<R: Read> Array<R> {
         ArrayD::from_shape_vec(shape, data).map_err(|e| self.invalid("shape", "a usable shape", e))
     }
 
+    /// Passes on an array of shape [.., 3] in C order, `count` triples at a time, until `take` fails.
+    pub fn triples_at_a_time(
+        &mut self,
+        count: usize,
+        mut take: impl FnMut(&[[f32; 3]]) -> Result<()>,
+    ) -> Result<()> {
+        if self.fortran || self.shape.last() != Some(&3) {
+            let found = format!("{:?}{}", self.shape, if self.fortran { " in Fortran order" } else { "" });
+            return Err(self.invalid("shape", "a last axis of 3, in C order", found));
+        }
+        let (mut numbers, mut taken) = (Vec::new(), Ok(()));
+        self.elements(|x| {
+            numbers.push(x as f32);
+            if numbers.len() == 3 * count {
+                if taken.is_ok() {
+                    taken = take(numbers.as_chunks().0);
+                }
+                numbers.clear();
+            }
+        })?;
+        taken
+    }
+
     /// Reads an array of shape [.., 3] as triples in C order, converting each element with `cast`.
     pub fn triples<T: Copy + Default>(&mut self, cast: impl Fn(f64) -> T) -> Result<Vec<[T; 3]>> {
         if self.shape.last() != Some(&3) {

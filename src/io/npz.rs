@@ -5,6 +5,7 @@ use crate::{Error, Result};
 use ::zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 use ndarray::ArrayD;
 use std::{
+    fs::File,
     io::{self, BufReader, Seek, Write},
     path::Path,
 };
@@ -81,27 +82,58 @@ fn add<T: npy::Number>(
 
 /// Reads an archive. Only the positions are required.
 pub(super) fn read(path: &Path) -> Result<Parts> {
-    let (file, size) = open(path)?;
-    let mut archive = Archive::open(BufReader::new(file), size, path.display().to_string())?;
-    let mut parts = Parts::default();
-    {
-        let mut array = array(&mut archive, path, POSITIONS)?.of_floats()?;
-        parts.shape = array.shape.clone();
-        parts.positions = array.triples(|x| x as f32)?;
-    }
-    let has =
-        |archive: &Archive<_>, name: &str| archive.entries.iter().any(|e| e.name == format!("{name}.npy"));
+    let mut archive = archive(path)?;
+    let mut parts = outline(&mut archive, path)?;
+    parts.positions = array(&mut archive, path, POSITIONS)?.of_floats()?.triples(|x| x as f32)?;
     if has(&archive, VELOCITIES) {
-        let mut array = array(&mut archive, path, VELOCITIES)?.of_floats()?;
-        if array.shape != parts.shape {
-            let expected = format!("the shape of {POSITIONS}, {:?}", parts.shape);
+        parts.velocities = Some(array(&mut archive, path, VELOCITIES)?.of_floats()?.triples(|x| x as f32)?);
+    }
+    Ok(parts)
+}
+
+/// Reads an archive without its positions and velocities.
+pub(super) fn read_outline(path: &Path) -> Result<Parts> {
+    outline(&mut archive(path)?, path)
+}
+
+/// Passes on the positions (0) of all frames, `vertices` each, and after them the velocities (1), which must be there.
+pub(super) fn for_each_frame(
+    path: &Path,
+    vertices: usize,
+    mut take: impl FnMut(usize, &[[f32; 3]]) -> Result<()>,
+) -> Result<()> {
+    let mut archive = archive(path)?;
+    for (which, name) in [POSITIONS, VELOCITIES].into_iter().enumerate() {
+        let mut array = array(&mut archive, path, name)?.of_floats()?;
+        array.triples_at_a_time(vertices, |points| take(which, points))?;
+    }
+    Ok(())
+}
+
+fn archive(path: &Path) -> Result<Archive<BufReader<File>>> {
+    let (file, size) = open(path)?;
+    Archive::open(BufReader::new(file), size, path.display().to_string())
+}
+
+fn has<R>(archive: &Archive<R>, name: &str) -> bool {
+    archive.entries.iter().any(|e| e.name == format!("{name}.npy"))
+}
+
+/// Reads what an archive says of its frames: their shape, which that of the velocities must be, the faces and the rate.
+fn outline(archive: &mut Archive<BufReader<File>>, path: &Path) -> Result<Parts> {
+    let shape = array(archive, path, POSITIONS)?.of_floats()?.shape;
+    if has(archive, VELOCITIES) {
+        let array = array(archive, path, VELOCITIES)?;
+        if array.shape != shape {
+            let expected = format!("the shape of {POSITIONS}, {shape:?}");
             return Err(array.invalid("shape", &expected, format!("{:?}", array.shape)));
         }
-        parts.velocities = Some(array.triples(|x| x as f32)?);
     }
-    if has(&archive, FACES) {
-        let mut array = array(&mut archive, path, FACES)?;
-        let vertices = (parts.positions.len() / parts.shape[0].max(1)) as f64;
+    let mut parts = Parts { shape, ..Parts::default() };
+    if has(archive, FACES) {
+        let mut array = array(archive, path, FACES)?;
+        let axes = parts.shape.get(1..parts.shape.len().max(2) - 1).unwrap_or_default();
+        let vertices = axes.iter().map(|&axis| axis as f64).product::<f64>();
         // An invalid vertex index becomes `u32::MAX`, which the test below finds.
         let number = |x: f64| if x >= 0.0 && x < vertices && x.fract() == 0.0 { x as u32 } else { u32::MAX };
         let faces = array.triples(number)?;
@@ -110,8 +142,8 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
         }
         parts.faces = faces;
     }
-    if has(&archive, RATE) {
-        let mut array = array(&mut archive, path, RATE)?;
+    if has(archive, RATE) {
+        let mut array = array(archive, path, RATE)?;
         let values = array.read(|x| x)?;
         let rate = values.first().copied().filter(|x| values.len() == 1 && x.is_finite() && *x > 0.0);
         parts.fps = Some(rate.ok_or_else(|| array.invalid("value", "one number above 0 [1/s]", &values))?);
@@ -122,9 +154,8 @@ pub(super) fn read(path: &Path) -> Result<Parts> {
 /// Reads one array of floating-point numbers of an NPZ file; `None` if it has none of this name.
 pub fn read_npz_array(path: impl AsRef<Path>, name: &str) -> Result<Option<ArrayD<f64>>> {
     let path = path.as_ref();
-    let (file, size) = open(path)?;
-    let mut archive = Archive::open(BufReader::new(file), size, path.display().to_string())?;
-    if !archive.entries.iter().any(|entry| entry.name == format!("{name}.npy")) {
+    let mut archive = archive(path)?;
+    if !has(&archive, name) {
         return Ok(None);
     }
     array(&mut archive, path, name)?.of_floats()?.read(|x| x).map(Some)

@@ -1,6 +1,6 @@
 //! Frames on disk, for runs of any length.
 
-use super::{Format, Frames, Topology, Trajectory, WriteOptions, write};
+use super::{Format, Frames, Topology, Trajectory, WriteOptions, npz, write};
 use crate::{Error, Result};
 use ndarray::ArrayD;
 use std::{
@@ -32,8 +32,8 @@ pub struct Recording {
     topology: Topology,
     fps: f64,
     frames: usize,
-    positions: Spool,
-    velocities: Spool,
+    /// Positions and velocities.
+    spools: [Spool; 2],
     beside: Vec<(String, ArrayD<f64>)>,
 }
 
@@ -43,8 +43,8 @@ impl Recording {
     pub fn new(folder: impl AsRef<Path>, topology: impl Into<Topology>, fps: f64) -> Result<Self> {
         assert!(fps.is_finite() && fps > 0.0, "frames per second are above 0");
         let spool = || Spool::new(folder.as_ref());
-        let (positions, velocities) = (spool()?, spool()?);
-        Ok(Self { topology: topology.into(), fps, frames: 0, positions, velocities, beside: Vec::new() })
+        let spools = [spool()?, spool()?];
+        Ok(Self { topology: topology.into(), fps, frames: 0, spools, beside: Vec::new() })
     }
 
     /// Appends a frame: positions \[m\] and velocities [m/s], shape [V, 3] each. Fails, and keeps the frames before it, if
@@ -55,8 +55,9 @@ impl Recording {
             positions.len() == vertices && velocities.len() == vertices,
             "a frame has a position and a velocity for each vertex"
         );
-        self.positions.put(self.frames, positions)?;
-        self.velocities.put(self.frames, velocities)?;
+        for (spool, points) in self.spools.iter_mut().zip([positions, velocities]) {
+            spool.put(self.frames, points)?;
+        }
         self.frames += 1;
         Ok(())
     }
@@ -65,6 +66,32 @@ impl Recording {
     pub fn extend(&mut self, trajectory: &Trajectory) -> Result<()> {
         (0..trajectory.frames())
             .try_for_each(|frame| self.push(trajectory.frame(frame), trajectory.frame_velocities(frame)))
+    }
+
+    /// Appends the frames of an NPZ file that a rollout has written, one by one, like [`Recording::push`]. Fails if they
+    /// have another number of vertices or numbers that are not finite.
+    pub fn extend_from(&mut self, path: impl AsRef<Path>) -> Result<()> {
+        let (path, vertices) = (path.as_ref(), self.topology.vertices());
+        let origin = path.display().to_string();
+        let shape = npz::read_outline(path)?.shape;
+        let &[frames, found, 3] = &shape[..] else {
+            return Err(Error::invalid(origin, "shape", "[frames, vertices, 3]", format!("{shape:?}")));
+        };
+        if found != vertices {
+            return Err(Error::invalid(origin, "vertices", vertices.to_string(), found));
+        }
+        let mut next = [self.frames; 2];
+        npz::for_each_frame(path, vertices, |which, points| {
+            if let Some(at) = points.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
+                let field = format!("frame {}, vertex {at}", next[which] - self.frames);
+                return Err(Error::invalid(&origin, field, "finite numbers", format!("{:?}", points[at])));
+            }
+            self.spools[which].put(next[which], points)?;
+            next[which] += 1;
+            Ok(())
+        })?;
+        self.frames += frames;
+        Ok(())
     }
 
     /// Puts an array beside the frames, which only NPZ files hold and [`Trajectory::read`] does not read. It replaces one
@@ -84,6 +111,11 @@ impl Recording {
     ) -> Result<PathBuf> {
         write(self, dir, name, format, options)
     }
+
+    fn get(&self, which: usize, frame: usize) -> io::Result<Cow<'_, [[f32; 3]]>> {
+        assert!(frame < self.frames, "frame {frame} of {}", self.frames);
+        self.spools[which].get(frame, self.topology.vertices()).map(Cow::Owned)
+    }
 }
 
 impl Frames for Recording {
@@ -100,13 +132,11 @@ impl Frames for Recording {
     }
 
     fn positions_of(&self, frame: usize) -> io::Result<Cow<'_, [[f32; 3]]>> {
-        assert!(frame < self.frames, "frame {frame} of {}", self.frames);
-        self.positions.get(frame, self.topology.vertices()).map(Cow::Owned)
+        self.get(0, frame)
     }
 
     fn velocities_of(&self, frame: usize) -> io::Result<Cow<'_, [[f32; 3]]>> {
-        assert!(frame < self.frames, "frame {frame} of {}", self.frames);
-        self.velocities.get(frame, self.topology.vertices()).map(Cow::Owned)
+        self.get(1, frame)
     }
 
     fn beside(&self) -> &[(String, ArrayD<f64>)] {

@@ -1,6 +1,6 @@
 //! What the frames of a trajectory have in common.
 
-use super::vertex_normals;
+use super::mesh::polygon_normals;
 use crate::cloth::Grid;
 use crate::{Error, Result};
 
@@ -94,9 +94,9 @@ impl Topology {
         self.faces().flat_map(|face| face[1..].windows(2).map(|pair| [face[0], pair[0], pair[1]]))
     }
 
-    /// Returns the smooth normals of these positions ([`vertex_normals`]).
+    /// Returns the smooth normals of these positions ([`vertex_normals`](super::vertex_normals)).
     pub(super) fn normals(&self, positions: &[[f32; 3]]) -> Vec<[f32; 3]> {
-        vertex_normals(positions, self.faces())
+        polygon_normals(positions, self.faces())
     }
 }
 

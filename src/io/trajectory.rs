@@ -40,7 +40,7 @@ impl Default for ReadOptions {
 /// The contents of a file, as found by a reader.
 #[derive(Default)]
 pub(super) struct Parts {
-    /// Shape of the positions in the file; [`read_parts`] joins the axes of a grid to one of vertices.
+    /// Shape of the positions in the file; [`with_vertices`] joins the axes of a grid to one of vertices.
     pub shape: Vec<usize>,
     /// The grid, if the positions had its axes.
     pub grid: Option<Grid>,
@@ -149,6 +149,15 @@ impl Trajectory {
         Self::from_parts(read_parts(path)?, options, &path.display().to_string())
     }
 
+    /// Reads what an NPZ file says of its frames, without them: their grid and rate, of a trajectory without frames, and
+    /// their number.
+    pub fn read_outline(path: impl AsRef<Path>, options: &ReadOptions) -> Result<(Self, usize)> {
+        let path = path.as_ref();
+        let parts = Parts { velocities: Some(Vec::new()), ..with_vertices(npz::read_outline(path)?) };
+        let frames = parts.shape.first().copied().unwrap_or_default();
+        Ok((Self::from_parts(parts, options, &path.display().to_string())?, frames))
+    }
+
     /// Reads vertices that need not form a grid, as a grid of a single row. Accepts non-finite numbers.
     pub(crate) fn read_vertices(path: &Path, fps: f64) -> Result<Self> {
         let parts = Parts { faces: Vec::new(), grid: None, ..read_parts(path)? };
@@ -243,12 +252,16 @@ pub(crate) fn intersections_of(grid: Grid, positions: &[[f32; 3]]) -> Vec<Inters
 }
 
 fn read_parts(path: &Path) -> Result<Parts> {
-    let mut parts = read_file(path)?;
+    read_file(path).map(with_vertices)
+}
+
+/// Joins the axes of a grid to one of vertices.
+fn with_vertices(mut parts: Parts) -> Parts {
     if let &[frames, h, w, 3] = &parts.shape[..] {
         parts.grid = Some(Grid { h, w });
         parts.shape = vec![frames, h.saturating_mul(w), 3];
     }
-    Ok(parts)
+    parts
 }
 
 fn read_file(path: &Path) -> Result<Parts> {
