@@ -1,6 +1,6 @@
 //! Frames on disk, for runs of any length.
 
-use super::{Format, Frames, Topology, Trajectory, WriteOptions, npz, write};
+use super::{Format, Frames, Topology, WriteOptions, npz, write};
 use crate::{Error, Result};
 use ndarray::ArrayD;
 use std::{
@@ -62,12 +62,6 @@ impl Recording {
         Ok(())
     }
 
-    /// Appends the frames of a trajectory like [`Recording::push`].
-    pub fn extend(&mut self, trajectory: &Trajectory) -> Result<()> {
-        (0..trajectory.frames())
-            .try_for_each(|frame| self.push(trajectory.frame(frame), trajectory.frame_velocities(frame)))
-    }
-
     /// Appends the frames of an NPZ file that a rollout has written, one by one, like [`Recording::push`]. Fails if they
     /// have another number of vertices or numbers that are not finite.
     pub fn extend_from(&mut self, path: impl AsRef<Path>) -> Result<()> {
@@ -94,14 +88,14 @@ impl Recording {
         Ok(())
     }
 
-    /// Puts an array beside the frames, which only NPZ files hold and [`Trajectory::read`] does not read. It replaces one
-    /// of the same name.
+    /// Puts an array beside the frames, which only NPZ files hold ([`read_npz_array`](super::read_npz_array)). It replaces one of the same
+    /// name.
     pub fn put_beside(&mut self, name: &str, array: ArrayD<f64>) {
         self.beside.retain(|(other, _)| other != name);
         self.beside.push((name.to_owned(), array));
     }
 
-    /// Writes the frames so far as [`write`] does.
+    /// Writes the frames so far as [`write()`] does.
     pub fn write(
         &self,
         dir: impl AsRef<Path>,

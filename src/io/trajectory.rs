@@ -125,7 +125,7 @@ impl Trajectory {
         ArrayView3::from_shape(shape, data.as_flattened()).expect("whole frames were pushed")
     }
 
-    /// Writes the trajectory into the folder `dir`, with the default options, as [`write`] does.
+    /// Writes the trajectory into the folder `dir`, with the default options, as [`write()`] does.
     pub fn write(&self, dir: impl AsRef<Path>, name: &str, format: Format) -> Result<PathBuf> {
         write(self, dir, name, format, &WriteOptions::default())
     }

@@ -14,7 +14,9 @@ fn a_recording_writes_what_a_trajectory_writes() {
     let [memory, disk] = [(); 2].map(|()| tempfile::tempdir().unwrap());
     let trajectory = waving(GRID, 7);
     let mut recording = Recording::new(disk.path(), GRID, 60.0).unwrap();
-    recording.extend(&trajectory).unwrap();
+    for frame in 0..7 {
+        recording.push(trajectory.frame(frame), trajectory.frame_velocities(frame)).unwrap();
+    }
     assert_eq!(recording.frames(), 7);
     for format in Format::ALL {
         let options = WriteOptions::default();
