@@ -27,7 +27,7 @@
 //! ```text
 //! scene::Scene (SI units) -> scene::Setup: cloth::Model (grid, material, air, handles) + cloth::State (x, v), grid units
 //! cloth::Control (this frame's handles, wind, external accelerations) -> sim::Solver or cpu::Solver -> the next State
-//! Simulator: submits, reads back -> io::Trajectory, render::strip; or sim::Vertices, a vertex buffer in the caller's pass
+//! Simulator: submits, reads back -> io::Recording, io::write, render::strip; or sim::Vertices, a vertex buffer in the caller's pass
 //! ```
 //!
 //! The stages exist twice, with the same meaning. [`cpu`] implements them in plain Rust, in single or double

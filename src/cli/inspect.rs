@@ -20,7 +20,8 @@ pub struct Args {
 
 pub fn run(args: &Args) -> Result<Ending> {
     let extension = args.file.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
-    if args.file.is_dir() || Format::SINGLE_FILES.iter().any(|format| format.name() == extension) {
+    // Those that are written only are refused as such.
+    if args.file.is_dir() || Format::ALL.iter().any(|format| format.name() == extension) {
         return trajectory(args);
     }
     let checkpoint = Checkpoint::open(&args.file)?;

@@ -2,24 +2,25 @@
 
 use super::device::InferenceArgs;
 use super::output::{output, progress, status};
-use super::rollout_end::{self, RolloutEnd};
+use super::rollout_end::{self, Kept, RolloutEnd};
 use super::{
     Ending, SolverArgs, go_on, interrupt_flag, load_scene, material, numbers, one_grid, writable_file,
     writable_folder,
 };
 use anyhow::Result;
 use fnopt::Frame;
-use fnopt::cloth::{BodyStats, LayerStats};
+use fnopt::cloth::{BodyStats, LayerStats, State};
 use fnopt::eval::{Soundness, Verdict, median_time};
-use fnopt::io::{Format, Trajectory, write_atomic};
-use fnopt::render::{Bodies, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
-use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Script, Setup};
+use fnopt::io::{Format, Frames, Recording, Topology, Trajectory, WriteOptions, write_atomic};
+use fnopt::render::{Bodies, Film, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
+use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Script, Setup, UpAxis};
 use fnopt::sim::{FrameStats, Optimizer};
 use fnopt::{Error, io};
 use std::borrow::Cow;
 use std::cell::OnceCell;
 use std::collections::BTreeSet;
 use std::io::Write;
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `fnopt rollout`.
@@ -63,9 +64,24 @@ pub struct Args {
     /// Folder to write to
     #[arg(long, default_value = "out", value_name = "DIR")]
     out: PathBuf,
-    /// Formats of the positions: npz, npy, obj, ply, pc2, mdd
+    /// Formats of the positions: npz, npy, obj, ply, pc2, mdd, usda, glb
     #[arg(long, value_delimiter = ',', default_value = "npz", value_name = "FORMAT,..")]
     format: Vec<Format>,
+    /// Keep every N-th frame, from frame 0 on, in files and pictures
+    #[arg(long, default_value_t = 1, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_FRAMES as i64))]
+    every: u32,
+    /// Frames per second that the files name [default: as many as a second of the simulation has]
+    #[arg(long, value_name = "RATE")]
+    fps: Option<f64>,
+    /// Number of the first frame in files that number them: pc2, usda, obj, ply [default: 0]
+    #[arg(long, value_name = "F", value_parser = clap::value_parser!(u32).range(..=MAX_FRAMES as i64))]
+    start_frame: Option<u32>,
+    /// Write npz and npy in 16 bits: half the size, and 0.5 mm between neighbouring numbers near 1 m
+    #[arg(long)]
+    half: bool,
+    /// Deflate npz
+    #[arg(long)]
+    compress: bool,
     /// Draw no pictures
     #[arg(long)]
     no_pictures: bool,
@@ -111,12 +127,11 @@ fn simulate(args: &Args) -> Result<Ending> {
     let optimizer = args.solver.optimizer()?;
     args.solver.check_grid(&optimizer, setup.model.grid)?;
     args.check_inputs_are_kept(&scene)?;
-    args.format.iter().try_for_each(|format| format.check_capacity(setup.frames(), "--format"))?;
+    args.check_formats(&setup)?;
     let earlier = match &args.r#continue {
-        Some(file) => Some(RolloutEnd::read(file, &setup, &optimizer)?),
+        Some(file) => Some(RolloutEnd::read(file, &setup, &optimizer, args.kept(&setup))?),
         None => None,
     };
-    let trajectory = setup.trajectory()?;
     let solver = (&optimizer, args.solver.iterations(&optimizer));
     let (mut simulator, device, line) = args.device.simulator(&setup.model, solver)?;
     let interrupted = interrupt_flag();
@@ -125,34 +140,38 @@ fn simulate(args: &Args) -> Result<Ending> {
     args.files().iter().chain([&args.replay()]).try_for_each(|file| writable_file(file))?;
     args.folders().iter().try_for_each(|folder| writable_folder(folder))?;
 
-    let mut trajectory = trajectory;
+    let mut recording = args.recording(&setup)?;
     let mut script = Script::new(&setup);
-    let mut start = setup.start.cast();
+    let (mut last, mut start) = (0, setup.start.cast());
     simulator.set_state(&start);
-    if let Some(earlier) = earlier {
-        (script, start, trajectory) = (earlier.script, earlier.state, earlier.trajectory);
+    if let (Some(earlier), Some(file)) = (earlier, &args.r#continue) {
+        (script, start, last) = (earlier.script, earlier.state, earlier.frame);
         simulator.set_cloths(std::slice::from_ref(script.cloth()))?;
-        simulator
-            .resume(trajectory.frames() - 1, &start, &earlier.memory)
-            .map_err(|error| error.of_file(args.r#continue.as_deref().unwrap_or(Path::new(""))))?;
-        trajectory.reserve(setup.frames() - trajectory.frames())?;
+        simulator.resume(last, &start, &earlier.memory).map_err(|error| error.of_file(file))?;
+        recording.extend_from(file)?;
+    } else {
+        let [positions, velocities] = setup.points(&start);
+        recording.push(&positions, &velocities)?;
     }
     let soundness = Soundness::after(script.clone(), &start);
-    let mut run = Run::new(args, (&scene, soundness), &optimizer, (device.name(), trajectory));
-    let bar = progress((setup.frames() - run.trajectory.frames()) as u64, "frames");
-    let outcome = simulator.play(&mut script, |_, frame| {
+    let mut run = Run::new(args, (&scene, soundness), &optimizer, (device.name(), recording));
+    (run.frames, run.last) = (last + 1, start);
+    let bar = progress((setup.frames() - run.frames) as u64, "frames");
+    let mut kept = Ok(());
+    let played = simulator.play(&mut script, |_, frame| {
         bar.inc(1);
         bar.set_message(format!("energy {:.4}", frame.stats[0].energy.total()));
-        run.keep(&frame);
-        go_on(&interrupted)
+        kept = run.keep(frame);
+        if kept.is_err() { ControlFlow::Break(()) } else { go_on(&interrupted) }
     });
     bar.finish_and_clear();
-    // A GPU that was interrupted has gone a frame further than the trajectory.
-    if simulator.frame() + 1 == run.trajectory.frames() {
+    // A GPU that was interrupted has gone a frame further than the recording.
+    if simulator.frame() + 1 == run.frames {
         let state = (&simulator.state()?, &simulator.memory()?);
-        rollout_end::keep(&mut run.trajectory, &optimizer, &script, state);
+        let kept = (run.frames - 1, args.kept(&setup));
+        rollout_end::keep(&mut run.recording, (&optimizer, &script), kept, state);
     }
-    run.end(outcome)
+    run.end(played.and(kept))
 }
 
 impl Args {
@@ -203,6 +222,56 @@ impl Args {
         Ok(scene)
     }
 
+    /// Returns which frames the files have.
+    fn kept(&self, setup: &Setup) -> Kept {
+        let every = self.every as usize;
+        Kept {
+            every,
+            half: self.half,
+            fps: self.fps.unwrap_or(1.0 / (every as f64 * setup.units.frame_time_s)),
+        }
+    }
+
+    /// Returns what the files are to be like.
+    fn options(&self, setup: &Setup) -> WriteOptions {
+        WriteOptions {
+            fps: self.fps,
+            start_frame: self.start_frame.unwrap_or_default(),
+            z_up: setup.up == UpAxis::Z,
+            half: self.half,
+            compress: self.compress,
+        }
+    }
+
+    /// Returns the recording of a run, at the rate of the simulation.
+    fn recording(&self, setup: &Setup) -> fnopt::Result<Recording> {
+        let fps = 1.0 / (f64::from(self.every) * setup.units.frame_time_s);
+        Recording::new(&self.out, setup.topology(), fps)
+    }
+
+    /// Fails if a format cannot hold the frames, or an option has no format that it is about.
+    fn check_formats(&self, setup: &Setup) -> fnopt::Result<()> {
+        if let Some(fps) = self.fps.filter(|fps| !(fps.is_finite() && *fps > 0.0)) {
+            return Err(Error::invalid("--fps", "value", "a number above 0", fps));
+        }
+        use Format::{Npy, Npz, Obj, Pc2, Ply, Usda};
+        for (name, is_given, formats) in [
+            ("--half", self.half, &[Npz, Npy][..]),
+            ("--compress", self.compress, &[Npz]),
+            ("--start-frame", self.start_frame.is_some(), &[Pc2, Usda, Obj, Ply]),
+        ] {
+            if is_given && !self.format.iter().any(|format| formats.contains(format)) {
+                let join =
+                    |all: &[Format], by: &str| all.iter().map(|f| f.name()).collect::<Vec<_>>().join(by);
+                let expected = format!("{}, which it is about", join(formats, " or "));
+                return Err(Error::invalid(name, "--format", expected, join(&self.format, ",")));
+            }
+        }
+        let topology = Topology::from(setup.model.grid);
+        let frames = (setup.frames() - 1) / self.every as usize + 1;
+        self.format.iter().try_for_each(|format| format.check_capacity(&topology, frames, "--format"))
+    }
+
     /// Returns an error if the output would overwrite a file that the simulation reads, or could remove it from
     /// a folder of frames.
     fn check_inputs_are_kept(&self, scene: &Scene) -> Result<()> {
@@ -232,7 +301,7 @@ impl Args {
     /// The files that will be written, except those in folders of frames.
     fn files(&self) -> Vec<PathBuf> {
         let endings = |format: &Format| match format {
-            Format::Obj | Format::Ply => vec![],
+            folder if folder.is_folder() => vec![],
             // With the mesh that it moves.
             cache if cache.is_vertex_cache() => vec![cache.name(), "obj"],
             single => vec![single.name()],
@@ -245,7 +314,7 @@ impl Args {
 
     /// The folders of frames that will be written.
     fn folders(&self) -> Vec<PathBuf> {
-        let frames = |format: &&Format| matches!(format, Format::Obj | Format::Ply);
+        let frames = |format: &&Format| format.is_folder();
         self.format.iter().filter(frames).map(|format| self.out.join(format!("{NAME}_{format}"))).collect()
     }
 
@@ -274,7 +343,12 @@ struct Run<'a> {
     setup: &'a Setup,
     optimizer: &'a Optimizer,
     device: String,
-    trajectory: Trajectory,
+    /// Every [`Args::every`]-th frame.
+    recording: Recording,
+    /// Number of frames so far, including the start.
+    frames: usize,
+    /// The last of them.
+    last: State<f32>,
     per_frame: Vec<PerFrame>,
     /// See [`Run::intersections`]; counted when first asked for, once all frames are there.
     intersections: OnceCell<Option<[usize; 2]>>,
@@ -352,24 +426,31 @@ impl<'a> Run<'a> {
         args: &'a Args,
         (scene, soundness): (&'a Scene, Soundness<'a>),
         optimizer: &'a Optimizer,
-        (device, trajectory): (String, Trajectory),
+        (device, recording): (String, Recording),
     ) -> Self {
+        let setup = soundness.setup();
         Self {
             args,
             scene,
-            setup: soundness.setup(),
+            setup,
             optimizer,
             device,
-            trajectory,
+            recording,
+            frames: 1,
+            last: setup.start.cast(),
             per_frame: Vec::new(),
             intersections: OnceCell::new(),
             soundness,
         }
     }
 
-    fn keep(&mut self, frame: &Frame) {
-        self.setup.push(&mut self.trajectory, &frame.state);
-        self.soundness.judge(frame);
+    /// Takes a frame. Fails, and leaves it out, if the disk is full.
+    fn keep(&mut self, frame: Frame) -> fnopt::Result<()> {
+        if frame.index.is_multiple_of(self.args.every as usize) {
+            let [positions, velocities] = self.setup.points(&frame.state);
+            self.recording.push(&positions, &velocities)?;
+        }
+        self.soundness.judge(&frame);
         let stats = frame.stats[0].clone();
         self.per_frame.push(PerFrame {
             frame: frame.index,
@@ -379,12 +460,22 @@ impl<'a> Run<'a> {
             layers: stats.layers.map(|layers| OfLayers::new(layers, self.setup)),
             stats,
         });
+        (self.frames, self.last) = (frame.index + 1, frame.state);
+        Ok(())
+    }
+
+    /// Returns a frame by itself.
+    fn alone(&self, state: &State<f32>) -> Trajectory {
+        let alone = Trajectory::new(self.setup.model.grid, 1.0 / self.setup.units.frame_time_s);
+        let mut alone = alone.with_mask(self.setup.model.cloths[0].mask.clone());
+        self.setup.push(&mut alone, state);
+        alone
     }
 
     /// Writes the frames, however the run ended, and reports how it ended.
     fn end(&self, outcome: fnopt::Result<()>) -> Result<Ending> {
         let status = match &outcome {
-            Ok(()) if self.trajectory.frames() < self.setup.frames() => Status::Interrupted,
+            Ok(()) if self.frames < self.setup.frames() => Status::Interrupted,
             Ok(()) => Status::Done,
             Err(Error::NonFinite { .. }) => Status::NonFinite,
             Err(_) => Status::Failed,
@@ -400,7 +491,7 @@ impl<'a> Run<'a> {
         if let Some(error) = returned {
             return Err(error.into());
         }
-        let last = self.trajectory.frames() - 1;
+        let last = self.frames - 1;
         let ending = match outcome {
             Ok(()) if status == Status::Interrupted => {
                 status!("interrupted after frame {last}; the frames so far are kept");
@@ -444,10 +535,7 @@ impl<'a> Run<'a> {
 
     /// Writes the last good state as a trajectory of one frame.
     fn write_replay(&self) -> fnopt::Result<Vec<PathBuf>> {
-        let mut last = Trajectory::new(self.trajectory.grid(), self.trajectory.fps());
-        let frame = self.trajectory.frames() - 1;
-        last.push(self.trajectory.frame(frame), self.trajectory.frame_velocities(frame));
-        Ok(vec![last.write(&self.args.out, REPLAY, Format::Npz)?])
+        Ok(vec![self.alone(&self.last).write(&self.args.out, REPLAY, Format::Npz)?])
     }
 
     /// Writes all files, after removing report and replay of an earlier run, which would be taken for this
@@ -464,12 +552,13 @@ impl<'a> Run<'a> {
         let formats: BTreeSet<Format> = self.args.format.iter().copied().collect();
         let out = &self.args.out;
         for &format in &formats {
-            note(self.trajectory.write(out, NAME, format).map(|path| vec![path]));
+            let options = self.args.options(self.setup);
+            note(self.recording.write(out, NAME, format, &options).map(|path| vec![path]));
         }
         if formats.iter().any(|format| format.is_vertex_cache()) {
             // The mesh that it moves.
             let mesh = out.join(format!("{NAME}.obj"));
-            note(self.trajectory.write_mesh(&mesh).map(|()| vec![mesh]));
+            note(io::write_mesh(&self.recording, &mesh).map(|()| vec![mesh]));
         }
         if !self.args.no_pictures {
             note(self.write_picture());
@@ -498,15 +587,19 @@ impl<'a> Run<'a> {
         let path = self.args.out.join(format!("{NAME}.png"));
         let (view, crossings) = (self.view(), self.shows_crossings());
         let options = StripOptions { view, bodies: &self.bodies(), crossings, ..Default::default() };
-        write_png(&path, &strip(&self.trajectory, self.handles(), &options))?;
+        write_png(&path, &strip(self.film(), self.handles(), &options))?;
         Ok(vec![path])
     }
 
     fn write_animation(&self) -> fnopt::Result<Vec<PathBuf>> {
         let path = self.args.out.join(format!("{NAME}.gif"));
         let options = GifOptions { view: self.view(), bodies: &self.bodies(), ..Default::default() };
-        write_gif(&path, &self.trajectory, self.handles(), &options)?;
+        write_gif(&path, self.film(), self.handles(), &options)?;
         Ok(vec![path])
+    }
+
+    fn film(&self) -> Film<'_> {
+        Film { grid: self.setup.model.grid, frames: &self.recording, every: self.args.every as usize }
     }
 
     fn view(&self) -> View {
@@ -538,6 +631,8 @@ impl<'a> Run<'a> {
                 "iterations": iterates.then(|| self.args.solver.iterations(self.optimizer)),
                 "checkpoint": checkpoint.as_deref().map(absolute).map(|path| path.display().to_string()),
                 "precision": self.args.device.precision,
+                "every": self.args.every,
+                "fps": self.args.kept(self.setup).fps,
             },
             "weights_crc32": self.optimizer.weights_crc32(),
             "device": self.device,
@@ -549,10 +644,10 @@ impl<'a> Run<'a> {
             "steps_shortened": self.per_frame.iter().map(|frame| frame.stats.steps.shortened).sum::<usize>(),
             "directions_dropped": self.directions_dropped(),
             "intersections": self.intersections().map(|[edges, pairs]| {
-                serde_json::json!({ "frame": self.trajectory.frames() - 1, "edges": edges, "edge_triangle_pairs": pairs })
+                serde_json::json!({ "frame": self.frames - 1, "edges": edges, "edge_triangle_pairs": pairs })
             }),
             "files": names(written).chain([REPORT.into()]).collect::<Vec<_>>(),
-            "frames": self.trajectory.frames(),
+            "frames": self.frames,
             "ms_per_frame": self.ms_per_frame(),
             "per_frame": self.per_frame,
         })
@@ -564,8 +659,7 @@ impl<'a> Run<'a> {
     }
 
     fn count_intersections(&self) -> Option<[usize; 2]> {
-        let found =
-            self.args.intersections.then(|| self.trajectory.intersections(self.trajectory.frames() - 1))?;
+        let found = self.args.intersections.then(|| self.alone(&self.last).intersections(0))?;
         Some([found.iter().map(|one| one.edge).collect::<BTreeSet<_>>().len(), found.len()])
     }
 
@@ -573,7 +667,8 @@ impl<'a> Run<'a> {
     /// the start.
     fn shows_crossings(&self) -> bool {
         let stays_apart = self.setup.model.repels() || self.setup.model.touches_itself();
-        self.args.intersections || stays_apart && !self.trajectory.intersections(0).is_empty()
+        self.args.intersections
+            || stays_apart && !self.alone(&self.setup.start.cast()).intersections(0).is_empty()
     }
 
     /// Directions that were not finite and were left out, in all frames.
@@ -590,7 +685,7 @@ impl<'a> Run<'a> {
         if self.args.json {
             let files: Vec<_> = written.iter().map(|path| path.display().to_string()).collect();
             let summary = serde_json::json!({
-                "device": self.device, "status": status, "frames": self.trajectory.frames(), "ms_per_frame": self.ms_per_frame(),
+                "device": self.device, "status": status, "frames": self.frames, "ms_per_frame": self.ms_per_frame(),
                 "energy_total": energy, "gradient_last": gradient, "stretch_largest": stretch,
                 "stretch_largest_free": self.verdict().stretch_largest_free, "gap_estimate": self.verdict().gap_estimate,
                 "sound": status != Status::NonFinite && self.verdict().is_sound(), "unsound": self.unsound(),
@@ -599,7 +694,11 @@ impl<'a> Run<'a> {
             writeln!(out, "{summary:#}")?;
             return Ok(());
         }
-        writeln!(out, "frames          {} at {}", self.trajectory.frames(), self.trajectory.grid())?;
+        let kept = match self.args.every {
+            1 => String::new(),
+            _ => format!(", {} of them in the files", self.recording.frames()),
+        };
+        writeln!(out, "frames          {} at {}{kept}", self.frames, self.setup.model.grid)?;
         writeln!(out, "device          {}", self.device)?;
         if let (Some(energy), Some(gradient), Some(stretch)) = (energy, gradient, stretch) {
             writeln!(out, "ms/frame        {:.2}", self.ms_per_frame())?;
@@ -654,12 +753,14 @@ mod tests {
         let Alone { args } = Alone::parse_from(["rollout", "--solver", "gd", "--no-pictures", "--out", out]);
         let (scene, optimizer) = (args.scene().unwrap(), args.solver.optimizer().unwrap());
         let setup = scene.setup().unwrap();
-        let trajectory = setup.trajectory().unwrap();
+        let mut recording = args.recording(&setup).unwrap();
+        let [positions, velocities] = setup.points(&setup.start.cast());
+        recording.push(&positions, &velocities).unwrap();
         let scene = (&scene, Soundness::new(&setup));
-        let mut run = Run::new(&args, scene, &optimizer, (String::new(), trajectory));
+        let mut run = Run::new(&args, scene, &optimizer, (String::new(), recording));
         let mut simulator = Simulator::new(&Device::Cpu, &setup.model, &optimizer, 1).unwrap();
         simulator.set_state(&setup.start.cast());
-        run.keep(&simulator.step(&setup.control(1)).unwrap());
+        run.keep(simulator.step(&setup.control(1)).unwrap()).unwrap();
         let Err(error) = run.end(Err(Error::Device("lost".into()))) else { panic!("the run did not fail") };
         assert_eq!(error.to_string(), "device: lost");
         let kept = Trajectory::read(folder.path().join("rollout.npz"), &Default::default()).unwrap();

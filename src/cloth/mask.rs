@@ -3,6 +3,7 @@
 use super::Grid;
 use crate::{Error, Result};
 use bytemuck::{Pod, Zeroable};
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Which particles of a grid a cloth has. The others have no mass, take part in no term of the energy, touch nothing
@@ -15,6 +16,8 @@ pub struct Mask {
     grid: Grid,
     /// Shape [H, W].
     inside: Arc<[bool]>,
+    /// For each particle the nearest one that the cloth has, itself if that is it; shape [H, W].
+    stand_ins: Arc<[u32]>,
 }
 
 impl Mask {
@@ -36,7 +39,8 @@ impl Mask {
             let expected = format!("a shape that covers at least one cell of the grid of {grid}");
             return Err(Error::invalid(origin, "mask", expected, format!("{count} particles and no cell")));
         }
-        Ok(Self { grid, inside: inside.into() })
+        let stand_ins = stand_ins(grid, &inside).into();
+        Ok(Self { grid, inside: inside.into(), stand_ins })
     }
 
     /// Returns the grid that it belongs to.
@@ -61,12 +65,10 @@ impl Mask {
         faces.chunks_exact(2).filter(|cell| is_whole(cell)).flatten().copied().collect()
     }
 
-    /// Returns the particle of the cloth nearest to a place, in rows and columns.
+    /// Returns the particle of the cloth that is the fewest edges of the grid away from particle `p`. Panics if the grid has
+    /// no such particle.
     pub fn nearest(&self, p: usize) -> usize {
-        let w = self.grid.w;
-        let away = |q: usize| (p / w).abs_diff(q / w).pow(2) + (p % w).abs_diff(q % w).pow(2);
-        let own = (0..self.inside.len()).filter(|&q| self.contains(q));
-        own.min_by_key(|&q| away(q)).expect("a mask has particles")
+        self.stand_ins[p] as usize
     }
 
     /// Returns how many of the four cells around particle `p` the cloth has.
@@ -81,6 +83,29 @@ impl Mask {
         }
         count
     }
+}
+
+/// Returns for each particle the nearest one inside, along edges of the grid.
+fn stand_ins(grid: Grid, inside: &[bool]) -> Vec<u32> {
+    const NONE: u32 = u32::MAX;
+    let (n, w) = (grid.particles(), grid.w);
+    let mut nearest: Vec<u32> = (0..n).map(|p| if inside[p] { p as u32 } else { NONE }).collect();
+    let mut reached: VecDeque<usize> = (0..n).filter(|&p| inside[p]).collect();
+    while let Some(p) = reached.pop_front() {
+        let around = [
+            (p >= w).then(|| p - w),
+            (p + w < n).then_some(p + w),
+            (p % w > 0).then(|| p - 1),
+            (p % w + 1 < w).then_some(p + 1),
+        ];
+        for q in around.into_iter().flatten() {
+            if nearest[q] == NONE {
+                nearest[q] = nearest[p];
+                reached.push_back(q);
+            }
+        }
+    }
+    nearest
 }
 
 /// Iterates over the corners of the cells of a grid.

@@ -1,5 +1,6 @@
 //! The file formats for trajectories.
 
+use super::{Topology, glb};
 use crate::{Error, Result};
 use std::{fmt, str::FromStr};
 
@@ -18,13 +19,18 @@ pub enum Format {
     Pc2,
     /// NewTek's MDD, a vertex cache that Blender's Mesh Cache modifier, Maya, Houdini and LightWave read.
     Mdd,
+    /// USD as text: a mesh with time-sampled points, velocities, normals and extent, in metres.
+    Usda,
+    /// Binary glTF: a morph target for each frame but the first, for short clips.
+    Glb,
 }
 
 impl Format {
     /// All formats.
-    pub const ALL: [Format; 6] = [Self::Npz, Self::Npy, Self::Obj, Self::Ply, Self::Pc2, Self::Mdd];
+    pub const ALL: [Format; 8] =
+        [Self::Npz, Self::Npy, Self::Obj, Self::Ply, Self::Pc2, Self::Mdd, Self::Usda, Self::Glb];
 
-    /// Those of which one file holds a whole trajectory; all can be read ([`Trajectory::read`](super::Trajectory::read)).
+    /// Those of which a single file holds a trajectory that can be read ([`Trajectory::read`](super::Trajectory::read)).
     pub const SINGLE_FILES: [Format; 4] = [Self::Npz, Self::Npy, Self::Pc2, Self::Mdd];
 
     /// Whether it holds positions alone, and moves the vertices of a mesh that is imported beside it.
@@ -41,15 +47,25 @@ impl Format {
             Self::Ply => "ply",
             Self::Pc2 => "pc2",
             Self::Mdd => "mdd",
+            Self::Usda => "usda",
+            Self::Glb => "glb",
         }
     }
 
-    /// Checks that a file of this format can hold `frames` frames. Fails with an error that names `origin`.
-    pub fn check_capacity(self, frames: usize, origin: &str) -> Result<()> {
-        if self.is_vertex_cache() && i32::try_from(frames).is_err() {
-            return Err(Error::invalid(origin, self.name(), "at most 2^31 - 1 frames", frames));
+    /// Whether it is a folder with a file per frame.
+    pub fn is_folder(self) -> bool {
+        matches!(self, Self::Obj | Self::Ply)
+    }
+
+    /// Checks that a file of this format can hold `frames` frames of a mesh. Fails with an error that names `origin`.
+    pub fn check_capacity(self, topology: &Topology, frames: usize, origin: &str) -> Result<()> {
+        match self {
+            cache if cache.is_vertex_cache() && i32::try_from(frames).is_err() => {
+                Err(Error::invalid(origin, self.name(), "at most 2^31 - 1 frames", frames))
+            }
+            Self::Glb => glb::check_capacity(topology, frames, origin),
+            _ => Ok(()),
         }
-        Ok(())
     }
 }
 
@@ -71,6 +87,7 @@ impl FromStr for Format {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloth::Grid;
 
     #[test]
     fn names_round_trip_and_misspellings_get_a_suggestion() {
@@ -83,8 +100,11 @@ mod tests {
 
     #[test]
     fn frames_beyond_a_format_are_refused_beforehand() {
-        Format::ALL.iter().for_each(|format| format.check_capacity(1_000_000, "--format").unwrap());
-        let error = Format::Pc2.check_capacity(1 << 31, "--format").unwrap_err().to_string();
+        let topology = Topology::from(Grid { h: 8, w: 8 });
+        for format in Format::ALL.into_iter().filter(|format| *format != Format::Glb) {
+            format.check_capacity(&topology, 1_000_000, "--format").unwrap();
+        }
+        let error = Format::Pc2.check_capacity(&topology, 1 << 31, "--format").unwrap_err().to_string();
         assert!(error.contains("pc2: expected at most 2^31 - 1 frames"), "{error}");
     }
 }

@@ -1,7 +1,7 @@
 //! NewTek's MDD (`.mdd`), big-endian throughout: the numbers of frames and points, the time of each frame \[s\], then the
 //! positions of every point of every frame as `f32`.
 
-use super::{Trajectory, open, read_points, trajectory::Parts};
+use super::{clip::Clip, open, read_points, trajectory::Parts};
 use crate::{Error, Result};
 use std::{
     io::{self, BufReader, Read, Write},
@@ -10,20 +10,15 @@ use std::{
 
 const HEADER_LEN: u64 = 8;
 
-/// Writes the positions of a trajectory, whose first frame is at time 0.
-pub(super) fn write(trajectory: &Trajectory, mut writer: impl Write) -> io::Result<()> {
-    for n in [trajectory.frames(), trajectory.grid().particles()] {
+/// Writes the positions of a clip. The first is at time 0: later, single precision would lose the rate.
+pub(super) fn write(clip: &Clip, writer: &mut impl Write) -> io::Result<()> {
+    for n in [clip.count(), clip.topology.vertices()] {
         writer.write_all(&i32::try_from(n).map_err(io::Error::other)?.to_be_bytes())?;
     }
-    for frame in 0..trajectory.frames() {
-        writer.write_all(&((frame as f64 / trajectory.fps()) as f32).to_be_bytes())?;
+    for frame in 0..clip.count() {
+        writer.write_all(&((frame as f64 / clip.fps()) as f32).to_be_bytes())?;
     }
-    for frame in 0..trajectory.frames() {
-        for x in trajectory.frame(frame).as_flattened() {
-            writer.write_all(&x.to_be_bytes())?;
-        }
-    }
-    Ok(())
+    clip.write_positions(writer, f32::to_be_bytes)
 }
 
 /// Reads the positions of a cache, and the frames per second from the times of the first frame and the last.

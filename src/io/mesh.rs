@@ -16,10 +16,21 @@ pub struct Mesh {
 /// triangles. Triangles with a non-finite normal are ignored; a vertex without a usable triangle gets the
 /// zero vector. Panics if a face has a vertex beyond V.
 pub fn vertex_normals(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<[f32; 3]> {
+    polygon_normals(positions, faces)
+}
+
+/// Computes the same from polygons, which have three corners or more.
+pub(super) fn polygon_normals(
+    positions: &[[f32; 3]],
+    faces: impl IntoIterator<Item: AsRef<[u32]>>,
+) -> Vec<[f32; 3]> {
     let mut sums = vec![Vec3::ZERO; positions.len()];
     for face in faces {
-        let [a, b, c] = face.map(|k| Vec3::from(positions[k as usize]));
-        let normal = (b - a).cross(c - a);
+        let face = face.as_ref();
+        let at = |k: u32| Vec3::from(positions[k as usize]);
+        let a = at(face[0]);
+        let halves = face[1..].windows(2).map(|pair| (at(pair[0]) - a).cross(at(pair[1]) - a));
+        let normal: Vec3 = halves.reduce(|a, b| a + b).expect("a face has three corners");
         if normal.is_finite() {
             face.iter().for_each(|&k| sums[k as usize] += normal);
         }

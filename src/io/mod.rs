@@ -1,12 +1,16 @@
 //! Readers and writers of trajectories, meshes and arrays.
 //!
-//! A run collects its frames in a [`Trajectory`] and writes it in any [`Format`]. Readers are strict: a file
+//! Frames in memory are a [`Trajectory`], those of a run a [`Recording`] on disk; both are written in any [`Format`]
+//! ([`write()`]). Readers are strict: a file
 //! that is truncated, too long or inconsistent is rejected with its name and the offending field, and the
 //! sizes in a header are checked against the length of the file before anything is allocated for them.
 
 mod atomic;
+mod clip;
 mod document;
+mod folder;
 mod format;
+mod glb;
 mod mdd;
 mod mesh;
 mod npy;
@@ -14,11 +18,15 @@ mod npz;
 mod obj;
 mod pc2;
 mod ply;
+mod recording;
+mod topology;
 mod trajectory;
+mod usda;
 mod zip;
 
 pub(crate) use atomic::{UNFINISHED, replace};
 pub use atomic::{folder_of, is_stream, target_of, write_atomic};
+pub use clip::{Frames, WriteOptions, write, write_mesh};
 #[cfg(feature = "lab")]
 pub(crate) use document::parse_toml;
 pub(crate) use document::{Node, parse_json};
@@ -28,6 +36,9 @@ pub use npy::{parse_npy, read_npy};
 pub use npz::read_npz_array;
 pub(crate) use obj::Polygons;
 pub use obj::read_obj;
+pub use recording::Recording;
+pub use topology::Topology;
+pub(crate) use trajectory::intersections_of;
 pub use trajectory::{ReadOptions, Trajectory};
 
 use crate::{Error, Result, memory};

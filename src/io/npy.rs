@@ -1,9 +1,11 @@
 //! NumPy arrays (`.npy`).
 
-use super::open;
+use super::{clip::Clip, open};
 use crate::{Error, Result, memory};
+use half::f16;
 use ndarray::{ArrayD, IxDyn, ShapeBuilder};
 use std::{
+    borrow::Cow,
     io::{self, BufReader, Read, Write},
     path::Path,
 };
@@ -90,6 +92,13 @@ impl Number for f64 {
     }
 }
 
+impl Number for f16 {
+    const NAME: &str = "f2";
+    fn put(self, bytes: &mut Vec<u8>) {
+        bytes.extend(self.to_le_bytes());
+    }
+}
+
 impl Number for i32 {
     const NAME: &str = "i4";
     fn put(self, bytes: &mut Vec<u8>) {
@@ -100,14 +109,63 @@ impl Number for i32 {
 /// Bytes that are written at a time.
 const CHUNK: usize = 1 << 16;
 
-/// Writes an array in C order, in version 1.0 of the format, which every NumPy reads. Panics if it does not have as many
-/// elements as its shape.
+/// Writes an array in C order. Panics if it does not have as many elements as its shape.
 pub(super) fn write<T: Number>(
     writer: &mut impl Write,
     shape: &[usize],
     values: impl ExactSizeIterator<Item = T>,
 ) -> io::Result<()> {
     assert_eq!(values.len(), shape.iter().product::<usize>(), "{shape:?}");
+    write_header::<T>(writer, shape)?;
+    let mut bytes = Vec::new();
+    for value in values {
+        value.put(&mut bytes);
+        if bytes.len() >= CHUNK {
+            writer.write_all(&bytes)?;
+            bytes.clear();
+        }
+    }
+    writer.write_all(&bytes)
+}
+
+/// Writes the positions of a clip, [F, V, 3].
+pub(super) fn write_positions(clip: &Clip, writer: &mut impl Write) -> io::Result<()> {
+    write_frames(clip, writer, |frame| clip.frames.positions_of(frame))
+}
+
+/// Writes an array of what `of` returns for each frame, [F, V, 3].
+pub(super) fn write_frames<'a>(
+    clip: &Clip,
+    writer: &mut impl Write,
+    of: impl Fn(usize) -> io::Result<Cow<'a, [[f32; 3]]>>,
+) -> io::Result<()> {
+    let shape = [clip.count(), clip.topology.vertices(), 3];
+    if clip.options.half {
+        write_header::<f16>(writer, &shape)?
+    } else {
+        write_header::<f32>(writer, &shape)?
+    }
+    let mut bytes = Vec::new();
+    for frame in 0..clip.count() {
+        bytes.clear();
+        for &x in of(frame)?.as_flattened() {
+            if !clip.options.half {
+                x.put(&mut bytes);
+            } else if x.is_finite() && x.abs() > f16::MAX.to_f32() {
+                let problem =
+                    format!("frame {frame}: {x} is beyond the largest number of 16 bits, {}", f16::MAX);
+                return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
+            } else {
+                f16::from_f32(x).put(&mut bytes);
+            }
+        }
+        writer.write_all(&bytes)?;
+    }
+    Ok(())
+}
+
+/// Writes what precedes the elements of an array in C order, in version 1.0 of the format, which every NumPy reads.
+fn write_header<T: Number>(writer: &mut impl Write, shape: &[usize]) -> io::Result<()> {
     let axes: String = shape.iter().map(|length| format!("{length}, ")).collect();
     // One axis needs its comma.
     let axes = if shape.len() > 1 { axes.trim_end_matches(", ") } else { axes.trim_end() };
@@ -120,13 +178,6 @@ pub(super) fn write<T: Number>(
     bytes.extend(header.as_bytes());
     bytes.resize(end - 1, b' ');
     bytes.push(b'\n');
-    for value in values {
-        value.put(&mut bytes);
-        if bytes.len() >= CHUNK {
-            writer.write_all(&bytes)?;
-            bytes.clear();
-        }
-    }
     writer.write_all(&bytes)
 }
 
@@ -216,7 +267,7 @@ impl<R: Read> Array<R> {
                 chunk.chunks_exact_mut(self.element.bytes()).for_each(<[u8]>::reverse);
             }
             match self.element {
-                Element::F16 => words(chunk).for_each(|b| sink(half::f16::from_le_bytes(b).into())),
+                Element::F16 => words(chunk).for_each(|b| sink(f16::from_le_bytes(b).into())),
                 Element::F32 => words(chunk).for_each(|b| sink(f32::from_le_bytes(b).into())),
                 Element::F64 => words(chunk).for_each(|b| sink(f64::from_le_bytes(b))),
                 Element::I16 => words(chunk).for_each(|b| sink(i16::from_le_bytes(b).into())),
@@ -245,6 +296,29 @@ impl<R: Read> Array<R> {
         self.elements(|x| data.push(cast(x)))?;
         let shape = IxDyn(&self.shape).set_f(self.fortran);
         ArrayD::from_shape_vec(shape, data).map_err(|e| self.invalid("shape", "a usable shape", e))
+    }
+
+    /// Passes on an array of shape [.., 3] in C order, `count` triples at a time, until `take` fails.
+    pub fn triples_at_a_time(
+        &mut self,
+        count: usize,
+        mut take: impl FnMut(&[[f32; 3]]) -> Result<()>,
+    ) -> Result<()> {
+        if self.fortran || self.shape.last() != Some(&3) {
+            let found = format!("{:?}{}", self.shape, if self.fortran { " in Fortran order" } else { "" });
+            return Err(self.invalid("shape", "a last axis of 3, in C order", found));
+        }
+        let (mut numbers, mut taken) = (Vec::new(), Ok(()));
+        self.elements(|x| {
+            numbers.push(x as f32);
+            if numbers.len() == 3 * count {
+                if taken.is_ok() {
+                    taken = take(numbers.as_chunks().0);
+                }
+                numbers.clear();
+            }
+        })?;
+        taken
     }
 
     /// Reads an array of shape [.., 3] as triples in C order, converting each element with `cast`.

@@ -3,8 +3,8 @@
 //! Parsed by hand: the usual crate renumbers vertices in the order in which faces use them, but here a vertex
 //! index is a position in the grid.
 
-use super::{Mesh, read_bytes};
-use crate::{Error, Result, cloth::Grid};
+use super::{Mesh, Topology, read_bytes};
+use crate::{Error, Result};
 use num_traits::Float;
 use std::{
     io::{self, Write},
@@ -130,18 +130,28 @@ fn face<'a>(words: impl Iterator<Item = &'a str>, vertices: usize) -> Option<Vec
     (corners.len() >= 3).then_some(corners)
 }
 
-/// Writes a frame of a grid with texture coordinates.
-pub(super) fn write(grid: Grid, positions: &[[f32; 3]], mut writer: impl Write) -> io::Result<()> {
+/// Writes a frame; `rest` is the same in all frames ([`rest`]).
+pub(super) fn write(positions: &[[f32; 3]], rest: &[u8], writer: &mut impl Write) -> io::Result<()> {
     for [x, y, z] in positions {
         writeln!(writer, "v {x} {y} {z}")?;
     }
-    for [u, v] in grid.texture_coordinates() {
-        writeln!(writer, "vt {u} {v}")?;
+    writer.write_all(rest)
+}
+
+/// Returns what follows the positions: texture coordinates and faces.
+pub(super) fn rest(topology: &Topology) -> Vec<u8> {
+    let mut lines = String::new();
+    for [u, v] in topology.uv() {
+        lines += &format!("vt {u} {v}\n");
     }
-    for [a, b, c] in grid.faces().iter().map(|f| f.map(|k| k + 1)) {
-        writeln!(writer, "f {a}/{a} {b}/{b} {c}/{c}")?;
+    for face in topology.faces() {
+        lines.push('f');
+        for k in face.iter().map(|k| k + 1) {
+            lines += &if topology.uv().is_empty() { format!(" {k}") } else { format!(" {k}/{k}") };
+        }
+        lines.push('\n');
     }
-    Ok(())
+    lines.into_bytes()
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! PointCache2 (`.pc2`): a 32-byte header, then the positions of every point of every sample as `f32`.
 
-use super::{Trajectory, open, read_points, trajectory::Parts};
+use super::{clip::Clip, open, read_points, trajectory::Parts};
 use crate::{Error, Result};
 use std::{
     io::{self, BufReader, Read, Write},
@@ -10,21 +10,16 @@ use std::{
 const MAGIC: &[u8; 12] = b"POINTCACHE2\0";
 const HEADER_LEN: u64 = 32;
 
-/// Writes the positions of a trajectory, one PC2 sample per frame starting at frame 0.
-pub(super) fn write(trajectory: &Trajectory, mut writer: impl Write) -> io::Result<()> {
+/// Writes the positions of a clip, one sample per frame.
+pub(super) fn write(clip: &Clip, writer: &mut impl Write) -> io::Result<()> {
     let count = |n: usize| i32::try_from(n).map_err(io::Error::other);
     writer.write_all(MAGIC)?;
     writer.write_all(&1i32.to_le_bytes())?;
-    writer.write_all(&count(trajectory.grid().particles())?.to_le_bytes())?;
-    writer.write_all(&0f32.to_le_bytes())?; // first frame
+    writer.write_all(&count(clip.topology.vertices())?.to_le_bytes())?;
+    writer.write_all(&(clip.start() as f32).to_le_bytes())?; // first frame
     writer.write_all(&1f32.to_le_bytes())?; // frames per sample
-    writer.write_all(&count(trajectory.frames())?.to_le_bytes())?;
-    for frame in 0..trajectory.frames() {
-        for x in trajectory.frame(frame).as_flattened() {
-            writer.write_all(&x.to_le_bytes())?;
-        }
-    }
-    Ok(())
+    writer.write_all(&count(clip.count())?.to_le_bytes())?;
+    clip.write_positions(writer, f32::to_le_bytes)
 }
 
 /// Reads the positions of a cache.

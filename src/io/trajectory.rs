@@ -1,22 +1,23 @@
 //! The frames of a run.
 
-use super::atomic::UNFINISHED;
-use super::{Format, create_folder, entries, mdd, mesh, npy, npz, obj, pc2, ply, read_obj, write_atomic};
-use crate::cloth::{Grid, Intersection, intersections};
+use super::{Format, Frames, Topology, WriteOptions, folder, mdd, mesh, npy, npz, pc2, write, write_mesh};
+use crate::cloth::{Grid, Intersection, Mask, intersections};
 use crate::{Error, Result, memory};
-use ndarray::{ArrayD, ArrayView3};
-use rayon::prelude::*;
-use std::path::{Path, PathBuf};
+use ndarray::ArrayView3;
+use std::{
+    borrow::Cow,
+    io,
+    path::{Path, PathBuf},
+};
 
 /// The frames of one cloth: positions and velocities at equal time intervals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     grid: Grid,
+    mask: Option<Mask>,
     fps: f64,
     positions: Vec<[f32; 3]>,
     velocities: Vec<[f32; 3]>,
-    /// Arrays that an NPZ file holds beside the frames.
-    beside: Vec<(String, ArrayD<f64>)>,
 }
 
 /// Properties of a trajectory that a file may lack.
@@ -40,7 +41,7 @@ impl Default for ReadOptions {
 /// The contents of a file, as found by a reader.
 #[derive(Default)]
 pub(super) struct Parts {
-    /// Shape of the positions in the file; [`read_parts`] joins the axes of a grid to one of vertices.
+    /// Shape of the positions in the file; [`with_vertices`] joins the axes of a grid to one of vertices.
     pub shape: Vec<usize>,
     /// The grid, if the positions had its axes.
     pub grid: Option<Grid>,
@@ -56,19 +57,13 @@ impl Trajectory {
     pub fn new(grid: Grid, fps: f64) -> Self {
         assert!(grid.particles() > 0, "a trajectory has particles");
         assert!(fps.is_finite() && fps > 0.0, "frames per second are above 0");
-        Self { grid, fps, positions: Vec::new(), velocities: Vec::new(), beside: Vec::new() }
+        Self { grid, mask: None, fps, positions: Vec::new(), velocities: Vec::new() }
     }
 
-    /// Puts an array beside the frames, which only NPZ files hold and [`Trajectory::read`] does not read. It replaces one
-    /// of the same name.
-    pub fn put_beside(&mut self, name: &str, array: ArrayD<f64>) {
-        self.beside.retain(|(other, _)| other != name);
-        self.beside.push((name.to_owned(), array));
-    }
-
-    /// Returns the arrays beside the frames with their names.
-    pub(super) fn beside(&self) -> &[(String, ArrayD<f64>)] {
-        &self.beside
+    /// Returns it as that of a cloth with this mask. Panics if the mask is of another grid.
+    pub fn with_mask(self, mask: Option<Mask>) -> Self {
+        assert!(mask.as_ref().is_none_or(|mask| mask.grid() == self.grid), "a mask is of the cloth's grid");
+        Self { mask, ..self }
     }
 
     /// Reserves room for `frames` more frames, so that pushing them does not reallocate. Fails if there is
@@ -88,6 +83,11 @@ impl Trajectory {
         );
         self.positions.extend_from_slice(positions);
         self.velocities.extend_from_slice(velocities);
+    }
+
+    /// Returns the triangles of the cloth, particles by number.
+    pub fn faces(&self) -> Vec<[u32; 3]> {
+        self.mask.as_ref().map_or_else(|| self.grid.faces(), Mask::faces)
     }
 
     /// Returns the grid of particles.
@@ -113,9 +113,7 @@ impl Trajectory {
 
     /// Returns where the cloth passes through itself in one frame ([`intersections`]). Panics if there is no such frame.
     pub fn intersections(&self, frame: usize) -> Vec<Intersection> {
-        let positions = self.frame(frame);
-        let by_axis = (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c])));
-        intersections(&self.grid.faces(), &by_axis.collect::<Vec<_>>())
+        intersections_of(&self.faces(), self.frame(frame))
     }
 
     /// Returns the velocities of one frame [m/s], shape [V, 3]. Panics if there is no such frame.
@@ -139,63 +137,14 @@ impl Trajectory {
         ArrayView3::from_shape(shape, data.as_flattened()).expect("whole frames were pushed")
     }
 
-    /// Writes the trajectory into the folder `dir` and returns the path: the file `NAME.EXT`, or for OBJ and
-    /// PLY the folder `NAME_EXT` with a file `00000.EXT` per frame. Each file appears only once it is
-    /// complete. Files that a longer run left in such a folder are removed. Fails if the format
-    /// [cannot hold](Format::check_capacity) the trajectory.
+    /// Writes the trajectory into the folder `dir`, with the default options, as [`write()`] does.
     pub fn write(&self, dir: impl AsRef<Path>, name: &str, format: Format) -> Result<PathBuf> {
-        let file = dir.as_ref().join(format!("{name}.{format}"));
-        let folder = dir.as_ref().join(format!("{name}_{format}"));
-        format.check_capacity(self.frames(), &file.display().to_string())?;
-        match format {
-            Format::Npz => write_atomic(&file, |w| npz::write(self, w)).map(|()| file),
-            Format::Npy => {
-                let positions = self.positions();
-                let write = |w: &mut _| npy::write(w, positions.shape(), positions.iter().copied());
-                write_atomic(&file, write).map(|()| file)
-            }
-            Format::Pc2 => write_atomic(&file, |w| pc2::write(self, w)).map(|()| file),
-            Format::Mdd => write_atomic(&file, |w| mdd::write(self, w)).map(|()| file),
-            Format::Obj | Format::Ply => self.write_frames(folder, format),
-        }
+        write(self, dir, name, format, &WriteOptions::default())
     }
 
-    /// Writes frame 0 as an OBJ file: the mesh that a PC2 cache animates. Panics if there are no frames.
+    /// Writes frame 0 as an OBJ file: the mesh that a vertex cache animates. Panics if there are no frames.
     pub fn write_mesh(&self, path: impl AsRef<Path>) -> Result<()> {
-        write_atomic(path, |w| obj::write(self.grid, self.frame(0), w))
-    }
-
-    fn write_frames(&self, folder: PathBuf, format: Format) -> Result<PathBuf> {
-        let name = |f: usize| format!("{f:05}.{format}");
-        create_folder(&folder)?;
-        // Only names that a run would have written are replaced: `7.obj` belongs to the user.
-        let mut earlier = frame_files(&folder, format)?;
-        earlier.retain(|(_, f, path)| path.file_name().is_some_and(|found| *found == *name(*f)));
-        let earlier: Vec<PathBuf> = earlier.into_iter().map(|(.., path)| path).collect();
-        let new = (0..self.frames()).map(|f| folder.join(name(f)));
-        if let Some(in_the_way) = new.chain(earlier.iter().cloned()).find(|path| path.is_dir()) {
-            return Err(Error::invalid(in_the_way.display().to_string(), "type", "a file", "a folder"));
-        }
-        // Frames of two runs in one folder would be read as one sequence, so none is in its place before all
-        // are written. What a run that was killed has left is of no use.
-        for left in unfinished(&folder)? {
-            std::fs::remove_dir_all(&left).map_err(|e| Error::io(&left, "cannot remove", e))?;
-        }
-        let unfinished = tempfile::Builder::new().prefix(UNFINISHED).tempdir_in(&folder);
-        let unfinished = unfinished.map_err(|e| Error::io(&folder, "cannot create a folder", e))?;
-        (0..self.frames()).into_par_iter().try_for_each(|f| {
-            write_atomic(unfinished.path().join(name(f)), |w| match format {
-                Format::Ply => ply::write(self.grid, self.frame(f), w),
-                _ => obj::write(self.grid, self.frame(f), w),
-            })
-        })?;
-        earlier.iter().try_for_each(|path| super::remove(path))?;
-        for f in 0..self.frames() {
-            let to = folder.join(name(f));
-            std::fs::rename(unfinished.path().join(name(f)), &to)
-                .map_err(|e| Error::io(&to, "cannot write", e))?;
-        }
-        Ok(folder)
+        write_mesh(self, path)
     }
 
     /// Reads a trajectory from an npz, npy, pc2 or mdd file or a folder of OBJ files, whose names end in
@@ -210,6 +159,15 @@ impl Trajectory {
     /// Reads a trajectory like [`Trajectory::read`], but accepts non-finite numbers.
     pub(crate) fn read_as_it_is(path: &Path, options: &ReadOptions) -> Result<Self> {
         Self::from_parts(read_parts(path)?, options, &path.display().to_string())
+    }
+
+    /// Reads what an NPZ file says of its frames, without them: their grid and rate, of a trajectory without frames, and
+    /// their number.
+    pub fn read_outline(path: impl AsRef<Path>, options: &ReadOptions) -> Result<(Self, usize)> {
+        let path = path.as_ref();
+        let parts = Parts { velocities: Some(Vec::new()), ..with_vertices(npz::read_outline(path)?) };
+        let frames = parts.shape.first().copied().unwrap_or_default();
+        Ok((Self::from_parts(parts, options, &path.display().to_string())?, frames))
     }
 
     /// Reads vertices that need not form a grid, as a grid of a single row. Accepts non-finite numbers.
@@ -277,19 +235,51 @@ impl Trajectory {
     }
 }
 
+impl Frames for Trajectory {
+    fn topology(&self) -> Cow<'_, Topology> {
+        Cow::Owned(Topology::of_cloth(self.grid, self.mask.as_ref()))
+    }
+
+    fn fps(&self) -> f64 {
+        self.fps
+    }
+
+    fn frames(&self) -> usize {
+        self.frames()
+    }
+
+    fn positions_of(&self, frame: usize) -> io::Result<Cow<'_, [[f32; 3]]>> {
+        Ok(self.frame(frame).into())
+    }
+
+    fn velocities_of(&self, frame: usize) -> io::Result<Cow<'_, [[f32; 3]]>> {
+        Ok(self.frame_velocities(frame).into())
+    }
+}
+
+/// Returns where a cloth at these positions passes through itself ([`intersections`]).
+pub(crate) fn intersections_of(faces: &[[u32; 3]], positions: &[[f32; 3]]) -> Vec<Intersection> {
+    let by_axis = (0..3).flat_map(|c| positions.iter().map(move |p| f64::from(p[c])));
+    intersections(faces, &by_axis.collect::<Vec<_>>())
+}
+
 fn read_parts(path: &Path) -> Result<Parts> {
-    let mut parts = read_file(path)?;
+    read_file(path).map(with_vertices)
+}
+
+/// Joins the axes of a grid to one of vertices.
+fn with_vertices(mut parts: Parts) -> Parts {
     if let &[frames, h, w, 3] = &parts.shape[..] {
         parts.grid = Some(Grid { h, w });
         parts.shape = vec![frames, h.saturating_mul(w), 3];
     }
-    Ok(parts)
+    parts
 }
 
 fn read_file(path: &Path) -> Result<Parts> {
     let extension = path.extension().unwrap_or_default().to_ascii_lowercase();
     match extension.to_str() {
-        _ if path.is_dir() => read_folder(path),
+        _ if path.is_dir() => folder::read(path),
         Some("npz") => npz::read(path),
         Some("pc2") => pc2::read(path),
         Some("mdd") => mdd::read(path),
@@ -298,80 +288,13 @@ fn read_file(path: &Path) -> Result<Parts> {
             let shape = array.shape.clone();
             Ok(Parts { shape, positions: array.triples(|x| x as f32)?, ..Parts::default() })
         }
-        _ => {
+        other => {
             let expected = "an npz, npy, pc2 or mdd file or a folder of OBJ files";
-            Err(Error::invalid(path.display().to_string(), "type", expected, "another one"))
+            let found = match other.and_then(|name| name.parse::<Format>().ok()) {
+                Some(format) => format!("{format}, which is written only"),
+                None => "another one".into(),
+            };
+            Err(Error::invalid(path.display().to_string(), "type", expected, found))
         }
     }
-}
-
-/// Returns the numbered files of a folder of frames, in order, each with the beginning of its name, its number,
-/// and its path: `cloth_0007.obj` begins with `cloth_` and has number 7.
-fn frame_files(folder: &Path, format: Format) -> Result<Vec<(String, usize, PathBuf)>> {
-    let mut files = Vec::new();
-    for path in entries(folder)? {
-        let of_format = path.extension().is_some_and(|e| e == format.name());
-        let stem = path.file_stem().and_then(|s| s.to_str()).filter(|_| of_format).unwrap_or_default();
-        let name = stem.trim_end_matches(|c: char| c.is_ascii_digit());
-        if let Ok(number) = stem[name.len()..].parse() {
-            files.push((name.to_owned(), number, path));
-        }
-    }
-    files.sort();
-    Ok(files)
-}
-
-/// Returns the folders of frames that a run has not put into their place. Only one that was killed leaves any.
-fn unfinished(folder: &Path) -> Result<Vec<PathBuf>> {
-    let mut found = entries(folder)?;
-    let is_prefixed = |path: &PathBuf| {
-        path.file_name().and_then(|name| name.to_str()).is_some_and(|name| name.starts_with(UNFINISHED))
-    };
-    found.retain(|path| is_prefixed(path) && path.is_dir());
-    Ok(found)
-}
-
-/// Reads a sequence of OBJ files with consecutive numbers, which may begin anywhere.
-fn read_folder(folder: &Path) -> Result<Parts> {
-    // The files beside it may be a part of one run, or parts of two.
-    if let Some(left) = unfinished(folder)?.first() {
-        let expected = format!("all frames in their place; {} is of a run that was killed", left.display());
-        return Err(Error::invalid(folder.display().to_string(), "frames", expected, "perhaps a part"));
-    }
-    let mut files = frame_files(folder, Format::Obj)?;
-    // Next to files that are called by their number alone, others are not frames.
-    if files.first().is_some_and(|(name, ..)| name.is_empty()) {
-        files.retain(|(name, ..)| name.is_empty());
-    }
-    let mut parts = Parts::default();
-    for (k, (name, number, path)) in files.iter().enumerate() {
-        let bad = |field: &str, expected: String, found: String| {
-            Err(Error::invalid(path.display().to_string(), field, expected, found))
-        };
-        let (first_name, first, _) = &files[0];
-        if name != first_name {
-            let expected = format!("'{first_name}' and a number, as in the other files");
-            return bad("name", expected, format!("'{name}'"));
-        }
-        if *number != first + k {
-            return bad("number", (first + k).to_string(), number.to_string());
-        }
-        let mesh = read_obj(path)?;
-        if k == 0 {
-            parts.shape = vec![files.len(), mesh.positions.len(), 3];
-            parts.faces = mesh.faces;
-        } else if mesh.positions.len() != parts.shape[1] {
-            return bad(
-                "vertices",
-                format!("{} as in the first file", parts.shape[1]),
-                mesh.positions.len().to_string(),
-            );
-        }
-        parts.positions.extend(mesh.positions);
-    }
-    if files.is_empty() {
-        let expected = "numbered OBJ files such as 00000.obj";
-        return Err(Error::invalid(folder.display().to_string(), "content", expected, "none"));
-    }
-    Ok(parts)
 }

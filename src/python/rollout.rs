@@ -43,7 +43,7 @@ impl PyRollout {
     /// Triangles, [triangles, 3].
     #[getter]
     fn faces<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
-        rows(py, self.trajectory.grid().faces())
+        rows(py, self.trajectory.faces())
     }
 
     /// Texture coordinates, [particles, 2].

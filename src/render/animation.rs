@@ -1,15 +1,12 @@
 //! Animated GIFs.
 
 use super::{
-    Bodies, Image, Marks, View,
+    Bodies, Film, Image, Marks, View,
     body::NONE,
     palette::Palette,
     stage::{Size, Stage},
 };
-use crate::{
-    Result,
-    io::{Trajectory, write_atomic},
-};
+use crate::{Result, io::write_atomic};
 use ::gif::{DisposalMethod, Encoder, Frame, Repeat};
 use rayon::prelude::*;
 use std::{
@@ -49,56 +46,57 @@ const PAUSE: f64 = 80.0;
 /// Colour index that leaves a pixel unchanged.
 const SAME: u8 = 255;
 
-/// Writes the trajectory as an animation in real time, which pauses before it begins again; `handles` are the
+/// Writes the frames as an animation in real time, which pauses before it begins again; `handles` are the
 /// vertices to mark. An empty trajectory gives a picture of the background. Panics if the size is not 1 to
 /// 4096 pixels, `max_fps` or `most` allows no frames, a handle is not a vertex, or the upward direction is 0.
-pub fn write_gif(
+pub fn write_gif<'a>(
     path: impl AsRef<Path>,
-    trajectory: &Trajectory,
+    film: impl Into<Film<'a>>,
     handles: impl Into<Marks>,
     options: &GifOptions<'_>,
 ) -> Result<()> {
+    let film = film.into();
     assert!((1..=4096).contains(&options.size), "an animation is 1 to 4096 pixels wide");
     assert!(options.max_fps > 0.0 && options.most > 0, "an animation has frames");
     let (marked, size) = ((handles.into(), options.bodies), Size::Fixed(options.size, options.size));
-    let stage = Stage::new(trajectory, marked, &options.view, size, 2);
+    let stage = Stage::new(film, marked, &options.view, size, 2);
     // A rate slightly above the limit, such as that of a frame time of 0.0333 s, counts as the limit.
-    let every = (trajectory.fps() / options.max_fps - 0.05).ceil().max(1.0) as usize;
-    let every = every.max(trajectory.frames().div_ceil(options.most));
-    let shown: Vec<usize> = (0..trajectory.frames()).step_by(every).collect();
-    let draw = |&frame: &usize| stage.draw(frame, trajectory.frame(frame));
+    let every = (film.fps() / options.max_fps - 0.05).ceil().max(1.0) as usize;
+    let every = every.max(film.frames().div_ceil(options.most));
+    let shown: Vec<usize> = (0..film.frames()).step_by(every).collect();
+    let draw = |&frame: &usize| stage.draw(film.number(frame), &film.frame(frame));
     let swatches: Vec<Image> = match shown.len().div_ceil(SWATCHES) {
         0 => vec![stage.draw_empty()],
         step => shown.par_iter().step_by(step).map(draw).collect(),
     };
     let palette = Palette::of(&swatches);
     // Hundredths of a second, rounded so that errors do not accumulate.
-    let tick = |k: usize| (100.0 * (k * every) as f64 / trajectory.fps()).round();
+    let tick = |k: usize| (100.0 * (k * every) as f64 / film.fps()).round();
     let pause = |k: usize| if k + 1 == shown.len() && k > 0 { PAUSE } else { 0.0 };
     let delay = |k: usize| (tick(k + 1) - tick(k) + pause(k)).clamp(2.0, 65535.0) as u16;
 
     write_atomic(path, |w| {
-        let mut film = Film::new(w, options.size as u16, &palette)?;
+        let mut animation = Animation::new(w, options.size as u16, &palette)?;
         for (chunk, frames) in shown.chunks(CHUNK).enumerate() {
             let pictures = frames.par_iter().map(|f| palette.index(&draw(f))).collect();
-            film.append(pictures, |k| delay(chunk * CHUNK + k))?;
+            animation.append(pictures, |k| delay(chunk * CHUNK + k))?;
         }
         if shown.is_empty() {
-            film.append(vec![palette.index(&swatches[0])], |_| 10)?;
+            animation.append(vec![palette.index(&swatches[0])], |_| 10)?;
         }
-        film.finish()
+        animation.finish()
     })
 }
 
 /// An animation being written; frames hold only the changes.
-struct Film<'a, W: Write> {
+struct Animation<'a, W: Write> {
     encoder: Encoder<W>,
     size: u16,
     palette: &'a Palette,
     last: Option<Vec<u8>>,
 }
 
-impl<'a, W: Write> Film<'a, W> {
+impl<'a, W: Write> Animation<'a, W> {
     fn new(writer: W, size: u16, palette: &'a Palette) -> io::Result<Self> {
         let mut colours = palette.colours.clone();
         // The index SAME needs an entry in the palette.

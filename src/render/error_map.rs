@@ -1,7 +1,7 @@
 //! Frames of several systems next to the truth, coloured by their distance from it.
 
 use super::{
-    Image, View,
+    Film, Image, View,
     body::NONE,
     shade,
     stage::{Size, Stage},
@@ -50,8 +50,8 @@ pub fn error_maps(
     let largest = all.get((all.len() as f64 * SPAN) as usize).copied().unwrap_or(1.0).max(1e-6);
 
     // All share one camera, whatever their grids.
-    let others: Vec<&Trajectory> = maps.iter().map(|map| &map.frames).collect();
-    let stage = Stage::with(truth, &others, (handles.into(), &NONE), view, (Size::Height(HEIGHT), 3));
+    let others: Vec<Film> = maps.iter().map(|map| (&map.frames).into()).collect();
+    let stage = Stage::with(truth.into(), &others, (handles.into(), &NONE), view, (Size::Height(HEIGHT), 3));
     let [width, _] = stage.size;
     let caption = |image: &mut Image, line: &str, [x, y]: [f32; 2]| {
         // Shrink captions that are too wide for the panel.

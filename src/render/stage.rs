@@ -1,7 +1,7 @@
 //! A trajectory set up for drawing: the camera, the lights and everything else that its frames share.
 
 use super::{
-    Bodies, Image, Marks, View,
+    Bodies, Film, Image, Marks, View,
     body::{Room, Solid},
     camera::{Camera, Unit, is_whole, place, range, usable},
     look::Look,
@@ -9,10 +9,7 @@ use super::{
     shadow::{self, Shadow},
     surface::{DepthBuffer, NOTHING},
 };
-use crate::{
-    cloth::Grid,
-    io::{Trajectory, vertex_normals},
-};
+use crate::{cloth::Grid, io::vertex_normals};
 use glam::{Vec2, Vec3, vec2, vec3};
 
 /// Radius of a handle's marker, as a fraction of the picture's height.
@@ -70,37 +67,38 @@ fn common_factor(a: usize, b: usize) -> usize {
 impl<'a> Stage<'a> {
     /// Prepares pictures with `samples * samples` samples per pixel, which show the handles and the bodies in
     /// `marked`. Panics if a handle is not a particle of the grid.
-    pub fn new(
-        trajectory: &Trajectory,
+    pub fn new<'f>(
+        film: impl Into<Film<'f>>,
         marked: (Marks, &'a Bodies),
         view: &View,
         size: Size,
         samples: usize,
     ) -> Self {
-        Self::with(trajectory, &[], marked, view, (size, samples))
+        Self::with(film.into(), &[], marked, view, (size, samples))
     }
 
     /// As [`Stage::new`], with room for the frames of others.
     pub fn with(
-        trajectory: &Trajectory,
-        others: &[&Trajectory],
+        film: Film<'_>,
+        others: &[Film<'_>],
         (handles, bodies): (Marks, &'a Bodies),
         view: &View,
         (size, samples): (Size, usize),
     ) -> Self {
-        let grid = trajectory.grid();
+        let grid = film.grid;
         assert!(handles.all().all(|h| h < grid.particles()), "handles are particles of the grid");
-        let faces = grid.faces();
+        let faces: Vec<[u32; 3]> = film.frames.topology().triangles().collect();
         let up = view.up();
-        let first: &[[f32; 3]] = if trajectory.frames() > 0 { trajectory.frame(0) } else { &[] };
-        let unit = Unit::new(first);
-        let every = std::iter::once(trajectory).chain(others.iter().copied());
-        let frames = every.flat_map(|of| (0..of.frames()).map(move |f| unit.of(of.frame(f))));
+        let first = if film.frames() > 0 { film.frame(0) } else { Vec::new().into() };
+        let unit = Unit::new(&first);
+        let every = std::iter::once(film).chain(others.iter().copied());
+        let frames = every.flat_map(|of| (0..of.frames()).map(move |f| unit.of(&of.frame(f))));
         let all = frames.filter(|frame| is_whole(frame)).flatten().filter(usable);
         // Only bodies need the room.
         let needed = if bodies.is_empty() { 0 } else { usize::MAX };
         let room = Room::around(all.clone().map(Vec3::from).take(needed));
-        let outlines = bodies.outlines(trajectory.frames(), &unit, &room, ENOUGH);
+        let outlines =
+            bodies.outlines(film.number(film.frames().saturating_sub(1)) + 1, &unit, &room, ENOUGH);
         let heights = all.clone().map(Vec3::from).chain(outlines.iter().copied()).map(|p| up.dot(p));
         let (low, high) = range(heights);
         let floor = low - (FLOOR * (high - low)).max(ABOVE_FLOOR);
@@ -108,14 +106,15 @@ impl<'a> Stage<'a> {
         // A part of a long or fine trajectory suffices: the points left out lie within the margin around the
         // others. A stride that shares no factor with the number of particles takes different ones in each
         // frame.
-        let mut stride = (trajectory.frames() * grid.particles() / ENOUGH) | 1;
+        let mut stride = (film.frames() * grid.particles() / ENOUGH) | 1;
         while common_factor(stride, grid.particles()) > 1 {
             stride += 2;
         }
         let points = all.step_by(stride).map(Vec3::from).chain(outlines);
         let points: Vec<Vec3> = points.flat_map(|p| [p, on_floor(p)]).collect();
 
-        let mut normals = if first.is_empty() { Vec::new() } else { vertex_normals(&unit.of(first), &faces) };
+        let mut normals =
+            if first.is_empty() { Vec::new() } else { vertex_normals(&unit.of(&first), &faces) };
         let sum = |normals: &[[f32; 3]]| normals.iter().map(|&n| Vec3::from(n)).sum::<Vec3>();
         if bodies.outward(up).is_some_and(|outward| sum(&normals).dot(outward) < 0.0) {
             // A wall would hide a cloth that is seen from its inner side, so the back of the cloth counts as its front.
@@ -249,6 +248,7 @@ impl<'a> Stage<'a> {
 mod tests {
     use super::{super::body::NONE, *};
     use crate::cloth::{Body, Pose, Shape, VertexView};
+    use crate::io::Trajectory;
 
     /// Returns a sheet of 1 m by 1 m that faces the positive x axis, with y up.
     fn sheet(grid: Grid) -> Vec<[f32; 3]> {

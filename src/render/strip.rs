@@ -1,12 +1,12 @@
 //! Frames side by side.
 
 use super::{
-    Bodies, Image, Marks, View,
+    Bodies, Film, Image, Marks, View,
     body::NONE,
     stage::{Size, Stage},
     text,
 };
-use crate::io::Trajectory;
+use crate::io::intersections_of;
 use rayon::prelude::*;
 
 /// Options of [`strip()`].
@@ -33,27 +33,29 @@ impl Default for StripOptions<'_> {
 /// Draws frames, evenly spread over the trajectory from the first to the last, side by side with their times
 /// in seconds. `handles` are the vertices to mark. An empty trajectory gives an empty panel. Panics if
 /// `panels` or `height` is 0, a handle is not a vertex, or the upward direction is 0.
-pub fn strip(trajectory: &Trajectory, handles: impl Into<Marks>, options: &StripOptions<'_>) -> Image {
+pub fn strip<'a>(film: impl Into<Film<'a>>, handles: impl Into<Marks>, options: &StripOptions<'_>) -> Image {
+    let film = film.into();
     assert!(options.panels > 0 && options.height > 0, "a strip has panels and a height");
     let marked = (handles.into(), options.bodies);
-    let stage = Stage::new(trajectory, marked, &options.view, Size::Height(options.height), 3);
-    let count = options.panels.min(trajectory.frames()).max(1);
+    let stage = Stage::new(film, marked, &options.view, Size::Height(options.height), 3);
+    let faces: Vec<[u32; 3]> = film.frames.topology().triangles().collect();
+    let count = options.panels.min(film.frames()).max(1);
     // As many decimals as it takes to tell the panels apart.
-    let step = trajectory.frames() as f64 / trajectory.fps() / count as f64;
+    let step = film.frames() as f64 / film.fps() / count as f64;
     let decimals = (-step.log10()).ceil().clamp(2.0, 9.0) as usize;
     let draw = |panel: usize| {
-        let last = trajectory.frames().saturating_sub(1);
+        let last = film.frames().saturating_sub(1);
         let frame = (panel * last + (count - 1) / 2).checked_div(count - 1).unwrap_or(0);
-        if frame >= trajectory.frames() {
+        if frame >= film.frames() {
             return stage.draw_empty();
         }
-        let positions = trajectory.frame(frame);
-        let heat = if options.crossings { crossings(trajectory, frame) } else { Vec::new() };
-        let mut image = stage.draw_heat(frame, positions, &heat);
+        let positions = film.frame(frame);
+        let heat = if options.crossings { crossings(&faces, &positions) } else { Vec::new() };
+        let mut image = stage.draw_heat(film.number(frame), &positions, &heat);
         // Still legible where a strip is shown at half its size.
         let height = (options.height as f32 / 14.0).max(12.0);
-        let diverged = if stage.is_whole(positions) { "" } else { ", diverged" };
-        let caption = format!("{:.decimals$} s{diverged}", frame as f64 / trajectory.fps());
+        let diverged = if stage.is_whole(&positions) { "" } else { ", diverged" };
+        let caption = format!("{:.decimals$} s{diverged}", frame as f64 / film.fps());
         text::write(&mut image, &caption, [0.7 * height, options.height as f32 - 1.6 * height], height);
         image
     };
@@ -67,12 +69,12 @@ pub fn strip(trajectory: &Trajectory, handles: impl Into<Marks>, options: &Strip
 }
 
 /// Returns 1 at the vertices of the edges and triangles that pass through each other, 0 elsewhere; nothing if none do.
-fn crossings(trajectory: &Trajectory, frame: usize) -> Vec<f32> {
-    let (grid, found) = (trajectory.grid(), trajectory.intersections(frame));
-    let mut heat = if found.is_empty() { Vec::new() } else { vec![0.0; grid.particles()] };
+fn crossings(faces: &[[u32; 3]], positions: &[[f32; 3]]) -> Vec<f32> {
+    let found = intersections_of(faces, positions);
+    let mut heat = if found.is_empty() { Vec::new() } else { vec![0.0; positions.len()] };
     for one in found {
-        let face = grid.face(one.face as usize);
-        one.edge.into_iter().map(|v| v as usize).chain(face).for_each(|v| heat[v] = 1.0);
+        let face = faces[one.face as usize];
+        one.edge.into_iter().chain(face).for_each(|v| heat[v as usize] = 1.0);
     }
     heat
 }
@@ -81,6 +83,7 @@ fn crossings(trajectory: &Trajectory, frame: usize) -> Vec<f32> {
 mod tests {
     use super::*;
     use crate::cloth::Grid;
+    use crate::io::Trajectory;
 
     #[test]
     fn a_cloth_that_passes_through_itself_shows_where() {
@@ -96,7 +99,7 @@ mod tests {
             let mut trajectory = Trajectory::new(grid, 60.0);
             trajectory.push(&positions, &vec![[0.0; 3]; 144]);
             let options = StripOptions { panels: 1, height: 80, crossings, ..StripOptions::default() };
-            (strip(&trajectory, &[], &options).pixels, super::crossings(&trajectory, 0))
+            (strip(&trajectory, &[], &options).pixels, super::crossings(&grid.faces(), &positions))
         };
         let [(plain, _), (marked, heat)] = [false, true].map(|crossings| picture(0.5, crossings));
         assert!(heat.contains(&1.0) && heat.contains(&0.0), "{heat:?}");

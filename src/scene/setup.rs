@@ -9,7 +9,7 @@ use crate::cloth::{
     Cloth, Control, Grid, Intersection, Material, Model, Pose, State, Sweep, VertexView, cast, intersections,
     untangle,
 };
-use crate::io::Trajectory;
+use crate::io::{Topology, Trajectory};
 use crate::{Error, Result, memory};
 use glam::DVec3;
 use num_traits::Float;
@@ -227,10 +227,16 @@ impl Setup {
         })
     }
 
+    /// Returns the mesh of the cloth, as files hold it.
+    pub fn topology(&self) -> Topology {
+        Topology::of_cloth(self.model.grid, self.model.cloths[0].mask.as_ref())
+    }
+
     /// Returns a trajectory that holds the start and has capacity for all frames. Fails if there is not
     /// enough memory.
     pub fn trajectory(&self) -> Result<Trajectory> {
-        let mut trajectory = Trajectory::new(self.model.grid, 1.0 / self.units.frame_time_s);
+        let trajectory = Trajectory::new(self.model.grid, 1.0 / self.units.frame_time_s);
+        let mut trajectory = trajectory.with_mask(self.model.cloths[0].mask.clone());
         trajectory.reserve(self.frames())?;
         self.push(&mut trajectory, &self.start.cast());
         Ok(trajectory)
@@ -239,9 +245,22 @@ impl Setup {
     /// Appends the state at the end of a frame to a trajectory. Panics if the state is not that of one cloth,
     /// or if the trajectory has another number of particles.
     pub fn push(&self, trajectory: &mut Trajectory, state: &State<f32>) {
-        let single =
-            |points: Vec<[f64; 3]>| points.into_iter().map(|p| p.map(|c| c as f32)).collect::<Vec<_>>();
-        trajectory.push(&single(self.vertices_m(&state.x)), &single(self.velocities_m_s(&state.v)));
+        let [positions, velocities] = self.points(state);
+        trajectory.push(&positions, &velocities);
+    }
+
+    /// Returns positions \[m\] and velocities [m/s] of a state in the scene's axes, [V, 3] each, as files hold them: particles
+    /// that the cloth doesn't have lie where the nearest one does. Panics if the state is not that of one cloth.
+    pub fn points(&self, state: &State<f32>) -> [Vec<[f32; 3]>; 2] {
+        let mask = self.model.cloths[0].mask.as_ref();
+        let single = |points: Vec<[f64; 3]>| -> Vec<[f32; 3]> {
+            let points: Vec<_> = points.into_iter().map(|p| p.map(|c| c as f32)).collect();
+            match mask {
+                None => points,
+                Some(mask) => (0..points.len()).map(|p| points[mask.nearest(p)]).collect(),
+            }
+        };
+        [single(self.vertices_m(&state.x)), single(self.velocities_m_s(&state.v))]
     }
 
     /// Combines several setups into one batch. Fails if there are none, if something changes on the way in one

@@ -8,6 +8,7 @@ mod every_command;
 #[cfg(target_os = "linux")]
 mod interrupted;
 mod rollout;
+mod rollout_files;
 mod scenes;
 mod scores;
 mod suite;
