@@ -40,17 +40,9 @@ fn velocity(b: u32, i: i32, j: i32) -> vec3f {
     return vec3f(v[at], v[at + n], v[at + 2u * n]);
 }
 
-// Whether the cloth has particle (i, j) of the grid.
-fn has(b: u32, i: i32, j: i32) -> bool {
-    return !is_outside(marks[b * params.rows * params.columns + u32(i) * params.columns + u32(j)]);
-}
-
 // Returns the force on cell (i, j), zero if the cloth doesn't have it.
 fn cell(b: u32, i: i32, j: i32) -> vec3f {
-    if i < 0 || j < 0 || i + 1 >= i32(params.rows) || j + 1 >= i32(params.columns) {
-        return vec3f();
-    }
-    if !(has(b, i, j) && has(b, i, j + 1) && has(b, i + 1, j) && has(b, i + 1, j + 1)) {
+    if i < 0 || j < 0 || !begins_cell(marks[b * params.rows * params.columns + u32(i) * params.columns + u32(j)]) {
         return vec3f();
     }
     let down_right = position(b, i + 1, j + 1) - position(b, i, j);

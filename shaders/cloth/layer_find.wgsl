@@ -173,8 +173,8 @@ fn tells_of_corner(b: u32, face: u32, corner: u32, origin: u32, share: f32, sepa
     let down = p / w + 1u < params.rows;
     let left = p % w > 0u;
     let right = p % w + 1u < w;
-    let after = down && right && is_whole(b, p);
-    let above = up && right && is_whole(b, p - w);
+    let after = is_whole(b, p);
+    let above = up && is_whole(b, p - w);
     let before = up && left && is_whole(b, p - w - 1u);
     // The first triangle of the cell that begins there, or else of the one above it, or before that; or the second of the one
     // to the left.
@@ -320,7 +320,7 @@ fn between(b: u32, p: u32, q: u32) {
     for (var k = 0u; k < 4u; k++) {
         let own = select(q, p, k < 2u);
         let other = select(p, q, k < 2u);
-        if other / w + 1u < params.rows && other % w + 1u < w && is_whole(b, other) {
+        if is_whole(b, other) {
             let face = first_face_of(other, w) + k % 2u;
             let corners = corners_of(face, w);
             if all(corners != vec3u(own)) {
@@ -341,10 +341,7 @@ fn between(b: u32, p: u32, q: u32) {
 
 // Returns where the edges of a patch end, to the right, down and along the diagonal; where they begin if there is none.
 fn end_of_edge(b: u32, p: u32, k: u32) -> u32 {
-    let corners = patch_corners(b, p);
-    let end = corners[1u + k];
-    let is_there = k < 2u || (corners.y != p && corners.z != p && corners.w != p);
-    return select(p, end, is_there);
+    return select(p, patch_corners(b, p)[1u + k], k < 2u || is_whole(b, p));
 }
 
 @compute @workgroup_size(64)

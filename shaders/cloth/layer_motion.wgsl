@@ -9,7 +9,7 @@
 // marks: [B, n]
 // x, base, a: [B, 3, n]
 // motion: [B, n, 2] of (place, mass of a free particle, 0 for a handle, -1 outside of the
-//   cloth), (way, 1 for a particle whose pairs are wanted)
+//   cloth), (way, flags of the patch, see `shaders/pieces/patch.wgsl`)
 // extents: [B] of (cells per edge, distance within which pairs are contacts, what the reach of a patch adds to its own
 //   size and way, distance at which a pair has met)
 //
@@ -57,6 +57,17 @@ fn addition(b: u32, p: u32) -> vec3f {
     return vec3f(a[at], a[at + n], a[at + 2u * n]);
 }
 
+// Returns which parts of the patch of particle p the cloth has.
+fn parts_of(b: u32, p: u32) -> u32 {
+    let n = params.rows * params.columns;
+    let w = params.columns;
+    let mark = marks[b * n + p];
+    let own = !is_outside(mark);
+    let right = own && p % w + 1u < w && !is_outside(marks[b * n + min(p + 1u, n - 1u)]);
+    let down = own && p + w < n && !is_outside(marks[b * n + min(p + w, n - 1u)]);
+    return select(0u, RIGHT, right) | select(0u, DOWN, down) | select(0u, WHOLE, begins_cell(mark));
+}
+
 @compute @workgroup_size(256)
 fn layer_motion(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_id) group: vec3u) {
     let b = group.x;
@@ -84,11 +95,11 @@ fn layer_motion(@builtin(local_invocation_index) lane: u32, @builtin(workgroup_i
     for (var p = lane; p < n; p += LANES) {
         let at = b * 3u * n + p;
         let left = addition(b, p) - mean_added;
-        let wanted = select(0.0, 1.0, !ENDS || length(left) > budget);
+        let wanted = select(0u, WANTED, !ENDS || length(left) > budget);
         let mark = marks[b * n + p];
         let m = select(select(0.0, mass_of(mark), is_free(mark)), -1.0, is_outside(mark));
         motion[2u * (b * n + p)] = vec4f(x[at], x[at + n], x[at + 2u * n], m);
-        motion[2u * (b * n + p) + 1u] = vec4f(of_field(b, p) - mean_base + left, wanted);
+        motion[2u * (b * n + p) + 1u] = vec4f(of_field(b, p) - mean_base + left, f32(wanted | parts_of(b, p)));
     }
     storageBarrier();
     workgroupBarrier();

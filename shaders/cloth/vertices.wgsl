@@ -45,14 +45,11 @@ fn edge(at: u32, i: i32, j: i32, down: i32, right: i32) -> vec3f {
 fn whole(b: u32, i: i32, j: i32, down: i32, right: i32) -> f32 {
     let row = i + down;
     let column = j + right;
-    if row < 0 || column < 0 || row + 1 >= i32(params.rows) || column + 1 >= i32(params.columns) {
+    if row < 0 || column < 0 {
         return 0.0;
     }
-    let w = params.columns;
-    let a = b * params.rows * w + u32(row) * w + u32(column);
-    let outside = is_outside(marks[a]) || is_outside(marks[a + 1u]) || is_outside(marks[a + w])
-        || is_outside(marks[a + w + 1u]);
-    return select(1.0, 0.0, outside);
+    let a = b * params.rows * params.columns + u32(row) * params.columns + u32(column);
+    return select(0.0, 1.0, begins_cell(marks[a]));
 }
 
 @compute @workgroup_size(64)

@@ -19,18 +19,30 @@ fn has(b: u32, p: u32) -> bool {
     return motion[2u * (b * params.rows * params.columns + p)].w >= 0.0;
 }
 
-// Whether the cloth has all corners of the cell behind particle a, which must not be on the far borders.
+// Of a patch: whether the pairs of its first particle are wanted, and whether the cloth has its edges to the right and down,
+// and its cell.
+const WANTED: u32 = 1u;
+const RIGHT: u32 = 2u;
+const DOWN: u32 = 4u;
+const WHOLE: u32 = 8u;
+
+fn flags_of(b: u32, p: u32) -> u32 {
+    return u32(motion[2u * (b * params.rows * params.columns + p) + 1u].w);
+}
+
+// Whether the cloth has all corners of the cell behind particle a.
 fn is_whole(b: u32, a: u32) -> bool {
-    return has(b, a) && has(b, a + 1u) && has(b, a + params.columns) && has(b, a + params.columns + 1u);
+    return (flags_of(b, a) & WHOLE) != 0u;
 }
 
 // Returns the particles of the cell behind particle p, as far as the cloth has them; else others of them again.
 fn patch_corners(b: u32, p: u32) -> vec4u {
-    let down = select(0u, params.columns, p / params.columns + 1u < params.rows);
-    let right = select(0u, 1u, p % params.columns + 1u < params.columns);
-    let corners = vec4u(p, p + right, p + down, p + right + down);
-    let exists = vec4<bool>(true, has(b, corners.y), has(b, corners.z), has(b, corners.w));
-    return select(vec4u(p), corners, exists);
+    let flags = flags_of(b, p);
+    let right = select(0u, 1u, (flags & RIGHT) != 0u);
+    let down = select(0u, params.columns, (flags & DOWN) != 0u);
+    // With both edges and no cell, the opposite corner is missing.
+    let is_cut = (flags & (RIGHT | DOWN | WHOLE)) == (RIGHT | DOWN);
+    return vec4u(p, p + right, p + down, select(p + right + down, p, is_cut));
 }
 
 // The centre of what the cloth doesn't have: out of reach.
@@ -62,7 +74,7 @@ fn patch_ball(b: u32, p: u32) -> Ball {
 fn is_wanted(b: u32, p: u32) -> bool {
     let corners = patch_corners(b, p);
     for (var k = 0u; k < 4u; k++) {
-        if motion[2u * (b * params.rows * params.columns + corners[k]) + 1u].w > 0.0 {
+        if (flags_of(b, corners[k]) & WANTED) != 0u {
             return true;
         }
     }

@@ -71,14 +71,18 @@ impl Mask {
         self.stand_ins[p] as usize
     }
 
+    /// Whether the cloth has the cell that begins at particle `p`, which must not be on the far borders.
+    fn has_cell(&self, p: usize) -> bool {
+        [p, p + 1, p + self.grid.w, p + self.grid.w + 1].iter().all(|&p| self.contains(p))
+    }
+
     /// Returns how many of the four cells around particle `p` the cloth has.
     fn cells_around(&self, p: usize) -> u32 {
         let (Grid { h, w }, i, j) = (self.grid, p / self.grid.w, p % self.grid.w);
         let mut count = 0;
         for (i, j) in [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)] {
             if (1..h).contains(&i) && (1..w).contains(&j) {
-                let q = i * w + j;
-                count += u32::from([q, q - 1, q - w, q - w - 1].iter().all(|&p| self.contains(p)));
+                count += u32::from(self.has_cell((i - 1) * w + j - 1));
             }
         }
         count
@@ -114,8 +118,8 @@ fn cells(grid: Grid) -> impl Iterator<Item = [usize; 4]> {
     (1..h).flat_map(move |i| (1..w).map(move |j| i * w + j)).map(move |q| [q - w - 1, q - w, q - 1, q])
 }
 
-/// What a particle is, in one word that both devices read: four times its mass, and whether it is free, a handle, or no
-/// part of the cloth.
+/// What a particle is, in one word that both devices read: four times its mass, whether it is free, a handle, or no
+/// part of the cloth, and whether the cloth has the cell from it to the particle diagonally behind it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
 #[repr(transparent)]
 pub struct Mark(u32);
@@ -134,30 +138,36 @@ pub enum Role {
 impl Mark {
     /// The mass is in the bits from here on.
     const MASS: u32 = 29;
+    /// Set if the cloth has the cell from this particle (i, j) to (i + 1, j + 1).
+    const CELL: u32 = 1 << (Self::MASS - 1);
     /// The slot: 0 for a free particle, 1 + the index of a handle, or this for none.
-    const SLOT: u32 = (1 << Self::MASS) - 1;
+    const SLOT: u32 = Self::CELL - 1;
 
     /// Returns the mark of a particle.
-    fn new(quarters: u32, role: Role) -> Self {
+    fn new(quarters: u32, begins_cell: bool, role: Role) -> Self {
         let slot = match role {
             Role::Free => 0,
             Role::Handle(k) => k as u32 + 1,
             Role::Outside => Self::SLOT,
         };
-        Self(quarters << Self::MASS | slot)
+        Self(quarters << Self::MASS | if begins_cell { Self::CELL } else { 0 } | slot)
     }
 
     /// Returns the marks of the particles of one cloth, whose handles have the positions from `first` on.
     pub(super) fn of_cloth(grid: Grid, mask: Option<&Mask>, handles: &[usize], first: usize) -> Vec<Self> {
         let full = |p: usize| (4.0 * grid.mass(p / grid.w, p % grid.w)) as u32;
+        let is_last = |p: usize| p / grid.w + 1 == grid.h || p % grid.w + 1 == grid.w;
         let mark = |p: usize| match mask {
-            None => Self::new(full(p), Role::Free),
-            Some(mask) if mask.contains(p) => Self::new(mask.cells_around(p), Role::Free),
-            Some(_) => Self::new(0, Role::Outside),
+            None => Self::new(full(p), !is_last(p), Role::Free),
+            Some(mask) if mask.contains(p) => {
+                let has_cell = !is_last(p) && mask.has_cell(p);
+                Self::new(mask.cells_around(p), has_cell, Role::Free)
+            }
+            Some(_) => Self::new(0, false, Role::Outside),
         };
         let mut marks: Vec<Self> = (0..grid.particles()).map(mark).collect();
         for (k, &p) in handles.iter().enumerate() {
-            marks[p] = Self::new(marks[p].0 >> Self::MASS, Role::Handle(first + k));
+            marks[p] = Self::new(marks[p].0 >> Self::MASS, marks[p].begins_cell(), Role::Handle(first + k));
         }
         marks
     }
@@ -182,6 +192,12 @@ impl Mark {
     #[inline]
     pub fn is_outside(self) -> bool {
         self.0 & Self::SLOT == Self::SLOT
+    }
+
+    /// Whether the cloth has the cell from this particle (i, j) to (i + 1, j + 1).
+    #[inline]
+    pub fn begins_cell(self) -> bool {
+        self.0 & Self::CELL != 0
     }
 
     /// Returns its mass: a quarter of each cell around it, 1 inside a sheet; 0 outside of the cloth.
@@ -233,8 +249,8 @@ mod tests {
     #[test]
     fn marks_tell_roles_apart() {
         for role in [Role::Free, Role::Handle(0), Role::Handle(123_456), Role::Outside] {
-            let mark = Mark::new(3, role);
-            assert_eq!((mark.role(), mark.mass()), (role, 0.75));
+            let mark = Mark::new(3, role == Role::Free, role);
+            assert_eq!((mark.role(), mark.mass(), mark.begins_cell()), (role, 0.75, role == Role::Free));
             assert_eq!((mark.is_free(), mark.is_outside()), (role == Role::Free, role == Role::Outside));
         }
     }

@@ -302,6 +302,7 @@ impl Meta {
                     velocity: wind.get_or("velocity", default.wind.velocity, Node::vector)?,
                     density: wind.get_or("density", default.wind.density, Node::not_negative)?,
                     drag: wind.get_or("drag", default.wind.drag, Node::not_negative)?,
+                    gusts: None,
                 }
             }
         };

@@ -16,11 +16,12 @@ impl FreeEdges {
     pub fn new(model: &Model, index: usize) -> Self {
         let grid = model.grid;
         let (h, w) = (grid.h, grid.w);
-        let handles = &model.cloths[index].handles;
-        let distances = distances(h, w, handles);
+        let cloth = &model.cloths[index];
+        let distances = distances(h, w, &cloth.handles);
         let down = (0..(h - 1) * w).map(|p| [p, p + w]);
         let across = (0..h * w).filter(|p| p % w + 1 < w).map(|p| [p, p + 1]);
-        let free = |edge: &[usize; 2]| edge.iter().all(|&p| distances[p] as usize > h / 10);
+        let free =
+            |edge: &[usize; 2]| edge.iter().all(|&p| distances[p] as usize > h / 10 && cloth.contains(p));
         Self { edges: down.chain(across).filter(free).collect() }
     }
 

@@ -2,7 +2,7 @@
 
 use super::file::{read_gravity, read_handles, read_stiffness, read_wind};
 use super::script::{Change, Lead};
-use super::{Handles, Placement, Scene, Stiffness, Units, UpAxis, Wind};
+use super::{Airflow, Handles, Placement, Scene, Stiffness, Units, UpAxis, Wind};
 use crate::cloth::{Cloth, Grid};
 use crate::io::Node;
 use crate::{Error, Result};
@@ -192,7 +192,7 @@ impl Scene {
         &self,
         units: &Units,
         frames: usize,
-        (cloth, wind): (&Cloth, [f64; 3]),
+        (cloth, wind): (&Cloth, Airflow),
     ) -> Result<Vec<Change>> {
         let mut now = Change {
             frame: 0,
@@ -277,7 +277,7 @@ impl Scene {
         }
         if let Some(wind) = event.wind {
             self.check_wind(&field("wind"), &wind)?;
-            now.wind = units.velocity(self.up.to_z_up(wind.velocity));
+            now.wind = Airflow::new(&wind, units, self.up);
             now.cloth.air = units.air(wind.density, wind.drag);
         }
         if let Some(gravity) = event.gravity {

@@ -2,9 +2,9 @@
 
 use super::start::read_transform;
 use super::{
-    Attachment, BodyMotion, BodySettings, BodyShape, Event, Handles, MaskSettings, Mass, MeshSource, Moduli,
-    Motion, Placement, RepulsionSettings, Scene, SelfContactSettings, Side, Start, StartFile, Stiffness,
-    UpAxis, Wind, authors,
+    Attachment, BodyMotion, BodySettings, BodyShape, Event, Gusts, Handles, MaskSettings, Mass, MeshSource,
+    Moduli, Motion, Placement, RepulsionSettings, Scene, SelfContactSettings, Side, Start, StartFile,
+    Stiffness, UpAxis, Wind, authors,
 };
 use crate::cloth::{Grid, Material};
 use crate::io::Node;
@@ -320,12 +320,13 @@ pub(super) fn read_gravity(node: &Node, up: UpAxis) -> Result<[f64; 3]> {
 }
 
 pub(super) fn read_wind(node: &Node) -> Result<Wind> {
-    node.deny_unknown(&["velocity", "density", "drag"])?;
+    node.deny_unknown(&["velocity", "density", "drag", "gusts"])?;
     let fallback = Wind::default();
     Ok(Wind {
         velocity: node.get_or("velocity", fallback.velocity, Node::vector)?,
         density: node.get_or("density", fallback.density, Node::number)?,
         drag: node.get_or("drag", fallback.drag, Node::number)?,
+        gusts: node.get_or("gusts", None, |n| Gusts::read(n).map(Some))?,
     })
 }
 

@@ -34,7 +34,7 @@
 //! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, before it is cut, or mass per area; above 0 | kg or kg/m^2 | areal, `0.187` |
 //! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}` | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
 //! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
-//! | `wind` | `{"velocity": [x, y, z], "density", "drag"}` | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0` |
+//! | `wind` | `{"velocity": [x, y, z], "density", "drag", "gusts"}`; gusts are `{"speed_m_s", "frequency_hz", "seed"}`: a velocity of this root mean square that is added, takes a new direction so often (1 if left out) and is the same for the same seed (0) | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0`, none |
 //! | `repulsion` | repulsion between the layers of the cloth: `{"strength", "distance"}`, each 1 if left out; `true` for both defaults; or `false` for none | m^2/s^2, edges | `false` |
 //! | `self_contact` | contact of the cloth with itself: `{"thickness_m", "friction"}`, those of the cloth if left out; `true` for both; or `false` for none | m | `false` |
 //! | `bodies` | bodies that the cloth meets, `[{"shape", ..}, ..]`, see below; 32 at most | | `[]` |
@@ -190,6 +190,7 @@ mod bodies;
 mod drape;
 mod events;
 pub(crate) mod file;
+mod gusts;
 mod handles;
 mod mask;
 mod motion;
@@ -204,6 +205,7 @@ mod units;
 
 pub use bodies::{BodyMotion, BodyPose, BodySettings, BodyShape, MeshSource};
 pub use events::{Attachment, Event, Release};
+pub use gusts::{Airflow, Gusts};
 pub use handles::{Handles, Placement};
 pub use mask::{MaskSettings, Region};
 pub use motion::{BuiltIn, Motion};
@@ -321,12 +323,15 @@ pub struct Wind {
     pub density: f64,
     /// Drag [N s/m^3]: resistance to motion in the plane of the sheet.
     pub drag: f64,
+    /// How the velocity changes; `None` for a steady wind.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gusts: Option<Gusts>,
 }
 
 impl Default for Wind {
     /// Still air of density 1 without drag, as in the reference data.
     fn default() -> Self {
-        Self { velocity: [0.0; 3], density: 1.0, drag: 0.0 }
+        Self { velocity: [0.0; 3], density: 1.0, drag: 0.0, gusts: None }
     }
 }
 
@@ -561,6 +566,9 @@ impl Scene {
     fn check_wind(&self, field: &str, wind: &Wind) -> Result<()> {
         self.not_negative(&format!("{field}.density"), wind.density)?;
         self.not_negative(&format!("{field}.drag"), wind.drag)?;
+        if let Some(gusts) = wind.gusts {
+            gusts.check(&self.origin, &format!("{field}.gusts"))?;
+        }
         self.finite(&format!("{field}.velocity"), wind.velocity)
     }
 

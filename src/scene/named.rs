@@ -28,7 +28,7 @@ macro_rules! scene {
 
 const ALL: &[NamedScene] = &[
     scene!("sphere", "a sheet that drops on a ball and drapes over it"),
-    scene!("table", "a table cloth that drops on a round table, which is a mesh"),
+    scene!("table", "a round cloth that drops on a round table, which is a mesh"),
     scene!("edge", "a sheet that drops on the edge of a box and slides off it to the floor"),
     scene!("curtain", "a curtain on eight rings that a ball flies through at 10 m/s"),
     scene!("flag", "a flag tied to a pole at three points, in the wind"),

@@ -1,7 +1,7 @@
 //! What a scene does in each frame: the positions of its handles, and what changes on the way.
 
 use super::setup::sweeps;
-use super::{Batch, Setup};
+use super::{Airflow, Batch, Setup};
 use crate::cloth::{Cloth, Control, State, Sweep, cast};
 use crate::{Error, Result};
 use glam::DVec3;
@@ -14,8 +14,8 @@ pub struct Change {
     pub frame: usize,
     /// The cloth from then on. It has the bodies of the cloth at the start.
     pub cloth: Cloth,
-    /// Wind velocity from then on [edges / frame].
-    pub wind: [f64; 3],
+    /// The wind from then on.
+    pub wind: Airflow,
     /// Where each handle of the cloth goes from then on, in their order.
     pub leads: Vec<Lead>,
 }
@@ -127,7 +127,7 @@ impl<'a> Script<'a> {
         };
         Control {
             handles: change.leads.iter().zip(&self.anchors).map(|held| place(held).map(cast)).collect(),
-            wind: vec![change.wind.map(cast)],
+            wind: vec![change.wind.at(frame).map(cast)],
             external: Vec::new(),
             bodies: sweeps(&setup.poses, frame),
         }

@@ -4,7 +4,7 @@ use super::motion::Recording;
 use super::points::{norm, zip};
 use super::script::Change;
 use super::surface::Sheet;
-use super::{Handles, Motion, Scene, Start, Units, UpAxis};
+use super::{Airflow, Handles, Motion, Scene, Start, Units, UpAxis};
 use crate::cloth::{
     Cloth, Control, Grid, Intersection, Material, Model, Pose, State, Sweep, VertexView, cast, intersections,
     untangle,
@@ -57,8 +57,8 @@ pub struct Setup {
     pub poses: Vec<Vec<Pose>>,
     /// What changes on the way, in the order of time. The fields above are those of the start.
     pub changes: Vec<Change>,
-    /// Wind velocity [edges / frame].
-    pub wind: [f64; 3],
+    /// The wind.
+    pub wind: Airflow,
     /// Size of the grid units in SI units.
     pub units: Units,
     /// The axis that points up in the scene.
@@ -77,8 +77,8 @@ pub struct Batch {
     pub handles: Vec<Vec<[f64; 3]>>,
     /// Poses of the bodies of all cloths, as in [`Setup::poses`]: all bodies of cloth 0, then of cloth 1, and so on.
     pub poses: Vec<Vec<Pose>>,
-    /// Wind velocity of each cloth [edges / frame], shape `[B]`.
-    pub wind: Vec<[f64; 3]>,
+    /// The wind of each cloth, shape `[B]`.
+    pub wind: Vec<Airflow>,
     /// Units of each cloth, shape `[B]`.
     pub units: Vec<Units>,
     /// The axis that points up in each cloth's scene, shape `[B]`.
@@ -113,13 +113,13 @@ fn view_m(units: &Units, up: UpAxis) -> VertexView {
 fn control<T: Float>(
     handles: &[Vec<[f64; 3]>],
     poses: &[Vec<Pose>],
-    wind: &[[f64; 3]],
+    wind: &[Airflow],
     frame: usize,
 ) -> Control<T> {
     let row = handles.get(frame).or(handles.last()).map_or(&[][..], Vec::as_slice);
     Control {
         handles: row.iter().map(|p| p.map(cast)).collect(),
-        wind: wind.iter().map(|w| w.map(cast)).collect(),
+        wind: wind.iter().map(|w| w.at(frame).map(cast)).collect(),
         external: Vec::new(),
         bodies: sweeps(poses, frame),
     }
@@ -387,7 +387,7 @@ impl Scene {
             let expected = "flat, hanging or a file, since a cloth with a mask has no settled drape";
             return Err(Error::invalid(&self.origin, "start", expected, "settled"));
         }
-        let wind = units.velocity(self.up.to_z_up(self.wind.velocity));
+        let wind = Airflow::new(&self.wind, &units, self.up);
         self.check_units(&units, &cloth, wind)?;
         let [mut points, velocities] = self.start.on(&cloth, &units, (grid, self.up), &self.origin)?;
         let particles = cloth.handles.clone();
@@ -636,13 +636,13 @@ impl Scene {
 
     /// Fails if a constant of the cloth overflows in grid units, or in single precision, in which frames are computed
     /// and written, though it is finite in SI units.
-    pub(super) fn check_units(&self, units: &Units, cloth: &Cloth, wind: [f64; 3]) -> Result<()> {
+    pub(super) fn check_units(&self, units: &Units, cloth: &Cloth, wind: Airflow) -> Result<()> {
         let Material { stretch, shear, bend } = cloth.material;
         let air = [cloth.air.density, cloth.air.drag];
         self.check_single("side_m, frame_time_s", [units.length_m, units.length_m / units.frame_time_s])?;
         self.check_single("material", [stretch, shear, bend])?;
         self.check_single("gravity", cloth.gravity)?;
-        self.check_single("wind", air.into_iter().chain(wind))
+        self.check_single("wind", air.into_iter().chain(wind.velocity).chain([wind.gusts]))
     }
 
     /// Fails likewise if a position or a velocity overflows.

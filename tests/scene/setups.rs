@@ -245,7 +245,7 @@ fn setups_are_batched() {
         control.handles,
         [a.handles[19][0], a.handles[19][1], b.handles[25][0], a.handles[19][0], a.handles[19][1]]
     );
-    assert_eq!(control.wind, [a.wind, b.wind, a.wind]);
+    assert_eq!(control.wind, [a.wind, b.wind, a.wind].map(|wind| wind.velocity));
     // Each cloth has the units and axes of its own scene.
     let c = parse(r#"{"side_m": 2, "up": "z", "frames": 20}"#).unwrap().setup().unwrap();
     let both = Setup::batch(&[a.clone(), c.clone()]).unwrap();
@@ -430,7 +430,7 @@ fn metres_go_into_a_control_and_come_back() {
             side_m: Side::Height(2.5),
             ..Scene::default()
         };
-        assert_eq!(windy.setup().unwrap().wind, wind);
+        assert_eq!(windy.setup().unwrap().wind.velocity, wind);
         assert!(distance(setup.velocities_m_s(&field(wind))[7], at) < 1e-12);
         // A handle of the start converts to its position in the start.
         let p = setup.model.cloths[0].handles[0];

@@ -31,7 +31,7 @@ pub fn add_wind<T: Real>(
     for i in 0..h - 1 {
         for j in 0..w - 1 {
             let corners = [i * w + j, i * w + j + 1, (i + 1) * w + j, (i + 1) * w + j + 1];
-            if corners.iter().any(|&p| marks[p].is_outside()) {
+            if !marks[corners[0]].begins_cell() {
                 continue;
             }
             let [a, b, c, d] = corners.map(|p| at(x, n, p));
