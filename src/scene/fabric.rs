@@ -29,7 +29,7 @@ const WANG: &str = "H. Wang, R. Ramamoorthi, J. F. O'Brien, Data-Driven Elastic 
 /// A file of that database. `stretching` are C11, C22 and C33 [N/m] of its first row, that of no strain, which all directions
 /// share; `bending` the first numbers [N m] of its rows for 0 and 90 degrees, those of no curvature.
 ///
-/// The numbers mean what ARCSim 0.2.1, the simulator that they are published with, does with them. Its energy per area is
+/// The numbers mean what ARCSim, the simulator that they come with, does with them. Its energy per area is
 /// `C11 e11^2 + C22 e22^2 + 2 C33 e12^2 + ..`, so the stretch moduli are 2 C11 and 2 C22, and the shear modulus, with
 /// `e12 = gamma / 2`, is C33. The coupling C12 has no counterpart here. An edge of length l between triangles of the area A
 /// together, bent by theta, has `k l^2 theta^2 / (8 A)`: a regular mesh that is bent to a cylinder has the stiffness k / 4.
