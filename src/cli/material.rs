@@ -4,7 +4,7 @@ use super::numbers;
 use fnopt::cloth::Material;
 use fnopt::eval::Physics;
 use fnopt::io::read_text;
-use fnopt::scene::Stiffness;
+use fnopt::scene::{Fabric, Scene, Stiffness};
 use fnopt::{Error, Result};
 use std::path::Path;
 
@@ -16,12 +16,25 @@ pub fn fitted() -> Result<Physics> {
     Physics::parse(FITTED, "the fitted material")
 }
 
-/// Reads `--material`: the name of a material, three energy coefficients, or a file.
-pub fn read(text: &str) -> Result<Physics> {
-    if text.chars().all(|c| c.is_alphanumeric() || c == '-')
+/// Whether `--material` gives a name: a file of that name goes before it.
+fn is_name(text: &str) -> bool {
+    text.chars().all(|c| c.is_alphanumeric() || c == '-')
         && !Path::new(text).exists()
         && text.parse::<f64>().is_err()
-    {
+}
+
+/// Sets what `--material` says in a scene: the material, and the mass per area of a fabric, too.
+pub fn apply(text: &str, scene: &mut Scene) -> Result<()> {
+    read(text)?.apply(scene);
+    if let Some(fabric) = Fabric::known(text).filter(|_| is_name(text)) {
+        scene.mass = fabric.mass();
+    }
+    Ok(())
+}
+
+/// Reads `--material`: the name of a material, three energy coefficients, or a file.
+pub fn read(text: &str) -> Result<Physics> {
+    if is_name(text) {
         return Ok(Physics { stiffness: Stiffness::named(text, "--material")?, ..Physics::default() });
     }
     let Some(coefficients) = numbers::<3>(text) else {

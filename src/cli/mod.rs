@@ -4,6 +4,7 @@ mod bench;
 mod device;
 mod doctor;
 mod evaluate;
+mod fabrics;
 mod fit_material;
 mod inspect;
 mod material;
@@ -82,6 +83,8 @@ enum Command {
     Rollout(rollout::Args),
     /// List the scenes that come with the program, or print one
     Scenes(scenes::Args),
+    /// List the fabrics that a material may name, or measure how they bend and drape
+    Fabrics(fabrics::Args),
     /// Train weights for the learned optimizer
     Train(train::Args),
     /// Compare solvers with recorded trajectories and print tables
@@ -187,6 +190,7 @@ pub fn run(cli: Cli) -> ExitCode {
     let ending = match cli.command {
         Command::Rollout(args) => rollout::run(&args),
         Command::Scenes(args) => scenes::run(&args),
+        Command::Fabrics(args) => fabrics::run(&args),
         Command::Train(args) => train::run(&args),
         Command::Evaluate(args) => evaluate::run_command(&args),
         Command::FitMaterial(args) => fit_material::run(&args),

@@ -39,9 +39,9 @@ pub struct Args {
     /// grid; energy coefficients make a finer grid a softer one
     #[arg(long, num_args = 1..=2, value_name = "N|HxW|H W")]
     grid: Option<Vec<String>>,
-    /// `paper` for the paper's coefficients, energy coefficients stretch, shear, bend, or a JSON file with coefficients or moduli under "material"
+    /// A fabric (`fnopt fabrics` lists them), whose mass per area replaces the scene's, `paper` for the paper's coefficients, energy coefficients stretch, shear, bend, or a JSON file with coefficients or moduli under "material"
     /// as in a scene; its "frame_time_s" and the density and drag of its "wind" apply too
-    #[arg(long, value_name = "paper|KS,KH,KB|FILE")]
+    #[arg(long, value_name = "FABRIC|paper|KS,KH,KB|FILE")]
     material: Option<String>,
     /// Let the cloth touch itself, as "self_contact" in a scene does, instead of passing through itself
     #[arg(long)]
@@ -206,7 +206,7 @@ impl Args {
             scene.regrid(one_grid(grid)?)?;
         }
         if let Some(text) = &self.material {
-            material::read(text)?.apply(&mut scene);
+            material::apply(text, &mut scene)?;
         }
         if self.self_contact {
             scene.self_contact.get_or_insert_default();

@@ -9,6 +9,7 @@
 
 mod alignment;
 mod conditions;
+pub mod drape;
 mod equal_time;
 pub mod fit;
 mod flat_mesh;

@@ -2,9 +2,9 @@
 
 use super::start::read_transform;
 use super::{
-    Attachment, BodyMotion, BodySettings, BodyShape, Event, Gusts, Handles, MaskSettings, Mass, MeshSource,
-    Moduli, Motion, Placement, RepulsionSettings, Scene, SelfContactSettings, Side, Start, StartFile,
-    Stiffness, UpAxis, Wind, authors,
+    Attachment, BodyMotion, BodySettings, BodyShape, Event, Fabric, Gusts, Handles, MaskSettings, Mass,
+    MeshSource, Moduli, Motion, Placement, RepulsionSettings, Scene, SelfContactSettings, Side, Start,
+    StartFile, Stiffness, UpAxis, Wind, authors,
 };
 use crate::cloth::{Grid, Material};
 use crate::io::Node;
@@ -273,16 +273,18 @@ fn read_side(node: &Node) -> Result<Side> {
     Ok(Side::Both(node.array("the side along the height, or [height, width]", Node::number)?))
 }
 
+/// Reads the mass, which is by default that of the fabric that the material names.
 fn read_mass(node: &Node) -> Result<Mass> {
+    let fabric = node.get("material").and_then(|material| Fabric::known(material.value.as_str()?));
     match (node.get("mass_kg"), node.get("areal_mass_kg_m2")) {
-        (None, None) => Ok(Mass::default()),
+        (None, None) => Ok(fabric.map_or(Mass::default(), |fabric| fabric.mass())),
         (Some(total), None) => Ok(Mass::Total(total.number()?)),
         (None, Some(areal)) => Ok(Mass::Areal(areal.number()?)),
         (Some(total), Some(_)) => Err(total.invalid("either mass_kg or areal_mass_kg_m2, not both")),
     }
 }
 
-/// Reads a material: coefficients, moduli or a name.
+/// Reads a material: coefficients, moduli or a name, also that of a fabric.
 pub(crate) fn read_stiffness(node: &Node) -> Result<Stiffness> {
     const MODULI: [&str; 3] = ["stretch_modulus", "shear_modulus", "bending_stiffness"];
     const GRID: [&str; 3] = ["stretch", "shear", "bend"];

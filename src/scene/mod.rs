@@ -31,8 +31,8 @@
 //! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each | | `[32, 32]` |
 //! | `side_m` | side along the height, from which the width follows as cells are square; or `[height, width]`, which must make cells square to within 0.1 % | m | `1` |
 //! | `mask` | the part of the sheet that the cloth has, see below | | all of it |
-//! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, before it is cut, or mass per area; above 0 | kg or kg/m^2 | areal, `0.187` |
-//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}` | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
+//! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, before it is cut, or mass per area; above 0 | kg or kg/m^2 | areal, that of the fabric, or else `0.187` |
+//! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}`; or the name of a fabric, see below | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
 //! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
 //! | `wind` | `{"velocity": [x, y, z], "density", "drag", "gusts"}`; gusts are `{"speed_m_s", "frequency_hz", "seed"}`: a velocity of this root mean square that is added, takes a new direction so often (1 if left out) and is the same for the same seed (0) | m/s, kg/m^3, N s/m^3 | `[0, 0, 0]`, `1`, `0`, none |
 //! | `repulsion` | repulsion between the layers of the cloth: `{"strength", "distance"}`, each 1 if left out; `true` for both defaults; or `false` for none | m^2/s^2, edges | `false` |
@@ -54,6 +54,10 @@
 //! are used as given, so a finer grid is a softer cloth. Moduli describe the same cloth on every grid: with
 //! areal mass rho and frame time T, `k_stretch = Y T^2 / (2 s rho l^2)`, `k_shear = G T^2 / (8 rho l^2)`,
 //! `k_bend = D T^2 / (2 sqrt(s) rho l^4)` with `s = H W / ((H - 1)(W - 1))` ([`Units::material`]).
+//!
+//! **Fabrics.** `"material": "denim"` is a fabric that was measured ([`fabrics`] lists them): its moduli, and its mass per area
+//! if the scene gives no mass of its own. A scene is written with both as numbers. An event that names a fabric changes
+//! the stiffness alone, as the mass of a cloth stays.
 //!
 //! **Mask.** A cloth need not be a rectangle. A `mask` is a region of the sheet, or `{"outline", "holes"}`, a region that is
 //! kept (the whole sheet if left out) and a list of those that are cut out of it. A region is `"disc"`, the largest in the
@@ -189,6 +193,7 @@ mod authors;
 mod bodies;
 mod drape;
 mod events;
+mod fabric;
 pub(crate) mod file;
 mod gusts;
 mod handles;
@@ -205,6 +210,7 @@ mod units;
 
 pub use bodies::{BodyMotion, BodyPose, BodySettings, BodyShape, MeshSource};
 pub use events::{Attachment, Event, Release};
+pub use fabric::{Fabric, fabrics};
 pub use gusts::{Airflow, Gusts};
 pub use handles::{Handles, Placement};
 pub use mask::{MaskSettings, Region};
@@ -282,13 +288,19 @@ impl Stiffness {
         Stiffness::Grid(Material::default())
     }
 
-    /// Returns the material called `name`: `paper` ([`Stiffness::paper`]) or `default`. `origin` is the file or option
-    /// that the name comes from.
+    /// Returns the material called `name`: `paper` ([`Stiffness::paper`]), `default`, or that of a fabric ([`fabrics`]).
+    /// `origin` is the file or option that the name comes from.
     pub fn named(name: &str, origin: &str) -> Result<Self> {
         match name {
             "paper" => Ok(Self::paper()),
             "default" => Ok(Self::default()),
-            _ => Err(Error::unknown(origin, "material", name, ["paper", "default"])),
+            _ => match Fabric::known(name) {
+                Some(fabric) => Ok(fabric.stiffness()),
+                None => {
+                    let known = fabrics().iter().map(|fabric| fabric.name);
+                    Err(Error::unknown(origin, "material", name, known.chain(["paper", "default"])))
+                }
+            },
         }
     }
 }

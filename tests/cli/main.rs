@@ -5,6 +5,7 @@ mod command;
 mod devices;
 mod evaluate;
 mod every_command;
+mod fabrics;
 #[cfg(target_os = "linux")]
 mod interrupted;
 mod rollout;

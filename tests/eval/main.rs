@@ -2,6 +2,7 @@
 
 mod common;
 mod equal_time;
+mod fabrics;
 mod fit;
 mod metrics;
 #[path = "../noise/mod.rs"]

@@ -4,6 +4,7 @@ mod bodies;
 mod common;
 mod documents;
 mod events;
+mod fabrics;
 mod named;
 mod refusals;
 mod setups;

@@ -5,7 +5,7 @@ use crate::cloth::{Grid, Mark};
 use crate::cpu::Real;
 
 /// 1 for each edge and angle of the grid that the cloth has, and 0 for the others, as factors for
-/// [rows](super::rows). An edge that it doesn't have is loaded as one of length zero, which forms no angle.
+/// rows. An edge that it doesn't have is loaded as one of length zero, which forms no angle.
 #[derive(Clone, Debug)]
 pub struct Cut<T> {
     stride: usize,

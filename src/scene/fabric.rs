@@ -1,0 +1,179 @@
+//! The fabrics that a scene may name as its material.
+
+use super::{Mass, Moduli, Stiffness};
+use crate::{Error, Result};
+
+/// A fabric that was measured, to be had by its name: `"material": "denim"`.
+///
+/// A cloth here is the same along both of its directions: the moduli are the means of those along warp and weft (wales and
+/// courses of a knit), and those at small strains and curvatures. Real fabrics stiffen when they are stretched, soften or stiffen
+/// when they are bent, and keep some of both; none of that is in them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fabric {
+    /// Its name.
+    pub name: &'static str,
+    /// What it is, in one line.
+    pub description: &'static str,
+    /// Mass per area [kg/m^2].
+    pub areal_mass_kg_m2: f64,
+    /// Its moduli.
+    pub moduli: Moduli,
+    /// Where the numbers come from.
+    pub source: &'static str,
+}
+
+/// Ten fabrics that Wang, Ramamoorthi and O'Brien measured, from the database of their paper.
+const WANG: &str = "H. Wang, R. Ramamoorthi, J. F. O'Brien, Data-Driven Elastic Models for Cloth: Modeling and Measurement, \
+     ACM Trans. Graph. 30(4), 71, 2011, files of the Berkeley garment library";
+
+/// A file of that database. `stretching` are C11, C22 and C33 [N/m] of its first row, that of no strain, which all directions
+/// share; `bending` the first numbers [N m] of its rows for 0 and 90 degrees, those of no curvature.
+///
+/// The numbers mean what ARCSim, the simulator that they come with, does with them. Its energy per area is
+/// `C11 e11^2 + C22 e22^2 + 2 C33 e12^2 + ..`, so the stretch moduli are 2 C11 and 2 C22, and the shear modulus, with
+/// `e12 = gamma / 2`, is C33. The coupling C12 has no counterpart here. An edge of length l between triangles of the area A
+/// together, bent by theta, has `k l^2 theta^2 / (8 A)`: a regular mesh that is bent to a cylinder has the stiffness k / 4.
+const fn measured(
+    name: &'static str,
+    description: &'static str,
+    areal_mass_kg_m2: f64,
+    stretching: [f64; 3],
+    bending: [f64; 2],
+) -> Fabric {
+    let moduli = Moduli {
+        stretch_modulus: stretching[0] + stretching[1],
+        shear_modulus: stretching[2],
+        bending_stiffness: (bending[0] + bending[1]) / 8.0,
+    };
+    Fabric { name, description, areal_mass_kg_m2, moduli, source: WANG }
+}
+
+// Names of the files are in brackets.
+const ALL: &[Fabric] = &[
+    // [gray-interlock]
+    measured(
+        "t-shirt",
+        "interlock knit, 60 % cotton, 40 % polyester",
+        0.187,
+        [16.593832, 34.477123, 36.860302],
+        [23.191698e-6, 14.267624e-6],
+    ),
+    // [ivory-rib-knit]
+    measured(
+        "rib-knit",
+        "rib knit of underwear, 95 % cotton, 5 % spandex",
+        0.276,
+        [42.871021, 65.166023, 83.175644],
+        [46.237591e-6, 32.243889e-6],
+    ),
+    // [11oz-black-denim]
+    measured(
+        "denim",
+        "denim of jeans, 11 oz, 99 % cotton, 1 % spandex",
+        0.324,
+        [205.352005, 1013.88629, 53.387184],
+        [64.196457e-6, 96.951576e-6],
+    ),
+    // [royal-target]
+    measured(
+        "trousers",
+        "cloth of trousers, 65 % cotton, 35 % polyester",
+        0.220,
+        [2016.55456, 2034.97644, 104.759674],
+        [125.409805e-6, 125.409805e-6],
+    ),
+    // [tango-red-jet-set]
+    measured(
+        "jacket",
+        "light cloth of a jacket, polyester",
+        0.113,
+        [43.067627, 171.424835, 14.314700],
+        [14.293814e-6, 20.345654e-6],
+    ),
+    // [camel-ponte-roma]
+    measured(
+        "ponte-roma",
+        "ponte roma knit of a jacket, 60 % polyester, 40 % rayon",
+        0.284,
+        [31.146198, 44.028667, 31.896357],
+        [36.348366e-6, 37.157593e-6],
+    ),
+    // [navy-sparkle-sweat]
+    measured(
+        "sweater",
+        "knit of a sweater, 96 % polyester, 4 % spandex",
+        0.224,
+        [12.486332, 3.272434, 17.616289],
+        [59.469658e-6, 45.625023e-6],
+    ),
+    // [white-swim-solid]
+    measured(
+        "swimsuit",
+        "knit of a swimsuit, 87 % nylon, 13 % spandex",
+        0.204,
+        [47.971176, 104.615456, 60.773663],
+        [60.237942e-6, 51.018833e-6],
+    ),
+    // [white-dots-on-blk]
+    measured(
+        "tablecloth",
+        "light cloth of a table, polyester",
+        0.128,
+        [2002.08618, 2027.48559, 19.189022],
+        [51.713814e-6, 31.282822e-6],
+    ),
+    // [pink-ribbon-brown]
+    measured(
+        "blanket",
+        "cloth of a blanket, polyester",
+        0.228,
+        [151.503906, 244.830673, 30.250183],
+        [117.070122e-6, 59.774277e-6],
+    ),
+];
+
+/// Returns the fabrics that a scene may name, each with a name of its own.
+///
+/// ```
+/// use fnopt::scene::{Scene, fabrics};
+///
+/// let scene = Scene::parse(r#"{"material": "denim"}"#, "example", "".as_ref())?;
+/// let denim = fabrics().iter().find(|fabric| fabric.name == "denim").unwrap();
+/// assert_eq!((scene.stiffness, scene.mass), (denim.stiffness(), denim.mass()));
+/// # Ok::<(), fnopt::Error>(())
+/// ```
+pub fn fabrics() -> &'static [Fabric] {
+    ALL
+}
+
+impl Fabric {
+    /// Returns the fabric called `name`; `origin` is the file or option that the name comes from. Fails with the nearest
+    /// names if there is none.
+    pub fn find(name: &str, origin: &str) -> Result<Self> {
+        Self::known(name).ok_or_else(|| Error::unknown(origin, "fabric", name, ALL.iter().map(|f| f.name)))
+    }
+
+    /// Returns the fabric called `name`, if there is one.
+    pub fn known(name: &str) -> Option<Self> {
+        ALL.iter().find(|fabric| fabric.name == name).copied()
+    }
+
+    /// Returns its stiffness, for [`Scene::stiffness`](super::Scene::stiffness).
+    pub fn stiffness(&self) -> Stiffness {
+        Stiffness::Moduli(self.moduli)
+    }
+
+    /// Returns its mass, for [`Scene::mass`](super::Scene::mass).
+    pub fn mass(&self) -> Mass {
+        Mass::Areal(self.areal_mass_kg_m2)
+    }
+}
+
+impl Moduli {
+    /// Returns the bending length `(D / (rho g))^(1/3)` \[m\] of a sheet with a mass per area rho [kg/m^2] under a gravity g
+    /// [m/s^2] (F. T. Peirce, The "Handle" of Cloth as a Measurable Quantity, J. Text. Inst. 21, T377, 1930): half of the
+    /// overhang at which a strip bends down by 41.5 degrees.
+    pub fn bending_length_m(&self, areal_mass_kg_m2: f64, gravity_m_s2: f64) -> f64 {
+        (self.bending_stiffness / (areal_mass_kg_m2 * gravity_m_s2)).cbrt()
+    }
+}

@@ -1,0 +1,84 @@
+//! Fabrics as the material of a scene.
+
+use super::common::parse;
+use fnopt::scene::{Fabric, Mass, Scene, Stiffness, fabrics};
+
+#[test]
+fn a_fabric_sets_stiffness_and_mass() {
+    for fabric in fabrics() {
+        let scene = parse(&format!(r#"{{"material": "{}", "start": "flat"}}"#, fabric.name)).unwrap();
+        assert_eq!((scene.stiffness, scene.mass), (fabric.stiffness(), fabric.mass()));
+        // It is written as numbers, which are the same cloth.
+        let again = Scene::parse(&scene.to_json().to_string(), &scene.origin, "".as_ref()).unwrap();
+        assert_eq!(again, scene);
+        // And is that cloth on a grid, too.
+        let setup = scene.setup().unwrap();
+        assert_eq!(setup.units.areal_mass_kg_m2, fabric.areal_mass_kg_m2);
+        let found = setup.units.moduli(setup.model.grid, setup.model.cloths[0].material);
+        for (found, expected) in [
+            (found.stretch_modulus, fabric.moduli.stretch_modulus),
+            (found.shear_modulus, fabric.moduli.shear_modulus),
+            (found.bending_stiffness, fabric.moduli.bending_stiffness),
+        ] {
+            assert!(expected > 0.0 && (found / expected - 1.0).abs() < 1e-12, "{found} for {expected}");
+        }
+    }
+}
+
+#[test]
+fn a_mass_of_the_scene_goes_before_that_of_the_fabric() {
+    for (field, expected) in [
+        (r#""areal_mass_kg_m2": 0.5"#, Mass::Areal(0.5)),
+        (r#""mass_kg": 0.7"#, Mass::Total(0.7)),
+        (r#""mass_kg": null"#, Mass::Areal(0.324)),
+    ] {
+        let scene = parse(&format!(r#"{{"material": "denim", {field}}}"#)).unwrap();
+        assert_eq!(scene.mass, expected);
+        assert_eq!(scene.stiffness, Stiffness::named("denim", "a test").unwrap());
+    }
+    // Those that are no fabric leave it as it was.
+    for name in ["paper", "default"] {
+        assert_eq!(parse(&format!(r#"{{"material": "{name}"}}"#)).unwrap().mass, Mass::Areal(0.187));
+        assert_eq!(Fabric::known(name), None);
+    }
+    assert_eq!(parse(r#"{"material": "paper"}"#).unwrap().stiffness, Stiffness::paper());
+}
+
+/// Mass per area and bending length, as a laboratory gives them, are in the range of apparel: 100 to 350 g/m^2 and 1 to 3 cm.
+#[test]
+fn fabrics_are_cloths() {
+    let mut names: Vec<_> = fabrics().iter().map(|fabric| fabric.name).collect();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), fabrics().len());
+    for fabric in fabrics() {
+        let length = fabric.moduli.bending_length_m(fabric.areal_mass_kg_m2, 9.81);
+        assert!((0.01..0.03).contains(&length), "{}: {length} m", fabric.name);
+        assert!((0.1..0.35).contains(&fabric.areal_mass_kg_m2), "{}", fabric.name);
+        assert!(!fabric.description.is_empty() && fabric.source.contains("2011"));
+        assert_eq!(Fabric::find(fabric.name, "a test").unwrap(), *fabric);
+    }
+    // 1 g of weight on 1 cm, B = D / (rho g) = 1 cm^3: 9.81e-6 N m at 1 kg/m^2.
+    let moduli = fnopt::scene::Moduli { bending_stiffness: 9.81e-6, ..fabrics()[0].moduli };
+    assert!((moduli.bending_length_m(1.0, 9.81) - 0.01).abs() < 1e-15);
+}
+
+#[test]
+fn a_misspelt_fabric_gets_the_nearest_name() {
+    let error = parse(r#"{"material": "demin"}"#).unwrap_err().to_string();
+    assert!(error.contains("material: unknown material 'demin' (did you mean denim"), "{error}");
+    let error = Fabric::find("trouser", "fabrics").unwrap_err().to_string();
+    assert!(error.contains("fabrics: unknown fabric 'trouser' (did you mean trousers"), "{error}");
+}
+
+/// The mass of a cloth stays when its stiffness becomes that of a fabric.
+#[test]
+fn an_event_changes_the_stiffness_alone() {
+    let text = r#"{"material": "denim", "start": "flat", "frames": 9, "motion": "none",
+        "events": [{"frame": 4, "material": "t-shirt"}]}"#;
+    let setup = parse(text).unwrap().setup().unwrap();
+    let found = setup.units.moduli(setup.model.grid, setup.changes[0].cloth.material);
+    let shirt = Fabric::known("t-shirt").unwrap().moduli;
+    assert!((found.bending_stiffness / shirt.bending_stiffness - 1.0).abs() < 1e-12);
+    assert_eq!(setup.units.areal_mass_kg_m2, 0.324);
+}
