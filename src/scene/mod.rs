@@ -124,7 +124,9 @@
 //! - `flat` has particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up.
 //! - `hanging` is a vertical plane whose upper edge, j = 0, is `(0, 0.5, z)` times the side.
 //! - An OBJ has vertex `i W + j` for particle (i, j). Its faces, if it has any, cover each cell by two
-//!   triangles or one quadrilateral.
+//!   triangles or one quadrilateral. In another order its faces tell which vertex is which particle, up to turns of the sheet:
+//!   its texture coordinates choose among these if it has any, otherwise the side to which its faces turn and the order of
+//!   its vertices do.
 //! - A `.npy` (`f2`, `f4` or `f8`) has shape [H, W, 3] or [H W, 3], or that of a trajectory,
 //!   [frames, H W, 3], whose first frame is used.
 //! - A `.npz` as written by a rollout (`rollout.npz`, `replay.npz`) supplies its last frame, with velocities.
@@ -191,6 +193,7 @@ mod drape;
 mod events;
 pub(crate) mod file;
 mod handles;
+mod lattice;
 mod mask;
 mod motion;
 mod named;
