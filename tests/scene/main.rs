@@ -4,6 +4,7 @@ mod bodies;
 mod common;
 mod documents;
 mod events;
+mod meshes;
 mod named;
 mod refusals;
 mod setups;
