@@ -18,7 +18,7 @@ const REACH: f64 = 1.0;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Embedding {
     grid: Grid,
-    /// Shape [V].
+    /// Shape \[V\].
     cells: Vec<u32>,
     /// Shape [V, 2].
     weights: Vec<[f64; 2]>,
@@ -56,7 +56,7 @@ impl Embedding {
     }
 
     /// Returns the number `i W + j` of the first corner of each vertex's cell, whose others are (i, j + 1), (i + 1, j) and
-    /// (i + 1, j + 1); shape [V].
+    /// (i + 1, j + 1); shape \[V\].
     pub fn cells(&self) -> &[u32] {
         &self.cells
     }

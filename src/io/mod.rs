@@ -1,7 +1,7 @@
 //! Readers and writers of trajectories, meshes and arrays.
 //!
 //! Frames in memory are a [`Trajectory`], those of a run a [`Recording`] on disk; both are written in any [`Format`]
-//! ([`write()`]). Readers are strict: a file
+//! ([`write()`]). A [`RenderMesh`] is one that a cloth carries along, and [`Embedded`] its frames. Readers are strict: a file
 //! that is truncated, too long or inconsistent is rejected with its name and the offending field, and the
 //! sizes in a header are checked against the length of the file before anything is allocated for them.
 

@@ -35,7 +35,7 @@ impl RenderMesh {
         &self.positions
     }
 
-    /// Returns the zero-based number in the file of each vertex, which those along a seam share; shape [V].
+    /// Returns the zero-based number in the file of each vertex, which those along a seam share; shape \[V\].
     pub fn sources(&self) -> &[u32] {
         &self.sources
     }

@@ -28,7 +28,7 @@ impl Embed {
         Ok(Self { kernel: Kernel::new(context, &SOURCE, 0, &[])? })
     }
 
-    /// Sets `embedded` [B, V, 6] from the particles' `interleaved` [B, H W, 6], for vertices in these `cells` [V] with these
+    /// Sets `embedded` [B, V, 6] from the particles' `interleaved` [B, H W, 6], for vertices in these `cells` \[V\] with these
     /// `weights` [V, 2] ([`crate::cloth::Embedding`]).
     pub fn push(
         &self,
