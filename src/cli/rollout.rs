@@ -11,7 +11,7 @@ use anyhow::Result;
 use fnopt::Frame;
 use fnopt::cloth::{BodyStats, LayerStats, State};
 use fnopt::eval::{Soundness, Verdict, median_time};
-use fnopt::io::{Format, Frames, Recording, Topology, Trajectory, WriteOptions, write_atomic};
+use fnopt::io::{Format, Frames, Recording, Trajectory, WriteOptions, write_atomic};
 use fnopt::render::{Bodies, Film, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Script, Setup, UpAxis};
 use fnopt::sim::{FrameStats, Optimizer};
@@ -150,7 +150,7 @@ fn simulate(args: &Args) -> Result<Ending> {
         simulator.resume(last, &start, &earlier.memory).map_err(|error| error.of_file(file))?;
         recording.extend_from(file)?;
     } else {
-        let [positions, velocities] = setup.points(&start);
+        let [positions, velocities] = setup.particles(&start);
         recording.push(&positions, &velocities)?;
     }
     let soundness = Soundness::after(script.clone(), &start);
@@ -246,7 +246,7 @@ impl Args {
     /// Returns the recording of a run, at the rate of the simulation.
     fn recording(&self, setup: &Setup) -> fnopt::Result<Recording> {
         let fps = 1.0 / (f64::from(self.every) * setup.units.frame_time_s);
-        Recording::new(&self.out, setup.topology(), fps)
+        Recording::new(&self.out, setup.particle_topology(), fps)
     }
 
     /// Fails if a format cannot hold the frames, or an option has no format that it is about.
@@ -267,7 +267,7 @@ impl Args {
                 return Err(Error::invalid(name, "--format", expected, join(&self.format, ",")));
             }
         }
-        let topology = Topology::from(setup.model.grid);
+        let topology = setup.topology();
         let frames = (setup.frames() - 1) / self.every as usize + 1;
         self.format.iter().try_for_each(|format| format.check_capacity(&topology, frames, "--format"))
     }
@@ -447,7 +447,7 @@ impl<'a> Run<'a> {
     /// Takes a frame. Fails, and leaves it out, if the disk is full.
     fn keep(&mut self, frame: Frame) -> fnopt::Result<()> {
         if frame.index.is_multiple_of(self.args.every as usize) {
-            let [positions, velocities] = self.setup.points(&frame.state);
+            let [positions, velocities] = self.setup.particles(&frame.state);
             self.recording.push(&positions, &velocities)?;
         }
         self.soundness.judge(&frame);
@@ -551,14 +551,18 @@ impl<'a> Run<'a> {
         };
         let formats: BTreeSet<Format> = self.args.format.iter().copied().collect();
         let out = &self.args.out;
+        let embedded = self.setup.embedding.as_ref().map(|mesh| mesh.frames(&self.recording));
+        let particles: &dyn Frames = &self.recording;
+        let mesh: &dyn Frames = embedded.as_ref().map_or(particles, |embedded| embedded);
         for &format in &formats {
+            let frames = if format.holds_particles() { particles } else { mesh };
             let options = self.args.options(self.setup);
-            note(self.recording.write(out, NAME, format, &options).map(|path| vec![path]));
+            note(io::write(frames, out, NAME, format, &options).map(|path| vec![path]));
         }
         if formats.iter().any(|format| format.is_vertex_cache()) {
             // The mesh that it moves.
-            let mesh = out.join(format!("{NAME}.obj"));
-            note(io::write_mesh(&self.recording, &mesh).map(|()| vec![mesh]));
+            let path = out.join(format!("{NAME}.obj"));
+            note(io::write_mesh(mesh, &path).map(|()| vec![path]));
         }
         if !self.args.no_pictures {
             note(self.write_picture());
@@ -754,7 +758,7 @@ mod tests {
         let (scene, optimizer) = (args.scene().unwrap(), args.solver.optimizer().unwrap());
         let setup = scene.setup().unwrap();
         let mut recording = args.recording(&setup).unwrap();
-        let [positions, velocities] = setup.points(&setup.start.cast());
+        let [positions, velocities] = setup.particles(&setup.start.cast());
         recording.push(&positions, &velocities).unwrap();
         let scene = (&scene, Soundness::new(&setup));
         let mut run = Run::new(&args, scene, &optimizer, (String::new(), recording));

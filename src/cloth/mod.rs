@@ -3,6 +3,7 @@
 
 mod body;
 mod distance_field;
+mod embedding;
 mod energy;
 mod grid;
 mod intersections;
@@ -15,6 +16,7 @@ mod view;
 
 pub use body::{Body, BodyStats, Distance, LayerStats, MAX_BODIES, MAX_CONTACTS, Pose, Shape, Sweep};
 pub use distance_field::{DistanceField, MeshFault};
+pub use embedding::Embedding;
 pub use energy::EnergyTerms;
 pub use grid::{Grid, MAX_GRID, MIN_GRID};
 pub use intersections::{Intersection, intersections};

@@ -38,6 +38,11 @@ impl Format {
         matches!(self, Self::Pc2 | Self::Mdd)
     }
 
+    /// Whether it holds the particles of a cloth even if that carries a mesh along: simulations go on from it.
+    pub fn holds_particles(self) -> bool {
+        matches!(self, Self::Npz | Self::Npy)
+    }
+
     /// Returns the name of the format, which is also its file extension.
     pub fn name(self) -> &'static str {
         match self {

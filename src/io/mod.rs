@@ -1,13 +1,14 @@
 //! Readers and writers of trajectories, meshes and arrays.
 //!
 //! Frames in memory are a [`Trajectory`], those of a run a [`Recording`] on disk; both are written in any [`Format`]
-//! ([`write()`]). Readers are strict: a file
+//! ([`write()`]). A [`RenderMesh`] is one that a cloth carries along, and [`Embedded`] its frames. Readers are strict: a file
 //! that is truncated, too long or inconsistent is rejected with its name and the offending field, and the
 //! sizes in a header are checked against the length of the file before anything is allocated for them.
 
 mod atomic;
 mod clip;
 mod document;
+mod embedded;
 mod folder;
 mod format;
 mod glb;
@@ -19,6 +20,7 @@ mod obj;
 mod pc2;
 mod ply;
 mod recording;
+mod render_mesh;
 mod topology;
 mod trajectory;
 mod usda;
@@ -30,6 +32,7 @@ pub use clip::{Frames, WriteOptions, write, write_mesh};
 #[cfg(feature = "lab")]
 pub(crate) use document::parse_toml;
 pub(crate) use document::{Node, parse_json};
+pub use embedded::Embedded;
 pub use format::Format;
 pub use mesh::{Mesh, vertex_normals};
 pub use npy::{parse_npy, read_npy};
@@ -37,6 +40,7 @@ pub use npz::read_npz_array;
 pub(crate) use obj::Polygons;
 pub use obj::read_obj;
 pub use recording::Recording;
+pub use render_mesh::RenderMesh;
 pub use topology::Topology;
 pub(crate) use trajectory::intersections_of;
 pub use trajectory::{ReadOptions, Trajectory};

@@ -13,7 +13,7 @@ use std::{
 };
 
 /// The statements that are skipped: all those of the format that do not describe positions or faces.
-const IGNORED: &str = "vt vn vp o g s mg l p usemtl mtllib usemap maplib deg bmat step cstype curv curv2 surf parm \
+const IGNORED: &str = "vn vp o g s mg l p usemtl mtllib usemap maplib deg bmat step cstype curv curv2 surf parm \
     trim hole scrv sp end con call bevel c_interp d_interp lod shadow_obj trace_obj ctech stech";
 
 /// The vertices and faces of an OBJ file, exactly as given there.
@@ -25,6 +25,11 @@ pub(crate) struct Polygons<T> {
     pub positions: Vec<[T; 3]>,
     /// Zero-based vertex indices of each face, at least three, and its one-based line number.
     pub faces: Vec<(Vec<usize>, usize)>,
+    /// Texture coordinates in file order; NaN where the file has something else, which matters only to those who use them.
+    pub uv: Vec<[f64; 2]>,
+    /// Zero-based indices of the texture coordinates of each face's corners; `None` where the file has none or names one
+    /// that it doesn't have.
+    pub uv_of: Vec<Vec<Option<usize>>>,
 }
 
 /// Reads the positions and faces of an OBJ file. Polygons are split into triangles; vertices keep the order
@@ -40,7 +45,8 @@ impl<T: Float + FromStr> Polygons<T> {
     }
 
     fn parse(bytes: &[u8], origin: &str) -> Result<Self> {
-        let mut found = Self { origin: origin.to_owned(), positions: Vec::new(), faces: Vec::new() };
+        let (positions, faces, uv, uv_of) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let mut found = Self { origin: origin.to_owned(), positions, faces, uv, uv_of };
         // Some programs write a byte-order mark.
         let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
         let (mut joined, mut is_joined, mut is_comment) = (Vec::new(), false, false);
@@ -70,8 +76,15 @@ impl<T: Float + FromStr> Polygons<T> {
                     position(words).map(|position| found.positions.push(position)),
                     "'v X Y Z', finite numbers",
                 ),
+                Some("vt") => {
+                    found.uv.push(texture(words));
+                    continue;
+                }
                 Some("f") => (
-                    face(words, found.positions.len()).map(|face| found.faces.push((face, k + 1))),
+                    face(words, found.positions.len(), found.uv.len()).map(|(face, uv)| {
+                        found.faces.push((face, k + 1));
+                        found.uv_of.push(uv);
+                    }),
                     "'f' with three or more vertices that exist, defined above it",
                 ),
                 Some(word) => (
@@ -88,6 +101,11 @@ impl<T: Float + FromStr> Polygons<T> {
                     format!("'{shown}'"),
                 ));
             }
+        }
+        // A face may use a coordinate that comes after it.
+        let many = found.uv.len();
+        for uv in found.uv_of.iter_mut().flatten() {
+            *uv = uv.filter(|&uv| uv < many);
         }
         Ok(found)
     }
@@ -118,16 +136,31 @@ fn position<'a, T: Float + FromStr>(mut words: impl Iterator<Item = &'a str>) ->
     words.all(|w| w.parse::<T>().is_ok()).then_some(out)
 }
 
-/// Parses `a b c ..`, each `v`, `v/vt`, `v//vn` or `v/vt/vn`; negative numbers count back from the last of
-/// `vertices`.
-fn face<'a>(words: impl Iterator<Item = &'a str>, vertices: usize) -> Option<Vec<usize>> {
-    let number = |word: &'a str| {
-        let number: i64 = word.split('/').next()?.parse().ok()?;
-        let from_zero = if number < 0 { number.checked_add(vertices as i64)? } else { number - 1 };
-        usize::try_from(from_zero).ok().filter(|&k| k < vertices)
+/// Parses `u v`, or `u` alone, whose v is 0.
+fn texture<'a>(mut words: impl Iterator<Item = &'a str>) -> [f64; 2] {
+    let mut number = |default| words.next().map_or(default, |word| word.parse().unwrap_or(f64::NAN));
+    [number(f64::NAN), number(0.0)]
+}
+
+/// Parses `a b c ..`, each `v`, `v/vt`, `v//vn` or `v/vt/vn`, into the vertices and the texture coordinates of the corners;
+/// negative numbers count back from the last of `vertices` and `uv`.
+fn face<'a>(
+    words: impl Iterator<Item = &'a str>,
+    vertices: usize,
+    uv: usize,
+) -> Option<(Vec<usize>, Vec<Option<usize>>)> {
+    let index = |word: &str, count: usize| {
+        let number: i64 = word.parse().ok()?;
+        let from_zero = if number < 0 { number.checked_add(count as i64)? } else { number - 1 };
+        usize::try_from(from_zero).ok()
     };
-    let corners = words.map(number).collect::<Option<Vec<usize>>>()?;
-    (corners.len() >= 3).then_some(corners)
+    let corner = |word: &'a str| {
+        let mut parts = word.split('/');
+        let vertex = index(parts.next()?, vertices).filter(|&k| k < vertices)?;
+        Some((vertex, parts.next().and_then(|word| index(word, uv))))
+    };
+    let (corners, uv): (Vec<_>, Vec<_>) = words.map(corner).collect::<Option<Vec<_>>>()?.into_iter().unzip();
+    (corners.len() >= 3).then_some((corners, uv))
 }
 
 /// Writes a frame; `rest` is the same in all frames ([`rest`]).

@@ -41,6 +41,7 @@ const ALL: &[(&Source, usize)] = &[
     (&cloth::energy_sum::SOURCE, 0),
     (&cloth::integrate::SOURCE, 0),
     (&cloth::vertices::SOURCE, 0),
+    (&cloth::embed::SOURCE, 0),
     (&optim::features::SOURCE, 0),
     (&optim::update::SOURCE, 0),
     (&optim::gradient_descent::SOURCE, 0),

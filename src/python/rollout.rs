@@ -6,14 +6,15 @@ use super::scene::scene_of;
 use super::simulation::rows;
 use crate::bindings::{PerFrame, Report, Settings, Status, change_scene};
 use crate::eval::Soundness;
-use crate::io::{Format, Trajectory, create_folder, folder_of};
-use crate::scene::Script;
+use crate::io::{Format, Frames, Trajectory, WriteOptions, create_folder, folder_of, write, write_mesh};
+use crate::scene::{EmbeddedMesh, Script};
 use crate::{Device, Error};
 use numpy::{PyArray2, PyArray3};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// How often a rollout looks for Ctrl-C and moves its progress bar.
@@ -23,6 +24,8 @@ const BREATH: Duration = Duration::from_millis(100);
 #[pyclass(name = "Rollout", module = "fnopt", frozen)]
 pub(super) struct PyRollout {
     trajectory: Trajectory,
+    /// The mesh that the cloth carries along, which files for other programs hold.
+    embedding: Option<Arc<EmbeddedMesh>>,
     report: serde_json::Value,
 }
 
@@ -121,10 +124,15 @@ impl PyRollout {
         }
         let folder = folder_of(path);
         create_folder(folder)?;
+        let embedded = self.embedding.as_ref().map(|mesh| mesh.frames(&self.trajectory));
+        let frames: &dyn Frames = match &embedded {
+            Some(embedded) if !format.holds_particles() => embedded,
+            _ => &self.trajectory,
+        };
         if format.is_vertex_cache() {
-            self.trajectory.write_mesh(folder.join(format!("{name}.obj")))?;
+            write_mesh(frames, folder.join(format!("{name}.obj")))?;
         }
-        self.trajectory.write(folder, &name, format)
+        write(frames, folder, &name, format, &WriteOptions::default())
     }
 }
 
@@ -234,7 +242,7 @@ pub(super) fn rollout(
         per_frame: &per_frame,
     };
     let report = report.to_json(status);
-    let rollout = PyRollout { trajectory, report };
+    let rollout = PyRollout { trajectory, embedding: setup.embedding.clone(), report };
     let Some(error) = outcome.err().map(raised).or(stopped) else { return Ok(rollout) };
     error.value(py).setattr("rollout", rollout)?;
     Err(error)

@@ -14,10 +14,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 /// The fields of a scene file.
-pub(super) const FIELDS: [&str; 22] = [
+pub(super) const FIELDS: [&str; 23] = [
     "grid",
     "side_m",
     "mask",
+    "mesh",
     "mass_kg",
     "areal_mass_kg_m2",
     "material",
@@ -99,6 +100,7 @@ impl Scene {
                 Side::Both(sides) => json!(sides),
             },
             "mask": self.mask.as_ref().map(MaskSettings::to_json),
+            "mesh": self.mesh.as_ref().map(|path| path.to_string_lossy()),
             "material": self.stiffness.to_json(),
             "gravity": self.gravity,
             "wind": self.wind,
@@ -149,6 +151,7 @@ impl Scene {
         if let Motion::File(path) = &mut scene.motion {
             absolute(path)?;
         }
+        scene.mesh.iter_mut().try_for_each(absolute)?;
         scene.mask.iter_mut().flat_map(MaskSettings::files_mut).try_for_each(absolute)?;
         for body in &mut scene.bodies {
             if let BodyMotion::File(path) = &mut body.motion {
@@ -163,7 +166,7 @@ impl Scene {
 }
 
 /// Fields that other simulators have, and what to do here.
-const ABSENT: [(&str, &str); 30] = [
+const ABSENT: [(&str, &str); 33] = [
     ("damping", "there is none; the air slows the cloth (\"wind\": {\"density\", \"drag\"})"),
     ("drag", "it is a field of \"wind\""),
     ("colliders", BODIES),
@@ -189,6 +192,9 @@ const ABSENT: [(&str, &str); 30] = [
     ("mass", "it is called \"mass_kg\", or \"areal_mass_kg_m2\""),
     ("resolution", "it is called \"grid\""),
     ("size", "it is called \"side_m\""),
+    ("render_mesh", A_MESH),
+    ("embedding", A_MESH),
+    ("uv", "it is in the file that \"mesh\" names"),
     ("pins", "they are called \"handles\""),
     ("pinned", "they are called \"handles\""),
     ("air", "it is called \"wind\""),
@@ -198,6 +204,7 @@ const ABSENT: [(&str, &str); 30] = [
     ("solver", "it is an option of the command, --solver"),
     ("iterations", "it is an option of the command, --iterations"),
 ];
+const A_MESH: &str = "it is called \"mesh\": the path of an .obj with texture coordinates";
 const BODIES: &str =
     "they are called \"bodies\": [{\"shape\": \"sphere\", \"radius_m\": 0.2, \"position_m\": [0, 0, 0]}]";
 const A_PLANE: &str = "it is one of \"bodies\": [{\"shape\": \"plane\", \"position_m\": [0, 0, 0]}]";
@@ -214,6 +221,7 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         grid: node.get_or("grid", fallback.grid, read_grid)?,
         side_m: node.get_or("side_m", fallback.side_m, read_side)?,
         mask,
+        mesh: node.get_or("mesh", None, |n| read_mesh(n, folder).map(Some))?,
         mass: read_mass(node)?,
         stiffness: node.get_or("material", fallback.stiffness, read_stiffness)?,
         gravity: node.get_or("gravity", up.down(super::GRAVITY_M_S2), |n| read_gravity(n, up))?,
@@ -239,6 +247,24 @@ fn read(node: &Node, folder: &Path) -> Result<Scene> {
         up,
         origin: node.origin.to_owned(),
     })
+}
+
+fn read_mesh(node: &Node, folder: &Path) -> Result<PathBuf> {
+    if node.value.is_string() {
+        let is_obj = Path::new(node.text()?).extension().is_some_and(|e| e.eq_ignore_ascii_case("obj"));
+        return if is_obj {
+            Ok(folder.join(node.text()?))
+        } else {
+            Err(node.invalid("the path of an .obj file"))
+        };
+    }
+    if !node.value.is_object() {
+        return Err(node.invalid("the path of an .obj file, or {\"file\": path}"));
+    }
+    node.deny_unknown(&["file"])?;
+    let file = node.get("file").ok_or_else(|| node.invalid("{\"file\": path}"))?;
+    file.text()?;
+    read_mesh(&file, folder)
 }
 
 fn read_frames(node: &Node) -> Result<Option<usize>> {

@@ -7,7 +7,7 @@
 //! ```
 //! use fnopt::scene::{Motion, Scene};
 //! use fnopt::cloth::Grid;
-//! use std::path::Path;
+//! use std::path::{Path, PathBuf};
 //!
 //! let mut scene = Scene::default();
 //! scene.regrid(Grid::new(48, 40, "example")?)?;
@@ -31,6 +31,7 @@
 //! | `grid` | `[H, W]`, particles along the height and the width, 8 to 4096 each | | `[32, 32]` |
 //! | `side_m` | side along the height, from which the width follows as cells are square; or `[height, width]`, which must make cells square to within 0.1 % | m | `1` |
 //! | `mask` | the part of the sheet that the cloth has, see below | | all of it |
+//! | `mesh` | the path of an `.obj`, or `{"file"}`: a mesh with texture coordinates that the cloth carries along, see below | | the grid's own |
 //! | `mass_kg` or `areal_mass_kg_m2` | mass of the whole sheet, before it is cut, or mass per area; above 0 | kg or kg/m^2 | areal, that of the fabric, or else `0.187` |
 //! | `material` | grid coefficients `{"stretch", "shear", "bend"}`, each optional; or SI moduli `{"stretch_modulus", "shear_modulus", "bending_stiffness"}`, all three required; or `"paper"`, which is `{"stretch": 1000, "shear": 8, "bend": 0.5}`; or the name of a fabric, see below | 1; or N/m, N/m, N m | `{"stretch_modulus": 1492.888, "shear_modulus": 44.8333, "bending_stiffness": 0.000752464}` |
 //! | `gravity` | vector, or its magnitude, which points down whatever its sign | m/s^2 | 9.8 downwards |
@@ -73,6 +74,24 @@
 //!     "handles": [[0, 16]], "motion": "none"}"#;
 //! let setup = Scene::parse(text, "ring.json", "".as_ref())?.setup()?;
 //! assert!(!setup.model.cloths[0].contains(16 * 33 + 16));
+//! # Ok::<(), fnopt::Error>(())
+//! ```
+//!
+//! **Mesh.** A cloth may look like any mesh that lies on the sheet by its texture coordinates, (u, v) as in a mask, in any order
+//! and of any polygons. The particles are simulated and carry its vertices along, bilinearly within their cells
+//! ([`crate::cloth::Embedding`]); files for other programs then hold that mesh ([`Setup::topology`], [`Setup::points`]). Its
+//! positions in the file do not matter. A vertex that lies beyond the mask, by an edge at most, stays at the border of the
+//! cloth; along a seam there is a vertex for each side.
+//!
+//! ```
+//! # use fnopt::scene::Scene;
+//! # let folder = tempfile::tempdir().unwrap();
+//! # let triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0.5 1\nf 1/1 2/2 3/3\n";
+//! # std::fs::write(folder.path().join("flag.obj"), triangle).unwrap();
+//! let setup = Scene::parse(r#"{"mesh": "flag.obj"}"#, "flag.json", folder.path())?.setup()?;
+//! assert_eq!(setup.topology().vertices(), 3);
+//! let [positions, _] = setup.points(&setup.start.cast());
+//! assert_eq!(positions.len(), 3);
 //! # Ok::<(), fnopt::Error>(())
 //! ```
 //!
@@ -128,7 +147,9 @@
 //! - `flat` has particle (i, j) at `(j, i - (H-1)/2, 0)` edges, z up.
 //! - `hanging` is a vertical plane whose upper edge, j = 0, is `(0, 0.5, z)` times the side.
 //! - An OBJ has vertex `i W + j` for particle (i, j). Its faces, if it has any, cover each cell by two
-//!   triangles or one quadrilateral.
+//!   triangles or one quadrilateral. In another order its faces tell which vertex is which particle, up to turns of the sheet:
+//!   its texture coordinates choose among these if it has any, otherwise the side to which its faces turn and the order of
+//!   its vertices do.
 //! - A `.npy` (`f2`, `f4` or `f8`) has shape [H, W, 3] or [H W, 3], or that of a trajectory,
 //!   [frames, H W, 3], whose first frame is used.
 //! - A `.npz` as written by a rollout (`rollout.npz`, `replay.npz`) supplies its last frame, with velocities.
@@ -197,6 +218,7 @@ mod fabric;
 pub(crate) mod file;
 mod gusts;
 mod handles;
+mod lattice;
 mod mask;
 mod motion;
 mod named;
@@ -217,13 +239,13 @@ pub use mask::{MaskSettings, Region};
 pub use motion::{BuiltIn, Motion};
 pub use named::{NamedScene, named_scenes};
 pub use script::{Change, Course, Lead, Script, Scripts};
-pub use setup::{Batch, MAX_FRAMES, Setup};
+pub use setup::{Batch, EmbeddedMesh, MAX_FRAMES, Setup};
 pub use start::{Start, StartFile, Transform};
 pub use units::{Moduli, Units, UpAxis};
 
 use crate::cloth::{Grid, Material, Repulsion, SelfContact};
 use crate::{Error, Result};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Gravity of a scene that does not specify it [m/s^2].
 const GRAVITY_M_S2: f64 = 9.8;
@@ -391,6 +413,8 @@ pub struct Scene {
     pub side_m: Side,
     /// The part of the sheet that the cloth has; `None` for all of it.
     pub mask: Option<MaskSettings>,
+    /// An OBJ file with texture coordinates: the mesh that the cloth carries along ([`RenderMesh`](crate::io::RenderMesh)).
+    pub mesh: Option<PathBuf>,
     /// Mass of the sheet.
     pub mass: Mass,
     /// Stiffness of the sheet.
@@ -440,6 +464,7 @@ impl Default for Scene {
             grid: Grid { h: 32, w: 32 },
             side_m: Side::Height(1.0),
             mask: None,
+            mesh: None,
             mass: Mass::default(),
             stiffness: Stiffness::default(),
             gravity: up.down(GRAVITY_M_S2),
@@ -488,7 +513,8 @@ impl Scene {
             _ => None,
         });
         let masks = self.mask.iter().flat_map(MaskSettings::files);
-        start.into_iter().chain(motion).chain(poses).chain(meshes).chain(masks)
+        let mesh = self.mesh.as_deref();
+        start.into_iter().chain(motion).chain(poses).chain(meshes).chain(masks).chain(mesh)
     }
 
     /// Checks everything that can be checked without reading a file, and returns the units that follow from

@@ -1,5 +1,6 @@
-//! OBJ files whose vertices are the particles of a grid, in order.
+//! OBJ files whose vertices are the particles of a grid.
 
+use super::lattice;
 use crate::cloth::Grid;
 use crate::{Error, Result, io::Polygons};
 use std::path::Path;
@@ -14,15 +15,33 @@ impl Mesh {
         Polygons::read(path).map(Self)
     }
 
-    /// Returns the positions, in the order of the file.
-    pub fn into_points(self) -> Vec<[f64; 3]> {
-        self.0.positions
+    /// Returns the positions of the particles of `grid`: in the order of the file if its faces, if there are any, allow that,
+    /// otherwise in one in which they do. Fails as [`Mesh::check`] does if there is none, or if it is that of the grid with its
+    /// sides swapped, which is a mistake more often than meant.
+    pub fn into_points(self, grid: Grid) -> Result<Vec<[f64; 3]>> {
+        let Err(error) = self.check(grid) else { return Ok(self.0.positions) };
+        let order = if self.hint(grid).is_empty() { self.order(grid) } else { None }.ok_or(error)?;
+        Ok(order.into_iter().map(|vertex| self.0.positions[vertex]).collect())
+    }
+
+    /// Returns the vertex that is each particle of `grid`, by its texture coordinates if all have some.
+    fn order(&self, grid: Grid) -> Option<Vec<usize>> {
+        let Polygons { positions, faces, uv, uv_of, .. } = &self.0;
+        let mut own = vec![[f64::NAN; 2]; positions.len()];
+        for ((face, _), uv_of) in faces.iter().zip(uv_of) {
+            face.iter()
+                .zip(uv_of)
+                .for_each(|(&vertex, at)| own[vertex] = at.map_or(own[vertex], |at| uv[at]));
+        }
+        let has_uv = own.as_flattened().iter().all(|c| c.is_finite());
+        let faces: Vec<Vec<usize>> = faces.iter().map(|(face, _)| face.clone()).collect();
+        lattice::order(grid, positions.len(), &faces, has_uv.then_some(&own[..]))
     }
 
     /// Checks that there is one vertex per particle of `grid` and that the faces, if there are any, cover
     /// each of its cells once, by a quadrilateral or by two triangles.
     pub fn check(&self, grid: Grid) -> Result<()> {
-        let Polygons { origin, positions, faces } = &self.0;
+        let Polygons { origin, positions, faces, .. } = &self.0;
         if positions.len() != grid.particles() {
             let expected = format!("{} for the {grid} grid (\"grid\" names another)", grid.particles());
             return Err(Error::invalid(origin, "vertices", expected, positions.len()));

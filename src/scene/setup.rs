@@ -6,16 +6,17 @@ use super::script::Change;
 use super::surface::Sheet;
 use super::{Airflow, Handles, Motion, Scene, Start, Units, UpAxis};
 use crate::cloth::{
-    Cloth, Control, Grid, Intersection, Material, Model, Pose, State, Sweep, VertexView, cast, intersections,
-    untangle,
+    Cloth, Control, Embedding, Grid, Intersection, Material, Model, Pose, State, Sweep, VertexView, cast,
+    intersections, untangle,
 };
-use crate::io::{Topology, Trajectory};
+use crate::io::{Embedded, Frames, RenderMesh, Topology, Trajectory};
 use crate::{Error, Result, memory};
 use glam::DVec3;
 use num_traits::Float;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::RangeInclusive;
-use std::sync::{Mutex, PoisonError};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// The most frames that a scene may ask for: far above any use, well within memory.
 pub const MAX_FRAMES: usize = 1_000_000;
@@ -63,6 +64,24 @@ pub struct Setup {
     pub units: Units,
     /// The axis that points up in the scene.
     pub up: UpAxis,
+    /// The mesh that the cloth carries along, if it isn't the grid's own.
+    pub embedding: Option<Arc<EmbeddedMesh>>,
+}
+
+/// A mesh that a cloth carries along.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EmbeddedMesh {
+    /// The mesh.
+    pub mesh: RenderMesh,
+    /// Where in the cloth its vertices are.
+    pub embedding: Embedding,
+}
+
+impl EmbeddedMesh {
+    /// Returns the frames of the mesh, from those of the particles. Panics if these are of another number of particles.
+    pub fn frames<'a>(&'a self, of_particles: &'a dyn Frames) -> Embedded<'a> {
+        Embedded::new(of_particles, self.mesh.topology(), &self.embedding)
+    }
 }
 
 /// Several cloths on one grid, ready to advance together.
@@ -138,6 +157,14 @@ pub(super) fn sweeps(poses: &[Vec<Pose>], frame: usize) -> Vec<Sweep> {
         true => Vec::new(),
         false => poses.iter().map(sweep).collect(),
     }
+}
+
+/// Reads a mesh and places it in the cloth.
+fn embed(path: &Path, grid: Grid, cloth: &Cloth) -> Result<EmbeddedMesh> {
+    let mesh = RenderMesh::read(path)?;
+    let origin = path.display().to_string();
+    let embedding = Embedding::new(grid, cloth.mask.as_ref(), mesh.topology().uv(), &origin)?;
+    Ok(EmbeddedMesh { mesh, embedding })
 }
 
 impl Setup {
@@ -227,8 +254,16 @@ impl Setup {
         })
     }
 
-    /// Returns the mesh of the cloth, as files hold it.
+    /// Returns the mesh of the cloth, as files hold it: the one that it carries along, or else that of its particles.
     pub fn topology(&self) -> Topology {
+        match &self.embedding {
+            Some(embedded) => embedded.mesh.topology().clone(),
+            None => self.particle_topology(),
+        }
+    }
+
+    /// Returns the mesh of the particles, whatever mesh the cloth carries along.
+    pub fn particle_topology(&self) -> Topology {
         Topology::of_cloth(self.model.grid, self.model.cloths[0].mask.as_ref())
     }
 
@@ -245,13 +280,23 @@ impl Setup {
     /// Appends the state at the end of a frame to a trajectory. Panics if the state is not that of one cloth,
     /// or if the trajectory has another number of particles.
     pub fn push(&self, trajectory: &mut Trajectory, state: &State<f32>) {
-        let [positions, velocities] = self.points(state);
+        let [positions, velocities] = self.particles(state);
         trajectory.push(&positions, &velocities);
     }
 
-    /// Returns positions \[m\] and velocities [m/s] of a state in the scene's axes, [V, 3] each, as files hold them: particles
-    /// that the cloth doesn't have lie where the nearest one does. Panics if the state is not that of one cloth.
+    /// Returns positions \[m\] and velocities [m/s] of a state in the scene's axes, [V, 3] each, of the vertices of
+    /// [`Setup::topology`]. Panics if the state is not that of one cloth.
     pub fn points(&self, state: &State<f32>) -> [Vec<[f32; 3]>; 2] {
+        let particles = self.particles(state);
+        match &self.embedding {
+            Some(embedded) => particles.map(|points| embedded.embedding.positions(&points)),
+            None => particles,
+        }
+    }
+
+    /// Returns the same of the particles, shape [H W, 3], whatever mesh the cloth carries along: those that the cloth doesn't
+    /// have lie where the nearest one does. Panics if the state is not that of one cloth.
+    pub fn particles(&self, state: &State<f32>) -> [Vec<[f32; 3]>; 2] {
         let mask = self.model.cloths[0].mask.as_ref();
         let single = |points: Vec<[f64; 3]>| -> Vec<[f32; 3]> {
             let points: Vec<_> = points.into_iter().map(|p| p.map(|c| c as f32)).collect();
@@ -387,6 +432,10 @@ impl Scene {
             let expected = "flat, hanging or a file, since a cloth with a mask has no settled drape";
             return Err(Error::invalid(&self.origin, "start", expected, "settled"));
         }
+        let embedding = match &self.mesh {
+            Some(path) => Some(Arc::new(embed(path, grid, &cloth)?)),
+            None => None,
+        };
         let wind = Airflow::new(&self.wind, &units, self.up);
         self.check_units(&units, &cloth, wind)?;
         let [mut points, velocities] = self.start.on(&cloth, &units, (grid, self.up), &self.origin)?;
@@ -453,6 +502,7 @@ impl Scene {
             wind,
             units,
             up: self.up,
+            embedding,
         };
         self.check_places(&setup)?;
         let farthest = setup.start.x.iter().fold(0.0, |most: f64, x| most.max(x.abs()));

@@ -16,7 +16,7 @@ pub type Transform = [[f64; 4]; 3];
 /// A file with the positions of all particles.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StartFile {
-    /// An OBJ file whose vertex `i W + j` is particle (i, j); a `.npy` of shape [H, W, 3], [H W, 3] or, for a
+    /// An OBJ file whose vertex `i W + j` is particle (i, j), or in another order if its faces are the cells of the grid; a `.npy` of shape [H, W, 3], [H W, 3] or, for a
     /// trajectory whose first frame is used, [frames, H W, 3] or [frames, H, W, 3]; or the `.npz` of a rollout,
     /// whose last frame is used with its velocities. Positions are in the scene's axes \[m\].
     pub path: PathBuf,
@@ -149,11 +149,7 @@ impl StartFile {
         }
         let origin = self.path.display().to_string();
         let points = match self.path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase) {
-            Some(e) if e == "obj" => {
-                let mesh = Mesh::read(&self.path)?;
-                mesh.check(grid)?;
-                mesh.into_points()
-            }
+            Some(e) if e == "obj" => Mesh::read(&self.path)?.into_points(grid)?,
             Some(e) if e == "npy" => {
                 let array = io::read_npy(&self.path)?;
                 let (shape, n) = (array.shape(), grid.particles());

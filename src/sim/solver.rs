@@ -2,7 +2,7 @@
 
 use super::method::{Method, row, rows};
 use super::{FrameStats, IterationLog, Memory, Optimizer, StepCounts, Vertices};
-use crate::cloth::{Cloth, Control, EnergyTerms, Model, State};
+use crate::cloth::{Cloth, Control, Embedding, EnergyTerms, Model, State};
 use crate::gpu::{Context, Schedule, Tensor};
 use crate::kernels::cloth::{
     Begin, ClothContacts, ClothLayers, ClothTerms, Fields, Objective, Room, gradient,
@@ -429,7 +429,13 @@ impl Solver {
     /// [`VertexView::default`](crate::cloth::VertexView::default) until [`Vertices::set_view`] replaces it.
     /// Fails if the device cannot bind a buffer of that size.
     pub fn vertices(&self) -> Result<Vertices> {
-        Vertices::new(&self.context, self)
+        Vertices::new(&self.context, self, None)
+    }
+
+    /// Creates the same of a mesh that each cloth carries along: positions and normals are interpolated from those of the
+    /// particles. Fails, too, if the embedding is in another grid or has no vertices.
+    pub fn embedded_vertices(&self, embedding: &Embedding) -> Result<Vertices> {
+        Vertices::new(&self.context, self, Some(embedding))
     }
 
     /// Returns the tensors that [`Solver::frame`] reads, for a [`Readback`](crate::gpu::Readback).

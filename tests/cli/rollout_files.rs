@@ -132,3 +132,47 @@ fn options_that_do_not_fit_the_formats_are_refused() {
         &["rollout.glb", "glb, which is written only"],
     );
 }
+
+/// Files for other programs have the mesh that the cloth carries along; those that simulations go on from the particles.
+#[test]
+fn files_hold_the_mesh_that_the_cloth_carries() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |file: &str| folder.path().join(file);
+    let write = |file: &str, text: &str| std::fs::write(at(file), text).unwrap();
+    let flag = "v 0 0 0\nv 0 0 1\nv 1 0 1\nv 1 0 0\nv 2 0 0\n\
+        vt 1 0\nvt 1 1\nvt 0.5 1\nvt 0.5 0\nvt 0 0.5\nf 1/1 2/2 3/3 4/4\nf 4/4 3/3 5/5\n";
+    write("flag.obj", flag);
+    write("flag.json", r#"{"mesh": "flag.obj", "grid": [12, 12], "frames": 6}"#);
+    let run = |more: &[&str]| fnopt(folder.path(), &[&["rollout", "flag.json"], &FEW[1..6], more].concat());
+    let formats = "npz,obj,ply,usda,glb,pc2";
+    done(run(&["--format", formats, "--out", "whole"]));
+    let whole = read(at("whole/rollout.npz"));
+    assert_eq!(whole.positions().shape(), [6, 144, 3]);
+    let obj = fnopt::io::RenderMesh::read(at("whole/rollout_obj/00005.obj")).unwrap();
+    assert_eq!(obj.topology().faces().collect::<Vec<_>>(), [&[0, 1, 2, 3][..], &[3, 2, 4]]);
+    // Its second vertex is particle (0, 0), the first is (0, 11), and the last lies between rows.
+    assert_eq!(obj.positions()[1], whole.frame(5)[0]);
+    assert_eq!(obj.positions()[0], whole.frame(5)[11]);
+    let usd = std::fs::read_to_string(at("whole/rollout.usda")).unwrap();
+    assert!(usd.contains("faceVertexCounts = [4, 3]"));
+    assert!(usd.contains("primvars:st = [(1, 0), (1, 1), (0.5, 1), (0.5, 0), (0, 0.5)]"));
+    assert_eq!(std::fs::metadata(at("whole/rollout.pc2")).unwrap().len(), 32 + 6 * 5 * 12);
+    let cached = fnopt::io::RenderMesh::read(at("whole/rollout.obj")).unwrap();
+    assert_eq!(cached.topology(), obj.topology());
+
+    // It goes on to the same bits, and the mesh with it.
+    done(run(&["--frames", "3", "--out", "half"]));
+    done(run(&["--continue", "half/rollout.npz", "--format", formats, "--out", "half"]));
+    for file in ["rollout.npz", "rollout.usda", "rollout.glb", "rollout.pc2", "rollout_ply/00005.ply"] {
+        let bytes = |out: &str| std::fs::read(at(out).join(file)).unwrap();
+        assert!(bytes("half") == bytes("whole"), "{file}");
+    }
+    // A mesh is not overwritten by the files of a run that reads it.
+    write("rollout.obj", flag);
+    write("own.json", r#"{"mesh": "rollout.obj", "grid": [12, 12], "frames": 2}"#);
+    let own = ["rollout", "own.json", "--format", "pc2", "--out", "."];
+    refused(fnopt(folder.path(), &own), &["--out: folder", "rollout.obj"]);
+    write("bare.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n");
+    write("bare.json", r#"{"mesh": "bare.obj"}"#);
+    refused(fnopt(folder.path(), &["rollout", "bare.json"]), &["bare.obj", "a mesh without UVs"]);
+}

@@ -2,7 +2,7 @@
 
 use crate::common::{assert_close, context, device, read};
 use crate::solver::solver;
-use fnopt::cloth::VertexView;
+use fnopt::cloth::{Embedding, Grid, VertexView};
 use fnopt::io::vertex_normals;
 use fnopt::scene::{Scene, Setup, Side};
 use fnopt::sim::Optimizer;
@@ -65,4 +65,38 @@ fn each_cloth_of_a_batch_has_its_own_view() {
         let expected: Vec<f64> = cloths.flat_map(|(setup, x)| interleaved(setup, x)).collect();
         assert_close(&format!("time {time}"), &read(vertices.tensor()), &expected, TOLERANCE);
     }
+}
+
+/// Cloths in one batch carry the same mesh, where the files have it.
+#[test]
+fn a_mesh_is_carried_by_each_cloth_of_a_batch() {
+    let _turn = device();
+    let setups = [1.0, 2.5].map(|m| Scene { side_m: Side::Height(m), ..Scene::default() }.setup().unwrap());
+    let batch = Setup::batch(&setups).unwrap();
+    let grid = batch.model.grid;
+    let solver = solver(&batch.model, &Optimizer::gradient_descent(), 2, &batch.start.cast());
+    let uv: Vec<[f32; 2]> = (0..700).map(|k| [0.618 * k as f32 % 1.0, 0.755 * k as f32 % 1.0]).collect();
+    let embedding = Embedding::new(grid, None, &uv, "a test").unwrap();
+    let vertices = solver.embedded_vertices(&embedding).unwrap();
+    assert_eq!(vertices.tensor().shape(), [2, 700, 6]);
+    vertices.set_view(&batch.vertex_view(0));
+    vertices.set_cloth_view(1, &batch.vertex_view(1));
+    solver.set_control(&batch.control(40));
+    context().submit(|encoder| solver.record(encoder));
+    context().submit(|encoder| vertices.record(encoder));
+    let (x, found): (Vec<f32>, Vec<f32>) = (read(solver.positions()), read(vertices.tensor()));
+    for (b, found) in found.chunks_exact(700 * 6).enumerate() {
+        let expected = embedding.positions(&batch.vertices_m(b, &x));
+        let positions: Vec<f32> = found.chunks_exact(6).flat_map(|vertex| vertex[..3].to_vec()).collect();
+        assert_close(&format!("cloth {b}"), &positions, expected.as_flattened(), TOLERANCE);
+        for vertex in found.chunks_exact(6) {
+            let length = vertex[3..].iter().map(|c| c * c).sum::<f32>().sqrt();
+            assert!((length - 1.0).abs() < 1e-5, "{vertex:?}");
+        }
+    }
+    let other = Embedding::new(Grid { h: 9, w: 9 }, None, &uv, "a test").unwrap();
+    let error = solver.embedded_vertices(&other).unwrap_err().to_string();
+    assert!(error.contains("embedding: grid: expected 32x32, found 9x9"), "{error}");
+    let none = Embedding::new(grid, None, &[], "a test").unwrap();
+    assert!(solver.embedded_vertices(&none).unwrap_err().to_string().contains("at least one, found 0"));
 }

@@ -1,6 +1,7 @@
 //! Files and pictures: what is written can be read back, and no file makes a reader panic.
 
 mod damaged;
+mod embedded;
 mod pictures;
 mod scene_formats;
 mod sinks;

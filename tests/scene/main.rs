@@ -5,6 +5,7 @@ mod common;
 mod documents;
 mod events;
 mod fabrics;
+mod meshes;
 mod named;
 mod refusals;
 mod setups;

@@ -24,15 +24,20 @@ pub fn vertices<T: Real>(faces: &[[u32; 3]], view: &VertexView, x: &[T], v: &[T]
         face.iter().for_each(|&p| normals[p] = add(normals[p], area));
     }
     let vertex = |([x, y, z], normal): ([T; 3], [T; 3])| {
-        // Scaled first, so that no square underflows.
-        let size = normal.iter().fold(T::zero(), |most, c| most.max(c.abs()));
-        let [a, b, c] = if size > T::zero() {
-            let normal = scaled(normal, size.recip());
-            scaled(normal, length(normal).recip())
-        } else {
-            [T::zero(); 3]
-        };
+        let [a, b, c] = unit(normal);
         [x, y, z, a, b, c]
     };
     positions.into_iter().zip(normals).map(vertex).collect()
+}
+
+/// Returns the unit vector along another; zero if that is zero.
+pub(super) fn unit<T: Real>(v: [T; 3]) -> [T; 3] {
+    // Scaled first, so that no square underflows.
+    let size = v.iter().fold(T::zero(), |most, c| most.max(c.abs()));
+    if size > T::zero() {
+        let v = scaled(v, size.recip());
+        scaled(v, length(v).recip())
+    } else {
+        [T::zero(); 3]
+    }
 }

@@ -14,6 +14,7 @@ mod contact;
 mod cosine_directions;
 mod curvature;
 mod draw;
+mod embed;
 mod energy;
 mod external_force;
 mod features;
