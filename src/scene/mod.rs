@@ -71,7 +71,7 @@
 //! ```
 //! # use fnopt::scene::Scene;
 //! let text = r#"{"mask": {"outline": "disc", "holes": [{"circle": [0.5, 0.5], "radius_m": 0.1}]}, "grid": [33, 33],
-//!     "handles": [[0, 16]], "motion": "none"}"#;
+//!     "handles": [[1, 16]], "motion": "none"}"#;
 //! let setup = Scene::parse(text, "ring.json", "".as_ref())?.setup()?;
 //! assert!(!setup.model.cloths[0].contains(16 * 33 + 16));
 //! # Ok::<(), fnopt::Error>(())
