@@ -10,7 +10,7 @@ mod session;
 
 pub(crate) use device::{Settings, solvers};
 #[cfg(feature = "python")]
-pub(crate) use report::{PerFrame, Report, Status};
+pub(crate) use report::{Report, Status};
 pub(crate) use session::{Control, Session, Snapshot};
 
 use crate::cloth::Grid;

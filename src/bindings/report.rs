@@ -2,10 +2,8 @@
 
 use super::Settings;
 use super::device::absolute;
-use crate::Frame;
-use crate::cloth::{BodyStats, LayerStats};
-use crate::eval::{Verdict, median_time};
-use crate::scene::{Scene, Setup};
+use crate::eval::{FrameReport, Verdict, median_time};
+use crate::scene::Scene;
 use crate::sim::{FrameStats, Optimizer};
 use serde_json::{Value, json};
 
@@ -19,76 +17,6 @@ pub(crate) enum Status {
     Failed,
 }
 
-/// What a frame of one cloth was like.
-#[derive(Clone, Debug, serde::Serialize)]
-pub(crate) struct PerFrame {
-    frame: usize,
-    ms: f64,
-    energy_total: f64,
-    #[serde(flatten)]
-    stats: FrameStats,
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    bodies: Vec<OfBody>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    layers: Option<OfLayers>,
-}
-
-/// What a body did in a frame, in SI units and the scene's axes.
-#[derive(Clone, Debug, serde::Serialize)]
-struct OfBody {
-    touching: usize,
-    deepest_m: f64,
-    load_n: [f64; 3],
-    friction_work_j: f64,
-}
-
-/// What the layers of the cloth did to each other in a frame.
-#[derive(Clone, Debug, serde::Serialize)]
-struct OfLayers {
-    touching: usize,
-    nearest_m: Option<f64>,
-}
-
-impl OfBody {
-    fn new(stats: &BodyStats, setup: &Setup) -> Self {
-        let joules = |energy: f64| setup.units.energy_j(energy, setup.model.grid.particles());
-        let newtons = stats.load.map(|load| joules(load) / setup.units.length_m);
-        Self {
-            touching: stats.touching,
-            deepest_m: stats.deepest * setup.units.length_m,
-            load_n: setup.up.from_z_up(newtons),
-            friction_work_j: joules(stats.friction_work),
-        }
-    }
-}
-
-impl OfLayers {
-    fn new(stats: LayerStats, setup: &Setup) -> Self {
-        let nearest_m = (stats.pairs > 0).then_some(stats.nearest * setup.units.length_m);
-        Self { touching: stats.touching, nearest_m }
-    }
-}
-
-impl PerFrame {
-    /// Returns what cloth `b` of a frame was like; `setup` is its own.
-    pub fn new(frame: &Frame, b: usize, setup: &Setup) -> Self {
-        let stats = frame.stats[b].clone();
-        Self {
-            frame: frame.index,
-            ms: frame.wall.as_secs_f64() * 1e3,
-            energy_total: stats.energy.total(),
-            bodies: stats.bodies.iter().map(|body| OfBody::new(body, setup)).collect(),
-            layers: stats.layers.map(|layers| OfLayers::new(layers, setup)),
-            stats,
-        }
-    }
-
-    /// Returns it as JSON.
-    pub fn to_json(&self) -> Value {
-        serde_json::to_value(self).unwrap_or_default()
-    }
-}
-
 /// What a report is made of.
 pub(crate) struct Report<'a> {
     pub scene: &'a Scene,
@@ -97,7 +25,7 @@ pub(crate) struct Report<'a> {
     pub device: String,
     pub verdict: Verdict,
     pub frames: usize,
-    pub per_frame: &'a [PerFrame],
+    pub per_frame: &'a [FrameReport],
 }
 
 impl Report<'_> {

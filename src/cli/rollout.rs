@@ -9,12 +9,12 @@ use super::{
 };
 use anyhow::Result;
 use fnopt::Frame;
-use fnopt::cloth::{BodyStats, LayerStats, State};
-use fnopt::eval::{Soundness, Verdict, median_time};
+use fnopt::cloth::State;
+use fnopt::eval::{FrameReport, Soundness, Verdict, median_time};
 use fnopt::io::{Format, Frames, Recording, Trajectory, WriteOptions, write_atomic};
 use fnopt::render::{Bodies, Film, GifOptions, Marks, StripOptions, View, strip, write_gif, write_png};
 use fnopt::scene::{MAX_FRAMES, Motion, RepulsionSettings, Scene, Script, Setup, UpAxis};
-use fnopt::sim::{FrameStats, Optimizer};
+use fnopt::sim::Optimizer;
 use fnopt::{Error, io};
 use std::borrow::Cow;
 use std::cell::OnceCell;
@@ -349,66 +349,10 @@ struct Run<'a> {
     frames: usize,
     /// The last of them.
     last: State<f32>,
-    per_frame: Vec<PerFrame>,
+    per_frame: Vec<FrameReport>,
     /// See [`Run::intersections`]; counted when first asked for, once all frames are there.
     intersections: OnceCell<Option<[usize; 2]>>,
     soundness: Soundness<'a>,
-}
-
-#[derive(serde::Serialize)]
-struct PerFrame {
-    frame: usize,
-    ms: f64,
-    energy_total: f64,
-    #[serde(flatten)]
-    stats: FrameStats,
-    /// What each body did, left out where there are none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    bodies: Vec<OfBody>,
-    /// What its layers did, left out if the cloth does not touch itself.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    layers: Option<OfLayers>,
-}
-
-/// What a body did in a frame, in SI units and the scene's axes.
-#[derive(serde::Serialize)]
-struct OfBody {
-    touching: usize,
-    /// Largest depth of a particle below its surface.
-    deepest_m: f64,
-    /// Force of the cloth on it.
-    load_n: [f64; 3],
-    /// Work that friction took from the cloth.
-    friction_work_j: f64,
-}
-
-impl OfBody {
-    fn new(stats: &BodyStats, setup: &Setup) -> Self {
-        let joules = |energy: f64| setup.units.energy_j(energy, setup.model.grid.particles());
-        let newtons = stats.load.map(|load| joules(load) / setup.units.length_m);
-        Self {
-            touching: stats.touching,
-            deepest_m: stats.deepest * setup.units.length_m,
-            load_n: setup.up.from_z_up(newtons),
-            friction_work_j: joules(stats.friction_work),
-        }
-    }
-}
-
-/// What the layers of the cloth did to each other in a frame.
-#[derive(serde::Serialize)]
-struct OfLayers {
-    /// Pairs of parts, a particle and a triangle or two edges, that are nearer than the thickness.
-    touching: usize,
-    /// Least distance between two parts; `null` if none are near each other.
-    nearest_m: Option<f64>,
-}
-
-impl OfLayers {
-    fn new(stats: LayerStats, setup: &Setup) -> Self {
-        let nearest_m = (stats.pairs > 0).then_some(stats.nearest * setup.units.length_m);
-        Self { touching: stats.touching, nearest_m }
-    }
 }
 
 /// How a simulation ended.
@@ -451,15 +395,7 @@ impl<'a> Run<'a> {
             self.recording.push(&positions, &velocities)?;
         }
         self.soundness.judge(&frame);
-        let stats = frame.stats[0].clone();
-        self.per_frame.push(PerFrame {
-            frame: frame.index,
-            ms: frame.wall.as_secs_f64() * 1e3,
-            energy_total: stats.energy.total(),
-            bodies: stats.bodies.iter().map(|body| OfBody::new(body, self.setup)).collect(),
-            layers: stats.layers.map(|layers| OfLayers::new(layers, self.setup)),
-            stats,
-        });
+        self.per_frame.push(FrameReport::new(&frame, 0, self.setup));
         (self.frames, self.last) = (frame.index + 1, frame.state);
         Ok(())
     }

@@ -4,8 +4,8 @@ use super::arrays::to_python;
 use super::errors::raised;
 use super::scene::scene_of;
 use super::simulation::rows;
-use crate::bindings::{PerFrame, Report, Settings, Status, change_scene};
-use crate::eval::Soundness;
+use crate::bindings::{Report, Settings, Status, change_scene};
+use crate::eval::{FrameReport, Soundness};
 use crate::io::{Format, Frames, Trajectory, WriteOptions, create_folder, folder_of, write, write_mesh};
 use crate::scene::{EmbeddedMesh, Script};
 use crate::{Device, Error};
@@ -204,7 +204,7 @@ pub(super) fn rollout(
         simulator.play(&mut Script::new(&setup), |_, frame| {
             setup.push(&mut trajectory, &frame.state);
             soundness.judge(&frame);
-            per_frame.push(PerFrame::new(&frame, 0, &setup));
+            per_frame.push(FrameReport::new(&frame, 0, &setup));
             if breathed.elapsed() < BREATH {
                 return ControlFlow::Continue(());
             }

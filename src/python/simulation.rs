@@ -3,7 +3,8 @@
 use super::arrays::{Points, points_array, to_python};
 use super::errors::raised;
 use super::scene::scene_of;
-use crate::bindings::{Control, PerFrame, Session, Settings, Snapshot};
+use crate::bindings::{Control, Session, Settings, Snapshot};
+use crate::eval::FrameReport;
 use crate::scene::Scene;
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArray3};
 use pyo3::exceptions::PyValueError;
@@ -180,7 +181,13 @@ impl PySimulation {
     #[getter]
     fn stats<'py>(&self, py: Python<'py>) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let frame = self.session.frame();
-        let of = |b| to_python(py, &PerFrame::new(frame, b, &self.session.setups()[b]).to_json());
+        let of = |b| {
+            to_python(
+                py,
+                &serde_json::to_value(FrameReport::new(frame, b, &self.session.setups()[b]))
+                    .unwrap_or_default(),
+            )
+        };
         (0..frame.stats.len()).map(of).collect()
     }
 
